@@ -15,6 +15,7 @@ from polhode.records import Truth
 from polhode.tables import attitudes_of, numbers_at, read_mapping, read_table, require_below
 
 MAX_STATE = 1e12
+MAX_RATE = 300.0
 MIN_MOMENT = 1e-30
 ROTATION_TOLERANCE = 1e-2
 
@@ -30,6 +31,8 @@ def read_truth(folder: Path) -> Truth:
     table = read_table(target / "data.csv", columns=13)
     values = table.values
     require_below(table, MAX_STATE, "a state [m, m/s, rad/s]")
+    if abs(values[:, 10:]).max() > MAX_RATE:
+        raise InputError(f"{table.path}: an angular velocity above {MAX_RATE:g} rad/s; correct it")
     properties_path = target / "target.yaml"
     properties = read_mapping(properties_path, "the truth needs moments, com_G and R_GP")
     moments = numbers_at(properties_path, properties, "moments", (3,))

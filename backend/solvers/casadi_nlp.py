@@ -86,6 +86,8 @@ def ipopt_options(
         "no_nlp_grad": True,
         "calc_lam_p": False,
         "print_time": False,
+        # CasADi writes them to standard error, which holds one line; a solution that is NaN is refused.
+        "show_eval_warnings": False,
         "error_on_fail": False,
         "ipopt": {
             "print_level": 0,

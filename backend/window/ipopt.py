@@ -130,7 +130,6 @@ def _build(layout: _Layout, form: InertiaForm, series: int) -> Any:
     old = [start, size, q, Q, factors, weak]
     cost, gradient, values = ca.graph_substitute([cost, gradient, values], old, parts)
     options = ipopt_options(TOLERANCE, STATIONARY_COST_CHANGE, MAX_ITERATIONS)
-    options["show_eval_warnings"] = False
     return ipopt_solver("window", z, symbols, cost, gradient, (ca.Sparsity.upper(n), values), options)
 
 

@@ -27,6 +27,9 @@ TRAJECTORY_COLUMNS: tuple[str, ...] = (
 )
 """The header line. SI units; sigma_r and sigma_v along N, sigma_theta and sigma_w in P."""
 
+MAX_RATE = 300.0
+"""[rad/s]: 3000 revolutions in a minute, which no images follow."""
+MAX_SIGMA = 1e100
 MAX_STATE = 1e15
 """[m, m/s, rad/s]"""
 
@@ -138,7 +141,11 @@ def _require_sound(table: Table) -> None:
         checks = {
             "a state that is NaN or infinite": ~np.isfinite(states).all(axis=1),
             f"a state above {MAX_STATE:g}": (abs(states) > MAX_STATE).any(axis=1),
+            f"an angular velocity above {MAX_RATE:g} rad/s": (abs(states[:, 10:]) > MAX_RATE).any(axis=1),
             "a standard deviation that is NaN or negative": ~(sigmas >= 0.0).all(axis=1),
+            f"a finite standard deviation above {MAX_SIGMA:g}": (
+                np.isfinite(sigmas) & (sigmas > MAX_SIGMA)
+            ).any(axis=1),
             "a quaternion that is not of unit length": abs(np.linalg.norm(q_wxyz, axis=1) - 1.0) > 1e-2,
         }
     for what, bad in checks.items():

@@ -17,7 +17,9 @@ from polhode.config.section import (
     Velocity,
 )
 
-MAX_ROWS = 1_000_000
+MAX_PIXELS = 64_000_000
+"""Of an image, as it is read (polhode/images.py)."""
+MAX_ROWS = 500_000
 """Of the truth: images and times after them."""
 MAX_DURATION_S = 1e8
 MAX_TURNS = 1e4
@@ -233,6 +235,14 @@ class Rig(Section):
     mount_rotation_deg: RotationVector = (0.0, 0.0, 0.0)
     """Rotation vector R_BC of the left camera in B [deg]."""
 
+    @model_validator(mode="after")
+    def _images_can_be_read(self) -> Self:
+        if self.width_px * self.height_px > MAX_PIXELS:
+            raise ValueError(
+                f"{self.width_px}x{self.height_px} px are more than {MAX_PIXELS // 10**6} million; give fewer"
+            )
+        return self
+
 
 class Sensor(Section):
     """From radiance to grey values. DN: 1/255 of full scale, whatever the number of bits."""
@@ -333,7 +343,7 @@ class Background(Section):
 class Scene(Section):
     """What ``polhode simulate`` renders."""
 
-    frames: int = Field(115, ge=1, le=1_000_000)
+    frames: int = Field(115, ge=1, le=MAX_ROWS)
     """Number of stereo pairs."""
     interval_s: float = Field(0.5, ge=1e-6, le=1e6)
     """Time between pairs [s]."""

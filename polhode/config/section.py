@@ -17,7 +17,7 @@ RotationVector = tuple[_Angle, _Angle, _Angle]
 _Speed = Annotated[float, Field(ge=-1e7, le=1e7)]
 Velocity = tuple[_Speed, _Speed, _Speed]
 """[mm/s]"""
-_Rate = Annotated[float, Field(ge=-1e4, le=1e4)]
+_Rate = Annotated[float, Field(ge=-1000, le=1000)]
 AngularVelocity = tuple[_Rate, _Rate, _Rate]
 """[deg/s] or [RPM]"""
 

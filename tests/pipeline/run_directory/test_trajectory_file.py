@@ -61,6 +61,13 @@ def test_a_state_that_is_not_finite_is_never_written(example: Any, tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
+def rows_with(column: int, value: str) -> str:
+    """A table of one row at rest, with another value in a column."""
+    row = ["1", *["0"] * 6, "1", *["0"] * 18]
+    row[column] = value
+    return ",".join(TRAJECTORY_COLUMNS) + "\n" + ",".join(row) + "\n"
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -73,6 +80,9 @@ def test_a_state_that_is_not_finite_is_never_written(example: Any, tmp_path: Pat
             ",".join(TRAJECTORY_COLUMNS) + ("\n7" + ",0.5" * 25) * 2 + "\n",
             "line 3: timestamp 7 repeats 7",
         ),
+        (rows_with(11, "1e14"), "line 2: an angular velocity above 300 rad/s"),
+        (rows_with(14, "1e308"), "line 2: a finite standard deviation above 1e\\+100"),
+        (rows_with(1, "1e20"), "line 2: a state above 1e\\+15"),
         (
             ",".join(TRAJECTORY_COLUMNS) + f"\n{2**70}" + ",0.5" * 25 + "\n",
             "line 2: timestamp 1180591620717411303424 is beyond",
