@@ -143,6 +143,12 @@ def point(file: Path) -> None:
 
 REPORT, PREDICT, EVALUATE = "report", "predict", "evaluate"
 NAN = "NaN or infin"
+
+
+def shortened(path: Path) -> None:
+    path.write_text("\n".join(path.read_text().splitlines()[:4]))
+
+
 IN_RUN: dict[str, tuple[str, Damage, str, tuple[str, ...]]] = {
     "measurement": ("measurements.npz", array("uvd_px", np.nan), f"uvd_px holds {NAN}", (REPORT,)),
     "measurement's sigma": (
@@ -181,7 +187,7 @@ IN_RUN: dict[str, tuple[str, Damage, str, tuple[str, ...]]] = {
     ),
     "rows": (
         "trajectory.csv",
-        lambda path: path.write_text("\n".join(path.read_text().splitlines()[:4])),
+        shortened,
         "trajectory.csv and covariance.npz have different frames",
         (REPORT, PREDICT, EVALUATE),
     ),
