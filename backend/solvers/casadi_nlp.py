@@ -90,6 +90,9 @@ def ipopt_options(
         "show_eval_warnings": False,
         "error_on_fail": False,
         "ipopt": {
+            # else IPOPT reads ipopt.opt of the current folder, which may be another person's: it can name
+            # files to write and libraries to load
+            "option_file_name": "",
             "print_level": 0,
             "sb": "yes",
             "linear_solver": "mumps",

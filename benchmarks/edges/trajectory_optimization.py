@@ -427,6 +427,7 @@ def _solve(
     size = float(ca.Function("size", [p], [metric])(guess.T))
     program.minimize(metric / size + EFFORT * ca.sumsqr(a) / (K * task.max_accel_m_s2**2))
     options: dict[str, Any] = {"print_level": 0, "sb": "yes", "max_iter": MAX_ITERATIONS, "tol": 1e-6}
+    options["option_file_name"] = ""
     program.solver("ipopt", {"print_time": False}, options)
     try:
         found = program.solve()

@@ -93,7 +93,9 @@ def _solve(keep_out: InstantKeepOut, task: ApproachTask) -> ApproachTrajectory:
     program.subject_to(v[:, K] == 0)
     keep_clear(flight, keep_out, hull, margin, guess)
     program.minimize(ca.sumsqr(a) / task.max_accel_m_s2**2)
-    program.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes", "max_iter": 500})
+    # without the empty name, IPOPT reads ipopt.opt of the current folder, which may be another person's
+    options = {"option_file_name": "", "print_level": 0, "sb": "yes", "max_iter": 500}
+    program.solver("ipopt", {"print_time": False}, options)
     try:
         found = program.solve()
     except RuntimeError as error:
