@@ -7,7 +7,8 @@ In: the folder of a sequence and a configuration. Out: the run directory (docs/r
 - correspondences: features of all frames, and the frames that match
 - find_motion: solve, match again, keep what fits better; consistency_check decides what fits better
 - rig_check: whether the images are those of the rig that the calibration describes; self_calibration:
-  the focal length that would fit best; clock_check: whether the time stamps agree with the rotation
+  the focal length that would fit best; clock_check: whether the time stamps agree with the rotation;
+  mass_check: whether the mass properties are the same before and after a push
 - finish_surface: holes, colours, coverage and levels of the fused surface
 - coverage: the share of the body that was seen, seen but never lit, never seen
 - evaluation: a run against the truth of its dataset, which nothing else reads

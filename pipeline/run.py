@@ -14,9 +14,10 @@ from polhode.lie import transform_points
 from polhode.mapping.fusion.field import fuse
 from polhode.pipeline.clock_check import clock_contradictions
 from polhode.pipeline.context import RunContext, open_context
-from polhode.pipeline.correspondences import match_frames
+from polhode.pipeline.correspondences import Correspondences, match_frames
 from polhode.pipeline.find_motion import find_motion, pose_RG
 from polhode.pipeline.finish_surface import finish_surface
+from polhode.pipeline.mass_check import mass_contradictions
 from polhode.pipeline.pictures import make_pictures
 from polhode.pipeline.report import finish_run, write_report
 from polhode.pipeline.rig_check import rig_contradictions
@@ -75,11 +76,7 @@ def run(
             # Each solution is written, so that it is kept should a later step fail.
             outputs.write_estimate(folder, solution.tracks, solution.estimate, solution.links)
         tracks, estimate = solution.tracks, solution.estimate
-        reasons = rig_contradictions(context, correspondences.features, tracks, estimate)
-        seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
-        reasons += clock_contradictions(tracks.time_s, estimate.X_NG[:, :3, :3], seen)
-        for reason in reasons:
-            _log.warning(reason)
+        reasons = _contradictions(context, correspondences, tracks, estimate)
         if config.backend.window.enabled:
             outputs.write_online_estimate(folder, _replay(context, tracks, estimate))
 
@@ -103,6 +100,20 @@ def run(
     failure = summary.warnings[0] if summary.status == "failed" else None
     report = written.published / "report.html"
     return RunResult(summary.status, report, _sentence(summary, estimate), failure, written.note)
+
+
+def _contradictions(
+    context: RunContext, correspondences: Correspondences, tracks: StereoTracks, estimate: MotionEstimate
+) -> list[str]:
+    """Reasons to doubt the rig, the clock or the constancy of the target: signs that need no truth."""
+    with context.clock("backend"):
+        reasons = rig_contradictions(context, correspondences.features, tracks, estimate)
+        seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
+        reasons += clock_contradictions(tracks.time_s, estimate.X_NG[:, :3, :3], seen)
+        reasons += mass_contradictions(tracks, estimate, context.config.backend)
+    for reason in reasons:
+        _log.warning(reason)
+    return reasons
 
 
 def _replay(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> OnlineEstimate:

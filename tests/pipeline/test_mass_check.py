@@ -1,0 +1,94 @@
+"""Mass properties that change at a push are named; a push alone, and a free tumble, are not."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from polhode.backend import estimate_motion
+from polhode.camera import RectifiedRig
+from polhode.config.backend_settings import Backend
+from polhode.lie import Array, make_pose, transform_points
+from polhode.pipeline.mass_check import mass_contradictions, part_of
+from polhode.progress import Silent
+from polhode.records import InitialMotion, MotionEstimate, StereoTracks
+from polhode.rigid_body import propagate
+
+RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)
+FRAMES, DT_S, PUSH = 48, 0.5, 24
+BEFORE, AFTER = np.diag([1.5, 1.2, 0.9]), np.diag([1.5, 1.05, 1.0])
+
+
+def states(J: Array, com_G: Array, w: Array, R: Array, r_N: Array, v_N: Array, count: int) -> Any:
+    """Poses X_NG (count, 4, 4), and the last state."""
+    r, v, R_NP, w_P = propagate(DT_S * np.arange(count), r_N, v_N, R, w, J)
+    return make_pose(R_NP, r - (R_NP @ com_G)), (r[-1], v[-1], R_NP[-1], w_P[-1])
+
+
+def sequence(J: Array, com_G: Array, push_w: Array) -> tuple[StereoTracks, MotionEstimate]:
+    """A tumble that is pushed in the middle, with other mass properties from then on; and its estimate."""
+    rng = np.random.default_rng(5)
+    first, (r, v, R, w) = states(
+        BEFORE,
+        np.zeros(3),
+        np.array([0.6, 0.5, 0.4]),
+        np.eye(3),
+        np.array([0.05, 0.0, 0.6]),
+        np.zeros(3),
+        PUSH,
+    )
+    second, _ = states(J, com_G, w + push_w, R, r + R @ com_G, v + np.array([2e-3, 0, 0]), FRAMES - PUSH + 1)
+    X_NG = np.concatenate([first, second[1:]])
+    p_G = rng.normal(size=(250, 3))
+    p_G *= 0.1 / np.linalg.norm(p_G, axis=1, keepdims=True)
+    frame, landmark, uvd = [], [], []
+    for k in range(FRAMES):
+        p_R = transform_points(X_NG[k], p_G)
+        facing = np.einsum("na,na->n", p_R - X_NG[k][:3, 3], -p_R) > 0.01
+        seen = np.flatnonzero(facing & (rng.random(250) < 0.7))
+        frame.append(np.full(len(seen), k))
+        landmark.append(seen)
+        uvd.append(RIG.project(p_R[seen]) + rng.normal(size=(len(seen), 3)) * [0.2, 0.2, 0.1])
+    stamps = np.round(DT_S * 1e9 * np.arange(FRAMES)).astype(np.int64)
+    poses = np.tile(np.eye(4), (FRAMES, 1, 1))
+    of = np.unique(np.concatenate(landmark), return_inverse=True)[1].astype(np.int64)
+    rows = np.concatenate(uvd)
+    tracks = StereoTracks(
+        RIG,
+        stamps,
+        poses,
+        np.concatenate(frame).astype(np.int64),
+        of,
+        rows,
+        np.tile([0.3, 0.3, 0.1], (len(rows), 1)),
+    )
+    start = InitialMotion(X_NG, np.ones(FRAMES, dtype=np.bool_))
+    return tracks, estimate_motion(tracks, start, Backend(), Silent())
+
+
+def test_a_part_that_leaves_is_named() -> None:
+    tracks, estimate = sequence(AFTER, np.array([0.008, 0.0, 0.0]), np.array([0.1, -0.05, 0.0]))
+    said = mass_contradictions(tracks, estimate, Backend())
+    assert len(said) == 1 and "other mass properties" in said[0]
+    assert "k2 by" in said[0] or "centre of mass by" in said[0]
+
+
+def test_a_push_alone_is_not() -> None:
+    tracks, estimate = sequence(BEFORE, np.zeros(3), np.array([0.1, -0.05, 0.0]))
+    assert estimate.disturbances is not None
+    assert mass_contradictions(tracks, estimate, Backend()) == []
+
+
+def test_a_free_tumble_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    tracks, estimate = sequence(BEFORE, np.zeros(3), np.zeros(3))
+    if estimate.disturbances is None:
+        monkeypatch.setattr("polhode.pipeline.mass_check.estimate_motion", None)
+    assert mass_contradictions(tracks, estimate, Backend()) == []
+
+
+def test_a_part_of_the_measurements_keeps_its_rows() -> None:
+    tracks, _ = sequence(BEFORE, np.zeros(3), np.zeros(3))
+    chosen = np.arange(FRAMES) >= 20
+    part = part_of(tracks, chosen)
+    assert part.n_frames == 28 and part.frame.min() == 0 and len(np.unique(part.landmark)) == part.n_landmarks
+    np.testing.assert_array_equal(part.uvd_px, tracks.uvd_px[tracks.frame >= 20])
