@@ -17,6 +17,7 @@ from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.correspondences import Correspondences, match_frames
 from polhode.pipeline.find_motion import find_motion, pose_RG
 from polhode.pipeline.finish_surface import finish_surface
+from polhode.pipeline.inspector_check import inspector_contradictions
 from polhode.pipeline.mass_check import mass_contradictions
 from polhode.pipeline.pictures import make_pictures
 from polhode.pipeline.report import finish_run, write_report
@@ -110,6 +111,7 @@ def _contradictions(
         reasons = rig_contradictions(context, correspondences.features, tracks, estimate)
         seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
         reasons += clock_contradictions(tracks.time_s, estimate.X_NG[:, :3, :3], seen)
+        reasons += inspector_contradictions(tracks.X_NR, estimate.X_NG, seen, tracks.sigma_camera_theta_rad)
         reasons += mass_contradictions(tracks, estimate, context.config.backend)
     for reason in reasons:
         _log.warning(reason)

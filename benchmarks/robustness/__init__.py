@@ -2,7 +2,7 @@
 
 In: simulated sequences. Out: tables of what was lost, found and said.
 
-data_faults         the campaign of faults in the data: one fault at a time on twelve bodies
+data_faults         the campaign of faults in the data: one fault at a time on fourteen bodies
 bodies              its bodies
 faults_of_files     its faults of images, times, calibration and poses
 faults_of_scenes    its faults that are rendered: second bodies, lost parts, forces, late cameras

@@ -1,4 +1,4 @@
-"""Twelve targets for the campaign of faults: seven families, two generators of textures, motions and lights.
+"""Fourteen targets of the campaign of faults: seven families, two generators of textures, motions and lights.
 
 The images are small, so that a run takes a fraction of a minute. Forces and torques that nobody knows disturb
 each target a little (``PSD``).
