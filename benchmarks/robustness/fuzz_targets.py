@@ -238,6 +238,28 @@ def _images() -> list[bytes]:
     return found
 
 
+def _read_image(file: Path) -> None:
+    from polhode.errors import InputError
+    from polhode.images import UnreadableImage, bit_depth, has_content, read_raw, to_grey
+
+    try:
+        raw = read_raw(file, *SIZE)
+    except UnreadableImage as error:
+        # Becomes the reason why a frame is dropped.
+        raise InputError(str(error)) from error
+    has_content(to_grey(raw, bit_depth(int(raw.max()))))
+
+
+def _read_mask(file: Path) -> None:
+    from polhode.errors import InputError
+    from polhode.images import UnreadableImage, read_mask
+
+    try:
+        read_mask(file, *SIZE)
+    except UnreadableImage as error:
+        raise InputError(str(error)) from error
+
+
 # --- the parts of a run ------------------------------------------------------------------------------------
 
 
@@ -613,12 +635,8 @@ TARGETS: tuple[Target, ...] = (
         (*_MESH, "polhode.truth"),
         PLY_WORDS,
     ),
-    Target(
-        "image", "mav0/cam0/data/1600000000500000000.png", "png", _images, _open_sequence, _sequence, _PICTURE
-    ),
-    Target(
-        "mask", "mav0/masks0/1600000000500000000.png", "png", _images, _open_sequence, _sequence, _PICTURE
-    ),
+    Target("image", "image.png", "png", _images, _read_image, modules=_PICTURE),
+    Target("mask", "mask.png", "png", _images, _read_mask, modules=_PICTURE),
     Target(
         "trajectory",
         "trajectory.csv",

@@ -120,6 +120,7 @@ def _require_sound(mesh: Any) -> None:
     """Raises Unsound for faces of vertices that do not exist, and for too many. Clouds of points may pass."""
     if not isinstance(mesh, trimesh.Trimesh):
         return
+    _require_even_lists(mesh.metadata.get("_ply_raw", {}))
     faces = np.asarray(mesh.faces)
     if np.shape(mesh.vertices)[1:] != (3,) or faces.shape[1:] != (3,):
         raise Unsound("vertices without three coordinates, or faces without three corners")
@@ -127,6 +128,17 @@ def _require_sound(mesh: Any) -> None:
         raise Unsound(f"{len(faces)} triangles, where {MAX_FACES} are allowed")
     if len(faces) and (faces.min() < 0 or faces.max() >= len(mesh.vertices)):
         raise Unsound("faces refer to vertices that do not exist")
+
+
+def _require_even_lists(elements: Mapping[str, Any]) -> None:
+    """Raises Unsound: trimesh takes the length of the first list of a binary PLY for that of all."""
+    for element in elements.values():
+        rows = element.get("data")
+        if not isinstance(rows, np.ndarray) or not rows.dtype.names:
+            continue
+        for name in rows.dtype.names:
+            if rows[name].dtype.names == ("f0", "f1") and np.ptp(rows[name]["f0"].astype(np.int64)) != 0:
+                raise Unsound("lists of several lengths in a binary PLY: save it as triangles")
 
 
 def require_coordinates(mesh: trimesh.Trimesh) -> None:

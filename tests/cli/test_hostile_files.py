@@ -40,7 +40,11 @@ def _png_header(side: int) -> Damage:
     """A PNG that states its size and ends there: that suffices."""
     head = b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
     start = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
-    return lambda path: path.write_bytes(start + struct.pack(">I", 10**6) + b"IDAT" + bytes(100)) and None
+
+    def damage(path: Path) -> None:
+        path.write_bytes(start + struct.pack(">I", 10**6) + b"IDAT" + bytes(100))
+
+    return damage
 
 
 IMAGES: dict[str, tuple[str, Damage, str]] = {

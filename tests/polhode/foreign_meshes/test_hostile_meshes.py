@@ -88,6 +88,14 @@ HOSTILE: dict[str, tuple[str, bytes, str]] = {
         _ply(*_vertices(0), *_faces(1, "uint"), body=b"\xff\xff\xff\x7f" + bytes(12)),
         "cannot be read",
     ),
+    "ply lists": (
+        "a.ply",
+        _ply(
+            *_vertices(3), *_faces(2),
+            body=bytes(12) + np.eye(3, dtype="<f4").tobytes()[:24] + b"\3" + bytes(12) + b"\4" + bytes(12),
+        ),
+        "lists of several lengths",
+    ),
     "stl count": ("a.stl", bytes(80) + struct.pack("<I", 2**32 - 1) + bytes(50), "as many triangles"),
     "stl solids": ("a.stl", b"solid a\nendsolid a\n" * 3000, "3000 pieces"),
     "obj groups": ("a.obj", b"".join(b"usemtl m%d\nf 1 2 3\n" % i for i in range(3000)), "3000 pieces"),
