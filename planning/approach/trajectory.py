@@ -6,6 +6,7 @@ constraint is smooth and exact for the hull.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -94,7 +95,7 @@ def _solve(keep_out: InstantKeepOut, task: ApproachTask) -> ApproachTrajectory:
     keep_clear(flight, keep_out, hull, margin, guess)
     program.minimize(ca.sumsqr(a) / task.max_accel_m_s2**2)
     # without the empty name, IPOPT reads ipopt.opt of the current folder, which may be another person's
-    options = {"option_file_name": "", "print_level": 0, "sb": "yes", "max_iter": 500}
+    options: dict[str, Any] = {"option_file_name": "", "print_level": 0, "sb": "yes", "max_iter": 500}
     program.solver("ipopt", {"print_time": False}, options)
     try:
         found = program.solve()

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import pytest
@@ -22,7 +23,8 @@ def test_a_file_of_options_writes_no_file(
     monkeypatch.chdir(tmp_path)
     x = ca.SX.sym("x")
     ipopt = ipopt_options(1e-6, 1e-9, 50)["ipopt"] if ours else {"print_level": 0, "sb": "yes"}
-    ca.nlpsol("one", "ipopt", {"x": x, "f": x * x}, {"print_time": False, "ipopt": ipopt})()
+    options: dict[str, Any] = {"print_time": False, "ipopt": ipopt}
+    ca.nlpsol("one", "ipopt", {"x": x, "f": x * x}, options)()
     assert sprung.exists() == (not ours)
 
 
