@@ -129,7 +129,7 @@ def _session(
         hung = _wait(process, folder)
     text = output.read_text(errors="replace")
     state_file = folder / "state.json"
-    state = json.loads(state_file.read_text()) if state_file.is_file() else {"inputs": 0, "seconds": seconds}
+    state = json.loads(state_file.read_text()) if state_file.is_file() else {"inputs": 0, "seconds": 0.0}
     if done := re.search(r"Done (\d+) runs in (\d+) second", text):
         state = {"inputs": int(done[1]), "seconds": max(float(done[2]), state["seconds"])}
     covered = re.findall(r"\bcov: (\d+)", text)
