@@ -125,7 +125,8 @@ def sample(work: Iterator[Callable[[], None]], runs: int, path: Path) -> list[Ca
     """Run so many, and take a sample after each hundredth of them, which is written at once."""
     path.parent.mkdir(parents=True, exist_ok=True)
     marks = {round(runs * k / SAMPLES) for k in range(SAMPLES + 1)}
-    lines, failed, start = [], 0, time.perf_counter()
+    lines: list[Case] = []
+    failed, start = 0, time.perf_counter()
     with path.open("w") as stream:
         for done in range(runs + 1):
             if done in marks:

@@ -7,14 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.record import Case
 from benchmarks.robustness import leaks
-from benchmarks.robustness.leaks import Case, estimates, fitted, grows, main, read, resources, sample, verdict
+from benchmarks.robustness.leaks import estimates, fitted, grows, main, read, resources, sample, verdict
 from polhode.errors import RunFailure
 
 
 def samples(memory_mb: Callable[[float], float], files: int = 0) -> list[Case]:
     rng = np.random.default_rng(5)
-    lines = [
+    lines: list[Case] = [
         {
             "runs": 100 * k,
             "failed": 0,
