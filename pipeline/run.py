@@ -1,6 +1,7 @@
 """The main job, as the data flows: images, tracks, first motion, motion, window, depth, fusion, report."""
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -106,13 +107,24 @@ def run(
 def _contradictions(
     context: RunContext, correspondences: Correspondences, tracks: StereoTracks, estimate: MotionEstimate
 ) -> list[str]:
-    """Reasons to doubt the rig, the clock or the constancy of the target: signs that need no truth."""
+    """Reasons to doubt the rig, the clock, the poses or the constancy of the target: signs without truth.
+
+    A check that fails does not cost the run.
+    """
+    seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
+    checks: tuple[Callable[[], list[str]], ...] = (
+        lambda: rig_contradictions(context, correspondences.features, tracks, estimate),
+        lambda: clock_contradictions(tracks.time_s, estimate.X_NG[:, :3, :3], seen),
+        lambda: inspector_contradictions(tracks.X_NR, estimate.X_NG, seen, tracks.sigma_camera_theta_rad),
+        lambda: mass_contradictions(tracks, estimate, context.config.backend),
+    )
+    reasons: list[str] = []
     with context.clock("backend"):
-        reasons = rig_contradictions(context, correspondences.features, tracks, estimate)
-        seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
-        reasons += clock_contradictions(tracks.time_s, estimate.X_NG[:, :3, :3], seen)
-        reasons += inspector_contradictions(tracks.X_NR, estimate.X_NG, seen, tracks.sigma_camera_theta_rad)
-        reasons += mass_contradictions(tracks, estimate, context.config.backend)
+        for check in checks:
+            try:
+                reasons += check()
+            except (ArithmeticError, LookupError, ValueError, MemoryError):
+                _log.exception("a check of the data failed")
     for reason in reasons:
         _log.warning(reason)
     return reasons

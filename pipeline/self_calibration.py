@@ -19,6 +19,8 @@ from polhode.records import Ints, MotionEstimate, StereoTracks
 MIN_OBSERVATIONS = 100
 MAX_FRAMES = 120
 """Longer sequences are thinned out to this number."""
+LANDMARKS_AT_ONCE = 500
+"""Are eliminated together: bounds the memory."""
 _PRIOR = 1e-6
 """Of each unknown's diagonal"""
 
@@ -78,7 +80,7 @@ def _solved(
     B += (_PRIOR * np.trace(B, axis1=1, axis2=2)[:, None, None] + 1e-12) * np.eye(3)
     g_l = np.zeros((L, 3))
     np.add.at(g_l, landmark, np.einsum("nai,na->ni", J_landmark, residual))
-    A, g, cross = np.zeros((n, n)), np.zeros(n), np.zeros((L, 3, n))
+    A, g = np.zeros((n, n)), np.zeros(n)
     rows = 6 * frame[:, None] + np.arange(6)
     blocks = np.zeros((F, 6, 6))
     np.add.at(blocks, frame, np.einsum("nai,naj->nij", J_pose, J_pose))
@@ -92,15 +94,18 @@ def _solved(
     np.add.at(g, rows.ravel(), np.einsum("nai,na->ni", J_pose, residual).ravel())
     g[6 * F :] = np.einsum("nai,na->i", J_rig, residual)
     of_pose = np.einsum("nai,naj->nij", J_landmark, J_pose)
-    np.add.at(cross, (landmark[:, None, None], np.arange(3)[:, None], rows[:, None, :]), of_pose)
-    of_rig = np.zeros((L, 3, k))
-    np.add.at(of_rig, landmark, np.einsum("nai,naj->nij", J_landmark, J_rig))
-    cross[:, :, 6 * F :] = of_rig
+    of_rig = np.einsum("nai,naj->nij", J_landmark, J_rig)
     B_inv = np.linalg.inv(B)
-    flat = cross.reshape(3 * L, n)
-    weighted = np.einsum("lij,ljn->lin", B_inv, cross).reshape(3 * L, n)
-    A -= flat.T @ weighted
-    g -= weighted.T @ g_l.reshape(-1)
+    for first in range(0, L, LANDMARKS_AT_ONCE):
+        part = slice(first, first + LANDMARKS_AT_ONCE)
+        here = np.flatnonzero((landmark >= first) & (landmark < part.stop))
+        cross = np.zeros((len(B_inv[part]), 3, n))
+        index = landmark[here, None, None] - first, np.arange(3)[:, None]
+        np.add.at(cross, (*index, rows[here][:, None, :]), of_pose[here])
+        np.add.at(cross, (*index, 6 * F + np.arange(k)), of_rig[here])
+        weighted = np.einsum("lij,ljn->lin", B_inv[part], cross).reshape(-1, n)
+        A -= cross.reshape(-1, n).T @ weighted
+        g -= weighted.T @ g_l[part].reshape(-1)
     freedom = max(residual.size - 3 * L - 6 * F, 1)
     chi2 = max(float(np.sum(residual**2)) / freedom, 1.0)
     found = []
