@@ -42,7 +42,7 @@ _TRAIN = (
     *("--train.corpus.folder", "{place}/corpus"),
 )
 _PLAN = ("plan", "{stage}/R", "-o", "{place}/P", "--horizon", "10")
-_READERS = (("predict", "{place}/R", "--horizon", "5"), ("report", "{place}/R", "-o", "{place}/later.html"))
+_READERS = (("predict", "{place}/R", "--horizon", "5"), ("report", "{place}/R", "-o", "{stage}/later.html"))
 _EVALUATE = (("evaluate", "{stage}/R", "{place}/S"),)
 
 JOBS = {
@@ -63,7 +63,7 @@ JOBS = {
         Job("report", ("report", "{stage}/R", "-o", "{place}/page.html"), ("page.html",),
             ("report", "{stage}/R", "{stage}/R", "-o", "{place}/page.html")),
         Job("evaluate", ("evaluate", "{place}/R", "{stage}/S"), ("R",), inputs=("R",),
-            later=(("report", "{place}/R", "-o", "{place}/later.html"),)),
+            later=(("report", "{place}/R", "-o", "{stage}/later.html"),)),
         Job("observability", ("observability", "{stage}/R", "-o", "{place}/O"), ("O",),
             ("observability", "{stage}/R", "-o", "{place}/O", "--crease-deg", "40")),
         Job("predict", ("predict", "{stage}/R", "--horizon", "5", "-o", "{place}/p.csv"), ("p.csv",),

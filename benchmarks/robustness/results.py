@@ -17,8 +17,8 @@ TIMES = (
     *("memory_mb", "memory_before_mb", "trace", "profiles", "machine", "elapsed_s"),
 )
 """Keys of JSON files that differ from call to call"""
-UNLIKE = (".html", "log.txt", "checkpoint.safetensors")
-"""Endings of files that contain times: only that they are there counts"""
+UNLIKE = (".html", "log.txt", "checkpoint.safetensors", ".polhode-output")
+"""Endings of files that contain times, or names that are yet to be written: only their presence counts"""
 SKIPPED = ("curves",)
 """Folders of files whose names contain times"""
 

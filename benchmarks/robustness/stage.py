@@ -54,8 +54,8 @@ class Stage:
         return dict(json.loads((self._of(job) / "undisturbed.json").read_text()))
 
     def expected(self, job: Job) -> list[str]:
-        """The names in the folder of a case at the end."""
-        return [*job.results, *job.inputs, "later.html"]
+        """The names that may be in the folder of a case at the end; a failed run stays beside a good one."""
+        return [*job.results, *job.inputs, *(f"{name}.failed" for name in job.results)]
 
     def lay_out(self, job: Job, place: Path) -> None:
         """Fill the folder of a case with what the command finds, and nothing else."""
