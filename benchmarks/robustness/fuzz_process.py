@@ -1,10 +1,9 @@
 """The process of one target: reads its corpus, then inputs that an engine makes, until its time is over.
 
-    python -m benchmarks.robustness.fuzz_process TARGET FOLDER SECONDS ENGINE SEED
-
-Coverage of branches guides Atheris; without it a mutator of our own draws on earlier inputs. FOLDER receives
-``findings/`` (an input and its traceback for each place) and ``state.json``, written every second; the input
-in work is in ``work/``, where the parent finds it if this process dies or hangs.
+Started by ``fuzzing`` (``from_words``). Coverage of branches guides Atheris; without it a mutator of our own
+draws on earlier inputs. FOLDER receives ``findings/`` (an input and its traceback for each place) and
+``state.json``, written every second; the input in work is in ``work/``, where the parent finds it if this
+process dies or hangs.
 """
 
 import json
@@ -16,7 +15,6 @@ from pathlib import Path
 from random import Random
 from types import FunctionType
 
-from benchmarks.command import ROOT
 from benchmarks.robustness.fuzz_check import LIMIT_BYTES, Checker, Finding
 from benchmarks.robustness.fuzz_mutation import mutated
 from benchmarks.robustness.fuzz_targets import SHARED_MODULES, Target, target_named
@@ -155,6 +153,6 @@ def _without(session: _Session, target: Target, seeds: list[bytes], seconds: flo
             recent.append(content)
 
 
-if __name__ == "__main__":
-    sys.path.insert(0, str(ROOT))
+def from_words() -> None:
+    """``main`` with the words of the command line: target, folder, seconds, engine, seed."""
     main(sys.argv[1], Path(sys.argv[2]), float(sys.argv[3]), sys.argv[4], int(sys.argv[5]))

@@ -31,6 +31,8 @@ from benchmarks.robustness.fuzz_process import store_finding
 from benchmarks.robustness.fuzz_targets import TARGETS, target_named
 
 RUNS = ROOT / "runs" / "fuzzing"
+PROCESS = "from benchmarks.robustness.fuzz_process import from_words; from_words()"
+"""What the process of a target executes."""
 SILENT_S = 60.0
 """After this much processor time without a sign of life a process is killed: a library in C hangs."""
 START_S = 300.0
@@ -119,7 +121,7 @@ def _session(
 ) -> tuple[dict[str, Any], str, int | None]:
     """State of a process at its end, how it died (empty: it did not), branches that Atheris counted."""
     folder.mkdir(parents=True)
-    words = ["-m", "benchmarks.robustness.fuzz_process", name, str(folder), str(seconds), engine, str(seed)]
+    words = ["-c", PROCESS, name, str(folder), str(seconds), engine, str(seed)]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONFAULTHANDLER": "1"}
     output = folder / "output.txt"
     with output.open("wb") as stream:
