@@ -8,6 +8,7 @@ limit_threads(1)  # of what is imported below, and of NumPy, which a plugin of p
 import fcntl
 import gc
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,6 +21,11 @@ from polhode.dataset_writer import image_path, write_camera_csv, write_png, writ
 # The same examples in every run, on a machine of any speed, and nothing is kept between runs.
 settings.register_profile("same", derandomize=True, database=None, deadline=None, max_examples=20)
 settings.load_profile("same")
+
+# As in a terminal: nohup ignores SIGHUP, a shell SIGINT for what it starts in the background, and what the
+# tests start would inherit it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 WIDTH_PX, HEIGHT_PX, BASELINE_M = 64, 48, 0.09
 RENDERED_FRAMES = 14

@@ -16,6 +16,9 @@ from polhode.lie import exp_so3, make_pose
 from polhode.records import Truth
 from polhode.truth import read_truth
 
+K_640 = np.array([[467.1, 0.0, 320.3], [0.0, 466.9, 241.7], [0.0, 0.0, 1.0]])
+"""Of a camera of 640 x 480 pixels"""
+
 
 def make_truth() -> Truth:
     rng = np.random.default_rng(2)
@@ -84,13 +87,12 @@ def test_a_sequence_without_truth_cannot_be_evaluated(tmp_path: Path) -> None:
 
 
 def test_calibration_reads_back_equal_in_euroc_keys(tmp_path: Path) -> None:
-    K = np.array([[467.1, 0.0, 320.3], [0.0, 466.9, 241.7], [0.0, 0.0, 1.0]])
     dist = np.array([-0.2836, 0.0740, 1.9e-4, 1.76e-5, 1e-3])
     poses = [make_pose(exp_so3([0.01, 0.02, angle]), [angle, 0.01, -0.02]) for angle in (0.0, 0.1)]
     for index, X_BC in enumerate(poses):
-        write_sensor(tmp_path / f"cam{index}", K, dist, X_BC, 640, 480, rate_hz=2.0)
+        write_sensor(tmp_path / f"cam{index}", K_640, dist, X_BC, 640, 480, rate_hz=2.0)
     calibration = read_calibration(tmp_path)
-    np.testing.assert_array_equal(calibration.K1, K)
+    np.testing.assert_array_equal(calibration.K1, K_640)
     np.testing.assert_array_equal(calibration.dist0, dist)
     np.testing.assert_allclose(calibration.X_BC1, poses[1], atol=1e-15)
     sensor = yaml.safe_load((tmp_path / "cam0" / "sensor.yaml").read_text())
@@ -104,7 +106,7 @@ def test_calibration_reads_back_equal_in_euroc_keys(tmp_path: Path) -> None:
 def test_the_depth_of_images_above_8_bits_reads_back(tmp_path: Path) -> None:
     for index in (0, 1):
         X_BC = make_pose(np.eye(3), [0.1 * index, 0.0, 0.0])
-        write_sensor(tmp_path / f"cam{index}", np.eye(3), np.zeros(4), X_BC, 640, 480, rate_hz=2.0, bits=10)
+        write_sensor(tmp_path / f"cam{index}", K_640, np.zeros(4), X_BC, 640, 480, rate_hz=2.0, bits=10)
     assert read_calibration(tmp_path).bits == 10
 
 
@@ -112,7 +114,7 @@ def test_rounding_in_a_pose_is_forgiven_and_made_exact(tmp_path: Path) -> None:
     X_BC = make_pose(exp_so3([0.3, -0.2, 0.1]), [0.0, 0.0, 0.0])
     for index in (0, 1):
         X_BC[0, 3] = 0.1 * index
-        write_sensor(tmp_path / f"cam{index}", np.eye(3), np.zeros(4), np.round(X_BC, 4), 64, 48, rate_hz=2.0)
+        write_sensor(tmp_path / f"cam{index}", K_640, np.zeros(4), np.round(X_BC, 4), 640, 480, rate_hz=2.0)
     R = read_calibration(tmp_path).X_BC0[:3, :3]
     np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(R, X_BC[:3, :3], atol=1e-4)

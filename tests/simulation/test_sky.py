@@ -174,5 +174,5 @@ def test_a_sky_that_nobody_asked_for_changes_nothing() -> None:
 
 
 def test_an_earth_that_fills_half_the_sky_is_refused() -> None:
-    with pytest.raises(InputError, match="earth_radius_deg: 95 degrees"):
-        _earth(earth_radius_deg=95.0)
+    with pytest.raises(InputError, match="earth_radius_deg: 90 degrees"):
+        _earth(earth_radius_deg=90.0)

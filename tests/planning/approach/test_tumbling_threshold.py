@@ -79,7 +79,8 @@ def test_rates_that_are_no_rates_are_one_line(option: str, value: str, capsys: C
     words[words.index(option) + 1] = value
     assert main(words) == 2
     captured = capsys.readouterr()
-    assert captured.err.count("\n") == 1 and "check their units" in captured.err and captured.out == ""
+    assert captured.err.count("\n") == 1 and captured.out == ""
+    assert f"{option} " in captured.err and "give a number from" in captured.err
 
 
 def test_products_that_underflow_do_not_matter_where_the_rate_is_sound() -> None:
