@@ -59,7 +59,7 @@ def put_in_place(
 
 
 def _write(sequence: SyntheticSequence, folder: Path) -> None:
-    """All frames of a camera name one picture: a bright patch before a dark sky."""
+    """The pictures of all frames are links to one: a bright patch before a dark sky."""
     picture = np.zeros((RIG.height_px, RIG.width_px), dtype=np.uint8)
     picture[200:280, 280:360] = np.random.default_rng(1).integers(60, 250, (80, 80))
     for index in (0, 1):
@@ -67,7 +67,11 @@ def _write(sequence: SyntheticSequence, folder: Path) -> None:
         X_BC = make_pose(np.eye(3), np.array([index * RIG.baseline_m, 0.0, 0.0]))
         write_sensor(camera, RIG.K, np.zeros(4), X_BC, RIG.width_px, RIG.height_px, rate_hz=2.0)
         write_png(camera / "data" / PICTURE, picture)
-        rows = [f"{stamp},{PICTURE}\n" for stamp in sequence.tracks.timestamps_ns]
+        names = [f"{stamp}.png" for stamp in sequence.tracks.timestamps_ns]
+        for name in names:
+            (camera / "data" / name).unlink(missing_ok=True)
+            (camera / "data" / name).symlink_to(PICTURE)
+        rows = [f"{Path(name).stem},{name}\n" for name in names]
         (camera / "data.csv").write_text("".join(rows))
 
 
