@@ -97,7 +97,7 @@ def _run(words: list[str], debug: bool) -> int:
 
 
 def _interrupted(words: list[str], by: str, stop: KeyboardInterrupt) -> str:
-    """What was interrupted, and what is kept: told by the room, or in general by the command."""
+    """What was interrupted, and what is kept, in the words of the room or of the command."""
     command = words[0] if words and words[0] in COMMANDS else ""
     kept = str(stop).removeprefix("interrupted") if str(stop).startswith("interrupted") else ""
     kept = kept or f"; {RESUMES.get(command, 'nothing was written or replaced')}"

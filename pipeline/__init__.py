@@ -6,16 +6,11 @@ In: the folder of a sequence and a configuration. Out: the run directory (docs/r
 - context: images, configuration, progress and clock, which every step takes
 - correspondences: features of all frames, and the frames that match
 - find_motion: solve, match again, keep what fits better; consistency_check decides what fits better
-- rig_check: whether the images are those of the rig that the calibration describes
-- self_calibration: the focal length that would fit best
-- clock_check: whether the time stamps agree with the rotation
-- inspector_check: whether the inspector's poses agree with the images
-- mass_check: whether the mass properties are the same before and after a push
 - finish_surface: holes, colours, coverage and levels of the fused surface
 - coverage: the share of the body that was seen, seen but never lit, never seen
 - evaluation: a run against the truth of its dataset, which nothing else reads
 - uniform_density: mass properties from the mesh at uniform density, assumed and compared with the motion's
 
-run_directory/ reads and writes a run; report/ and pictures/ show it;
-after_run/ derives plans, predictions, exports and the observability of edges from it.
+data_checks/ finds signs that the data are not as they say; run_directory/ reads and writes a run; report/ and
+pictures/ show it; after_run/ derives plans, predictions, exports and the observability of edges from it.
 """

@@ -1,7 +1,6 @@
 """The main job, as the data flows: images, tracks, first motion, motion, window, depth, fusion, report."""
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -13,16 +12,13 @@ from polhode.config import Config
 from polhode.frontend.extract import extract_depth
 from polhode.lie import transform_points
 from polhode.mapping.fusion.field import fuse
-from polhode.pipeline.clock_check import clock_contradictions
 from polhode.pipeline.context import RunContext, open_context
-from polhode.pipeline.correspondences import Correspondences, match_frames
+from polhode.pipeline.correspondences import match_frames
+from polhode.pipeline.data_checks.contradictions import contradictions
 from polhode.pipeline.find_motion import find_motion, pose_RG
 from polhode.pipeline.finish_surface import finish_surface
-from polhode.pipeline.inspector_check import inspector_contradictions
-from polhode.pipeline.mass_check import mass_contradictions
 from polhode.pipeline.pictures import make_pictures
 from polhode.pipeline.report import finish_run, write_report
-from polhode.pipeline.rig_check import rig_contradictions
 from polhode.pipeline.run_directory import outputs
 from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.pipeline.run_directory.run_folder import atomic_run_folder
@@ -78,7 +74,7 @@ def run(
             # Each solution is written, so that it is kept should a later step fail.
             outputs.write_estimate(folder, solution.tracks, solution.estimate, solution.links)
         tracks, estimate = solution.tracks, solution.estimate
-        reasons = _contradictions(context, correspondences, tracks, estimate)
+        reasons = contradictions(context, correspondences.features, tracks, estimate)
         if config.backend.window.enabled:
             outputs.write_online_estimate(folder, _replay(context, tracks, estimate))
 
@@ -102,32 +98,6 @@ def run(
     failure = summary.warnings[0] if summary.status == "failed" else None
     report = written.published / "report.html"
     return RunResult(summary.status, report, _sentence(summary, estimate), failure, written.note)
-
-
-def _contradictions(
-    context: RunContext, correspondences: Correspondences, tracks: StereoTracks, estimate: MotionEstimate
-) -> list[str]:
-    """Reasons to doubt the rig, the clock, the poses or the constancy of the target: signs without truth.
-
-    A check that fails does not cost the run.
-    """
-    seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
-    checks: tuple[Callable[[], list[str]], ...] = (
-        lambda: rig_contradictions(context, correspondences.features, tracks, estimate),
-        lambda: clock_contradictions(tracks.time_s, estimate.X_NG[:, :3, :3], seen),
-        lambda: inspector_contradictions(tracks.X_NR, estimate.X_NG, seen, tracks.sigma_camera_theta_rad),
-        lambda: mass_contradictions(tracks, estimate, context.config.backend),
-    )
-    reasons: list[str] = []
-    with context.clock("backend"):
-        for check in checks:
-            try:
-                reasons += check()
-            except (ArithmeticError, LookupError, ValueError, MemoryError):
-                _log.exception("a check of the data failed")
-    for reason in reasons:
-        _log.warning(reason)
-    return reasons
 
 
 def _replay(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> OnlineEstimate:

@@ -27,7 +27,8 @@ def replaced(path: Path) -> Iterator[Path]:
     try:
         _require_no_device(path)
         yield partial
-        _move(partial, path)
+        _secure(partial, path)
+        partial.replace(path)
     except OSError as error:
         if error.errno in REFUSALS:
             raise write_failure(path, error) from error
@@ -50,7 +51,8 @@ def write_text(path: Path, content: str) -> None:
 def write_all(files: Mapping[Path, bytes]) -> None:
     """Write all files or none: each is on the disk under a temporary name before the first takes its place.
 
-    They take their places in the order given. Raises InputError and RunFailure as ``replaced``.
+    They take their places in the order given, one right after the other: a kill between two of these steps
+    leaves new files beside old ones. Raises InputError and RunFailure as ``replaced``.
     """
     partials = {path: partial_of(path) for path in files}
     path = next(iter(files), Path())
@@ -58,8 +60,10 @@ def write_all(files: Mapping[Path, bytes]) -> None:
         for path, content in files.items():
             _require_no_device(path)
             partials[path].write_bytes(content)
-        for path in files:
-            _move(partials[path], path)
+        for path, partial in partials.items():
+            _secure(partial, path)
+        for path, partial in partials.items():
+            partial.replace(path)
     except OSError as error:
         raise write_failure(path, error) from error
     finally:
@@ -95,10 +99,10 @@ def sync(path: Path) -> None:
             os.close(handle)
 
 
-def _move(partial: Path, path: Path) -> None:
+def _secure(partial: Path, path: Path) -> None:
+    """Have the new content on the disk before an old one is given up."""
     if path.exists():
         sync(partial)
-    partial.replace(path)
 
 
 def _require_no_device(path: Path) -> None:

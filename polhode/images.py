@@ -108,7 +108,7 @@ def _require_few_scans(stream: BinaryIO) -> None:
     scans = stream.read().count(b"\xff\xda")
     stream.seek(position)
     if scans > _SCANS:
-        raise UnreadableImage(f"a JPEG of {scans} scans, where {_SCANS} are allowed; save it anew")
+        raise UnreadableImage(f"a JPEG of {scans} scans, where {_SCANS} are allowed; save it again")
 
 
 def _require_known_pixels(image: ImageFile.ImageFile) -> None:

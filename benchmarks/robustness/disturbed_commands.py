@@ -65,7 +65,7 @@ JOBS = {
         Job("evaluate", ("evaluate", "{place}/R", "{stage}/S"), ("R",), inputs=("R",),
             later=(("report", "{place}/R", "-o", "{stage}/later.html"),)),
         Job("observability", ("observability", "{stage}/R", "-o", "{place}/O"), ("O",),
-            ("observability", "{stage}/R", "-o", "{place}/O", "--crease-deg", "40")),
+            ("observability", "{stage}/R", "-o", "{place}/O", "--sigma-px", "2")),
         Job("predict", ("predict", "{stage}/R", "--horizon", "5", "-o", "{place}/p.csv"), ("p.csv",),
             ("predict", "{stage}/R", "--horizon", "3", "-o", "{place}/p.csv")),
     )

@@ -265,21 +265,9 @@ def _read_mask(file: Path) -> None:
 
 def _run(folder: Path) -> None:
     """The run of the tests, on disk: a box that tumbles, estimated in 24 frames."""
-    from polhode.config import Config
-    from tests.pipeline.conftest import make_example
-    from tests.pipeline.stored_run import write_run
+    from tests.pipeline.conftest import make_example, write_example
 
-    example = make_example()
-    write_run(
-        folder,
-        config=Config(),
-        tracks=example.tracks,
-        estimate=example.estimate,
-        surface=example.surface,
-        timing_s={},
-        relative=example.relative,
-        pictures={"a frame": _images()[0]},
-    )
+    write_example(folder, make_example(), pictures={"a frame": _images()[0]})
 
 
 _files_of_run: dict[str, bytes] = {}

@@ -22,7 +22,7 @@ def test_only_missing_cases_are_measured_and_a_cut_line_does_no_harm(tmp_path: P
     assert [line["square"] for line in measured(record, [{"x": 7}, {"x": 3}, {"x": 1}])] == [8, 1]
 
 
-def test_what_is_forgotten_is_measured_anew(tmp_path: Path) -> None:
+def test_what_is_forgotten_is_measured_again(tmp_path: Path) -> None:
     record = tmp_path / "record.jsonl"
     cases: list[Case] = [{"x": 1}, {"x": 2}]
     complete(record, cases, square, workers=1)

@@ -11,10 +11,8 @@ import pytest
 from PIL import Image
 
 from polhode.cli.main import main
-from polhode.config import Config
 from tests.conftest import HEIGHT_PX, WIDTH_PX, MakeOnce
-from tests.pipeline.conftest import make_example
-from tests.pipeline.stored_run import write_run
+from tests.pipeline.conftest import make_example, write_example
 
 Capture = pytest.CaptureFixture[str]
 Damage = Callable[[Path], None]
@@ -120,16 +118,7 @@ def whole_run(make_once: MakeOnce) -> Path:
 
     def fill(folder: Path) -> None:
         folder.mkdir()
-        example = make_example()
-        write_run(
-            folder,
-            config=Config(),
-            tracks=example.tracks,
-            estimate=example.estimate,
-            surface=example.surface,
-            timing_s={},
-            relative=example.relative,
-        )
+        write_example(folder, make_example())
 
     return make_once("run_for_hostile_files", fill)
 

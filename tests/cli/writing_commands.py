@@ -25,8 +25,7 @@ from polhode.pipeline.report import write_report
 from polhode.pipeline.run import RunResult
 from polhode.pipeline.run_directory.run_folder import atomic_run_folder
 from polhode.planning.keep_out.volumes import KeepOutOptions
-from tests.pipeline.conftest import Example
-from tests.pipeline.stored_run import write_run
+from tests.pipeline.conftest import Example, write_example
 
 SCENE = """
 seed: 4
@@ -114,15 +113,7 @@ def make_stage(folder: Path, example: Example) -> Stage:
     (folder / "train.yaml").write_text("train: {task: descriptor}\n")
     run = folder / "stored"
     run.mkdir()
-    write_run(
-        run,
-        config=Config(),
-        tracks=example.tracks,
-        estimate=example.estimate,
-        surface=example.surface,
-        timing_s={},
-        relative=example.relative,
-    )
+    write_example(run, example)
     # the library of its figures is most of a page
     (run / "report.html").write_text("<html><title>stored · polhode</title>")
     return Stage(folder, run)

@@ -3,6 +3,7 @@
 And images of a target at rest, for runs that go wrong on purpose.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from polhode.records import (
 from polhode.rigid_body import propagate
 from polhode.simulation import simulate
 from tests.conftest import MakeOnce
+from tests.pipeline.stored_run import write_run
 
 BOX_M = np.array([0.12, 0.20, 0.24])
 RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)
@@ -194,3 +196,17 @@ def _tracks(
         sigma_camera_p_m=0.001,
     )
     return tracks, np.concatenate(residuals)
+
+
+def write_example(folder: Path, example: Example, pictures: Mapping[str, bytes] | None = None) -> None:
+    """The run on disk; ``pictures``: PNG or JPEG by caption."""
+    write_run(
+        folder,
+        config=Config(),
+        tracks=example.tracks,
+        estimate=example.estimate,
+        surface=example.surface,
+        timing_s={},
+        relative=example.relative,
+        pictures=pictures,
+    )

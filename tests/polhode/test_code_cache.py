@@ -18,7 +18,7 @@ FUNCTION = "from polhode.compiled import compiled\n\n\n@compiled\ndef two() -> i
 
 
 @pytest.fixture(autouse=True)
-def anew(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+def unprepared(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
     """No answer of before, and a folder of caches that is the test's."""
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))

@@ -175,7 +175,7 @@ def test_what_a_spin_does_not_tell_is_infinite(feed: Feed) -> None:
     assert np.mean(np.abs(deviations(sequence, states)) < 3.0) > 0.97
 
 
-def test_first_frames_without_anything_in_common_begin_anew(tumble: SyntheticSequence, feed: Feed) -> None:
+def test_first_frames_without_anything_in_common_begin_again(tumble: SyntheticSequence, feed: Feed) -> None:
     config = Backend.model_validate({"process_noise": "given", "window": SMALL})
     window = SlidingWindow(tumble.tracks.rig, config)
     nothing = np.zeros((0, 3))

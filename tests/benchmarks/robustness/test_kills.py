@@ -48,7 +48,7 @@ def test_times_and_the_place_do_not_count_but_everything_else_does(tmp_path: Pat
     assert made("c", 1.0, 6.0) != made("d", 1.0, 5.0)
 
 
-def test_the_folder_of_a_case_is_laid_out_anew(tmp_path: Path) -> None:
+def test_the_folder_of_a_case_is_emptied_before_it_is_laid_out(tmp_path: Path) -> None:
     stage, job = Stage(tmp_path), Job("x", ("report",), ("page.html",), inputs=("in",))
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "a").write_text("a")

@@ -1,4 +1,4 @@
-"""The benchmark of leaks: a leak is told from noise and from caches that fill."""
+"""The benchmark of leaks: a leak is distinguished from noise and from caches that fill."""
 
 import json
 from collections.abc import Callable, Iterator

@@ -115,7 +115,7 @@ def test_what_all_poses_share_moves_the_mesh_alone(frames: Frames) -> None:
     assert field.move(poses) == 0
 
 
-def test_when_most_poses_change_the_field_is_made_anew(frames: Frames) -> None:
+def test_when_most_poses_change_the_field_is_rebuilt(frames: Frames) -> None:
     field = filled(frames)
     poses = np.stack([moved(X, 2e-3, 0.02, seed=k) for k, (_, X) in enumerate(frames)])
     assert field.move(poses) == len(frames)

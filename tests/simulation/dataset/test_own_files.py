@@ -1,4 +1,4 @@
-"""A dataset that ``simulate`` made is told from a recording, whatever is copied into it."""
+"""A dataset that ``simulate`` made is distinguished from a recording, whatever is copied into it."""
 
 import shutil
 from pathlib import Path

@@ -11,8 +11,13 @@ from polhode.config.backend_settings import Backend
 from polhode.frontend.features.row_offsets import RowOffsets
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.lie import Array
-from polhode.pipeline.rig_check import camera_delay, largest_step, rig_contradictions, scale_of_frames
-from polhode.pipeline.self_calibration import best_correction
+from polhode.pipeline.data_checks.rig_check import (
+    camera_delay,
+    largest_step,
+    rig_contradictions,
+    scale_of_frames,
+)
+from polhode.pipeline.data_checks.self_calibration import best_correction
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate

@@ -85,7 +85,7 @@ def _solved(
 
 
 def part_of(tracks: StereoTracks, frames: Bools) -> StereoTracks:
-    """The measurements of some frames (F,); landmarks are numbered anew."""
+    """The measurements of some frames (F,); landmarks get new numbers."""
     number = np.cumsum(frames) - 1
     rows = frames[tracks.frame]
     _, landmark = np.unique(tracks.landmark[rows], return_inverse=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
-from polhode.pipeline.inspector_check import inspector_contradictions
+from polhode.pipeline.data_checks.inspector_check import inspector_contradictions
 from polhode.rigid_body import propagate
 
 F = 40

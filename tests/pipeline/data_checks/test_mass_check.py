@@ -9,7 +9,7 @@ from polhode.backend import estimate_motion
 from polhode.camera import RectifiedRig
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, make_pose, transform_points
-from polhode.pipeline.mass_check import mass_contradictions, part_of
+from polhode.pipeline.data_checks.mass_check import mass_contradictions, part_of
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
 from polhode.rigid_body import propagate
@@ -82,7 +82,7 @@ def test_a_push_alone_is_not() -> None:
 def test_a_free_tumble_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     tracks, estimate = sequence(BEFORE, np.zeros(3), np.zeros(3))
     if estimate.disturbances is None:
-        monkeypatch.setattr("polhode.pipeline.mass_check.estimate_motion", None)
+        monkeypatch.setattr("polhode.pipeline.data_checks.mass_check.estimate_motion", None)
     assert mass_contradictions(tracks, estimate, Backend()) == []
 
 

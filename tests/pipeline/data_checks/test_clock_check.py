@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from polhode.lie import Array
-from polhode.pipeline.clock_check import clock_contradictions
+from polhode.pipeline.data_checks.clock_check import clock_contradictions
 from polhode.rigid_body import propagate
 
 Floats = NDArray[np.floating[Any]]

@@ -20,7 +20,7 @@ import numpy as np
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.lie import Array, inverse_pose, log_so3, transform_points
 from polhode.pipeline.context import RunContext
-from polhode.pipeline.self_calibration import best_correction
+from polhode.pipeline.data_checks.self_calibration import best_correction
 from polhode.records import MotionEstimate, StereoTracks
 
 MIN_MATCHES = 8

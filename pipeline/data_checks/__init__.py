@@ -1,0 +1,11 @@
+"""Checks of the data by the estimate: signs, without truth, that something in them is not as they say.
+
+In: the context of a run, its features, tracks and estimate. Out: reasons to doubt, one sentence each.
+
+- contradictions: all checks, one after the other
+- rig_check: whether the images are those of the rig that the calibration describes
+- self_calibration: the focal length that would fit best
+- clock_check: whether the time stamps agree with the rotation
+- inspector_check: whether the inspector's poses agree with the images
+- mass_check: whether the mass properties are the same before and after a push
+"""
