@@ -37,6 +37,25 @@ class Target:
     words: tuple[bytes, ...] = field(default=())
     """Tokens of the format"""
 
+    @property
+    def format(self) -> str:
+        """Format of the file: targets of one format go through the same reader of polhode."""
+        if self.name in _FORMATS:
+            return _FORMATS[self.name]
+        return Path(self.file).suffix.removeprefix(".")
+
+
+_FORMATS = {
+    "command_line": "command line",
+    "calibration": "calibration",
+    "inspector_sigmas": "calibration",
+    "poses_tum": "tum",
+    "material_library": "obj",
+    "texture": "image",
+    "image": "image",
+    "mask": "image",
+}
+"""Of the targets whose files' suffixes do not tell"""
 
 SHARED_MODULES = ("polhode.foreign_files", "polhode.tables", "polhode.yaml_files", "polhode.errors")
 NUMBERS = (
@@ -798,6 +817,12 @@ TARGETS: tuple[Target, ...] = (
     ),
 )
 """Bags and what `polhode import` will read do not exist yet."""
+
+
+def share_of(name: str) -> float:
+    """The share of a target in the time of its format, which its targets divide evenly."""
+    wanted = target_named(name).format
+    return 1.0 / sum(each.format == wanted for each in TARGETS)
 
 
 def target_named(name: str) -> Target:

@@ -2,6 +2,9 @@
 
     python -m benchmarks.robustness.fuzzing [TARGET ...] [--seconds 600] [--engine automatic|atheris|own]
 
+Targets of one format (YAML, CSV, PLY ...) go through one reader of polhode, and differ in what is required of
+the content. Each format has ten minutes, which its targets divide evenly; --seconds gives each target so much.
+
 Each target runs in a process of its own. An input may take 5 s of processor time and 1 GiB of memory, may
 print nothing and may touch nothing but the files that are read. Whatever else it does is a finding: it is
 stored, with its traceback, under runs/fuzzing/TARGET/part0/findings, one input for each place in the code.
@@ -16,6 +19,7 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,7 +32,7 @@ from benchmarks.presentation import print_table
 from benchmarks.record import complete, forget
 from benchmarks.robustness.fuzz_check import Finding
 from benchmarks.robustness.fuzz_process import store_finding
-from benchmarks.robustness.fuzz_targets import TARGETS, target_named
+from benchmarks.robustness.fuzz_targets import TARGETS, share_of, target_named
 
 RUNS = ROOT / "runs" / "fuzzing"
 PROCESS = "from benchmarks.robustness.fuzz_process import from_words; from_words()"
@@ -36,12 +40,15 @@ PROCESS = "from benchmarks.robustness.fuzz_process import from_words; from_words
 SILENT_S = 60.0
 """After this much processor time without a sign of life a process is killed: a library in C hangs."""
 START_S = 300.0
+FORMAT_S = 600.0
 
 
 def main(
     targets: Positional[Annotated[tuple[str, ...], arg(metavar="TARGET")]] = (),
     short: Short = False,
-    seconds: Annotated[float | None, arg(help="Time of each target [s].")] = None,
+    seconds: Annotated[
+        float | None, arg(help="Time of each target [s]; its share of its format's, unless given.")
+    ] = None,
     engine: Annotated[
         Literal["automatic", "atheris", "own"], arg(help="What makes the inputs.")
     ] = "automatic",
@@ -53,16 +60,19 @@ def main(
     for name in names:
         target_named(name)
     used = ("atheris" if find_spec("atheris") else "own") if engine == "automatic" else engine
-    duration = seconds or (20.0 if short else 600.0)
-    path = record or (RUNS / "short.jsonl" if short or duration < 600.0 else RECORDS / "fuzzing.jsonl")
+    fixed = seconds or (20.0 if short else None)
+    path = record or (RUNS / "short.jsonl" if fixed else RECORDS / "fuzzing.jsonl")
     if again:
         forget(path, lambda case: case["target"] in names)
-    cases = [{"target": name, "seconds": duration} for name in names]
+    cases = [{"target": name, "seconds": fixed or FORMAT_S * share_of(name)} for name in names]
     lines = complete(path, cases, Fuzz(used), workers=1)
     print_table(
-        "target | engine | inputs | seconds | inputs/s | branches | findings",
+        "format | target | engine | inputs | seconds | inputs/s | branches | findings",
         (_row(line) for line in lines),
+        right_from=3,
     )
+    print()
+    print_table("format | targets | inputs | minutes | findings", _rows_of_formats(lines), right_from=1)
     total = sum(line["inputs"] for line in lines)
     minutes = sum(line["seconds"] for line in lines) / 60
     found = [place for line in lines for place in line["findings"]]
@@ -76,6 +86,7 @@ def _row(line: dict[str, Any]) -> tuple[str, ...]:
     rate = line["inputs"] / max(line["seconds"], 1e-9)
     branches = "" if line["branches"] is None else str(line["branches"])
     return (
+        target_named(line["case"]["target"]).format,
         line["case"]["target"],
         line["engine"],
         str(line["inputs"]),
@@ -84,6 +95,15 @@ def _row(line: dict[str, Any]) -> tuple[str, ...]:
         branches,
         str(len(line["findings"])),
     )
+
+
+def _rows_of_formats(lines: list[dict[str, Any]]) -> Iterator[tuple[str, ...]]:
+    of_format = [(target_named(line["case"]["target"]).format, line) for line in lines]
+    for name in dict.fromkeys(name for name, _ in of_format):
+        some = [line for each, line in of_format if each == name]
+        inputs, seconds = (sum(line[key] for line in some) for key in ("inputs", "seconds"))
+        findings = sum(len(line["findings"]) for line in some)
+        yield name, str(len(some)), str(inputs), f"{seconds / 60:.0f}", str(findings)
 
 
 @dataclass(frozen=True)
