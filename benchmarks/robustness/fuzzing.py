@@ -2,8 +2,8 @@
 
     python -m benchmarks.robustness.fuzzing [TARGET ...] [--seconds 600] [--engine automatic|atheris|own]
 
-Targets of one format (YAML, CSV, PLY ...) go through one reader of polhode, and differ in what is required of
-the content. Each format has ten minutes, which its targets divide evenly; --seconds gives each target so much.
+Targets of one format (YAML, CSV, PLY ...) go through one reader of polhode, and differ in what it requires
+of the content. Each format has ten minutes, which its targets divide; --seconds gives each target so much.
 
 Each target runs in a process of its own. An input may take 5 s of processor time and 1 GiB of memory, may
 print nothing and may touch nothing but the files that are read. Whatever else it does is a finding: it is
