@@ -31,6 +31,7 @@ from polhode.foreign_files import MIB, read_text
 from polhode.output.marked_folder import claim as mark
 from polhode.output.marked_folder import marked_place, read_mark, write_mark
 from polhode.output.place import folder_place, unwritable
+from polhode.output.single_file import remove_all_partials
 from polhode.output.staged_folder import at_work
 from polhode.pipeline.run_directory.outputs import write_config
 from polhode.progress import Progress
@@ -137,6 +138,8 @@ def claim(folder: Path) -> Path:
             (place / part).mkdir(exist_ok=True)
         except OSError as error:
             raise unwritable(place / part, error) from error
+        for each in (place / part, *(place / part).iterdir()):
+            remove_all_partials(each)
     return place
 
 

@@ -5,8 +5,11 @@ import hashlib
 import io
 import json
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 State = Literal["absent", "old", "new", "failed", "unfinished", "half", "lost"]
 """Nothing; the earlier result; the complete one; a run that says that it failed; one that resumes; part of a
@@ -16,7 +19,7 @@ TIMES = (
     *("timing_s", "training_s", "prepared_s", "wall_s", "build_s", "evaluation_s", "linear_s", "callback_s"),
     *("memory_mb", "memory_before_mb", "trace", "profiles", "machine", "elapsed_s"),
 )
-"""Keys of JSON files that differ from call to call"""
+"""Keys of JSON files and names of arrays that differ from call to call"""
 UNLIKE = (".html", "log.txt", "checkpoint.safetensors", ".polhode-output")
 """Endings of files that contain times, or names that are yet to be written: only their presence counts"""
 SKIPPED = ("curves",)
@@ -45,6 +48,10 @@ def _digest(path: Path, place: Path) -> str:
     if path.name == "compare.csv":
         rows = csv.DictReader(io.StringIO(content.decode()))
         content = json.dumps([_without_times(row) for row in rows]).encode()
+    if path.suffix == ".npz":
+        with suppress(ValueError, BadZipFile), np.load(path) as arrays:
+            kept = [name for name in sorted(arrays) if name not in TIMES]
+            content = b"".join(name.encode() + arrays[name].tobytes() for name in kept)
     return hashlib.sha256(content).hexdigest()[:16]
 
 

@@ -12,7 +12,7 @@ from polhode.atomic import write_all, write_text
 from polhode.errors import InputError, RunFailure
 from polhode.output.exchange import is_regular
 from polhode.output.place import folder_place, require_writable
-from polhode.output.single_file import make_parent, remove_partials
+from polhode.output.single_file import make_parent, remove_all_partials
 
 MARK = ".polhode-output"
 SCHEMA = "polhode-output/1"
@@ -50,8 +50,10 @@ def marked_place(path: Path, command: str, is_name: IsName, shown: Path | None =
 
 
 def claim(place: Path, command: str, names: Sequence[str]) -> None:
-    """Make the folder and list ``names`` in its mark as files of the command. Raises RunFailure."""
+    """Make the folder, clear it of what killed processes left, and list ``names`` in its mark as files of the
+    command. Raises RunFailure."""
     make_parent(place / MARK, place)
+    remove_all_partials(place)
     known = read_mark(place) or {}
     files = {**known, command: sorted({*known.get(command, ()), *names})}
     if files != known:
@@ -64,8 +66,6 @@ def write_files(place: Path, command: str, files: Mapping[str, bytes], is_name: 
     Raises RunFailure.
     """
     claim(place, command, list(files))
-    for name in files:
-        remove_partials(place / name)
     write_all({place / name: content for name, content in files.items()})
     forget_others(place, command, files, is_name)
 

@@ -49,8 +49,18 @@ def make_parent(place: Path, shown: Path) -> None:
 
 def remove_partials(place: Path) -> None:
     """Remove the temporary files of processes that were killed while they wrote this file."""
-    name = re.compile(rf"\.{re.escape(place.stem)}\.partial-(\d+){re.escape(place.suffix)}")
-    for entry in os.scandir(place.parent):
+    _remove_dead(place.parent, re.escape(place.stem), re.escape(place.suffix))
+
+
+def remove_all_partials(folder: Path) -> None:
+    """The same for all files of a folder of ours; its folders are left alone. It need not exist."""
+    if folder.is_dir():
+        _remove_dead(folder, ".+", r"(?:\.\w+)?")
+
+
+def _remove_dead(folder: Path, stem: str, suffix: str) -> None:
+    name = re.compile(rf"\.{stem}\.partial-(\d+){suffix}")
+    for entry in os.scandir(folder):
         found = name.fullmatch(entry.name)
         if found and entry.is_file(follow_symlinks=False) and not _is_alive(int(found[1])):
             with suppress(OSError):

@@ -25,6 +25,7 @@ from polhode.frontend.features.keypoints import detect, no_key_points
 from polhode.frontend.rectification import target_crop
 from polhode.images import Grey
 from polhode.lie import Array, inverse_pose
+from polhode.output.single_file import remove_all_partials
 from polhode.processes import in_order
 from polhode.progress import Progress
 from polhode.records import Bools, Ints
@@ -121,6 +122,7 @@ def prepare_points(
     """The points of the scenes, by their numbers; missing ones are computed and stored."""
     missing = [i for i in scenes if not points_path(corpus, i).is_file()]
     if missing:
+        remove_all_partials(points_path(corpus, 0).parent)
         with progress.stage("finding surface points", len(missing)) as advance:
             work = [(corpus, i) for i in missing]
             for _ in in_order(_make, work, workers):

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from polhode.array_files import read_arrays, require_arrays
-from polhode.atomic import replaced
+from polhode.atomic import replaced, write_text
 from polhode.config.frontend_settings import Depth
 from polhode.dataset import StereoCalibration, StereoSequence, open_sequence
 from polhode.errors import InputError
@@ -38,6 +38,7 @@ from polhode.frontend.disparity.learned import (
 from polhode.frontend.disparity.sgbm import Floats, cut_crop
 from polhode.frontend.rectification import Rectifier, make_rectifier, target_mask
 from polhode.lie import Array, inverse_pose
+from polhode.output.single_file import remove_all_partials
 from polhode.records import Bools
 from polhode.simulation.dataset.frame_renderer import products_path, read_products
 
@@ -150,6 +151,7 @@ def build_samples(folder: Path, cache: Path, config: Depth, seed: int, every: in
     if index.is_file():
         return [cache / name for name in index.read_text().split()]
     cache.mkdir(parents=True, exist_ok=True)
+    remove_all_partials(cache)
     sequence = open_sequence(folder)
     rectifier = make_rectifier(sequence.calibration)
     for k in range(0, len(sequence), every):
@@ -160,7 +162,7 @@ def build_samples(folder: Path, cache: Path, config: Depth, seed: int, every: in
             if sample is not None:
                 write_sample(path, sample)
                 made.append(path)
-    index.write_text("\n".join(path.name for path in made))
+    write_text(index, "\n".join(path.name for path in made))
     return made
 
 

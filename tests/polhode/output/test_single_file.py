@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from polhode.errors import InputError
-from polhode.output.single_file import make_parent, output_file
+from polhode.output.single_file import make_parent, output_file, remove_all_partials
 
 
 def is_own(path: Path) -> bool:
@@ -56,3 +56,16 @@ def test_partial_files_of_processes_that_live_stay(tmp_path: Path) -> None:
 def test_a_name_that_leaves_no_room_for_a_temporary_one_is_refused_at_once(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="File name too long"):
         place_of(tmp_path / f"{'x' * 245}.html")
+
+
+def test_temporary_files_of_a_whole_folder_go_and_nothing_else_does(tmp_path: Path) -> None:
+    live, dead = f".a.partial-{os.getpid()}.npz", (".R.problem.partial-999999999.npz", ".b.partial-999999999")
+    others = (".bashrc", "x.partial-999999999.npz", ".c.partial-9x.npz")
+    for name in (live, *dead, *others):
+        (tmp_path / name).write_text("half")
+    (tmp_path / ".d.partial-999999999").mkdir()
+    (tmp_path / ".e.partial-999999999.npz").symlink_to(tmp_path / ".bashrc")
+    remove_all_partials(tmp_path)
+    remove_all_partials(tmp_path / "missing")
+    left = {".d.partial-999999999", ".e.partial-999999999.npz", live, *others}
+    assert {path.name for path in tmp_path.iterdir()} == left
