@@ -143,10 +143,15 @@ def largest_step(values: Array) -> Step | None:
         residuals = np.abs(np.concatenate([before - medians[0], after - medians[1]]))
         if residuals.sum() < least:
             least = float(residuals.sum())
-            spread = max(1.4826 * float(np.median(residuals)), 1e-12)
-            sigma = 1.25 * spread * float(np.sqrt(1.0 / len(before) + 1.0 / len(after)))
+            sigma = float(np.hypot(*(_sigma_of_median(side, residuals) for side in (before, after))))
             best = Step(int(known[n]), medians[1] - medians[0], sigma)
     return best
+
+
+def _sigma_of_median(values: Array, residuals: Array) -> float:
+    """By the scatter of the values, at least that of all ``residuals``: a few values may agree by chance."""
+    deviations = np.median(np.abs(values - np.median(values))), np.median(residuals)
+    return 1.25 * max(1.4826 * float(max(deviations)), 1e-12) / float(np.sqrt(len(values)))
 
 
 def _late(context: RunContext, features: Sequence[StereoFeatures], estimate: MotionEstimate) -> list[str]:

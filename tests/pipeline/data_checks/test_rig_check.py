@@ -150,6 +150,16 @@ def test_a_step_needs_frames_on_both_sides() -> None:
     assert largest_step(np.full(20, np.nan)) is None
 
 
+def test_a_few_values_that_scatter_are_no_step() -> None:
+    # inclinations of the rows [deg] that an upper stage with few features gave, undisturbed
+    quiet = np.tile([-0.05, 0.05, 0.1, -0.1, 0.0], 6)
+    loose = largest_step(np.concatenate([quiet, [5.6, 0.45, 2.6, 0.5, 0.15]]))
+    firm = largest_step(np.concatenate([quiet, [0.55, 0.45, 0.6, 0.5, 0.4]]))
+    assert loose is not None and firm is not None and loose.place == firm.place == 30
+    assert abs(loose.size) < 3.0 * loose.sigma
+    assert abs(firm.size) > 5.0 * firm.sigma
+
+
 @pytest.mark.parametrize("factor", [0.97, 1.03])
 def test_a_wrong_focal_length_is_named_with_its_size(sequence: SyntheticSequence, factor: float) -> None:
     rig = sequence.tracks.rig
