@@ -171,10 +171,11 @@ def camera_delay(
 ) -> tuple[float, float] | None:
     """Time of the right camera minus that of the left one and its sigma [s]; None: nothing shows it.
 
-    Least squares of the row offsets on the rows' velocities, which follow from the estimated motion; with a
-    constant offset, and again without outliers. The sigma treats each frame as one observation.
+    Least squares of the row offsets on the rows' velocities, which follow from the estimated motion. What an
+    imperfect calibration explains is left out: offsets that depend on the place in the image, to second
+    order, and on the disparity. The sigma treats each frame as one observation.
     """
-    speed, offset, frame = [], [], []
+    speed, offset, frame, place = [], [], [], []
     for k, each in enumerate(features):
         rows = each.rows
         if rows is None or len(rows.offset_px) < MIN_MATCHES:
@@ -184,20 +185,31 @@ def camera_delay(
         speed.append(_row_velocity(context, context.rig.triangulate(uvd), estimate, k))
         offset.append(rows.offset_px[ahead])
         frame.append(np.full(int(ahead.sum()), k))
+        place.append(uvd)
     if not speed:
         return None
     x, y, of = np.concatenate(speed), np.concatenate(offset), np.concatenate(frame)
+    known = _calibration_terms(np.concatenate(place))
     good = np.ones(len(x), dtype=np.bool_)
     for _ in range(4):
-        if good.sum() < 10 * MIN_MATCHES or float(np.std(x[good])) < 1e-9:
+        if good.sum() < 10 * MIN_MATCHES:
             return None
-        x0, y0 = x - x[good].mean(), y - y[good].mean()
+        x0, y0 = (z - known @ np.linalg.lstsq(known[good], z[good])[0] for z in (x, y))
+        if float(np.std(x0[good])) < 1e-3 * float(np.std(x[good])) + 1e-9:
+            return None
         slope = float(np.sum(x0[good] * y0[good]) / np.sum(x0[good] ** 2))
         residual = y0 - slope * x0
         spread = 1.4826 * float(np.median(np.abs(residual[good])))
         good = np.abs(residual) < 3.0 * max(spread, 0.02)
     by_frame = np.bincount(of[good], x0[good] * residual[good])
     return -slope, float(np.sqrt(np.sum(by_frame**2)) / np.sum(x0[good] ** 2))
+
+
+def _calibration_terms(uvd_px: Array) -> Array:
+    """Terms (n, 7) of the row offset that a wrong calibration causes at points (n, 3)."""
+    scaled = (uvd_px - uvd_px.mean(axis=0)) / np.maximum(uvd_px.std(axis=0), 1e-9)
+    u, v, d = scaled.T
+    return np.column_stack([np.ones(len(u)), u, v, d, u * u, u * v, v * v])
 
 
 def _row_velocity(context: RunContext, p_R: Array, estimate: MotionEstimate, k: int) -> Array:

@@ -124,6 +124,15 @@ def test_cameras_that_look_at_different_times_are_named_with_the_time(
     assert len(said) == 1 and "the right camera's images are" in said[0] and "ms late" in said[0]
 
 
+def test_rows_that_an_imperfect_calibration_inclines_are_no_delay() -> None:
+    # As in photographs of an object on a turntable: at each place of the image the speed is always the same.
+    spinning = generate(replace(SCENE, w_G=(0.0, 0.0, 0.4)), 4)
+    tracks, estimate = spinning.tracks, solved(spinning, spinning.tracks)
+    u, v, _ = ((tracks.uvd_px - tracks.uvd_px.mean(axis=0)) / tracks.uvd_px.std(axis=0)).T
+    said = reasons(spinning, estimate, features(tracks, 0.2 * u - 0.1 * v + 0.1 * u * v))
+    assert not any("ms late" in each or "ms early" in each for each in said)
+
+
 def test_exchanged_images_are_counted(sequence: SyntheticSequence, estimate: MotionEstimate) -> None:
     said = reasons(sequence, estimate, features(sequence.tracks, exchanged=(2, 9)))
     assert len(said) == 1 and f"2 of {FRAMES} pairs are exchanged, left for right" in said[0]
