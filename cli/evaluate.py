@@ -23,6 +23,7 @@ class EvaluateCommand:
     def execute(self) -> int:
         """Write the metrics, renew the report and print the table."""
         from polhode.output.place import require_writable
+        from polhode.output.single_file import remove_all_partials
         from polhode.output.staged_folder import at_work
         from polhode.pipeline.evaluation import evaluate, format_table
         from polhode.pipeline.report import write_report
@@ -31,6 +32,7 @@ class EvaluateCommand:
             raise InputError(f"{self.run}: no such folder; give the folder of a run")
         require_writable(self.run, self.run)
         with at_work(self.run, self.run):
+            remove_all_partials(self.run)
             metrics = evaluate(self.run, self.data)
             write_report(self.run)
         print(format_table(metrics))

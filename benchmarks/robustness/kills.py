@@ -38,7 +38,7 @@ from benchmarks.command import ROOT, Record, Short, Workers, command
 from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
 from benchmarks.robustness.disturbed_commands import JOBS, Job
-from benchmarks.robustness.results import State, names_of, size_of
+from benchmarks.robustness.results import PARTIAL, State, names_of, size_of
 from benchmarks.robustness.stage import STAGE, Stage, prepared
 from polhode.parent_death import tied
 
@@ -178,6 +178,7 @@ def _judged(stage: Stage, job: Job, place: Path, state: State, enlarge: list[str
         if found != "new":
             failures.append(f"same: repeated, the result is {found}: {stage.differences(job, place)}")
     beside = sorted({path.name for path in place.iterdir()} - set(stage.expected(job)))
+    beside += [name for name in names_of(place) if PARTIAL.fullmatch(Path(name).name)]
     if beside:
         failures.append(f"clean: left beside the result: {', '.join(beside)}")
     unnamed = [name for name in left if name not in out + error and name not in job.continues]

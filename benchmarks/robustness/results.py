@@ -5,6 +5,7 @@ import hashlib
 import io
 import json
 import os
+import re
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
@@ -25,6 +26,8 @@ UNLIKE = (".html", "log.txt", "checkpoint.safetensors", ".polhode-output")
 """Endings of files that contain times, or names that are yet to be written: only their presence counts"""
 SKIPPED = ("curves",)
 """Folders of files whose names contain times"""
+PARTIAL = re.compile(r"\..+\.partial-\d+(\.\w+)?")
+"""Temporary files: no part of a result; the repeated command removes them"""
 
 
 def contents(place: Path, names: tuple[str, ...]) -> dict[str, str]:
@@ -35,7 +38,7 @@ def contents(place: Path, names: tuple[str, ...]) -> dict[str, str]:
         files = [root] if root.is_file() else sorted(path for path in root.rglob("*") if path.is_file())
         for path in files:
             parts = path.relative_to(place).parts
-            if not set(SKIPPED) & set(parts):
+            if not set(SKIPPED) & set(parts) and not PARTIAL.fullmatch(path.name):
                 found["/".join(parts)] = _digest(path, place)
     return found
 

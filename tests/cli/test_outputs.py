@@ -513,6 +513,18 @@ def test_evaluate_into_a_run_that_cannot_be_written(
     assert digest(tmp_path) == before
 
 
+def test_evaluate_removes_what_a_killed_one_was_writing(
+    stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(stage.run, run)
+    (run / ".report.partial-999999999.html").write_text("half")
+    monkeypatch.setattr("polhode.pipeline.evaluation.evaluate", lambda run, data: {})
+    monkeypatch.setattr("polhode.pipeline.report.write_report", lambda run: None)
+    assert main(["evaluate", str(run), str(tmp_path)]) == 0
+    assert not list(run.glob(".report*"))
+
+
 def test_the_docs_have_the_same_table() -> None:
     text = PAGE.read_text()
     section = text.split("## What each command does with what it finds")[1].split("\n## ")[0]
