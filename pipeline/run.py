@@ -14,7 +14,7 @@ from polhode.lie import transform_points
 from polhode.mapping.fusion.field import fuse
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.correspondences import match_frames
-from polhode.pipeline.data_checks.contradictions import contradictions
+from polhode.pipeline.data_checks.check_data import check_data
 from polhode.pipeline.find_motion import find_motion, pose_RG
 from polhode.pipeline.finish_surface import finish_surface
 from polhode.pipeline.pictures import make_pictures
@@ -74,7 +74,7 @@ def run(
             # Each solution is written, so that it is kept should a later step fail.
             outputs.write_estimate(folder, solution.tracks, solution.estimate, solution.links)
         tracks, estimate = solution.tracks, solution.estimate
-        reasons = contradictions(context, correspondences.features, tracks, estimate)
+        findings = check_data(context, correspondences.features, tracks, estimate)
         if config.backend.window.enabled:
             outputs.write_online_estimate(folder, _replay(context, tracks, estimate))
 
@@ -90,7 +90,8 @@ def run(
             make_pictures(context, folder, tracks, estimate, surface)
         clock.add_total()
         warnings = [*context.sequence.warnings, *window_warnings(tracks.n_frames, config.backend)]
-        warnings += fused.warnings
+        warnings += [*fused.warnings, *findings.limits]
+        reasons = findings.reasons
         summary = build_summary(tracks, estimate, surface, clock.seconds, warnings, reasons, shape=shape)
         with progress.stage("report", 1) as advance:
             summary = finish_run(folder, summary)

@@ -77,7 +77,9 @@ FAULTS: dict[str, Fault] = {
     "knocked_pitch": Fault("right camera knocked by 0.2 deg, up", files.knocked((1.0, 0.0, 0.0))),
     "knocked_yaw": Fault("right camera knocked by 0.2 deg, sideways", files.knocked((0.0, 1.0, 0.0))),
     "knocked_roll": Fault("right camera knocked by 0.2 deg, about its axis", files.knocked((0.0, 0.0, 1.0))),
-    "focal_wrong": Fault("focal length 0.5 % wrong", files.focal_wrong),
+    "focal_wrong": Fault(
+        "focal length 0.5 % wrong", files.focal_wrong, named=("a focal length wrong by up to",)
+    ),
     "second_body": Fault("a second body crosses", render=scenes.second_body),
     "plume": Fault("a plume", files.plume),
     "loose_blanket": Fault("a loose blanket swings", render=scenes.loose_blanket),

@@ -2,8 +2,9 @@
 
 In: the context of a run, its features, tracks and estimate. Out: reasons to doubt, one sentence each.
 
-- contradictions: all checks, one after the other
+- check_data: all checks, one after the other
 - rig_check: whether the images are those of the rig that the calibration describes
+- disparity_steps: steps of all disparities from one frame to the next
 - self_calibration: the focal length that would fit best
 - clock_check: whether the time stamps agree with the rotation
 - inspector_check: whether the inspector's poses agree with the images

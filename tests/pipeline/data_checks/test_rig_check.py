@@ -15,9 +15,13 @@ from polhode.pipeline.data_checks.rig_check import (
     camera_delay,
     largest_step,
     rig_contradictions,
-    scale_of_frames,
 )
-from polhode.pipeline.data_checks.self_calibration import best_correction
+from polhode.pipeline.data_checks.self_calibration import (
+    best_correction,
+    calibration_limits,
+    focal_contradictions,
+    unseen_focal_error,
+)
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
@@ -146,9 +150,19 @@ def test_a_camera_that_was_knocked_sideways_is_named(sequence: SyntheticSequence
     estimate = solved(sequence, knocked)
     context: Any = Context(knocked)
     said = rig_contradictions(context, features(tracks), knocked, estimate)
-    assert len(said) == 1 and "smaller than its disparities say" in said[0]
-    step = largest_step(scale_of_frames(knocked, estimate))
-    assert step is not None and abs(step.place - 12) <= 1
+    assert len(said) == 1 and "from 6 s on all disparities are +1." in said[0]
+    assert "turned sideways by 0.1" in said[0] or "turned sideways by 0.2" in said[0]
+
+
+def test_disparities_that_drift_are_named(sequence: SyntheticSequence) -> None:
+    tracks = sequence.tracks
+    uvd = tracks.uvd_px.copy()
+    uvd[:, 2] += 2.0 * tracks.frame / FRAMES
+    drifting = replace(tracks, uvd_px=uvd)
+    estimate = solved(sequence, drifting)
+    context: Any = Context(drifting)
+    said = rig_contradictions(context, features(tracks), drifting, estimate)
+    assert len(said) == 1 and "all disparities are +" in said[0]
 
 
 def test_a_step_needs_frames_on_both_sides() -> None:
@@ -176,6 +190,19 @@ def test_a_wrong_focal_length_is_named_with_its_size(sequence: SyntheticSequence
     estimate = solved(sequence, wrong)
     found = best_correction(wrong, estimate)
     assert found is not None and found.focal == pytest.approx(1.0 / factor - 1.0, abs=0.008)
-    context: Any = Context(wrong)
-    said = rig_contradictions(context, features(sequence.tracks), wrong, estimate)
+    said = focal_contradictions(found)
     assert len(said) == 1 and f"{'longer' if factor < 1 else 'shorter'} than calibrated" in said[0]
+
+
+def test_the_error_that_the_images_would_hide_is_told_where_it_matters(
+    sequence: SyntheticSequence, estimate: MotionEstimate
+) -> None:
+    tracks, found = sequence.tracks, best_correction(sequence.tracks, estimate)
+    assert found is not None and 0.002 < unseen_focal_error(found) < 0.2
+    known = replace(estimate, covariance=1e-8 * np.tile(np.eye(12), (FRAMES, 1, 1)))
+    (said,) = calibration_limits(found, tracks, known)
+    distance_m = float(np.median(np.linalg.norm(estimate.r_N - tracks.X_NR[:, :3, 3], axis=1)))
+    stated_mm = float(said.split("by ")[-1].split(" mm")[0])
+    assert stated_mm == pytest.approx(1e3 * unseen_focal_error(found) * distance_m, rel=0.05)
+    vague = replace(estimate, covariance=np.tile(np.diag([np.inf] * 12), (FRAMES, 1, 1)))
+    assert calibration_limits(found, tracks, vague) == calibration_limits(None, tracks, known) == []

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,32 +12,55 @@ from polhode.pipeline.data_checks.clock_check import clock_contradictions
 from polhode.pipeline.data_checks.inspector_check import inspector_contradictions
 from polhode.pipeline.data_checks.mass_check import mass_contradictions
 from polhode.pipeline.data_checks.rig_check import rig_contradictions
+from polhode.pipeline.data_checks.self_calibration import (
+    best_correction,
+    calibration_limits,
+    focal_contradictions,
+)
 from polhode.records import MotionEstimate, StereoTracks
 
 _log = logging.getLogger(__name__)
 
 
-def contradictions(
+@dataclass(frozen=True)
+class Findings:
+    """Sentences of the checks."""
+
+    reasons: list[str]
+    """To call the answer degraded: something in the data is not as they say"""
+    limits: list[str]
+    """What these data would not show"""
+
+
+def check_data(
     context: RunContext, features: Sequence[StereoFeatures], tracks: StereoTracks, estimate: MotionEstimate
-) -> list[str]:
-    """Reasons to doubt the rig, the clock, the poses or the constancy of the target, one sentence each.
+) -> Findings:
+    """Doubts about the rig, the clock, the poses and the constancy of the target.
 
     A check that fails does not cost the run.
     """
     seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
-    checks: tuple[Callable[[], list[str]], ...] = (
+    reasons: list[str] = []
+    limits: list[str] = []
+
+    def calibration() -> None:
+        found = best_correction(tracks, estimate)
+        reasons.extend(focal_contradictions(found))
+        limits.extend([] if reasons else calibration_limits(found, tracks, estimate))
+
+    checks: tuple[Callable[[], list[str] | None], ...] = (
         lambda: rig_contradictions(context, features, tracks, estimate),
+        calibration,
         lambda: clock_contradictions(tracks.time_s, estimate.X_NG[:, :3, :3], seen),
         lambda: inspector_contradictions(tracks.X_NR, estimate.X_NG, seen, tracks.sigma_camera_theta_rad),
         lambda: mass_contradictions(tracks, estimate, context.config.backend),
     )
-    reasons: list[str] = []
     with context.clock("backend"):
         for check in checks:
             try:
-                reasons += check()
+                reasons += check() or []
             except (ArithmeticError, LookupError, ValueError, MemoryError):
                 _log.exception("a check of the data failed")
     for reason in reasons:
         _log.warning(reason)
-    return reasons
+    return Findings(reasons, limits)
