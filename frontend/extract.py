@@ -8,6 +8,7 @@ from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Depth, Frontend
 from polhode.dataset import StereoSequence
 from polhode.frontend.disparity.depth import compute_depth
+from polhode.frontend.disparity.learned import disparity_network
 from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import ImageCrop, StereoFeatures
 from polhode.frontend.features.surface_features import with_patch_size
@@ -34,9 +35,11 @@ def extract_features(
 ) -> list[StereoFeatures]:
     """Stereo features of every pair, in the order of the sequence; ``tick`` is called once per pair.
 
-    Raises InputError at once: weights that extraction or matching needs are missing.
+    Raises InputError at once: weights that extraction, matching or, later, depth need are missing or wrong.
     """
     feature_method(config), match_method(config)
+    if config.depth.method == "network" and config.depth.weights is not None:
+        disparity_network(config.depth.weights)
     config = with_patch_size(config, sequence, rectifier)
     features: list[StereoFeatures] = []
     job = partial(_features_of, sequence, rectifier, config)

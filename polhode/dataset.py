@@ -35,6 +35,10 @@ MAX_LOSS = 0.6
 MAX_COORDINATE_M = 1e12
 MAX_SIGMA_P_M = 1e6
 MAX_WRENCH = 1e12
+MIN_INTERVAL_S, MAX_INTERVAL_S = 1e-4, 86400.0
+"""Between frames, usually: microseconds or seconds given as nanoseconds lie outside."""
+LONG_GAP_S, LONG_GAP = 3600.0, 100.0
+"""An interval that is longer than an hour and than so many usual ones is odd."""
 PAIRS_AHEAD = 64
 """Pairs that are checked at a time when a sequence is opened."""
 SAME_POSITION_M = 1e-9
@@ -181,7 +185,7 @@ def open_sequence(folder: Path) -> StereoSequence:
         sigma_camera_theta_rad=inspector.sigma_theta_rad if inspector else 0.0,
         n_listed=len(listed),
         dropped=dropped,
-        warnings=tuple(_warnings(dropped, len(listed), bad_masks, inspector)),
+        warnings=(*_warnings(dropped, len(listed), bad_masks, inspector), *_odd_times(timestamps_ns)),
         wrench=read_wrench(folder_of_wrench, timestamps_ns) if folder_of_wrench.is_dir() else None,
         _files=tuple(files[stamp] for stamp in usable),
         _bits=bits,
@@ -304,6 +308,19 @@ def _warnings(
         yield f"{len(bad_masks)} masks are missing or unreadable and not used (first: {bad_masks[0]})"
     if inspector is not None:
         yield from inspector.warnings
+
+
+def _odd_times(timestamps_ns: Ints) -> Iterator[str]:
+    """Intervals that suggest another unit, or a stamp of another recording."""
+    intervals_s = 1e-9 * np.diff(timestamps_ns)
+    usual_s, longest = float(np.median(intervals_s)), int(np.argmax(intervals_s))
+    if not MIN_INTERVAL_S <= usual_s <= MAX_INTERVAL_S:
+        yield f"the frames are {usual_s:.3g} s apart: check that the timestamps in data.csv are nanoseconds"
+    elif intervals_s[longest] > max(LONG_GAP_S, LONG_GAP * usual_s):
+        yield (
+            f"frame {timestamps_ns[longest + 1]} ns comes {intervals_s[longest]:.3g} s after the one before "
+            f"it, where {usual_s:.3g} s is usual: check the timestamps in data.csv"
+        )
 
 
 def read_wrench(folder: Path, timestamps_ns: Ints) -> Wrench:

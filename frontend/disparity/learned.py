@@ -270,7 +270,7 @@ def network_disparity(crop: StereoCrop, config: Depth) -> tuple[Floats, Floats]:
     if start is None:
         unknown = np.full(crop.target.shape, np.nan, dtype=np.float32)
         return unknown, unknown.copy()
-    refined = refine(_network(config.weights), start)
+    refined = refine(disparity_network(config.weights), start)
     known = crop.target & (refined.visible > config.min_visible)
     return (
         np.where(known, refined.disparity, np.float32(np.nan)),
@@ -295,8 +295,11 @@ def refine(network: DisparityNet, start: InitialDisparity) -> RefinedDisparity:
 
 
 @lru_cache(maxsize=2)
-def _network(path: str | None) -> DisparityNet:
-    """The network with the shipped weights, or those at ``path``; read once in a process."""
+def disparity_network(path: str | None) -> DisparityNet:
+    """The network with the shipped weights, or those at ``path``; read once in a process.
+
+    Raises InputError: ``path`` has no weights of this network.
+    """
     network = DisparityNet()
     load_weights(network, shipped_path(NAME) if path is None else Path(path))
     return network

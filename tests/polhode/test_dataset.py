@@ -505,3 +505,35 @@ def test_a_file_that_disappears_later_is_told(small_sequence: Path) -> None:
     image_of(small_sequence, 0, 0).unlink()
     with pytest.raises(InputError, match="changed while in use: file missing"):
         sequence.read_pair(0)
+
+
+def restamp(folder: Path, new: Callable[[int], int]) -> None:
+    """Other timestamps for the same images."""
+    for camera in (0, 1):
+        table = folder / "mav0" / f"cam{camera}" / "data.csv"
+        head, *lines = table.read_text().splitlines()
+        cells = [line.split(",", 1) for line in lines]
+        rows = [f"{new(k)},{names}" for k, (_, names) in enumerate(cells)]
+        table.write_text("\n".join([head, *rows]) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("new", "expected"),
+    [
+        (lambda k: 1600000000 + k, "the frames are 1e-09 s apart: check that the timestamps"),
+        (lambda k: k * 10**15, "the frames are 1e+06 s apart: check that the timestamps"),
+        (
+            lambda k: START_NS + k * STEP_NS + (k == 5) * 10**18,
+            "s after the one before it, where",
+        ),
+    ],
+)
+def test_odd_times_are_warned_about(small_sequence: Path, new: Callable[[int], int], expected: str) -> None:
+    restamp(small_sequence, new)
+    (warning,) = open_sequence(small_sequence).warnings
+    assert expected in warning and "data.csv" in warning
+
+
+def test_an_eclipse_of_half_an_hour_is_no_odd_time(small_sequence: Path) -> None:
+    restamp(small_sequence, lambda k: START_NS + k * STEP_NS + (k > 2) * 1800 * 10**9)
+    assert open_sequence(small_sequence).warnings == ()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from polhode.config.frontend_settings import Features, Frontend, PairMatching
+from polhode.config.frontend_settings import Depth, Features, Frontend, PairMatching
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.frontend.extract import extract_features, extract_pair
@@ -127,3 +127,16 @@ def test_a_matcher_whose_weights_are_missing_is_refused_before_any_work(small_se
             lambda: seen.append(None),
         )
     assert seen == []
+
+
+def test_wrong_weights_of_the_depth_are_refused_before_any_work(small_sequence: Path, tmp_path: Path) -> None:
+    sequence = open_sequence(small_sequence)
+    rectifier = make_rectifier(sequence.calibration)
+    (tmp_path / "bad.safetensors").write_bytes(b"0" * 40)
+    for name, expected in (
+        ("none.safetensors", "are missing"),
+        ("bad.safetensors", "not a safetensors file"),
+    ):
+        config = Frontend(depth=Depth(weights=str(tmp_path / name)))
+        with pytest.raises(InputError, match=f"{name}.*{expected}"):
+            extract_features(sequence, rectifier, config, 1, lambda: pytest.fail("work was done"))
