@@ -22,9 +22,9 @@ class EvaluateCommand:
 
     def execute(self) -> int:
         """Write the metrics, renew the report and print the table."""
+        from polhode.output.locks import at_work
         from polhode.output.place import require_writable
         from polhode.output.single_file import remove_all_partials
-        from polhode.output.staged_folder import at_work
         from polhode.pipeline.evaluation import evaluate, format_table
         from polhode.pipeline.report import write_report
 

@@ -71,12 +71,33 @@ class ObservabilityCommand:
         from polhode.cli.console import choose_progress
         from polhode.pipeline.after_run.observability.assess import CameraOptions, assess, subject_of
         from polhode.pipeline.after_run.observability.files import (
-            assessment_place,
+            assessment_folder,
             format_assessment,
             write_assessment,
         )
 
-        place = assessment_place(self.output)
+        with assessment_folder(self.output) as place:
+            self._check()
+            subject = subject_of(
+                self.source,
+                self.trajectory,
+                self.frame,
+                CameraOptions(self.focal_px, self.width_px, self.height_px),
+                None if self.about is None else np.array(self.about),
+                None if self.sun is None else np.array(self.sun) / np.linalg.norm(self.sun),
+                self.crease_deg,
+                {"m": 1.0, "mm": 1e-3}[self.unit],
+            )
+            assessment = assess(
+                subject, self.spacing_px, self.sigma_px, self.edges, self.fewest, choose_progress()
+            )
+            names = write_assessment(assessment, place)
+        print(format_assessment(assessment))
+        print(f"{', '.join(names)}: {self.output}")
+        return 0
+
+    def _check(self) -> None:
+        """Raises InputError for an option that is out of its range."""
         for name, least in (("sigma_px", 1e-6), ("spacing_px", 0.1)):
             if not least <= getattr(self, name) <= 1e6:
                 raise InputError(f"--{name.replace('_', '-')}: give a number from {least:g} to 1e6")
@@ -102,20 +123,3 @@ class ObservabilityCommand:
             raise InputError(f"--about: give a point within {MAX_COORDINATE_M:g} m")
         if self.sun is not None and not 1e-100 < math.hypot(*self.sun) < 1e100:
             raise InputError("--sun: give a direction whose length is neither 0 nor above 1e100")
-        subject = subject_of(
-            self.source,
-            self.trajectory,
-            self.frame,
-            CameraOptions(self.focal_px, self.width_px, self.height_px),
-            None if self.about is None else np.array(self.about),
-            None if self.sun is None else np.array(self.sun) / np.linalg.norm(self.sun),
-            self.crease_deg,
-            {"m": 1.0, "mm": 1e-3}[self.unit],
-        )
-        assessment = assess(
-            subject, self.spacing_px, self.sigma_px, self.edges, self.fewest, choose_progress()
-        )
-        names = write_assessment(assessment, place)
-        print(format_assessment(assessment))
-        print(f"{', '.join(names)}: {self.output}")
-        return 0

@@ -1,5 +1,6 @@
 """``polhode plan``: keep-out volume, surface speeds and docking corridor of a run."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -50,27 +51,33 @@ class PlanCommand:
         import numpy as np
 
         from polhode.pipeline.after_run.plan import Docking, plan_run
-        from polhode.pipeline.after_run.plan_files import format_plan, plan_place, write_plan
+        from polhode.pipeline.after_run.plan_files import format_plan, plan_folder, write_plan
         from polhode.planning.keep_out.volumes import KeepOutOptions
 
-        place = plan_place(self.output)
+        with plan_folder(self.output) as place:
+            self._check()
+            docking = None
+            if self.dock_point is not None and self.dock_axis is not None:
+                point, axis = np.array(self.dock_point), np.array(self.dock_axis)
+                docking = Docking(point, axis, self.stand_off, self.half_angle_deg, self.isp_s)
+            wanted = KeepOutOptions(self.horizon, self.confidence, members=self.members, cover=self.cover)
+            plan = plan_run(self.run, wanted, docking)
+            names = write_plan(plan, place)
+        print(format_plan(plan))
+        print(f"{', '.join(names)}: {self.output}")
+        return 0
+
+    def _check(self) -> None:
+        """Raises InputError for an option that is out of its range."""
         if (self.dock_point is None) != (self.dock_axis is None):
             raise InputError("--dock-point and --dock-axis belong together: give both")
         if not 1 <= self.members <= MAX_MEMBERS:
             raise InputError(f"--members {self.members}: give 1 to {MAX_MEMBERS} motions")
-        docking = None
-        if self.dock_point is not None and self.dock_axis is not None:
-            point, axis = np.array(self.dock_point), np.array(self.dock_axis)
-            if not (np.isfinite(axis).all() and 1e-100 < np.abs(axis).max() < 1e100):
-                raise InputError("--dock-axis: give a direction whose length is neither 0 nor above 1e100")
-            if not np.abs(point).max() <= MAX_COORDINATE_M:
-                raise InputError(f"--dock-point: give metres in G, at most {MAX_COORDINATE_M:g}")
-            require_positive(self, "stand_off", "isp_s", most=1e6)
-            require_positive(self, "half_angle_deg", most=89.9)
-            docking = Docking(point, axis, self.stand_off, self.half_angle_deg, self.isp_s)
-        wanted = KeepOutOptions(self.horizon, self.confidence, members=self.members, cover=self.cover)
-        plan = plan_run(self.run, wanted, docking)
-        names = write_plan(plan, place)
-        print(format_plan(plan))
-        print(f"{', '.join(names)}: {self.output}")
-        return 0
+        if self.dock_point is None or self.dock_axis is None:
+            return
+        if not 1e-100 < max(map(abs, self.dock_axis)) < 1e100 or not all(map(math.isfinite, self.dock_axis)):
+            raise InputError("--dock-axis: give a direction whose length is neither 0 nor above 1e100")
+        if not all(abs(each) <= MAX_COORDINATE_M for each in self.dock_point):
+            raise InputError(f"--dock-point: give metres in G, at most {MAX_COORDINATE_M:g}")
+        require_positive(self, "stand_off", "isp_s", most=1e6)
+        require_positive(self, "half_angle_deg", most=89.9)

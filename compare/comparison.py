@@ -28,11 +28,11 @@ from polhode.compare.tables import csv_text
 from polhode.config import Config
 from polhode.errors import InputError, RunFailure
 from polhode.foreign_files import MIB, read_text
+from polhode.output.locks import at_work
 from polhode.output.marked_folder import claim as mark
 from polhode.output.marked_folder import marked_place, read_mark, write_mark
 from polhode.output.place import folder_place, unwritable
 from polhode.output.single_file import remove_all_partials
-from polhode.output.staged_folder import at_work
 from polhode.pipeline.run_directory.outputs import write_config
 from polhode.progress import Progress
 

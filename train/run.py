@@ -15,8 +15,7 @@ from polhode.atomic import write_bytes, write_text
 from polhode.config import Config
 from polhode.config.loader import dump_config
 from polhode.config.train_settings import Train
-from polhode.output.marked_folder import claim, marked_place
-from polhode.output.staged_folder import at_work
+from polhode.output.marked_folder import claim, marked_folder
 from polhode.progress import Progress
 from polhode.train.checkpoint import CHECKPOINT
 from polhode.train.corpus import render_corpus
@@ -54,11 +53,9 @@ def train(config: Config, train: Train, progress: Progress, workers: int) -> Tra
     Raises InputError: a folder contains something else or cannot be written; RunFailure: the training failed.
     """
     names = (*FILES, f"{train.task}.safetensors")
-    output = marked_place(
-        Path(train.output), COMMAND, names.__contains__, Path(f"train.output: {train.output}")
-    )
-    claim(output, COMMAND, names)
-    with at_work(output, output):
+    shown = Path(f"train.output: {train.output}")
+    with marked_folder(Path(train.output), COMMAND, names.__contains__, shown) as output:
+        claim(output, COMMAND, names)
         return _trained(config, train, output, progress, workers)
 
 

@@ -8,6 +8,7 @@ import io
 import json
 import logging
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from matplotlib.patheffects import withStroke
 from polhode.drawing_style import default_style
 from polhode.lie import Array
 from polhode.mapping.visibility import MeshView, MeshViewer
-from polhode.output.marked_folder import marked_place, write_files
+from polhode.output.marked_folder import marked_folder, write_files
 from polhode.pipeline.after_run.plan import Plan
 from polhode.pipeline.pictures.body_views import (
     ALONG_AXES,
@@ -227,9 +228,12 @@ MIN_SEPARATION_SHARE = 0.15
 """Share of the body's size between two grapple points."""
 
 
-def plan_place(path: Path) -> Path:
-    """The folder of the results, links followed; checked before the work. Raises InputError."""
-    return marked_place(path, COMMAND, FILES.__contains__)
+def plan_folder(path: Path) -> AbstractContextManager[Path]:
+    """The folder of the results, links followed; checked before the work, and locked until it is written.
+
+    Raises InputError.
+    """
+    return marked_folder(path, COMMAND, FILES.__contains__)
 
 
 def write_plan(plan: Plan, folder: Path) -> list[str]:

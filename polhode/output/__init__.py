@@ -5,6 +5,7 @@ polhode itself made is ever replaced or removed; everything else stays (docs/sec
 
 - place: where a path leads, links followed; places that are never written to
 - run_files: the names that belong to a run
+- locks: one process at a time in a folder
 - single_file: a file of a command, which replaces only what the same command wrote
 - marked_folder: a folder with a mark that lists what the commands wrote there
 - staged_folder: a folder written under a hidden name, which takes its place when it is complete

@@ -1,16 +1,19 @@
 """A folder that commands write their results into: it has a mark, which lists what each of them wrote there.
 
 A new or empty folder gets the mark. In a folder with the mark, a command replaces and removes the files that
-the mark lists for it, and nothing else; a folder with other files and without the mark is refused.
+the mark lists for it, and nothing else; a folder with other files and without the mark is refused. From the
+check to the end the folder is locked, so that one process at a time works there.
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from polhode.atomic import write_all, write_text
 from polhode.errors import InputError, RunFailure
 from polhode.output.exchange import is_regular
+from polhode.output.locks import occupied
 from polhode.output.place import folder_place, require_writable
 from polhode.output.single_file import make_parent, remove_all_partials
 
@@ -29,6 +32,27 @@ def marked_place(path: Path, command: str, is_name: IsName, shown: Path | None =
     """
     shown = shown or path
     place = folder_place(path, shown)
+    _require_ours(place, command, is_name, shown)
+    require_writable(place, shown)
+    return place
+
+
+@contextmanager
+def marked_folder(path: Path, command: str, is_name: IsName, shown: Path | None = None) -> Iterator[Path]:
+    """The same place, which no other process of ours writes into while the block runs.
+
+    It is made where it is missing, and removed again if nothing is in it at the end. Raises InputError as
+    ``marked_place``, and when another process is at work there.
+    """
+    shown = shown or path
+    place = marked_place(path, command, is_name, shown)
+    with occupied(place, shown):
+        # another process may have ended its work there meanwhile
+        _require_ours(place, command, is_name, shown)
+        yield place
+
+
+def _require_ours(place: Path, command: str, is_name: IsName, shown: Path) -> None:
     if place.is_dir() and any(place.iterdir()):
         listed = read_mark(place)
         if listed is None:
@@ -45,8 +69,6 @@ def marked_place(path: Path, command: str, is_name: IsName, shown: Path | None =
                 f"{shown}: {others[0]} was not written by polhode {command}, so it stays; "
                 "choose another folder"
             )
-    require_writable(place, shown)
-    return place
 
 
 def claim(place: Path, command: str, names: Sequence[str]) -> None:

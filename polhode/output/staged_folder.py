@@ -5,7 +5,6 @@ process that was killed: it is named and cleared, or resumed by who can. Nothing
 ours by name.
 """
 
-import fcntl
 import logging
 import os
 import shutil
@@ -28,7 +27,8 @@ from polhode.output.exchange import (
     remove,
     sync_all,
 )
-from polhode.output.place import LEFT_BEHIND, require_writable, unwritable
+from polhode.output.locks import lock, locked, make_folders, opened
+from polhode.output.place import LEFT_BEHIND, require_writable
 
 _log = logging.getLogger(__name__)
 
@@ -79,9 +79,9 @@ class StagedFolder:
         sync_all(self.path)
         stays: list[str] = []
         if place.is_dir() and any(place.iterdir()):
-            with _open(place) as old:
+            with opened(place) as old:
                 # whoever writes into the old folder, such as an evaluation, ends first
-                _lock(old, wait=True)
+                lock(old, wait=True)
                 stays = foreign(place, is_own)
                 carry(stays, place, self.path)
                 aside = exchange(self.path, place)
@@ -118,9 +118,9 @@ def staged_folder(
     if os.path.ismount(place):
         raise InputError(f"{shown}: the root of a file system cannot be replaced; give a folder inside it")
     path = place.with_name(f".{place.name}.partial")
-    made = _make_parents(place.parent, shown)
+    made = make_folders(place.parent, shown)
     try:
-        with _locked(path, shown):
+        with locked(path, shown):
             staged = StagedFolder(path, place, is_own)
             try:
                 _mend(place, is_own, is_whole)
@@ -131,15 +131,6 @@ def staged_folder(
         for folder in reversed(made):
             with suppress(OSError):
                 folder.rmdir()
-
-
-@contextmanager
-def at_work(folder: Path, shown: Path) -> Iterator[None]:
-    """Lock an existing folder while the block runs. Raises InputError: another process has locked it."""
-    with _open(folder) as handle:
-        if not _lock(handle):
-            raise _busy(shown)
-        yield
 
 
 def _mend(place: Path, is_own: IsOwn, is_whole: Callable[[Path], bool]) -> None:
@@ -153,78 +144,12 @@ def _mend(place: Path, is_own: IsOwn, is_whole: Callable[[Path], bool]) -> None:
     for folder in beside:
         if not folder.is_dir() or folder.is_symlink():
             continue
-        with _open(folder) as handle:
+        with opened(folder) as handle:
             others = [name for name in foreign(folder, is_own) if not is_same(folder / name, place / name)]
-            if _lock(handle) and not others:
+            if lock(handle) and not others:
                 remove(folder, is_own, place)
                 _log.warning(LEFT_BEHIND, folder)
 
 
 def _siblings(place: Path) -> list[Path]:
     return sorted(place.parent.iterdir())
-
-
-def _make_parents(folder: Path, shown: Path) -> list[Path]:
-    """Make a folder and those above it; returns those that were missing, from the top down."""
-    missing = [each for each in (folder, *folder.parents) if not each.exists()][::-1]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise unwritable(shown, error) from error
-    return missing
-
-
-@contextmanager
-def _locked(path: Path, shown: Path) -> Iterator[None]:
-    """Make a folder and lock it, at most until this process ends. Raises InputError."""
-    while True:
-        try:
-            path.mkdir(exist_ok=True)
-            handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-        except FileNotFoundError:
-            continue
-        except OSError as error:
-            raise unwritable(shown, error) from error
-        try:
-            if not _lock(handle):
-                raise _busy(shown)
-            # The process that held the lock may have moved this folder to its place.
-            if not _is_still(handle, path):
-                continue
-            yield
-            return
-        finally:
-            os.close(handle)
-
-
-def _is_still(handle: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(handle), path.lstat())
-    except FileNotFoundError:
-        return False
-
-
-@contextmanager
-def _open(folder: Path) -> Iterator[int]:
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        yield handle
-    finally:
-        os.close(handle)
-
-
-def _lock(handle: int, wait: bool = False) -> bool:
-    """False: another process holds it. Some network file systems cannot lock folders, and prevent nothing."""
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-    except BlockingIOError:
-        return False
-    except OSError:
-        pass
-    return True
-
-
-def _busy(shown: Path) -> InputError:
-    return InputError(
-        f"{shown}: another polhode is at work there; wait until it has ended, stop it, or choose another -o"
-    )

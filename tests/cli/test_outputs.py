@@ -1,6 +1,7 @@
 """What each command that writes does with what it finds: command x surface, the table of docs/security.md."""
 
 import fcntl
+import importlib
 import os
 import resource
 import shutil
@@ -76,9 +77,7 @@ TABLE: dict[str, dict[str, str]] = {
     "a place that is full": row(REFUSED),
     "a place that fills during the work, its own result there": row(FAILED),
     "what a killed process left on its way there": row(WRITTEN, compare=NONE, train=NONE),
-    "another process that is writing there": row(
-        REFUSED, plan=NONE, observability=NONE, export=NONE, export_urdf=NONE, predict=NONE, report=NONE
-    ),
+    "another process that is writing there": row(REFUSED, export=WRITTEN, predict=WRITTEN, report=WRITTEN),
 }
 
 
@@ -120,6 +119,8 @@ class Scene:
         """Of the user, at the place"""
         self.cleared: list[Path] = []
         """To be removed by the command"""
+        self.rival: Path | None = None
+        """What another process is writing, which lives"""
 
     def overwrite(self) -> None:
         """Give --overwrite where there is one."""
@@ -135,6 +136,10 @@ class Scene:
             shutil.copy(source, place)
         if self.writer.beside:
             shutil.copytree(self._own / self.writer.beside, place.with_name(f"{place.stem}_meshes"))
+
+    def own_file(self) -> Path:
+        """A file that an earlier call of the same command wrote, elsewhere."""
+        return self._own / self.writer.target
 
     def make_foreign(self, place: Path) -> None:
         """Something of the user."""
@@ -302,12 +307,17 @@ def stale(scene: Scene) -> None:
 
 
 def busy(scene: Scene) -> None:
-    if scene.name in ("compare", "train"):
-        scene.make_own(scene.place)
-        folder = scene.place
-    else:
+    if scene.name in ("export", "predict", "report"):
+        place = scene.place
+        scene.rival = place.with_name(f".{place.stem}.partial-{os.getppid()}{place.suffix}")
+        shutil.copy(scene.own_file(), scene.rival)
+        return
+    if scene.name in ("run", "simulate"):
         folder = scene.place.with_name(f".{scene.place.name}.partial")
         folder.mkdir()
+    else:
+        scene.make_own(scene.place)
+        folder = scene.area / scene.writer.beside if scene.writer.beside else scene.place
     fcntl.flock(os.open(folder, os.O_RDONLY), fcntl.LOCK_EX)
 
 
@@ -419,7 +429,45 @@ def test_cell(
         assert not path.exists()
         assert name not in ("run", "simulate") or f"{path}: left by a command" in printed.out
     hidden = list(scene.area.rglob(".*partial*")) + list(scene.area.rglob(".*.old"))
-    assert hidden == []
+    assert hidden == ([] if scene.rival is None else [scene.rival])
+    if scene.rival is not None:
+        # the other one ends, and is replaced in turn
+        scene.rival.replace(scene.place)
+        make_quick(monkeypatch, stage)
+        assert scene.call() == 0
+
+
+WORK = {
+    "plan": "polhode.pipeline.after_run.plan.plan_run",
+    "observability": "polhode.pipeline.after_run.observability.assess.assess",
+    "export urdf": "polhode.pipeline.after_run.export.export_run.open_job",
+}
+
+
+@pytest.mark.parametrize("name", WORK)
+def test_a_second_process_cannot_begin_in_a_folder_until_the_first_has_ended(
+    name: str, stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    make_quick(monkeypatch, stage)
+    place, codes = tmp_path / "a" / WRITERS[name].target, []
+    module, _, function = WORK[name].rpartition(".")
+    work = getattr(importlib.import_module(module), function)
+
+    def meanwhile(*words: object) -> object:
+        monkeypatch.setattr(WORK[name], work)
+        codes.append(stage.call(name, place))
+        return work(*words)
+
+    monkeypatch.setattr(WORK[name], meanwhile)
+    assert stage.call(name, place) == 0 and codes == [2]
+    refused("another polhode is at work there", capsys)
+    before = digest(tmp_path)
+    assert stage.call(name, place) == 0
+    assert digest(tmp_path).keys() == before.keys()
+    monkeypatch.undo()
+    # a call that fails leaves no folder that it made
+    assert main([*stage.words(name, tmp_path / "new" / "R"), "--horizon", "-1", "--sun", "0", "0", "0"]) == 2
+    assert not (tmp_path / "new").exists()
 
 
 def refused(line: str, capsys: Capture, code: int = 2) -> None:

@@ -24,9 +24,9 @@ from polhode.pipeline.after_run.export.options import (
 )
 from polhode.pipeline.after_run.export.own_files import (
     SURFACE_FILE,
+    export_place,
     meshes_of,
     piece_file,
-    place_of,
     write_export,
 )
 from polhode.planning.exports import ccsds, glb, mesh_files, robot_xml
@@ -51,7 +51,11 @@ def export_run(run: Path, options: ExportOptions) -> list[Path]:
     written.
     """
     check(options)
-    options = replace(options, output=place_of(options))
+    with export_place(options) as place:
+        return _exported(run, replace(options, output=place))
+
+
+def _exported(run: Path, options: ExportOptions) -> list[Path]:
     job = open_job(run, options)
     if job.summary.status == "failed":
         job.leave_out(f"this run failed ({failure_of(job.summary)}): what it had found by then is exported")

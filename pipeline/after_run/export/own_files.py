@@ -1,10 +1,12 @@
 """Where an export goes, and which files there are of an earlier export: only those are replaced."""
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from polhode.atomic import write_all
-from polhode.output.marked_folder import claim, forget_others, marked_place
+from polhode.output.marked_folder import claim, forget_others, marked_folder
 from polhode.output.place import begins_with
 from polhode.output.single_file import make_parent, output_file
 from polhode.pipeline.after_run.export.job import Files
@@ -17,16 +19,20 @@ SIGNS = ("polhode export", '"polhode-export/1"')
 """One of these is at the beginning of every file."""
 
 
-def place_of(options: ExportOptions) -> Path:
+@contextmanager
+def export_place(options: ExportOptions) -> Iterator[Path]:
     """The file that will be written, links followed; checked before the work. Raises InputError.
 
-    Robots have a folder of meshes beside it, which must be new, empty or of an earlier export.
+    Robots have a folder of meshes beside it, which must be new, empty or of an earlier export; no other
+    process of ours writes into it while the block runs.
     """
     inputs = [path for path in (options.cad, options.cad_points) if path is not None]
     place = output_file(options.output, COMMAND, "target.glb", _is_export, inputs)
-    if options.to in ROBOTS:
-        marked_place(meshes_of(place), COMMAND, is_mesh, meshes_of(options.output))
-    return place
+    if options.to not in ROBOTS:
+        yield place
+        return
+    with marked_folder(meshes_of(place), COMMAND, is_mesh, meshes_of(options.output)):
+        yield place
 
 
 def meshes_of(output: Path) -> Path:

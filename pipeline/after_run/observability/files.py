@@ -3,12 +3,13 @@
 import csv
 import io
 import json
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from polhode.output.marked_folder import marked_place, write_files
+from polhode.output.marked_folder import marked_folder, write_files
 from polhode.pipeline.after_run.observability import pictures
 from polhode.pipeline.after_run.observability.assess import Assessment, Choice
 from polhode.pipeline.after_run.observability.pictures import Legend, coloured_body
@@ -31,9 +32,12 @@ COMMAND = "observability"
 NAMES = ("x_m", "y_m", "z_m", "about_x_rad", "about_y_rad", "about_z_rad")
 
 
-def assessment_place(path: Path) -> Path:
-    """The folder of the results, links followed; checked before the work. Raises InputError."""
-    return marked_place(path, COMMAND, FILES.__contains__)
+def assessment_folder(path: Path) -> AbstractContextManager[Path]:
+    """The folder of the results, links followed; checked before the work, and locked until it is written.
+
+    Raises InputError.
+    """
+    return marked_folder(path, COMMAND, FILES.__contains__)
 
 
 def write_assessment(assessment: Assessment, folder: Path) -> list[str]:

@@ -12,7 +12,7 @@ import pytest
 import polhode.output.exchange as exchange_module
 import polhode.output.staged_folder as module
 from polhode.errors import InputError
-from polhode.output.staged_folder import StagedFolder, at_work, staged_folder
+from polhode.output.staged_folder import StagedFolder, staged_folder
 
 NAMES = ("one.csv", "two.csv")
 
@@ -76,17 +76,6 @@ def test_a_second_process_is_refused_and_disturbs_nothing(tmp_path: Path) -> Non
         with pytest.raises(InputError, match="another polhode is at work"), staged(tmp_path / "R"):
             pass
         assert (folder.path / "one.csv").read_text() == "half"
-
-
-def test_a_folder_that_is_written_in_place_is_locked_likewise(tmp_path: Path) -> None:
-    with (
-        at_work(tmp_path, tmp_path),
-        pytest.raises(InputError, match="another polhode"),
-        at_work(tmp_path, tmp_path),
-    ):
-        pass
-    with at_work(tmp_path, tmp_path):
-        pass
 
 
 KILLS = ("carry", "exchange", "between", "remove", "end")
