@@ -37,6 +37,7 @@ class RunResult:
 
     status: Literal["ok", "degraded", "failed"]
     report_path: Path
+    """The page; the folder of the run where there is none"""
     sentence: str
     failure: str | None = None
     """Why the status is "failed"; everything that was found is in the run directory all the same"""
@@ -98,6 +99,7 @@ def run(
             advance()
     failure = summary.warnings[0] if summary.status == "failed" else None
     report = written.published / "report.html"
+    report = report if report.is_file() else written.published
     return RunResult(summary.status, report, _sentence(summary, estimate), failure, written.note)
 
 

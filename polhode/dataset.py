@@ -7,7 +7,8 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from itertools import islice
+from hashlib import blake2b
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,11 @@ class StereoSequence:
     warnings: tuple[str, ...]
     wrench: Wrench | None
     """Known force and torque on the target, of ``wrench0``; None when there is none"""
+    repeated: Bools
+    """(F,) pairs of which an image is, bit for bit, that of the pair before: a camera or recorder stood
+    still. Their masks are empty, so that nothing is measured in them"""
+    frozen: bool
+    """Whether all pairs are the same, bit for bit; they are used, as of a target at rest"""
     _files: tuple[tuple[Path, Path], ...] = field(repr=False)
     _bits: int = 8
 
@@ -106,6 +112,8 @@ class StereoSequence:
             ) from None
 
     def _read_mask(self, name: str, k: int) -> Bools | None:
+        if self.repeated[k]:
+            return np.zeros((self.calibration.height_px, self.calibration.width_px), dtype=np.bool_)
         path = self.folder / "mav0" / name / f"{self.timestamps_ns[k]}.png"
         try:
             return read_mask(path, self.calibration.width_px, self.calibration.height_px)
@@ -132,8 +140,12 @@ class _Checked:
 
     reason: str | None
     content: bool
+    bright: bool
+    """Whether more than half of an image is in the upper half of the range"""
     largest_16_bit: int
     bad_masks: tuple[str, ...]
+    digests: tuple[bytes | None, ...] = ()
+    """Of both images; None for one without content, such as a black one"""
 
 
 def open_sequence(folder: Path) -> StereoSequence:
@@ -166,8 +178,22 @@ def open_sequence(folder: Path) -> StereoSequence:
     usable = [stamp for stamp in paired if stamp not in reasons]
     dropped = tuple(sorted(reasons.items()))
     if not any(checked[stamp].content for stamp in usable):
+        if any(checked[stamp].bright for stamp in usable):
+            raise InputError(
+                f"{folder}: all frames are saturated or uniformly bright; check exposure and gain"
+            )
         message = "all frames are black: no image shows anything above the noise"
         raise InputError(f"{folder}: {message}; check exposure and lens cap")
+    of_cameras = _repeated([checked[stamp].digests for stamp in usable])
+    frozen = bool(of_cameras[1:].all())
+    repeated = np.asarray(of_cameras.any(axis=1)) & (not frozen)
+    still = np.flatnonzero(of_cameras[1:].all(axis=0))
+    if len(still) and not frozen:
+        camera = f"cam{still[0]}"
+        raise InputError(
+            f"{mav0 / camera}: all images are the same, bit for bit: the camera or the recorder stood still; "
+            "record the sequence again"
+        )
     timestamps_ns = np.array(usable, dtype=np.int64)
     folder_of_poses, folder_of_wrench = mav0 / "inspector0", mav0 / "wrench0"
     inspector = read_inspector(folder_of_poses, timestamps_ns) if folder_of_poses.is_dir() else None
@@ -185,8 +211,14 @@ def open_sequence(folder: Path) -> StereoSequence:
         sigma_camera_theta_rad=inspector.sigma_theta_rad if inspector else 0.0,
         n_listed=len(listed),
         dropped=dropped,
-        warnings=(*_warnings(dropped, len(listed), bad_masks, inspector), *_odd_times(timestamps_ns)),
+        warnings=(
+            *_warnings(dropped, len(listed), bad_masks, inspector),
+            *_odd_times(timestamps_ns),
+            *_repeats(timestamps_ns, repeated),
+        ),
         wrench=read_wrench(folder_of_wrench, timestamps_ns) if folder_of_wrench.is_dir() else None,
+        repeated=repeated,
+        frozen=frozen,
         _files=tuple(files[stamp] for stamp in usable),
         _bits=bits,
     )
@@ -247,20 +279,24 @@ def _check_pair(
     mav0: Path, stamp: int, pair: tuple[Path, Path], calibration: StereoCalibration, bits: int | None
 ) -> _Checked:
     width, height = calibration.width_px, calibration.height_px
-    content, largest = False, 0
+    content, bright, largest, digests = False, False, 0, []
     for camera, path in zip(("cam0", "cam1"), pair, strict=True):
         try:
             raw = read_raw(path, width, height)
         except UnreadableImage as error:
-            return _Checked(f"{camera} image: {error}", False, 0, ())
+            return _Checked(f"{camera} image: {error}", False, False, 0, ())
         if raw.dtype == np.uint16:
             largest = max(largest, int(raw.max()))
             if bits is not None and largest >= 2**bits:
                 raise InputError(
                     f"{path}: value {largest} is above {bits} bits: correct 'bits' in sensor.yaml"
                 )
-        content = content or has_content(to_grey(raw, bits or bit_depth(int(raw.max()))))
-    return _Checked(None, content, largest, tuple(_bad_masks(mav0, stamp, width, height)))
+        grey = to_grey(raw, bits or bit_depth(int(raw.max())))
+        shows = has_content(grey)
+        content, bright = content or shows, bright or bool(np.median(grey) > 127)
+        digests.append(blake2b(raw.tobytes(), digest_size=16).digest() if shows else None)
+    bad_masks = tuple(_bad_masks(mav0, stamp, width, height))
+    return _Checked(None, content, bright, largest, bad_masks, tuple(digests))
 
 
 def _bad_masks(mav0: Path, stamp: int, width_px: int, height_px: int) -> Iterator[str]:
@@ -308,6 +344,23 @@ def _warnings(
         yield f"{len(bad_masks)} masks are missing or unreadable and not used (first: {bad_masks[0]})"
     if inspector is not None:
         yield from inspector.warnings
+
+
+def _repeated(digests: list[tuple[bytes | None, ...]]) -> Bools:
+    """(F, 2) whether each camera's image is that of the pair before: no sensor repeats its noise."""
+    same = [
+        [a == b and a is not None for a, b in zip(before, after, strict=True)]
+        for before, after in pairwise(digests)
+    ]
+    return np.array([[False, False], *same], dtype=np.bool_)
+
+
+def _repeats(timestamps_ns: Ints, repeated: Bools) -> Iterator[str]:
+    if repeated.any():
+        yield (
+            f"{int(repeated.sum())} of {len(repeated)} pairs have an image of the pair before, bit for bit "
+            f"(first: {timestamps_ns[repeated][0]} ns): a camera or recorder stood still; they are not used"
+        )
 
 
 def _odd_times(timestamps_ns: Ints) -> Iterator[str]:

@@ -19,6 +19,11 @@ from polhode.pipeline.data_checks.self_calibration import (
 )
 from polhode.records import MotionEstimate, StereoTracks
 
+FROZEN = (
+    "all pairs of images are the same, bit for bit: a camera or the recorder stood still, and the motion "
+    "found is not the target's (or the images are rendered ones, without noise, of a target at rest)"
+)
+
 _log = logging.getLogger(__name__)
 
 
@@ -40,7 +45,7 @@ def check_data(
     A check that fails does not cost the run.
     """
     seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
-    reasons: list[str] = []
+    reasons = [FROZEN] if context.sequence.frozen else []
     limits: list[str] = []
 
     def calibration() -> None:

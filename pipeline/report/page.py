@@ -80,9 +80,11 @@ def finish_run(folder: Path, summary: Summary) -> Summary:
     try:
         write_report(folder)
     except InputError as error:
-        # The results stand even without their page.
+        # The results stand even without their page, which is made from them; but something in them is odd.
         _log.warning("no report: %s", error)
-        summary = summary.model_copy(update={"warnings": [*summary.warnings, f"no report: {error}"]})
+        status = "degraded" if summary.status == "ok" else summary.status
+        warnings = [*summary.warnings, f"no report: {error}"]
+        summary = summary.model_copy(update={"status": status, "warnings": warnings})
     seconds = perf_counter() - start
     times = summary.timing_s
     timing = times.model_copy(update={"report": times.report + seconds, "total": times.total + seconds})

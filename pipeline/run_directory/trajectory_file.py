@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from polhode.atomic import write_text
-from polhode.errors import InputError
+from polhode.errors import InputError, RunFailure
 from polhode.lie import Array, continuous_wxyz, make_pose, matrix_from_wxyz, wxyz_from_matrix
 from polhode.metrics import States
 from polhode.planning.prediction import Prediction
@@ -98,11 +98,21 @@ def trajectory_of(estimate: MotionEstimate | OnlineEstimate) -> Trajectory:
 
 
 def write_trajectory(trajectory: Trajectory, path: Path) -> None:
-    """Write the table. Raises ValueError when a state is not finite or a sigma is NaN."""
+    """Write the table.
+
+    Raises ValueError when a state is not finite or a sigma is NaN; RunFailure when a state is beyond what is
+    read again, as with timestamps in another unit.
+    """
     states = np.hstack([trajectory.r_N, trajectory.v_N, trajectory.q_NP_wxyz, trajectory.w_P])
     sigmas = np.hstack([trajectory.sigma_r, trajectory.sigma_v, trajectory.sigma_theta, trajectory.sigma_w])
     if not np.all(np.isfinite(states)) or np.any(np.isnan(sigmas)):
         raise ValueError("the trajectory has a state that is not finite or a sigma that is NaN")
+    fastest = float(np.abs(trajectory.w_P).max(initial=0.0))
+    if fastest > MAX_RATE or float(np.abs(states).max(initial=0.0)) > MAX_STATE:
+        raise RunFailure(
+            f"the target would rotate at {fastest * 30.0 / np.pi:.3g} RPM, which no images can follow: check "
+            "that the timestamps in data.csv are nanoseconds"
+        )
     rows = np.hstack([states, sigmas]).tolist()
     lines = [",".join(TRAJECTORY_COLUMNS)]
     for timestamp_ns, row in zip(trajectory.timestamps_ns.tolist(), rows, strict=True):

@@ -124,20 +124,27 @@ NAMES = ("left", "right")
 def require_target_in_view(
     body: Body, cameras: Sequence[Camera], X_NC: Array, X_NG: Array, t_s: Array
 ) -> None:
-    """Raise InputError if a camera is inside the target or too near, or the target is never in view.
+    """Raise InputError if a camera is inside the target or too near, or the target is never in view of both.
 
     X_NC, X_NG: (F, 4, 4) left camera and target at the times t_s (F,). The target may leave the view.
     """
     check = ViewCheck(body)
-    seen = ahead = False
+    seen = ahead = together = False
     for X_NC_k, X_NG_k, t in zip(X_NC, X_NG, t_s, strict=True):
+        sees = []
         for name, camera in zip(NAMES, cameras, strict=True):
             X_GK = inverse_pose(X_NG_k) @ X_NC_k @ camera.X_CK
             check.require_distance(X_GK[:3, 3], name, float(t))
-            seen = seen or check.sees(camera, X_GK)
+            sees.append(not together and check.sees(camera, X_GK))
             ahead = ahead or bool((transform_points(inverse_pose(X_GK), check.corners_G)[:, 2] > 0).any())
-    if seen:
+        seen, together = seen or any(sees), together or all(sees)
+    if together:
         return
+    if seen:
+        raise InputError(
+            f"scene: the target is in view of one camera, but of both at none of {len(X_NC)} frames; change "
+            "scene.rig.baseline_m or scene.motion.position_m"
+        )
     where = "beside the images" if ahead else "behind the cameras"
     raise InputError(
         f"scene: the target is never in view, at none of {len(X_NC)} frames: it stays {where}; change "

@@ -537,3 +537,38 @@ def test_odd_times_are_warned_about(small_sequence: Path, new: Callable[[int], i
 def test_an_eclipse_of_half_an_hour_is_no_odd_time(small_sequence: Path) -> None:
     restamp(small_sequence, lambda k: START_NS + k * STEP_NS + (k > 2) * 1800 * 10**9)
     assert open_sequence(small_sequence).warnings == ()
+
+
+def repeat(folder: Path, camera: int, frames: list[int]) -> None:
+    """Images that are copies of those before them."""
+    for k in frames:
+        image_of(folder, camera, k).write_bytes(image_of(folder, camera, k - 1).read_bytes())
+
+
+def test_pairs_that_repeat_the_one_before_are_not_measured(small_sequence: Path) -> None:
+    repeat(small_sequence, 0, [3, 4])
+    repeat(small_sequence, 1, [4])
+    sequence = open_sequence(small_sequence)
+    assert len(sequence) == COUNT and sequence.repeated.tolist() == [False] * 3 + [True] * 2 + [False]
+    (warning,) = sequence.warnings
+    assert "2 of 6 pairs have an image of the pair before, bit for bit" in warning and not sequence.frozen
+    for k in range(COUNT):
+        pair = sequence.read_pair(k)
+        for mask in (pair.mask_left, pair.mask_right):
+            assert (mask is not None and not mask.any()) == (k in (3, 4))
+
+
+def test_a_recorder_that_stood_still_is_noticed(small_sequence: Path) -> None:
+    repeat(small_sequence, 1, list(range(1, COUNT)))
+    assert "cam1: all images are the same, bit for bit" in message_of(small_sequence)
+    repeat(small_sequence, 0, list(range(1, COUNT)))
+    sequence = open_sequence(small_sequence)
+    # Renderings of a target at rest look like this: they are used, and called doubtful.
+    assert sequence.frozen and not sequence.repeated.any() and sequence.warnings == ()
+
+
+def test_frames_that_are_white_are_not_called_black(small_sequence: Path) -> None:
+    for camera in (0, 1):
+        for k in range(COUNT):
+            Image.fromarray(np.full((48, 64), 255, np.uint8)).save(image_of(small_sequence, camera, k))
+    assert "all frames are saturated or uniformly bright" in message_of(small_sequence)

@@ -89,6 +89,7 @@ def test_a_report_that_cannot_be_made_costs_only_itself(
         tmp_path, config=Config(), tracks=example.tracks, estimate=example.estimate, surface=None, timing_s={}
     )
     assert any("no report" in text and "holds NaN" in text for text in summary.warnings)
+    assert summary.status == "degraded"
     assert read_summary(tmp_path).warnings == summary.warnings
     assert (tmp_path / "trajectory.csv").is_file() and not (tmp_path / "report.html").exists()
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polhode.errors import InputError
+from polhode.errors import InputError, RunFailure
 from polhode.pipeline.run_directory.trajectory_file import (
     TRAJECTORY_COLUMNS,
     read_trajectory,
@@ -51,6 +51,14 @@ def test_plain_csv_readers_see_a_row_per_pair_with_no_empty_cell(undetermined: A
 def test_sigma_is_the_root_of_the_diagonal_and_inf_where_it_is_not_a_variance() -> None:
     covariance = np.diag([4.0, np.inf, np.nan, -1e-12])
     np.testing.assert_array_equal(standard_deviations(covariance), [2.0, np.inf, np.inf, np.inf])
+
+
+def test_a_rotation_that_would_not_be_read_again_ends_the_run(example: Any, tmp_path: Path) -> None:
+    # timestamps in microseconds, read as nanoseconds
+    fast = replace(trajectory_of(example.estimate), w_P=np.full((24, 3), 800.0))
+    with pytest.raises(RunFailure, match=r"rotate at 7.64e\+03 RPM.*check that the timestamps"):
+        write_trajectory(fast, tmp_path / "trajectory.csv")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_state_that_is_not_finite_is_never_written(example: Any, tmp_path: Path) -> None:

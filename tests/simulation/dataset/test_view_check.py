@@ -26,6 +26,7 @@ def _mesh(path: Path, mesh: trimesh.Trimesh) -> dict[str, object]:
     ("motion", "message"),
     [
         ({"position_m": [0, 0, -0.6]}, "never in view, at none of 3 frames: it stays behind the cameras"),
+        ({"position_m": [-0.5, 0, 0.6]}, "in view of one camera, but of both at none of 3 frames"),
         ({"position_m": [5, 0, 0.6]}, "never in view, at none of 3 frames: it stays beside the images"),
         (
             {"position_m": [0, 0, 0.02]},

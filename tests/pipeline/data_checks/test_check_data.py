@@ -1,0 +1,55 @@
+"""All checks together: what a frozen recorder and a check that fails lead to."""
+
+from contextlib import nullcontext
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from polhode.backend import estimate_motion
+from polhode.config.backend_settings import Backend
+from polhode.pipeline.data_checks import check_data as module
+from polhode.pipeline.data_checks.check_data import FROZEN, check_data
+from polhode.progress import Silent
+from polhode.records import InitialMotion, MotionEstimate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
+
+
+@pytest.fixture(scope="module")
+def solved() -> tuple[SyntheticSequence, MotionEstimate]:
+    sequence = generate(SyntheticScene(frames=16, landmarks=60, J_G=np.diag([1.5, 1.2, 0.9])), 3)
+    tracks = sequence.tracks
+    start = InitialMotion(np.linalg.inv(tracks.X_NR) @ sequence.X_NG, np.ones(16, dtype=np.bool_))
+    return sequence, estimate_motion(tracks, start, Backend(), Silent())
+
+
+def context(sequence: SyntheticSequence, frozen: bool = False) -> Any:
+    tracks = sequence.tracks
+    return SimpleNamespace(
+        sequence=SimpleNamespace(frozen=frozen),
+        clock=lambda name: nullcontext(),
+        config=SimpleNamespace(backend=Backend()),
+        rig=tracks.rig,
+        time_s=tracks.time_s,
+        X_NR=tracks.X_NR,
+    )
+
+
+def test_images_that_are_all_the_same_are_a_reason(solved: tuple[SyntheticSequence, MotionEstimate]) -> None:
+    sequence, estimate = solved
+    assert check_data(context(sequence), [], sequence.tracks, estimate).reasons == []
+    assert check_data(context(sequence, frozen=True), [], sequence.tracks, estimate).reasons == [FROZEN]
+
+
+def test_a_check_that_fails_costs_only_itself(
+    solved: tuple[SyntheticSequence, MotionEstimate], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sequence, estimate = solved
+
+    def fail(*words: object) -> list[str]:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(module, "rig_contradictions", fail)
+    monkeypatch.setattr(module, "clock_contradictions", lambda *words: ["the clock jumped"])
+    assert check_data(context(sequence), [], sequence.tracks, estimate).reasons == ["the clock jumped"]
