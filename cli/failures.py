@@ -35,24 +35,35 @@ REFUSED = {
 OUT_OF_MEMORY = ("can't allocate memory", "cannot allocate memory", "out of memory", "bad_alloc",
                  "insufficient memory", "failed to map segment")  # fmt: skip
 """What libraries say instead of raising MemoryError."""
+LESS_MEMORY = {
+    "predict": "use a larger --step-s or a smaller --horizon",
+    "export": "use a larger --step-s or a smaller --horizon, a lighter --level or fewer --pieces",
+    "plan": "use fewer --members or a smaller --horizon",
+    "observability": "use a larger --spacing-px or a lighter mesh",
+    "simulate": "use fewer --runtime.workers, fewer frames or smaller images",
+    "run": "use fewer --runtime.workers, fewer frames or smaller images",
+    "compare": "use fewer --runtime.workers, fewer frames or smaller images",
+    "train": "use fewer --runtime.workers or smaller images",
+}
+"""How each command takes less of it, where its options can."""
 NO_THREADS = ("can't start new thread", "can't start new process", "resource temporarily unavailable")
 
 
-def explained(error: Exception, working: bool) -> tuple[int, str]:
-    """Exit code and line of an error; ``working``: a stage of the command was finished before it."""
+def explained(error: Exception, working: bool, command: str = "") -> tuple[int, str]:
+    """Exit code and line of an error of a command; ``working``: it had finished a stage of its work."""
     if isinstance(error, InputError | RunFailure):
         return error.exit_code, one_line(str(error))
-    code, line = _explained(error, working)
+    code, line = _explained(error, working, command)
     # a room's notes say where results are
     return code, one_line("; ".join([line, *getattr(error, "__notes__", ())]))
 
 
-def _explained(error: Exception, working: bool) -> tuple[int, str]:
+def _explained(error: Exception, working: bool, command: str) -> tuple[int, str]:
     users = RunFailure.exit_code if working else InputError.exit_code
     text = f"{error} {error.__context__ or ''}".lower()
     said = str(error).strip().partition("\n")[0][:120] or type(error).__name__
     if isinstance(error, MemoryError) or any(words in text for words in OUT_OF_MEMORY):
-        remedy = "use fewer --runtime.workers, fewer frames or smaller images, or raise the limit (ulimit -v)"
+        remedy = f"{LESS_MEMORY.get(command, 'close other programs')}, or raise the limit (ulimit -v)"
         return RunFailure.exit_code, f"the memory is exhausted ({said}): {remedy}"
     if isinstance(error, RuntimeError) and any(words in text for words in NO_THREADS):
         remedy = (

@@ -93,7 +93,7 @@ def _run(words: list[str], debug: bool) -> int:
         by = f" by {number.name}" if number is not None else ""
         return _fail(ENDED_BY_SIGNAL + (number or signal.SIGINT), _interrupted(words, by, stop), stop, debug)
     except Exception as error:  # noqa: BLE001  last resort: one line instead of a traceback
-        return _fail(*explained(error, is_working()), error, debug)
+        return _fail(*explained(error, is_working(), *words[:1]), error, debug)
 
 
 def _interrupted(words: list[str], by: str, stop: KeyboardInterrupt) -> str:

@@ -10,15 +10,16 @@ errors stay small the result is the linear one. Each member moves as a free rigi
 poses are those of G: what a point fixed to the body does, whether or not its principal axes are known.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.integrate import solve_ivp
+from scipy.integrate import DOP853
 from scipy.linalg import expm
 
 from polhode.lie import Array, exp_so3, hat, log_so3, make_pose, matrix_from_wxyz, wxyz_from_matrix
+from polhode.progress import Advance
 from polhode.records import Ints
 from polhode.rigid_body import angular_acceleration, propagate
 
@@ -27,6 +28,8 @@ UNKNOWN_RAD = float(np.sqrt((np.pi**2 / 3.0 + 2.0) / 3.0))
 """Root mean square of each component of the rotation vector of a uniformly distributed attitude."""
 MIN_SECOND_MOMENT = 0.02
 """Share of the largest: a sampled inertia is moved towards the estimate until it is physically possible."""
+ROWS_AT_ONCE = 64
+"""Instants at which all members are held at once: it bounds the memory of long predictions."""
 
 
 @dataclass(frozen=True)
@@ -86,36 +89,46 @@ class PredictedMotion(Prediction):
     """Names of the quantities that the run's motion does not determine; inf on the covariance's diagonal"""
 
 
-def predict(last: FinalState, time_s: ArrayLike, accel_psd: float, torque_psd: float) -> Prediction:
+def predict(
+    last: FinalState,
+    time_s: ArrayLike,
+    accel_psd: float,
+    torque_psd: float,
+    advance: Advance = lambda: None,
+) -> Prediction:
     """Propagate to time_s (T,), increasing, >= 0 [s] after the last state.
 
-    accel_psd [(m/s^2)^2/Hz]; torque_psd [(rad/s^2)^2/Hz], torque over the middle moment.
+    accel_psd [(m/s^2)^2/Hz]; torque_psd [(rad/s^2)^2/Hz], torque over the middle moment. ``advance`` is
+    called after every ROWS_AT_ONCE rows, and after the last ones.
     """
     time = np.asarray(time_s, dtype=np.float64)
     grid = time if time[0] == 0.0 else np.concatenate([[0.0], time])
     states = propagate(grid, last.r_N, last.v_N, last.R_NG, last.w_G, last.J_G)
     r_N, v_N, R_NG, w_G = (each[len(grid) - len(time) :] for each in states)
+    R_NP, R_GP, w_P = R_NG @ last.R_GP, last.R_GP, w_G @ last.R_GP
     deviation, J = draw_deviations(last)
-    R, w = propagate_members(last, deviation, J, time)
-    moments = np.diag(last.R_GP.T @ last.J_G @ last.R_GP)
-    noise = process_noise(moments / moments[1], last.w_G @ last.R_GP, time, accel_psd, torque_psd)
-    dr = deviation[:, 0:3] + time[:, None, None] * deviation[:, 3:6]
-    dv = np.broadcast_to(deviation[:, 3:6], dr.shape)
-
     # rotation of each member's principal axes relative to the estimated ones
     turn = exp_so3(deviation[:, 12:17] @ axes_jacobian(last).T)
-    R_NP, R_GP = R_NG @ last.R_GP, last.R_GP
-    back = np.swapaxes(R_NP, 1, 2)[:, None]
-    theta = log_so3(back @ R @ R_GP @ turn)
-    dw = np.einsum("nji,tnj->tni", R_GP @ turn, w) - (w_G @ R_GP)[:, None]
-    of_axes = _no_worse_than_unknown(_second_moments(dr, dv, theta, dw) + noise)
-
     com = deviation[:, 17:20]
-    lever = np.einsum("tnij,nj->tni", R, com)
-    swing = np.einsum("tnij,tnj->tni", R, np.cross(w, com))
-    theta, dw = log_so3(back @ R @ R_GP), (w - w_G[:, None]) @ R_GP
-    of_marks = _no_worse_than_unknown(_second_moments(dr - lever, dv - swing, theta, dw) + noise)
-    return Prediction(time, r_N, v_N, R_NP, w_G @ R_GP, of_axes, of_marks)
+    moments = np.diag(R_GP.T @ last.J_G @ R_GP)
+    of_axes = process_noise(moments / moments[1], last.w_G @ R_GP, time, accel_psd, torque_psd)
+    of_marks = of_axes.copy()
+    for rows, R, w in _members_by_blocks(last, deviation, J, time):
+        dr = deviation[:, 0:3] + time[rows, None, None] * deviation[:, 3:6]
+        dv = np.broadcast_to(deviation[:, 3:6], dr.shape)
+        R_PP = np.swapaxes(R_NP[rows], 1, 2)[:, None] @ R @ R_GP
+
+        dw = np.einsum("nji,tnj->tni", R_GP @ turn, w) - w_P[rows, None]
+        of_axes[rows] += _second_moments(dr, dv, log_so3(R_PP @ turn), dw)
+
+        lever = np.einsum("tnij,nj->tni", R, com)
+        swing = np.einsum("tnij,tnj->tni", R, np.cross(w, com))
+        dw = (w - w_G[rows, None]) @ R_GP
+        of_marks[rows] += _second_moments(dr - lever, dv - swing, log_so3(R_PP), dw)
+        for covariance in (of_axes, of_marks):
+            covariance[rows] = _no_worse_than_unknown(covariance[rows])
+        advance()
+    return Prediction(time, r_N, v_N, R_NP, w_P, of_axes, of_marks)
 
 
 def draw_deviations(last: FinalState, normal: Array | None = None) -> tuple[Array, Array]:
@@ -197,7 +210,18 @@ def axes_jacobian(last: FinalState) -> Array:
 
 
 def propagate_members(last: FinalState, deviation: Array, J: Array, time: Array) -> tuple[Array, Array]:
-    """Attitudes (T, N, 3, 3) and rates (T, N, 3) in G of all members."""
+    """Attitudes (T, N, 3, 3) and rates (T, N, 3) in G of all members, at all times (T,) at once."""
+    R_NG = np.empty((len(time), len(deviation), 3, 3))
+    w_G = np.empty((len(time), len(deviation), 3))
+    for rows, R, w in _members_by_blocks(last, deviation, J, time):
+        R_NG[rows], w_G[rows] = R, w
+    return R_NG, w_G
+
+
+def _members_by_blocks(
+    last: FinalState, deviation: Array, J: Array, time: Array
+) -> Iterator[tuple[slice, Array, Array]]:
+    """Consecutive times, and attitudes (t, N, 3, 3) and rates (t, N, 3) in G of all members there."""
     n = len(deviation)
     q = wxyz_from_matrix(last.R_NG @ exp_so3(deviation[:, 6:9]))
     start = np.concatenate([q.T, (last.w_G + deviation[:, 9:12]).T]).ravel()
@@ -218,10 +242,10 @@ def propagate_members(last: FinalState, deviation: Array, J: Array, time: Array)
         )
         return np.concatenate([q_dot, w_dot.T]).ravel()
 
-    states = _integrate(derivative, start, time)
-    parts = np.moveaxis(states.reshape(len(time), 7, n), 1, 2)
-    q = parts[..., :4] / np.linalg.norm(parts[..., :4], axis=-1, keepdims=True)
-    return matrix_from_wxyz(q), parts[..., 4:]
+    for rows, states in _integrate(derivative, start, time):
+        parts = np.moveaxis(states.reshape(-1, 7, n), 1, 2)
+        q = parts[..., :4] / np.linalg.norm(parts[..., :4], axis=-1, keepdims=True)
+        yield rows, matrix_from_wxyz(q), parts[..., 4:]
 
 
 def _second_moments(*deviations: Array) -> Array:
@@ -251,9 +275,9 @@ def process_noise(moments: Array, w_P: Array, time_s: Array, accel_psd: float, t
         Q_dot[3:, 3:] += torque_psd * np.diag(1.0 / moments**2)
         return np.concatenate([np.cross(moments * w, w) / moments, Q_dot.ravel()])
 
-    states = _integrate(derivative, np.concatenate([w_P, np.zeros(36)]), time_s)
     out, i = np.zeros((len(time_s), 12, 12)), np.arange(3)
-    out[:, 6:, 6:] = states[:, 3:].reshape(-1, 6, 6)
+    for rows, states in _integrate(derivative, np.concatenate([w_P, np.zeros(36)]), time_s):
+        out[rows, 6:, 6:] = states[:, 3:].reshape(-1, 6, 6)
     out[:, i, i] = accel_psd * time_s[:, None] ** 3 / 3
     out[:, i, i + 3] = out[:, i + 3, i] = accel_psd * time_s[:, None] ** 2 / 2
     out[:, i + 3, i + 3] = accel_psd * time_s[:, None]
@@ -268,15 +292,36 @@ def _attitude_error_dynamics(w: Array, moments: Array) -> Array:
     return A
 
 
-def _integrate(derivative: Callable[[float, Array], Array], start: Array, time: Array) -> Array:
-    """States (T, n) at times that move monotonically away from 0, where the state is ``start``."""
-    end = float(time[-1])
-    if end == 0.0:
-        return np.tile(start, (len(time), 1))
-    answer = solve_ivp(derivative, (0.0, end), start, "DOP853", t_eval=time, rtol=1e-8, atol=1e-12)
-    if not answer.success:
-        raise FloatingPointError(f"the prediction could not be integrated: {answer.message}")
-    return np.asarray(answer.y.T)
+def _integrate(
+    derivative: Callable[[float, Array], Array], start: Array, time: Array
+) -> Iterator[tuple[slice, Array]]:
+    """At most ROWS_AT_ONCE consecutive times, and the states (t, n) there; until all times (T,) are reached.
+
+    They move monotonically away from 0, where the state is ``start``. Dormand-Prince 8(5,3): its steps do not
+    depend on the times, at which its interpolant gives the states.
+    """
+    if time[-1] == 0.0:
+        yield slice(0, 1), start[None]
+        return
+    solver = DOP853(derivative, 0.0, start, float(time[-1]), rtol=1e-8, atol=1e-12)
+    distance = np.abs(time)
+    first = done = 0
+    block = np.empty((min(ROWS_AT_ONCE, len(time)), len(start)))
+    while done < len(time):
+        message = solver.step()
+        if solver.status == "failed":
+            raise FloatingPointError(f"the prediction could not be integrated: {message}")
+        reached = int(np.searchsorted(distance, abs(solver.t), side="right"))
+        if done == reached:
+            continue
+        interpolant = solver.dense_output()
+        while done < reached:
+            stop = min(reached, first + len(block))
+            block[done - first : stop - first] = interpolant(time[done:stop]).T
+            done = stop
+            if done == first + len(block):
+                yield slice(first, done), block
+                first, block = done, np.empty((min(ROWS_AT_ONCE, len(time) - done), len(start)))
 
 
 MEMBERS_AT_ONCE = 250

@@ -2,13 +2,14 @@
 
 import errno
 import os
+import re
 from pathlib import Path
 
 import pytest
 
 from polhode.cli.console import Lines, show_warnings
 from polhode.cli.evaluate import EvaluateCommand
-from polhode.cli.failures import EXHAUSTED, REFUSED, explained
+from polhode.cli.failures import EXHAUSTED, LESS_MEMORY, REFUSED, explained
 from polhode.cli.main import main
 from polhode.errors import InputError, RunFailure, one_line
 
@@ -40,7 +41,7 @@ CASES: dict[str, tuple[Exception, int, str]] = {
     "permission": (PermissionError(errno.EACCES, "Permission denied", "x"), 2, "x: Permission denied: chan"),
     "long name": (OSError(errno.ENAMETOOLONG, "Too long", "x"), 2, "x: Too long: choose"),
     "no name": (OSError(errno.EPIPE, "Broken pipe"), 2, "a file or process: Broken pipe: check"),
-    "memory": (MemoryError(), 1, "the memory is exhausted (MemoryError): use fewer"),
+    "memory": (MemoryError(), 1, "the memory is exhausted (MemoryError): close other"),
     "memory of torch": (RuntimeError("can't allocate memory: 8 bytes"), 1, "the memory is exhausted"),
     "memory of the loader": (ImportError("cv2.so: failed to map segment from"), 1, "the memory is exhaus"),
     "threads": (RuntimeError("can't start new thread"), 1, "no more threads can be started"),
@@ -67,6 +68,18 @@ def test_a_path_that_fails_amid_the_work_is_a_failed_run() -> None:
     with show_warnings(), Lines().stage("matching", 0):
         assert explained(FileNotFoundError(errno.ENOENT, "gone", "x"), working=True)[0] == 1
         assert explained(RecursionError("maximum"), working=True)[1].endswith("--debug shows where")
+
+
+@pytest.mark.parametrize("command", LESS_MEMORY)
+def test_where_memory_ends_only_options_that_the_command_has_are_advised(
+    command: str, capsys: Capture
+) -> None:
+    code, line = explained(MemoryError(), True, command)
+    assert (code, line.count("\n")) == (1, 0)
+    assert main([command, "--help"]) == 0
+    help_text = capsys.readouterr().out
+    for option in re.findall(r"--[a-z.-]+", line):
+        assert option in help_text
 
 
 def test_no_error_number_has_two_meanings() -> None:

@@ -1,9 +1,11 @@
 """Predictions against the integrated truth, against linear flows and against Monte Carlo."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from polhode.lie import Array, exp_so3, log_so3
@@ -14,6 +16,7 @@ from polhode.planning.prediction import (
     draw_deviations,
     predict,
     process_noise,
+    propagate_members,
 )
 from polhode.rigid_body import propagate
 
@@ -52,6 +55,47 @@ def test_the_mean_follows_the_rigid_body() -> None:
     np.testing.assert_allclose(found.v_N, v, atol=1e-12)
     np.testing.assert_allclose(found.covariance, 0.0, atol=1e-12)
     np.testing.assert_allclose(found.covariance_of_marks, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 13, 64])
+def test_blocks_of_rows_give_the_bytes_of_all_rows_at_once(
+    rows: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    last, t = last_body(small_covariance(7)), np.linspace(0.1, 9.0, 131)
+    whole = len(t)
+    found = []
+    for size in (whole, rows):
+        monkeypatch.setattr("polhode.planning.prediction.ROWS_AT_ONCE", size)
+        calls: list[int] = []
+        found.append(predict(last, t, 1e-8, 1e-6, lambda calls=calls: calls.append(1)))
+        assert len(calls) == -(-whole // size)
+    for name in ("r_N", "R_NP", "w_P", "covariance", "covariance_of_marks"):
+        np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))
+
+
+@pytest.mark.parametrize("t", [np.linspace(0.0, 9.0, 131), -np.linspace(0.5, 9.0, 131), np.zeros(1)])
+def test_members_move_as_scipy_integrates_them_at_once(t: Array) -> None:
+    last = last_body(np.zeros((20, 20)))
+    R, w = propagate_members(last, np.zeros((1, 20)), last.J_G[None], t)
+
+    def rates(_: float, y: Array) -> Array:
+        return np.asarray(np.linalg.solve(last.J_G, np.cross(last.J_G @ y, y)))
+
+    expected = np.tile(last.w_G, (len(t), 1))
+    if t[-1] != 0.0:
+        expected = solve_ivp(rates, (0.0, t[-1]), last.w_G, "DOP853", t_eval=t, rtol=1e-11, atol=1e-13).y.T
+    np.testing.assert_allclose(w[:, 0], expected, atol=1e-7)
+    assert R.shape == (len(t), 1, 3, 3)
+
+
+def test_the_memory_of_a_long_prediction_is_that_of_its_result_and_one_block() -> None:
+    last, t = last_body(small_covariance(8)), np.linspace(0.01, 6.0, 1200)
+    tracemalloc.start()
+    predict(last, t, 1e-8, 1e-6)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # the members at all rows would be 1200 x 256 x 12 numbers, 29 MB, several times
+    assert peak < 40e6
 
 
 def test_at_time_zero_the_covariance_is_that_of_the_state() -> None:
