@@ -70,11 +70,12 @@ class ExportCommand:
         _require("--cad-unit", self.cad_unit, ["m", "mm"])
         if self.frame is not None:
             _require("--frame", self.frame, ["G", "P", "cad"])
+        from polhode.cli.console import choose_progress
         from polhode.pipeline.after_run.export.export_run import export_run
         from polhode.pipeline.after_run.export.options import ExportOptions
 
         values = {each.name: getattr(self, each.name) for each in fields(ExportOptions)}
-        files = export_run(self.run, ExportOptions(**values))
+        files = export_run(self.run, ExportOptions(**values), choose_progress())
         if len(files) > 1:
             print(f"Meshes: {len(files) - 1} files in {files[0].parent}")
         print(f"Export: {self.output}")

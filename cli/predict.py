@@ -32,6 +32,7 @@ class PredictCommand:
 
     def execute(self) -> int:
         """Predict, write and print."""
+        from polhode.cli.console import choose_progress
         from polhode.pipeline.after_run.predict import (
             format_prediction,
             predict_run,
@@ -40,7 +41,7 @@ class PredictCommand:
         )
 
         place = None if self.output is None else prediction_file(self.output, self.run)
-        prediction = predict_run(self.run, self.horizon, self.step_s)
+        prediction = predict_run(self.run, self.horizon, self.step_s, progress=choose_progress())
         print(format_prediction(prediction))
         if place is not None:
             write_prediction(prediction, place, self.marks)

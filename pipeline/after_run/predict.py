@@ -1,5 +1,6 @@
 """The predicted motion of a run's target: the last state propagated, as a table, an archive and text."""
 
+import math
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -34,11 +35,16 @@ from polhode.pipeline.run_directory.trajectory_file import (
     standard_deviations,
     write_trajectory,
 )
-from polhode.planning.prediction import FinalState, PredictedMotion, Prediction, predict
+from polhode.planning.prediction import ROWS_AT_ONCE, FinalState, PredictedMotion, Prediction, predict
+from polhode.progress import Progress, Silent
 from polhode.records import Ints
 from polhode.rigid_body import propagate
 
 MAX_ROWS = 100_000
+LONG_ROWS = 2_000
+"""A prediction with more rows than these takes seconds and shows its progress."""
+MIN_STEP_S = 1e-9
+"""Timestamps are whole nanoseconds."""
 MIN_HORIZON_S, MAX_HORIZON_S = 1e-6, 1e8
 MAX_TURNS = 1e4
 ARRAYS = (
@@ -60,7 +66,11 @@ class NoCovariance(InputError):
 
 
 def predict_run(
-    run_folder: Path, horizon_s: float, step_s: float | None = None, from_last: bool = False
+    run_folder: Path,
+    horizon_s: float,
+    step_s: float | None = None,
+    from_last: bool = False,
+    progress: Progress | None = None,
 ) -> PredictedMotion:
     """Predict to ``horizon_s`` after the last pair, every ``step_s`` (the run's own interval unless given).
 
@@ -71,13 +81,17 @@ def predict_run(
     last, summary = last_body(run_folder)
     time_s, timestamps_ns = _instants(run_folder, horizon_s, step_s, from_last)
     assert summary.noise is not None and summary.identifiable_components is not None
-    states = predict(last, time_s, summary.noise.accel_psd, summary.noise.torque_psd)
+    shown = Silent() if progress is None or len(time_s) <= LONG_ROWS else progress
+    with shown.stage("prediction", math.ceil(len(time_s) / ROWS_AT_ONCE)) as advance:
+        states = predict(last, time_s, summary.noise.accel_psd, summary.noise.torque_psd, advance)
     joint = read_covariance(run_folder).last_joint[:12, :12]
     parts = summary.identifiable_components
     lost = undetermined_components(joint, ~np.array(parts.com_P), ~np.array(parts.axes_P), states)
-    covariance = states.covariance.copy()
+    covariance = states.covariance
     covariance[:, np.arange(12), np.arange(12)] = np.where(lost, np.inf, np.diagonal(covariance, 0, 1, 2))
-    found = vars(states) | {"covariance": undetermined_as_inf(covariance)}
+    for rows in np.array_split(np.arange(len(time_s)), math.ceil(len(time_s) / LONG_ROWS)):
+        covariance[rows] = undetermined_as_inf(covariance[rows])
+    found = vars(states) | {"covariance": covariance}
     return PredictedMotion(**found, timestamps_ns=timestamps_ns, undetermined=undetermined_names(summary))
 
 
@@ -136,16 +150,26 @@ def prediction_times(horizon_s: float, step_s: float) -> Array:
     """Seconds after the last pair: multiples of the step, and the horizon. Raises InputError."""
     if not (np.isfinite(horizon_s) and horizon_s > 0.0):
         raise InputError(f"--horizon {horizon_s:g}: give the seconds to look ahead, a number above 0")
-    if not 0.0 < step_s <= MAX_HORIZON_S:
-        raise InputError(f"--step-s {step_s:g}: give the seconds between two rows, a number above 0")
+    require_step(step_s)
     if horizon_s / step_s > MAX_ROWS:
         raise InputError(
             f"--horizon {horizon_s:g} s in steps of {step_s:g} s makes more than {MAX_ROWS} rows: "
             "give a larger --step-s"
         )
     steps = step_s * np.arange(1, int(horizon_s / step_s + 1e-9) + 1)
-    # a last step that all but reaches the horizon is the horizon
-    return np.concatenate([steps[steps < horizon_s - 1e-6 * step_s], [horizon_s]])
+    # a last step that all but reaches the horizon, or has its timestamp, is the horizon
+    before = (steps < horizon_s - 1e-6 * step_s) & (np.round(steps * 1e9) < np.round(horizon_s * 1e9))
+    return np.concatenate([steps[before], [horizon_s]])
+
+
+def require_step(step_s: float) -> None:
+    """Raise InputError for a step that is no time above 0, or too short for timestamps in nanoseconds."""
+    if not 0.0 < step_s <= MAX_HORIZON_S:
+        raise InputError(f"--step-s {step_s:g}: give the seconds between two rows, a number above 0")
+    if step_s < MIN_STEP_S:
+        raise InputError(
+            f"--step-s {step_s:g}: timestamps are whole nanoseconds; give {MIN_STEP_S:g} or more"
+        )
 
 
 def last_body(run_folder: Path) -> tuple[FinalState, Summary]:
@@ -153,6 +177,9 @@ def last_body(run_folder: Path) -> tuple[FinalState, Summary]:
 
     Raises InputError when there is none, NoCovariance when its covariance is all that is missing.
     """
+    if not run_folder.is_dir():
+        what = "a file" if run_folder.exists() else "no such folder"
+        raise InputError(f"{run_folder}: {what}; give the folder of a run")
     summary = read_summary(run_folder)
     if summary.inertia is None or summary.R_GP is None:
         raise InputError(f"{run_folder}: this run failed before it had an estimate; nothing can be predicted")

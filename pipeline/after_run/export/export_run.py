@@ -33,6 +33,7 @@ from polhode.planning.exports import ccsds, glb, mesh_files, robot_xml
 from polhode.planning.exports.convex_pieces import WITHIN, decompose
 from polhode.planning.exports.formats import MESHES, MOTIONS, ROBOTS
 from polhode.planning.exports.records import ExportShape, shape_of_landmarks, shape_of_surface
+from polhode.progress import Progress, Silent
 
 LIGHT_LEVEL = 2
 """Of the surface that robot formats show, where the run's mesh has so many levels."""
@@ -44,7 +45,7 @@ MAX_KEY_ROTATION_RAD = np.deg2rad(5.0)
 _log = logging.getLogger(__name__)
 
 
-def export_run(run: Path, options: ExportOptions) -> list[Path]:
+def export_run(run: Path, options: ExportOptions, progress: Progress | None = None) -> list[Path]:
     """Write the files, the one that was named last.
 
     Raises InputError when there is nothing to export, or the place is taken; RunFailure when a file cannot be
@@ -52,11 +53,11 @@ def export_run(run: Path, options: ExportOptions) -> list[Path]:
     """
     check(options)
     with export_place(options) as place:
-        return _exported(run, replace(options, output=place))
+        return _exported(run, replace(options, output=place), progress or Silent())
 
 
-def _exported(run: Path, options: ExportOptions) -> list[Path]:
-    job = open_job(run, options)
+def _exported(run: Path, options: ExportOptions, progress: Progress) -> list[Path]:
+    job = open_job(run, options, progress)
     if job.summary.status == "failed":
         job.leave_out(f"this run failed ({failure_of(job.summary)}): what it had found by then is exported")
     files = _CONTENT[options.to](job)
@@ -216,6 +217,8 @@ def _motion(job: ExportJob) -> Files:
             "leap seconds not counted",
         ),
     )
+    if options.to != "tum":
+        job.check_epoch(int(motion.timestamps_ns[0]))
     if options.to == "oem":
         text = ccsds.oem(motion, header)
     elif options.to == "aem":

@@ -28,9 +28,15 @@ from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_traj
 from polhode.planning.exports.formats import MOTIONS
 from polhode.planning.exports.records import ExportShape, Inertial, LastState, Placement, shape_of_surface
 from polhode.planning.prediction import PredictedMotion
+from polhode.progress import Progress, Silent
 from polhode.records import Landmarks, SurfaceModel
 
 UNIT_MASS_KG = 1.0
+SECONDS_PER_YEAR = 365.25 * 86400.0
+USUAL_RADII = (0.05, 1.0)
+"""Radius of gyration over the distance of the farthest vertex; a uniform ball has 0.63."""
+FAR_OUTSIDE = 10.0
+"""Beyond the usual by this factor no hidden part of the body explains it: the units are wrong."""
 Files = dict[Path, bytes]
 """Contents by path; the file that the user named is the last."""
 
@@ -51,6 +57,8 @@ class ExportJob:
     at: Placement
     left_out: list[str] = field(default_factory=list)
     """What the file lacks, and why; also what was assumed"""
+    progress: Progress = field(default_factory=Silent)
+    """Of a long prediction"""
 
     def leave_out(self, reason: str) -> None:
         """Note what is left out; once."""
@@ -79,10 +87,20 @@ class ExportJob:
         if self.no_motion:
             raise InputError(f"{self.folder}: {self.no_motion}")
         try:
-            return predict_run(self.folder, self.options.horizon, step_s, from_last=True)
+            return predict_run(self.folder, self.options.horizon, step_s, True, self.progress)
         except NoCovariance as error:
             self.leave_out(f"covariances of the motion are left out: {error}")
             return predict_without_covariance(self.folder, self.options.horizon, step_s)
+
+    def check_epoch(self, first_ns: int) -> None:
+        """Note when the first time in the file is far from --epoch: the timestamps count from elsewhere."""
+        years = first_ns * 1e-9 / SECONDS_PER_YEAR
+        if self.options.epoch_utc != np.datetime64(0, "ns") and abs(years) > 1.0:
+            self.leave_out(
+                f"the file begins {abs(years):.1f} years {'after' if years > 0 else 'before'} --epoch "
+                f"{self.options.epoch}, which is the UTC of timestamp 0: leave it out if the run's "
+                "timestamps are nanoseconds since 1970"
+            )
 
     def poses(self, states: Trajectory | PredictedMotion) -> Array:
         """X_NF (T, 4, 4)."""
@@ -133,10 +151,15 @@ class ExportJob:
         inertial = inertial_of(self.summary, solid, reason, self.at, self.options)
         if inertial is None:
             self.leave_out(f"mass properties are left out: this run has no estimate of them, and {reason}")
+        elif self.surface is not None:
+            vertices_F = transform_points(self.at.X_FG, self.surface.mesh.vertices)
+            warning = contradiction(inertial, vertices_F)
+            if warning:
+                self.leave_out(warning)
         return inertial
 
 
-def open_job(folder: Path, options: ExportOptions) -> ExportJob:
+def open_job(folder: Path, options: ExportOptions, progress: Progress) -> ExportJob:
     """Read the run and choose the frame. Raises InputError, one line."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give the folder of a run")
@@ -159,7 +182,7 @@ def open_job(folder: Path, options: ExportOptions) -> ExportJob:
     if no_motion and options.to in MOTIONS:
         raise InputError(f"{folder}: {no_motion}; nothing for {options.to}, json has what there is")
     at, warnings = placement(options, summary, surface)
-    return ExportJob(options, folder, summary, surface, landmarks, no_motion, at, warnings)
+    return ExportJob(options, folder, summary, surface, landmarks, no_motion, at, warnings, progress)
 
 
 def failure_of(summary: Summary) -> str:
@@ -205,6 +228,31 @@ def inertial_of(
         scale_is=scale_is,
         notes=tuple(notes),
     )
+
+
+def contradiction(inertial: Inertial, vertices_F: Array) -> str:
+    """A warning when a mass or moment that was given does not fit the mesh (V, 3); empty: they fit.
+
+    Mass within the surface has a radius of gyration, the root of moment over mass, between 0 and the distance
+    from the centre of mass to the farthest vertex. Raises InputError when it is far outside.
+    """
+    origins = (inertial.mass_is, inertial.scale_is)
+    if "given" not in origins or not set(origins) <= {"given", "determined"}:
+        return ""
+    mass, moment = inertial.mass_kg, float(inertial.moments_kg_m2.max())
+    radius = float(np.sqrt(moment / mass))
+    farthest = float(np.linalg.norm(vertices_F - inertial.com_F, axis=1).max())
+    least, most = (share * farthest for share in USUAL_RADII)
+    if least <= radius <= most:
+        return ""
+    reason = (
+        f"a mass of {mass:g} kg with a largest moment of {moment:.3g} kg m^2 has a radius of gyration of "
+        f"{radius:.3g} m, and the mesh reaches {farthest:.3g} m from the centre of mass: check --mass-kg "
+        "[kg] and --middle-moment-kg-m2 [kg m^2]"
+    )
+    if not least / FAR_OUTSIDE <= radius <= FAR_OUTSIDE * most:
+        raise InputError(reason)
+    return reason
 
 
 def _mass(summary: Summary, given: float | None) -> tuple[float, str, list[str]]:

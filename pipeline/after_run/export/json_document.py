@@ -186,6 +186,7 @@ def json_document(job: ExportJob) -> str:
 def _states(job: ExportJob) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
     """The content of ``StateOut`` for each instant; what the motion does not determine."""
     motion = job.motion(job.options.step_s)
+    job.check_epoch(int(motion.timestamps_ns[0]))
     X_NF = job.poses(motion)
     columns = {
         "timestamp_ns": motion.timestamps_ns.tolist(),

@@ -10,7 +10,8 @@ from typing import Literal
 import numpy as np
 
 from polhode.errors import InputError
-from polhode.planning.exports.formats import MESHES, MOTIONS, Format
+from polhode.pipeline.after_run.predict import require_step
+from polhode.planning.exports.formats import FORMATS, MESHES, MOTIONS, Format
 
 FrameName = Literal["G", "P", "cad"]
 Unit = Literal["m", "mm"]
@@ -18,7 +19,6 @@ METRES: dict[str, float] = {"m": 1.0, "mm": 1e-3}
 MAX_PIECES = 1024
 MIN_MASS, MAX_MASS = 1e-9, 1e15
 """[kg], and of the moment [kg m^2]."""
-MAX_STEP_S = 1e8
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,12 @@ class ExportOptions:
 def check(options: ExportOptions) -> None:
     """Raise InputError, one line, for options that contradict each other or a file that cannot be written."""
     to = options.to
+    suffix = options.output.suffix.lower().removeprefix(".")
+    if suffix in FORMATS and suffix != to:
+        raise InputError(
+            f"-o {options.output}: .{suffix} is the suffix of another format than {to}; "
+            f"give {options.output.with_suffix('.' + to).name}, or --to {suffix}"
+        )
     if options.unit == "mm" and to not in MESHES:
         raise InputError(f"--unit mm: {to} has lengths of its own; the unit is for {', '.join(MESHES)}")
     if options.animate and to != "glb":
@@ -82,8 +88,8 @@ def check(options: ExportOptions) -> None:
             raise InputError(f"{name} {value:g}: give a number above 0")
         if value is not None and not MIN_MASS <= value <= MAX_MASS:
             raise InputError(f"{name} {value:g}: give a number from {MIN_MASS:g} to {MAX_MASS:g}")
-    if options.step_s is not None and not 0.0 < options.step_s <= MAX_STEP_S:
-        raise InputError(f"--step-s {options.step_s:g}: give seconds above 0, at most {MAX_STEP_S:g}")
+    if options.step_s is not None:
+        require_step(options.step_s)
     if options.level is not None and options.level < 0:
         raise InputError(f"--level {options.level}: 0 is the full mesh, 1, 2, ... are lighter ones")
     if not 1 <= options.pieces <= MAX_PIECES:

@@ -274,6 +274,17 @@ def test_a_run_without_covariances_exports_the_motion_and_says_so(
         (["--to", "json", "--mass-kg", "nan"], "--mass-kg nan: give a number above 0"),
         (["--to", "json", "--middle-moment-kg-m2", "1e-308"], "--middle-moment-kg-m2 1e-308"),
         (["--to", "oem", "--step-s", "1e308"], "--step-s 1e+308"),
+        (["--to", "tum", "--horizon", "1e-6", "--step-s", "1e-10"], "timestamps are whole nanoseconds"),
+        (
+            ["--to", "oem", "-o", "x.stl"],
+            "-o x.stl: .stl is the suffix of another format than oem; give x.oem",
+        ),
+        (["--to", "stl", "-o", "x.GLB"], "another format than stl; give x.stl, or --to glb"),
+        (
+            ["--to", "json", "--mass-kg", "5", "--middle-moment-kg-m2", "1e9"],
+            "a radius of gyration of 1.65e+04 m",
+        ),
+        (["--to", "urdf", "--mass-kg", "5", "--middle-moment-kg-m2", "1e-9"], "check --mass-kg [kg] and"),
         (["--to", "oem", "--horizon", "1e308"], "--horizon 1e+308"),
         (["--to", "oem", "--epoch", "9" * 5000], "not a time"),
         (["--to", "oem", "--object-name", "a" * 5000], "give up to 64 letters"),
@@ -343,6 +354,37 @@ def test_the_same_run_gives_the_same_bytes(
         assert first.read_bytes().replace(b"a_meshes", b"b_meshes") == second.read_bytes()
     for file in (tmp_path / "a_meshes").iterdir():
         assert file.read_bytes() == (tmp_path / "b_meshes" / file.name).read_bytes()
+
+
+def test_a_moment_that_does_not_fit_mass_and_mesh_is_a_warning(
+    run: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    fits = document(run, tmp_path, "--mass-kg", "4.5")["inertial"]["moments_kg_m2"][1]
+    for share, warned in ((1.0, False), (9.0, True), (1.0 / 400.0, True)):
+        options = ("--mass-kg", "4.5", "--middle-moment-kg-m2", repr(share * fits))
+        words = document(run, tmp_path, "--horizon", "1", *options)["left_out"]
+        assert any("has a radius of gyration of" in line for line in words) == warned
+        assert ("has a radius of gyration of" in capsys.readouterr().out) == warned
+    # a moment alone has no mass to compare with
+    assert document(run, tmp_path, "--horizon", "1", "--middle-moment-kg-m2", "1e6")["left_out"] == []
+
+
+def test_an_epoch_beside_timestamps_that_are_utc_already_is_a_warning(
+    example: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    start_ns = 1_600_000_000 * 10**9
+    later = replace(
+        example,
+        tracks=replace(example.tracks, timestamps_ns=example.tracks.timestamps_ns + start_ns),
+        estimate=replace(example.estimate, timestamps_ns=example.estimate.timestamps_ns + start_ns),
+    )
+    run = write_example(later, tmp_path / "later", None)
+    for to in ("oem", "aem", "json"):
+        for epoch, warned in (("2026-11-23", True), ("1970-01-01", False)):
+            export(run, to, tmp_path / f"x.{to}", "--horizon", "2", "--epoch", epoch)
+            assert ("50.7 years after --epoch 2026-11-23" in capsys.readouterr().out) == warned
+    export(run, "tum", tmp_path / "x.tum", "--horizon", "2", "--epoch", "2026-11-23")
+    assert "--epoch" not in capsys.readouterr().out
 
 
 def test_known_torques_set_the_scale_whatever_the_mass(example: Example, tmp_path: Path) -> None:

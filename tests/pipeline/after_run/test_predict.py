@@ -154,6 +154,7 @@ def test_an_undetermined_inertia_predicts_the_body_all_the_same(tmp_path: Path, 
         (["--horizon", "10", "--step-s", "inf"], "--step-s inf"),
         (["--horizon", "10", "--step-s", "nan"], "--step-s nan"),
         (["--horizon", "10", "--step-s", "0"], "--step-s 0"),
+        (["--horizon", "1e-6", "--step-s", "1e-10"], "--step-s 1e-10: timestamps are whole nanoseconds"),
         ([], "--horizon"),
         (["--horizon", "10", "-o", "/dev/null/all.csv"], "part of this path is a file"),
     ],
@@ -165,6 +166,25 @@ def test_mistakes_are_one_line(
     assert main(["predict", str(run), *arguments]) == 2
     stderr = capsys.readouterr().err
     assert words in stderr and stderr.count("\n") == 1
+
+
+def test_a_file_of_a_run_is_not_its_folder(example: Example, tmp_path: Path, capsys: Capture) -> None:
+    run = write_example(example, tmp_path / "run")
+    for path, what in ((run / "summary.json", "a file"), (tmp_path / "none", "no such folder")):
+        assert main(["predict", str(path), "--horizon", "10"]) == 2
+        stderr = capsys.readouterr().err
+        assert f"{path}: {what}; give the folder of a run" in stderr and stderr.count("\n") == 1
+
+
+def test_a_prediction_of_many_rows_shows_its_progress(
+    example: Example, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, file = write_example(example, tmp_path / "run"), tmp_path / "ahead.oem"
+    monkeypatch.setattr("polhode.pipeline.after_run.predict.LONG_ROWS", 100)
+    for command in (["predict"], ["export", "--to", "oem", "-o", str(file)]):
+        for step_s, shown in (("0.1", False), ("0.04", True)):
+            assert main([*command, str(run), "--horizon", "8", "--step-s", step_s]) == 0
+            assert ("prediction: 4 in" in capsys.readouterr().out) == shown
 
 
 def test_a_run_that_failed_or_is_none_is_refused(tmp_path: Path, capsys: Capture) -> None:
@@ -182,6 +202,9 @@ def test_times_reach_the_horizon_and_no_step_is_nearly_nothing() -> None:
     np.testing.assert_allclose(prediction_times(1.0, 0.4), [0.4, 0.8, 1.0])
     np.testing.assert_allclose(prediction_times(0.3, 0.1), [0.1, 0.2, 0.3])
     np.testing.assert_allclose(prediction_times(0.2, 0.5), [0.2])
+    for step_s, horizon_s in ((0.5, 1.0000000004), (1e-9, 1e-6), (1.5e-9, 1e-6), (1e-9, 9.9995e-6)):
+        stamps = np.round(prediction_times(horizon_s, step_s) * 1e9)
+        assert np.all(np.diff(stamps, prepend=0.0) >= 1.0)
     with pytest.raises(InputError, match="a number above 0"):
         prediction_times(float("inf"), 0.5)
 
