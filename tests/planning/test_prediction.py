@@ -2,6 +2,7 @@
 
 import tracemalloc
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -67,7 +68,7 @@ def test_blocks_of_rows_give_the_bytes_of_all_rows_at_once(
     for size in (whole, rows):
         monkeypatch.setattr("polhode.planning.prediction.ROWS_AT_ONCE", size)
         calls: list[int] = []
-        found.append(predict(last, t, 1e-8, 1e-6, lambda calls=calls: calls.append(1)))
+        found.append(predict(last, t, 1e-8, 1e-6, partial(calls.append, 1)))
         assert len(calls) == -(-whole // size)
     for name in ("r_N", "R_NP", "w_P", "covariance", "covariance_of_marks"):
         np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))
