@@ -116,6 +116,7 @@ def _dispatch(words: list[str]) -> int:
     elif words[0] in COMMANDS:
         # Help wins over everything else on the line, even over mistakes.
         words = [words[0], "--help"]
+    _require_no_empty_word(words)
     own, overrides = split_overrides(words)
     command = _parse(own)
     if command is None:
@@ -128,6 +129,16 @@ def _dispatch(words: list[str]) -> int:
     elif overrides:
         raise InputError(f"'{words[0]}' reads no configuration: remove --{next(iter(overrides))}")
     return command.execute()
+
+
+def _require_no_empty_word(words: list[str]) -> None:
+    """Raise InputError: an empty path would be the current folder, and no option takes an empty text."""
+    before = ""
+    for word in words:
+        if not word or (word.startswith("-") and word.endswith("=")):
+            where = word.rstrip("=") or (before if before.startswith("-") else f"polhode {words[0]}")
+            raise InputError(f"{where}: an empty value was given; is a variable of the shell not set?")
+        before = word
 
 
 def _require_command(words: list[str]) -> None:

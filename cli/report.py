@@ -1,5 +1,6 @@
 """``polhode report``: the page of one run, or one page that compares several."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -26,6 +27,10 @@ class ReportCommand:
             raise InputError(
                 "a run is missing: give the folder of one or more runs; see polhode report --help"
             )
+        known: dict[Path, Path] = {}
+        for run in self.runs:
+            if (same := known.setdefault(Path(os.path.realpath(run)), run)) is not run:
+                raise InputError(f"{same} and {run} are the same run: give each run once")
         from polhode.pipeline.report import page_file, write_comparison, write_report
 
         place = page_file(self.output, self.runs)

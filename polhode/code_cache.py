@@ -9,6 +9,8 @@ import multiprocessing
 import os
 import stat
 import tempfile
+from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -17,19 +19,32 @@ from polhode.errors import InputError
 NUMBA_SETTINGS = Path(".numba_config.yaml")
 """Read by numba from the current folder when it is imported."""
 
+_UNUSABLE: tuple[tuple[str, Callable[[int], bool], str], ...] = (
+    ("NUMBA_DISABLE_JIT", lambda value: value == 0, "without compiled functions polhode cannot work"),
+    ("NUMBA_NUM_THREADS", lambda value: value > 0, "numba needs one thread at least"),
+)
+"""Variables of numba, and the values with which it works"""
+
 _log = logging.getLogger(__name__)
 
 
 def require_no_settings_of_numba() -> None:
-    """Raise InputError if numba would read settings from the current folder, which may be another person's.
+    """Raise InputError if numba would read settings from the current folder, which may be another's, or if
+    the environment has a variable with which it does not work.
 
-    They decide how numbers are computed, and from where compiled code is loaded.
+    Settings decide how numbers are computed, and from where compiled code is loaded.
     """
     if NUMBA_SETTINGS.exists():
         raise InputError(
             f"{NUMBA_SETTINGS} in the current folder has settings of numba, which would change the results: "
             "start polhode in another folder, or remove it"
         )
+    for name, is_usable, reason in _UNUSABLE:
+        value = os.environ.get(name, "")
+        # numba, too, takes no notice of what is no number
+        with suppress(ValueError):
+            if not is_usable(int(value)):
+                raise InputError(f"{name}={value} in the environment: {reason}; unset it")
 
 
 def code_cache(source: Path) -> Path | None:

@@ -230,6 +230,8 @@ def _require_folders(folder: Path) -> Path:
             f"{folder} is not a folder: give the folder that contains mav0/ (see docs/dataset.md)"
         )
     mav0 = folder / "mav0"
+    if not mav0.exists() and (folder / "cam0").is_dir():
+        raise InputError(f"{folder} is the folder mav0 itself: give the folder that contains it")
     for name in ("cam0", "cam1"):
         if not (mav0 / name).is_dir():
             raise InputError(

@@ -4,6 +4,7 @@ import errno
 import os
 import stat
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from polhode.atomic import refused
@@ -23,7 +24,7 @@ def folder_place(path: Path, shown: Path | None = None) -> Path:
     place, shown = _resolved(path, shown or path), shown or path
     if place.exists() and not place.is_dir():
         raise InputError(f"{shown}: this is a file; choose another folder for -o")
-    _require_outside(place, shown)
+    _require_outside(place, path, shown)
     return place
 
 
@@ -35,8 +36,23 @@ def file_place(path: Path, example: str) -> Path:
     place = _resolved(path, path)
     if place.is_dir():
         raise InputError(f"{path} is a folder: -o names a file, such as {example}")
-    _require_outside(place, path)
+    _require_outside(place, path, path)
     return place
+
+
+def require_not_current(place: Path, shown: Path) -> None:
+    """Raise InputError if the current folder is ``place`` or inside it: whoever stands in a folder that
+    another one replaces is left in one that is gone. A folder that is missing is no current one."""
+    try:
+        current = Path.cwd()
+    except FileNotFoundError:
+        return
+    if current == place:
+        raise InputError(f"{shown} is the current folder, which cannot be replaced; give a folder inside it")
+    if place in current.parents:
+        raise InputError(
+            f"{shown} contains the current folder, so it cannot be replaced; start polhode elsewhere"
+        )
 
 
 def require_writable(folder: Path, shown: Path) -> None:
@@ -101,8 +117,26 @@ def _run_of(place: Path) -> Path | None:
     return None
 
 
-def _require_outside(place: Path, shown: Path) -> None:
-    dataset = next((above.parent for above in (place, *place.parents) if above.name == "mav0"), None)
+def _dataset_of(place: Path, path: Path) -> Path | None:
+    """The dataset into which ``path`` leads, by a folder ``mav0`` that it goes through, itself or a link."""
+    for way in _ways(path.absolute()):
+        for above in (way, *way.parents):
+            if above.name == "mav0" and place.is_relative_to(os.path.realpath(above)):
+                return above.parent
+    return None
+
+
+def _ways(path: Path) -> Iterator[Path]:
+    """The path, and what it is when its links are followed one after the other."""
+    yield path
+    for above in (*reversed(path.parents), path):
+        if above.is_symlink():
+            yield from _ways(above.parent / above.readlink() / path.relative_to(above))
+            return
+
+
+def _require_outside(place: Path, path: Path, shown: Path) -> None:
+    dataset = _dataset_of(place, path)
     if dataset is not None:
         raise InputError(
             f"{shown}: inside the dataset {dataset}, where nothing is written; choose another -o"

@@ -28,7 +28,7 @@ from polhode.output.exchange import (
     sync_all,
 )
 from polhode.output.locks import lock, locked, make_folders, opened
-from polhode.output.place import LEFT_BEHIND, require_writable
+from polhode.output.place import LEFT_BEHIND, require_not_current, require_writable
 
 _log = logging.getLogger(__name__)
 
@@ -117,6 +117,7 @@ def staged_folder(
     """
     if os.path.ismount(place):
         raise InputError(f"{shown}: the root of a file system cannot be replaced; give a folder inside it")
+    require_not_current(place, shown)
     path = place.with_name(f".{place.name}.partial")
     made = make_folders(place.parent, shown)
     try:

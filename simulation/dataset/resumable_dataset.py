@@ -12,7 +12,7 @@ from pathlib import Path
 
 from polhode.atomic import REFUSALS, write_failure
 from polhode.errors import InputError, RunFailure
-from polhode.output.place import folder_place, require_writable, unwritable
+from polhode.output.place import folder_place, require_not_current, require_writable, unwritable
 from polhode.output.staged_folder import StagedFolder, staged_folder
 from polhode.simulation.dataset.own_files import (
     FINGERPRINT,
@@ -73,6 +73,7 @@ def require_free(folder: Path, overwrite: bool) -> None:
     """Raise InputError unless ``folder`` can be written and is absent, empty, or one of ``simulate`` that may
     be overwritten."""
     place = folder_place(folder)
+    require_not_current(place, folder)
     require_writable(place.parent, folder)
     if not (place.is_dir() and any(place.iterdir())):
         return

@@ -66,6 +66,9 @@ BAD_USAGE: dict[str, tuple[list[str], str]] = {
         "--seed: a value is missing",
     ),
     "override of no config": (["evaluate", "R", "S", "--seed", "1"], "'evaluate' reads no configuration"),
+    "an empty value": (["run", "c.yaml", "--data", "", "-o", "R"], "--data: an empty value was given"),
+    "an empty value after =": (["run", "--data", "S", "--output="], "--output: an empty value was given"),
+    "an empty argument": (["evaluate", "R", ""], "polhode evaluate: an empty value was given"),
     "no such config": (["run", "c.yaml", "--data", "S", "-o", "R"], "c.yaml is missing"),
 }
 

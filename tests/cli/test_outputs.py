@@ -62,7 +62,12 @@ TABLE: dict[str, dict[str, str]] = {
     ),
     "the name of a result of a run": row(REFUSED),
     "a name inside a dataset": row(REFUSED),
+    "a name inside a dataset whose mav0 is a link": row(REFUSED),
     "a file for a folder; a folder for a file": row(REFUSED),
+    "the current folder, with nothing in it": row(
+        REFUSED, compare=WRITTEN, train=WRITTEN, plan=WRITTEN, observability=WRITTEN
+    ),
+    "an empty text, as of a variable that is not set": row(REFUSED),
     "folders of the path are missing": row(WRITTEN),
     "a file among the folders of the path": row(REFUSED),
     "a link to its own result, with --overwrite where there is one": row(
@@ -119,6 +124,10 @@ class Scene:
         """Of the user, at the place"""
         self.cleared: list[Path] = []
         """To be removed by the command"""
+        self.current: Path | None = None
+        """Where the command is called"""
+        self.words: list[str] = []
+        """The whole command line, if it is another one than usual"""
         self.rival: Path | None = None
         """What another process is writing, which lives"""
 
@@ -152,7 +161,7 @@ class Scene:
             place.write_text(NOTES)
 
     def call(self) -> int:
-        return self.stage.call(self.name, self.output, *self.more)
+        return main(self.words or self.stage.words(self.name, self.output, *self.more))
 
     def written(self) -> list[Path]:
         """All that the command may write or replace."""
@@ -234,6 +243,26 @@ def name_of_run(scene: Scene) -> None:
 def inside_dataset(scene: Scene) -> None:
     (scene.area / "rec" / "mav0" / "cam0").mkdir(parents=True)
     scene.output = scene.area / "rec" / "mav0" / scene.writer.target
+
+
+def inside_linked_dataset(scene: Scene) -> None:
+    (scene.area / "elsewhere" / "cam0").mkdir(parents=True)
+    (scene.area / "rec").mkdir()
+    (scene.area / "rec" / "mav0").symlink_to(scene.area / "elsewhere")
+    (scene.area / "short").symlink_to(Path("rec") / "mav0" / "cam0")
+    scene.output = scene.area / "short" / scene.writer.target
+
+
+def current_folder(scene: Scene) -> None:
+    scene.current = scene.place = scene.area / "here"
+    scene.current.mkdir()
+    scene.output = Path()
+
+
+def unset_variable(scene: Scene) -> None:
+    current_folder(scene)
+    scene.words = scene.stage.words(scene.name, Path("XXX"))
+    scene.words[scene.words.index("XXX")] = ""
 
 
 def other_kind(scene: Scene) -> None:
@@ -326,9 +355,9 @@ SURFACES: dict[str, Callable[[Scene], None]] = dict(
         TABLE,
         (
             nothing, empty, foreign, foreign_with_our_names, foreign_overwrite, own, own_overwrite,
-            own_and_foreign, own_and_our_name, name_of_run, inside_dataset, other_kind, parents_missing,
-            file_in_path, link_to_own, link_to_foreign, dangling, loop, device, pipe, nothing, nothing,
-            own_overwrite, stale, busy,
+            own_and_foreign, own_and_our_name, name_of_run, inside_dataset, inside_linked_dataset,
+            other_kind, current_folder, unset_variable, parents_missing, file_in_path, link_to_own,
+            link_to_foreign, dangling, loop, device, pipe, nothing, nothing, own_overwrite, stale, busy,
         ),
         strict=True,
     )
@@ -399,6 +428,7 @@ def test_cell(
     scene = Scene(name, stage, tmp_path / "area", own_results(name))
     scene.area.mkdir()
     SURFACES[surface](scene)
+    monkeypatch.chdir(scene.current or Path.cwd())
     expected, inputs = TABLE[surface][name], digest(stage.inputs)
     capsys.readouterr()
     may_write = scene.written() if expected not in (REFUSED, FAILED) else []
@@ -407,7 +437,7 @@ def test_cell(
         ending = "R.failed" if name == "run" else ".S.partial"
         may_write = [scene.place.with_name(ending), scene.place.with_name(".R.partial")]
     before = digest(scene.area, *may_write)
-    main_file = scene.output / scene.writer.main_file
+    main_file = (scene.current or Path()) / scene.output / scene.writer.main_file
     earlier = main_file.stat().st_ino if main_file.is_file() else None
     with condition(surface, scene.area, monkeypatch):
         code = scene.call()
@@ -526,6 +556,29 @@ def test_the_report_of_a_run_is_renewed_by_that_run_alone(
         assert main(["report", *map(str, runs), "-o", str(other / "report.html")]) == 2
         refused("belongs to the results of the run", capsys)
     assert (other / "report.html").read_text() == "<html>"
+
+
+def test_a_folder_above_the_current_one_is_not_replaced(
+    stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    make_quick(monkeypatch, stage)
+    assert stage.call("run", tmp_path / "R") == 0
+    (tmp_path / "R" / "mine").mkdir()
+    monkeypatch.chdir(tmp_path / "R" / "mine")
+    before = digest(tmp_path)
+    assert stage.call("run", Path(".."), "--overwrite") == 2
+    refused(".. contains the current folder", capsys)
+    assert digest(tmp_path) == before
+
+
+def test_a_run_that_is_given_twice_is_not_compared_with_itself(
+    stage: Stage, tmp_path: Path, capsys: Capture
+) -> None:
+    (tmp_path / "link").symlink_to(stage.run)
+    for again in (str(stage.run), f"{stage.run}/.", str(tmp_path / "link")):
+        assert main(["report", str(stage.run), again, "-o", str(tmp_path / "page.html")]) == 2
+        refused("are the same run: give each run once", capsys)
+    assert not (tmp_path / "page.html").exists()
 
 
 def test_what_an_export_reads_is_not_replaced_by_it(stage: Stage, tmp_path: Path, capsys: Capture) -> None:

@@ -171,3 +171,16 @@ def test_settings_of_numba_in_the_current_folder_are_refused(
         env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 1 and "has settings of numba" in done.stderr
+
+
+@pytest.mark.parametrize(("name", "bad", "good"), [("DISABLE_JIT", "1", "0"), ("NUM_THREADS", "0", "x")])
+def test_a_variable_with_which_numba_cannot_work_is_named(
+    name: str, bad: str, good: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(f"NUMBA_{name}", bad)
+    assert main(["predict", "nowhere", "--horizon", "1"]) == 2
+    stderr = capsys.readouterr().err
+    assert f"NUMBA_{name}={bad} in the environment" in stderr and stderr.count("\n") == 1
+    monkeypatch.setenv(f"NUMBA_{name}", good)
+    assert main(["predict", "nowhere", "--horizon", "1"]) == 2
+    assert f"NUMBA_{name}" not in capsys.readouterr().err

@@ -61,6 +61,11 @@ def test_a_good_sequence_is_read_whole(small_sequence: Path) -> None:
     assert pair.mask_left is None and pair.mask_right is None
 
 
+def test_the_folder_mav0_instead_of_the_one_above_it_is_named(small_sequence: Path) -> None:
+    with pytest.raises(InputError, match=r"mav0 is the folder mav0 itself: give the folder that contains it"):
+        open_sequence(small_sequence / "mav0")
+
+
 def test_without_inspector_n_is_the_left_camera_at_rest(small_sequence: Path) -> None:
     sequence = open_sequence(small_sequence)
     np.testing.assert_array_equal(sequence.X_NC, np.tile(np.eye(4), (COUNT, 1, 1)))
