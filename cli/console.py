@@ -81,10 +81,17 @@ class Lines:
 
 
 class _PlainWarnings(logging.Handler):
-    """Warnings on standard output, one line each, whatever stream that is at the time."""
+    """Warnings on standard output, one line each and each once, whatever stream that is at the time."""
+
+    def __init__(self, level: int) -> None:
+        super().__init__(level)
+        self._printed: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
-        print(f"{record.levelname.lower()}: {one_line(record.getMessage())}", flush=True)
+        line = f"{record.levelname.lower()}: {one_line(record.getMessage())}"
+        if line not in self._printed:
+            self._printed.add(line)
+            print(line, flush=True)
 
 
 def is_working() -> bool:

@@ -24,7 +24,9 @@ from polhode.config.compare_settings import MonteCarlo, Motion
 from polhode.config.loader import dump_config
 from polhode.errors import InputError
 from polhode.foreign_files import MIB, read_text
+from polhode.output.run_files import SUMMARY
 from polhode.pipeline.run_directory.archives import read_measurements, read_relative_poses, write_measurements
+from polhode.pipeline.run_directory.summary import read_summary
 from polhode.progress import Progress
 from polhode.records import Ints, RelativePoses, StereoTracks, Truth
 from polhode.simulation.monte_carlo import SyntheticScene, generate
@@ -74,6 +76,9 @@ class Source:
             return synthetic_problem(self.name, self.scene, self.seed, backend)
         assert self.folder is not None
         if self.is_run:
+            if (self.folder / SUMMARY).is_file():
+                # its measurements must be its own
+                read_summary(self.folder)
             tracks, relative = read_measurements(self.folder), read_relative_poses(self.folder)
         else:
             tracks, relative = measure(self.folder, config, progress, store)

@@ -93,7 +93,7 @@ def atomic_run_folder(
 def own_files(folder: Path) -> IsOwn | None:
     """What in ``folder`` belongs to its run, by name; None: it holds no whole run of ours."""
     try:
-        summary = read_summary(folder)
+        summary = read_summary(folder / SUMMARY)
     except InputError:
         return None
     needed = ["config.yaml", *(("trajectory.csv", "covariance.npz") if summary.inertia is not None else ())]
@@ -149,13 +149,13 @@ def _require_usable(place: Path, shown: Path, overwrite: bool) -> None:
 
 def _publish(run: RunFolder, staged: StagedFolder, path: Path, overwrite: bool, even_if_failed: bool) -> None:
     """The run takes its place, or one beside it where that is taken; ``run`` says which."""
-    failed = read_summary(staged.path).status == "failed"
+    failed = read_summary(staged.path / SUMMARY).status == "failed"
     place, is_own = staged.place, own_files(staged.place)
     if _is_not_empty(place):
         if is_own is None or not overwrite:
             run.note = f"{path} was filled by another program in the meantime and stays as it is"
             place, is_own = _free(place, "new"), None
-        elif failed and not even_if_failed and read_summary(place).status != "failed":
+        elif failed and not even_if_failed and read_summary(place / SUMMARY).status != "failed":
             run.note = f"{path} still holds the run before, as this one failed"
             place = _place_of_failed(place)
             is_own = own_files(place)
@@ -217,7 +217,7 @@ def _place_of_failed(place: Path) -> Path:
         return beside if not beside.exists() or beside.is_dir() else _free(place, "failed")
     is_own = own_files(beside)
     clashes = is_own is None or any(is_run_file(name) for name in foreign(beside, is_own))
-    if clashes or beside.is_symlink() or read_summary(beside).status != "failed":
+    if clashes or beside.is_symlink() or read_summary(beside / SUMMARY).status != "failed":
         return _free(place, "failed")
     return beside
 
@@ -257,14 +257,14 @@ class _LogFile(logging.FileHandler):
 
 def record_failure(folder: Path, message: str) -> None:
     """Turn the files in the folder into a failed run, whose summary.json says why."""
-    if (folder / "summary.json").exists():
-        summary = read_summary(folder)
+    if (folder / SUMMARY).exists():
+        summary = read_summary(folder / SUMMARY)
         warnings = list(dict.fromkeys([message, *summary.warnings]))
         summary = summary.model_copy(update={"status": "failed", "warnings": warnings})
     else:
         tracks = read_measurements(folder) if (folder / "measurements.npz").exists() else None
         summary = build_summary(tracks, None, None, {}, failure=message)
-    write_summary(with_files(summary, folder), folder / "summary.json")
+    write_summary(with_files(summary, folder), folder / SUMMARY)
 
 
 def _one_line(error: BaseException) -> str:

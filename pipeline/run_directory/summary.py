@@ -18,6 +18,7 @@ from polhode.lie import Array
 from polhode.output.exchange import entries
 from polhode.output.run_files import is_run_file
 from polhode.pipeline.run_directory.archives import undetermined_as_inf
+from polhode.pipeline.run_directory.own_results import digests, require_own_results
 from polhode.pipeline.run_directory.summary_schema import (
     ESTIMATE_PARTS,
     Noise,
@@ -124,9 +125,9 @@ def _undetermined(estimate: MotionEstimate | None) -> list[str]:
 
 
 def with_files(summary: Summary, folder: Path) -> Summary:
-    """The summary, with the names of the run's files in ``folder``."""
-    names = (name for name, is_folder in entries(folder) if not is_folder and is_run_file(name))
-    return summary.model_copy(update={"files": tuple(sorted(names))})
+    """The summary, with the names of the run's files in ``folder``, and digests of its results."""
+    names = sorted(name for name, is_folder in entries(folder) if not is_folder and is_run_file(name))
+    return summary.model_copy(update={"files": tuple(names), "sha256": digests(folder, names)})
 
 
 def write_summary(summary: Summary, path: Path) -> None:
@@ -137,7 +138,10 @@ def write_summary(summary: Summary, path: Path) -> None:
 
 
 def read_summary(path: Path) -> Summary:
-    """Read summary.json (the file, or its run folder). Raises InputError, one line."""
+    """Read summary.json (the file, or its run folder). Raises InputError, one line.
+
+    Of a folder, the run's results must be those that it wrote (``own_results``).
+    """
     file = path / "summary.json" if path.is_dir() else path
     if not file.exists():
         raise InputError(f"{file}: no such file; give the folder of a run")
@@ -150,6 +154,8 @@ def read_summary(path: Path) -> Summary:
         what = first["msg"].removeprefix("Value error, ")[:200]
         raise InputError(f"{file}: {where}: {what}; {NOT_OURS}") from None
     _require_sound(file, summary)
+    if file != path:
+        require_own_results(path, summary.sha256)
     return summary
 
 

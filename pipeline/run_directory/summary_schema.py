@@ -36,6 +36,8 @@ Matrix = Annotated[tuple[Vector, Vector, Vector], BeforeValidator(_plain)]
 VarianceRow = Annotated[tuple[Variance, Variance, Variance], BeforeValidator(_plain)]
 VarianceMatrix = tuple[VarianceRow, VarianceRow, VarianceRow]
 Flags = tuple[bool, bool, bool]
+Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+"""SHA-256, hexadecimal."""
 Status = Literal["ok", "degraded", "failed"]
 ESTIMATE_PARTS = (
     *("inertia", "identifiable", "identifiable_components", "com_G", "cov_com_G", "R_GP", "cov_R_GP"),
@@ -293,6 +295,8 @@ class Summary(StrictModel):
     """null: the mesh encloses no volume."""
     files: tuple[str, ...] | None = None
     """Files that the run wrote into its folder, which another run may replace; null: not listed."""
+    sha256: dict[str, Digest] | None = None
+    """Of its results, which later commands compare; null: an earlier version wrote none."""
 
     @model_validator(mode="after")
     def _estimate_is_whole(self) -> Self:

@@ -11,6 +11,7 @@ from polhode.cli.main import main
 from polhode.config import Config
 from polhode.dataset_writer import write_inspector, write_truth, write_wrench
 from polhode.pipeline.run_directory.outputs import write_online_estimate
+from polhode.pipeline.run_directory.summary import read_summary, with_files, write_summary
 from polhode.records import OnlineEstimate, Truth
 from tests.pipeline.conftest import Example
 from tests.pipeline.stored_run import write_run
@@ -188,7 +189,7 @@ IN_RUN: dict[str, tuple[str, Damage, str, tuple[str, ...]]] = {
     "rows": (
         "trajectory.csv",
         shortened,
-        "trajectory.csv and covariance.npz have different frames",
+        "trajectory.csv: not the file that this run wrote",
         (REPORT, PREDICT, EVALUATE),
     ),
     "covariance": ("covariance.npz", array("covariance", np.nan), "holds NaN", (REPORT, PREDICT, EVALUATE)),
@@ -229,6 +230,8 @@ def finished(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path
         determined=np.ones((n, 4), dtype=np.bool_),
     )  # fmt: skip
     write_online_estimate(folder / "run", online)
+    summary = folder / "run" / "summary.json"
+    write_summary(with_files(read_summary(summary), folder / "run"), summary)
     truth = Truth(
         motion.timestamps_ns, motion.r_N, motion.R_NP, motion.v_N, motion.w_P,
         mass.moments, mass.k1, mass.k2, mass.com_G, mass.R_GP, example.surface.mesh,

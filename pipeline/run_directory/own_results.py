@@ -1,0 +1,94 @@
+"""Whether the files in the folder of a run are those that the run wrote: their digests in summary.json.
+
+Files of two runs in one folder give numbers that belong to no run, and nothing in them shows it: attitudes of
+one motion with the inertia of another, for example.
+"""
+
+import hashlib
+import logging
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+
+from polhode.errors import InputError
+from polhode.foreign_files import GIB, open_regular
+from polhode.output.run_files import LATER
+from polhode.pipeline.run_directory.archives import (
+    read_covariance,
+    read_measurements,
+    read_online,
+    read_relative_poses,
+    read_residuals,
+)
+from polhode.pipeline.run_directory.trajectory_file import read_trajectory
+
+CONFIG = "config.yaml"
+
+
+def _read_all_measurements(path: Path) -> None:
+    read_measurements(path)
+    read_relative_poses(path)
+    read_residuals(path)
+
+
+NUMBERS: dict[str, Callable[[Path], object]] = {
+    "trajectory.csv": read_trajectory,
+    "covariance.npz": read_covariance,
+    "measurements.npz": _read_all_measurements,
+    "online.npz": read_online,
+}
+"""By name: the files whose numbers are used together, and their readers."""
+EDITABLE: tuple[str, ...] = (CONFIG, "landmarks.ply", "mesh.ply")
+"""Files that users may change on purpose: a mesh is cleaned, a configuration is run again."""
+MAX_BYTES = GIB
+"""Of a file that is compared with its digest; no reader takes a larger one."""
+
+_log = logging.getLogger(__name__)
+
+
+def digests(folder: Path, names: Iterable[str]) -> dict[str, str]:
+    """SHA-256, hexadecimal, of those of a run's files that do not change later; pictures are left out."""
+    kept = (name for name in sorted(names) if "/" not in name and not name.startswith("."))
+    return {name: _digest(folder / name) for name in kept if name == CONFIG or name not in LATER}
+
+
+def require_own_results(folder: Path, recorded: Mapping[str, str] | None) -> None:
+    """Compare the files of a run with the digests that its summary has; None: an earlier version wrote none.
+
+    Raises InputError for sound numbers that are not this run's. Damaged files are left to their readers,
+    which say what is wrong with them; for surfaces, landmarks and the configuration there is a warning.
+    """
+    if recorded is None:
+        return
+    for name, read in NUMBERS.items():
+        if (wrong := _difference(folder / name, recorded)) and _is_sound(folder / name, read):
+            raise InputError(f"{wrong}; take all files of one run")
+    for name in EDITABLE:
+        if wrong := _difference(folder / name, recorded):
+            _log.warning("%s; it was changed, or is of another run", wrong)
+
+
+def _difference(file: Path, recorded: Mapping[str, str]) -> str:
+    """How the file differs from that of the run; empty: it is the same, or there is none to compare."""
+    if not file.is_file():
+        return ""
+    try:
+        found = _digest(file)
+    except InputError:
+        return ""
+    if found == recorded.get(file.name):
+        return ""
+    why = "has another digest" if file.name in recorded else "has no digest of it"
+    return f"{file}: not the file that this run wrote (summary.json {why})"
+
+
+def _is_sound(file: Path, read: Callable[[Path], object]) -> bool:
+    try:
+        read(file)
+    except InputError:
+        return False
+    return True
+
+
+def _digest(file: Path) -> str:
+    with open_regular(file, MAX_BYTES, "a file of a run") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,0 +1,141 @@
+"""Files of two runs in one folder: numbers are refused by every command, other files give a warning."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from polhode.cli.main import main
+from tests.conftest import MakeOnce
+from tests.pipeline.conftest import Example, make_example, write_example
+
+Capture = pytest.CaptureFixture[str]
+COMMANDS: dict[str, list[str]] = {
+    "predict": ["predict", "RUN", "--horizon", "5", "-o", "OUT.csv"],
+    "report": ["report", "RUN", "-o", "OUT.html"],
+    "export": ["export", "RUN", "--to", "json", "-o", "OUT.json"],
+    "export of a mesh": ["export", "RUN", "--to", "ply", "-o", "OUT.ply"],
+    "plan": ["plan", "RUN", "-o", "OUT"],
+    "observability": ["observability", "RUN", "-o", "OUT"],
+    "evaluate": ["evaluate", "RUN", "SEQ"],
+    "compare": ["compare", "--run", "RUN", "-o", "OUT"],
+}
+
+
+def _like(example: Example) -> Example:
+    """Another target at the same instants."""
+    estimate, tracks = example.estimate, example.tracks
+    mass = replace(estimate.mass, com_G=estimate.mass.com_G + 0.01)
+    surface = replace(example.surface, sigma_m=2.0 * example.surface.sigma_m)
+    landmarks = replace(estimate.landmarks, p_G=1.1 * estimate.landmarks.p_G)
+    found = replace(
+        estimate, r_N=1.1 * estimate.r_N, covariance=4.0 * estimate.covariance, mass=mass, landmarks=landmarks
+    )
+    return replace(
+        example, tracks=replace(tracks, uvd_px=tracks.uvd_px + 1.0), estimate=found, surface=surface
+    )
+
+
+@pytest.fixture(scope="module")
+def two_runs(make_once: MakeOnce) -> Path:
+    """``one`` and ``other``, whose frames have the same timestamps."""
+
+    def fill(folder: Path) -> None:
+        for name, change in (("one", lambda each: each), ("other", _like)):
+            (folder / name).mkdir(parents=True)
+            write_example(folder / name, change(make_example()))
+
+    return make_once("two_runs", fill)
+
+
+@pytest.fixture
+def run(two_runs: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(two_runs / "one", tmp_path / "run"))
+
+
+def _words(command: str, run: Path) -> list[str]:
+    places = {"RUN": str(run), "SEQ": str(run.parent)}
+    out = str(run.with_name("out"))
+    return [places.get(word, word.replace("OUT", out)) for word in COMMANDS[command]]
+
+
+def _without_digests(run: Path) -> None:
+    """As an earlier version wrote it."""
+    content = json.loads((run / "summary.json").read_text())
+    assert content.pop("sha256")
+    (run / "summary.json").write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("file", ["summary.json", "trajectory.csv", "covariance.npz", "measurements.npz"])
+def test_numbers_of_another_run_are_refused(
+    file: str, command: str, run: Path, two_runs: Path, capsys: Capture
+) -> None:
+    shutil.copy(two_runs / "other" / file, run / file)
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    assert main(_words(command, run)) == 2
+    line = capsys.readouterr().err
+    assert line.startswith("polhode: error: ") and line.count("\n") == 1
+    named = "trajectory.csv" if file == "summary.json" else file
+    assert str(run / named) in line and "not the file that this run wrote" in line
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+    made = {path.name for path in run.parent.iterdir()} - {"run"}
+    # A comparison claims its folder before it reads the run.
+    assert made <= ({"out"} if command == "compare" else set())
+
+
+@pytest.mark.parametrize("file", ["mesh.ply", "landmarks.ply", "config.yaml"])
+def test_what_users_may_edit_gives_one_warning(file: str, run: Path, two_runs: Path, capsys: Capture) -> None:
+    if file == "config.yaml":
+        (run / file).write_text((run / file).read_text() + "# mine\n")
+    else:
+        shutil.copy(two_runs / "other" / file, run / file)
+    assert main(_words("export", run)) == 0
+    shown = capsys.readouterr().out
+    assert shown.count(f"{run / file}: not the file that this run wrote") == 1
+
+
+@pytest.mark.parametrize("command", ["predict", "report", "export"])
+def test_a_run_as_it_was_written_gives_no_warning(command: str, run: Path, capsys: Capture) -> None:
+    assert main(_words(command, run)) == 0
+    assert "this run wrote" not in capsys.readouterr().out
+
+
+def test_a_run_of_an_earlier_version_is_read_as_before(run: Path, two_runs: Path, capsys: Capture) -> None:
+    _without_digests(run)
+    shutil.copy(two_runs / "other" / "measurements.npz", run / "measurements.npz")
+    assert main(_words("predict", run)) == 0
+    assert "this run wrote" not in capsys.readouterr().out
+    lines = (run / "trajectory.csv").read_text().splitlines()
+    (run / "trajectory.csv").write_text("\n".join(lines[:-1]) + "\n")
+    assert main(_words("predict", run)) == 2
+    assert "trajectory.csv and covariance.npz have different frames" in capsys.readouterr().err
+
+
+def _pushed(folder: Path) -> None:
+    (folder / "pushes.csv").write_text("mine\n")
+
+
+@pytest.mark.parametrize("change", [_pushed, lambda run: (run / "measurements.npz").unlink()])
+def test_only_the_numbers_that_are_there_are_compared(change: Callable[[Path], object], run: Path) -> None:
+    change(run)
+    assert main(_words("predict", run)) == 0
+
+
+def test_a_causal_estimate_that_the_run_did_not_write_is_refused(run: Path, capsys: Capture) -> None:
+    with np.load(run / "covariance.npz") as archive:
+        stamps = archive["timestamps_ns"]
+    n = len(stamps)
+    eye, rows = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
+    np.savez(
+        run / "online.npz", timestamps_ns=stamps, r_N=rows, v_N=rows, R_NP=eye, w_P=rows,
+        covariance=np.tile(np.eye(12), (n, 1, 1)), X_NG=np.tile(np.eye(4), (n, 1, 1)), k=rows[:, :2],
+        cov_k=np.tile(np.eye(2), (n, 1, 1)), com_G=rows, cov_com_G=eye, R_GP=eye, cov_R_GP=eye,
+        determined=np.ones((n, 4), dtype=np.bool_),
+    )  # fmt: skip
+    assert main(_words("report", run)) == 2
+    assert "online.npz: not the file that this run wrote" in capsys.readouterr().err
