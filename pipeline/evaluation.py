@@ -44,6 +44,7 @@ from polhode.metrics import (
     with_half_turn,
 )
 from polhode.pipeline.run_directory.archives import Covariance, read_covariance
+from polhode.pipeline.run_directory.recording import require_recording
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory, require_same_frames, target_poses
@@ -108,7 +109,7 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
     """Compare a run with the truth of its sequence; write RUN/metrics.json and return it.
 
     Values that cannot be computed (undetermined, or no truth that far) are None, ``null`` in the file.
-    Raises InputError when the run has no estimate or the sequence no truth.
+    Raises InputError when the run has no estimate, or the sequence no truth or other images than the run's.
     """
     summary = read_summary(run_folder)
     if summary.inertia is None or summary.com_G is None or summary.R_GP is None:
@@ -118,6 +119,7 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
     covariance = read_covariance(run_folder)
     require_same_frames(run_folder, table, covariance.timestamps_ns, "covariance.npz")
     truth = read_truth(sequence_folder)
+    require_recording(summary.data, sequence_folder)
     true_states = truth_at(truth, estimate.timestamps_ns)
     X_NG = target_poses(estimate, np.array(summary.R_GP), np.array(summary.com_G))
     X_NG_true = target_poses(true_states, truth.R_GP, truth.com_G)

@@ -21,6 +21,7 @@ from polhode.pipeline.pictures import make_pictures
 from polhode.pipeline.report import finish_run, write_report
 from polhode.pipeline.run_directory import outputs
 from polhode.pipeline.run_directory.archives import write_measurements
+from polhode.pipeline.run_directory.recording import recording_of
 from polhode.pipeline.run_directory.run_folder import atomic_run_folder
 from polhode.pipeline.run_directory.summary import build_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
@@ -65,6 +66,7 @@ def run(
         folder = written.path
         context = open_context(sequence_folder, config, progress)
         clock = context.clock
+        written.recording = recording_of(context.sequence)
         outputs.write_config(folder, config)
 
         correspondences = match_frames(context)
@@ -94,6 +96,7 @@ def run(
         warnings += [*fused.warnings, *findings.limits]
         reasons = findings.reasons
         summary = build_summary(tracks, estimate, surface, clock.seconds, warnings, reasons, shape=shape)
+        summary = summary.model_copy(update={"data": written.recording})
         with progress.stage("report", 1) as advance:
             summary = finish_run(folder, summary)
             advance()

@@ -102,6 +102,10 @@ class StereoSequence:
         """The left image and mask of pair k alone."""
         return self._read_image(0, k), self._read_mask("masks0", k)
 
+    def left_file(self, k: int) -> Path:
+        """The file of the left image of pair k."""
+        return self._files[k][0]
+
     def _read_image(self, camera: int, k: int) -> Grey:
         width, height = self.calibration.width_px, self.calibration.height_px
         try:

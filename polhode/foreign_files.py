@@ -6,6 +6,7 @@ without end, and a file larger than any of its kind is refused before it fills t
 """
 
 import codecs
+import hashlib
 import os
 import stat
 from pathlib import Path
@@ -69,6 +70,18 @@ def read_bytes(path: Path, limit_bytes: int, kind: str) -> bytes:
     if len(content) > limit_bytes:
         raise _too_large(path, len(content), limit_bytes, kind)
     return content
+
+
+def sha256_of(path: Path, limit_bytes: int, kind: str) -> str:
+    """The SHA-256, hexadecimal, of a regular file of at most ``limit_bytes``. Raises as ``open_regular``."""
+    digest = hashlib.sha256()
+    with open_regular(path, limit_bytes, kind) as stream:
+        try:
+            while part := stream.read(MIB):
+                digest.update(part)
+        except OSError as error:
+            raise _unreadable(path, error) from None
+    return digest.hexdigest()
 
 
 def read_text(path: Path, limit_bytes: int, kind: str) -> str:

@@ -26,6 +26,7 @@ from polhode.errors import InputError
 from polhode.foreign_files import MIB, read_text
 from polhode.output.run_files import SUMMARY
 from polhode.pipeline.run_directory.archives import read_measurements, read_relative_poses, write_measurements
+from polhode.pipeline.run_directory.recording import require_recording
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.progress import Progress
 from polhode.records import Ints, RelativePoses, StereoTracks, Truth
@@ -76,9 +77,6 @@ class Source:
             return synthetic_problem(self.name, self.scene, self.seed, backend)
         assert self.folder is not None
         if self.is_run:
-            if (self.folder / SUMMARY).is_file():
-                # its measurements must be its own
-                read_summary(self.folder)
             tracks, relative = read_measurements(self.folder), read_relative_poses(self.folder)
         else:
             tracks, relative = measure(self.folder, config, progress, store)
@@ -113,9 +111,18 @@ def sources(
     if data is not None:
         yield Source(data.resolve().name, f"dataset {data}", data, truth=data)
     elif run is not None:
+        _require_of_one_run(run, truth)
         yield Source(run.resolve().name, f"run {run}", run, is_run=True, truth=truth)
     else:
         yield from _generated(config.compare.monte_carlo)
+
+
+def _require_of_one_run(run: Path, truth: Path | None) -> None:
+    """Raise InputError for measurements or a truth that are not this run's; measurements alone pass."""
+    if (run / SUMMARY).is_file():
+        summary = read_summary(run)
+        if truth is not None:
+            require_recording(summary.data, truth)
 
 
 def _generated(wanted: MonteCarlo) -> Iterator[Source]:

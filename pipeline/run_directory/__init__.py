@@ -7,6 +7,7 @@ In: the records of the stages. Out: the files of a run (docs/run_directory.md), 
 - stored_run: all of a stored run, as the report takes it
 - summary: summary.json; summary_schema has its models and generates its JSON Schema
 - own_results: digests of the run's files, and whether those in the folder are its own
+- recording: which recording the run was made from
 - archives: covariance.npz, measurements.npz, online.npz
 - trajectory_file, point_cloud_file: trajectory.csv and landmarks.ply
 """

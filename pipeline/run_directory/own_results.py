@@ -4,13 +4,12 @@ Files of two runs in one folder give numbers that belong to no run, and nothing 
 one motion with the inertia of another, for example.
 """
 
-import hashlib
 import logging
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from polhode.errors import InputError
-from polhode.foreign_files import GIB, open_regular
+from polhode.foreign_files import GIB, sha256_of
 from polhode.output.run_files import LATER
 from polhode.pipeline.run_directory.archives import (
     read_covariance,
@@ -90,5 +89,4 @@ def _is_sound(file: Path, read: Callable[[Path], object]) -> bool:
 
 
 def _digest(file: Path) -> str:
-    with open_regular(file, MAX_BYTES, "a file of a run") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+    return sha256_of(file, MAX_BYTES, "a file of a run")

@@ -25,6 +25,7 @@ from polhode.output.run_files import LATER, PICTURES, SUMMARY, is_run_file
 from polhode.output.staged_folder import StagedFolder, staged_folder
 from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.pipeline.run_directory.summary import build_summary, read_summary, with_files, write_summary
+from polhode.pipeline.run_directory.summary_schema import Recording
 
 REPORT = "report.html"
 CONFIG_SIGN, PAGE_SIGN = "# Resolved configuration", "polhode</title>"
@@ -45,6 +46,8 @@ class RunFolder:
     """Where the run is to be read, after the block; None: it was not published"""
     note: str = ""
     """What the user should know about the place"""
+    recording: Recording | None = None
+    """What the run is made from, for the summary of a failure"""
 
 
 @contextmanager
@@ -193,7 +196,7 @@ def _publish_failed(
     if _is_not_empty(staged.place) and not has_results:
         return f"nothing was found; {path} still holds the run before"
     try:
-        record_failure(folder, _one_line(error))
+        record_failure(folder, _one_line(error), run.recording)
     except Exception as second:  # noqa: BLE001  whatever prevents it: the files are kept as they are
         _log.debug("no summary", exc_info=second)
         staged.keep = True
@@ -255,7 +258,7 @@ class _LogFile(logging.FileHandler):
         """Nothing: the results tell that the disk is full."""
 
 
-def record_failure(folder: Path, message: str) -> None:
+def record_failure(folder: Path, message: str, recording: Recording | None = None) -> None:
     """Turn the files in the folder into a failed run, whose summary.json says why."""
     if (folder / SUMMARY).exists():
         summary = read_summary(folder / SUMMARY)
@@ -264,6 +267,7 @@ def record_failure(folder: Path, message: str) -> None:
     else:
         tracks = read_measurements(folder) if (folder / "measurements.npz").exists() else None
         summary = build_summary(tracks, None, None, {}, failure=message)
+    summary = summary.model_copy(update={"data": summary.data or recording})
     write_summary(with_files(summary, folder), folder / SUMMARY)
 
 

@@ -254,6 +254,24 @@ class Physics(StrictModel):
     k2_difference: Finite | None
 
 
+class RecordedImage(StrictModel):
+    """An image as it was when the run read it."""
+
+    timestamp_ns: int
+    file_sha256: Digest
+    pixels_sha256: Digest
+    """Of the decoded grey values as stored, row by row, low byte first."""
+
+
+class Recording(StrictModel):
+    """What identifies the recording, wherever it lies and however its images are encoded."""
+
+    width_px: int = Field(gt=0)
+    height_px: int = Field(gt=0)
+    left_images: tuple[RecordedImage, ...]
+    """The first, the middle and the last that the run uses."""
+
+
 class Summary(StrictModel):
     """The results of a run. Parts that a failed run did not reach are null."""
 
@@ -295,6 +313,8 @@ class Summary(StrictModel):
     """null: the mesh encloses no volume."""
     files: tuple[str, ...] | None = None
     """Files that the run wrote into its folder, which another run may replace; null: not listed."""
+    data: Recording | None = None
+    """What the run was made from; null: an earlier version did not record it."""
     sha256: dict[str, Digest] | None = None
     """Of its results, which later commands compare; null: an earlier version wrote none."""
 

@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 from polhode.config import Config, Pictures
+from polhode.dataset import open_sequence
 from polhode.dataset_writer import write_png
 from polhode.errors import InputError, RunFailure
 from polhode.pipeline.evaluation import evaluate
 from polhode.pipeline.run import run
 from polhode.pipeline.run_directory.archives import read_measurements
+from polhode.pipeline.run_directory.recording import recording_of
+from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.progress import Silent
 from tests.conftest import RENDERED_FRAMES, MakeOnce
@@ -40,7 +43,7 @@ def test_the_motion_is_found_from_a_cold_start(
     assert metrics["mesh"]["chamfer_mm"] < 3.0
 
 
-def test_every_pair_has_a_row_and_the_folder_is_complete(finished: Path) -> None:
+def test_every_pair_has_a_row_and_the_folder_is_complete(finished: Path, rendered_sequence: Path) -> None:
     assert len(read_trajectory(finished / "trajectory.csv").timestamps_ns) == RENDERED_FRAMES
     names = {path.name for path in finished.iterdir()}
     assert names >= {
@@ -55,6 +58,7 @@ def test_every_pair_has_a_row_and_the_folder_is_complete(finished: Path) -> None
         "report.html",
         "log.txt",
     }
+    assert read_summary(finished).data == recording_of(open_sequence(rendered_sequence))
     pictures = {path.name for path in (finished / "pictures").iterdir()}
     assert pictures >= {"model.mp4", "model.gif", "model.csv", "landmarks.png", "mesh.png"}
 

@@ -55,8 +55,8 @@ def content(example: Any, tmp_path_factory: pytest.TempPathFactory) -> StoredRun
 
 def _content(example: Any, estimate: MotionEstimate, folder: Path) -> StoredRun:
     folder.mkdir()
-    write_run(folder, config=Config(), tracks=example.tracks, estimate=estimate, surface=None, timing_s={})
     write_online_estimate(folder, online_of(example.estimate))
+    write_run(folder, config=Config(), tracks=example.tracks, estimate=estimate, surface=None, timing_s={})
     return read_stored_run(folder, "run")
 
 
