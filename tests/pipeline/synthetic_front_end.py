@@ -19,7 +19,6 @@ from polhode.lie import make_pose
 from polhode.records import SurfaceModel
 from polhode.simulation.monte_carlo import RIG, SyntheticSequence
 
-PICTURE = "patch.png"
 NOTHING = StereoFeatures(
     np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 4), dtype=np.float32)
 )
@@ -59,18 +58,18 @@ def put_in_place(
 
 
 def _write(sequence: SyntheticSequence, folder: Path) -> None:
-    """The pictures of all frames are links to one: a bright patch before a dark sky."""
+    """The picture of each frame is a bright patch before a dark sky, with other noise in one row."""
+    rng = np.random.default_rng(1)
     picture = np.zeros((RIG.height_px, RIG.width_px), dtype=np.uint8)
-    picture[200:280, 280:360] = np.random.default_rng(1).integers(60, 250, (80, 80))
+    picture[200:280, 280:360] = rng.integers(60, 250, (80, 80))
+    names = [f"{stamp}.png" for stamp in sequence.tracks.timestamps_ns]
     for index in (0, 1):
         camera = folder / "mav0" / f"cam{index}"
         X_BC = make_pose(np.eye(3), np.array([index * RIG.baseline_m, 0.0, 0.0]))
         write_sensor(camera, RIG.K, np.zeros(4), X_BC, RIG.width_px, RIG.height_px, rate_hz=2.0)
-        write_png(camera / "data" / PICTURE, picture)
-        names = [f"{stamp}.png" for stamp in sequence.tracks.timestamps_ns]
         for name in names:
-            (camera / "data" / name).unlink(missing_ok=True)
-            (camera / "data" / name).symlink_to(PICTURE)
+            picture[200, 280:360] = rng.integers(60, 250, 80)
+            write_png(camera / "data" / name, picture)
         rows = [f"{Path(name).stem},{name}\n" for name in names]
         (camera / "data.csv").write_text("".join(rows))
 
