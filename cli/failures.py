@@ -10,13 +10,15 @@ EXHAUSTED = {
     errno.ENOSPC: "free some space, or choose an output on another disk",
     errno.EDQUOT: "free some space, or choose an output on another disk",
     errno.EFBIG: "raise the limit (ulimit -f), or choose an output on another file system",
-    errno.EMFILE: "raise the limit (ulimit -n), or use --runtime.workers 1",
-    errno.ENFILE: "close other programs, or use --runtime.workers 1",
-    errno.EAGAIN: "raise the limit of processes (ulimit -u), or use --runtime.workers 1",
+    errno.EMFILE: "raise the limit (ulimit -n){or_one_worker}",
+    errno.ENFILE: "close other programs{or_one_worker}",
+    errno.EAGAIN: "raise the limit of processes (ulimit -u){or_one_worker}",
     errno.EIO: "the device fails: check it, and keep data and results on another",
     errno.ENOSYS: "the system lacks what is needed: see whether /dev/shm and /proc are there",
 }
 """What the machine has run out of: it ends a command whatever its input is."""
+WITH_WORKERS = ("simulate", "run", "compare", "train")
+OR_ONE_WORKER = ", or use --runtime.workers 1"
 REFUSED = {
     errno.EACCES: "change its permissions, or choose another path",
     errno.EPERM: "change its permissions, or choose another path",
@@ -66,12 +68,10 @@ def _explained(error: Exception, working: bool, command: str) -> tuple[int, str]
         remedy = f"{LESS_MEMORY.get(command, 'close other programs')}, or raise the limit (ulimit -v)"
         return RunFailure.exit_code, f"the memory is exhausted ({said}): {remedy}"
     if isinstance(error, RuntimeError) and any(words in text for words in NO_THREADS):
-        remedy = (
-            "raise the limits of processes (ulimit -u) and memory (ulimit -v), or use --runtime.workers 1"
-        )
+        remedy = "raise the limits of processes (ulimit -u) and memory (ulimit -v)" + _or_one_worker(command)
         return RunFailure.exit_code, f"no more threads can be started ({said}): {remedy}"
     if isinstance(error, OSError) and error.errno is not None:
-        return _of_system(error, users)
+        return _of_system(error, users, command)
     if isinstance(error, RecursionError) and not working:
         return users, "an input is nested too deeply to be read: flatten its lists and mappings"
     if isinstance(error, UnicodeDecodeError):
@@ -87,13 +87,18 @@ def _explained(error: Exception, working: bool, command: str) -> tuple[int, str]
     )
 
 
-def _of_system(error: OSError, users: int) -> tuple[int, str]:
+def _or_one_worker(command: str) -> str:
+    return OR_ONE_WORKER if command in WITH_WORKERS else ""
+
+
+def _of_system(error: OSError, users: int, command: str) -> tuple[int, str]:
     files = [os.fsdecode(name) for name in (error.filename, error.filename2) if isinstance(name, str | bytes)]
     reason = error.strerror or str(error)
     where = f"{' -> '.join(files) or 'a file or process'}: {reason}"
     number = error.errno or 0
     if number in EXHAUSTED:
-        return RunFailure.exit_code, f"{where}: {EXHAUSTED[number]}"
+        remedy = EXHAUSTED[number].format(or_one_worker=_or_one_worker(command))
+        return RunFailure.exit_code, f"{where}: {remedy}"
     remedy = REFUSED.get(number, "check this path and the device it is on")
     return users, f"{where}: {remedy}"
 

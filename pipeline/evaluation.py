@@ -44,6 +44,7 @@ from polhode.metrics import (
     with_half_turn,
 )
 from polhode.pipeline.run_directory.archives import Covariance, read_covariance
+from polhode.pipeline.run_directory.own_results import OF_SUMMARY, summary_digest
 from polhode.pipeline.run_directory.recording import require_recording
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
@@ -130,7 +131,8 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
     metrics["nees"] |= _mass_nees(summary, truth, true_states, X_NG[0], FORMS[config.backend.inertia])
     metrics |= _prediction_errors(estimate, true_states, truth, summary)
     metrics["mesh"] = _mesh_metrics(run_folder, sequence_folder, truth, X_NG, X_NG_true)
-    write_text(run_folder / "metrics.json", json.dumps(metrics, indent=2, allow_nan=False) + "\n")
+    stored = {**metrics, OF_SUMMARY: summary_digest(run_folder)}
+    write_text(run_folder / "metrics.json", json.dumps(stored, indent=2, allow_nan=False) + "\n")
     return metrics
 
 

@@ -120,9 +120,14 @@ def undetermined_states(
     rate = max(float(np.sqrt(np.mean(np.sum(w_P**2, axis=1)))), 0.01)
     # the prior bounds r and v; the axes may be far off, where the linear change is not meaningful
     lost = change > np.repeat([0.3 * 0.01, 0.3 * 0.01 * rate, 0.01, 0.002 * rate], 3)
-    if np.sum(~determined.record.axes_P) >= 2:
+    free = ~determined.record.axes_P
+    if np.sum(free) >= 2:
         # the axes may even be exchanged: no component in P is known
         lost[:, 6:] = True
+    elif free.any():
+        # the other two axes may be turned by any angle, which mixes the rates about them, and one may just be 0
+        across = 9 + np.flatnonzero(~free)
+        lost[:, across] |= lost[:, across].any(axis=1, keepdims=True)
     return np.asarray(lost)
 
 

@@ -83,7 +83,9 @@ FAULTS: dict[str, Fault] = {
     "second_body": Fault("a second body crosses", render=scenes.second_body),
     "plume": Fault("a plume", files.plume),
     "loose_blanket": Fault("a loose blanket swings", render=scenes.loose_blanket),
-    "mass_ejected": Fault("8 % of the mass ejected", render=scenes.mass_ejected),
+    "mass_ejected": Fault(
+        "8 % of the mass ejected", render=scenes.mass_ejected, named=("left it or moved with the push",)
+    ),
     "thruster_burst": Fault("a thruster fires for 1 s", render=scenes.thruster_burst),
     "disturbances_10": Fault("disturbances x 10", render=scenes.disturbances(10.0)),
     "disturbances_100": Fault("disturbances x 100", render=scenes.disturbances(100.0)),

@@ -163,6 +163,7 @@ DOUBTS = (
     r"fewer than half of the frames",
     r"determine the direction of rotation",
     r"solver stopped",
+    r"connected by the dynamics",
 )
 """Warnings that question the whole answer, whatever caused it."""
 

@@ -79,7 +79,7 @@ def predict_run(
     or the times are invalid.
     """
     last, summary = last_body(run_folder)
-    time_s, timestamps_ns = _instants(run_folder, horizon_s, step_s, from_last)
+    time_s, timestamps_ns = prediction_instants(run_folder, horizon_s, step_s, from_last)
     assert summary.noise is not None and summary.identifiable_components is not None
     shown = Silent() if progress is None or len(time_s) <= LONG_ROWS else progress
     with shown.stage("prediction", math.ceil(len(time_s) / ROWS_AT_ONCE)) as advance:
@@ -99,7 +99,7 @@ def predict_without_covariance(run_folder: Path, horizon_s: float, step_s: float
     """The same states, from the last pair on, from the summary and the last row of the trajectory."""
     summary, table = read_summary(run_folder), read_trajectory(run_folder)
     assert summary.inertia is not None
-    time_s, timestamps_ns = _instants(run_folder, horizon_s, step_s, from_last=True)
+    time_s, timestamps_ns = prediction_instants(run_folder, horizon_s, step_s, from_last=True)
     R_GP, J_G = np.array(summary.R_GP), np.array(summary.inertia.J_G)
     r_N, v_N, R_NG, w_G = propagate(
         time_s, table.r_N[-1], table.v_N[-1], table.R_NP[-1] @ R_GP.T, R_GP @ table.w_P[-1], J_G
@@ -112,7 +112,7 @@ def predict_without_covariance(run_folder: Path, horizon_s: float, step_s: float
     )
 
 
-def _instants(
+def prediction_instants(
     run_folder: Path, horizon_s: float, step_s: float | None, from_last: bool
 ) -> tuple[Array, Ints]:
     """Seconds after the last pair (T,) and timestamps (T,) of a prediction."""
@@ -235,7 +235,9 @@ def undetermined_components(last: Array, com_lost: Array, axes_lost: Array, stat
     elif axes_lost.any():
         rate = np.linalg.norm(states.w_P, axis=1, keepdims=True)
         lost[:, 6:9] |= axes_lost
-        lost[:, 9:12] |= np.abs(np.cross(states.w_P, np.eye(3)[axes_lost][0])) > MIN_RATE_SHARE * rate
+        # an unknown turn about this axis mixes the rates about the other two
+        across = np.linalg.norm(states.w_P[:, ~axes_lost], axis=1, keepdims=True) > MIN_RATE_SHARE * rate
+        lost[:, 9:12] |= across & ~axes_lost
     return lost
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.data_checks.clock_check import clock_contradictions
+from polhode.pipeline.data_checks.connection_check import weak_connections
 from polhode.pipeline.data_checks.inspector_check import inspector_contradictions
 from polhode.pipeline.data_checks.mass_check import mass_contradictions
 from polhode.pipeline.data_checks.rig_check import rig_contradictions
@@ -53,12 +54,21 @@ def check_data(
         reasons.extend(focal_contradictions(found))
         limits.extend([] if reasons else calibration_limits(found, tracks, estimate))
 
+    def mass() -> None:
+        doubts, unseen = mass_contradictions(tracks, estimate, context.config.backend)
+        reasons.extend(doubts)
+        limits.extend(unseen)
+
+    def connections() -> None:
+        limits.extend(weak_connections(tracks, estimate))
+
     checks: tuple[Callable[[], list[str] | None], ...] = (
         lambda: rig_contradictions(context, features, tracks, estimate),
         calibration,
         lambda: clock_contradictions(tracks.time_s, estimate.X_NG[:, :3, :3], seen),
         lambda: inspector_contradictions(tracks.X_NR, estimate.X_NG, seen, tracks.sigma_camera_theta_rad),
-        lambda: mass_contradictions(tracks, estimate, context.config.backend),
+        mass,
+        connections,
     )
     with context.clock("backend"):
         for check in checks:

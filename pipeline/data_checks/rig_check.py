@@ -27,7 +27,11 @@ MIN_MATCHES = 8
 MIN_FRAMES = 4
 """Frames on either side of a step."""
 CLEAR = 5.0
-"""A step or a delay is significant above this number of standard deviations."""
+"""A step or a delay is significant above this number of standard deviations;"""
+CLEAR_TURN = 4.0
+"""and a turn of the rows, which is 2.1 at most on undisturbed sequences, above this one."""
+LEAST_SCATTER_PX = 0.02
+"""Of the rows' offsets within a frame"""
 MAX_STEP_PX = 0.3
 """Of the median row: several times what a frame's median scatters."""
 MAX_TURN = 1e-3
@@ -84,31 +88,43 @@ def _exchanged(context: RunContext, features: Sequence[StereoFeatures]) -> list[
     ]
 
 
-def row_lines(features: Sequence[StereoFeatures]) -> tuple[Array, Array]:
-    """Row offset at the middle of each frame's matches [px], and its slope along the rows (F,) each.
+@dataclass(frozen=True)
+class RowLines:
+    """How much lower the right image is in each frame, as a line along the rows."""
 
-    NaN with too few matches. By least squares, twice more without outliers.
-    """
-    out = np.full((2, len(features)), np.nan)
+    middle_px: Array
+    """(F,) at the middle of the frame's matches; NaN with too few"""
+    slope: Array
+    """(F,)"""
+    sigma_middle_px: Array
+    sigma_slope: Array
+
+
+def row_lines(features: Sequence[StereoFeatures]) -> RowLines:
+    """By least squares, twice more without outliers."""
+    out = np.full((4, len(features)), np.nan)
     for k, each in enumerate(features):
         if each.rows is None or len(each.rows.offset_px) < MIN_MATCHES:
             continue
         y, x = each.rows.offset_px, each.rows.uv_px[:, 0] - np.mean(each.rows.uv_px[:, 0])
-        line = np.array([np.median(y), 0.0])
+        A, line = np.column_stack([np.ones(len(x)), x]), np.array([np.median(y), 0.0])
+        used = np.ones(len(x), dtype=np.bool_)
         for _ in range(3):
-            residual = np.abs(y - line[0] - line[1] * x)
-            good = residual <= 3.0 * max(1.4826 * float(np.median(residual)), 0.02)
+            residual = np.abs(y - A @ line)
+            good = residual <= 3.0 * max(1.4826 * float(np.median(residual)), LEAST_SCATTER_PX)
             if good.sum() < MIN_MATCHES or np.ptp(x[good]) < MIN_MATCHES:
                 break
-            line = np.linalg.lstsq(np.column_stack([np.ones(good.sum()), x[good]]), y[good])[0]
-        out[:, k] = line
-    return out[0], out[1]
+            used, line = good, np.linalg.lstsq(A[good], y[good])[0]
+        scatter = max(float(np.std((y - A @ line)[used])), LEAST_SCATTER_PX)
+        out[:2, k] = line
+        out[2:, k] = scatter * np.sqrt(np.diagonal(np.linalg.pinv(A[used].T @ A[used])))
+    return RowLines(*out)
 
 
 def _knocked(context: RunContext, features: Sequence[StereoFeatures]) -> list[str]:
-    middles, slopes = row_lines(features)
+    lines = row_lines(features)
     out = []
-    step = largest_step(middles)
+    step = largest_step(lines.middle_px, lines.sigma_middle_px)
     if step is not None and abs(step.size) > max(MAX_STEP_PX, CLEAR * step.sigma):
         degrees = np.rad2deg(abs(step.size) / context.rig.focal_px)
         out.append(
@@ -116,8 +132,8 @@ def _knocked(context: RunContext, features: Sequence[StereoFeatures]) -> list[st
             f"{context.time_s[step.place]:g} s on, as if one camera had turned by {degrees:.2f} deg: the "
             "calibration does not hold throughout"
         )
-    turn = largest_step(slopes)
-    if turn is not None and abs(turn.size) > max(MAX_TURN, CLEAR * turn.sigma):
+    turn = largest_step(lines.slope, lines.sigma_slope)
+    if turn is not None and abs(turn.size) > max(MAX_TURN, CLEAR_TURN * turn.sigma):
         out.append(
             f"the rows of the two images are inclined by {np.rad2deg(abs(turn.size)):.2f} deg more from "
             f"{context.time_s[turn.place]:g} s on, as if one camera had turned about its axis: the "
@@ -126,28 +142,37 @@ def _knocked(context: RunContext, features: Sequence[StereoFeatures]) -> list[st
     return out
 
 
-def largest_step(values: Array) -> Step | None:
-    """The step whose two medians fit the values (n,) best, by absolute residuals; NaN do not count.
+def largest_step(values: Array, sigma: Array) -> Step | None:
+    """The step whose two weighted medians fit the values (n,) best, by absolute residuals in their sigmas (n,).
 
-    None where there are too few. The sigma is that of a difference of medians.
+    NaN do not count; None where there are too few. The sigma is that of a difference of medians.
     """
     known = np.flatnonzero(np.isfinite(values))
+    v, s = values[known], sigma[known]
     best, least = None, np.inf
     for n in range(MIN_FRAMES, len(known) - MIN_FRAMES + 1):
-        before, after = values[known[:n]], values[known[n:]]
-        medians = float(np.median(before)), float(np.median(after))
-        residuals = np.abs(np.concatenate([before - medians[0], after - medians[1]]))
+        medians = weighted_median(v[:n], s[:n]), weighted_median(v[n:], s[n:])
+        residuals = np.abs(v - np.repeat(medians, (n, len(known) - n))) / s
         if residuals.sum() < least:
             least = float(residuals.sum())
-            sigma = float(np.hypot(_sigma_of_median(before, residuals), _sigma_of_median(after, residuals)))
-            best = Step(int(known[n]), medians[1] - medians[0], sigma)
+            sides = (slice(None, n), slice(n, None))
+            sigmas = [_sigma_of_median(residuals[side], s[side], residuals) for side in sides]
+            best = Step(int(known[n]), medians[1] - medians[0], float(np.hypot(*sigmas)))
     return best
 
 
-def _sigma_of_median(values: Array, residuals: Array) -> float:
-    """By the scatter of the values, at least that of all ``residuals``: a few values may agree by chance."""
-    deviations = np.median(np.abs(values - np.median(values))), np.median(residuals)
-    return 1.25 * max(1.4826 * float(max(deviations)), 1e-12) / float(np.sqrt(len(values)))
+def weighted_median(values: Array, sigma: Array) -> float:
+    """Of values (n,), each weighted by its sigma (n,)."""
+    order = np.argsort(values)
+    weight = np.cumsum(1.0 / sigma[order] ** 2)
+    return float(values[order][np.searchsorted(weight, 0.5 * weight[-1])])
+
+
+def _sigma_of_median(residuals: Array, sigma: Array, all_residuals: Array) -> float:
+    """By the sigmas, or the scatter where it is larger; a few values may agree by chance, so at least that of
+    all."""
+    scatter = max(1.4826 * float(max(np.median(residuals), np.median(all_residuals))), 1.0)
+    return 1.25 * scatter / float(np.sqrt(np.sum(1.0 / sigma**2)))
 
 
 def _late(context: RunContext, features: Sequence[StereoFeatures], estimate: MotionEstimate) -> list[str]:

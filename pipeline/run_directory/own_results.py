@@ -7,10 +7,11 @@ one motion with the inertia of another, for example.
 import logging
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from polhode.errors import InputError
 from polhode.foreign_files import GIB, sha256_of
-from polhode.output.run_files import LATER
+from polhode.output.run_files import LATER, SUMMARY
 from polhode.pipeline.run_directory.archives import (
     read_covariance,
     read_measurements,
@@ -40,6 +41,8 @@ EDITABLE: tuple[str, ...] = (CONFIG, "landmarks.ply", "mesh.ply")
 """Files that users may change on purpose: a mesh is cleaned, a configuration is run again."""
 MAX_BYTES = GIB
 """Of a file that is compared with its digest; no reader takes a larger one."""
+OF_SUMMARY = "summary_sha256"
+"""In metrics.json: the digest of the summary.json of the run that was evaluated."""
 
 _log = logging.getLogger(__name__)
 
@@ -64,6 +67,26 @@ def require_own_results(folder: Path, recorded: Mapping[str, str] | None) -> Non
     for name in EDITABLE:
         if wrong := _difference(folder / name, recorded):
             _log.warning("%s; it was changed, or is of another run", wrong)
+
+
+def summary_digest(folder: Path) -> str:
+    """Of a run's summary.json, by which metrics.json names the run that it belongs to."""
+    return _digest(folder / SUMMARY)
+
+
+def own_metrics(folder: Path, metrics: dict[str, Any]) -> dict[str, Any]:
+    """The metrics of a run; none, with a warning, if they were made from another summary than the run has.
+
+    Metrics of earlier versions do not name their run, and are taken as they are.
+    """
+    recorded = metrics.pop(OF_SUMMARY, None)
+    if recorded is None or recorded == summary_digest(folder):
+        return metrics
+    _log.warning(
+        "%s: metrics of another run, or summary.json was changed; left out: polhode evaluate makes them again",
+        folder / "metrics.json",
+    )
+    return {}
 
 
 def _difference(file: Path, recorded: Mapping[str, str]) -> str:

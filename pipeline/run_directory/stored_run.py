@@ -21,6 +21,7 @@ from polhode.pipeline.run_directory.archives import (
     read_online,
     read_residuals,
 )
+from polhode.pipeline.run_directory.own_results import own_metrics
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
@@ -98,7 +99,7 @@ def read_stored_run(folder: Path, name: str) -> StoredRun:
         residuals=read_residuals(folder) if has_tracks else None,
         landmarks=read_landmarks(folder) if (folder / "landmarks.ply").is_file() else None,
         surface=read_ply(folder / "mesh.ply") if (folder / "mesh.ply").is_file() else None,
-        metrics=_json(folder / "metrics.json", "metrics"),
+        metrics=own_metrics(folder, _json(folder / "metrics.json", "metrics")),
         pictures=_pictures(folder / "pictures"),
         config_text=_text(folder / "config.yaml"),
     )

@@ -118,11 +118,17 @@ def _run_of(place: Path) -> Path | None:
 
 
 def _dataset_of(place: Path, path: Path) -> Path | None:
-    """The dataset into which ``path`` leads, by a folder ``mav0`` that it goes through, itself or a link."""
+    """The dataset into which ``path`` leads, by a folder ``mav0`` that it goes through, itself or a link.
+
+    The folder to which a link ``mav0`` leads has another name: it is known by the list of images in it.
+    """
     for way in _ways(path.absolute()):
         for above in (way, *way.parents):
             if above.name == "mav0" and place.is_relative_to(os.path.realpath(above)):
                 return above.parent
+    for above in (place, *place.parents):
+        if (above / "cam0" / "data.csv").is_file():
+            return above
     return None
 
 

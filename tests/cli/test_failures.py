@@ -70,16 +70,18 @@ def test_a_path_that_fails_amid_the_work_is_a_failed_run() -> None:
         assert explained(RecursionError("maximum"), working=True)[1].endswith("--debug shows where")
 
 
-@pytest.mark.parametrize("command", LESS_MEMORY)
-def test_where_memory_ends_only_options_that_the_command_has_are_advised(
+@pytest.mark.parametrize("command", [*LESS_MEMORY, "evaluate", "report"])
+def test_where_the_machine_ends_only_options_that_the_command_has_are_advised(
     command: str, capsys: Capture
 ) -> None:
-    code, line = explained(MemoryError(), True, command)
-    assert (code, line.count("\n")) == (1, 0)
     assert main([command, "--help"]) == 0
     help_text = capsys.readouterr().out
-    for option in re.findall(r"--[a-z.-]+", line):
-        assert option in help_text
+    ends = [OSError(number, "none left", "x") for number in EXHAUSTED]
+    for error in (MemoryError(), RuntimeError("can't start new thread"), *ends):
+        code, line = explained(error, True, command)
+        assert (code, line.count("\n")) == (1, 0) and "{" not in line
+        for option in re.findall(r"--[a-z.-]+", line):
+            assert option in help_text
 
 
 def test_no_error_number_has_two_meanings() -> None:

@@ -63,6 +63,7 @@ TABLE: dict[str, dict[str, str]] = {
     "the name of a result of a run": row(REFUSED),
     "a name inside a dataset": row(REFUSED),
     "a name inside a dataset whose mav0 is a link": row(REFUSED),
+    "a name inside the folder to which mav0 of a dataset links": row(REFUSED),
     "a file for a folder; a folder for a file": row(REFUSED),
     "the current folder, with nothing in it": row(
         REFUSED, compare=WRITTEN, train=WRITTEN, plan=WRITTEN, observability=WRITTEN
@@ -253,6 +254,12 @@ def inside_linked_dataset(scene: Scene) -> None:
     scene.output = scene.area / "short" / scene.writer.target
 
 
+def target_of_linked_dataset(scene: Scene) -> None:
+    inside_linked_dataset(scene)
+    (scene.area / "elsewhere" / "cam0" / "data.csv").write_text("#timestamp [ns],filename\n")
+    scene.output = scene.area / "elsewhere" / scene.writer.target
+
+
 def current_folder(scene: Scene) -> None:
     scene.current = scene.place = scene.area / "here"
     scene.current.mkdir()
@@ -356,6 +363,7 @@ SURFACES: dict[str, Callable[[Scene], None]] = dict(
         (
             nothing, empty, foreign, foreign_with_our_names, foreign_overwrite, own, own_overwrite,
             own_and_foreign, own_and_our_name, name_of_run, inside_dataset, inside_linked_dataset,
+            target_of_linked_dataset,
             other_kind, current_folder, unset_variable, parents_missing, file_in_path, link_to_own,
             link_to_foreign, dangling, loop, device, pipe, nothing, nothing, own_overwrite, stale, busy,
         ),

@@ -13,8 +13,10 @@ import numpy as np
 from pydantic import Field
 
 from polhode.atomic import write_text
+from polhode.errors import InputError
 from polhode.lie import continuous_wxyz, wxyz_from_matrix
 from polhode.pipeline.after_run.export.job import ExportJob
+from polhode.pipeline.after_run.predict import MAX_ROWS, prediction_instants
 from polhode.pipeline.run_directory.archives import STATE_ORDER
 from polhode.pipeline.run_directory.summary import nullable
 from polhode.pipeline.run_directory.summary_schema import (
@@ -32,6 +34,8 @@ from polhode.planning.exports import ccsds
 from polhode.planning.exports.records import ExportShape
 
 SCHEMA_FILE = Path(__file__).with_name("export.schema.json")
+MAX_STATES = 10_000
+"""These take 0.7 GB while they are written, and a file of 60 MB."""
 FRAME_N = (
     "N, inertial: the left camera at the first frame (x right, y down, z forward), or the frame of the "
     "inspector's poses where those were given"
@@ -185,7 +189,14 @@ def json_document(job: ExportJob) -> str:
 
 def _states(job: ExportJob) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
     """The content of ``StateOut`` for each instant; what the motion does not determine."""
-    motion = job.motion(job.options.step_s)
+    options = job.options
+    time_s, _ = prediction_instants(job.folder, options.horizon, options.step_s, from_last=True)
+    if len(time_s) > MAX_STATES:
+        raise InputError(
+            f"--horizon {options.horizon:g}: {len(time_s)} states, each with two covariances; json takes up to "
+            f"{MAX_STATES}: give a larger --step-s, or use polhode predict, which takes {MAX_ROWS}"
+        )
+    motion = job.motion(options.step_s)
     job.check_epoch(int(motion.timestamps_ns[0]))
     X_NF = job.poses(motion)
     columns = {

@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 from polhode.backend import estimate_motion, initialize_motion
-from polhode.backend.uncertainty.identifiability import NAMES, analyse, determined_description
+from polhode.backend.uncertainty.identifiability import (
+    NAMES,
+    analyse,
+    determined_description,
+    undetermined_states,
+)
 from polhode.backend.uncertainty.principal_axes import AxesDerivative
 from polhode.config.backend_settings import Backend
+from polhode.lie import hat
 from polhode.progress import Silent
 from polhode.records import Identifiability, MotionEstimate
 from polhode.simulation.monte_carlo import SyntheticScene, generate
@@ -80,6 +86,22 @@ def test_a_symmetric_body_hides_only_the_turn_about_its_axis() -> None:
     motion = estimate(SYMMETRIC, (0.4, 0.1, 0.6))
     assert lost(motion) == {"axes_z"}
     assert motion.mass.k2 == pytest.approx(np.log(1.3 / 0.8), abs=0.02)
+
+
+@pytest.mark.parametrize("rate", [(0.4, 0.0, 0.3), (0.0, 0.4, 0.3), (0.28, 0.28, 0.3)])
+def test_a_free_turn_about_an_axis_leaves_both_rates_across_it_open(rate: tuple[float, float, float]) -> None:
+    # where one of them is 0 its neighbour does not change to first order, and still is not known
+    fine = [1e-4, 1e-4, 1e-4, 0.01, 0.01, 0.01, 0.01, 0.01]
+    derivative = AxesDerivative(np.array([1.01, 1.0, 0.7]), np.eye(3), np.eye(5)[:2], np.eye(5)[2:])
+    analysis = analyse(np.diag(np.array(fine) ** -2.0), derivative, np.tile(rate, (2, 1)))
+    assert analysis.record.axes_P.tolist() == [True, True, False]
+    jacobians = np.zeros((2, 12, 20))
+    jacobians[:, 9:12, 17:20] = hat(np.array(rate))
+    open_ = undetermined_states(analysis, jacobians, np.zeros((24, 8)), np.tile(rate, (2, 1)))
+    assert open_[:, 9:12].tolist() == [[True, True, False]] * 2
+    spin = np.array([0.0, 0.0, 0.5])
+    jacobians[:, 9:12, 17:20] = hat(spin)
+    assert not undetermined_states(analysis, jacobians, np.zeros((24, 8)), np.tile(spin, (2, 1))).any()
 
 
 def test_a_body_at_rest_claims_nothing() -> None:

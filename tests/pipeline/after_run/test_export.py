@@ -271,6 +271,10 @@ def test_a_run_without_covariances_exports_the_motion_and_says_so(
         (["--to", "obl"], "--to 'obl': unknown; did you mean obj?"),
         (["--to", "urdf", "--mass-kg", "0"], "--mass-kg 0: give a number above 0"),
         (["--to", "json", "--mass-kg", "1e308"], "--mass-kg 1e+308: give a number from 1e-09 to 1e+15"),
+        (
+            ["--to", "json", "--horizon", "100", "--step-s", "1e-3"],
+            "100001 states, each with two covariances",
+        ),
         (["--to", "json", "--mass-kg", "nan"], "--mass-kg nan: give a number above 0"),
         (["--to", "json", "--middle-moment-kg-m2", "1e-308"], "--middle-moment-kg-m2 1e-308"),
         (["--to", "oem", "--step-s", "1e308"], "--step-s 1e+308"),

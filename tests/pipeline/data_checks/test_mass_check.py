@@ -1,5 +1,6 @@
 """Mass properties that change at a push are named; a push alone, and a free tumble, are not."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -68,22 +69,38 @@ def sequence(J: Array, com_G: Array, push_w: Array) -> tuple[StereoTracks, Motio
 
 def test_a_part_that_leaves_is_named() -> None:
     tracks, estimate = sequence(AFTER, np.array([0.008, 0.0, 0.0]), np.array([0.1, -0.05, 0.0]))
-    said = mass_contradictions(tracks, estimate, Backend())
-    assert len(said) == 1 and "other mass properties" in said[0]
-    assert "k2 by" in said[0] or "centre of mass by" in said[0]
+    said, unseen = mass_contradictions(tracks, estimate, Backend())
+    assert len(said) == 1 and not unseen and "the centre of mass is another point" in said[0]
+    assert "from 12.0 s on" in said[0] or "from 11.5 s on" in said[0]
+
+
+def test_a_part_that_moves_about_the_centre_is_named() -> None:
+    tracks, estimate = sequence(AFTER, np.zeros(3), np.array([0.1, -0.05, 0.0]))
+    said, unseen = mass_contradictions(tracks, estimate, Backend())
+    assert len(said) == 1 and not unseen and "other mass properties" in said[0]
 
 
 def test_a_push_alone_is_not() -> None:
     tracks, estimate = sequence(BEFORE, np.zeros(3), np.array([0.1, -0.05, 0.0]))
     assert estimate.disturbances is not None
-    assert mass_contradictions(tracks, estimate, Backend()) == []
+    assert mass_contradictions(tracks, estimate, Backend())[0] == []
+
+
+def test_what_would_not_show_is_told() -> None:
+    tracks, estimate = sequence(BEFORE, np.zeros(3), np.array([0.1, -0.05, 0.0]))
+    noise = replace(estimate.noise, pixel_sigma_px=6.0, disparity_sigma_px=2.0)
+    coarse = replace(estimate, noise=noise)
+    reasons, (told,) = mass_contradictions(tracks, coarse, Backend())
+    assert reasons == [] and "a centre of mass that moved by up to" in told
+    moved_mm = float(told.split("up to ")[1].split(" mm")[0])
+    assert 1.0 < moved_mm < 20.0
 
 
 def test_a_free_tumble_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     tracks, estimate = sequence(BEFORE, np.zeros(3), np.zeros(3))
     if estimate.disturbances is None:
         monkeypatch.setattr("polhode.pipeline.data_checks.mass_check.estimate_motion", None)
-    assert mass_contradictions(tracks, estimate, Backend()) == []
+    assert mass_contradictions(tracks, estimate, Backend()) == ([], [])
 
 
 def test_a_part_of_the_measurements_keeps_its_rows() -> None:

@@ -168,19 +168,30 @@ def test_disparities_that_drift_are_named(sequence: SyntheticSequence) -> None:
 def test_a_step_needs_frames_on_both_sides() -> None:
     values = np.zeros(20)
     values[18:] = 5.0
-    step = largest_step(values)
+    step = largest_step(values, np.ones(20))
     assert step is not None and step.size == 0.0
-    assert largest_step(np.full(20, np.nan)) is None
+    assert largest_step(np.full(20, np.nan), np.ones(20)) is None
 
 
 def test_a_few_values_that_scatter_are_no_step() -> None:
     # inclinations of the rows [deg] that an upper stage with few features gave, undisturbed
     quiet = np.tile([-0.05, 0.05, 0.1, -0.1, 0.0], 6)
-    loose = largest_step(np.concatenate([quiet, [5.6, 0.45, 2.6, 0.5, 0.15]]))
-    firm = largest_step(np.concatenate([quiet, [0.55, 0.45, 0.6, 0.5, 0.4]]))
+    sigma = np.full(35, 0.05)
+    loose = largest_step(np.concatenate([quiet, [5.6, 0.45, 2.6, 0.5, 0.15]]), sigma)
+    firm = largest_step(np.concatenate([quiet, [0.55, 0.45, 0.6, 0.5, 0.4]]), sigma)
     assert loose is not None and firm is not None and loose.place == firm.place == 30
     assert abs(loose.size) < 3.0 * loose.sigma
     assert abs(firm.size) > 5.0 * firm.sigma
+
+
+def test_values_count_by_their_sigmas() -> None:
+    rng = np.random.default_rng(4)
+    sigma = np.where(np.arange(40) % 4 == 0, 0.1, 2.0)
+    values = sigma * rng.normal(size=40) + np.where(np.arange(40) < 20, 0.0, 0.6)
+    step, blind = largest_step(values, sigma), largest_step(values, np.full(40, float(np.median(sigma))))
+    assert step is not None and blind is not None
+    assert abs(step.size - 0.6) < 4.0 * step.sigma and abs(step.size) > 5.0 * step.sigma
+    assert abs(blind.size) < 4.0 * blind.sigma
 
 
 @pytest.mark.parametrize("factor", [0.97, 1.03])

@@ -4,6 +4,7 @@ import base64
 import json
 import re
 from dataclasses import replace
+from hashlib import sha256
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -202,6 +203,19 @@ def test_metrics_enter_when_the_report_is_made_again(example: Any, tmp_path: Pat
     truth = [trace for trace in page.figures["inertia-ratios"]["data"] if trace.get("name") == "truth"]
     assert len(truth) == 2
     assert [entry.name for entry in folder.iterdir() if entry.name.startswith(".")] == []
+
+
+def test_metrics_of_another_run_are_left_out(
+    example: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = _write(tmp_path / "run", example, None)
+    own = sha256((folder / "summary.json").read_bytes()).hexdigest()
+    for digest, shown in ((own, True), ("0" * 64, False)):
+        (folder / "metrics.json").write_text(json.dumps({"error_k1": 0.002, "summary_sha256": digest}))
+        write_report(folder)
+        page = _page(folder)
+        assert ("Against the truth" in page.words) == shown and "sha256" not in page.words
+        assert ("metrics of another run" in caplog.text) != shown
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
