@@ -37,7 +37,7 @@ from polhode.pipeline.run_directory.trajectory_file import (
 )
 from polhode.planning.prediction import ROWS_AT_ONCE, FinalState, PredictedMotion, Prediction, predict
 from polhode.progress import Progress, Silent
-from polhode.records import Ints
+from polhode.records import Bools, Ints
 from polhode.rigid_body import propagate
 
 MAX_ROWS = 100_000
@@ -221,7 +221,7 @@ def inertia_by_parameters(J_G: Array, form: InertiaForm) -> tuple[Array, Array]:
     return J, inertia_derivative(form, xi, R_ref)
 
 
-def undetermined_components(last: Array, com_lost: Array, axes_lost: Array, states: Prediction) -> Array:
+def undetermined_components(last: Array, com_lost: Bools, axes_lost: Bools, states: Prediction) -> Bools:
     """Components (T, 12) that depend on what the run does not determine.
 
     last (12, 12) covariance of the last state, ``inf`` where undetermined; com_lost, axes_lost (3,) along P.
@@ -238,7 +238,7 @@ def undetermined_components(last: Array, com_lost: Array, axes_lost: Array, stat
         # an unknown turn about this axis mixes the rates about the other two
         across = np.linalg.norm(states.w_P[:, ~axes_lost], axis=1, keepdims=True) > MIN_RATE_SHARE * rate
         lost[:, 9:12] |= across & ~axes_lost
-    return lost
+    return np.asarray(lost)
 
 
 def prediction_file(path: Path, run_folder: Path) -> Path:

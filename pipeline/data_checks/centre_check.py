@@ -15,7 +15,7 @@ from scipy.linalg import solve_triangular
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, hat, inverse_pose, transform_points
 from polhode.pipeline.data_checks.disparity_steps import offset_jacobian, offset_residual
-from polhode.records import Bools, MotionEstimate, StereoTracks
+from polhode.records import Bools, Ints, MotionEstimate, StereoTracks
 
 MIN_LANDMARKS = 8
 """In a frame whose pose counts."""
@@ -36,7 +36,7 @@ _PRIOR = 1e-6
 class SeenPath:
     """The target in the frames that show enough of it, without dynamics."""
 
-    frame: Array
+    frame: Ints
     """(n,) index"""
     time_s: Array
     """(n,)"""

@@ -157,7 +157,7 @@ def largest_step(values: Array, sigma: Array) -> Step | None:
             least = float(residuals.sum())
             sides = (slice(None, n), slice(n, None))
             sigmas = [_sigma_of_median(residuals[side], s[side], residuals) for side in sides]
-            best = Step(int(known[n]), medians[1] - medians[0], float(np.hypot(*sigmas)))
+            best = Step(int(known[n]), medians[1] - medians[0], float(np.linalg.norm(sigmas)))
     return best
 
 

@@ -13,8 +13,13 @@ from polhode.config import Config
 from polhode.config.backend_settings import Backend
 from polhode.errors import InputError
 from polhode.lie import exp_so3, log_so3
-from polhode.pipeline.after_run.predict import inertia_by_parameters, prediction_times
+from polhode.pipeline.after_run.predict import (
+    inertia_by_parameters,
+    prediction_times,
+    undetermined_components,
+)
 from polhode.pipeline.run_directory.trajectory_file import TRAJECTORY_COLUMNS, read_trajectory
+from polhode.planning.prediction import Prediction
 from polhode.progress import Silent
 from polhode.records import Truth
 from polhode.rigid_body import HALF_TURNS, best_half_turn, propagate
@@ -219,3 +224,12 @@ def test_the_inertia_follows_the_solvers_parameters(name: str) -> None:
     step = 1e-4 * np.array([1.0, -2.0, 1.5, 0.5, -1.0])
     moved = inertia_from_second_moments(form.second_moments(xi + step, R_ref))
     np.testing.assert_allclose(np.einsum("k,kij->ij", step, slopes), moved - scaled, atol=2e-7)
+
+
+@pytest.mark.parametrize("rate", [(0.4, 0.0, 0.3), (0.0, 0.4, 0.3), (0.3, 0.3, 0.3)])
+def test_a_free_turn_about_an_axis_leaves_both_rates_across_it_open(rate: tuple[float, float, float]) -> None:
+    one, covariance = np.zeros((1, 3)), np.eye(12)[None]
+    states = Prediction(np.ones(1), one, one, np.eye(3)[None], np.array([rate]), covariance, covariance)
+    free_z = np.array([False, False, True])
+    lost = undetermined_components(np.eye(12), np.zeros(3, dtype=np.bool_), free_z, states)
+    assert lost[0].tolist() == [*[False] * 6, False, False, True, True, True, False]

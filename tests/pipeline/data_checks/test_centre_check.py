@@ -17,7 +17,7 @@ from polhode.pipeline.data_checks.centre_check import (
 from polhode.rigid_body import propagate
 
 RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)
-TIME_S = 0.5 * np.arange(40)
+TIME_S = 0.5 * np.arange(40.0)
 COM_G, MOVED_G = np.array([0.02, -0.01, 0.03]), np.array([0.004, -0.003, 0.005])
 SIGMA_M = 3e-4
 
@@ -35,7 +35,7 @@ def path(
     com_G = np.where(np.arange(len(TIME_S))[:, None] < half, COM_G, COM_G + moved_G)
     p_N = r_N + np.einsum("nij,nj->ni", R_NG, point_G - com_G) + SIGMA_M * rng.normal(size=r_N.shape)
     covariance = np.tile(SIGMA_M**2 * np.eye(3), (len(TIME_S), 1, 1))
-    return SeenPath(np.arange(len(TIME_S)), TIME_S, R_NG, p_N, point_G, covariance)
+    return SeenPath(np.arange(len(TIME_S), dtype=np.int64), TIME_S, R_NG, p_N, point_G, covariance)
 
 
 @pytest.mark.parametrize("point_G", [COM_G, np.array([0.1, 0.05, 0.0])])
@@ -49,7 +49,7 @@ def test_the_centre_is_the_point_that_does_not_circle(point_G: Array) -> None:
 
 def path_without_noise(noisy: SeenPath) -> Array:
     r_N = np.array([0.1, 0.0, 1.0]) + 0.01 * noisy.time_s[:, None]
-    return r_N + np.einsum("nij,j->ni", noisy.R_NG, noisy.point_G - COM_G)
+    return np.asarray(r_N + np.einsum("nij,j->ni", noisy.R_NG, noisy.point_G - COM_G))
 
 
 @pytest.mark.parametrize("accel_psd", [0.0, 1e-6])
