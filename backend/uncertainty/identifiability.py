@@ -125,7 +125,7 @@ def undetermined_states(
         # the axes may even be exchanged: no component in P is known
         lost[:, 6:] = True
     elif free.any():
-        # the other two axes may be turned by any angle, which mixes the rates about them, and one may just be 0
+        # the other two may be turned by any angle, which mixes the rates about them; one may just be 0
         across = 9 + np.flatnonzero(~free)
         lost[:, across] |= lost[:, across].any(axis=1, keepdims=True)
     return np.asarray(lost)

@@ -176,7 +176,7 @@ def centre_of(path: SeenPath, rows: Bools) -> Centre:
 
 
 def _least_squares(A: Array, y: Array, covariance: Array) -> tuple[Array, Array, float]:
-    """Unknowns, their covariance, and the cost of the covariance of y, which is scaled up to what is found."""
+    """Unknowns, their covariance, and the cost of the covariance of y, scaled up to what is found."""
     L = np.linalg.cholesky(covariance)
     A, y = solve_triangular(L, A, lower=True), solve_triangular(L, y, lower=True)
     information = A.T @ A + _PRIOR * np.eye(A.shape[1])
@@ -190,7 +190,7 @@ def _least_squares(A: Array, y: Array, covariance: Array) -> tuple[Array, Array,
 
 
 def centre_change(path: SeenPath, first: int, last: int) -> CentreChange | None:
-    """The centres before and after the likeliest instant between two frames; None: too few frames are seen."""
+    """The centres before and after the likeliest instant between two frames; None: too few frames."""
     found = []
     for frame in range(first, max(last, first + 1)):
         before = path.frame <= frame

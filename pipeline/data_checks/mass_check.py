@@ -1,9 +1,9 @@
 """Whether the mass properties are the same before and after an unknown push: a part may have left the target.
 
 A run gives one inertia and one centre of mass. When a mass leaves, velocities change at once, which is taken
-for a push, and from then on another body turns. Where a push was found, the centres of mass before and after it
-are compared (``centre_check``); where these agree, the frames before and after the strongest push are solved
-apart, and what both determine is compared. What would not show is told.
+for a push, and from then on another body turns. Where a push was found, the centres of mass before and after
+it are compared (``centre_check``); where these agree, the frames before and after the strongest push are
+solved apart, and what both determine is compared. What would not show is told.
 """
 
 import logging
@@ -69,8 +69,8 @@ def _moved_centre(change: CentreChange, time_s: Array) -> str:
     size_m = float(np.linalg.norm(change.change_G))
     return (
         f"from {time_s[change.first_after]:.1f} s on the centre of mass is another point of the target than "
-        f"before (by {1e3 * size_m:.1f} mm, {change.sigmas:.0f} sigma): a part may have left it, or moved; what "
-        "is stated of mass, axes and motion for the whole sequence is true of neither"
+        f"before (by {1e3 * size_m:.1f} mm, {change.sigmas:.0f} sigma): a part may have left it, or moved; "
+        "what is stated of mass, axes and motion for the whole sequence is true of neither"
     )
 
 

@@ -143,7 +143,7 @@ def _knocked(context: RunContext, features: Sequence[StereoFeatures]) -> list[st
 
 
 def largest_step(values: Array, sigma: Array) -> Step | None:
-    """The step whose two weighted medians fit the values (n,) best, by absolute residuals in their sigmas (n,).
+    """The step whose two weighted medians fit values (n,) best, by absolute residuals in their sigmas (n,).
 
     NaN do not count; None where there are too few. The sigma is that of a difference of medians.
     """

@@ -83,7 +83,7 @@ def own_metrics(folder: Path, metrics: dict[str, Any]) -> dict[str, Any]:
     if recorded is None or recorded == summary_digest(folder):
         return metrics
     _log.warning(
-        "%s: metrics of another run, or summary.json was changed; left out: polhode evaluate makes them again",
+        "%s: of another run, or summary.json was changed; left out: polhode evaluate makes them again",
         folder / "metrics.json",
     )
     return {}

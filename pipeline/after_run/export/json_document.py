@@ -193,8 +193,8 @@ def _states(job: ExportJob) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
     time_s, _ = prediction_instants(job.folder, options.horizon, options.step_s, from_last=True)
     if len(time_s) > MAX_STATES:
         raise InputError(
-            f"--horizon {options.horizon:g}: {len(time_s)} states, each with two covariances; json takes up to "
-            f"{MAX_STATES}: give a larger --step-s, or use polhode predict, which takes {MAX_ROWS}"
+            f"--horizon {options.horizon:g}: {len(time_s)} states, each with two covariances; json takes up "
+            f"to {MAX_STATES}: give a larger --step-s, or use polhode predict, which takes {MAX_ROWS}"
         )
     motion = job.motion(options.step_s)
     job.check_epoch(int(motion.timestamps_ns[0]))

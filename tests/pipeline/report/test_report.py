@@ -215,7 +215,7 @@ def test_metrics_of_another_run_are_left_out(
         write_report(folder)
         page = _page(folder)
         assert ("Against the truth" in page.words) == shown and "sha256" not in page.words
-        assert ("metrics of another run" in caplog.text) != shown
+        assert ("metrics.json: of another run" in caplog.text) != shown
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
