@@ -11,8 +11,8 @@ from polhode.records import MotionEstimate, StereoTracks
 
 MIN_LANDMARKS = 4
 """Three points fix a pose; fewer agreeing landmarks than these are no connection."""
-MIN_FRAMES = 3
-"""With observations, on either side: a single frame at the end contributes little."""
+MIN_FRAMES = 2
+"""With observations, on either side: a single frame contributes little."""
 
 
 def weak_connections(tracks: StereoTracks, estimate: MotionEstimate) -> list[str]:
