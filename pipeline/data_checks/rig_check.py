@@ -29,7 +29,7 @@ MIN_FRAMES = 4
 CLEAR = 5.0
 """A step or a delay is significant above this number of standard deviations;"""
 CLEAR_TURN = 4.0
-"""and a turn of the rows, which is 2.1 at most on undisturbed sequences, above this one."""
+"""and a turn of the rows, which is 2.4 at most on undisturbed sequences, above this one."""
 LEAST_SCATTER_PX = 0.02
 """Of the rows' offsets within a frame"""
 MAX_STEP_PX = 0.3
