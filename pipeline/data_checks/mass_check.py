@@ -3,7 +3,7 @@
 A run gives one inertia and one centre of mass. When a mass leaves, velocities change at once, which is taken
 for a push, and from then on another body turns. Where a push was found, the centres of mass before and after
 it are compared (``centre_check``); where these agree, the frames before and after the strongest push are
-solved apart, and what both determine is compared. What would not show is told.
+solved apart, and what both determine is compared. What would not show is reported.
 """
 
 import logging

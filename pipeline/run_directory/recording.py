@@ -42,7 +42,7 @@ def require_recording(recording: Recording | None, sequence_folder: Path) -> Non
     """Raise InputError unless the images of a sequence are those of the run.
 
     What counts is what the camera saw, and when: the folder may have been moved or copied, its files renamed
-    or encoded anew without loss, its calibration corrected, frames added. Images that were changed (exposure,
+    or re-encoded without loss, its calibration corrected, frames added. Images that were changed (exposure,
     compression with loss, fewer bits) are another recording: nothing tells them from those of another scene,
     and the truth belongs beside the images that the run has seen. An image is the same if its bytes are, or
     its pixels; the bytes, too, because decoders of JPEG differ between versions. None (an earlier version

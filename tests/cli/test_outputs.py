@@ -268,8 +268,8 @@ def current_folder(scene: Scene) -> None:
 
 def unset_variable(scene: Scene) -> None:
     current_folder(scene)
-    scene.words = scene.stage.words(scene.name, Path("XXX"))
-    scene.words[scene.words.index("XXX")] = ""
+    scene.words = scene.stage.words(scene.name, Path("UNSET"))
+    scene.words[scene.words.index("UNSET")] = ""
 
 
 def other_kind(scene: Scene) -> None:

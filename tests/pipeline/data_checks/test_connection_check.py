@@ -1,4 +1,4 @@
-"""Parts of a sequence that no landmark connects are told; a whole one, and a weak last frame, are not."""
+"""Parts of a sequence that no landmark connects are reported; a whole one and a weak last frame are not."""
 
 from dataclasses import replace
 
@@ -35,23 +35,23 @@ def parted(tracks: StereoTracks, place: int, kept: int) -> StereoTracks:
     return replace(tracks, landmark=np.unique(landmark, return_inverse=True)[1].astype(np.int64))
 
 
-def told(tracks: StereoTracks) -> list[str]:
+def reported(tracks: StereoTracks) -> list[str]:
     estimate: MotionEstimate = Agreeing(tracks)  # type: ignore[assignment]
     return weak_connections(tracks, estimate)
 
 
 @pytest.mark.parametrize("kept", [0, MIN_LANDMARKS - 1])
-def test_parts_that_share_hardly_a_landmark_are_told(sequence: SyntheticSequence, kept: int) -> None:
+def test_parts_that_share_few_landmarks_are_reported(sequence: SyntheticSequence, kept: int) -> None:
     tracks = parted(sequence.tracks, PLACE, kept)
-    (words,) = told(tracks)
+    (words,) = reported(tracks)
     start, end = (sequence.tracks.time_s[k] for k in (PLACE, PLACE + 1))
     assert f"before {start:g} s and after {end:g} s share {kept or 'no'} landmarks" in words
 
 
 @pytest.mark.parametrize(("place", "kept"), [(PLACE, MIN_LANDMARKS), (FRAMES - 2, 0), (0, 0)])
 def test_a_connected_sequence_is_not(sequence: SyntheticSequence, place: int, kept: int) -> None:
-    assert told(sequence.tracks) == []
-    assert told(parted(sequence.tracks, place, kept)) == []
+    assert reported(sequence.tracks) == []
+    assert reported(parted(sequence.tracks, place, kept)) == []
 
 
 def test_a_few_frames_have_no_parts(sequence: SyntheticSequence) -> None:
@@ -63,4 +63,4 @@ def test_a_few_frames_have_no_parts(sequence: SyntheticSequence) -> None:
         uvd_px=sequence.tracks.uvd_px[few],
         sigma_px=sequence.tracks.sigma_px[few],
     )
-    assert told(tracks) == []
+    assert reported(tracks) == []
