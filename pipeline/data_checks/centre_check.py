@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from polhode.camera import RectifiedRig
-from polhode.lie import Array, exp_so3, hat, inverse_pose, transform_points
-from polhode.pipeline.data_checks.disparity_steps import offset_jacobian, offset_residual
+from polhode.lie import Array, hat, inverse_pose, transform_points
+from polhode.pipeline.data_checks.disparity_steps import fit_view
 from polhode.records import Bools, Ints, MotionEstimate, StereoTracks
 
 MIN_LANDMARKS = 8
@@ -23,9 +22,6 @@ MIN_FRAMES = 8
 """On either side of the instant."""
 MAX_FRAMES = 120
 """Longer sequences are thinned out to this number."""
-ITERATIONS = 10
-OUTLIER_SIGMAS = 3.0
-"""Where the weight of a landmark has fallen to one half."""
 ACCEL_PSD = 10.0 ** np.arange(-12.0, -1.5)
 """Of the random accelerations [m^2/s^3]: the likeliest is taken."""
 _PRIOR = 1e-6
@@ -92,19 +88,18 @@ def seen_path(tracks: StereoTracks, estimate: MotionEstimate) -> SeenPath:
     step = -(-tracks.n_frames // MAX_FRAMES)
     p_G, known = _landmarks(tracks, estimate)
     noise = estimate.noise
-    sigma_px = np.array([noise.pixel_sigma_px, noise.pixel_sigma_px, noise.disparity_sigma_px])
+    sigma_px = np.maximum([noise.pixel_sigma_px, noise.pixel_sigma_px, noise.disparity_sigma_px], 1e-6)
     X_RG, com_G = inverse_pose(tracks.X_NR) @ estimate.X_NG, estimate.mass.com_G
     found = []
     for k in range(0, tracks.n_frames, step):
         rows = np.flatnonzero((tracks.frame == k) & known[tracks.landmark])
         if len(rows) < MIN_LANDMARKS:
             continue
-        fitted = pose_of_landmarks(
-            tracks.rig, X_RG[k], p_G[tracks.landmark[rows]], tracks.uvd_px[rows], sigma_px
-        )
+        landmarks_G, uvd_px = p_G[tracks.landmark[rows]], tracks.uvd_px[rows]
+        fitted = fit_view(tracks.rig, X_RG[k], landmarks_G, uvd_px, sigma_px, with_offset=False)
         if fitted is None:
             continue
-        X, cov = fitted
+        X, cov = fitted.X_BA, fitted.covariance
         at_R, R_NR = transform_points(X, com_G[None])[0], tracks.X_NR[k, :3, :3]
         J = R_NR @ np.hstack([np.eye(3), -hat(at_R)])
         found.append((k, R_NR @ X[:3, :3], transform_points(tracks.X_NR[k], at_R[None])[0], J @ cov @ J.T))
@@ -126,31 +121,6 @@ def _landmarks(tracks: StereoTracks, estimate: MotionEstimate) -> tuple[Array, B
     p_G[tracks.landmark[used]] = np.einsum("nij,nj->ni", X[:, :3, :3], p_R) + X[:, :3, 3]
     known[tracks.landmark[used]] = True
     return p_G, known
-
-
-def pose_of_landmarks(
-    rig: RectifiedRig, X_RG: Array, p_G: Array, uvd_px: Array, sigma_px: Array
-) -> tuple[Array, Array] | None:
-    """Pose (4, 4) that projects landmarks (n, 3) onto uvd (n, 3), from a first one; sigma_px (3,).
-
-    With its covariance (6, 6) of translation and rotation along the axes of R, about the camera. Gauss-Newton
-    with Cauchy weights. None: it is not determined.
-    """
-    inv_sigma = 1.0 / np.maximum(sigma_px, 1e-6)
-    for _ in range(ITERATIONS):
-        residual = inv_sigma * offset_residual(rig, X_RG, 0.0, p_G, uvd_px)
-        J = inv_sigma[:, None] * offset_jacobian(rig, X_RG, p_G)[:, :, :6]
-        weight = 1.0 / (1.0 + np.sum(residual**2, axis=1) / OUTLIER_SIGMAS**2)
-        normal = np.einsum("n,nij,nik->jk", weight, J, J)
-        if not np.isfinite(normal).all() or np.linalg.cond(normal) > 1e14:
-            return None
-        step = -np.linalg.solve(normal, np.einsum("n,nij,ni->j", weight, J, residual))
-        X_RG = X_RG.copy()
-        X_RG[:3, :3] = exp_so3(step[3:6]) @ X_RG[:3, :3]
-        X_RG[:3, 3] = exp_so3(step[3:6]) @ X_RG[:3, 3] + step[:3]
-        if float(np.abs(step).max()) < 1e-9:
-            break
-    return X_RG, np.linalg.inv(normal)
 
 
 def centre_of(path: SeenPath, rows: Bools) -> Centre:

@@ -6,6 +6,8 @@ pair together. A step in the calibration shows in every pair across it; a frame 
 not. No estimate of the motion is needed, whose outliers such a step would hide in.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.sparse import csr_array
 
@@ -49,10 +51,15 @@ def disparity_steps(tracks: StereoTracks, sigma_px: tuple[float, float]) -> tupl
 
 def _median(values: Array, sigma: Array) -> tuple[float, float]:
     """Weighted median and its sigma."""
+    weight = float(np.sum(1.0 / sigma**2))
+    return weighted_median(values, sigma), float(np.sqrt(min(len(values), INDEPENDENT) / weight))
+
+
+def weighted_median(values: Array, sigma: Array) -> float:
+    """Of values (n,), each weighted by its sigma (n,)."""
     order = np.argsort(values)
     weight = np.cumsum(1.0 / sigma[order] ** 2)
-    middle = order[np.searchsorted(weight, 0.5 * weight[-1])]
-    return float(values[middle]), float(np.sqrt(min(len(values), INDEPENDENT) / weight[-1]))
+    return float(values[order][np.searchsorted(weight, 0.5 * weight[-1])])
 
 
 def _changes(tracks: StereoTracks, sigma_px: Array) -> tuple[Array, Array, Array, Array]:
@@ -95,10 +102,34 @@ def disparity_change(
     """
     p_A = rig.triangulate(uvd_A_px)
     X_BA = _rigid_start(p_A, rig.triangulate(uvd_B_px))
-    offset_px, inv_sigma = 0.0, 1.0 / (np.sqrt(2.0) * sigma_px)
+    fitted = fit_view(rig, X_BA, p_A, uvd_B_px, np.sqrt(2.0) * sigma_px, with_offset=True)
+    return None if fitted is None else (fitted.offset_px, float(np.sqrt(fitted.covariance[6, 6])))
+
+
+@dataclass(frozen=True)
+class FittedView:
+    """Where points are in a view."""
+
+    X_BA: Array
+    """(4, 4)"""
+    offset_px: float
+    """Of the view's disparities"""
+    covariance: Array
+    """(6, 6) of translation [m] and rotation [rad] along the axes of B, about its origin; (7, 7) with the
+    offset [px]"""
+
+
+def fit_view(
+    rig: RectifiedRig, X_BA: Array, p_A: Array, uvd_B_px: Array, sigma_px: Array, with_offset: bool
+) -> FittedView | None:
+    """The pose that projects points (n, 3) onto uvd (n, 3), and the offset; else that is 0. sigma_px (3,).
+
+    Gauss-Newton with Cauchy weights, from a first pose. None: it is not determined.
+    """
+    offset_px, inv_sigma, unknowns = 0.0, 1.0 / sigma_px, 7 if with_offset else 6
     for _ in range(ITERATIONS):
         residual = inv_sigma * offset_residual(rig, X_BA, offset_px, p_A, uvd_B_px)
-        J = inv_sigma[:, None] * offset_jacobian(rig, X_BA, p_A)
+        J = inv_sigma[:, None] * offset_jacobian(rig, X_BA, p_A)[:, :, :unknowns]
         weight = 1.0 / (1.0 + np.sum(residual**2, axis=1) / OUTLIER_SIGMAS**2)
         normal = np.einsum("n,nij,nik->jk", weight, J, J)
         if not np.isfinite(normal).all() or np.linalg.cond(normal) > 1e14:
@@ -107,10 +138,10 @@ def disparity_change(
         X_BA = X_BA.copy()
         X_BA[:3, :3] = exp_so3(step[3:6]) @ X_BA[:3, :3]
         X_BA[:3, 3] = exp_so3(step[3:6]) @ X_BA[:3, 3] + step[:3]
-        offset_px += float(step[6])
+        offset_px += float(step[6]) if with_offset else 0.0
         if float(np.abs(step).max()) < 1e-9:
             break
-    return offset_px, float(np.sqrt(np.linalg.inv(normal)[6, 6]))
+    return FittedView(X_BA, offset_px, np.linalg.inv(normal))
 
 
 def offset_residual(rig: RectifiedRig, X_BA: Array, offset_px: float, p_A: Array, uvd_B_px: Array) -> Array:

@@ -19,7 +19,7 @@ import numpy as np
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.lie import Array, inverse_pose, log_so3, transform_points
 from polhode.pipeline.context import RunContext
-from polhode.pipeline.data_checks.disparity_steps import disparity_steps
+from polhode.pipeline.data_checks.disparity_steps import disparity_steps, weighted_median
 from polhode.records import MotionEstimate, StereoTracks
 
 MIN_MATCHES = 8
@@ -159,13 +159,6 @@ def largest_step(values: Array, sigma: Array) -> Step | None:
             sigmas = [_sigma_of_median(residuals[side], s[side], residuals) for side in sides]
             best = Step(int(known[n]), medians[1] - medians[0], float(np.linalg.norm(sigmas)))
     return best
-
-
-def weighted_median(values: Array, sigma: Array) -> float:
-    """Of values (n,), each weighted by its sigma (n,)."""
-    order = np.argsort(values)
-    weight = np.cumsum(1.0 / sigma[order] ** 2)
-    return float(values[order][np.searchsorted(weight, 0.5 * weight[-1])])
 
 
 def _sigma_of_median(residuals: Array, sigma: Array, all_residuals: Array) -> float:

@@ -12,8 +12,8 @@ from polhode.pipeline.data_checks.centre_check import (
     SeenPath,
     centre_change,
     centre_of,
-    pose_of_landmarks,
 )
+from polhode.pipeline.data_checks.disparity_steps import fit_view
 from polhode.rigid_body import propagate
 
 RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)
@@ -95,9 +95,9 @@ def test_a_pose_follows_from_its_landmarks_with_its_covariance() -> None:
         p_G = 0.1 * rng.normal(size=(30, 3))
         uvd = RIG.project(transform_points(X_RG, p_G)) + sigma_px * rng.normal(size=(30, 3))
         start = X_RG @ make_pose(exp_so3(0.02 * rng.normal(size=3)), 0.01 * rng.normal(size=3))
-        fitted = pose_of_landmarks(RIG, start, p_G, uvd, sigma_px)
+        fitted = fit_view(RIG, start, p_G, uvd, sigma_px, with_offset=False)
         assert fitted is not None
-        found, covariance = fitted
+        found, covariance = fitted.X_BA, fitted.covariance
         between = found @ inverse_pose(X_RG)
         rotation = np.array([between[2, 1], between[0, 2], between[1, 0]])
         error = np.concatenate([found[:3, 3] - between[:3, :3] @ X_RG[:3, 3], rotation])
@@ -105,8 +105,13 @@ def test_a_pose_follows_from_its_landmarks_with_its_covariance() -> None:
     # chi-squared with 240 degrees of freedom, four standard deviations, and what the robust weights lose
     assert abs(np.sum(squares) - 240.0) < 4.0 * np.sqrt(2.0 * 240.0)
     assert (
-        pose_of_landmarks(
-            RIG, X_RG, np.zeros((9, 3)), np.tile(RIG.project(X_RG[None, :3, 3]), (9, 1)), sigma_px
+        fit_view(
+            RIG,
+            X_RG,
+            np.zeros((9, 3)),
+            np.tile(RIG.project(X_RG[None, :3, 3]), (9, 1)),
+            sigma_px,
+            with_offset=False,
         )
         is None
     )
