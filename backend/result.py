@@ -4,16 +4,19 @@ import numpy as np
 
 from polhode.backend.dynamics.residuals import FrameStates
 from polhode.backend.initialization.rates import FAST_HINT
+from polhode.backend.outliers_and_noise.correlated_noise import measure_correlation, turns_between
 from polhode.backend.outliers_and_noise.outliers import NoiseScales, PrunedProblem, whitened_residuals
 from polhode.backend.problem.iterate import COM, ERR_THETA, XI, Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.solvers.linearization_point import linearization_point
+from polhode.backend.solvers.linearization_point import LinearizationPoint, linearization_point
 from polhode.backend.solvers.robust_kernel import robust_information, robust_weight
 from polhode.backend.uncertainty.covariance import (
+    DependentErrors,
     Marginals,
     body_jacobians,
     marginals,
+    observation_jacobians,
     pose_covariances,
     state_covariances,
     state_jacobians,
@@ -60,7 +63,8 @@ def assemble(
     small = kept.restrict(iterate)
     solver, fixed, x = GaussNewton(kept.data), linearization_point(kept.data, small), small.vector()
     s = np.sum(all_residuals[kept.observations] ** 2, axis=1)
-    m = marginals(solver, fixed, x, robust_information(s, data.robust_scale))
+    errors = _dependent_errors(solver, fixed, x)
+    m = marginals(solver, fixed, x, robust_information(s, data.robust_scale), errors)
     derivative = axes_derivative(data.form, iterate)
     R_GP = derivative.R_GP
     w_P = iterate.w_G @ R_GP
@@ -103,6 +107,17 @@ def assemble(
         warnings=tuple(warnings),
         disturbances=disturbances,
     )
+
+
+def _dependent_errors(solver: GaussNewton, fixed: LinearizationPoint, x: Array) -> DependentErrors | None:
+    """How the errors of the observations depend on one another, from the residuals; None: too few."""
+    residuals, (R_RG, _, _) = solver.residuals(fixed, x)
+    to_landmark = observation_jacobians(solver, fixed, x)[1]
+    turn_rad = turns_between(fixed.reference.moved_to(x).R_NG, R_RG)
+    found = measure_correlation(solver.data, residuals, to_landmark, turn_rad)
+    if found is None:
+        return None
+    return DependentErrors(found.variance(solver.data), found.drift_between(turn_rad))
 
 
 def _state_covariances(

@@ -1,6 +1,7 @@
 """Noise from the data: residuals in, noise levels and the observations that agree out.
 
 - ``outliers``: removal of observations that contradict the motion; noise of the pixels.
+- ``correlated_noise``: errors that landmarks keep over a turn, and that neighbours share.
 - ``process_level``: level of the disturbances, by maximum evidence.
 - ``systematic``: errors that all frames share, added to the covariances.
 """

@@ -155,9 +155,77 @@ def back_substitute(
 
 
 @compiled_fused
-def landmark_covariances(cov: Array, frame: Ints, start: Ints, E: Array, C_inv: Array, stride: int) -> Array:
-    """Covariances (L, 3, 3) = C^-1 + C^-1 E^T cov E C^-1, from that of the poses."""
-    out = C_inv.copy()
+def correlated_scores(
+    excess: Array, frame: Ints, start: Ints, variance: Array, drift: Array, to_pose: Array,
+    to_landmark: Array, E: Array, C_inv: Array, stride: int,
+) -> Array:  # fmt: skip
+    """Covariance of the gradient in the poses in excess of the information, into ``excess`` (lower triangle).
+
+    Landmarks eliminated. The whitened errors of u, v and disparity have variance (M, 3) and, besides, drift
+    (3, F, F) between observations of one landmark in two frames; the information takes both as 1 and 0.
+    to_pose (M, 3, 6), to_landmark (M, 3, 3): derivatives of the whitened residuals; pose k begins at ``stride
+    * k``. Returns the landmarks' covariances (L, 3, 3), the poses given.
+    """
+    longest = 0
+    for mark in range(len(start) - 1):
+        longest = max(longest, start[mark + 1] - start[mark])
+    own = np.zeros((len(start) - 1, 3, 3))
+    y, z = np.empty((longest, 3)), np.empty((longest, 3))
+    G, W, along = np.empty((3, 3)), np.empty((3, 6)), np.empty(6)
+    for mark in range(len(start) - 1):
+        first, n = start[mark], start[mark + 1] - start[mark]
+        for c in range(3):
+            for a in range(n):
+                for i in range(3):
+                    y[a, i] = 0.0
+                    for j in range(3):
+                        y[a, i] += C_inv[mark, i, j] * to_landmark[first + a, c, j]
+            G[:] = 0.0
+            for a in range(n):
+                z[a] = 0.0
+                for b in range(n):
+                    v = drift[c, frame[first + a], frame[first + b]]
+                    if a == b:
+                        v += variance[first + a, c] - 1.0
+                    for i in range(3):
+                        z[a, i] += v * y[b, i]
+                for i in range(3):
+                    for j in range(3):
+                        G[i, j] += y[a, i] * z[a, j]
+            for i in range(3):
+                for j in range(3):
+                    own[mark, i, j] += G[i, j]
+            for b in range(n):
+                kb = stride * frame[first + b]
+                for i in range(3):
+                    for j in range(6):
+                        W[i, j] = -z[b, i] * to_pose[first + b, c, j]
+                        for p in range(3):
+                            W[i, j] += G[i, p] * E[first + b, j, p]
+                for a in range(b, n):
+                    ka = stride * frame[first + a]
+                    v = drift[c, frame[first + a], frame[first + b]]
+                    if a == b:
+                        v += variance[first + a, c] - 1.0
+                    for j in range(6):
+                        along[j] = v * to_pose[first + b, c, j]
+                        for p in range(3):
+                            along[j] -= E[first + b, j, p] * z[a, p]
+                    for i in range(6):
+                        for j in range(6):
+                            total = to_pose[first + a, c, i] * along[j]
+                            for p in range(3):
+                                total += E[first + a, i, p] * W[p, j]
+                            excess[ka + i, kb + j] += total
+    return own + C_inv
+
+
+@compiled_fused
+def landmark_covariances(
+    cov: Array, frame: Ints, start: Ints, E: Array, C_inv: Array, own: Array, stride: int
+) -> Array:
+    """Covariances (L, 3, 3) = own + C^-1 E^T cov E C^-1: own with the poses given, cov that of the poses."""
+    out = own.copy()
     T, right = np.zeros((3, 3)), np.empty((6, 3))
     for mark in range(len(start) - 1):
         T[:] = 0.0

@@ -4,6 +4,9 @@ The information is singular, because G and its landmarks may move together: G is
 Quantities that do not depend on this choice (r_N, v_N, the attitude of the principal axes, w_P) get their
 absolute covariance: the camera's frame is known, and with G fixed the landmarks carry the uncertainty of the
 first pose.
+
+Where errors of observations depend on one another (``DependentErrors``), the inverse of the information is not the covariance of the solution, which takes them as independent: with S the covariance
+of the gradient it is inv(H) S inv(H) (the "sandwich": Huber 1967; White, Econometrica 48, 1980).
 """
 
 from dataclasses import dataclass
@@ -27,14 +30,25 @@ from polhode.backend.problem.iterate import (
     Iterate,
 )
 from polhode.backend.problem.wrench import LN_MASS, LN_SCALE
-from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.gauss_newton import GaussNewton, NormalEquations
 from polhode.backend.solvers.linearization_point import LinearizationPoint
-from polhode.backend.solvers.schur import landmark_covariances, mirror
+from polhode.backend.solvers.schur import correlated_scores, landmark_covariances, mirror
 from polhode.backend.uncertainty.principal_axes import AxesDerivative
+from polhode.camera import stereo_jacobian
 from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
 from polhode.records import Bools
 
 N_GAUGE = 6
+
+
+@dataclass(frozen=True)
+class DependentErrors:
+    """Covariance of the whitened errors of the observations, which the solution takes as independent."""
+
+    variance: Array
+    """(M, 3) of what is independent between frames"""
+    drift: Array
+    """(3, F, F) of u, v and disparity of one landmark in two frames, besides"""
 
 
 @dataclass(frozen=True)
@@ -53,8 +67,17 @@ class Marginals:
     """(s F, 8) change of the states per change of com_G and xi, everything else fitted again"""
 
 
-def marginals(solver: GaussNewton, fixed: LinearizationPoint, x: Array, weight: Array) -> Marginals:
-    """Invert the information at x; weight (M,) is the information contributed by each observation."""
+def marginals(
+    solver: GaussNewton,
+    fixed: LinearizationPoint,
+    x: Array,
+    weight: Array,
+    errors: DependentErrors | None = None,
+) -> Marginals:
+    """Invert the information at x; weight (M,) is the information contributed by each observation.
+
+    ``errors``: the solution still takes them as independent, its covariance does not.
+    """
     bare = solver.normal_equations(fixed, x, weight, prior=False)
     S, _, C_inv = solver.reduced(bare)
     mirror(S)
@@ -76,13 +99,64 @@ def marginals(solver: GaussNewton, fixed: LinearizationPoint, x: Array, weight: 
     dense[:n_states, n_states:] = response @ constants
     dense[n_states:, :n_states] = dense[:n_states, n_states:].T
     dense[n_states:, n_states:] = constants
-    errors = slice(N_STATE, N_STATE + follow.shape[1])
-    response[:first] = follow @ response[errors]
-    dense[:first] = follow @ dense[errors]
-    dense[:, :first] = dense[:, errors] @ follow.T
-    d = solver.data
-    marks = landmark_covariances(dense, d.frame, d.start, bare.E, C_inv, bare.n_state)
+    of_camera = slice(N_STATE, N_STATE + follow.shape[1])
+    response[:first] = follow @ response[of_camera]
+    dense[:first] = follow @ dense[of_camera]
+    dense[:, :first] = dense[:, of_camera] @ follow.T
+    d, own = solver.data, C_inv
+    if errors is not None:
+        excess, own = _excess(errors, solver, fixed, x, weight, bare, C_inv)
+        of_states = dense[:, :n_states]
+        dense = dense + of_states @ excess @ of_states.T
+        dense = 0.5 * (dense + dense.T)
+        excess_of_constants = response.T @ excess @ response
+        information = _discounted(information, excess_of_constants, prior)
+    marks = landmark_covariances(dense, d.frame, d.start, bare.E, C_inv, own, bare.n_state)
     return _with_constants(dense, marks, information, prior, response)
+
+
+def _excess(
+    errors: DependentErrors,
+    solver: GaussNewton,
+    fixed: LinearizationPoint,
+    x: Array,
+    weight: Array,
+    bare: NormalEquations,
+    C_inv: Array,
+) -> tuple[Array, Array]:
+    """Covariance (s F, s F) of the gradient beyond the information; landmarks' covariances, poses given."""
+    d, n_states = solver.data, fixed.reference.n_states
+    to_pose, to_landmark = observation_jacobians(solver, fixed, x)
+    root = np.sqrt(weight)[:, None, None]
+    excess = np.zeros((n_states, n_states))
+    own = correlated_scores(
+        *(excess, d.frame, d.start, errors.variance, errors.drift),
+        *(root * to_pose, root * to_landmark, bare.E, C_inv, bare.n_state),
+    )
+    mirror(excess)
+    return excess, own
+
+
+def _discounted(information: Array, excess: Array, prior: Array) -> Array:
+    """Information whose inverse is the sandwich covariance; ``prior`` keeps what is undetermined regular."""
+    spread = information + excess
+    scale = 1.0 / np.sqrt(np.diag(spread) + np.diag(prior) + 1e-300)
+    regular = spread * np.outer(scale, scale) + 1e-12 * np.eye(len(spread))
+    half = scale[:, None] * information
+    out = half.T @ np.linalg.solve(regular, half)
+    return np.asarray(0.5 * (out + out.T))
+
+
+def observation_jacobians(solver: GaussNewton, fixed: LinearizationPoint, x: Array) -> tuple[Array, Array]:
+    """Derivatives of the whitened residuals in the pose (M, 3, 6) and in the landmark (M, 3, 3)."""
+    d, (A, p_NG, p_G) = solver.data, solver.residuals(fixed, x)[1]
+    k, own_G = d.frame, p_G[d.landmark]
+    p_R = np.einsum("mij,mj->mi", A[k], own_G) + np.einsum("mij,mj->mi", d.R_RN[k], p_NG[k]) + d.t_R[k]
+    to_point = -d.inv_sigma[:, :, None] * stereo_jacobian(p_R, d.rig[0], d.rig[3])
+    to_landmark = to_point @ A[k]
+    theta = x[: fixed.reference.n_states].reshape(-1, fixed.reference.n_state)[:, ROTATION]
+    turned = -to_landmark @ hat(own_G) @ right_jacobian_so3(theta)[k]
+    return np.concatenate([to_point @ d.R_RN[k], turned], axis=2), to_landmark
 
 
 def _with_constants(

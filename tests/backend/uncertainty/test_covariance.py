@@ -1,14 +1,36 @@
 """The covariance of the last state, along the principal axes and of the body itself."""
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 
 from polhode.backend import estimate_motion, initialize_motion
+from polhode.backend.dynamics.residuals import FrameStates
+from polhode.backend.outliers_and_noise.correlated_noise import (
+    measure_correlation,
+    turns_between,
+)
+from polhode.backend.outliers_and_noise.outliers import estimate_noise
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.motion_data import MotionData
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.linearization_point import linearization_point
+from polhode.backend.solvers.schur import correlated_scores
+from polhode.backend.uncertainty.covariance import (
+    DependentErrors,
+    body_jacobians,
+    marginals,
+    observation_jacobians,
+    state_covariances,
+)
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, hat, inverse_pose, log_so3
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
 from polhode.rigid_fit import mean_rotation
-from polhode.simulation.monte_carlo import SyntheticScene, generate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
+from tests.backend.outliers_and_noise.test_outliers import at_truth
 
 BOX = np.diag([1.5, 1.2, 0.9])
 
@@ -77,3 +99,96 @@ def test_the_covariance_of_each_pose_without_what_all_share_holds_its_errors() -
         assert np.all(np.linalg.eigvalsh(motion.covariance_X_NG) > 0.0)
     # neighbouring frames err alike, so the mean of 60 of these scatters as that of some ten
     assert 0.6 < np.mean(squares) < 1.6
+
+
+def test_the_covariance_of_the_gradient_is_that_of_dense_algebra() -> None:
+    rng = np.random.default_rng(3)
+    frame = np.array([0, 1, 2, 0, 2, 3, 1, 2, 3])
+    start = np.array([0, 3, 6, 9])
+    n_frames, stride, n = 4, 7, len(frame)
+    to_pose, to_landmark = rng.normal(size=(n, 3, 6)), rng.normal(size=(n, 3, 3))
+    variance = rng.uniform(0.5, 3.0, (n, 3))
+    half = rng.normal(size=(3, n_frames, n_frames))
+    drift = half @ np.swapaxes(half, 1, 2)
+    E = np.swapaxes(to_pose, 1, 2) @ to_landmark
+    C = np.stack([sum(to_landmark[m].T @ to_landmark[m] for m in range(a, b)) for a, b in pairwise(start)])
+    expected, own = np.zeros((stride * n_frames, stride * n_frames)), np.empty((3, 3, 3))
+    for mark, (a, b) in enumerate(pairwise(start)):
+        J_pose = np.zeros((3 * (b - a), stride * n_frames))
+        for m in range(a, b):
+            J_pose[3 * (m - a) : 3 * (m - a) + 3, stride * frame[m] : stride * frame[m] + 6] = to_pose[m]
+        J = to_landmark[a:b].reshape(-1, 3)
+        V = np.zeros((3 * (b - a), 3 * (b - a)))
+        for c in range(3):
+            V[c::3, c::3] = drift[c][np.ix_(frame[a:b], frame[a:b])] + np.diag(variance[a:b, c])
+        inverse = np.linalg.inv(C[mark])
+        scores = J_pose - J @ inverse @ J.T @ J_pose
+        expected += scores.T @ (V - np.eye(len(V))) @ scores
+        own[mark] = inverse @ J.T @ V @ J @ inverse
+    excess = np.zeros_like(expected)
+    found = correlated_scores(
+        excess, frame, start, variance, drift, to_pose, to_landmark, E, np.linalg.inv(C), stride
+    )
+    np.testing.assert_allclose(np.tril(excess), np.tril(expected), atol=1e-9)
+    np.testing.assert_allclose(found, own, atol=1e-9)
+
+
+def solved(seed: int, drift_px: float) -> tuple[SyntheticSequence, MotionData, Iterate]:
+    """A tumble whose landmarks slide as it turns, and the motion fitted to it."""
+    scene = SyntheticScene(
+        frames=40, landmarks=150, detection=0.95, sigma_uv_px=0.2, sigma_d_px=0.2, J_G=BOX,
+        w_G=(0.08, 0.1, 0.09), accel_psd=1e-11, torque_psd=1e-11,
+    )  # fmt: skip
+    sequence = generate(scene, seed)
+    data, truth = at_truth(sequence)
+    rng, uvd = np.random.default_rng(seed), data.uvd_px.copy()
+    turn_rad = turns_between(truth.R_NG, data.R_RN @ truth.R_NG)
+    for a, b in pairwise(data.start):
+        alike = np.exp(-turn_rad[np.ix_(data.frame[a:b], data.frame[a:b])] / 2.0)
+        slide = np.linalg.cholesky(alike + 1e-9 * np.eye(b - a)) @ rng.normal(size=(b - a, 2))
+        uvd[a:b, :2] += drift_px * slide
+    data = replace(data, uvd_px=uvd, accel_psd=1e-11, torque_psd=1e-11)
+    fixed = linearization_point(data, truth)
+    iterate = truth.moved_to(GaussNewton(data).solve(fixed, truth.vector(), 30).x)
+    return sequence, data.rescaled(estimate_noise(data, iterate, robust=False).factors), iterate
+
+
+def test_the_errors_of_sliding_landmarks_are_as_large_as_the_covariance_says() -> None:
+    nees: dict[bool, list[float]] = {True: [], False: []}
+    for seed in range(5):
+        sequence, data, iterate = solved(seed, drift_px=0.5)
+        solver, fixed, x = GaussNewton(data), linearization_point(data, iterate), iterate.vector()
+        residuals, (R_RG, _, _) = solver.residuals(fixed, x)
+        turn_rad = turns_between(iterate.R_NG, R_RG)
+        to_landmark = observation_jacobians(solver, fixed, x)[1]
+        found = measure_correlation(data, residuals, to_landmark, turn_rad)
+        assert found is not None
+        dependent = DependentErrors(found.variance(data), found.drift_between(turn_rad))
+        weight = np.ones(len(data.frame))
+        errors = np.concatenate(
+            [
+                sequence.truth.r_N - FrameStates.of(iterate, data.camera_N).centres(),
+                sequence.truth.v_N - iterate.v_N,
+            ],
+            axis=1,
+        )
+        for known in (True, False):
+            m = marginals(solver, fixed, x, weight, dependent if known else None)
+            covariance = state_covariances(iterate, m, body_jacobians(iterate, data.camera_N))[0]
+            squares = [e @ np.linalg.solve(c[:6, :6], e) for e, c in zip(errors, covariance, strict=True)]
+            nees[known].append(float(np.mean(squares)) / 6.0)
+    assert 0.6 < np.mean(nees[True]) < 1.5
+    assert np.mean(nees[False]) > 1.4 * np.mean(nees[True])
+
+
+def test_independent_errors_leave_the_covariance_as_it_is() -> None:
+    _, data, iterate = solved(0, drift_px=0.0)
+    solver, fixed, x = GaussNewton(data), linearization_point(data, iterate), iterate.vector()
+    weight = np.full(len(data.frame), 0.9)
+    nothing = DependentErrors(np.ones((len(weight), 3)), np.zeros((3, data.n_frames, data.n_frames)))
+    with_, without = (marginals(solver, fixed, x, weight, c) for c in (nothing, None))
+    np.testing.assert_allclose(with_.dense, without.dense, rtol=1e-9, atol=1e-18)
+    np.testing.assert_allclose(with_.landmarks, without.landmarks, rtol=1e-9)
+    np.testing.assert_allclose(
+        with_.constants_information, without.constants_information, rtol=1e-6, atol=1e-3
+    )

@@ -1,0 +1,120 @@
+"""What observations share is measured where it is, and nowhere else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from polhode.backend.outliers_and_noise.correlated_noise import (
+    CorrelatedNoise,
+    measure_correlation,
+    turns_between,
+)
+from polhode.backend.problem.motion_data import MotionData, motion_data
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.linearization_point import linearization_point
+from polhode.backend.uncertainty.covariance import observation_jacobians
+from polhode.config.backend_settings import Backend
+from polhode.lie import Array, exp_so3
+from polhode.simulation.monte_carlo import SyntheticScene, generate
+from tests.backend.outliers_and_noise.test_outliers import at_truth
+
+SCENE = SyntheticScene(
+    frames=30, landmarks=1500, detection=0.7, w_G=(0.3, 0.2, 0.25), J_G=np.diag([1.5, 1.2, 0.9]),
+    sigma_uv_px=0.3, sigma_d_px=0.2,
+)  # fmt: skip
+
+
+def exact() -> tuple[MotionData, Array, Array]:
+    """Measurements without noise at the truth; derivatives in the landmarks; turns between the frames."""
+    sequence = generate(replace(SCENE, sigma_uv_px=1e-9, sigma_d_px=1e-9), 5)
+    data, iterate = at_truth(sequence)
+    data = replace(data, inv_sigma=np.broadcast_to(1.0 / np.array([0.3, 0.3, 0.2]), data.uvd_px.shape))
+    fixed = linearization_point(data, iterate)
+    to_landmark = observation_jacobians(GaussNewton(data), fixed, iterate.vector())[1]
+    return data, to_landmark, turns_between(iterate.R_NG, data.R_RN @ iterate.R_NG)
+
+
+def after_the_fit(data: MotionData, to_landmark: Array, errors: Array) -> Array:
+    """Whitened residuals that errors (M, 3) leave when each landmark is fitted to them."""
+    out = errors.copy()
+    for first, last in zip(data.start[:-1], data.start[1:], strict=True):
+        J, e = to_landmark[first:last].reshape(-1, 3), errors[first:last].ravel()
+        out[first:last] = (e - J @ np.linalg.lstsq(J, e, rcond=None)[0]).reshape(-1, 3)
+    return out
+
+
+def measured(data: MotionData, to_landmark: Array, turn_rad: Array, errors: Array) -> CorrelatedNoise:
+    found = measure_correlation(data, after_the_fit(data, to_landmark, errors), to_landmark, turn_rad)
+    assert found is not None
+    return found
+
+
+def drift(data: MotionData, turn_rad: Array, forgetting_rad: float, rng: np.random.Generator) -> Array:
+    """Errors (M, 3) of unit variance that each landmark keeps over a turn."""
+    out = np.empty((len(data.frame), 3))
+    for first, last in zip(data.start[:-1], data.start[1:], strict=True):
+        k = data.frame[first:last]
+        alike = np.exp(-turn_rad[np.ix_(k, k)] / forgetting_rad)
+        out[first:last] = np.linalg.cholesky(alike + 1e-9 * np.eye(len(k))) @ rng.normal(size=(len(k), 3))
+    return out
+
+
+def test_independent_errors_share_nothing() -> None:
+    data, to_landmark, turn_rad = exact()
+    found = measured(data, to_landmark, turn_rad, np.random.default_rng(0).normal(size=data.uvd_px.shape))
+    np.testing.assert_allclose(found.independent + found.drifting.sum(axis=1), 1.0, atol=0.1)
+    assert found.drifting[:, 1:].sum() < 0.1
+    assert (found.shared * np.exp(-3.0 / found.length_px)).max() < 0.05
+    np.testing.assert_allclose(found.variance(data).mean(axis=0), 1.0, atol=0.15)
+
+
+@pytest.mark.parametrize("forgetting_rad", [2.0, 6.0])
+def test_a_drift_is_found_with_its_size_and_its_turn(forgetting_rad: float) -> None:
+    data, to_landmark, turn_rad = exact()
+    rng = np.random.default_rng(1)
+    errors = rng.normal(size=data.uvd_px.shape)
+    errors[:, :2] += 1.5 * drift(data, turn_rad, forgetting_rad, rng)[:, :2]
+    found = measured(data, to_landmark, turn_rad, errors)
+    # a constant error of a landmark is its position: only the change with the turn can be measured
+    at = np.array([[0.0, 0.4, 1.0, 1.8]])
+    covariance = found.drift_between(at)[0, 0]
+    true = 2.25 * np.exp(-at[0] / forgetting_rad)
+    np.testing.assert_allclose(covariance[0] - covariance, true[0] - true, atol=0.25)
+    assert found.independent[0] + found.drifting[0, 0] == pytest.approx(1.0, abs=0.35)
+    assert found.independent[1] + found.drifting[1].sum() == pytest.approx(1.0, abs=0.2)
+
+
+def test_what_neighbours_share_is_found_and_counted_as_a_larger_error() -> None:
+    data, to_landmark, turn_rad = exact()
+    rng = np.random.default_rng(2)
+    errors = rng.normal(size=data.uvd_px.shape)
+    for k in range(data.n_frames):
+        own = np.flatnonzero(data.frame == k)
+        distance = np.linalg.norm(data.uvd_px[own, None, :2] - data.uvd_px[None, own, :2], axis=2)
+        alike = 0.6 * np.exp(-distance / 8.0) + 0.4 * np.eye(len(own))
+        errors[own, 2] = np.linalg.cholesky(alike) @ rng.normal(size=len(own))
+    found = measured(data, to_landmark, turn_rad, errors)
+    assert found.shared[1] == pytest.approx(0.6, abs=0.15)
+    assert found.length_px[1] == pytest.approx(8.0, rel=0.3)
+    assert found.shared[0] * np.exp(-3.0 / found.length_px[0]) < 0.05
+    own = np.flatnonzero(data.frame == 7)
+    distance = np.linalg.norm(data.uvd_px[own, None, :2] - data.uvd_px[None, own, :2], axis=2)
+    expected = 1.0 + 0.6 * (np.exp(-distance / 8.0).sum(axis=1) - 1.0)
+    np.testing.assert_allclose(found.variance(data)[own, 2].mean(), expected.mean(), rtol=0.2)
+
+
+def test_too_few_repeated_landmarks_say_nothing() -> None:
+    sequence = generate(replace(SCENE, frames=4, landmarks=6, detection=0.5), 0)
+    data = motion_data(sequence.tracks, Backend())
+    zeros = np.zeros((len(data.frame), 3))
+    assert measure_correlation(data, zeros, np.zeros((len(zeros), 3, 3)), np.zeros((4, 4))) is None
+
+
+def test_turns_are_half_as_seen_in_the_light_and_half_as_seen_by_the_camera() -> None:
+    R = np.stack([np.eye(3), exp_so3([0.0, 0.0, 0.5]), exp_so3([0.0, 1.0, 0.0])])
+    still = np.broadcast_to(np.eye(3), R.shape)
+    turn_rad = turns_between(R, still)
+    np.testing.assert_allclose(turn_rad[0], [0.0, np.sin(0.25), np.sin(0.5)], atol=1e-12)
+    np.testing.assert_allclose(turns_between(R, R)[0, 1], 2.0 * np.sin(0.25), atol=1e-12)
+    np.testing.assert_allclose(turn_rad, turn_rad.T, atol=1e-12)
