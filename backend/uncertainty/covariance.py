@@ -5,8 +5,9 @@ Quantities that do not depend on this choice (r_N, v_N, the attitude of the prin
 absolute covariance: the camera's frame is known, and with G fixed the landmarks carry the uncertainty of the
 first pose.
 
-Where errors of observations depend on one another (``DependentErrors``), the inverse of the information is not the covariance of the solution, which takes them as independent: with S the covariance
-of the gradient it is inv(H) S inv(H) (the "sandwich": Huber 1967; White, Econometrica 48, 1980).
+Where errors of observations depend on one another (``DependentErrors``), the inverse of the information is
+not the covariance of the solution, which takes them as independent: with S the covariance of the gradient it
+is inv(H) S inv(H) (the "sandwich": Huber 1967; White, Econometrica 48, 1980).
 """
 
 from dataclasses import dataclass
