@@ -248,23 +248,26 @@ def _estimate(
     turns_deg = ambiguous_turns_deg(found.choice, trials[best], data.dt_s, stronger >= SUSPICIOUS)
     if turns_deg is not None:
         estimate = with_ambiguous_rotation(estimate, turns_deg)
-    warnings = [*estimate.warnings, *_warnings_of_disturbances(data, config, stronger)]
+    warnings = [*estimate.warnings, *_unused_times(data, config)]
     if not solution.converged:
         warnings.append(f"the solver stopped before convergence: {solution.message} ({FAST_HINT})")
-    return replace(estimate, solver=outcome, warnings=tuple(warnings))
+    return replace(estimate, solver=outcome, warnings=tuple(warnings), doubts=_doubts(stronger))
 
 
-def _warnings_of_disturbances(data: MotionData, config: Backend, stronger: float) -> list[str]:
+def _unused_times(data: MotionData, config: Backend) -> list[str]:
     ends = float(np.sum(data.dt_s))
-    out = [
+    return [
         f"backend.unknown_wrench_s: {start:g} to {end:g} s is outside the sequence of {ends:g} s"
         for start, end in config.unknown_wrench_s
         if end <= 0.0 or start >= ends
     ]
+
+
+def _doubts(stronger: float) -> tuple[str, ...]:
+    """``stronger``: estimated over stated disturbances (power)."""
     if stronger < SUSPICIOUS:
-        return out
-    return [
-        *out,
+        return ()
+    return (
         f"the disturbances appear {stronger:.0f} times as strong as stated (power): an unknown force or "
         "wrong associations may be the cause; the standard deviations are large accordingly",
-    ]
+    )

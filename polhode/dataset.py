@@ -10,8 +10,10 @@ from dataclasses import dataclass, field
 from hashlib import blake2b
 from itertools import islice, pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from polhode.calibration import StereoCalibration, read_calibration
@@ -88,6 +90,8 @@ class StereoSequence:
     frozen: bool
     """Whether all pairs are the same, bit for bit; they are used, as of a target at rest"""
     _files: tuple[tuple[Path, Path], ...] = field(repr=False)
+    _digests: tuple[tuple[bytes, ...], ...] = field(repr=False)
+    """Of both images of each pair when the sequence was opened"""
     _bits: int = 8
 
     def __len__(self) -> int:
@@ -108,12 +112,16 @@ class StereoSequence:
 
     def _read_image(self, camera: int, k: int) -> Grey:
         width, height = self.calibration.width_px, self.calibration.height_px
+        file = self._files[k][camera]
         try:
-            return to_grey(read_raw(self._files[k][camera], width, height), self._bits)
+            raw = read_raw(file, width, height)
         except UnreadableImage as error:
             raise InputError(
                 f"{self.folder}: pair {self.timestamps_ns[k]} ns changed while in use: {error}"
             ) from None
+        if _digest(raw) != self._digests[k][camera]:
+            raise InputError(f"{file}: changed while in use: leave the sequence alone, and run again")
+        return to_grey(raw, self._bits)
 
     def _read_mask(self, name: str, k: int) -> Bools | None:
         if self.repeated[k]:
@@ -148,8 +156,10 @@ class _Checked:
     """Whether more than half of an image is in the upper half of the range"""
     largest_16_bit: int
     bad_masks: tuple[str, ...]
-    digests: tuple[bytes | None, ...] = ()
-    """Of both images; None for one without content, such as a black one"""
+    digests: tuple[bytes, ...] = ()
+    """Of both images"""
+    shows: tuple[bool, ...] = ()
+    """Whether each has content: a black one has none"""
 
 
 def open_sequence(folder: Path) -> StereoSequence:
@@ -188,7 +198,7 @@ def open_sequence(folder: Path) -> StereoSequence:
             )
         message = "all frames are black: no image shows anything above the noise"
         raise InputError(f"{folder}: {message}; check exposure and lens cap")
-    of_cameras = _repeated([checked[stamp].digests for stamp in usable])
+    of_cameras = _repeated([checked[stamp] for stamp in usable])
     frozen = bool(of_cameras[1:].all())
     repeated = np.asarray(of_cameras.any(axis=1)) & (not frozen)
     still = np.flatnonzero(of_cameras[1:].all(axis=0))
@@ -224,6 +234,7 @@ def open_sequence(folder: Path) -> StereoSequence:
         repeated=repeated,
         frozen=frozen,
         _files=tuple(files[stamp] for stamp in usable),
+        _digests=tuple(checked[stamp].digests for stamp in usable),
         _bits=bits,
     )
 
@@ -285,7 +296,7 @@ def _check_pair(
     mav0: Path, stamp: int, pair: tuple[Path, Path], calibration: StereoCalibration, bits: int | None
 ) -> _Checked:
     width, height = calibration.width_px, calibration.height_px
-    content, bright, largest, digests = False, False, 0, []
+    bright, largest, digests, shows = False, 0, [], []
     for camera, path in zip(("cam0", "cam1"), pair, strict=True):
         try:
             raw = read_raw(path, width, height)
@@ -298,11 +309,15 @@ def _check_pair(
                     f"{path}: value {largest} is above {bits} bits: correct 'bits' in sensor.yaml"
                 )
         grey = to_grey(raw, bits or bit_depth(int(raw.max())))
-        shows = has_content(grey)
-        content, bright = content or shows, bright or bool(np.median(grey) > 127)
-        digests.append(blake2b(raw.tobytes(), digest_size=16).digest() if shows else None)
+        shows.append(has_content(grey))
+        bright = bright or bool(np.median(grey) > 127)
+        digests.append(_digest(raw))
     bad_masks = tuple(_bad_masks(mav0, stamp, width, height))
-    return _Checked(None, content, bright, largest, bad_masks, tuple(digests))
+    return _Checked(None, any(shows), bright, largest, bad_masks, tuple(digests), tuple(shows))
+
+
+def _digest(image: NDArray[Any]) -> bytes:
+    return blake2b(image.tobytes(), digest_size=16).digest()
 
 
 def _bad_masks(mav0: Path, stamp: int, width_px: int, height_px: int) -> Iterator[str]:
@@ -352,11 +367,11 @@ def _warnings(
         yield from inspector.warnings
 
 
-def _repeated(digests: list[tuple[bytes | None, ...]]) -> Bools:
+def _repeated(checked: list[_Checked]) -> Bools:
     """(F, 2) whether each camera's image is that of the pair before: no sensor repeats its noise."""
     same = [
-        [a == b and a is not None for a, b in zip(before, after, strict=True)]
-        for before, after in pairwise(digests)
+        [shows and a == b for shows, a, b in zip(after.shows, before.digests, after.digests, strict=True)]
+        for before, after in pairwise(checked)
     ]
     return np.array([[False, False], *same], dtype=np.bool_)
 

@@ -3,6 +3,7 @@
 Every summary is validated against the models of ``summary_schema`` when it is written and read.
 """
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from polhode.pipeline.run_directory.summary_schema import (
     ShapeFindings,
     Status,
     Summary,
+    content_digest,
     json_text,
 )
 from polhode.records import MotionEstimate, StereoTracks, SurfaceModel
@@ -104,12 +106,12 @@ def degradations(
         reasons.append(
             "fewer than half of the frames have measurements; the others are bridged by the dynamics"
         )
-    contradicted = float(np.mean(estimate.inlier_weight == 0.0)) if estimate is not None else 0.0
+    contradicted = float(np.mean(estimate.inlier_weight == 0.0))
     if contradicted > MANY_CONTRADICTED:
         reasons.append(f"{contradicted:.0%} of the observations contradict the motion")
     if surface is None or len(surface.mesh.faces) == 0:
         reasons.append("there is no surface: the depth maps gave none, or the run ended before them")
-    return tuple(reasons)
+    return (*reasons, *estimate.doubts)
 
 
 def _undetermined(estimate: MotionEstimate | None) -> list[str]:
@@ -132,7 +134,8 @@ def with_files(summary: Summary, folder: Path) -> Summary:
 
 def write_summary(summary: Summary, path: Path) -> None:
     """Write summary.json, validated once more (pydantic.ValidationError if a copy got a wrong value)."""
-    text = json_text(summary)
+    plain = json.loads(json_text(summary))
+    text = json_text(summary.model_copy(update={"own_sha256": content_digest(plain)}))
     Summary.model_validate_json(text)
     write_text(path, text)
 
@@ -154,9 +157,14 @@ def read_summary(path: Path) -> Summary:
         what = first["msg"].removeprefix("Value error, ")[:200]
         raise InputError(f"{file}: {where}: {what}; {NOT_OURS}") from None
     _require_sound(file, summary)
+    if summary.own_sha256 not in (None, content_digest(content)):
+        raise InputError(
+            f"{file}: changed since the run wrote it (own_sha256 is of other content); put the run's own "
+            "file back, or run again"
+        )
     if file != path:
         require_own_results(path, summary.sha256)
-    return summary
+    return summary.model_copy(update={"own_sha256": None})
 
 
 def _require_sound(file: Path, summary: Summary) -> None:

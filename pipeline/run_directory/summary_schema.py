@@ -8,6 +8,7 @@ of undetermined quantities are ``null``; there is no NaN or infinity.
 import json
 import re
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -317,6 +318,9 @@ class Summary(StrictModel):
     """What the run was made from; null: an earlier version did not record it."""
     sha256: dict[str, Digest] | None = None
     """Of its results, which later commands compare; null: an earlier version wrote none."""
+    own_sha256: Digest | None = None
+    """Of all other entries of the file (``content_digest``), while it is one; null: an earlier version
+    wrote none."""
 
     @model_validator(mode="after")
     def _estimate_is_whole(self) -> Self:
@@ -342,6 +346,13 @@ def json_text(model: StrictModel, indent: int = 2) -> str:
     text = json.dumps(model.model_dump(mode="json", by_alias=True), indent=indent, allow_nan=False)
     # One row of numbers, one line: no JSON string holds a raw line feed, so only arrays are touched.
     return re.sub(r"\[\n\s*([-+.,\w\s]*?)\n\s*\]", lambda row: f"[{' '.join(row[1].split())}]", text) + "\n"
+
+
+def content_digest(content: dict[str, Any]) -> str:
+    """SHA-256, hexadecimal, of the entries of summary.json but own_sha256, keys sorted, without spaces."""
+    rest = {key: value for key, value in content.items() if key != "own_sha256"}
+    text = json.dumps(rest, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return sha256(text.encode()).hexdigest()
 
 
 def json_schema(model: type[StrictModel]) -> dict[str, Any]:

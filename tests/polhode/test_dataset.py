@@ -512,6 +512,15 @@ def test_a_file_that_disappears_later_is_told(small_sequence: Path) -> None:
         sequence.read_pair(0)
 
 
+@pytest.mark.parametrize("camera", [0, 1])
+def test_an_image_that_becomes_another_one_later_is_noticed(camera: int, small_sequence: Path) -> None:
+    sequence = open_sequence(small_sequence)
+    shutil.copy(image_of(small_sequence, camera, 3), image_of(small_sequence, camera, 2))
+    sequence.read_pair(1)
+    with pytest.raises(InputError, match=f"{STAMPS[2]}.png: changed while in use"):
+        sequence.read_pair(2)
+
+
 def restamp(folder: Path, new: Callable[[int], int]) -> None:
     """Other timestamps for the same images."""
     for camera in (0, 1):

@@ -358,6 +358,7 @@ def test_texts_of_a_run_are_shown_as_text_and_never_run(example: Any, tmp_path: 
     )  # fmt: skip
     content = json.loads((run / "summary.json").read_text())
     content["warnings"] = [HOSTILE]
+    del content["own_sha256"]
     content["identifiable_detail"] = {HOSTILE: "not " + HOSTILE}
     content["solver"] |= {"name": HOSTILE, "message": HOSTILE, "runner_up": {HOSTILE: 1.0}}
     (run / "summary.json").write_text(json.dumps(content))

@@ -1,6 +1,7 @@
 """summary.json: fits its schema, speaks of what is undetermined with null, and gives the right status."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -140,12 +141,36 @@ def test_a_damaged_summary_is_refused_in_one_line(content: str | None, words: st
     assert "\n" not in str(caught.value)
 
 
+CHANGES: dict[str, Callable[[dict[str, Any]], None]] = {
+    "status": lambda content: content.update(status="ok" if content["status"] != "ok" else "degraded"),
+    "k1": lambda content: content["inertia"].update(k1=0.5),
+    "frames": lambda content: content.update(frames=content["frames"] + 1),
+    "covariance": lambda content: content["inertia"].update(cov=[[1e-12, 0.0], [0.0, 1e-12]]),
+    "no warnings": lambda content: content.update(warnings=["all is well"]),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_summary_that_was_changed_by_hand_is_refused(change: str, example: Any, tmp_path: Path) -> None:
+    file = tmp_path / "summary.json"
+    write_summary(_summary(example), file)
+    content = json.loads(file.read_text())
+    # formatting, and the order of keys, are no content
+    file.write_text(json.dumps(dict(reversed(content.items()))))
+    assert read_summary(file) == _summary(example)
+    CHANGES[change](content)
+    file.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="changed since the run wrote it"):
+        read_summary(file)
+
+
 @pytest.mark.parametrize("part", ESTIMATE_PARTS)
 def test_a_summary_with_a_part_of_an_estimate_is_refused(part: str, example: Any, tmp_path: Path) -> None:
     """No command has to look whether one part is there when another is."""
     path = tmp_path / "summary.json"
     write_summary(_summary(example), path)
     content = json.loads(path.read_text())
+    del content["own_sha256"]
     path.write_text(json.dumps({**content, part: None}))
     with pytest.raises(InputError, match=rf"{part} is null, but other parts .*; not a summary") as caught:
         read_summary(path)
