@@ -70,16 +70,20 @@ def require_writable(folder: Path, shown: Path) -> None:
         raise unwritable(shown, error) from error
 
 
-def begins_with(path: Path, *words: str, within_bytes: int = 4096) -> bool:
-    """Whether the beginning of a regular file contains one of the words, by which a program names itself."""
+def beginning_of(path: Path, within_bytes: int = 4096) -> bytes:
+    """The first bytes of a regular file, by which a program recognizes its own; of anything else none."""
     try:
         if not path.is_file():
-            return False
+            return b""
         with path.open("rb") as stream:
-            beginning = stream.read(within_bytes)
+            return stream.read(within_bytes)
     except OSError:
-        return False
-    return any(word.encode() in beginning for word in words)
+        return b""
+
+
+def begins_with(path: Path, word: str) -> bool:
+    """Whether the beginning of a regular file contains the word by which a program names itself."""
+    return word.encode() in beginning_of(path)
 
 
 def printable(name: object) -> str:

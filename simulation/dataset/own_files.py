@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 from polhode.config.loader import load_config
+from polhode.config.scene_settings import Scene
 from polhode.errors import InputError
 from polhode.output.exchange import foreign, is_regular
 from polhode.simulation.motion.target import timestamps
@@ -57,9 +58,22 @@ def why_not_ours(folder: Path) -> str:
     if config.scene is None:
         return f"its {SCENE_FILE} has no scene"
     known = {int(stamp) for stamp in timestamps(config.scene)}
+    not_asked_for = {name for name, is_written in _on_request(config.scene).items() if not is_written}
     for path in sorted((folder / "mav0").rglob("*")):
         name = path.relative_to(folder).as_posix()
+        if name.split("/")[1] in not_asked_for:
+            return f"its {SCENE_FILE} does not ask for {name}"
         stamped = _STAMPED.fullmatch(name)
         if stamped and int(stamped[1]) not in known:
             return f"its {SCENE_FILE} is of other images than {name}"
     return ""
+
+
+def _on_request(scene: Scene) -> dict[str, bool]:
+    """Folders that not every scene has, and whether this one has them."""
+    return {
+        **dict.fromkeys(("masks0", "masks1"), scene.render.masks),
+        **dict.fromkeys(("truth0", "truth1"), bool(scene.render.products)),
+        "inspector0": scene.inspector.moves and scene.inspector.reported,
+        "wrench0": bool(scene.motion.pushes) and scene.motion.pushes_known,
+    }

@@ -533,9 +533,45 @@ def test_a_copy_of_a_runs_result_is_no_prediction_page_or_export(
 
 @pytest.mark.parametrize("to", [*FORMATS])
 def test_every_export_knows_its_own_files(to: str, stage: Stage, tmp_path: Path, capsys: Capture) -> None:
-    words = ["export", str(stage.run), "--to", to, "--pieces", "1", "-o", str(tmp_path / f"target.{to}")]
+    file = tmp_path / f"target.{to}"
+    words = ["export", str(stage.run), "--to", to, "--pieces", "1", "-o", str(file)]
     assert main(words) == 0
     assert main(words) == 0
+    # the same text further down makes a file of the user
+    file.write_bytes(b"# mine\n" + file.read_bytes())
+    before = file.read_bytes()
+    capsys.readouterr()
+    assert main(words) == 2
+    refused("so it stays; choose another -o", capsys)
+    assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "#!/bin/sh\n# my notes\npolhode export D --to stl -o t.stl\n",
+        "polhode export of the run D: to be done on Monday\n",
+        "# polhode export of the run D\n\nto be done on Monday\n",
+        '{"notes": "polhode-export/1"}\n',
+        '{\n "schema": "polhode-export/1"\n}\n',
+    ],
+)
+@pytest.mark.parametrize("to", ["json", "tum", "urdf", "stl"])
+def test_a_file_that_only_mentions_exports_stays(
+    to: str, text: str, stage: Stage, tmp_path: Path, capsys: Capture
+) -> None:
+    notes = tmp_path / "notes"
+    notes.write_text(text)
+    assert main(["export", str(stage.run), "--to", to, "-o", str(notes)]) == 2
+    refused("so it stays; choose another -o", capsys)
+    assert notes.read_text() == text
+
+
+def test_an_stl_of_an_earlier_version_is_an_export(stage: Stage, tmp_path: Path, capsys: Capture) -> None:
+    file = tmp_path / "target.stl"
+    file.write_bytes(b"binary STL; frame cad, mm".ljust(80) + bytes(4))
+    assert main(["export", str(stage.run), "--to", "stl", "-o", str(file)]) == 0
+    assert file.stat().st_size > 84
     capsys.readouterr()
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from polhode.atomic import write_all
 from polhode.output.marked_folder import claim, forget_others, marked_folder
-from polhode.output.place import begins_with
+from polhode.output.place import beginning_of
 from polhode.output.single_file import make_parent, output_file
 from polhode.pipeline.after_run.export.job import Files
 from polhode.pipeline.after_run.export.options import ExportOptions
@@ -15,8 +15,25 @@ from polhode.planning.exports.formats import ROBOTS
 
 COMMAND = "export"
 SURFACE_FILE = "surface.obj"
-SIGNS = ("polhode export", '"polhode-export/1"')
-"""One of these is at the beginning of every file."""
+_XML = rb'<\?xml version="1\.0" encoding="utf-8"\?>\n<%s="[^"<>]*">\n  <!-- polhode export of the run '
+_CCSDS = rb"CCSDS_%s_VERS = [12]\.0\nCOMMENT polhode export of the run\s"
+SIGNS: dict[str, bytes] = {
+    "glb": rb'glTF\x02\0\0\0.{8}JSON\{"asset":\{"version":"2\.0","generator":"polhode","extras":'
+    rb'\{"comments":\["polhode export of the run ',
+    "ply": rb"ply\nformat binary_little_endian 1\.0\ncomment polhode export of the run [^\n]*\n"
+    rb"comment frame: ",
+    "stl": rb"(?=.{80})binary STL; (polhode export, )?frame (G|P|cad), m?m +(?<=\A.{80})",
+    "obj": rb"# polhode export of the run [^\n]*\n# frame: [^\n]*\n# unit: m?m\n",
+    "urdf": _XML % b"robot name",
+    "mjcf": _XML % b"mujoco model",
+    "sdf": _XML % b"sdf version",
+    "aem": _CCSDS % b"AEM",
+    "oem": _CCSDS % b"OEM",
+    "tum": rb"# polhode export of the run [^\n]*\n# frame: [^\n]*\n"
+    rb"# poses of the frame in N \[m\], predicted from ",
+    "json": rb'\{\n "schema": "polhode-export/1",\n "run_status": "',
+}
+"""How a file of each format begins, in this and in earlier versions: what else only mentions us."""
 
 
 @contextmanager
@@ -66,4 +83,5 @@ def write_export(files: Files, output: Path) -> None:
 
 
 def _is_export(path: Path) -> bool:
-    return begins_with(path, *SIGNS)
+    beginning = beginning_of(path)
+    return any(re.match(sign, beginning, re.DOTALL) for sign in SIGNS.values())

@@ -54,6 +54,27 @@ def test_a_recording_stays_one_with_the_scene_of_a_simulation(dataset: Path) -> 
     assert why_not_ours(dataset).startswith("its scene.yaml is of other images than mav0/cam0/data/17000")
 
 
+@pytest.mark.parametrize(
+    ("name", "as_written"),
+    [
+        ("mav0/masks0/1600000000000000000.png", "render: {masks: true}"),
+        ("mav0/truth1/1600000000000000000.npz", "render: {products: [depth]}"),
+        ("mav0/inspector0/data.csv", "inspector: {profile: drift}"),
+        ("mav0/wrench0/data.csv", "motion: {pushes: [{start_s: 1.0, duration_s: 1.0}]}"),
+    ],
+)
+def test_folders_that_the_scene_does_not_ask_for_are_the_users(
+    name: str, as_written: str, dataset: Path
+) -> None:
+    (dataset / name).parent.mkdir()
+    (dataset / name).write_text("mine")
+    assert why_not_ours(dataset) == f"its scene.yaml does not ask for {Path(name).parent}"
+    (dataset / "scene.yaml").write_text(
+        f"seed: 38\nscene: {{frames: 60, interval_s: 0.5, start_ns: 1600000000000000000, {as_written}}}\n"
+    )
+    assert is_whole(dataset)
+
+
 def test_a_scene_that_cannot_be_read_is_no_proof(dataset: Path) -> None:
     for text, reason in (
         ("seed: 1\n", "its scene.yaml has no scene"),
