@@ -5,9 +5,10 @@ Each row is written to a file of DIR/rows as soon as it is known: an interrupted
 
 import json
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
+from hashlib import sha256
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -28,9 +29,9 @@ from polhode.compare.tables import csv_text
 from polhode.config import Config
 from polhode.errors import InputError, RunFailure
 from polhode.foreign_files import MIB, read_text
-from polhode.output.locks import at_work
+from polhode.output.locks import occupied
 from polhode.output.marked_folder import claim as mark
-from polhode.output.marked_folder import marked_place, read_mark, write_mark
+from polhode.output.marked_folder import marked_place, read_mark, withdrawn_if_refused, write_mark
 from polhode.output.place import folder_place, unwritable
 from polhode.output.single_file import remove_all_partials
 from polhode.pipeline.run_directory.outputs import write_config
@@ -61,16 +62,15 @@ def compare(
     """Fill ``folder`` with compare.json, compare.csv and compare.html. Raises InputError, RunFailure."""
     chosen = entries(config.compare.solvers)
     wanted = list(sources(config, data, run, truth))
-    folder = claim(folder)
-    with at_work(folder, folder):
-        return _compared(config, folder, progress, chosen, wanted)
+    place = folder_place(folder)
+    with occupied(place, folder), withdrawn_if_refused(place, COMMAND, FILES, PARTS):
+        return _compared(config, claim(folder), progress, chosen, wanted)
 
 
 def _compared(
     config: Config, folder: Path, progress: Progress, chosen: tuple[Entry, ...], wanted: Sequence[Source]
 ) -> Comparison:
     _warn_of_pickles(folder)
-    write_config(folder, config)
     # the first use on a machine compiles: that must not count as time of a solver
     compile_block()
     deadline = perf_counter() + config.compare.total_s
@@ -100,6 +100,7 @@ def _compared(
             rows=rows,
         )
         comparison = comparison.model_copy(update={"profiles": performance_profiles(comparison)})
+        write_config(folder, config)
         write_comparison(comparison, folder / FILE)
         write_text(folder / "compare.csv", csv_text(rows))
     write_page(comparison, folder / "compare.html")
@@ -176,18 +177,32 @@ def _row(
     if row.status == "timeout" and limit_s < config.compare.limit_s:
         # with the full limit it might have converged: measured again when the comparison resumes
         return row
-    write_text(path, json.dumps({"stamp": wanted, "row": row.model_dump(mode="json")}) + "\n")
+    store_row(path, wanted, row)
     _log.info("%s: %s, %s", name, row.status, row.message)
     return row
 
 
+def store_row(path: Path, wanted: Mapping[str, Any], row: Row) -> None:
+    """Write a row with its stamp and a digest of both."""
+    content = {"stamp": wanted, "row": row.model_dump(mode="json")}
+    write_text(path, json.dumps({**content, "digest": _digest(content)}) + "\n")
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
 def _stored_row(path: Path, wanted: dict[str, Any]) -> Row | None:
-    """The row in the file if its stamp is the one wanted; None for another, or for no row at all."""
+    """The row in the file if its stamp is the one wanted and nothing in it was changed since; None for
+    another, or for no row at all."""
     # a file of another version, or one that was damaged, is measured again
     with suppress(InputError, ValueError, KeyError, TypeError, RecursionError):
         known = json.loads(read_text(path, MAX_ROW_BYTES, "a row of a comparison"))
         if known["stamp"] == wanted and known["row"]["status"] != "missing":
-            return Row.model_validate(known["row"])
+            # Rows without a digest are of earlier versions: their stamps, which name the code, are others.
+            if known.pop("digest", None) == _digest(known):
+                return Row.model_validate(known["row"])
+            _log.warning("%s: was changed since it was measured; it is measured again", path)
     return None
 
 

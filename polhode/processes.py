@@ -96,8 +96,7 @@ def _results(pool: ProcessPoolExecutor, items: Sequence[T], workers: int, ordere
     _pools.append(pool)
     try:
         for item in items:
-            with _signals_blocked():
-                waiting.append(pool.submit(_call, item))
+            waiting.append(_submitted(pool, item))
             if len(waiting) > WAITING_PER_WORKER * workers:
                 yield from _take(waiting, ordered)
         while waiting:
@@ -105,15 +104,33 @@ def _results(pool: ProcessPoolExecutor, items: Sequence[T], workers: int, ordere
     except BrokenProcessPool:
         # The others ignore the signal by which the pool would end them.
         _kill(pool)
-        raise RunFailure(
-            "a worker process was killed, perhaps for lack of memory: use fewer --runtime.workers"
-        ) from None
+        raise _killed("a worker process") from None
+    except _ServerLost:
+        _kill(pool)
+        raise _killed("the process that starts the workers") from None
     except KeyboardInterrupt:
         _kill(pool)
         raise
     finally:
         _pools.remove(pool)
         pool.shutdown(cancel_futures=True)
+
+
+class _ServerLost(Exception):
+    """The fork server ended while it was to start a worker."""
+
+
+def _submitted(pool: ProcessPoolExecutor, item: Any) -> Future[Any]:
+    """Submit an item; a worker is started where one is missing. Raises _ServerLost."""
+    try:
+        with _signals_blocked():
+            return pool.submit(_call, item)
+    except (EOFError, ConnectionError) as error:
+        raise _ServerLost from error
+
+
+def _killed(what: str) -> RunFailure:
+    return RunFailure(f"{what} was killed, perhaps for lack of memory: use fewer --runtime.workers")
 
 
 def _kill(pool: ProcessPoolExecutor) -> None:

@@ -7,7 +7,7 @@ check to the end the folder is locked, so that one process at a time works there
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from polhode.atomic import write_all, write_text
@@ -80,6 +80,40 @@ def claim(place: Path, command: str, names: Sequence[str]) -> None:
     files = {**known, command: sorted({*known.get(command, ()), *names})}
     if files != known:
         write_mark(place, files)
+
+
+@contextmanager
+def withdrawn_if_refused(
+    place: Path, command: str, names: Sequence[str], parts: Sequence[str] = ()
+) -> Iterator[None]:
+    """Take back a ``claim`` of the block when the block raises InputError before it has written anything.
+
+    ``names``: the command's files; ``parts``: its folders. If one of the files is there, or a folder has
+    something in it, or the command wrote here before, all stays.
+    """
+    is_new = command not in (read_mark(place) or {})
+    try:
+        yield
+    except InputError:
+        if is_new:
+            with suppress(OSError, RunFailure):
+                _withdraw(place, command, names, parts)
+        raise
+
+
+def _withdraw(place: Path, command: str, names: Sequence[str], parts: Sequence[str]) -> None:
+    folders = [place / part for part in parts if (place / part).is_dir()]
+    if any((place / name).exists() for name in names) or any(any(each.iterdir()) for each in folders):
+        return
+    others = read_mark(place)
+    if others is None or others.pop(command, None) is None:
+        return
+    for folder in folders:
+        folder.rmdir()
+    if others:
+        write_mark(place, others)
+    else:
+        (place / MARK).unlink()
 
 
 def write_files(place: Path, command: str, files: Mapping[str, bytes], is_name: IsName) -> None:

@@ -9,12 +9,12 @@ from typing import get_args
 import pytest
 
 from polhode.cli.main import main
-from polhode.compare.comparison import FORMER_MARK, FORMER_TEXT, claim
+from polhode.compare.comparison import FORMER_MARK, FORMER_TEXT, claim, store_row
 from polhode.compare.problem.sources import SCENES
-from polhode.compare.rows import read_comparison
+from polhode.compare.rows import Row, read_comparison
 from polhode.config.compare_settings import Motion
 from polhode.errors import InputError
-from polhode.output.marked_folder import MARK
+from polhode.output.marked_folder import MARK, write_mark
 from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.simulation.monte_carlo import SyntheticSequence, generate
 from tests.trap import trap
@@ -195,15 +195,59 @@ def test_a_row_of_another_version_is_measured_again(
     assert main(command) == 0
     (file,) = (out / "rows").iterdir()
     stored = json.loads(file.read_text())
-    stored["row"]["message"] = "of before"
-    file.write_text(json.dumps(stored))
+    before = Row.model_validate(stored["row"]).model_copy(update={"message": "of before"})
+    store_row(file, stored["stamp"], before)
     assert main(command) == 0
     assert read_comparison(out / "compare.json").rows[0].message == "of before"
     stored["stamp"]["versions"]["scipy"] = "0.1"
-    file.write_text(json.dumps(stored))
+    store_row(file, stored["stamp"], before)
     assert main(command) == 0
     assert read_comparison(out / "compare.json").rows[0].message != "of before"
     capsys.readouterr()
+
+
+def test_a_row_that_was_changed_is_measured_again(
+    config: Path, run: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    out = tmp_path / "out"
+    command = ["compare", str(config), "--run", str(run), "-o", str(out), "--compare.solvers", "odometry"]
+    assert main(command) == 0
+    (file,) = (out / "rows").iterdir()
+    measured = json.loads(file.read_text())
+    assert main(command) == 0
+    assert "measured again" not in caplog.text
+    for change in ({"row": {**measured["row"], "status": "ok", "cost": 1.0}}, {"digest": None}):
+        file.write_text(json.dumps({**measured, **change}))
+        caplog.clear()
+        assert main(command) == 0
+        assert f"{file}: was changed since it was measured; it is measured again" in caplog.text
+        (row,) = read_comparison(out / "compare.json").rows
+        assert (row.status, row.cost) == ("baseline", measured["row"]["cost"])
+
+
+def test_input_that_is_refused_leaves_nothing(tmp_path: Path, capsys: Capture) -> None:
+    data, out = tmp_path / "data", tmp_path / "a" / "out"
+    (data / "mav0" / "cam0").mkdir(parents=True)
+    assert main(["compare", "--data", str(data), "-o", str(out), *SOLVERS]) == 2
+    assert not out.parent.exists()
+    out.mkdir(parents=True)
+    write_mark(out, {"plan": ["planning.json"]})
+    marked = (out / MARK).read_text()
+    assert main(["compare", "--data", str(data), "-o", str(out), *SOLVERS]) == 2
+    assert [path.name for path in out.iterdir()] == [MARK] and (out / MARK).read_text() == marked
+    assert capsys.readouterr().err.count("\n") == 2
+
+
+def test_input_that_is_refused_leaves_an_earlier_comparison_as_it_was(
+    config: Path, run: Path, tmp_path: Path
+) -> None:
+    data, out = tmp_path / "data", tmp_path / "out"
+    (data / "mav0" / "cam0").mkdir(parents=True)
+    command = ["compare", str(config), "-o", str(out), "--compare.solvers", "odometry"]
+    assert main([*command, "--run", str(run)]) == 0
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert main([*command, "--data", str(data), "--seed", "9"]) == 2
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
 
 def test_every_motion_of_the_configuration_has_a_scene() -> None:

@@ -66,6 +66,29 @@ def test_a_killed_process_is_reported() -> None:
         list(in_order(kill_itself, range(4), 2))
 
 
+def kill_server(k: int) -> int:
+    os.kill(os.getppid(), signal.SIGKILL)
+    return k
+
+
+def test_a_killed_server_of_the_workers_is_reported() -> None:
+    with pytest.raises(RunFailure, match=r"was killed, perhaps for lack of memory: use fewer --runtime"):
+        list(in_order(kill_server, range(4), 2))
+    assert list(in_order(Square(), range(4), 2)) == [0, 1, 4, 9]
+
+
+@pytest.mark.parametrize("error", [EOFError, BrokenPipeError, ConnectionRefusedError])
+def test_a_server_that_is_killed_before_it_starts_a_worker_is_reported(
+    error: type[Exception], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("multiprocessing.forkserver.connect_to_new_process", lost)
+    with pytest.raises(RunFailure, match="the process that starts the workers was killed, perhaps for lack"):
+        list(in_order(Square(), range(4), 2))
+
+
 def threads_and_interrupts(k: int) -> tuple[int, int]:
     """Most threads of a library, and the process, which neither Ctrl-C nor what ends a group ends."""
     np.linalg.inv(np.eye(2))
