@@ -11,7 +11,7 @@ from typing import Any
 
 from polhode.errors import InputError
 from polhode.foreign_files import GIB, sha256_of
-from polhode.output.run_files import LATER, SUMMARY
+from polhode.output.run_files import LATER, SUMMARY, is_run_file
 from polhode.pipeline.run_directory.archives import (
     read_covariance,
     read_measurements,
@@ -69,6 +69,15 @@ def require_own_results(folder: Path, recorded: Mapping[str, str] | None) -> Non
             _log.warning("%s; it was changed, or is of another run", wrong)
 
 
+def changed_results(folder: Path, recorded: Mapping[str, str] | None) -> set[str]:
+    """Names of the files that are no longer what the run wrote, by the digests of its summary."""
+    return {
+        name
+        for name, digest in (recorded or {}).items()
+        if is_run_file(name) and (folder / name).is_file() and not _has_digest(folder / name, digest)
+    }
+
+
 def summary_digest(folder: Path) -> str:
     """Of a run's summary.json, by which metrics.json names the run that it belongs to."""
     return _digest(folder / SUMMARY)
@@ -101,6 +110,13 @@ def _difference(file: Path, recorded: Mapping[str, str]) -> str:
         return ""
     why = "has another digest" if file.name in recorded else "has no digest of it"
     return f"{file}: not the file that this run wrote (summary.json {why})"
+
+
+def _has_digest(file: Path, digest: str) -> bool:
+    try:
+        return _digest(file) == digest
+    except InputError:
+        return False
 
 
 def _is_sound(file: Path, read: Callable[[Path], object]) -> bool:

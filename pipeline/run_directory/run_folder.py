@@ -7,8 +7,8 @@ Everything is written into a hidden folder beside RUN, which takes the place of 
   exists already, nor if even summary.json cannot be written: the hidden folder is then kept;
 - the user's mistake (InputError) or an interrupt: nothing is left behind, and an existing run stays.
 
-Replaced are a run's own files: those of ``polhode.output.run_files`` that its summary.json lists. Files of
-the user that are among them stay in RUN.
+Replaced are a run's own files: those of ``polhode.output.run_files`` that its summary.json lists, if they are
+what the run wrote. Files of the user that are among them stay in RUN.
 """
 
 import logging
@@ -24,6 +24,7 @@ from polhode.output.place import begins_with, folder_place, printable
 from polhode.output.run_files import LATER, PICTURES, SUMMARY, is_run_file
 from polhode.output.staged_folder import StagedFolder, staged_folder
 from polhode.pipeline.run_directory.archives import read_measurements
+from polhode.pipeline.run_directory.own_results import changed_results
 from polhode.pipeline.run_directory.summary import build_summary, read_summary, with_files, write_summary
 from polhode.pipeline.run_directory.summary_schema import Recording
 
@@ -32,6 +33,9 @@ CONFIG_SIGN, PAGE_SIGN = "# Resolved configuration", "polhode</title>"
 """At the beginning of config.yaml and report.html of every run: names that other programs use as well."""
 RESULTS: tuple[str, ...] = ("measurements.npz", "trajectory.csv", "landmarks.ply", "mesh.ply")
 """A failed run is worth publishing if it contains one of these."""
+
+NEEDED: tuple[str, ...] = ("config.yaml", "trajectory.csv", "covariance.npz")
+"""A folder without them is no run; the first is in that of a failed one, too."""
 
 _log = logging.getLogger(__name__)
 
@@ -99,16 +103,17 @@ def own_files(folder: Path) -> IsOwn | None:
         summary = read_summary(folder / SUMMARY)
     except InputError:
         return None
-    needed = ["config.yaml", *(("trajectory.csv", "covariance.npz") if summary.inertia is not None else ())]
+    needed = NEEDED if summary.inertia is not None else NEEDED[:1]
     if not all((folder / name).is_file() and is_regular(folder / name) for name in (SUMMARY, *needed)):
         return None
     if not begins_with(folder / "config.yaml", CONFIG_SIGN):
         return None
     listed = None if summary.files is None else {*summary.files, *LATER}
+    changed = changed_results(folder, summary.sha256)
     has_other_page = (folder / REPORT).is_file() and not begins_with(folder / REPORT, PAGE_SIGN)
 
     def is_own(name: str) -> bool:
-        if not is_run_file(name) or (name == REPORT and has_other_page):
+        if not is_run_file(name) or name in changed or (name == REPORT and has_other_page):
             return False
         return listed is None or name in listed or "/." in f"/{name}"
 
@@ -137,7 +142,15 @@ def _require_usable(place: Path, shown: Path, overwrite: bool) -> None:
             f"{error.filename}: cannot be read ({error.strerror}), so that it could not stay in {shown}; "
             "choose another folder"
         ) from error
+    changed = changed_results(place, read_summary(place / SUMMARY).sha256)
     for name in others:
+        if name in changed:
+            # without a file that is needed the folder would be no run
+            move = "" if name in NEEDED else "move it, or "
+            raise InputError(
+                f"{shown}: {name} was changed since the run wrote it, so it stays; "
+                f"{move}choose another folder"
+            )
         if (place / name).lstat().st_dev != place.stat().st_dev:
             raise InputError(
                 f"{shown}: {printable(name)} is on another file system, and could not stay there; "

@@ -13,7 +13,7 @@ from polhode.config import Config
 from polhode.errors import InputError, RunFailure
 from polhode.pipeline.report import finish_run, write_report
 from polhode.pipeline.run_directory.archives import write_measurements
-from polhode.pipeline.run_directory.outputs import write_config, write_estimate
+from polhode.pipeline.run_directory.outputs import write_config, write_estimate, write_surface
 from polhode.pipeline.run_directory.run_folder import atomic_run_folder
 from polhode.pipeline.run_directory.summary import build_summary, read_summary, write_summary
 
@@ -22,6 +22,11 @@ from polhode.pipeline.run_directory.summary import build_summary, read_summary, 
 def _writing(target: Path, *arguments: Any, **more: Any) -> Iterator[Path]:
     with atomic_run_folder(target, *arguments, **more) as run:
         yield run.path
+
+
+def _write(target: Path, work: Callable[[Path], None]) -> None:
+    with _writing(target, overwrite=True) as folder:
+        work(folder)
 
 
 def _finish(folder: Path, run: Any, warning: str = "") -> None:
@@ -99,6 +104,49 @@ def test_overwriting_replaces_the_whole_run_and_only_at_the_end(example: Any, tm
     assert read_summary(target).warnings == ["the second"]
     assert not (target / "metrics.json").exists()
     assert _leftovers(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [
+        ("mesh.ply", "; move it, or choose another folder"),
+        ("landmarks.ply", "; move it, or choose another folder"),
+        ("config.yaml", "so it stays; choose another folder"),
+    ],
+)
+def test_results_that_the_user_edited_are_not_replaced(
+    name: str, remedy: str, example: Any, tmp_path: Path
+) -> None:
+    target = tmp_path / "run"
+    with _writing(target) as folder:
+        write_surface(folder, example.surface)
+        _finish(folder, example)
+    # these are written again by other commands
+    (target / "metrics.json").write_text("{ }")
+    write_report(target)
+    written = (target / name).read_bytes()
+    edited = written + b"# edited"
+    (target / name).write_bytes(edited)
+    with (
+        pytest.raises(InputError, match=f"{name} was changed since the run wrote it, .*{remedy}"),
+        _writing(target, overwrite=True),
+    ):
+        pass
+    assert (target / name).read_bytes() == edited
+    (target / name).write_bytes(written)
+
+    def edit_meanwhile(new: Path) -> None:
+        write_surface(new, example.surface)
+        _finish(new, example)
+        (target / name).write_bytes(edited)
+
+    with pytest.raises(RunFailure, match=r"the new run is .*run\.new"):
+        _write(target, edit_meanwhile)
+    assert (target / name).read_bytes() == edited
+    (target / name).write_bytes(written)
+    with _writing(target, overwrite=True) as folder:
+        _finish(folder, example, "the third")
+    assert read_summary(target).warnings == ["the third"]
 
 
 def _run(
