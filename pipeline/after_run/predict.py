@@ -30,6 +30,7 @@ from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import (
     Trajectory,
+    is_as_written,
     read_trajectory,
     require_same_frames,
     standard_deviations,
@@ -247,15 +248,40 @@ def prediction_file(path: Path, run_folder: Path) -> Path:
 
 
 def _is_prediction(path: Path, run_folder: Path) -> bool:
-    """Whether a file is one of ``write_prediction``: an archive with its arrays, or a table whose velocity is
-    that of a free body, the same in all rows, and that does not begin as the run's own trajectory does."""
+    """Whether a file is one of ``write_prediction``: an archive with its arrays, or a table as it is written,
+    to the byte, of a free motion at a constant step that does not begin with a frame of the run.
+
+    One row alone shows no motion, so it must follow from the last state of this run. What remains is a table
+    that is all of this: of two rows or more of another run that nothing disturbed, or of another prediction.
+    """
     try:
         if path.suffix == ".npz":
             return set(ARRAYS) == set(load_archive(path, path.name).arrays)
         found, own = read_trajectory(path), read_trajectory(run_folder)
+        if found.timestamps_ns[0] in own.timestamps_ns or not is_as_written(found, path):
+            return False
     except (InputError, ValueError, OSError):
         return False
-    return bool((found.v_N == found.v_N[0]).all()) and found.timestamps_ns[0] != own.timestamps_ns[0]
+    if len(found.timestamps_ns) == 1:
+        after = found.timestamps_ns[0] > own.timestamps_ns[-1]
+        return bool(after) and _is_free_motion(
+            np.append(own.timestamps_ns[-1:], found.timestamps_ns),
+            np.vstack([own.r_N[-1:], found.r_N]),
+            np.vstack([own.v_N[-1:], found.v_N]),
+        )
+    return _is_free_motion(found.timestamps_ns, found.r_N, found.v_N)
+
+
+def _is_free_motion(timestamps_ns: Ints, r_N: Array, v_N: Array) -> bool:
+    """Whether rows (T,), (T, 3), (T, 3) have one velocity, positions that follow from it, and one step; the
+    last step may be shorter, as it ends at the horizon."""
+    steps_ns, time_s = np.diff(timestamps_ns), (timestamps_ns - timestamps_ns[0]) * 1e-9
+    travelled = v_N[0] * time_s[:, None]
+    scale = np.abs(r_N).max() + np.abs(travelled).max()
+    # timestamps are rounded to nanoseconds
+    in_step = (np.abs(steps_ns[:-1] - steps_ns[0]) <= 1).all() and steps_ns[-1] <= 1.000001 * steps_ns[0] + 1
+    is_straight = np.abs(r_N[0] + travelled - r_N).max() <= 1e-9 * (scale + np.abs(v_N[0]).max())
+    return bool(in_step and is_straight and (v_N == v_N[0]).all())
 
 
 def write_prediction(prediction: PredictedMotion, path: Path, marks: bool) -> None:

@@ -113,11 +113,20 @@ def write_trajectory(trajectory: Trajectory, path: Path) -> None:
             f"the target would rotate at {fastest * 30.0 / np.pi:.3g} RPM, which no images can follow: check "
             "that the timestamps in data.csv are nanoseconds"
         )
-    rows = np.hstack([states, sigmas]).tolist()
+    write_text(path, _text(np.hstack([states, sigmas]), trajectory.timestamps_ns))
+
+
+def is_as_written(trajectory: Trajectory, path: Path) -> bool:
+    """Whether a file that was read is, to the byte, what ``write_trajectory`` writes."""
+    values = [value for name, value in vars(trajectory).items() if name != "timestamps_ns"]
+    return path.read_bytes() == _text(np.hstack(values), trajectory.timestamps_ns).encode()
+
+
+def _text(values: Array, timestamps_ns: Ints) -> str:
     lines = [",".join(TRAJECTORY_COLUMNS)]
-    for timestamp_ns, row in zip(trajectory.timestamps_ns.tolist(), rows, strict=True):
+    for timestamp_ns, row in zip(timestamps_ns.tolist(), values.tolist(), strict=True):
         lines.append(",".join([str(timestamp_ns), *map(repr, row)]))
-    write_text(path, "\n".join(lines) + "\n")
+    return "\n".join(lines) + "\n"
 
 
 def read_trajectory(path: Path) -> Trajectory:

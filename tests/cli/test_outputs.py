@@ -580,9 +580,60 @@ def test_predictions_know_each_other_whatever_their_run_and_step(
 ) -> None:
     words = ["predict", str(stage.run), "-o"]
     for name in ("ahead.csv", "ahead.npz"):
-        for more in (["--horizon", "5"], ["--horizon", "9", "--step-s", "3", "--marks"], ["--horizon", "1"]):
+        for more in (
+            ["--horizon", "5"],
+            ["--horizon", "9", "--step-s", "3", "--marks"],
+            ["--horizon", "0.5"],
+            ["--horizon", "100", "--step-s", "30"],
+            ["--horizon", "1", "--step-s", "0.3333333337"],
+            ["--horizon", "1"],
+        ):
             assert main([*words, str(tmp_path / name), *more]) == 0
     capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "one row, elsewhere",
+        "one row, long ago",
+        "one row of the run",
+        "rows of the run",
+        "a position",
+        "a gap",
+        "a format",
+        "a comment",
+    ],
+)
+def test_a_table_of_the_same_columns_is_no_prediction(
+    change: str, stage: Stage, tmp_path: Path, capsys: Capture
+) -> None:
+    file = tmp_path / "mine.csv"
+    words = ["predict", str(stage.run), "--horizon", "3", "-o", str(file)]
+    assert main(words) == 0
+    header, *rows = file.read_text().splitlines()
+    own = (stage.run / "trajectory.csv").read_text().splitlines()[1:]
+
+    def moved(row: str) -> str:
+        stamp, x, *more = row.split(",")
+        return ",".join([stamp, repr(float(x) + 0.01), *more])
+
+    rows = {
+        "one row, elsewhere": [moved(rows[2])],
+        "one row, long ago": [",".join(["17", *rows[2].split(",")[1:]])],
+        "one row of the run": [own[3]],
+        "rows of the run": own[3:],
+        "a position": [*rows[:2], moved(rows[2]), *rows[3:]],
+        "a gap": [*rows[:2], *rows[3:]],
+        "a format": [rows[0].replace(",", ", "), *rows[1:]],
+        "a comment": ["# mine", *rows],
+    }[change]
+    file.write_text("\n".join([header, *rows]) + "\n")
+    before = file.read_bytes()
+    capsys.readouterr()
+    assert main(words) == 2
+    refused("so it stays; choose another -o", capsys)
+    assert file.read_bytes() == before
 
 
 def test_the_report_of_a_run_is_renewed_by_that_run_alone(
