@@ -86,7 +86,7 @@ def refused(where: Path, what: str, error: OSError) -> str:
     """One line: where, what was refused, the system's reason, a remedy."""
     reason = error.strerror or str(error) or type(error).__name__
     full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-    return f"{where}: {what} ({reason}); {'free some space there, or ' if full else ''}choose another -o"
+    return f"{where}: {what} ({reason}); {'free some space there, or ' if full else ''}choose another place"
 
 
 def sync(path: Path) -> None:

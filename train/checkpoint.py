@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from polhode.atomic import write_bytes
 from polhode.config.loader import REMOVED
 from polhode.errors import InputError
-from polhode.frontend.networks.tensor_file import TensorFileError, read_tensors
+from polhode.frontend.networks.tensor_file import TensorFileError, read_header, read_tensors
 
 CHECKPOINT = "checkpoint.safetensors"
 FORMER_CHECKPOINT = "checkpoint.pt"
@@ -57,24 +57,15 @@ def read_checkpoint(
     ``setting``: the settings that must be the same; ``steps``: of the whole training. Raises InputError: the
     checkpoint is damaged, of an earlier version, or has other settings.
     """
-    path = output / CHECKPOINT
-    if not path.is_file():
-        former = output / FORMER_CHECKPOINT
-        if former.is_file():
-            raise InputError(
-                f"{former} is a checkpoint of an earlier version, which is not read: remove it to start again"
-            )
+    path = _path(output)
+    if path is None:
         return None
     try:
         tensors, header = read_tensors(path, _tensors(model, optimizer))
-        state = TrainingState.model_validate_json(header.get(_HEADER, ""))
     except TensorFileError as error:
         raise _damaged(path, str(error)) from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or _HEADER
-        raise _damaged(path, f"{where}: {first['msg']}") from None
-    _require_same(output, state.setting, json.loads(json.dumps(dict(setting))))
+    state = _state(path, header)
+    _require_same(output, state.setting, setting)
     if state.step > steps:
         raise _damaged(path, f"step {state.step} of {steps}")
     weights = model.state_dict()
@@ -86,6 +77,43 @@ def read_checkpoint(
     groups = optimizer.state_dict()["param_groups"]
     optimizer.load_state_dict({"state": moments, "param_groups": groups})
     return state
+
+
+def require_same_training(output: Path, setting: Mapping[str, Any]) -> None:
+    """Require that a checkpoint in the folder, if there is one, has the same settings.
+
+    Only its header is read: this comes before the data are prepared, which takes long. Raises InputError as
+    ``read_checkpoint``.
+    """
+    path = _path(output)
+    if path is None:
+        return
+    try:
+        header = read_header(path)
+    except TensorFileError as error:
+        raise _damaged(path, str(error)) from None
+    _require_same(output, _state(path, header).setting, setting)
+
+
+def _path(output: Path) -> Path | None:
+    """The folder's checkpoint, if there is one. Raises InputError: it is of an earlier version."""
+    path, former = output / CHECKPOINT, output / FORMER_CHECKPOINT
+    if path.is_file():
+        return path
+    if former.is_file():
+        raise InputError(
+            f"{former} is a checkpoint of an earlier version, which is not read: remove it to start again"
+        )
+    return None
+
+
+def _state(path: Path, header: Mapping[str, str]) -> TrainingState:
+    try:
+        return TrainingState.model_validate_json(header.get(_HEADER, ""))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or _HEADER
+        raise _damaged(path, f"{where}: {first['msg']}") from None
 
 
 def _tensors(model: nn.Module, optimizer: torch.optim.AdamW) -> dict[str, Tensor]:
@@ -100,7 +128,8 @@ def _tensors(model: nn.Module, optimizer: torch.optim.AdamW) -> dict[str, Tensor
     return {name: value.detach().cpu().contiguous() for name, value in found.items()}
 
 
-def _require_same(output: Path, former: Mapping[str, Any], setting: Mapping[str, Any]) -> None:
+def _require_same(output: Path, former: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    setting = json.loads(json.dumps(dict(wanted)))
     known = (key for key in former if f"train.{key}" not in REMOVED)
     keys = [*setting, *(key for key in known if key not in setting)]
     other = [key for key in keys if former.get(key) != setting.get(key)]

@@ -11,8 +11,9 @@ import argparse
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import yaml
@@ -23,7 +24,8 @@ from polhode.config.scene_settings import Background, Light, Motion, Render, Rig
 from polhode.config.train_settings import Corpus, Train
 from polhode.errors import InputError
 from polhode.lie import Array
-from polhode.output.place import require_writable
+from polhode.output.locks import occupied
+from polhode.output.place import folder_place, require_writable
 from polhode.processes import in_order
 from polhode.progress import Progress, Silent
 from polhode.simulation.bodies import build_body
@@ -187,11 +189,14 @@ def scene_folder(corpus: Corpus, index: int) -> Path:
 def render_corpus(corpus: Corpus, progress: Progress, workers: int) -> None:
     """Render the missing scenes; an interrupted scene is continued.
 
-    Raises InputError: the folder contains scenes drawn from other settings; RunFailure: a process was killed.
+    Raises InputError as ``require_corpus``; RunFailure: a process was killed, or a file cannot be written.
     """
+    require_corpus(corpus)
     folder = Path(corpus.folder)
-    _claim(folder, corpus)
-    missing = [i for i in range(corpus.scenes) if not (scene_folder(corpus, i) / SCENE_FILE).is_file()]
+    if not (folder / NOTE).is_file():
+        with occupied(folder, _shown(corpus)):
+            write_text(folder / NOTE, yaml.safe_dump(_drawn_from(corpus), sort_keys=False))
+    missing = _missing(corpus)
     if not missing:
         return
     with progress.stage(
@@ -211,28 +216,52 @@ def _seed(corpus: Corpus, index: int) -> int:
     return corpus.seed * 100_000 + index
 
 
-def _claim(folder: Path, corpus: Corpus) -> None:
-    """Record the settings from which the folder's scenes are drawn; refuse a folder with other settings."""
-    drawn = {key: value for key, value in corpus.model_dump(mode="json").items() if key not in FREE_KEYS}
-    note = folder / NOTE
-    if note.is_file():
-        there = read_yaml(note)
-        there = there if isinstance(there, dict) else {}
-        other = [key for key, value in drawn.items() if there.get(key) != value]
-        if other:
+def _missing(corpus: Corpus) -> list[int]:
+    return [i for i in range(corpus.scenes) if not (scene_folder(corpus, i) / SCENE_FILE).is_file()]
+
+
+def scene_digest(folder: Path) -> str:
+    """Digest of a scene's description, which names its seed: what is made from the scene carries it."""
+    return sha256((folder / SCENE_FILE).read_bytes()).hexdigest()
+
+
+def require_corpus(corpus: Corpus) -> None:
+    """Check the folder of the corpus before anything is written, there or elsewhere.
+
+    Raises InputError: nothing may be written there, or it contains scenes drawn from other settings, or
+    something else.
+    """
+    shown = _shown(corpus)
+    place = folder_place(Path(corpus.folder), shown)
+    if not (place / NOTE).is_file():
+        there = sorted(each.name for each in place.iterdir()) if place.is_dir() else []
+        if others := [name for name in there if not name.startswith(".")]:
             raise InputError(
-                f"{folder} contains a corpus with another {', '.join(other)}: set train.corpus.folder to a "
-                "new folder, or remove this one"
+                f"{shown}: contains {others[0]} and no {NOTE}, which states what its scenes were drawn from; "
+                "choose a new or empty folder"
             )
+        require_writable(place, shown)
         return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        require_writable(folder, Path(f"train.corpus.folder: {folder}"))
-        write_text(note, yaml.safe_dump(drawn, sort_keys=False))
-    except OSError as error:
+    known = read_yaml(place / NOTE)
+    known = known if isinstance(known, dict) else {}
+    other = [key for key, value in _drawn_from(corpus).items() if known.get(key) != value]
+    if other:
         raise InputError(
-            f"train.corpus.folder: {folder} cannot be written ({error.strerror}): choose another"
-        ) from None
+            f"{shown}: contains a corpus with another {', '.join(other)}; choose a new folder, "
+            "or remove this one"
+        )
+    if _missing(corpus):
+        require_writable(place, shown)
+
+
+def _shown(corpus: Corpus) -> Path:
+    """The folder's name in messages."""
+    return Path(f"train.corpus.folder: {corpus.folder}")
+
+
+def _drawn_from(corpus: Corpus) -> dict[str, Any]:
+    """The settings on which the scenes depend."""
+    return {key: value for key, value in corpus.model_dump(mode="json").items() if key not in FREE_KEYS}
 
 
 def required_train(train: Train | None, config: Path) -> Train:

@@ -15,12 +15,14 @@ from polhode.atomic import write_bytes, write_text
 from polhode.config import Config
 from polhode.config.loader import dump_config
 from polhode.config.train_settings import Train
-from polhode.output.marked_folder import claim, marked_folder
+from polhode.output.marked_folder import claim, marked_folder, withdrawn_if_refused
+from polhode.output.place import folder_place, require_writable
 from polhode.progress import Progress
-from polhode.train.checkpoint import CHECKPOINT
-from polhode.train.corpus import render_corpus
+from polhode.train.checkpoint import CHECKPOINT, require_same_training
+from polhode.train.corpus import render_corpus, require_corpus, split
+from polhode.train.curves import FOLDER as CURVES
 from polhode.train.task import Task, make_task
-from polhode.train.training_loop import TrainingLoop, TrainingOutcome
+from polhode.train.training_loop import TrainingLoop, TrainingOutcome, device_of
 
 FREE_KEYS = (
     "output",
@@ -54,9 +56,24 @@ def train(config: Config, train: Train, progress: Progress, workers: int) -> Tra
     """
     names = (*FILES, f"{train.task}.safetensors")
     shown = Path(f"train.output: {train.output}")
-    with marked_folder(Path(train.output), COMMAND, names.__contains__, shown) as output:
+    _require_sound(train)
+    with (
+        marked_folder(Path(train.output), COMMAND, names.__contains__, shown) as output,
+        withdrawn_if_refused(output, COMMAND, names, (CURVES,)),
+    ):
+        require_same_training(output, setting_of(train, config.seed))
         claim(output, COMMAND, names)
         return _trained(config, train, output, progress, workers)
+
+
+def _require_sound(train: Train) -> None:
+    """Check, before anything is written, all that the rendering of the corpus does not change."""
+    split(train.corpus)
+    device_of(train.schedule)
+    require_corpus(train.corpus)
+    if train.task == "depth":
+        shown = Path(f"train.depth.cache: {train.depth.cache}")
+        require_writable(folder_place(Path(train.depth.cache), shown), shown)
 
 
 def _trained(config: Config, train: Train, output: Path, progress: Progress, workers: int) -> Trained:

@@ -49,7 +49,7 @@ class TrainingLoop:
 
     def __init__(self, task: Task, schedule: Schedule, output: Path, seed: int) -> None:
         self._task, self._schedule, self._output, self._seed = task, schedule, output, seed
-        self._device = _device(schedule)
+        self._device = device_of(schedule)
         torch.set_num_threads(schedule.threads)
         task.model.to(self._device)
         decayed = [p for p in task.model.parameters() if p.ndim > 1]
@@ -183,7 +183,8 @@ def _numbers(name: str, step: int, terms: Mapping[str, Tensor]) -> dict[str, flo
     return numbers
 
 
-def _device(schedule: Schedule) -> torch.device:
+def device_of(schedule: Schedule) -> torch.device:
+    """Where the model is trained. Raises InputError: no GPU is there."""
     there = torch.cuda.is_available()
     if schedule.device == "cuda" and not there:
         raise InputError("train.schedule.device is cuda, but torch finds no GPU: set cpu or automatic")

@@ -38,11 +38,24 @@ def read_tensors(path: Path, expected: Mapping[str, Tensor]) -> tuple[dict[str, 
             tensors = {name: file.get_tensor(name) for name in expected}
             header = dict(file.metadata() or {})
     except (SafetensorError, OSError, RuntimeError, ValueError) as error:
-        raise TensorFileError(f"not a safetensors file ({' '.join(str(error).split())[:120]})") from None
+        raise _no_tensor_file(error) from None
     for name, tensor in tensors.items():
         if tensor.is_floating_point() and not torch.isfinite(tensor).all():
             raise TensorFileError(f"{_short(name)} holds NaN or infinity")
     return tensors, header
+
+
+def read_header(path: Path) -> dict[str, str]:
+    """The texts of the header of a safetensors file. Raises TensorFileError: it is no such file."""
+    try:
+        with safe_open(path, "pt") as file:
+            return dict(file.metadata() or {})
+    except (SafetensorError, OSError, RuntimeError, ValueError) as error:
+        raise _no_tensor_file(error) from None
+
+
+def _no_tensor_file(error: Exception) -> TensorFileError:
+    return TensorFileError(f"not a safetensors file ({' '.join(str(error).split())[:120]})")
 
 
 def _compare(given: Mapping[str, tuple[list[int], str]], expected: Mapping[str, Tensor]) -> None:

@@ -95,7 +95,7 @@ def lock(handle: int, wait: bool = False) -> bool:
 
 def _busy(shown: Path) -> InputError:
     return InputError(
-        f"{shown}: another polhode is at work there; wait until it has ended, stop it, or choose another -o"
+        f"{shown}: another polhode is at work there; wait until it ends, stop it, or choose another place"
     )
 
 

@@ -23,7 +23,7 @@ def folder_place(path: Path, shown: Path | None = None) -> Path:
     """
     place, shown = _resolved(path, shown or path), shown or path
     if place.exists() and not place.is_dir():
-        raise InputError(f"{shown}: this is a file; choose another folder for -o")
+        raise InputError(f"{shown}: this is a file; choose another folder")
     _require_outside(place, path, shown)
     return place
 
@@ -104,10 +104,10 @@ def _resolved(path: Path, shown: Path) -> Path:
     except OSError as error:
         what = {errno.ELOOP: "a link that leads back to itself", errno.ENOTDIR: "part of this path is a file"}
         reason = what.get(error.errno or 0, error.strerror)
-        raise InputError(f"{shown}: cannot write here ({reason}); choose another -o") from error
+        raise InputError(f"{shown}: cannot write here ({reason}); choose another place") from error
     else:
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-            raise InputError(f"{shown} is a device or a pipe; choose another -o")
+            raise InputError(f"{shown} is a device or a pipe; choose another place")
     return Path(os.path.realpath(path))
 
 
@@ -149,8 +149,8 @@ def _require_outside(place: Path, path: Path, shown: Path) -> None:
     dataset = _dataset_of(place, path)
     if dataset is not None:
         raise InputError(
-            f"{shown}: inside the dataset {dataset}, where nothing is written; choose another -o"
+            f"{shown}: inside the dataset {dataset}, where nothing is written; choose another place"
         )
     run = _run_of(place)
     if run is not None:
-        raise InputError(f"{shown}: this name belongs to the results of the run {run}; choose another -o")
+        raise InputError(f"{shown}: this name belongs to the results of the run {run}; choose another place")

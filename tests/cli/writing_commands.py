@@ -110,7 +110,7 @@ def make_stage(folder: Path, example: Example) -> Stage:
     """A stored run, a scene and a training."""
     folder.mkdir()
     (folder / "scene.yaml").write_text(SCENE)
-    (folder / "train.yaml").write_text("train: {task: descriptor}\n")
+    (folder / "train.yaml").write_text(f"train: {{corpus: {{folder: {folder / 'corpus'}}}}}\n")
     run = folder / "stored"
     run.mkdir()
     write_example(run, example)
@@ -125,6 +125,7 @@ def make_quick(patch: pytest.MonkeyPatch, stage: Stage) -> None:
     patch.setattr(polhode.compare.comparison, "_compared", _compared)
     patch.setattr("polhode.compare.tables.print_tables", lambda comparison: None)
     patch.setattr(polhode.train.run, "_trained", _trained)
+    patch.setattr(polhode.train.run, "require_same_training", lambda *_: None)
     once = _Once()
     plan, assess = polhode.pipeline.after_run.plan, polhode.pipeline.after_run.observability.assess
     few = KeepOutOptions(2.0, 0.97, members=100)

@@ -1,18 +1,31 @@
 """The corpus: by the seed alone, apart from what the tests of the methods show, never mixed with another."""
 
+import errno
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import polhode.cli.main as command_line
 from polhode.config.loader import load_config
 from polhode.config.train_settings import Corpus
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
+from polhode.output.place import unwritable
 from polhode.progress import Silent
 from polhode.simulation.dataset.frame_renderer import read_products
 from polhode.simulation.dataset.sequence import SCENE_FILE
-from polhode.train.corpus import FIRST_BODY_SEED, main, random_scene, render_corpus, scene_folder, split
+from polhode.train.corpus import (
+    FIRST_BODY_SEED,
+    NOTE,
+    main,
+    random_scene,
+    render_corpus,
+    require_corpus,
+    scene_folder,
+    split,
+)
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = ("features.yaml", "depth.yaml")
@@ -81,6 +94,68 @@ def test_a_folder_of_other_scenes_is_refused(tiny_corpus: Corpus) -> None:
     other = tiny_corpus.model_copy(update={"turn_deg": (20.0, 25.0), "seed": 9})
     with pytest.raises(InputError, match=r"contains a corpus with another seed, turn_deg"):
         render_corpus(other, Silent(), 1)
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else b""
+        for path in folder.rglob("*")
+    }
+
+
+@pytest.mark.parametrize("key", ["output", "corpus.folder", "depth.cache"])
+def test_nothing_is_written_into_a_dataset(
+    key: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "seq" / "mav0" / "cam0" / "data").mkdir(parents=True)
+    (tmp_path / "c.yaml").write_text("train: {task: depth}\n")
+    before = tree(tmp_path)
+    for place in ("seq/mav0/cam0/data", "seq/mav0/new/one"):
+        assert command_line.main(["train", "c.yaml", f"--train.{key}", place]) == 2
+        stderr = capsys.readouterr().err
+        assert f"train.{key}: {place}: inside the dataset" in stderr and stderr.count("\n") == 1
+        assert " -o" not in stderr
+        assert tree(tmp_path) == before
+
+
+@pytest.mark.parametrize("key", ["output", "corpus.folder", "depth.cache"])
+def test_a_place_that_is_full_is_refused_before_anything_is_written(
+    key: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(folder: Path, shown: Path) -> None:
+        if "full/place" in str(shown):
+            raise unwritable(shown, OSError(errno.ENOSPC, "No space left on device"))
+
+    for module in ("output.marked_folder", "train.corpus", "train.run"):
+        monkeypatch.setattr(f"polhode.{module}.require_writable", refuse)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "c.yaml").write_text("train: {task: depth}\n")
+    assert command_line.main(["train", "c.yaml", f"--train.{key}", "full/place"]) == 2
+    stderr = capsys.readouterr().err
+    assert f"train.{key}: full/place: cannot write here (No space left on device)" in stderr
+    assert " -o" not in stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["c.yaml"]
+
+
+def test_scenes_without_their_note_are_refused(
+    training_file: Path, tiny_corpus: Corpus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "corpus"
+    shutil.copytree(tiny_corpus.folder, folder)
+    (folder / NOTE).unlink()
+    before = tree(folder)
+    for seed in ("3", "9"):
+        words = [f"--train.corpus.folder={folder}", f"--train.corpus.seed={seed}"]
+        assert command_line.main(["train", str(training_file), *words]) == 2
+        stderr = capsys.readouterr().err
+        assert f"contains 0000 and no {NOTE}" in stderr and stderr.count("\n") == 1
+    assert tree(folder) == before and not (tmp_path / "out").exists()
+
+
+def test_what_a_killed_process_left_of_the_note_is_no_scene(tmp_path: Path) -> None:
+    (tmp_path / ".corpus.partial-999999999.yaml").write_text("half")
+    require_corpus(Corpus(folder=str(tmp_path)))
 
 
 def test_the_command_refuses_a_configuration_without_training(

@@ -4,6 +4,7 @@ The ground truth comes from the simulator: rays go through the key points of one
 there to the other frames. The points are stored beside the corpus.
 """
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -21,6 +22,7 @@ from polhode.config.loader import load_config
 from polhode.config.scene_settings import Product
 from polhode.config.train_settings import Corpus
 from polhode.dataset_writer import image_path
+from polhode.errors import InputError
 from polhode.frontend.features.keypoints import detect, no_key_points
 from polhode.frontend.rectification import target_crop
 from polhode.images import Grey
@@ -41,9 +43,9 @@ from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.dataset.sequence import SCENE_FILE
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.rendering.render import Renderer
-from polhode.train.corpus import scene_folder
+from polhode.train.corpus import scene_digest, scene_folder
 
-VERSION = 1
+VERSION = 2
 """Version of the files; those of another version are not used."""
 DETECTOR = Features(contrast_threshold=0.008, max_features=900)
 """More and weaker key points than in a run: the descriptor, not the detector, should be the limit."""
@@ -114,20 +116,24 @@ _DIMENSIONS = {
     "angle_rad": ("f", 1),
 }
 """Kind of dtype and number of dimensions of each field of ScenePoints."""
+_MADE_FROM = "made_from"
+"""In the file beside them: the digest of the scene."""
+_log = logging.getLogger(__name__)
 
 
 def prepare_points(
     corpus: Corpus, scenes: Sequence[int], progress: Progress, workers: int
 ) -> dict[int, ScenePoints]:
     """The points of the scenes, by their numbers; missing ones are computed and stored."""
-    missing = [i for i in scenes if not points_path(corpus, i).is_file()]
+    there = {i: _stored(corpus, i) for i in scenes}
+    missing = [i for i, points in there.items() if points is None]
     if missing:
         remove_all_partials(points_path(corpus, 0).parent)
         with progress.stage("finding surface points", len(missing)) as advance:
             work = [(corpus, i) for i in missing]
             for _ in in_order(_make, work, workers):
                 advance()
-    return {i: read_points(points_path(corpus, i)) for i in scenes}
+    return {i: points or read_points(points_path(corpus, i))[0] for i, points in there.items()}
 
 
 def points_path(corpus: Corpus, index: int) -> Path:
@@ -135,23 +141,40 @@ def points_path(corpus: Corpus, index: int) -> Path:
     return Path(corpus.folder) / "points" / f"{index:04d}-v{VERSION}.npz"
 
 
-def read_points(path: Path) -> ScenePoints:
+def _stored(corpus: Corpus, index: int) -> ScenePoints | None:
+    """The points in the scene's file; None: there is no file, or it was made from another scene."""
+    path = points_path(corpus, index)
+    if not path.is_file():
+        return None
+    points, made_from = read_points(path)
+    if made_from == scene_digest(scene_folder(corpus, index)):
+        return points
+    _log.warning("%s: was made from another scene; it is made again", path)
+    return None
+
+
+def read_points(path: Path) -> tuple[ScenePoints, str]:
     """Read what ``write_points`` wrote. Raises InputError for anything else."""
-    arrays: dict[str, Any] = read_arrays(path)
-    require_arrays(path, arrays, _DIMENSIONS)
-    return ScenePoints(**{name: arrays[name] for name in _DIMENSIONS})
+    try:
+        arrays: dict[str, Any] = read_arrays(path)
+        require_arrays(path, arrays, {**_DIMENSIONS, _MADE_FROM: ("U", 0)})
+    except InputError as error:
+        raise InputError(f"{error}; remove this file, and it is made again") from None
+    return ScenePoints(**{name: arrays[name] for name in _DIMENSIONS}), str(arrays[_MADE_FROM])
 
 
-def write_points(path: Path, points: ScenePoints) -> None:
-    """Write the whole file or nothing."""
+def write_points(path: Path, points: ScenePoints, made_from: str) -> None:
+    """Write the whole file or nothing; ``made_from``: digest of the scene."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    arrays: dict[str, Any] = {each.name: getattr(points, each.name) for each in fields(points)}
     with replaced(path) as partial:
-        np.savez_compressed(partial, **{each.name: getattr(points, each.name) for each in fields(points)})
+        np.savez_compressed(partial, **arrays | {_MADE_FROM: np.array(made_from)})
 
 
 def _make(work: tuple[Corpus, int]) -> None:
     corpus, index = work
-    write_points(points_path(corpus, index), find_points(scene_folder(corpus, index)))
+    folder = scene_folder(corpus, index)
+    write_points(points_path(corpus, index), find_points(folder), scene_digest(folder))
 
 
 def find_points(folder: Path) -> ScenePoints:

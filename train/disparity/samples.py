@@ -11,6 +11,8 @@ are flipped, matches are removed as on a textureless panel, hypotheses are displ
 brightened.
 """
 
+import logging
+import re
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -28,6 +30,7 @@ from polhode.atomic import replaced, write_text
 from polhode.config.frontend_settings import Depth
 from polhode.dataset import StereoCalibration, StereoSequence, open_sequence
 from polhode.errors import InputError
+from polhode.foreign_files import MIB, read_text
 from polhode.frontend.disparity.learned import (
     InitialDisparity,
     fill_holes,
@@ -41,7 +44,12 @@ from polhode.lie import Array, inverse_pose
 from polhode.output.single_file import remove_all_partials
 from polhode.records import Bools
 from polhode.simulation.dataset.frame_renderer import products_path, read_products
+from polhode.train.corpus import scene_digest
 
+MAX_LIST_BYTES = MIB
+_NAME = re.compile(r"[^/]+_\d{3,}m?\.npz")
+"""Of a file of samples."""
+_log = logging.getLogger(__name__)
 _SAME_SURFACE_PX = 1.0
 """Largest difference of the disparities of a point that both cameras see."""
 _WIDEST_MARGIN_PX = 8.0
@@ -144,12 +152,22 @@ class DisparitySample:
 
 
 def build_samples(folder: Path, cache: Path, config: Depth, seed: int, every: int = 1) -> list[Path]:
-    """Files with the samples of every n-th pair of one sequence; a sequence in the cache is not matched
-    again."""
+    """Files with the samples of every n-th pair of one simulated sequence; one that is in the cache, made
+    from the same scene with the same settings, is not matched again.
+
+    Raises InputError: the cache has a file of another program under the name of a list of samples.
+    """
     made: list[Path] = []
     index = cache / f"{folder.name}.txt"
+    first = f"# samples of scene {scene_digest(folder)}, seed {seed}, every {every}"
     if index.is_file():
-        return [cache / name for name in index.read_text().split()]
+        head, *names = read_text(index, MAX_LIST_BYTES, "a list of samples").splitlines() or [""]
+        if not (head.startswith("# samples") or head == "" or _NAME.fullmatch(head)):
+            raise InputError(f"{index}: is no list of samples, so it stays; choose another train.depth.cache")
+        there = [cache / name for name in names if _NAME.fullmatch(name)]
+        if head == first and len(there) == len(names) and all(each.is_file() for each in there):
+            return there
+        _log.warning("%s: of another scene or other settings, or incomplete; it is matched again", index)
     cache.mkdir(parents=True, exist_ok=True)
     remove_all_partials(cache)
     sequence = open_sequence(folder)
@@ -162,7 +180,7 @@ def build_samples(folder: Path, cache: Path, config: Depth, seed: int, every: in
             if sample is not None:
                 write_sample(path, sample)
                 made.append(path)
-    write_text(index, "\n".join(path.name for path in made))
+    write_text(index, "\n".join([first, *(path.name for path in made)]) + "\n")
     return made
 
 
@@ -209,6 +227,13 @@ def write_sample(path: Path, sample: DisparitySample) -> None:
 
 def read_sample(path: Path) -> DisparitySample:
     """Read a file of ``write_sample``. Raises InputError for anything else."""
+    try:
+        return _read_sample(path)
+    except InputError as error:
+        raise InputError(f"{error}; remove this file, and it is made again") from None
+
+
+def _read_sample(path: Path) -> DisparitySample:
     arrays: dict[str, Any] = read_arrays(path)
     names = [f.name for f in fields(InitialDisparity) if f.name != "margin_px"]
     images = {f"start_{name}": ("fb", 2) for name in names} | {"truth": ("f", 2), "visible": ("b", 2)}

@@ -1,6 +1,7 @@
 """Patch pairs, their loss and scores, and the command from the corpus to the weights."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from torch.nn import functional
 
 from polhode.cli.main import main
 from polhode.config.train_settings import Corpus, DescriptorTraining
+from polhode.errors import InputError
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.patch_descriptors import descriptor_network
 from polhode.frontend.features.patches import Patches, tangent_affines
@@ -28,7 +30,7 @@ from polhode.train.descriptor.batches import (
     scene_rig,
 )
 from polhode.train.descriptor.scores import area_under_curve, score, validation_pairs
-from polhode.train.descriptor.surface_points import REPEAT_PX, ScenePoints, prepare_points
+from polhode.train.descriptor.surface_points import REPEAT_PX, ScenePoints, points_path, prepare_points
 from polhode.train.descriptor.task import Heads, descriptor_loss, matching_loss, rotation_agreement
 from polhode.train.task import Batch
 
@@ -222,6 +224,63 @@ def test_the_command_trains_and_resumes_to_the_same_weights(training_file: Path,
     assert (tmp_path / "parts" / CHECKPOINT).is_file()
     assert main(parts) == 0
     assert (tmp_path / "parts" / "descriptor.safetensors").read_bytes() == whole.read_bytes()
+
+
+def test_changed_settings_are_refused_before_the_corpus_is_rendered(
+    training_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def render(*_: object) -> None:
+        raise AssertionError
+
+    assert main(["train", str(training_file)]) == 0
+    before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    monkeypatch.setattr("polhode.train.run.render_corpus", render)
+    capsys.readouterr()
+    for more, expected in {
+        "--train.corpus.scenes=5": "a training with another corpus.scenes: choose another train.output",
+        "--train.schedule.device=cuda": "torch finds no GPU",
+    }.items():
+        if "cuda" in more and torch.cuda.is_available():
+            continue
+        assert main(["train", str(training_file), more]) == 2
+        assert expected in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()} == before
+    (tmp_path / "out" / CHECKPOINT).write_bytes(b"damaged")
+    assert main(["train", str(training_file)]) == 2
+    assert f"{CHECKPOINT} cannot be read" in capsys.readouterr().err
+
+
+def test_input_that_is_refused_amid_the_work_leaves_no_folder(
+    training_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(*_: object) -> None:
+        raise InputError("no pair shows a target")
+
+    monkeypatch.setattr("polhode.train.run.make_task", refuse)
+    assert main(["train", str(training_file)]) == 2
+    assert "no pair shows a target" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_points_of_another_scene_are_made_again(
+    tiny_corpus: Corpus, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    corpus = tiny_corpus.model_copy(update={"folder": str(tmp_path / "corpus")})
+    shutil.copytree(tiny_corpus.folder, corpus.folder)
+    shutil.rmtree(Path(corpus.folder) / "points", ignore_errors=True)
+    paths = [points_path(corpus, i) for i in range(2)]
+    first = prepare_points(corpus, range(2), Silent(), 1)
+    paths[0].rename(tmp_path / "aside")
+    shutil.copy(paths[1], paths[0])
+    again = prepare_points(corpus, range(2), Silent(), 1)
+    assert f"{paths[0]}: was made from another scene; it is made again" in caplog.text
+    assert np.array_equal(again[0].grey, first[0].grey) and not np.array_equal(first[0].grey, first[1].grey)
+    made = [path.stat().st_mtime_ns for path in paths]
+    prepare_points(corpus, range(2), Silent(), 1)
+    assert [path.stat().st_mtime_ns for path in paths] == made
+    paths[0].write_bytes(paths[0].read_bytes()[:-40])
+    with pytest.raises(InputError, match=rf"{paths[0]}: .*; remove this file, and it is made again"):
+        prepare_points(corpus, range(2), Silent(), 1)
 
 
 def test_the_loss_falls(training_file: Path, tmp_path: Path) -> None:

@@ -1,16 +1,20 @@
-"""True disparities in the rectified pair, of a small rendered sequence on a rig that is not ideal."""
+"""True disparities in the rectified pair, of a small rendered sequence on an odd rig; their cache."""
+
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from polhode.config.frontend_settings import Depth
 from polhode.config.scene_settings import Light, Motion, Render, Rig, Scene, TargetBody
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.errors import InputError
 from polhode.frontend.rectification import Rectifier, make_rectifier
 from polhode.progress import Silent
 from polhode.simulation.dataset.frame_renderer import products_path, read_products
-from polhode.simulation.dataset.sequence import simulate
-from polhode.train.disparity.samples import true_disparities
+from polhode.simulation.dataset.sequence import SCENE_FILE, simulate
+from polhode.train.disparity.samples import build_samples, read_sample, true_disparities
 
 
 @pytest.fixture(scope="module")
@@ -96,3 +100,36 @@ def test_a_sequence_without_shadows_is_refused_by_name(
             true_disparities(sequence, rectifier, 2)
     finally:
         path.write_bytes(kept)
+
+
+def test_a_scene_is_matched_again_only_for_other_images_or_settings(
+    sequence: StereoSequence, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder, cache = tmp_path / "sequence", tmp_path / "cache"
+    shutil.copytree(sequence.folder, folder)
+
+    def times(seed: int = 3, every: int = 2) -> dict[Path, int]:
+        return {path: path.stat().st_mtime_ns for path in build_samples(folder, cache, Depth(), seed, every)}
+
+    made = times()
+    assert len(made) > 1 and times() == made and caplog.text == ""
+    assert times(seed=4) != made and "sequence.txt: of another scene or other settings" in caplog.text
+    made = times()
+    next(iter(made)).unlink()
+    assert times() != made
+    made = times()
+    scene = folder / SCENE_FILE
+    scene.write_text(scene.read_text() + "# another\n")
+    assert times() != made
+    # as an earlier version wrote it
+    index = cache / "sequence.txt"
+    index.write_text("\n".join(path.name for path in made))
+    assert times().keys() == made.keys()
+    index.write_text("notes of the user\n")
+    with pytest.raises(InputError, match="is no list of samples, so it stays"):
+        times()
+    assert index.read_text() == "notes of the user\n"
+    file = next(iter(made))
+    file.write_bytes(file.read_bytes()[:-40])
+    with pytest.raises(InputError, match=rf"{file}: .*; remove this file, and it is made again"):
+        read_sample(file)
