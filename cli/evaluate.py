@@ -26,14 +26,14 @@ class EvaluateCommand:
         from polhode.output.place import require_writable
         from polhode.output.single_file import remove_all_partials
         from polhode.pipeline.evaluation import evaluate, format_table
-        from polhode.pipeline.report import write_report
+        from polhode.pipeline.report import write_evaluation
 
         if not self.run.is_dir():
             raise InputError(f"{self.run}: no such folder; give the folder of a run")
-        require_writable(self.run, self.run)
+        require_writable(self.run, self.run, "make the run writable, or evaluate a copy of it")
         with at_work(self.run, self.run):
             remove_all_partials(self.run)
             metrics = evaluate(self.run, self.data)
-            write_report(self.run)
+            write_evaluation(self.run, metrics)
         print(format_table(metrics))
         return 0

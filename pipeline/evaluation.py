@@ -1,4 +1,4 @@
-"""A run against the truth: RUN/metrics.json and a table. Nothing else reads the truth.
+"""A run against the truth: metrics and a table. Nothing else reads the truth.
 
 The estimated and the true mesh are in different frames G. The motion alone aligns them: at every frame the
 estimated pose maps the estimated mesh into N and the true pose maps it back into the true G; the rigid
@@ -10,7 +10,6 @@ at least one frame, it lies inside the image, nothing occludes it (rays cast wit
 it is not seen edge-on, and the left image is brighter there than the sky.
 """
 
-import json
 from dataclasses import asdict, replace
 from io import StringIO
 from pathlib import Path
@@ -23,7 +22,6 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from polhode.atomic import write_text
 from polhode.backend.problem.inertia import FORMS, InertiaForm, unit_determinant
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
@@ -44,7 +42,6 @@ from polhode.metrics import (
     with_half_turn,
 )
 from polhode.pipeline.run_directory.archives import Covariance, read_covariance
-from polhode.pipeline.run_directory.own_results import OF_SUMMARY, summary_digest
 from polhode.pipeline.run_directory.recording import require_recording
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
@@ -107,7 +104,7 @@ Metrics = dict[str, Any]
 
 
 def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
-    """Compare a run with the truth of its sequence; write RUN/metrics.json and return it.
+    """Compare a run with the truth of its sequence: what RUN/metrics.json will hold.
 
     Values that cannot be computed (undetermined, or no truth that far) are None, ``null`` in the file.
     Raises InputError when the run has no estimate, or the sequence no truth or other images than the run's.
@@ -131,8 +128,6 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
     metrics["nees"] |= _mass_nees(summary, truth, true_states, X_NG[0], FORMS[config.backend.inertia])
     metrics |= _prediction_errors(estimate, true_states, truth, summary)
     metrics["mesh"] = _mesh_metrics(run_folder, sequence_folder, truth, X_NG, X_NG_true)
-    stored = {**metrics, OF_SUMMARY: summary_digest(run_folder)}
-    write_text(run_folder / "metrics.json", json.dumps(stored, indent=2, allow_nan=False) + "\n")
     return metrics
 
 

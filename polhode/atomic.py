@@ -14,6 +14,8 @@ from polhode.errors import InputError, RunFailure
 
 REFUSALS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG, errno.EIO}
 """Errors by which a system refuses to write; others may be of something else that the writer does."""
+ANOTHER_PLACE = "choose another place"
+"""What to do about a place that refuses, where the command takes another one."""
 
 
 @contextmanager
@@ -59,6 +61,8 @@ def write_all(files: Mapping[Path, bytes]) -> None:
     try:
         for path, content in files.items():
             _require_no_device(path)
+            if path.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
             partials[path].write_bytes(content)
         for path, partial in partials.items():
             _secure(partial, path)
@@ -82,11 +86,11 @@ def write_failure(path: Path, error: OSError) -> RunFailure:
     return RunFailure(refused(path, "cannot be written", error))
 
 
-def refused(where: Path, what: str, error: OSError) -> str:
+def refused(where: Path, what: str, error: OSError, remedy: str = ANOTHER_PLACE) -> str:
     """One line: where, what was refused, the system's reason, a remedy."""
     reason = error.strerror or str(error) or type(error).__name__
     full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-    return f"{where}: {what} ({reason}); {'free some space there, or ' if full else ''}choose another place"
+    return f"{where}: {what} ({reason}); {'free some space there, or ' if full else ''}{remedy}"
 
 
 def sync(path: Path) -> None:

@@ -19,8 +19,8 @@ from markupsafe import Markup
 from PIL import Image
 from plotly.offline import get_plotlyjs
 
-from polhode.atomic import write_text
-from polhode.errors import InputError
+from polhode.atomic import write_all, write_text
+from polhode.errors import InputError, printable
 from polhode.images import MAX_PIXELS
 from polhode.output.place import begins_with, require_writable
 from polhode.output.run_files import SUMMARY
@@ -32,6 +32,7 @@ from polhode.pipeline.report.plot_style import Figure
 from polhode.pipeline.report.polhode_and_inertia_figures import rotation_figures
 from polhode.pipeline.report.residual_figures import measurement_figures
 from polhode.pipeline.report.shape_figures import shape_figures
+from polhode.pipeline.run_directory.own_results import METRICS, OF_SUMMARY, summary_digest
 from polhode.pipeline.run_directory.stored_run import StoredPicture, StoredRun, read_stored_run
 from polhode.pipeline.run_directory.summary import with_files, write_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
@@ -71,6 +72,17 @@ def write_report(folder: Path, path: Path | None = None, name: str | None = None
     if path is not None:
         make_parent(path, path)
     write_text(path or folder / REPORT, page)
+
+
+def write_evaluation(folder: Path, metrics: dict[str, Any]) -> None:
+    """Write metrics.json, and the report that contains it: both or, where the report cannot be made, neither.
+
+    Raises InputError and RunFailure.
+    """
+    stored = {**metrics, OF_SUMMARY: summary_digest(folder)}
+    page = render(read_stored_run(folder, run_name(folder), metrics))
+    text = json.dumps(stored, indent=2, allow_nan=False) + "\n"
+    write_all({folder / METRICS: text.encode(), folder / REPORT: page.encode()})
 
 
 def finish_run(folder: Path, summary: Summary) -> Summary:
@@ -144,8 +156,8 @@ def fill(template: str, **values: Any) -> str:
 
 
 def run_name(folder: Path) -> str:
-    """The run's name, also while it is being written into a hidden folder beside its final one."""
-    return re.sub(r"^\.(.+)\.partial(-\w+)?$", r"\1", folder.resolve().name)
+    """The run's name, as a text, also while it is being written into a hidden folder beside its final one."""
+    return printable(re.sub(r"^\.(.+)\.partial(-\w+)?$", r"\1", folder.resolve().name))
 
 
 @cache

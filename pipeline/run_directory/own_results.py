@@ -41,6 +41,7 @@ EDITABLE: tuple[str, ...] = (CONFIG, "landmarks.ply", "mesh.ply")
 """Files that users may change on purpose: a mesh is cleaned, a configuration is run again."""
 MAX_BYTES = GIB
 """Of a file that is compared with its digest; no reader takes a larger one."""
+METRICS = "metrics.json"
 OF_SUMMARY = "summary_sha256"
 """In metrics.json: the digest of the summary.json of the run that was evaluated."""
 
@@ -93,7 +94,7 @@ def own_metrics(folder: Path, metrics: dict[str, Any]) -> dict[str, Any]:
         return metrics
     _log.warning(
         "%s: of another run, or summary.json was changed; left out: polhode evaluate makes them again",
-        folder / "metrics.json",
+        folder / METRICS,
     )
     return {}
 

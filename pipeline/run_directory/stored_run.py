@@ -21,7 +21,7 @@ from polhode.pipeline.run_directory.archives import (
     read_online,
     read_residuals,
 )
-from polhode.pipeline.run_directory.own_results import own_metrics
+from polhode.pipeline.run_directory.own_results import METRICS, own_metrics
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
@@ -83,8 +83,13 @@ class StoredRun:
     config_text: str
 
 
-def read_stored_run(folder: Path, name: str) -> StoredRun:
-    """Read a run. Raises InputError when summary.json is missing or a file is damaged."""
+def read_stored_run(folder: Path, name: str, metrics: dict[str, Any] | None = None) -> StoredRun:
+    """Read a run; ``metrics`` instead of those that are there.
+
+    Raises InputError when summary.json is missing or a file is damaged.
+    """
+    if metrics is None:
+        metrics = own_metrics(folder, _json(folder / METRICS, "metrics"))
     summary = read_summary(folder)
     has_tracks = (folder / "measurements.npz").is_file()
     motion, tracks = _motion(folder, summary), read_measurements(folder) if has_tracks else None
@@ -99,7 +104,7 @@ def read_stored_run(folder: Path, name: str) -> StoredRun:
         residuals=read_residuals(folder) if has_tracks else None,
         landmarks=read_landmarks(folder) if (folder / "landmarks.ply").is_file() else None,
         surface=read_ply(folder / "mesh.ply") if (folder / "mesh.ply").is_file() else None,
-        metrics=own_metrics(folder, _json(folder / "metrics.json", "metrics")),
+        metrics=metrics,
         pictures=_pictures(folder / "pictures"),
         config_text=_text(folder / "config.yaml"),
     )

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from polhode.atomic import refused
+from polhode.atomic import ANOTHER_PLACE, refused
 from polhode.errors import InputError
 from polhode.output.run_files import PICTURES, SCHEMA, SUMMARY, is_run_file
 
@@ -19,7 +19,8 @@ LEFT_BEHIND = "%s: left by a command that was stopped; removed"
 def folder_place(path: Path, shown: Path | None = None) -> Path:
     """The folder that ``path`` names, links followed; it need not exist. ``shown``: its name in messages.
 
-    Raises InputError for a file, a device, a circle of links, and where nothing may be written.
+    Raises InputError for a file, a device, a circle of links, a name that is not UTF-8, and where nothing may
+    be written.
     """
     place, shown = _resolved(path, shown or path), shown or path
     if place.exists() and not place.is_dir():
@@ -31,7 +32,8 @@ def folder_place(path: Path, shown: Path | None = None) -> Path:
 def file_place(path: Path, example: str) -> Path:
     """The file that ``path`` names, links followed; it need not exist. ``example``: a name of such a file.
 
-    Raises InputError for a folder, a device, a circle of links, and where nothing may be written.
+    Raises InputError for a folder, a device, a circle of links, a name that is not UTF-8, and where nothing
+    may be written.
     """
     place = _resolved(path, path)
     if place.is_dir():
@@ -55,8 +57,9 @@ def require_not_current(place: Path, shown: Path) -> None:
         )
 
 
-def require_writable(folder: Path, shown: Path) -> None:
-    """Try to write in ``folder``, or where it would be made. Raises InputError when that is refused."""
+def require_writable(folder: Path, shown: Path, remedy: str = ANOTHER_PLACE) -> None:
+    """Try to write in ``folder``, or where it would be made. Raises InputError, with the remedy, when that is
+    refused."""
     while not folder.exists():
         folder = folder.parent
     try:
@@ -67,7 +70,7 @@ def require_writable(folder: Path, shown: Path) -> None:
             os.close(handle)
             Path(name).unlink()
     except OSError as error:
-        raise unwritable(shown, error) from error
+        raise unwritable(shown, error, remedy) from error
 
 
 def beginning_of(path: Path, within_bytes: int = 4096) -> bytes:
@@ -91,9 +94,9 @@ def printable(name: object) -> str:
     return os.fsencode(str(name)).decode("utf-8", "backslashreplace")
 
 
-def unwritable(shown: Path, error: OSError) -> InputError:
+def unwritable(shown: Path, error: OSError, remedy: str = ANOTHER_PLACE) -> InputError:
     """The line about a place that cannot be written, before any work was done."""
-    return InputError(refused(shown, "cannot write here", error))
+    return InputError(refused(shown, "cannot write here", error, remedy))
 
 
 def _resolved(path: Path, shown: Path) -> Path:
@@ -108,7 +111,20 @@ def _resolved(path: Path, shown: Path) -> Path:
     else:
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
             raise InputError(f"{shown} is a device or a pipe; choose another place")
-    return Path(os.path.realpath(path))
+    place = Path(os.path.realpath(path))
+    if not (_is_text(path.name) and _is_text(place.name)):
+        raise InputError(
+            f"{shown}: this name is not UTF-8, as results that contain it must be; choose another"
+        )
+    return place
+
+
+def _is_text(name: str) -> bool:
+    try:
+        name.encode("utf-8")
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _run_of(place: Path) -> Path | None:

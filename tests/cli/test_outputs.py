@@ -15,7 +15,6 @@ from pathlib import Path
 
 import pytest
 
-from polhode.atomic import write_text
 from polhode.cli.main import main
 from polhode.planning.exports.formats import FORMATS
 from tests.cli.writing_commands import WRITERS, Stage, make_quick, make_stage
@@ -24,6 +23,7 @@ from tests.pipeline.conftest import make_example
 Capture = pytest.CaptureFixture[str]
 PAGE = Path(__file__).parents[2] / "docs" / "security.md"
 NOTES = "the user's notes\n"
+REASON = {"read-only": "Read-only file system", "full": "File too large"}
 
 WRITTEN, REPLACED, REFUSED, NONE = "written", "replaced", "refused", "-"
 RESUMED, STAYS, FAILED = "resumed", "replaced; theirs stays", "fails; nothing replaced"
@@ -686,27 +686,62 @@ def test_what_an_export_reads_is_not_replaced_by_it(stage: Stage, tmp_path: Path
     assert model.read_bytes() == before
 
 
-@pytest.mark.parametrize("what", ["read-only", "full", "a folder for its file"])
+@pytest.mark.parametrize("what", ["read-only", "full", "a folder for its file", "a folder for its page"])
 def test_evaluate_into_a_run_that_cannot_be_written(
     what: str, stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     run = tmp_path / "run"
     shutil.copytree(stage.run, run)
-    if what == "a folder for its file":
-        (run / "metrics.json").mkdir()
-
-    def evaluate(run: Path, data: Path) -> dict[str, float]:
-        write_text(run / "metrics.json", "{}")
-        return {}
-
-    monkeypatch.setattr("polhode.pipeline.evaluation.evaluate", evaluate)
+    if "a folder" in what:
+        file = run / ("metrics.json" if what.endswith("file") else "report.html")
+        file.unlink(missing_ok=True)
+        file.mkdir()
+    monkeypatch.setattr("polhode.pipeline.evaluation.evaluate", lambda run, data: {})
     before = digest(tmp_path)
     surface = {"full": "a place that is full"}.get(what, what)
     with condition(surface, tmp_path, monkeypatch):
         assert main(["evaluate", str(run), str(tmp_path)]) == (1 if "folder" in what else 2)
     monkeypatch.undo()
-    refused("cannot be written" if "folder" in what else "cannot write here", capsys)
+    remedy = "; make the run writable, or evaluate a copy of it" if what == "read-only" else ""
+    refused(
+        "cannot be written" if "folder" in what else f"cannot write here ({REASON[what]}){remedy}", capsys
+    )
     assert digest(tmp_path) == before
+
+
+NOT_UTF8 = os.fsdecode(b"bad\xff")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_name_that_is_not_utf8_is_refused_at_once(
+    name: str, stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    make_quick(monkeypatch, stage)
+    (tmp_path / "link").symlink_to(tmp_path / NOT_UTF8)
+    for output in (tmp_path / NOT_UTF8, tmp_path / "link"):
+        assert stage.call(name, output) == 2
+        refused("this name is not UTF-8", capsys)
+    assert [each.name for each in tmp_path.iterdir()] == ["link"]
+
+
+def test_a_run_whose_name_is_not_utf8_is_shown_with_escapes(
+    stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    run, shown = tmp_path / NOT_UTF8, "bad\\udcff"
+    shutil.copytree(stage.run, run)
+    monkeypatch.setattr("polhode.pipeline.evaluation.evaluate", lambda run, data: {"rmse_position_m": 1.0})
+    assert main(["evaluate", str(run), str(tmp_path)]) == 0
+    assert f"<title>{shown}" in (run / "report.html").read_text()
+    page = tmp_path / "page.html"
+    for runs in ([run], [run, stage.run]):
+        assert main(["report", *map(str, runs), "-o", str(page)]) == 0
+        assert shown in page.read_text()
+    for to in FORMATS:
+        file = tmp_path / f"target.{to}"
+        for _ in range(2):
+            assert main(["export", str(run), "--to", to, "--pieces", "1", "-o", str(file)]) == 0
+    assert f"the run {shown} " in (tmp_path / "target.urdf").read_text()
+    capsys.readouterr()
 
 
 def test_evaluate_removes_what_a_killed_one_was_writing(
@@ -716,7 +751,7 @@ def test_evaluate_removes_what_a_killed_one_was_writing(
     shutil.copytree(stage.run, run)
     (run / ".report.partial-999999999.html").write_text("half")
     monkeypatch.setattr("polhode.pipeline.evaluation.evaluate", lambda run, data: {})
-    monkeypatch.setattr("polhode.pipeline.report.write_report", lambda run: None)
+    monkeypatch.setattr("polhode.pipeline.report.write_evaluation", lambda run, metrics: None)
     assert main(["evaluate", str(run), str(tmp_path)]) == 0
     assert not list(run.glob(".report*"))
 

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
+from polhode.cli.main import main
 from polhode.config import Config
 from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor, write_truth
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.pipeline.evaluation import evaluate, format_table, inertia_parameter_error
+from polhode.pipeline.report import write_evaluation
 from polhode.records import MotionEstimate, Truth
 from polhode.rigid_body import propagate
 from tests.pipeline.conftest import Example
@@ -100,10 +102,31 @@ def test_the_truth_scores_zero_in_another_frame_G(example: Example, sequence: Pa
     assert all(value < 1e-8 for value in metrics["prediction_error_m"].values())
     assert metrics["mesh"]["chamfer_mm"] < 2e-3
     assert metrics["mesh"]["completeness_3mm"] == 1.0
+    write_evaluation(run, metrics)
     stored = json.loads((run / "metrics.json").read_text())
     assert stored.pop("summary_sha256") == hashlib.sha256((run / "summary.json").read_bytes()).hexdigest()
     assert stored == metrics
     assert "rmse_position_m" in format_table(metrics)
+
+
+def test_nothing_is_written_where_the_report_cannot_be_made(
+    example: Example, sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = write_example(example, example.estimate, tmp_path / "run")
+    (run / "pictures").mkdir(exist_ok=True)
+    (run / "pictures" / "captions.json").write_text('{"00.png": "hal')
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    assert main(["evaluate", str(run), str(sequence)]) == 2
+    printed = capsys.readouterr()
+    assert "captions.json" in printed.err and "rmse" not in printed.out
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+    # once they are mended, table, metrics and report appear together, whatever metrics were there
+    (run / "pictures" / "captions.json").write_text("{}")
+    (run / "metrics.json").write_text('{"rmse')
+    assert main(["evaluate", str(run), str(sequence)]) == 0
+    assert "rmse_position_m" in capsys.readouterr().out
+    assert "rmse_position_m" in (run / "metrics.json").read_text()
+    assert "Against the truth" in (run / "report.html").read_text()
 
 
 def test_an_offset_centre_of_mass_shows_in_com_and_position_not_in_the_mesh(

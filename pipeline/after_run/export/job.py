@@ -13,7 +13,7 @@ import numpy as np
 
 from polhode.config.loader import load_config
 from polhode.config.mapping_settings import Mapping
-from polhode.errors import InputError
+from polhode.errors import InputError, printable
 from polhode.lie import Array, transform_points
 from polhode.mapping.finishing.detail_levels import levels_of
 from polhode.mapping.mesh_files import read_ply
@@ -75,7 +75,7 @@ class ExportJob:
         status = self.summary.status
         note = "" if status == "ok" else f" (status {status}: see summary.json)"
         return [
-            f"polhode export of the run {self.folder.resolve().name}{note}",
+            f"polhode export of the run {printable(self.folder.resolve().name)}{note}",
             f"frame: {self.at.description}",
         ]
 

@@ -116,11 +116,11 @@ def test_evaluation_enters_the_report(
     assert "Against the truth" not in (folder / "report.html").read_text()
 
     def measured(run: Path, data: Path) -> dict[str, Any]:
-        (run / "metrics.json").write_text('{"rmse_position_m": 0.000081}\n')
         return {"rmse_position_m": 0.000081}
 
     monkeypatch.setattr(polhode.pipeline.evaluation, "evaluate", measured)
     assert main(["evaluate", str(folder), str(tmp_path)]) == 0
     page = (folder / "report.html").read_text()
     assert "Against the truth" in page and "0.081" in page
+    assert json.loads((folder / "metrics.json").read_text())["rmse_position_m"] == 0.000081
     assert "rmse_position_m" in capsys.readouterr().out
