@@ -12,6 +12,7 @@ from polhode.config import Config
 from polhode.frontend.extract import extract_depth
 from polhode.lie import transform_points
 from polhode.mapping.fusion.field import fuse
+from polhode.pipeline.answer_checks.image_motion import ImageMotion
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.correspondences import match_frames
 from polhode.pipeline.data_checks.check_data import check_data
@@ -81,7 +82,10 @@ def run(
         if config.backend.window.enabled:
             outputs.write_online_estimate(folder, _replay(context, tracks, estimate))
 
-        fused = _build_surface(context, tracks, estimate)
+        images = ImageMotion(
+            context.rig, pose_RG(tracks, estimate), np.isin(np.arange(tracks.n_frames), tracks.frame)
+        )
+        fused = _build_surface(context, tracks, estimate, images)
         with clock("fusion"):
             X_RG = pose_RG(tracks, estimate)
             if fused.aligned is not None:
@@ -94,7 +98,7 @@ def run(
         clock.add_total()
         warnings = [*context.sequence.warnings, *window_warnings(tracks.n_frames, config.backend)]
         warnings += [*fused.warnings, *findings.limits]
-        reasons = findings.reasons
+        reasons = [*findings.reasons, *images.reasons()]
         summary = build_summary(tracks, estimate, surface, clock.seconds, warnings, reasons, shape=shape)
         summary = summary.model_copy(update={"data": written.recording})
         with progress.stage("report", 1) as advance:
@@ -114,8 +118,10 @@ def _replay(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate)
         )
 
 
-def _build_surface(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> SurfaceModel:
-    """Depth of every pair, moved into G by the motion, fused."""
+def _build_surface(
+    context: RunContext, tracks: StereoTracks, estimate: MotionEstimate, images: ImageMotion
+) -> SurfaceModel:
+    """Depth of every pair, moved into G by the motion, fused; ``images`` compares what passes by."""
     config, clock, rig = context.config, context.clock, context.rig
     X_RG = pose_RG(tracks, estimate)
     # The disparities of a frame's own landmarks bound the search for its disparities.
@@ -126,7 +132,7 @@ def _build_surface(context: RunContext, tracks: StereoTracks, estimate: MotionEs
     maps = extract_depth(context.sequence, context.rectifier, config.frontend, ranges, context.workers)
     with clock("fusion"):
         surface = fuse(
-            zip(clock.waiting("depth", maps), X_RG, strict=True),
+            zip(images.watching(clock.waiting("depth", maps)), X_RG, strict=True),
             rig,
             config.mapping,
             context.progress,

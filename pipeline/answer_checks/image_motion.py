@@ -1,0 +1,122 @@
+"""Whether the images move as the estimate says: what is left of their motion when the target is moved back.
+
+Landmarks that agree with one another may all belong to what stands still on a turning target: the outline,
+nozzle and rings of a body of revolution, a reflection, a pattern of the light. The motion found is then
+theirs, and no residual shows it. Here, every pixel with depth is moved to the next pair by the estimate, and
+the optical flow (DIS; Kroeger et al., ECCV 2016) between the image and the one that was moved back is what
+the motion does not explain. It uses no landmark.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from polhode.camera import RectifiedRig
+from polhode.lie import Array, inverse_pose
+from polhode.metrics import angle_deg
+from polhode.records import Bools, DepthMap
+
+MAX_PAIRS = 10
+"""Pairs of frames that are compared, chosen evenly."""
+MAX_TURN_DEG = 40.0
+"""Between frames; beyond, the surface looks too different."""
+DISPLACED_PX = 2.0
+MIN_PIXELS = 400
+"""Textured pixels of a pair."""
+MIN_PAIRS = 3
+USUAL_SHARE, MAX_SHARE = 0.15, 0.4
+"""Of the textured pixels, displaced: at most in sound runs, and from where the motion is doubted."""
+CONTRAST_SCALE_PX, MIN_CONTRAST = 6.0, 5.0
+"""Scale, and least standard deviation of the grey values over it, of a surface with texture."""
+BORDER_PX = 4
+"""Pixels at the edge of the depth are left out."""
+
+
+@dataclass
+class ImageMotion:
+    """Compares some pairs of successive frames while their depth maps pass by."""
+
+    rig: RectifiedRig
+    X_RG: Array
+    """(F, 4, 4)"""
+    measured: Bools
+    """(F,) frames with measurements of their own"""
+    shares: list[float] = field(default_factory=list)
+    """Of each pair that was compared: the share of its textured surface that is displaced"""
+
+    def watching(self, maps: Iterable[DepthMap]) -> Iterator[DepthMap]:
+        """Pass on the depth maps of all frames, in order."""
+        chosen, before = set(self._frames().tolist()), None
+        for k, current in enumerate(maps):
+            if k in chosen and before is not None:
+                X = self.X_RG[k] @ inverse_pose(self.X_RG[k - 1])
+                displacement = residual_displacement(before, current, X, self.rig)
+                if len(displacement) >= MIN_PIXELS:
+                    self.shares.append(float(np.mean(displacement > DISPLACED_PX)))
+            before = current if k + 1 in chosen else None
+            yield current
+
+    def reasons(self) -> list[str]:
+        """Why the motion is doubted."""
+        if len(self.shares) < MIN_PAIRS or (share := float(np.median(self.shares))) < MAX_SHARE:
+            return []
+        return [
+            f"the images do not move as the motion found: from one pair to the next, {share:.0%} of the "
+            f"textured surface is displaced by more than {DISPLACED_PX:.0f} px (usual: below "
+            f"{USUAL_SHARE:.0%}); outlines, rings or reflections that stand still on a turning target may "
+            "have been taken for its motion"
+        ]
+
+    def _frames(self) -> NDArray[np.int64]:
+        """Second frames of the pairs that are compared."""
+        R = self.X_RG[:, :3, :3]
+        turn_deg = angle_deg(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+        fit = 1 + np.flatnonzero((turn_deg < MAX_TURN_DEG) & self.measured[:-1] & self.measured[1:])
+        at = np.linspace(0, len(fit) - 1, min(MAX_PAIRS, len(fit))).round().astype(np.int64)
+        return np.asarray(fit[at])
+
+
+def residual_displacement(first: DepthMap, second: DepthMap, X: Array, rig: RectifiedRig) -> Array:
+    """Displacements (n,) [px] that the motion leaves, of the textured pixels of the first frame.
+
+    X (4, 4) moves points of the first frame's camera to the second's.
+    """
+    back, known = moved_back(first, second, X, rig)
+    picture = first.intensity.copy()
+    back = np.where(known, back, picture)
+    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(
+        picture, back, np.zeros((*picture.shape, 2), dtype=np.float32)
+    )
+    size = 2 * BORDER_PX + 1
+    inside = cv2.erode(known.astype(np.uint8), np.ones((size, size), dtype=np.uint8)) > 0
+    textured = inside & (_contrast(picture, known) > MIN_CONTRAST) & (_contrast(back, known) > MIN_CONTRAST)
+    return np.asarray(np.linalg.norm(flow[textured], axis=1), dtype=np.float64)
+
+
+def moved_back(
+    first: DepthMap, second: DepthMap, X: Array, rig: RectifiedRig
+) -> tuple[NDArray[np.uint8], Bools]:
+    """The second image (H, W) as seen from the first frame, by its depth; where it is known (H, W)."""
+    height, width = first.depth_m.shape
+    v, u = np.mgrid[0:height, 0:width]
+    known = np.isfinite(first.depth_m)
+    z = np.where(known, first.depth_m, 1.0)
+    p = np.stack([(u - rig.cx_px) / rig.focal_px * z, (v - rig.cy_px) / rig.focal_px * z, z], axis=2)
+    moved = p @ X[:3, :3].T + X[:3, 3]
+    known &= moved[..., 2] > 1e-6
+    uv = rig.project(np.where(known[..., None], moved, [0.0, 0.0, 1.0]))[..., :2].astype(np.float32)
+    known &= np.all((uv >= 1.0) & (uv <= [width - 2.0, height - 2.0]), axis=2)
+    image = cv2.remap(second.intensity, uv[..., 0], uv[..., 1], cv2.INTER_LINEAR, borderValue=0)
+    return np.asarray(image, dtype=np.uint8), np.asarray(known)
+
+
+def _contrast(image: NDArray[np.uint8], known: Bools) -> NDArray[np.float32]:
+    """Standard deviation of the known grey values around each pixel."""
+    grey, weight = image.astype(np.float32), known.astype(np.float32)
+    around = np.maximum(cv2.GaussianBlur(weight, (0, 0), CONTRAST_SCALE_PX), 1e-3)
+    mean = cv2.GaussianBlur(grey * weight, (0, 0), CONTRAST_SCALE_PX) / around
+    square = cv2.GaussianBlur((grey - mean) ** 2 * weight, (0, 0), CONTRAST_SCALE_PX) / around
+    return np.asarray(np.sqrt(square), dtype=np.float32)
