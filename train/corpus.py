@@ -22,7 +22,7 @@ from polhode.atomic import write_text
 from polhode.config.loader import load_config
 from polhode.config.scene_settings import Background, Light, Motion, Render, Rig, Scene, Sensor, TargetBody
 from polhode.config.train_settings import Corpus, Train
-from polhode.errors import InputError
+from polhode.errors import InputError, RunFailure
 from polhode.lie import Array
 from polhode.output.locks import occupied
 from polhode.output.place import folder_place, require_writable
@@ -280,8 +280,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         corpus = required_train(load_config(options.config).train, options.config).corpus
         render_corpus(corpus, Silent(), options.workers)
-    except InputError as error:
-        parser.error(str(error))
+    except (InputError, RunFailure) as error:
+        parser.exit(error.exit_code, f"{parser.prog}: error: {error}\n")
     print(f"{corpus.scenes} scenes: {corpus.folder}")
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import polhode.cli.main as command_line
+from polhode.atomic import write_failure
 from polhode.config.loader import load_config
 from polhode.config.train_settings import Corpus
 from polhode.dataset import open_sequence
@@ -167,3 +168,18 @@ def test_the_command_refuses_a_configuration_without_training(
         main([str(config)])
     assert stop.value.code == 2
     assert "no 'train' section" in capsys.readouterr().err
+
+
+def test_the_command_says_in_a_line_that_a_scene_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def render(corpus: Corpus, *_: object) -> None:
+        raise write_failure(Path(corpus.folder), OSError(errno.ENOSPC, "No space left on device"))
+
+    monkeypatch.setattr("polhode.train.corpus.render_corpus", render)
+    (tmp_path / "c.yaml").write_text("train: {corpus: {folder: here}}\n")
+    with pytest.raises(SystemExit) as stop:
+        main([str(tmp_path / "c.yaml")])
+    assert stop.value.code == 1
+    stderr = capsys.readouterr().err
+    assert "error: here: cannot be written (No space left on device)" in stderr and stderr.count("\n") == 1
