@@ -59,16 +59,13 @@ def check_data(
         reasons.extend(doubts)
         limits.extend(unseen)
 
-    def connections() -> None:
-        limits.extend(weak_connections(tracks, estimate))
-
     checks: tuple[Callable[[], list[str] | None], ...] = (
         lambda: rig_contradictions(context, features, tracks, estimate),
         calibration,
         lambda: clock_contradictions(tracks.time_s, estimate.X_NG[:, :3, :3], seen),
         lambda: inspector_contradictions(tracks.X_NR, estimate.X_NG, seen, tracks.sigma_camera_theta_rad),
         mass,
-        connections,
+        lambda: weak_connections(tracks, estimate),
     )
     with context.clock("backend"):
         for check in checks:

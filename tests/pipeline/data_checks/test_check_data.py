@@ -1,6 +1,7 @@
 """All checks together: what a frozen recorder and a check that fails lead to."""
 
 from contextlib import nullcontext
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,7 +19,7 @@ from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, ge
 
 @pytest.fixture(scope="module")
 def solved() -> tuple[SyntheticSequence, MotionEstimate]:
-    sequence = generate(SyntheticScene(frames=16, landmarks=60, J_G=np.diag([1.5, 1.2, 0.9])), 3)
+    sequence = generate(SyntheticScene(frames=16, landmarks=240, J_G=np.diag([1.5, 1.2, 0.9])), 3)
     tracks = sequence.tracks
     start = InitialMotion(np.linalg.inv(tracks.X_NR) @ sequence.X_NG, np.ones(16, dtype=np.bool_))
     return sequence, estimate_motion(tracks, start, Backend(), Silent())
@@ -53,3 +54,15 @@ def test_a_check_that_fails_costs_only_itself(
     monkeypatch.setattr(module, "rig_contradictions", fail)
     monkeypatch.setattr(module, "clock_contradictions", lambda *words: ["the clock jumped"])
     assert check_data(context(sequence), [], sequence.tracks, estimate).reasons == ["the clock jumped"]
+
+
+def test_parts_that_no_landmark_connects_are_a_reason(
+    solved: tuple[SyntheticSequence, MotionEstimate],
+) -> None:
+    sequence, estimate = solved
+    tracks = sequence.tracks
+    # landmarks get other numbers from the tenth frame on
+    parted = np.where(tracks.frame < 9, tracks.landmark, tracks.landmark + tracks.n_landmarks)
+    landmark = np.unique(parted, return_inverse=True)[1]
+    (reason,) = check_data(context(sequence), [], replace(tracks, landmark=landmark), estimate).reasons
+    assert "share no landmarks and are connected by the dynamics alone" in reason
