@@ -93,6 +93,7 @@ FAULTS: dict[str, Fault] = {
     "eclipse": Fault("eclipse of 8 s", files.eclipse),
     "leaves_and_returns": Fault("out of view for 6 s", render=scenes.leaves_and_returns),
 }
+ONLY_WARNED = "of these by a warning alone"
 SHORT_BODIES, SHORT_FAULTS = ("flyer",), ("none", "dropped_30", "knocked_yaw")
 
 
@@ -169,10 +170,13 @@ def print_tables(lines: Sequence[Case]) -> None:
     by_fault = {name: some for name, some in by_fault.items() if some}
     columns = ("position", "attitude", "rate", "com", "k", "axes")
     print(f"\n{len(lines)} runs\n")
-    head = ("fault", "runs", *OUTCOMES, *(f"{c}, worst sigmas" for c in columns), "seconds")
+    head = ("fault", "runs", *OUTCOMES[:2], ONLY_WARNED, *OUTCOMES[2:])
+    head = (*head, *(f"{c}, worst sigmas" for c in columns), "seconds")
     print_table(head, (_row(name, some, columns) for name, some in by_fault.items()), right_from=1)
     outcomes = [outcome(line) for line in lines]
-    print("\n" + ", ".join(f"{outcomes.count(name)} {name}" for name in OUTCOMES) + "\n")
+    warned = f"{_only_warned(lines)} {ONLY_WARNED}"
+    counts = [f"{outcomes.count(name)} {name}" for name in OUTCOMES]
+    print("\n" + ", ".join([*counts[:2], warned, *counts[2:]]) + "\n")
     print_table(
         ("body", "fault", "status", "wrong: worst sigmas, worst error", "warnings"),
         (_wrong_row(line) for line in lines if line["wrong"]),
@@ -184,9 +188,15 @@ def outcome(line: Case) -> str:
     return outcome_of(line, FAULTS[line["case"]["fault"]].named)
 
 
+def _only_warned(lines: Sequence[Case]) -> int:
+    """Number of wrong runs that say so in a warning alone: their status is ok."""
+    return sum(outcome(line) == OUTCOMES[1] and line["status"] == "ok" for line in lines)
+
+
 def _row(name: str, lines: list[Case], columns: Sequence[str]) -> list[str]:
     outcomes = [outcome(line) for line in lines]
     counts = [str(outcomes.count(each) or "") for each in OUTCOMES]
+    counts.insert(2, str(_only_warned(lines) or ""))
     claims = [line["claims"] for line in lines if line["status"] != "failed"]
     worst = []
     for column in columns:
