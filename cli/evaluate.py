@@ -7,7 +7,6 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from polhode.cli.options import Debug
-from polhode.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -27,9 +26,9 @@ class EvaluateCommand:
         from polhode.output.single_file import remove_all_partials
         from polhode.pipeline.evaluation import evaluate, format_table
         from polhode.pipeline.report import write_evaluation
+        from polhode.pipeline.run_directory.run_folder import require_run_folder
 
-        if not self.run.is_dir():
-            raise InputError(f"{self.run}: no such folder; give the folder of a run")
+        require_run_folder(self.run)
         require_writable(self.run, self.run, "make the run writable, or evaluate a copy of it")
         with at_work(self.run, self.run):
             remove_all_partials(self.run)

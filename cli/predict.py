@@ -42,7 +42,7 @@ class PredictCommand:
 
         place = None if self.output is None else prediction_file(self.output, self.run)
         prediction = predict_run(self.run, self.horizon, self.step_s, progress=choose_progress())
-        print(format_prediction(prediction))
+        print(format_prediction(prediction, place is not None, self.marks))
         if place is not None:
             write_prediction(prediction, place, self.marks)
             print(f"Prediction: {self.output}")

@@ -21,6 +21,7 @@ from polhode.records import Ints
 from polhode.yaml_files import read_yaml
 
 UNIT_TOLERANCE = 1e-2
+DATASET_DOCS = "docs/dataset.md"
 TABLE_BYTES = 512 * MIB
 """Limit of a table: a pose 100 times a second for eight hours has 450 MB."""
 MAX_ROWS = 4_000_000
@@ -45,17 +46,18 @@ class Table:
     """(n, columns)"""
 
 
-def read_table(path: Path, columns: int, finite: bool = True) -> Table:
+def read_table(path: Path, columns: int, finite: bool = True, docs: str = DATASET_DOCS) -> Table:
     """A timestamp [ns] and ``columns`` numbers a row; further columns are not read.
 
-    Blank lines, ``#`` comments and a header are skipped. Raises InputError, which names the line, when the
-    file is missing, is not text, has no rows or too many, timestamps are not whole numbers that increase, or
-    a number is missing, or NaN or infinite where they must be ``finite``.
+    Blank lines, ``#`` comments and a header are skipped; ``docs`` is the page about such tables. Raises
+    InputError, which names the line, when the file is missing, is not text, has no rows or too many,
+    timestamps are not whole numbers that increase, or a number is missing, or NaN or infinite where they must
+    be ``finite``.
     """
     lines, stamps, values = array("q"), array("q"), array("d")
-    for number, fields in _rows(path):
+    for number, fields in _rows(path, docs):
         stamps.append(_later_stamp(path, number, fields[0], stamps[-1] if stamps else None))
-        values.extend(_numbers(path, number, fields, columns))
+        values.extend(_numbers(path, number, fields, columns, docs))
         lines.append(number)
     numbers = np.array(values, dtype=np.float64).reshape(len(stamps), columns)
     bad = ~np.isfinite(numbers).all(axis=1)
@@ -135,7 +137,7 @@ def _number_or_none(text: str) -> float | None:
         return None
 
 
-def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+def _rows(path: Path, docs: str = DATASET_DOCS) -> Iterator[tuple[int, list[str]]]:
     """Rows of a table as (line number, stripped fields); skips blanks, ``#`` comments and a header."""
     rows = 0
     for number, line in _lines(path):
@@ -149,7 +151,7 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
             raise InputError(f"{path} line {number}: more than {MAX_ROWS} rows; split the recording")
         yield number, fields
     if not rows:
-        raise InputError(f"{path} is empty: it must list one row per frame (see docs/dataset.md)")
+        raise InputError(f"{path} is empty: it must list one row per frame (see {docs})")
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -191,11 +193,9 @@ def _later_stamp(path: Path, number: int, field: str, before: int | None) -> int
     return stamp
 
 
-def _numbers(path: Path, number: int, fields: list[str], columns: int) -> list[float]:
+def _numbers(path: Path, number: int, fields: list[str], columns: int, docs: str) -> list[float]:
     if len(fields) <= columns:
-        raise InputError(
-            f"{path} line {number}: {len(fields)} columns, expected {columns + 1} (see docs/dataset.md)"
-        )
+        raise InputError(f"{path} line {number}: {len(fields)} columns, expected {columns + 1} (see {docs})")
     try:
         return [plain_number(field) for field in fields[1 : columns + 1]]
     except ValueError:

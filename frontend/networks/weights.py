@@ -18,9 +18,11 @@ def shipped_path(name: str) -> Path:
 def load_weights(network: nn.Module, path: Path) -> None:
     """Load a file of weights into the network and switch it to evaluation mode.
 
-    Raises InputError: the file is missing, is not a safetensors file, belongs to another network, or has
-    numbers that are not finite.
+    Raises InputError: the file is missing, is a folder, is not a safetensors file, belongs to another
+    network, or has numbers that are not finite.
     """
+    if path.is_dir():
+        raise InputError(f"{path}: this is a folder; give a file of weights, NAME.safetensors")
     if not path.is_file():
         raise InputError(
             f"{path}: the weights are missing; train them with polhode train, or correct the path"

@@ -26,6 +26,7 @@ from polhode.pipeline.run_directory.archives import (
     undetermined_as_inf,
     write_arrays,
 )
+from polhode.pipeline.run_directory.run_folder import require_run_folder
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import (
@@ -178,9 +179,7 @@ def last_body(run_folder: Path) -> tuple[FinalState, Summary]:
 
     Raises InputError when there is none, NoCovariance when its covariance is all that is missing.
     """
-    if not run_folder.is_dir():
-        what = "a file" if run_folder.exists() else "no such folder"
-        raise InputError(f"{run_folder}: {what}; give the folder of a run")
+    require_run_folder(run_folder)
     summary = read_summary(run_folder)
     if summary.inertia is None or summary.R_GP is None:
         raise InputError(f"{run_folder}: this run failed before it had an estimate; nothing can be predicted")
@@ -306,11 +305,14 @@ def write_prediction(prediction: PredictedMotion, path: Path, marks: bool) -> No
     write_trajectory(Trajectory(*states.values(), *np.split(sigma, 4, axis=1)), path)
 
 
-def format_prediction(prediction: PredictedMotion) -> str:
-    """A few rows as text: the predicted centre of mass, and standard deviations of position and attitude."""
+def format_prediction(prediction: PredictedMotion, is_written: bool, marks: bool) -> str:
+    """A few rows as text: the predicted centre of mass, and standard deviations of position and attitude.
+
+    ``is_written``: there is a file as well, ``marks`` as it was written.
+    """
     time_s = prediction.time_s
     rows = np.unique(np.linspace(0, len(time_s) - 1, SHOWN_ROWS + 1).round().astype(int)[1:])
-    marks = standard_deviations(prediction.covariance_of_marks)
+    sigma = standard_deviations(prediction.covariance_of_marks)
     table = Table(title="After the last pair (one standard deviation, worst axis)")
     for name in ("seconds", "r_N [m]", "position of the body", "attitude of the body", "rate [deg/s]"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -318,8 +320,8 @@ def format_prediction(prediction: PredictedMotion) -> str:
         table.add_row(
             f"{time_s[k]:g}",
             " ".join(f"{x:.4f}" for x in prediction.r_N[k]),
-            f"± {1e3 * marks[k, 0:3].max():.2g} mm",
-            f"± {np.rad2deg(marks[k, 6:9].max()):.2g} deg",
+            f"± {1e3 * sigma[k, 0:3].max():.2g} mm",
+            f"± {np.rad2deg(sigma[k, 6:9].max()):.2g} deg",
             f"{np.rad2deg(np.linalg.norm(prediction.w_P[k])):.2f}",
         )
     console = Console(width=100, file=StringIO(), force_terminal=False)
@@ -327,8 +329,8 @@ def format_prediction(prediction: PredictedMotion) -> str:
         console.print(table)
     words = ""
     if prediction.undetermined:
-        words = (
-            f"The run does not determine {', '.join(prediction.undetermined)}: "
-            "sigmas that depend on it are inf in the file; --marks gives those of the body itself.\n"
-        )
+        shown = "the sigmas are those of the body itself"
+        if is_written and not marks:
+            shown = "sigmas that depend on it are inf in the file; --marks gives those of the body itself"
+        words = f"The run does not determine {', '.join(prediction.undetermined)}: {shown}.\n"
     return capture.get() + words

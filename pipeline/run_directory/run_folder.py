@@ -97,6 +97,13 @@ def atomic_run_folder(
             _publish(run, staged, path, overwrite, even_if_failed)
 
 
+def require_run_folder(folder: Path) -> None:
+    """Raise InputError for a file, such as one of a run, and for a folder that is missing."""
+    if not folder.is_dir():
+        what = "a file" if folder.exists() else "no such folder"
+        raise InputError(f"{folder}: {what}; give the folder of a run")
+
+
 def own_files(folder: Path) -> IsOwn | None:
     """What in ``folder`` belongs to its run, by name; None: it holds no whole run of ours."""
     try:

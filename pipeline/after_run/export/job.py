@@ -22,6 +22,7 @@ from polhode.pipeline.after_run.export.options import ExportOptions
 from polhode.pipeline.after_run.export.placement import placement
 from polhode.pipeline.after_run.predict import NoCovariance, predict_run, predict_without_covariance
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
+from polhode.pipeline.run_directory.run_folder import require_run_folder
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_trajectory, target_poses
@@ -161,8 +162,7 @@ class ExportJob:
 
 def open_job(folder: Path, options: ExportOptions, progress: Progress) -> ExportJob:
     """Read the run and choose the frame. Raises InputError, one line."""
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; give the folder of a run")
+    require_run_folder(folder)
     summary = read_summary(folder)
     mesh, points = folder / "mesh.ply", folder / "landmarks.ply"
     surface = read_ply(mesh) if mesh.is_file() else None

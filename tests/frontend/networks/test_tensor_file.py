@@ -86,7 +86,7 @@ def test_weights_that_are_not_finite_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_no_file_of_weights(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="the weights are missing"):
+    with pytest.raises(InputError, match="this is a folder; give a file of weights"):
         load_weights(DescriptorNet(), tmp_path)
 
 

@@ -131,8 +131,13 @@ def test_an_undetermined_inertia_predicts_the_body_all_the_same(tmp_path: Path, 
     run, truth = simulated_run(tmp_path / "run", (0.0, 0.0, 0.8))
     plain, marks = tmp_path / "plain.csv", tmp_path / "marks.csv"
     assert main(["predict", str(run), "--horizon", "30", "-o", str(plain)]) == 0
-    assert "does not determine" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "does not determine" in printed and "inf in the file" in printed
     assert main(["predict", str(run), "--horizon", "30", "--marks", "-o", str(marks)]) == 0
+    assert main(["predict", str(run), "--horizon", "30"]) == 0
+    # the one file has none, and then there is no file
+    printed = capsys.readouterr().out
+    assert printed.count(": the sigmas are those of the body itself") == 2 and "in the file" not in printed
     assert np.all(np.isinf(read_trajectory(plain).sigma_theta))
     path, seen = read_trajectory(marks), read_trajectory(run)
     # the body's attitude: after the constant rotation between the estimated and the true axes
@@ -176,9 +181,16 @@ def test_mistakes_are_one_line(
 def test_a_file_of_a_run_is_not_its_folder(example: Example, tmp_path: Path, capsys: Capture) -> None:
     run = write_example(example, tmp_path / "run")
     for path, what in ((run / "summary.json", "a file"), (tmp_path / "none", "no such folder")):
-        assert main(["predict", str(path), "--horizon", "10"]) == 2
-        stderr = capsys.readouterr().err
-        assert f"{path}: {what}; give the folder of a run" in stderr and stderr.count("\n") == 1
+        for command in (
+            ["predict", str(path), "--horizon", "10"],
+            ["report", str(path), "-o", str(tmp_path / "page.html")],
+            ["report", str(run), str(path), "-o", str(tmp_path / "page.html")],
+            ["evaluate", str(path), str(tmp_path)],
+            ["export", str(path), "--to", "stl", "-o", str(tmp_path / "target.stl")],
+        ):
+            assert main(command) == 2
+            stderr = capsys.readouterr().err
+            assert f"{path}: {what}; give the folder of a run" in stderr and stderr.count("\n") == 1
 
 
 def test_a_prediction_of_many_rows_shows_its_progress(

@@ -81,8 +81,8 @@ def rows_with(column: int, value: str) -> str:
     [
         (None, "no such file"),
         ("t,x\n1,2\n", "header"),
-        (",".join(TRAJECTORY_COLUMNS) + "\n1,a\n", "line 2: 2 columns, expected 26"),
-        (",".join(TRAJECTORY_COLUMNS) + "\n", "is empty"),
+        (",".join(TRAJECTORY_COLUMNS) + "\n1,a\n", r"line 2: 2 columns, expected 26 \(see docs/run_d"),
+        (",".join(TRAJECTORY_COLUMNS) + "\n", r"is empty: .* \(see docs/run_directory"),
         (",".join(TRAJECTORY_COLUMNS) + "\n1" + ",1" * 25 + "\n", "line 2: a quaternion that is not of unit"),
         (
             ",".join(TRAJECTORY_COLUMNS) + ("\n7" + ",0.5" * 25) * 2 + "\n",
