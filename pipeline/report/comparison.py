@@ -12,6 +12,7 @@ from polhode.pipeline.report import tables
 from polhode.pipeline.report.page import fill, run_name
 from polhode.pipeline.report.plot_style import TIME_TITLE, Figure, Trace, axis, layout, line
 from polhode.pipeline.report.polhode_and_inertia_figures import possible_bodies, ratio_ellipse, ratio_traces
+from polhode.pipeline.run_directory.run_folder import require_run_folder
 from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
 
 RUN_COLORS: tuple[str, ...] = (
@@ -32,6 +33,8 @@ OWN_FRAME = "centre of mass, "
 
 def write_comparison(folders: Sequence[Path], path: Path) -> None:
     """Write one page about several runs. Raises InputError when a folder is not a run."""
+    for folder in folders:
+        require_run_folder(folder)
     names = [run_name(folder) for folder in folders]
     # Two folders of the same name are distinguished by their paths.
     names = [

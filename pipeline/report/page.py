@@ -33,6 +33,7 @@ from polhode.pipeline.report.polhode_and_inertia_figures import rotation_figures
 from polhode.pipeline.report.residual_figures import measurement_figures
 from polhode.pipeline.report.shape_figures import shape_figures
 from polhode.pipeline.run_directory.own_results import METRICS, OF_SUMMARY, summary_digest
+from polhode.pipeline.run_directory.run_folder import require_run_folder
 from polhode.pipeline.run_directory.stored_run import StoredPicture, StoredRun, read_stored_run
 from polhode.pipeline.run_directory.summary import with_files, write_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
@@ -67,6 +68,7 @@ def write_report(folder: Path, path: Path | None = None, name: str | None = None
     Made from the stored files alone, so it can be written again at any time. ``name`` is the run's name on
     the page, by default the folder's. Raises InputError when the folder is not a run.
     """
+    require_run_folder(folder)
     content = read_stored_run(folder, name or run_name(folder))
     page = render(content)
     if path is not None:

@@ -23,7 +23,6 @@ from polhode.pipeline.run_directory.archives import (
 )
 from polhode.pipeline.run_directory.own_results import METRICS, own_metrics
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
-from polhode.pipeline.run_directory.run_folder import require_run_folder
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import (
@@ -89,7 +88,6 @@ def read_stored_run(folder: Path, name: str, metrics: dict[str, Any] | None = No
 
     Raises InputError when summary.json is missing or a file is damaged.
     """
-    require_run_folder(folder)
     summary = read_summary(folder)
     if metrics is None:
         metrics = own_metrics(folder, _json(folder / METRICS, "metrics"))
