@@ -170,8 +170,8 @@ def print_tables(lines: Sequence[Case]) -> None:
     by_fault = {name: some for name, some in by_fault.items() if some}
     columns = ("position", "attitude", "rate", "com", "k", "axes")
     print(f"\n{len(lines)} runs\n")
-    head = ("fault", "runs", *OUTCOMES[:2], ONLY_WARNED, *OUTCOMES[2:])
-    head = (*head, *(f"{c}, worst sigmas" for c in columns), "seconds")
+    outcomes_head = (*OUTCOMES[:2], ONLY_WARNED, *OUTCOMES[2:])
+    head = ("fault", "runs", *outcomes_head, *(f"{c}, worst sigmas" for c in columns), "seconds")
     print_table(head, (_row(name, some, columns) for name, some in by_fault.items()), right_from=1)
     outcomes = [outcome(line) for line in lines]
     warned = f"{_only_warned(lines)} {ONLY_WARNED}"
