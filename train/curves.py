@@ -6,6 +6,7 @@ plots them from the event files.
 """
 
 import argparse
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -30,6 +31,7 @@ class Curves:
             from torch.utils.tensorboard.writer import SummaryWriter
         except ImportError:
             raise InputError(MISSING) from None
+        _wait_for_a_later_second(output / FOLDER)
         self._writer = SummaryWriter(str(output / FOLDER), purge_step=first_step + 1, flush_secs=20)
 
     def add(self, step: int, groups: Mapping[str, Mapping[str, float]]) -> None:
@@ -41,6 +43,14 @@ class Curves:
     def close(self) -> None:
         """Write all remaining points."""
         self._writer.close()
+
+
+def _wait_for_a_later_second(folder: Path) -> None:
+    """Names of event files begin with the second and are read in their order: two of one second may change
+    places."""
+    seconds = [int(file.name.split(".")[3]) for file in folder.glob("events.out.tfevents.*")]
+    while seconds and time.time() < max(seconds) + 1 <= time.time() + 1.0:
+        time.sleep(0.05)
 
 
 def read_curves(output: Path) -> dict[str, Array]:

@@ -67,13 +67,20 @@ def test_a_killed_process_is_reported() -> None:
 
 
 def kill_server(k: int) -> int:
-    os.kill(os.getppid(), signal.SIGKILL)
+    if k == 0:
+        # later on, another process is the parent
+        os.kill(os.getppid(), signal.SIGKILL)
     return k
 
 
-def test_a_killed_server_of_the_workers_is_reported() -> None:
-    with pytest.raises(RunFailure, match=r"was killed, perhaps for lack of memory: use fewer --runtime"):
-        list(in_order(kill_server, range(4), 2))
+def test_a_killed_server_of_the_workers_costs_at_most_this_work() -> None:
+    found, said = [], ""
+    try:
+        found = list(in_order(kill_server, range(4), 2))
+    except RunFailure as failure:
+        said = str(failure)
+    # workers that were started before may do everything
+    assert found == [0, 1, 2, 3] or "was killed, perhaps for lack of memory: use fewer --runtime" in said
     assert list(in_order(Square(), range(4), 2)) == [0, 1, 4, 9]
 
 
