@@ -251,7 +251,8 @@ def _estimate(
     warnings = [*estimate.warnings, *_unused_times(data, config)]
     if not solution.converged:
         warnings.append(f"the solver stopped before convergence: {solution.message} ({FAST_HINT})")
-    return replace(estimate, solver=outcome, warnings=tuple(warnings), doubts=_doubts(stronger))
+    noise = replace(estimate.noise, times_stated=stronger)
+    return replace(estimate, solver=outcome, warnings=tuple(warnings), noise=noise)
 
 
 def _unused_times(data: MotionData, config: Backend) -> list[str]:
@@ -261,13 +262,3 @@ def _unused_times(data: MotionData, config: Backend) -> list[str]:
         for start, end in config.unknown_wrench_s
         if end <= 0.0 or start >= ends
     ]
-
-
-def _doubts(stronger: float) -> tuple[str, ...]:
-    """``stronger``: estimated over stated disturbances (power)."""
-    if stronger < SUSPICIOUS:
-        return ()
-    return (
-        f"the disturbances appear {stronger:.0f} times as strong as stated (power): an unknown force or "
-        "wrong associations may be the cause; the standard deviations are large accordingly",
-    )

@@ -98,8 +98,10 @@ def run(
         clock.add_total()
         warnings = [*context.sequence.warnings, *window_warnings(tracks.n_frames, config.backend)]
         warnings += [*fused.warnings, *findings.limits]
-        reasons = [*findings.reasons, *images.reasons()]
-        summary = build_summary(tracks, estimate, surface, clock.seconds, warnings, reasons, shape=shape)
+        checks = [images.check(), *findings.checks]
+        summary = build_summary(
+            tracks, estimate, surface, clock.seconds, warnings, shape=shape, checks=checks
+        )
         summary = summary.model_copy(update={"data": written.recording})
         with progress.stage("report", 1) as advance:
             summary = finish_run(folder, summary)

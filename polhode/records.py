@@ -114,6 +114,8 @@ class NoiseLevels:
     """[(m/s^2)^2/Hz]"""
     torque_psd: float
     """[(rad/s^2)^2/Hz], torque over the middle moment."""
+    times_stated: float | None = None
+    """Estimated over stated level (power), the larger of force and torque; None: unknown"""
 
 
 @dataclass(frozen=True)
@@ -264,8 +266,6 @@ class MotionEstimate:
     noise: NoiseLevels
     solver: SolverOutcome
     warnings: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
-    """Reasons to doubt the answer as a whole, besides the warnings."""
     covariance_last_body: Array | None = None
     """(20, 20): the last r_N, v_N, theta in R_NG Exp(theta), w_G, then the 5 inertia parameters, com_G (3).
     Always finite: independent of the principal axes; a weak prior bounds what is undetermined."""

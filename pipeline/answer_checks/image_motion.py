@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose
 from polhode.metrics import angle_deg
+from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import Bools, DepthMap
 
 MAX_PAIRS = 10
@@ -59,16 +60,20 @@ class ImageMotion:
             before = current if k + 1 in chosen else None
             yield current
 
-    def reasons(self) -> list[str]:
-        """Why the motion is doubted."""
-        if len(self.shares) < MIN_PAIRS or (share := float(np.median(self.shares))) < MAX_SHARE:
-            return []
-        return [
-            f"the images do not move as the motion found: from one pair to the next, {share:.0%} of the "
+    def check(self) -> Check:
+        """Whether the images move as the motion says."""
+        name = f"textured surface displaced by more than {DISPLACED_PX:.0f} px"
+        check = Check(name=name, limit=100.0 * MAX_SHARE, unit="%")
+        if len(self.shares) < MIN_PAIRS:
+            return check
+        share = 100.0 * float(np.median(self.shares))
+        return check.judged(
+            share,
+            f"the images do not move as the motion found: from one pair to the next, {share:.0f}% of the "
             f"textured surface is displaced by more than {DISPLACED_PX:.0f} px (usual: below "
             f"{USUAL_SHARE:.0%}); outlines, rings or reflections that stand still on a turning target may "
-            "have been taken for its motion"
-        ]
+            "have been taken for its motion",
+        )
 
     def _frames(self) -> NDArray[np.int64]:
         """Second frames of the pairs that are compared."""

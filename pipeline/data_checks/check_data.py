@@ -8,16 +8,17 @@ import numpy as np
 
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.pipeline.context import RunContext
-from polhode.pipeline.data_checks.clock_check import clock_contradictions
-from polhode.pipeline.data_checks.connection_check import weak_connections
-from polhode.pipeline.data_checks.inspector_check import inspector_contradictions
-from polhode.pipeline.data_checks.mass_check import mass_contradictions
-from polhode.pipeline.data_checks.rig_check import rig_contradictions
+from polhode.pipeline.data_checks.clock_check import clock_check
+from polhode.pipeline.data_checks.connection_check import connection_check
+from polhode.pipeline.data_checks.inspector_check import inspector_check
+from polhode.pipeline.data_checks.mass_check import mass_checks
+from polhode.pipeline.data_checks.rig_check import rig_checks
 from polhode.pipeline.data_checks.self_calibration import (
     best_correction,
     calibration_limits,
-    focal_contradictions,
+    focal_check,
 )
+from polhode.pipeline.run_directory.summary_schema import Check, reasons_of
 from polhode.records import MotionEstimate, StereoTracks
 
 FROZEN = (
@@ -30,12 +31,17 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Findings:
-    """Sentences of the checks."""
+    """What the checks found."""
 
-    reasons: list[str]
-    """To call the answer degraded: something in the data is not as they say"""
+    checks: list[Check]
+    """A reason of one means that something in the data is not as they say"""
     limits: list[str]
-    """What these data would not show"""
+    """What these data would not show, a sentence each"""
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why the answer is doubted."""
+        return reasons_of(self.checks)
 
 
 def check_data(
@@ -46,33 +52,41 @@ def check_data(
     A check that fails does not cost the run.
     """
     seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
-    reasons = [FROZEN] if context.sequence.frozen else []
-    limits: list[str] = []
+    found = Findings([_frozen(context.sequence.frozen)], [])
 
-    def calibration() -> None:
-        found = best_correction(tracks, estimate)
-        reasons.extend(focal_contradictions(found))
-        limits.extend([] if reasons else calibration_limits(found, tracks, estimate))
+    def calibration() -> list[Check]:
+        correction = best_correction(tracks, estimate)
+        check = focal_check(correction)
+        doubted = found.reasons or check.reason
+        found.limits.extend([] if doubted else calibration_limits(correction, tracks, estimate))
+        return [check]
 
-    def mass() -> None:
-        doubts, unseen = mass_contradictions(tracks, estimate, context.config.backend)
-        reasons.extend(doubts)
-        limits.extend(unseen)
+    def mass() -> list[Check]:
+        checks, unseen = mass_checks(tracks, estimate, context.config.backend)
+        found.limits.extend(unseen)
+        return checks
 
-    checks: tuple[Callable[[], list[str] | None], ...] = (
-        lambda: rig_contradictions(context, features, tracks, estimate),
+    X_NR, sigma_rad = tracks.X_NR, tracks.sigma_camera_theta_rad
+    steps: tuple[Callable[[], list[Check]], ...] = (
+        lambda: rig_checks(context, features, tracks, estimate),
         calibration,
-        lambda: clock_contradictions(tracks.time_s, estimate.X_NG[:, :3, :3], seen),
-        lambda: inspector_contradictions(tracks.X_NR, estimate.X_NG, seen, tracks.sigma_camera_theta_rad),
+        lambda: [clock_check(tracks.time_s, estimate.X_NG[:, :3, :3], seen)],
+        lambda: [inspector_check(X_NR, estimate.X_NG, seen, sigma_rad)],
         mass,
-        lambda: weak_connections(tracks, estimate),
+        lambda: [connection_check(tracks, estimate)],
     )
     with context.clock("backend"):
-        for check in checks:
+        for step in steps:
             try:
-                reasons += check() or []
+                found.checks.extend(step())
             except (ArithmeticError, LookupError, ValueError, MemoryError):
                 _log.exception("a check of the data failed")
-    for reason in reasons:
+    for reason in found.reasons:
         _log.warning(reason)
-    return Findings(reasons, limits)
+    return found
+
+
+def _frozen(frozen: bool) -> Check:
+    return Check(
+        name="images that are all the same", value=float(frozen), limit=0.0, reason=FROZEN if frozen else ""
+    )

@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from polhode.lie import Array, log_so3
+from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import Bools
 
 MAX_ERROR = 0.08
@@ -23,31 +24,26 @@ MAX_ACROSS = 0.15
 MIN_TURN_DEG = 3.0
 
 
-def clock_contradictions(time_s: Array, R_NG: Array, seen: Bools) -> list[str]:
-    """A reason to doubt the stamps; mostly none.
+def clock_check(time_s: Array, R_NG: Array, seen: Bools) -> Check:
+    """Whether the stamps agree with the rotation.
 
     time_s (F,) [s], R_NG (F, 3, 3), seen (F,): with observations. Only steps between frames that are seen,
     with a seen frame before and one after, are judged.
     """
-    found = [
-        (float(needed - stated), float(start), float(stated), float(needed))
-        for start, stated, needed in zip(
-            time_s[:-1], np.diff(time_s), needed_s(time_s, R_NG, seen), strict=True
-        )
-        if _differs(needed, stated, usual_s=float(np.median(np.diff(time_s))))
-    ]
-    if not found:
-        return []
-    _, start_s, stated_s, real_s = max(found, key=lambda step: abs(step[0]))
-    return [
-        f"the time stamps contradict the rotation, most after {start_s:g} s: within the {stated_s:.2f} s "
-        f"that they state the target turned as it does in {real_s:.2f} s before and after; the clock may "
-        "have jumped, and rates and disturbances there are not those of the target"
-    ]
-
-
-def _differs(needed_s: float, stated_s: float, usual_s: float) -> bool:
-    return bool(abs(needed_s - stated_s) > MAX_ERROR * max(stated_s, usual_s))
+    check = Check(name="time of a turn, against the stamps", limit=100.0 * MAX_ERROR, unit="%")
+    stated, needed = np.diff(time_s), needed_s(time_s, R_NG, seen)
+    if not np.isfinite(needed).any():
+        return check
+    error_s = np.abs(needed - stated)
+    relative = error_s / np.maximum(stated, np.median(stated))
+    worst = int(np.nanargmax(np.where(relative > MAX_ERROR, error_s, np.nan_to_num(relative * 1e-9))))
+    return check.judged(
+        100.0 * float(np.nanmax(relative)),
+        f"the time stamps contradict the rotation, most after {time_s[worst]:g} s: within the "
+        f"{stated[worst]:.2f} s that they state the target turned as it does in {needed[worst]:.2f} s "
+        "before and after; the clock may have jumped, and rates and disturbances there are not those of the "
+        "target",
+    )
 
 
 def needed_s(time_s: Array, R_NG: Array, seen: Bools) -> Array:

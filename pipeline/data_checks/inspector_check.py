@@ -8,6 +8,7 @@ they state.
 import numpy as np
 
 from polhode.lie import Array, inverse_pose, log_so3
+from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import Bools
 
 MAX_RATIO = 2.0
@@ -22,28 +23,29 @@ coefficients of four successive poses are -1/2, 3/2, -3/2, 1/2."""
 MIN_STEPS = 8
 
 
-def inspector_contradictions(X_NR: Array, X_NG: Array, seen: Bools, sigma_theta_rad: float) -> list[str]:
-    """A reason to doubt the reported poses; mostly none, and none of a camera that stays at one pose.
+def inspector_check(X_NR: Array, X_NG: Array, seen: Bools, sigma_theta_rad: float) -> Check:
+    """Whether the reported poses agree with the images; not possible for a camera that stays at one pose.
 
     X_NR (F, 4, 4): camera as reported; X_NG (F, 4, 4): target by these; seen (F,): with observations.
     """
+    check = Check(name="scatter of the inspector's attitudes", limit=MIN_ERROR_DEG, unit="deg")
     if np.ptp(X_NR, axis=0).max() == 0.0:
-        return []
+        return check
     X_RG = inverse_pose(X_NR) @ X_NG
     in_N, in_camera = roughness(X_NG[:, :3, :3], seen), roughness(X_RG[:, :3, :3], seen)
     if min(len(in_N), len(in_camera)) < MIN_STEPS:
-        return []
-    rough_N, rough_camera = (float(np.sqrt(np.mean(each**2))) for each in (in_N, in_camera))
-    error_deg = float(np.rad2deg(rough_N)) / _PER_SIGMA
-    if rough_N < max(MAX_RATIO * rough_camera, CLEAR * _PER_SIGMA * sigma_theta_rad):
-        return []
-    if error_deg < MIN_ERROR_DEG:
-        return []
-    return [
+        return check
+    error_deg, camera_deg = (
+        float(np.rad2deg(np.sqrt(np.mean(each**2)))) / _PER_SIGMA for each in (in_N, in_camera)
+    )
+    stated_deg = float(np.rad2deg(sigma_theta_rad))
+    return check.judged(
+        error_deg,
         "the reported poses of the inspector contradict the images: their attitudes scatter by about "
-        f"{error_deg:.2f} deg, where {np.rad2deg(sigma_theta_rad):.2f} deg is stated, and the target turns "
-        "more smoothly without them; check inspector0/"
-    ]
+        f"{error_deg:.2f} deg, where {stated_deg:.2f} deg is stated, and the target turns more smoothly "
+        "without them; check inspector0/",
+        max(MIN_ERROR_DEG, MAX_RATIO * camera_deg, CLEAR * stated_deg),
+    )
 
 
 def roughness(R: Array, seen: Bools) -> Array:

@@ -17,6 +17,7 @@ from polhode.config.backend_settings import Backend
 from polhode.errors import RunFailure
 from polhode.lie import Array, inverse_pose, log_so3, transform_points
 from polhode.pipeline.data_checks.centre_check import CentreChange, SeenPath, centre_change, seen_path
+from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.progress import Silent
 from polhode.records import Bools, Impulse, InitialMotion, MotionEstimate, StereoTracks
 from polhode.rigid_body import HALF_TURNS
@@ -34,26 +35,34 @@ MATTERS_M, MATTERS_K, MATTERS_RAD = 1e-3, 0.01, float(np.deg2rad(1.0))
 _log = logging.getLogger(__name__)
 
 
-def mass_contradictions(
+def mass_checks(
     tracks: StereoTracks, estimate: MotionEstimate, config: Backend
-) -> tuple[list[str], list[str]]:
-    """A reason to doubt the constants; else what change would not show. Both mostly empty.
+) -> tuple[list[Check], list[str]]:
+    """Whether centre of mass and mass properties are the same after a push; else what change would not show.
 
     At no cost where no push was found.
     """
+    centre = Check(name="centre of mass before and after a push", limit=CLEAR_CENTRE, unit="sigma")
+    halves = Check(name="mass properties that differ before and after a push", limit=0.0)
     impulses = estimate.disturbances.impulses if estimate.disturbances is not None else ()
     if not impulses:
-        return [], []
+        return [centre, halves], []
     path = seen_path(tracks, estimate)
     changes = [_change_at(path, tracks, push) for push in impulses]
     known = [change for change in changes if change is not None]
     clearest = max(known, key=lambda change: change.sigmas, default=None)
-    if clearest is not None and _moved(clearest):
-        return [_moved_centre(clearest, tracks.time_s)], []
+    if clearest is not None:
+        reason = _moved_centre(clearest, tracks.time_s) if _moved(clearest) else ""
+        centre = centre.model_copy(update={"value": clearest.sigmas, "reason": reason})
+        if reason:
+            return [centre, halves], []
     strongest = max(impulses, key=_strength)
-    reasons = _different_halves(tracks, estimate, config, strongest)
+    found = _different_halves(tracks, estimate, config, strongest)
+    if found is not None:
+        words = _other_properties(found, strongest, int(tracks.timestamps_ns[0]))
+        halves = halves.judged(len(found), words)
     change = changes[impulses.index(strongest)]
-    return reasons, [] if reasons else _unseen_change(estimate, strongest, change)
+    return [centre, halves], [] if halves.reason else _unseen_change(estimate, strongest, change)
 
 
 def _change_at(path: SeenPath, tracks: StereoTracks, push: Impulse) -> CentreChange | None:
@@ -96,21 +105,22 @@ def _unseen_change(estimate: MotionEstimate, push: Impulse, change: CentreChange
 
 def _different_halves(
     tracks: StereoTracks, estimate: MotionEstimate, config: Backend, push: Impulse
-) -> list[str]:
+) -> list[str] | None:
+    """What differs between the frames before and after the push, solved apart; None: not possible."""
     before, after = tracks.timestamps_ns <= push.start_ns, tracks.timestamps_ns >= push.end_ns
     halves = [_solved(tracks, estimate, config, frames) for frames in (before, after)]
     if halves[0] is None or halves[1] is None:
-        return []
-    found = _differences(halves[0], halves[1])
-    if not found:
-        return []
-    first_ns = int(tracks.timestamps_ns[0])
+        return None
+    return _differences(halves[0], halves[1])
+
+
+def _other_properties(found: list[str], push: Impulse, first_ns: int) -> str:
     start_s, end_s = ((at - first_ns) * 1e-9 for at in (push.start_ns, push.end_ns))
-    return [
+    return (
         f"after {end_s:.1f} s the target has other mass properties than before {start_s:.1f} s "
         f"({'; '.join(found)}): a part may have left it, or moved; what is stated for the whole sequence is "
         "true of neither"
-    ]
+    )
 
 
 def _strength(push: Impulse) -> float:

@@ -8,7 +8,7 @@ cameras look at different times. Disparities below zero: the images of the pair 
 Sideways, a knock changes disparities alone. Then everything is nearer and smaller, or farther and larger,
 from some time on: what frames before and after it share does not fit together (``disparity_steps``).
 
-Each finding is a reason to call the answer degraded. What no image can show is in docs/robustness.md.
+What no image can show is in docs/robustness.md.
 """
 
 from collections.abc import Sequence
@@ -20,6 +20,7 @@ from polhode.frontend.features.stereo import StereoFeatures
 from polhode.lie import Array, inverse_pose, log_so3, transform_points
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.data_checks.disparity_steps import disparity_steps, weighted_median
+from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import MotionEstimate, StereoTracks
 
 MIN_MATCHES = 8
@@ -56,36 +57,40 @@ class Step:
     sigma: float
 
 
-def rig_contradictions(
+def rig_checks(
     context: RunContext, features: Sequence[StereoFeatures], tracks: StereoTracks, estimate: MotionEstimate
-) -> list[str]:
-    """Reasons why the calibration, or the pairing of the images, does not hold throughout; mostly none.
+) -> list[Check]:
+    """Whether the calibration, and the pairing of the images, hold throughout.
 
     features: those of the first method, one a frame.
     """
+    lines = row_lines(features)
     return [
-        *_exchanged(context, features),
-        *_knocked(context, features),
-        *_late(context, features, estimate),
-        *_knocked_sideways(context, tracks, estimate),
+        _exchanged(context, features),
+        _row_step(context, lines),
+        _row_turn(context, lines),
+        _late(context, features, estimate),
+        _knocked_sideways(context, tracks, estimate),
     ]
 
 
-def _exchanged(context: RunContext, features: Sequence[StereoFeatures]) -> list[str]:
+def _exchanged(context: RunContext, features: Sequence[StereoFeatures]) -> Check:
+    check = Check(name="pairs with negative disparities", limit=0.0, unit="pairs")
     limit = context.rig.disparity_offset_px
-    negative = [
-        k
+    judged = [
+        (k, float(np.mean(each.rows.disparity_px < limit)))
         for k, each in enumerate(features)
-        if each.rows is not None
-        and len(each.rows.offset_px) >= MIN_MATCHES
-        and np.mean(each.rows.disparity_px < limit) > EXCHANGED_SHARE
+        if each.rows is not None and len(each.rows.offset_px) >= MIN_MATCHES
     ]
-    if not negative:
-        return []
-    return [
+    if not judged:
+        return check
+    negative = [k for k, share in judged if share > EXCHANGED_SHARE]
+    first_s = context.time_s[negative[0]] if negative else 0.0
+    return check.judged(
+        len(negative),
         f"the images of {len(negative)} of {len(features)} pairs are exchanged, left for right (first at "
-        f"{context.time_s[negative[0]]:g} s): points would be behind the cameras; correct data.csv"
-    ]
+        f"{first_s:g} s): points would be behind the cameras; correct data.csv",
+    )
 
 
 @dataclass(frozen=True)
@@ -121,25 +126,33 @@ def row_lines(features: Sequence[StereoFeatures]) -> RowLines:
     return RowLines(*out)
 
 
-def _knocked(context: RunContext, features: Sequence[StereoFeatures]) -> list[str]:
-    lines = row_lines(features)
-    out = []
+def _row_step(context: RunContext, lines: RowLines) -> Check:
+    check = Check(name="rows of left and right image: step", limit=MAX_STEP_PX, unit="px")
     step = largest_step(lines.middle_px, lines.sigma_middle_px)
-    if step is not None and abs(step.size) > max(MAX_STEP_PX, CLEAR * step.sigma):
-        degrees = np.rad2deg(abs(step.size) / context.rig.focal_px)
-        out.append(
-            f"the rows of the two images differ by {step.size:+.2f} px more from "
-            f"{context.time_s[step.place]:g} s on, as if one camera had turned by {degrees:.2f} deg: the "
-            "calibration does not hold throughout"
-        )
+    if step is None:
+        return check
+    degrees = np.rad2deg(abs(step.size) / context.rig.focal_px)
+    return check.judged(
+        abs(step.size),
+        f"the rows of the two images differ by {step.size:+.2f} px more from {context.time_s[step.place]:g} "
+        f"s on, as if one camera had turned by {degrees:.2f} deg: the calibration does not hold throughout",
+        max(MAX_STEP_PX, CLEAR * step.sigma),
+    )
+
+
+def _row_turn(context: RunContext, lines: RowLines) -> Check:
+    check = Check(name="rows of left and right image: turn", limit=np.rad2deg(MAX_TURN), unit="deg")
     turn = largest_step(lines.slope, lines.sigma_slope)
-    if turn is not None and abs(turn.size) > max(MAX_TURN, CLEAR_TURN * turn.sigma):
-        out.append(
-            f"the rows of the two images are inclined by {np.rad2deg(abs(turn.size)):.2f} deg more from "
-            f"{context.time_s[turn.place]:g} s on, as if one camera had turned about its axis: the "
-            "calibration does not hold throughout"
-        )
-    return out
+    if turn is None:
+        return check
+    size, limit = np.rad2deg([abs(turn.size), max(MAX_TURN, CLEAR_TURN * turn.sigma)])
+    return check.judged(
+        size,
+        f"the rows of the two images are inclined by {size:.2f} deg more from "
+        f"{context.time_s[turn.place]:g} s on, as if one camera had turned about its axis: the calibration "
+        "does not hold throughout",
+        limit,
+    )
 
 
 def largest_step(values: Array, sigma: Array) -> Step | None:
@@ -168,16 +181,18 @@ def _sigma_of_median(residuals: Array, sigma: Array, all_residuals: Array) -> fl
     return 1.25 * scatter / float(np.sqrt(np.sum(1.0 / sigma**2)))
 
 
-def _late(context: RunContext, features: Sequence[StereoFeatures], estimate: MotionEstimate) -> list[str]:
+def _late(context: RunContext, features: Sequence[StereoFeatures], estimate: MotionEstimate) -> Check:
+    check = Check(name="delay between the cameras", limit=1e3 * MAX_DELAY_S, unit="ms")
     found = camera_delay(context, features, estimate)
-    if found is None or abs(found[0]) < max(MAX_DELAY_S, CLEAR * found[1]):
-        return []
-    late = "late" if found[0] > 0 else "early"
-    return [
-        f"the right camera's images are {1e3 * abs(found[0]):.0f} ms {late} (sigma "
-        f"{1e3 * found[1]:.1f} ms): the rows of the two images differ where the target moves, and distances "
-        "and shape are wrong accordingly"
-    ]
+    if found is None:
+        return check
+    size, late = 1e3 * abs(found[0]), "late" if found[0] > 0 else "early"
+    return check.judged(
+        size,
+        f"the right camera's images are {size:.0f} ms {late} (sigma {1e3 * found[1]:.1f} ms): the rows of "
+        "the two images differ where the target moves, and distances and shape are wrong accordingly",
+        1e3 * max(MAX_DELAY_S, CLEAR * found[1]),
+    )
 
 
 def camera_delay(
@@ -238,16 +253,20 @@ def _row_velocity(context: RunContext, p_R: Array, estimate: MotionEstimate, k: 
     return np.asarray(context.rig.focal_px * (v_R[:, 1] - v_R[:, 2] * p_R[:, 1] / p_R[:, 2]) / p_R[:, 2])
 
 
-def _knocked_sideways(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> list[str]:
+def _knocked_sideways(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> Check:
+    check = Check(name="disparities: step", limit=MAX_SIDEWAYS * context.rig.focal_px, unit="px")
     noise = estimate.noise
     step_px, sigma_px = disparity_steps(tracks, (noise.pixel_sigma_px, noise.disparity_sigma_px))
     limit_px = np.maximum(MAX_SIDEWAYS * context.rig.focal_px, CLEAR_SIDEWAYS * sigma_px)
     excess = np.abs(step_px) / limit_px
-    if not np.isfinite(excess).any() or np.nanmax(excess) < 1.0:
-        return []
+    if not np.isfinite(excess).any():
+        return check
     place = int(np.nanargmax(excess))
     degrees = np.rad2deg(abs(step_px[place]) / context.rig.focal_px)
-    return [
-        f"from {context.time_s[place + 1]:g} s on all disparities are {step_px[place]:+.2f} px different, as "
-        f"if one camera had turned sideways by {degrees:.2f} deg: the calibration does not hold throughout"
-    ]
+    return check.judged(
+        abs(step_px[place]),
+        f"from {context.time_s[place + 1]:g} s on all disparities are {step_px[place]:+.2f} px different, "
+        f"as if one camera had turned sideways by {degrees:.2f} deg: the calibration does not hold "
+        "throughout",
+        limit_px[place],
+    )

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.lie import Array, hat, inverse_pose
+from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import Ints, MotionEstimate, StereoTracks
 
 MIN_OBSERVATIONS = 100
@@ -77,21 +78,26 @@ def best_correction(tracks: StereoTracks, estimate: MotionEstimate) -> Correctio
     return _solved(frame, landmark, J_pose, J_landmark, J_rig, residual)
 
 
-def focal_contradictions(found: Correction | None) -> list[str]:
-    """A reason to doubt the calibration, or none."""
-    if found is None or abs(found.focal) < max(MAX_FOCAL, CLEAR_STRETCH * found.sigma_focal):
-        return []
-    longer = "longer" if found.focal > 0 else "shorter"
-    return [
-        f"a focal length {100.0 * abs(found.focal):.2f} % {longer} than calibrated (sigma "
-        f"{100.0 * found.sigma_focal:.2f} %), or disparities {found.disparity_px:+.2f} px different, would "
-        "fit the rotating target better: check the calibration; distances are wrong accordingly"
-    ]
+def focal_check(found: Correction | None) -> Check:
+    """Whether the stated focal length fits."""
+    check = Check(
+        name="focal length that fits best, against the calibration", limit=100.0 * MAX_FOCAL, unit="%"
+    )
+    if found is None:
+        return check
+    size, longer = 100.0 * abs(found.focal), "longer" if found.focal > 0 else "shorter"
+    return check.judged(
+        size,
+        f"a focal length {size:.2f} % {longer} than calibrated (sigma {100.0 * found.sigma_focal:.2f} %), "
+        f"or disparities {found.disparity_px:+.2f} px different, would fit the rotating target better: "
+        "check the calibration; distances are wrong accordingly",
+        100.0 * max(MAX_FOCAL, CLEAR_STRETCH * found.sigma_focal),
+    )
 
 
 def unseen_focal_error(found: Correction) -> float:
     """Relative error of the focal length that these images may hide: one that stays below the limits of
-    ``focal_contradictions`` with a probability above 1 %."""
+    ``focal_check`` with a probability above 1 %."""
     return max(MAX_FOCAL, CLEAR_STRETCH * found.sigma_focal) + 2.33 * SCATTER * found.sigma_focal
 
 

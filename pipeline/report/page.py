@@ -128,6 +128,7 @@ def render(content: StoredRun) -> str:
         name=content.name,
         finding=tables.finding(summary, motion.trajectory if motion else None),
         summary=summary,
+        check_rows=tables.check_rows(summary),
         inertia_rows=tables.inertia_rows(summary),
         absolute_rows=tables.absolute_rows(summary),
         disturbance_rows=tables.disturbance_rows(summary),

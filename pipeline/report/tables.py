@@ -61,6 +61,37 @@ def finding(summary: Summary, trajectory: Trajectory | None) -> str:
     return f"{motion}; {', '.join(part for part in (ratios_found, undetermined) if part)}."
 
 
+@dataclass(frozen=True)
+class CheckRow:
+    """A line of the panel of checks."""
+
+    name: str
+    value: str
+    expected: str
+    verdict: str
+    kind: str
+    """holds, doubt or absent: how it is coloured"""
+
+
+def check_rows(summary: Summary) -> list[CheckRow]:
+    """The checks of data and answer, those that do not hold first; nothing for runs of earlier versions."""
+    rows = []
+    for check in summary.checks:
+        unit = f" {check.unit}" if check.unit else ""
+        expected = f"{'at least' if check.at_least else 'at most'} {_short(check.limit)}{unit}"
+        if check.value is None:
+            rows.append(CheckRow(check.name, "", expected, "not possible with these data", "absent"))
+            continue
+        verdict, kind = ("doubt", "doubt") if check.reason else ("holds", "holds")
+        rows.append(CheckRow(check.name, f"{_short(check.value)}{unit}", expected, verdict, kind))
+    return sorted(rows, key=lambda row: ("doubt", "holds", "absent").index(row.kind))
+
+
+def _short(value: float) -> str:
+    """Three digits, without an exponent where a reader would not expect one."""
+    return f"{value:.0f}" if float(value).is_integer() and abs(value) < 1e6 else f"{value:.3g}"
+
+
 def inertia_rows(summary: Summary) -> list[TableRow]:
     """The mass properties, each with its standard deviation and whether the motion determines it."""
     inertia, known, parts = summary.inertia, summary.identifiable, summary.identifiable_components

@@ -22,12 +22,14 @@ from polhode.pipeline.run_directory.archives import undetermined_as_inf
 from polhode.pipeline.run_directory.own_results import digests, require_own_results
 from polhode.pipeline.run_directory.summary_schema import (
     ESTIMATE_PARTS,
+    Check,
     Noise,
     ShapeFindings,
     Status,
     Summary,
     content_digest,
     json_text,
+    reasons_of,
 )
 from polhode.records import MotionEstimate, StereoTracks, SurfaceModel
 
@@ -36,6 +38,11 @@ NOT_OURS = "not a summary that polhode wrote"
 MAX_LOG_RATIO = 60.0
 MAX_SIZE = 1e12
 """Of a moment over the middle one, and of com_G [m]."""
+MIN_USED = 0.5
+"""Share of the frames with measurements, for a complete answer."""
+MAX_DISTURBANCES = 30.0
+"""Times those stated (power): stronger ones make an answer doubtful, because frames may contradict one
+another."""
 MANY_CONTRADICTED = 0.4
 """Share of the observations without weight that makes an answer doubtful."""
 
@@ -49,18 +56,22 @@ def build_summary(
     degraded: Sequence[str] = (),
     failure: str | None = None,
     shape: ShapeFindings | None = None,
+    checks: Sequence[Check] = (),
 ) -> Summary:
     """The summary of a run.
 
     ``warnings`` do not change the status (a dropped frame, what the motion does not determine); ``degraded``
-    are the caller's reasons to look closely. The status is ``failed`` with a ``failure``, without an
-    estimate, or when the solver did not converge; ``degraded`` with a reason of the caller or one of
-    ``degradations``; else ``ok``. Every reason stands among the warnings, once, that of a failure first.
-    Seconds that ``timing_s`` does not name are 0; ``total`` is their sum unless it is given.
+    are the caller's reasons to look closely, beside those of ``checks``. The status is ``failed`` with a
+    ``failure``, without an estimate, or when the solver did not converge; ``degraded`` with a reason of the
+    caller, of a check, or one of ``estimate_checks``; else ``ok``. Every reason stands among the warnings,
+    once, that of a failure first. Seconds that ``timing_s`` does not name are 0; ``total`` is their sum
+    unless it is given.
     """
     if failure is None and estimate is not None and not estimate.solver.converged:
         failure = "the solver stopped before convergence"
-    reasons = [*degraded, *(degradations(tracks, estimate, surface) if estimate is not None else ())]
+    if estimate is not None:
+        checks = [*checks, *estimate_checks(tracks, estimate, surface)]
+    reasons = [*degraded, *reasons_of(checks)]
     status: Status = "degraded" if reasons else "ok"
     if failure is not None or estimate is None:
         status = "failed"
@@ -84,6 +95,7 @@ def build_summary(
             "observations": len(tracks.frame) if tracks else 0,
             "duration_s": float(tracks.time_s[-1]) if tracks and tracks.n_frames else 0.0,
             "timing_s": times,
+            "checks": tuple(checks),
             "assumed": shape.assumed,
             "mesh": shape.mesh,
             "coverage": shape.coverage,
@@ -94,24 +106,37 @@ def build_summary(
     )
 
 
-def degradations(
+def estimate_checks(
     tracks: StereoTracks | None, estimate: MotionEstimate, surface: SurfaceModel | None
-) -> tuple[str, ...]:
-    """The reasons why the estimate is doubtful or incomplete.
+) -> list[Check]:
+    """Whether the estimate is complete, and fits its measurements.
 
-    What is unobservable is no such reason: a spin about one axis, measured well, is a complete answer.
+    What is unobservable is no doubt: a spin about one axis, measured well, is a complete answer.
     """
-    reasons = []
-    if tracks is not None and len(np.unique(tracks.frame)) < 0.5 * tracks.n_frames:
-        reasons.append(
-            "fewer than half of the frames have measurements; the others are bridged by the dynamics"
+    used = 1.0 if tracks is None else len(np.unique(tracks.frame)) / max(tracks.n_frames, 1)
+    contradicted = float(np.mean(estimate.inlier_weight == 0.0)) if len(estimate.inlier_weight) else 0.0
+    stronger = estimate.noise.times_stated
+    disturbances = Check(name="disturbances, times those stated (power)", limit=MAX_DISTURBANCES)
+    if stronger is not None:
+        disturbances = disturbances.judged(
+            stronger,
+            f"the disturbances appear {stronger:.0f} times as strong as stated (power): an unknown force or "
+            "wrong associations may be the cause; the standard deviations are large accordingly",
         )
-    contradicted = float(np.mean(estimate.inlier_weight == 0.0))
-    if contradicted > MANY_CONTRADICTED:
-        reasons.append(f"{contradicted:.0%} of the observations contradict the motion")
-    if surface is None or len(surface.mesh.faces) == 0:
-        reasons.append("there is no surface: the depth maps gave none, or the run ended before them")
-    return (*reasons, *estimate.doubts)
+    return [
+        Check(name="frames with measurements", limit=100.0 * MIN_USED, unit="%", at_least=True).judged(
+            100.0 * used,
+            "fewer than half of the frames have measurements; the others are bridged by the dynamics",
+        ),
+        Check(
+            name="observations that contradict the motion", limit=100.0 * MANY_CONTRADICTED, unit="%"
+        ).judged(100.0 * contradicted, f"{contradicted:.0%} of the observations contradict the motion"),
+        disturbances,
+        Check(name="faces of the surface", limit=1.0, at_least=True).judged(
+            0 if surface is None else len(surface.mesh.faces),
+            "there is no surface: the depth maps gave none, or the run ended before them",
+        ),
+    ]
 
 
 def _undetermined(estimate: MotionEstimate | None) -> list[str]:

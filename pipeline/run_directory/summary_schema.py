@@ -7,6 +7,7 @@ of undetermined quantities are ``null``; there is no NaN or infinity.
 
 import json
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -167,6 +168,34 @@ class Assumed(StrictModel):
     R_GP: Matrix | None
 
 
+class Check(StrictModel):
+    """A check of the data or of the answer, which needs no truth."""
+
+    name: str
+    """What is compared."""
+    value: Finite | None = None
+    """null: these data do not allow the check."""
+    limit: Finite
+    """From where on (``at_least``: below which) the answer is doubted."""
+    unit: str = ""
+    at_least: bool = False
+    reason: str = ""
+    """Empty: it holds, or was not possible; else what does not hold, a sentence."""
+
+    def judged(self, value: float, reason: str, limit: float | None = None) -> "Check":
+        """The check with a value; the reason stays if the value is beyond the limit."""
+        limit = self.limit if limit is None else limit
+        beyond = value < limit if self.at_least else value > limit
+        return self.model_copy(
+            update={"value": float(value), "limit": float(limit), "reason": reason if beyond else ""}
+        )
+
+
+def reasons_of(checks: Iterable[Check]) -> list[str]:
+    """Of the checks that do not hold."""
+    return [check.reason for check in checks if check.reason]
+
+
 class MeshLevel(StrictModel):
     """A lighter mesh for planners and viewers."""
 
@@ -304,6 +333,8 @@ class Summary(StrictModel):
     noise: Noise | None
     unknown_pushes: tuple[UnknownPush, ...] = ()
     """Of unknown forces and torques, in time."""
+    checks: tuple[Check, ...] = ()
+    """Of the data and of the answer; each that does not hold is a reason for "degraded"."""
     assumed: Assumed | None = None
     """From uniform density of the mesh, where the user gave a mass or a density; null: neither."""
     mesh: Mesh | None = None

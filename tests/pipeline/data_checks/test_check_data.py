@@ -12,6 +12,7 @@ from polhode.backend import estimate_motion
 from polhode.config.backend_settings import Backend
 from polhode.pipeline.data_checks import check_data as module
 from polhode.pipeline.data_checks.check_data import FROZEN, check_data
+from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
@@ -51,8 +52,9 @@ def test_a_check_that_fails_costs_only_itself(
     def fail(*words: object) -> list[str]:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(module, "rig_contradictions", fail)
-    monkeypatch.setattr(module, "clock_contradictions", lambda *words: ["the clock jumped"])
+    jumped = Check(name="stamps", limit=8.0).judged(20.0, "the clock jumped")
+    monkeypatch.setattr(module, "rig_checks", fail)
+    monkeypatch.setattr(module, "clock_check", lambda *words: jumped)
     assert check_data(context(sequence), [], sequence.tracks, estimate).reasons == ["the clock jumped"]
 
 

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from polhode.lie import Array
-from polhode.pipeline.data_checks.clock_check import clock_contradictions
+from polhode.pipeline.data_checks.clock_check import clock_check
+from polhode.pipeline.run_directory.summary_schema import reasons_of
 from polhode.rigid_body import propagate
 
 Floats = NDArray[np.floating[Any]]
@@ -19,9 +20,8 @@ def attitudes(time_s: Floats, w: tuple[float, float, float] = (0.8, 0.2, 0.2)) -
 
 
 def stated(time_s: Floats, stamps_s: Floats) -> list[str]:
-    return clock_contradictions(
-        np.asarray(stamps_s, dtype=np.float64), attitudes(time_s), np.ones(len(time_s), dtype=np.bool_)
-    )
+    seen = np.ones(len(time_s), dtype=np.bool_)
+    return reasons_of([clock_check(np.asarray(stamps_s, dtype=np.float64), attitudes(time_s), seen)])
 
 
 TIME_S: Array = np.linspace(0.0, 14.5, 30)
@@ -45,11 +45,12 @@ def test_a_torque_between_two_frames_is_no_jump() -> None:
     before = attitudes(TIME_S[:15])
     after = before[-1] @ attitudes(TIME_S[:16], (0.7, 0.3, 0.3))[1:]
     R_NG = np.concatenate([before, after])
-    assert clock_contradictions(TIME_S, R_NG, np.ones(30, dtype=np.bool_)) == []
+    check = clock_check(TIME_S, R_NG, np.ones(30, dtype=np.bool_))
+    assert check.value is not None and check.reason == ""
 
 
 def test_a_target_at_rest_and_frames_without_observations_say_nothing() -> None:
     still = np.tile(np.eye(3), (30, 1, 1))
     jumped = np.asarray(TIME_S + 0.8 * (np.arange(30) >= 12), dtype=np.float64)
-    assert clock_contradictions(jumped, still, np.ones(30, dtype=np.bool_)) == []
-    assert clock_contradictions(jumped, attitudes(TIME_S), np.zeros(30, dtype=np.bool_)) == []
+    assert clock_check(jumped, still, np.ones(30, dtype=np.bool_)).value is None
+    assert clock_check(jumped, attitudes(TIME_S), np.zeros(30, dtype=np.bool_)).value is None

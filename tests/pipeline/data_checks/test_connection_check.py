@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.pipeline.data_checks.connection_check import MIN_LANDMARKS, weak_connections
+from polhode.pipeline.data_checks.connection_check import MIN_LANDMARKS, connection_check
+from polhode.pipeline.run_directory.summary_schema import reasons_of
 from polhode.records import MotionEstimate, StereoTracks
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
@@ -37,7 +38,7 @@ def parted(tracks: StereoTracks, place: int, kept: int) -> StereoTracks:
 
 def reported(tracks: StereoTracks) -> list[str]:
     estimate: MotionEstimate = Agreeing(tracks)  # type: ignore[assignment]
-    return weak_connections(tracks, estimate)
+    return reasons_of([connection_check(tracks, estimate)])
 
 
 @pytest.mark.parametrize("kept", [0, MIN_LANDMARKS - 1])

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
-from polhode.pipeline.data_checks.inspector_check import inspector_contradictions
+from polhode.pipeline.data_checks.inspector_check import inspector_check
+from polhode.pipeline.run_directory.summary_schema import reasons_of
 from polhode.rigid_body import propagate
 
 F = 40
@@ -35,7 +36,7 @@ def said(error_deg: float, share: float, stated_deg: float = 0.02, moves: bool =
     noise = np.deg2rad(stated_deg) * rng.standard_normal((F, 3)) if moves else np.zeros((F, 3))
     reported = true @ make_pose(exp_so3(wrong + noise), np.zeros((F, 3)))
     X_RG = inverse_pose(true) @ target()
-    return inspector_contradictions(reported, reported @ X_RG, SEEN, float(np.deg2rad(stated_deg)))
+    return reasons_of([inspector_check(reported, reported @ X_RG, SEEN, float(np.deg2rad(stated_deg)))])
 
 
 def test_poses_of_which_half_are_wrong_are_named() -> None:

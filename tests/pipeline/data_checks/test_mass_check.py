@@ -10,7 +10,8 @@ from polhode.backend import estimate_motion
 from polhode.camera import RectifiedRig
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, make_pose, transform_points
-from polhode.pipeline.data_checks.mass_check import mass_contradictions, part_of
+from polhode.pipeline.data_checks.mass_check import mass_checks, part_of
+from polhode.pipeline.run_directory.summary_schema import reasons_of
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
 from polhode.rigid_body import propagate
@@ -69,29 +70,32 @@ def sequence(J: Array, com_G: Array, push_w: Array) -> tuple[StereoTracks, Motio
 
 def test_a_part_that_leaves_is_named() -> None:
     tracks, estimate = sequence(AFTER, np.array([0.008, 0.0, 0.0]), np.array([0.1, -0.05, 0.0]))
-    said, unseen = mass_contradictions(tracks, estimate, Backend())
+    checks, unseen = mass_checks(tracks, estimate, Backend())
+    said = reasons_of(checks)
     assert len(said) == 1 and not unseen and "the centre of mass is another point" in said[0]
     assert "from 12.0 s on" in said[0] or "from 11.5 s on" in said[0]
 
 
 def test_a_part_that_moves_about_the_centre_is_named() -> None:
     tracks, estimate = sequence(AFTER, np.zeros(3), np.array([0.1, -0.05, 0.0]))
-    said, unseen = mass_contradictions(tracks, estimate, Backend())
+    checks, unseen = mass_checks(tracks, estimate, Backend())
+    said = reasons_of(checks)
     assert len(said) == 1 and not unseen and "other mass properties" in said[0]
 
 
 def test_a_push_alone_is_not() -> None:
     tracks, estimate = sequence(BEFORE, np.zeros(3), np.array([0.1, -0.05, 0.0]))
     assert estimate.disturbances is not None
-    assert mass_contradictions(tracks, estimate, Backend())[0] == []
+    checks = mass_checks(tracks, estimate, Backend())[0]
+    assert reasons_of(checks) == [] and all(check.value is not None for check in checks)
 
 
 def test_what_would_not_show_is_told() -> None:
     tracks, estimate = sequence(BEFORE, np.zeros(3), np.array([0.1, -0.05, 0.0]))
     noise = replace(estimate.noise, pixel_sigma_px=6.0, disparity_sigma_px=2.0)
     coarse = replace(estimate, noise=noise)
-    reasons, (told,) = mass_contradictions(tracks, coarse, Backend())
-    assert reasons == [] and "a centre of mass that moved by up to" in told
+    checks, (told,) = mass_checks(tracks, coarse, Backend())
+    assert reasons_of(checks) == [] and "a centre of mass that moved by up to" in told
     moved_mm = float(told.split("up to ")[1].split(" mm")[0])
     assert 1.0 < moved_mm < 20.0
 
@@ -100,7 +104,8 @@ def test_a_free_tumble_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     tracks, estimate = sequence(BEFORE, np.zeros(3), np.zeros(3))
     if estimate.disturbances is None:
         monkeypatch.setattr("polhode.pipeline.data_checks.mass_check.estimate_motion", None)
-    assert mass_contradictions(tracks, estimate, Backend()) == ([], [])
+    checks, unseen = mass_checks(tracks, estimate, Backend())
+    assert reasons_of(checks) == unseen == []
 
 
 def test_a_part_of_the_measurements_keeps_its_rows() -> None:

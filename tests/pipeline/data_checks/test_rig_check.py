@@ -14,14 +14,15 @@ from polhode.lie import Array
 from polhode.pipeline.data_checks.rig_check import (
     camera_delay,
     largest_step,
-    rig_contradictions,
+    rig_checks,
 )
 from polhode.pipeline.data_checks.self_calibration import (
     best_correction,
     calibration_limits,
-    focal_contradictions,
+    focal_check,
     unseen_focal_error,
 )
+from polhode.pipeline.run_directory.summary_schema import reasons_of
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
@@ -77,7 +78,7 @@ def features(
 
 def reasons(sequence: SyntheticSequence, estimate: MotionEstimate, seen: list[StereoFeatures]) -> list[str]:
     context: Any = Context(sequence.tracks)
-    return rig_contradictions(context, seen, sequence.tracks, estimate)
+    return reasons_of(rig_checks(context, seen, sequence.tracks, estimate))
 
 
 def test_nothing_is_said_of_a_good_rig(sequence: SyntheticSequence, estimate: MotionEstimate) -> None:
@@ -149,7 +150,7 @@ def test_a_camera_that_was_knocked_sideways_is_named(sequence: SyntheticSequence
     knocked = replace(tracks, uvd_px=uvd)
     estimate = solved(sequence, knocked)
     context: Any = Context(knocked)
-    said = rig_contradictions(context, features(tracks), knocked, estimate)
+    said = reasons_of(rig_checks(context, features(tracks), knocked, estimate))
     assert len(said) == 1 and "from 6 s on all disparities are +1." in said[0]
     assert "turned sideways by 0.1" in said[0] or "turned sideways by 0.2" in said[0]
 
@@ -161,7 +162,7 @@ def test_disparities_that_drift_are_named(sequence: SyntheticSequence) -> None:
     drifting = replace(tracks, uvd_px=uvd)
     estimate = solved(sequence, drifting)
     context: Any = Context(drifting)
-    said = rig_contradictions(context, features(tracks), drifting, estimate)
+    said = reasons_of(rig_checks(context, features(tracks), drifting, estimate))
     assert len(said) == 1 and "all disparities are +" in said[0]
 
 
@@ -201,7 +202,7 @@ def test_a_wrong_focal_length_is_named_with_its_size(sequence: SyntheticSequence
     estimate = solved(sequence, wrong)
     found = best_correction(wrong, estimate)
     assert found is not None and found.focal == pytest.approx(1.0 / factor - 1.0, abs=0.008)
-    said = focal_contradictions(found)
+    said = reasons_of([focal_check(found)])
     assert len(said) == 1 and f"{'longer' if factor < 1 else 'shorter'} than calibrated" in said[0]
 
 

@@ -27,10 +27,12 @@ from polhode.pipeline.report.polhode_and_inertia_figures import (
 )
 from polhode.pipeline.report.residual_figures import rms_per_frame
 from polhode.pipeline.report.shape_figures import MAX_FACES, cameras_in_target, thinned
-from polhode.pipeline.report.tables import metric_rows, with_sigma
+from polhode.pipeline.report.tables import check_rows, metric_rows, with_sigma
 from polhode.pipeline.run_directory.archives import write_measurements
+from polhode.pipeline.run_directory.outputs import write_estimate
 from polhode.pipeline.run_directory.stored_run import read_stored_run
-from polhode.pipeline.run_directory.summary import build_summary
+from polhode.pipeline.run_directory.summary import build_summary, read_summary
+from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.pipeline.run_directory.trajectory_file import trajectory_of
 from polhode.records import SurfaceModel
 from tests.pipeline.stored_run import write_run
@@ -218,6 +220,31 @@ def test_metrics_of_another_run_are_left_out(
         assert ("metrics.json: of another run" in caplog.text) != shown
 
 
+CHECKS = (
+    Check(name="rows: step", value=0.05, limit=0.3, unit="px"),
+    Check(name="shared landmarks", value=2.0, limit=6.0, at_least=True, reason="nothing connects the parts"),
+    Check(name="attitudes", limit=0.1, unit="deg"),
+)
+
+
+def test_the_panel_of_checks_begins_with_what_is_in_doubt(example: Any, tmp_path: Path) -> None:
+    summary = build_summary(example.tracks, example.estimate, example.surface, {}, checks=CHECKS)
+    assert [(row.name, row.value, row.expected, row.verdict) for row in check_rows(summary)] == [
+        ("shared landmarks", "2", "at least 6", "doubt"),
+        ("rows: step", "0.05 px", "at most 0.3 px", "holds"),
+        ("attitudes", "", "at most 0.1 deg", "not possible with these data"),
+    ]
+    write_estimate(tmp_path, example.tracks, example.estimate)
+    finish_run(tmp_path, summary)
+    assert read_summary(tmp_path / "summary.json").checks == CHECKS
+    words = _page(tmp_path).words
+    assert "Can it be trusted?" in words and words.index("shared landmarks") < words.index("rows: step")
+
+
+def test_a_run_without_checks_has_no_panel(run_folder: Path) -> None:
+    assert "Can it be trusted?" not in _page(run_folder).words
+
+
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         write_report(tmp_path)
@@ -359,6 +386,7 @@ def test_texts_of_a_run_are_shown_as_text_and_never_run(example: Any, tmp_path: 
     content = json.loads((run / "summary.json").read_text())
     content["warnings"] = [HOSTILE]
     del content["own_sha256"]
+    content["checks"] = [{"name": HOSTILE, "value": 1.0, "limit": 0.0, "unit": HOSTILE, "reason": HOSTILE}]
     content["identifiable_detail"] = {HOSTILE: "not " + HOSTILE}
     content["solver"] |= {"name": HOSTILE, "message": HOSTILE, "runner_up": {HOSTILE: 1.0}}
     (run / "summary.json").write_text(json.dumps(content))

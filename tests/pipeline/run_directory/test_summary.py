@@ -12,7 +12,13 @@ from jsonschema import Draft202012Validator, ValidationError
 
 from polhode.errors import InputError
 from polhode.pipeline.run_directory.summary import STAGES, build_summary, read_summary, write_summary
-from polhode.pipeline.run_directory.summary_schema import ESTIMATE_PARTS, SCHEMA_FILE, Summary, json_schema
+from polhode.pipeline.run_directory.summary_schema import (
+    ESTIMATE_PARTS,
+    SCHEMA_FILE,
+    Check,
+    Summary,
+    json_schema,
+)
 
 CONTRACT_KEYS = {
     "schema",
@@ -139,6 +145,28 @@ def test_a_damaged_summary_is_refused_in_one_line(content: str | None, words: st
     with pytest.raises(InputError, match=words) as caught:
         read_summary(tmp_path)
     assert "\n" not in str(caught.value)
+
+
+def test_a_check_that_does_not_hold_makes_the_run_degraded(example: Any) -> None:
+    check = Check(name="rows", limit=0.3, unit="px")
+    assert check.value is None and check.reason == ""
+    good, bad = check.judged(0.3, "the rows differ"), check.judged(0.31, "the rows differ")
+    assert good.reason == "" and bad.reason == "the rows differ" and bad.limit == 0.3
+    assert check.judged(0.4, "the rows differ", limit=0.5).reason == ""
+    fewest = Check(name="landmarks", limit=6.0, at_least=True)
+    assert fewest.judged(6, "too few").reason == "" and fewest.judged(5, "too few").reason == "too few"
+    assert _summary(example, checks=[check, good]).status == "ok"
+    summary = _summary(example, checks=[good, bad])
+    assert summary.status == "degraded" and summary.warnings[0] == "the rows differ"
+    assert summary.checks[:2] == (good, bad)
+    own = {each.name: each for each in summary.checks[2:]}
+    assert own["frames with measurements"].value == pytest.approx(2300.0 / 24.0)
+    assert own["faces of the surface"].value
+    assert own["disturbances, times those stated (power)"].value is None
+    noise = replace(example.estimate.noise, times_stated=64.0)
+    strong = _summary(replace(example, estimate=replace(example.estimate, noise=noise)))
+    assert strong.status == "degraded"
+    assert strong.warnings[0].startswith("the disturbances appear 64 times as strong as stated")
 
 
 CHANGES: dict[str, Callable[[dict[str, Any]], None]] = {
