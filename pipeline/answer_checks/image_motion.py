@@ -28,7 +28,7 @@ DISPLACED_PX = 2.0
 MIN_PIXELS = 400
 """Textured pixels of a pair."""
 MIN_PAIRS = 3
-USUAL_SHARE, MAX_SHARE = 0.15, 0.4
+USUAL_SHARE, MAX_SHARE = 0.2, 0.4
 """Of the textured pixels, displaced: at most in sound runs, and from where the motion is doubted."""
 CONTRAST_SCALE_PX, MIN_CONTRAST = 6.0, 5.0
 """Scale, and least standard deviation of the grey values over it, of a surface with texture."""
