@@ -20,8 +20,9 @@ result; the earlier result is no longer whole"""
 TIMES = (
     *("timing_s", "training_s", "prepared_s", "wall_s", "build_s", "evaluation_s", "linear_s", "callback_s"),
     *("memory_mb", "memory_before_mb", "trace", "profiles", "machine", "elapsed_s"),
+    *("own_sha256", "summary_sha256", "digest"),
 )
-"""Keys of JSON files and names of arrays that differ from call to call"""
+"""Keys of JSON files and names of arrays that differ from call to call: times, and digests of these"""
 UNLIKE = (".html", "log.txt", "checkpoint.safetensors", ".polhode-output")
 """Endings of files that contain times, or names that are yet to be written: only their presence counts"""
 SKIPPED = ("curves",)

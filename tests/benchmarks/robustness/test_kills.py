@@ -41,7 +41,9 @@ def test_times_and_the_place_do_not_count_but_everything_else_does(tmp_path: Pat
         (place / "R").mkdir(parents=True)
         (place / "R" / "log.txt").write_text(f"{seconds}")
         (place / "R" / "config.yaml").write_text(f"output: {place}/R\n")
-        (place / "R" / "summary.json").write_text(json.dumps({"timing_s": {"a": seconds}, "value": value}))
+        (place / "R" / "summary.json").write_text(
+            json.dumps({"timing_s": {"a": seconds}, "own_sha256": f"{seconds}", "value": value})
+        )
         return contents(place, ("R",))
 
     assert made("a", 1.0, 5.0) == made("b", 2.0, 5.0)
