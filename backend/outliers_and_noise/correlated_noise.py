@@ -51,7 +51,7 @@ class CorrelatedNoise:
     independent: Array
     """(2,) variance of what is independent in each frame, between landmarks that are far apart"""
     drifting: Array
-    """(2, 5) variances of the drift, by FORGETTING_TURNS_RAD"""
+    """(2, 3) variances of the drift, by FORGETTING_TURNS_RAD"""
     shared: Array
     """(2,) correlation of neighbours at no distance"""
     length_px: Array
@@ -114,7 +114,7 @@ def measure_correlation(
 def _quadratic_forms(
     data: MotionData, residuals: Array, to_landmark: Array, turn_rad: Array
 ) -> tuple[Array, Array]:
-    """Expected quadratic forms of the residuals for a unit of each variance, S (12, 12), and found, q (12,).
+    """Expected quadratic forms of the residuals for a unit of each variance, S (8, 8), and found, q (8,).
 
     With M the projection that a fitted landmark leaves and V_i the covariance of a unit of variance i: S_ij =
     tr(M V_i M V_j), q_i = r^T V_i r, summed over the landmarks.

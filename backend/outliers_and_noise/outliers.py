@@ -14,7 +14,6 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import linearization_point
 from polhode.backend.solvers.robust_kernel import most_efficient_scale, robust_weight
-from polhode.camera import stereo_jacobian
 from polhode.errors import RunFailure
 from polhode.lie import Array
 from polhode.records import Bools
@@ -94,13 +93,7 @@ def landmark_leverage(data: MotionData, A: Array, p_NG: Array, p_G: Array, weigh
 
     A (F, 3, 3) = R_RN R_NG, p_NG (F, 3), p_G (L, 3), robust weights (M,).
     """
-    k, mark = data.frame, data.landmark
-    p_R = (
-        np.einsum("mij,mj->mi", A[k], p_G[mark])
-        + np.einsum("mij,mj->mi", data.R_RN[k], p_NG[k])
-        + data.t_R[k]
-    )
-    J = data.inv_sigma[:, :, None] * (stereo_jacobian(p_R, data.rig[0], data.rig[3]) @ A[k])
+    mark, J = data.landmark, data.point_jacobians(A, p_NG, p_G) @ A[data.frame]
     information = np.zeros((data.n_landmarks, 3, 3))
     np.add.at(information, mark, weight[:, None, None] * (np.swapaxes(J, 1, 2) @ J))
     # a landmark that contradicts all its observations has almost no information

@@ -6,6 +6,7 @@ import numpy as np
 
 from polhode.backend.problem.inertia import FORMS, InertiaForm
 from polhode.backend.problem.wrench import Impulses, impulses_of
+from polhode.camera import stereo_jacobian
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, inverse_pose
 from polhode.records import Bools, Ints, StereoTracks
@@ -73,6 +74,19 @@ class MotionData:
     def rescaled(self, factors: Array) -> "MotionData":
         """The same measurements, the standard deviations of u, v and disparity multiplied by factors (3,)."""
         return replace(self, inv_sigma=self.inv_sigma / factors)
+
+    def point_jacobians(self, A: Array, p_NG: Array, p_G: Array) -> Array:
+        """Derivatives (M, 3, 3) of the whitened predictions in the points p_R that they are of [1/m].
+
+        A (F, 3, 3) = R_RN R_NG, p_NG (F, 3), p_G (L, 3).
+        """
+        k = self.frame
+        p_R = (
+            np.einsum("mij,mj->mi", A[k], p_G[self.landmark])
+            + np.einsum("mij,mj->mi", self.R_RN[k], p_NG[k])
+            + self.t_R[k]
+        )
+        return self.inv_sigma[:, :, None] * stereo_jacobian(p_R, self.rig[0], self.rig[3])
 
 
 def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:

@@ -35,7 +35,6 @@ from polhode.backend.solvers.gauss_newton import GaussNewton, NormalEquations
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.backend.solvers.schur import correlated_scores, landmark_covariances, mirror
 from polhode.backend.uncertainty.principal_axes import AxesDerivative
-from polhode.camera import stereo_jacobian
 from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
 from polhode.records import Bools
 
@@ -151,9 +150,7 @@ def _discounted(information: Array, excess: Array, prior: Array) -> Array:
 def observation_jacobians(solver: GaussNewton, fixed: LinearizationPoint, x: Array) -> tuple[Array, Array]:
     """Derivatives of the whitened residuals in the pose (M, 3, 6) and in the landmark (M, 3, 3)."""
     d, (A, p_NG, p_G) = solver.data, solver.residuals(fixed, x)[1]
-    k, own_G = d.frame, p_G[d.landmark]
-    p_R = np.einsum("mij,mj->mi", A[k], own_G) + np.einsum("mij,mj->mi", d.R_RN[k], p_NG[k]) + d.t_R[k]
-    to_point = -d.inv_sigma[:, :, None] * stereo_jacobian(p_R, d.rig[0], d.rig[3])
+    k, own_G, to_point = d.frame, p_G[d.landmark], -d.point_jacobians(A, p_NG, p_G)
     to_landmark = to_point @ A[k]
     theta = x[: fixed.reference.n_states].reshape(-1, fixed.reference.n_state)[:, ROTATION]
     turned = -to_landmark @ hat(own_G) @ right_jacobian_so3(theta)[k]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.camera import RectifiedRig
-from polhode.lie import Array, inverse_pose
+from polhode.lie import Array, inverse_pose, transform_points
 from polhode.metrics import angle_deg
 from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import Bools, DepthMap
@@ -109,8 +109,8 @@ def moved_back(
     v, u = np.mgrid[0:height, 0:width]
     known = np.isfinite(first.depth_m)
     z = np.where(known, first.depth_m, 1.0)
-    p = np.stack([(u - rig.cx_px) / rig.focal_px * z, (v - rig.cy_px) / rig.focal_px * z, z], axis=2)
-    moved = p @ X[:3, :3].T + X[:3, 3]
+    p_R = np.stack([(u - rig.cx_px) / rig.focal_px * z, (v - rig.cy_px) / rig.focal_px * z, z], axis=2)
+    moved = transform_points(X, p_R)
     known &= moved[..., 2] > 1e-6
     uv = rig.project(np.where(known[..., None], moved, [0.0, 0.0, 1.0]))[..., :2].astype(np.float32)
     known &= np.all((uv >= 1.0) & (uv <= [width - 2.0, height - 2.0]), axis=2)
