@@ -97,7 +97,7 @@ def row_of(name: str, metrics: dict[str, Any], summary: dict[str, Any]) -> Row:
     """One scene as a row of the table."""
     mesh, known = metrics["mesh"], summary["identifiable"]
     return [
-        name,
+        _with_status(name, summary),
         f"{1e3 * metrics['rmse_position_m']:.3f}",
         f"{1e3 * metrics['rmse_velocity_m_s']:.3f}",
         f"{metrics['rmse_angular_velocity_deg_s']:.4f}",
@@ -113,12 +113,17 @@ def row_of(name: str, metrics: dict[str, Any], summary: dict[str, Any]) -> Row:
     ]
 
 
+def _with_status(name: str, summary: dict[str, Any]) -> str:
+    """The scene, and what its run says of itself if it is not "ok"."""
+    return name if summary["status"] == "ok" else f"{name} ({summary['status']})"
+
+
 def consistency_row(name: str, metrics: dict[str, Any], summary: dict[str, Any]) -> Row:
     """One scene as a row of the second table."""
     nees, coverage, noise = metrics["nees"], metrics["coverage_3sigma"], summary["noise"]
     ahead = metrics["prediction_error_deg"]["30"], metrics["prediction_error_m"]["30"]
     return [
-        name,
+        _with_status(name, summary),
         *(share(nees[key], components) for key, components in NEES.items()),
         *(percent(coverage[key]) for key in ("position", "velocity", "attitude", "angular_velocity")),
         "-" if ahead[0] is None else f"{ahead[0]:.2f} deg, {1e3 * ahead[1]:.2f} mm",
