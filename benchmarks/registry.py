@@ -21,6 +21,7 @@ CODE: dict[str, tuple[str, ...]] = {
     "planning": ("planning", "simulation", "polhode"),
     "rendering": ("simulation", "polhode"),
     "robustness": (*ALL, "cli"),
+    "trust": (*ALL, "benchmarks/robustness"),
     "mutation": (*ALL, "cli", "tests"),
 }
 """By topic: the folders and files whose changes make a stored result old, besides the topic's own folder."""
@@ -146,6 +147,7 @@ BENCHMARKS = (
     Benchmark("leaks", "robustness.leaks", "docs/testing.md", 60),
     Benchmark("leaks_images", "robustness.leaks", "docs/testing.md", 20, "images", "images --short"),
     Benchmark("faults", "robustness.data_faults", "docs/robustness.md", 240),
+    Benchmark("trust", "trust.trust", "docs/trust.md", 240),
     Benchmark("mutation", "mutation.catch", "docs/testing.md", 30, short=None),
 )  # fmt: skip
 """The scenes come first: they make the runs that others need."""

@@ -98,7 +98,7 @@ def run(
         clock.add_total()
         warnings = [*context.sequence.warnings, *window_warnings(tracks.n_frames, config.backend)]
         warnings += [*fused.warnings, *findings.limits]
-        checks = [images.check(), *findings.checks]
+        checks = [*images.checks(float(np.median(np.diff(tracks.time_s)))), *findings.checks]
         summary = build_summary(
             tracks, estimate, surface, clock.seconds, warnings, shape=shape, checks=checks
         )

@@ -11,13 +11,12 @@ A claim is wrong if its error exceeds ``SIGMAS`` of its sigmas and a floor that 
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from benchmarks.robustness.recording import Recording
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, log_so3
 from polhode.metrics import States, state_errors
@@ -25,7 +24,7 @@ from polhode.pipeline.run_directory.archives import read_covariance
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
-from polhode.records import Truth
+from polhode.records import Bools, Ints, Truth
 from polhode.rigid_body import HALF_TURNS, best_half_turn
 
 SIGMAS = 5.0
@@ -43,6 +42,34 @@ _UNITS = {"mm": 1e3, "mm/s": 1e3, "deg": np.rad2deg(1.0), "deg/s": np.rad2deg(1.
 _STATES = {"position": "position", "velocity": "velocity", "attitude": "attitude", "angular_velocity": "rate"}
 
 
+class TrueMotion(Protocol):
+    """What a run is judged by: of a ``Recording``, or of a sequence on disk."""
+
+    @property
+    def stamps_ns(self) -> Ints:
+        """(F,) as written"""
+
+    @property
+    def truth(self) -> Truth:
+        """At the F instants at which the left images were taken"""
+
+    @property
+    def later(self) -> Truth | None:
+        """Constants after a change of the target; None: they do not change"""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of one quantity, with their covariance, in each of F frames (a constant: F is 1)."""
+
+    errors: Array
+    """(F, n) [m, m/s, rad, rad/s, or none]"""
+    covariance: Array
+    """(F, n, n)"""
+    claimed: Bools
+    """(F, n) components with a finite sigma; of the constants, those that the run calls determined"""
+
+
 @dataclass(frozen=True)
 class Claim:
     """Errors of one quantity: its claimed components, in all frames."""
@@ -53,7 +80,7 @@ class Claim:
     """(n,)"""
 
 
-def judged(run: Path, recording: Recording) -> dict[str, Any]:
+def judged(run: Path, recording: TrueMotion) -> dict[str, Any]:
     """What the run says, and for each quantity that it claims the errors: typical, worst, in sigmas.
 
     "status" and "warnings" are those of summary.json; "claims" is empty where there is no estimate.
@@ -82,8 +109,18 @@ def entry_of(name: str, claim: Claim) -> dict[str, Any]:
     }
 
 
-def claims_of(run: Path, summary: Summary, recording: Recording) -> dict[str, Claim]:
+def claims_of(run: Path, summary: Summary, recording: TrueMotion) -> dict[str, Claim]:
     """By quantity; one that the run does not claim at all is absent."""
+    out = {}
+    for name, found in errors_of(run, summary, recording).items():
+        sigma = np.sqrt(np.maximum(np.diagonal(found.covariance, axis1=1, axis2=2), 0.0))
+        if found.claimed.any():
+            out[name] = Claim(found.errors[found.claimed], sigma[found.claimed])
+    return out
+
+
+def errors_of(run: Path, summary: Summary, recording: TrueMotion) -> dict[str, Errors]:
+    """Errors of each quantity of FLOORS, claimed or not. Raises InputError for another recording's run."""
     table, covariance = read_trajectory(run), read_covariance(run).covariance
     estimate = States(table.timestamps_ns, table.r_N, table.v_N, table.R_NP, table.w_P)
     rows = np.searchsorted(recording.stamps_ns, estimate.timestamps_ns)
@@ -91,29 +128,26 @@ def claims_of(run: Path, summary: Summary, recording: Recording) -> dict[str, Cl
         raise InputError(f"{run}: not a run of this recording")
     own = recording.truth
     truth = States(estimate.timestamps_ns, own.r_N[rows], own.v_N[rows], own.R_NP[rows], own.w_P[rows])
-    out: dict[str, Claim] = {}
+    out: dict[str, Errors] = {}
     half_turn = best_half_turn(estimate.R_NP, truth.R_NP)
-    sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
     for n, (name, errors) in enumerate(state_errors(estimate, truth, half_turn).items()):
-        own_sigma = sigma[:, 3 * n : 3 * n + 3]
-        claimed = np.isfinite(own_sigma)
-        if claimed.any():
-            out[_STATES[name]] = Claim(errors[claimed], own_sigma[claimed])
+        block = covariance[:, 3 * n : 3 * n + 3, 3 * n : 3 * n + 3]
+        out[_STATES[name]] = Errors(errors, block, np.isfinite(np.diagonal(block, axis1=1, axis2=2)))
     X_NG = target_poses(estimate, np.array(summary.R_GP), np.array(summary.com_G))
     each = [_constants(summary, X_NG[0], truth, own)]
     if recording.later is not None:
         each.append(_constants(summary, X_NG[0], truth, recording.later, before=own))
-    for name in each[0]:
+    for name, first in each[0].items():
         # the worse of the two
         errors = np.max([np.abs(constants[name].errors) for constants in each], axis=0)
-        out[name] = Claim(errors, each[0][name].sigma)
+        out[name] = replace(first, errors=errors) if len(each) > 1 else first
     return out
 
 
 def _constants(
     summary: Summary, X_NG_first: Array, truth: States, constants: Truth, before: Truth | None = None
-) -> dict[str, Claim]:
-    """Errors of k1, k2, the centre of mass along the principal axes and the axes about them, as determined.
+) -> dict[str, Errors]:
+    """Errors of k1, k2, the centre of mass along the principal axes and the axes about them.
 
     The estimate's G is where the first frame puts it; the true one is there too. ``before``: constants at the
     first frame, if others apply later.
@@ -139,22 +173,22 @@ def _constants(
         for matrix in (summary.cov_com_G, summary.cov_R_GP)
     )
     cov_k = np.array(
-        [np.inf if summary.inertia.cov[n][n] is None else summary.inertia.cov[n][n] for n in (0, 1)]
+        [[np.inf if v is None else v for v in row] for row in summary.inertia.cov], dtype=np.float64
     )
     with np.errstate(invalid="ignore"):
-        sigma_com = np.sqrt(np.diagonal(R_GP.T @ cov_com @ R_GP))
+        cov_com_P = R_GP.T @ cov_com @ R_GP
     k_error = np.array([summary.inertia.k1 - constants.k1, summary.inertia.k2 - constants.k2])
     table = {
-        "com": (com_error_P, sigma_com, parts.com_P),
-        "k": (k_error, np.sqrt(cov_k.astype(np.float64)), (known.k1, known.k2)),
-        "axes": (axes_error, np.sqrt(np.diagonal(cov_axes)), parts.axes_P),
+        "com": (com_error_P, cov_com_P, parts.com_P),
+        "k": (k_error, cov_k, (known.k1, known.k2)),
+        "axes": (axes_error, cov_axes, parts.axes_P),
     }
-    out = {}
-    for name, (errors, sigma, flags) in table.items():
-        claimed = np.array(flags) & np.isfinite(sigma)
-        if claimed.any():
-            out[name] = Claim(errors[claimed], sigma[claimed])
-    return out
+    return {
+        name: Errors(
+            errors[None], covariance[None], (np.array(flags) & np.isfinite(np.diagonal(covariance)))[None]
+        )
+        for name, (errors, covariance, flags) in table.items()
+    }
 
 
 DOUBTS = (

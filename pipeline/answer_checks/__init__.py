@@ -3,4 +3,5 @@
 In: the estimate, depth maps and images. Out: reasons to doubt, one sentence each.
 
 - image_motion: whether the images move as the motion says
+- symmetry_turn: whether they show the turn of a body of revolution about its axis
 """

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.metrics import angle_deg
+from polhode.pipeline.answer_checks.symmetry_turn import PairView, pair_view, turn_check
 from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import Bools, DepthMap
 
@@ -47,6 +48,8 @@ class ImageMotion:
     """(F,) frames with measurements of their own"""
     shares: list[float] = field(default_factory=list)
     """Of each pair that was compared: the share of its textured surface that is displaced"""
+    views: list[PairView] = field(default_factory=list)
+    """Of these pairs: what the check of the turn about an axis of symmetry needs"""
 
     def watching(self, maps: Iterable[DepthMap]) -> Iterator[DepthMap]:
         """Pass on the depth maps of all frames, in order."""
@@ -57,8 +60,18 @@ class ImageMotion:
                 displacement = residual_displacement(before, current, X, self.rig)
                 if len(displacement) >= MIN_PIXELS:
                     self.shares.append(float(np.mean(displacement > DISPLACED_PX)))
+                view = pair_view(before, current, (self.X_RG[k - 1], self.X_RG[k]), self.rig)
+                if view is not None:
+                    self.views.append(view)
             before = current if k + 1 in chosen else None
             yield current
+
+    def checks(self, interval_s: float) -> list[Check]:
+        """Whether the images move as the motion says, and show the turn of a body of revolution.
+
+        interval_s: between successive pairs.
+        """
+        return [self.check(), turn_check(self.views, self.rig, interval_s)]
 
     def check(self) -> Check:
         """Whether the images move as the motion says."""
