@@ -4,9 +4,13 @@ import numpy as np
 
 from polhode.backend.dynamics.residuals import FrameStates
 from polhode.backend.initialization.rates import FAST_HINT
-from polhode.backend.outliers_and_noise.correlated_noise import measure_correlation, turns_between
+from polhode.backend.outliers_and_noise.correlated_noise import (
+    CorrelatedNoise,
+    measure_correlation,
+    turns_between,
+)
 from polhode.backend.outliers_and_noise.outliers import NoiseScales, PrunedProblem, whitened_residuals
-from polhode.backend.problem.iterate import COM, ERR_THETA, XI, Iterate
+from polhode.backend.problem.iterate import COM, ERR_THETA, ERR_W, XI, Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import LinearizationPoint, linearization_point
@@ -27,6 +31,7 @@ from polhode.backend.uncertainty.principal_axes import (
     AxesDerivative,
     axes_derivative,
     free_axis_covariance,
+    nonlinear_turns,
     ratio_covariance,
 )
 from polhode.backend.wrenches.known_wrench import with_absolute_scale
@@ -63,7 +68,7 @@ def assemble(
     small = kept.restrict(iterate)
     solver, fixed, x = GaussNewton(kept.data), linearization_point(kept.data, small), small.vector()
     s = np.sum(all_residuals[kept.observations] ** 2, axis=1)
-    errors = _dependent_errors(solver, fixed, x)
+    correlated, errors = _dependent_errors(solver, fixed, x)
     m = marginals(solver, fixed, x, robust_information(s, data.robust_scale), errors)
     derivative = axes_derivative(data.form, iterate)
     R_GP = derivative.R_GP
@@ -96,7 +101,7 @@ def assemble(
         landmarks=Landmarks(small.p_G, landmark_sigma, np.diff(kept.data.start)),
         residuals_px=_unsorted(data, all_residuals / data.inv_sigma),
         inlier_weight=_unsorted(data, weight),
-        noise=_noise(tracks, scales, data),
+        noise=_noise(tracks, scales, data, correlated),
         solver=SolverOutcome(
             "",
             0,
@@ -109,15 +114,17 @@ def assemble(
     )
 
 
-def _dependent_errors(solver: GaussNewton, fixed: LinearizationPoint, x: Array) -> DependentErrors | None:
+def _dependent_errors(
+    solver: GaussNewton, fixed: LinearizationPoint, x: Array
+) -> tuple[CorrelatedNoise | None, DependentErrors | None]:
     """How the errors of the observations depend on one another, from the residuals; None: too few."""
     residuals, (R_RG, _, _) = solver.residuals(fixed, x)
     to_landmark = observation_jacobians(solver, fixed, x)[1]
     turn_rad = turns_between(fixed.reference.moved_to(x).R_NG, R_RG)
     found = measure_correlation(solver.data, residuals, to_landmark, turn_rad)
     if found is None:
-        return None
-    return DependentErrors(found.variance(solver.data), found.drift_between(turn_rad))
+        return None, None
+    return found, DependentErrors(found.variance(solver.data), found.drift_between(turn_rad))
 
 
 def _state_covariances(
@@ -131,6 +138,9 @@ def _state_covariances(
     jacobians = state_jacobians(iterate, derivative, data.camera_N)
     covariance, joint = state_covariances(iterate, m, jacobians)
     axes_lost = ~determined.record.axes_P
+    neglected = nonlinear_turns(derivative, _cov_J(iterate, m), w_P, axes_lost)
+    at = np.r_[ERR_THETA, ERR_W]
+    covariance[:, at[:, None], at] += neglected
     for whole in (*covariance, joint):
         whole[ERR_THETA, ERR_THETA] = free_axis_covariance(whole[ERR_THETA, ERR_THETA], axes_lost)
     lost = undetermined_states(determined, jacobians, m.response, w_P)
@@ -141,13 +151,21 @@ def _state_covariances(
     return covariance, joint
 
 
+def _cov_J(iterate: Iterate, m: Marginals) -> Array:
+    """(5, 5) of xi."""
+    n = iterate.n_states
+    return np.asarray(m.dense[n + 3 : n + 8, n + 3 : n + 8])
+
+
 def _mass(
     iterate: Iterate, m: Marginals, derivative: AxesDerivative, determined: IdentifiabilityAnalysis
 ) -> MassProperties:
     known = determined.record
     n = iterate.n_states
-    cov_com, cov_J = m.dense[n : n + 3, n : n + 3], m.dense[n + 3 : n + 8, n + 3 : n + 8]
+    cov_com, cov_J = m.dense[n : n + 3, n : n + 3], _cov_J(iterate, m)
     moments, R_GP = derivative.moments, derivative.R_GP
+    cov_axes = derivative.axes @ cov_J @ derivative.axes.T
+    cov_axes += nonlinear_turns(derivative, cov_J, np.zeros((1, 3)), ~known.axes_P)[0, :3, :3]
     com_lost: Bools = np.abs(R_GP[:, ~known.com_P]).max(axis=1, initial=0.0) > 0.1
     return MassProperties(
         J_G=R_GP @ np.diag(moments) @ R_GP.T,
@@ -157,22 +175,24 @@ def _mass(
         cov_k=with_infinite(ratio_covariance(derivative, cov_J), ~np.array([known.k1, known.k2])),
         cov_J=with_infinite(cov_J, determined.lost_constants[XI]),
         R_GP=R_GP,
-        cov_R_GP=with_infinite(
-            free_axis_covariance(derivative.axes @ cov_J @ derivative.axes.T, ~known.axes_P), ~known.axes_P
-        ),
+        cov_R_GP=with_infinite(free_axis_covariance(cov_axes, ~known.axes_P), ~known.axes_P),
         com_G=iterate.com_G,
         cov_com_G=with_infinite(cov_com, com_lost),
         identifiable=known,
     )
 
 
-def _noise(tracks: StereoTracks, scales: NoiseScales, data: MotionData) -> NoiseLevels:
+def _noise(
+    tracks: StereoTracks, scales: NoiseScales, data: MotionData, correlated: CorrelatedNoise | None
+) -> NoiseLevels:
     stated = np.median(tracks.sigma_px, axis=0)
+    pixel = float(scales.uv * 0.5 * (stated[0] + stated[1]))
     return NoiseLevels(
-        float(scales.uv * 0.5 * (stated[0] + stated[1])),
+        pixel,
         float(scales.disparity * stated[2]),
         data.accel_psd,
         data.torque_psd,
+        drift_px=0.0 if correlated is None else correlated.slow * pixel,
     )
 
 

@@ -55,11 +55,11 @@ def in_order(
     """
     if workers > 1 and len(items) > 1:
         try:
-            pool = _pool(work, min(workers, len(items)), preload)
+            pool, first = _begun(work, items[0], min(workers, len(items)), preload)
         except OSError as error:
             _say_once(f"no parallel processes can be started ({error}): the work is done by one, more slowly")
         else:
-            yield from _results(pool, items, workers, ordered=True)
+            yield from _results(pool, first, items[1:], workers, ordered=True)
             return
     for item in items:
         with limited_threads(1):
@@ -69,8 +69,9 @@ def in_order(
 
 def as_finished(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterator[U]:
     """Yield ``work(item)`` for each item as soon as it is finished; always in processes. See ``in_order``."""
-    pool = _pool(work, min(workers, max(len(items), 1)))
-    return _results(pool, items, workers, ordered=False)
+    if items:
+        pool, first = _begun(work, items[0], min(workers, len(items)))
+        yield from _results(pool, first, items[1:], workers, ordered=False)
 
 
 def kill_workers() -> None:
@@ -91,8 +92,31 @@ def _pool(work: Callable[[T], U], workers: int, preload: Sequence[str] = ()) -> 
         return ProcessPoolExecutor(workers, _context(preload), _begin, (work,))
 
 
-def _results(pool: ProcessPoolExecutor, items: Sequence[T], workers: int, ordered: bool) -> Iterator[Any]:
-    waiting: deque[Future[Any]] = deque()
+def _begun(
+    work: Callable[[T], U], item: T, workers: int, preload: Sequence[str] = ()
+) -> tuple[ProcessPoolExecutor, Future[Any]]:
+    """A pool that works on the first item. Raises OSError where there can be none, and RunFailure.
+
+    If the fork server was killed during earlier work, and its end is noticed only now, another is started.
+    """
+    pool = _pool(work, workers, preload)
+    try:
+        return pool, _submitted(pool, item)
+    except _ServerLost:
+        pool.shutdown(cancel_futures=True)
+    pool = _pool(work, workers, preload)
+    try:
+        return pool, _submitted(pool, item)
+    except _ServerLost:
+        pool.shutdown(cancel_futures=True)
+        raise _killed("the process that starts the workers") from None
+
+
+def _results(
+    pool: ProcessPoolExecutor, first: Future[Any], items: Sequence[T], workers: int, ordered: bool
+) -> Iterator[Any]:
+    """Results of the first item, which is submitted, and of the others."""
+    waiting: deque[Future[Any]] = deque([first])
     _pools.append(pool)
     try:
         for item in items:

@@ -116,6 +116,9 @@ class NoiseLevels:
     """[(rad/s^2)^2/Hz], torque over the middle moment."""
     times_stated: float | None = None
     """Estimated over stated level (power), the larger of force and torque; None: unknown"""
+    drift_px: float = 0.0
+    """Standard deviation of what landmarks slide over the surface while the target turns by more than a
+    radian [px]"""
 
 
 @dataclass(frozen=True)

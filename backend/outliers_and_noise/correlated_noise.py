@@ -57,6 +57,11 @@ class CorrelatedNoise:
     length_px: Array
     """(2,) distance over which it decreases by a factor of e"""
 
+    @property
+    def slow(self) -> float:
+        """Standard deviation of the drift of u and v that lasts over a turn of more than a radian."""
+        return float(np.sqrt(self.drifting[0, np.array(FORGETTING_TURNS_RAD) > 1.0].sum()))
+
     def drift_between(self, turn_rad: Array) -> Array:
         """Covariance (3, F, F) of a landmark's errors of u, v and disparity, from ``turns_between``."""
         forgotten = np.exp(-turn_rad / np.array(FORGETTING_TURNS_RAD)[:, None, None])

@@ -1,10 +1,14 @@
-"""Errors that all frames share: residuals do not show them, so a solver's covariance does not include them.
+"""Errors that all landmarks share: no residual shows them, and no solver's covariance includes them.
 
 A camera matrix that is off by a hundredth of a pixel, or a matcher that reads every disparity slightly too
 small, shifts the whole target. The effect of such an offset of u, v and disparity on a point at the target's
 position is added to the covariance of the position; attitude, rates and inertia are hardly affected. The
 frame G is fixed where the first pose was seen, not where it was: the centre of mass in G is off by the same
 shift.
+
+The points that features mark on a shaded surface slide with the light. By how much single landmarks slide is
+measured (``correlated_noise``); the Sun moves all of them alike, in a direction that is fixed in N, and what
+they have in common looks like a shift of the target: half of the variance (COMMON_SHARE).
 """
 
 from dataclasses import replace
@@ -18,19 +22,31 @@ from polhode.records import Identifiability, MassProperties, MotionEstimate, Onl
 
 Sigma = tuple[float, float, float]
 """Standard deviations of the offsets of u, v, disparity [px]."""
+COMMON_SHARE = 0.5
+"""Share of the variance of the slow drift that all landmarks have in common. At 0.5 the errors of position
+and centre of mass of two asteroids, whose landmarks slide by 0.2 to 0.4 px, have the size that is stated; the
+drift of ten other bodies is a tenth as large, and the share has no effect there."""
 
 
-def position_spread(rig: RectifiedRig, X_NR: Array, r_N: Array, sigma_px: Sigma) -> Array:
-    """Shifts (F, 3, 3) in N [m] of positions r_N (F, 3) for one sigma of each offset; X_NR (F, 4, 4)."""
+def position_spread(
+    rig: RectifiedRig, X_NR: Array, r_N: Array, sigma_px: Sigma, drift_px: float = 0.0
+) -> Array:
+    """Shifts (F, 3, 6) in N [m] of positions r_N (F, 3) for one sigma of each error; X_NR (F, 4, 4).
+
+    Three offsets of u, v and disparity, and three slides along the axes of N, of which drift_px is the
+    standard deviation in the image of what single landmarks slide [px].
+    """
     r_R = transform_points(inverse_pose(X_NR), r_N[:, None])[:, 0]
-    return np.asarray(X_NR[:, :3, :3] @ rig.triangulation_jacobian(r_R) * np.asarray(sigma_px))
+    offsets = X_NR[:, :3, :3] @ rig.triangulation_jacobian(r_R) * np.asarray(sigma_px)
+    slide_m = np.sqrt(COMMON_SHARE) * drift_px * r_R[:, 2] / rig.focal_px
+    return np.concatenate([offsets, slide_m[:, None, None] * np.eye(3)], axis=2)
 
 
 def with_systematic(estimate: MotionEstimate, tracks: StereoTracks, sigma_px: Sigma) -> MotionEstimate:
     """The estimate with systematic errors in the covariances of its positions and of the centre of mass."""
-    spread = position_spread(tracks.rig, tracks.X_NR, estimate.r_N, sigma_px)
+    spread = position_spread(tracks.rig, tracks.X_NR, estimate.r_N, sigma_px, estimate.noise.drift_px)
     in_G = estimate.X_NG[0, :3, :3].T @ spread[0]
-    joint = np.zeros((20, 3))
+    joint = np.zeros((20, in_G.shape[1]))
     joint[:3], joint[17:] = spread[-1], in_G
     body, mass = estimate.covariance_last_body, estimate.mass
     return replace(
@@ -45,7 +61,7 @@ def with_systematic(estimate: MotionEstimate, tracks: StereoTracks, sigma_px: Si
 
 
 def _inflated_verdict(mass: MassProperties, in_G: Array) -> Identifiability:
-    """Identifiability with the sigmas and descriptions of a centre of mass with errors in_G (3, 3) added."""
+    """Identifiability with the sigmas and descriptions of a centre of mass with errors in_G (3, n) added."""
     known = mass.identifiable
     sigma, detail = known.sigma.copy(), dict(known.detail)
     sigma[:3] = np.hypot(sigma[:3], np.linalg.norm(mass.R_GP.T @ in_G, axis=1))
@@ -67,7 +83,7 @@ def online_with_systematic(online: OnlineEstimate, tracks: StereoTracks, sigma_p
 
 
 def _inflated(covariance: Array, spread: Array) -> Array:
-    """Covariance (n, n) with errors spread (m, 3) of its first m components added; infinite ones stay so."""
+    """Covariance (n, n) with errors spread (m, n) of its first m components added; infinite ones stay so."""
     m = len(spread)
     spread = spread * np.isfinite(np.diagonal(covariance)[:m, None])
     out = covariance.copy()

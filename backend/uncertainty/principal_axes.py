@@ -13,7 +13,7 @@ import numpy as np
 from polhode.backend.problem.inertia import InertiaForm, inertia_from_second_moments, principal_axes
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.wrench import TURN
-from polhode.lie import Array, exp_so3
+from polhode.lie import Array, exp_so3, log_so3
 from polhode.records import Bools
 from polhode.rigid_body import nearest_half_turn
 
@@ -75,26 +75,71 @@ def ratio_covariance(derivative: AxesDerivative, cov_J: Array) -> Array:
     The result equals the first-order covariance if errors are small compared with the gaps between the
     moments.
     """
-    values, vectors = np.linalg.eigh(cov_J)
+    error = ratios_after(derivative, _deviations(derivative, cov_J)) - np.log(
+        derivative.moments[:2] / derivative.moments[1:]
+    )
+    return np.asarray(error.T @ error / len(error))
+
+
+def nonlinear_turns(derivative: AxesDerivative, cov_J: Array, w_P: Array, lost: Bools) -> Array:
+    """Second moments (F, 6, 6) of what the first order neglects of the errors of (theta, w_P) [rad, rad/s].
+
+    cov_J (5, 5) of xi, w_P (F, 3). Where the axes may turn by theta, the components of a rate along them
+    change by |theta|^2 |w| / 2 in a direction that the first order leaves unchanged, and that may seem to be
+    known much better. Turns about the axes ``lost`` (3,) are left out.
+    """
+    xi = _deviations(derivative, cov_J)
+    linear = np.where(lost, 0.0, xi @ derivative.axes.T)
+    turn = np.where(lost, 0.0, turns_after(derivative, xi))
+    back = np.swapaxes(exp_so3(turn), 1, 2)
+    seen = np.einsum("nij,fj->fni", back, w_P) - w_P[:, None] - np.cross(w_P[:, None], linear[None])
+    rest = np.broadcast_to(turn - linear, seen.shape)
+    both = np.concatenate([rest, seen], axis=2)
+    return np.asarray(np.swapaxes(both, 1, 2) @ both / len(xi))
+
+
+def _deviations(derivative: AxesDerivative, cov_J: Array) -> Array:
+    """Pairs of opposite deviations of xi (2 N_PAIRS, 5) whose second moments are exactly cov_J (5, 5).
+
+    Drawn along the ratios and axes: another description of the inertia has the same ones.
+    """
+    to_P = np.vstack([derivative.ratios, derivative.axes])
+    covariance = to_P @ cov_J @ to_P.T
+    scale = np.sqrt(np.diag(covariance)) + 1e-300
+    # one that is singular, as of a known ratio, has a factor too; unlike eigenvectors it has definite signs
+    factor = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-12 * np.eye(5)) * scale[:, None]
     z = np.random.default_rng([0, 4]).normal(size=(N_PAIRS, 5))
     z = z @ np.linalg.inv(np.linalg.cholesky(z.T @ z / N_PAIRS)).T
-    xi = np.concatenate([z, -z]) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
-    error = ratios_after(derivative, xi) - np.log(derivative.moments[:2] / derivative.moments[1:])
-    return np.asarray(error.T @ error / len(error))
+    in_P = np.concatenate([z, -z]) @ factor.T
+    return np.linalg.solve(to_P, in_P.T).T
 
 
 def ratios_after(derivative: AxesDerivative, change: Array) -> Array:
     """k1, k2 (n, 2) of the inertia changed by xi (n, 5), first order in J, exact in its eigenvalues."""
+    moments = np.maximum(np.linalg.eigvalsh(_changed(derivative, change))[:, ::-1], 1e-6)
+    return np.asarray(np.log(moments[:, :2] / moments[:, 1:]))
+
+
+def turns_after(derivative: AxesDerivative, change: Array) -> Array:
+    """Turn (n, 3) [rad] of the principal axes of the inertia changed by xi (n, 5), first order in J."""
+    axes = np.linalg.eigh(_changed(derivative, change))[1][:, :, ::-1]
+    # each axis along its old direction, the third one to the right hand
+    axes = axes * np.where(np.diagonal(axes, axis1=1, axis2=2) < 0.0, -1.0, 1.0)[:, None]
+    axes[:, :, 2] *= np.linalg.det(axes)[:, None]
+    return log_so3(axes)
+
+
+def _changed(derivative: AxesDerivative, change: Array) -> Array:
+    """Inertia (n, 3, 3) along P, the middle moment fixed."""
     J, (a, b, c) = np.zeros((len(change), 3, 3)), derivative.moments
     dk, turn = change @ derivative.ratios.T, change @ derivative.axes.T
-    # along P, the middle moment fixed: products of inertia rotate the axes, differences of moments change k
+    # products of inertia rotate the axes, differences of moments change k
     J[:, 0, 0], J[:, 1, 1], J[:, 2, 2] = a * np.exp(dk[:, 0]), b, c * np.exp(-dk[:, 1])
     gaps = np.maximum([b - c, a - c, a - b], MIN_GAP * b)
     J[:, 2, 1] = J[:, 1, 2] = turn[:, 0] * gaps[0]
     J[:, 2, 0] = J[:, 0, 2] = -turn[:, 1] * gaps[1]
     J[:, 1, 0] = J[:, 0, 1] = turn[:, 2] * gaps[2]
-    moments = np.maximum(np.linalg.eigvalsh(J)[:, ::-1], 1e-6)
-    return np.asarray(np.log(moments[:, :2] / moments[:, 1:]))
+    return J
 
 
 def free_axis_covariance(covariance: Array, lost: Bools) -> Array:

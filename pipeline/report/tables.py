@@ -204,6 +204,11 @@ def run_rows(content: StoredRun) -> list[TableRow]:
         rows += [
             TableRow("residual of u, v", f"{noise.pixel_sigma_px:.3f}", "px"),
             TableRow("residual of the disparity", f"{noise.disparity_sigma_px:.3f}", "px"),
+            *(
+                []
+                if noise.drift_px is None
+                else [TableRow("features slide with light and view", f"{noise.drift_px:.3f}", "px")]
+            ),
             TableRow("disturbance acceleration", f"{np.sqrt(noise.accel_psd):.2g}", "m/s² /√Hz"),
             TableRow("disturbance torque / Jyy", f"{np.sqrt(noise.torque_psd):.2g}", "rad/s² /√Hz"),
         ]

@@ -134,6 +134,9 @@ class Noise(StrictModel):
     """[(m/s^2)^2/Hz]"""
     torque_psd: Finite
     """[(rad/s^2)^2/Hz], torque over the middle moment."""
+    drift_px: Variance = None
+    """Standard deviation of what features slide over the surface, with the light and the direction of view,
+    while the target turns by more than a radian [px]; null: not measured."""
 
 
 class UnknownPush(StrictModel):

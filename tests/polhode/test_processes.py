@@ -1,6 +1,7 @@
 """Work over processes: results in order for any number of workers, errors reach the caller."""
 
 import errno
+import multiprocessing.forkserver
 import os
 import signal
 import subprocess
@@ -94,6 +95,20 @@ def test_a_server_that_is_killed_before_it_starts_a_worker_is_reported(
     monkeypatch.setattr("multiprocessing.forkserver.connect_to_new_process", lost)
     with pytest.raises(RunFailure, match="the process that starts the workers was killed, perhaps for lack"):
         list(in_order(Square(), range(4), 2))
+
+
+def test_a_server_whose_end_is_noticed_only_now_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    real, calls = multiprocessing.forkserver.connect_to_new_process, []
+
+    def lost_once(*arguments: object) -> object:
+        calls.append(arguments)
+        if len(calls) == 1:
+            raise ConnectionRefusedError
+        return real(*arguments)
+
+    monkeypatch.setattr("multiprocessing.forkserver.connect_to_new_process", lost_once)
+    assert list(in_order(Square(), range(4), 2)) == [0, 1, 4, 9]
+    assert len(calls) > 1
 
 
 def threads_and_interrupts(k: int) -> tuple[int, int]:

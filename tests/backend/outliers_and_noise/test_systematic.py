@@ -40,6 +40,13 @@ def test_the_covariance_is_that_of_drawn_offsets() -> None:
         np.testing.assert_allclose(spread @ spread.T, expected, atol=0.04 * np.trace(expected))
 
 
+def test_landmarks_that_slide_with_the_light_shift_the_target_by_half_their_variance() -> None:
+    X_NR = make_pose(np.eye(3)[None], np.zeros((1, 3)))
+    spread = position_spread(RIG, X_NR, np.array([[0.1, 0.0, 0.8]]), (0.0, 0.0, 0.0), drift_px=0.3)[0]
+    across = RIG.focal_px * np.sqrt(np.diag(spread @ spread.T)) / 0.8
+    np.testing.assert_allclose(across, 0.3 * np.sqrt(0.5))
+
+
 def test_a_shared_offset_moves_the_position_by_what_its_sigma_allows() -> None:
     sequence = generate(SCENE, 0)
     shifted = sequence.tracks.uvd_px + np.array([0.3, -0.2, 0.1])

@@ -9,10 +9,11 @@ from polhode.backend.uncertainty.principal_axes import (
     AxesDerivative,
     axes_derivative,
     free_axis_covariance,
+    nonlinear_turns,
     ratio_covariance,
     ratios_after,
 )
-from polhode.lie import Array, exp_so3
+from polhode.lie import Array, exp_so3, hat
 
 FORM = FORMS["second_moments"]
 R = exp_so3([0.3, -0.4, 0.8])
@@ -72,6 +73,34 @@ def test_changes_are_exact_in_the_eigenvalues() -> None:
         exact = np.log(moments[::-1][:2] / moments[::-1][1:])
         # what is left is of second order in xi
         np.testing.assert_allclose(found, exact, atol=2e-5)
+
+
+def test_rates_along_axes_that_may_turn_far_have_the_spread_of_drawn_ones() -> None:
+    _, derivative = at([1.3, 1.0, 0.8])
+    inverse = np.linalg.inv(np.vstack([derivative.ratios, derivative.axes]))
+    cov = inverse @ np.diag([1e-4, 1e-4, 1e-3, 1e-3, 0.06]) ** 2 @ inverse.T
+    w_P = np.array([[0.5, 0.1, 0.3], [0.0, 0.6, -0.2]])
+    change = np.random.default_rng(3).multivariate_normal(np.zeros(5), cov, 20000)
+    turned = exp_so3(change @ derivative.axes.T)
+    drawn = np.einsum("nji,fj->fni", turned, w_P) - w_P[:, None]
+    neglected = nonlinear_turns(derivative, cov, w_P, np.zeros(3, dtype=np.bool_))
+    for k, w in enumerate(w_P):
+        expected = drawn[k].T @ drawn[k] / len(drawn[k])
+        J = hat(w) @ derivative.axes
+        first_order = J @ cov @ J.T
+        along = w * [1.0, 1.0, 0.0] / np.linalg.norm(w[:2])
+        found = along @ (first_order + neglected[k, 3:, 3:]) @ along
+        assert found == pytest.approx(along @ expected @ along, rel=0.1)
+        assert along @ first_order @ along < 0.3 * found
+
+
+def test_nothing_is_neglected_of_small_turns() -> None:
+    _, derivative = at([1.3, 1.0, 0.8])
+    cov = 1e-8 * np.eye(5)
+    w_P = np.array([[0.5, 0.1, 0.3]])
+    neglected = nonlinear_turns(derivative, cov, w_P, np.zeros(3, dtype=np.bool_))[0]
+    first_order = derivative.axes @ cov @ derivative.axes.T
+    assert np.sqrt(np.trace(neglected)) < 1e-2 * np.sqrt(np.trace(first_order))
 
 
 def test_a_free_turn_leaves_the_worse_tilt_in_both_directions() -> None:
