@@ -12,6 +12,7 @@ from polhode.config import Config
 from polhode.frontend.extract import extract_depth
 from polhode.lie import transform_points
 from polhode.mapping.fusion.field import fuse
+from polhode.pipeline.answer_checks.check_answer import check_answer
 from polhode.pipeline.answer_checks.image_motion import ImageMotion
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.correspondences import match_frames
@@ -79,8 +80,9 @@ def run(
             outputs.write_estimate(folder, solution.tracks, solution.estimate, solution.links)
         tracks, estimate = solution.tracks, solution.estimate
         findings = check_data(context, correspondences.features, tracks, estimate)
-        if config.backend.window.enabled:
-            outputs.write_online_estimate(folder, _replay(context, tracks, estimate))
+        online = _replay(context, tracks, estimate) if config.backend.window.enabled else None
+        if online is not None:
+            outputs.write_online_estimate(folder, online)
 
         images = ImageMotion(
             context.rig, pose_RG(tracks, estimate), np.isin(np.arange(tracks.n_frames), tracks.frame)
@@ -93,12 +95,16 @@ def run(
             surface, levels, shape = finish_surface(context, fused, X_RG, estimate.mass)
         outputs.write_surface(folder, surface, levels)
 
+        with clock("backend"):
+            sun = shape.mesh.sun if shape.mesh is not None else None
+            sun_N = None if sun is None or sun.sigma_deg is None else np.array(sun.direction_N)
+            doubts = check_answer(tracks, estimate, solution.links, config.backend, online, sun_N)
         with clock("report"):
             make_pictures(context, folder, tracks, estimate, surface)
         clock.add_total()
         warnings = [*context.sequence.warnings, *window_warnings(tracks.n_frames, config.backend)]
         warnings += [*fused.warnings, *findings.limits]
-        checks = [*images.checks(float(np.median(np.diff(tracks.time_s)))), *findings.checks]
+        checks = [*images.checks(float(np.median(np.diff(tracks.time_s)))), *doubts, *findings.checks]
         summary = build_summary(
             tracks, estimate, surface, clock.seconds, warnings, shape=shape, checks=checks
         )

@@ -97,8 +97,7 @@ def finish_run(folder: Path, summary: Summary) -> Summary:
         # The results stand even without their page, which is made from them; but something in them is odd.
         _log.warning("no report: %s", error)
         status = "degraded" if summary.status == "ok" else summary.status
-        warnings = [*summary.warnings, f"no report: {error}"]
-        summary = summary.model_copy(update={"status": status, "warnings": warnings})
+        summary = summary.fallen_to(status, f"no report: {error}")
     seconds = perf_counter() - start
     times = summary.timing_s
     timing = times.model_copy(update={"report": times.report + seconds, "total": times.total + seconds})

@@ -78,9 +78,13 @@ def check_rows(summary: Summary) -> list[CheckRow]:
     rows = []
     for check in summary.checks:
         unit = f" {check.unit}" if check.unit else ""
-        expected = f"{'at least' if check.at_least else 'at most'} {_short(check.limit)}{unit}"
+        bound = "" if check.limit is None else f"{_short(check.limit)}{unit}"
+        expected = f"{'at least' if check.at_least else 'at most'} {bound}" if bound else "information"
         if check.value is None:
             rows.append(CheckRow(check.name, "", expected, "not possible with these data", "absent"))
+            continue
+        if check.limit is None:
+            rows.append(CheckRow(check.name, f"{_short(check.value)}{unit}", expected, "no doubt", "absent"))
             continue
         verdict, kind = ("doubt", "doubt") if check.reason else ("holds", "holds")
         rows.append(CheckRow(check.name, f"{_short(check.value)}{unit}", expected, verdict, kind))

@@ -281,9 +281,7 @@ class _LogFile(logging.FileHandler):
 def record_failure(folder: Path, message: str, recording: Recording | None = None) -> None:
     """Turn the files in the folder into a failed run, whose summary.json says why."""
     if (folder / SUMMARY).exists():
-        summary = read_summary(folder / SUMMARY)
-        warnings = list(dict.fromkeys([message, *summary.warnings]))
-        summary = summary.model_copy(update={"status": "failed", "warnings": warnings})
+        summary = read_summary(folder / SUMMARY).fallen_to("failed", message, first=True)
     else:
         tracks = read_measurements(folder) if (folder / "measurements.npz").exists() else None
         summary = build_summary(tracks, None, None, {}, failure=message)

@@ -30,6 +30,7 @@ from polhode.pipeline.run_directory.summary_schema import (
     content_digest,
     json_text,
     reasons_of,
+    verdict_of,
 )
 from polhode.records import MotionEstimate, StereoTracks, SurfaceModel
 
@@ -96,6 +97,7 @@ def build_summary(
             "duration_s": float(tracks.time_s[-1]) if tracks and tracks.n_frames else 0.0,
             "timing_s": times,
             "checks": tuple(checks),
+            "verdict": verdict_of(status, [*([failure] if failure else []), *reasons], checks),
             "assumed": shape.assumed,
             "mesh": shape.mesh,
             "coverage": shape.coverage,

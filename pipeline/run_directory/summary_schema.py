@@ -178,8 +178,8 @@ class Check(StrictModel):
     """What is compared."""
     value: Finite | None = None
     """null: these data do not allow the check."""
-    limit: Finite
-    """From where on (``at_least``: below which) the answer is doubted."""
+    limit: Finite | None
+    """From where on (``at_least``: below which) the answer is doubted; null: information, no doubt."""
     unit: str = ""
     at_least: bool = False
     reason: str = ""
@@ -187,16 +187,53 @@ class Check(StrictModel):
 
     def judged(self, value: float, reason: str, limit: float | None = None) -> "Check":
         """The check with a value; the reason stays if the value is beyond the limit."""
-        limit = self.limit if limit is None else limit
-        beyond = value < limit if self.at_least else value > limit
+        limit = self.limit if limit is None else float(limit)
+        beyond = limit is not None and (value < limit if self.at_least else value > limit)
         return self.model_copy(
-            update={"value": float(value), "limit": float(limit), "reason": reason if beyond else ""}
+            update={"value": float(value), "limit": limit, "reason": reason if beyond else ""}
         )
 
 
 def reasons_of(checks: Iterable[Check]) -> list[str]:
     """Of the checks that do not hold."""
     return [check.reason for check in checks if check.reason]
+
+
+class CheckVerdict(StrictModel):
+    """A check as the verdict has it."""
+
+    name: str
+    value: Finite | None
+    """null: these data do not allow the check."""
+    expected: tuple[Finite | None, Finite | None]
+    """Lowest and highest value that raises no doubt; null: no bound on this side."""
+    holds: bool | None
+    """null: not possible with these data, or information only."""
+
+
+class Verdict(StrictModel):
+    """Whether the answer can be trusted."""
+
+    status: Status
+    reasons: tuple[str, ...]
+    """Why it is not "ok", a sentence each; the first one is the failure, if any."""
+    checks: tuple[CheckVerdict, ...]
+
+
+def verdict_of(status: Status, reasons: Iterable[str], checks: Iterable[Check]) -> Verdict:
+    """The verdict of a run with these checks. No value of a check is negative."""
+    found = []
+    for check in checks:
+        judged = check.value is not None and check.limit is not None
+        found.append(
+            CheckVerdict(
+                name=check.name,
+                value=check.value,
+                expected=(check.limit, None) if check.at_least else (0.0, check.limit),
+                holds=not check.reason if judged else None,
+            )
+        )
+    return Verdict(status=status, reasons=tuple(dict.fromkeys(reasons)), checks=tuple(found))
 
 
 class MeshLevel(StrictModel):
@@ -338,6 +375,8 @@ class Summary(StrictModel):
     """Of unknown forces and torques, in time."""
     checks: tuple[Check, ...] = ()
     """Of the data and of the answer; each that does not hold is a reason for "degraded"."""
+    verdict: Verdict | None = None
+    """Status, reasons and checks in brief; null: an earlier version wrote none."""
     assumed: Assumed | None = None
     """From uniform density of the mesh, where the user gave a mass or a density; null: neither."""
     mesh: Mesh | None = None
@@ -355,6 +394,19 @@ class Summary(StrictModel):
     own_sha256: Digest | None = None
     """Of all other entries of the file (``content_digest``), while it is one; null: an earlier version
     wrote none."""
+
+    def fallen_to(self, status: Status, reason: str, first: bool = False) -> "Summary":
+        """With a worse status, and the reason among the warnings and in the verdict, last or first."""
+
+        def with_reason(texts: Iterable[str]) -> list[str]:
+            return list(dict.fromkeys([reason, *texts] if first else [*texts, reason]))
+
+        verdict = self.verdict
+        if verdict is not None:
+            reasons = tuple(with_reason(verdict.reasons))
+            verdict = verdict.model_copy(update={"status": status, "reasons": reasons})
+        changes = {"status": status, "warnings": with_reason(self.warnings), "verdict": verdict}
+        return self.model_copy(update=changes)
 
     @model_validator(mode="after")
     def _estimate_is_whole(self) -> Self:

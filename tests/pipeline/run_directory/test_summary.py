@@ -236,3 +236,31 @@ def test_numbers_of_no_body_are_refused(
     file.write_text(json.dumps(content))
     with pytest.raises(InputError, match=words):
         read_summary(tmp_path)
+
+
+def test_the_verdict_has_status_reasons_and_every_check_with_its_range(example: Any) -> None:
+    least = Check(name="landmarks", limit=6.0, at_least=True).judged(5, "too few landmarks")
+    checks = [Check(name="rows", limit=0.3).judged(0.2, "the rows differ"), least]
+    information = [
+        Check(name="runner-up", limit=None).judged(7.0, "no reason"),
+        Check(name="clock", limit=1.0),
+    ]
+    verdict = _summary(example, checks=[*checks, *information]).verdict
+    assert verdict is not None and verdict.status == "degraded" and verdict.reasons == ("too few landmarks",)
+    found = [(each.name, each.value, each.expected, each.holds) for each in verdict.checks[:4]]
+    assert found == [
+        ("rows", 0.2, (0.0, 0.3), True),
+        ("landmarks", 5.0, (6.0, None), False),
+        ("runner-up", 7.0, (0.0, None), None),
+        ("clock", None, (0.0, 1.0), None),
+    ]
+
+
+def test_a_status_that_falls_later_takes_the_verdict_along(example: Any) -> None:
+    summary = _summary(example)
+    fallen = summary.fallen_to("degraded", "no report: the disk is full")
+    assert fallen.status == "degraded" and fallen.warnings[-1] == "no report: the disk is full"
+    assert fallen.verdict is not None and fallen.verdict.reasons == ("no report: the disk is full",)
+    failed = fallen.fallen_to("failed", "the disk is full", first=True)
+    assert failed.verdict is not None and failed.verdict.status == "failed"
+    assert failed.warnings[0] == failed.verdict.reasons[0] == "the disk is full"

@@ -1,0 +1,54 @@
+"""All checks of the answer by its measurements, one after the other (docs/checks.md)."""
+
+import logging
+from collections.abc import Callable
+
+import numpy as np
+
+from polhode.config.backend_settings import Backend
+from polhode.lie import Array, inverse_pose
+from polhode.pipeline.answer_checks.links_check import links_check
+from polhode.pipeline.answer_checks.parts_check import parts_checks
+from polhode.pipeline.answer_checks.residual_check import residual_checks
+from polhode.pipeline.answer_checks.sun_check import sun_check
+from polhode.pipeline.answer_checks.twins_check import twins_checks
+from polhode.pipeline.answer_checks.window_check import window_check
+from polhode.pipeline.run_directory.summary_schema import Check
+from polhode.records import MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks
+
+_log = logging.getLogger(__name__)
+
+
+def check_answer(
+    tracks: StereoTracks,
+    estimate: MotionEstimate,
+    links: RelativePoses,
+    config: Backend,
+    online: OnlineEstimate | None,
+    sun_N: Array | None,
+) -> list[Check]:
+    """Doubts about the motion found, from its measurements alone.
+
+    ``online``: the causal estimate, None: there is none; sun_N (3,): unit vector towards the Sun, None:
+    unknown. A check that fails does not cost the run.
+    """
+    X_RG = inverse_pose(tracks.X_NR) @ estimate.X_NG
+    steps: tuple[Callable[[], list[Check]], ...] = (
+        lambda: parts_checks(tracks, estimate, config),
+        lambda: residual_checks(tracks, estimate),
+        lambda: [sun_check(tracks, estimate, sun_N)],
+        lambda: [links_check(links, X_RG)],
+        lambda: twins_checks(tracks, estimate),
+        lambda: [window_check(online, estimate)],
+    )
+    found: list[Check] = []
+    for step in steps:
+        try:
+            with np.errstate(invalid="ignore", divide="ignore"):
+                found.extend(step())
+        except (ArithmeticError, LookupError, ValueError, MemoryError):
+            _log.exception("a check of the answer failed")
+    for check in found:
+        if check.reason:
+            _log.warning(check.reason)
+    return found

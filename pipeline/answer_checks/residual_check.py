@@ -1,0 +1,149 @@
+"""Whether the residuals look like noise: in time, over the image, and against the depth.
+
+Residuals of a right answer have no mean that depends on when, where or how far away a landmark was seen,
+beyond their scatter. What has one: a clock or a rig that is not as stated (a mean by region, or one that
+follows the disparity), landmarks that slide over the surface or stand still on it (a mean by region), frames
+whose measurements contradict the dynamics (a mean by frame). What the poses or the map absorb, as a wrong
+distance, leaves none.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polhode.lie import Array
+from polhode.pipeline.run_directory.summary_schema import Check
+from polhode.records import Ints, MotionEstimate, StereoTracks
+
+REGIONS = 4
+"""Along either side of the part of the image in which landmarks were seen."""
+MIN_IN_REGION, MIN_IN_FRAME, MIN_MEANS = 30, 8, 4
+"""Observations of a mean that counts, and number of such means."""
+FULL_WEIGHT = 0.1
+"""Observations with less weight contradict the motion, and are counted elsewhere."""
+MAX_BY_FRAME, MAX_BY_REGION, MAX_BY_REGION_D, MAX_SLOPE = 2.5, 2.0, 3.0, 0.12
+"""Above these the answer is doubted; docs/checks.md has the distributions."""
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Of the observations that agree with the motion, in their standard deviations."""
+
+    frame: Ints
+    """(n,)"""
+    landmark: Ints
+    """(n,)"""
+    uvd_px: Array
+    """(n, 3) predicted: what was measured has the noise that its residual has"""
+    whitened: Array
+    """(n, 3)"""
+
+
+def residual_checks(tracks: StereoTracks, estimate: MotionEstimate) -> list[Check]:
+    """Means by frame and by region, dependence on the disparity, and from frame to frame."""
+    found = agreeing_residuals(tracks, estimate)
+    return [_by_frame(found), *_by_region(found), _by_disparity(found), _from_frame_to_frame(found)]
+
+
+def agreeing_residuals(tracks: StereoTracks, estimate: MotionEstimate) -> Residuals:
+    """Residuals over the noise that the estimate found, in proportion to the stated standard deviations."""
+    good = estimate.inlier_weight > FULL_WEIGHT
+    noise = estimate.noise
+    sigma = np.array([noise.pixel_sigma_px, noise.pixel_sigma_px, noise.disparity_sigma_px])
+    stated = tracks.sigma_px[good]
+    own = np.maximum(sigma * stated / np.median(tracks.sigma_px, axis=0), 1e-9)
+    return Residuals(
+        tracks.frame[good],
+        tracks.landmark[good],
+        tracks.uvd_px[good] - estimate.residuals_px[good],
+        estimate.residuals_px[good] / own,
+    )
+
+
+def means_in_errors(values: Array, group: Ints, least: int) -> Array:
+    """Means (g, c) of values (n, c) by group (n,), over their standard errors; of groups with ``least``."""
+    count = np.bincount(group)
+    sums = np.stack([np.bincount(group, column) for column in values.T], axis=1)
+    enough = count >= least
+    return np.asarray(sums[enough] / np.sqrt(count[enough])[:, None])
+
+
+def _root_mean_square(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _by_frame(found: Residuals) -> Check:
+    check = Check(name="mean residual of the disparity, by frame", limit=MAX_BY_FRAME, unit="sigma")
+    means = means_in_errors(found.whitened, found.frame, MIN_IN_FRAME)
+    if len(means) < MIN_MEANS:
+        return check
+    size = _root_mean_square(means[:, 2])
+    return check.judged(
+        size,
+        f"the disparities of whole frames differ from the motion by {size:.1f} times what their noise "
+        "allows: a step of the calibration, or a motion that is not the one assumed, may be the cause",
+    )
+
+
+def _by_region(found: Residuals) -> list[Check]:
+    place = Check(name="mean residual of u, v, by region of the image", limit=MAX_BY_REGION, unit="sigma")
+    depth = Check(
+        name="mean residual of the disparity, by region of the image", limit=MAX_BY_REGION_D, unit="sigma"
+    )
+    if not len(found.frame):
+        return [place, depth]
+    uv = found.uvd_px[:, :2]
+    low, high = np.quantile(uv, [0.02, 0.98], axis=0)
+    cell = np.clip((uv - low) / np.maximum(high - low, 1e-9) * REGIONS, 0, REGIONS - 1).astype(np.int64)
+    means = means_in_errors(found.whitened, cell[:, 0] * REGIONS + cell[:, 1], MIN_IN_REGION)
+    if len(means) < MIN_MEANS:
+        return [place, depth]
+    sizes = _root_mean_square(means[:, :2]), _root_mean_square(means[:, 2])
+    words = (
+        "residuals of {} depend on the region of the image, by {:.1f} times what their noise allows: the "
+        "calibration or the cameras' synchronisation may be wrong, or features slide over the surface"
+    )
+    return [
+        place.judged(sizes[0], words.format("u and v", sizes[0])),
+        depth.judged(sizes[1], words.format("the disparity", sizes[1])),
+    ]
+
+
+def _by_disparity(found: Residuals) -> Check:
+    """Correlation of disparity and its residual, the means of each frame left out."""
+    check = Check(name="residuals of the disparity that follow the disparity", limit=MAX_SLOPE)
+    if len(found.frame) < MIN_IN_REGION:
+        return check
+    both = np.stack([found.uvd_px[:, 2], found.whitened[:, 2]], axis=1)
+    count = np.maximum(np.bincount(found.frame), 1)
+    means = np.stack([np.bincount(found.frame, column) for column in both.T], axis=1) / count[:, None]
+    x, y = (both - means[found.frame]).T
+    power = float(np.sqrt(np.sum(x**2) * np.sum(y**2)))
+    if power <= 0.0:
+        return check
+    size = abs(float(x @ y)) / power
+    return check.judged(
+        size,
+        f"residuals of the disparity follow the disparity (correlation {size:.2f}): near and far parts of "
+        "the target move differently than one rigid body seen by this rig; check the calibration and the "
+        "cameras' synchronisation",
+    )
+
+
+def _from_frame_to_frame(found: Residuals) -> Check:
+    """Correlation of a landmark's residuals in successive frames, the larger of u, v and disparity, or 0.
+
+    Information: the covariance takes account of it, and right and wrong runs hardly differ by it.
+    """
+    check = Check(name="residuals of a landmark in successive frames: correlation", limit=None)
+    order = np.lexsort((found.frame, found.landmark))
+    a, b = order[:-1], order[1:]
+    next_to = (found.landmark[a] == found.landmark[b]) & (found.frame[b] == found.frame[a] + 1)
+    a, b = a[next_to], b[next_to]
+    if len(a) < MIN_IN_REGION:
+        return check
+    sizes = []
+    for columns in ((0, 1), (2,)):
+        x, y = (found.whitened[rows][:, columns] for rows in (a, b))
+        sizes.append(float(np.sum(x * y) / max(np.sqrt(np.sum(x**2) * np.sum(y**2)), 1e-12)))
+    return check.judged(max(*sizes, 0.0), "")

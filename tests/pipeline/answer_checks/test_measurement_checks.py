@@ -1,0 +1,174 @@
+"""Checks of a solved sequence without images: an undisturbed one passes, each fault shows where it should."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from polhode.backend import estimate_motion
+from polhode.backend.part import estimate_part
+from polhode.camera import stereo_jacobian
+from polhode.config.backend_settings import Backend
+from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
+from polhode.pipeline.answer_checks.agreement import disagreements, largest
+from polhode.pipeline.answer_checks.links_check import links_check
+from polhode.pipeline.answer_checks.parts_check import outline_and_interior, parts_checks
+from polhode.pipeline.answer_checks.residual_check import residual_checks
+from polhode.pipeline.answer_checks.sun_check import sun_check
+from polhode.pipeline.answer_checks.twins_check import twins_checks
+from polhode.pipeline.run_directory.summary_schema import Check, reasons_of
+from polhode.progress import Silent
+from polhode.records import InitialMotion, MotionEstimate, StereoTracks
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
+
+SCENE = SyntheticScene(
+    frames=24, landmarks=400, detection=0.5, sigma_uv_px=0.3, sigma_d_px=0.2, accel_psd=1e-9, torque_psd=1e-9
+)
+SUN_N = np.array([0.6, -0.4, -0.7]) / np.linalg.norm([0.6, -0.4, -0.7])
+CONFIG = Backend()
+Solved = tuple[StereoTracks, MotionEstimate]
+
+
+def solved(tracks: StereoTracks, sequence: SyntheticSequence) -> Solved:
+    start = InitialMotion(inverse_pose(sequence.X_NR) @ sequence.X_NG, np.ones(SCENE.frames, dtype=np.bool_))
+    return tracks, estimate_motion(tracks, start, CONFIG, Silent())
+
+
+@pytest.fixture(scope="module")
+def sequence() -> SyntheticSequence:
+    return generate(SCENE, 1)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(sequence: SyntheticSequence) -> Solved:
+    return solved(sequence.tracks, sequence)
+
+
+def changed(sequence: SyntheticSequence, change: Callable[[Array, Array], Array]) -> Solved:
+    """Points (M, 3) in the camera are moved by ``change`` of their Jacobian (M, 3, 3) and pose (M, 4, 4)."""
+    tracks = sequence.tracks
+    X_RG = (inverse_pose(tracks.X_NR) @ sequence.X_NG)[tracks.frame]
+    p_R = np.stack(
+        [transform_points(X, p[None])[0] for X, p in zip(X_RG, sequence.p_G[tracks.landmark], strict=True)]
+    )
+    J = stereo_jacobian(p_R, tracks.rig.focal_px, tracks.rig.baseline_m)
+    return solved(replace(tracks, uvd_px=tracks.uvd_px + change(J, X_RG)), sequence)
+
+
+def of_name(checks: list[Check], words: str) -> Check:
+    (found,) = [check for check in checks if words in check.name]
+    return found
+
+
+def all_checks(case: Solved) -> list[Check]:
+    tracks, estimate = case
+    return [
+        *parts_checks(tracks, estimate, CONFIG),
+        *residual_checks(tracks, estimate),
+        sun_check(tracks, estimate, SUN_N),
+        *twins_checks(tracks, estimate),
+    ]
+
+
+def test_an_undisturbed_sequence_passes_all(undisturbed: Solved) -> None:
+    checks = all_checks(undisturbed)
+    assert reasons_of(checks) == []
+    runner_up = of_name(checks, "runner-up")
+    assert all(check.value is not None and check.value >= 0.0 for check in checks if check is not runner_up)
+    assert runner_up.limit is None
+
+
+def test_the_part_that_is_everything_is_the_estimate(undisturbed: Solved) -> None:
+    tracks, estimate = undisturbed
+    every = np.ones(len(tracks.frame), dtype=np.bool_)
+    again = estimate_part(tracks, estimate, CONFIG, every, np.arange(tracks.n_frames))
+    assert again is not None
+    found = disagreements(again, estimate, np.arange(tracks.n_frames), contained=False)
+    assert {each.quantity for each in found} >= {"position", "velocity", "rotation", "rate"}
+    assert all(each.sigmas < 0.05 for each in found)
+    assert estimate_part(tracks, estimate, CONFIG, ~every, np.arange(tracks.n_frames)) is None
+
+
+def test_the_largest_disagreement_is_in_sigmas_of_the_difference(undisturbed: Solved) -> None:
+    estimate = undisturbed[1]
+    sigma = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2)[:, :3])
+    off = replace(estimate, r_N=estimate.r_N + 4.0 * sigma)
+    at = np.arange(len(sigma))
+    diagonal = estimate.covariance * np.eye(12)
+    a, b = replace(off, covariance=diagonal), replace(estimate, covariance=diagonal)
+    found = largest(disagreements(a, b, at, contained=False))
+    assert found is not None and found.quantity == "position"
+    assert found.sigmas == pytest.approx(4.0 / np.sqrt(2.0))
+    # nothing is left to the difference of equal covariances but the least share
+    nested = largest(disagreements(a, b, at, contained=True), "position")
+    assert nested is not None and nested.sigmas == pytest.approx(4.0 / np.sqrt(0.15))
+    assert largest(found=[]) is None
+
+
+def test_outline_and_interior_share_the_landmarks(undisturbed: Solved) -> None:
+    tracks, estimate = undisturbed
+    outer, inner = outline_and_interior(tracks, estimate)
+    assert not np.any(outer & inner) and not set(tracks.landmark[outer]) & set(tracks.landmark[inner])
+    uv = tracks.uvd_px[:, :2]
+    centre = np.stack([uv[tracks.frame == k].mean(axis=0) for k in range(tracks.n_frames)])[tracks.frame]
+    distance = np.linalg.norm(uv - centre, axis=1)
+    assert distance[outer].mean() > 1.2 * distance[inner].mean()
+
+
+def test_a_camera_that_is_late_shows_over_image_and_depth(sequence: SyntheticSequence) -> None:
+    w_N = sequence.X_NG[:, :3, :3] @ np.array(SCENE.w_G)
+    k = sequence.tracks.frame
+
+    def late(J: Array, X_RG: Array) -> Array:
+        own_R = np.einsum("nij,nj->ni", X_RG[:, :3, :3], sequence.p_G[sequence.tracks.landmark])
+        v_R = np.cross(np.einsum("nji,nj->ni", sequence.X_NR[k][:, :3, :3], w_N[k]), own_R)
+        moved = np.einsum("nij,nj->ni", J, v_R)
+        return np.stack([0.0 * k, 0.0 * k, -0.02 * (moved[:, 0] - moved[:, 2])], axis=1)
+
+    checks = residual_checks(*changed(sequence, late))
+    assert of_name(checks, "disparity, by region").reason
+    assert "calibration" in of_name(checks, "follow the disparity").reason
+
+
+def test_landmarks_that_slide_with_the_sun_are_found(sequence: SyntheticSequence) -> None:
+    def slide(J: Array, X_RG: Array) -> Array:
+        R_NG = sequence.X_NG[sequence.tracks.frame, :3, :3]
+        p_G = sequence.p_G[sequence.tracks.landmark]
+        normal = p_G / np.linalg.norm(p_G, axis=1, keepdims=True)
+        sun_G = np.einsum("nji,j->ni", R_NG, SUN_N)
+        along = sun_G - np.sum(sun_G * normal, axis=1, keepdims=True) * normal
+        return np.einsum("nij,njk,nk->ni", J, X_RG[:, :3, :3], 3e-3 * along)
+
+    case = changed(sequence, slide)
+    check = sun_check(*case, SUN_N)
+    assert "slide over the surface" in check.reason
+    assert sun_check(*case, None).value is None
+
+
+def test_a_motion_that_is_less_free_than_stated_breaks_its_prediction() -> None:
+    sequence = generate(replace(SCENE, accel_psd=1e-5), 2)
+    tracks, estimate = solved(sequence.tracks, sequence)
+    words = "prediction from the first part: position"
+    assert of_name(parts_checks(tracks, estimate, CONFIG), words).reason == ""
+    stiff = replace(estimate, noise=replace(estimate.noise, accel_psd=1e-10))
+    assert "predicts another" in of_name(parts_checks(tracks, stiff, CONFIG), words).reason
+
+
+def test_links_that_contradict_the_motion_are_counted(sequence: SyntheticSequence) -> None:
+    X_RG = inverse_pose(sequence.X_NR) @ sequence.X_NG
+    assert links_check(sequence.relative, X_RG).value == 0.0
+    turns = make_pose(exp_so3(np.outer(np.arange(len(X_RG)), [0.0, 0.0, 0.2])), np.zeros((len(X_RG), 3)))
+    check = links_check(sequence.relative, X_RG @ turns)
+    assert check.value == pytest.approx(100.0) and "100% of the links" in check.reason
+    few = replace(
+        sequence.relative,
+        **{name: getattr(sequence.relative, name)[:5] for name in ("i", "j", "X_RiRj", "inliers")},
+    )
+    assert links_check(few, X_RG).value is None
+
+
+def test_a_flat_relief_has_a_near_mirror_twin(undisturbed: Solved) -> None:
+    tracks, estimate = undisturbed
+    near = replace(estimate, noise=replace(estimate.noise, disparity_sigma_px=50.0))
+    assert "inside out" in of_name(twins_checks(tracks, near), "mirror twin").reason
