@@ -19,6 +19,7 @@ from polhode.pipeline.correspondences import match_frames
 from polhode.pipeline.data_checks.check_data import check_data
 from polhode.pipeline.find_motion import find_motion, pose_RG
 from polhode.pipeline.finish_surface import finish_surface
+from polhode.pipeline.intervals.find_intervals import find_intervals
 from polhode.pipeline.pictures import make_pictures
 from polhode.pipeline.report import finish_run, write_report
 from polhode.pipeline.run_directory import outputs
@@ -93,6 +94,7 @@ def run(
             if fused.aligned is not None:
                 X_RG = fused.aligned.put_into(X_RG)
             surface, levels, shape = finish_surface(context, fused, X_RG, estimate.mass)
+            intervals, unbounded = find_intervals(estimate, surface, shape.coverage, config.backend)
         outputs.write_surface(folder, surface, levels)
 
         with clock("backend"):
@@ -103,10 +105,13 @@ def run(
             make_pictures(context, folder, tracks, estimate, surface)
         clock.add_total()
         warnings = [*context.sequence.warnings, *window_warnings(tracks.n_frames, config.backend)]
-        warnings += [*fused.warnings, *findings.limits]
+        warnings += [*fused.warnings, *findings.limits, *unbounded]
         checks = [*images.checks(float(np.median(np.diff(tracks.time_s)))), *doubts, *findings.checks]
         summary = build_summary(
-            tracks, estimate, surface, clock.seconds, warnings, shape=shape, checks=checks
+            *(tracks, estimate, surface, clock.seconds, warnings),
+            shape=shape,
+            checks=checks,
+            intervals=intervals,
         )
         summary = summary.model_copy(update={"data": written.recording})
         with progress.stage("report", 1) as advance:

@@ -135,6 +135,13 @@ def inertia_derivative(form: InertiaForm, xi: Array, R_ref: Array) -> Array:
     return np.asarray(np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second)
 
 
+def inertia_by_parameters(J_G: Array, form: InertiaForm) -> tuple[Array, Array]:
+    """J_G (3, 3) in the scale of the solver's parameters, and its derivative (5, 3, 3) by them."""
+    xi, R_ref = form.coordinates(0.5 * np.trace(J_G) * np.eye(3) - J_G)
+    J = inertia_from_second_moments(form.second_moments(xi, R_ref))
+    return J, inertia_derivative(form, xi, R_ref)
+
+
 def second_moments_from_inertia(J: Array, floor: float = 0.02) -> Array:
     """Sigma of J (3, 3); an impossible J is projected: second moments at least ``floor`` of the largest."""
     values, vectors = np.linalg.eigh(0.5 * np.trace(J) * np.eye(3) - J)

@@ -9,12 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from polhode.backend.problem.inertia import (
-    FORMS,
-    InertiaForm,
-    inertia_derivative,
-    inertia_from_second_moments,
-)
+from polhode.backend.problem.inertia import FORMS, inertia_by_parameters
 from polhode.config.loader import load_config
 from polhode.errors import InputError
 from polhode.lie import Array, continuous_wxyz, wxyz_from_matrix
@@ -212,13 +207,6 @@ def last_body(run_folder: Path) -> tuple[FinalState, Summary]:
         past_R_NG=past_R_NG,
     )
     return body, summary
-
-
-def inertia_by_parameters(J_G: Array, form: InertiaForm) -> tuple[Array, Array]:
-    """J_G (3, 3) in the scale of the solver's parameters, and its derivative (5, 3, 3) by them."""
-    xi, R_ref = form.coordinates(0.5 * np.trace(J_G) * np.eye(3) - J_G)
-    J = inertia_from_second_moments(form.second_moments(xi, R_ref))
-    return J, inertia_derivative(form, xi, R_ref)
 
 
 def undetermined_components(last: Array, com_lost: Bools, axes_lost: Bools, states: Prediction) -> Bools:

@@ -129,6 +129,7 @@ def render(content: StoredRun) -> str:
         summary=summary,
         check_rows=tables.check_rows(summary),
         inertia_rows=tables.inertia_rows(summary),
+        intervals_rest_on=tables.intervals_rest_on(summary),
         absolute_rows=tables.absolute_rows(summary),
         disturbance_rows=tables.disturbance_rows(summary),
         assumed_rows=tables.assumed_rows(summary.assumed),

@@ -28,7 +28,7 @@ from polhode.pipeline.report.plot_style import (
     translucent,
 )
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
-from polhode.pipeline.run_directory.summary_schema import Inertia
+from polhode.pipeline.run_directory.summary_schema import Inertia, Summary
 from polhode.rigid_body import angular_acceleration, angular_momentum_N, rotational_energy
 
 FLAT_LIMIT = float(np.log(2.0))
@@ -176,7 +176,11 @@ def _ratios(content: StoredRun) -> Figure:
         ],
         showlegend=False,
     )
+    box = ratio_box(content.summary)
     zoom = ellipse if ellipse is not None else mean + 0.15 * np.array([[-1.0, -1.0], [1.0, 1.0]])
+    if box is not None:
+        zoom = box
+        figure["yaxis"]["range"] = [0, max(2.0, 1.1 * float(box[:, 1].max()))]
     for name, values in (("xaxis2", zoom[:, 0]), ("yaxis2", zoom[:, 1])):
         low, high = float(values.min()), float(values.max())
         if truth is not None:
@@ -188,6 +192,9 @@ def _ratios(content: StoredRun) -> Figure:
     for panel in (1, 2):
         data += possible_bodies(panel)
         data += ratio_traces(inertia, "estimate", ACCENT, panel)
+        if box is not None:
+            fill: dict[str, Any] = {"fill": "toself", "fillcolor": translucent(ACCENT, 0.12)}
+            data.append(line(box[:, 0], box[:, 1], "possible", ACCENT, panel, mode="lines", **fill))
         if truth is not None:
             marker = {"color": INK, "size": 11, "symbol": "x-thin", "line": {"width": 2, "color": INK}}
             data.append(line(truth[:1], truth[1:], "truth", INK, panel, mode="markers", marker=marker))
@@ -196,6 +203,8 @@ def _ratios(content: StoredRun) -> Figure:
         if ellipse is not None
         else "The motion does not determine the ratios: the open dot is the best guess and has no ellipse."
     )
+    if box is not None:
+        words += " Frame: where they can lie, by the bounds named below the table of mass properties."
     return Figure(
         "inertia-ratios",
         "Inertia ratios",
@@ -215,6 +224,25 @@ def ratio_ellipse(inertia: Inertia) -> Array | None:
     if not np.all(np.isfinite(covariance)):
         return None
     return confidence_ellipse(np.array([inertia.k1, inertia.k2]), covariance, 3.0)
+
+
+def ratio_box(summary: Summary) -> Array | None:
+    """Corners (5, 2), closed, of the intervals of k1 and k2; a determined one has three standard deviations.
+
+    None: there are no intervals.
+    """
+    inertia, intervals = summary.inertia, summary.intervals
+    if inertia is None or intervals is None or (intervals.k1 is None and intervals.k2 is None):
+        return None
+    sides = []
+    for value, interval, variance in (
+        (inertia.k1, intervals.k1, inertia.cov[0][0]),
+        (inertia.k2, intervals.k2, inertia.cov[1][1]),
+    ):
+        spread = 0.0 if variance is None else 3.0 * float(np.sqrt(variance))
+        sides.append((value - spread, value + spread) if interval is None else interval)
+    (a, b), (c, d) = sides
+    return np.array([[a, c], [b, c], [b, d], [a, d], [a, c]])
 
 
 def ratio_traces(inertia: Inertia, name: str, color: str, panel: int = 1) -> list[Trace]:

@@ -8,6 +8,7 @@ from trimesh.visual.color import ColorVisuals
 
 from polhode.lie import Array, inverse_pose
 from polhode.pipeline.report.plot_style import (
+    ACCENT,
     INK,
     SIGMA_SCALE,
     TIME_SCALE,
@@ -168,7 +169,21 @@ def _body_axes(content: StoredRun, p_mm: Array) -> list[Trace]:
     length = 0.75 * float(np.median(np.linalg.norm(p_mm - com_mm, axis=1))) * 2.0
     marker = {"size": 6, "color": INK, "symbol": "diamond"}
     centre = points3d(com_mm[None], "centre of mass", marker=marker)
-    return [centre, *axis_arrows(com_mm, content.motion.R_GP, length, "xyz")]
+    return [centre, *_com_ranges(content, com_mm), *axis_arrows(com_mm, content.motion.R_GP, length, "xyz")]
+
+
+def _com_ranges(content: StoredRun, com_mm: Array) -> list[Trace]:
+    """Where the centre of mass can lie, a line along each principal axis along which it is undetermined."""
+    motion, intervals = content.motion, content.summary.intervals
+    if motion is None or intervals is None or intervals.com_shift_P is None:
+        return []
+    traces = []
+    for axis_G, shift in zip(motion.R_GP.T, intervals.com_shift_P, strict=True):
+        if shift is not None:
+            ends_mm = com_mm + 1e3 * np.outer(shift, axis_G)
+            style = {"mode": "lines", "line": {"color": ACCENT, "width": 9}}
+            traces.append(points3d(ends_mm, "centre of mass: possible range", **style))
+    return traces
 
 
 def _cameras(content: StoredRun, p_mm: Array) -> list[Trace]:

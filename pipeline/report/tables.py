@@ -1,14 +1,14 @@
 """The text and tables of the report: the finding in a sentence, values with their standard deviations."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from polhode.lie import Array
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
-from polhode.pipeline.run_directory.summary_schema import Assumed, Summary
+from polhode.pipeline.run_directory.summary_schema import Assumed, Intervals, Summary
 from polhode.pipeline.run_directory.trajectory_file import Trajectory
 
 SAME_COST, AMBIGUOUS_COST = 0.01, 6.0
@@ -55,7 +55,12 @@ def finding(summary: Summary, trajectory: Trajectory | None) -> str:
         )
         if determined
     ]
-    unknown = [name for name, flag in (("k1", known.k1), ("k2", known.k2)) if not flag]
+    bounded = summary.intervals or Intervals()
+    unknown = [
+        name if interval is None else f"{name} ({_between(*interval, '{:.2f}')} is possible)"
+        for name, flag, interval in (("k1", known.k1, bounded.k1), ("k2", known.k2, bounded.k2))
+        if not flag
+    ]
     ratios_found = f"its inertia ratios are {' and '.join(ratios)}" if ratios else ""
     undetermined = f"this motion does not determine {' and '.join(unknown)}" if unknown else ""
     return f"{motion}; {', '.join(part for part in (ratios_found, undetermined) if part)}."
@@ -101,10 +106,15 @@ def inertia_rows(summary: Summary) -> list[TableRow]:
     inertia, known, parts = summary.inertia, summary.identifiable, summary.identifiable_components
     if inertia is None or known is None or parts is None or summary.com_G is None or summary.R_GP is None:
         return []
-    detail = summary.identifiable_detail
+    detail, bounded = summary.identifiable_detail, summary.intervals or Intervals()
     rows = [
         _row("k1 = ln(Jxx / Jyy)", inertia.k1, _root(inertia.cov[0][0]), "", known.k1, detail.get("k1", "")),
         _row("k2 = ln(Jyy / Jzz)", inertia.k2, _root(inertia.cov[1][1]), "", known.k2, detail.get("k2", "")),
+    ]
+    for n, interval in enumerate((bounded.k1, bounded.k2)):
+        if interval is not None:
+            rows[n] = replace(rows[n], value=_between(*interval, "{:.2f}"))
+    rows += [
         TableRow(
             "moments Jxx : Jyy : Jzz",
             " : ".join(map(with_sigma, inertia.moments, inertia.sigma_moments)),
@@ -116,12 +126,17 @@ def inertia_rows(summary: Summary) -> list[TableRow]:
     for k, name in enumerate("xyz"):
         sigma = _diagonal_mm(summary.cov_com_G, k)
         row = _row(f"centre of mass, {name} in G", 1e3 * summary.com_G[k], sigma, "mm", sigma is not None, "")
+        if sigma is None and bounded.com_G is not None:
+            low, high = (1e3 * end[k] for end in bounded.com_G)
+            row = replace(row, value=_between(low, high, "{:.1f}"))
         rows.append(row)
     for k, name in enumerate("xyz"):
         if not parts.com_P[k]:
             verdict = _verdict(False, detail.get(f"com_{name}", ""))
+            shift = None if bounded.com_shift_P is None else bounded.com_shift_P[k]
+            value, unit = ("no bound", "") if shift is None else (_shift_mm(*shift), "mm from com_G")
             rows.append(
-                TableRow(f"centre of mass, along the principal axis {name}", "no bound", "", verdict, False)
+                TableRow(f"centre of mass, along the principal axis {name}", value, unit, verdict, False)
             )
     for k, name in enumerate("xyz"):
         root = None if summary.cov_R_GP is None else _root(summary.cov_R_GP[k][k])
@@ -130,6 +145,22 @@ def inertia_rows(summary: Summary) -> list[TableRow]:
         verdict = _verdict(known_axis, detail.get(f"axes_{name}", ""))
         rows.append(TableRow(f"principal axes, rotated about {name}", value, unit, verdict, known_axis))
     return rows
+
+
+def intervals_rest_on(summary: Summary) -> str:
+    """A sentence about the intervals among the mass properties; empty: there are none."""
+    if summary.intervals is None:
+        return ""
+    bounds = "; ".join(summary.intervals.bounds)
+    return f"A range is where a quantity can lie that the motion does not determine: {bounds}."
+
+
+def _between(low: float, high: float, form: str) -> str:
+    return f"from {form.format(low)} to {form.format(high)}"
+
+
+def _shift_mm(low_m: float, high_m: float) -> str:
+    return _between(1e3 * low_m, 1e3 * high_m, "{:+.1f}")
 
 
 def absolute_rows(summary: Summary) -> list[TableRow]:

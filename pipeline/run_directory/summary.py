@@ -23,6 +23,7 @@ from polhode.pipeline.run_directory.own_results import digests, require_own_resu
 from polhode.pipeline.run_directory.summary_schema import (
     ESTIMATE_PARTS,
     Check,
+    Intervals,
     Noise,
     ShapeFindings,
     Status,
@@ -58,6 +59,7 @@ def build_summary(
     failure: str | None = None,
     shape: ShapeFindings | None = None,
     checks: Sequence[Check] = (),
+    intervals: Intervals | None = None,
 ) -> Summary:
     """The summary of a run.
 
@@ -102,6 +104,7 @@ def build_summary(
             "mesh": shape.mesh,
             "coverage": shape.coverage,
             "physics": shape.physics,
+            "intervals": intervals,
             "identifiable_detail": dict(estimate.mass.identifiable.detail) if estimate else {},
             **(dict.fromkeys(ESTIMATE_PARTS) if estimate is None else _found(estimate)),
         }

@@ -324,6 +324,23 @@ class Physics(StrictModel):
     k2_difference: Finite | None
 
 
+Interval = Annotated[tuple[Finite, Finite], BeforeValidator(_plain)]
+"""Low, high."""
+
+
+class Intervals(StrictModel):
+    """Where what the motion does not determine can lie; null: it is determined, or nothing bounds it."""
+
+    com_G: tuple[Vector, Vector] | None = None
+    """Least and largest component along each axis of G [m], of all that is admitted."""
+    com_shift_P: tuple[Interval | None, Interval | None, Interval | None] | None = None
+    """Along each undetermined principal axis: least and largest shift from com_G [m]."""
+    k1: Interval | None = None
+    k2: Interval | None = None
+    bounds: tuple[str, ...] = ()
+    """What the intervals rest on, besides the motion."""
+
+
 class RecordedImage(StrictModel):
     """An image as it was when the run read it."""
 
@@ -385,6 +402,8 @@ class Summary(StrictModel):
     """null: there is no mesh."""
     physics: Physics | None = None
     """null: the mesh encloses no volume."""
+    intervals: Intervals | None = None
+    """Of what the motion does not determine; null: it determines all, or nothing bounds the rest."""
     files: tuple[str, ...] | None = None
     """Files that the run wrote into its folder, which another run may replace; null: not listed."""
     data: Recording | None = None

@@ -7,7 +7,7 @@ from polhode.config import Config
 from polhode.pipeline.report import finish_run
 from polhode.pipeline.run_directory.outputs import write_config, write_estimate, write_picture, write_surface
 from polhode.pipeline.run_directory.summary import build_summary
-from polhode.pipeline.run_directory.summary_schema import Summary
+from polhode.pipeline.run_directory.summary_schema import Intervals, Summary
 from polhode.records import MotionEstimate, RelativePoses, StereoTracks, SurfaceModel
 
 
@@ -23,6 +23,7 @@ def write_run(
     warnings: Sequence[str] = (),
     degraded: Sequence[str] = (),
     pictures: Mapping[str, bytes] | None = None,
+    intervals: Intervals | None = None,
 ) -> Summary:
     """Write what a run writes, stage by stage; ``pictures``: PNG or JPEG by caption."""
     write_config(folder, config)
@@ -32,4 +33,5 @@ def write_run(
     for number, (caption, content) in enumerate((pictures or {}).items()):
         suffix = ".png" if content.startswith(b"\x89PNG") else ".jpg"
         write_picture(folder, f"{number:02d}{suffix}", content, caption)
-    return finish_run(folder, build_summary(tracks, estimate, surface, timing_s, warnings, degraded))
+    summary = build_summary(tracks, estimate, surface, timing_s, warnings, degraded, intervals=intervals)
+    return finish_run(folder, summary)

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from polhode.backend import estimate_motion, initialize_motion
-from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
+from polhode.backend.problem.inertia import FORMS, inertia_by_parameters, inertia_from_second_moments
 from polhode.cli.main import main
 from polhode.config import Config
 from polhode.config.backend_settings import Backend
 from polhode.errors import InputError
 from polhode.lie import exp_so3, log_so3
 from polhode.pipeline.after_run.predict import (
-    inertia_by_parameters,
     prediction_times,
     undetermined_components,
 )

@@ -27,12 +27,12 @@ from polhode.pipeline.report.polhode_and_inertia_figures import (
 )
 from polhode.pipeline.report.residual_figures import rms_per_frame
 from polhode.pipeline.report.shape_figures import MAX_FACES, cameras_in_target, thinned
-from polhode.pipeline.report.tables import check_rows, metric_rows, with_sigma
+from polhode.pipeline.report.tables import check_rows, inertia_rows, metric_rows, with_sigma
 from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.pipeline.run_directory.outputs import write_config, write_estimate
 from polhode.pipeline.run_directory.stored_run import read_stored_run
 from polhode.pipeline.run_directory.summary import build_summary, read_summary
-from polhode.pipeline.run_directory.summary_schema import Check
+from polhode.pipeline.run_directory.summary_schema import Check, Intervals
 from polhode.pipeline.run_directory.trajectory_file import trajectory_of
 from polhode.records import SurfaceModel
 from tests.pipeline.stored_run import write_run
@@ -84,6 +84,10 @@ def _write(folder: Path, run: Any, surface: SurfaceModel | None, **more: Any) ->
         **more,
     )
     return folder
+
+
+def _numbers(values: dict[str, str]) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(values["bdata"]), dtype="<" + values["dtype"])
 
 
 def _page(folder: Path) -> _Page:
@@ -156,6 +160,29 @@ def test_undetermined_is_said_in_words_and_draws_no_band(undetermined: Any, tmp_
     names = [trace.get("name") for trace in page.figures["inertia-ratios"]["data"]]
     assert "estimate" in names and "3σ" not in names
     assert list(page.figures) == FIGURES[:-1]
+
+
+def test_intervals_are_drawn_as_intervals(undetermined: Any, tmp_path: Path) -> None:
+    shift = (None, (-0.05, 0.11), None)
+    intervals = Intervals(
+        com_G=((-0.15, -0.05, 0.0), (0.07, 0.01, 0.04)), com_shift_P=shift, k1=(0.0, 0.61), k2=(0.02, 2.4),
+        bounds=("inside the hull", "density"),
+    )  # fmt: skip
+    folder = _write(tmp_path / "run", undetermined, undetermined.surface, intervals=intervals)
+    page = _page(folder)
+    assert "this motion does not determine k1 (from 0.00 to 0.61 is possible) and k2" in page.words
+    assert "inside the hull; density." in page.words
+    rows = {row.name: row for row in inertia_rows(read_summary(folder))}
+    assert rows["k2 = ln(Jyy / Jzz)"].value == "from 0.02 to 2.40"
+    along = rows["centre of mass, along the principal axis y"]
+    assert (along.value, along.unit) == ("from -50.0 to +110.0", "mm from com_G")
+    box = next(t for t in page.figures["inertia-ratios"]["data"] if t.get("name") == "possible")
+    assert np.allclose(_numbers(box["x"]), [0.0, 0.61, 0.61, 0.0, 0.0])
+    for name in ("sparse-map", "mesh"):
+        drawn = [t for t in page.figures[name]["data"] if t.get("name") == "centre of mass: possible range"]
+        assert len(drawn) == 1
+        ends = np.stack([_numbers(drawn[0][each]) for each in "xyz"])
+        assert np.linalg.norm(ends[:, 1] - ends[:, 0]) == pytest.approx(160.0, rel=1e-4)
 
 
 @pytest.mark.parametrize("tracks_found", [True, False])

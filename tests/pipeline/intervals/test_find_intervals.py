@@ -1,0 +1,162 @@
+"""Intervals of estimates from measurements: the truth is inside, and a switch turns them off."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from polhode.backend import estimate_motion, initialize_motion
+from polhode.backend.problem.inertia import FORMS, inertia_by_parameters
+from polhode.config.backend_settings import Backend, Bounds
+from polhode.lie import exp_so3
+from polhode.pipeline.intervals.body_hull import hull_around
+from polhode.pipeline.intervals.find_intervals import find_intervals, intervals_in
+from polhode.pipeline.intervals.motion_limits import PAIRS, motion_limits
+from polhode.pipeline.run_directory.summary import build_summary
+from polhode.pipeline.run_directory.summary_schema import Intervals
+from polhode.progress import Silent
+from polhode.records import MotionEstimate, SurfaceModel
+from polhode.simulation.monte_carlo import SyntheticScene, generate
+from tests.pipeline.intervals.limits import spin_limits
+
+CONFIG = Backend(process_noise="given", accel_psd=1e-8, torque_psd=1e-8)
+J_G = np.diag([1.5, 1.2, 0.9])
+COM_G = (0.01, -0.02, 0.015)
+RADIUS_M = 0.11
+
+
+def spinning(w_G: tuple[float, float, float]) -> tuple[MotionEstimate, np.ndarray]:
+    """15 s of a sphere that is seen well, and the true centre of mass in the estimate's G."""
+    scene = SyntheticScene(
+        frames=30, landmarks=120, detection=0.4, sigma_uv_px=0.3, sigma_d_px=0.1, J_G=J_G, com_G=COM_G,
+        w_G=w_G, accel_psd=1e-8, torque_psd=1e-8,
+    )  # fmt: skip
+    sequence = generate(scene, 0)
+    initial = initialize_motion(sequence.tracks, sequence.relative, CONFIG)
+    estimate = estimate_motion(sequence.tracks, initial, CONFIG, Silent())
+    true, found = sequence.X_NG[0], estimate.X_NG[0]
+    com_N = true[:3, :3] @ np.array(COM_G) + true[:3, 3]
+    return estimate, found[:3, :3].T @ (com_N - found[:3, 3])
+
+
+def sphere_around(estimate: MotionEstimate) -> SurfaceModel:
+    """The surface on which the landmarks lie."""
+    p_G = estimate.landmarks.p_G
+    columns = np.concatenate([2.0 * p_G, np.ones((len(p_G), 1))], axis=1)
+    middle = np.linalg.lstsq(columns, np.sum(p_G**2, axis=1), rcond=None)[0][:3]
+    mesh = trimesh.creation.icosphere(3, RADIUS_M)
+    mesh.apply_translation(middle)
+    n = len(mesh.vertices)
+    return SurfaceModel(mesh, np.full(n, 1e-3), np.full(n, 5, dtype=np.int64))
+
+
+@pytest.fixture(scope="module")
+def spin() -> tuple[MotionEstimate, np.ndarray]:
+    return spinning((0.0, 0.0, 0.8))
+
+
+def test_a_pure_spin_has_the_truth_inside_every_interval(spin: tuple[MotionEstimate, np.ndarray]) -> None:
+    estimate, com_G = spin
+    found, doubts = find_intervals(estimate, sphere_around(estimate), None, CONFIG)
+    assert found is not None and not doubts
+    assert found.com_G is not None and found.com_shift_P is not None
+    low, high = np.array(found.com_G)
+    assert np.all(low < com_G) and np.all(com_G < high)
+    free = ~estimate.mass.identifiable.com_P
+    assert [part is not None for part in found.com_shift_P] == free.tolist() and free.sum() == 1
+    shift = estimate.mass.R_GP.T @ (com_G - estimate.mass.com_G)
+    for part, moved in zip(found.com_shift_P, shift, strict=True):
+        assert part is None or part[0] < moved < part[1]
+    # the chord of the sphere through the centre of mass, and the surface's three sigmas
+    length = 2.0 * np.sqrt(RADIUS_M**2 - 0.01**2 - 0.02**2)
+    part = next(part for part in found.com_shift_P if part is not None)
+    assert length < part[1] - part[0] < 1.1 * length
+    assert found.k1 is not None and found.k2 is not None
+    assert found.k1[0] <= np.log(1.5 / 1.2) <= found.k1[1] and found.k2[0] <= np.log(1.2 / 0.9) <= found.k2[1]
+    assert len(found.bounds) == 2
+
+
+def test_intervals_are_part_of_the_summary(spin: tuple[MotionEstimate, np.ndarray]) -> None:
+    estimate, _ = spin
+    found, _ = find_intervals(estimate, sphere_around(estimate), None, CONFIG)
+    assert build_summary(None, estimate, None, {}, intervals=found).intervals == found
+
+
+def test_they_can_be_switched_off(spin: tuple[MotionEstimate, np.ndarray]) -> None:
+    estimate, _ = spin
+    off = CONFIG.model_copy(update={"bounds": Bounds(intervals=False)})
+    assert find_intervals(estimate, sphere_around(estimate), None, off) == (None, [])
+
+
+def test_what_is_determined_has_none(spin: tuple[MotionEstimate, np.ndarray]) -> None:
+    estimate, _ = spin
+    known = replace(estimate.mass.identifiable, k1=True, k2=True, com=True)
+    whole = replace(estimate, mass=replace(estimate.mass, identifiable=known))
+    assert find_intervals(whole, sphere_around(estimate), None, CONFIG) == (None, [])
+    half = replace(known, k2=False)
+    found, _ = find_intervals(
+        replace(estimate, mass=replace(estimate.mass, identifiable=half)),
+        sphere_around(estimate),
+        None,
+        CONFIG,
+    )
+    assert found is not None and found.com_G is None and found.k1 is None and found.k2 is not None
+
+
+def test_without_a_hull_or_with_a_hull_elsewhere_a_warning_says_so(
+    spin: tuple[MotionEstimate, np.ndarray],
+) -> None:
+    estimate, _ = spin
+    nothing = SurfaceModel(trimesh.Trimesh(), np.zeros(0), np.zeros(0, dtype=np.int64))
+    marks = replace(estimate.landmarks, observations=np.zeros_like(estimate.landmarks.observations))
+    found, doubts = find_intervals(replace(estimate, landmarks=marks), nothing, None, CONFIG)
+    assert found is None and "no hull" in doubts[0]
+    away = sphere_around(estimate)
+    away.mesh.apply_translation([1.0, 0.0, 0.0])
+    found, doubts = find_intervals(replace(estimate, landmarks=marks), away, None, CONFIG)
+    assert found is None and "outside the hull" in doubts[0]
+
+
+def test_a_spin_admits_every_inertia_with_that_principal_axis(
+    spin: tuple[MotionEstimate, np.ndarray],
+) -> None:
+    """However far from the estimate: the limits are linear in J, whatever its scale."""
+    estimate, _ = spin
+    assert estimate.covariance_last_body is not None
+    J, by_parameters = inertia_by_parameters(estimate.mass.J_G, FORMS[CONFIG.inertia])
+    w_G = estimate.mass.R_GP @ estimate.w_P.mean(axis=0)
+    limits = motion_limits(
+        *(estimate.mass.com_G, estimate.mass.R_GP, J, by_parameters),
+        *(estimate.covariance_last_body, w_G, 0.2),
+    )
+    axis = w_G / np.linalg.norm(w_G)
+    across = np.linalg.svd(axis[None])[2][1:].T
+    basis = np.column_stack([across, axis])
+    for moments in ((1.5, 1.2, 0.9), (1.0, 0.7, 1.5), (1.2, 1.0, 0.4)):
+        body = basis @ np.diag(moments) @ basis.T
+        tilted = exp_so3(0.2 * across[:, 0]) @ body @ exp_so3(0.2 * across[:, 0]).T
+        for scale in (0.01, 1.0, 50.0):
+            assert np.all(limits.inertia_rows @ [scale * body[pair] for pair in PAIRS] <= 0.0)
+            assert np.any(limits.inertia_rows @ [scale * tilted[pair] for pair in PAIRS] > 0.0)
+
+
+def test_bounds_are_named_and_ordered(spin: tuple[MotionEstimate, np.ndarray]) -> None:
+    estimate, _ = spin
+    hull = find_intervals(estimate, sphere_around(estimate), None, CONFIG)[0]
+    assert isinstance(hull, Intervals) and "convex hull" in hull.bounds[0] and "8 times" in hull.bounds[1]
+    for part in (hull.k1, hull.k2, *(hull.com_shift_P or ())):
+        assert part is None or part[0] < part[1]
+
+
+def test_limits_of_a_motion_that_no_mass_in_the_hull_fits_leave_the_ratios_open(
+    spin: tuple[MotionEstimate, np.ndarray],
+) -> None:
+    hull = hull_around(trimesh.creation.box((0.3, 0.4, 0.6)).vertices)
+    assert hull is not None
+    limits = spin_limits(2)
+    # a body whose moment about z is larger than the others together
+    impossible = replace(limits, inertia_rows=np.array([[1.1, 1.1, -1.0, 0.0, 0.0, 0.0]]))
+    found, doubts = intervals_in(hull, impossible, spin[0].mass.identifiable, 8.0)
+    assert found is not None and found.k1 is None and found.com_G is not None
+    assert "no mass inside the hull" in doubts[0]
