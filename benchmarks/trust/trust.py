@@ -21,7 +21,7 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
 
-from benchmarks.command import RECORDS, ROOT, Record, Short, Workers, command
+from benchmarks.command import RECORDS, ROOT, Png, Record, Short, Workers, command
 from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete, measured
 from benchmarks.robustness.judge import OUTCOMES as VERDICTS
@@ -29,6 +29,7 @@ from benchmarks.robustness.judge import outcome_of
 from benchmarks.trust.cases import GROUPS, SHORT, scene_of
 from benchmarks.trust.consistency import QUANTITIES, holds, pooled
 from benchmarks.trust.judgement import OUTCOMES, judgement, spin_outcome
+from benchmarks.trust.picture import draw_scenes
 from polhode.config import Config
 from polhode.errors import RunFailure
 from polhode.pipeline.run import run
@@ -54,8 +55,12 @@ def main(
     folder: Annotated[Path, arg(help="Where sequences and runs are kept.")] = ROOT / "runs/trust",
     keep: Annotated[bool, arg(help="Keep sequences and runs, some 50 MB each.")] = False,
     table: Annotated[bool, arg(help="Only print the tables of what the record has.")] = False,
+    picture: Png = None,
 ) -> None:
-    """Measure what the record lacks, print the tables."""
+    """Measure what the record lacks, print the tables; or only draw the scenes of new ones and of bodies."""
+    if picture is not None:
+        draw_scenes(groups, draw, folder / "meshes").save(picture)
+        return
     known = {name for group in groups for name in GROUPS[group]}
     for name in names:
         if name not in known:

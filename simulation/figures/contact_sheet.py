@@ -70,13 +70,17 @@ def scene_files(sources: Sequence[Path]) -> list[Path]:
 
 def strip_of(file: Path) -> Strip:
     """Plan the scene of a configuration and render its frames for the sheet."""
-    plan = plan_sequence(*load_scene(file))
+    return strip_of_plan(file.stem, plan_sequence(*load_scene(file)))
+
+
+def strip_of_plan(name: str, plan: SequencePlan) -> Strip:
+    """Render the frames of a planned scene for the sheet."""
     frames = frames_to_show(plan)
     renderer = FrameRenderer(plan)
     images = [renderer.render_image(k, 0)[0] for k in frames]
     boxes = boxes_around(plan, frames)
-    tiles = [_tile(image, plan.scene, box) for image, box in zip(images, boxes, strict=True)]
-    return Strip(file.stem, describe(plan.scene), tuple(tiles))
+    tiles = [tile_of(image, plan.scene, box) for image, box in zip(images, boxes, strict=True)]
+    return Strip(name, describe(plan.scene), tuple(tiles))
 
 
 def frames_to_show(plan: SequencePlan) -> list[int]:
@@ -184,7 +188,8 @@ def _font(name: str, size: int) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), size)
 
 
-def _tile(image: NDArray[np.uint8] | NDArray[np.uint16], scene: Scene, box: Box) -> Grey:
+def tile_of(image: NDArray[np.uint8] | NDArray[np.uint16], scene: Scene, box: Box) -> Grey:
+    """A part of an image, as a tile of the sheet."""
     grey = (image >> (scene.sensor.bits - 8)).astype(np.uint8)
     return np.asarray(Image.fromarray(grey).resize(TILE_PX, Image.Resampling.LANCZOS, box=box))
 
