@@ -149,6 +149,8 @@ BENCHMARKS = (
     Benchmark("leaks", "robustness.leaks", "docs/testing.md", 60),
     Benchmark("leaks_images", "robustness.leaks", "docs/testing.md", 20, "images", "images --short"),
     Benchmark("faults", "robustness.data_faults", "docs/robustness.md", 240),
+    Benchmark("measurement_faults", "robustness.measurement_faults", "docs/checks.md", 60),
+    Benchmark("verdict", "robustness.verdict", "docs/checks.md", 1, "-o runs/verdict.png", None),
     Benchmark("trust", "trust.trust", "docs/trust.md", 240),
     Benchmark("mutation", "mutation.catch", "docs/testing.md", 30, short=None),
 )  # fmt: skip

@@ -97,7 +97,7 @@ def run(
             intervals, unbounded = find_intervals(estimate, surface, shape.coverage, config.backend)
         outputs.write_surface(folder, surface, levels)
 
-        with clock("backend"):
+        with clock("checks"):
             sun = shape.mesh.sun if shape.mesh is not None else None
             sun_N = None if sun is None or sun.sigma_deg is None else np.array(sun.direction_N)
             doubts = check_answer(tracks, estimate, solution.links, config.backend, online, sun_N)

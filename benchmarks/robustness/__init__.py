@@ -3,7 +3,9 @@
 In: simulated sequences. Out: tables of what was lost, found and said.
 
 data_faults         the campaign of faults in the data: one fault at a time on fourteen bodies
-bodies              its bodies
+measurement_faults  faults in measurements without images: hundreds of runs in an hour
+verdict             how well checks and verdict tell wrong runs from right ones, by the records of both
+bodies              the campaign's bodies
 faults_of_files     its faults of images, times, calibration and poses
 faults_of_scenes    its faults that are rendered: second bodies, lost parts, forces, late cameras
 recording           a sequence in memory, with its truth

@@ -83,10 +83,16 @@ class Claim:
 def judged(run: Path, recording: TrueMotion) -> dict[str, Any]:
     """What the run says, and for each quantity that it claims the errors: typical, worst, in sigmas.
 
-    "status" and "warnings" are those of summary.json; "claims" is empty where there is no estimate.
+    "status" and "warnings" are those of summary.json, "checks" has value, limit and whether it is beyond of
+    each check; "claims" is empty where there is no estimate.
     """
     summary = read_summary(run)
-    said = {"status": summary.status, "warnings": summary.warnings, "frames_used": summary.frames_used}
+    said: dict[str, Any] = {
+        "status": summary.status,
+        "warnings": summary.warnings,
+        "frames_used": summary.frames_used,
+    }
+    said["checks"] = {check.name: (check.value, check.limit, bool(check.reason)) for check in summary.checks}
     if summary.com_G is None:
         return {**said, "claims": {}, "wrong": []}
     claims = {name: entry_of(name, claim) for name, claim in claims_of(run, summary, recording).items()}

@@ -75,7 +75,7 @@ def check_data(
         mass,
         lambda: [connection_check(tracks, estimate)],
     )
-    with context.clock("backend"):
+    with context.clock("checks"):
         for step in steps:
             try:
                 found.checks.extend(step())

@@ -35,7 +35,9 @@ from polhode.pipeline.run_directory.summary_schema import (
 )
 from polhode.records import MotionEstimate, StereoTracks, SurfaceModel
 
-STAGES: tuple[str, ...] = ("frontend", "initialization", "backend", "depth", "fusion", "report", "total")
+STAGES: tuple[str, ...] = (
+    *("frontend", "initialization", "backend", "depth", "fusion", "checks", "report", "total"),
+)
 NOT_OURS = "not a summary that polhode wrote"
 MAX_LOG_RATIO = 60.0
 MAX_SIZE = 1e12

@@ -64,6 +64,8 @@ class StageTimes(StrictModel):
     backend: Finite = 0.0
     depth: Finite = 0.0
     fusion: Finite = 0.0
+    checks: Finite = 0.0
+    """Of data and answer; that of the images is part of the fusion."""
     report: Finite = 0.0
     total: Finite = 0.0
 
