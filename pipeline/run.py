@@ -166,13 +166,16 @@ def _build_surface(
 def _sentence(summary: Summary, estimate: MotionEstimate) -> str:
     """The result in one line."""
     rate_rpm = float(np.median(np.linalg.norm(estimate.w_P, axis=1))) * 30.0 / np.pi
-    known = estimate.mass.identifiable
+    known, bounded = estimate.mass.identifiable, summary.intervals
     ratios = []
     for name, value, variance, determined in (
         ("k1", estimate.mass.k1, estimate.mass.cov_k[0, 0], known.k1),
         ("k2", estimate.mass.k2, estimate.mass.cov_k[1, 1], known.k2),
     ):
         spread = f"{value:.4f} +- {np.sqrt(variance):.4f}" if determined else "not determined by this motion"
+        interval = None if determined or bounded is None else getattr(bounded, name)
+        if interval is not None:
+            spread += f" (from {interval[0]:.2f} to {interval[1]:.2f} is possible)"
         ratios.append(f"{name} {spread}")
     return (
         f"{summary.frames_used} of {summary.frames} frames: the target rotates at {rate_rpm:.2f} RPM; "

@@ -87,6 +87,8 @@ class PredictedMotion(Prediction):
     """(T,)"""
     undetermined: tuple[str, ...]
     """Names of the quantities that the run's motion does not determine; inf on the covariance's diagonal"""
+    ranges: tuple[str, ...] = ()
+    """Where these can lie, each a description; empty: nothing bounds them"""
 
 
 def predict(
@@ -325,6 +327,8 @@ def _integrate(
 
 
 MEMBERS_AT_ONCE = 250
+MAX_DRAWS = 30
+"""Times that a member is drawn at most; one that is out of the range still stays, on the side of caution."""
 
 
 @dataclass(frozen=True)
@@ -338,6 +342,8 @@ class FinalEstimate:
     """[(m/s^2)^2/Hz]"""
     torque_psd: float
     """[(rad/s^2)^2/Hz], torque over the middle moment"""
+    com_range_G: tuple[Array, Array] | None = None
+    """Least and largest components (3,) of the centre of mass [m] by other bounds; None: there are none"""
 
 
 @dataclass(frozen=True)
@@ -404,7 +410,7 @@ def draw_ensemble(estimate: FinalEstimate, time_s: Array, count: int, seed: int)
     disturbed = DisturbancePaths(estimate, time_s)
     for start in range(0, count, MEMBERS_AT_ONCE):
         n = min(MEMBERS_AT_ONCE, count - start)
-        deviation, J = draw_deviations(estimate.last, rng.normal(size=(n, 20)))
+        deviation, J = _draw_in_range(estimate, n, rng)
         R, _ = propagate_members(estimate.last, deviation, J, time_s)
         shift, turn_G = disturbed.paths(n, rng)
         R = np.swapaxes(R, 0, 1) @ exp_so3(turn_G)
@@ -414,6 +420,20 @@ def draw_ensemble(estimate: FinalEstimate, time_s: Array, count: int, seed: int)
         com = estimate.com_G + deviation[:, 17:20]
         p_all[start : start + n] = r - np.einsum("ntij,nj->nti", R, com)
     return Ensemble(R_all, p_all)
+
+
+def _draw_in_range(estimate: FinalEstimate, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """As ``draw_deviations``; members with a centre of mass out of its range are drawn again."""
+    deviation, J = draw_deviations(estimate.last, rng.normal(size=(count, 20)))
+    if estimate.com_range_G is None:
+        return deviation, J
+    low, high = (end - estimate.com_G for end in estimate.com_range_G)
+    for _ in range(MAX_DRAWS):
+        outside = np.flatnonzero(((deviation[:, 17:20] < low) | (deviation[:, 17:20] > high)).any(axis=1))
+        if len(outside) == 0:
+            break
+        deviation[outside], J[outside] = draw_deviations(estimate.last, rng.normal(size=(len(outside), 20)))
+    return deviation, J
 
 
 class DisturbancePaths:

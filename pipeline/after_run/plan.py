@@ -10,8 +10,9 @@ from polhode.lie import Array
 from polhode.mapping.mesh_files import read_ply
 from polhode.mesh_metrics import distance_to_surface
 from polhode.pipeline.after_run.predict import last_body, require_horizon, undetermined_names
+from polhode.pipeline.run_directory.intervals_in_words import describe_intervals
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
-from polhode.pipeline.run_directory.summary_schema import Summary
+from polhode.pipeline.run_directory.summary_schema import Intervals, Summary
 from polhode.planning.approach.corridor import Corridor, corridor
 from polhode.planning.approach.surface_speed import SurfaceSpeed, surface_speed
 from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions, keep_out, member_times
@@ -46,14 +47,19 @@ class Plan:
     docking: Docking | None
     left_out: dict[str, str]
     notes: tuple[str, ...]
+    intervals: Intervals | None = None
+    """Of what the run does not determine"""
 
 
 def final_estimate(run: Path) -> tuple[FinalEstimate, Summary]:
     """The end of a run. Raises InputError when it has no estimate."""
     last, summary = last_body(run)
     assert summary.com_G is not None and summary.noise is not None
+    bounded = summary.intervals.com_G if summary.intervals is not None else None
+    com_range_G = None if bounded is None else (np.array(bounded[0]), np.array(bounded[1]))
+    noise = summary.noise
     return FinalEstimate(
-        last, np.array(summary.com_G), summary.noise.accel_psd, summary.noise.torque_psd
+        last, np.array(summary.com_G), noise.accel_psd, noise.torque_psd, com_range_G
     ), summary
 
 
@@ -79,6 +85,8 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
     if hidden := undetermined_names(summary):
         names = ", ".join(hidden)
         notes.append(f"The run does not determine {names}: the sampled motions agree with the observed one.")
+    if ranges := describe_intervals(summary):
+        notes.append(f"By the hull of the body: {'; '.join(ranges)}.")
     found, speed, surface = None, None, None
     motion = nominal_motion(estimate, np.concatenate([[0.0], member_times(estimate, options.horizon_s)]))
     try:
@@ -105,7 +113,9 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
             motion, docking.point_G, docking.axis_G, docking.stand_off_m, np.deg2rad(docking.half_angle_deg)
         )
     return Plan(
-        options.horizon_s, options.confidence, found, speed, surface, path, docking, left_out, tuple(notes)
+        *(options.horizon_s, options.confidence, found, speed, surface, path, docking, left_out),
+        notes=tuple(notes),
+        intervals=summary.intervals,
     )
 
 

@@ -301,6 +301,7 @@ def summary_of(plan: Plan) -> dict[str, Any]:
         "corridor": None,
         "left_out": plan.left_out,
         "notes": list(plan.notes),
+        "intervals": None if plan.intervals is None else plan.intervals.model_dump(mode="json"),
     }
     if plan.keep_out is not None:
         found = plan.keep_out

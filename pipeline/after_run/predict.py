@@ -21,6 +21,7 @@ from polhode.pipeline.run_directory.archives import (
     undetermined_as_inf,
     write_arrays,
 )
+from polhode.pipeline.run_directory.intervals_in_words import describe_intervals
 from polhode.pipeline.run_directory.run_folder import require_run_folder
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
@@ -89,7 +90,12 @@ def predict_run(
     for rows in np.array_split(np.arange(len(time_s)), math.ceil(len(time_s) / LONG_ROWS)):
         covariance[rows] = undetermined_as_inf(covariance[rows])
     found = vars(states) | {"covariance": covariance}
-    return PredictedMotion(**found, timestamps_ns=timestamps_ns, undetermined=undetermined_names(summary))
+    return PredictedMotion(
+        **found,
+        timestamps_ns=timestamps_ns,
+        undetermined=undetermined_names(summary),
+        ranges=tuple(describe_intervals(summary)),
+    )
 
 
 def predict_without_covariance(run_folder: Path, horizon_s: float, step_s: float | None) -> PredictedMotion:
@@ -106,6 +112,7 @@ def predict_without_covariance(run_folder: Path, horizon_s: float, step_s: float
         *(time_s, r_N, v_N, R_NG @ R_GP, w_G @ R_GP, unknown, unknown),
         timestamps_ns=timestamps_ns,
         undetermined=undetermined_names(summary),
+        ranges=tuple(describe_intervals(summary)),
     )
 
 
@@ -321,4 +328,6 @@ def format_prediction(prediction: PredictedMotion, is_written: bool, marks: bool
         if is_written and not marks:
             shown = "sigmas that depend on it are inf in the file; --marks gives those of the body itself"
         words = f"The run does not determine {', '.join(prediction.undetermined)}: {shown}.\n"
+    if prediction.ranges:
+        words += f"By the hull of the body: {'; '.join(prediction.ranges)}.\n"
     return capture.get() + words

@@ -6,6 +6,7 @@ In: the records of the stages. Out: the files of a run (docs/run_directory.md), 
 - outputs: what each stage writes
 - stored_run: all of a stored run, as the report takes it
 - summary: summary.json; summary_schema has its models and generates its JSON Schema
+- intervals_in_words: its intervals as descriptions
 - own_results: digests of the run's files, and whether those in the folder are its own
 - recording: which recording the run was made from
 - archives: covariance.npz, measurements.npz, online.npz

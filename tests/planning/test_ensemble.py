@@ -1,5 +1,7 @@
 """Members and their disturbances against linear flows."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from polhode.planning.prediction import (
@@ -43,3 +45,24 @@ def test_the_estimate_is_a_member_without_deviation() -> None:
     members, motion = draw_ensemble(target, TIMES, 3, 1), nominal_motion(target, TIMES)
     np.testing.assert_allclose(members.p_NG[1], motion.p_NG, atol=1e-7)
     np.testing.assert_allclose(members.R_NG[2], motion.R_NG, atol=1e-6)
+
+
+def test_no_member_has_its_centre_of_mass_out_of_its_range() -> None:
+    """A member spins about its own centre of mass: the origin of G moves about it by (1 - R) com."""
+    target = estimate((0.0, 0.0, 0.4), (0.01, 0.0, 0.0), com_G=(0.02, 0.0, 0.01))
+    target.last.covariance[:12, :12] *= 0.0
+    target.last.covariance[17:20, 17:20] = np.diag([0.05, 1e-6, 0.05]) ** 2
+    bounded = replace(target, com_range_G=(np.array([-0.03, -1.0, -1.0]), np.array([0.04, 1.0, 1.0])))
+    found = []
+    for each in (target, bounded):
+        members = draw_ensemble(each, TIMES, 400, 3)
+        # the last position of the centre of mass is fixed here: X_NG com = r_N
+        last = each.last
+        found.append(
+            np.einsum("nji,nj->ni", members.R_NG[:, 0], last.r_N + 0.1 * last.v_N - members.p_NG[:, 0])
+        )
+    free, kept = found
+    assert free[:, 0].min() < -0.05 and free[:, 0].max() > 0.06
+    assert kept[:, 0].min() > -0.031 and kept[:, 0].max() < 0.041
+    # all of the range is used
+    assert kept[:, 0].min() < -0.02 and kept[:, 0].max() > 0.03

@@ -21,6 +21,7 @@ from polhode.mapping.uniform_solid import Solid, principal_axes, solid_of
 from polhode.pipeline.after_run.export.options import ExportOptions
 from polhode.pipeline.after_run.export.placement import placement
 from polhode.pipeline.after_run.predict import NoCovariance, predict_run, predict_without_covariance
+from polhode.pipeline.run_directory.intervals_in_words import describe_intervals, possible_com
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.run_folder import require_run_folder
 from polhode.pipeline.run_directory.summary import read_summary
@@ -212,8 +213,12 @@ def inertial_of(
         scale, scale_is, note = _scale(summary, solid, no_solid, mass, uniform_is, options)
         # the scale of the moments as stored: the middle one is 1
         moments = scale * np.array(summary.inertia.moments)
-        R_GP, com_G = np.array(summary.R_GP), np.array(summary.com_G)
+        R_GP, (com_G, moved_m) = np.array(summary.R_GP), possible_com(summary)
         notes.append(note)
+        if moved_m > 0.0:
+            notes.append(
+                f"centre of mass: moved by {1e3 * moved_m:.3g} mm into the body, as nothing determines it"
+            )
         if mass_is == "relative" and scale_is == "relative":
             notes.append(
                 "free motion is right at any scale; reactions to forces, torques and contacts are not"
@@ -317,7 +322,10 @@ def _undetermined(summary: Summary) -> list[str]:
     lost = [name for name, determined in zip(names, flags, strict=True) if not determined]
     if not lost:
         return []
-    return [
+    notes = [
         f"not determined by the motion: {', '.join(lost)}; the numbers here are the best finite ones, which "
         "repeat the motion that was seen"
     ]
+    if ranges := describe_intervals(summary):
+        notes.append(f"possible by the hull of the body: {'; '.join(ranges)}")
+    return notes

@@ -21,6 +21,7 @@ from polhode.pipeline.run_directory.archives import STATE_ORDER
 from polhode.pipeline.run_directory.summary import nullable
 from polhode.pipeline.run_directory.summary_schema import (
     Finite,
+    Intervals,
     Matrix,
     Status,
     StrictModel,
@@ -103,6 +104,8 @@ class MassPropertiesOut(StrictModel):
     """k1, k2, com, axes"""
     identifiable_detail: dict[str, str]
     """Per direction, a description of the reason"""
+    intervals: Intervals | None = None
+    """Where what the motion does not determine can lie; null: it determines all, or nothing bounds it"""
 
 
 class InertialOut(StrictModel):

@@ -18,7 +18,8 @@ from polhode.config import Config
 from polhode.lie import exp_so3, log_so3, make_pose, matrix_from_wxyz, transform_points
 from polhode.mesh_metrics import distance_to_surface
 from polhode.pipeline.after_run.export.json_document import SCHEMA_FILE, Document
-from polhode.pipeline.run_directory.summary_schema import json_schema
+from polhode.pipeline.run_directory.summary import read_summary, write_summary
+from polhode.pipeline.run_directory.summary_schema import Intervals, json_schema
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import BOX_M, Example
 from tests.pipeline.stored_run import write_run
@@ -208,6 +209,24 @@ def test_an_undetermined_inertia_is_exported_as_such(
     text = export(run, "oem", tmp_path / "spin.oem", "--horizon", "2").read_text()
     assert "does not determine" in capsys.readouterr().out
     assert "as a mark on the body" in " ".join(text.split()) and "inf" not in text.split("META_STOP")[1]
+
+
+def test_intervals_are_exported_and_hold_the_centre_of_mass(
+    undetermined: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    run = write_example(undetermined, tmp_path / "spin", undetermined.surface)
+    summary = read_summary(run)
+    intervals = Intervals(com_shift_P=(None, (0.02, 0.05), None), k1=(0.0, 0.6), bounds=("inside the hull",))
+    write_summary(summary.model_copy(update={"intervals": intervals}), run / "summary.json")
+    content = document(run, tmp_path)
+    assert content["mass_properties"]["intervals"]["com_shift_P"] == [None, [0.02, 0.05], None]
+    moved = np.array(content["inertial"]["com_F"]) - undetermined.estimate.mass.com_G
+    np.testing.assert_allclose(moved, 0.02 * undetermined.estimate.mass.R_GP[:, 1], atol=1e-12)
+    text = " ".join(export(run, "urdf", tmp_path / "spin.urdf").read_text().split())
+    assert "moved by 20 mm into the body" in text
+    assert "possible by the hull of the body: k1 from 0.00 to 0.60" in text
+    assert main(["predict", str(run), "--horizon", "2"]) == 0
+    assert "By the hull of the body: k1 from 0.00 to 0.60" in capsys.readouterr().out
 
 
 def test_a_failed_run_exports_what_it_found(

@@ -11,7 +11,9 @@ from matplotlib.image import imread
 from polhode.cli.main import main
 from polhode.config import Config
 from polhode.output.marked_folder import MARK
+from polhode.pipeline.after_run.plan import final_estimate
 from polhode.pipeline.after_run.plan_files import CORRIDOR_COLUMNS
+from polhode.pipeline.run_directory.summary_schema import Intervals
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import Example
 from tests.pipeline.stored_run import write_run
@@ -63,6 +65,30 @@ def test_everything_is_written_and_opens_again(example: Example, tmp_path: Path,
     estimate = example.estimate
     p_N = np.asarray(example.surface.mesh.vertices) @ estimate.X_NG[-1, :3, :3].T + estimate.X_NG[-1, :3, 3]
     assert mesh.contains(p_N).all() if trimesh.ray.has_embree else True
+
+
+def test_intervals_are_said_and_bound_the_members(
+    undetermined: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    com_G = undetermined.estimate.mass.com_G
+    intervals = Intervals(
+        com_G=(tuple(com_G - 0.05), tuple(com_G + 0.05)), com_shift_P=(None, (-0.05, 0.04), None),
+        k1=(0.0, 0.6), k2=(0.0, 2.0), bounds=("inside the hull",),
+    )  # fmt: skip
+    write_run(
+        run, config=Config(), tracks=undetermined.tracks, estimate=undetermined.estimate,
+        surface=undetermined.surface, timing_s={}, intervals=intervals,
+    )  # fmt: skip
+    estimate, _ = final_estimate(run)
+    assert estimate.com_range_G is not None
+    np.testing.assert_allclose(estimate.com_range_G[0], com_G - 0.05)
+    assert main(["plan", str(run), "-o", str(tmp_path / "out"), *AHEAD]) == 0
+    words = "By the hull of the body: k1 from 0.00 to 0.60; k2 from 0.00 to 2.00; centre of mass along"
+    assert words in capsys.readouterr().out
+    found = json.loads((tmp_path / "out" / "planning.json").read_text())
+    assert found["intervals"]["com_shift_P"] == [None, [-0.05, 0.04], None]
 
 
 def test_without_a_mesh_the_rest_is_given_and_the_reason_said(
