@@ -20,20 +20,25 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from polhode.backend.problem.inertia import FORMS, InertiaForm, unit_determinant
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.errors import InputError
-from polhode.lie import Array, inverse_pose, make_pose, transform_points
+from polhode.lie import Array, inverse_pose, log_so3, make_pose, transform_points
 from polhode.mapping.mesh_files import read_ply
 from polhode.mapping.visibility import CLEARANCE, Caster, light_level
 from polhode.mesh_metrics import SAMPLES, compare_surfaces, sample_surface
 from polhode.metrics import (
+    COVERAGE,
+    COVERAGE_CONSTANTS,
+    NEES,
     States,
     angle_deg,
     constant_body_rotation,
+    coverage,
+    expected_range,
     motion_errors,
     nees,
     state_coverage,
@@ -47,7 +52,7 @@ from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory, require_same_frames, target_poses
 from polhode.records import Bools, Ints, Truth
-from polhode.rigid_body import HALF_TURN_NAMES, propagate
+from polhode.rigid_body import HALF_TURN_NAMES, HALF_TURNS, propagate
 from polhode.rigid_fit import mean_rotation
 from polhode.truth import read_truth
 
@@ -125,7 +130,9 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
     metrics = _motion_metrics(estimate, true_states, covariance)
     metrics["error_k1"] = summary.inertia.k1 - truth.k1
     metrics["error_k2"] = summary.inertia.k2 - truth.k2
-    metrics["nees"] |= _mass_nees(summary, truth, true_states, X_NG[0], FORMS[config.backend.inertia])
+    of_mass = _mass_metrics(summary, truth, true_states, X_NG[0], FORMS[config.backend.inertia])
+    metrics[NEES] |= of_mass[0]
+    metrics[COVERAGE_CONSTANTS] = of_mass[1]
     metrics |= _prediction_errors(estimate, true_states, truth, summary)
     metrics["mesh"] = _mesh_metrics(run_folder, sequence_folder, truth, X_NG, X_NG_true)
     return metrics
@@ -159,30 +166,39 @@ def _motion_metrics(estimate: States, truth: States, covariance: Covariance) -> 
         **errors,
         "attitude_error_deg": attitude,
         "half_turn": HALF_TURN_NAMES[half_turn],
-        "nees": state_nees(estimate, truth, covariance.covariance, half_turn),
-        "coverage_3sigma": state_coverage(estimate, truth, covariance.covariance, half_turn),
+        NEES: state_nees(estimate, truth, covariance.covariance, half_turn),
+        COVERAGE: state_coverage(estimate, truth, covariance.covariance, half_turn),
     }
 
 
-def _mass_nees(
+def _mass_metrics(
     summary: Summary, truth: Truth, true_states: States, X_NG_first: Array, form: InertiaForm
-) -> dict[str, float | None]:
-    """NEES of the five inertia parameters and of the centre of mass.
+) -> tuple[dict[str, float | None], dict[str, float | None]]:
+    """NEES, and coverage, of the five inertia parameters, the centre of mass and the principal axes.
 
     The estimate's G is fixed at the first frame, so the truth is expressed in G through the true state there.
     """
-    assert summary.inertia is not None
-    R_GN = X_NG_first[:3, :3].T
+    assert summary.inertia is not None and summary.R_GP is not None
+    R_GN, R_GP = X_NG_first[:3, :3].T, np.array(summary.R_GP)
     R_GP_true = R_GN @ true_states.R_NP[0]
     J_true = R_GP_true @ np.diag(truth.moments) @ R_GP_true.T
-    error_J = inertia_parameter_error(np.array(summary.inertia.J_G), J_true, form)
     com_true = (inverse_pose(X_NG_first) @ np.append(true_states.r_N[0], 1.0))[:3]
-    cov_J = np.array(summary.inertia.cov_J, dtype=np.float64)
-    cov_com = np.array(summary.cov_com_G, dtype=np.float64)
-    return {
-        "inertia": nees(error_J[None], cov_J[None]),
-        "com": nees((np.array(summary.com_G) - com_true)[None], cov_com[None]),
+    between = R_GP.T @ R_GP_true
+    half_turn = HALF_TURNS[int(np.argmax(HALF_TURNS @ np.diag(between)))]
+    errors = {
+        "inertia": inertia_parameter_error(np.array(summary.inertia.J_G), J_true, form),
+        "com": np.array(summary.com_G) - com_true,
+        "axes": -log_so3(between * half_turn),
     }
+    covariances = {
+        "inertia": np.array(summary.inertia.cov_J, dtype=np.float64),
+        "com": np.array(summary.cov_com_G, dtype=np.float64),
+        "axes": np.array(summary.cov_R_GP, dtype=np.float64),
+    }
+    return (
+        {name: nees(error[None], covariances[name][None]) for name, error in errors.items()},
+        {name: coverage(error, covariances[name]) for name, error in errors.items()},
+    )
 
 
 def inertia_parameter_error(J: Array, J_true: Array, form: InertiaForm) -> Array:
@@ -274,20 +290,25 @@ def seen_truth(
 
 
 def format_table(metrics: Metrics) -> str:
-    """Everything in metrics.json, one line each, as text."""
-    table = Table(title="Estimate minus truth", show_header=False)
-    table.add_column(style="bold")
-    table.add_column(justify="right")
+    """Everything in metrics.json, one line each, as text, beside what is expected if the sigmas are right."""
+    table = Table(
+        Column(style="bold"), Column("found", justify="right"), "expected", title="Estimate minus truth"
+    )
     for key, value in metrics.items():
         if isinstance(value, dict):
             for name, part in value.items():
-                table.add_row(f"{key} {name}", _shown(part))
+                table.add_row(f"{key} {name}", _shown(part), _expected(key, name))
         else:
-            table.add_row(key, _shown(value))
-    console = Console(width=80, file=StringIO(), force_terminal=False)
+            table.add_row(key, _shown(value), "")
+    console = Console(width=100, file=StringIO(), force_terminal=False)
     with console.capture() as capture:
         console.print(table)
     return capture.get()
+
+
+def _expected(group: str, name: str) -> str:
+    found = expected_range(group, name)
+    return "" if found is None else f"{found[0]:.2g} to {found[1]:.3g}"
 
 
 def _shown(value: object) -> str:

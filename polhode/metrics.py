@@ -8,6 +8,7 @@ them to a run, with the errors of inertia, mesh and prediction.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from polhode.errors import InputError
 from polhode.lie import Array, log_so3
@@ -16,6 +17,29 @@ from polhode.rigid_body import HALF_TURNS, best_half_turn, propagate
 from polhode.rigid_fit import mean_rotation
 
 _SAME_INSTANT_NS = 1_000
+COMPONENTS = {
+    **{"position": 3, "velocity": 3, "attitude": 3, "angular_velocity": 3},
+    **{"inertia": 5, "com": 3, "axes": 3},
+}
+"""Of each quantity with a NEES and a coverage."""
+NEES, COVERAGE, COVERAGE_CONSTANTS = "nees", "coverage_3sigma", "coverage_3sigma_constants"
+"""Groups of the metrics of a run that have an expected range"""
+MIN_COVERAGE = 0.99
+"""Of three standard deviations, which hold 99.7 % of Gaussian errors"""
+
+
+def expected_range(group: str, name: str) -> tuple[float, float] | None:
+    """Where a metric of one run lies if its sigmas are right; None: nothing is expected.
+
+    The 95 % band of a NEES is that of a single draw of the chi-squared distribution: the errors of a run's
+    frames depend on one another, in the extreme as if there were one frame.
+    """
+    if name not in COMPONENTS:
+        return None
+    if group == NEES:
+        low, high = chi2.ppf([0.025, 0.975], COMPONENTS[name])
+        return float(low), float(high)
+    return (MIN_COVERAGE, 1.0) if group in (COVERAGE, COVERAGE_CONSTANTS) else None
 
 
 @dataclass(frozen=True)
@@ -161,6 +185,17 @@ def state_coverage(
         inside = np.abs(error[known]) <= sigmas * np.sqrt(variance[known])
         out[name] = float(np.mean(inside)) if known.any() else None
     return out
+
+
+def coverage(error: Array, covariance: Array, sigmas: float = 3.0) -> float | None:
+    """Share of the determined components of an error (n,) within so many standard deviations; None: none is.
+
+    covariance (n, n).
+    """
+    variance = np.diagonal(covariance)
+    known = np.isfinite(variance)
+    inside = np.abs(error[known]) <= sigmas * np.sqrt(np.maximum(variance[known], 0.0))
+    return float(np.mean(inside)) if known.any() else None
 
 
 def state_errors(estimate: States, truth: States, half_turn: int) -> dict[str, Array]:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from polhode.lie import Array
+from polhode.metrics import expected_range
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
 from polhode.pipeline.run_directory.summary_schema import Assumed, Intervals, Summary
 from polhode.pipeline.run_directory.trajectory_file import Trajectory
@@ -284,14 +285,23 @@ def timing_rows(summary: Summary) -> list[tuple[str, float, float]]:
 
 
 def metric_rows(metrics: dict[str, Any]) -> list[TableRow]:
-    """metrics.json, one line a number; a nested group gives its name to its members."""
+    """metrics.json, one line a number; a nested group gives its name to its members.
+
+    Beside a NEES and a coverage stands what is expected if the sigmas are right.
+    """
     rows = []
     for key, value in metrics.items():
         if isinstance(value, dict):
             scaled = {f"{name}_m" if key.endswith("_m") else name: part for name, part in value.items()}
-            rows += [
-                TableRow(f"{_plain(key)}: {_member(row.name)}", row.value) for row in metric_rows(scaled)
-            ]
+            for (name, part), row in zip(value.items(), metric_rows(scaled), strict=True):
+                expected = expected_range(key, name)
+                words, holds = "", True
+                if expected is not None and part is not None:
+                    words = f"expected {expected[0]:.2g} to {expected[1]:.3g}"
+                    holds = expected[0] <= part <= expected[1]
+                rows.append(
+                    TableRow(f"{_plain(key)}: {_member(row.name)}", row.value, words, determined=holds)
+                )
         elif isinstance(value, bool | str) or value is None:
             rows.append(TableRow(_plain(key), "–" if value is None else str(value)))
         elif isinstance(value, int | float):

@@ -106,7 +106,11 @@ def test_the_truth_scores_zero_in_another_frame_G(example: Example, sequence: Pa
     stored = json.loads((run / "metrics.json").read_text())
     assert stored.pop("summary_sha256") == hashlib.sha256((run / "summary.json").read_bytes()).hexdigest()
     assert stored == metrics
-    assert "rmse_position_m" in format_table(metrics)
+    assert metrics["coverage_3sigma_constants"] == {"inertia": 1.0, "com": 1.0, "axes": 1.0}
+    table = format_table(metrics)
+    assert "rmse_position_m" in table and "expected" in table
+    (line,) = [line for line in table.splitlines() if "nees inertia" in line]
+    assert "0.83 to 12.8" in line
 
 
 def test_nothing_is_written_where_the_report_cannot_be_made(
@@ -152,6 +156,7 @@ def test_an_undetermined_run_has_no_nees_where_it_knows_nothing(
     metrics = evaluate(write_example(undetermined, undetermined.estimate, tmp_path / "run"), sequence)
     assert metrics["nees"]["inertia"] is None
     assert metrics["nees"]["com"] is None
+    assert metrics["coverage_3sigma_constants"]["inertia"] is None
     assert metrics["nees"]["attitude"] is None
     assert metrics["nees"]["angular_velocity"] < 1e-6
 

@@ -337,6 +337,21 @@ def test_metrics_are_listed_with_their_units() -> None:
     ]
 
 
+def test_nees_and_coverage_stand_beside_what_is_expected() -> None:
+    metrics = {
+        "nees": {"position": 3.0, "inertia": 15.4, "axes": None},
+        "coverage_3sigma": {"velocity": 0.95},
+        "coverage_3sigma_constants": {"com": 1.0},
+    }
+    assert [(row.name, row.unit, row.determined) for row in metric_rows(metrics)] == [
+        ("NEES: position", "expected 0.22 to 9.35", True),
+        ("NEES: inertia", "expected 0.83 to 12.8", False),
+        ("NEES: axes", "", True),
+        ("coverage 3sigma: velocity", "expected 0.99 to 1", False),
+        ("coverage 3sigma constants: com", "expected 0.99 to 1", True),
+    ]
+
+
 def test_the_drawn_polhode_is_the_motion_of_a_free_body(example: Any) -> None:
     moments, w0 = example.estimate.mass.moments, example.estimate.w_P[0]
     time_s = np.array([0.0, 0.5, 1.0])
