@@ -100,13 +100,17 @@ def run(
         with clock("checks"):
             sun = shape.mesh.sun if shape.mesh is not None else None
             sun_N = None if sun is None or sun.sigma_deg is None else np.array(sun.direction_N)
-            doubts = check_answer(tracks, estimate, solution.links, config.backend, online, sun_N)
+            doubts = images.checks(float(np.median(np.diff(tracks.time_s))))
+            doubts += check_answer(tracks, estimate, solution.links, config.backend, online, sun_N)
+        # the images were compared while the depth maps passed to the fusion
+        clock.seconds["checks"] += images.seconds
+        clock.seconds["fusion"] -= images.seconds
         with clock("report"):
             make_pictures(context, folder, tracks, estimate, surface)
         clock.add_total()
         warnings = [*context.sequence.warnings, *window_warnings(tracks.n_frames, config.backend)]
         warnings += [*fused.warnings, *findings.limits, *unbounded]
-        checks = [*images.checks(float(np.median(np.diff(tracks.time_s)))), *doubts, *findings.checks]
+        checks = [*doubts, *findings.checks]
         summary = build_summary(
             *(tracks, estimate, surface, clock.seconds, warnings),
             shape=shape,

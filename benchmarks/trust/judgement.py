@@ -1,6 +1,5 @@
 """One run against its truth: what it claims, what it says of itself, what its checks cost."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,7 +39,7 @@ def judgement(run: Path, sequence: Path, mesh: bool) -> dict[str, Any]:
     row: dict[str, Any] = {
         "frames": summary.frames,
         "seconds": round(summary.timing_s.total, 1),
-        "checks_seconds": getattr(summary.timing_s, "checks", None),
+        "checks_seconds": round(summary.timing_s.checks, 2),
         "checks": {check.name: (check.value, check.limit, bool(check.reason)) for check in summary.checks},
     }
     if not (run / "trajectory.csv").is_file() or summary.com_G is None:
@@ -73,36 +72,36 @@ def rates(run: Path, truth: Truth) -> dict[str, float | None]:
 
 
 def intervals_of(run: Path, summary: Summary, truth: Truth) -> dict[str, Any]:
-    """By name: the interval of a scalar that the run states, its true value, and whether this lies inside."""
-    content = json.loads((run / "summary.json").read_text(encoding="utf-8")).get("intervals") or {}
-    true_values = _true_values(run, summary, truth)
-    out = {}
-    for name, entry in content.items():
-        low, high = _ends(entry)
-        if low is None or high is None or name not in true_values:
-            continue
-        lows, highs, values = (np.atleast_1d(np.asarray(v, float)) for v in (low, high, true_values[name]))
-        if lows.shape != values.shape:
-            continue
-        inside = bool(np.all((lows <= values) & (values <= highs)))
-        out[name] = {"low": lows.tolist(), "high": highs.tolist(), "true": values.tolist(), "inside": inside}
-    return out
-
-
-def _ends(entry: Any) -> tuple[Any, Any]:
-    """Of an interval that is a mapping or begins with its two ends."""
-    if isinstance(entry, Mapping):
-        return entry.get("low"), entry.get("high")
-    return (entry[0], entry[1]) if isinstance(entry, list) and len(entry) >= 2 else (None, None)
-
-
-def _true_values(run: Path, summary: Summary, truth: Truth) -> dict[str, Any]:
-    """k1, k2 and the centre of mass in the estimate's G, which the first frame holds."""
+    """By name of each interval that the run states: low, high, the true value, whether this lies inside."""
+    stated = summary.intervals
+    if stated is None:
+        return {}
     table = read_trajectory(run)
     estimate = States(table.timestamps_ns, table.r_N, table.v_N, table.R_NP, table.w_P)
-    X_NG = target_poses(estimate, np.array(summary.R_GP), np.array(summary.com_G))[0]
-    com_G = (inverse_pose(X_NG) @ np.append(truth.r_N[0], 1.0))[:3]
-    return {"k1": truth.k1, "k2": truth.k2, "com_G": com_G}
+    R_GP, com_G = np.array(summary.R_GP), np.array(summary.com_G)
+    # the estimate's G is held at the first frame
+    X_GN = inverse_pose(target_poses(estimate, R_GP, com_G)[0])
+    true_com_G = (X_GN @ np.append(truth.r_N[0], 1.0))[:3]
+    pairs: dict[str, tuple[tuple[float, float] | None, float]] = {
+        "k1": (stated.k1, truth.k1),
+        "k2": (stated.k2, truth.k2),
+    }
+    if stated.com_G is not None:
+        low, high = stated.com_G
+        pairs |= {f"com_G_{a}": ((low[n], high[n]), true_com_G[n]) for n, a in enumerate("xyz")}
+    if stated.com_shift_P is not None:
+        shift_P = R_GP.T @ (true_com_G - com_G)
+        pairs |= {f"com_P_{a}": (stated.com_shift_P[n], shift_P[n]) for n, a in enumerate("xyz")}
+    return {
+        name: {
+            "low": pair[0],
+            "high": pair[1],
+            "true": float(true),
+            "inside": bool(pair[0] <= true <= pair[1]),
+        }
+        for name, (pair, true) in pairs.items()
+        if pair is not None
+    }
 
 
 def spin_outcome(row: Mapping[str, Any]) -> str:

@@ -9,6 +9,7 @@ the motion does not explain. It uses no landmark.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from time import perf_counter
 
 import cv2
 import numpy as np
@@ -51,20 +52,28 @@ class ImageMotion:
     views: list[PairView] = field(default_factory=list)
     """Of these pairs: what the check of the turn about an axis of symmetry needs"""
 
+    seconds: float = 0.0
+    """That the comparison took"""
+
     def watching(self, maps: Iterable[DepthMap]) -> Iterator[DepthMap]:
         """Pass on the depth maps of all frames, in order."""
         chosen, before = set(self._frames().tolist()), None
         for k, current in enumerate(maps):
             if k in chosen and before is not None:
-                X = self.X_RG[k] @ inverse_pose(self.X_RG[k - 1])
-                displacement = residual_displacement(before, current, X, self.rig)
-                if len(displacement) >= MIN_PIXELS:
-                    self.shares.append(float(np.mean(displacement > DISPLACED_PX)))
-                view = pair_view(before, current, (self.X_RG[k - 1], self.X_RG[k]), self.rig)
-                if view is not None:
-                    self.views.append(view)
+                start = perf_counter()
+                self._compare(k, before, current)
+                self.seconds += perf_counter() - start
             before = current if k + 1 in chosen else None
             yield current
+
+    def _compare(self, k: int, before: DepthMap, current: DepthMap) -> None:
+        X = self.X_RG[k] @ inverse_pose(self.X_RG[k - 1])
+        displacement = residual_displacement(before, current, X, self.rig)
+        if len(displacement) >= MIN_PIXELS:
+            self.shares.append(float(np.mean(displacement > DISPLACED_PX)))
+        view = pair_view(before, current, (self.X_RG[k - 1], self.X_RG[k]), self.rig)
+        if view is not None:
+            self.views.append(view)
 
     def checks(self, interval_s: float) -> list[Check]:
         """Whether the images move as the motion says, and show the turn of a body of revolution.

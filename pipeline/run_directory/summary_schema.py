@@ -65,7 +65,7 @@ class StageTimes(StrictModel):
     depth: Finite = 0.0
     fusion: Finite = 0.0
     checks: Finite = 0.0
-    """Of data and answer; that of the images is part of the fusion."""
+    """Of data and answer."""
     report: Finite = 0.0
     total: Finite = 0.0
 
