@@ -1,10 +1,10 @@
 """How far two estimates of the same motion differ, in the standard deviations of their difference.
 
 Of estimates from disjoint measurements the difference has the sum of both covariances. Of an estimate from a
-part of the other's measurements it has their difference (Hausman, "Specification Tests in Econometrics",
-Econometrica 46, 1978): what the whole knows besides is what the part may be wrong by. What both take from the
-same source, as the disturbances of the dynamics, makes the sum too large, so agreement then looks closer than
-it is.
+part of the other's measurements it has the part's less the whole's (Hausman, "Specification Tests in
+Econometrics", Econometrica 46, 1978), of which the part's is a bound that stays positive. What both take from
+the same source, as the disturbances of the dynamics, makes the sum too large, so agreement then looks closer
+than it is.
 """
 
 from collections.abc import Iterator
@@ -14,10 +14,6 @@ import numpy as np
 
 from polhode.lie import Array, log_so3
 from polhode.records import Ints, MotionEstimate
-
-MIN_SHARE = 0.15
-"""Of the part's variance, left to the difference: covariances that know of dependent errors need not be
-ordered"""
 
 
 @dataclass(frozen=True)
@@ -43,10 +39,9 @@ def disagreements(a: MotionEstimate, b: MotionEstimate, at: Ints, contained: boo
     return found
 
 
-def largest(found: list[Disagreement], *quantities: str) -> Disagreement | None:
-    """The largest of these quantities, of all if there are none; None: they are not determined."""
-    chosen = [each for each in found if not quantities or each.quantity in quantities]
-    return max(chosen, key=lambda each: each.sigmas, default=None)
+def largest(found: list[Disagreement]) -> Disagreement | None:
+    """The quantity that differs most; None: none is determined."""
+    return max(found, key=lambda each: each.sigmas, default=None)
 
 
 Difference = tuple[Array, Array, Array]
@@ -78,10 +73,8 @@ def _mean_square(difference: Array, P_a: Array, P_b: Array, contained: bool) -> 
     known = np.isfinite(np.diagonal(P_a)) & np.isfinite(np.diagonal(P_b)) & (np.diagonal(P_a) > 0.0)
     if not known.any():
         return None
-    d, A, B = difference[known], P_a[np.ix_(known, known)], P_b[np.ix_(known, known)]
+    covariance = P_a[np.ix_(known, known)]
     if not contained:
-        return float(d @ np.linalg.solve(A + B, d)) / len(d)
-    L = np.linalg.cholesky(A)
-    y = np.linalg.solve(L, d)
-    shares, V = np.linalg.eigh(np.linalg.solve(L, np.linalg.solve(L, B).T))
-    return float(np.mean((V.T @ y) ** 2 / np.maximum(1.0 - shares, MIN_SHARE)))
+        covariance = covariance + P_b[np.ix_(known, known)]
+    d = difference[known]
+    return float(d @ np.linalg.solve(covariance, d)) / len(d)

@@ -26,7 +26,7 @@ FIRST_PART = 0.7
 """Of the observations, in time"""
 MAX_FRAMES = 120
 """Longer sequences are thinned out to this number."""
-MAX_PATH, MAX_ROTATION, MAX_HALVES, MAX_OUTLINE = 2.5, 6.0, 3.0, 3.5
+MAX_PREDICTION, MAX_HALVES, MAX_OUTLINE = 2.7, 3.0, 3.5
 """[sigma] Above these the answer is doubted; docs/checks.md has the distributions."""
 MIN_HULL = 8
 """Landmarks of a frame whose outline counts"""
@@ -50,33 +50,27 @@ def parts_checks(tracks: StereoTracks, estimate: MotionEstimate, config: Backend
     """Forward prediction, halves, outline and interior."""
     step = -(-tracks.n_frames // MAX_FRAMES)
     whole = Whole(tracks, estimate, config, np.arange(0, tracks.n_frames, step))
-    return [*_prediction(whole), _halves(whole), _outline(whole)]
+    return [_prediction(whole), _halves(whole), _outline(whole)]
 
 
-def _prediction(whole: Whole) -> list[Check]:
-    """Of position and velocity, and of what the inertia bends: rotation, rate, inertia itself."""
+def _prediction(whole: Whole) -> Check:
+    check = Check(
+        name="prediction from the first part, against the whole", limit=MAX_PREDICTION, unit="sigma"
+    )
     tracks, last = whole.tracks, len(whole.frames) - 1
     until = int(np.quantile(tracks.frame, FIRST_PART)) if len(tracks.frame) else 0
     first, all_of_it = (whole.part(tracks.frame <= end) for end in (until, tracks.n_frames))
-    found = []
-    if first is not None and all_of_it is not None:
-        found = disagreements(first, all_of_it, np.array([last]), contained=True)
-    checks = []
-    for of, limit, quantities in (
-        ("position and velocity", MAX_PATH, ("position", "velocity")),
-        ("rotation and inertia", MAX_ROTATION, ("rotation", "rate", "inertia")),
-    ):
-        check = Check(name=f"prediction from the first part: {of}", limit=limit, unit="sigma")
-        worst = largest(found, *quantities)
-        if worst is not None:
-            check = check.judged(
-                worst.sigmas,
-                f"the motion up to {tracks.time_s[until]:g} s predicts another {worst.quantity} at the end "
-                f"than all measurements give ({worst.sigmas:.1f} sigma): the target may not be one body that "
-                "moves freely, or the clock, the poses or the associations are wrong",
-            )
-        checks.append(check)
-    return checks
+    if first is None or all_of_it is None:
+        return check
+    found = largest(disagreements(first, all_of_it, np.array([last]), contained=True))
+    if found is None:
+        return check
+    return check.judged(
+        found.sigmas,
+        f"the motion up to {tracks.time_s[until]:g} s predicts another {found.quantity} at the end than all "
+        f"measurements give ({found.sigmas:.1f} sigma): the target may not be one body that moves freely, or "
+        "the clock, the poses or the associations are wrong",
+    )
 
 
 def _halves(whole: Whole) -> Check:
