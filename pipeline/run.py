@@ -155,6 +155,7 @@ def _build_surface(
             context.progress,
             len(X_RG),
             covariance_G=estimate.covariance_X_NG,
+            landmarks_G=estimate.landmarks.p_G,
         )
     for warning in surface.warnings:
         _log.warning(warning)

@@ -370,13 +370,34 @@ class AlignedPoses:
 
 
 @dataclass(frozen=True)
+class ErrorCorrelation:
+    """A share of the variance of the vertices' errors that neighbours have in common."""
+
+    share: float
+    length_m: float
+    """It correlates by exp(-distance / this); inf: all over the body"""
+
+
+@dataclass(frozen=True)
+class SurfaceErrors:
+    """How the errors of a surface's vertices belong together."""
+
+    scale: float
+    """Noise of the surface over what its depth maps state, by the landmarks"""
+    landmarks: int
+    """Number of landmarks that were compared with the surface"""
+    correlation: tuple[ErrorCorrelation, ...]
+    """The shares add up to one"""
+
+
+@dataclass(frozen=True)
 class SurfaceModel:
     """The dense model in G."""
 
     mesh: trimesh.Trimesh
     """vertex colours set"""
     sigma_m: Array
-    """(V,) inf where nothing was measured"""
+    """(V,) of the distance along the normal; inf where nothing was measured"""
     views: Ints
     """(V,) frames that saw the vertex; 0 where nothing was measured"""
     invented: Bools | None = None
@@ -387,6 +408,8 @@ class SurfaceModel:
     """Missing parts of the surface, and the reason"""
     aligned: AlignedPoses | None = None
     """None: all poses were well determined"""
+    errors: SurfaceErrors | None = None
+    """How the vertices' errors belong together; None: not known"""
 
     @property
     def is_invented(self) -> Bools:

@@ -14,11 +14,11 @@ _BITS = 20
 HALF = 1 << (_BITS - 1)
 """Block coordinates lie within +-HALF."""
 
-WEIGHT, DISTANCE, SQUARE, FREE, VIEWS, COLOUR, COLOUR_WEIGHT = range(7)
-CHANNELS = 7
+WEIGHT, DISTANCE, SQUARE, FREE, VIEWS, COLOUR, COLOUR_WEIGHT, WEIGHT_SQUARED = range(8)
+CHANNELS = 8
 BYTES_PER_BLOCK = VOXELS * 4 * CHANNELS
 _MIN_RESERVED = 1024
-"""Blocks, 14 MiB."""
+"""Blocks, 16 MiB."""
 
 
 TRUNCATION_VOXELS = 4.0
@@ -48,12 +48,13 @@ def voxel_offsets(device: torch.device) -> Int64[Tensor, "512 3"]:
 
 
 class BlockGrid:
-    """Blocks in the order of their allocation: keys (n,), and float32 values (n, 512, 7).
+    """Blocks in the order of their allocation: keys (n,), and float32 values (n, 512, 8).
 
     Memory grows with the blocks, up to ``memory_mib``; while it grows, old and new values exist together.
 
     Of frames that saw the surface near a voxel: WEIGHT, DISTANCE, SQUARE, sums of w, w d, w d^2, d the signed
-    distance [m]; VIEWS, their number; COLOUR, COLOUR_WEIGHT, weighted sum of intensities and of its weights.
+    distance [m]; WEIGHT_SQUARED, sum of w^2; VIEWS, their number; COLOUR, COLOUR_WEIGHT, weighted sum of
+    intensities and of its weights.
     FREE: sum of the weights of frames that saw through it, at the truncation distance in front.
     """
 
@@ -70,7 +71,7 @@ class BlockGrid:
         self._sorted = self._keys[:0]
         self._order = self._keys[:0]
 
-    def _empty(self, blocks: int) -> Float32[Tensor, "n 512 7"]:
+    def _empty(self, blocks: int) -> Float32[Tensor, "n 512 8"]:
         if self.device.type == "cpu":
             # NumPy's zeros take no memory until they are touched
             return torch.from_numpy(np.zeros((blocks, VOXELS, CHANNELS), dtype=np.float32))
@@ -95,8 +96,8 @@ class BlockGrid:
         return self._keys[: self._n]
 
     @property
-    def values(self) -> Float32[Tensor, "n 512 7"]:
-        """(n, 512, 7), a view that may be written to, valid until the next ``allocate``."""
+    def values(self) -> Float32[Tensor, "n 512 8"]:
+        """(n, 512, 8), a view that may be written to, valid until the next ``allocate``."""
         return self._values[: self._n]
 
     @property

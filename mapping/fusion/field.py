@@ -22,7 +22,9 @@ from polhode.mapping.fusion.block_grid import BYTES_PER_BLOCK, EDGE, BlockGrid
 from polhode.mapping.fusion.depth_frame import FrameTensors, at_pose, frame_tensors
 from polhode.mapping.fusion.frame_alignment import FieldLookup, FrameAlignment, align, depth_points
 from polhode.mapping.fusion.integration import allocate, integrate
-from polhode.mapping.fusion.surface_extraction import empty_surface, extract_surface
+from polhode.mapping.fusion.surface_extraction import ExtractedSurface, empty_surface, extract_surface
+from polhode.mapping.fusion.vertex_sigma import separate_sides, vertex_sigma
+from polhode.mapping.fusion.vertex_views import views_of_vertices
 from polhode.progress import Progress, Silent
 from polhode.records import AlignedPoses, DepthMap, SurfaceModel
 from polhode.rigid_fit import mean_rotation
@@ -35,6 +37,8 @@ ALIGN_OVERLAP = 0.3
 """A frame is aligned if at least this share of its depth lies near known surface."""
 _log = logging.getLogger(__name__)
 _ROUNDS = 5
+_ENOUGH_KEPT = 0.5
+"""Share of the frames that must be kept for their mean to replace that of the field."""
 _ALIGN_ROUNDS = 2
 
 
@@ -247,18 +251,21 @@ class Field:
         centres = self._grid.centres_m().cpu().numpy().astype(np.float64)
         return np.asarray(trimesh.bounds.corners([centres.min(axis=0), centres.max(axis=0)]))
 
-    def surface(self) -> SurfaceModel:
-        """The mesh in G of the surface that frames agree on, with warnings."""
+    def surface(self, landmarks_G: Array | None = None) -> SurfaceModel:
+        """The mesh in G of the surface that frames agree on, with warnings.
+
+        landmarks_G (L, 3) [m] of the sparse map show how accurate the depth is; None: not known.
+        """
         config = self.config
         for kept in self._kept.values():
             self._complete(kept)
         warnings = self._warnings()
         least = min(config.min_views, max(self.used, 1))
         found = extract_surface(self._grid, config, least)
-        if self.used > least and len(found.mesh.faces) == 0:
+        if self.used > least and found is None:
             # frames that do not overlap
             found = extract_surface(self._grid, config, 1)
-            if len(found.mesh.faces):
+            if found is not None:
                 warnings.append(
                     f"no part of the surface was seen in {config.min_views} frames: the mesh is what single "
                     "frames saw, and nothing confirms it"
@@ -268,12 +275,30 @@ class Field:
                 f"the surface is made of {self.used} {'frame' if self.used == 1 else 'frames'}: nothing "
                 "confirms its parts, and what they did not see is open"
             )
-        if len(found.mesh.faces) == 0:
+        if found is None:
             if self.used:
                 warnings.append("what the frames agree on is too small for a surface: there is none")
             return empty_surface(tuple(warnings))
-        found.mesh.apply_transform(inverse_pose(self._X_FG))
-        return replace(found, warnings=tuple(warnings))
+        return self._with_sigma(found, landmarks_G, tuple(warnings))
+
+    def _with_sigma(
+        self, found: ExtractedSurface, landmarks_G: Array | None, warnings: tuple[str, ...]
+    ) -> SurfaceModel:
+        """The surface in G, its sides separated, with sigmas."""
+        cut_m, voxel_m = (self._grid.front_m, self._grid.behind_m), self._voxel_m
+        frames = [(kept.tensors, kept.X_RF) for kept in self._kept.values()]
+        mesh = found.mesh
+        views = views_of_vertices(
+            frames, self.rig, np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), cut_m, voxel_m
+        )
+        noise_m = found.noise_m
+        if len(frames) >= _ENOUGH_KEPT * self.used:
+            mesh, noise_m = separate_sides(mesh, noise_m, views)
+        mesh.apply_transform(inverse_pose(self._X_FG))
+        sigma_m, errors = vertex_sigma(
+            mesh, noise_m, found.single_m, views, landmarks_G, voxel_m, self.config
+        )
+        return SurfaceModel(mesh=mesh, sigma_m=sigma_m, views=found.views, warnings=warnings, errors=errors)
 
     def _warnings(self) -> list[str]:
         out = []
@@ -340,14 +365,16 @@ def fuse(
     progress: Progress | None = None,
     n_frames: int = 0,
     covariance_G: Array | None = None,
+    landmarks_G: Array | None = None,
 ) -> SurfaceModel:
     """Fuse depth maps into a mesh in G.
 
     frames: pairs of a DepthMap and X_RG (4, 4), the target's pose in the rectified left camera; read once,
     one at a time. Depth or poses with NaN are left out. n_frames: how many are coming, for the progress bar.
     covariance_G (F, 6, 6): of the poses, as for ``Field.add``; None: exact; not finite: unknown. Frames with
-    uncertain poses are aligned to the surface of the others; ``aligned`` of the result has their poses. The
-    mesh is empty when nothing was seen; ``warnings`` say what is missing and why.
+    uncertain poses are aligned to the surface of the others; ``aligned`` of the result has their poses.
+    landmarks_G (L, 3) [m]: the sparse map, which shows how accurate the depth is; None: not known. The mesh
+    is empty when nothing was seen; ``warnings`` say what is missing and why.
     """
     stream = iter(frames)
     head = list(islice(stream, _PEEK))
@@ -358,7 +385,7 @@ def fuse(
             field.add(frame, X_RG, None if covariance_G is None else covariance_G[k])
             advance()
     aligned = field.align() if config.align else None
-    return replace(field.surface(), aligned=aligned)
+    return replace(field.surface(landmarks_G), aligned=aligned)
 
 
 def choose_voxel_m(frames: list[DepthMap], rig: RectifiedRig, config: Mapping) -> float:

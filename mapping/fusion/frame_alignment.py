@@ -52,7 +52,7 @@ class FieldLookup:
     """A field on the processor, in its frame F, evaluated at points of G."""
 
     values: NDArray[np.float32]
-    """(n, 512, 7)"""
+    """(n, 512, 8)"""
     keys: Ints
     """(n,) sorted"""
     order: Ints

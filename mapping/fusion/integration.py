@@ -27,6 +27,7 @@ from polhode.mapping.fusion.block_grid import (
     VIEWS,
     VOXELS,
     WEIGHT,
+    WEIGHT_SQUARED,
     BlockGrid,
     pack_keys,
     unpack_keys,
@@ -228,6 +229,7 @@ def _add_part(
     added[:, SQUARE], added[:, VIEWS] = part * distance.square(), sign * near
     added[:, FREE] = weight * (1.0 - near) * FREE_SPACE_WEIGHT
     added[:, COLOUR], added[:, COLOUR_WEIGHT] = lit * intensity, lit
+    added[:, WEIGHT_SQUARED] = sign * part.square()
     block = torch.div(hit, VOXELS, rounding_mode="floor")
     grid.values[index[block], hit - block * VOXELS] += added
 
@@ -244,7 +246,7 @@ _EMPTY = -1
 _MASK = 2 * HALF - 1
 _BITS = HALF.bit_length()
 F32 = np.float32
-NEAR = (WEIGHT, DISTANCE, SQUARE, VIEWS, COLOUR, COLOUR_WEIGHT)
+NEAR = (WEIGHT, DISTANCE, SQUARE, VIEWS, COLOUR, COLOUR_WEIGHT, WEIGHT_SQUARED)
 RESIDUE = 1e-5
 """Share of a removed weight below which the remainder is rounding."""
 
@@ -317,7 +319,7 @@ def update_blocks(
 ) -> None:
     """Add a frame to the blocks ``index``, or remove it (sign -1).
 
-    values (n, 512, 7), keys (n,); pose X_RG (4, 4); camera: focal length and centre [px] in ``pixels``
+    values (n, 512, 8), keys (n,); pose X_RG (4, 4); camera: focal length and centre [px] in ``pixels``
     (h, w, 4): depth, cosine, weight, intensity, no depth in the outermost pixels; cut: front, behind [m],
     weight of free space.
     """
@@ -370,6 +372,7 @@ def update_blocks(
                     cells[voxel, VIEWS] += plus
                     cells[voxel, COLOUR] += lit * grey
                     cells[voxel, COLOUR_WEIGHT] += lit
+                    cells[voxel, WEIGHT_SQUARED] += plus * part * part
                 if plus < F32(0.0):
                     # removal leaves rounding, which is set to zero
                     if cells[voxel, FREE] < -residue * full:

@@ -7,13 +7,9 @@ follows the surface.
 A voxel is known where enough frames saw it and agree, and few frames look through it. The number of frames
 alone is a poor criterion: two frames that agree confirm each other, while many that disagree, as matching
 windows do on a slanted surface without texture, confirm nothing.
-
-A vertex's sigma has three parts: what independent noise leaves after averaging over the frames, a share of a
-single view's sigma, and a share of the roughness. The last two do not average out: disparities are matched in
-windows, so relief finer than a window is lost in every view alike, and all views share a part of their other
-errors (texture, light, calibration). Both shares were tuned on four simulated bodies
-(``benchmarks/mapping/mesh_quality.py``).
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -33,11 +29,12 @@ from polhode.mapping.fusion.block_grid import (
     VIEWS,
     VOXELS,
     WEIGHT,
+    WEIGHT_SQUARED,
     BlockGrid,
     pack_keys,
     unpack_keys,
 )
-from polhode.mapping.mesh_geometry import min_spread, neighbour_sums, piece_areas
+from polhode.mapping.mesh_geometry import piece_areas
 from polhode.records import Bools, Ints, SurfaceModel
 
 _CHUNK = 8
@@ -55,30 +52,42 @@ def empty_surface(warnings: tuple[str, ...] = ()) -> SurfaceModel:
     return SurfaceModel(mesh=mesh, sigma_m=np.zeros(0), views=np.zeros(0, dtype=np.int64), warnings=warnings)
 
 
-def extract_surface(grid: BlockGrid, config: Mapping, min_views: int) -> SurfaceModel:
-    """Mesh in G [m] of all known voxels, without small pieces; empty when there are none.
+@dataclass(frozen=True)
+class ExtractedSurface:
+    """The zero level, with the field's values at its vertices."""
+
+    mesh: trimesh.Trimesh
+    """vertex colours set"""
+    noise_m: Array
+    """(V,) sigma of the mean of independent frames"""
+    single_m: Array
+    """(V,) of one frame"""
+    views: Ints
+    """(V,)"""
+
+
+def extract_surface(grid: BlockGrid, config: Mapping, min_views: int) -> ExtractedSurface | None:
+    """Mesh in G [m] of all known voxels, without small pieces; None when there are none.
 
     ``min_views`` replaces that of the configuration.
     """
     if len(grid) == 0:
-        return empty_surface()
+        return None
     values = grid.values.cpu().numpy()
     known = known_voxels(values, grid.voxel_m, config, min_views)
     distance = _distances(values, known, grid.front_m, grid.voxel_m)
     first = np.unique(np.floor_divide(unpack_keys(grid.keys).cpu().numpy(), _CHUNK), axis=0) * _CHUNK
     parts = [part for corner in first if (part := _mesh_chunk(grid, corner, distance)) is not None]
     if not parts:
-        return empty_surface()
+        return None
     vertices, faces, edges, shares_of = _merge(parts)
     piece, area = piece_areas(vertices, faces)
     faces = faces[area[piece[faces[:, 0]]] >= MIN_PIECE_VOXELS]
     used, renumbered = np.unique(faces, return_inverse=True)
     if len(used) == 0:
-        return empty_surface()
+        return None
     of_vertices = _values_at(values, edges[used], shares_of[used], grid.front_m)
-    return _surface_model(
-        vertices[used] * grid.voxel_m, renumbered.reshape(-1, 3), of_vertices, grid.voxel_m, config
-    )
+    return _extracted(vertices[used] * grid.voxel_m, renumbered.reshape(-1, 3), of_vertices)
 
 
 def _distances(values: Floats, known: Bools, front_m: float, voxel_m: float) -> Floats:
@@ -163,18 +172,16 @@ def _merge(parts: list[tuple[Array, Ints, Ints, Floats]]) -> tuple[Array, Ints, 
     return vertices, faces[whole], edges, share
 
 
-def _surface_model(
-    vertices: Array, faces: Ints, values: Floats, voxel_m: float, config: Mapping
-) -> SurfaceModel:
+def _extracted(vertices: Array, faces: Ints, values: Floats) -> ExtractedSurface:
     """Assemble the record; values (V, 4) are sigma of the mean, of one view [m], views, grey."""
     grey = np.clip(np.round(values[:, 3]), 0, 255).astype(np.uint8)
     rgba = np.column_stack([grey, grey, grey, np.full_like(grey, 255)])
-    # Faces point outwards: the field is positive outside, scikit-image winds them by descending values.
-    mesh = trimesh.Trimesh(vertices=vertices, faces=faces, vertex_colors=rgba, process=False)
-    noise_m, single_view_m = values[:, :2].T.astype(np.float64)
-    return SurfaceModel(
-        mesh=mesh,
-        sigma_m=vertex_sigma(mesh, noise_m, single_view_m, voxel_m, config),
+    noise_m, single_m = values[:, :2].T.astype(np.float64)
+    return ExtractedSurface(
+        # Faces point outwards: the field is positive outside, scikit-image winds them by descending values.
+        mesh=trimesh.Trimesh(vertices=vertices, faces=faces, vertex_colors=rgba, process=False),
+        noise_m=noise_m,
+        single_m=single_m,
         views=np.maximum(np.round(values[:, 2]), 1).astype(np.int64),
     )
 
@@ -184,12 +191,12 @@ _TIMES_USUAL = 2.0
 
 
 def known_voxels(values: Floats, voxel_m: float, config: Mapping, min_views: int) -> Bools:
-    """(n, 512): which of the field's voxels (n, 512, 7) are known, from at least ``min_views`` frames."""
+    """(n, 512): which of the field's voxels (n, 512, 8) are known, from at least ``min_views`` frames."""
     weight, free, views = values[..., WEIGHT], values[..., FREE], values[..., VIEWS]
     scatter = scatter_m(values) / np.float32(voxel_m)
     usual = _usual(scatter, values, voxel_m)
     seen = views + (free > 0) >= min_views
-    confirmed = (views >= 2) & (scatter < max(config.agreeing_voxels, usual))
+    confirmed = (views >= 2) & (_disagreement(scatter, values) < max(config.agreeing_voxels, usual))
     agree = scatter < max(config.scatter_voxels, _TIMES_USUAL * usual)
     # far in front of every surface all frames look through, and the voxel is known to be empty
     empty = weight <= 0
@@ -205,47 +212,26 @@ def scatter_m(values: Floats) -> Floats:
     return scatter
 
 
+def _disagreement(scatter: Floats, values: Floats) -> Floats:
+    """(n, 512): the scatter that frames of equal weight and the same differences would have.
+
+    The weighted scatter is small where one frame has most of the weight, however far the others are off. Its
+    expectation is in proportion to one less one over the effective number of frames (Kish 1965).
+    """
+    total, squared = values[..., WEIGHT], values[..., WEIGHT_SQUARED]
+    effective = total * total / np.maximum(squared, np.float32(1e-30))
+    views = np.maximum(values[..., VIEWS], np.float32(1.0))
+    short = np.maximum(
+        np.float32(1.0) - np.float32(1.0) / np.maximum(effective, np.float32(1.0)), np.float32(1e-6)
+    )
+    widened: Floats = scatter * np.sqrt(
+        np.maximum((np.float32(1.0) - np.float32(1.0) / views) / short, np.float32(1.0))
+    )
+    return widened
+
+
 def _usual(scatter: Floats, values: Floats, voxel_m: float) -> float:
     """Median scatter at the surface [voxels]."""
     distance = np.abs(values[..., DISTANCE])
     near = (values[..., VIEWS] >= 3) & (distance < np.float32(voxel_m) * values[..., WEIGHT])
     return float(np.median(scatter[near])) if near.any() else 0.0
-
-
-WINDOW_VOXELS = 6.0
-"""Radius of the disc over which roughness is computed: a voxel is about a pixel, a window 7 of them wide."""
-
-
-def vertex_sigma(
-    mesh: trimesh.Trimesh, noise_m: Array, single_view_m: Array, voxel_m: float, config: Mapping
-) -> Array:
-    """Standard deviation (V,) of the distance along the normal [m].
-
-    noise_m (V,) what remains of independent noise after averaging; single_view_m (V,) sigma of one view.
-    """
-    relief = roughness(mesh, WINDOW_VOXELS * voxel_m) if config.relief_sigma > 0.0 else 0.0 * noise_m
-    shared, smoothed = config.shared_sigma * single_view_m, config.relief_sigma * relief
-    return np.asarray(np.sqrt(noise_m**2 + shared**2 + smoothed**2))
-
-
-def roughness(mesh: trimesh.Trimesh, radius_m: float) -> Array:
-    """Root mean square (V,) of the surface's height over the plane that fits it around each vertex [m].
-
-    Second moments of the vertices around, by repeated averaging over neighbours up to the spread of a disc of
-    this radius.
-    """
-    V, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-    if len(faces) == 0:
-        return np.zeros(len(V))
-    sums = neighbour_sums(faces, len(V))
-    share = 1.0 / np.diff(sums.indptr)
-    # one averaging spreads by the mean square of the steps; a disc by half its radius squared
-    along = np.sum((V[faces] - V[np.roll(faces, -1, axis=1)]) ** 2, axis=2)
-    step = np.mean(along) * np.mean(1.0 - share)
-    rounds = int(np.clip(np.ceil(0.5 * radius_m**2 / step), 1, 60))
-    moved = V - V.mean(axis=0)
-    a, b = np.triu_indices(3)
-    moments = np.concatenate([moved, moved[:, a] * moved[:, b]], axis=1)
-    for _ in range(rounds):
-        moments = (sums @ moments) * share[:, None]
-    return np.asarray(np.sqrt(min_spread(moments)))

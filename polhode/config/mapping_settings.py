@@ -30,9 +30,10 @@ class Mapping(Section):
     """Divide the Sun's shading out of the colours, where the images determine the Sun's direction."""
     levels: tuple[Annotated[float, Field(ge=1e-6, lt=1)], ...] = Field((0.25, 0.0625), max_length=10)
     """Shares of the faces that the lighter meshes keep: mesh_lod1.glb, mesh_lod2.glb, ...; (): none."""
-    shared_sigma: float = Field(0.05, ge=0, le=10)
-    """Share of a single view's sigma that is common to all views of a point and does not average out."""
-    relief_sigma: float = Field(1.0, ge=0, le=1e3)
+    shared_sigma: float = Field(0.45, ge=0, le=10)
+    """Share of a frame's sigma that is common to frames that look from the same direction, and does not
+    average out over them."""
+    relief_sigma: float = Field(1.8, ge=0, le=1e3)
     """Sigma of the relief that matching in windows smooths away, relative to the remaining roughness."""
     memory_mib: float = Field(1024.0, ge=0.1, le=1e7)
     """Largest memory of the field [MiB]; a larger field gets larger voxels. What still does not fit is

@@ -66,7 +66,7 @@ def test_loops_and_tensors_say_the_same(frames: Frames) -> None:
     compiled, tensors_ = grids
     at = tensors_.find(compiled.keys)
     assert len(compiled) == len(tensors_) > 100 and bool((at >= 0).all())
-    a, b = compiled.values.reshape(-1, 7), tensors_.values[at].reshape(-1, 7)
+    a, b = compiled.values.reshape(-1, 8), tensors_.values[at].reshape(-1, 8)
     # single precision puts a voxel in a thousand into the next pixel
     assert float((a[:, VIEWS] == b[:, VIEWS]).float().mean()) > 0.998
     same = (a[:, VIEWS] == b[:, VIEWS]) & ((a[:, FREE] > 0) == (b[:, FREE] > 0))
@@ -127,8 +127,8 @@ def test_frames_that_memory_does_not_hold_stay_as_they_are(frames: Frames) -> No
     field = Field(RIG, CONFIG, VOXEL_M, kept_mib=0.2)
     for depth, X_RG in frames:
         field.add(depth, X_RG)
-    # what they miss are a few blocks at rims
-    assert between(field.surface(), filled(frames).surface()) < 1.0
+    # what they miss are a few blocks at rims, and the separation of the sides there
+    assert between(field.surface(), filled(frames).surface()) < 1.5
     with pytest.raises(ValueError, match="frames were dropped"):
         field.move(np.stack([X for _, X in frames]))
 

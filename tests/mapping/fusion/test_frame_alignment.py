@@ -227,7 +227,7 @@ def test_doubtful_frames_are_aligned_before_the_surface_is_made(body: trimesh.Tr
     found = fuse(frames, FINE_RIG, CONFIG, covariance_G=covariance)
     best = fuse(exact, FINE_RIG, CONFIG)
     error = [distance_to_surface(body, np.asarray(s.mesh.vertices)).mean() for s in (left, found, best)]
-    assert error[1] - error[2] < 0.4 * (error[0] - error[2])
+    assert error[1] - error[2] < 0.45 * (error[0] - error[2])
     assert left.aligned is None and best.aligned is None and found.aligned is not None
     assert found.aligned.doubtful == 8
     np.testing.assert_array_equal(found.aligned.frames, np.arange(0, 24, 3))

@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 
 from polhode.config.mapping_settings import Mapping
 from polhode.lie import make_pose
-from polhode.mapping.fusion.block_grid import CHANNELS, DISTANCE, FREE, SQUARE, VIEWS, WEIGHT
+from polhode.mapping.fusion.block_grid import (
+    CHANNELS,
+    DISTANCE,
+    FREE,
+    SQUARE,
+    VIEWS,
+    WEIGHT,
+    WEIGHT_SQUARED,
+)
 from polhode.mapping.fusion.field import Field
 from polhode.mapping.fusion.surface_extraction import known_voxels, scatter_m
 from polhode.mesh_metrics import distance_to_surface
@@ -19,12 +27,15 @@ VOXEL_M = 2e-3
 CONFIG = Mapping(agreeing_voxels=0.7, scatter_voxels=1.6, carved_share=0.3)
 
 
-def voxel(said_voxels: list[float], through: float = 0.0) -> NDArray[np.float32]:
-    """(1, 1, 7): sums of what frames of unit weight said, and the weight of those that look through."""
+def voxel(
+    said_voxels: list[float], through: float = 0.0, weights: list[float] | None = None
+) -> NDArray[np.float32]:
+    """(1, 1, 8): sums of what frames said (of unit weight), and the weight of those that look through."""
     d = np.array(said_voxels) * VOXEL_M
+    w = np.ones(len(d)) if weights is None else np.array(weights)
     out = np.zeros((1, 1, CHANNELS), dtype=np.float32)
-    out[..., WEIGHT], out[..., VIEWS] = len(d), len(d)
-    out[..., DISTANCE], out[..., SQUARE], out[..., FREE] = d.sum(), np.square(d).sum(), through
+    out[..., WEIGHT], out[..., VIEWS], out[..., WEIGHT_SQUARED] = w.sum(), len(d), np.square(w).sum()
+    out[..., DISTANCE], out[..., SQUARE], out[..., FREE] = (w * d).sum(), (w * d * d).sum(), through
     return out
 
 
@@ -43,6 +54,15 @@ def test_two_frames_count_where_they_agree() -> None:
     assert not is_known([1.0, -1.0])
     assert not is_known([0.0])
     assert is_known([0.0], min_views=1)
+
+
+@pytest.mark.parametrize("weight", [1.0, 0.1, 0.01, 1e-4])
+def test_a_frame_does_not_confirm_another_by_its_poor_weight(weight: float) -> None:
+    def confirmed(said_voxels: list[float]) -> bool:
+        return bool(known_voxels(voxel(said_voxels, weights=[1.0, weight]), VOXEL_M, CONFIG, 3)[0, 0])
+
+    assert confirmed([0.5, -0.5])
+    assert not confirmed([0.0, 2.0])
 
 
 def test_many_frames_do_not_count_where_they_contradict_each_other() -> None:
