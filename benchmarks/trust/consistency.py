@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from benchmarks.robustness.judge import Errors, TrueMotion, errors_of
 from polhode.backend.problem.inertia import FORMS
 from polhode.config.loader import load_config
-from polhode.metrics import States
+from polhode.metrics import MIN_COVERAGE, States
 from polhode.pipeline.evaluation import inertia_parameter_error
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
@@ -25,7 +25,6 @@ QUANTITIES = ("position", "velocity", "attitude", "rate", "inertia", "axes", "co
 SIGMAS = 3.0
 LEAST_NEES = 0.45
 """Of the mean over its expectation: below, the bands are more than 1.5 times as wide as needed."""
-LEAST_COVERAGE = 0.99
 Entry = dict[str, Any]
 
 
@@ -101,4 +100,4 @@ def holds(result: Entry) -> bool:
     if result["ratio"] is None:
         return True
     in_band = max(result["low"], LEAST_NEES) <= result["ratio"] <= result["high"]
-    return bool(in_band and result["coverage"] >= LEAST_COVERAGE)
+    return bool(in_band and result["coverage"] >= MIN_COVERAGE)
