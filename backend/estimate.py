@@ -242,6 +242,7 @@ def _estimate(
         converged=solution.converged,
         message=f"{solution.message}; best hypothesis: {best}",
         runner_up=runner_up,
+        constraints=ended.constraints,
     )
     estimate = with_systematic(estimate, tracks, config.systematic_px)
     stronger = disturbance_ratio(data, config.accel_psd, config.torque_psd)

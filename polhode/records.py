@@ -133,6 +133,8 @@ class SolverOutcome:
     message: str = ""
     runner_up: dict[str, float] = field(default_factory=dict)
     """Cost of the other hypotheses, by name."""
+    constraints: dict[str, bool] = field(default_factory=dict)
+    """Constraints that were asked for, by name: whether each is active."""
 
 
 @dataclass(frozen=True)

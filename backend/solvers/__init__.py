@@ -3,6 +3,7 @@
 - ``solve``: the choice of the solver, limits, the fallback to IPOPT.
 - ``gauss_newton``: the default solver, with damping and line search; also the source of covariances.
 - ``ipopt``: the whole problem stated as one nonlinear program, solved by IPOPT.
+- ``constraints``: what is known besides the motion, as constraints of that program.
 - ``linearization_point``: what stays fixed during one solve.
 - ``robust_kernel``: the Cauchy kernel of the stereo residuals.
 - ``schur``: normal equations of the stereo measurements, elimination of the landmarks.

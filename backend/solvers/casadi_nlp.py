@@ -53,13 +53,22 @@ class ExternalFunction(ca.Callback):
 
 
 def ipopt_solver(
-    name: str, x: Any, p: Any, cost: Any, gradient: Any, hessian: tuple[Any, Any], options: dict[str, Any]
+    name: str,
+    x: Any,
+    p: Any,
+    cost: Any,
+    gradient: Any,
+    hessian: tuple[Any, Any],
+    options: dict[str, Any],
+    constraints: tuple[Any, Any] | None = None,
 ) -> Any:
-    """IPOPT on an unconstrained program: minimize ``cost`` over x, with its derivatives given.
+    """IPOPT on a program: minimize ``cost`` over x, with its derivatives given.
 
-    hessian: the sparsity of its upper triangle and the values of these entries.
+    hessian: the sparsity of its upper triangle and the values of these entries. constraints: their values g
+    and their Jacobian; limits are given at each solve. Their curvature is left out, as that of residuals is.
     """
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
+    g = None if constraints is None else constraints[0]
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0 if g is None else g.numel())
     grad_f = ca.Function("nlp_grad_f", [x, p], [cost, gradient], ["x", "p"], ["f", "grad_f_x"])
     sparsity, values = hessian
     hess = ca.Function(
@@ -70,7 +79,11 @@ def ipopt_solver(
         ["triu_hess_gamma_x_x"],
     )
     problem: Any = {"x": x, "p": p, "f": cost}
-    return ca.nlpsol(name, "ipopt", problem, {**options, "grad_f": grad_f, "hess_lag": hess})
+    given = {**options, "grad_f": grad_f, "hess_lag": hess}
+    if constraints is not None:
+        problem["g"] = g
+        given["jac_g"] = ca.Function("nlp_jac_g", [x, p], list(constraints), ["x", "p"], ["g", "jac_g_x"])
+    return ca.nlpsol(name, "ipopt", problem, given)
 
 
 def ipopt_options(

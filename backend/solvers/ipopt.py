@@ -33,6 +33,7 @@ from polhode.backend.solvers.casadi_nlp import (
     upper_keys,
     upper_sparsity,
 )
+from polhode.backend.solvers.constraints import Constraints
 from polhode.backend.solvers.gauss_newton import ITERATION_LIMIT, TIME_LIMIT, Solution
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.backend.solvers.robust_kernel import kernel_curvature, robust_cost, robust_weight
@@ -49,6 +50,11 @@ MESSAGES = {
 }
 TOLERANCE = 1e-3
 """Largest gradient at the optimum; whitened residuals are of order one."""
+FEASIBLE = 1e-7
+"""Largest violation of a constraint at the optimum."""
+COMPLEMENTARY = 1e-5
+"""Largest product of a multiplier and the distance from its limit: the barrier must not keep the optimum
+away from limits."""
 STATIONARY_COST_CHANGE = 1e-7
 """The iterations end when the relative change of the cost stays below this three times in a row."""
 
@@ -143,7 +149,7 @@ class MotionProgram:
     c = 8), and where forces or torques are known mass, scale, biases and the torque's axes (``wrench.py``;
     c = 19); landmarks ``l_j`` in G.
 
-    minimise over x, without constraints::
+    minimise over x, without constraints unless the configuration asks for some (``constraints.py``)::
 
         sum_(k,j) rho(|| Sigma_kj^-1/2 (uvd_kj - project(R_RN,k (R_k l_j + p_k) + t_R,k)) ||^2)     stereo
       + 1/2 sum_k || Lambda_k^-1/2 [ r_k+1 - r_k - dt v_k;  v_k+1 - v_k;                            dynamics
@@ -167,8 +173,9 @@ class MotionProgram:
 
     name = "ipopt"
 
-    def __init__(self, data: MotionData) -> None:
-        self.data = data
+    def __init__(self, data: MotionData, constraints: Constraints | None = None) -> None:
+        self.data, self.constraints = data, constraints or Constraints(())
+        self._fixed: LinearizationPoint | None = None
         self._series: Ints = np.zeros(0, dtype=np.int64)
         self._solver: Any = None
         # CasADi keeps only weak references to them
@@ -183,7 +190,10 @@ class MotionProgram:
             self._series = np.maximum(series, self._series) if self._solver else series
             layout = ProgramLayout(fixed.reference, int(self._series.max()))
             self._solver = self.build(layout, max_iterations, max_seconds)
-        result = self._solver(x0=x, p=program_parameters(self.data, fixed, self._series))
+        self._fixed, limits = fixed, {}
+        if self.constraints:
+            limits = dict(zip(("lbg", "ubg"), self.constraints.limits, strict=True))
+        result = self._solver(x0=x, p=program_parameters(self.data, fixed, self._series), **limits)
         stats = self._solver.stats()
         status = str(stats["return_status"])
         good, message = status in OPTIMAL, MESSAGES.get(status, status)
@@ -214,12 +224,40 @@ class MotionProgram:
         values = scatter(position, len(cells)) @ blocks
         sparsity = upper_sparsity(cells, n_x)
         options = self.options(max_iterations, max_seconds)
-        return ipopt_solver("motion", x, p, cost, gradient, (sparsity, values), options)
+        constraints = self._constraint_terms(x, layout) if self.constraints else None
+        return ipopt_solver("motion", x, p, cost, gradient, (sparsity, values), options, constraints)
+
+    def _constraint_terms(self, x: Any, layout: "ProgramLayout") -> tuple[Any, Any]:
+        """Values and Jacobian of the constraints, at the linearization point of the solve under way."""
+        at, n_x = self.constraints, x.numel()
+        rows, columns = at.cells(layout.reference)
+        order = np.lexsort((rows, columns))
+        n_g = len(at.limits[0])
+
+        def fixed() -> LinearizationPoint:
+            assert self._fixed is not None
+            return self._fixed
+
+        outside = [
+            ExternalFunction("constraints", lambda v: at.values(fixed(), v), (n_x,), n_g),
+            ExternalFunction(
+                "constraint_slopes", lambda v: at.derivatives(fixed(), v)[order], (n_x,), len(rows)
+            ),
+        ]
+        self._outside += outside
+        offsets = np.searchsorted(columns[order], np.arange(n_x + 1))
+        sparsity = ca.Sparsity(n_g, n_x, offsets.tolist(), rows[order].tolist())
+        values, slopes = (each(x) for each in outside)
+        return values, ca.MX(sparsity, slopes)
 
     def options(self, max_iterations: int, max_seconds: float) -> dict[str, Any]:
         """Options of CasADi and IPOPT, without the derivatives."""
         limit = float(np.clip(max_seconds, 1e-6, 1e6))
-        return ipopt_options(TOLERANCE, STATIONARY_COST_CHANGE, max_iterations, max_wall_time=limit)
+        names = ("constr_viol_tol", "acceptable_constr_viol_tol") if self.constraints else ()
+        more = dict.fromkeys(names, FEASIBLE)
+        if self.constraints:
+            more["acceptable_compl_inf_tol"] = COMPLEMENTARY
+        return ipopt_options(TOLERANCE, STATIONARY_COST_CHANGE, max_iterations, max_wall_time=limit, **more)
 
     def terms(self, x: Any, p: Any, at: "ProgramLayout", output: Output) -> list[ProgramTerm]:
         """Kernels mapped over their data: dynamics by number of series, then priors and gauge."""
@@ -269,6 +307,7 @@ class ProgramLayout:
     """Where each kind of unknown and of parameter begins in the program's vectors; attitudes A come first."""
 
     def __init__(self, reference: Iterate, most_series: int) -> None:
+        self.reference = reference
         self.n_state, self.n_dense, n = reference.n_state, reference.n_dense, reference.n_frames
         self.step = StepLayout(reference.n_state, reference.wrench is not None)
         self.n_torque = 6 * most_series if self.step.with_wrench else 0

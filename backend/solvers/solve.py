@@ -1,7 +1,7 @@
 """The solve of the whole problem: the choice of the solver, its limits, and the fallback to IPOPT."""
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import numpy as np
@@ -9,6 +9,7 @@ from scipy.linalg import LinAlgError
 
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
+from polhode.backend.solvers.constraints import constraints_of
 from polhode.backend.solvers.gauss_newton import GaussNewton, Solution
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point, recenter_inertia
@@ -28,6 +29,8 @@ class SolvedMotion:
     iterate: Iterate
     solution: Solution
     iterations: int
+    constraints: dict[str, bool] = field(default_factory=dict)
+    """Those of the configuration, by name: whether each changed the optimum, or its limit is reached"""
 
 
 def solve(data: MotionData, iterate: Iterate, config: Backend) -> SolvedMotion:
@@ -35,8 +38,26 @@ def solve(data: MotionData, iterate: Iterate, config: Backend) -> SolvedMotion:
 
     IPOPT makes progress in valleys where Gauss-Newton is slow, but takes several times as long. Gauss-Newton
     gets half of the iterations and of the time; IPOPT, if needed, all iterations and the remaining time.
-    Raises LinAlgError if neither has a solution.
+    An optimum that violates none of the configuration's constraints is that of the constrained problem, too;
+    else IPOPT continues with them. Raises LinAlgError if neither solver has a solution.
     """
+    constraints = constraints_of(data, iterate, config)
+    found = _unconstrained(data, iterate, config)
+    if not constraints:
+        return found
+    fixed = linearization_point(data, found.iterate, TIGHT_GAUGE)
+    active = constraints.reached(fixed, found.iterate.vector())
+    if not constraints.hold(fixed, found.iterate.vector()):
+        program = MotionProgram(data, constraints)
+        at, solution, more = refine(program, data, found.iterate, config.max_iterations, config.max_seconds)
+        found = SolvedMotion(MotionProgram.name, at, solution, found.iterations + more)
+        fixed = linearization_point(data, at, TIGHT_GAUGE)
+    # also one whose limit the free optimum lies beyond, even if nothing holds the new one at that limit
+    now = constraints.reached(fixed, found.iterate.vector())
+    return replace(found, constraints={name: active[name] or now[name] for name in now})
+
+
+def _unconstrained(data: MotionData, iterate: Iterate, config: Backend) -> SolvedMotion:
     limits = (config.max_iterations, config.max_seconds)
     if config.solver == "ipopt":
         return SolvedMotion(MotionProgram.name, *refine(MotionProgram(data), data, iterate, *limits))

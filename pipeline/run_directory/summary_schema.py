@@ -125,6 +125,9 @@ class SolverSummary(StrictModel):
     message: str = ""
     runner_up: dict[str, Variance] = {}
     """Cost of the other hypotheses, by name, minus that of the chosen one; null: did not converge."""
+    constraints: dict[str, bool] = {}
+    """Constraints that were asked for (backend.bounds), by name: whether each is active, that is, changed the
+    answer or has its limit reached."""
 
 
 class Noise(StrictModel):

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from polhode.config.section import Section
+from polhode.config.section import Position, Section
 
 Pixels = Annotated[float, Field(ge=0, le=100)]
 Seconds = Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -36,6 +36,31 @@ class Bounds(Section):
     """No part of the convex hull is denser than the mean over the hull by more than this factor: for the
     intervals of k1 and k2. Over the 30 bodies of the scenes and of the campaign of faults, 1.0 to 4.5 explain
     the inertia."""
+    com_in: Literal["none", "landmarks", "box"] = "none"
+    """Constrain the centre of mass to the convex hull of the landmarks, enlarged by hull_growth, or to
+    com_box_G."""
+    hull_growth: float = Field(1.1, ge=1, le=100)
+    """Size of the hull of com_in over that of the landmarks' hull."""
+    com_box_G: tuple[Position, Position] | None = None
+    """Least and largest coordinates of the centre of mass in G [m], for com_in box."""
+    least_depth_m: float | None = Field(None, ge=0, le=1e6)
+    """Constrain every observed landmark to lie at least this far in front of both cameras [m]; null: not
+    constrained."""
+    equal_moments: Literal["none", "largest", "smallest"] = "none"
+    """Constrain the two largest or the two smallest moments to be equal, for a body that is known to be
+    symmetric about an axis."""
+    known_mass: bool = False
+    """Constrain the mass that known forces act on to backend.mass_kg."""
+
+    @model_validator(mode="after")
+    def _box_is_given(self) -> Self:
+        if self.com_in == "box" and self.com_box_G is None:
+            raise ValueError("com_in: box needs com_box_G, least and largest coordinates [m]")
+        if self.com_box_G is not None and not all(
+            low < high for low, high in zip(*self.com_box_G, strict=True)
+        ):
+            raise ValueError("com_box_G: give the least coordinates first, then the largest [m]")
+        return self
 
 
 class Backend(Section):

@@ -4,13 +4,20 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.pipeline.intervals.body_hull import hull_around
+from polhode.pipeline.intervals.body_hull import BodyHull, hull_around
 from polhode.pipeline.intervals.centre_of_mass import com_extremes, farthest_com
 from tests.pipeline.intervals.limits import no_limits, spin_limits
 
 BOX_M = np.array([0.3, 0.4, 0.6])
-BOX = hull_around(trimesh.creation.box(BOX_M).vertices)
-assert BOX is not None
+
+
+def _box() -> BodyHull:
+    hull = hull_around(trimesh.creation.box(BOX_M).vertices)
+    assert hull is not None
+    return hull
+
+
+BOX = _box()
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
