@@ -201,12 +201,14 @@ def measure(
     )
 
 
-def within_sigma(mesh: trimesh.Trimesh, sigma_m: Array, truth: trimesh.Trimesh) -> tuple[float, float]:
-    """Share of the vertices that are off by less than one and two of their standard deviations."""
+def within_sigma(
+    mesh: trimesh.Trimesh, sigma_m: Array, truth: trimesh.Trimesh, sigmas: tuple[float, float] = (1.0, 2.0)
+) -> tuple[float, float]:
+    """Share of the vertices that are off by less than one and two (or so many) of their sigmas."""
     known = np.flatnonzero(np.isfinite(sigma_m))
     some = np.random.default_rng(0).choice(known, min(MAX_VERTICES, len(known)), replace=False)
     off = distance_to_surface(truth, np.asarray(mesh.vertices)[some]) / sigma_m[some]
-    return float(np.mean(off < 1.0)), float(np.mean(off < 2.0))
+    return float(np.mean(off < sigmas[0])), float(np.mean(off < sigmas[1]))
 
 
 def row(o: MeshOutcome) -> list[object]:

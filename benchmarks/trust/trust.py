@@ -171,6 +171,8 @@ def print_verdicts(lines: Sequence[Case]) -> None:
     print_table(head, rows, right_from=4)
     outcomes = [outcome_of(line) for line in lines]
     print("\n" + ", ".join(f"{outcomes.count(name)} {name}" for name in VERDICTS))
+    seconds, checks = (sum(line[key] or 0.0 for line in lines) for key in ("seconds", "checks_seconds"))
+    print(f"Checks: {100.0 * checks / seconds:.1f} % of the time of the runs")
 
 
 def _mesh_cells(mesh: dict[str, Any]) -> list[str]:

@@ -12,6 +12,7 @@ from benchmarks.trust.consistency import band, entry_of, holds, pooled
 from benchmarks.trust.judgement import OUTCOMES, spin_outcome
 from benchmarks.trust.new_scenes import KINDS, new_scene
 from benchmarks.trust.revolution import BODIES, SHAPES, SURFACES, body_scene, painted, turned
+from benchmarks.trust.trust import print_tables
 from polhode.simulation.dataset.plan import plan_sequence
 
 
@@ -100,3 +101,34 @@ def test_the_band_narrows_with_the_number_of_components() -> None:
 )
 def test_a_rate_is_found_or_the_run_says_so(status: str, error: float | None, outcome: int) -> None:
     assert spin_outcome({"status": status, "rate_error_deg_s": error}) == OUTCOMES[outcome]
+
+
+def row(group: str, name: str, **more: Any) -> dict[str, Any]:
+    """A row of the record, of a sound run."""
+    checks = {"marks": (0.5, 0.1, False)}
+    base = {"case": {"group": group, "name": name}, "status": "ok", "warnings": [], "claims": {}, "wrong": []}
+    return base | {"checks": checks, "seconds": 50.0, "checks_seconds": 2.0} | more
+
+
+def test_the_tables_show_what_holds_and_what_does_not(capsys: pytest.CaptureFixture[str]) -> None:
+    good, bad = drawn(1, 1.0)[0], {"nees": 90.0, "expected": 3.0, "inside": 40, "total": 60}
+    doubted = {"status": "degraded", "checks": {"marks": (0.0, 0.1, True)}}
+    intervals = {"k1": {"low": 0.0, "high": 1.0, "true": 0.5, "inside": True}}
+    second = row("new", "b", consistency={"position": bad}, wrong=["position"])
+    mesh = {"within_1_sigma": 0.68, "within_3_sigma": 0.99}
+    print_tables(
+        [
+            row("configs", "a", consistency={"position": good}, intervals=intervals, mesh=mesh),
+            second | {"case": {"group": "new", "name": "b", "draw": 2}},
+            row("configs", "lost", status="failed"),
+            row("revolution", "c", rate_error_deg_s=0.02, rate_sigma_deg_s=None, rate_deg_s=12.0),
+            row("revolution", "d", rate_error_deg_s=11.0, rate_sigma_deg_s=0.1, rate_deg_s=12.0, **doubted),
+        ]
+    )  # fmt: skip
+    out = capsys.readouterr().out
+    assert "| b 2 | 30.00 (67) | - |" in out and "**all** | **" in out
+    assert "| a | ok | - | - | 1 of 1 | 68.0 | 99.0 | 50 | 4.0 |" in out
+    assert "1 wrong and confident" in out and "1 failed with a reason" in out
+    assert "Checks: 4.0 % of the time" in out
+    assert "| d | 12.0 | 11.000 | 0.100 | degraded | not found, and said so | marks |" in out
+    assert "1 found, ok, 0 found, but doubted, 1 not found, and said so, 0 not found, and ok" in out
