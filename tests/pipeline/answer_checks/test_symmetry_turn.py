@@ -6,6 +6,7 @@ import pytest
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, make_pose
+from polhode.pipeline.answer_checks import symmetry_turn
 from polhode.pipeline.answer_checks.image_motion import ImageMotion
 from polhode.pipeline.answer_checks.symmetry_turn import MAX_SLIP, slippable_axis
 from polhode.pipeline.run_directory.summary_schema import Check
@@ -78,6 +79,13 @@ def turn_check_of(marks: Array, found_deg: float, box: bool = False) -> Check:
 def test_the_turn_of_a_marked_body_shows(marks: Array) -> None:
     check = turn_check_of(marks, STEP_DEG)
     assert check.reason == "" and check.value is not None and check.value > 0.2
+
+
+def test_large_pictures_are_reduced(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(symmetry_turn, "MAX_SIDE_PX", 70)
+    check = turn_check_of(rich(), STEP_DEG)
+    assert check.reason == "" and check.value is not None and check.value > 0.2
+    assert turn_check_of(rich(), 0.0).reason
 
 
 @pytest.mark.parametrize("found_deg", [0.0, -STEP_DEG])
