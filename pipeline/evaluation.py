@@ -49,7 +49,7 @@ from polhode.metrics import (
 from polhode.pipeline.run_directory.archives import Covariance, read_covariance
 from polhode.pipeline.run_directory.recording import require_recording
 from polhode.pipeline.run_directory.summary import read_summary
-from polhode.pipeline.run_directory.summary_schema import Summary
+from polhode.pipeline.run_directory.summary_schema import Intervals, Summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory, require_same_frames, target_poses
 from polhode.records import Bools, Ints, Truth
 from polhode.rigid_body import HALF_TURN_NAMES, HALF_TURNS, propagate
@@ -133,6 +133,13 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
     of_mass = _mass_metrics(summary, truth, true_states, X_NG[0], FORMS[config.backend.inertia])
     metrics[NEES] |= of_mass[0]
     metrics[COVERAGE_CONSTANTS] = of_mass[1]
+    if summary.intervals is not None:
+        metrics["truth_in_interval"] = _truth_in_intervals(
+            summary,
+            summary.intervals,
+            truth,
+            (inverse_pose(X_NG[0]) @ np.append(true_states.r_N[0], 1.0))[:3],
+        )
     metrics |= _prediction_errors(estimate, true_states, truth, summary)
     metrics["mesh"] = _mesh_metrics(run_folder, sequence_folder, truth, X_NG, X_NG_true)
     return metrics
@@ -199,6 +206,21 @@ def _mass_metrics(
         {name: nees(error[None], covariances[name][None]) for name, error in errors.items()},
         {name: coverage(error, covariances[name]) for name, error in errors.items()},
     )
+
+
+def _truth_in_intervals(
+    summary: Summary, intervals: Intervals, truth: Truth, com_true_G: Array
+) -> dict[str, bool]:
+    """For each interval of the run whether the truth lies inside; com_true_G (3,) in the run's G [m]."""
+    ends = {"k1": (intervals.k1, truth.k1), "k2": (intervals.k2, truth.k2)}
+    shift = np.array(summary.R_GP).T @ (com_true_G - np.array(summary.com_G))
+    for axis, interval, moved in zip("xyz", intervals.com_shift_P or (), shift, strict=False):
+        ends[f"com_{axis}"] = (interval, float(moved))
+    found = {name: at[0] <= value <= at[1] for name, (at, value) in ends.items() if at is not None}
+    if intervals.com_G is not None:
+        low, high = np.array(intervals.com_G)
+        found["com_G"] = bool(np.all(low <= com_true_G) and np.all(com_true_G <= high))
+    return found
 
 
 def inertia_parameter_error(J: Array, J_true: Array, form: InertiaForm) -> Array:

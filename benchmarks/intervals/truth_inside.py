@@ -73,7 +73,7 @@ class Case:
         limits = motion_limits(
             *(self.com_G, self.R_GP, J, by_parameters, self.covariance, self.w_G, 2.0 * hull.radius_m)
         )
-        return intervals_in(hull, limits, self.known, self.settings.bounds.max_density_ratio)[0]
+        return intervals_in(hull, limits, self.known, self.settings.bounds)[0]
 
     def rows(self) -> Iterator[tuple[str, bool, float]]:
         """Name of each interval, whether the truth is inside, its width over that by the true hull."""

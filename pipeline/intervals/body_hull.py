@@ -51,6 +51,14 @@ class BodyHull:
         """Distance from the middle to the farthest vertex [m]."""
         return float(np.linalg.norm(self.vertices - self.middle, axis=1).max())
 
+    def within(self, low: Array, high: Array) -> "BodyHull":
+        """The part between the coordinates low and high (3,) [m]; its vertices stay those of the whole."""
+        return BodyHull(
+            np.concatenate([self.normals, np.eye(3), -np.eye(3)]),
+            np.concatenate([self.offsets, high, -low]),
+            self.vertices,
+        )
+
     def points(self, count: int) -> Array:
         """(count, 3) or fewer points [m], spread evenly over the volume; always the same."""
         middle = self.vertices.mean(axis=0)

@@ -9,7 +9,7 @@ import logging
 import numpy as np
 
 from polhode.backend.problem.inertia import FORMS, inertia_by_parameters
-from polhode.config.backend_settings import Backend
+from polhode.config.backend_settings import Backend, Bounds
 from polhode.lie import Array
 from polhode.pipeline.intervals.body_hull import BodyHull, body_hull
 from polhode.pipeline.intervals.centre_of_mass import com_extremes
@@ -47,34 +47,41 @@ def find_intervals(
         2.0 * hull.radius_m,
     )
     try:
-        return intervals_in(hull, limits, known, config.bounds.max_density_ratio)
+        return intervals_in(hull, limits, known, config.bounds)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         _log.warning("no intervals: %s", error, exc_info=_log.isEnabledFor(logging.DEBUG))
         return None, [f"no intervals: {error}"]
 
 
 def intervals_in(
-    hull: BodyHull, limits: MotionLimits, known: Identifiability, max_density_ratio: float
+    hull: BodyHull, limits: MotionLimits, known: Identifiability, given: Bounds
 ) -> tuple[Intervals | None, list[str]]:
     """The intervals of what is not ``known``, and warnings."""
     directions = np.concatenate([np.eye(3), limits.R_GP.T])
-    extremes = com_extremes(hull, limits, directions)
+    inner, bounds = hull, ["centre of mass inside the convex hull of the surface and the landmarks"]
+    if given.com_in == "box" and given.com_box_G is not None:
+        inner = hull.within(*map(np.array, given.com_box_G))
+        bounds.append("centre of mass inside the given box (backend.bounds.com_box_G)")
+    extremes = com_extremes(inner, limits, directions)
     if extremes is None:
         return None, [
             "no intervals: the centre of mass lies outside the hull of the body; the motion or the surface "
             "is wrong"
         ]
     along = np.einsum("nk,nsk->ns", directions, extremes)
-    bounds = ["centre of mass inside the convex hull of the surface and the landmarks"]
     shift = along[3:] - (limits.R_GP.T @ limits.center_G)[:, None]
     ratios = None
     if not (known.k1 and known.k2):
         centers = _centers(extremes, limits, known)
-        ratios = ratio_intervals(hull.points(POINTS), centers, limits, max_density_ratio)
+        ratios = ratio_intervals(hull.points(POINTS), centers, limits, given.max_density_ratio)
         bounds.append(
-            f"inertia of a mass inside that hull whose density is from 0 to {max_density_ratio:g} times the "
-            "mean (backend.bounds.max_density_ratio)"
+            "inertia of a mass inside that hull whose density is from 0 to "
+            f"{given.max_density_ratio:g} times the mean (backend.bounds.max_density_ratio)"
         )
+    if ratios is not None and given.equal_moments != "none":
+        ratios.high[0 if given.equal_moments == "largest" else 1] = 0.0
+        ratios.low[0 if given.equal_moments == "largest" else 1] = 0.0
+        bounds.append(f"the {given.equal_moments} moments are equal (backend.bounds.equal_moments)")
     found = {
         "com_G": None if known.com else (along[:3, 0], along[:3, 1]),
         "com_shift_P": None if known.com else _unless(known.com_P, shift),

@@ -19,6 +19,7 @@ from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.pipeline.evaluation import evaluate, format_table, inertia_parameter_error
 from polhode.pipeline.report import write_evaluation
+from polhode.pipeline.run_directory.summary_schema import Intervals
 from polhode.records import MotionEstimate, Truth
 from polhode.rigid_body import propagate
 from tests.pipeline.conftest import Example
@@ -77,7 +78,9 @@ def _silhouette(mesh: trimesh.Trimesh, X_NG: Array, K: Array, shift_m: float) ->
     return np.asarray(hit.reshape(u.shape) * 120 + noise, dtype=np.uint8)
 
 
-def write_example(example: Example, estimate: MotionEstimate, folder: Path) -> Path:
+def write_example(
+    example: Example, estimate: MotionEstimate, folder: Path, intervals: Intervals | None = None
+) -> Path:
     folder.mkdir()
     write_run(
         folder,
@@ -86,6 +89,7 @@ def write_example(example: Example, estimate: MotionEstimate, folder: Path) -> P
         estimate=estimate,
         surface=example.surface,
         timing_s={},
+        intervals=intervals,
     )
     return folder
 
@@ -159,6 +163,26 @@ def test_an_undetermined_run_has_no_nees_where_it_knows_nothing(
     assert metrics["coverage_3sigma_constants"]["inertia"] is None
     assert metrics["nees"]["attitude"] is None
     assert metrics["nees"]["angular_velocity"] < 1e-6
+
+
+def test_of_each_interval_is_said_whether_the_truth_is_inside(
+    undetermined: Example, sequence: Path, tmp_path: Path
+) -> None:
+    mass = undetermined.estimate.mass
+    box = (tuple(mass.com_G - 0.01), tuple(mass.com_G + 0.01))
+    around, beside = (mass.k1 - 0.1, mass.k1 + 0.1), (mass.k2 + 0.1, mass.k2 + 0.2)
+    # the estimate is the truth here: no shift
+    shift = (None, (0.002, 0.05), (-0.01, 0.01))
+    given = Intervals(com_G=box, com_shift_P=shift, k1=around, k2=beside)
+    run = write_example(undetermined, undetermined.estimate, tmp_path / "run", given)
+    metrics = evaluate(run, sequence)
+    expected = {"k1": True, "k2": False, "com_y": False, "com_z": True, "com_G": True}
+    assert metrics["truth_in_interval"] == expected
+    assert "truth_in_interval k2" in format_table(metrics)
+    write_evaluation(run, metrics)
+    assert "truth_in_interval" not in evaluate(
+        write_example(undetermined, undetermined.estimate, tmp_path / "without"), sequence
+    )
 
 
 def test_a_run_without_a_mesh_is_evaluated_all_the_same(

@@ -10,6 +10,7 @@ from polhode.backend import estimate_motion, initialize_motion
 from polhode.backend.problem.inertia import FORMS, inertia_by_parameters
 from polhode.config.backend_settings import Backend, Bounds
 from polhode.lie import exp_so3
+from polhode.pipeline.intervals import find_intervals as module
 from polhode.pipeline.intervals.body_hull import hull_around
 from polhode.pipeline.intervals.find_intervals import find_intervals, intervals_in
 from polhode.pipeline.intervals.motion_limits import PAIRS, motion_limits
@@ -49,6 +50,12 @@ def sphere_around(estimate: MotionEstimate) -> SurfaceModel:
     mesh.apply_translation(middle)
     n = len(mesh.vertices)
     return SurfaceModel(mesh, np.full(n, 1e-3), np.full(n, 5, dtype=np.int64))
+
+
+@pytest.fixture(autouse=True)
+def few_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A coarser filling of the hull is fast, and enough here."""
+    monkeypatch.setattr(module, "POINTS", 100)
 
 
 @pytest.fixture(scope="module")
@@ -149,6 +156,22 @@ def test_bounds_are_named_and_ordered(spin: tuple[MotionEstimate, np.ndarray]) -
         assert part is None or part[0] < part[1]
 
 
+def test_a_given_box_and_equal_moments_narrow_them(spin: tuple[MotionEstimate, np.ndarray]) -> None:
+    estimate, _ = spin
+    free, _ = find_intervals(estimate, sphere_around(estimate), None, CONFIG)
+    assert free is not None and free.com_G is not None
+    low, high = np.array(free.com_G)
+    middle = 0.5 * (low + high)
+    box = ((low - 1.0).tolist(), [*(high[:2] + 1.0), middle[2]])
+    given = {"com_in": "box", "com_box_G": box, "equal_moments": "largest"}
+    config = CONFIG.model_copy(update={"bounds": Bounds.model_validate(given)})
+    found, _ = find_intervals(estimate, sphere_around(estimate), None, config)
+    assert found is not None and found.com_G is not None
+    assert found.com_G[1][2] == pytest.approx(middle[2]) and found.k1 == (0.0, 0.0)
+    assert found.k2 is not None and found.k2[1] > 0.5
+    assert any("given box" in words for words in found.bounds)
+
+
 def test_limits_of_a_motion_that_no_mass_in_the_hull_fits_leave_the_ratios_open(
     spin: tuple[MotionEstimate, np.ndarray],
 ) -> None:
@@ -157,6 +180,6 @@ def test_limits_of_a_motion_that_no_mass_in_the_hull_fits_leave_the_ratios_open(
     limits = spin_limits(2)
     # a body whose moment about z is larger than the others together
     impossible = replace(limits, inertia_rows=np.array([[1.1, 1.1, -1.0, 0.0, 0.0, 0.0]]))
-    found, doubts = intervals_in(hull, impossible, spin[0].mass.identifiable, 8.0)
+    found, doubts = intervals_in(hull, impossible, spin[0].mass.identifiable, Bounds())
     assert found is not None and found.k1 is None and found.com_G is not None
     assert "no mass inside the hull" in doubts[0]
