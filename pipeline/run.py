@@ -14,6 +14,7 @@ from polhode.lie import transform_points
 from polhode.mapping.fusion.field import fuse
 from polhode.pipeline.answer_checks.check_answer import check_answer
 from polhode.pipeline.answer_checks.image_motion import ImageMotion
+from polhode.pipeline.answer_checks.mesh_check import mesh_check
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.correspondences import match_frames
 from polhode.pipeline.data_checks.check_data import check_data
@@ -102,6 +103,7 @@ def run(
             sun_N = None if sun is None or sun.sigma_deg is None else np.array(sun.direction_N)
             doubts = images.checks(float(np.median(np.diff(tracks.time_s))))
             doubts += check_answer(tracks, estimate, solution.links, config.backend, online, sun_N)
+            doubts.append(mesh_check(shape.physics))
         # the images were compared while the depth maps passed to the fusion
         clock.seconds["checks"] += images.seconds
         clock.seconds["fusion"] -= images.seconds

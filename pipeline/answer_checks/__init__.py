@@ -11,5 +11,6 @@ In: the solution, depth maps and images. Out: checks, each with its value, limit
 - sun_check: whether landmarks slide with the Sun
 - links_check: links of frame pairs that contradict the motion
 - twins_check: distance of the mirror twin and of the runner-up
+- mesh_check: whether a body with this surface can have this centre of mass
 - window_check: whether the causal estimate ends where the smoothed one does
 """
