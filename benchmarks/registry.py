@@ -102,6 +102,7 @@ BENCHMARKS = (
     Benchmark("matching", "frontend.matching", "docs/frontend.md", 120),
     Benchmark("disparity", "frontend.disparity", "docs/depth.md", 60),
     _of_runs("mesh_quality", "mapping.mesh_quality", "docs/mapping.md", 20, _SURFACES),
+    _of_runs("mesh_sigma", "mapping.mesh_sigma", "docs/mapping.md", 5, _WITH_TRUTH),
     Benchmark("lengths", "mapping.lengths", "docs/mapping.md", 1, short=None, needs=_TS38),
     Benchmark("fusion_peers", "mapping.fusion_peers", "docs/mapping.md", 40, needs=tuple(_SURFACES.split())),
     Benchmark("fusion_scale", "mapping.fusion_scale", "docs/mapping.md", 10),

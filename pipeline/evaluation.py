@@ -49,11 +49,12 @@ from polhode.metrics import (
 from polhode.pipeline.run_directory.archives import Covariance, read_covariance
 from polhode.pipeline.run_directory.recording import require_recording
 from polhode.pipeline.run_directory.summary import read_summary
-from polhode.pipeline.run_directory.summary_schema import Intervals, Summary
+from polhode.pipeline.run_directory.summary_schema import Intervals, Summary, correlation_of
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory, require_same_frames, target_poses
-from polhode.records import Bools, Ints, Truth
+from polhode.records import Bools, ErrorCorrelation, Ints, Truth
 from polhode.rigid_body import HALF_TURN_NAMES, HALF_TURNS, propagate
 from polhode.rigid_fit import mean_rotation
+from polhode.surface_errors import sigma_shares
 from polhode.truth import read_truth
 
 MAX_FRAMES = 60
@@ -141,7 +142,8 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
             (inverse_pose(X_NG[0]) @ np.append(true_states.r_N[0], 1.0))[:3],
         )
     metrics |= _prediction_errors(estimate, true_states, truth, summary)
-    metrics["mesh"] = _mesh_metrics(run_folder, sequence_folder, truth, X_NG, X_NG_true)
+    correlation = None if summary.mesh is None else correlation_of(summary.mesh)
+    metrics["mesh"] = _mesh_metrics(run_folder, sequence_folder, truth, X_NG, X_NG_true, correlation)
     return metrics
 
 
@@ -274,12 +276,19 @@ def _prediction_errors(estimate: States, true_states: States, truth: Truth, summ
 
 
 def _mesh_metrics(
-    run_folder: Path, sequence_folder: Path, truth: Truth, X_NG: Array, X_NG_true: Array
-) -> dict[str, float] | None:
+    run_folder: Path,
+    sequence_folder: Path,
+    truth: Truth,
+    X_NG: Array,
+    X_NG_true: Array,
+    correlation: tuple[ErrorCorrelation, ...] | None,
+) -> dict[str, float | None] | None:
+    """Distances between the surfaces, and how many of the vertices' errors their sigmas hold."""
     file = run_folder / "mesh.ply"
     if truth.mesh is None or not file.is_file():
         return None
-    mesh = read_ply(file).mesh
+    surface = read_ply(file)
+    mesh = surface.mesh
     if len(mesh.faces) == 0:
         return None
     in_true_G = mesh.copy()
@@ -287,7 +296,8 @@ def _mesh_metrics(
     points = seen_truth(truth.mesh, X_NG_true, open_sequence(sequence_folder))
     if len(points) == 0:
         return None
-    return asdict(compare_surfaces(in_true_G, truth.mesh, points))
+    distances = asdict(compare_surfaces(in_true_G, truth.mesh, points))
+    return {**distances, **sigma_shares(in_true_G, surface.sigma_m, truth.mesh, correlation)}
 
 
 def between_target_frames(X_NG: Array, X_NG_true: Array, centre_G: Array) -> Array:

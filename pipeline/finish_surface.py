@@ -20,7 +20,14 @@ from polhode.mapping.finishing.hole_closing import ClosedHoles, close_small_hole
 from polhode.mapping.visibility import Caster, FrameView, light_level
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.coverage import coverage_of, warnings_of, with_classes
-from polhode.pipeline.run_directory.summary_schema import Mesh, MeshLevel, ShapeFindings, Sun
+from polhode.pipeline.run_directory.summary_schema import (
+    Mesh,
+    MeshErrors,
+    MeshErrorShare,
+    MeshLevel,
+    ShapeFindings,
+    Sun,
+)
 from polhode.pipeline.uniform_density import assumed_properties, check_physics
 from polhode.records import MassProperties, SurfaceModel
 
@@ -139,6 +146,21 @@ def _box(corners_R: Array, rig: RectifiedRig) -> tuple[int, int, int, int] | Non
     return (int(u0), int(u1), int(v0), int(v1)) if u1 - u0 > 2 and v1 - v0 > 2 else None
 
 
+def _errors(surface: SurfaceModel) -> MeshErrors | None:
+    known = surface.sigma_m[np.isfinite(surface.sigma_m)]
+    if surface.errors is None or len(known) == 0:
+        return None
+    return MeshErrors(
+        sigma_median_m=float(np.median(known)),
+        noise_scale=surface.errors.scale,
+        landmarks=surface.errors.landmarks,
+        correlation=tuple(
+            MeshErrorShare(share=each.share, length_m=each.length_m if np.isfinite(each.length_m) else None)
+            for each in surface.errors.correlation
+        ),
+    )
+
+
 def _describe(
     surface: SurfaceModel, holes: ClosedHoles, colours: Colouring, levels: Sequence[DetailLevel]
 ) -> Mesh:
@@ -167,6 +189,7 @@ def _describe(
         sun=sun,
         frames_doubtful=0 if surface.aligned is None else surface.aligned.doubtful,
         frames_aligned=0 if surface.aligned is None else len(surface.aligned.frames),
+        errors=_errors(surface),
         levels=tuple(
             MeshLevel(
                 file=f"mesh_lod{n}.glb",

@@ -31,7 +31,12 @@ def sample_surface(mesh: trimesh.Trimesh, count: int, seed: int = 0) -> tuple[Ar
 
 
 def distance_to_surface(mesh: trimesh.Trimesh, points: Array, seed: int = 0) -> Array:
-    """Distance of points (n, 3) to the triangles of a mesh (n,), both in one frame [m].
+    """Distance of points (n, 3) to the triangles of a mesh (n,) [m], as by ``closest_on_surface``."""
+    return closest_on_surface(mesh, points, seed)[1]
+
+
+def closest_on_surface(mesh: trimesh.Trimesh, points: Array, seed: int = 0) -> tuple[Array, Array]:
+    """The points (n, 3) of a mesh's triangles that are closest to points (n, 3), and the distances (n,) [m].
 
     Exact for the triangles with the nearest samples and centres in a dense sampling of the surface.
     """
@@ -41,12 +46,14 @@ def distance_to_surface(mesh: trimesh.Trimesh, points: Array, seed: int = 0) -> 
     tree = quick_tree(np.concatenate([np.asarray(samples), centres]))
     owner = np.concatenate([np.asarray(face), np.arange(len(centres))])
     _, nearest = tree.query(points, k=_CANDIDATES)
-    best = np.full(len(points), np.inf)
+    best, found = np.full(len(points), np.inf), np.array(points, dtype=np.float64)
     triangles = np.asarray(mesh.triangles)
     for column in range(_CANDIDATES):
         closest = trimesh.triangles.closest_point(triangles[owner[nearest[:, column]]], points)
-        best = np.minimum(best, np.linalg.norm(closest - points, axis=1))
-    return best
+        distance = np.linalg.norm(closest - points, axis=1)
+        nearer = distance < best
+        best[nearer], found[nearer] = distance[nearer], closest[nearer]
+    return found, best
 
 
 def quick_tree(points: Array) -> cKDTree:

@@ -24,6 +24,9 @@ COMPONENTS = {
 """Of each quantity with a NEES and a coverage."""
 NEES, COVERAGE, COVERAGE_CONSTANTS = "nees", "coverage_3sigma", "coverage_3sigma_constants"
 """Groups of the metrics of a run that have an expected range"""
+MESH = "mesh"
+MESH_SHARES = {"within_one_sigma": (0.63, 0.73), "within_three_sigma": (0.98, 1.0)}
+"""Of the vertices: Gaussian errors would give 0.683 and 0.997"""
 MIN_COVERAGE = 0.99
 """Of three standard deviations, which hold 99.7 % of Gaussian errors"""
 
@@ -34,6 +37,8 @@ def expected_range(group: str, name: str) -> tuple[float, float] | None:
     The 95 % band of a NEES is that of a single draw of the chi-squared distribution: the errors of a run's
     frames depend on one another, in the extreme as if there were one frame.
     """
+    if group == MESH:
+        return MESH_SHARES.get(name)
     if name not in COMPONENTS:
         return None
     if group == NEES:

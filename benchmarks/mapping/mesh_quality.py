@@ -39,6 +39,7 @@ from polhode.mesh_metrics import MeshMetrics, compare_surfaces, distance_to_surf
 from polhode.metrics import States, truth_at
 from polhode.pipeline.evaluation import between_target_frames, seen_truth
 from polhode.pipeline.run_directory.archives import read_covariance
+from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
 from polhode.records import DepthMap, SurfaceModel, Truth
@@ -143,10 +144,12 @@ def rebuild(
     config: Config,
     doubts: Doubts | None = None,
     covariance_G: Array | None = None,
+    landmarks_G: Array | None = None,
 ) -> tuple[SurfaceModel, float, float, str]:
     """The surface from given poses, seconds for depth, seconds for fusion, a sentence on aligned poses.
 
-    points_G bound the disparity; covariance_G (F, 6, 6) of the poses, as ``mapping.fusion.fuse`` takes it.
+    points_G bound the disparity; covariance_G (F, 6, 6) of the poses and landmarks_G (L, 3), as
+    ``mapping.fusion.fuse`` takes them.
     """
     X_RG = inverse_pose(sequence.X_NC @ rectifier.X_CR) @ X_NG
     fused_at = X_RG if doubts is None else X_RG @ doubts.errors(len(X_RG))
@@ -166,7 +169,7 @@ def rebuild(
     mapping = (
         config.mapping if doubts is None else config.mapping.model_copy(update={"align": doubts.aligned})
     )
-    surface = fuse(timed(), rectifier.rig, mapping, covariance_G=covariance)
+    surface = fuse(timed(), rectifier.rig, mapping, covariance_G=covariance, landmarks_G=landmarks_G)
     return surface, depth_s, process_time() - begin - depth_s, of_aligned(surface, X_RG)
 
 
@@ -182,8 +185,9 @@ def measure(
     to_true_G = between_target_frames(X_NG, X_true, np.zeros(3))
     corners = transform_points(inverse_pose(to_true_G), np.asarray(truth.mesh.vertices))
     of_poses = None if run is None else read_covariance(run).covariance_X_NG
+    landmarks_G = None if run is None else read_landmarks(run).p_G
     surface, depth_s, fusion_s, poses = rebuild(
-        sequence, make_rectifier(sequence.calibration), X_NG, corners, config, doubts, of_poses
+        sequence, make_rectifier(sequence.calibration), X_NG, corners, config, doubts, of_poses, landmarks_G
     )
     mesh = surface.mesh.copy()
     mesh.apply_transform(between_target_frames(X_NG, X_true, mesh.centroid))

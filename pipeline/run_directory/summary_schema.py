@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from polhode.atomic import write_text
+from polhode.records import ErrorCorrelation
 
 SCHEMA_FILE = Path(__file__).with_name("summary.schema.json")
 
@@ -264,6 +265,26 @@ class Sun(StrictModel):
     """Number of the evaluated frames in sunlight."""
 
 
+class MeshErrorShare(StrictModel):
+    """A part of the variance of the vertices' errors that neighbours have in common."""
+
+    share: Finite = Field(ge=0, le=1)
+    length_m: Finite | None
+    """It correlates by exp(-distance / this) and averages out over larger areas; null: all over the body."""
+
+
+class MeshErrors(StrictModel):
+    """The errors that sigma_m of mesh.ply describes: of distances from the surface along its normal."""
+
+    sigma_median_m: Finite
+    noise_scale: Finite = Field(ge=0)
+    """Noise over what the depth maps state, by the landmarks' distances from the mesh."""
+    landmarks: int = Field(ge=0)
+    """Number of landmarks that were compared with it."""
+    correlation: tuple[MeshErrorShare, ...]
+    """The shares add up to one."""
+
+
 class Mesh(StrictModel):
     """mesh.ply."""
 
@@ -289,6 +310,18 @@ class Mesh(StrictModel):
     """Frames whose poses are known less accurately by the motion than by their depth."""
     frames_aligned: int = Field(0, ge=0)
     """Of these, those that were aligned to the surface of the other frames."""
+    errors: MeshErrors | None = None
+    """What sigma_m of mesh.ply stands for; null: nothing was measured."""
+
+
+def correlation_of(mesh: Mesh) -> tuple[ErrorCorrelation, ...] | None:
+    """How the errors of the mesh's vertices correlate; None: not known."""
+    if mesh.errors is None:
+        return None
+    return tuple(
+        ErrorCorrelation(each.share, np.inf if each.length_m is None else each.length_m)
+        for each in mesh.errors.correlation
+    )
 
 
 class Coverage(StrictModel):

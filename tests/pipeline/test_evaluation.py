@@ -106,6 +106,8 @@ def test_the_truth_scores_zero_in_another_frame_G(example: Example, sequence: Pa
     assert all(value < 1e-8 for value in metrics["prediction_error_m"].values())
     assert metrics["mesh"]["chamfer_mm"] < 2e-3
     assert metrics["mesh"]["completeness_3mm"] == 1.0
+    assert metrics["mesh"]["within_one_sigma"] == metrics["mesh"]["within_three_sigma"] == 1.0
+    assert metrics["mesh"]["patches_within_one_sigma"] is None
     write_evaluation(run, metrics)
     stored = json.loads((run / "metrics.json").read_text())
     assert stored.pop("summary_sha256") == hashlib.sha256((run / "summary.json").read_bytes()).hexdigest()
