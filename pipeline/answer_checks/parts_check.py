@@ -26,8 +26,8 @@ FIRST_PART = 0.7
 """Of the observations, in time"""
 MAX_FRAMES = 120
 """Longer sequences are thinned out to this number."""
-MAX_PREDICTION, MAX_HALVES, MAX_OUTLINE = 2.7, 3.0, 3.5
-"""[sigma] Above these the answer is doubted; docs/checks.md has the distributions."""
+MAX_PREDICTION, MAX_HALVES, MAX_OUTLINE = 3.0, 3.0, 3.5
+"""[sigma] Above these the answer is doubted (docs/checks.md)."""
 MIN_HULL = 8
 """Landmarks of a frame whose outline counts"""
 

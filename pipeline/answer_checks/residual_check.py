@@ -22,7 +22,9 @@ MIN_IN_REGION, MIN_IN_FRAME, MIN_MEANS = 30, 8, 4
 FULL_WEIGHT = 0.1
 """Observations with less weight contradict the motion, and are counted elsewhere."""
 MAX_BY_FRAME, MAX_BY_REGION, MAX_BY_REGION_D, MAX_SLOPE = 2.5, 2.0, 3.0, 0.12
-"""Above these the answer is doubted; docs/checks.md has the distributions."""
+"""Above these the answer is doubted (docs/checks.md)."""
+CLEAR_SLOPE = 5.0
+"""Standard errors of a correlation, one over the root of the number of observations"""
 
 
 @dataclass(frozen=True)
@@ -127,6 +129,7 @@ def _by_disparity(found: Residuals) -> Check:
         f"residuals of the disparity follow the disparity (correlation {size:.2f}): near and far parts of "
         "the target move differently than one rigid body seen by this rig; check the calibration and the "
         "cameras' synchronisation",
+        max(MAX_SLOPE, CLEAR_SLOPE / float(np.sqrt(len(x)))),
     )
 
 
