@@ -8,7 +8,7 @@ a given axis, over the largest or least about an axis across it, is a quotient o
 k2 is at least its logarithm and equals it for a principal axis. Its largest value is a few linear programs
 (Dinkelbach's method). Axes all around are tried, and replaced by the principal axes of what they lead to.
 Equal moments are sought likewise, as linear equations in the plane of their axes. Every solution is a
-possible body, so the interval is never too wide.
+possible body, so the extremes are hardly too wide; they are moved outwards by the resolution of the search.
 """
 
 from dataclasses import dataclass
@@ -22,8 +22,9 @@ from polhode.pipeline.intervals.motion_limits import PAIRS, MotionLimits
 MAX_STEPS = 8
 _GAIN = 2e-3
 """Of k1 or k2: a step that brings less is the last one."""
-_RESOLUTION = 5e-3
-"""A ratio below it is 0: the moments can be equal."""
+_RESOLUTION = 0.02
+"""Of the search and of the filling by points: by so much the ends are moved outwards. A third of the standard
+deviation from which on a ratio counts as undetermined."""
 _AROUND = np.stack([np.cos(np.pi / 8 * np.arange(8)), np.sin(np.pi / 8 * np.arange(8))])
 """Axes across another one, (2, 8): every 22.5 deg of half a turn."""
 _CUBE = np.array([[x, y, z] for x in (0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)][5:], dtype=np.float64)
@@ -51,7 +52,12 @@ def ratio_intervals(
         if first:
             low = np.array([_least(bodies, low[k], limits.R_GP, k) for k in (0, 1)])
             high = np.array([_largest(bodies, high[k], limits.R_GP, k) for k in (0, 1)])
-    return RatioIntervals(low, high) if np.isfinite(low).all() else None
+    if not np.isfinite(low).all():
+        return None
+    # k1 of a thin disc is ln 2, the largest of all bodies
+    return RatioIntervals(
+        np.maximum(low - _RESOLUTION, 0.0), np.minimum(high + _RESOLUTION, [np.log(2.0), np.inf])
+    )
 
 
 class _Bodies:
@@ -150,13 +156,15 @@ def _least(bodies: _Bodies, best: float, R_GP: Array, which: int) -> float:
     for axes in (R_GP, bodies.axes):
         for third in range(3):
             found = axes[:, [third - 2, third - 1, third]]
+            last = np.inf
             for _ in range(MAX_STEPS):
                 if best < _RESOLUTION:
                     return 0.0
                 J = bodies.most_equal(found, -1.0 if which == 0 else 1.0)
-                if J is None or _ratios(J)[which] > best - _GAIN:
+                if J is None or _ratios(J)[which] > last - _GAIN:
                     break
-                best = float(_ratios(J)[which])
+                last = float(_ratios(J)[which])
+                best = min(best, last)
                 ascending = np.linalg.eigh(J)[1]
                 found = ascending[:, [1, 2, 0]] if which == 0 else ascending
     return best

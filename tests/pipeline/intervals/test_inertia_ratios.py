@@ -1,5 +1,7 @@
 """k1 and k2 of every mass inside a hull, against bodies whose moments are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -35,8 +37,8 @@ def test_a_nearly_uniform_density_leaves_the_ratios_of_the_box() -> None:
     squares = BOX_M**2
     expected = log_ratios(squares.sum() - squares)
     found = found_of(no_limits(), 1.01)
-    np.testing.assert_allclose(found.low, expected, atol=0.03)
-    np.testing.assert_allclose(found.high, expected, atol=0.03)
+    np.testing.assert_allclose(found.low, expected, atol=0.05)
+    np.testing.assert_allclose(found.high, expected, atol=0.05)
     assert np.all(found.low < found.high)
 
 
@@ -47,7 +49,7 @@ def test_dense_parts_allow_a_sphere_a_disc_and_a_needle(limits: MotionLimits) ->
     np.testing.assert_array_equal(found.low, 0.0)
     # a disc of the smaller width fills an eighth of the volume 0.072 m thick; a thin one would have ln 2
     disc = np.log((0.2**2 / 2) / (0.2**2 / 4 + 0.0716**2 / 12))
-    assert disc - 0.02 < found.high[0] < np.log(2.0)
+    assert disc - 0.02 < found.high[0] <= np.log(2.0)
     # two ends of 0.3 x 0.4 m and an eighth of the height apart would have ln 8; a cylinder along z, ln 13
     assert 2.5 < found.high[1] < 3.0
 
@@ -80,3 +82,14 @@ def test_random_possible_bodies_lie_inside() -> None:
             continue
         k = log_ratios((inner**2).sum() - inner**2)
         assert np.all(k >= found.low - 0.03) and np.all(k <= found.high + 0.03)
+
+
+def test_nearly_equal_moments_count_as_possibly_equal() -> None:
+    """The search ends a little above 0; a body of revolution must not be excluded by that."""
+    rows = np.zeros((2, 6))
+    # |Jxx - Jyy| at most 1 % of the trace
+    rows[:, :2] = [[1.0, -1.0], [-1.0, 1.0]]
+    rows[:, :3] -= 0.01
+    narrow = replace(no_limits(), inertia_rows=np.concatenate([rows, spin_limits(2).inertia_rows]))
+    found = found_of(narrow, 8.0)
+    assert found.low[0] == 0.0 and found.low[1] == 0.0
