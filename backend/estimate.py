@@ -229,7 +229,8 @@ def _estimate(
         ended = solve(kept.data, kept.restrict(iterate), config)
         solution = ended.solution
         advance()
-        estimate = assemble(tracks, data, kept, kept.expand(ended.iterate, iterate), found.scales, initial)
+        full = kept.expand(ended.iterate, iterate)
+        estimate = assemble(tracks, data, kept, full, found.scales, initial, config.light_px)
         advance()
     trials, best = found.trials, found.choice.name
     runner_up = {name: trial.cost - trials[best].cost for name, trial in trials.items() if name != best}

@@ -10,6 +10,7 @@ from polhode.backend.outliers_and_noise.correlated_noise import (
     turns_between,
 )
 from polhode.backend.outliers_and_noise.outliers import NoiseScales, PrunedProblem, whitened_residuals
+from polhode.backend.outliers_and_noise.systematic import common_slide
 from polhode.backend.problem.iterate import COM, ERR_THETA, ERR_W, XI, Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
@@ -59,8 +60,12 @@ def assemble(
     iterate: Iterate,
     scales: NoiseScales,
     initial: InitialMotion,
+    light_px: float,
 ) -> MotionEstimate:
-    """The estimate at the solution ``iterate`` of the whole data, with covariances of the pruned problem."""
+    """The estimate at the solution ``iterate`` of the whole data, with covariances of the pruned problem.
+
+    light_px: standard deviation of a slide of all landmarks, besides what is measured.
+    """
     all_residuals = whitened_residuals(data, iterate)
     weight = np.where(
         kept.observations, robust_weight(np.sum(all_residuals**2, axis=1), data.robust_scale), 0.0
@@ -68,7 +73,7 @@ def assemble(
     small = kept.restrict(iterate)
     solver, fixed, x = GaussNewton(kept.data), linearization_point(kept.data, small), small.vector()
     s = np.sum(all_residuals[kept.observations] ** 2, axis=1)
-    correlated, errors = _dependent_errors(solver, fixed, x)
+    correlated, errors = _dependent_errors(solver, fixed, x, light_px)
     m = marginals(solver, fixed, x, robust_information(s, data.robust_scale), errors)
     derivative = axes_derivative(data.form, iterate)
     R_GP = derivative.R_GP
@@ -115,16 +120,19 @@ def assemble(
 
 
 def _dependent_errors(
-    solver: GaussNewton, fixed: LinearizationPoint, x: Array
+    solver: GaussNewton, fixed: LinearizationPoint, x: Array, light_px: float
 ) -> tuple[CorrelatedNoise | None, DependentErrors | None]:
     """How the errors of the observations depend on one another, from the residuals; None: too few."""
     residuals, (R_RG, _, _) = solver.residuals(fixed, x)
     to_landmark = observation_jacobians(solver, fixed, x)[1]
-    turn_rad = turns_between(fixed.reference.moved_to(x).R_NG, R_RG)
+    iterate = fixed.reference.moved_to(x)
+    turn_rad = turns_between(iterate.R_NG, R_RG)
     found = measure_correlation(solver.data, residuals, to_landmark, turn_rad)
     if found is None:
         return None, None
-    return found, DependentErrors(found.variance(solver.data), found.drift_between(turn_rad))
+    drift_px = found.slow / float(np.median(solver.data.inv_sigma[:, 0]))
+    common = common_slide(solver.data, iterate, to_landmark, float(np.hypot(light_px, drift_px)))
+    return found, DependentErrors(found.variance(solver.data), found.drift_between(turn_rad), common)
 
 
 def _state_covariances(
@@ -192,7 +200,7 @@ def _noise(
         float(scales.disparity * stated[2]),
         data.accel_psd,
         data.torque_psd,
-        drift_px=0.0 if correlated is None else correlated.slow * pixel,
+        drift_px=0.0 if correlated is None else correlated.slow / float(np.median(data.inv_sigma[:, 0])),
     )
 
 

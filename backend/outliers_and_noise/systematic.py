@@ -6,15 +6,17 @@ position is added to the covariance of the position; attitude, rates and inertia
 frame G is fixed where the first pose was seen, not where it was: the centre of mass in G is off by the same
 shift.
 
-The points that features mark on a shaded surface slide with the light. By how much single landmarks slide is
-measured (``correlated_noise``); the Sun moves all of them alike, in a direction that is fixed in N, and what
-they have in common looks like a shift of the target: half of the variance (COMMON_SHARE).
+The points that features mark on a shaded surface slide along it with the light. The Sun moves all of them
+alike, in a direction that is fixed in N, while the body turns: this looks like a shift of the target, and, as
+other sides of it come into view, like changes of its attitude (``common_slide``).
 """
 
 from dataclasses import replace
 
 import numpy as np
 
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.uncertainty.identifiability import NAMES, determined_description
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose, transform_points
@@ -22,29 +24,39 @@ from polhode.records import Identifiability, MassProperties, MotionEstimate, Onl
 
 Sigma = tuple[float, float, float]
 """Standard deviations of the offsets of u, v, disparity [px]."""
-COMMON_SHARE = 0.5
-"""Share of the variance of the slow drift that all landmarks have in common. At 0.5 the errors of position
-and centre of mass of two asteroids, whose landmarks slide by 0.2 to 0.4 px, have the size that is stated; the
-drift of ten other bodies is a tenth as large, and the share has no effect there."""
+
+
+def common_slide(data: MotionData, iterate: Iterate, to_landmark: Array, sigma_px: float) -> Array:
+    """Effect (M, 3, 3) on the whitened observations of slides of all landmarks along the three axes of N.
+
+    Each by sigma_px, seen from the median distance. Landmarks slide along the surface, whose normal is taken
+    to be the direction from their middle. to_landmark (M, 3, 3): derivatives of the whitened residuals.
+    """
+    distance_m = np.linalg.norm(iterate.p_NG - data.camera_N, axis=1)
+    sigma_m = sigma_px * float(np.median(distance_m)) / data.rig[0]
+    outward = iterate.p_G - np.median(iterate.p_G, axis=0)
+    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+    normal, axes = outward[data.landmark], np.swapaxes(iterate.R_NG, 1, 2)[data.frame]
+    along = axes - normal[:, :, None] * np.einsum("mi,mij->mj", normal, axes)[:, None]
+    return np.asarray(sigma_m * to_landmark @ along)
 
 
 def position_spread(
-    rig: RectifiedRig, X_NR: Array, r_N: Array, sigma_px: Sigma, drift_px: float = 0.0
+    rig: RectifiedRig, X_NR: Array, r_N: Array, sigma_px: Sigma, slide_px: float = 0.0
 ) -> Array:
     """Shifts (F, 3, 6) in N [m] of positions r_N (F, 3) for one sigma of each error; X_NR (F, 4, 4).
 
-    Three offsets of u, v and disparity, and three slides along the axes of N, of which drift_px is the
-    standard deviation in the image of what single landmarks slide [px].
+    Three offsets of u, v and disparity, and three slides along the axes of N, by slide_px in the image.
     """
     r_R = transform_points(inverse_pose(X_NR), r_N[:, None])[:, 0]
     offsets = X_NR[:, :3, :3] @ rig.triangulation_jacobian(r_R) * np.asarray(sigma_px)
-    slide_m = np.sqrt(COMMON_SHARE) * drift_px * r_R[:, 2] / rig.focal_px
+    slide_m = slide_px * r_R[:, 2] / rig.focal_px
     return np.concatenate([offsets, slide_m[:, None, None] * np.eye(3)], axis=2)
 
 
 def with_systematic(estimate: MotionEstimate, tracks: StereoTracks, sigma_px: Sigma) -> MotionEstimate:
-    """The estimate with systematic errors in the covariances of its positions and of the centre of mass."""
-    spread = position_spread(tracks.rig, tracks.X_NR, estimate.r_N, sigma_px, estimate.noise.drift_px)
+    """The estimate with offsets of all frames in the covariances of its positions and centre of mass."""
+    spread = position_spread(tracks.rig, tracks.X_NR, estimate.r_N, sigma_px)
     in_G = estimate.X_NG[0, :3, :3].T @ spread[0]
     joint = np.zeros((20, in_G.shape[1]))
     joint[:3], joint[17:] = spread[-1], in_G
@@ -69,9 +81,11 @@ def _inflated_verdict(mass: MassProperties, in_G: Array) -> Identifiability:
     return replace(known, sigma=sigma, detail=detail)
 
 
-def online_with_systematic(online: OnlineEstimate, tracks: StereoTracks, sigma_px: Sigma) -> OnlineEstimate:
+def online_with_systematic(
+    online: OnlineEstimate, tracks: StereoTracks, sigma_px: Sigma, slide_px: float
+) -> OnlineEstimate:
     """The causal estimate with systematic errors in the covariances of positions and centre of mass."""
-    spread = position_spread(tracks.rig, tracks.X_NR, online.r_N, sigma_px)
+    spread = position_spread(tracks.rig, tracks.X_NR, online.r_N, sigma_px, slide_px)
     known = np.isfinite(np.diagonal(online.covariance, axis1=1, axis2=2)).any(axis=1)
     first = int(np.argmax(known))
     in_G = online.X_NG[first, :3, :3].T @ spread[first]

@@ -49,6 +49,8 @@ class DependentErrors:
     """(M, 3) of what is independent between frames"""
     drift: Array
     """(3, F, F) of u, v and disparity of one landmark in two frames, besides"""
+    common: Array
+    """(M, 3, c) effects of one sigma of c errors that all observations share, besides"""
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,16 @@ def _excess(
         *(root * to_pose, root * to_landmark, bare.E, C_inv, bare.n_state),
     )
     mirror(excess)
-    return excess, own
+    # what they share changes the landmarks, the poses given, and the gradient of the poses
+    effect = weight[:, None, None] * errors.common
+    moved = np.zeros((d.n_landmarks, 3, effect.shape[2]))
+    np.add.at(moved, d.landmark, np.swapaxes(to_landmark, 1, 2) @ effect)
+    moved = C_inv @ moved
+    effect -= weight[:, None, None] * (to_landmark @ moved[d.landmark])
+    gradient = np.zeros((fixed.reference.n_frames, bare.n_state, effect.shape[2]))
+    np.add.at(gradient[:, :N_GAUGE], d.frame, np.swapaxes(to_pose, 1, 2) @ effect)
+    of_states = gradient.reshape(n_states, -1)
+    return excess + of_states @ of_states.T, own + moved @ np.swapaxes(moved, 1, 2)
 
 
 def _discounted(information: Array, excess: Array, prior: Array) -> Array:

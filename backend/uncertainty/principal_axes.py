@@ -111,7 +111,7 @@ def _deviations(derivative: AxesDerivative, cov_J: Array) -> Array:
     z = np.random.default_rng([0, 4]).normal(size=(N_PAIRS, 5))
     z = z @ np.linalg.inv(np.linalg.cholesky(z.T @ z / N_PAIRS)).T
     in_P = np.concatenate([z, -z]) @ factor.T
-    return np.linalg.solve(to_P, in_P.T).T
+    return np.asarray(np.linalg.solve(to_P, in_P.T).T)
 
 
 def ratios_after(derivative: AxesDerivative, change: Array) -> Array:

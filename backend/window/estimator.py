@@ -186,7 +186,7 @@ def estimate_online(tracks: StereoTracks, config: Backend, progress: Progress) -
             seconds.append(perf_counter() - begin)
             advance()
     _log.info("window: median %.0f ms a frame, %.1f s in all", 1e3 * np.median(seconds), sum(seconds))
-    return online_with_systematic(stack_states(states), tracks, config.systematic_px)
+    return online_with_systematic(stack_states(states), tracks, config.systematic_px, config.light_px)
 
 
 def window_warnings(n_frames: int, config: Backend) -> list[str]:

@@ -92,8 +92,8 @@ def measure(case: Case) -> Case:
     known = {"accel_psd": scene.accel_psd, "torque_psd": scene.torque_psd}
     # the simulated measurements have no error that every frame shares
     none = (0.0, 0.0, 0.0)
-    given = Backend(solver="gauss_newton", process_noise="given", systematic_px=none, **known)
-    estimated = Backend(solver="gauss_newton", process_noise="estimated", systematic_px=none)
+    given = Backend(solver="gauss_newton", process_noise="given", systematic_px=none, light_px=0.0, **known)
+    estimated = Backend(solver="gauss_newton", process_noise="estimated", systematic_px=none, light_px=0.0)
     config = given if case["process_noise"] == "given" else estimated
     start = time.perf_counter()
     try:

@@ -83,7 +83,7 @@ def measure(case: Case) -> Case:
     """Errors, stated standard deviations and verdicts of one scene."""
     kind, scene = scene_of(case["seed"])
     sequence = generate(scene, case["seed"])
-    config = Backend(solver="gauss_newton", systematic_px=(0.0, 0.0, 0.0))
+    config = Backend(solver="gauss_newton", systematic_px=(0.0, 0.0, 0.0), light_px=0.0)
     given = Backend(accel_psd=scene.accel_psd, torque_psd=scene.torque_psd)
     known = determined_at_truth(sequence, given)
     start = time.perf_counter()

@@ -113,7 +113,7 @@ def measure(case: Case) -> Case:
     scene = scene_of(case["condition"], case["motion"])
     # the same motion and landmarks in every condition
     sequence = generate(scene, 1000 * CHOSEN.index(case["motion"]) + case["seed"])
-    config = Backend(solver="gauss_newton", systematic_px=(0.0, 0.0, 0.0))
+    config = Backend(solver="gauss_newton", systematic_px=(0.0, 0.0, 0.0), light_px=0.0)
     given = Backend(accel_psd=PSD, torque_psd=PSD)
     known = determined_at_truth(sequence, given)
     start = time.perf_counter()

@@ -85,7 +85,7 @@ def _estimate(seed: int) -> dict[str, Any]:
         sigma_uv_px=0.3, sigma_d_px=0.3,
     )  # fmt: skip
     sequence = generate(replace(scene, outliers=0.2, wrong_pairs=0.35), seed)
-    config = Backend(solver="gauss_newton", systematic_px=(0.0, 0.0, 0.0))
+    config = Backend(solver="gauss_newton", systematic_px=(0.0, 0.0, 0.0), light_px=0.0)
     initial, estimate = cold_start(sequence, config)
     error = np.array([estimate.mass.k1 - sequence.truth.k1, estimate.mass.k2 - sequence.truth.k2])
     return {

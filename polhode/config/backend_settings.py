@@ -82,6 +82,10 @@ class Backend(Section):
     systematic_px: tuple[Pixels, Pixels, Pixels] = (0.03, 0.03, 0.01)
     """Standard deviations of constant errors of u, v and disparity common to all frames [px]: calibration and
     matching. They do not appear in the residuals, and increase the sigma of position."""
+    light_px: Pixels = 0.12
+    """Standard deviation of a slide of all features along the surface, in a direction that is as fixed as the
+    Sun's, seen from the median distance [px]; the slow drift that is measured of single features is added.
+    Increases the sigma of all states and constants."""
     wrench_bias: float = Field(0.02, ge=1e-9, le=1e3)
     """Standard deviation of a constant bias of known forces and torques, relative to the largest of each."""
     unknown_wrench: Literal["none", "found", "everywhere"] = "found"

@@ -32,7 +32,7 @@ def lines_of(condition: str, frames: int = 60) -> list[Case]:
 
 
 def run(sequence: SyntheticSequence) -> tuple[InitialMotion, MotionEstimate]:
-    config = Backend(solver="gauss_newton", systematic_px=(0.0, 0.0, 0.0))
+    config = Backend(solver="gauss_newton", systematic_px=(0.0, 0.0, 0.0), light_px=0.0)
     initial = initialize_motion(sequence.tracks, sequence.relative, config)
     return initial, estimate_motion(sequence.tracks, initial, config, Silent())
 
@@ -102,7 +102,7 @@ def test_relative_poses_that_contradict_one_another_do_not_spoil_the_whole() -> 
 def test_rounding_does_not_decide_where_a_contradicted_start_ends(seed: int) -> None:
     """Before bundle adjustment four frames of seed 43 are off by 100 degrees, with links that agree."""
     sequence = generate(replace(SCENE, outliers=0.2, wrong_pairs=0.35), seed)
-    config = Backend(solver="gauss_newton", systematic_px=(0.0, 0.0, 0.0))
+    config = Backend(solver="gauss_newton", systematic_px=(0.0, 0.0, 0.0), light_px=0.0)
     first = initialize_motion(sequence.tracks, sequence.relative, config)
     shifted = replace(sequence.tracks, uvd_px=sequence.tracks.uvd_px * (1.0 + 1e-12))
     again = initialize_motion(shifted, sequence.relative, config)

@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep
+from typing import Any
 
 import numpy as np
 import pytest
@@ -100,7 +101,7 @@ def test_a_server_that_is_killed_before_it_starts_a_worker_is_reported(
 def test_a_server_whose_end_is_noticed_only_now_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
     real, calls = multiprocessing.forkserver.connect_to_new_process, []
 
-    def lost_once(*arguments: object) -> object:
+    def lost_once(*arguments: Any) -> Any:
         calls.append(arguments)
         if len(calls) == 1:
             raise ConnectionRefusedError

@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 
 from polhode.backend import estimate_motion, initialize_motion
-from polhode.backend.outliers_and_noise.systematic import position_spread
+from polhode.backend.outliers_and_noise.systematic import common_slide, position_spread
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.linearization_point import linearization_point
+from polhode.backend.uncertainty.covariance import observation_jacobians
 from polhode.config.backend_settings import Backend
-from polhode.lie import exp_so3, inverse_pose, make_pose, transform_points
+from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
 from polhode.simulation.monte_carlo import RIG, SyntheticScene, SyntheticSequence, generate
+from tests.backend.outliers_and_noise.test_outliers import at_truth
 
 SCENE = SyntheticScene(
     frames=25, landmarks=300, detection=0.5, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9]),
@@ -20,9 +24,13 @@ SCENE = SyntheticScene(
 SIGMA_PX = (0.3, 0.2, 0.1)
 
 
-def _run(sequence: SyntheticSequence, sigma_px: tuple[float, float, float]) -> MotionEstimate:
+def _run(
+    sequence: SyntheticSequence, sigma_px: tuple[float, float, float], light_px: float = 0.0
+) -> MotionEstimate:
     noise = {"accel_psd": SCENE.accel_psd, "torque_psd": SCENE.torque_psd}
-    config = Backend(solver="gauss_newton", process_noise="given", systematic_px=sigma_px, **noise)
+    config = Backend(
+        solver="gauss_newton", process_noise="given", systematic_px=sigma_px, light_px=light_px, **noise
+    )
     initial = initialize_motion(sequence.tracks, sequence.relative, config)
     return estimate_motion(sequence.tracks, initial, config, Silent())
 
@@ -40,11 +48,57 @@ def test_the_covariance_is_that_of_drawn_offsets() -> None:
         np.testing.assert_allclose(spread @ spread.T, expected, atol=0.04 * np.trace(expected))
 
 
-def test_landmarks_that_slide_with_the_light_shift_the_target_by_half_their_variance() -> None:
+def test_a_slide_of_the_causal_estimate_shifts_the_position() -> None:
     X_NR = make_pose(np.eye(3)[None], np.zeros((1, 3)))
-    spread = position_spread(RIG, X_NR, np.array([[0.1, 0.0, 0.8]]), (0.0, 0.0, 0.0), drift_px=0.3)[0]
-    across = RIG.focal_px * np.sqrt(np.diag(spread @ spread.T)) / 0.8
-    np.testing.assert_allclose(across, 0.3 * np.sqrt(0.5))
+    spread = position_spread(RIG, X_NR, np.array([[0.1, 0.0, 0.8]]), (0.0, 0.0, 0.0), slide_px=0.3)[0]
+    np.testing.assert_allclose(RIG.focal_px * np.sqrt(np.diag(spread @ spread.T)) / 0.8, 0.3)
+
+
+def slide_of(sequence: SyntheticSequence, sigma_px: float) -> tuple[Array, Array]:
+    """Changes (M, 3, 3) of the observations [px] by slides along the axes of N, in their order; landmarks."""
+    data, iterate = at_truth(sequence)
+    x = iterate.vector()
+    solver, fixed = GaussNewton(data), linearization_point(data, iterate)
+    to_landmark = observation_jacobians(solver, fixed, x)[1]
+    changes = np.empty((len(data.frame), 3, 3))
+    # a residual is an observation minus what is expected
+    changes[data.order] = -common_slide(data, iterate, to_landmark, sigma_px) / data.inv_sigma[:, :, None]
+    return changes, iterate.p_G
+
+
+def test_a_slide_moves_what_is_seen_along_the_surface() -> None:
+    sequence = generate(SCENE, 0)
+    changes, p_G = slide_of(sequence, 0.2)
+    tracks, X_NG = sequence.tracks, sequence.X_NG
+    outward = p_G - np.median(p_G, axis=0)
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    sigma_m = 0.2 * np.median(np.linalg.norm(X_NG[:, :3, 3], axis=1)) / RIG.focal_px
+    to_R = inverse_pose(tracks.X_NR) @ X_NG
+    for m in range(0, len(tracks.frame), 500):
+        k, normal = tracks.frame[m], outward[tracks.landmark[m]]
+        for axis in range(3):
+            along = X_NG[k, :3, :3].T @ np.eye(3)[axis]
+            along = sigma_m * (along - normal * (normal @ along))
+            ends = [
+                RIG.project(transform_points(to_R[k], p_G[tracks.landmark[m]] + s * along)[None])
+                for s in (0.5, -0.5)
+            ]
+            np.testing.assert_allclose(changes[m, :, axis], (ends[0] - ends[1]).ravel(), atol=1e-4)
+
+
+def test_a_slide_that_all_share_is_within_what_is_stated() -> None:
+    sequence = generate(SCENE, 0)
+    changes, _ = slide_of(sequence, 0.3)
+    moved = replace(sequence.tracks, uvd_px=sequence.tracks.uvd_px + changes @ np.array([1.0, -1.0, 1.0]))
+    zero = (0.0, 0.0, 0.0)
+    blind, aware = (_run(replace(sequence, tracks=moved), zero, px) for px in (0.0, 0.3))
+    error = blind.r_N - sequence.truth.r_N
+    sigmas = [
+        np.sqrt(np.diagonal(one.covariance, axis1=1, axis2=2)[:, :3]).mean(axis=0) for one in (blind, aware)
+    ]
+    rms = np.sqrt(np.mean(error**2, axis=0))
+    assert np.max(rms / sigmas[0]) > 3.0
+    assert np.max(rms / sigmas[1]) < 2.0
 
 
 def test_a_shared_offset_moves_the_position_by_what_its_sigma_allows() -> None:

@@ -163,7 +163,9 @@ def test_the_errors_of_sliding_landmarks_are_as_large_as_the_covariance_says() -
         to_landmark = observation_jacobians(solver, fixed, x)[1]
         found = measure_correlation(data, residuals, to_landmark, turn_rad)
         assert found is not None
-        dependent = DependentErrors(found.variance(data), found.drift_between(turn_rad))
+        dependent = DependentErrors(
+            found.variance(data), found.drift_between(turn_rad), np.zeros((len(data.frame), 3, 0))
+        )
         weight = np.ones(len(data.frame))
         errors = np.concatenate(
             [
@@ -185,7 +187,9 @@ def test_independent_errors_leave_the_covariance_as_it_is() -> None:
     _, data, iterate = solved(0, drift_px=0.0)
     solver, fixed, x = GaussNewton(data), linearization_point(data, iterate), iterate.vector()
     weight = np.full(len(data.frame), 0.9)
-    nothing = DependentErrors(np.ones((len(weight), 3)), np.zeros((3, data.n_frames, data.n_frames)))
+    nothing = DependentErrors(
+        np.ones((len(weight), 3)), np.zeros((3, data.n_frames, data.n_frames)), np.zeros((len(weight), 3, 0))
+    )
     with_, without = (marginals(solver, fixed, x, weight, c) for c in (nothing, None))
     np.testing.assert_allclose(with_.dense, without.dense, rtol=1e-9, atol=1e-18)
     np.testing.assert_allclose(with_.landmarks, without.landmarks, rtol=1e-9)
