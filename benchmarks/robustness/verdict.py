@@ -30,6 +30,8 @@ from polhode.records import Bools
 
 OWN = tuple(RECORDS / f"{name}.jsonl" for name in ("measurement_faults", "data_faults", "trust"))
 UNDISTURBED = ("none", "few")
+NAMED = {"focal": IMAGE_FAULTS["focal_wrong"].named}
+"""Expressions of warnings that name a fault of the measurements"""
 MIN_VALUES = 5
 """Good runs, and wrong ones, of which a check has a value"""
 
@@ -81,7 +83,9 @@ def judged_runs(lines: list[dict[str, Any]]) -> Judged:
     faults = [line["case"].get("fault", "none") for line in lines]
     undisturbed = np.array([fault in UNDISTURBED for fault in faults], dtype=np.bool_)
     said = [
-        outcome(line) in (OUTCOMES[1], OUTCOMES[3]) if fault in IMAGE_FAULTS else doubted(line)
+        outcome(line) in (OUTCOMES[1], OUTCOMES[3])
+        if fault in IMAGE_FAULTS
+        else doubted(line, NAMED.get(fault, ()))
         for line, fault in zip(lines, faults, strict=True)
     ]
     return Judged(lines, wrong, good & ~wrong, undisturbed, np.array(said, dtype=np.bool_))

@@ -11,6 +11,7 @@ In: the solution, depth maps and images. Out: checks, each with its value, limit
 - sun_check: whether landmarks slide with the Sun
 - links_check: links of frame pairs that contradict the motion
 - twins_check: distance of the mirror twin and of the runner-up
+- push_check: whether the disturbances found move the target as a push does
 - mesh_check: whether a body with this surface can have this centre of mass
 - window_check: whether the causal estimate ends where the smoothed one does
 """

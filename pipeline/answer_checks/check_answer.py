@@ -9,6 +9,7 @@ from polhode.config.backend_settings import Backend
 from polhode.lie import Array, inverse_pose
 from polhode.pipeline.answer_checks.links_check import links_check
 from polhode.pipeline.answer_checks.parts_check import parts_checks
+from polhode.pipeline.answer_checks.push_check import push_check
 from polhode.pipeline.answer_checks.residual_check import residual_checks
 from polhode.pipeline.answer_checks.sun_check import sun_check
 from polhode.pipeline.answer_checks.twins_check import twins_checks
@@ -39,6 +40,7 @@ def check_answer(
         lambda: [sun_check(tracks, estimate, sun_N)],
         lambda: [links_check(links, X_RG)],
         lambda: twins_checks(tracks, estimate),
+        lambda: [push_check(estimate)],
         lambda: [window_check(online, estimate)],
     )
     found: list[Check] = []
