@@ -287,17 +287,15 @@ class Field:
         """The surface in G, its sides separated, with sigmas."""
         cut_m, voxel_m = (self._grid.front_m, self._grid.behind_m), self._voxel_m
         frames = [(kept.tensors, kept.X_RF) for kept in self._kept.values()]
-        mesh = found.mesh
-        views = views_of_vertices(
-            frames, self.rig, np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), cut_m, voxel_m
-        )
-        noise_m = found.noise_m
+        mesh, normals, noise_m = found.mesh, np.asarray(found.mesh.vertex_normals), found.noise_m
+        views = views_of_vertices(frames, self.rig, np.asarray(mesh.vertices), normals, cut_m, voxel_m)
         if len(frames) >= _ENOUGH_KEPT * self.used:
             mesh, noise_m = separate_sides(mesh, noise_m, views)
-        mesh.apply_transform(inverse_pose(self._X_FG))
+        landmarks_F = None if landmarks_G is None else transform_points(self._X_FG, landmarks_G)
         sigma_m, errors = vertex_sigma(
-            mesh, noise_m, found.single_m, views, landmarks_G, voxel_m, self.config
+            mesh, normals, noise_m, found.single_m, views, landmarks_F, voxel_m, self.config
         )
+        mesh.apply_transform(inverse_pose(self._X_FG))
         return SurfaceModel(mesh=mesh, sigma_m=sigma_m, views=found.views, warnings=warnings, errors=errors)
 
     def _warnings(self) -> list[str]:

@@ -12,17 +12,17 @@ landmarks were measured by other means, so their distances from the mesh scale t
 
 The errors of neighbouring vertices are correlated (``ERROR_CORRELATION``): only a part of them averages out
 over an area. The placement of the frame G is no part of sigma. The constants are the best over 24 simulated
-bodies; docs/mapping.md says how well constants of one half of the bodies hold on the other.
+bodies; fitted to one half of the bodies they hold on the other half, too (docs/mapping.md).
 """
 
 import numpy as np
 import trimesh
-from scipy.spatial import cKDTree
 
 from polhode.config.mapping_settings import Mapping
 from polhode.lie import Array
 from polhode.mapping.fusion.vertex_views import VertexViews
 from polhode.mapping.mesh_geometry import min_spread, neighbour_sums
+from polhode.mesh_metrics import quick_tree
 from polhode.records import ErrorCorrelation, SurfaceErrors
 
 WINDOW_VOXELS = 6.0
@@ -66,22 +66,23 @@ def separate_sides(
 
 def vertex_sigma(
     mesh: trimesh.Trimesh,
+    normals: Array,
     noise_m: Array,
     single_m: Array,
     views: VertexViews,
-    landmarks_G: Array | None,
+    landmarks: Array | None,
     voxel_m: float,
     config: Mapping,
 ) -> tuple[Array, SurfaceErrors]:
     """Sigma (V,) of the vertices [m], and how their errors belong together.
 
-    noise_m (V,) of the mean of independent frames; single_m (V,) of one frame, taken for what frames have in
-    common where none of the kept frames saw the vertex; landmarks_G (L, 3) in the mesh's frame [m]; None: not
-    known.
+    normals (V, 3); noise_m (V,) of the mean of independent frames; single_m (V,) of one frame, taken for what
+    frames have in common where none of the kept frames saw the vertex; landmarks (L, 3) in the mesh's frame
+    [m]; None: not known.
     """
     shared_m = config.shared_sigma * np.where(np.isfinite(views.shared_m), views.shared_m, single_m)
     stated_m = np.hypot(noise_m, shared_m)
-    scale, count = noise_scale(mesh, stated_m, views, landmarks_G, voxel_m)
+    scale, count = noise_scale(np.asarray(mesh.vertices), normals, stated_m, views, landmarks, voxel_m)
     relief_m = np.zeros(len(noise_m))
     if config.relief_sigma > 0.0:
         rough_m = roughness(mesh, WINDOW_VOXELS * voxel_m)
@@ -91,21 +92,27 @@ def vertex_sigma(
 
 
 def noise_scale(
-    mesh: trimesh.Trimesh, stated_m: Array, views: VertexViews, landmarks_G: Array | None, voxel_m: float
+    vertices: Array,
+    normals: Array,
+    stated_m: Array,
+    views: VertexViews,
+    landmarks: Array | None,
+    voxel_m: float,
 ) -> tuple[float, int]:
     """Actual over stated noise (V,) [m], from the landmarks' distances from the mesh, and how many there are.
+
+    vertices, normals (V, 3), landmarks (L, 3) in one frame [m].
 
     The median of the distances over the stated noise, drawn towards the usual value where they are few.
     Vertices that frames see from behind are left out: there the distance is that between two sides.
     """
-    if landmarks_G is None or len(landmarks_G) == 0:
+    if landmarks is None or len(landmarks) == 0:
         return _USUAL_SCALE, 0
     reach_m = _NEAR_VOXELS * voxel_m
-    vertices, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
-    distance, nearest = cKDTree(vertices).query(landmarks_G, distance_upper_bound=reach_m)
+    distance, nearest = quick_tree(vertices).query(landmarks, distance_upper_bound=reach_m)
     found = np.flatnonzero(np.isfinite(distance))
     nearest = nearest[found]
-    between = landmarks_G[found] - vertices[nearest]
+    between = landmarks[found] - vertices[nearest]
     off_m = np.abs(np.einsum("ni,ni->n", between, normals[nearest]))
     beside_m = np.sqrt(np.maximum(distance[found] ** 2 - off_m**2, 0.0))
     used = (beside_m < _BESIDE_VOXELS * voxel_m) & (views.back_share[nearest] < _BACK_SHARE)
@@ -122,10 +129,12 @@ def patch_quantile(mesh: trimesh.Trimesh, values: Array, voxel_m: float) -> Arra
     vertices = np.asarray(mesh.vertices)
     if len(vertices) == 0:
         return values
-    cell = np.floor(vertices / (_PATCH_SPACING_VOXELS * voxel_m)).astype(np.int64)
-    _, first, of_vertex = np.unique(cell, axis=0, return_index=True, return_inverse=True)
+    cell = np.floor((vertices - vertices.min(axis=0)) / (_PATCH_SPACING_VOXELS * voxel_m)).astype(np.int64)
+    width = cell.max(axis=0) + 1
+    key = (cell[:, 0] * width[1] + cell[:, 1]) * width[2] + cell[:, 2]
+    _, first, of_vertex = np.unique(key, return_index=True, return_inverse=True)
     centres = vertices[first]
-    near = cKDTree(centres).query(centres, k=min(_PATCH_POINTS, len(centres)))[1].reshape(len(centres), -1)
+    near = quick_tree(centres).query(centres, k=min(_PATCH_POINTS, len(centres)))[1].reshape(len(centres), -1)
     low = np.quantile(values[first][near], _PATCH_QUANTILE, axis=1)
     return np.asarray(low[of_vertex.reshape(-1)])
 

@@ -62,7 +62,9 @@ def test_a_plane_is_smooth_and_has_the_noise_of_frames_alone_and_in_common() -> 
     for shared_m in (6e-4, np.inf):
         # where no frame is kept, what they have in common is as large as for one
         common = 0.25 * min(shared_m, VIEW_M)
-        sigma, errors = vertex_sigma(plane, noise, view, seen_alike(plane, shared_m), None, 2e-3, config)
+        sigma, errors = vertex_sigma(
+            plane, plane.vertex_normals, noise, view, seen_alike(plane, shared_m), None, 2e-3, config
+        )
         np.testing.assert_allclose(sigma, errors.scale * np.hypot(NOISE_M, common), rtol=1e-4)
         assert errors.landmarks == 0
 
@@ -70,7 +72,9 @@ def test_a_plane_is_smooth_and_has_the_noise_of_frames_alone_and_in_common() -> 
 def test_shares_of_correlated_errors_add_up_and_have_lengths_in_voxels() -> None:
     plane = wavy(0.0, 1.0)
     noise = np.full(len(plane.vertices), NOISE_M)
-    _, errors = vertex_sigma(plane, noise, noise, seen_alike(plane, 1e-4), None, 2e-3, Mapping())
+    _, errors = vertex_sigma(
+        plane, plane.vertex_normals, noise, noise, seen_alike(plane, 1e-4), None, 2e-3, Mapping()
+    )
     assert sum(each.share for each in errors.correlation) == pytest.approx(1.0)
     assert [each.length_m for each in errors.correlation] == [
         length * 2e-3 for _, length in ERROR_CORRELATION
@@ -80,19 +84,20 @@ def test_shares_of_correlated_errors_add_up_and_have_lengths_in_voxels() -> None
 def test_landmarks_scale_the_noise_by_their_median_distance() -> None:
     plane, rng = wavy(0.0, 1.0), np.random.default_rng(0)
     stated, views = np.full(len(plane.vertices), NOISE_M), seen_alike(plane, 0.0)
-    usual, none = noise_scale(plane, stated, views, None, STEP_M)
+    plate = np.asarray(plane.vertices), np.asarray(plane.vertex_normals)
+    usual, none = noise_scale(*plate, stated, views, None, STEP_M)
     assert none == 0
     for actual in (0.4, 1.5):
         landmarks = np.array(plane.vertices)[rng.choice(len(plane.vertices), 5000)]
         landmarks[:, 2] += rng.normal(0.0, actual * NOISE_M, len(landmarks))
-        scale, count = noise_scale(plane, stated, views, landmarks, STEP_M)
+        scale, count = noise_scale(*plate, stated, views, landmarks, STEP_M)
         assert count == 5000 and scale == pytest.approx(0.9 * actual, rel=0.06)
-        few, _ = noise_scale(plane, stated, views, landmarks[:20], STEP_M)
+        few, _ = noise_scale(*plate, stated, views, landmarks[:20], STEP_M)
         assert few == pytest.approx(usual, rel=0.1)
     # far landmarks, and those of parts that frames see from both sides, show nothing
-    assert noise_scale(plane, stated, views, landmarks + np.array([0.0, 0.0, 0.05]), STEP_M) == (usual, 0)
+    assert noise_scale(*plate, stated, views, landmarks + np.array([0.0, 0.0, 0.05]), STEP_M) == (usual, 0)
     both = replace(views, back_share=np.full(len(stated), 0.3))
-    assert noise_scale(plane, stated, both, landmarks, STEP_M) == (usual, 0)
+    assert noise_scale(*plate, stated, both, landmarks, STEP_M) == (usual, 0)
 
 
 def test_edges_of_a_smooth_body_are_no_relief_and_waves_all_over_are() -> None:
