@@ -208,7 +208,7 @@ def main() -> None:
         for pair in options.runs:
             run, _, sequence = pair.partition("=")
             case = of_run(Path(run), Path(sequence))
-            yield row(Path(run).parent.parent.name, [] if case is None else [case])
+            yield row(run, [] if case is None else [case])
 
     print_table(COLUMNS, lines(), right_from=2)
 
