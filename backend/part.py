@@ -32,7 +32,8 @@ def estimate_part(
     """The estimate of some observations (M,) of ``tracks``, its states in some frames (n,), ascending.
 
     Frames without chosen observations are bridged by the dynamics, with the covariance that this gives.
-    Noise, unknown disturbances and outliers are the whole's. None: too few observations, or no solution.
+    Noise, unknown disturbances and outliers are the whole's. Errors that all landmarks share are not in the
+    covariance, as parts that are compared have the same ones. None: too few observations, or no solution.
     """
     rows = rows & (whole.inlier_weight > 0.0) & np.isin(tracks.frame, frames)
     if rows.sum() < MIN_OBSERVATIONS or len(np.unique(tracks.frame[rows])) < 3:
@@ -50,7 +51,7 @@ def estimate_part(
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             found, _, _ = refine(GaussNewton(data, line_search=True), data, start, ITERATIONS)
             known = InitialMotion(X_RG, np.ones(part.n_frames, dtype=np.bool_))
-            return assemble(part, data, everything, found, scales, known)
+            return assemble(part, data, everything, found, scales, known, light_px=None)
     except LinAlgError:
         return None
 

@@ -60,11 +60,12 @@ def assemble(
     iterate: Iterate,
     scales: NoiseScales,
     initial: InitialMotion,
-    light_px: float,
+    light_px: float | None,
 ) -> MotionEstimate:
     """The estimate at the solution ``iterate`` of the whole data, with covariances of the pruned problem.
 
-    light_px: standard deviation of a slide of all landmarks, besides what is measured.
+    light_px: standard deviation of a slide of all landmarks, besides what is measured; None: errors that all
+    landmarks share are left out, as parts that are compared share them.
     """
     all_residuals = whitened_residuals(data, iterate)
     weight = np.where(
@@ -120,7 +121,7 @@ def assemble(
 
 
 def _dependent_errors(
-    solver: GaussNewton, fixed: LinearizationPoint, x: Array, light_px: float
+    solver: GaussNewton, fixed: LinearizationPoint, x: Array, light_px: float | None
 ) -> tuple[CorrelatedNoise | None, DependentErrors | None]:
     """How the errors of the observations depend on one another, from the residuals; None: too few."""
     residuals, (R_RG, _, _) = solver.residuals(fixed, x)
@@ -131,7 +132,8 @@ def _dependent_errors(
     if found is None:
         return None, None
     drift_px = found.slow / float(np.median(solver.data.inv_sigma[:, 0]))
-    common = common_slide(solver.data, iterate, to_landmark, float(np.hypot(light_px, drift_px)))
+    slide_px = 0.0 if light_px is None else float(np.hypot(light_px, drift_px))
+    common = common_slide(solver.data, iterate, to_landmark, slide_px)
     return found, DependentErrors(found.variance(solver.data), found.drift_between(turn_rad), common)
 
 

@@ -195,9 +195,8 @@ def turn_agreement(
     for view in views:
         before, after = (_marks_along_circles(view, picture, X_GG, rig) for picture in view.pictures)
         mark = before[:, len(turns_rad) // 2]
-        shares.append(
-            np.mean(np.abs(mark[np.isfinite(mark)]) > MIN_MARK_DN) if np.isfinite(mark).any() else 0.0
-        )
+        known = np.abs(mark[np.isfinite(mark)])
+        shares.append(float(np.mean(known > MIN_MARK_DN)) if len(known) else 0.0)
         fits.append([_correlation(mark, column) for column in after.T])
     with np.errstate(all="ignore"):
         return np.asarray(np.median(np.array(fits), axis=0)), float(np.median(shares))
@@ -217,7 +216,7 @@ def _marks_along_circles(view: PairView, picture: Picture, X_GG: Array, rig: Rec
     enough = known.mean(axis=1) > 0.4
     out[~enough] = np.nan
     out[enough] -= np.nanmedian(out[enough], axis=1, keepdims=True) if enough.any() else 0.0
-    return np.clip(out, -MAX_MARK_DN, MAX_MARK_DN)
+    return np.asarray(np.clip(out, -MAX_MARK_DN, MAX_MARK_DN))
 
 
 def _correlation(a: Array, b: Array) -> float:
@@ -237,7 +236,7 @@ def _picture(frame: DepthMap, X_RG: Array) -> Picture | None:
         return None
     v0, v1, u0, u1 = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
     stride = -(-max(v1 - v0, u1 - u0) // MAX_SIDE_PX)
-    grey = frame.intensity[v0:v1, u0:u1].astype(np.float32)
+    grey: Array = frame.intensity[v0:v1, u0:u1].astype(np.float32)
     if stride > 1:
         grey = cv2.blur(grey, (int(stride), int(stride)))
     grey, inside = grey[::stride, ::stride], known[v0:v1:stride, u0:u1:stride].astype(np.float32)

@@ -137,7 +137,7 @@ def test_landmarks_that_slide_with_the_sun_are_found(sequence: SyntheticSequence
         normal = p_G / np.linalg.norm(p_G, axis=1, keepdims=True)
         sun_G = np.einsum("nji,j->ni", R_NG, SUN_N)
         along = sun_G - np.sum(sun_G * normal, axis=1, keepdims=True) * normal
-        return np.einsum("nij,njk,nk->ni", J, X_RG[:, :3, :3], 3e-3 * along)
+        return np.asarray(np.einsum("nij,njk,nk->ni", J, X_RG[:, :3, :3], 3e-3 * along))
 
     case = changed(sequence, slide)
     check = sun_check(*case, SUN_N)
