@@ -138,7 +138,7 @@ def _focal(seen: Seen, share: float) -> StereoTracks:
 
 
 def _step(seen: Seen, px: float) -> StereoTracks:
-    return seen.disparity(px * (seen.tracks.frame > seen.tracks.n_frames // 2))
+    return seen.disparity(np.asarray(px * (seen.tracks.frame > seen.tracks.n_frames // 2), dtype=np.float64))
 
 
 def _late(seen: Seen, delay_s: float) -> StereoTracks:
