@@ -236,10 +236,9 @@ def _picture(frame: DepthMap, X_RG: Array) -> Picture | None:
         return None
     v0, v1, u0, u1 = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
     stride = -(-max(v1 - v0, u1 - u0) // MAX_SIDE_PX)
-    grey: Array = frame.intensity[v0:v1, u0:u1].astype(np.float32)
-    if stride > 1:
-        grey = cv2.blur(grey, (int(stride), int(stride)))
-    grey, inside = grey[::stride, ::stride], known[v0:v1:stride, u0:u1:stride].astype(np.float32)
+    fine = frame.intensity[v0:v1, u0:u1].astype(np.float32)
+    coarse = cv2.blur(fine, (int(stride), int(stride))) if stride > 1 else fine
+    grey, inside = coarse[::stride, ::stride], known[v0:v1:stride, u0:u1:stride].astype(np.float32)
     around = np.maximum(cv2.GaussianBlur(inside, (0, 0), LOCAL_PX), 1e-3)
     marks = inside * (grey - cv2.GaussianBlur(grey * inside, (0, 0), LOCAL_PX) / around)
     away = cv2.erode(inside, np.ones((9, 9), np.uint8), borderValue=0.0)
