@@ -80,12 +80,14 @@ def mesh_shares(run: Path, sequence: Path, summary: Summary, truth: Truth) -> di
 
 
 def rates(run: Path, truth: Truth) -> dict[str, float | None]:
-    """Error of the rotation, its largest sigma and its true size [deg/s]."""
+    """Error of the rotation, its sigma and its true size [deg/s]; the sigma is that of the worst axis of the
+    body in the last frame, which is finite where the principal axes are undetermined, too.
+    """
     table = read_trajectory(run)
     estimate = States(table.timestamps_ns, table.r_N, table.v_N, table.R_NP, table.w_P)
     own = States(truth.timestamps_ns, truth.r_N, truth.v_N, truth.R_NP, truth.w_P)
-    variance = np.diagonal(read_covariance(run).covariance, axis1=1, axis2=2)[:, 9:]
-    sigma = float(np.rad2deg(np.sqrt(np.median(variance.max(axis=1)))))
+    last = read_covariance(run).last_body
+    sigma = np.inf if last is None else float(np.rad2deg(np.sqrt(np.diagonal(last)[9:12].max())))
     return {
         "rate_error_deg_s": float(f"{motion_errors(estimate, own).rmse_angular_velocity_deg_s:.4g}"),
         "rate_sigma_deg_s": float(f"{sigma:.4g}") if np.isfinite(sigma) else None,

@@ -171,8 +171,15 @@ def print_verdicts(lines: Sequence[Case]) -> None:
     print_table(head, rows, right_from=4)
     outcomes = [outcome_of(line) for line in lines]
     print("\n" + ", ".join(f"{outcomes.count(name)} {name}" for name in VERDICTS))
-    seconds, checks = (sum(line[key] or 0.0 for line in lines) for key in ("seconds", "checks_seconds"))
-    print(f"Checks: {100.0 * checks / seconds:.1f} % of the time of the runs")
+    print_cost(lines)
+
+
+def print_cost(lines: Sequence[Case]) -> None:
+    """The share of the checks in the time of the runs that measured it."""
+    timed = [line for line in lines if line["checks_seconds"]]
+    if timed:
+        seconds, checks = (sum(line[key] for line in timed) for key in ("seconds", "checks_seconds"))
+        print(f"Checks: {100.0 * checks / seconds:.1f} % of the time of {len(timed)} runs")
 
 
 def _mesh_cells(mesh: dict[str, Any]) -> list[str]:
@@ -196,6 +203,7 @@ def print_bodies(lines: Sequence[Case]) -> None:
     print_table(head, rows)
     outcomes = [spin_outcome(line) for line in lines]
     print("\n" + ", ".join(f"{outcomes.count(name)} {name}" for name in OUTCOMES))
+    print_cost(lines)
 
 
 if __name__ == "__main__":

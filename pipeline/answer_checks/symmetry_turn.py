@@ -30,8 +30,8 @@ MAX_SLIP = 0.1
 """Velocity along the normals over that of the points, root mean square, of a body of revolution. Measured
 ones have 0.04 to 0.09, other bodies at least 0.12."""
 MIN_LEAD = 0.15
-"""Of the correlation of the motion found before that of any other turn: right rates have at least 0.23, and
-mostly 0.45 to 0.95, wrong ones at most 0.04 (benchmarks/trust). For a target that, as found, does not
+"""Of the correlation of the motion found before that of any other turn: right rates have at least 0.2, and
+mostly 0.4 to 0.95, wrong ones at most 0.04 (benchmarks/trust). For a target that, as found, does not
 turn about its axis, times the share of the surface with marks: the edges of shadows and reflections would
 stand still at any rate."""
 MIN_MARK_DN, MAX_MARK_DN = 5.0, 40.0

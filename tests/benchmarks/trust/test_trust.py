@@ -129,6 +129,6 @@ def test_the_tables_show_what_holds_and_what_does_not(capsys: pytest.CaptureFixt
     assert "| b 2 | 30.00 (67) | - |" in out and "**all** | **" in out
     assert "| a | ok | - | - | 1 of 1 | 68.0 | 99.0 | 50 | 4.0 |" in out
     assert "1 wrong and confident" in out and "1 failed with a reason" in out
-    assert "Checks: 4.0 % of the time" in out
+    assert "Checks: 4.0 % of the time of 3 runs" in out
     assert "| d | 12.0 | 11.000 | 0.100 | degraded | not found, and said so | marks |" in out
     assert "1 found, ok, 0 found, but doubted, 1 not found, and said so, 0 not found, and ok" in out
