@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from polhode.backend.outliers_and_noise.systematic import online_with_systematic
 from polhode.backend.problem.iterate import COM, RATE
+from polhode.backend.uncertainty.covariance import with_infinite
 from polhode.backend.window.add_frame import first_frame, next_frame
 from polhode.backend.window.causal_state import OnlineState, online_state, unknown_state
 from polhode.backend.window.estimator_state import EstimatorState, initial_estimator_state
@@ -24,7 +25,7 @@ from polhode.camera import RectifiedRig
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.progress import Progress
-from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks
+from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks, Wrench
 from polhode.rigid_body import HALF_TURNS
 from polhode.threads import single_threaded
 
@@ -186,7 +187,32 @@ def estimate_online(tracks: StereoTracks, config: Backend, progress: Progress) -
             seconds.append(perf_counter() - begin)
             advance()
     _log.info("window: median %.0f ms a frame, %.1f s in all", 1e3 * np.median(seconds), sum(seconds))
-    return online_with_systematic(stack_states(states), tracks, config.systematic_px, config.light_px)
+    online = online_with_systematic(stack_states(states), tracks, config.systematic_px, config.light_px)
+    return online if tracks.wrench is None else without_claims_after_torques(online, tracks.wrench)
+
+
+def without_claims_after_torques(online: OnlineEstimate, wrench: Wrench) -> OnlineEstimate:
+    """Nothing is claimed of inertia, axes, attitude and rate from the first known torque on.
+
+    The window assumes free motion: what the torque does seems to be the inertia's doing.
+    """
+    acting = wrench.time_ns[wrench.torque_P.any(axis=1)]
+    if not len(acting):
+        return online
+    after = online.timestamps_ns > acting[0]
+    unknown = {
+        "covariance": np.repeat([False, True], 6),
+        "cov_k": np.ones(2, dtype=np.bool_),
+        "cov_R_GP": np.ones(3, dtype=np.bool_),
+    }
+    changed = {
+        name: np.stack([
+            with_infinite(c, lost) if late else c
+            for c, late in zip(getattr(online, name), after, strict=True)
+        ])
+        for name, lost in unknown.items()
+    }  # fmt: skip
+    return replace(online, **changed)
 
 
 def window_warnings(n_frames: int, config: Backend) -> list[str]:

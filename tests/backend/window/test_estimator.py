@@ -19,12 +19,12 @@ from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.solve import refine
 from polhode.backend.window.causal_state import OnlineState
-from polhode.backend.window.estimator import SlidingWindow
+from polhode.backend.window.estimator import SlidingWindow, without_claims_after_torques
 from polhode.backend.window.frame import FrameMeasurements, frames_of
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, inverse_pose, log_so3, transform_points
 from polhode.progress import Silent
-from polhode.records import MotionEstimate, OnlineEstimate
+from polhode.records import MotionEstimate, OnlineEstimate, Wrench
 from polhode.rigid_body import HALF_TURNS
 from polhode.simulation.monte_carlo import SyntheticSequence, generate
 from tests.backend.window.conftest import TUMBLE, Feed
@@ -238,6 +238,22 @@ def test_names_change_and_sigmas_with_them(both: tuple[OnlineEstimate, MotionEst
     trace, aligned_trace = (np.trace(e.cov_com_G[known], axis1=1, axis2=2) for e in (online, aligned))
     np.testing.assert_allclose(aligned_trace, trace, rtol=1e-9)
     assert np.isfinite(inverse_pose(aligned.X_NG)).all()
+
+
+def test_after_a_known_torque_the_rotation_is_not_claimed(
+    both: tuple[OnlineEstimate, MotionEstimate],
+) -> None:
+    online, _ = both
+    n = len(online.timestamps_ns)
+    times = online.timestamps_ns[[0, n // 2, n // 2 + 1]]
+    force, torque = np.zeros((3, 3)), np.array([[0.0] * 3, [0.0, 1e-3, 0.0], [0.0] * 3])
+    claimed = without_claims_after_torques(online, Wrench(times, force, torque))
+    before = slice(0, n // 2 + 1)
+    np.testing.assert_array_equal(claimed.covariance[before], online.covariance[before])
+    sigma = np.diagonal(claimed.covariance, axis1=1, axis2=2)[n // 2 + 1 :]
+    assert np.isinf(sigma[:, 6:]).all() and np.isfinite(sigma[:, :6]).all()
+    assert np.isinf(np.diagonal(claimed.cov_k, axis1=1, axis2=2)[n // 2 + 1 :]).all()
+    assert without_claims_after_torques(online, Wrench(times, torque, force)) is online
 
 
 def test_a_window_longer_than_the_sequence_is_said_and_works(tumble: SyntheticSequence) -> None:
