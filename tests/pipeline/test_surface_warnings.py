@@ -93,12 +93,13 @@ def test_what_is_wrong_with_depth_and_poses_reaches_the_user(
         progress: Progress,
         n_frames: int,
         covariance_G: Array,
+        landmarks_G: Array,
     ) -> SurfaceModel:
         if defect.covariance_of is not None:
             covariance_G = covariance_G.copy()
             covariance_G[defect.covariance_of, 1, 1] = np.nan
         given = ((depth, defect.poses(k, X_RG)) for k, (depth, X_RG) in enumerate(frames))
-        return fuse(given, rig, config, progress, n_frames, covariance_G)
+        return fuse(given, rig, config, progress, n_frames, covariance_G, landmarks_G)
 
     def once(name: str, work: Callable[..., Any]) -> Callable[..., Any]:
         def kept(*arguments: Any) -> Any:
