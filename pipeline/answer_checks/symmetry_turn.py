@@ -31,9 +31,9 @@ MAX_SLIP = 0.1
 ones have 0.04 to 0.09, other bodies at least 0.12."""
 MIN_LEAD = 0.15
 """Of the correlation of the motion found before that of any other turn: right rates have at least 0.2, and
-mostly 0.4 to 0.95, wrong ones at most 0.04 (benchmarks/trust). For a target that, as found, does not
-turn about its axis, times the share of the surface with marks: the edges of shadows and reflections would
-stand still at any rate."""
+mostly 0.4 to 0.95, those of a still outline at most 0.04 (benchmarks/trust). For a target that, as found,
+does not turn about its axis, times the share of the surface with marks: the edges of shadows and reflections
+would stand still at any rate."""
 MIN_MARK_DN, MAX_MARK_DN = 5.0, 40.0
 """Contrast of a mark; a reflection counts no more than the second."""
 APART_PX, STEP_PX = 6.0, 1.5
