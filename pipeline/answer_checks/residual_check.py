@@ -62,12 +62,21 @@ def agreeing_residuals(tracks: StereoTracks, estimate: MotionEstimate) -> Residu
     )
 
 
-def means_in_errors(values: Array, group: Ints, least: int) -> Array:
-    """Means (g, c) of values (n, c) by group (n,), over their standard errors; of groups with ``least``."""
+def means_in_errors(values: Array, group: Ints, landmark: Ints, least: int) -> Array:
+    """Means (g, c) of values (n, c) by group (n,), over their standard errors; of groups with ``least``.
+
+    Errors of one landmark (n,) may be alike: the standard error is that of clusters where it is larger than
+    that of single values (Liang and Zeger, Biometrika 73, 1986).
+    """
     count = np.bincount(group)
-    sums = np.stack([np.bincount(group, column) for column in values.T], axis=1)
     enough = count >= least
-    return np.asarray(sums[enough] / np.sqrt(count[enough])[:, None])
+    pair, members = np.unique(np.stack([group, landmark]), axis=1, return_inverse=True)
+    of_landmark = np.stack([np.bincount(members.ravel(), column) for column in values.T], axis=1)
+    n, columns = len(count), range(values.shape[1])
+    sums = np.stack([np.bincount(pair[0], of_landmark[:, c], n) for c in columns], axis=1)
+    clusters = np.stack([np.bincount(pair[0], of_landmark[:, c] ** 2, n) for c in columns], axis=1)
+    variance = np.maximum(clusters, count[:, None])[enough]
+    return np.asarray(sums[enough] / np.sqrt(variance))
 
 
 def _root_mean_square(values: Array) -> float:
@@ -76,7 +85,7 @@ def _root_mean_square(values: Array) -> float:
 
 def _by_frame(found: Residuals) -> Check:
     check = Check(name="mean residual of the disparity, by frame", limit=MAX_BY_FRAME, unit="sigma")
-    means = means_in_errors(found.whitened, found.frame, MIN_IN_FRAME)
+    means = means_in_errors(found.whitened, found.frame, found.landmark, MIN_IN_FRAME)
     if len(means) < MIN_MEANS:
         return check
     size = _root_mean_square(means[:, 2])
@@ -97,7 +106,7 @@ def _by_region(found: Residuals) -> list[Check]:
     uv = found.uvd_px[:, :2]
     low, high = np.quantile(uv, [0.02, 0.98], axis=0)
     cell = np.clip((uv - low) / np.maximum(high - low, 1e-9) * REGIONS, 0, REGIONS - 1).astype(np.int64)
-    means = means_in_errors(found.whitened, cell[:, 0] * REGIONS + cell[:, 1], MIN_IN_REGION)
+    means = means_in_errors(found.whitened, cell[:, 0] * REGIONS + cell[:, 1], found.landmark, MIN_IN_REGION)
     if len(means) < MIN_MEANS:
         return [place, depth]
     sizes = _root_mean_square(means[:, :2]), _root_mean_square(means[:, 2])

@@ -14,7 +14,7 @@ from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_point
 from polhode.pipeline.answer_checks.agreement import disagreements, largest
 from polhode.pipeline.answer_checks.links_check import links_check
 from polhode.pipeline.answer_checks.parts_check import outline_and_interior, parts_checks
-from polhode.pipeline.answer_checks.residual_check import residual_checks
+from polhode.pipeline.answer_checks.residual_check import means_in_errors, residual_checks
 from polhode.pipeline.answer_checks.sun_check import sun_check
 from polhode.pipeline.answer_checks.twins_check import twins_checks
 from polhode.pipeline.run_directory.summary_schema import Check, reasons_of
@@ -128,6 +128,20 @@ def test_a_camera_that_is_late_shows_over_image_and_depth(sequence: SyntheticSeq
     checks = residual_checks(*changed(sequence, late))
     assert of_name(checks, "disparity, by region").reason
     assert "calibration" in of_name(checks, "follow the disparity").reason
+
+
+def test_a_mean_is_as_uncertain_as_the_landmarks_that_it_is_made_of() -> None:
+    rng = np.random.default_rng(0)
+    landmark = np.repeat(np.arange(2000), 8)
+    group = landmark % 20
+    alike = np.repeat(rng.normal(size=(2000, 2)), 8, axis=0)
+    independent = rng.normal(size=(16000, 2))
+    for values in (alike, independent):
+        means = means_in_errors(values, group, landmark, 30)
+        assert means.shape == (20, 2)
+        assert 0.7 < np.sqrt(np.mean(means**2)) < 1.3
+    # a mean that all landmarks have in common stands out all the same
+    assert np.sqrt(np.mean(means_in_errors(alike + 1.0, group, landmark, 30) ** 2)) > 5.0
 
 
 def test_landmarks_that_slide_with_the_sun_are_found(sequence: SyntheticSequence) -> None:
