@@ -65,7 +65,7 @@ def measure(case: Case) -> Case:
     sequence = generate(replace(FREE, pushes=pushes), 400 + case["seed"])
     if not known:
         sequence = replace(sequence, tracks=replace(sequence.tracks, wrench=None))
-    config = Backend(solver="gauss_newton", unknown_wrench=case["search"])
+    config = Backend(solver="gauss_newton", unknown_wrench=case["search"], light_px=0.0)
     _, estimate = cold_start(sequence, config)
     errors, h = state_errors(sequence, estimate)
     sigma = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))

@@ -22,7 +22,7 @@ from polhode.simulation.monte_carlo import SyntheticScene, generate
 SCENE = SyntheticScene(
     frames=24, landmarks=250, detection=0.5, J_G=np.diag([1.5, 1.2, 0.9]), w_G=(0.5, 0.6, 0.5), dt_s=1.0
 )
-CONFIG = Backend(solver="gauss_newton", process_noise="given")
+CONFIG = Backend(solver="gauss_newton", process_noise="given", light_px=0.0)
 
 
 def stated_mean_squares(estimate: MotionEstimate) -> Array:
