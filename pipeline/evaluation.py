@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Column, Table
 
+from polhode import fisheye
 from polhode.backend.problem.inertia import FORMS, InertiaForm, unit_determinant
 from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
@@ -92,7 +93,9 @@ def _bright(left: NDArray[np.uint8], p_C: Array, sequence: StereoSequence) -> Bo
     rig = sequence.calibration
     front = p_C[:, 2] > 1e-6
     uv = np.full((len(p_C), 2), -1.0)
-    if front.any():
+    if rig.fisheye0:
+        uv[front] = fisheye.project(p_C[front], rig.K0, rig.dist0)
+    elif front.any():
         projected, _ = cv2.projectPoints(p_C[front], np.zeros(3), np.zeros(3), rig.K0, rig.dist0)
         uv[front] = projected.reshape(-1, 2)
     smooth = cv2.blur(left.astype(np.float32), (3, 3))

@@ -15,6 +15,7 @@ from polhode.mapping.fusion.field import fuse
 from polhode.pipeline.answer_checks.check_answer import check_answer
 from polhode.pipeline.answer_checks.image_motion import ImageMotion
 from polhode.pipeline.answer_checks.mesh_check import mesh_check
+from polhode.pipeline.checkout.checkout import warn_before_run
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.correspondences import match_frames
 from polhode.pipeline.data_checks.check_data import check_data
@@ -72,6 +73,7 @@ def run(
         clock = context.clock
         written.recording = recording_of(context.sequence)
         outputs.write_config(folder, config)
+        warn_before_run(context.sequence, context.rectifier)
 
         correspondences = match_frames(context)
         links = correspondences.links

@@ -10,6 +10,7 @@ simulation/  stereo sequences with truth: bodies, motion, rendering, sensor
 frontend/    images to stereo measurements and tracks, and to depth maps
 backend/     tracks to motion, mass properties and their covariance
 mapping/     depth maps and motion to a mesh
+importers/   recordings of others (bags, videos, folders of images) as datasets
 planning/    prediction, keep-out volumes, approach, edge observability, exports
 
 Below them are the shared modules, which every room may import:
@@ -20,9 +21,12 @@ lie.py             rotations, rigid transforms, quaternions: exponential, logari
 rigid_body.py      Euler's equations, energy, momentum, integration; half-turns of the principal axes
 rigid_fit.py       least-squares rotations and rigid transforms
 camera.py          the rectified stereo camera: projection, triangulation
+fisheye.py         the equidistant fisheye lens: rays to pixels and back
 calibration.py     the calibration of the rig, from sensor.yaml
+camera_folders.py  which folders of a sequence hold its two cameras
 dataset.py         a stereo sequence on disk, without its truth
 dataset_writer.py  the same layout, written
+pairing.py         images of two cameras that belong together, by their timestamps
 images.py          image files: reading, conversion to 8-bit grey
 truth.py           the truth of a simulated sequence; only the evaluation may import it
 metrics.py         errors of an estimate against the truth

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from polhode.calibration import StereoCalibration, read_calibration
+from polhode.camera_folders import CameraFolders, find_cameras
 from polhode.errors import InputError
 from polhode.foreign_files import CONFIGURATION_BYTES, MissingFile, read_text
 from polhode.images import (
@@ -30,7 +30,9 @@ from polhode.images import (
     to_grey,
 )
 from polhode.lie import Array, make_pose
+from polhode.pairing import Pairing, offset_in_words, pair_by_time, time_in_words
 from polhode.records import Bools, Ints, Wrench
+from polhode.rig_calibration import StereoCalibration, read_calibration
 from polhode.tables import attitudes_of, numbers_at, read_listing, read_mapping, read_table, require_below
 
 MIN_PAIRS = 3
@@ -69,7 +71,7 @@ class StereoSequence:
 
     folder: Path
     timestamps_ns: Ints
-    """(F,) strictly increasing"""
+    """(F,) strictly increasing, of the left images"""
     calibration: StereoCalibration
     X_NC: Array
     """(F, 4, 4) left camera as calibrated in N; the identity throughout when the inspector is at rest"""
@@ -78,7 +80,7 @@ class StereoSequence:
     """Standard deviation of the inspector's position [m]; 0: exact"""
     sigma_camera_theta_rad: float
     n_listed: int
-    """Number of timestamps in either data.csv"""
+    """Number of pairs, and of images without a partner, in both data.csv"""
     dropped: tuple[tuple[int, str], ...]
     """(timestamp_ns, reason) of frames that are listed but not usable"""
     warnings: tuple[str, ...]
@@ -92,6 +94,9 @@ class StereoSequence:
     _files: tuple[tuple[Path, Path], ...] = field(repr=False)
     _digests: tuple[tuple[bytes, ...], ...] = field(repr=False)
     """Of both images of each pair when the sequence was opened"""
+    _right_ns: Ints
+    """(F,) timestamps of the right images, which may differ by an offset and a little more"""
+    _cameras: CameraFolders
     _bits: int = 8
 
     def __len__(self) -> int:
@@ -100,21 +105,20 @@ class StereoSequence:
     def read_pair(self, k: int) -> StereoImages:
         """Images and masks of pair k, 0 <= k < F, 8-bit grey. Raises InputError if the files have changed."""
         left, mask_left = self.read_left(k)
-        return StereoImages(left, self._read_image(1, k), mask_left, self._read_mask("masks1", k))
+        return StereoImages(left, self._read_image(1, k), mask_left, self._read_mask(1, k))
 
     def read_left(self, k: int) -> tuple[Grey, Bools | None]:
         """The left image and mask of pair k alone."""
-        return self._read_image(0, k), self._read_mask("masks0", k)
+        return self._read_image(0, k), self._read_mask(0, k)
 
     def left_file(self, k: int) -> Path:
         """The file of the left image of pair k."""
         return self._files[k][0]
 
     def _read_image(self, camera: int, k: int) -> Grey:
-        width, height = self.calibration.width_px, self.calibration.height_px
         file = self._files[k][camera]
         try:
-            raw = read_raw(file, width, height)
+            raw = read_raw(file, *self.calibration.size_px(camera))
         except UnreadableImage as error:
             raise InputError(
                 f"{self.folder}: pair {self.timestamps_ns[k]} ns changed while in use: {error}"
@@ -123,12 +127,14 @@ class StereoSequence:
             raise InputError(f"{file}: changed while in use: leave the sequence alone, and run again")
         return to_grey(raw, self._bits)
 
-    def _read_mask(self, name: str, k: int) -> Bools | None:
+    def _read_mask(self, camera: int, k: int) -> Bools | None:
+        width, height = self.calibration.size_px(camera)
         if self.repeated[k]:
-            return np.zeros((self.calibration.height_px, self.calibration.width_px), dtype=np.bool_)
-        path = self.folder / "mav0" / name / f"{self.timestamps_ns[k]}.png"
+            return np.zeros((height, width), dtype=np.bool_)
+        right_ns = int(self._right_ns[k])
+        path = _mask_file(self._cameras, camera, int(self.timestamps_ns[k]), right_ns)
         try:
-            return read_mask(path, self.calibration.width_px, self.calibration.height_px)
+            return read_mask(path, width, height)
         except UnreadableImage:
             # open_sequence has warned of it.
             return None
@@ -144,6 +150,16 @@ class InspectorPoses:
     sigma_theta_rad: float
     moves: bool
     warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """The files of a pair."""
+
+    left: Path
+    right: Path
+    right_ns: int
+    """Timestamp of the right image"""
 
 
 @dataclass(frozen=True)
@@ -170,21 +186,32 @@ def open_sequence(folder: Path) -> StereoSequence:
     increase, more than 60 % of the listed frames are lost, fewer than 3 pairs remain, all frames are black, a
     mask has the wrong size, or ``inspector0`` or ``wrench0`` is wrong or does not cover the frames.
     """
-    mav0 = _require_folders(folder)
-    calibration = read_calibration(mav0)
+    mav0 = _require_mav0(folder)
+    cameras = find_cameras(mav0)
+    calibration = read_calibration(mav0, cameras.names)
     bits = calibration.bits
-    left, right = (read_listing(mav0 / name / "data.csv") for name in ("cam0", "cam1"))
-    listed = sorted(left.keys() | right.keys())
-    reasons = _without_files(mav0, left, right)
+    left, right = (read_listing(cameras.folder(camera) / "data.csv") for camera in (0, 1))
+    left_ns, right_ns = (np.array(list(names), dtype=np.int64) for names in (left, right))
+    _require_overlap(cameras, left_ns, right_ns)
+    pairing = pair_by_time(left_ns, right_ns)
+    partner = dict(zip(left_ns[pairing.left].tolist(), right_ns[pairing.right].tolist(), strict=True))
+    reasons = _unpaired(cameras, left_ns, right_ns, pairing)
+    listed = sorted(partner.keys() | reasons.keys())
+    names = {stamp: (left[stamp], right[other]) for stamp, other in partner.items()}
+    reasons |= _without_files(cameras, names)
     # Images are decoded only while enough frames can remain.
     _require_enough(folder, reasons, len(listed))
     paired = [stamp for stamp in listed if stamp not in reasons]
     files = {
-        stamp: (mav0 / "cam0" / "data" / left[stamp], mav0 / "cam1" / "data" / right[stamp])
+        stamp: _Pair(
+            cameras.folder(0) / "data" / left[stamp],
+            cameras.folder(1) / "data" / right[partner[stamp]],
+            partner[stamp],
+        )
         for stamp in paired
     }
     checked: dict[int, _Checked] = {}
-    for stamp, check in zip(paired, _check_pairs(mav0, files, calibration, bits), strict=True):
+    for stamp, check in zip(paired, _check_pairs(cameras, files, calibration, bits), strict=True):
         checked[stamp] = check
         if check.reason is not None:
             reasons[stamp] = check.reason
@@ -203,10 +230,9 @@ def open_sequence(folder: Path) -> StereoSequence:
     repeated = np.asarray(of_cameras.any(axis=1)) & (not frozen)
     still = np.flatnonzero(of_cameras[1:].all(axis=0))
     if len(still) and not frozen:
-        camera = f"cam{still[0]}"
         raise InputError(
-            f"{mav0 / camera}: all images are the same, bit for bit: the camera or the recorder stood still; "
-            "record the sequence again"
+            f"{cameras.folder(int(still[0]))}: all images are the same, bit for bit: the camera or the "
+            "recorder stood still; record the sequence again"
         )
     timestamps_ns = np.array(usable, dtype=np.int64)
     folder_of_poses, folder_of_wrench = mav0 / "inspector0", mav0 / "wrench0"
@@ -226,6 +252,7 @@ def open_sequence(folder: Path) -> StereoSequence:
         n_listed=len(listed),
         dropped=dropped,
         warnings=(
+            *_offset_warning(cameras, pairing),
             *_warnings(dropped, len(listed), bad_masks, inspector),
             *_odd_times(timestamps_ns),
             *_repeats(timestamps_ns, repeated),
@@ -233,13 +260,15 @@ def open_sequence(folder: Path) -> StereoSequence:
         wrench=read_wrench(folder_of_wrench, timestamps_ns) if folder_of_wrench.is_dir() else None,
         repeated=repeated,
         frozen=frozen,
-        _files=tuple(files[stamp] for stamp in usable),
+        _files=tuple((files[stamp].left, files[stamp].right) for stamp in usable),
         _digests=tuple(checked[stamp].digests for stamp in usable),
+        _cameras=cameras,
+        _right_ns=np.array([files[stamp].right_ns for stamp in usable], dtype=np.int64),
         _bits=bits,
     )
 
 
-def _require_folders(folder: Path) -> Path:
+def _require_mav0(folder: Path) -> Path:
     if not folder.is_dir():
         raise InputError(
             f"{folder} is not a folder: give the folder that contains mav0/ (see docs/dataset.md)"
@@ -247,27 +276,62 @@ def _require_folders(folder: Path) -> Path:
     mav0 = folder / "mav0"
     if not mav0.exists() and (folder / "cam0").is_dir():
         raise InputError(f"{folder} is the folder mav0 itself: give the folder that contains it")
-    for name in ("cam0", "cam1"):
-        if not (mav0 / name).is_dir():
-            raise InputError(
-                f"{mav0 / name} is missing: a sequence needs mav0/cam0 and mav0/cam1 (see docs/dataset.md)"
-            )
     return mav0
 
 
-def _without_files(mav0: Path, left: dict[int, str], right: dict[int, str]) -> dict[int, str]:
-    """Timestamp [ns] -> reason, of the frames that lack one of the two images."""
-    reasons = {stamp: "only in cam0" for stamp in left if stamp not in right}
-    reasons |= {stamp: "only in cam1" for stamp in right if stamp not in left}
-    for camera, names in (("cam0", left), ("cam1", right)):
-        data = mav0 / camera / "data"
+def _require_overlap(cameras: CameraFolders, left_ns: Ints, right_ns: Ints) -> None:
+    """Raise InputError for two recordings that have no time in common."""
+    gap_ns = max(int(right_ns[0] - left_ns[-1]), int(left_ns[0] - right_ns[-1]))
+    if gap_ns > 0 and min(len(left_ns), len(right_ns)) > 1:
+        first, second = cameras.names
+        late, early = (second, first) if right_ns[0] > left_ns[-1] else (first, second)
+        raise InputError(
+            f"{cameras.mav0}: the images of {first} and {second} have no time in common: {late} begins "
+            f"{time_in_words(gap_ns)} after {early} ends; give both the stamps of one clock"
+        )
+
+
+def _unpaired(cameras: CameraFolders, left_ns: Ints, right_ns: Ints, pairing: Pairing) -> dict[int, str]:
+    """Timestamp [ns] -> reason, of the images that have no partner."""
+    first, second = cameras.names
+    lone = np.delete(np.arange(len(right_ns)), pairing.right)
+    # in the left clock, where none can be the stamp of a pair
+    reasons = {int(stamp): f"only in {second}" for stamp in right_ns[lone] - pairing.offset_ns}
+    lone = np.delete(np.arange(len(left_ns)), pairing.left)
+    for stamp, off_ns in zip(left_ns[lone], pairing.nearest_ns[lone], strict=True):
+        reasons[int(stamp)] = f"only in {first}"
+        if 2 * abs(off_ns) < pairing.interval_ns:
+            beyond = " beyond the usual offset" if pairing.offset_ns else ""
+            reasons[int(stamp)] = (
+                f"only in {first}: the nearest image of {second} is {time_in_words(off_ns)} away{beyond}, "
+                f"{time_in_words(pairing.tolerance_ns)} are allowed; polhode import --tolerance-s allows more"
+            )
+    return reasons
+
+
+def _offset_warning(cameras: CameraFolders, pairing: Pairing) -> Iterator[str]:
+    """The constant offset between the stamps of the two cameras."""
+    first, second = cameras.names
+    if pairing.offset_ns:
+        offset = offset_in_words(pairing.offset_ns, pairing.interval_ns, second, first)
+        yield (
+            f"{offset}: taken for an offset of the clocks; pairs have the stamps of {first}; if the cameras "
+            "were not triggered together, depth and motion are wrong"
+        )
+
+
+def _without_files(cameras: CameraFolders, names: dict[int, tuple[str, str]]) -> dict[int, str]:
+    """Timestamp [ns] -> reason, of the pairs that lack one of the two images."""
+    reasons: dict[int, str] = {}
+    for index, camera in enumerate(cameras.names):
+        data = cameras.folder(index) / "data"
         present = _names_in(data)
-        for stamp, name in names.items():
+        for stamp, pair in names.items():
             # A name with a folder is looked up by itself.
             if (
                 stamp not in reasons
-                and name not in present
-                and ("/" not in name or not (data / name).exists())
+                and pair[index] not in present
+                and ("/" not in pair[index] or not (data / pair[index]).exists())
             ):
                 reasons[stamp] = f"{camera} image: file missing"
     return reasons
@@ -282,26 +346,25 @@ def _names_in(folder: Path) -> set[str]:
 
 
 def _check_pairs(
-    mav0: Path, files: dict[int, tuple[Path, Path]], calibration: StereoCalibration, bits: int | None
+    cameras: CameraFolders, files: dict[int, _Pair], calibration: StereoCalibration, bits: int | None
 ) -> Iterator[_Checked]:
     """What is found out about each pair, in order; never more than a few are decoded ahead."""
     rest = iter(files.items())
-    at_once = parallel_decodes(calibration.width_px, calibration.height_px)
+    at_once = min(parallel_decodes(*calibration.size_px(camera)) for camera in (0, 1))
     with ThreadPoolExecutor(max_workers=min(os.cpu_count() or 1, 16, at_once)) as pool:
         while some := list(islice(rest, PAIRS_AHEAD)):
-            yield from pool.map(lambda each: _check_pair(mav0, each[0], each[1], calibration, bits), some)
+            yield from pool.map(lambda each: _check_pair(cameras, each[0], each[1], calibration, bits), some)
 
 
 def _check_pair(
-    mav0: Path, stamp: int, pair: tuple[Path, Path], calibration: StereoCalibration, bits: int | None
+    cameras: CameraFolders, stamp: int, pair: _Pair, calibration: StereoCalibration, bits: int | None
 ) -> _Checked:
-    width, height = calibration.width_px, calibration.height_px
     bright, largest, digests, shows = False, 0, [], []
-    for camera, path in zip(("cam0", "cam1"), pair, strict=True):
+    for camera, path in enumerate((pair.left, pair.right)):
         try:
-            raw = read_raw(path, width, height)
+            raw = read_raw(path, *calibration.size_px(camera))
         except UnreadableImage as error:
-            return _Checked(f"{camera} image: {error}", False, False, 0, ())
+            return _Checked(f"{cameras.names[camera]} image: {error}", False, False, 0, ())
         if raw.dtype == np.uint16:
             largest = max(largest, int(raw.max()))
             if bits is not None and largest >= 2**bits:
@@ -312,7 +375,7 @@ def _check_pair(
         shows.append(has_content(grey))
         bright = bright or bool(np.median(grey) > 127)
         digests.append(_digest(raw))
-    bad_masks = tuple(_bad_masks(mav0, stamp, width, height))
+    bad_masks = tuple(_bad_masks(cameras, stamp, pair.right_ns, calibration))
     return _Checked(None, any(shows), bright, largest, bad_masks, tuple(digests), tuple(shows))
 
 
@@ -320,13 +383,24 @@ def _digest(image: NDArray[Any]) -> bytes:
     return blake2b(image.tobytes(), digest_size=16).digest()
 
 
-def _bad_masks(mav0: Path, stamp: int, width_px: int, height_px: int) -> Iterator[str]:
-    for name in ("masks0", "masks1"):
-        path = mav0 / name / f"{stamp}.png"
+def _mask_file(cameras: CameraFolders, camera: int, stamp: int, right_ns: int) -> Path:
+    """A mask has the timestamp of its pair; one of the right camera may have that of its image."""
+    folder = cameras.masks(camera)
+    path = folder / f"{stamp}.png"
+    if camera == 1 and right_ns != stamp and not path.exists():
+        return folder / f"{right_ns}.png"
+    return path
+
+
+def _bad_masks(
+    cameras: CameraFolders, stamp: int, right_ns: int, calibration: StereoCalibration
+) -> Iterator[str]:
+    for camera in (0, 1):
+        path = _mask_file(cameras, camera, stamp, right_ns)
         if not path.parent.is_dir():
             continue
         try:
-            read_mask(path, width_px, height_px)
+            read_mask(path, *calibration.size_px(camera))
         except UnreadableImage as error:
             if "wrong size" in str(error):
                 raise InputError(f"{path}: {error}; masks must have the size of the images") from None

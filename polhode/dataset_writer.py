@@ -52,6 +52,7 @@ def write_sensor(
     height_px: int,
     rate_hz: float,
     bits: int = 8,
+    fisheye: bool = False,
 ) -> None:
     """Write ``sensor.yaml`` of a camera folder: K (3, 3) [px], dist (n,) in OpenCV's order, X_BC (4, 4).
 
@@ -66,7 +67,7 @@ def write_sensor(
         "resolution": [int(width_px), int(height_px)],
         "camera_model": "pinhole",
         "intrinsics": _flat([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]),
-        "distortion_model": "radial-tangential",
+        "distortion_model": "equidistant" if fisheye else "radial-tangential",
         "distortion_coefficients": _flat(dist if len(dist) else np.zeros(4)),
     }
     if bits > 8:

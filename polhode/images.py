@@ -9,6 +9,7 @@ import ctypes
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
@@ -82,8 +83,15 @@ def _opened(path: Path, width_px: int, height_px: int) -> Iterator[ImageFile.Ima
         raise UnreadableImage("file missing") from None
     except InputError as error:
         raise UnreadableImage(str(error).removeprefix(f"{path} ")) from None
+    with stream, _decodable(stream, width_px, height_px) as image:
+        yield image
+
+
+@contextmanager
+def _decodable(stream: BinaryIO, width_px: int, height_px: int) -> Iterator[ImageFile.ImageFile]:
+    """The same for an opened file."""
     try:
-        with stream, Image.open(stream, formats=FORMATS) as image:
+        with Image.open(stream, formats=FORMATS) as image:
             if image.size != (width_px, height_px):
                 wrong = f"{image.size[0]}x{image.size[1]} px instead of {width_px}x{height_px} px"
                 raise UnreadableImage(f"wrong size, {wrong}")
@@ -147,19 +155,40 @@ def read_raw(path: Path, width_px: int, height_px: int) -> Raw:
     Raises UnreadableImage.
     """
     with _opened(path, width_px, height_px) as image:
-        deep = image.mode.startswith("I")
-        shape = (height_px, width_px)
-        raw: Raw = np.empty(shape, np.uint16) if deep else np.empty(shape, np.uint8)
-        for rows, part in _strips(image):
-            if deep:
-                values = np.asarray(part)
-                if values.min() < 0 or values.max() >= 2**16:
-                    what = "negative values" if values.min() < 0 else "values of more than 16 bits"
-                    raise UnreadableImage(f"{what}; save it with 8 or 16 bits")
-                raw[rows] = values
-            else:
-                raw[rows] = np.asarray(part.convert("L"))
-        return raw
+        return _raw_of(image)
+
+
+def decode_raw(content: bytes, width_px: int, height_px: int) -> Raw:
+    """The same for the content of a file."""
+    with _decodable(BytesIO(content), width_px, height_px) as image:
+        return _raw_of(image)
+
+
+def size_in_header(content: bytes) -> tuple[int, int]:
+    """Width and height [px] by the header of an image file's content. Raises UnreadableImage."""
+    try:
+        with Image.open(BytesIO(content), formats=FORMATS) as image:
+            return image.size
+    except UnidentifiedImageError:
+        raise UnreadableImage("not an image in PNG, TIFF, JPEG, BMP or PGM") from None
+    except Exception as error:
+        raise UnreadableImage("damaged or truncated") from error
+
+
+def _raw_of(image: ImageFile.ImageFile) -> Raw:
+    deep = image.mode.startswith("I")
+    shape = (image.size[1], image.size[0])
+    raw: Raw = np.empty(shape, np.uint16) if deep else np.empty(shape, np.uint8)
+    for rows, part in _strips(image):
+        if deep:
+            values = np.asarray(part)
+            if values.min() < 0 or values.max() >= 2**16:
+                what = "negative values" if values.min() < 0 else "values of more than 16 bits"
+                raise UnreadableImage(f"{what}; save it with 8 or 16 bits")
+            raw[rows] = values
+        else:
+            raw[rows] = np.asarray(part.convert("L"))
+    return raw
 
 
 def _strips(image: Image.Image) -> Iterator[tuple[slice, Image.Image]]:

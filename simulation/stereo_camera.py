@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ive
 
+from polhode import fisheye
 from polhode.compiled import compiled
 from polhode.config import scene_settings as config
 from polhode.errors import InputError
@@ -28,18 +29,27 @@ _TIME_ORDER = {
 }
 
 
+NOT_INVERTIBLE = "scene.rig.distortion cannot be inverted over the whole image: use smaller coefficients"
+
+
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole with radial-tangential distortion."""
+    """A pinhole with radial-tangential distortion, or an equidistant fisheye."""
 
     K: Array
     """(3, 3) [px]"""
     dist: Array
-    """(4,) k1, k2, p1, p2"""
+    """(4,) k1, k2, p1, p2; of a fisheye k1, k2, k3, k4"""
     X_CK: Array
     """(4, 4) pose of this camera in the left one"""
     width_px: int
     height_px: int
+    fisheye: bool = False
+
+    @property
+    def distorted(self) -> bool:
+        """Whether straight lines are seen bent."""
+        return self.fisheye or bool(self.dist.any())
 
     @cached_property
     def pixel_directions(self) -> Array:
@@ -53,6 +63,11 @@ class Camera:
 
     def directions(self, uv_px: Array) -> Array:
         """Pixels (n, 2) -> unit rays (n, 3) in this camera."""
+        if self.fisheye:
+            rays = fisheye.rays(uv_px, self.K, self.dist)
+            if np.isnan(rays).any():
+                raise InputError(NOT_INVERTIBLE)
+            return rays
         distorted = (uv_px - self.K[:2, 2]) / self.K[[0, 1], [0, 1]]
         flat = _undistort(distorted, self.dist)
         rays = np.column_stack([flat, np.ones(len(uv_px))])
@@ -70,7 +85,8 @@ class Camera:
 
         Directions far outside the image, which the distortion folds back into it, are left out.
         """
-        wide = min(self.half_angle_rad + margin_px / self.K[0, 0], np.pi / 2 - 1e-3)
+        widest = fisheye.widest_angle_rad(self.dist) if self.fisheye else np.pi / 2
+        wide = min(self.half_angle_rad + margin_px / self.K[0, 0], widest - 1e-3)
         ahead = np.flatnonzero(p_K[:, 2] > np.cos(wide) * np.linalg.norm(p_K, axis=1))
         if len(ahead) == 0:
             return np.empty((0, 2)), ahead
@@ -81,6 +97,8 @@ class Camera:
 
     def project(self, p_K: Array) -> Array:
         """Points (n, 3) [m] in this camera -> pixels (n, 2), distorted."""
+        if self.fisheye:
+            return fisheye.project(p_K, self.K, self.dist)
         uv, _ = cv2.projectPoints(np.ascontiguousarray(p_K), np.zeros(3), np.zeros(3), self.K, self.dist)
         return np.asarray(uv, dtype=np.float64).reshape(-1, 2)
 
@@ -94,9 +112,7 @@ def _undistort(distorted: Array, dist: Array) -> Array:
         return np.asarray(distorted)
     points, folded = _inverted(np.ascontiguousarray(distorted), *dist)
     if folded:
-        raise InputError(
-            "scene.rig.distortion cannot be inverted over the whole image: use smaller coefficients"
-        )
+        raise InputError(NOT_INVERTIBLE)
     return np.asarray(points)
 
 
@@ -142,21 +158,24 @@ def sample_times(samples: int) -> Array:
 
 def build_cameras(rig: config.Rig) -> tuple[Camera, Camera]:
     """Left and right camera of the rig."""
-    centre = np.array([(rig.width_px - 1) / 2, (rig.height_px - 1) / 2])
     offset = np.array(rig.principal_offset_px)
-    right_dist = rig.distortion if rig.distortion_right is None else rig.distortion_right
+    dist = np.array(rig.distortion)
+    right_dist = dist if rig.distortion_right is None else np.array(rig.distortion_right)
     p_right = np.array([rig.baseline_m, 0.0, 0.0]) + np.array(rig.right_offset_mm) * 1e-3
     X_right = make_pose(exp_so3(np.deg2rad(rig.right_rotation_deg)), p_right)
+    left_size = rig.width_px, rig.height_px
+    right_size = rig.right_size_px or left_size
+    right_focal_px = rig.focal_px if rig.right_focal_px is None else rig.right_focal_px
+    bent = rig.lens == "equidistant"
     return (
-        Camera(
-            _K(rig.focal_px, centre + offset),
-            np.array(rig.distortion),
-            np.eye(4),
-            rig.width_px,
-            rig.height_px,
-        ),
-        Camera(_K(rig.focal_px, centre - offset), np.array(right_dist), X_right, rig.width_px, rig.height_px),
+        Camera(_K(rig.focal_px, _middle(left_size) + offset), dist, np.eye(4), *left_size, bent),
+        Camera(_K(right_focal_px, _middle(right_size) - offset), right_dist, X_right, *right_size, bent),
     )
+
+
+def _middle(size_px: tuple[int, int]) -> Array:
+    """The centre of an image (2,) [px]."""
+    return (np.array(size_px) - 1) / 2
 
 
 def mount_pose(rig: config.Rig) -> Array:

@@ -67,10 +67,10 @@ def overview(content: StoredRun, sequence: Path, frame: int | None) -> Image.Ima
     rectifier = make_rectifier(images.calibration)
     pair = rectified_pair(images, rectifier, k)
     whole = Crop(0, 0, pair.left.shape[1], pair.left.shape[0])
-    crop = _square(target_crop(pair.mask_left, margin_px=14) or whole)
+    crop = square_around(target_crop(pair.mask_left, margin_px=14) or whole)
     panels = [
         _tracks(content, k, pair.left, crop),
-        _surface(content, k, rectifier.rig, crop),
+        surface_panel(content, k, rectifier.rig, crop),
         _polhode(content.motion),
     ]
     return _sheet(panels, content)
@@ -100,7 +100,7 @@ def _sheet(panels: Sequence[Picture], content: StoredRun) -> Image.Image:
     return sheet
 
 
-def _square(crop: Crop) -> Crop:
+def square_around(crop: Crop) -> Crop:
     """The square around a crop, which may reach beyond the image."""
     side = max(crop.width_px, crop.height_px)
     u0 = (crop.u0 + crop.u1 - side) // 2
@@ -147,7 +147,7 @@ def _pixels(p_N: Array, content: StoredRun, k: int, crop: Crop, zoom: float) -> 
     return np.asarray(np.round((uv - [crop.u0, crop.v0] + 0.5) * zoom - 0.5), dtype=np.int64)
 
 
-def _surface(content: StoredRun, k: int, rig: RectifiedRig, crop: Crop) -> Picture:
+def surface_panel(content: StoredRun, k: int, rig: RectifiedRig, crop: Crop) -> Picture:
     """The mesh in its colours, lit a little from the camera, by one ray per fine pixel."""
     assert content.motion is not None and content.tracks is not None and content.surface is not None
     mesh, side = content.surface.mesh, FINE * SIDE_PX

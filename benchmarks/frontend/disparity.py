@@ -29,7 +29,8 @@ from polhode.config.frontend_settings import Depth
 from polhode.dataset import open_sequence
 from polhode.frontend.disparity.depth import crop_disparity
 from polhode.frontend.disparity.sgbm import StereoCrop, cut_crop, match_checked
-from polhode.frontend.rectification import make_rectifier, target_mask
+from polhode.frontend.rectification import make_rectifier
+from polhode.frontend.segmentation import target_mask
 from polhode.train.disparity.samples import TrueDisparity, true_disparities
 
 Floats = NDArray[np.float32]

@@ -84,7 +84,7 @@ def render(scene: Any, samples: int = 0) -> Array:
 def _sensor(camera: Camera, X_GK: Array, samples: int) -> dict[str, Any]:
     """A pinhole whose principal point is the middle of the image, square pixels, a box over each pixel."""
     middle = [(camera.width_px - 1) / 2, (camera.height_px - 1) / 2]
-    if camera.dist.any() or not np.allclose(camera.K[:2, 2], middle):
+    if camera.distorted or not np.allclose(camera.K[:2, 2], middle):
         raise ValueError("Mitsuba's camera has no distortion and no offset of the principal point")
     return {
         "type": "perspective",

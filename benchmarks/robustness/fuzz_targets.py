@@ -518,7 +518,7 @@ def _points() -> list[bytes]:
     return [b"x,y,z,u,v,w\n0,0,0,0,0,0\n1,0,0,1000,0,0\n0,1,0,0,1000,0\n0 0 1 0 0 1000\n"]
 
 
-_TABLE = ("polhode.dataset", "polhode.calibration")
+_TABLE = ("polhode.dataset", "polhode.rig_calibration")
 _MESH = (
     "polhode.foreign_meshes",
     "polhode.mapping.mesh_files",

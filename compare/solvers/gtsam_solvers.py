@@ -65,6 +65,7 @@ class Incremental:
             parameters.relinearizeSkip = 1
             isam = gtsam.ISAM2(parameters)
         d, seen, iterations = problem.data, np.zeros(problem.data.n_landmarks, dtype=bool), 0
+        monitor.report(f"none of {d.n_frames} frames were in")
         for k in range(d.n_frames):
             new = gtsam.NonlinearFactorGraph()
             own.add_stereo(new, k)

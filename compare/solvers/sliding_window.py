@@ -38,6 +38,7 @@ class WindowLength:
         states = np.concatenate([start.p_NG, np.zeros_like(start.p_NG), start.v_N, start.w_G], axis=1)
         R_NG, centres = start.R_NG.copy(), start.p_NG + start.R_NG @ start.com_G
         placed, restarts, state, last = np.zeros(data.n_frames, dtype=bool), 0, window.state, None
+        monitor.report(f"none of {data.n_frames} frames were in")
         for k, measured in enumerate(frames_of_data(data)):
             last = window.add(measured)
             restarts, state = restarts + (window.state is not state), window.state

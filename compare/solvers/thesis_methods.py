@@ -60,6 +60,7 @@ class DynamicIsam:
         p_G = start.p_G.copy()
         fixed_landmark = int(data.landmark[data.frame == data.frame.min()][0])
         first_p_G = p_G[fixed_landmark].copy()
+        monitor.report(f"none of {data.n_frames} frames were in")
         for n in range(MIN_FRAMES, data.n_frames + 1):
             at = _grown(at, first, n, data)
             small, landmarks = _first_frames(data, n)

@@ -16,8 +16,9 @@ from polhode.frontend.disparity.sgbm import Floats, StereoCrop, cut_crop, match_
 from polhode.frontend.rectification import Image
 from polhode.records import Bools, DepthMap
 
-MAX_DISPARITY_SHARE = 0.4
-"""Largest disparity that is searched when the range is not known, as a share of the image's width."""
+MAX_SHIFT_SHARE = 0.4
+"""Largest distance of the columns of a match that is searched for when the range is not known, as a share of
+the image's width."""
 RIM_PX = {"sgbm": 2, "network": 1}
 """Width that is removed along the silhouette and along jumps of depth, by method."""
 JUMP_PX = 1.5
@@ -98,9 +99,10 @@ def find_disparity_range(
         for image in (left, right)
     ]
     inside = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    share = MAX_DISPARITY_SHARE * left.shape[1] / scale
-    far = offset_px / scale
-    coarse = cut_crop(small[0], small[1], inside, (far, far + share), config)
+    reach = MAX_SHIFT_SHARE * left.shape[1] / scale
+    # Converging cameras see near points at columns that differ little, and infinity, perhaps, not at all.
+    far = max(offset_px / scale, -reach)
+    coarse = cut_crop(small[0], small[1], inside, (far, max(far, 0.0) + reach), config)
     disparity = match_checked(coarse, config)
     found = disparity[np.isfinite(disparity) & coarse.lit] + coarse.shift_px
     if len(found) < 20:

@@ -16,8 +16,8 @@ STRONGEST = 300
 """Key points of each image that are compared, the strongest first."""
 MAX_ROWS_PX = 5.0
 """Largest difference of rows of a match: several times what 0.2 degrees between the cameras cause [px]."""
-MAX_DISPARITY_SHARE = 0.7
-"""Largest disparity of either sign, as a share of the image's width."""
+MAX_SHIFT_SHARE = 0.7
+"""Largest distance of the columns of a match, as a share of the image's width."""
 _RATIO = 0.8
 _MAX_OCTAVES, _MAX_TURN_RAD = 0.6, np.deg2rad(35.0)
 
@@ -34,10 +34,13 @@ class RowOffsets:
     """(n,) row in the left image minus row in the right one"""
 
 
-def row_offsets(left: KeyPoints, right: KeyPoints, width_px: int, disparity_offset_px: float) -> RowOffsets:
+def row_offsets(
+    left: KeyPoints, right: KeyPoints, width_px: int, max_rows_px: float = MAX_ROWS_PX
+) -> RowOffsets:
     """Mutually best descriptors among the strongest key points of both images, whatever their rows' order.
 
-    disparity_offset_px: disparity at infinity, about which both signs are searched.
+    Both signs of the disparity are searched, so that points behind the cameras show. max_rows_px: largest
+    difference of rows.
     """
     n, m = (min(len(points), STRONGEST) for points in (left, right))
     if n == 0 or m == 0:
@@ -46,8 +49,8 @@ def row_offsets(left: KeyPoints, right: KeyPoints, width_px: int, disparity_offs
     disparity = left.uv_px[:n, None, 0] - right.uv_px[None, :m, 0]
     octave = np.abs(np.log2(left.scale_px[:n, None] / right.scale_px[None, :m]))
     turn = np.abs((left.angle_rad[:n, None] - right.angle_rad[None, :m] + np.pi) % (2 * np.pi) - np.pi)
-    allowed = (np.abs(offset) < MAX_ROWS_PX) & (octave < _MAX_OCTAVES) & (turn < _MAX_TURN_RAD)
-    allowed &= np.abs(disparity - disparity_offset_px) < MAX_DISPARITY_SHARE * width_px
+    allowed = (np.abs(offset) < max_rows_px) & (octave < _MAX_OCTAVES) & (turn < _MAX_TURN_RAD)
+    allowed &= np.abs(disparity) < MAX_SHIFT_SHARE * width_px
     similarity = np.where(allowed, left.descriptors[:n] @ right.descriptors[:m].T, -1.0)
     rows, best = np.arange(n), similarity.argmax(axis=1)
     mutual = similarity.argmax(axis=0)[best] == rows

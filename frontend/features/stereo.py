@@ -21,8 +21,10 @@ from polhode.records import Bools, Ints
 
 ROW_GATE_PX = 0.8
 """Largest difference of rows between left and right key points of the finest scale."""
-MAX_DISPARITY_SHARE = 0.7
-"""Largest disparity of a match, as a share of the image's width."""
+MAX_SHIFT_SHARE = 0.7
+"""Largest distance of the two columns of a match, as a share of the image's width: at the depth that it
+means, the rest of the width is what both cameras see. Of converging cameras this is not the disparity beyond
+that of infinity, which may exceed the width."""
 RATIO = 0.95
 """Largest ratio of best to second best descriptor distance among the candidates on the line."""
 WINDOW_PX = 13
@@ -123,7 +125,7 @@ def match_stereo(
         points_left.scale_px[index_left][good],
         points_left.descriptors[index_left][good],
         points_left.angle_rad[index_left][good],
-        rows=row_offsets(points_left, points_right, rig.width_px, rig.disparity_offset_px),
+        rows=row_offsets(points_left, points_right, rig.width_px),
     )
 
 
@@ -146,13 +148,13 @@ def _match_on_lines(left: KeyPoints, right: KeyPoints, rig: RectifiedRig) -> tup
 
 
 def _candidates(left: KeyPoints, right: KeyPoints, rig: RectifiedRig) -> Bools:
-    """(n_left, n_right): close rows, positive disparity, similar scale and orientation."""
+    """(n_left, n_right): close rows, positive depth, similar scale and orientation."""
     row = np.abs(left.uv_px[:, None, 1] - right.uv_px[None, :, 1])
     gate = ROW_GATE_PX * np.maximum(1.0, 0.4 * left.scale_px)[:, None]
-    disparity = left.uv_px[:, None, 0] - right.uv_px[None, :, 0] - rig.disparity_offset_px
+    shift = left.uv_px[:, None, 0] - right.uv_px[None, :, 0]
     octave = np.abs(np.log2(left.scale_px[:, None] / right.scale_px[None, :]))
     turn = np.abs((left.angle_rad[:, None] - right.angle_rad[None, :] + np.pi) % (2 * np.pi) - np.pi)
-    in_range = (disparity > 0.5) & (disparity < MAX_DISPARITY_SHARE * rig.width_px)
+    in_range = (shift - rig.disparity_offset_px > 0.5) & (np.abs(shift) < MAX_SHIFT_SHARE * rig.width_px)
     return np.asarray((row < gate) & in_range & (octave < 0.6) & (turn < np.deg2rad(35.0)))
 
 

@@ -44,6 +44,11 @@ class VertexViews:
     """(V,) of the frames that face the vertex [1/m^2]"""
     front_m: Array
     """(V,) their mean signed distance from the vertex, positive: their surface lies inside [m]"""
+    front_chi2: Array
+    """(V,) weighted squares of their distances from that mean: about one less than their number if they
+    scatter as much as stated"""
+    front_count: Array
+    """(V,) their number"""
     back_share: Array
     """(V,) share of the weight of frames that see it from behind"""
 
@@ -61,7 +66,7 @@ def views_of_vertices(
     A frame counts where the vertex is at most ``cut_m`` in front of its depth and behind it, as in the field.
     """
     count = len(vertices)
-    sums, shared = np.zeros((count, 4)), np.full(count, np.inf)
+    sums, shared = np.zeros((count, 6)), np.full(count, np.inf)
     group, correlation = _directions([X for _, X in frames], vertices.mean(axis=0) if count else np.zeros(3))
     p, n = vertices.astype(np.float32), normals.astype(np.float32)
     images = [tuple(_image(one) for one in (t.depth_m, t.weight, t.cosine)) for t, _ in frames]
@@ -79,12 +84,15 @@ def views_of_vertices(
         seen = sums[part, 0] > 0.0
         mixed = np.einsum("nk,nk->n", roots[seen] @ correlation, roots[seen])
         shared[part][seen] = np.sqrt(mixed) / sums[part, 0][seen]
-    total, front, moment, back = (np.ascontiguousarray(column) for column in sums.T)
+    total, front, moment, square, number, back = (np.ascontiguousarray(column) for column in sums.T)
+    front_m = moment / np.maximum(front, 1e-30)
     return VertexViews(
         weight=total,
         shared_m=shared,
         front_weight=front,
-        front_m=moment / np.maximum(front, 1e-30),
+        front_m=front_m,
+        front_chi2=np.maximum(square - front * front_m**2, 0.0),
+        front_count=number,
         back_share=back / np.maximum(total, 1e-30),
     )
 
@@ -122,7 +130,8 @@ def add_view(
     sums: Array,
     root: Floats,
 ) -> None:
-    """Add a frame to the sums (n, 4) of vertices (n, 3): weight, in front, w d in front, from behind.
+    """Add a frame to the sums (n, 6) of vertices (n, 3): of all frames weight, of those in front weight, w d,
+    w d^2 and number, of those behind weight.
 
     normals (n, 3); depth, weight, cosine (h, w); pose (4, 4) into the camera; camera: focal length and centre
     in the crop [px]; cut: in front, behind, width of the ramp [m]; root (n,): sum of the roots of weights.
@@ -157,5 +166,7 @@ def add_view(
         if facing > FACING:
             sums[i, 1] += part
             sums[i, 2] += part * distance
+            sums[i, 3] += part * distance * distance
+            sums[i, 4] += 1.0
         elif facing < BEHIND:
-            sums[i, 3] += part
+            sums[i, 5] += part

@@ -8,6 +8,7 @@ In: the context of a run, its features, tracks and estimate. Out: reasons to dou
 - self_calibration: the focal length that would fit best
 - clock_check: whether the time stamps agree with the rotation
 - inspector_check: whether the inspector's poses agree with the images
+- swing_check: whether the inspector's attitude swings slowly, unreported
 - mass_check: whether the mass properties are the same before and after a push
 - centre_check: where the centre of mass was before and after an instant, by the poses alone
 - connection_check: whether landmarks connect all parts of the sequence

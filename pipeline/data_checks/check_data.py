@@ -18,6 +18,7 @@ from polhode.pipeline.data_checks.self_calibration import (
     calibration_limits,
     focal_check,
 )
+from polhode.pipeline.data_checks.swing_check import swing_check
 from polhode.pipeline.run_directory.summary_schema import Check, reasons_of
 from polhode.records import MotionEstimate, StereoTracks
 
@@ -72,6 +73,7 @@ def check_data(
         calibration,
         lambda: [clock_check(tracks.time_s, estimate.X_NG[:, :3, :3], seen)],
         lambda: [inspector_check(X_NR, estimate.X_NG, seen, sigma_rad)],
+        lambda: [swing_check(tracks, estimate, context.config.backend)],
         mass,
         lambda: [connection_check(tracks, estimate)],
     )

@@ -21,7 +21,7 @@ from polhode.lie import Array, inverse_pose, log_so3, transform_points
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.data_checks.disparity_steps import disparity_steps, weighted_median
 from polhode.pipeline.run_directory.summary_schema import Check
-from polhode.records import MotionEstimate, StereoTracks
+from polhode.records import Ints, MotionEstimate, StereoTracks
 
 MIN_MATCHES = 8
 """A frame with fewer matches does not count."""
@@ -217,8 +217,18 @@ def camera_delay(
         place.append(uvd)
     if not speed:
         return None
-    x, y, of = np.concatenate(speed), np.concatenate(offset), np.concatenate(frame)
-    known = _calibration_terms(np.concatenate(place))
+    return delay_by_rows(
+        np.concatenate(speed), np.concatenate(offset), np.concatenate(frame), np.concatenate(place)
+    )
+
+
+def delay_by_rows(speed: Array, offset_px: Array, frame: Ints, uvd_px: Array) -> tuple[float, float] | None:
+    """The delay and its sigma [s], by offsets (n,) of rows and velocities (n,) along their order [px/s].
+
+    frame (n,): what each is from; uvd_px (n, 3): where it is. None: too few, or the velocities hide it.
+    """
+    x, y, of = speed, offset_px, frame
+    known = _calibration_terms(uvd_px)
     good = np.ones(len(x), dtype=np.bool_)
     for _ in range(4):
         if good.sum() < 10 * MIN_MATCHES:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from polhode.camera_folders import left_camera
 from polhode.dataset import StereoSequence
 from polhode.errors import InputError
 from polhode.foreign_files import MIB, sha256_of
@@ -50,14 +51,14 @@ def require_recording(recording: Recording | None, sequence_folder: Path) -> Non
     """
     if recording is None or not recording.left_images:
         return
-    cam0 = sequence_folder / "mav0" / "cam0"
-    listed = (cam0 / "data.csv").exists()
-    names, compared = read_listing(cam0 / "data.csv") if listed else {}, 0
+    camera = left_camera(sequence_folder / "mav0")
+    listed = (camera / "data.csv").exists()
+    names, compared = read_listing(camera / "data.csv") if listed else {}, 0
     for image in recording.left_images if listed else ():
         where = f"left image at {image.timestamp_ns} ns"
         if image.timestamp_ns not in names:
             raise _other(sequence_folder, f"it has no {where}")
-        file = cam0 / "data" / names[image.timestamp_ns]
+        file = camera / "data" / names[image.timestamp_ns]
         if not file.exists():
             continue
         if not _is_same(file, image, recording):

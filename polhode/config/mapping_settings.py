@@ -35,6 +35,8 @@ class Mapping(Section):
     average out over them."""
     relief_sigma: float = Field(1.8, ge=0, le=1e3)
     """Sigma of the relief that matching in windows smooths away, relative to the remaining roughness."""
+    border_sigma: float = Field(0.31, ge=0, le=1e3)
+    """Sigma of vertices at the border of the surface, which lies beside the body's edge [voxels]."""
     memory_mib: float = Field(1024.0, ge=0.1, le=1e7)
     """Largest memory of the field [MiB]; a larger field gets larger voxels. What still does not fit is
     omitted, with a warning."""

@@ -30,6 +30,7 @@ MomentRow = tuple[_Moment, _Moment, _Moment]
 _Component = Annotated[float, Field(ge=-1e12, le=1e12)]
 Wrench = tuple[_Component, _Component, _Component]
 Pixels = Annotated[float, Field(ge=-1e5, le=1e5)]
+Side = Annotated[int, Field(ge=16, le=8192)]
 Coefficient = Annotated[float, Field(ge=-1e7, le=1e7)]
 
 
@@ -217,15 +218,22 @@ class Rig(Section):
     height_px: int = Field(480, ge=16, le=8192)
     """Image height [px]."""
     focal_px: float = Field(467.0, ge=1, le=1e8)
-    """Focal length of both cameras [px]."""
+    """Focal length of both cameras, unless ``right_focal_px`` is given [px]."""
     baseline_m: float = Field(0.09, ge=1e-4, le=1e4)
     """Distance between the cameras, along x of the left one [m]."""
     principal_offset_px: tuple[Pixels, Pixels] = (0.0, 0.0)
     """Principal point minus image centre (u, v), left camera; the right one has the opposite sign [px]."""
     distortion: tuple[Coefficient, Coefficient, Coefficient, Coefficient] = (0.0, 0.0, 0.0, 0.0)
-    """Radial-tangential distortion k1, k2, p1, p2 of the left camera."""
+    """Distortion of the left camera: k1, k2, p1, p2 of the lens ``radial-tangential``, k1, k2, k3, k4 of
+    ``equidistant``."""
     distortion_right: tuple[Coefficient, Coefficient, Coefficient, Coefficient] | None = None
     """The same of the right camera; by default that of the left one."""
+    lens: Literal["radial-tangential", "equidistant"] = "radial-tangential"
+    """A pinhole with radial-tangential distortion, or a fisheye, of both cameras."""
+    right_size_px: tuple[Side, Side] | None = None
+    """Width and height of the right image [px]; by default those of the left one."""
+    right_focal_px: float | None = Field(None, ge=1, le=1e8)
+    """Focal length of the right camera [px]; by default that of the left one."""
     right_offset_mm: Position = (0.0, 0.0, 0.0)
     """Position of the right camera minus (baseline, 0, 0), in the left camera's axes [mm]."""
     right_rotation_deg: RotationVector = (0.0, 0.0, 0.0)
@@ -237,10 +245,11 @@ class Rig(Section):
 
     @model_validator(mode="after")
     def _images_can_be_read(self) -> Self:
-        if self.width_px * self.height_px > MAX_PIXELS:
-            raise ValueError(
-                f"{self.width_px}x{self.height_px} px are more than {MAX_PIXELS // 10**6} million; give fewer"
-            )
+        for width, height in ((self.width_px, self.height_px), self.right_size_px or (1, 1)):
+            if width * height > MAX_PIXELS:
+                raise ValueError(
+                    f"{width}x{height} px are more than {MAX_PIXELS // 10**6} million; give fewer"
+                )
         return self
 
 

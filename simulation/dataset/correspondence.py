@@ -115,7 +115,7 @@ def _image_of(view: CameraView, p_G: Array) -> Array:
     if not before.any():
         return uv
     uv[before] = view.camera.project(p_K[before])
-    if view.camera.dist.any():
+    if view.camera.distorted:
         inside = np.flatnonzero(_inside(view.camera, uv))
         rays = p_K[inside] / np.linalg.norm(p_K[inside], axis=1, keepdims=True)
         folded = np.linalg.norm(view.camera.directions(uv[inside]) - rays, axis=1) > RAY_TOLERANCE

@@ -124,6 +124,7 @@ def write_estimator_inputs(plan: SequencePlan, mav0: Path) -> None:
             camera.height_px,
             rate_hz=1.0 / scene.interval_s,
             bits=scene.sensor.bits,
+            fisheye=camera.fisheye,
         )
         write_camera_csv(path, all_ns[list(plan.frames)])
     if (known := known_wrench(scene.motion, plan.target.timestamps_ns)) is not None:

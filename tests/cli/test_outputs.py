@@ -27,14 +27,17 @@ REASON = {"read-only": "Read-only file system", "full": "File too large"}
 
 WRITTEN, REPLACED, REFUSED, NONE = "written", "replaced", "refused", "-"
 RESUMED, STAYS, FAILED = "resumed", "replaced; theirs stays", "fails; nothing replaced"
-FOLDERS = ("run", "simulate", "compare", "train", "plan", "observability")
+STAGED = ("run", "simulate", "import")
+"""Those that write beside the place, and then replace it whole."""
+FOLDERS = (*STAGED[:2], "compare", "train", "checkout", "plan", "observability", "import")
 FILES = ("export", "export urdf", "predict", "report")
 COMMANDS = (*FOLDERS, *FILES)
 
 
 def row(default: str, **other: str) -> dict[str, str]:
-    """The outcome of every command."""
-    return {name: other.get(name.replace(" ", "_"), default) for name in COMMANDS}
+    """The outcome of every command; ``import_`` is that of import."""
+    known = {"import": other.pop("import_", default)}
+    return {name: known.get(name) or other.get(name.replace(" ", "_"), default) for name in COMMANDS}
 
 
 TABLE: dict[str, dict[str, str]] = {
@@ -44,17 +47,21 @@ TABLE: dict[str, dict[str, str]] = {
     "such a folder with a summary.json, scene.yaml, mav0/ or results among the files": row(
         REFUSED, export=NONE, predict=NONE, report=NONE
     ),
-    "such a folder, with --overwrite": row(NONE, run=REFUSED, simulate=REFUSED),
-    "its own result": row(REPLACED, run=REFUSED, simulate=REFUSED, compare=RESUMED, train=RESUMED),
-    "its own result, with --overwrite": row(NONE, run=REPLACED, simulate=REPLACED),
+    "such a folder, with --overwrite": row(NONE, run=REFUSED, simulate=REFUSED, import_=REFUSED),
+    "its own result": row(
+        REPLACED, run=REFUSED, simulate=REFUSED, compare=RESUMED, train=RESUMED, import_=REFUSED
+    ),
+    "its own result, with --overwrite": row(NONE, run=REPLACED, simulate=REPLACED, import_=REPLACED),
     "its own result and files of the user, with --overwrite where there is one": row(
-        STAYS, simulate=REFUSED, export=NONE, predict=NONE, report=NONE
+        STAYS, simulate=REFUSED, import_=REFUSED, export=NONE, predict=NONE, report=NONE
     ),
     "among its own results a file of the user with the name of a result": row(
         REFUSED,
         simulate=NONE,
+        import_=NONE,
         compare=NONE,
         train=NONE,
+        checkout=NONE,
         observability=NONE,
         export=NONE,
         predict=NONE,
@@ -66,7 +73,7 @@ TABLE: dict[str, dict[str, str]] = {
     "a name inside the folder to which mav0 of a dataset links": row(REFUSED),
     "a file for a folder; a folder for a file": row(REFUSED),
     "the current folder, with nothing in it": row(
-        REFUSED, compare=WRITTEN, train=WRITTEN, plan=WRITTEN, observability=WRITTEN
+        REFUSED, compare=WRITTEN, train=WRITTEN, checkout=WRITTEN, plan=WRITTEN, observability=WRITTEN
     ),
     "an empty text, as of a variable that is not set": row(REFUSED),
     "folders of the path are missing": row(WRITTEN),
@@ -326,10 +333,10 @@ def stale(scene: Scene) -> None:
     """What is left of a process that was killed: its number is that of one that has ended."""
     place, ended = scene.place, subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
-    if scene.name in ("run", "simulate"):
+    if scene.name in STAGED:
         left = place.with_name(f".{place.name}.partial")
         left.mkdir()
-        name = "measurements.npz" if scene.name == "run" else "scene.yaml"
+        name = {"run": "measurements.npz", "simulate": "scene.yaml", "import": "import.json"}[scene.name]
         (left / name).write_text("half")
     else:
         folder = place.parent
@@ -348,7 +355,7 @@ def busy(scene: Scene) -> None:
         scene.rival = place.with_name(f".{place.stem}.partial-{os.getppid()}{place.suffix}")
         shutil.copy(scene.own_file(), scene.rival)
         return
-    if scene.name in ("run", "simulate"):
+    if scene.name in STAGED:
         folder = scene.place.with_name(f".{scene.place.name}.partial")
         folder.mkdir()
     else:
@@ -440,9 +447,9 @@ def test_cell(
     expected, inputs = TABLE[surface][name], digest(stage.inputs)
     capsys.readouterr()
     may_write = scene.written() if expected not in (REFUSED, FAILED) else []
-    if expected == FAILED and name in ("run", "simulate"):
-        # what was found, or rendered, is not lost either
-        ending = "R.failed" if name == "run" else ".S.partial"
+    if expected == FAILED and name in STAGED:
+        # what was found, rendered or imported is not lost either
+        ending = {"run": "R.failed", "simulate": ".S.partial", "import": ".I.partial"}[name]
         may_write = [scene.place.with_name(ending), scene.place.with_name(".R.partial")]
     before = digest(scene.area, *may_write)
     main_file = (scene.current or Path()) / scene.output / scene.writer.main_file
@@ -465,7 +472,7 @@ def test_cell(
         assert path.is_symlink() or path.read_text() == NOTES
     for path in scene.cleared:
         assert not path.exists()
-        assert name not in ("run", "simulate") or f"{path}: left by a command" in printed.out
+        assert name not in STAGED or f"{path}: left by a command" in printed.out
     hidden = list(scene.area.rglob(".*partial*")) + list(scene.area.rglob(".*.old"))
     assert hidden == ([] if scene.rival is None else [scene.rival])
     if scene.rival is not None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import polhode.cli.main
@@ -17,10 +18,15 @@ import polhode.pipeline.after_run.observability.files
 import polhode.pipeline.after_run.observability.pictures
 import polhode.pipeline.after_run.plan
 import polhode.pipeline.after_run.plan_files
+import polhode.pipeline.checkout.checkout
 import polhode.pipeline.run
 import polhode.train.run
 from polhode.atomic import write_text
 from polhode.config import Config
+from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
+from polhode.pipeline.checkout.checkout import Checkout
+from polhode.pipeline.checkout.result import CheckoutResult
+from polhode.pipeline.checkout.timing import Stamps
 from polhode.pipeline.report import write_report
 from polhode.pipeline.run import RunResult
 from polhode.pipeline.run_directory.run_folder import atomic_run_folder
@@ -66,8 +72,10 @@ class Writer:
 WRITERS: Mapping[str, Writer] = {
     "run": Writer("run", "R", "summary.json", overwrite=True),
     "simulate": Writer("simulate", "S", "scene.yaml", overwrite=True),
+    "import": Writer("import", "I", "import.json", overwrite=True),
     "compare": Writer("compare", "C", "compare.json"),
     "train": Writer("train", "T", "scores.json", option="--train.output"),
+    "checkout": Writer("checkout", "K", "checkout.json"),
     "plan": Writer("plan", "P", "planning.json"),
     "observability": Writer("observability", "O", "observability.json"),
     "export": Writer("export", "target.stl", ""),
@@ -90,8 +98,10 @@ class Stage:
         arguments = {
             "run": ["--data", str(self.inputs / "none")],
             "simulate": [str(self.inputs / "scene.yaml")],
+            "import": [str(self.inputs / "recording")],
             "compare": ["--run", run],
             "train": [str(self.inputs / "train.yaml")],
+            "checkout": [str(self.inputs / "none")],
             "plan": [run],
             "observability": [run],
             "export": [run, "--to", "stl"],
@@ -110,6 +120,7 @@ def make_stage(folder: Path, example: Example) -> Stage:
     """A stored run, a scene and a training."""
     folder.mkdir()
     (folder / "scene.yaml").write_text(SCENE)
+    _write_recording(folder / "recording")
     (folder / "train.yaml").write_text(f"train: {{corpus: {{folder: {folder / 'corpus'}}}}}\n")
     run = folder / "stored"
     run.mkdir()
@@ -119,12 +130,27 @@ def make_stage(folder: Path, example: Example) -> Stage:
     return Stage(folder, run)
 
 
+def _write_recording(folder: Path) -> None:
+    """Three pairs, each image larger than what a nearly full place still takes."""
+    rng = np.random.default_rng(1)
+    for index in (0, 1):
+        camera, X_BC = folder / "mav0" / f"cam{index}", np.eye(4)
+        X_BC[0, 3] = 0.1 * index
+        K = np.array([[90.0, 0.0, 47.5], [0.0, 90.0, 47.5], [0.0, 0.0, 1.0]])
+        write_sensor(camera, K, np.zeros(4), X_BC, 96, 96, rate_hz=1.0)
+        stamps = [k * 10**9 for k in range(3)]
+        write_camera_csv(camera, stamps)
+        for stamp in stamps:
+            write_png(image_path(camera, stamp), rng.integers(0, 256, (96, 96), dtype=np.uint8))
+
+
 def make_quick(patch: pytest.MonkeyPatch, stage: Stage) -> None:
     """Replace the work by its stored results; what checks, writes and replaces is the program's own."""
     patch.setattr(polhode.pipeline.run, "run", partial(run_of_stored_files, stage.run))
     patch.setattr(polhode.compare.comparison, "_compared", _compared)
     patch.setattr("polhode.compare.tables.print_tables", lambda comparison: None)
     patch.setattr(polhode.train.run, "_trained", _trained)
+    patch.setattr(polhode.pipeline.checkout.checkout, "checkout", lambda *_: _checked())
     patch.setattr(polhode.train.run, "require_same_training", lambda *_: None)
     once = _Once()
     plan, assess = polhode.pipeline.after_run.plan, polhode.pipeline.after_run.observability.assess
@@ -175,6 +201,12 @@ def _compared(config: Config, folder: Path, *_: object) -> Any:
     for name in polhode.compare.comparison.FILES:
         write_text(folder / name, LONG)
     return SimpleNamespace(rows=[SimpleNamespace(status="ok")])
+
+
+def _checked() -> Checkout:
+    result = CheckoutResult(status="PASS", pairs=0, pairs_examined=0, rig="sequence", checks=())
+    none = np.zeros(0, dtype=np.int64)
+    return Checkout(result, Stamps(none, none), None)
 
 
 def _trained(config: Config, train: object, output: Path, *_: object) -> Any:

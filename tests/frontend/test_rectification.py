@@ -6,10 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from polhode.calibration import StereoCalibration
 from polhode.errors import InputError
-from polhode.frontend.rectification import Crop, Image, make_rectifier, target_crop, target_mask
+from polhode.frontend.rectification import Crop, Image, make_rectifier, target_crop
+from polhode.frontend.segmentation import target_mask
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
+from polhode.rig_calibration import StereoCalibration
 
 K0 = np.array([[467.0, 0.0, 322.0], [0.0, 465.0, 238.0], [0.0, 0.0, 1.0]])
 K1 = np.array([[470.0, 0.0, 318.0], [0.0, 471.0, 244.0], [0.0, 0.0, 1.0]])
@@ -60,6 +61,84 @@ def test_rectified_pixels_come_from_where_the_camera_saw_them(name: str) -> None
         inside = (u > 1) & (v > 1) & (u < rectifier.rig.width_px - 2) & (v < rectifier.rig.height_px - 2)
         assert inside.mean() > 0.5
         assert np.abs(mapped - seen)[inside].max() < 0.05
+
+
+def of_two_kinds(name: str) -> StereoCalibration:
+    """Toed in; the right camera has finer pixels, both have fisheyes, or both at once."""
+    calibration = rig(RIGS["toed_in"])
+    if name != "fisheyes":
+        K1_fine = K1 * 1.75
+        K1_fine[2, 2] = 1.0
+        calibration = replace(calibration, K1=K1_fine, right_size_px=(1120, 840))
+    if name != "two resolutions":
+        dist0, dist1 = np.array([-0.028, 0.012, -0.009, 0.0016]), np.array([0.02, -0.01, 0.0, 0.0])
+        calibration = replace(calibration, fisheye0=True, fisheye1=True, dist0=dist0, dist1=dist1)
+    return calibration
+
+
+@pytest.mark.parametrize("name", ["fisheyes", "two resolutions", "fisheyes of two resolutions"])
+def test_rows_correspond_whatever_the_lenses(name: str) -> None:
+    """Rectified pixels lie where OpenCV's own model of the lens saw their points."""
+    calibration = of_two_kinds(name)
+    rectifier = make_rectifier(calibration)
+    assert rectifier.maps is not None
+    rng = np.random.default_rng(1)
+    p_C = rng.uniform([-0.25, -0.2, 0.6], [0.25, 0.2, 1.5], (300, 3))
+    uvd = rectifier.rig.project(transform_points(inverse_pose(rectifier.X_CR), p_C))
+    p_D = transform_points(inverse_pose(RIGS["toed_in"]), p_C)
+    lenses = (
+        (p_C, calibration.K0, calibration.dist0, calibration.fisheye0),
+        (p_D, calibration.K1, calibration.dist1, calibration.fisheye1),
+    )
+    for side, (p, K, dist, fisheye) in enumerate(lenses):
+        project = cv2.fisheye.projectPoints if fisheye else cv2.projectPoints
+        seen = project(p[:, None], np.zeros(3), np.zeros(3), K, dist)[0][:, 0]
+        u, v = (uvd[:, 0] - side * uvd[:, 2]).astype(np.float32), uvd[:, 1].astype(np.float32)
+        mapped = np.stack(
+            [cv2.remap(m, u[None], v[None], cv2.INTER_LINEAR)[0] for m in rectifier.maps[side]], axis=1
+        )
+        inside = (u > 1) & (v > 1) & (u < rectifier.rig.width_px - 2) & (v < rectifier.rig.height_px - 2)
+        assert inside.mean() > 0.5
+        assert np.abs(mapped - seen)[inside].max() < 0.05
+
+
+def test_the_finer_image_is_smoothed_to_the_pixels_of_the_common_one() -> None:
+    """Stripes one pixel wide, which the coarser pixels cannot show, do not alias."""
+    calibration = of_two_kinds("two resolutions")
+    K1_fine = K1 * 3.0
+    K1_fine[2, 2] = 1.0
+    rectifier = make_rectifier(replace(calibration, K1=K1_fine, right_size_px=(1920, 1440)))
+    assert rectifier.rig.focal_px == pytest.approx(np.mean([467.0, 465.0, 3.0 * 470.0, 3.0 * 471.0]))
+    assert rectifier.blur_px[0] == 0.0
+    stripes = np.tile(np.array([0, 255], dtype=np.uint8), (1440, 960))
+    sharp = replace(rectifier, blur_px=(0.0, 0.0))(stripes, 1)
+    middle = (
+        slice(sharp.shape[0] // 3, -sharp.shape[0] // 3),
+        slice(sharp.shape[1] // 3, -sharp.shape[1] // 3),
+    )
+    assert rectifier(stripes, 1)[middle].std() < 0.6 * sharp[middle].std()
+
+
+def test_a_fisheye_of_a_half_sphere_keeps_what_a_plane_can_show() -> None:
+    """Corners that the lens does not show, and rays beside the camera, do not reach the rectified image."""
+    K = np.array([[205.0, 0.0, 319.5], [0.0, 205.0, 239.5], [0.0, 0.0, 1.0]])
+    calibration = replace(
+        rig(make_pose(np.eye(3), [0.09, 0.0, 0.0]), K, K, distorted=False), fisheye0=True, fisheye1=True
+    )
+    rectifier = make_rectifier(calibration)
+    assert rectifier.maps is not None
+    assert rectifier.rig.width_px <= 1.6 * 640 + 1
+    white = np.full((480, 640), 255, dtype=np.uint8)
+    shown = rectifier(white, 0)
+    assert shown[rectifier.rig.height_px // 2, rectifier.rig.width_px // 2] == 255
+    assert (shown == 255).mean() > 0.8
+
+
+def test_a_fisheye_that_folds_within_its_image_is_refused() -> None:
+    calibration = of_two_kinds("fisheyes")
+    folded = replace(calibration, dist0=np.array([-3.0, 0.0, 0.0, 0.0]))
+    with pytest.raises(InputError, match="folds the border of the image over itself"):
+        make_rectifier(folded)
 
 
 def test_the_disparity_of_a_rectified_point_gives_its_place_back() -> None:

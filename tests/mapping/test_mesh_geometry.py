@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from polhode.lie import exp_so3, make_pose
-from polhode.mapping.mesh_geometry import boundary_edges, piece_areas
+from polhode.mapping.mesh_geometry import border_vertices, boundary_edges, piece_areas
 from polhode.mapping.uniform_solid import solid_body
 
 
@@ -27,6 +27,9 @@ def test_edges_with_one_face_are_those_around_what_is_missing() -> None:
     found = boundary_edges(opened)
     missing = {frozenset(pair) for f in (5, 40) for pair in zip(faces[f], np.roll(faces[f], -1), strict=True)}
     assert {frozenset(pair) for pair in found.tolist()} == missing
+    assert set(border_vertices(opened, len(ball.vertices)).tolist()) == frozenset().union(*missing)
+    assert len(border_vertices(faces, len(ball.vertices))) == 0
+    assert len(border_vertices(faces[:0], 0)) == 0
     # a face given twice, as a flat lid may be, shares each of its edges with four
     twice = np.concatenate([faces, faces[:1]])
     assert len(boundary_edges(twice)) == 0

@@ -61,6 +61,33 @@ def test_a_good_sequence_is_read_whole(small_sequence: Path) -> None:
     assert pair.mask_left is None and pair.mask_right is None
 
 
+def test_cameras_of_two_resolutions_are_read(small_sequence: Path) -> None:
+    mav0 = small_sequence / "mav0"
+    edit(mav0 / "cam1" / "sensor.yaml", "[64, 48]", "[96, 80]")
+    for k in range(COUNT):
+        with Image.open(image_of(small_sequence, 1, k)) as image:
+            larger = np.asarray(image.resize((96, 80)))
+        write_png(image_of(small_sequence, 1, k), larger)
+        for camera, (width, height) in enumerate(((64, 48), (96, 80))):
+            write_png(mav0 / f"masks{camera}" / f"{STAMPS[k]}.png", np.ones((height, width), dtype=np.bool_))
+    sequence = open_sequence(small_sequence)
+    assert (sequence.calibration.size_px(0), sequence.calibration.size_px(1)) == ((64, 48), (96, 80))
+    pair = sequence.read_pair(2)
+    assert (pair.left.shape, pair.right.shape) == ((48, 64), (80, 96))
+    assert pair.mask_left is not None and pair.mask_right is not None
+    assert (pair.mask_left.shape, pair.mask_right.shape) == ((48, 64), (80, 96))
+    write_png(mav0 / "masks1" / f"{STAMPS[0]}.png", np.ones((48, 64), dtype=np.bool_))
+    assert "masks must have the size of the images" in message_of(small_sequence)
+
+
+@pytest.mark.parametrize("name", ["equidistant", "fisheye"])
+def test_an_equidistant_fisheye_is_read(small_sequence: Path, name: str) -> None:
+    edit(small_sequence / "mav0" / "cam1" / "sensor.yaml", "radial-tangential", name)
+    calibration = open_sequence(small_sequence).calibration
+    assert (calibration.fisheye0, calibration.fisheye1) == (False, True)
+    np.testing.assert_array_equal(calibration.dist1, [-0.1, 0.01, 0.0, 0.0])
+
+
 def test_the_folder_mav0_instead_of_the_one_above_it_is_named(small_sequence: Path) -> None:
     with pytest.raises(InputError, match=r"mav0 is the folder mav0 itself: give the folder that contains it"):
         open_sequence(small_sequence / "mav0")
@@ -317,9 +344,9 @@ BAD_INPUTS: dict[str, tuple[Callable[[Path], None], str]] = {
         replace("cam1/sensor.yaml", "distortion_model", "model"),
         "lacks the key 'distortion_model'",
     ),
-    "fisheye": (
-        replace("cam1/sensor.yaml", "radial-tangential", "equidistant"),
-        "'equidistant' is not supported",
+    "unknown lens": (
+        replace("cam1/sensor.yaml", "radial-tangential", "double-sphere"),
+        "'double-sphere' is not supported",
     ),
     "nan intrinsics": (
         replace("cam0/sensor.yaml", "[50.0", "[.nan"),
@@ -336,7 +363,14 @@ BAD_INPUTS: dict[str, tuple[Callable[[Path], None], str]] = {
     "negative focal": (replace("cam0/sensor.yaml", "[50.0", "[-50.0"), "focal lengths must be positive"),
     "no rotation": (replace("cam0/sensor.yaml", IDENTITY, ROTATED), "'T_BS': not a rigid transform"),
     "no baseline": (replace("cam1/sensor.yaml", "0.09", "0.0"), "coincide"),
-    "two resolutions": (replace("cam1/sensor.yaml", "[64, 48]", "[64, 50]"), "different resolutions"),
+    "a fisheye with five coefficients": (
+        replace(
+            "cam1/sensor.yaml",
+            "radial-tangential\ndistortion_coefficients: [-0.1, 0.01, 0.0, 0.0]",
+            "equidistant\ndistortion_coefficients: [-0.1, 0.01, 0.0, 0.0, 0.0]",
+        ),
+        "distortion_coefficients': 5 numbers, expected 4",
+    ),
     "bits as words": (lambda folder: tell_bits(folder, "many"), "key 'bits': expected the depth"),
     "one camera tells bits": (
         lambda folder: tell_bits(folder, 12, (1,)),
@@ -352,7 +386,7 @@ BAD_INPUTS: dict[str, tuple[Callable[[Path], None], str]] = {
     "most images lost": (damage_images(4), "4 of 6 frames are missing, unpaired or unreadable"),
     "all of wrong size": (resize_all, "wrong size, 10x10 px instead of 64x48 px"),
     "no common times": (
-        rewrite("cam1/data.csv", rows([stamp + 1 for stamp in STAMPS])),
+        rewrite("cam1/data.csv", rows([stamp + STEP_NS // 2 for stamp in STAMPS])),
         "12 of 12 frames are missing, unpaired",
     ),
     "two pairs": (list_two_pairs, "2 usable stereo pairs of 2 frames; at least 3 are needed"),
@@ -586,3 +620,54 @@ def test_frames_that_are_white_are_not_called_black(small_sequence: Path) -> Non
         for k in range(COUNT):
             Image.fromarray(np.full((48, 64), 255, np.uint8)).save(image_of(small_sequence, camera, k))
     assert "all frames are saturated or uniformly bright" in message_of(small_sequence)
+
+
+def shift_right(folder: Path, offset_ns: int | list[int]) -> None:
+    """Give the right images stamps of another clock."""
+    shifts = [offset_ns] * COUNT if isinstance(offset_ns, int) else offset_ns
+    rows = [f"{stamp + off},{stamp}.png" for stamp, off in zip(STAMPS, shifts, strict=True)]
+    path = folder / "mav0" / "cam1" / "data.csv"
+    path.write_text("\n".join(["#timestamp [ns],filename", *rows]) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("offset_ns", "words"),
+    [(4_000, "4 us (8e-06 frames) after"), (-200_000_000, "0.2 s (0.4 frames) before")],
+)
+def test_an_offset_of_the_clocks_loses_no_frame_and_is_stated(
+    small_sequence: Path, offset_ns: int, words: str
+) -> None:
+    alike = open_sequence(small_sequence)
+    shift_right(small_sequence, offset_ns)
+    sequence = open_sequence(small_sequence)
+    assert sequence.timestamps_ns.tolist() == STAMPS and sequence.dropped == ()
+    assert len(sequence.warnings) == 1
+    assert sequence.warnings[0].startswith(f"the stamps of cam1 are {words} those of cam0")
+    for k in range(COUNT):
+        np.testing.assert_array_equal(sequence.read_pair(k).right, alike.read_pair(k).right)
+
+
+def test_masks_of_the_right_camera_may_have_the_stamps_of_its_images(small_sequence: Path) -> None:
+    shift_right(small_sequence, 4_000)
+    mask = np.zeros((48, 64), dtype=np.bool_)
+    mask[10:20] = True
+    for k, stamp in enumerate(STAMPS):
+        write_png(small_sequence / "mav0" / "masks1" / f"{stamp + 4_000 * (k % 2)}.png", mask)
+    sequence = open_sequence(small_sequence)
+    assert len(sequence.warnings) == 1
+    for k in range(COUNT):
+        np.testing.assert_array_equal(sequence.read_pair(k).mask_right, mask)
+
+
+def test_a_pair_beyond_the_tolerance_is_dropped_with_its_distance(small_sequence: Path) -> None:
+    shift_right(small_sequence, [0, 0, 12_500_000, 0, 0, 0])
+    sequence = open_sequence(small_sequence)
+    assert len(sequence) == COUNT - 1 and sequence.n_listed == COUNT + 1
+    first, second = sequence.dropped
+    assert first[1].startswith("only in cam0: the nearest image of cam1 is 12.5 ms away, 5 ms are allowed")
+    assert second == (STAMPS[2] + 12_500_000, "only in cam1")
+
+
+def test_recordings_without_common_time_are_named(small_sequence: Path) -> None:
+    shift_right(small_sequence, 3_600_000_000_000)
+    assert "no time in common: cam1 begins 3598 s after cam0 ends" in message_of(small_sequence)

@@ -9,11 +9,11 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 
-from polhode.calibration import read_calibration
 from polhode.dataset_writer import write_sensor, write_truth, write_wrench
 from polhode.errors import InputError
 from polhode.lie import exp_so3, make_pose
 from polhode.records import Truth
+from polhode.rig_calibration import read_calibration
 from polhode.truth import read_truth
 
 K_640 = np.array([[467.1, 0.0, 320.3], [0.0, 466.9, 241.7], [0.0, 0.0, 1.0]])

@@ -20,6 +20,31 @@ def test_rays_project_back_to_their_pixels_through_opencvs_distortion() -> None:
     np.testing.assert_allclose(projected[:, 0], uv, atol=1e-7)
 
 
+def test_rays_of_a_fisheye_project_back_through_opencvs() -> None:
+    rig = config.Rig(lens="equidistant", distortion=(-0.028, 0.012, -0.009, 0.0016), focal_px=310)
+    left, right = build_cameras(rig)
+    uv = np.random.default_rng(0).uniform((0, 0), (639, 479), (500, 2))
+    rays = left.directions(uv)
+    projected, _ = cv2.fisheye.projectPoints(rays[:, None] * 3.7, np.zeros(3), np.zeros(3), left.K, left.dist)
+    np.testing.assert_allclose(projected[:, 0], uv, atol=1e-7)
+    seen, index = right.project_visible(right.directions(uv))
+    np.testing.assert_allclose(seen, uv[index], atol=1e-7)
+    assert len(index) == len(uv)
+
+
+def test_a_fisheye_that_shows_no_direction_in_a_corner_is_refused() -> None:
+    left, _ = build_cameras(config.Rig(lens="equidistant", distortion=(-0.3, 0.0, 0.0, 0.0), focal_px=310))
+    with pytest.raises(InputError, match="cannot be inverted over the whole image"):
+        left.directions(np.array([[0.0, 0.0]]))
+
+
+def test_the_right_camera_may_have_other_pixels() -> None:
+    left, right = build_cameras(config.Rig(right_size_px=(320, 200), right_focal_px=200.0))
+    assert (left.width_px, left.height_px, left.K[0, 0]) == (640, 480, 467.0)
+    assert (right.width_px, right.height_px, right.K[0, 0]) == (320, 200, 200.0)
+    np.testing.assert_allclose(right.K[:2, 2], [159.5, 99.5])
+
+
 def test_pixel_directions_are_row_by_row() -> None:
     left, _ = build_cameras(config.Rig(width_px=20, height_px=16, focal_px=30))
     rays = left.pixel_directions.reshape(16, 20, 3)

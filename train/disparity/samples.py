@@ -39,7 +39,8 @@ from polhode.frontend.disparity.learned import (
     input_channels,
 )
 from polhode.frontend.disparity.sgbm import Floats, cut_crop
-from polhode.frontend.rectification import Rectifier, make_rectifier, target_mask
+from polhode.frontend.rectification import Rectifier, make_rectifier
+from polhode.frontend.segmentation import target_mask
 from polhode.lie import Array, inverse_pose
 from polhode.output.single_file import remove_all_partials
 from polhode.records import Bools

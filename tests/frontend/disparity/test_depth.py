@@ -1,6 +1,7 @@
 """Dense depth of planes and boxes painted with noise, rendered by exact warping."""
 
 import time
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -112,6 +113,24 @@ def test_the_range_of_disparity_is_found(base_px: float, mask: Bools) -> None:
     assert found[0] <= true[mask].min() + 1
     assert found[1] >= true[mask].max() - 1
     assert found[1] - found[0] < 40
+
+
+@pytest.mark.parametrize("base_px", [-60.0, -8.0, 50.0])
+def test_the_range_is_found_where_converging_axes_cross(base_px: float, mask: Bools) -> None:
+    """Infinity lies 554 px off, out of both images."""
+    true = slanted(base_px, 0.05, 0.0)
+    left, right = pair_of(true, mask)
+    found = find_disparity_range(left, right, mask, CONFIG, -554.0)
+    assert found is not None
+    assert found[0] <= true[mask].min() + 1
+    assert found[1] >= true[mask].max() - 1
+    assert found[1] - found[0] < 40
+    rig = replace(RIG, disparity_offset_px=-554.0)
+    depth = compute_depth(left, right, mask, rig, CONFIG)
+    known = np.isfinite(depth.depth_m)
+    assert known[mask].mean() > 0.85
+    expected = RIG.focal_px * RIG.baseline_m / (true + 554.0)
+    np.testing.assert_allclose(depth.depth_m[known], expected[known], rtol=2e-3)
 
 
 def test_a_target_at_the_images_edge_is_no_special_case() -> None:

@@ -1,5 +1,7 @@
 """Disparity refinement against warps of known disparity, and stereo matching against known surfaces."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -87,6 +89,29 @@ def test_matches_lie_on_the_surface() -> None:
     assert wrong.mean() < 0.02
     np.testing.assert_allclose(RIG.project(found.p_R), found.uvd_px, atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(found.descriptors, axis=1), 1.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("shift_px", [40.0, 0.0, -40.0])
+def test_converging_cameras_match_what_both_see(shift_px: float) -> None:
+    """Where the axes cross, columns agree, and the disparity beyond that of infinity exceeds the image."""
+    left, right, _ = stereo_pair(7, 0.0)
+    right = np.roll(right, int(40.0 - shift_px), axis=1)
+    mask = np.ones(left.shape, dtype=bool)
+    crop = target_crop(mask)
+    assert crop is not None
+    points = [detect(image, mask, crop, Features()) for image in (left, right)]
+    near = match_stereo(left, right, points[0], points[1], replace(RIG, disparity_offset_px=-554.0))
+    assert len(near) > 200
+    assert abs(np.median(near.uvd_px[:, 2]) - shift_px) < 1.0
+    np.testing.assert_allclose(np.median(near.p_R[:, 2]), 467.0 * 0.09 / (shift_px + 554.0), rtol=0.01)
+
+
+def test_parallel_cameras_see_nothing_nearer_than_their_images_overlap() -> None:
+    looks = np.eye(2, dtype=np.float32)
+    uv = np.array([[300.0, 100.0], [300.0, 50.0]])
+    shift = np.array([[0.69 * RIG.width_px, 0.0], [0.71 * RIG.width_px, 0.0]])
+    left, right = (KeyPoints(at, np.full(2, 2.0), np.zeros(2), looks) for at in (uv, uv - shift))
+    assert _match_on_lines(left, right, RIG)[0].tolist() == [0]
 
 
 def test_an_empty_image_gives_no_features() -> None:

@@ -19,7 +19,7 @@ from polhode.records import DepthMap, SurfaceModel
 from tests.mapping.analytic_depth import DISTANCE_M, RIG, depth_of, views_of
 
 VOXEL_M = 3e-3
-CONFIG = Mapping(voxel_mm=VOXEL_M * 1e3, device="cpu", shared_sigma=0.0, relief_sigma=0.0)
+CONFIG = Mapping(voxel_mm=VOXEL_M * 1e3, device="cpu", shared_sigma=0.0, relief_sigma=0.0, border_sigma=0.0)
 CPU = torch.device("cpu")
 Frames = list[tuple[DepthMap, Array]]
 

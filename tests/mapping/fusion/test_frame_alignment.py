@@ -25,7 +25,7 @@ from polhode.records import DepthMap
 from tests.mapping.analytic_depth import DISTANCE_M, FINE_RIG, depth_of, views_of
 
 VOXEL_M = 1.5e-3
-CONFIG = Mapping(voxel_mm=VOXEL_M * 1e3, device="cpu", shared_sigma=0.0, relief_sigma=0.0)
+CONFIG = Mapping(voxel_mm=VOXEL_M * 1e3, device="cpu", shared_sigma=0.0, relief_sigma=0.0, border_sigma=0.0)
 SHIFT_M, TURN_RAD = 3e-3, np.deg2rad(1.0)
 PRIOR = np.diag([SHIFT_M**2] * 3 + [TURN_RAD**2] * 3)
 SHARE = 0.3

@@ -16,7 +16,7 @@ from tests.mapping.analytic_depth import RIG, views_of
 
 VOXEL_M = 3e-3
 # depth made here has independent noise, and no window has smoothed it
-CONFIG = Mapping(voxel_mm=VOXEL_M * 1e3, device="cpu", shared_sigma=0.0, relief_sigma=0.0)
+CONFIG = Mapping(voxel_mm=VOXEL_M * 1e3, device="cpu", shared_sigma=0.0, relief_sigma=0.0, border_sigma=0.0)
 
 
 @pytest.fixture(scope="module")

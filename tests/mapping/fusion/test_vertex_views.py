@@ -40,6 +40,17 @@ def test_frames_that_face_a_vertex_tell_how_far_it_is_off() -> None:
     assert found.back_share[0] == 0.0
 
 
+def test_frames_that_disagree_about_a_vertex_have_a_large_chi_square() -> None:
+    alike = views(0.0, 0.0, 0.0)
+    assert alike.front_count[0] == 3.0 and alike.front_chi2[0] < 1e-6
+    # the same depth from one frame that is moved by two of its sigmas
+    frames = [seen_from(0.0), seen_from(0.0)]
+    shift = make_pose(np.eye(3), [0.0, 0.0, 2.0 * SIGMA_M])
+    frames[1] = (frames[1][0], shift @ frames[1][1])
+    found = views_of_vertices(frames, RIG, POINT, UP, CUT_M, VOXEL_M)
+    assert found.front_chi2[0] == pytest.approx(2.0, rel=0.05)
+
+
 def test_a_frame_on_the_other_side_sees_it_from_behind() -> None:
     found = views(0.0, np.pi)
     assert 0.2 < found.back_share[0] < 0.6

@@ -97,7 +97,8 @@ def run(example: Any) -> Any:
     surface = replace(example.surface, mesh=mesh)
     seen = SimpleNamespace(tracks=tracks, estimate=estimate, surface=surface)
     seen.sequence = cast(StereoSequence, Rendered(seen))
-    seen.rectifier = Rectifier(tracks.rig, np.eye(4), None)
+    size = tracks.rig.width_px, tracks.rig.height_px
+    seen.rectifier = Rectifier(tracks.rig, np.eye(4), None, (size, size))
     return seen
 
 

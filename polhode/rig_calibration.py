@@ -11,8 +11,10 @@ from polhode.lie import Array, make_pose
 from polhode.tables import numbers_at, read_mapping
 
 RADIAL_TANGENTIAL = ("radial-tangential", "radtan", "plumb_bob")
+EQUIDISTANT = ("equidistant", "fisheye", "kannala-brandt")
 UNDISTORTED = ("none",)
 COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)
+FISHEYE_COUNTS = (4,)
 ROTATION_TOLERANCE = 1e-2
 MIN_BASELINE_M = 1e-4
 MAX_OFFSET_M = 1e4
@@ -32,51 +34,90 @@ MAX_COEFFICIENT = 1e7
 
 @dataclass(frozen=True)
 class StereoCalibration:
-    """Two pinhole cameras with radial-tangential distortion on one body B. Pixel centres are integers."""
+    """Two cameras on one body B: pinholes with radial-tangential distortion, or equidistant fisheyes.
+
+    Pixel centres are integers.
+    """
 
     K0: Array
     """(3, 3) intrinsic matrix of the left camera [px]"""
     K1: Array
     """(3, 3) of the right camera [px]"""
     dist0: Array
-    """(n,) coefficients k1, k2, p1, p2[, k3, ...] in OpenCV's order, n in 4, 5, 8, 12, 14"""
+    """(n,) coefficients k1, k2, p1, p2[, k3, ...] in OpenCV's order, n in 4, 5, 8, 12, 14; (4,) k1 to k4 of a
+    fisheye"""
     dist1: Array
     X_BC0: Array
     """(4, 4) pose of the left camera in the inspector's body"""
     X_BC1: Array
     """(4, 4) pose of the right camera"""
     width_px: int
+    """Of the left image"""
     height_px: int
     bits: int | None = None
     """Depth of 16-bit image files, 8 to 16; None: not stated"""
+    fisheye0: bool = False
+    """Whether the left lens is an equidistant fisheye (polhode/fisheye.py)"""
+    fisheye1: bool = False
+    right_size_px: tuple[int, int] | None = None
+    """Width and height of the right image; None: those of the left one"""
+
+    def size_px(self, camera: int) -> tuple[int, int]:
+        """Width and height of the images of a camera, 0 (left) or 1 (right)."""
+        return self.right_size_px if camera and self.right_size_px else (self.width_px, self.height_px)
 
 
-def read_calibration(mav0: Path) -> StereoCalibration:
-    """Read ``cam0/sensor.yaml`` and ``cam1/sensor.yaml`` below the folder ``mav0``.
+def read_calibration(mav0: Path, names: tuple[str, str] = ("cam0", "cam1")) -> StereoCalibration:
+    """Read the ``sensor.yaml`` of the left and the right camera, folders of these names below ``mav0``.
 
     Raises InputError when a file or key is missing, a value is NaN, T_BS is not a rigid transform, the
-    cameras coincide, or their resolutions or ``bits`` differ.
+    cameras coincide, or their ``bits`` differ.
     """
-    left, right = (_read_camera(mav0 / name / "sensor.yaml") for name in ("cam0", "cam1"))
-    K0, dist0, X_BC0, (width_px, height_px), bits = left
-    K1, dist1, X_BC1, (width1_px, height1_px), bits1 = right
-    if (width_px, height_px) != (width1_px, height1_px):
-        sizes = f"{width_px}x{height_px} and {width1_px}x{height1_px}"
-        raise InputError(f"{mav0}: cam0 and cam1 have different resolutions, {sizes}; resample one of them")
+    left, right = (_read_camera(mav0 / name / "sensor.yaml") for name in names)
+    X_BC0, X_BC1, bits, bits1 = left.X_BC, right.X_BC, left.bits, right.bits
+    both = " and ".join(names)
     baseline_m = float(np.linalg.norm(X_BC1[:3, 3] - X_BC0[:3, 3]))
     if baseline_m > MAX_OFFSET_M:
         raise InputError(
-            f"{mav0}: cam0 and cam1 are {baseline_m:g} m apart, above {MAX_OFFSET_M:g}; correct their T_BS"
+            f"{mav0}: {both} are {baseline_m:g} m apart, above {MAX_OFFSET_M:g}; correct their T_BS"
         )
     if baseline_m < MIN_BASELINE_M:
-        raise InputError(f"{mav0}: cam0 and cam1 coincide (baseline {baseline_m:g} m); check their T_BS")
+        raise InputError(f"{mav0}: {both} coincide (baseline {baseline_m:g} m); check their T_BS")
     if bits != bits1:
-        raise InputError(f"{mav0}: 'bits' of cam0 and cam1 differ, {bits} and {bits1}; correct one")
-    return StereoCalibration(K0, K1, dist0, dist1, X_BC0, X_BC1, width_px, height_px, bits)
+        raise InputError(f"{mav0}: 'bits' of {both} differ, {bits} and {bits1}; correct one")
+    return StereoCalibration(
+        left.K,
+        right.K,
+        left.dist,
+        right.dist,
+        X_BC0,
+        X_BC1,
+        *left.size_px,
+        bits,
+        left.fisheye,
+        right.fisheye,
+        None if left.size_px == right.size_px else right.size_px,
+    )
 
 
-def _read_camera(path: Path) -> tuple[Array, Array, Array, tuple[int, int], int | None]:
-    """K, distortion, X_BC, (width, height) and bits of a camera."""
+def read_camera_pose(path: Path) -> Array:
+    """X_BC (4, 4), the T_BS of one ``sensor.yaml``. Raises InputError as ``read_calibration``."""
+    return _read_camera(path).X_BC
+
+
+@dataclass(frozen=True)
+class _Camera:
+    """One ``sensor.yaml``."""
+
+    K: Array
+    dist: Array
+    fisheye: bool
+    X_BC: Array
+    size_px: tuple[int, int]
+    bits: int | None
+
+
+def _read_camera(path: Path) -> _Camera:
     sensor = read_mapping(path, "a camera needs its calibration (see docs/dataset.md)")
     model = sensor.get("camera_model", "pinhole")
     if model != "pinhole":
@@ -93,12 +134,12 @@ def _read_camera(path: Path) -> tuple[Array, Array, Array, tuple[int, int], int 
     fu, fv, cu, cv = numbers_at(path, sensor, "intrinsics", (4,))
     _require_pinhole(path, (fu, fv), (cu, cv), (width, height))
     K = np.array([[fu, 0.0, cu], [0.0, fv, cv], [0.0, 0.0, 1.0]])
-    dist = _distortion(path, sensor)
+    dist, fisheye = _distortion(path, sensor)
     X_BC = _rigid_transform(path, numbers_at(path, sensor, "T_BS", (16,)).reshape(4, 4))
     bits = sensor.get("bits")
     if bits is not None and (type(bits) is not int or not 8 <= bits <= 16):
         raise InputError(f"{path} key 'bits': expected the depth of the images, 8 to 16, got {_shown(bits)}")
-    return K, dist, X_BC, (int(resolution[0]), int(resolution[1])), bits
+    return _Camera(K, dist, fisheye, X_BC, (int(resolution[0]), int(resolution[1])), bits)
 
 
 def _require_pinhole(
@@ -131,28 +172,31 @@ def _shown(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _distortion(path: Path, sensor: dict[str, object]) -> Array:
+def _distortion(path: Path, sensor: dict[str, object]) -> tuple[Array, bool]:
+    """The coefficients, and whether they are those of a fisheye."""
     if "distortion_model" not in sensor:
-        message = (
-            f"{path} lacks the key 'distortion_model'; give radial-tangential, or none for undistorted images"
+        raise InputError(
+            f"{path} lacks the key 'distortion_model'; give radial-tangential, equidistant (a fisheye), or "
+            "none for undistorted images"
         )
-        raise InputError(message)
     model = str(sensor["distortion_model"]).lower()
     # YAML reads a bare `null` or `~` as None: the same intent as `none`.
     if model in UNDISTORTED:
-        return np.zeros(4)
-    if model not in RADIAL_TANGENTIAL:
-        valid = ", ".join((*RADIAL_TANGENTIAL, *UNDISTORTED))
+        return np.zeros(4), False
+    fisheye = model in EQUIDISTANT
+    if not fisheye and model not in RADIAL_TANGENTIAL:
+        valid = ", ".join((*RADIAL_TANGENTIAL, *EQUIDISTANT, *UNDISTORTED))
         raise InputError(
             f"{path} key 'distortion_model': {_shown(model)} is not supported; choose one of {valid}"
         )
-    coefficients = numbers_at(path, sensor, "distortion_coefficients", COEFFICIENT_COUNTS)
+    counts = FISHEYE_COUNTS if fisheye else COEFFICIENT_COUNTS
+    coefficients = numbers_at(path, sensor, "distortion_coefficients", counts)
     largest = abs(coefficients).max()
     if largest > MAX_COEFFICIENT:
         raise InputError(
             f"{path} key 'distortion_coefficients': {largest:g} is above {MAX_COEFFICIENT:g}; correct it"
         )
-    return coefficients
+    return coefficients, fisheye
 
 
 def _rigid_transform(path: Path, X: Array) -> Array:

@@ -1,0 +1,39 @@
+"""``polhode checkout``: what a user should know of a sequence before a run."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from polhode.cli.options import Debug
+
+
+@dataclass(frozen=True)
+class CheckoutCommand:
+    """Check a sequence before a run: rig, range, turn between frames, exposure, times, background, cost.
+
+    Examines some 20 pairs, spread over the sequence. Writes checkout.json and the page checkout.html; prints
+    what does not pass. The exit code is 0 whatever the checks say: the status is in the file.
+    """
+
+    sequence: Annotated[Positional[Path], arg(metavar="SEQ")]
+    """Folder of the stereo sequence (it contains mav0/)."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    """Folder of the results: a new or empty one, or that of an earlier call, whose files are replaced."""
+    rig: Annotated[Path | None, arg(metavar="RIG")] = None
+    """Check with this calibration instead: a folder with cam0/sensor.yaml and cam1/sensor.yaml."""
+    debug: Debug = False
+
+    def execute(self) -> int:
+        """Check, write and print."""
+        from polhode.cli.console import choose_progress
+        from polhode.pipeline.checkout.checkout import checkout
+        from polhode.pipeline.checkout.page import checkout_folder, format_checkout, write_checkout
+
+        with checkout_folder(self.output) as place:
+            done = checkout(self.sequence, self.rig, choose_progress())
+            write_checkout(done, self.sequence.resolve().name, place)
+        print(format_checkout(done))
+        print(f"Checkout: {self.output / 'checkout.html'}")
+        return 0

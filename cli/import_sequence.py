@@ -1,0 +1,118 @@
+"""``polhode import``: a recording of somebody else as a dataset."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from polhode.cli.console import choose_progress
+from polhode.cli.options import Debug, Flag
+from polhode.errors import InputError
+
+MAX_TIME_S = 1e9
+
+
+@dataclass(frozen=True)
+class ImportCommand:
+    """Make a dataset from a recording: images, bags, videos (docs/import.md).
+
+    Sources: two folders of images (left, right); a bag of ROS 1 or ROS 2 (.bag, .db3, .mcap, or its folder);
+    one side-by-side video, or two videos; a folder of EuRoC. Images are paired by nearest time, and copied
+    without loss. An interrupted import goes on with the same command.
+    """
+
+    sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SOURCE...")]
+    """One path or two."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="SEQ")]
+    """Folder of the dataset, which is created."""
+    calibration: Annotated[tuple[Path, ...], arg(metavar="FILE...")] = ()
+    """Calibration: a YAML or JSON file of OpenCV (or two: intrinsics, extrinsics), a camchain of Kalibr, two
+    camera_info of ROS (left, right), or a folder with cam0/sensor.yaml and cam1/sensor.yaml. By default that
+    of the bag or of the EuRoC folder."""
+    unit: Annotated[str, arg(metavar="m|mm")] = "m"
+    """Unit of T in a file of OpenCV: that of the board's squares."""
+    stamps: Annotated[tuple[Path, ...], arg(metavar="FILE...")] = ()
+    """Timestamps for images and videos without: one row an image, ns, or s with a point. One file for both
+    cameras, or one each."""
+    rate_hz: Annotated[float | None, arg(metavar="HZ")] = None
+    """Frame rate of numbered images, and of videos whose own times are wrong [Hz]."""
+    left_topic: Annotated[str | None, arg(metavar="TOPIC")] = None
+    """Topic of the left images in a bag. Found by its name unless given."""
+    right_topic: Annotated[str | None, arg(metavar="TOPIC")] = None
+    """Topic of the right images."""
+    poses: Annotated[str | None, arg(metavar="TOPIC|tf:FRAME|none")] = None
+    """Poses of the inspector in a bag: a topic (Odometry, PoseStamped), or the frame of tf that is at rest.
+    By default the odometry whose frame tf links to the camera; none: the cameras are at rest."""
+    pose_of: Annotated[str | None, arg(metavar="FRAME")] = None
+    """What that topic states the pose of: a frame of tf, left (the left camera), or body (of the
+    calibration)."""
+    tolerance_s: Annotated[float | None, arg(metavar="S")] = None
+    """Largest difference between the timestamps of a pair, beyond the offset of the clocks [s]. A hundredth
+    of the usual interval unless given."""
+    offset_s: Annotated[float | None, arg(metavar="S")] = None
+    """What the right camera's clock is ahead of the left one's [s]. Found from the timestamps unless
+    given."""
+    start: Annotated[float, arg(metavar="S")] = 0.0
+    """Begin so long after the first pair [s]."""
+    end: Annotated[float, arg(metavar="S")] = math.inf
+    """End so long after the first pair [s]."""
+    every: Annotated[int, arg(metavar="N")] = 1
+    """Import each N-th pair."""
+    crop: Annotated[str | None, arg(metavar="LEFT,TOP,WIDTH,HEIGHT")] = None
+    """Part of the images that is kept [px]; the calibration is adjusted."""
+    overwrite: Flag = False
+    """Replace an existing dataset that import made, if nothing was changed in it. Nothing else is ever
+    replaced."""
+    debug: Debug = False
+
+    def execute(self) -> int:
+        """Import. The dataset appears when it is complete; an interrupted one is resumed."""
+        if self.unit not in ("m", "mm"):
+            raise InputError(f"--unit {self.unit}: choose m or mm")
+        self._require_ranges()
+        from polhode.importers.import_sequence import import_sequence
+        from polhode.importers.options import ImportOptions, parse_crop
+
+        options = ImportOptions(
+            calibration=self.calibration,
+            unit_m=1e-3 if self.unit == "mm" else 1.0,
+            stamps=self.stamps,
+            rate_hz=self.rate_hz,
+            left_topic=self.left_topic,
+            right_topic=self.right_topic,
+            poses=self.poses,
+            pose_of=self.pose_of,
+            tolerance_s=self.tolerance_s,
+            offset_s=self.offset_s,
+            start_s=self.start,
+            end_s=self.end,
+            every=self.every,
+            crop=parse_crop(self.crop) if self.crop is not None else None,
+        )
+        done = import_sequence(self.sources, self.output, options, choose_progress(), self.overwrite)
+        for note in done.notes:
+            print(note)
+        print(f"{done.pairs} stereo pairs, {done.duration_s:.4g} s: {self.output}")
+        return 0
+
+    def _require_ranges(self) -> None:
+        for name in ("rate_hz", "tolerance_s", "offset_s", "start"):
+            value, option = getattr(self, name), f"--{name.replace('_', '-')}"
+            if value is not None and not (math.isfinite(value) and abs(value) <= MAX_TIME_S):
+                raise InputError(f"{option} {value:g}: give a number up to {MAX_TIME_S:g}")
+        if self.rate_hz is not None and self.rate_hz <= 0.0:
+            raise InputError(f"--rate-hz {self.rate_hz:g}: give a number above 0")
+        for name in ("tolerance_s", "start"):
+            value = getattr(self, name)
+            if value is not None and value < 0.0:
+                raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number of at least 0")
+        if not self.end > self.start:
+            raise InputError(f"--end {self.end:g}: give a time after --start {self.start:g}")
+        if self.every < 1:
+            raise InputError(f"--every {self.every}: give a whole number of at least 1")
+        if len(self.stamps) > 2:
+            raise InputError(
+                f"--stamps: {len(self.stamps)} files were given; give one, or one for each camera"
+            )

@@ -1,0 +1,148 @@
+"""The target's mask in an image: what is brighter than the sky, with or without dim surroundings.
+
+A laboratory is not as black as space: the cloth under an object is brighter than what is behind it, and would
+belong to the target. It is left out of a sequence in which it shows as surroundings throughout: it reaches
+the border of every image, the target in none, and the target is several times as bright. A spacecraft that
+leaves the image, or has dark panels, does not do so in every image.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from polhode.records import Bools
+
+Image = NDArray[np.uint8]
+BORDER_PX = 3
+"""Width of the border of an image."""
+MIN_CONTACT = 0.05
+"""Smallest part of the border along which surroundings are brighter than the sky."""
+MAX_TARGET_CONTACT = 0.1
+"""Largest part of that contact that the target may have itself."""
+MIN_OCTAVES = 2.0
+"""Smallest ratio of brightness between target and surroundings, as a power of two."""
+_STEPS = 31
+"""Of an octave, in a histogram of 256 bins."""
+_VALLEY_OCTAVES = 0.15
+"""Sigma of the smoothing of that histogram."""
+
+
+def target_mask(image: Image, given: Bools | None = None, border: Bools | None = None) -> Bools:
+    """Mask (H, W) of the target: the given one, or the pixels brighter than the sky, closed over shadows.
+
+    border (H, W): pixels along the border of what the camera sees, to leave out dim surroundings that reach
+    it; None: there are none.
+    """
+    if given is not None:
+        return given
+    smooth = _smooth(image)
+    lit = _lit_parts(smooth, sky_level(smooth))
+    if border is None:
+        return lit
+    classes = _classes(smooth, lit, border)
+    return lit if classes is None or not classes.distinct else classes.target
+
+
+def has_surroundings(images: Iterable[Image], border: Bools) -> bool:
+    """Whether each of several images of a sequence (H, W) shows dim surroundings, which reach its border."""
+    any_image = False
+    for image in images:
+        any_image = True
+        smooth = _smooth(image)
+        classes = _classes(smooth, _lit_parts(smooth, sky_level(smooth)), border)
+        if classes is None or not classes.distinct:
+            return False
+    return any_image
+
+
+def border_of(seen: Bools) -> Bools:
+    """The pixels along the border of what a camera sees (H, W)."""
+    framed = cv2.copyMakeBorder(seen.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    size = 2 * BORDER_PX + 1
+    inner = cv2.erode(framed, np.ones((size, size), dtype=np.uint8), borderValue=0)[1:-1, 1:-1]
+    return np.asarray(seen & (inner == 0))
+
+
+def sky_level(smooth: Image) -> float:
+    """Intensity above which a smoothed pixel is not sky: the darkest level plus four times its scatter."""
+    dark = smooth[smooth <= np.percentile(smooth, 10)].astype(np.float64)
+    return float(np.median(dark)) + 4.0 * max(1.0, float(np.std(dark)))
+
+
+@dataclass(frozen=True)
+class _Classes:
+    """What is brighter than the sky, in two classes of brightness."""
+
+    target: Bools
+    """(H, W) the brighter one"""
+    octaves: float
+    """Between the means of the classes"""
+    contact: float
+    """Share of the border that is brighter than the sky"""
+    of_target: float
+    """Share of that contact that is the target's"""
+
+    @property
+    def distinct(self) -> bool:
+        """Whether the dimmer class is surroundings rather than a part of the target."""
+        return (
+            self.contact > MIN_CONTACT
+            and self.of_target <= MAX_TARGET_CONTACT
+            and self.octaves > MIN_OCTAVES
+            and bool(self.target.any())
+        )
+
+
+def _classes(smooth: Image, lit: Bools, border: Bools) -> _Classes | None:
+    """Two classes of the lit pixels by the logarithm of their intensity; None: there are no two.
+
+    They part at the rarest intensity between the most frequent one of the brighter class and the threshold of
+    Otsu, "A threshold selection method from gray-level histograms", IEEE Trans. SMC 9(1), 1979.
+    """
+    octaves = np.log2(np.maximum(smooth[lit], 1).astype(np.float32))
+    if len(octaves) == 0 or octaves.min() == octaves.max():
+        return None
+    steps = np.round(octaves * _STEPS).astype(np.uint8).reshape(-1, 1)
+    level = _valley(steps, int(cv2.threshold(steps, 0, 255, cv2.THRESH_OTSU)[0])) / _STEPS
+    bright = octaves > level
+    if bright.all() or not bright.any():
+        return None
+    target = _lit_parts(smooth, float(2.0**level)) & lit
+    contact = int((lit & border).sum())
+    return _Classes(
+        target,
+        float(octaves[bright].mean() - octaves[~bright].mean()),
+        contact / max(int(border.sum()), 1),
+        float((target & border).sum() / max(contact, 1)),
+    )
+
+
+def _valley(steps: NDArray[np.uint8], otsu: int) -> int:
+    """The rarest step from Otsu's to the most frequent one above it, of a smoothed histogram."""
+    counts = np.bincount(steps[:, 0], minlength=256).astype(np.float32)[:, None]
+    smooth = cv2.GaussianBlur(counts, (0, 0), _VALLEY_OCTAVES * _STEPS, borderType=cv2.BORDER_REPLICATE)[:, 0]
+    mode = otsu + int(np.argmax(smooth[otsu:]))
+    return otsu + int(np.argmin(smooth[otsu : mode + 1]))
+
+
+def _smooth(image: Image) -> Image:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), 1.5), dtype=np.uint8)
+
+
+def _lit_parts(smooth: Image, level: float) -> Bools:
+    """Mask (H, W) of the large parts that are brighter than a level, closed over shadows."""
+    bright = (smooth > level).astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=8)
+    if count <= 1:
+        return np.zeros(smooth.shape, dtype=bool)
+    area = np.asarray(stats)[1:, cv2.CC_STAT_AREA].astype(np.int64)
+    largest = int(area.max())
+    # Shadow can separate parts of one spacecraft; stars and hot pixels are tiny.
+    kept = 1 + np.flatnonzero(area >= max(25, 0.02 * largest))
+    lit = np.isin(labels, kept).astype(np.uint8)
+    reach = max(3, int(0.04 * np.sqrt(largest)) | 1)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
+    return np.asarray(cv2.morphologyEx(lit, cv2.MORPH_CLOSE, kernel), dtype=bool)

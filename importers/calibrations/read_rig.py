@@ -1,0 +1,51 @@
+"""Which format a calibration has, and the rig in it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from polhode.errors import InputError
+from polhode.foreign_files import CONFIGURATION_BYTES, MissingFile, read_text
+from polhode.importers.calibrations.camera_info import is_camera_info, read_camera_info, rig_of
+from polhode.importers.calibrations.euroc import read_euroc
+from polhode.importers.calibrations.kalibr import is_kalibr, read_kalibr
+from polhode.importers.calibrations.opencv import is_opencv, read_opencv
+from polhode.importers.calibrations.rig import Rig
+from polhode.yaml_files import parse_yaml
+
+KINDS = (
+    "a YAML or JSON file of OpenCV, a camchain of Kalibr, two camera_info of ROS (left, right), or a "
+    "folder with cam0/sensor.yaml and cam1/sensor.yaml"
+)
+
+
+def read_rig(paths: Sequence[Path], unit_m: float = 1.0) -> Rig:
+    """The rig of a file, two files or a folder, of any known format.
+
+    ``unit_m``: unit of OpenCV's T [m], which is that of the board's squares. Raises InputError for what is
+    missing, of no known format, or wrong.
+    """
+    if len(paths) == 1 and paths[0].is_dir():
+        return read_euroc(paths[0])
+    if not 1 <= len(paths) <= 2:
+        raise InputError(f"--calibration: {len(paths)} were given; give {KINDS}")
+    texts = []
+    for path in paths:
+        try:
+            texts.append(read_text(path, CONFIGURATION_BYTES, "a calibration"))
+        except MissingFile:
+            raise InputError(f"{path} is missing: give {KINDS}") from None
+    if any(is_opencv(text) for text in texts):
+        return read_opencv(paths, unit_m)
+    contents = [parse_yaml(text, str(path)) for text, path in zip(texts, paths, strict=True)]
+    for path, content in zip(paths, contents, strict=True):
+        if not isinstance(content, dict):
+            raise InputError(f"{path} is no calibration: give {KINDS}")
+    if len(paths) == 1 and is_kalibr(contents[0]):
+        return read_kalibr(paths[0], contents[0])
+    if all(is_camera_info(content) for content in contents):
+        if len(paths) == 1:
+            raise InputError(f"{paths[0]}: the camera_info of one camera; give those of both: LEFT RIGHT")
+        return rig_of(
+            [read_camera_info(path, content) for path, content in zip(paths, contents, strict=True)]
+        )
+    return read_opencv(paths, unit_m)

@@ -1,0 +1,128 @@
+"""Which images of a recording become pairs of the dataset."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polhode.errors import InputError
+from polhode.importers.options import ImportOptions
+from polhode.importers.sources.recording import Contents, Wanted
+from polhode.pairing import (
+    Pairing,
+    differences_in_words,
+    offset_in_words,
+    pair_by_time,
+    time_in_words,
+)
+from polhode.records import Ints
+
+MIN_PAIRS = 3
+MIN_SHARE = 0.4
+"""Of the images of the camera that has fewer: what a dataset may have lost."""
+
+
+@dataclass(frozen=True)
+class ChosenPairs:
+    """The pairs that are imported, K of them, in order of time."""
+
+    left: Ints
+    """(K,) indices into the left timestamps"""
+    right: Ints
+    """(K,) into the right ones"""
+    stamps_ns: Ints
+    """(K,) of the pairs: those of the left images"""
+    offset_ns: int
+    """What the right camera's timestamps were later"""
+    interval_ns: int
+    """Usual interval between images of the left camera"""
+    unpaired: tuple[int, int]
+    """Images of the left and the right camera without a partner"""
+    warnings: tuple[str, ...]
+
+    @property
+    def wanted(self) -> Wanted:
+        """Indices of both cameras."""
+        return frozenset(self.left.tolist()), frozenset(self.right.tolist())
+
+    @property
+    def rate_hz(self) -> float:
+        """Pairs a second, as they are imported."""
+        step_ns = float(np.median(np.diff(self.stamps_ns))) if len(self.stamps_ns) > 1 else 0.0
+        return 1e9 / step_ns if step_ns else 1.0
+
+
+def choose_pairs(name: str, contents: Contents, options: ImportOptions) -> ChosenPairs:
+    """Pairs by nearest time, then the part and the steps that the user wants.
+
+    Raises InputError when there is no common time, or too few pairs are within the tolerance or the part.
+    """
+    left_ns, right_ns = contents.stamps_ns
+    given_ns = None if options.offset_s is None else round(1e9 * options.offset_s)
+    tolerance_ns = None if options.tolerance_s is None else round(1e9 * options.tolerance_s)
+    _require_overlap(name, left_ns, right_ns - (given_ns or 0))
+    pairing = pair_by_time(left_ns, right_ns, tolerance_ns, given_ns)
+    if len(pairing.left) < max(MIN_PAIRS, MIN_SHARE * min(len(left_ns), len(right_ns))):
+        raise _too_few(name, pairing)
+    stamps_ns = left_ns[pairing.left]
+    since_s = 1e-9 * (stamps_ns - stamps_ns[0])
+    chosen = np.flatnonzero((since_s >= options.start_s) & (since_s <= options.end_s))[:: options.every]
+    if len(chosen) < MIN_PAIRS:
+        raise InputError(
+            f"{name}: {len(chosen)} of {len(stamps_ns)} pairs are left by --start, --end and --every; at "
+            f"least {MIN_PAIRS} are needed of the {since_s[-1]:.4g} s"
+        )
+    lone = len(left_ns) - len(pairing.left), len(right_ns) - len(pairing.right)
+    warnings = []
+    if pairing.offset_ns and given_ns is None:
+        words = offset_in_words(pairing.offset_ns, pairing.interval_ns, "the right camera", "the left one")
+        warnings.append(f"{words}: taken for an offset of their clocks, and removed")
+    if any(lone):
+        words = differences_in_words(np.delete(pairing.nearest_ns, pairing.left)) if lone[0] else ""
+        nearest = f"; the nearest right images are off {words}" if words else ""
+        warnings.append(
+            f"{lone[0]} left and {lone[1]} right images have no partner within "
+            f"{time_in_words(pairing.tolerance_ns)}{nearest} (--tolerance-s)"
+        )
+    return ChosenPairs(
+        pairing.left[chosen],
+        pairing.right[chosen],
+        stamps_ns[chosen],
+        pairing.offset_ns,
+        pairing.interval_ns,
+        lone,
+        tuple(warnings),
+    )
+
+
+def _require_overlap(name: str, left_ns: Ints, right_ns: Ints) -> None:
+    gap_ns = max(int(right_ns[0] - left_ns[-1]), int(left_ns[0] - right_ns[-1]))
+    if gap_ns > 0:
+        late, early = ("right", "left") if right_ns[0] > left_ns[-1] else ("left", "right")
+        off_s = 1e-9 * int(right_ns[0] - left_ns[0])
+        raise InputError(
+            f"{name}: the cameras have no time in common: the {late} one begins {time_in_words(gap_ns)} "
+            f"after the {early} one ends; if only their clocks differ, give --offset-s {off_s:.9g}"
+        )
+
+
+def _too_few(name: str, pairing: Pairing) -> InputError:
+    """The line about stamps that do not fit each other."""
+    raw_ns = pairing.nearest_ns + pairing.offset_ns
+    near = raw_ns[2 * np.abs(raw_ns) <= pairing.interval_ns]
+    if not len(near):
+        return InputError(
+            f"{name}: no left image has a right one within half of its interval of "
+            f"{time_in_words(pairing.interval_ns)}; give the --offset-s of the right camera's clock"
+        )
+    middle_ns = float(np.median(near))
+    needed_s = 1.05e-9 * float(np.abs(near - middle_ns).max())
+    return InputError(
+        f"{name}: {len(pairing.left)} pairs within {time_in_words(pairing.tolerance_ns)} of a constant "
+        f"offset: the nearest images of the two cameras differ by {_signed(near.min())} to "
+        f"{_signed(near.max())}, {_signed(middle_ns)} in the median; trigger the cameras together, or give "
+        f"--tolerance-s {needed_s:.3g} to pair them nevertheless"
+    )
+
+
+def _signed(time_ns: float) -> str:
+    return ("-" if time_ns < 0 else "") + time_in_words(time_ns)

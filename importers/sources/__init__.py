@@ -1,0 +1,14 @@
+"""What is recorded, one kind of recording a file.
+
+In: the paths of the user. Out: a ``Recording``: timestamps of both cameras, images one after the other, and
+what else a recording holds.
+
+- open_recording: which kind the paths are, and the recording
+- recording: the records that all kinds have in common
+- image_folders: two folders of images
+- euroc: a folder in the layout of EuRoC, or a dataset
+- tum_rgbd: a folder of TUM's RGB-D benchmark, which is refused: it has one camera
+- ros_bag: bags of ROS 1 and ROS 2, over ros_messages (images, poses) and ros_frames (tf)
+- video: one side-by-side video, or two videos
+- stamp_files: tables of timestamps
+"""

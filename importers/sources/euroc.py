@@ -1,0 +1,77 @@
+"""A folder in the layout of EuRoC: a dataset of polhode, or a sequence as its authors publish it.
+
+Images, masks and tables are copied as they are. ``inspector0`` gives the inspector's poses; without it,
+EuRoC's ``state_groundtruth_estimate0`` does, which states those of the same body.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from polhode.errors import InputError
+from polhode.importers.calibrations.euroc import read_euroc
+from polhode.importers.sources.image_folders import ImageFiles
+from polhode.importers.sources.recording import Contents, Poses
+from polhode.lie import make_pose
+from polhode.tables import attitudes_of, read_listing, read_table
+
+ESTIMATE = "state_groundtruth_estimate0"
+COPIED = ("inspector0/data.csv", "inspector0/sensor.yaml", "wrench0/data.csv")
+
+
+def is_euroc(path: Path) -> bool:
+    """Whether a folder has EuRoC's layout."""
+    return (path / "mav0").is_dir() or (path / "cam0" / "data.csv").is_file()
+
+
+def open_euroc(path: Path, poses: str | None) -> ImageFiles:
+    """The recording in ``path``. Raises InputError for what is missing or wrong.
+
+    ``poses``: ``none`` leaves the inspector's poses out.
+    """
+    mav0 = path / "mav0" if (path / "mav0").is_dir() else path
+    cameras = (mav0 / "cam0", mav0 / "cam1")
+    for camera in cameras:
+        if not camera.is_dir():
+            raise InputError(f"{camera} is missing: a stereo pair needs cam0 (left) and cam1 (right)")
+    listings = [read_listing(camera / "data.csv") for camera in cameras]
+    files = [
+        tuple(camera / "data" / name for name in names.values())
+        for camera, names in zip(cameras, listings, strict=True)
+    ]
+    stamps = [np.array(list(names), dtype=np.int64) for names in listings]
+    rig = read_euroc(mav0)
+    tables = {name: mav0 / name for name in COPIED if (mav0 / name).is_file()}
+    found: Poses | None = None
+    notes: tuple[str, ...] = ()
+    if poses == "none":
+        tables = {name: table for name, table in tables.items() if not name.startswith("inspector0")}
+    elif poses is not None:
+        raise InputError(
+            f"--poses {poses}: a folder of EuRoC has no topics; leave it out, or give --poses none"
+        )
+    elif "inspector0/data.csv" not in tables and (mav0 / ESTIMATE / "data.csv").is_file():
+        found = _estimate(mav0 / ESTIMATE / "data.csv")
+        notes = (f"inspector poses: {ESTIMATE} (--poses none: cameras at rest)",)
+    masks = [folder if (folder := mav0 / f"masks{index}").is_dir() else None for index in (0, 1)]
+    return ImageFiles(
+        str(path),
+        (files[0], files[1]),
+        Contents(
+            (stamps[0], stamps[1]),
+            rig,
+            found,
+            bits=rig.left.bits,
+            tables=tables,
+            masks=(masks[0], masks[1]),
+            notes=notes,
+        ),
+    )
+
+
+def _estimate(path: Path) -> Poses:
+    """The poses of EuRoC's state estimate: p_RS_R (3) [m], q_RS (w, x, y, z)."""
+    table = read_table(path, columns=7)
+    return Poses(
+        table.timestamps_ns, make_pose(attitudes_of(table, table.values[:, 3:], "q_RS"), table.values[:, :3])
+    )

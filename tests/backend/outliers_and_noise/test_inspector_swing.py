@@ -1,0 +1,120 @@
+"""A swing of the inspector is found with its course; disturbances of the target are not taken for one."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from polhode.backend.outliers_and_noise.inspector_swing import (
+    LENGTHS,
+    InspectorSwing,
+    directions_across,
+    find_swing,
+    smooth_functions,
+)
+from polhode.backend.problem.inertia import second_moments_from_inertia
+from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.motion_data import motion_data
+from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.solve import refine
+from polhode.config.backend_settings import Backend
+from polhode.lie import Array, exp_so3
+from polhode.simulation.monte_carlo import generate, random_scene
+
+FRAMES = 30
+K: Array = np.arange(FRAMES, dtype=np.float64)
+SWING: Array = np.deg2rad(0.5) * np.stack([np.sin(K / 5.0), np.cos(K / 7.0), 0.0 * K], axis=1)
+"""(F, 3) [rad] along N, of the stated attitude against the true one"""
+NOISE = {"sigma_uv_px": 0.3, "sigma_d_px": 0.1}
+
+
+@cache
+def swing_of(
+    swings: bool, psd: float = 1e-8, found_psd: float = 1e-8, sigma_rad: float = 0.0, frames: int = FRAMES
+) -> InspectorSwing | None:
+    """At the solution under a process noise, as it is estimated."""
+    scene = random_scene(
+        4, frames=FRAMES, landmarks=150, detection=0.4, accel_psd=psd, torque_psd=psd, **NOISE
+    )
+    sequence = generate(scene, 4)
+    X_NR = sequence.X_NR.copy()
+    X_NG = sequence.X_NG.copy()
+    if swings:
+        X_NR[:, :3, :3] = exp_so3(SWING) @ X_NR[:, :3, :3]
+    tracks, truth = sequence.tracks, sequence.truth
+    few = tracks.frame < frames
+    landmark, first = np.unique(tracks.landmark[few], return_inverse=True)
+    tracks = replace(
+        tracks,
+        X_NR=X_NR[:frames],
+        timestamps_ns=tracks.timestamps_ns[:frames],
+        sigma_camera_theta_rad=sigma_rad,
+        landmark=first.astype(np.int64),
+        **{name: getattr(tracks, name)[few] for name in ("frame", "uvd_px", "sigma_px")},
+    )
+    data = motion_data(tracks, Backend(accel_psd=found_psd, torque_psd=10.0 * found_psd))
+    R_GP = truth.R_GP
+    J_G = R_GP @ np.diag(truth.moments) @ R_GP.T
+    xi, R_inertia = data.form.coordinates(second_moments_from_inertia(J_G, 0.0))
+    start = Iterate(
+        p_NG=X_NG[:frames, :3, 3],
+        R_NG=X_NG[:frames, :3, :3],
+        v_N=truth.v_N[:frames],
+        w_G=truth.w_P[:frames] @ R_GP.T,
+        com_G=truth.com_G,
+        xi=xi,
+        R_inertia=R_inertia,
+        p_G=sequence.p_G[landmark],
+        camera=np.zeros((frames, 6)) if data.camera_is_noisy else None,
+    )
+    solution = refine(GaussNewton(data, line_search=True), data, start, 20)[0]
+    return find_swing(data, solution)
+
+
+def test_a_swing_is_found_with_its_course() -> None:
+    found = swing_of(True, found_psd=1e-7)
+    assert found is not None and found.evidence_gain > 15.0
+    true = SWING - SWING.mean(axis=0)
+    assert found.rms_rad == pytest.approx(float(np.sqrt(np.mean(np.sum(true**2, axis=1)))), rel=0.3)
+    # the target is in front of the camera: what is across the line of sight is along x and y
+    assert np.corrcoef(found.alpha_N[:, :2].ravel(), -true[:, :2].ravel())[0, 1] > 0.9
+
+
+@pytest.mark.parametrize("psd", [1e-8, 1e-6], ids=["quiet", "strongly disturbed"])
+def test_forces_and_torques_are_no_swing(psd: float) -> None:
+    found = swing_of(False, psd, found_psd=psd)
+    assert found is not None and found.evidence_gain < 3.0
+
+
+def test_a_stated_error_of_the_poses_leaves_less_to_explain() -> None:
+    stated, unstated = swing_of(True, found_psd=1e-7, sigma_rad=0.01), swing_of(True, found_psd=1e-7)
+    assert stated is not None and unstated is not None
+    assert stated.evidence_gain < 0.5 * unstated.evidence_gain
+
+
+def test_too_few_frames_say_nothing() -> None:
+    assert swing_of(False, frames=6) is None
+
+
+def test_the_functions_have_the_correlation_of_a_swing() -> None:
+    functions, roots = smooth_functions(np.full(59, 0.5))
+    between = np.subtract.outer(np.arange(60.0), np.arange(60.0)) / 59.0
+    for length, root in zip(LENGTHS, roots, strict=True):
+        spread = functions @ root
+        assert spread @ spread.T == pytest.approx(np.exp(-0.5 * (between / length) ** 2), abs=3e-3)
+
+
+def test_no_function_is_faster_than_three_frames() -> None:
+    functions, roots = smooth_functions(np.full(11, 0.5))
+    neighbours = [float((functions @ root @ root.T @ functions.T)[5, 6]) for root in roots]
+    three, longest = np.exp(-0.5 / 9.0), np.exp(-0.5 * (3.0 / 11.0) ** 2)
+    assert neighbours == pytest.approx([three, three, longest], abs=3e-3)
+
+
+def test_directions_are_across_the_line_of_sight() -> None:
+    d = np.random.default_rng(1).normal(size=(5, 3)) + np.array([0.0, 0.0, 4.0])
+    across = directions_across(d)
+    assert np.einsum("fi,fij->fj", d, across) == pytest.approx(np.zeros((5, 2)), abs=1e-12)
+    products = np.einsum("fij,fik->fjk", across, across)
+    assert products == pytest.approx(np.tile(np.eye(2), (5, 1, 1)), abs=1e-12)

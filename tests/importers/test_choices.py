@@ -1,0 +1,189 @@
+"""What the user chooses: parts, steps, cropped images, times, topics, poses."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from benchmarks.importers.recordings import (
+    BagContents,
+    original,
+    write_folders,
+    write_kalibr,
+    write_ros1,
+    write_ros2,
+    write_side_by_side,
+)
+from polhode.cli.main import main
+from polhode.dataset import open_sequence
+from polhode.dataset_writer import write_inspector, write_png
+from polhode.importers.options import Crop, parse_crop
+from polhode.lie import exp_so3, make_pose
+from tests.conftest import TIMESTAMPS_NS
+from tests.importers.imports import imported, refused, require_same
+
+N = len(TIMESTAMPS_NS)
+X_NB = make_pose(
+    exp_so3(np.linspace([0.0, 0.0, 0.0], [0.3, 0.2, -0.4], N)),
+    np.linspace([0.0, 0.0, 0.0], [1.0, 2.0, 3.0], N),
+)
+X_BC0 = make_pose(exp_so3([0.0, 0.0, 0.5]), [0.1, 0.0, 0.2])
+
+
+def test_parts_and_steps(small_sequence: Path, tmp_path: Path) -> None:
+    imported([small_sequence], tmp_path / "back", start_s=0.5, end_s=2.5, every=2)
+    assert list(original(tmp_path / "back").files[1]) == TIMESTAMPS_NS[[1, 3, 5]].tolist()
+
+
+def test_a_crop_moves_the_principal_point_and_cuts_the_masks(small_sequence: Path, tmp_path: Path) -> None:
+    mask = np.zeros((48, 64), dtype=np.bool_)
+    mask[20:30, 30:40] = True
+    for stamp in TIMESTAMPS_NS:
+        write_png(small_sequence / "mav0" / "masks1" / f"{stamp}.png", mask)
+    imported([small_sequence], tmp_path / "back", crop=Crop(10, 6, 40, 32))
+    data, sequence = original(small_sequence), open_sequence(tmp_path / "back")
+    assert (sequence.calibration.width_px, sequence.calibration.height_px) == (40, 32)
+    np.testing.assert_array_equal(sequence.calibration.K1[:2, 2], [21.5, 17.5])
+    pair = sequence.read_pair(2)
+    third = int(TIMESTAMPS_NS[2])
+    np.testing.assert_array_equal(pair.right, data.pixels(1, third)[6:38, 10:50])
+    np.testing.assert_array_equal(pair.mask_right, mask[6:38, 10:50])
+
+
+@pytest.mark.parametrize("text", ["1,2,3", "a,0,1,1", "-1,0,5,5", "0,0,0,5"])
+def test_crops_that_are_none(text: str) -> None:
+    from polhode.errors import InputError
+
+    with pytest.raises(InputError, match=r"^--crop "):
+        parse_crop(text)
+
+
+def test_numbered_images_have_a_rate(small_sequence: Path, tmp_path: Path) -> None:
+    data = original(small_sequence)
+    for camera, name in enumerate(("left", "right")):
+        (tmp_path / name).mkdir()
+        for k, stamp in enumerate(data.files[camera]):
+            # the right camera lost one
+            if (camera, k) != (1, 2):
+                Image.fromarray(data.pixels(camera, stamp)).save(tmp_path / name / f"img{k + 8}.png")
+    chain = write_kalibr(data, tmp_path / "k.yaml")
+    done = imported(
+        [tmp_path / "left", tmp_path / "right"], tmp_path / "back", calibration=(chain,), rate_hz=4.0
+    )
+    assert "1 left and 0 right images have no partner" in done.warnings[0]
+    assert list(original(tmp_path / "back").files[0]) == [
+        2 * 10**9 + 250_000_000 * k for k in (0, 1, 3, 4, 5)
+    ]
+
+
+def test_times_in_names_and_tables(small_sequence: Path, tmp_path: Path) -> None:
+    data = original(small_sequence)
+    for camera, name in enumerate(("left", "right")):
+        (tmp_path / name).mkdir()
+        for stamp, path in data.files[camera].items():
+            (tmp_path / name / f"{stamp // 10**9}.{stamp % 10**9 // 10**3:06d}.png").write_bytes(
+                path.read_bytes()
+            )
+    chain = write_kalibr(data, tmp_path / "k.yaml")
+    imported([tmp_path / "left", tmp_path / "right"], tmp_path / "named", calibration=(chain,))
+    require_same(data, tmp_path / "named")
+    table = small_sequence / "mav0" / "cam0" / "data.csv"
+    imported(
+        [tmp_path / "left", tmp_path / "right"], tmp_path / "listed", calibration=(chain,), stamps=(table,)
+    )
+    require_same(data, tmp_path / "listed")
+
+
+def test_a_video_has_its_own_times(small_sequence: Path, tmp_path: Path) -> None:
+    data = original(small_sequence)
+    chain = write_kalibr(data, tmp_path / "k.yaml")
+    imported([write_side_by_side(data, tmp_path / "v.mkv")], tmp_path / "back", calibration=(chain,))
+    assert list(original(tmp_path / "back").files[0]) == [500_000_000 * k for k in range(N)]
+
+
+def test_an_offset_of_the_clocks_is_removed_and_stated(small_sequence: Path, tmp_path: Path) -> None:
+    data = original(small_sequence)
+    for later_ns, words in (
+        (4_000, "4 us (8e-06 frames) after"),
+        (-200_000_000, "0.2 s (0.4 frames) before"),
+    ):
+        folders = write_folders(data, tmp_path / f"images{later_ns}", later_ns)
+        chain = write_kalibr(data, tmp_path / "k.yaml")
+        done = imported(folders, tmp_path / f"back{later_ns}", calibration=(chain,))
+        assert done.warnings[0].startswith(f"the stamps of the right camera are {words}")
+        require_same(data, tmp_path / f"back{later_ns}")
+    record = json.loads((tmp_path / "back4000" / "import.json").read_text())
+    assert record["offset_of_stamps_s"] == pytest.approx(4e-6) and record["pairs"] == N
+
+
+def test_a_given_offset_pairs_clocks_far_apart(small_sequence: Path, tmp_path: Path) -> None:
+    data = original(small_sequence)
+    folders = write_folders(data, tmp_path / "images", 7_200_000_000_000)
+    chain = write_kalibr(data, tmp_path / "k.yaml")
+    line = refused(folders, tmp_path / "back", calibration=(chain,))
+    assert "no time in common" in line and "give --offset-s 7200" in line
+    imported(folders, tmp_path / "back", calibration=(chain,), offset_s=7200.0)
+    require_same(data, tmp_path / "back")
+
+
+@pytest.mark.parametrize("form", ["odometry", "PoseStamped", "tf"])
+def test_poses_of_the_inspector(form: str, small_sequence: Path, tmp_path: Path) -> None:
+    options: dict[str, str] = {}
+    contents = BagContents(odometry=X_NB, X_BC0=X_BC0)
+    if form == "PoseStamped":
+        contents, options = (
+            BagContents(posestamped=X_NB, X_BC0=X_BC0),
+            {"poses": "/pose", "pose_of": "base_link"},
+        )
+    elif form == "tf":
+        contents, options = BagContents(moving_tf=X_NB, X_BC0=X_BC0), {"poses": "tf:map"}
+    bag = write_ros2(original(small_sequence), tmp_path / "bag", contents)
+    done = imported([bag], tmp_path / "back", **options)
+    sequence = open_sequence(tmp_path / "back")
+    assert sequence.inspector_moves and done.warnings == ()
+    np.testing.assert_allclose(sequence.X_NC, X_NB @ X_BC0, atol=1e-12)
+    np.testing.assert_allclose(sequence.sigma_camera_p_m, 1e-3 if form == "odometry" else 0.0)
+    np.testing.assert_allclose(sequence.sigma_camera_theta_rad, 2e-3 if form == "odometry" else 0.0)
+
+
+def test_poses_are_left_out_on_request_and_where_nothing_links_them(
+    small_sequence: Path, tmp_path: Path
+) -> None:
+    data = original(small_sequence)
+    bag = write_ros1(data, tmp_path / "a.bag", BagContents(odometry=X_NB, X_BC0=X_BC0))
+    imported([bag], tmp_path / "without", poses="none")
+    require_same(data, tmp_path / "without")
+    unlinked = write_ros1(data, tmp_path / "b.bag", BagContents(odometry=X_NB))
+    done = imported([unlinked], tmp_path / "unlinked")
+    assert "poses of frame 'base_link', which tf_static does not link" in done.warnings[0]
+    assert "give --pose-of left" in refused([unlinked], tmp_path / "asked", poses="/odom")
+    imported([unlinked], tmp_path / "left", poses="/odom", pose_of="left")
+    np.testing.assert_allclose(open_sequence(tmp_path / "left").X_NC, X_NB, atol=1e-12)
+    stamped = write_ros1(data, tmp_path / "c.bag", BagContents(posestamped=X_NB))
+    assert "poses of /pose are not used" in imported([stamped], tmp_path / "stamped").notes[1]
+
+
+def test_poses_of_an_euroc_folder(small_sequence: Path, tmp_path: Path) -> None:
+    write_inspector(small_sequence / "mav0", TIMESTAMPS_NS, X_NB, 0.01)
+    imported([small_sequence], tmp_path / "ours")
+    np.testing.assert_array_equal(open_sequence(tmp_path / "ours").X_NC, open_sequence(small_sequence).X_NC)
+    (small_sequence / "mav0" / "inspector0").rename(small_sequence / "mav0" / "state_groundtruth_estimate0")
+    done = imported([small_sequence], tmp_path / "theirs")
+    assert "inspector poses: state_groundtruth_estimate0" in done.notes[0]
+    np.testing.assert_allclose(open_sequence(tmp_path / "theirs").X_NC, X_NB, atol=1e-12)
+    imported([small_sequence], tmp_path / "none", poses="none")
+    assert not open_sequence(tmp_path / "none").inspector_moves
+
+
+def test_the_command_prints_what_it_chose(
+    small_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write_ros1(original(small_sequence), tmp_path / "a.bag")
+    out = tmp_path / "back"
+    assert main(["import", str(bag), "-o", str(out), "--crop", "2,4,48,40", "--every", "2"]) == 0
+    printed = capsys.readouterr().out
+    assert "left /stereo/left/image_raw, right /stereo/right/image_raw" in printed
+    assert f"3 stereo pairs, 2 s: {out}" in printed
+    assert open_sequence(out).calibration.width_px == 48

@@ -1,0 +1,166 @@
+"""A dataset written in each format and imported back is the same, bit by bit."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from benchmarks.importers.recordings import (
+    BagContents,
+    Original,
+    original,
+    write_camera_info,
+    write_folders,
+    write_kalibr,
+    write_opencv,
+    write_ros1,
+    write_ros2,
+    write_side_by_side,
+    write_stamps,
+    write_video,
+)
+from polhode.dataset import open_sequence
+from polhode.importers.calibrations.read_rig import read_rig
+from polhode.lie import exp_so3, inverse_pose, make_pose
+from tests.importers.imports import imported, require_same
+
+Written = tuple[Sequence[Path], dict[str, Any]]
+
+
+def folders(data: Original, area: Path) -> Written:
+    return write_folders(data, area / "images"), {
+        "calibration": (write_kalibr(data, area / "camchain.yaml"),)
+    }
+
+
+def with_opencv(suffix: str, unit_m: float = 1.0) -> Callable[[Original, Path], Written]:
+    def write(data: Original, area: Path) -> Written:
+        path = write_opencv(data, area / f"stereo{suffix}", unit_m)
+        return write_folders(data, area / "images"), {"calibration": (path,), "unit_m": unit_m}
+
+    return write
+
+
+def with_camera_info(data: Original, area: Path) -> Written:
+    return write_folders(data, area / "images"), {"calibration": write_camera_info(data, area)}
+
+
+def with_rig_folder(data: Original, area: Path) -> Written:
+    return write_folders(data, area / "images"), {"calibration": (data.folder,)}
+
+
+def ros1(contents: BagContents, compression: str = "") -> Callable[[Original, Path], Written]:
+    return lambda data, area: ([write_ros1(data, area / "a.bag", contents, compression)], {})
+
+
+def ros2(contents: BagContents, storage: str) -> Callable[[Original, Path], Written]:
+    return lambda data, area: ([write_ros2(data, area / "bag", contents, storage)], {})
+
+
+def single_file(data: Original, area: Path) -> Written:
+    bag = write_ros2(data, area / "bag", storage="MCAP")
+    return [next(bag.glob("*.mcap"))], {}
+
+
+def side_by_side(data: Original, area: Path) -> Written:
+    chain, stamps = write_kalibr(data, area / "camchain.yaml"), write_stamps(data, area / "times.txt")
+    return [write_side_by_side(data, area / "both.mkv")], {"calibration": (chain,), "stamps": (stamps,)}
+
+
+def two_videos(data: Original, area: Path) -> Written:
+    chain, stamps = write_kalibr(data, area / "camchain.yaml"), write_stamps(data, area / "times.txt")
+    videos = [
+        write_video((data.pixels(camera, stamp) for stamp in data.files[camera]), area / f"{camera}.mkv")
+        for camera in (0, 1)
+    ]
+    return videos, {"calibration": (chain,), "stamps": (stamps,)}
+
+
+def euroc(data: Original, area: Path) -> Written:
+    return [data.folder], {}
+
+
+FORMATS: dict[str, Callable[[Original, Path], Written]] = {
+    "Kalibr and folders": folders,
+    "OpenCV, YAML": with_opencv(".yml"),
+    "OpenCV, JSON": with_opencv(".json"),
+    "ROS camera_info": with_camera_info,
+    "a rig of ours": with_rig_folder,
+    "ROS 1": ros1(BagContents()),
+    "ROS 1, bz2, without tf": ros1(BagContents(tf=False), "BZ2"),
+    "ROS 1, compressed images": ros1(BagContents(compressed=True), "LZ4"),
+    "ROS 2, sqlite3": ros2(BagContents(), "SQLITE3"),
+    "ROS 2, MCAP": ros2(BagContents(), "MCAP"),
+    "ROS 2, compressed images": ros2(BagContents(compressed=True), "MCAP"),
+    "ROS 2, a single file": single_file,
+    "side-by-side video": side_by_side,
+    "two videos": two_videos,
+    "EuRoC": euroc,
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_dataset_comes_back_bit_by_bit(name: str, small_sequence: Path, tmp_path: Path) -> None:
+    data = original(small_sequence)
+    area = tmp_path / "area"
+    area.mkdir()
+    sources, options = FORMATS[name](data, area)
+    done = imported(sources, tmp_path / "back", **options)
+    assert done.pairs == 6 and done.warnings == ()
+    require_same(data, tmp_path / "back")
+
+
+def turned(data: Original) -> Original:
+    """The same images with a rig whose cameras converge."""
+    X_BC1 = make_pose(exp_so3([0.01, -0.13, 0.02]), [0.091, 0.0012, -0.003])
+    return replace(data, calibration=replace(data.calibration, X_BC0=np.eye(4), X_BC1=X_BC1))
+
+
+@pytest.mark.parametrize("form", ["Kalibr", "OpenCV", "millimetres", "camera_info"])
+def test_a_converging_rig_comes_back_to_rounding(form: str, small_sequence: Path, tmp_path: Path) -> None:
+    """Formats that state the inverse pose, another unit, or a product round in the last digits."""
+    data = turned(original(small_sequence))
+    unit_m, paths = 1.0, (write_kalibr(data, tmp_path / "k.yaml"),)
+    if form == "OpenCV":
+        paths = (write_opencv(data, tmp_path / "o.yml"),)
+    elif form == "millimetres":
+        unit_m, paths = 1e-3, (write_opencv(data, tmp_path / "o.yml", 1e-3),)
+    elif form == "camera_info":
+        paths = write_camera_info(data, tmp_path)  # type: ignore[assignment]
+    rig = read_rig(paths, unit_m)
+    np.testing.assert_array_equal(rig.left.X_BC, np.eye(4))
+    np.testing.assert_allclose(
+        rig.right.X_BC, data.calibration.X_BC1, rtol=0.0, atol=3e-16 if form != "camera_info" else 2e-15
+    )
+    assert rig.right.intrinsics == (50.0, 51.0, 31.5, 23.5) and rig.right.distortion == (-0.1, 0.01, 0.0, 0.0)
+
+
+def test_an_imu_is_the_body(small_sequence: Path, tmp_path: Path) -> None:
+    data = original(small_sequence)
+    path = write_kalibr(data, tmp_path / "k.yaml")
+    X_BC0 = make_pose(exp_so3([0.3, -0.2, 0.9]), [0.1, 0.2, -0.3])
+
+    text = path.read_text().replace("cam0:\n", f"cam0:\n  T_cam_imu: {inverse_pose(X_BC0).tolist()}\n")
+    path.write_text(text)
+    rig = read_rig([path])
+    np.testing.assert_allclose(rig.left.X_BC, X_BC0, atol=1e-15)
+    np.testing.assert_allclose(rig.right.X_BC, X_BC0 @ data.X_01, atol=1e-15)
+
+
+def test_fisheyes_of_two_resolutions_are_imported(small_sequence: Path, tmp_path: Path) -> None:
+    data = original(small_sequence)
+    left, right = write_folders(data, tmp_path / "images")
+    for path in right.iterdir():
+        Image.open(path).resize((32, 24)).save(path)
+    chain = write_kalibr(data, tmp_path / "k.yaml")
+    text = chain.read_text().replace("radtan", "equidistant")
+    first, second = text.split("cam1:")
+    chain.write_text(f"{first}cam1:{second.replace('- 64', '- 32').replace('- 48', '- 24')}")
+    imported([left, right], tmp_path / "back", calibration=(chain,))
+    calibration = open_sequence(tmp_path / "back").calibration
+    assert calibration.fisheye0 and calibration.fisheye1
+    assert (calibration.size_px(0), calibration.size_px(1)) == ((64, 48), (32, 24))

@@ -1,0 +1,214 @@
+"""polhode checkout: its files, its status, another calibration, bad input, and what a run warns of."""
+
+import json
+import logging
+import shutil
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+
+from polhode.cli.main import main
+from polhode.dataset import open_sequence
+from polhode.dataset_writer import image_path, write_camera_csv
+from polhode.frontend.rectification import make_rectifier
+from polhode.pipeline.checkout.checkout import Checkout, checkout, warn_before_run
+from polhode.pipeline.checkout.page import render
+from polhode.pipeline.checkout.result import SCHEMA_FILE, CheckoutResult
+from polhode.pipeline.checkout.sample import places
+from polhode.pipeline.run_directory.summary_schema import json_schema, json_text
+from polhode.records import Ints
+
+Capture = pytest.CaptureFixture[str]
+FEW_MATCHES = ("matches of the median successive pair", "successive pairs that match")
+WITHOUT_IMAGES = {"stamps of the right camera against the left", "images without a partner"}
+
+
+@pytest.fixture(scope="module")
+def done(rendered_sequence: Path) -> Checkout:
+    return checkout(rendered_sequence, workers=1, count=3)
+
+
+def text_of(done: Checkout) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(json_text(done.result))
+    return content
+
+
+def test_a_sound_sequence_passes_but_for_its_large_turns(done: Checkout) -> None:
+    result = done.result
+    assert (result.pairs, result.pairs_examined, result.rig) == (14, 6, "sequence")
+    beyond = {check.name: check.status for check in result.checks if check.status != "PASS"}
+    assert beyond == dict.fromkeys(FEW_MATCHES, "WARN") and result.status == "WARN"
+    unmeasured = {check.name for check in result.checks if check.value is None}
+    assert unmeasured <= {
+        "images with masks, where some have one",
+        "distance from an image to the nearest inspector pose",
+        "delay between the cameras",
+    }
+    # 9.7 RPM, twice a second
+    assert result.named("turn between successive frames").value == pytest.approx(29.1, abs=0.5)
+    # a free flyer of 0.22 m, 0.5 m away
+    assert " their median 0.4" in result.named("smallest disparity").finding
+    assert result.named("vertical disparity").value < 0.1  # type: ignore[operator]
+
+
+def test_the_file_fits_its_schema_which_is_the_models(done: Checkout) -> None:
+    schema = json.loads(SCHEMA_FILE.read_text())
+    assert schema == json.loads(json.dumps(json_schema(CheckoutResult)))
+    content = text_of(done)
+    jsonschema.validate(content, schema)
+    for check in content["checks"]:
+        assert {"name", "value", "unit", "limit", "status", "advice"} <= check.keys()
+        assert check["status"] in ("PASS", "WARN", "FAIL") and check["advice"].endswith(".")
+        assert check["finding"].endswith(".")
+
+
+def test_the_page_has_every_check_and_nothing_from_elsewhere(done: Checkout) -> None:
+    page = render(done, "<seq>")
+    assert all(check.name in page for check in done.result.checks)
+    assert "&lt;seq&gt;" in page and "<seq>" not in page
+    assert "data:image/jpeg;base64," in page and 'src="http' not in page
+    for key in ("rows-map", "rows-slopes", "ranges", "turns", "images", "times"):
+        assert f'data-target="plot-{key}"' in page
+
+
+def test_the_command_writes_both_files_and_says_what_does_not_pass(
+    rendered_sequence: Path, done: Checkout, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setattr("polhode.pipeline.checkout.checkout.checkout", lambda *_: done)
+    assert main(["checkout", str(rendered_sequence), "-o", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr()
+    assert printed.out.splitlines()[-1] == f"Checkout: {tmp_path / 'out' / 'checkout.html'}"
+    count = len(done.result.checks)
+    assert f"WARN: {count - 2} of {count} checks pass, 6 of 14 pairs examined" in printed.out
+    assert "WARN  matches of the median successive pair: 0 (at least 20). Record at a higher" in printed.out
+    assert json.loads((tmp_path / "out" / "checkout.json").read_text()) == text_of(done)
+
+
+def test_another_rig_is_checked_against_the_images(rendered_sequence: Path, tmp_path: Path) -> None:
+    rig = tmp_path / "rig"
+    for camera in ("cam0", "cam1"):
+        shutil.copytree(
+            rendered_sequence / "mav0" / camera, rig / camera, ignore=shutil.ignore_patterns("data*")
+        )
+    # the right camera is stated to look 0.3 deg up
+    sensor = rig / "cam1" / "sensor.yaml"
+    import yaml
+
+    content = yaml.safe_load(sensor.read_text())
+    X = np.array(content["T_BS"]["data"]).reshape(4, 4)
+    c, s = np.cos(np.deg2rad(0.3)), np.sin(np.deg2rad(0.3))
+    X[:3, :3] = X[:3, :3] @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    content["T_BS"]["data"] = X.ravel().tolist()
+    sensor.write_text(yaml.safe_dump(content))
+    result = checkout(rendered_sequence, rig, workers=1, count=3).result
+    pitch = result.named("pitch of the right camera")
+    assert (result.rig, result.status, pitch.status) == ("given", "FAIL", "FAIL")
+    assert pitch.value == pytest.approx(0.3, abs=0.03) and "deg down" in pitch.finding
+    # rows are levelled for the other checks
+    assert result.named("turn between successive frames").status == "PASS"
+    assert result.named("stereo features of the median pair").value > 100  # type: ignore[operator]
+
+
+def shifted(source: Path, folder: Path, offset_ns: int) -> Path:
+    """A copy whose right camera's clock differs."""
+    shutil.copytree(source, folder)
+    camera = folder / "mav0" / "cam1"
+    stamps: Ints = np.array(sorted(int(file.stem) for file in (camera / "data").iterdir()), dtype=np.int64)
+    for stamp in stamps.tolist():
+        image_path(camera, stamp).rename(image_path(camera, stamp + offset_ns))
+    write_camera_csv(camera, stamps + offset_ns)
+    return folder
+
+
+def test_clocks_that_differ_are_a_warning_with_the_offset(rendered_sequence: Path, tmp_path: Path) -> None:
+    sequence = shifted(rendered_sequence, tmp_path / "apart", 4_000)
+    result = checkout(sequence, workers=1, count=1).result
+    check = result.named("stamps of the right camera against the left")
+    assert (check.value, check.status, result.pairs) == (4.0, "WARN", 14)
+
+
+def test_clocks_without_a_common_time_fail_instead_of_being_bad_input(
+    small_sequence: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    sequence = shifted(small_sequence, tmp_path / "apart", 3_600_000_000_000)
+    assert main(["checkout", str(sequence), "-o", str(tmp_path / "out")]) == 0
+    assert "FAIL  images without a partner: 100 % (at most 60 %)" in capsys.readouterr().out
+    content = json.loads((tmp_path / "out" / "checkout.json").read_text())
+    assert (content["status"], content["pairs"]) == ("FAIL", 0)
+    assert {check["name"] for check in content["checks"]} == WITHOUT_IMAGES
+    assert "No stamp of one camera" in (tmp_path / "out" / "checkout.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("no sequence", "is not a folder: give the folder that contains mav0/"),
+        ("no camera", "cam1 is missing"),
+        ("black", "all frames are black"),
+        ("no rig", "sensor.yaml"),
+        ("other size", "the images have 64x48; give the calibration of these cameras"),
+        ("damaged calibration", "intrinsics"),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_is_written(
+    change: str, words: str, small_sequence: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    sequence, more, out = small_sequence, [], tmp_path / "out"
+    mav0 = sequence / "mav0"
+    if change == "no sequence":
+        sequence = tmp_path / "nothing"
+    elif change == "no camera":
+        shutil.rmtree(mav0 / "cam1")
+    elif change == "black":
+        from polhode.dataset_writer import write_png
+
+        for file in mav0.rglob("*.png"):
+            write_png(file, np.zeros((48, 64), dtype=np.uint8))
+    elif change == "no rig":
+        more = ["--rig", str(tmp_path / "no_rig")]
+    elif change == "other size":
+        shutil.copytree(mav0, tmp_path / "rig")
+        for file in (tmp_path / "rig").rglob("sensor.yaml"):
+            file.write_text(file.read_text().replace("[64, 48]", "[128, 96]"))
+        more = ["--rig", str(tmp_path / "rig")]
+    else:
+        file = mav0 / "cam0" / "sensor.yaml"
+        file.write_text(file.read_text().replace("intrinsics: [", "intrinsics: [.nan, "))
+    assert main(["checkout", str(sequence), *more, "-o", str(out)]) == 2
+    stderr = capsys.readouterr().err
+    assert words in stderr and stderr.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_run_warns_of_a_tilted_rig_and_not_of_a_sound_one(
+    rendered_sequence: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    from dataclasses import replace
+
+    sequence = open_sequence(rendered_sequence)
+    with caplog.at_level(logging.WARNING):
+        warn_before_run(sequence, make_rectifier(sequence.calibration))
+    assert caplog.messages == []
+    X = sequence.calibration.X_BC1.copy()
+    c, s = np.cos(np.deg2rad(0.3)), np.sin(np.deg2rad(0.3))
+    X[:3, :3] = X[:3, :3] @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    tilted = replace(sequence, calibration=replace(sequence.calibration, X_BC1=X))
+    with caplog.at_level(logging.WARNING):
+        warn_before_run(tilted, make_rectifier(tilted.calibration))
+    assert any(line.startswith("checkout: FAIL: pitch of the right camera") for line in caplog.messages)
+
+
+def test_places_are_spread_and_avoid_gaps() -> None:
+    stamps = 500_000_000 * np.arange(100, dtype=np.int64)
+    found = places(stamps)
+    assert len(found) == 20 and found[0] == 0 and found[-1] == 99
+    assert (np.diff(found)[::2] == 1).all()
+    np.testing.assert_array_equal(places(stamps[:7]), np.arange(7))
+    # every other step is a gap
+    uneven = np.cumsum(np.tile([500_000_000, 500_000_000, 5_000_000_000], 20)).astype(np.int64)
+    found = places(uneven, 4)
+    pairs = found.reshape(-1, 2)
+    assert (np.diff(uneven[pairs], axis=1) == 500_000_000).all()
