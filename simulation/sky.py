@@ -1,9 +1,10 @@
-"""The background of the target: Earth and stars, as far as the scene has them.
+"""The background of the target: a wall, the Earth and stars, as far as the scene has them.
 
 Earth: a ball of radius 1 with oceans, land and clouds. Its air scatters as one layer: light along the view
 grows with the air mass as 1 - exp(-depth), and falls off above the ground with a scale height of 8 km. The
 air mass is Rozenberg's ("Twilight", 1966), 1 / (c + 0.025 exp(-11 c)) at cosine c from the zenith. Clouds and
-coasts are noise with details down to about 5 km. Neither the orbit nor the Earth's rotation moves them.
+coasts are noise with details down to about 5 km. The orbit (``light.earth_rate_deg_s``) moves the camera over
+them; the Earth's own rotation, a fifteenth of that, does not.
 
 Stars: points blurred by the lens at sub-pixel positions, fixed in N. Numbers follow the counts over the whole
 sky, log10 N(< m) = 0.51 m + 0.64: 4 stars to magnitude 0, 1550 to 5, 9000 to 6.5 (Bright Star Catalogue,
@@ -20,10 +21,11 @@ from polhode.compiled import compiled
 from polhode.config import scene_settings as config
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3
-from polhode.simulation.rendering.light import sunlight
+from polhode.simulation.rendering.light import earth_direction_N, sunlight
 from polhode.simulation.rendering.render import RenderedLight
 from polhode.simulation.stereo_camera import Camera
 from polhode.simulation.surface.noise import fractal_at
+from polhode.simulation.wall import Wall
 
 
 class Sky:
@@ -32,6 +34,7 @@ class Sky:
     def __init__(self, scene: config.Scene, seed: int) -> None:
         """Raises InputError: a disc of the Earth or a magnitude that cannot be drawn."""
         asked = scene.background
+        self.wall = Wall(asked.wall, seed) if asked.wall.distance_m > 0.0 else None
         self._earth = Earth(scene.light, seed) if asked.earth else None
         self._stars = star_field(asked.faintest_magnitude, seed) if asked.stars else None
         self._star_level = asked.star_dn / scene.sensor.white_dn
@@ -40,22 +43,26 @@ class Sky:
     def background(
         self, picture: RenderedLight, camera: Camera, X_NK: Array, t_s: float
     ) -> tuple[Array, Array | None]:
-        """Levels (H, W) of the picture with the Earth behind the target; light (H, W) of the stars, if any.
+        """Levels (H, W) of the picture with what is behind the target; light (H, W) of the stars, if any.
 
         X_NK (4, 4), or (S, 4, 4) during the exposure; t_s after the first frame. The light of the stars
-        includes the lens blur, because stars are points, finer than the pixels. The Earth is rendered from
-        one pose: motion hardly blurs it.
+        includes the lens blur, because stars are points, finer than the pixels. Earth and wall are rendered
+        from one pose: motion hardly blurs them.
         """
         poses = X_NK.reshape(-1, 4, 4)
+        middle = poses[len(poses) // 2]
         level, covered = picture.level, picture.covered
+        if self.wall is not None:
+            wall, there = self.wall.level(camera, middle)
+            level = level + (1.0 - covered) * wall
+            covered = np.maximum(covered, there)
         if self._earth is not None:
-            earth = self._earth.level(camera, poses[len(poses) // 2], t_s)
-            level = level + (1.0 - covered) * earth
+            level = level + (1.0 - covered) * self._earth.level(camera, middle, t_s)
         if self._stars is None:
             return level, None
         if self._earth is not None:
-            rays_N = camera.pixel_directions @ poses[len(poses) // 2, :3, :3].T
-            covered = np.maximum(covered, self._earth.hides(rays_N).reshape(covered.shape))
+            rays_N = camera.pixel_directions @ middle[:3, :3].T
+            covered = np.maximum(covered, self._earth.hides(rays_N, t_s).reshape(covered.shape))
         return level, self._star_level * image_of_stars(self._stars, camera, poses, self._blur_px, covered)
 
 
@@ -83,7 +90,6 @@ class Earth:
             )
         self._light = light
         self._seed = seed
-        self._middle_N = _unit(light.earth_direction_N)
         self._sun_N = _unit(light.sun_direction_N)
         # The noise is anisotropic along its axes, which must not be parallel to those of an image.
         self._turn = exp_so3(np.random.default_rng([seed, 0x5]).normal(size=3))
@@ -95,21 +101,26 @@ class Earth:
         factor = sunlight(self._light, t_s)
         if factor * self._light.earth == 0.0:
             return np.zeros((camera.height_px, camera.width_px))
-        return factor * self._light.earth / FULL_DISC * self._reflectance(camera, X_NK[:3, :3])
+        middle_N = self._middle_N(t_s)
+        return factor * self._light.earth / FULL_DISC * self._reflectance(camera, X_NK[:3, :3], middle_N)
 
-    def hides(self, direction_N: Array) -> Array:
-        """Whether the Earth covers directions (n, 3)."""
-        return np.asarray(direction_N @ self._middle_N > np.sqrt(1.0 - self._distance**-2))
+    def hides(self, direction_N: Array, t_s: float = 0.0) -> Array:
+        """Whether the Earth covers directions (n, 3), t_s after the first frame."""
+        return np.asarray(direction_N @ self._middle_N(t_s) > np.sqrt(1.0 - self._distance**-2))
 
-    def _reflectance(self, camera: Camera, R_NK: Array) -> Array:
-        """Light (H, W) relative to a sunlit white surface; cached while the camera does not rotate."""
-        key = R_NK.tobytes() + camera.X_CK.tobytes()
+    def _middle_N(self, t_s: float) -> Array:
+        """Unit vector (3,) towards the Earth's centre."""
+        return _unit(earth_direction_N(self._light, t_s))
+
+    def _reflectance(self, camera: Camera, R_NK: Array, middle_N: Array) -> Array:
+        """Light (H, W) relative to a sunlit white surface; cached while neither camera nor Earth turns."""
+        key = R_NK.tobytes() + camera.X_CK.tobytes() + middle_N.tobytes()
         known = self._known.get(key)
         if known is None:
             rays_N = camera.pixel_directions @ R_NK.T
-            directions = (rays_N @ self._turn, self._middle_N @ self._turn, self._sun_N @ self._turn)
+            directions = (rays_N @ self._turn, middle_N @ self._turn, self._sun_N @ self._turn)
             flat = _reflectance(*directions, self._distance, 1.0 / camera.K[0, 0], self._seed)
-            # There are two cameras: a third pose means that they rotate, and no pose will recur.
+            # There are two cameras: a third view means that they or the Earth turn, and no view will recur.
             if len(self._known) >= 2:
                 self._known.clear()
             known = np.asarray(flat).reshape(camera.height_px, camera.width_px)
@@ -117,7 +128,7 @@ class Earth:
         return known
 
 
-def _unit(vector: tuple[float, float, float]) -> Array:
+def _unit(vector: tuple[float, float, float] | Array) -> Array:
     return np.asarray(np.asarray(vector) / np.linalg.norm(vector))
 
 

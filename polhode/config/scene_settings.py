@@ -329,11 +329,30 @@ class Light(Section):
     """Radiance of the Earth's disc relative to a white surface in sunlight."""
     earth_radius_deg: float = Field(66.0, ge=0.01, le=90)
     """Angular radius of the Earth's disc: 66 degrees at 600 km [deg]."""
+    earth_rate_deg_s: AngularVelocity = (0.0, 0.0, 0.0)
+    """Angular velocity of the direction to the Earth, in N, by the orbit: 0.062 deg/s at 600 km, where the
+    ground then passes below at up to 0.7 deg/s [deg/s]."""
     lamp: float = Field(0.0, ge=0, le=1e9)
     """Inspector's lamp beside the left camera: its light at 1 m, relative to sunlight."""
     lamp_position_m: Position = (0.045, -0.06, 0.0)
     """The lamp in the left camera's frame [m]."""
     eclipse: Eclipse = Eclipse()
+
+
+class Wall(Section):
+    """A plane with a random pattern behind the target, evenly lit: a laboratory's wall. No shadow falls on
+    it, and it sheds no light on the target."""
+
+    distance_m: float = Field(0.0, ge=0, le=1e6)
+    """Where it crosses the z axis of N; 0: there is no wall [m]."""
+    turn_deg: RotationVector = (0.0, 0.0, 0.0)
+    """Rotation vector of the wall from the position square to z of N [deg]."""
+    brightness: float = Field(0.25, ge=0, le=1e6)
+    """Radiance of a white part of it, relative to a white surface in sunlight."""
+    contrast: float = Field(1.0, ge=0, le=100)
+    """Factor on the pattern's variation of reflectance; 0: a plain wall."""
+    pattern_m: float = Field(0.15, ge=1e-4, le=1e4)
+    """Size of its patches [m]."""
 
 
 class Background(Section):
@@ -347,6 +366,7 @@ class Background(Section):
     """Fainter stars are omitted; there are about 9000 in the sky up to magnitude 6.5."""
     earth: bool = False
     """The Earth's disc with clouds and a thin bright limb, in the direction ``light.earth_direction_N``."""
+    wall: Wall = Wall()
 
 
 class Scene(Section):

@@ -78,6 +78,8 @@ def plan_sequence(scene: Scene, seed: int) -> SequencePlan:
     frames = list(plan.frames)
     t_s = np.array([plan.time_s(k) for k in frames])
     require_target_in_view(body, plan.cameras, plan.X_NC[frames], plan.target.X_NG[frames], t_s)
+    if plan.sky.wall is not None:
+        plan.sky.wall.require_behind(plan.target.X_NG[frames][:, :3, 3], body.radius_m)
     return plan
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polhode.config import scene_settings as config
-from polhode.lie import Array
+from polhode.lie import Array, exp_so3
 
 HALF_SKY_RAD = 0.5 * float(np.pi)
 """Radius of the largest disc: a sphere seen from outside covers less than half of the sky."""
@@ -60,12 +60,12 @@ class Lights:
 def lights_in_body(light: config.Light, X_GN: Array, X_GC: Array, t_s: float = 0.0) -> Lights:
     """The scene's lights in G, t_s after the first frame; poses (4, 4), C the left camera."""
 
-    def direction(vector_N: tuple[float, float, float]) -> Array:
-        d = X_GN[:3, :3] @ np.array(vector_N)
+    def direction(vector_N: Array) -> Array:
+        d = X_GN[:3, :3] @ vector_N
         return np.asarray(d / np.linalg.norm(d))
 
     lamp_G = X_GC[:3, :3] @ np.array(light.lamp_position_m) + X_GC[:3, 3]
-    sun, earth = direction(light.sun_direction_N), direction(light.earth_direction_N)
+    sun, earth = direction(np.array(light.sun_direction_N)), direction(earth_direction_N(light, t_s))
     factor = sunlight(light, t_s)
     return Lights(
         sun_direction_G=sun,
@@ -77,6 +77,14 @@ def lights_in_body(light: config.Light, X_GN: Array, X_GC: Array, t_s: float = 0
         sun_radius_rad=0.5 * float(np.deg2rad(light.sun_diameter_deg)),
         earth_radius_rad=min(float(np.deg2rad(light.earth_radius_deg)), HALF_SKY_RAD),
     )
+
+
+def earth_direction_N(light: config.Light, t_s: float) -> Array:
+    """Direction (3,) towards the middle of the Earth, of any length, t_s after the first frame."""
+    start_N, rate_deg_s = np.array(light.earth_direction_N), np.array(light.earth_rate_deg_s)
+    if not rate_deg_s.any():
+        return start_N
+    return np.asarray(exp_so3(np.deg2rad(rate_deg_s) * t_s) @ start_N)
 
 
 def sunlight(light: config.Light, t_s: float) -> float:
