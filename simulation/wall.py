@@ -34,7 +34,7 @@ class Wall:
         self._known: dict[bytes, tuple[Array, Array]] = {}
 
     def depth_behind(self, p_N: Array) -> Array:
-        """Distance (n,) of the wall's plane behind points (n, 3), along its normal [m]; negative: in front."""
+        """Distance (n,) of the wall's plane behind points (n, 3) along its normal [m]; negative: before."""
         return np.asarray((self._point_N - p_N) @ self._axes_N[:, 2])
 
     def require_behind(self, p_N: Array, radius_m: float) -> None:
