@@ -5,7 +5,9 @@ poses for the back end, and depth maps for the mapping.
 
 extract.py          features and depth maps of every pair, in parallel processes
 rectification.py    images of any rig as those of an ideal one
-segmentation.py     the target's mask
+segmentation.py     the target's mask before a dark sky
+found_masks.py      masks that were found before another background
+background/         how they are found: the background's plane, and what stands before it
 networks/           the networks trained here, and their weights
 disparity/          dense disparity and depth of a pair
 features/           key points, descriptors and stereo measurements of a pair

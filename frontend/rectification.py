@@ -19,6 +19,7 @@ from polhode import fisheye
 from polhode.camera import RectifiedRig
 from polhode.dataset import StereoCalibration, StereoSequence
 from polhode.errors import InputError
+from polhode.frontend.found_masks import FoundMasks
 from polhode.frontend.segmentation import border_of, target_mask
 from polhode.lie import Array, inverse_pose, make_pose
 from polhode.records import Bools
@@ -100,6 +101,8 @@ class Rectifier:
     """Whether dim surroundings are left out of the masks (frontend/segmentation.py)"""
     blur_px: tuple[float, float] = (0.0, 0.0)
     """Sigma of the smoothing of each camera's images before they are resampled to a coarser one [px]"""
+    found: FoundMasks | None = None
+    """Masks that were found before a background that is not dark (frontend/background)"""
 
     @cached_property
     def borders(self) -> tuple[Bools, Bools]:
@@ -190,23 +193,28 @@ class RectifiedPair:
 
 
 def rectified_pair(sequence: StereoSequence, rectifier: Rectifier, k: int) -> RectifiedPair:
-    """Read, rectify and mask pair k."""
+    """Read, rectify and mask pair k; where the mask was found, the background is black."""
     raw = sequence.read_pair(k)
-    left, mask_left = _rectified(rectifier, 0, raw.left, raw.mask_left)
-    right, mask_right = _rectified(rectifier, 1, raw.right, raw.mask_right)
+    left, mask_left = _rectified(rectifier, k, 0, raw.left, raw.mask_left)
+    right, mask_right = _rectified(rectifier, k, 1, raw.right, raw.mask_right)
     return RectifiedPair(left, right, mask_left, mask_right)
 
 
 def rectified_left(sequence: StereoSequence, rectifier: Rectifier, k: int) -> tuple[Image, Bools]:
-    """Left image of pair k and its mask."""
-    return _rectified(rectifier, 0, *sequence.read_left(k))
+    """Left image of pair k and its mask, likewise."""
+    return _rectified(rectifier, k, 0, *sequence.read_left(k))
 
 
-def _rectified(rectifier: Rectifier, side: int, raw: Image, given: Bools | None) -> tuple[Image, Bools]:
+def _rectified(
+    rectifier: Rectifier, k: int, side: int, raw: Image, given: Bools | None
+) -> tuple[Image, Bools]:
     """A rectified image and the target's mask in it, from the given mask where there is one."""
     image, mask = rectifier(raw, side), None
     if given is not None:
         mask = rectifier((given * np.uint8(255)).astype(np.uint8), side, cv2.INTER_NEAREST) > 127
+    elif rectifier.found is not None and (mask := rectifier.found.mask(k, side)) is not None:
+        # Everything after this expects the target before a dark sky.
+        return np.where(mask, image, np.uint8(0)), mask
     border = rectifier.borders[side] if rectifier.surroundings else None
     return image, target_mask(image, mask, border)
 

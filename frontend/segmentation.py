@@ -58,6 +58,11 @@ def has_surroundings(images: Iterable[Image], border: Bools) -> bool:
     return any_image
 
 
+def lit_border(image: Image, border: Bools) -> float:
+    """Share of an image's border (H, W) along which what is taken for the target reaches it."""
+    return float(target_mask(image)[border].mean())
+
+
 def border_of(seen: Bools) -> Bools:
     """The pixels along the border of what a camera sees (H, W)."""
     framed = cv2.copyMakeBorder(seen.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)

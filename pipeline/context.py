@@ -18,6 +18,7 @@ from polhode.frontend.rectification import Image, Rectifier, make_rectifier
 from polhode.frontend.segmentation import has_surroundings
 from polhode.frontend.tracks.tracks import Association, to_tracks
 from polhode.lie import Array
+from polhode.pipeline.found_background import doubts_of_masks, with_found_masks
 from polhode.processes import worker_count
 from polhode.progress import Progress
 from polhode.records import StereoTracks
@@ -120,6 +121,12 @@ def open_context(sequence_folder: Path, config: Config, progress: Progress) -> R
     if rectifier.surroundings:
         _log.warning(SURROUNDINGS)
         sequence = replace(sequence, warnings=(*sequence.warnings, SURROUNDINGS))
+    with clock("frontend"):
+        workers = worker_count(config.runtime.workers)
+        rectifier = with_found_masks(sequence, rectifier, range(len(sequence)), workers, progress)
+    if rectifier.found is not None and (doubts := doubts_of_masks(rectifier.found)):
+        _log.warning(doubts)
+        sequence = replace(sequence, warnings=(*sequence.warnings, doubts))
     return RunContext(sequence, rectifier, config, progress, clock)
 
 

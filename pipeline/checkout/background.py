@@ -11,6 +11,8 @@ MAX_AROUND = 1.0
 """Share of the pixels beside the target that are brighter than the sky [%]."""
 MAX_LEAVING = 20.0
 """Share of the images in which the target reaches the border [%]."""
+MAX_DOUBTFUL = 20.0
+"""Share of the pairs whose masks, found before a background that is not dark, are doubtful [%]."""
 SOME_MASKS = "Give a mask for every frame (masks0/, masks1/), or for none: a frame without one is used whole."
 
 
@@ -25,8 +27,14 @@ def background_checks(sample: Sample) -> list[CheckoutCheck]:
     border = 100.0 * np.array([image.border_bright for image, _ in images])
     around = 100.0 * np.array([image.around_bright for image, _ in images])
     touching = np.array([image.touches_border for image, _ in images])
-    known_target = bool(masked.all()) or sample.surroundings
+    found = sample.doubtful_masks
+    known_target = bool(masked.all()) or sample.surroundings or found is not None
     known = around[np.isfinite(around)]
+    assumed = (
+        "The target is taken to be what is brighter than a dark sky."
+        if found is None
+        else "The target is taken to be what stands before the background."
+    )
     return [
         judged(
             "background",
@@ -37,8 +45,9 @@ def background_checks(sample: Sample) -> list[CheckoutCheck]:
             at_least=True,
             advice=SOME_MASKS,
             finding=f"{int(masked.sum())} of {len(masked)} examined images have a mask."
-            + ("" if masked.any() else " The target is taken to be what is brighter than a dark sky."),
+            + ("" if masked.any() else f" {assumed}"),
         ),
+        *_found_masks(sample),
         judged(
             "background",
             "border of the image that is not dark",
@@ -48,7 +57,7 @@ def background_checks(sample: Sample) -> list[CheckoutCheck]:
             fail_limit=None if known_target else FAIL_BORDER,
             finding=f"From {border.min():.0f} to {border.max():.0f} %"
             + (
-                "; masks are given, or dim surroundings are left out of the target."
+                "; masks are given or found, or dim surroundings are left out of the target."
                 if known_target
                 else ": a background that is not dark is taken for the target."
             ),
@@ -79,4 +88,22 @@ def background_checks(sample: Sample) -> list[CheckoutCheck]:
             "outline "
             "misleads masks.",
         ),
+    ]
+
+
+def _found_masks(sample: Sample) -> list[CheckoutCheck]:
+    """Of masks that were found before a background that is not dark; nothing where there are none."""
+    if sample.doubtful_masks is None:
+        return []
+    doubtful, count = sample.doubtful_masks
+    return [
+        judged(
+            "background",
+            "pairs whose masks, found in the images, are doubtful",
+            100.0 * doubtful / max(count, 1),
+            "%",
+            MAX_DOUBTFUL,
+            finding=f"{doubtful} of {count} pairs, before a background that is not dark.",
+            advice="Give masks of the target in masks0/ and masks1/.",
+        )
     ]

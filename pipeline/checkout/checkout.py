@@ -22,6 +22,7 @@ from polhode.pipeline.checkout.target_motion import Turns, motion_checks, turns_
 from polhode.pipeline.checkout.target_range import range_checks
 from polhode.pipeline.checkout.timing import Stamps, frame_checks, inspector_checks, read_stamps, stamp_checks
 from polhode.pipeline.context import rectifier_of
+from polhode.pipeline.found_background import with_found_masks
 from polhode.processes import worker_count
 from polhode.progress import Progress, Silent
 from polhode.records import Ints
@@ -85,9 +86,10 @@ def checkout(
     stamps = read_stamps(sequence_folder)
     if given is not None:
         sequence = _with_calibration(sequence, given)
+    frames, shown = places(sequence.timestamps_ns, count), progress or Silent()
     rectifier = rectifier_of(sequence)
-    frames = places(sequence.timestamps_ns, count)
-    findings = find(sequence, rectifier, frames, worker_count(workers), progress or Silent())
+    rectifier = with_found_masks(sequence, rectifier, frames.tolist(), worker_count(workers), shown)
+    findings = find(sequence, rectifier, frames, worker_count(workers), shown)
     checks = [
         *image_checks(findings),
         *stamp_checks(stamps),

@@ -10,6 +10,7 @@ import numpy as np
 from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Frontend
 from polhode.dataset import StereoSequence
+from polhode.frontend.background.find_masks import doubtful_frames
 from polhode.frontend.features.keypoints import KeyPoints, detect, no_key_points
 from polhode.frontend.features.row_offsets import RowOffsets, row_offsets
 from polhode.frontend.features.stereo import StereoFeatures, match_stereo
@@ -68,6 +69,8 @@ class Sample:
     """(m,) the motion between these; None: they do not match"""
     surroundings: bool = False
     """Whether dim surroundings are left out of the target's masks"""
+    doubtful_masks: tuple[int, int] | None = None
+    """Number of pairs whose found masks are doubtful, and of all with such masks; None: there are none"""
 
 
 def places(timestamps_ns: Ints, count: int = PLACES) -> Ints:
@@ -105,7 +108,9 @@ def take_sample(
     first = np.flatnonzero((np.diff(frames) == 1) & (step <= MAX_STEP * usual)).astype(np.int64)
     successive = np.stack([first, first + 1], axis=1)
     links = _links([pair.features for pair in pairs], successive, rectifier.rig, config, seed)
-    return Sample(tuple(pairs), successive, links, rectifier.surroundings)
+    found = rectifier.found
+    doubtful = None if found is None else (len(doubtful_frames(found)), len(found.quality))
+    return Sample(tuple(pairs), successive, links, rectifier.surroundings, doubtful)
 
 
 def _links(
@@ -136,10 +141,18 @@ def examine(sequence: StereoSequence, rectifier: Rectifier, config: Frontend, k:
         rows=rows,
         level_left=_levels(pair.left, uv),
         level_right=_levels(image, uv - np.column_stack([d, np.zeros(len(d))])),
-        left=image_quality(raw.left, raw.mask_left, rectifier.surroundings),
-        right=image_quality(raw.right, raw.mask_right, rectifier.surroundings),
+        left=_quality(rectifier, k, 0, raw.left, raw.mask_left),
+        right=_quality(rectifier, k, 1, raw.right, raw.mask_right),
         has_masks=(raw.mask_left is not None, raw.mask_right is not None),
     )
+
+
+def _quality(rectifier: Rectifier, k: int, side: int, raw: Image, given: Bools | None) -> ImageQuality:
+    """Of an image as recorded or, where its mask was found, as rectified."""
+    mask = rectifier.found.mask(k, side) if rectifier.found is not None and given is None else None
+    if mask is not None:
+        return image_quality(rectifier(raw, side), mask)
+    return image_quality(raw, given, rectifier.surroundings)
 
 
 def _key_points(image: Image, mask: Bools, config: Frontend) -> KeyPoints:

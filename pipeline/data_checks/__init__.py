@@ -11,5 +11,6 @@ In: the context of a run, its features, tracks and estimate. Out: reasons to dou
 - swing_check: whether the inspector's attitude swings slowly, unreported
 - mass_check: whether the mass properties are the same before and after a push
 - centre_check: where the centre of mass was before and after an instant, by the poses alone
+- mask_check: whether masks that were found before a background that is not dark can be trusted
 - connection_check: whether landmarks connect all parts of the sequence
 """

@@ -11,6 +11,7 @@ from polhode.pipeline.context import RunContext
 from polhode.pipeline.data_checks.clock_check import clock_check
 from polhode.pipeline.data_checks.connection_check import connection_check
 from polhode.pipeline.data_checks.inspector_check import inspector_check
+from polhode.pipeline.data_checks.mask_check import mask_checks
 from polhode.pipeline.data_checks.mass_check import mass_checks
 from polhode.pipeline.data_checks.rig_check import rig_checks
 from polhode.pipeline.data_checks.self_calibration import (
@@ -76,6 +77,7 @@ def check_data(
         lambda: [swing_check(tracks, estimate, context.config.backend)],
         mass,
         lambda: [connection_check(tracks, estimate)],
+        lambda: mask_checks(context.rectifier.found),
     )
     with context.clock("checks"):
         for step in steps:

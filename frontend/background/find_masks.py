@@ -1,0 +1,162 @@
+"""The background of a sequence without masks, and the masks of its pairs.
+
+Stereo finds a background if a plane lies behind the target and stays where it is in N, or at infinity, while
+the inspector moves as its poses say. A target that fills the image is no such plane: it turns.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from polhode.dataset import StereoSequence
+from polhode.frontend.background.far_plane import (
+    FarPlane,
+    find_far_plane,
+    plane_in_N,
+    plane_seen_from,
+)
+from polhode.frontend.background.near_layer import near_layer
+from polhode.frontend.found_masks import FoundMasks, MaskQuality, encoded
+from polhode.frontend.rectification import Rectifier
+from polhode.frontend.segmentation import lit_border
+from polhode.lie import Array
+from polhode.processes import in_order
+
+EXAMINED = 8
+"""Pairs in which the background is looked for."""
+MIN_LIT_BORDER = 0.1
+"""Share of the border that is brighter than the sky, in half of the images: less is a dark sky."""
+SAME_PLANE_PX = 2.0
+"""Largest difference of disparity, at a corner of the image, between planes that are the same."""
+MIN_SHARE = 0.5
+"""Of the examined pairs, those that show the plane."""
+MIN_AREA = 5e-4
+"""Share of the image that the target covers in the median pair; less is no target."""
+
+MIN_AGREEMENT, MAX_CONTRADICTED, MIN_FAR_SHARE = 0.8, 0.25, 0.5
+MAX_AREA_RATIO = 1.6
+"""Of the target's area to the median of the pairs around it,"""
+AROUND = 3
+"""so many before and after."""
+
+Tick = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class Background:
+    """A plane m . p = 1 in N behind the target; m = 0: infinity."""
+
+    m_N: Array
+    """(3,) [1/m]"""
+
+    @property
+    def at_infinity(self) -> bool:
+        return not self.m_N.any()
+
+    @property
+    def description(self) -> str:
+        """Where it is."""
+        return (
+            "at infinity"
+            if self.at_infinity
+            else f"in a plane {1.0 / float(np.linalg.norm(self.m_N)):.3g} m from the origin of N"
+        )
+
+
+def find_background(sequence: StereoSequence, rectifier: Rectifier) -> Background | None:
+    """The background of a sequence; None: the sky is dark, masks are given, or no plane is found."""
+    frames = _without_masks(sequence)
+    if not frames:
+        return None
+    bright = []
+    for k in frames:
+        image = rectifier(sequence.read_left(k)[0], 0)
+        bright.append(lit_border(image, rectifier.borders[0]) > MIN_LIT_BORDER)
+    if sum(bright) < 0.5 * len(bright):
+        return None
+    planes: dict[int, FarPlane] = {}
+    for k in frames:
+        pair = sequence.read_pair(k)
+        left, right = rectifier(pair.left, 0), rectifier(pair.right, 1)
+        plane = find_far_plane(left, right, rectifier.rig.disparity_offset_px)
+        if plane is not None:
+            planes[k] = plane
+    return _common_background(sequence, rectifier, planes, len(frames))
+
+
+def _without_masks(sequence: StereoSequence) -> list[int]:
+    """Frames spread over the sequence that have no mask."""
+    spread = np.linspace(0, len(sequence) - 1, EXAMINED).round().astype(int)
+    return [k for k in np.unique(spread).tolist() if sequence.read_left(k)[1] is None]
+
+
+def _common_background(
+    sequence: StereoSequence, rectifier: Rectifier, planes: dict[int, FarPlane], examined: int
+) -> Background | None:
+    """The plane in N that most of the pairs show."""
+    rig, size = rectifier.rig, (rectifier.rig.width_px, rectifier.rig.height_px)
+    X_NR = sequence.X_NC @ rectifier.X_CR
+    found = {k: plane_in_N(plane, rig, X_NR[k]) for k, plane in planes.items()}
+
+    def same(m_N: Array, k: int) -> bool:
+        off = plane_seen_from(m_N, rig, X_NR[k]).corners(*size) - planes[k].corners(*size)
+        return bool(np.abs(off).max() < SAME_PLANE_PX)
+
+    votes = Counter({k: sum(same(m_N, other) for other in planes) for k, m_N in found.items()})
+    if not votes:
+        return None
+    best, count = votes.most_common(1)[0]
+    if count < max(2.0, MIN_SHARE * examined):
+        return None
+    return Background(np.mean([found[k] for k in planes if same(found[best], k)], axis=0))
+
+
+def find_masks(
+    sequence: StereoSequence,
+    rectifier: Rectifier,
+    background: Background,
+    frames: Sequence[int],
+    workers: int,
+    tick: Tick,
+) -> FoundMasks | None:
+    """Masks of these pairs; None: nothing stands before the background. ``tick`` is called once per pair."""
+    masks: dict[int, tuple[bytes, bytes]] = {}
+    quality: dict[int, MaskQuality] = {}
+    for k, found in zip(
+        frames, in_order(partial(_masks_of, sequence, rectifier, background), frames, workers), strict=True
+    ):
+        masks[k], quality[k] = found
+        tick()
+    if np.median([each.area for each in quality.values()]) < MIN_AREA:
+        return None
+    return FoundMasks(masks, quality)
+
+
+def _masks_of(
+    sequence: StereoSequence, rectifier: Rectifier, background: Background, k: int
+) -> tuple[tuple[bytes, bytes], MaskQuality]:
+    raw = sequence.read_pair(k)
+    X_NR = sequence.X_NC[k] @ rectifier.X_CR
+    plane = plane_seen_from(background.m_N, rectifier.rig, X_NR)
+    layer = near_layer(rectifier(raw.left, 0), rectifier(raw.right, 1), plane)
+    return (encoded(layer.left), encoded(layer.right)), layer.quality
+
+
+def doubtful_frames(found: FoundMasks) -> list[int]:
+    """Pairs whose masks are doubtful: the images, the stereo matches or the neighbours disagree."""
+    frames = sorted(found.quality)
+    area = np.array([found.quality[k].area for k in frames])
+    doubtful = []
+    for n, k in enumerate(frames):
+        quality = found.quality[k]
+        around = float(np.median(area[max(n - AROUND, 0) : n + AROUND + 1]))
+        steady = around / MAX_AREA_RATIO <= quality.area <= around * MAX_AREA_RATIO
+        matched = quality.area == 0.0 or (
+            quality.agreement >= MIN_AGREEMENT and quality.contradicted <= MAX_CONTRADICTED
+        )
+        if not (steady and matched and quality.far_share >= MIN_FAR_SHARE):
+            doubtful.append(k)
+    return doubtful

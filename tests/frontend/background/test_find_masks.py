@@ -1,0 +1,172 @@
+"""Masks of whole sequences: when they are looked for, where the background is, and when they are doubtful."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+
+from polhode.dataset import StereoImages, StereoSequence, open_sequence
+from polhode.frontend.background.far_plane import FarPlane, plane_seen_from
+from polhode.frontend.background.find_masks import (
+    MIN_AREA,
+    Background,
+    doubtful_frames,
+    find_background,
+    find_masks,
+)
+from polhode.frontend.found_masks import FoundMasks, MaskQuality, decoded, encoded
+from polhode.frontend.rectification import Rectifier, make_rectifier, rectified_left, rectified_pair
+from polhode.frontend.segmentation import target_mask
+from polhode.lie import Array, exp_so3, make_pose
+from polhode.records import Bools
+from tests.frontend.background.synthetic_pairs import HEIGHT, INFINITY, RIG, WIDTH, overlap, pair_of, texture
+
+SAMPLE = Path(__file__).parents[3] / "sample"
+SIZE = (WIDTH, HEIGHT)
+RECTIFIER = Rectifier(replace(RIG, disparity_offset_px=0.0), np.eye(4), None, (SIZE, SIZE))
+FAR, NEAR = texture(1, 110.0, 30.0), texture(2, 110.0, 30.0)
+WALL_N = np.array([0.02, -0.03, 0.4])
+GOOD = MaskQuality(area=0.1, agreement=0.98, contradicted=0.02, far_share=0.95)
+
+
+@dataclass
+class Drawn:
+    """What is read of a ``StereoSequence``: pairs before planes, from poses X_NC (F, 4, 4)."""
+
+    planes: list[FarPlane]
+    X_NC: Array
+    far: Array = field(default_factory=lambda: FAR)
+    radius_px: float = 50.0
+    masked: bool = False
+
+    def __len__(self) -> int:
+        return len(self.planes)
+
+    def read_pair(self, k: int) -> StereoImages:
+        left, right, mask, mask_right = pair_of(self.planes[k], self.far, NEAR, radius_px=self.radius_px)
+        return StereoImages(left, right, *((mask, mask_right) if self.masked else (None, None)))
+
+    def read_left(self, k: int) -> tuple[Array, Bools | None]:
+        pair = self.read_pair(k)
+        return pair.left, pair.mask_left
+
+
+def at_rest(planes: list[FarPlane], **changes: object) -> StereoSequence:
+    drawn = replace(Drawn(planes, np.tile(np.eye(4), (len(planes), 1, 1))), **changes)  # type: ignore[arg-type]
+    return cast(StereoSequence, drawn)
+
+
+def before_a_wall(moving: bool) -> StereoSequence:
+    poses = [
+        make_pose(exp_so3([0.0, 0.03 * moving * k, 0.0]), [0.1 * moving * k, 0.0, 0.05 * moving * k])
+        for k in range(4)
+    ]
+    planes = [plane_seen_from(WALL_N, RECTIFIER.rig, X_NC) for X_NC in poses]
+    return cast(StereoSequence, Drawn(planes, np.array(poses)))
+
+
+@pytest.mark.parametrize("moving", [False, True], ids=["at_rest", "moving"])
+def test_a_wall_is_found_where_it_is_in_N_and_the_target_before_it(moving: bool) -> None:
+    sequence = before_a_wall(moving)
+    background = find_background(sequence, RECTIFIER)
+    assert background is not None and not background.at_infinity
+    seen, true = (
+        plane_seen_from(m_N, RECTIFIER.rig, sequence.X_NC[2]).corners(WIDTH, HEIGHT)
+        for m_N in (background.m_N, WALL_N)
+    )
+    np.testing.assert_allclose(seen, true, atol=1.0)
+    assert background.description.startswith("in a plane 2.")
+    ticks: list[int] = []
+    found = find_masks(sequence, RECTIFIER, background, range(3), 1, lambda: ticks.append(1))
+    assert found is not None and len(ticks) == 3 and found.masks(3) is None
+    _, _, mask, mask_right = pair_of(cast(Drawn, sequence).planes[2], FAR, NEAR)
+    masks = found.masks(2)
+    assert masks is not None
+    assert min(overlap(masks[0], mask), overlap(masks[1], mask_right)) > 0.95
+    assert doubtful_frames(found) == []
+
+
+def test_the_earth_is_found_at_infinity() -> None:
+    background = find_background(at_rest([INFINITY] * 3), RECTIFIER)
+    assert background is not None and background.at_infinity
+    assert background.description == "at infinity"
+
+
+def test_a_plane_that_turns_is_the_target_and_not_the_background() -> None:
+    planes = [FarPlane(0.02 * k, -0.01 * k, 20.0 - 5.0 * k) for k in range(4)]
+    assert find_background(at_rest(planes), RECTIFIER) is None
+
+
+def test_before_a_dark_sky_or_with_masks_nothing_is_looked_for() -> None:
+    assert find_background(at_rest([INFINITY] * 3, far=np.full_like(FAR, 2.0)), RECTIFIER) is None
+    assert find_background(at_rest([INFINITY] * 3, masked=True), RECTIFIER) is None
+
+
+def test_a_background_with_nothing_before_it_gives_no_masks() -> None:
+    sequence = at_rest([INFINITY] * 3, radius_px=0.0)
+    assert find_masks(sequence, RECTIFIER, Background(np.zeros(3)), range(3), 1, lambda: None) is None
+    assert MIN_AREA > 0.0
+
+
+def test_the_sample_is_before_a_dark_sky_and_keeps_its_masks() -> None:
+    sequence = open_sequence(SAMPLE)
+    rectifier = make_rectifier(sequence.calibration)
+    assert find_background(sequence, rectifier) is None
+    for k in (0, 30, 59):
+        pair, raw = rectified_pair(sequence, rectifier, k), sequence.read_pair(k)
+        np.testing.assert_array_equal(pair.left, rectifier(raw.left, 0))
+        np.testing.assert_array_equal(pair.mask_left, target_mask(rectifier(raw.left, 0)))
+        np.testing.assert_array_equal(pair.mask_right, target_mask(rectifier(raw.right, 1)))
+
+
+def test_found_masks_black_the_background_out_and_given_ones_come_first() -> None:
+    mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    mask[60:150, 100:200] = True
+    found = FoundMasks({0: (encoded(mask), encoded(~mask))}, {0: GOOD})
+    rectifier, sequence = replace(RECTIFIER, found=found), at_rest([INFINITY] * 2)
+    pair = rectified_pair(sequence, rectifier, 0)
+    raw = sequence.read_pair(0)
+    np.testing.assert_array_equal(pair.mask_left, mask)
+    np.testing.assert_array_equal(pair.left, np.where(mask, raw.left, 0))
+    np.testing.assert_array_equal(pair.right, np.where(~mask, raw.right, 0))
+    image, found_left = rectified_left(sequence, rectifier, 0)
+    np.testing.assert_array_equal(image, pair.left)
+    np.testing.assert_array_equal(found_left, mask)
+    # without a found mask, as before
+    np.testing.assert_array_equal(rectified_pair(sequence, rectifier, 1).left, raw.left)
+    given = rectified_pair(at_rest([INFINITY] * 2, masked=True), rectifier, 0)
+    np.testing.assert_array_equal(given.left, raw.left)
+    assert overlap(given.mask_left, mask) < 0.9
+
+
+def test_a_mask_survives_its_encoding() -> None:
+    mask = np.random.default_rng(0).random((37, 53)) < 0.5
+    np.testing.assert_array_equal(decoded(encoded(mask)), mask)
+
+
+def _found(*quality: MaskQuality) -> FoundMasks:
+    return FoundMasks({}, dict(enumerate(quality)))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"area": 0.3},
+        {"area": 0.0, "agreement": np.nan, "contradicted": np.nan},
+        {"agreement": 0.5},
+        {"contradicted": 0.6},
+        {"contradicted": np.nan},
+        {"far_share": 0.2},
+    ],
+    ids=lambda changes: " ".join(f"{name} {value}" for name, value in changes.items()),
+)
+def test_a_pair_that_stands_out_is_doubtful(changes: dict[str, float]) -> None:
+    assert doubtful_frames(_found(*[GOOD] * 6)) == []
+    assert doubtful_frames(_found(GOOD, GOOD, GOOD, replace(GOOD, **changes), GOOD, GOOD)) == [3]
+
+
+def test_a_target_that_is_out_of_view_is_not_doubtful() -> None:
+    away = replace(GOOD, area=0.0, agreement=np.nan, contradicted=np.nan)
+    assert doubtful_frames(_found(*[GOOD] * 5, *[away] * 5)) in ([], [4], [5], [4, 5])

@@ -1,0 +1,108 @@
+"""Two layers of synthetic pairs: far planes, a target before them, and signs that something is wrong."""
+
+import numpy as np
+import pytest
+
+from polhode.frontend.background.far_plane import (
+    FarPlane,
+    find_far_plane,
+    plane_in_N,
+    plane_seen_from,
+    reduced_image,
+)
+from polhode.frontend.background.find_masks import MAX_CONTRADICTED
+from polhode.frontend.background.near_layer import NearLayer, near_layer
+from polhode.lie import Array, exp_so3, make_pose
+from tests.frontend.background.synthetic_pairs import (
+    HEIGHT,
+    INFINITY,
+    RIG,
+    WALL,
+    WIDTH,
+    overlap,
+    pair_of,
+    texture,
+)
+
+
+def _layers(plane: FarPlane, far: Array, near: Array) -> tuple[NearLayer, float, float]:
+    left, right, disk, disk_right = pair_of(plane, far, near)
+    layer = near_layer(left, right, plane)
+    return layer, overlap(layer.left, disk), overlap(layer.right, disk_right)
+
+
+@pytest.mark.parametrize("plane", [INFINITY, WALL], ids=["infinity", "wall"])
+def test_a_target_of_the_same_brightness_is_found_in_both_images(plane: FarPlane) -> None:
+    layer, left, right = _layers(plane, texture(1, 110.0, 30.0), texture(2, 110.0, 30.0))
+    assert min(left, right) > 0.95
+    assert layer.quality.agreement > 0.95
+    assert layer.quality.contradicted < 0.05
+    assert layer.quality.far_share > 0.9
+
+
+def test_the_dark_side_of_a_target_is_found_before_a_bright_background() -> None:
+    layer, left, right = _layers(INFINITY, texture(1, 120.0, 30.0, 4.0), texture(2, 22.0, 5.0))
+    assert min(left, right) > 0.95
+    assert layer.quality.area == pytest.approx(np.pi * 50.0**2 / (HEIGHT * WIDTH), rel=0.05)
+
+
+def test_a_black_plain_target_is_not_found_and_the_masks_contradict_the_images() -> None:
+    layer, left, _ = _layers(INFINITY, texture(1, 120.0, 30.0, 4.0), np.full((HEIGHT, 2 * WIDTH), 4.0))
+    assert left < 0.5
+    assert layer.quality.contradicted > 2.0 * MAX_CONTRADICTED
+
+
+def test_a_bright_target_is_found_before_a_limb_and_black_sky() -> None:
+    far = texture(1, 120.0, 20.0, 4.0)
+    far[:100] = 2.0
+    _, left, right = _layers(INFINITY, far, texture(2, 90.0, 35.0))
+    assert min(left, right) > 0.95
+
+
+def test_a_background_alone_has_no_target() -> None:
+    left, right, *_ = pair_of(WALL, texture(1, 110.0, 30.0), texture(2, 110.0, 30.0), radius_px=0.0)
+    layer = near_layer(left, right, WALL)
+    assert not layer.left.any() and not layer.right.any()
+    assert layer.quality.area == 0.0 and np.isnan(layer.quality.agreement)
+
+
+def test_a_background_that_is_not_where_it_should_be_is_told_by_its_border() -> None:
+    left, right, *_ = pair_of(WALL, texture(1, 110.0, 30.0), texture(2, 110.0, 30.0))
+    assert near_layer(left, right, INFINITY).quality.far_share < 0.5
+
+
+@pytest.mark.parametrize("plane", [INFINITY, WALL], ids=["infinity", "wall"])
+def test_the_plane_of_the_background_is_found_behind_a_target(plane: FarPlane) -> None:
+    left, right, *_ = pair_of(plane, texture(1, 110.0, 30.0), texture(2, 110.0, 30.0))
+    found = find_far_plane(left, right, 0.0)
+    assert found is not None
+    np.testing.assert_allclose(found.corners(WIDTH, HEIGHT), plane.corners(WIDTH, HEIGHT), atol=1.0)
+    assert plane is WALL or found == INFINITY
+
+
+def test_a_black_sky_has_no_plane() -> None:
+    left, right, *_ = pair_of(INFINITY, np.full((HEIGHT, 2 * WIDTH), 2.0), texture(2, 110.0, 30.0))
+    assert find_far_plane(left, right, 0.0) is None
+
+
+def test_a_plane_seen_from_elsewhere_is_where_its_points_are() -> None:
+    X_NR = make_pose(exp_so3([0.02, -0.05, 0.1]), [0.1, -0.2, 0.3])
+    m_N = np.array([0.03, -0.05, 0.4])
+    plane = plane_seen_from(m_N, RIG, X_NR)
+    # three points of the plane in N
+    p_N = np.array([[0.0, 0.0, 2.5], [1.0, 0.0, (1.0 - 0.03) / 0.4], [0.0, 1.0, (1.0 + 0.05) / 0.4]])
+    p_R = (p_N - X_NR[:3, 3]) @ X_NR[:3, :3]
+    uvd = RIG.project(p_R)
+    expected = plane.a * uvd[:, 0] + plane.b * uvd[:, 1] + plane.c
+    np.testing.assert_allclose(uvd[:, 2], expected, atol=1e-9)
+    np.testing.assert_allclose(plane_in_N(plane, RIG, X_NR), m_N, atol=1e-12)
+    assert plane_seen_from(np.zeros(3), RIG, X_NR) == FarPlane(0.0, 0.0, 4.0)
+
+
+def test_a_reduced_plane_has_the_disparity_of_the_reduced_pixels() -> None:
+    reduced = WALL.reduced(4)
+    # the mean of columns 8 to 11 and rows 12 to 15 is column 2, row 3
+    middle = WALL.a * 9.5 + WALL.b * 13.5 + WALL.c
+    assert 4.0 * (reduced.a * 2 + reduced.b * 3 + reduced.c) == pytest.approx(middle)
+    assert reduced.enlarged(4).c == pytest.approx(WALL.c)
+    assert reduced_image(np.zeros((HEIGHT + 3, WIDTH + 1), dtype=np.uint8), 4).shape == (60, 80)
