@@ -108,6 +108,7 @@ BENCHMARKS = (
               f"{_TEMPLE} --run runs/temple -o runs/temple.png", None, (_TEMPLE,)),
     Benchmark("matching", "frontend.matching", "docs/frontend.md", 120),
     Benchmark("disparity", "frontend.disparity", "docs/depth.md", 60),
+    Benchmark("masks", "frontend.masks", "docs/masks.md", 3),
     _of_runs("mesh_quality", "mapping.mesh_quality", "docs/mapping.md", 20, _SURFACES),
     _of_runs("mesh_sigma", "mapping.mesh_sigma", "docs/mapping.md", 5, _WITH_TRUTH),
     Benchmark("lengths", "mapping.lengths", "docs/mapping.md", 1, short=None, needs=_TS38),

@@ -4,5 +4,6 @@ In: configs/frontend_test/ and configs/depth_test/. Out: correct matches, motion
 
     matching    features and matches of every method: tables and figure
     disparity   dense disparity
+    masks       masks before Earth and wall
     scenes      the scenes, and what the simulator knows of their features
 """

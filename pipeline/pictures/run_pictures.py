@@ -18,6 +18,7 @@ from polhode.lie import Array
 from polhode.mapping.visibility import MeshViewer
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.pictures.body_views import body_frame, draw_landmarks, draw_mesh
+from polhode.pipeline.pictures.mask_strip import mask_strip
 from polhode.pipeline.pictures.model_comparison import (
     FrameComparison,
     Rgb,
@@ -61,6 +62,10 @@ def make_pictures(
             drawn = track_pictures(sequence, rectifier, tracks, estimate)
             for number, (words, content) in enumerate(drawn.items()):
                 write_picture(folder, f"{number:02d}.jpg", content, words)
+        with _optional("masks.jpg"):
+            strip = mask_strip(sequence, rectifier)
+            if strip is not None:
+                write_picture(folder, "masks.jpg", *strip)
         advance()
         frame = body_frame(estimate.mass)
         if config.views:

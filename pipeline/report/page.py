@@ -43,6 +43,7 @@ _log = logging.getLogger(__name__)
 REPORT = "report.html"
 SHEETS = ("landmarks.png", "mesh.png")
 """Pictures over the full width of the page; the files in RUN/pictures are sharper."""
+MASKS = "masks.jpg"
 
 
 def page_file(path: Path, folders: Sequence[Path]) -> Path:
@@ -144,6 +145,7 @@ def render(content: StoredRun) -> str:
         has_surface=content.surface is not None,
         sheets=[_embedded(each) for each in content.pictures if each.name in SHEETS],
         stills=[_embedded(each) for each in content.pictures if each.name.startswith("model")],
+        masks=[_embedded(each) for each in content.pictures if each.name == MASKS],
         pictures=[_embedded(each) for each in content.pictures if each.name[0].isdigit()],
         config_text=content.config_text,
     )

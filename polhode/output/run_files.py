@@ -12,7 +12,7 @@ SCHEMA = "polhode-summary/"
 _FILE = re.compile(
     r"summary\.json|config\.yaml|log\.txt|report\.html|metrics\.json|trajectory(_online)?\.csv|pushes\.csv"
     r"|(covariance|measurements|online)\.npz|landmarks\.ply|mesh\.(ply|glb)|mesh_lod\d+\.glb"
-    r"|pictures/(captions\.json|\d+\.(jpg|png)|(landmarks|mesh)\.png|model\.(mp4|gif|csv)|model_\d+\.jpg)"
+    r"|pictures/(captions\.json|\d+\.(jpg|png)|(landmarks|mesh)\.png|masks\.jpg|model\.(mp4|gif|csv)|model_\d+\.jpg)"
 )
 _PARTIAL = re.compile(r"(?P<folder>(pictures/)?)\.(?P<stem>[^/]+)\.partial-\d+(?P<suffix>\.\w+)")
 

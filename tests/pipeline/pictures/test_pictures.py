@@ -18,9 +18,11 @@ from PIL import Image
 
 from polhode.config import Config, Pictures
 from polhode.dataset import StereoImages, StereoSequence
+from polhode.frontend.found_masks import FoundMasks, MaskQuality, encoded
 from polhode.frontend.rectification import Rectifier
 from polhode.lie import inverse_pose
 from polhode.mapping.visibility import MeshViewer
+from polhode.output.run_files import is_run_file
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.pictures import run_pictures as pictures
 from polhode.pipeline.pictures.body_views import (
@@ -323,3 +325,14 @@ def test_landmarks_without_a_sigma_and_far_away_are_told(example: Any) -> None:
         assert picture.size == (1200, 830)
     unknown = Landmarks(p_G[:1], np.array([np.inf]), given.observations[:1])
     assert draw_landmarks(unknown, body_frame(example.estimate.mass)).startswith(b"\x89PNG")
+
+
+def test_masks_that_were_found_are_shown_in_a_picture(run: Any, tmp_path: Path) -> None:
+    masks = {k: (encoded(run.sequence.images[k][1]),) * 2 for k in range(FRAMES)}
+    good = MaskQuality(area=0.1, agreement=0.98, contradicted=0.02, far_share=0.95)
+    found = FoundMasks(masks, dict.fromkeys(range(FRAMES), good))
+    masked = SimpleNamespace(**vars(run) | {"rectifier": replace(run.rectifier, found=found)})
+    assert "masks.jpg" in make(masked, tmp_path, Pictures(animation=False, views=False))
+    captions = json.loads((tmp_path / "pictures" / "captions.json").read_text())
+    assert captions["masks.jpg"].endswith("5 of 5 frames. Doubtful (red): 0.")
+    assert is_run_file("pictures/masks.jpg")
