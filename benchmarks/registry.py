@@ -11,6 +11,7 @@ from benchmarks.command import ROOT
 
 ALL = ("backend", "compare", "frontend", "mapping", "pipeline", "planning", "simulation", "train", "polhode")
 CODE: dict[str, tuple[str, ...]] = {
+    "calibration": ("calibration", "polhode"),
     "end_to_end": ("backend", "frontend", "mapping", "pipeline", "simulation", "polhode"),
     "checkout": ("frontend", "pipeline/checkout", "pipeline/data_checks", "polhode"),
     "frontend": ("frontend", "simulation", "polhode"),
@@ -102,6 +103,7 @@ BENCHMARKS = (
     _of_runs("keepout", "planning.keepout", "docs/planning.md", 60, _THREE),
     _of_runs("keepout_truth", "planning.keepout", "docs/planning.md", 20, _THREE, "--truth"),
     _of_runs("collision_pieces", "planning.collision_pieces", "docs/exports.md", 30, "runs/ts38"),
+    Benchmark("random_rigs", "calibration.random_rigs", "docs/calibrate.md", 30),
     Benchmark("checkout", "checkout.sequences", "docs/checkout.md", 10),
     _of_runs("run_cost", "checkout.run_cost", "docs/checkout.md", 1, _WITH_TRUTH),
     Benchmark("temple", "end_to_end.photographs", "docs/photographs.md", 15,

@@ -18,6 +18,7 @@ from typing import Annotated, Any, Union, cast
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
+from polhode.cli.calibrate import CalibrateCommand
 from polhode.cli.checkout import CheckoutCommand
 from polhode.cli.compare import CompareCommand
 from polhode.cli.console import is_working, show_warnings
@@ -46,6 +47,7 @@ from polhode.threads import limit_threads
 
 COMMANDS: dict[str, type[Command]] = {
     "simulate": SimulateCommand,
+    "calibrate": CalibrateCommand,
     "checkout": CheckoutCommand,
     "run": RunCommand,
     "evaluate": EvaluateCommand,

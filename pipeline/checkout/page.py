@@ -69,7 +69,7 @@ def render(done: Checkout, name: str) -> str:
     """The whole page."""
     result, found = done.result, done.findings
     groups = [
-        (title, [_row(check) for check in result.checks if check.group == group])
+        (title, [check_row(check) for check in result.checks if check.group == group])
         for group, title in GROUPS.items()
         if any(check.group == group for check in result.checks)
     ]
@@ -91,7 +91,9 @@ def render(done: Checkout, name: str) -> str:
     )
 
 
-def _row(check: CheckoutCheck) -> dict[str, str]:
+def check_row(check: CheckoutCheck) -> dict[str, str]:
+    """A check as a row of its table."""
+
     def number(value: float | None) -> str:
         return "" if value is None else f"{value:.3g}"
 

@@ -29,7 +29,7 @@ WRITTEN, REPLACED, REFUSED, NONE = "written", "replaced", "refused", "-"
 RESUMED, STAYS, FAILED = "resumed", "replaced; theirs stays", "fails; nothing replaced"
 STAGED = ("run", "simulate", "import")
 """Those that write beside the place, and then replace it whole."""
-FOLDERS = (*STAGED[:2], "compare", "train", "checkout", "plan", "observability", "import")
+FOLDERS = (*STAGED[:2], "compare", "train", "calibrate", "checkout", "plan", "observability", "import")
 FILES = ("export", "export urdf", "predict", "report")
 COMMANDS = (*FOLDERS, *FILES)
 
@@ -61,6 +61,7 @@ TABLE: dict[str, dict[str, str]] = {
         import_=NONE,
         compare=NONE,
         train=NONE,
+        calibrate=NONE,
         checkout=NONE,
         observability=NONE,
         export=NONE,
@@ -73,7 +74,13 @@ TABLE: dict[str, dict[str, str]] = {
     "a name inside the folder to which mav0 of a dataset links": row(REFUSED),
     "a file for a folder; a folder for a file": row(REFUSED),
     "the current folder, with nothing in it": row(
-        REFUSED, compare=WRITTEN, train=WRITTEN, checkout=WRITTEN, plan=WRITTEN, observability=WRITTEN
+        REFUSED,
+        compare=WRITTEN,
+        train=WRITTEN,
+        calibrate=WRITTEN,
+        checkout=WRITTEN,
+        plan=WRITTEN,
+        observability=WRITTEN,
     ),
     "an empty text, as of a variable that is not set": row(REFUSED),
     "folders of the path are missing": row(WRITTEN),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import polhode.calibration.calibrate
 import polhode.cli.main
 import polhode.compare.comparison
 import polhode.pipeline.after_run.observability.assess
@@ -22,6 +23,11 @@ import polhode.pipeline.checkout.checkout
 import polhode.pipeline.run
 import polhode.train.run
 from polhode.atomic import write_text
+from polhode.calibration.adjustment import adjust
+from polhode.calibration.boards import make_board
+from polhode.calibration.calibrate import CalibratedRig, Views
+from polhode.calibration.detection import Found
+from polhode.calibration.image_pairs import ImagePairs
 from polhode.config import Config
 from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
 from polhode.pipeline.checkout.checkout import Checkout
@@ -31,6 +37,7 @@ from polhode.pipeline.report import write_report
 from polhode.pipeline.run import RunResult
 from polhode.pipeline.run_directory.run_folder import atomic_run_folder
 from polhode.planning.keep_out.volumes import KeepOutOptions
+from tests.calibration.synthetic_rigs import SIZE, rig, seen_corners
 from tests.pipeline.conftest import Example, write_example
 
 SCENE = """
@@ -75,6 +82,7 @@ WRITERS: Mapping[str, Writer] = {
     "import": Writer("import", "I", "import.json", overwrite=True),
     "compare": Writer("compare", "C", "compare.json"),
     "train": Writer("train", "T", "scores.json", option="--train.output"),
+    "calibrate": Writer("calibrate", "B", "calibration.json"),
     "checkout": Writer("checkout", "K", "checkout.json"),
     "plan": Writer("plan", "P", "planning.json"),
     "observability": Writer("observability", "O", "observability.json"),
@@ -101,6 +109,7 @@ class Stage:
             "import": [str(self.inputs / "recording")],
             "compare": ["--run", run],
             "train": [str(self.inputs / "train.yaml")],
+            "calibrate": self._board_images(),
             "checkout": [str(self.inputs / "none")],
             "plan": [run],
             "observability": [run],
@@ -110,6 +119,11 @@ class Stage:
             "report": [run],
         }[name]
         return [writer.command, *arguments, writer.option, str(output), *more]
+
+    def _board_images(self) -> list[str]:
+        mav0 = self.inputs / "recording" / "mav0"
+        sides = ["--left", str(mav0 / "cam0" / "data"), "--right", str(mav0 / "cam1" / "data")]
+        return [*sides, "--board", "9x6", "--square-mm", "30"]
 
     def call(self, name: str, output: Path, *more: str) -> int:
         """Run a writer as the user does."""
@@ -151,6 +165,7 @@ def make_quick(patch: pytest.MonkeyPatch, stage: Stage) -> None:
     patch.setattr("polhode.compare.tables.print_tables", lambda comparison: None)
     patch.setattr(polhode.train.run, "_trained", _trained)
     patch.setattr(polhode.pipeline.checkout.checkout, "checkout", lambda *_: _checked())
+    patch.setattr(polhode.calibration.calibrate, "calibrate", lambda pairs, *_: _calibrated(pairs))
     patch.setattr(polhode.train.run, "require_same_training", lambda *_: None)
     once = _Once()
     plan, assess = polhode.pipeline.after_run.plan, polhode.pipeline.after_run.observability.assess
@@ -201,6 +216,21 @@ def _compared(config: Config, folder: Path, *_: object) -> Any:
     for name in polhode.compare.comparison.FILES:
         write_text(folder / name, LONG)
     return SimpleNamespace(rows=[SimpleNamespace(status="ok")])
+
+
+def _calibrated(pairs: ImagePairs) -> CalibratedRig:
+    """A rig by corners that were drawn, without images."""
+    rng = np.random.default_rng(0)
+    truth = rig("brown5", len(pairs.names[0]), rng)
+    data = seen_corners(truth, 0.1, rng)
+    adjusted = adjust(data, truth, np.ones(truth.shared, dtype=np.bool_), robust=False)
+    views = Views(make_board("chessboard", "9x6", 0.03), pairs)
+    for camera, seen in enumerate(data):
+        for pair in np.unique(seen.view).tolist():
+            uv = seen.uv_px[seen.view == pair]
+            views.found[camera][pair] = Found(np.arange(len(uv)), uv)
+            views.sizes_px[camera][pair] = SIZE
+    return CalibratedRig(views, adjusted, (data[0], data[1]), (0.1, 0.1), 0)
 
 
 def _checked() -> Checkout:

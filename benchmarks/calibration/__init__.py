@@ -1,0 +1,1 @@
+"""Calibration of stereo rigs from rendered and from real images of boards."""

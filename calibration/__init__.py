@@ -1,0 +1,21 @@
+"""Images of a board become the calibration of a stereo rig (docs/calibrate.md).
+
+In: images of a chessboard, a ChArUco board or a grid of AprilTags, as files or as a recording. Out: lenses of
+both cameras and the pose between them, each number with its standard deviation, in the formats of this and
+other programs; and the reason for each image that was left out.
+
+- calibrate: the flow, from the images to the rig
+- page, figures: the files of the command, report.html among them
+- verify: an existing calibration, judged by fresh images; verification_page: its files
+- result: the content of calibration.json
+- results_folder: the folder that is written
+- formats: sensor.yaml, and the files of Kalibr, OpenCV and ROS
+- pair_consensus: which pairs agree on the pose of the right camera, and what is wrong with others
+- image_pairs: the images, from files or a recording
+- epipolar: distances of corners from their epipolar lines
+- start_values: one camera from nothing
+- adjustment: the bundle adjustment, with covariance
+- detection: the corners of a board in an image, or why there are none
+- lenses: the lens models with their derivatives
+- boards: what is on a board
+"""

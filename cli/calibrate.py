@@ -1,0 +1,142 @@
+"""``polhode calibrate``: the calibration of a stereo rig from images of a board."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from polhode.cli.options import Debug
+from polhode.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrateCommand:
+    """Calibrate a stereo rig from images of a board: chessboard, ChArUco, AprilTags (docs/calibrate.md).
+
+    Images come from --left and --right, or from a recording as polhode import reads it: two folders, a bag,
+    a side-by-side video, two videos. Images that would spoil the result are left out, each with its reason.
+    Writes sensor.yaml of both cameras, the same for OpenCV, Kalibr and ROS, calibration.json with the
+    standard deviation of every parameter, and the page report.html.
+    """
+
+    sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SOURCE...")] = ()
+    """A recording: one path or two, instead of --left and --right."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="RIG")]
+    """Folder of the results: a new or empty one, or that of an earlier call, whose files are replaced."""
+    board: Annotated[str, arg(metavar="9x6")]
+    """Columns x rows: inner corners of a chessboard, squares of a ChArUco board, tags of an AprilTag grid."""
+    square_mm: Annotated[float, arg(metavar="MM")]
+    """Side of a square, or of a tag (its black part), as measured on the board [mm]."""
+    left: Annotated[tuple[str, ...], arg(metavar="GLOB...")] = ()
+    """Images of the left camera: patterns, files or a folder."""
+    right: Annotated[tuple[str, ...], arg(metavar="GLOB...")] = ()
+    """Images of the right camera. Paired by the number in the name, else by natural order."""
+    pattern: Annotated[str, arg(metavar="chessboard|charuco|aprilgrid")] = "chessboard"
+    """What is on the board."""
+    marker_mm: Annotated[float | None, arg(metavar="MM")] = None
+    """Side of the markers of a ChArUco board [mm]; three quarters of a square unless given."""
+    spacing: Annotated[float, arg(metavar="SHARE")] = 0.3
+    """Gap between the tags of a grid, over their side."""
+    dictionary: Annotated[str | None, arg(metavar="NAME")] = None
+    """Dictionary of the markers, as OpenCV calls it; 5X5_100 of a ChArUco board, APRILTAG_36h11 of a grid
+    unless given."""
+    model: Annotated[str, arg(metavar="brown5|brown8|fisheye")] = "brown5"
+    """Lens model of both cameras: Brown's distortion with 5 or 8 coefficients, or an equidistant fisheye."""
+    right_model: Annotated[str | None, arg(metavar="MODEL")] = None
+    """That of the right camera, if it is another one."""
+    verify: Annotated[tuple[Path, ...], arg(metavar="CALIB...")] = ()
+    """Judge this calibration by the images instead of making one: a folder with cam0/sensor.yaml and
+    cam1/sensor.yaml, or files of OpenCV, Kalibr or ROS. Writes verification.json and verification.html."""
+    unit: Annotated[str, arg(metavar="m|mm")] = "m"
+    """Unit of T in a file of OpenCV that is judged."""
+    rate_hz: Annotated[float | None, arg(metavar="HZ")] = None
+    """Frame rate of videos whose own times are wrong [Hz]."""
+    left_topic: Annotated[str | None, arg(metavar="TOPIC")] = None
+    """Topic of the left images in a bag. Found by its name unless given."""
+    right_topic: Annotated[str | None, arg(metavar="TOPIC")] = None
+    """Topic of the right images."""
+    tolerance_s: Annotated[float | None, arg(metavar="S")] = None
+    """Largest difference between the times of a pair [s]. A hundredth of the usual interval unless given."""
+    start: Annotated[float, arg(metavar="S")] = 0.0
+    """Of a recording, begin so long after the first pair [s]."""
+    end: Annotated[float, arg(metavar="S")] = math.inf
+    """End so long after the first pair [s]."""
+    every: Annotated[int, arg(metavar="N")] = 1
+    """Look at each N-th pair of a recording; at most 200, spread over it, are looked at."""
+    debug: Debug = False
+
+    def execute(self) -> int:
+        """Calibrate, write and print."""
+        self._require_ranges()
+        from polhode.calibration.boards import make_board
+        from polhode.calibration.image_pairs import opened_pairs
+        from polhode.calibration.lenses import model_named
+        from polhode.calibration.results_folder import results_folder, write_results
+        from polhode.cli.console import choose_progress
+        from polhode.importers.options import ImportOptions
+
+        board = make_board(
+            self.pattern,
+            self.board,
+            1e-3 * self.square_mm,
+            None if self.marker_mm is None else 1e-3 * self.marker_mm,
+            self.spacing,
+            self.dictionary,
+        )
+        models = (
+            model_named("--model", self.model),
+            model_named("--right-model", self.right_model or self.model),
+        )
+        options = ImportOptions(
+            rate_hz=self.rate_hz,
+            left_topic=self.left_topic,
+            right_topic=self.right_topic,
+            poses="none",
+            tolerance_s=self.tolerance_s,
+            start_s=self.start,
+            end_s=self.end,
+            every=self.every,
+        )
+        progress = choose_progress()
+        opened = opened_pairs(self.sources, self.left, self.right, options, progress)
+        if self.verify:
+            from polhode.calibration.verification_page import VERIFY_COMMAND as command
+            from polhode.calibration.verification_page import VERIFY_FILES as names
+            from polhode.calibration.verification_page import (
+                VERIFY_PAGE,
+                format_verification,
+                verification_files,
+            )
+            from polhode.calibration.verify import verify
+
+            unit_m = 1e-3 if self.unit == "mm" else 1.0
+            with results_folder(self.output, command, names) as place, opened as pairs:
+                done = verify(pairs, board, self.verify, unit_m, progress)
+                name = " ".join(path.name for path in self.verify)
+                write_results(place, command, verification_files(done, name), names)
+            print(format_verification(done))
+            print(f"Verification: {self.output / VERIFY_PAGE}")
+            return 0
+        from polhode.calibration.calibrate import calibrate
+        from polhode.calibration.page import COMMAND, FILES, PAGE, files_of, format_calibration
+
+        with results_folder(self.output, COMMAND, FILES) as place, opened as pairs:
+            rig = calibrate(pairs, board, models, progress)
+            write_results(place, COMMAND, files_of(rig, place.name), FILES)
+        print(format_calibration(rig))
+        print(f"Calibration: {self.output / PAGE}")
+        return 0
+
+    def _require_ranges(self) -> None:
+        if not math.isfinite(self.square_mm) or self.square_mm <= 0.0:
+            raise InputError(f"--square-mm {self.square_mm:g}: give a length above 0")
+        if self.unit not in ("m", "mm"):
+            raise InputError(f"--unit {self.unit}: choose m or mm")
+        if self.every < 1:
+            raise InputError(f"--every {self.every}: give a whole number of at least 1")
+        if not self.end > self.start >= 0.0:
+            raise InputError(
+                f"--start {self.start:g} --end {self.end:g}: give times of at least 0, end later"
+            )

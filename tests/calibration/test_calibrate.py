@@ -1,0 +1,236 @@
+"""Rendered boards: the rig is found, and each spoiled image is left out by its reason."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from polhode.calibration.boards import Board, make_board
+from polhode.calibration.calibrate import CalibratedRig, calibrate
+from polhode.calibration.image_pairs import pairs_of_files
+from polhode.calibration.result import result_of
+from polhode.cli.main import main
+from polhode.dataset_writer import write_png
+from polhode.errors import InputError
+from polhode.importers.calibrations.read_rig import read_rig
+from polhode.lie import Array, log_so3, make_pose
+from polhode.progress import Silent
+from tests.calibration.rendered_rigs import SIZE, Scene, board_pose, make_scene, write_images
+
+VIEWS = 10
+BOARD = make_board("chessboard", "7x5", 0.03)
+
+
+def calibrated(folder: Path, board: Board = BOARD) -> CalibratedRig:
+    pairs = pairs_of_files([str(folder / "left")], [str(folder / "right")])
+    return calibrate(pairs, board, ("brown5", "brown5"), Silent())
+
+
+def sigmas_off(rig: CalibratedRig, scene: Scene) -> Array:
+    """Errors of lenses and pose in standard deviations."""
+    truth, found = scene.truth, rig.state
+    values = [a.values - b.values for a, b in zip(found.lenses, truth.lenses, strict=True)]
+    turn = log_so3(truth.X_10[:3, :3].T @ found.X_10[:3, :3])
+    off = np.concatenate([*values, turn, found.X_10[:3, 3] - truth.X_10[:3, 3]])
+    return np.asarray(off / np.sqrt(np.diag(rig.adjusted.covariance)))
+
+
+def pairs_of(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:  # type: ignore[type-arg]
+    return [(scene.image(0, X, 2 * k), scene.image(1, X, 2 * k + 1)) for k, X in enumerate(scene.truth.X_CB)]
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Path, CalibratedRig]:
+    scene = make_scene(BOARD, VIEWS, 3)
+    folder = tmp_path_factory.mktemp("boards")
+    write_images(folder, pairs_of(scene))
+    return scene, folder, calibrated(folder)
+
+
+def test_the_rig_is_found_within_its_standard_deviations(clean: tuple[Scene, Path, CalibratedRig]) -> None:
+    scene, _, rig = clean
+    assert rig.views.rejections() == [] and len(rig.used[0]) == len(rig.used[1]) == VIEWS
+    assert np.abs(sigmas_off(rig, scene)).max() < 4.0
+    result = result_of(rig)
+    assert result.rms_px.stereo < 0.1 and result.epipolar_rms_px < 0.1
+    baseline = result.parameters["rig"]["baseline"]
+    assert abs(baseline.value - np.linalg.norm(scene.truth.X_10[:3, 3])) < 4.0 * baseline.sigma
+
+
+def test_spoiled_images_are_left_out_by_their_reason_and_the_result_stays(
+    clean: tuple[Scene, Path, CalibratedRig], tmp_path: Path
+) -> None:
+    scene, _, rig = clean
+    rng = np.random.default_rng(8)
+    images = pairs_of(scene)
+    poses = [board_pose(BOARD, rng) for _ in range(9)]
+    good = [(scene.image(0, X, 50 + k), scene.image(1, X, 70 + k)) for k, X in enumerate(poses)]
+    # its first column is beyond the left border
+    far = make_pose(np.eye(3), np.array([-0.165, 0.0, 0.42]) - BOARD.points.mean(axis=0))
+    larger, larger_squares = make_board("chessboard", "8x6", 0.026), make_board("chessboard", "7x5", 0.033)
+    moved = poses[5].copy()
+    moved[:3, 3] += [0.012, 0.009, 0.0]
+    cases: dict[str, tuple[tuple[object, object], tuple[str, str]]] = {
+        "cut off": ((scene.image(0, far, 90), good[0][1]), ("cut off", "")),
+        "blurred": ((good[1][0], scene.image(1, poses[1], 91, blur_px=3.0)), ("", "blurred")),
+        "mirrored": ((np.ascontiguousarray(good[2][0][:, ::-1]), good[2][1]), ("mirrored", "")),
+        "swapped": ((good[3][1], good[3][0]), ("swapped", "swapped")),
+        "other board": ((scene.image(0, poses[4], 92, larger), good[4][1]), ("other board", "")),
+        "moved": ((good[5][0], scene.image(1, moved, 93)), ("moved", "moved")),
+        "no board": ((np.full(SIZE[::-1], 120, np.uint8), good[6][1]), ("not found", "")),
+        "other size": ((good[7][0][:200], good[7][1]), ("other size", "")),
+        "other squares": (
+            (scene.image(0, poses[8], 94, larger_squares), scene.image(1, poses[8], 95, larger_squares)),
+            ("other board", "other board"),
+        ),
+    }
+    for pair, _ in cases.values():
+        images.append(pair)  # type: ignore[arg-type]
+    write_images(tmp_path, images)
+    found = calibrated(tmp_path)
+    said = {
+        (Path(each.file).parent.name, Path(each.file).stem): each.kind for each in found.views.rejections()
+    }
+    expected = {
+        (side, f"{VIEWS + k:02d}"): kind
+        for k, (_, kinds) in enumerate(cases.values(), start=1)
+        for side, kind in zip(("left", "right"), kinds, strict=True)
+        if kind
+    }
+    assert said == expected
+    assert np.abs(sigmas_off(found, scene)).max() < 4.0
+    np.testing.assert_allclose(found.state.lenses[0].values[:4], rig.state.lenses[0].values[:4], atol=0.5)
+
+
+def test_a_board_of_another_size_is_one_line_that_states_its_size(
+    clean: tuple[Scene, Path, CalibratedRig],
+) -> None:
+    _, folder, _ = clean
+    with pytest.raises(InputError, match="chessboard of 7x5 inner corners; give --board 7x5"):
+        calibrated(folder, make_board("chessboard", "8x5", 0.03))
+    with pytest.raises(InputError, match="chessboard of 7x5 inner corners; give --board 7x5"):
+        calibrated(folder, make_board("chessboard", "6x5", 0.03))
+
+
+@pytest.mark.parametrize("pattern", ["charuco", "aprilgrid"])
+def test_boards_with_markers_are_found(pattern: str, tmp_path: Path) -> None:
+    size, square_m = ("8x6", 0.03) if pattern == "charuco" else ("4x3", 0.05)
+    board = make_board(pattern, size, square_m)
+    facing = np.diag([1.0, -1.0, -1.0]) if pattern == "aprilgrid" else None
+    scene = make_scene(board, 6, 4, facing)
+    images = pairs_of(scene)
+    mirrored = np.ascontiguousarray(images[5][0][:, ::-1])
+    write_images(tmp_path, [*images[:5], (mirrored, images[5][1])])
+    rig = calibrated(tmp_path, board)
+    assert [(Path(each.file).stem, each.kind) for each in rig.views.rejections()] == [("06", "mirrored")]
+    assert np.abs(sigmas_off(rig, scene)).max() < 4.5
+
+
+def test_a_grid_with_another_number_of_columns_is_refused(tmp_path: Path) -> None:
+    board = make_board("aprilgrid", "4x3", 0.05)
+    scene = make_scene(board, 4, 4, np.diag([1.0, -1.0, -1.0]))
+    write_images(tmp_path, pairs_of(scene))
+    with pytest.raises(InputError, match=r"--board 5x3: .* images show another board"):
+        calibrated(tmp_path, make_board("aprilgrid", "5x3", 0.05))
+
+
+def test_the_command_writes_every_format_and_each_reads_back_the_same(
+    clean: tuple[Scene, Path, CalibratedRig], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, folder, _ = clean
+    out = tmp_path / "rig"
+    words = ["calibrate", "--left", str(folder / "left" / "*.png"), "--right", str(folder / "right")]
+    assert main([*words, "--board", "7x5", "--square-mm", "30", "-o", str(out)]) == 0
+    assert capsys.readouterr().out.rstrip().endswith(f"Calibration: {out / 'report.html'}")
+    content = json.loads((out / "calibration.json").read_text())
+    assert content["rejected"] == [] and len(content["used"]) == 2 * VIEWS
+    assert set(content["rms_px"]) == {"cam0", "cam1", "stereo"}
+    rig = read_rig([out])
+    for names in (["camchain.yaml"], ["opencv.yaml"], ["camera_info_left.yaml", "camera_info_right.yaml"]):
+        back = read_rig([out / name for name in names])
+        for camera, own in zip(back.cameras, rig.cameras, strict=True):
+            assert (camera.intrinsics, camera.model, camera.size_px) == (
+                own.intrinsics,
+                own.model,
+                own.size_px,
+            )
+            assert camera.distortion == own.distortion
+            # camera_info states the pose in two parts, which rounds
+            np.testing.assert_allclose(
+                camera.X_BC, own.X_BC, rtol=0, atol=1e-15 if len(names) == 1 else 1e-12
+            )
+    page = (out / "report.html").read_text()
+    assert "Epipolar error over the right image" in page and "Coverage of the left image" in page
+
+
+def test_covariance_and_sigmas_of_the_file_agree(clean: tuple[Scene, Path, CalibratedRig]) -> None:
+    result = result_of(clean[2])
+    names, matrix = result.covariance.names, np.array(result.covariance.matrix)
+    assert names[0] == "cam0.fu" and names[-1] == "cam1_from_cam0.t_z"
+    for name, variance in zip(names, np.diag(matrix), strict=True):
+        group, _, own = name.partition(".")
+        assert result.parameters[group][own].sigma == pytest.approx(np.sqrt(variance))
+
+
+def test_bad_inputs_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(0)
+    for side in ("left", "right"):
+        (tmp_path / f"empty_{side}").mkdir()
+        for k in range(4):
+            write_png(tmp_path / side / f"{k}.png", rng.integers(0, 256, (120, 160), dtype=np.uint8))
+    left, right = str(tmp_path / "left"), str(tmp_path / "right")
+    usual = ["--board", "7x5", "--square-mm", "30", "-o", str(tmp_path / "out")]
+    for words, said in (
+        (["--left", str(tmp_path / "empty_left"), "--right", right], "no images there"),
+        (["--left", left], "only one camera's images were given: .* --right is missing"),
+        (["--left", left, "--right", left], "is an image of --left and of --right"),
+        ([left], "a single folder that is no EuRoC sequence"),
+        ([], "images of a board are missing"),
+        (["--left", left, "--right", right], "0 of 4 left images can be used"),
+        (["--left", left, "--right", right, "--model", "pinhole"], "--model pinhole: choose one of brown5"),
+        (["--left", left, "--right", right, "--square-mm", "0"], "--square-mm 0: give a length above 0"),
+        (["--left", left, "--right", right, "--board", "9"], "--board 9: give columns x rows"),
+        (["--left", left, "--right", right, "--pattern", "dots"], "--pattern dots: choose one of chessboard"),
+    ):
+        more = usual if "--square-mm" not in words else usual[:2] + usual[4:]
+        more = more if "--board" not in words else more[2:]
+        assert main(["calibrate", *words, *more]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert re.search(said, error), error
+        assert not (tmp_path / "out").exists()
+
+
+def test_images_are_paired_by_their_numbers(tmp_path: Path) -> None:
+    for name in ("left/img1.png", "left/img2.png", "left/img10.png", "right/r_2.png", "right/r_10.png"):
+        write_png(tmp_path / name, np.zeros((20, 20), np.uint8))
+    pairs = pairs_of_files([str(tmp_path / "left")], [str(tmp_path / "right")])
+    stems = [tuple(None if each is None else Path(each).stem for each in side) for side in pairs.names]
+    assert stems == [("img1", "img2", "img10"), (None, "r_2", "r_10")]
+
+
+def test_half_a_turn_of_a_chessboard_does_not_matter() -> None:
+    """Corners are counted from either end; over boards at several attitudes only one order agrees."""
+    from polhode.calibration.adjustment import RigState
+    from polhode.calibration.detection import Found
+    from polhode.calibration.lenses import project
+    from polhode.calibration.pair_consensus import Pair, agree
+    from polhode.lie import transform_points
+
+    scene = make_scene(BOARD, 6, 5)
+    truth: RigState = scene.truth
+    ids = np.arange(len(BOARD.points))
+    pairs = []
+    for k, X_0B in enumerate(truth.X_CB):
+        uv = [
+            project(lens, transform_points(X, BOARD.points))
+            for lens, X in zip(truth.lenses, (X_0B, truth.X_10 @ X_0B), strict=True)
+        ]
+        pairs.append(Pair(k, Found(ids, uv[0]), Found(ids[::-1] if k % 2 else ids, uv[1])))
+    found = agree(pairs, BOARD, truth.lenses, (SIZE, SIZE))
+    assert found.spoiled == ()
+    np.testing.assert_allclose(found.X_10, truth.X_10, atol=1e-6)
+    for pair in found.agreeing:
+        np.testing.assert_array_equal(pair.right.ids, ids)
