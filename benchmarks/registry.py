@@ -104,6 +104,8 @@ BENCHMARKS = (
     _of_runs("keepout_truth", "planning.keepout", "docs/planning.md", 20, _THREE, "--truth"),
     _of_runs("collision_pieces", "planning.collision_pieces", "docs/exports.md", 30, "runs/ts38"),
     Benchmark("random_rigs", "calibration.random_rigs", "docs/calibrate.md", 30),
+    Benchmark("real_pairs", "calibration.real_pairs", "docs/calibrate.md", 2, "data/chessboard_pairs", None,
+              ("data/chessboard_pairs",)),
     Benchmark("checkout", "checkout.sequences", "docs/checkout.md", 10),
     _of_runs("run_cost", "checkout.run_cost", "docs/checkout.md", 1, _WITH_TRUTH),
     Benchmark("temple", "end_to_end.photographs", "docs/photographs.md", 15,

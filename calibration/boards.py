@@ -4,6 +4,7 @@ A chessboard is stated by its inner corners, a ChArUco board by its squares, a g
 columns x rows. The frame of a board lies in its plane z = 0.
 """
 
+import math
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -70,15 +71,15 @@ class Board:
         return self.square_m * np.column_stack([flat, np.zeros(len(flat))])
 
     @property
-    def reach_m(self) -> float:
-        """Distance around a corner within which nothing but its own edges is seen."""
+    def free_m(self) -> float:
+        """Radius around a corner within which only its own four squares are seen."""
         if self.pattern == "aprilgrid":
-            # the black border of a tag may be a tenth of its side, the gap between tags is the rest
-            return self.square_m * min(self.spacing, 0.2)
+            # Kalibr's tags have a black border of a fifth of their side, between squares as wide as the gaps
+            return 0.9 * self.square_m * min(self.spacing, 0.2)
         if self.pattern == "charuco":
-            # a marker begins so far from the corner of its square
-            return 0.5 * (self.square_m - self.marker_m) * np.sqrt(2.0) + 0.1 * self.square_m
-        return self.square_m
+            # to the corner of the nearest marker
+            return 0.9 * (self.square_m - self.marker_m) / math.sqrt(2.0)
+        return 0.5 * self.square_m
 
     def opencv_dictionary(self) -> Any:
         """The dictionary of the markers."""

@@ -28,7 +28,8 @@ MIN_BLUR_PX = 1.2
 """Edges below this width are sharp, whatever the others are."""
 MAX_OUTLYING = 3.5
 """A view's corners may be so many times as far off as those of the camera's usual view."""
-MIN_OUTLYING_PX = 0.1
+MIN_OUTLYING_PX = 0.3
+"""Views that are nearer are weighted by their own noise instead."""
 MAX_CORNER = 6.0
 """Standard deviations of its view beyond which a corner is left out."""
 MIN_VIEWS = 4

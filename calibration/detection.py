@@ -1,7 +1,7 @@
 """The corners of a board in one image, or the reason why it shows none.
 
 OpenCV finds the board; each corner is then refined in a window that follows the size of its squares, so that
-no other corner is in it (``cornerSubPix``: gradients are perpendicular to the edges that meet there).
+no other corner is in it: to tenths of a pixel by ``cornerSubPix``, then by corner_fit.py.
 What the detector found is not believed at once: corners beyond the board's own mean another board.
 """
 
@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from polhode.calibration.boards import Board
+from polhode.calibration.corner_fit import fitted
 from polhode.images import Grey
 from polhode.lie import Array
 from polhode.records import Bools, Ints
@@ -34,10 +35,12 @@ Kind = Literal[
 """Why an image is left out."""
 MAX_SEARCH_PIXELS = 1_300_000
 """Boards are searched in images reduced to this; corners are refined in the full one."""
-WINDOW_SHARE = 0.3
-"""Half of the refinement's window over the distance to the next corner."""
-WIDE_SHARE = 0.75
+WINDOW_SHARE = 0.6
+"""Half of cornerSubPix's window over the radius around the corner in which nothing else is."""
+WIDE_SHARE = 0.85
 """The same for a corner whose place is known to some pixels only."""
+FIT_SHARE = 0.9
+"""Radius of the fitted disc over the same radius."""
 MIN_WINDOW_PX, MAX_WINDOW_PX = 2, 25
 MIN_CORNERS = 8
 MAX_ASTRAY_PX = 0.5
@@ -80,10 +83,12 @@ def find_board(image: Grey, board: Board) -> Found | Missed:
     return found
 
 
-def refined(image: Grey, uv_px: Array, spacing_px: Array, share: float = WINDOW_SHARE) -> Array:
-    """Corners (n, 2), each refined within a share of the distance ``spacing_px`` (n,) to what is next;
-    NaN: lost."""
-    windows = np.clip(np.round(share * spacing_px), MIN_WINDOW_PX, MAX_WINDOW_PX).astype(int)
+def refined(image: Grey, uv_px: Array, free_px: Array, share: float = WINDOW_SHARE) -> Array:
+    """Corners (n, 2), each refined within a share of the radius ``free_px`` (n,) in which nothing else is.
+
+    NaN: lost.
+    """
+    windows = np.clip(np.round(share * free_px), MIN_WINDOW_PX, MAX_WINDOW_PX).astype(int)
     criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-4)
     out = uv_px.copy()
     for window in np.unique(windows).tolist():
@@ -126,7 +131,8 @@ def _find_chessboard(image: Grey, board: Board) -> Found | Missed:
         return _what_is_seen(small, board)
     rough = _enlarged(np.asarray(corners, dtype=np.float64).reshape(-1, 2), factor)
     grid = rough.reshape(board.rows, board.columns, 2)
-    uv = refined(image, rough, _grid_spacing(grid).ravel())
+    free_px = 0.5 * _grid_spacing(grid).ravel()
+    uv = fitted(image, refined(image, rough, free_px), FIT_SHARE * free_px)
     if not np.isfinite(uv).all():
         lost = int((~np.isfinite(uv)).any(axis=1).sum())
         return Missed("not found", f"{lost} of {len(uv)} corners cannot be refined")
@@ -318,19 +324,20 @@ def _too_few(count: int, markers: int, seen: list[Array], image: Grey, board: Bo
 
 def _finished(image: Grey, board: Board, ids: Ints, rough: Array) -> Found | Missed:
     """Corners refined in windows by their local scale; those of which that fails are left out."""
-    reach_px = _local_scale(board, ids, rough) * board.reach_m
+    free_px = _local_scale(board, ids, rough) * board.free_m
     # a detector's corner of a tag may be pixels off: a wide window first
-    near = refined(image, rough, reach_px, WIDE_SHARE) if board.pattern == "aprilgrid" else rough
-    uv = refined(image, np.where(np.isfinite(near), near, rough), reach_px)
+    near = refined(image, rough, free_px, WIDE_SHARE) if board.pattern == "aprilgrid" else rough
+    uv = refined(image, np.where(np.isfinite(near), near, rough), free_px)
     # a detector's corner may be where a tag touches its neighbour: once more, from where the others expect it
     expected = _expected(board.points[ids, :2], uv)
     off = np.linalg.norm(uv - expected, axis=1)
     astray = ~(off <= np.maximum(MAX_ASTRAY_PX, 3.0 * np.nanmedian(off)))
-    uv[astray] = refined(image, expected[astray], reach_px[astray])
+    uv[astray] = refined(image, expected[astray], free_px[astray])
     height, width = image.shape
     inside = ((rough > 3.0) & (rough < np.array([width - 4.0, height - 4.0]))).all(axis=1)
-    near = np.linalg.norm(uv - expected, axis=1) <= np.maximum(3.0 * MAX_ASTRAY_PX, 0.2 * reach_px)
-    good: Bools = inside & near & (_saddle(image, uv, reach_px) > 0.0)
+    uv = fitted(image, uv, FIT_SHARE * free_px)
+    near = np.linalg.norm(uv - expected, axis=1) <= np.maximum(3.0 * MAX_ASTRAY_PX, 0.2 * free_px)
+    good: Bools = inside & near & (_saddle(image, uv, free_px) > 0.0)
     if good.sum() < MIN_CORNERS:
         return Missed("cut off", f"only {int(good.sum())} corners are well inside the image")
     order = np.argsort(ids[good], kind="stable")
@@ -350,9 +357,12 @@ def _expected(p_m: Array, uv_px: Array) -> Array:
         return uv_px
     flat = cv2.perspectiveTransform(p_m[:, None], H).reshape(-1, 2)
     off = uv_px - flat
-    x, y = ((p_m - p_m.mean(axis=0)) / np.ptp(p_m, axis=0).max()).T
+    unit: Array = (p_m - p_m.mean(axis=0)) / float(np.ptp(p_m, axis=0).max())
+    off = np.asarray(off)
+    x, y = unit[:, 0], unit[:, 1]
     degree = next(each for each in (5, 3, 1, 0) if known.sum() >= 1.5 * (each + 1) * (each + 2) or not each)
-    A = np.stack([x**a * y**b for a in range(degree + 1) for b in range(degree + 1 - a)], axis=1)
+    terms = [x**a * y**b for a in range(degree + 1) for b in range(degree + 1 - a)]
+    A = np.asarray(np.stack(terms, axis=1))
     weight = known.astype(np.float64)
     bend = np.zeros((A.shape[1], 2))
     for _ in range(8):
@@ -375,7 +385,7 @@ def _local_scale(board: Board, ids: Ints, uv_px: Array) -> Array:
         np.linalg.norm(cv2.perspectiveTransform((p + d)[:, None], H).reshape(-1, 2) - middle, axis=1) / h
         for d in (np.array([h, 0.0]), np.array([0.0, h]))
     ]
-    return np.minimum(steps[0], steps[1])
+    return np.asarray(np.minimum(steps[0], steps[1]))
 
 
 def _find_grid(image: Grey, board: Board) -> Found | Missed:

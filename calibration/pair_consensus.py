@@ -190,7 +190,7 @@ class _Judge:
         for order in self.orders:
             own = X_1B @ inverse_pose(self._turn(order)) @ X_B0
             if np.linalg.norm(log_so3(own[:3, :3].T @ X_10[:3, :3])) < np.radians(3.0):
-                scale = float(np.linalg.norm(X_10[:3, 3]) / max(np.linalg.norm(own[:3, 3]), 1e-9))
+                scale = float(np.linalg.norm(X_10[:3, 3])) / max(float(np.linalg.norm(own[:3, 3])), 1e-9)
                 if max(scale, 1.0 / scale) > MIN_SCALE:
                     return scale
         return None

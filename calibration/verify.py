@@ -36,6 +36,7 @@ from polhode.lie import Array, inverse_pose, log_so3
 from polhode.pipeline.checkout.result import CheckoutCheck, Verdict, judged, worst
 from polhode.pipeline.run_directory.summary_schema import StrictModel
 from polhode.progress import Progress
+from polhode.records import Ints
 
 MAX_REPROJECTION_PX, FAIL_REPROJECTION_PX = 0.5, 1.0
 MAX_EPIPOLAR_PX, FAIL_EPIPOLAR_PX = 0.3, 0.8
@@ -190,7 +191,7 @@ def _checks(views: Views, held: Adjusted, data: tuple[CornerData, CornerData]) -
             advice=RECALIBRATE,
         ),
         _worst_part(views, residuals, data),
-        _lengths(views, state, data, left, right),
+        _lengths(state, data, left, right),
     ]
     return [*checks, *_turned(held, data), *_focal_lengths(held, data)]
 
@@ -227,9 +228,7 @@ def _worst_part(
     )
 
 
-def _lengths(
-    views: Views, state: RigState, data: tuple[CornerData, CornerData], left: Array, right: Array
-) -> CheckoutCheck:
+def _lengths(state: RigState, data: tuple[CornerData, CornerData], left: Ints, right: Ints) -> CheckoutCheck:
     """Distances on the board as both cameras measure them, against the true ones."""
     a = rays(state.lenses[0], data[0].uv_px[left])
     b = rays(state.lenses[1], data[1].uv_px[right]) @ state.X_10[:3, :3]

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +10,15 @@ import pytest
 
 from polhode.calibration.boards import Board, make_board
 from polhode.calibration.calibrate import CalibratedRig, calibrate
-from polhode.calibration.image_pairs import pairs_of_files
+from polhode.calibration.image_pairs import opened_pairs, pairs_of_files
 from polhode.calibration.result import result_of
 from polhode.cli.main import main
-from polhode.dataset_writer import write_png
+from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
 from polhode.errors import InputError
+from polhode.images import Grey
 from polhode.importers.calibrations.read_rig import read_rig
-from polhode.lie import Array, log_so3, make_pose
+from polhode.importers.options import ImportOptions
+from polhode.lie import Array, inverse_pose, log_so3, make_pose
 from polhode.progress import Silent
 from tests.calibration.rendered_rigs import SIZE, Scene, board_pose, make_scene, write_images
 
@@ -37,7 +40,7 @@ def sigmas_off(rig: CalibratedRig, scene: Scene) -> Array:
     return np.asarray(off / np.sqrt(np.diag(rig.adjusted.covariance)))
 
 
-def pairs_of(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:  # type: ignore[type-arg]
+def pairs_of(scene: Scene) -> list[tuple[Grey, Grey]]:
     return [(scene.image(0, X, 2 * k), scene.image(1, X, 2 * k + 1)) for k, X in enumerate(scene.truth.X_CB)]
 
 
@@ -234,3 +237,25 @@ def test_half_a_turn_of_a_chessboard_does_not_matter() -> None:
     np.testing.assert_allclose(found.X_10, truth.X_10, atol=1e-6)
     for pair in found.agreeing:
         np.testing.assert_array_equal(pair.right.ids, ids)
+
+
+def test_a_recording_is_calibrated_and_a_board_that_rests_counts_once(
+    clean: tuple[Scene, Path, CalibratedRig], tmp_path: Path
+) -> None:
+    _, folder, rig = clean
+    stamps = [k * 10**8 for k in range(VIEWS + 2)]
+    order = [*range(VIEWS), 0, 3]
+    for index, side in enumerate(("left", "right")):
+        camera, lens = tmp_path / "mav0" / f"cam{index}", rig.state.lenses[index]
+        X_BC = np.eye(4) if index == 0 else inverse_pose(rig.state.X_10)
+        write_sensor(camera, lens.K, lens.coefficients, X_BC, *SIZE, rate_hz=10.0)
+        write_camera_csv(camera, stamps)
+        for stamp, k in zip(stamps, order, strict=True):
+            image_path(camera, stamp).parent.mkdir(exist_ok=True)
+            shutil.copy(folder / side / f"{k + 1:02d}.png", image_path(camera, stamp))
+    with opened_pairs([tmp_path], [], [], ImportOptions(poses="none"), Silent()) as pairs:
+        found = calibrate(pairs, BOARD, ("brown5", "brown5"), Silent())
+    assert [(each.file, each.kind) for each in found.views.rejections()] == [
+        (f"{side} image {k}", "repeated") for k in (VIEWS, VIEWS + 1) for side in ("left", "right")
+    ]
+    np.testing.assert_array_equal(found.state.lenses[0].values, rig.state.lenses[0].values)
