@@ -28,6 +28,8 @@ ON_LINE_PX = 3.0
 FAR_FROM_LINE_PX = 40.0
 """Matches beyond it are wrong ones, whatever the clocks."""
 MIN_MATCHES = 40
+MIN_PATHS = 20
+"""Features seen in three right images: their spread about one offset gives its sigma."""
 EXCHANGED = 4.0
 """So many times as many matches must fit with the cameras exchanged. A chance match has an even chance of
 either, so of 40 wrong ones more than 32 on one side have a probability below 1e-4."""
@@ -103,7 +105,7 @@ def clock_offset(matches: Sequence[StereoMatches], rig: Rig, interval_s: float) 
     """The offset that fits best; None: too few features are seen in three right images."""
     parabolas = np.concatenate([_parabolas(each, rig) for each in matches]) if matches else np.empty((0, 3))
     parabolas = parabolas[_plausible(parabolas)] if len(parabolas) else parabolas
-    if len(parabolas) < MIN_MATCHES:
+    if len(parabolas) < MIN_PATHS:
         return None
     start = min(
         interval_s * np.linspace(-SPAN_FRAMES, SPAN_FRAMES, 97), key=lambda dt: _spread(_at(parabolas, -dt))

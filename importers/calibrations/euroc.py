@@ -8,13 +8,15 @@ from polhode.importers.calibrations.rig import Camera, Rig, distortion_of
 from polhode.tables import numbers_at, read_mapping
 
 
-def read_euroc(folder: Path) -> Rig:
+def read_euroc(folder: Path, names: tuple[str, str] = ("cam0", "cam1")) -> Rig:
     """The rig of ``cam0/sensor.yaml`` and ``cam1/sensor.yaml`` in a folder, or below its mav0.
+
+    ``names``: the folders of left and right camera.
 
     Raises InputError when a file or key is missing or wrong.
     """
     base = folder / "mav0" if (folder / "mav0").is_dir() else folder
-    left, right = (_camera(base / name / "sensor.yaml") for name in ("cam0", "cam1"))
+    left, right = (_camera(base / name / "sensor.yaml") for name in names)
     return Rig(left, right)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from polhode.camera_folders import find_cameras
 from polhode.errors import InputError
 from polhode.importers.calibrations.euroc import read_euroc
 from polhode.importers.sources.image_folders import ImageFiles
@@ -30,17 +31,15 @@ def open_euroc(path: Path, poses: str | None) -> ImageFiles:
     ``poses``: ``none`` leaves the inspector's poses out.
     """
     mav0 = path / "mav0" if (path / "mav0").is_dir() else path
-    cameras = (mav0 / "cam0", mav0 / "cam1")
-    for camera in cameras:
-        if not camera.is_dir():
-            raise InputError(f"{camera} is missing: a stereo pair needs cam0 (left) and cam1 (right)")
+    folders = find_cameras(mav0)
+    cameras = (folders.folder(0), folders.folder(1))
     listings = [read_listing(camera / "data.csv") for camera in cameras]
     files = [
         tuple(camera / "data" / name for name in names.values())
         for camera, names in zip(cameras, listings, strict=True)
     ]
     stamps = [np.array(list(names), dtype=np.int64) for names in listings]
-    rig = read_euroc(mav0)
+    rig = read_euroc(mav0, folders.names)
     tables = {name: mav0 / name for name in COPIED if (mav0 / name).is_file()}
     found: Poses | None = None
     notes: tuple[str, ...] = ()
@@ -53,7 +52,7 @@ def open_euroc(path: Path, poses: str | None) -> ImageFiles:
     elif "inspector0/data.csv" not in tables and (mav0 / ESTIMATE / "data.csv").is_file():
         found = _estimate(mav0 / ESTIMATE / "data.csv")
         notes = (f"inspector poses: {ESTIMATE} (--poses none: cameras at rest)",)
-    masks = [folder if (folder := mav0 / f"masks{index}").is_dir() else None for index in (0, 1)]
+    masks = [folder if (folder := folders.masks(index)).is_dir() else None for index in (0, 1)]
     return ImageFiles(
         str(path),
         (files[0], files[1]),
