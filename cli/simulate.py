@@ -44,5 +44,6 @@ class SimulateCommand:
         write_sequence(
             plan, self.output, choose_progress(), worker_count(self.values.runtime.workers), self.overwrite
         )
-        print(f"{len(plan.frames)} stereo pairs with truth: {self.output}")
+        kind = "stereo pairs" if self.values.scene.range_sensor is None else "images with ranges"
+        print(f"{len(plan.frames)} {kind} with truth: {self.output}")
         return 0

@@ -9,6 +9,7 @@ from polhode.config.frontend_settings import Depth, Frontend
 from polhode.dataset import StereoSequence
 from polhode.frontend.disparity.depth import compute_depth
 from polhode.frontend.disparity.learned import disparity_network
+from polhode.frontend.disparity.measured import measured_depth
 from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import ImageCrop, StereoFeatures
 from polhode.frontend.features.surface_features import with_patch_size
@@ -87,4 +88,6 @@ def _depth_of(
     """The depth of pair k, given its range of disparity."""
     k, span = job
     pair = rectified_pair(sequence, rectifier, k)
+    if pair.measured is not None:
+        return measured_depth(pair, rectifier.rig, config.largest_sigma_px)
     return compute_depth(pair.left, pair.right, pair.mask_left, rectifier.rig, config, span)

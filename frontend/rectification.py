@@ -6,6 +6,9 @@ compact algorithm for rectification of stereo pairs", 2000): x along the baselin
 direction. Toed-in, swapped and stacked cameras need no special case, nor do cameras of two resolutions: the
 common focal length is the mean of both, and the finer image is smoothed before it is resampled. Of a fisheye
 the part is used that a plane can show.
+
+Where range images take the place of a right camera, that camera is a virtual one, like the left one and
+parallel to it, so that a range is a disparity.
 """
 
 from dataclasses import dataclass
@@ -22,6 +25,7 @@ from polhode.errors import InputError
 from polhode.frontend.found_masks import FoundMasks
 from polhode.frontend.segmentation import border_of, target_mask
 from polhode.lie import Array, inverse_pose, make_pose
+from polhode.range_images import RangeModel
 from polhode.records import Bools
 
 Image = NDArray[np.uint8]
@@ -40,6 +44,9 @@ ALIASING = 1.25
 """Where the rectified image is coarser than the original by more than this factor, it is smoothed first."""
 BLUR_PER_SCALE = 0.5
 """Sigma of that smoothing [px] for each unit of sqrt(factor^2 - 1): the blur of the coarser pixel."""
+
+RANGE_STEP_SIGMAS = 6.0
+"""Neighbouring ranges that differ by more are not interpolated: another surface may begin there."""
 
 MAX_SLOPE = 100.0
 """Of a ray of the rectified image against its axis."""
@@ -183,21 +190,105 @@ def _blur_px(factor: float) -> float:
 
 
 @dataclass(frozen=True)
+class MeasuredDisparity:
+    """Measured ranges of a frame, as disparities to the virtual right camera; NaN where there are none."""
+
+    disparity_px: NDArray[np.float32]
+    """(H, W) in the rectified left image"""
+    sigma_px: NDArray[np.float32]
+    """(H, W) of single pixels, whose errors are independent"""
+
+
+@dataclass(frozen=True)
 class RectifiedPair:
     """One rectified stereo pair with the target's mask in each image: the input of every feature method."""
 
     left: Image
     right: Image
+    """Empty, as its mask, where disparities are measured"""
     mask_left: Bools
     mask_right: Bools
+    measured: MeasuredDisparity | None = None
+    """None: there are two images to measure them in"""
 
 
 def rectified_pair(sequence: StereoSequence, rectifier: Rectifier, k: int) -> RectifiedPair:
     """Read, rectify and mask pair k; where the mask was found, the background is black."""
+    if sequence.has_ranges:
+        return _ranged_pair(sequence, rectifier, k)
     raw = sequence.read_pair(k)
     left, mask_left = _rectified(rectifier, k, 0, raw.left, raw.mask_left)
     right, mask_right = _rectified(rectifier, k, 1, raw.right, raw.mask_right)
     return RectifiedPair(left, right, mask_left, mask_right)
+
+
+def _ranged_pair(sequence: StereoSequence, rectifier: Rectifier, k: int) -> RectifiedPair:
+    """Left image of pair k with its ranges in the place of a right image."""
+    left, mask = rectified_left(sequence, rectifier, k)
+    return RectifiedPair(
+        left,
+        np.zeros_like(left),
+        mask,
+        np.zeros_like(mask),
+        measured_disparity(sequence.read_range(k), sequence.range_model, rectifier),
+    )
+
+
+def measured_disparity(
+    range_m: NDArray[np.float32], model: RangeModel | None, rectifier: Rectifier
+) -> MeasuredDisparity:
+    """Ranges (H, W) [m] of the left image's pixels as recorded, in the rectified left image.
+
+    They are interpolated as inverse ranges, in which planes are linear, and never across a jump or a pixel
+    that is not measured: there the nearest pixel is taken.
+    """
+    assert model is not None
+    rig, inverse = rectifier.rig, (1.0 / range_m).astype(np.float32)
+    if rectifier.maps is not None:
+        inverse = _resampled(inverse, *rectifier.maps[0], _largest_step(range_m, model))
+    ranges = 1.0 / inverse.astype(np.float64)
+    sigma_m, depth_m = model.sigma_at(ranges), ranges
+    if model.along_ray:
+        v, u = np.mgrid[: rig.height_px, : rig.width_px]
+        x, y = (u - rig.cx_px) / rig.focal_px, (v - rig.cy_px) / rig.focal_px
+        cosine = 1.0 / np.sqrt(1.0 + x**2 + y**2)
+        sigma_m, depth_m = sigma_m * cosine, ranges * cosine
+    scale = rig.focal_px * rig.baseline_m
+    return MeasuredDisparity(
+        (scale / depth_m + rig.disparity_offset_px).astype(np.float32),
+        (scale / depth_m**2 * sigma_m).astype(np.float32),
+    )
+
+
+def _largest_step(range_m: NDArray[np.float32], model: RangeModel) -> NDArray[np.float32]:
+    """(H, W) difference of inverse ranges between neighbours that noise explains [1/m]."""
+    ranges = range_m.astype(np.float64)
+    return np.asarray(RANGE_STEP_SIGMAS * model.sigma_at(ranges) / ranges**2, dtype=np.float32)
+
+
+def _resampled(
+    inverse: NDArray[np.float32],
+    map_u: NDArray[np.float32],
+    map_v: NDArray[np.float32],
+    step: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Values (H, W) at the places of the maps: bilinear where the four around it agree within ``step``."""
+    height, width = inverse.shape
+    u0, v0 = np.floor(map_u).astype(np.int64), np.floor(map_v).astype(np.int64)
+    s, t = map_u - u0, map_v - v0
+
+    def at(u: NDArray[np.int64], v: NDArray[np.int64], image: NDArray[np.float32]) -> NDArray[np.float32]:
+        seen = (u >= 0) & (v >= 0) & (u < width) & (v < height)
+        value = image[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
+        return np.where(seen, value, np.float32(np.nan))
+
+    corners = np.stack([at(u0 + i, v0 + j, inverse) for j in (0, 1) for i in (0, 1)])
+    weights = np.stack([(1 - s) * (1 - t), s * (1 - t), (1 - s) * t, s * t])
+    nearest = np.take_along_axis(corners, weights.argmax(axis=0)[None], axis=0)[0]
+    near = (np.round(map_u).astype(np.int64), np.round(map_v).astype(np.int64))
+    # NaN among the corners makes this false
+    alike = corners.max(axis=0) - corners.min(axis=0) < at(*near, step)
+    return np.where(alike, np.sum(weights * corners, axis=0), nearest).astype(np.float32)
 
 
 def rectified_left(sequence: StereoSequence, rectifier: Rectifier, k: int) -> tuple[Image, Bools]:

@@ -23,7 +23,8 @@ rigid_fit.py       least-squares rotations and rigid transforms
 camera.py          the rectified stereo camera: projection, triangulation
 fisheye.py         the equidistant fisheye lens: rays to pixels and back
 calibration.py     the calibration of the rig, from sensor.yaml
-camera_folders.py  which folders of a sequence hold its two cameras
+camera_folders.py  which folders of a sequence hold its two cameras, or its camera and ranges
+range_images.py    range images in the place of a second camera: format and noise model
 dataset.py         a stereo sequence on disk, without its truth
 dataset_writer.py  the same layout, written
 pairing.py         images of two cameras that belong together, by their timestamps

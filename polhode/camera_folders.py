@@ -1,7 +1,8 @@
-"""Which folders of a sequence hold the left and the right camera.
+"""Which folders of a sequence hold the left and the right camera, or the camera and its range images.
 
 ``cam0`` is the left and ``cam1`` the right camera of a sequence that has both. Recordings of larger rigs have
 other names (``cam2`` and ``cam3``, ``left`` and ``right``): then the only two folders with images are taken.
+With a single camera, ``range0`` takes the place of the right one.
 """
 
 import re
@@ -12,6 +13,7 @@ import numpy as np
 
 from polhode.errors import InputError
 from polhode.lie import inverse_pose
+from polhode.range_images import RANGE_FOLDER
 from polhode.rig_calibration import read_camera_pose
 
 USUAL = ("cam0", "cam1")
@@ -22,10 +24,15 @@ share of their distance; two that are one above the other are taken in the order
 
 @dataclass(frozen=True)
 class CameraFolders:
-    """The folders of camera 0 (left) and camera 1 (right)."""
+    """The folders of camera 0 (left) and camera 1 (right), or of the ranges in the place of the latter."""
 
     mav0: Path
     names: tuple[str, str]
+
+    @property
+    def has_ranges(self) -> bool:
+        """Whether the second folder holds range images."""
+        return self.names[1] == RANGE_FOLDER
 
     def folder(self, camera: int) -> Path:
         """With ``sensor.yaml``, ``data.csv`` and the images in ``data``."""
@@ -40,7 +47,8 @@ class CameraFolders:
 def find_cameras(mav0: Path) -> CameraFolders:
     """The cameras of a sequence.
 
-    Raises InputError when there are fewer than two cameras, or more and none are called cam0 and cam1.
+    Raises InputError when there are fewer than two cameras and no range images, or more and none are called
+    cam0 and cam1.
     """
     if all((mav0 / name).is_dir() for name in USUAL):
         return CameraFolders(mav0, USUAL)
@@ -51,10 +59,13 @@ def find_cameras(mav0: Path) -> CameraFolders:
             f"{mav0} has {len(found)} cameras, {', '.join(found[:6])}: call the left one of the pair cam0 "
             "and the right one cam1, or move the others out"
         )
+    if len(found) == 1 and (mav0 / RANGE_FOLDER).is_dir():
+        return CameraFolders(mav0, (found[0], RANGE_FOLDER))
     if len(found) < 2:
         missing = next(mav0 / name for name in USUAL if not (mav0 / name).is_dir())
         raise InputError(
-            f"{missing} is missing: a sequence needs mav0/cam0 and mav0/cam1 (see docs/dataset.md)"
+            f"{missing} is missing: a sequence needs mav0/cam0 and mav0/cam1, or mav0/{RANGE_FOLDER} in the "
+            "place of a second camera (see docs/dataset.md)"
         )
     sides = [_side(name) for name in found]
     if sides == ["right", "left"] or (sides != ["left", "right"] and _is_right_of(mav0, found)):
@@ -72,8 +83,10 @@ def left_camera(mav0: Path) -> Path:
 
 def _is_camera(folder: Path) -> bool:
     """Whether a folder has what a camera's has: a calibration, a list, and images."""
-    return (folder / "data").is_dir() and all(
-        (folder / name).is_file() for name in ("sensor.yaml", "data.csv")
+    return (
+        folder.name != RANGE_FOLDER
+        and (folder / "data").is_dir()
+        and all((folder / name).is_file() for name in ("sensor.yaml", "data.csv"))
     )
 
 

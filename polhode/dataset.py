@@ -1,12 +1,15 @@
 """A stereo sequence on disk (docs/dataset.md), without its truth, which polhode/truth.py reads.
 
+The second of the two cameras may be a range sensor (polhode/range_images.py): then the calibration has a
+virtual right camera, and ``read_range`` takes the place of the right images.
+
 Every image is decoded once when the sequence is opened, so that damage is found before the work begins.
 """
 
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from hashlib import blake2b
 from itertools import islice, pairwise
 from pathlib import Path
@@ -21,6 +24,7 @@ from polhode.errors import InputError
 from polhode.foreign_files import CONFIGURATION_BYTES, MissingFile, read_text
 from polhode.images import (
     Grey,
+    Raw,
     UnreadableImage,
     bit_depth,
     has_content,
@@ -31,8 +35,14 @@ from polhode.images import (
 )
 from polhode.lie import Array, make_pose
 from polhode.pairing import Pairing, offset_in_words, pair_by_time, time_in_words
+from polhode.range_images import RANGE_FOLDER, RangeModel, read_range_model, why_no_ranges
 from polhode.records import Bools, Ints, Wrench
-from polhode.rig_calibration import StereoCalibration, read_calibration
+from polhode.rig_calibration import (
+    StereoCalibration,
+    read_calibration,
+    read_range_calibration,
+    with_baseline,
+)
 from polhode.tables import attitudes_of, numbers_at, read_listing, read_mapping, read_table, require_below
 
 MIN_PAIRS = 3
@@ -46,6 +56,8 @@ LONG_GAP_S, LONG_GAP = 3600.0, 100.0
 """An interval that is longer than an hour and than so many usual ones is odd."""
 PAIRS_AHEAD = 64
 """Pairs that are checked at a time when a sequence is opened."""
+RANGE_SAMPLES = 24
+"""Range images from which the usual range is found."""
 SAME_POSITION_M = 1e-9
 SAME_ROTATION = 1e-9
 
@@ -54,7 +66,8 @@ __all__ = ["StereoCalibration", "StereoImages", "StereoSequence", "open_sequence
 
 @dataclass(frozen=True)
 class StereoImages:
-    """One pair as recorded: neither undistorted nor rectified."""
+    """One pair as recorded: neither undistorted nor rectified. Where ranges are in the place of a right
+    camera, its image and mask are empty."""
 
     left: Grey
     """(H, W)"""
@@ -98,14 +111,36 @@ class StereoSequence:
     """(F,) timestamps of the right images, which may differ by an offset and a little more"""
     _cameras: CameraFolders
     _bits: int = 8
+    range_model: RangeModel | None = None
+    """Of the range images in the place of a right camera; None: there are two cameras"""
 
     def __len__(self) -> int:
         return len(self.timestamps_ns)
 
+    @property
+    def has_ranges(self) -> bool:
+        """Whether there are range images instead of a right camera."""
+        return self.range_model is not None
+
+    @property
+    def second_name(self) -> str:
+        """Name of the folder of the right camera, or of the range images."""
+        return self._cameras.names[1]
+
     def read_pair(self, k: int) -> StereoImages:
         """Images and masks of pair k, 0 <= k < F, 8-bit grey. Raises InputError if the files have changed."""
         left, mask_left = self.read_left(k)
+        if self.has_ranges:
+            return StereoImages(left, np.zeros_like(left), mask_left, np.zeros(left.shape, dtype=np.bool_))
         return StereoImages(left, self._read_image(1, k), mask_left, self._read_mask(1, k))
+
+    def read_range(self, k: int) -> NDArray[np.float32]:
+        """Ranges (H, W) of pair k [m], NaN where there are none, of the pixels of the left image as recorded.
+
+        Raises InputError if the files have changed; only for sequences with ``range_model``.
+        """
+        assert self.range_model is not None
+        return self.range_model.metres(self._read_raw(1, k)).astype(np.float32)
 
     def read_left(self, k: int) -> tuple[Grey, Bools | None]:
         """The left image and mask of pair k alone."""
@@ -116,6 +151,9 @@ class StereoSequence:
         return self._files[k][0]
 
     def _read_image(self, camera: int, k: int) -> Grey:
+        return to_grey(self._read_raw(camera, k), self._bits)
+
+    def _read_raw(self, camera: int, k: int) -> Raw:
         file = self._files[k][camera]
         try:
             raw = read_raw(file, *self.calibration.size_px(camera))
@@ -125,7 +163,7 @@ class StereoSequence:
             ) from None
         if _digest(raw) != self._digests[k][camera]:
             raise InputError(f"{file}: changed while in use: leave the sequence alone, and run again")
-        return to_grey(raw, self._bits)
+        return raw
 
     def _read_mask(self, camera: int, k: int) -> Bools | None:
         width, height = self.calibration.size_px(camera)
@@ -184,11 +222,16 @@ def open_sequence(folder: Path) -> StereoSequence:
     Unpaired and unreadable frames are dropped, listed in ``dropped`` and reported in ``warnings``. Raises
     InputError, one line, when the folder, a camera or its calibration is missing or wrong, timestamps do not
     increase, more than 60 % of the listed frames are lost, fewer than 3 pairs remain, all frames are black, a
-    mask has the wrong size, or ``inspector0`` or ``wrench0`` is wrong or does not cover the frames.
+    mask has the wrong size, no range image has a measurement, or ``inspector0`` or ``wrench0`` is wrong or
+    does not cover the frames.
     """
     mav0 = _require_mav0(folder)
     cameras = find_cameras(mav0)
-    calibration = read_calibration(mav0, cameras.names)
+    ranges = read_range_model(cameras.folder(1)) if cameras.has_ranges else None
+    if ranges is None:
+        calibration = read_calibration(mav0, cameras.names)
+    else:
+        calibration = read_range_calibration(mav0, cameras.names[0])
     bits = calibration.bits
     left, right = (read_listing(cameras.folder(camera) / "data.csv") for camera in (0, 1))
     left_ns, right_ns = (np.array(list(names), dtype=np.int64) for names in (left, right))
@@ -225,6 +268,11 @@ def open_sequence(folder: Path) -> StereoSequence:
             )
         message = "all frames are black: no image shows anything above the noise"
         raise InputError(f"{folder}: {message}; check exposure and lens cap")
+    measured = [k for k, stamp in enumerate(usable) if checked[stamp].shows[1]]
+    if ranges is not None and not measured:
+        raise InputError(
+            f"{cameras.folder(1)}: no image has a measurement, all pixels are 0; record the ranges again"
+        )
     of_cameras = _repeated([checked[stamp] for stamp in usable])
     frozen = bool(of_cameras[1:].all())
     repeated = np.asarray(of_cameras.any(axis=1)) & (not frozen)
@@ -241,7 +289,7 @@ def open_sequence(folder: Path) -> StereoSequence:
     X_NC = inspector.X_NB @ calibration.X_BC0 if inspector else np.tile(np.eye(4), (len(usable), 1, 1))
     bad_masks = [bad for stamp in usable for bad in checked[stamp].bad_masks]
     bits = bits or bit_depth(max(checked[stamp].largest_16_bit for stamp in usable))
-    return StereoSequence(
+    sequence = StereoSequence(
         folder=folder,
         timestamps_ns=timestamps_ns,
         calibration=calibration,
@@ -252,6 +300,7 @@ def open_sequence(folder: Path) -> StereoSequence:
         n_listed=len(listed),
         dropped=dropped,
         warnings=(
+            *_unused_ranges(cameras),
             *_offset_warning(cameras, pairing),
             *_warnings(dropped, len(listed), bad_masks, inspector),
             *_odd_times(timestamps_ns),
@@ -265,7 +314,42 @@ def open_sequence(folder: Path) -> StereoSequence:
         _cameras=cameras,
         _right_ns=np.array([files[stamp].right_ns for stamp in usable], dtype=np.int64),
         _bits=bits,
+        range_model=ranges,
     )
+    return sequence if ranges is None else _with_virtual_camera(sequence, ranges, measured)
+
+
+def _with_virtual_camera(sequence: StereoSequence, model: RangeModel, measured: list[int]) -> StereoSequence:
+    """The sequence with the virtual right camera where the noise of the ranges asks for it.
+
+    The usual range is that of the target where masks are given, else of all that is measured. measured:
+    pairs whose range image has a measurement.
+    """
+    medians = []
+    for index in np.unique(np.linspace(0, len(measured) - 1, RANGE_SAMPLES).round().astype(int)).tolist():
+        ranges = sequence.read_range(measured[index])
+        mask = sequence._read_mask(0, measured[index])
+        on_target = ranges if mask is None else ranges[mask]
+        known = on_target[np.isfinite(on_target)]
+        if len(known):
+            medians.append(float(np.median(known)))
+    if not medians:
+        raise InputError(
+            f"{sequence.folder / 'mav0' / RANGE_FOLDER}: no pixel of the target, as the masks give it, has a "
+            "measurement; masks and ranges must be of the same pixels"
+        )
+    calibration = sequence.calibration
+    focal_px = float(np.mean(calibration.K0[[0, 1], [0, 1]]))
+    baseline_m = model.virtual_baseline_m(focal_px, float(np.median(medians)))
+    return replace(sequence, calibration=with_baseline(calibration, baseline_m))
+
+
+def _unused_ranges(cameras: CameraFolders) -> Iterator[str]:
+    if not cameras.has_ranges and (cameras.mav0 / RANGE_FOLDER).is_dir():
+        yield (
+            f"{cameras.mav0 / RANGE_FOLDER} is not used, since there are two cameras; to use the ranges, "
+            f"take {cameras.names[1]} out of {cameras.mav0}"
+        )
 
 
 def _require_mav0(folder: Path) -> Path:
@@ -365,6 +449,12 @@ def _check_pair(
             raw = read_raw(path, *calibration.size_px(camera))
         except UnreadableImage as error:
             return _Checked(f"{cameras.names[camera]} image: {error}", False, False, 0, ())
+        if camera == 1 and cameras.has_ranges:
+            if wrong := why_no_ranges(raw):
+                return _Checked(f"{cameras.names[camera]} image: {wrong}", False, False, 0, ())
+            shows.append(bool(raw.any()))
+            digests.append(_digest(raw))
+            continue
         if raw.dtype == np.uint16:
             largest = max(largest, int(raw.max()))
             if bits is not None and largest >= 2**bits:
@@ -376,7 +466,8 @@ def _check_pair(
         bright = bright or bool(np.median(grey) > 127)
         digests.append(_digest(raw))
     bad_masks = tuple(_bad_masks(cameras, stamp, pair.right_ns, calibration))
-    return _Checked(None, any(shows), bright, largest, bad_masks, tuple(digests), tuple(shows))
+    content = shows[0] if cameras.has_ranges else any(shows)
+    return _Checked(None, content, bright, largest, bad_masks, tuple(digests), tuple(shows))
 
 
 def _digest(image: NDArray[Any]) -> bytes:
@@ -395,7 +486,7 @@ def _mask_file(cameras: CameraFolders, camera: int, stamp: int, right_ns: int) -
 def _bad_masks(
     cameras: CameraFolders, stamp: int, right_ns: int, calibration: StereoCalibration
 ) -> Iterator[str]:
-    for camera in (0, 1):
+    for camera in (0,) if cameras.has_ranges else (0, 1):
         path = _mask_file(cameras, camera, stamp, right_ns)
         if not path.parent.is_dir():
             continue

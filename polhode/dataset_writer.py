@@ -75,6 +75,21 @@ def write_sensor(
     _write_yaml(camera / "sensor.yaml", sensor)
 
 
+def write_range_sensor(
+    folder: Path, scale_m: float, sigma_m: float, growth_per_m: float = 0.0, along_ray: bool = False
+) -> None:
+    """Write ``sensor.yaml`` of a folder of range images: metres per unit, and the noise of a pixel."""
+    folder.mkdir(parents=True, exist_ok=True)
+    sensor: dict[str, object] = {
+        "sensor_type": "range",
+        "scale_m": float(scale_m),
+        "sigma_m": float(sigma_m),
+        "sigma_growth_per_m": float(growth_per_m),
+        "along": "ray" if along_ray else "axis",
+    }
+    _write_yaml(folder / "sensor.yaml", sensor)
+
+
 def write_camera_csv(camera: Path, timestamps_ns: Iterable[int]) -> None:
     """Write ``data.csv`` of a camera folder: one row ``<ns>,<ns>.png`` per frame."""
     camera.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,6 @@
 """The calibration of a stereo rig, read from the two ``sensor.yaml`` of a sequence (EuRoC's keys)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -98,6 +98,33 @@ def read_calibration(mav0: Path, names: tuple[str, str] = ("cam0", "cam1")) -> S
         right.fisheye,
         None if left.size_px == right.size_px else right.size_px,
     )
+
+
+def read_range_calibration(mav0: Path, name: str = "cam0") -> StereoCalibration:
+    """The ``sensor.yaml`` of the only camera, with a virtual right camera like it, for range images.
+
+    Its distance, here 1 m, is to be set by ``with_baseline``. Raises InputError as ``read_calibration``.
+    """
+    camera = _read_camera(mav0 / name / "sensor.yaml")
+    alone = StereoCalibration(
+        camera.K,
+        camera.K,
+        camera.dist,
+        camera.dist,
+        camera.X_BC,
+        camera.X_BC,
+        *camera.size_px,
+        camera.bits,
+        camera.fisheye,
+        camera.fisheye,
+    )
+    return with_baseline(alone, 1.0)
+
+
+def with_baseline(calibration: StereoCalibration, baseline_m: float) -> StereoCalibration:
+    """The calibration with the right camera beside the left one, parallel to it, along its rows."""
+    X_C0C1 = make_pose(np.eye(3), np.array([baseline_m, 0.0, 0.0]))
+    return replace(calibration, X_BC1=calibration.X_BC0 @ X_C0C1)
 
 
 def read_camera_pose(path: Path) -> Array:

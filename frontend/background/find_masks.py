@@ -67,8 +67,11 @@ class Background:
 
 
 def find_background(sequence: StereoSequence, rectifier: Rectifier) -> Background | None:
-    """The background of a sequence; None: the sky is dark, masks are given, or no plane is found."""
-    frames = _without_masks(sequence)
+    """The background of a sequence; None: the sky is dark, masks are given, or no plane is found.
+
+    None with range images, too: there is no second image.
+    """
+    frames = [] if sequence.has_ranges else _without_masks(sequence)
     if not frames:
         return None
     bright = []

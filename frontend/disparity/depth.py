@@ -42,7 +42,15 @@ def compute_depth(
     """
     disparity, sigma = dense_disparity(left, right, mask, rig, config, disparity_range_px)
     certain = np.isfinite(disparity) & (sigma < config.largest_sigma_px)
-    kept = certain & ~_discontinuities(np.where(certain, disparity, np.float32(np.nan)), mask, config)
+    known = np.where(certain, disparity, np.float32(np.nan))
+    kept = certain & ~discontinuities(known, mask, RIM_PX[config.method], JUMP_PX)
+    return depth_of_disparity(disparity, sigma, kept, left, mask, rig)
+
+
+def depth_of_disparity(
+    disparity: Floats, sigma: Floats, kept: Bools, left: Image, mask: Bools, rig: RectifiedRig
+) -> DepthMap:
+    """The depth map of disparities and their sigmas (H, W) [px], where they are ``kept`` (H, W)."""
     with np.errstate(invalid="ignore", divide="ignore"):
         d = disparity - np.float32(rig.disparity_offset_px)
         depth = np.where(kept & (d > 0), rig.focal_px * rig.baseline_m / d, np.nan)
@@ -112,9 +120,12 @@ def find_disparity_range(
     return float(max(low - margin, offset_px)), float(high + margin)
 
 
-def _discontinuities(disparity: Floats, target: Bools, config: Depth) -> Bools:
-    """Pixels along the silhouette and along jumps of disparity, where windows mix near and far surfaces."""
-    size = 2 * RIM_PX[config.method] + 1
+def discontinuities(disparity: Floats, target: Bools, rim_px: int, jump_px: float | Floats) -> Bools:
+    """Pixels (H, W) along the silhouette and along jumps of disparity, where near and far surfaces mix.
+
+    rim_px: width that is removed; jump_px: difference between neighbours that counts as a jump.
+    """
+    size = 2 * rim_px + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     framed = cv2.copyMakeBorder(target.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     outside = cv2.erode(framed, kernel)[1:-1, 1:-1] == 0
@@ -122,6 +133,6 @@ def _discontinuities(disparity: Floats, target: Bools, config: Depth) -> Bools:
         np.where(np.isfinite(disparity), disparity, -1e9).astype(np.float32), np.ones((3, 3))
     )
     smallest = cv2.erode(np.where(np.isfinite(disparity), disparity, 1e9).astype(np.float32), np.ones((3, 3)))
-    jump = (largest - smallest > JUMP_PX) & np.isfinite(disparity)
+    jump = (largest - smallest > jump_px) & np.isfinite(disparity)
     near_jump = cv2.dilate(jump.astype(np.uint8), kernel) > 0
     return np.asarray(outside | near_jump)

@@ -7,15 +7,17 @@ several times more. Lucas and Kanade 1981; Gruen, "Adaptive least squares correl
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
 from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Frontend
+from polhode.frontend.disparity.measured import disparity_at
 from polhode.frontend.features.keypoints import Descriptors, KeyPoints, detect, no_key_points
 from polhode.frontend.features.row_offsets import RowOffsets, row_offsets
-from polhode.frontend.rectification import Image, RectifiedPair, target_crop
+from polhode.frontend.rectification import Image, MeasuredDisparity, RectifiedPair, target_crop
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 
@@ -35,6 +37,9 @@ SIGMA_UV_PX = 0.30
 """Scatter of a key point between views of the target, before the back end estimates it [px]."""
 MIN_SIGMA_DISPARITY_PX = 0.10
 """Floor of a refined disparity's sigma, since the noise is not the only error [px]."""
+
+MIN_NOISE_LEVELS = 1.0
+"""Floor of the noise of an image [8-bit levels]: rounding, and what the model of its texture lacks."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,8 @@ class RootSift:
     def __call__(self, pair: RectifiedPair, rig: RectifiedRig) -> StereoFeatures:
         """Stereo measurements of one rectified pair; none when the target is out of view."""
         left = self._key_points(pair.left, pair.mask_left)
+        if pair.measured is not None:
+            return with_ranges(pair.measured, left, rig)
         right = self._key_points(pair.right, pair.mask_right)
         return match_stereo(pair.left, pair.right, left, right, rig)
 
@@ -127,6 +134,58 @@ def match_stereo(
         points_left.angle_rad[index_left][good],
         rows=row_offsets(points_left, points_right, rig.width_px),
     )
+
+
+def with_ranges(measured: MeasuredDisparity, points: KeyPoints, rig: RectifiedRig) -> StereoFeatures:
+    """Measurements of the key points of the left image whose range is known."""
+    disparity, sigma_d = disparity_at(measured, points.uv_px)
+    good = np.isfinite(disparity) & (disparity > rig.disparity_offset_px)
+    uvd = np.column_stack([points.uv_px, disparity])[good]
+    sigma_uv = np.full(len(uvd), SIGMA_UV_PX)
+    return StereoFeatures(
+        uvd,
+        np.column_stack([sigma_uv, sigma_uv, sigma_d[good]]),
+        rig.triangulate(uvd),
+        points.scale_px[good],
+        points.descriptors[good],
+        points.angle_rad[good],
+    )
+
+
+def texture_sigma(image: Image, uv_px: Array) -> Array:
+    """The sigma (n,) [px] that ``refine_disparity`` would have at points uv (n, 2), by one image alone.
+
+    That is, with a second image of the same texture and noise: it states how well the texture around a point
+    fixes its position, where no second image does.
+    """
+    if len(uv_px) == 0:
+        return np.zeros(0)
+    half = WINDOW_PX // 2
+    y, x = (a.ravel() for a in np.mgrid[-half : half + 1, -half : half + 1])
+    weight = np.exp(-(x**2 + y**2) / (2 * (0.6 * half) ** 2))
+    centre = np.round(uv_px).astype(np.int64)
+    columns, rows = centre[:, :1] + x, np.clip(centre[:, 1:] + y, 0, image.shape[0] - 1)
+    target = image[rows, np.clip(columns, 0, image.shape[1] - 1)].astype(np.float64)
+    spline = spline_filter1d(image.astype(np.float64), order=3, axis=1, mode="mirror")
+    A, _ = _linearise(spline, rows, columns, np.zeros((len(uv_px), 3)), x, y, target)
+    normal, _ = _normal_equations(A, target, weight)
+    arm = np.column_stack([np.ones(len(uv_px)), uv_px - centre])
+    variance = 2.0 * _noise_levels(image) ** 2
+    return np.sqrt(variance * np.einsum("na,nab,nb->n", arm, np.linalg.inv(normal)[:, :3, :3], arm))
+
+
+def _noise_levels(image: Image) -> float:
+    """Standard deviation of the noise where the image is brightest and smoothest [8-bit levels].
+
+    Immerkaer, "Fast noise variance estimation", 1996, but by the quietest fifth of the lit windows, which
+    have least texture.
+    """
+    mask = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0])
+    response = np.abs(cv2.filter2D(image.astype(np.float32), cv2.CV_32F, mask))
+    around = cv2.blur(response, (WINDOW_PX, WINDOW_PX))
+    lit = cv2.blur(image, (WINDOW_PX, WINDOW_PX)) > 0.3 * float(np.percentile(image, 99.0))
+    quiet = float(np.percentile(around[lit], 20)) if lit.any() else 0.0
+    return max(np.sqrt(np.pi / 2.0) * quiet / 6.0, MIN_NOISE_LEVELS)
 
 
 def _match_on_lines(left: KeyPoints, right: KeyPoints, rig: RectifiedRig) -> tuple[NDArray[np.intp], Array]:

@@ -9,6 +9,8 @@ The normal comes from a plane through the disparity around the feature: a plane 
 disparity, so a weighted least-squares fit over a window is exact on facets. Pixels beyond a jump of depth
 belong to another surface and are left out.
 
+With range images the distance of a feature is that of a plane through the ranges around it.
+
 Patches have one size in metres for the whole sequence. If the size followed each frame's median distance,
 solar panels that swing to and fro would change it by a fifth, and a spacecraft with panels would lose half
 its matches; patches tolerate a tenth.
@@ -35,11 +37,17 @@ from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Depth, Frontend
 from polhode.dataset import StereoSequence
 from polhode.frontend.disparity.depth import find_disparity_range
+from polhode.frontend.disparity.measured import disparity_at
 from polhode.frontend.disparity.sgbm import Floats, cut_crop, match_checked
 from polhode.frontend.features.keypoints import FeatureCandidates, find_candidates
 from polhode.frontend.features.patch_descriptors import SurfaceDescriptor, make_descriptor
 from polhode.frontend.features.patches import rotate_affines, surface_frames, surface_normals, tangent_affines
-from polhode.frontend.features.stereo import MIN_CORRELATION, StereoFeatures, refine_disparity
+from polhode.frontend.features.stereo import (
+    MIN_CORRELATION,
+    StereoFeatures,
+    refine_disparity,
+    texture_sigma,
+)
 from polhode.frontend.rectification import RectifiedPair, Rectifier, rectified_pair
 from polhode.lie import Array
 from polhode.records import Ints
@@ -151,7 +159,9 @@ def patch_half_m(distance_m: float, rig: RectifiedRig) -> float:
 
 
 def matched_disparity(pair: RectifiedPair, rig: RectifiedRig, config: Depth) -> Floats:
-    """Disparity of the left image (H, W) [px] by semi-global matching, NaN where it is unknown."""
+    """Disparity of the target (H, W) [px], measured or by semi-global matching; NaN where it is unknown."""
+    if pair.measured is not None:
+        return np.where(pair.mask_left, pair.measured.disparity_px, np.float32(np.nan))
     disparity = np.full(pair.left.shape, np.nan, dtype=np.float32)
     if not pair.mask_left.any():
         return disparity
@@ -179,11 +189,17 @@ def _measure(
     planes = local_planes(disparity, candidates.uv_px)
     known = np.flatnonzero(np.isfinite(planes[:, 0]))
     uv, plane = candidates.uv_px[known], planes[known]
-    refined, sigma_d, correlation = refine_disparity(
-        pair.left, pair.right, uv, plane[:, 0], _REFINEMENTS, plane[:, 1:]
-    )
+    if pair.measured is not None:
+        refined, sigma_d = disparity_at(pair.measured, uv)
+        sigma_ls, is_seen = texture_sigma(pair.left, uv), np.isfinite(refined)
+        sigma = np.column_stack([feature_sigma(sigma_ls)[:, :2], sigma_d])
+    else:
+        refined, sigma_ls, correlation = refine_disparity(
+            pair.left, pair.right, uv, plane[:, 0], _REFINEMENTS, plane[:, 1:]
+        )
+        sigma, is_seen = feature_sigma(sigma_ls), correlation > MIN_CORRELATION
     good = (
-        (correlation > MIN_CORRELATION)
+        is_seen
         & (np.abs(refined - plane[:, 0]) < _MAX_DISPARITY_CHANGE_PX)
         & (refined - rig.disparity_offset_px > 0.5)
     )
@@ -193,11 +209,11 @@ def _measure(
     return (
         StereoFeatures(
             uvd,
-            feature_sigma(sigma_d[good]),
+            sigma[good],
             rig.triangulate(uvd),
             scale,
             np.zeros((len(uvd), 128), dtype=np.float32),
-            sigma_ls_px=sigma_d[good],
+            sigma_ls_px=sigma_ls[good],
         ),
         plane[good],
     )

@@ -18,7 +18,7 @@ from kornia.feature import ALIKED, DISK, XFeat
 from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.keypoints import KeyPoints, enlarge, no_key_points, strongest_in_mask
-from polhode.frontend.features.stereo import StereoFeatures, match_stereo
+from polhode.frontend.features.stereo import StereoFeatures, match_stereo, with_ranges
 from polhode.frontend.peers.weights import fill, load_weights
 from polhode.frontend.rectification import Image, RectifiedPair, target_crop
 from polhode.records import Bools
@@ -52,6 +52,8 @@ class PeerDetector:
         """Stereo measurements of one rectified pair; none when the target is out of view."""
         torch.set_num_threads(1)
         left = self._key_points(pair.left, pair.mask_left)
+        if pair.measured is not None:
+            return with_ranges(pair.measured, left, rig)
         right = self._key_points(pair.right, pair.mask_right)
         return match_stereo(pair.left, pair.right, left, right, rig)
 

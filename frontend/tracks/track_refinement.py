@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Frontend
 from polhode.dataset import StereoSequence
+from polhode.frontend.disparity.measured import disparity_at
 from polhode.frontend.features import stereo
 from polhode.frontend.features.patches import PATCH_PX, Patches, axes_affines, cut_patches, root_image
 from polhode.frontend.features.stereo import StereoFeatures, refine_disparity
@@ -234,19 +235,24 @@ class _AlignJob:
         slope = disparity_slopes(found.p_R[feature], axes[:, :, 2], rig)
         shift = aligned.uv_px - uv
         start = found.uvd_px[feature, 2] + np.sum(slope * shift, axis=1)
-        refined, sigma_ls, correlation = refine_disparity(
-            pair.left, pair.right, aligned.uv_px, start, 4, slope
-        )
+        if pair.measured is not None:
+            refined, sigma_d = disparity_at(pair.measured, aligned.uv_px)
+            is_seen = np.isfinite(refined)
+        else:
+            refined, sigma_ls, correlation = refine_disparity(
+                pair.left, pair.right, aligned.uv_px, start, 4, slope
+            )
+            sigma_d, is_seen = feature_sigma(sigma_ls)[:, 2], correlation > stereo.MIN_CORRELATION
         good = (
             (aligned.correlation > MIN_CORRELATION)
             & (np.linalg.norm(shift, axis=1) < MAX_SHIFT_PX)
-            & (correlation > stereo.MIN_CORRELATION)
+            & is_seen
             & (np.abs(refined - start) < MAX_DISPARITY_CHANGE_PX)
             & (refined - rig.disparity_offset_px > 0.5)
         )
         sigma_uv = position_sigma(aligned)[good]
         uvd[feature[good]] = np.column_stack([aligned.uv_px, refined])[good]
-        sigma[feature[good]] = np.column_stack([sigma_uv, sigma_uv, feature_sigma(sigma_ls[good])[:, 2]])
+        sigma[feature[good]] = np.column_stack([sigma_uv, sigma_uv, sigma_d[good]])
         kept[feature[~good]] = -1
 
     def _axes(self, k: int, landmark: Ints) -> Array:

@@ -8,6 +8,7 @@ checkout.json and the page checkout.html. Nothing of the back end is needed.
 - image_quality: one image: exposure, sharpness, noise, surroundings
 - rig_tilt: rows of left and right image: pitch, roll and focal length of the right camera
 - target_range: distance, size and disparity of the target, resolution of its depth
+- range_images: how much of the target range images measure, and their noise
 - target_motion: turn between frames, matches, delay between the cameras
 - exposure: exposure, focus and noise over the sample, and between the cameras
 - timing: stamps, gaps, lost frames, poses of the inspector

@@ -21,7 +21,7 @@ def background_checks(sample: Sample) -> list[CheckoutCheck]:
     images = [
         (image, given)
         for pair in sample.pairs
-        for image, given in zip((pair.left, pair.right), pair.has_masks, strict=True)
+        for image, given in zip(pair.images, pair.has_masks, strict=True)
     ]
     masked = np.array([given for _, given in images])
     border = 100.0 * np.array([image.border_bright for image, _ in images])
@@ -84,7 +84,7 @@ def background_checks(sample: Sample) -> list[CheckoutCheck]:
             "%",
             MAX_LEAVING,
             finding=f"{int(touching.sum())} of {len(touching)} examined images.",
-            advice="Keep the whole target in both images: parts beyond the border have no shape, and a cut "
+            advice="Keep the whole target in the images: parts beyond the border have no shape, and a cut "
             "outline "
             "misleads masks.",
         ),

@@ -8,6 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from polhode.camera import RectifiedRig
+from polhode.camera_folders import find_cameras
 from polhode.config.frontend_settings import Frontend
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.errors import InputError
@@ -26,7 +27,12 @@ from polhode.pipeline.found_background import with_found_masks
 from polhode.processes import worker_count
 from polhode.progress import Progress, Silent
 from polhode.records import Ints
-from polhode.rig_calibration import StereoCalibration, read_calibration
+from polhode.rig_calibration import (
+    StereoCalibration,
+    read_calibration,
+    read_range_calibration,
+    with_baseline,
+)
 from polhode.threads import single_threaded
 
 SEED = 0
@@ -78,7 +84,13 @@ def checkout(
     anything else that ``polhode run`` refuses.
     """
     rig: Literal["sequence", "given"] = "given" if rig_folder is not None else "sequence"
-    given = read_calibration(rig_folder) if rig_folder is not None else None
+    given = None
+    if rig_folder is not None:
+        given = (
+            read_range_calibration(rig_folder)
+            if _has_ranges(sequence_folder)
+            else read_calibration(rig_folder)
+        )
     try:
         sequence = open_sequence(sequence_folder)
     except InputError as error:
@@ -186,7 +198,17 @@ def _with_calibration(sequence: StereoSequence, given: StereoCalibration) -> Ste
                 f"--rig: its cam{camera} has {of_rig[0]}x{of_rig[1]} px, the images have {of_images[0]}x"
                 f"{of_images[1]}; give the calibration of these cameras"
             )
+    if sequence.has_ranges:
+        given = with_baseline(given, float(np.linalg.norm((own.X_BC1 - own.X_BC0)[:3, 3])))
     return replace(sequence, calibration=given)
+
+
+def _has_ranges(folder: Path) -> bool:
+    """Whether a sequence has range images in the place of a second camera, as far as its folders say."""
+    try:
+        return find_cameras(folder / "mav0").has_ranges
+    except InputError:
+        return False
 
 
 def _run_size(findings: Findings) -> RunSize:

@@ -36,16 +36,17 @@ DARK_LEVEL = 5.0
 
 def exposure_checks(sample: Sample) -> list[CheckoutCheck]:
     """Saturation, darkness, focus, motion blur, noise, differences between cameras and between frames."""
-    images = [image for pair in sample.pairs for image in (pair.left, pair.right)]
+    images = [image for pair in sample.pairs for image in pair.images]
+    two = all(pair.right is not None for pair in sample.pairs)
     return [
         _unseen(images),
         _saturated(images),
         _dark(images),
         _edges(images),
-        _cameras_focus(sample),
+        *([_cameras_focus(sample)] if two else []),
         _streaks(sample),
         _noise(images),
-        _gain(sample),
+        *([_gain(sample)] if two else []),
         _jumps(sample),
     ]
 
@@ -127,8 +128,8 @@ def _edges(images: list[ImageQuality]) -> CheckoutCheck:
 
 def _cameras_focus(sample: Sample) -> CheckoutCheck:
     left, right = (
-        _median([getattr(pair, side) for pair in sample.pairs], lambda image: image.edge_px)[0]
-        for side in ("left", "right")
+        _median([pair.images[side] for pair in sample.pairs], lambda image: image.edge_px)[0]
+        for side in (0, 1)
     )
     known = left is not None and right is not None
     ratio = max(left / right, right / left) if left and right else None
@@ -148,7 +149,7 @@ def _cameras_focus(sample: Sample) -> CheckoutCheck:
 def _streaks(sample: Sample) -> CheckoutCheck:
     ratios, worst = [], []
     for pair in sample.pairs:
-        for image in (pair.left, pair.right):
+        for image in pair.images:
             width = np.array(image.edge_by_direction_px)
             if np.isfinite(width).sum() >= 3:
                 ratios.append(float(np.nanmax(width) / np.nanmin(width)))

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from polhode.camera import RectifiedRig
 from polhode.frontend.features.row_offsets import RowOffsets
-from polhode.frontend.rectification import Image, RectifiedPair
+from polhode.frontend.rectification import Image, MeasuredDisparity, RectifiedPair
 from polhode.lie import Array
 from polhode.pipeline.checkout.checkout import Checkout, Findings
 from polhode.pipeline.checkout.exposure import frame_gains
@@ -190,13 +190,16 @@ def _ranges(found: Findings) -> list[Figure]:
         **on(1),
     }
     curve = line(middle, per_px, "depth per pixel", RIGHT, mode="lines") | {"yaxis": "y2"}
+    has_ranges = found.sequence.has_ranges
+    words = "Depth of the features of all examined pairs"
+    if has_ranges:
+        del drawing["yaxis2"]
     return [
         Figure(
             "ranges",
             "Range of the features",
-            "Depth of the stereo features of all examined pairs, and how much depth a pixel of disparity "
-            "is there.",
-            [bars, curve],
+            f"{words}." if has_ranges else f"{words}, and how much depth a pixel of disparity is there.",
+            [bars] if has_ranges else [bars, curve],
             drawing,
             height_px=360,
             wide=False,
@@ -243,8 +246,9 @@ def _images(found: Findings) -> Figure:
         TIME_TITLE,
     )
     data: list[Trace] = []
-    for name, color, side in (("left", LEFT, "left"), ("right", RIGHT, "right")):
-        images = [getattr(pair, side) for pair in sample.pairs]
+    two = all(pair.right is not None for pair in sample.pairs)
+    for side, (name, color) in enumerate((("left", LEFT), ("right", RIGHT)) if two else (("camera", LEFT),)):
+        images = [pair.images[side] for pair in sample.pairs]
         values: list[tuple[int, list[float]]] = [
             (1, [image.bright_level for image in images]),
             (2, [100.0 * image.saturated for image in images]),
@@ -279,7 +283,9 @@ def _times(stamps: Stamps) -> list[Figure]:
     dt = np.diff(stamps.left) * 1e-9
     time_s = (stamps.left[1:] - stamps.left[0]) * 1e-9
     pairs_s = (stamps.left[stamps.pairing.left] - stamps.left[0]) * 1e-9
-    drawing = panels([("interval [s]",), ("right minus left [us]",)], TIME_TITLE, showlegend=False)
+    drawing = panels(
+        [("interval [s]",), (f"{stamps.second} minus {stamps.first} [us]",)], TIME_TITLE, showlegend=False
+    )
     drawing["yaxis"] |= {"rangemode": "tozero"}
     data = [
         line(time_s, dt, "interval", ACCENT),
@@ -288,9 +294,9 @@ def _times(stamps: Stamps) -> list[Figure]:
     return [
         Figure(
             "times",
-            "Intervals, and stamps of the right camera against the left",
-            "By data.csv of the left camera; below, the difference of the stamps of each pair. A constant "
-            "one is taken for an offset of the clocks.",
+            f"Intervals, and stamps of the {stamps.second} against the {stamps.first}",
+            f"By data.csv of the {stamps.first}; below, the difference of the stamps of each pair. A "
+            "constant one is taken for an offset of the clocks.",
             data,
             drawing,
             height_px=360,
@@ -303,6 +309,8 @@ def draw_pair(pair: RectifiedPair, rows: RowOffsets) -> NDArray[np.uint8]:
 
     As the astronauts' second screen (thesis figure 5-25): the lines must be as level as the guides.
     """
+    if pair.measured is not None:
+        return _with_ranges(pair.left, pair.measured)
     both = np.hstack([_stretched(pair.left), _stretched(pair.right)])
     picture = np.repeat(both[..., None], 3, axis=2)
     height, width = pair.left.shape
@@ -319,6 +327,17 @@ def draw_pair(pair: RectifiedPair, rows: RowOffsets) -> NDArray[np.uint8]:
         for end in (a, b):
             cv2.circle(picture, end, 3 * 16, color, 1, cv2.LINE_AA, shift=4)
     return np.asarray(picture, dtype=np.uint8)
+
+
+def _with_ranges(left: Image, measured: MeasuredDisparity) -> NDArray[np.uint8]:
+    """The image beside its range image (H, 2 W, 3): near is bright, black is not measured."""
+    d = measured.disparity_px
+    known = np.isfinite(d)
+    low, high = np.percentile(d[known], [1.0, 99.0]) if known.any() else (0.0, 1.0)
+    level = np.clip((np.where(known, d, low) - low) / max(high - low, 1e-6), 0.0, 1.0)
+    colours = cv2.applyColorMap((255.0 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1]
+    grey = np.repeat(_stretched(left)[..., None], 3, axis=2)
+    return np.hstack([grey, np.where(known[..., None], colours, 0).astype(np.uint8)])
 
 
 def _stretched(image: Image) -> Image:

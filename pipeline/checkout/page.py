@@ -87,6 +87,7 @@ def render(done: Checkout, name: str) -> str:
         groups=groups,
         sections=checkout_figures(done),
         picture=picture,
+        has_ranges=found is not None and found.sequence.has_ranges,
         shown_px=f"{LEVEL_PX:.1f}",
     )
 

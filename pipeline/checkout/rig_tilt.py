@@ -125,7 +125,12 @@ def regions(fit: RowFit, rig: RectifiedRig, values: Array) -> tuple[Array, Ints]
 
 
 def tilt_checks(sample: Sample, rig: RectifiedRig, fit: RowFit | None) -> list[CheckoutCheck]:
-    """Exchanged images, rows, pitch, roll, focal lengths, and parts of the image that differ."""
+    """Exchanged images, rows, pitch, roll, focal lengths, and parts of the image that differ.
+
+    None of them is possible without a second camera.
+    """
+    if all(pair.right is None for pair in sample.pairs):
+        return []
     return [_exchanged(sample, rig), *_rows_checks(sample, rig, fit)]
 
 

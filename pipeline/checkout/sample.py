@@ -9,15 +9,23 @@ import numpy as np
 
 from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Frontend
-from polhode.dataset import StereoSequence
+from polhode.dataset import StereoImages, StereoSequence
 from polhode.frontend.background.find_masks import doubtful_frames
 from polhode.frontend.features.keypoints import KeyPoints, detect, no_key_points
 from polhode.frontend.features.row_offsets import RowOffsets, row_offsets
-from polhode.frontend.features.stereo import StereoFeatures, match_stereo
+from polhode.frontend.features.stereo import StereoFeatures, match_stereo, with_ranges
 from polhode.frontend.matching.pairs import PairMatch, match_pairs
-from polhode.frontend.rectification import Image, Rectifier, rectified_pair, target_crop
+from polhode.frontend.rectification import (
+    Image,
+    MeasuredDisparity,
+    RectifiedPair,
+    Rectifier,
+    rectified_pair,
+    target_crop,
+)
 from polhode.lie import Array
 from polhode.pipeline.checkout.image_quality import ImageQuality, image_quality
+from polhode.pipeline.checkout.range_images import RangeQuality, range_quality
 from polhode.processes import in_order
 from polhode.progress import Progress
 from polhode.records import Bools, Ints
@@ -53,8 +61,16 @@ class ExaminedPair:
     level_right: Array
     """(n,) in the right image"""
     left: ImageQuality
-    right: ImageQuality
-    has_masks: tuple[bool, bool]
+    right: ImageQuality | None
+    """None: range images take the place of a second camera"""
+    has_masks: tuple[bool, ...]
+    """Of the images"""
+    ranges: RangeQuality | None = None
+
+    @property
+    def images(self) -> tuple[ImageQuality, ...]:
+        """Of the cameras that there are."""
+        return (self.left,) if self.right is None else (self.left, self.right)
 
 
 @dataclass(frozen=True)
@@ -126,6 +142,8 @@ def examine(sequence: StereoSequence, rectifier: Rectifier, config: Frontend, k:
     """Measure pair k."""
     raw, pair = sequence.read_pair(k), rectified_pair(sequence, rectifier, k)
     rig = rectifier.rig
+    if pair.measured is not None:
+        return _examine_ranges(k, raw, pair, pair.measured, rectifier, config)
     left, right = (
         _key_points(image, mask, config)
         for image, mask in ((pair.left, pair.mask_left), (pair.right, pair.mask_right))
@@ -153,6 +171,29 @@ def _quality(rectifier: Rectifier, k: int, side: int, raw: Image, given: Bools |
     if mask is not None:
         return image_quality(rectifier(raw, side), mask)
     return image_quality(raw, given, rectifier.surroundings)
+
+
+def _examine_ranges(
+    k: int,
+    raw: StereoImages,
+    pair: RectifiedPair,
+    measured: MeasuredDisparity,
+    rectifier: Rectifier,
+    config: Frontend,
+) -> ExaminedPair:
+    """The same where the disparities of the pair are measured: there is no second image to compare."""
+    features = with_ranges(measured, _key_points(pair.left, pair.mask_left, config), rectifier.rig)
+    return ExaminedPair(
+        frame=k,
+        features=features,
+        rows=RowOffsets(np.zeros((0, 2)), np.zeros(0), np.zeros(0)),
+        level_left=_levels(pair.left, features.uvd_px[:, :2]),
+        level_right=np.zeros(len(features)),
+        left=_quality(rectifier, k, 0, raw.left, raw.mask_left),
+        right=None,
+        has_masks=(raw.mask_left is not None,),
+        ranges=range_quality(measured, pair.mask_left),
+    )
 
 
 def _key_points(image: Image, mask: Bools, config: Frontend) -> KeyPoints:

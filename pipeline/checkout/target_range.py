@@ -5,6 +5,7 @@ import numpy as np
 from polhode.camera import RectifiedRig
 from polhode.frontend.features.stereo import MAX_SHIFT_SHARE
 from polhode.lie import Array
+from polhode.pipeline.checkout.range_images import range_image_checks
 from polhode.pipeline.checkout.result import CheckoutCheck, judged
 from polhode.pipeline.checkout.sample import Sample
 
@@ -27,11 +28,14 @@ def ranges_m(sample: Sample) -> Array:
 
 
 def range_checks(sample: Sample, rig: RectifiedRig) -> list[CheckoutCheck]:
-    """Size of the target, disparities against what is searched, resolution of the depth."""
+    """Size of the target, disparities against what is searched, resolution of the depth; of range images
+    their own quality."""
     z = ranges_m(sample)
     extent = [max(pair.left.extent_px) for pair in sample.pairs if max(pair.left.extent_px) > 0.0]
     extent_px = float(np.median(extent)) if extent else None
-    return [_size(z, extent_px, rig), *_disparity(z, rig), _depth(sample, z, extent_px, rig)]
+    ranges = [pair.ranges for pair in sample.pairs if pair.ranges is not None]
+    of_sensor = range_image_checks(ranges) if ranges else _disparity(z, rig)
+    return [_size(z, extent_px, rig), *of_sensor, _depth(sample, z, extent_px, rig)]
 
 
 def _size(z: Array, extent_px: float | None, rig: RectifiedRig) -> CheckoutCheck:
@@ -124,7 +128,7 @@ def _depth(sample: Sample, z: Array, extent_px: float | None, rig: RectifiedRig)
             None,
             "%",
             limit,
-            finding="There are no stereo features.",
+            finding="There are no features with a depth.",
             advice="See what the checks of the rig and of the images say.",
             not_possible="WARN",
         )
@@ -132,15 +136,20 @@ def _depth(sample: Sample, z: Array, extent_px: float | None, rig: RectifiedRig)
     sigma_px = float(np.median(np.concatenate([pair.features.sigma_px[:, 2] for pair in sample.pairs])))
     per_px = middle**2 / (rig.focal_px * rig.baseline_m)
     size = extent_px * middle / rig.focal_px
+    if any(pair.ranges is not None for pair in sample.pairs):
+        finding = f"The depth of a feature at {middle:.3g} m, by the ranges around it, is known to "
+    else:
+        finding = (
+            f"At {middle:.3g} m a pixel of disparity is {1e3 * per_px:.3g} mm of depth; a feature's "
+            f"disparity is known to {sigma_px:.2f} px, its depth to "
+        )
     return judged(
         "range",
         name,
         100.0 * per_px * sigma_px / size,
         "%",
         limit,
-        finding=f"At {middle:.3g} m a pixel of disparity is {1e3 * per_px:.3g} mm of depth; a feature's "
-        "disparity is "
-        f"known to {sigma_px:.2f} px, its depth to {1e3 * per_px * sigma_px:.2g} mm.",
-        advice="Go nearer or use a longer baseline: shape and rotation rest on depth that is small against "
+        finding=f"{finding}{1e3 * per_px * sigma_px:.2g} mm.",
+        advice="Go nearer, or measure depth better: shape and rotation rest on depth that is small against "
         "its noise.",
     )

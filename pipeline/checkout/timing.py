@@ -30,6 +30,9 @@ class Stamps:
     """(n,)"""
     right: Ints
     """(m,)"""
+    second: str = "right camera"
+    """What the right stamps are those of"""
+    first: str = "left camera"
 
     @cached_property
     def pairing(self) -> Pairing:
@@ -57,6 +60,8 @@ def read_stamps(folder: Path) -> Stamps:
     left, right = (
         np.array(list(read_listing(cameras.folder(side) / "data.csv")), dtype=np.int64) for side in (0, 1)
     )
+    if cameras.has_ranges:
+        return Stamps(left, right, "range images", "camera")
     return Stamps(left, right)
 
 
@@ -66,11 +71,19 @@ def stamp_checks(stamps: Stamps) -> list[CheckoutCheck]:
     share = 100.0 * stamps.unpaired / max(stamps.listed, 1)
     allowed = time_in_words(pairing.tolerance_ns)
     if len(differences) == 0:
-        offset_us, finding = None, "No stamp of one camera is near enough to one of the other."
+        offset_us, finding = (
+            None,
+            f"No stamp of the {stamps.first} is near enough to one of the {stamps.second}.",
+        )
     else:
         scatter = np.abs(differences - pairing.offset_ns).max()
         offset_us = 1e-3 * abs(pairing.offset_ns)
-        finding = offset_in_words(pairing.offset_ns, pairing.interval_ns, "the right camera", "the left one")
+        finding = offset_in_words(
+            pairing.offset_ns,
+            pairing.interval_ns,
+            f"the {stamps.second}",
+            "the left one" if stamps.first == "left camera" else f"the {stamps.first}",
+        )
         finding = (
             f"{finding[0].upper()}{finding[1:]}, throughout"
             if pairing.offset_ns
@@ -79,7 +92,7 @@ def stamp_checks(stamps: Stamps) -> list[CheckoutCheck]:
     return [
         judged(
             "time",
-            "stamps of the right camera against the left",
+            f"stamps of the {stamps.second} against the {stamps.first.removesuffix(' camera')}",
             offset_us,
             "us",
             0.0,

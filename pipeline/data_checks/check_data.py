@@ -58,8 +58,10 @@ def check_data(
 
     def calibration() -> list[Check]:
         correction = best_correction(tracks, estimate)
-        check = focal_check(correction)
-        doubted = found.reasons or check.reason
+        has_ranges = context.sequence.has_ranges
+        check = focal_check(correction, has_ranges)
+        # with ranges, a wrong focal length moves nothing along the line of sight
+        doubted = has_ranges or found.reasons or check.reason
         found.limits.extend([] if doubted else calibration_limits(correction, tracks, estimate))
         return [check]
 

@@ -62,7 +62,8 @@ def rig_checks(
 ) -> list[Check]:
     """Whether the calibration, and the pairing of the images, hold throughout.
 
-    features: those of the first method, one a frame.
+    features: those of the first method, one a frame. Where range images take the place of a second camera,
+    none of the checks is possible: its rows are missing, and its disparities are no angles.
     """
     lines = row_lines(features)
     return [
@@ -265,6 +266,8 @@ def _row_velocity(context: RunContext, p_R: Array, estimate: MotionEstimate, k: 
 
 def _knocked_sideways(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> Check:
     check = Check(name="disparities: step", limit=MAX_SIDEWAYS * context.rig.focal_px, unit="px")
+    if context.sequence.has_ranges:
+        return check
     noise = estimate.noise
     step_px, sigma_px = disparity_steps(tracks, (noise.pixel_sigma_px, noise.disparity_sigma_px))
     limit_px = np.maximum(MAX_SIDEWAYS * context.rig.focal_px, CLEAR_SIDEWAYS * sigma_px)

@@ -78,19 +78,31 @@ def best_correction(tracks: StereoTracks, estimate: MotionEstimate) -> Correctio
     return _solved(frame, landmark, J_pose, J_landmark, J_rig, residual)
 
 
-def focal_check(found: Correction | None) -> Check:
-    """Whether the stated focal length fits."""
+def focal_check(found: Correction | None, has_ranges: bool = False) -> Check:
+    """Whether the stated focal length fits.
+
+    A wrong one stretches what range images measure as well, but not along the line of sight.
+    """
     check = Check(
         name="focal length that fits best, against the calibration", limit=100.0 * MAX_FOCAL, unit="%"
     )
     if found is None:
         return check
     size, longer = 100.0 * abs(found.focal), "longer" if found.focal > 0 else "shorter"
+    better = f"a focal length {size:.2f} % {longer} than calibrated (sigma {100.0 * found.sigma_focal:.2f} %)"
+    if has_ranges:
+        better += (
+            ", or ranges with another offset, would fit the rotating target better: check the calibration of "
+            "the camera and of the ranges; shape and motion are wrong accordingly"
+        )
+    else:
+        better += (
+            f", or disparities {found.disparity_px:+.2f} px different, would fit the rotating target better: "
+            "check the calibration; distances are wrong accordingly"
+        )
     return check.judged(
         size,
-        f"a focal length {size:.2f} % {longer} than calibrated (sigma {100.0 * found.sigma_focal:.2f} %), "
-        f"or disparities {found.disparity_px:+.2f} px different, would fit the rotating target better: "
-        "check the calibration; distances are wrong accordingly",
+        better,
         100.0 * max(MAX_FOCAL, CLEAR_STRETCH * found.sigma_focal),
     )
 

@@ -119,7 +119,7 @@ def render(content: StoredRun) -> str:
             "The run did not reach an estimate of the inertia.",
         ),
         ("Convergence", convergence_figures(content), "The run has no causal estimate."),
-        ("Measurements", measurement_figures(content), "The run did not reach stereo measurements."),
+        ("Measurements", measurement_figures(content), "The run did not reach measurements."),
         ("Shape", shape_figures(content), "The run has neither a map nor a surface."),
     ]
     return fill(

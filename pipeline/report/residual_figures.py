@@ -135,7 +135,7 @@ def _observations(tracks: StereoTracks) -> Figure:
     return Figure(
         "observations",
         "Observations",
-        f"Left: stereo measurements per frame (median {np.median(count):.0f}"
+        f"Left: measurements per frame (median {np.median(count):.0f}"
         + (f"; {unseen} without any, bridged by the dynamics" if unseen else "")
         + f"). Right: how often each of the {tracks.n_landmarks} landmarks was seen (median "
         f"{np.median(length):.0f}).",

@@ -229,11 +229,11 @@ def run_rows(content: StoredRun) -> list[TableRow]:
     """Size of the data, noise and solver."""
     summary = content.summary
     rows = [
-        TableRow("stereo pairs", f"{summary.frames}"),
-        TableRow("pairs with measurements", f"{summary.frames_used}"),
+        TableRow("frames", f"{summary.frames}"),
+        TableRow("frames with measurements", f"{summary.frames_used}"),
         TableRow("duration of the data", f"{summary.duration_s:.1f}", "s"),
         TableRow("landmarks", f"{summary.landmarks}"),
-        TableRow("stereo observations", f"{summary.observations}"),
+        TableRow("observations", f"{summary.observations}"),
     ]
     if summary.noise is not None:
         noise = summary.noise

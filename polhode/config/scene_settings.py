@@ -253,6 +253,23 @@ class Rig(Section):
         return self
 
 
+class RangeSensor(Section):
+    """Range images beside the left camera's images, in the place of the right camera (flash LIDAR, RGB-D)."""
+
+    sigma_m: float = Field(0.003, ge=1e-6, le=1e3)
+    """Standard deviation of the depth of a pixel, at no distance [m]."""
+    growth_per_m: float = Field(0.0, ge=0, le=1e3)
+    """Part of it that grows with the square of the depth, as of sensors that triangulate [1/m]."""
+    scale_m: float = Field(1e-4, ge=1e-7, le=10)
+    """Unit of the 16-bit images [m]; 65535 of them are the largest depth."""
+    edge_dropouts: Share = 0.5
+    """Probability that a pixel at an edge has no measurement."""
+    mixed_pixels: Share = 0.3
+    """Probability that a pixel between two surfaces has a depth between theirs."""
+    max_incidence_deg: float = Field(80.0, ge=1, le=90)
+    """Angle between viewing ray and normal beyond which a surface returns nothing [deg]."""
+
+
 class Sensor(Section):
     """From radiance to grey values. DN: 1/255 of full scale, whatever the number of bits."""
 
@@ -384,6 +401,8 @@ class Scene(Section):
     mass: Mass = Mass()
     motion: Motion = Motion()
     rig: Rig = Rig()
+    range_sensor: RangeSensor | None = None
+    """A range sensor in the place of the right camera; null: a stereo pair."""
     inspector: Inspector = Inspector()
     light: Light = Light()
     background: Background = Background()

@@ -21,8 +21,10 @@ from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose
 from polhode.processes import in_order
 from polhode.progress import Advance
+from polhode.range_images import RANGE_FOLDER
 from polhode.records import Bools, Ints
 from polhode.simulation.dataset.plan import SequencePlan
+from polhode.simulation.dataset.range_images import render_ranges
 from polhode.simulation.dataset.resumable_dataset import StagedDataset
 from polhode.simulation.rendering.raycast import Hits, RayCaster
 from polhode.simulation.rendering.render import RenderedLight, Renderer
@@ -50,11 +52,22 @@ class FrameRenderer:
         noise = np.random.default_rng([plan.seed, 0x2, k, index])
         return expose(level, plan.scene.sensor, noise, stars), picture
 
+    def render_range(self, k: int) -> NDArray[np.uint16]:
+        """Range image of frame k as stored, of a scene with a range sensor."""
+        plan, sensor = self._plan, self._plan.scene.range_sensor
+        assert sensor is not None
+        camera, rng = plan.cameras[0], np.random.default_rng([plan.seed, 0x4, k])
+        X_GK = inverse_pose(plan.target.X_NG[k]) @ plan.X_NC[k] @ camera.X_CK
+        return render_ranges(self._renderer.caster, camera, X_GK, sensor, rng)
+
     def write_pair(self, k: int, mav0: Path) -> None:
-        """Write frame k into a folder laid out as mav0: both images; masks and products on request."""
+        """Write frame k into a folder laid out as mav0: both images, or one and its ranges; masks and
+        products on request."""
         plan, asked = self._plan, self._plan.scene.render
         stamp = int(plan.target.timestamps_ns[k])
-        for index, camera in enumerate(plan.cameras):
+        if plan.scene.range_sensor is not None:
+            write_png(image_path(mav0 / RANGE_FOLDER, stamp), self.render_range(k))
+        for index, camera in enumerate(plan.recording_cameras):
             image, picture = self.render_image(k, index)
             write_png(image_path(mav0 / f"cam{index}", stamp), image)
             if asked.masks:

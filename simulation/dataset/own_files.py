@@ -15,10 +15,10 @@ FINGERPRINT = ".made_by"
 FRAMES = ".frames"
 
 _DATASET = re.compile(
-    r"mav0/(cam[01]/(sensor\.yaml|data\.csv|data/\d+\.png)|masks[01]/\d+\.png|truth[01]/\d+\.npz"
+    r"mav0/((?:cam[01]|range0)/(sensor\.yaml|data\.csv|data/\d+\.png)|masks[01]/\d+\.png|truth[01]/\d+\.npz"
     r"|inspector0/(sensor\.yaml|data\.csv)|wrench0/data\.csv|target0/(data\.csv|target\.yaml|mesh\.ply))"
 )
-_STAMPED = re.compile(r"mav0/(?:cam[01]/data|masks[01]|truth[01])/(\d+)\.(?:png|npz)")
+_STAMPED = re.compile(r"mav0/(?:cam[01]/data|range0/data|masks[01]|truth[01])/(\d+)\.(?:png|npz)")
 _STAGING = re.compile(rf"{re.escape(FINGERPRINT)}|{re.escape(FRAMES)}/\d+\.(done|partial)")
 _FRAME = re.compile(rf"{re.escape(FRAMES)}/\d+/(.+)")
 _PARTIAL = re.compile(r"\.([^/.]+)\.partial-\d+(\.\w+)$")
@@ -72,8 +72,12 @@ def why_not_ours(folder: Path) -> str:
 def _on_request(scene: Scene) -> dict[str, bool]:
     """Folders that not every scene has, and whether this one has them."""
     return {
-        **dict.fromkeys(("masks0", "masks1"), scene.render.masks),
-        **dict.fromkeys(("truth0", "truth1"), bool(scene.render.products)),
+        "masks0": scene.render.masks,
+        "masks1": scene.render.masks and scene.range_sensor is None,
+        "truth0": bool(scene.render.products),
+        "truth1": bool(scene.render.products) and scene.range_sensor is None,
+        "cam1": scene.range_sensor is None,
+        "range0": scene.range_sensor is not None,
         "inspector0": scene.inspector.moves and scene.inspector.reported,
         "wrench0": bool(scene.motion.pushes) and scene.motion.pushes_known,
     }

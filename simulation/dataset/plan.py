@@ -18,6 +18,7 @@ from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.records import Truth
 from polhode.simulation.bodies import Body, build_body
+from polhode.simulation.dataset.range_images import MAX_UNITS
 from polhode.simulation.motion.inspector import InspectorMotion, inspector_motion
 from polhode.simulation.motion.mass import MassDistribution, mass_distribution
 from polhode.simulation.motion.target import TargetMotion, target_motion
@@ -41,6 +42,11 @@ class SequencePlan:
     sky: Sky
     frames: tuple[int, ...]
     """Frames that are not dropped, counted from 0"""
+
+    @property
+    def recording_cameras(self) -> tuple[Camera, ...]:
+        """Those whose images are written: the left one alone, if a range sensor replaces the right one."""
+        return self.cameras if self.scene.range_sensor is None else self.cameras[:1]
 
     @property
     def X_NC(self) -> Array:
@@ -77,10 +83,28 @@ def plan_sequence(scene: Scene, seed: int) -> SequencePlan:
     )
     frames = list(plan.frames)
     t_s = np.array([plan.time_s(k) for k in frames])
-    require_target_in_view(body, plan.cameras, plan.X_NC[frames], plan.target.X_NG[frames], t_s)
+    require_target_in_view(body, plan.recording_cameras, plan.X_NC[frames], plan.target.X_NG[frames], t_s)
     if plan.sky.wall is not None:
         plan.sky.wall.require_behind(plan.target.X_NG[frames][:, :3, 3], body.radius_m)
+    _require_within_range(plan)
     return plan
+
+
+def _require_within_range(plan: SequencePlan) -> None:
+    """Raise InputError if the target is never near enough for the 16 bits of the range images."""
+    sensor = plan.scene.range_sensor
+    if sensor is None:
+        return
+    centre_G = np.asarray(plan.body.mesh.bounds).mean(axis=0)
+    poses = zip(plan.X_NC, plan.target.X_NG, strict=False)
+    p_C = [transform_points(inverse_pose(X_NC) @ X_NG, centre_G[None])[0] for X_NC, X_NG in poses]
+    nearest_m = float(np.min([point[2] for point in p_C])) - plan.body.radius_m
+    most_m = MAX_UNITS * sensor.scale_m
+    if nearest_m > most_m:
+        raise InputError(
+            f"scene.range_sensor.scale_m: {sensor.scale_m:g} m makes ranges up to {most_m:.3g} m, the target "
+            f"is {nearest_m:.3g} m away; give a larger unit"
+        )
 
 
 def received_frames(sensor: config.Sensor, count: int, seed: int) -> tuple[int, ...]:
@@ -134,7 +158,7 @@ def require_target_in_view(
     seen = ahead = together = False
     for X_NC_k, X_NG_k, t in zip(X_NC, X_NG, t_s, strict=True):
         sees = []
-        for name, camera in zip(NAMES, cameras, strict=True):
+        for name, camera in zip(NAMES[: len(cameras)], cameras, strict=True):
             X_GK = inverse_pose(X_NG_k) @ X_NC_k @ camera.X_CK
             check.require_distance(X_GK[:3, 3], name, float(t))
             sees.append(not together and check.sees(camera, X_GK))

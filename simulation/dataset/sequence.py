@@ -12,11 +12,13 @@ from polhode.config.scene_settings import Scene
 from polhode.dataset_writer import (
     write_camera_csv,
     write_inspector,
+    write_range_sensor,
     write_sensor,
     write_truth,
     write_wrench,
 )
 from polhode.progress import Progress
+from polhode.range_images import RANGE_FOLDER
 from polhode.simulation.dataset.frame_renderer import render_frames
 from polhode.simulation.dataset.own_files import SCENE_FILE
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence, truth_of
@@ -113,7 +115,7 @@ def write_estimator_inputs(plan: SequencePlan, mav0: Path) -> None:
     """Write what the estimator may read: calibration, times, inspector poses, known forces and torques."""
     scene, X_BC = plan.scene, mount_pose(plan.scene.rig)
     all_ns = plan.target.timestamps_ns[: scene.frames]
-    for index, camera in enumerate(plan.cameras):
+    for index, camera in enumerate(plan.recording_cameras):
         path = mav0 / f"cam{index}"
         write_sensor(
             path,
@@ -127,6 +129,9 @@ def write_estimator_inputs(plan: SequencePlan, mav0: Path) -> None:
             fisheye=camera.fisheye,
         )
         write_camera_csv(path, all_ns[list(plan.frames)])
+    if (ranges := scene.range_sensor) is not None:
+        write_range_sensor(mav0 / RANGE_FOLDER, ranges.scale_m, ranges.sigma_m, ranges.growth_per_m)
+        write_camera_csv(mav0 / RANGE_FOLDER, all_ns[list(plan.frames)])
     if (known := known_wrench(scene.motion, plan.target.timestamps_ns)) is not None:
         write_wrench(mav0, *known)
     if scene.inspector.moves and scene.inspector.reported:

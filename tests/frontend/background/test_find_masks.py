@@ -40,6 +40,7 @@ class Drawn:
     far: Array = field(default_factory=lambda: FAR)
     radius_px: float = 50.0
     masked: bool = False
+    has_ranges: bool = False
 
     def __len__(self) -> int:
         return len(self.planes)
@@ -102,6 +103,7 @@ def test_a_plane_that_turns_is_the_target_and_not_the_background() -> None:
 def test_before_a_dark_sky_or_with_masks_nothing_is_looked_for() -> None:
     assert find_background(at_rest([INFINITY] * 3, far=np.full_like(FAR, 2.0)), RECTIFIER) is None
     assert find_background(at_rest([INFINITY] * 3, masked=True), RECTIFIER) is None
+    assert find_background(at_rest([INFINITY] * 3, has_ranges=True), RECTIFIER) is None
 
 
 def test_a_background_with_nothing_before_it_gives_no_masks() -> None:

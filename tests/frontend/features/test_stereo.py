@@ -9,7 +9,12 @@ import pytest
 from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Features
 from polhode.frontend.features.keypoints import KeyPoints, detect
-from polhode.frontend.features.stereo import _match_on_lines, match_stereo, refine_disparity
+from polhode.frontend.features.stereo import (
+    _match_on_lines,
+    match_stereo,
+    refine_disparity,
+    texture_sigma,
+)
 from polhode.frontend.rectification import Image, target_crop
 from polhode.lie import Array
 
@@ -54,6 +59,22 @@ def test_refined_disparity_is_unbiased_and_its_sigma_is_true(slope: float, gain:
     assert abs(np.median(error)) < 0.01
     assert 1.4826 * np.median(np.abs(error)) < 0.06
     assert 0.6 < 1.4826 * np.median(np.abs(error / sigma[good])) < 1.6
+
+
+@pytest.mark.parametrize("noise", [1.5, 3.0])
+def test_the_sigma_of_a_texture_is_that_of_two_images_of_it(noise: float) -> None:
+    rng = np.random.default_rng(4)
+    seen = 110.0 + np.linspace(0.1, 1.0, 320) * (texture(6) - 120.0)
+    left, right = (
+        np.clip(np.round(seen + rng.normal(0.0, noise, seen.shape)), 0, 255).astype(np.uint8)
+        for _ in range(2)
+    )
+    uv = np.column_stack([rng.uniform(20, 300, 400), rng.uniform(20, 220, 400)])
+    _, by_two, _ = refine_disparity(left, right, uv, np.zeros(400))
+    by_one = texture_sigma(left, uv)
+    assert 0.8 < np.median(by_one / by_two) < 1.2
+    assert np.corrcoef(np.log(by_one), np.log(by_two))[0, 1] > 0.9
+    assert texture_sigma(left, np.zeros((0, 2))).shape == (0,)
 
 
 def test_a_window_without_texture_is_refused() -> None:

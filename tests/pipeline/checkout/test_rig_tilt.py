@@ -21,7 +21,7 @@ class Pair:
     """The part of ``ExaminedPair`` that the check reads."""
 
     def __init__(self, rows: RowOffsets) -> None:
-        self.rows = rows
+        self.rows, self.right = rows, object()
 
 
 def sample(

@@ -29,9 +29,10 @@ def solved() -> tuple[SyntheticSequence, MotionEstimate]:
 def context(sequence: SyntheticSequence, frozen: bool = False) -> Any:
     tracks = sequence.tracks
     return SimpleNamespace(
-        sequence=SimpleNamespace(frozen=frozen),
+        sequence=SimpleNamespace(frozen=frozen, has_ranges=False),
         clock=lambda name: nullcontext(),
         config=SimpleNamespace(backend=Backend()),
+        rectifier=SimpleNamespace(found=None),
         rig=tracks.rig,
         time_s=tracks.time_s,
         X_NR=tracks.X_NR,

@@ -1,6 +1,7 @@
 """A rig that is not the calibrated one: each fault is named, with its size; a good one is not."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ class Context:
 
     def __init__(self, tracks: StereoTracks) -> None:
         self.rig, self.time_s, self.X_NR = tracks.rig, tracks.time_s, tracks.X_NR
+        self.sequence = SimpleNamespace(has_ranges=False)
 
 
 def solved(sequence: SyntheticSequence, tracks: StereoTracks) -> MotionEstimate:
@@ -153,6 +155,9 @@ def test_a_camera_that_was_knocked_sideways_is_named(sequence: SyntheticSequence
     said = reasons_of(rig_checks(context, features(tracks), knocked, estimate))
     assert len(said) == 1 and "from 6 s on all disparities are +1." in said[0]
     assert "turned sideways by 0.1" in said[0] or "turned sideways by 0.2" in said[0]
+    # ranges that change are not two cameras that turn
+    context.sequence = SimpleNamespace(has_ranges=True)
+    assert reasons_of(rig_checks(context, features(tracks), knocked, estimate)) == []
 
 
 def test_disparities_that_drift_are_named(sequence: SyntheticSequence) -> None:
