@@ -10,6 +10,13 @@ from tyro.conf import Positional, arg
 from polhode.cli.console import choose_progress
 from polhode.cli.options import Debug, Flag
 from polhode.errors import InputError
+from polhode.range_images import (
+    MAX_GROWTH_PER_M,
+    MAX_SCALE_M,
+    MAX_SIGMA_M,
+    MIN_SCALE_M,
+    MIN_SIGMA_M,
+)
 
 MAX_TIME_S = 1e9
 
@@ -19,8 +26,8 @@ class ImportCommand:
     """Make a dataset from a recording: images, bags, videos (docs/import.md).
 
     Sources: two folders of images (left, right); a bag of ROS 1 or ROS 2 (.bag, .db3, .mcap, or its folder);
-    one side-by-side video, or two videos; a folder of EuRoC. Images are paired by nearest time, and copied
-    without loss. An interrupted import goes on with the same command.
+    one side-by-side video, or two videos; a folder of EuRoC, or of TUM RGB-D (one camera with depth). Images
+    are paired by nearest time, and copied without loss. An interrupted import goes on with the same command.
     """
 
     sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SOURCE...")]
@@ -62,6 +69,12 @@ class ImportCommand:
     """Import each N-th pair."""
     crop: Annotated[str | None, arg(metavar="LEFT,TOP,WIDTH,HEIGHT")] = None
     """Part of the images that is kept [px]; the calibration is adjusted."""
+    range_scale_m: Annotated[float | None, arg(metavar="M")] = None
+    """Metres per unit of depth images. 0.0002 for TUM RGB-D unless given [m]."""
+    range_sigma_m: Annotated[float | None, arg(metavar="M")] = None
+    """Standard deviation of a pixel's depth, at no distance. That of TUM's sensor unless given [m]."""
+    range_growth_per_m: Annotated[float | None, arg(metavar="X")] = None
+    """Part of it that grows with the square of the depth. That of TUM's sensor unless given [1/m]."""
     overwrite: Flag = False
     """Replace an existing dataset that import made, if nothing was changed in it. Nothing else is ever
     replaced."""
@@ -90,11 +103,14 @@ class ImportCommand:
             end_s=self.end,
             every=self.every,
             crop=parse_crop(self.crop) if self.crop is not None else None,
+            range_scale_m=self.range_scale_m,
+            range_sigma_m=self.range_sigma_m,
+            range_growth_per_m=self.range_growth_per_m,
         )
         done = import_sequence(self.sources, self.output, options, choose_progress(), self.overwrite)
         for note in done.notes:
             print(note)
-        print(f"{done.pairs} stereo pairs, {done.duration_s:.4g} s: {self.output}")
+        print(f"{done.pairs} {done.kind}, {done.duration_s:.4g} s: {self.output}")
         return 0
 
     def _require_ranges(self) -> None:
@@ -108,6 +124,14 @@ class ImportCommand:
             value = getattr(self, name)
             if value is not None and value < 0.0:
                 raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number of at least 0")
+        for name, least, most in (
+            ("range_scale_m", MIN_SCALE_M, MAX_SCALE_M),
+            ("range_sigma_m", MIN_SIGMA_M, MAX_SIGMA_M),
+            ("range_growth_per_m", 0.0, MAX_GROWTH_PER_M),
+        ):
+            value = getattr(self, name)
+            if value is not None and not least <= value <= most:
+                raise InputError(f"--{name.replace('_', '-')} {value:g}: give {least:g} to {most:g}")
         if not self.end > self.start:
             raise InputError(f"--end {self.end:g}: give a time after --start {self.start:g}")
         if self.every < 1:

@@ -83,7 +83,7 @@ def write_images(
         try:
             for framed in recording.images((missing[0], missing[1])):
                 stamp = stamp_of[framed.camera][framed.index]
-                _take(framed, stamp, rig, crop, dataset.mav0, written, pool, waiting)
+                _take(framed, stamp, rig, crop, dataset, written, pool, waiting)
                 advance()
             while waiting:
                 waiting.popleft().result()
@@ -98,14 +98,14 @@ def _take(
     stamp: int,
     rig: Rig,
     crop: Crop | None,
-    mav0: Path,
+    dataset: ImportedDataset,
     written: WrittenImages,
     pool: ThreadPoolExecutor,
     waiting: "deque[Future[None]]",
 ) -> None:
     """Check an image and give it to the writers."""
     image, camera = framed.image, framed.camera
-    folder = mav0 / f"cam{camera}" / "data"
+    folder = dataset.folder(camera) / "data"
     folder.mkdir(parents=True, exist_ok=True)
     try:
         if isinstance(image, StoredImage):
@@ -153,11 +153,11 @@ def _write_png(path: Path, pixels: Raw) -> None:
     write_bytes(path, stream.getvalue())
 
 
-def write_listings(mav0: Path, written: WrittenImages) -> None:
+def write_listings(dataset: ImportedDataset, written: WrittenImages) -> None:
     """Write ``data.csv`` of both cameras, and remove images whose partner could not be read."""
     stamps = written.stamps
     for camera, names in enumerate(written.names):
-        folder = mav0 / f"cam{camera}"
+        folder = dataset.folder(camera)
         for stamp in names.keys() - set(stamps):
             (folder / "data" / names[stamp]).unlink()
         lines = ["#timestamp [ns],filename", *(f"{stamp},{names[stamp]}" for stamp in stamps)]

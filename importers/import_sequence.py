@@ -14,12 +14,12 @@ import numpy as np
 
 import polhode
 from polhode.dataset import read_inspector
-from polhode.dataset_writer import write_inspector
+from polhode.dataset_writer import write_inspector, write_range_sensor
 from polhode.errors import InputError
 from polhode.foreign_files import MIB, read_bytes
 from polhode.images import Grey, UnreadableImage, bit_depth, read_raw, size_in_header, to_grey
-from polhode.importers.calibrations.read_rig import KINDS, read_rig
-from polhode.importers.calibrations.rig import Rig, require_usable, write_rig
+from polhode.importers.calibrations.read_rig import CAMERA_KINDS, KINDS, read_camera, read_rig
+from polhode.importers.calibrations.rig import Rig, require_usable, with_virtual_camera, write_rig
 from polhode.importers.image_checks import PAIRS, ClockOffset, clock_offset, match_some, require_order
 from polhode.importers.image_writing import WrittenImages, copy_masks, write_images, write_listings
 from polhode.importers.imported_dataset import ImportedDataset, require_free, staged_import
@@ -29,6 +29,7 @@ from polhode.importers.sources.open_recording import opened_recording
 from polhode.importers.sources.recording import Contents, Poses, Recording
 from polhode.pairing import time_in_words
 from polhode.progress import Progress
+from polhode.range_images import why_no_ranges
 
 _log = logging.getLogger(__name__)
 _TABLE_BYTES = 512 * MIB
@@ -43,6 +44,8 @@ class Imported:
     notes: tuple[str, ...]
     """What was chosen, for the user"""
     warnings: tuple[str, ...]
+    kind: str = "stereo pairs"
+    """What the pairs are"""
 
 
 def import_sequence(
@@ -61,7 +64,8 @@ def import_sequence(
         pairs = choose_pairs(recording.name, contents, options)
         for line in (*contents.warnings, *pairs.warnings):
             _log.warning(line)
-        with staged_import(folder, overwrite, _fingerprint(sources, options)) as dataset:
+        has_ranges = contents.ranges is not None
+        with staged_import(folder, overwrite, _fingerprint(sources, options), has_ranges) as dataset:
             written = write_images(recording, pairs, rig, options.crop, dataset, progress)
             lost = _require_pairs(recording, pairs, written)
             whole = _sized(rig, written, dataset, options.crop)
@@ -77,15 +81,21 @@ def import_sequence(
                 _log.warning(line)
             dataset.write_record(_record(sources, options, pairs, offset, remarks))
     stamps = written.stamps
-    return Imported(len(stamps), 1e-9 * (stamps[-1] - stamps[0]), contents.notes, remarks)
+    kind = "images with ranges" if has_ranges else "stereo pairs"
+    return Imported(len(stamps), 1e-9 * (stamps[-1] - stamps[0]), contents.notes, remarks, kind)
 
 
 def _rig(recording: Recording, options: ImportOptions) -> Rig:
     """The calibration that the user gives, else the recording's own; on the body whose poses there are."""
     contents = recording.contents
-    rig = read_rig(options.calibration, options.unit_m) if options.calibration else contents.rig
+    rig = contents.rig
+    if options.calibration and contents.ranges is None:
+        rig = read_rig(options.calibration, options.unit_m)
+    if contents.ranges is not None and options.calibration:
+        rig = with_virtual_camera(read_camera(options.calibration))
     if rig is None:
-        raise InputError(f"{recording.name}: no calibration in it; give --calibration: {KINDS}")
+        kinds = KINDS if contents.ranges is None else CAMERA_KINDS
+        raise InputError(f"{recording.name}: no calibration in it; give --calibration: {kinds}")
     if contents.poses is not None and contents.poses.X_BC0 is not None:
         rig = rig.on_body(contents.poses.X_BC0)
     if contents.bits is not None:
@@ -131,7 +141,7 @@ def _cropped(rig: Rig, crop: Crop) -> Rig:
 
 def _size_there(dataset: ImportedDataset, camera: int) -> tuple[int, int]:
     name = next(iter(dataset.images_there(camera).values()))
-    return size_in_header(read_bytes(dataset.mav0 / f"cam{camera}" / "data" / name, 2**30, "an image"))
+    return size_in_header(read_bytes(dataset.folder(camera) / "data" / name, 2**30, "an image"))
 
 
 def _write_others(
@@ -144,8 +154,12 @@ def _write_others(
 ) -> None:
     """Everything but the images. ``rigs``: of the images as recorded, and as written."""
     mav0 = dataset.mav0
-    write_rig(mav0, rigs[1], pairs.rate_hz)
-    write_listings(mav0, written)
+    write_rig(mav0, rigs[1], pairs.rate_hz, 2 if contents.ranges is None else 1)
+    if (ranges := contents.ranges) is not None:
+        write_range_sensor(
+            dataset.folder(1), ranges.scale_m, ranges.sigma_m, ranges.growth_per_m, ranges.along_ray
+        )
+    write_listings(dataset, written)
     for name, source in contents.tables.items():
         (mav0 / name).parent.mkdir(parents=True, exist_ok=True)
         (mav0 / name).write_bytes(read_bytes(source, _TABLE_BYTES, "a table"))
@@ -173,11 +187,14 @@ def _check_images(
     stamps = written.stamps
     if len(stamps) < MIN_PAIRS:
         return None
+    if dataset.has_ranges:
+        _require_ranges(recording, rig, written, dataset)
+        return None
 
     def read(camera: int, k: int) -> Grey:
         size = rig.cameras[camera].size_px
         assert size is not None
-        raw = read_raw(dataset.mav0 / f"cam{camera}" / "data" / written.names[camera][stamps[k]], *size)
+        raw = read_raw(dataset.folder(camera) / "data" / written.names[camera][stamps[k]], *size)
         return to_grey(raw, rig.cameras[camera].bits or bit_depth(int(raw.max())))
 
     times = np.array(stamps, dtype=np.int64)
@@ -191,6 +208,19 @@ def _check_images(
             return None
         require_order(matches, rig, recording.name)
         return clock_offset(matches, rig, 1e-9 * float(np.median(np.diff(times))))
+
+
+def _require_ranges(recording: Recording, rig: Rig, written: WrittenImages, dataset: ImportedDataset) -> None:
+    """Raise InputError unless the first range image is one. Ranges say nothing of the clocks."""
+    stamp = written.stamps[0]
+    size = rig.right.size_px
+    assert size is not None
+    try:
+        wrong = why_no_ranges(read_raw(dataset.folder(1) / "data" / written.names[1][stamp], *size))
+    except UnreadableImage as error:
+        wrong = str(error)
+    if wrong:
+        raise InputError(f"{recording.name}: the depth image of {stamp} ns has {wrong}")
 
 
 def _about_clocks(offset: ClockOffset | None, pairs: ChosenPairs) -> tuple[str, ...]:

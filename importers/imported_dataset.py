@@ -20,6 +20,7 @@ from polhode.json_files import read_json
 from polhode.output.exchange import foreign, is_regular
 from polhode.output.place import folder_place, require_not_current, require_writable, unwritable
 from polhode.output.staged_folder import StagedFolder, staged_folder
+from polhode.range_images import RANGE_FOLDER
 
 RECORD = "import.json"
 SCHEMA = "polhode-import/1"
@@ -27,7 +28,7 @@ FINGERPRINT = ".imported_from"
 MAX_RECORD_BYTES = 2**29
 
 _DATASET = re.compile(
-    r"mav0/(cam[01]/(sensor\.yaml|data\.csv|data/-?\d+\.\w{2,5})|masks[01]/-?\d+\.png"
+    r"mav0/((?:cam[01]|range0)/(sensor\.yaml|data\.csv|data/-?\d+\.\w{2,5})|masks[01]/-?\d+\.png"
     r"|inspector0/(sensor\.yaml|data\.csv)|wrench0/data\.csv)"
 )
 _PARTIAL = re.compile(r"(?P<folder>(?:.*/)?)\.(?P<stem>[^/]+)\.partial-\d+(?P<suffix>\.\w+)?")
@@ -38,15 +39,21 @@ class ImportedDataset:
     """The hidden folder."""
 
     path: Path
+    has_ranges: bool = False
+    """Whether range images take the place of the second camera"""
 
     @property
     def mav0(self) -> Path:
         """Folder of the dataset's files."""
         return self.path / "mav0"
 
+    def folder(self, camera: int) -> Path:
+        """Of camera 0 (left) or 1 (right), or of the range images in the place of the latter."""
+        return self.mav0 / (RANGE_FOLDER if camera == 1 and self.has_ranges else f"cam{camera}")
+
     def images_there(self, camera: int) -> dict[str, str]:
         """Complete images of a camera: timestamp -> file name."""
-        folder = self.mav0 / f"cam{camera}" / "data"
+        folder = self.folder(camera) / "data"
         if not folder.is_dir():
             return {}
         names = (each.name for each in folder.iterdir())
@@ -120,7 +127,9 @@ def require_free(folder: Path, overwrite: bool) -> None:
 
 
 @contextmanager
-def staged_import(folder: Path, overwrite: bool, fingerprint: str) -> Iterator[ImportedDataset]:
+def staged_import(
+    folder: Path, overwrite: bool, fingerprint: str, has_ranges: bool = False
+) -> Iterator[ImportedDataset]:
     """A new or resumed hidden folder that takes the place of ``folder`` if the block succeeds.
 
     ``fingerprint`` identifies sources and options: a hidden folder of others is cleared. If the block fails,
@@ -131,7 +140,7 @@ def staged_import(folder: Path, overwrite: bool, fingerprint: str) -> Iterator[I
     with staged_folder(place, folder, is_own_file, is_whole) as staged:
         require_free(folder, overwrite)
         _resume_or_clear(staged, fingerprint)
-        dataset = ImportedDataset(staged.path)
+        dataset = ImportedDataset(staged.path, has_ranges)
         try:
             yield dataset
             (staged.path / FINGERPRINT).unlink()

@@ -53,6 +53,12 @@ class ImportOptions:
     every: int = 1
     """Each n-th pair is imported"""
     crop: Crop | None = None
+    range_scale_m: float | None = None
+    """Metres per unit of depth images; None: that of the format"""
+    range_sigma_m: float | None = None
+    """Their noise [m], and"""
+    range_growth_per_m: float | None = None
+    """what grows with the square of the depth [1/m]; None: that of the format's usual sensor"""
 
 
 def parse_crop(text: str) -> Crop:

@@ -91,6 +91,12 @@ def rig_of(infos: Sequence[CameraInfo], rectified: bool = False, X_01: Array | N
     return Rig(first, second)
 
 
+def camera_of(info: CameraInfo) -> Camera:
+    """The camera of one camera_info, which is B itself. Raises InputError for numbers of no calibration."""
+    _require_calibrated(info)
+    return _camera(info, False, np.eye(4))
+
+
 def _quotient(product: float, factor: float) -> float:
     """The number whose product with ``factor`` rounds to ``product``; of several, the one with fewest
     digits."""

@@ -20,6 +20,15 @@ def read_euroc(folder: Path, names: tuple[str, str] = ("cam0", "cam1")) -> Rig:
     return Rig(left, right)
 
 
+def read_euroc_camera(folder: Path, name: str = "cam0") -> Camera:
+    """The camera of ``cam0/sensor.yaml`` alone. Raises InputError as ``read_euroc``.
+
+    ``name``: its folder.
+    """
+    base = folder / "mav0" if (folder / "mav0").is_dir() else folder
+    return _camera(base / name / "sensor.yaml")
+
+
 def _camera(path: Path) -> Camera:
     sensor = read_mapping(path, "a camera needs its calibration")
     if sensor.get("camera_model", "pinhole") != "pinhole":

@@ -32,6 +32,13 @@ def read_kalibr(path: Path, content: dict[str, Any]) -> Rig:
     return Rig(_camera(path, content["cam0"], "cam0", X_BC0), _camera(path, content["cam1"], "cam1", X_BC1))
 
 
+def read_kalibr_camera(path: Path, content: dict[str, Any]) -> Camera:
+    """cam0 of a camchain alone. Raises InputError as ``read_kalibr``."""
+    if not isinstance(content.get("cam0"), dict):
+        raise InputError(f"{path} lacks cam0: give the camchain of the camera")
+    return _camera(path, content["cam0"], "cam0", _left_pose(path, content["cam0"]))
+
+
 def _left_pose(path: Path, camera: dict[str, Any]) -> Array:
     if "T_cam_imu" not in camera:
         return np.eye(4)

@@ -69,6 +69,19 @@ def read_opencv(paths: Sequence[Path], unit_m: float) -> Rig:
     return Rig(left, right)
 
 
+def read_opencv_camera(path: Path) -> Camera:
+    """One camera: ``camera_matrix`` and ``distortion_coefficients``, as OpenCV's sample writes them, or the
+    left one of a pair. Raises InputError as ``read_opencv``."""
+    values = _content(path)
+    for own in ("camera_matrix", "cameraMatrix", "mtx", "K"):
+        if own in values:
+            values.setdefault("M1", values[own])
+    for own in ("distortion_coefficients", "distCoeffs", "dist_coeffs", "dist", "D"):
+        if own in values:
+            values.setdefault("D1", values[own])
+    return _camera(path, values, _SIDES[0], np.eye(4))
+
+
 def _content(path: Path) -> dict[str, Any]:
     text = read_text(path, CONFIGURATION_BYTES, "a calibration")
     # FileStorage writes YAML 1.0 with a tag of its own

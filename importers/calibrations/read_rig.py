@@ -5,17 +5,49 @@ from pathlib import Path
 
 from polhode.errors import InputError
 from polhode.foreign_files import CONFIGURATION_BYTES, MissingFile, read_text
-from polhode.importers.calibrations.camera_info import is_camera_info, read_camera_info, rig_of
-from polhode.importers.calibrations.euroc import read_euroc
-from polhode.importers.calibrations.kalibr import is_kalibr, read_kalibr
-from polhode.importers.calibrations.opencv import is_opencv, read_opencv
-from polhode.importers.calibrations.rig import Rig
+from polhode.importers.calibrations.camera_info import camera_of, is_camera_info, read_camera_info, rig_of
+from polhode.importers.calibrations.euroc import read_euroc, read_euroc_camera
+from polhode.importers.calibrations.kalibr import is_kalibr, read_kalibr, read_kalibr_camera
+from polhode.importers.calibrations.opencv import is_opencv, read_opencv, read_opencv_camera
+from polhode.importers.calibrations.rig import Camera, Rig
 from polhode.yaml_files import parse_yaml
 
 KINDS = (
     "a YAML or JSON file of OpenCV, a camchain of Kalibr, two camera_info of ROS (left, right), or a "
     "folder with cam0/sensor.yaml and cam1/sensor.yaml"
 )
+
+
+CAMERA_KINDS = (
+    "a YAML or JSON file of OpenCV, a camchain of Kalibr, a camera_info of ROS, or a folder with "
+    "cam0/sensor.yaml"
+)
+
+
+def read_camera(paths: Sequence[Path]) -> Camera:
+    """One camera, by a file or a folder of any known format.
+
+    Raises InputError for what is missing, of no known format, or wrong.
+    """
+    if len(paths) != 1:
+        raise InputError(f"--calibration: {len(paths)} were given for one camera; give {CAMERA_KINDS}")
+    path = paths[0]
+    if path.is_dir():
+        return read_euroc_camera(path)
+    try:
+        text = read_text(path, CONFIGURATION_BYTES, "a calibration")
+    except MissingFile:
+        raise InputError(f"{path} is missing: give {CAMERA_KINDS}") from None
+    if is_opencv(text):
+        return read_opencv_camera(path)
+    content = parse_yaml(text, str(path))
+    if not isinstance(content, dict):
+        raise InputError(f"{path} is no calibration: give {CAMERA_KINDS}")
+    if is_kalibr(content):
+        return read_kalibr_camera(path, content)
+    if is_camera_info(content) and "projection_matrix" in content:
+        return camera_of(read_camera_info(path, content))
+    return read_opencv_camera(path)
 
 
 def read_rig(paths: Sequence[Path], unit_m: float = 1.0) -> Rig:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from polhode.dataset_writer import write_sensor
 from polhode.errors import InputError
-from polhode.lie import Array, inverse_pose
+from polhode.lie import Array, inverse_pose, make_pose
 from polhode.rig_calibration import read_calibration
 
 RADIAL_TANGENTIAL, EQUIDISTANT, UNDISTORTED = "radial-tangential", "equidistant", "none"
@@ -112,9 +112,14 @@ def pose_from_inverse(X_CB: ArrayLike) -> Array:
     return np.asarray(inverse_pose(np.asarray(X_CB, dtype=np.float64))) + 0.0
 
 
-def write_rig(mav0: Path, rig: Rig, rate_hz: float) -> None:
-    """Write ``sensor.yaml`` of both cameras; their sizes are known."""
-    for index, camera in enumerate(rig.cameras):
+def with_virtual_camera(camera: Camera) -> Rig:
+    """The rig of a single camera, whose ranges take the place of a second one 1 m beside it."""
+    return Rig(camera, replace(camera, X_BC=camera.X_BC @ make_pose(np.eye(3), np.array([1.0, 0.0, 0.0]))))
+
+
+def write_rig(mav0: Path, rig: Rig, rate_hz: float, cameras: int = 2) -> None:
+    """Write ``sensor.yaml`` of both cameras, or of the first one; their sizes are known."""
+    for index, camera in enumerate(rig.cameras[:cameras]):
         assert camera.size_px is not None
         fu, fv, cu, cv = camera.intrinsics
         K = np.array([[fu, 0.0, cu], [0.0, fv, cv], [0.0, 0.0, 1.0]])

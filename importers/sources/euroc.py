@@ -10,10 +10,12 @@ import numpy as np
 
 from polhode.camera_folders import find_cameras
 from polhode.errors import InputError
-from polhode.importers.calibrations.euroc import read_euroc
+from polhode.importers.calibrations.euroc import read_euroc, read_euroc_camera
+from polhode.importers.calibrations.rig import with_virtual_camera
 from polhode.importers.sources.image_folders import ImageFiles
 from polhode.importers.sources.recording import Contents, Poses
 from polhode.lie import make_pose
+from polhode.range_images import read_range_model
 from polhode.tables import attitudes_of, read_listing, read_table
 
 ESTIMATE = "state_groundtruth_estimate0"
@@ -39,7 +41,10 @@ def open_euroc(path: Path, poses: str | None) -> ImageFiles:
         for camera, names in zip(cameras, listings, strict=True)
     ]
     stamps = [np.array(list(names), dtype=np.int64) for names in listings]
-    rig = read_euroc(mav0, folders.names)
+    if folders.has_ranges:
+        rig = with_virtual_camera(read_euroc_camera(mav0, folders.names[0]))
+    else:
+        rig = read_euroc(mav0, folders.names)
     tables = {name: mav0 / name for name in COPIED if (mav0 / name).is_file()}
     found: Poses | None = None
     notes: tuple[str, ...] = ()
@@ -52,7 +57,8 @@ def open_euroc(path: Path, poses: str | None) -> ImageFiles:
     elif "inspector0/data.csv" not in tables and (mav0 / ESTIMATE / "data.csv").is_file():
         found = _estimate(mav0 / ESTIMATE / "data.csv")
         notes = (f"inspector poses: {ESTIMATE} (--poses none: cameras at rest)",)
-    masks = [folder if (folder := folders.masks(index)).is_dir() else None for index in (0, 1)]
+    given = (folders.masks(0), None if folders.has_ranges else folders.masks(1))
+    masks = [folder if folder is not None and folder.is_dir() else None for folder in given]
     return ImageFiles(
         str(path),
         (files[0], files[1]),
@@ -63,6 +69,7 @@ def open_euroc(path: Path, poses: str | None) -> ImageFiles:
             bits=rig.left.bits,
             tables=tables,
             masks=(masks[0], masks[1]),
+            ranges=read_range_model(cameras[1]) if folders.has_ranges else None,
             notes=notes,
         ),
     )

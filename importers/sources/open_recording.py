@@ -10,13 +10,13 @@ from polhode.importers.sources.euroc import is_euroc, open_euroc
 from polhode.importers.sources.image_folders import open_folders
 from polhode.importers.sources.recording import Recording
 from polhode.importers.sources.ros_bag import is_bag, opened_bag
-from polhode.importers.sources.tum_rgbd import is_tum_rgbd, refuse_tum_rgbd
+from polhode.importers.sources.tum_rgbd import is_tum_rgbd, open_tum_rgbd
 from polhode.importers.sources.video import is_video, open_videos
 from polhode.progress import Progress
 
 KINDS = (
     "two folders of images (left, right), a folder of EuRoC, a bag of ROS (.bag, .db3, .mcap, or its "
-    "folder), a side-by-side video, or two videos"
+    "folder), a side-by-side video, two videos, or a folder of TUM RGB-D"
 )
 
 
@@ -32,8 +32,6 @@ def opened_recording(
     for path in paths:
         if not path.exists():
             raise InputError(f"{path}: no such file or folder; give {KINDS}")
-        if is_tum_rgbd(path):
-            raise refuse_tum_rgbd(path)
     bags, videos = [is_bag(path) for path in paths], [is_video(path) for path in paths]
     if all(bags):
         if len(paths) > 1:
@@ -44,6 +42,8 @@ def opened_recording(
         yield open_videos(paths, options, progress)
     elif len(paths) == 2 and all(path.is_dir() for path in paths):
         yield open_folders(paths[0], paths[1], options)
+    elif len(paths) == 1 and is_tum_rgbd(paths[0]):
+        yield open_tum_rgbd(paths[0], options)
     elif len(paths) == 1 and is_euroc(paths[0]):
         yield open_euroc(paths[0], options.poses)
     elif len(paths) == 1 and paths[0].is_dir():

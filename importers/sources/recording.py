@@ -8,6 +8,7 @@ from typing import Protocol
 from polhode.images import Raw
 from polhode.importers.calibrations.rig import Rig
 from polhode.lie import Array
+from polhode.range_images import RangeModel
 from polhode.records import Ints
 
 Wanted = tuple[frozenset[int], frozenset[int]]
@@ -72,6 +73,8 @@ class Contents:
     """Files of a dataset that are copied as they are, by their name below mav0"""
     masks: tuple[Path | None, Path | None] = (None, None)
     """Folders of masks, each <stamp of the image>.png"""
+    ranges: RangeModel | None = None
+    """The right images are ranges of the left ones' pixels; None: they are a second camera's"""
     notes: tuple[str, ...] = ()
     """What was chosen among several things, for the user"""
     warnings: tuple[str, ...] = ()

@@ -256,7 +256,7 @@ BAD: dict[str, tuple[Bad, str]] = {
         "--crop 40,0,32,32: reaches beyond the images of 64x48 px",
     ),
     "a part without pairs": (with_folders(lambda *_: {"start_s": 2.0}), "2 of 6 pairs are left by --start"),
-    "TUM RGB-D": (tum, "colour and depth images of one camera (TUM RGB-D)"),
+    "TUM RGB-D": (tum, "rgb.txt is empty"),
     "one folder twice": (twice, "are the same folder"),
     "three sources": (three, "3 sources were given: give two folders"),
     "no such source": (missing, "no such file or folder; give two folders"),
