@@ -112,6 +112,7 @@ BENCHMARKS = (
     _of_runs("run_cost", "checkout.run_cost", "docs/checkout.md", 1, _WITH_TRUTH),
     Benchmark("temple", "end_to_end.photographs", "docs/photographs.md", 15,
               f"{_TEMPLE} --run runs/temple -o runs/temple.png", None, (_TEMPLE,)),
+    Benchmark("backgrounds", "end_to_end.backgrounds", "docs/masks.md", 60),
     Benchmark("matching", "frontend.matching", "docs/frontend.md", 120),
     Benchmark("disparity", "frontend.disparity", "docs/depth.md", 60),
     Benchmark("masks", "frontend.masks", "docs/masks.md", 3),

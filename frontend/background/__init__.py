@@ -5,5 +5,6 @@ at rest; the target stands before it, and its outline follows the edges of the i
 
 find_masks.py     the background of a sequence, and the masks of its pairs
 near_layer.py     the two layers of one pair: what fits the background's plane, and what stands before it
+background_image.py   what is behind the target, from frames in which it is elsewhere
 far_plane.py      the background's plane: found in one pair, moved from pair to pair
 """

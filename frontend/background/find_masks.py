@@ -12,13 +12,22 @@ from functools import partial
 import numpy as np
 
 from polhode.dataset import StereoSequence
+from polhode.frontend.background.background_image import (
+    REACH_FRAMES,
+    FirstLook,
+    FirstLooks,
+    background_images,
+    frames_around,
+)
 from polhode.frontend.background.far_plane import (
     FarPlane,
+    Image,
     find_far_plane,
     plane_in_N,
     plane_seen_from,
+    reduced_image,
 )
-from polhode.frontend.background.near_layer import near_layer
+from polhode.frontend.background.near_layer import near_layer, working_scale
 from polhode.frontend.found_masks import FoundMasks, MaskQuality, encoded
 from polhode.frontend.rectification import Rectifier
 from polhode.frontend.segmentation import lit_border
@@ -35,6 +44,9 @@ MIN_SHARE = 0.5
 """Of the examined pairs, those that show the plane."""
 MIN_AREA = 5e-4
 """Share of the image that the target covers in the median pair; less is no target."""
+
+BLOCK = 128
+"""Pairs that are examined before the masks of the first of them are finished; bounds the memory."""
 
 MIN_AGREEMENT, MAX_CONTRADICTED, MIN_FAR_SHARE = 0.8, 0.25, 0.5
 MAX_AREA_RATIO = 1.6
@@ -125,27 +137,71 @@ def find_masks(
     workers: int,
     tick: Tick,
 ) -> FoundMasks | None:
-    """Masks of these pairs; None: nothing stands before the background. ``tick`` is called once per pair."""
+    """Masks of these pairs; None: nothing stands before the background. ``tick`` is called once per pair.
+
+    First each pair is examined alone, then with the background that the pairs around it show.
+    """
     masks: dict[int, tuple[bytes, bytes]] = {}
     quality: dict[int, MaskQuality] = {}
-    for k, found in zip(
-        frames, in_order(partial(_masks_of, sequence, rectifier, background), frames, workers), strict=True
-    ):
-        masks[k], quality[k] = found
-        tick()
+    examine = partial(_first_looks, sequence, rectifier, background)
+    finish = partial(_masks_of, sequence, rectifier, background)
+    looks: dict[int, FirstLooks] = {}
+    for start in range(0, len(frames), BLOCK):
+        block = range(start, min(start + BLOCK, len(frames)))
+        around = {n: frames_around(n, len(frames)) for n in block}
+        missing = sorted({j for n in block for j in (n, *around[n])} - looks.keys())
+        for j, look in zip(missing, in_order(examine, [frames[j] for j in missing], workers), strict=True):
+            looks[j] = look
+        items = [(frames[n], looks[n], [(frames[j], looks[j]) for j in around[n]]) for n in block]
+        for item, found in zip(items, in_order(finish, items, workers), strict=True):
+            masks[item[0]], quality[item[0]] = found
+            tick()
+        looks = {j: look for j, look in looks.items() if j >= block.stop - 2 * REACH_FRAMES}
     if np.median([each.area for each in quality.values()]) < MIN_AREA:
         return None
     return FoundMasks(masks, quality)
 
 
-def _masks_of(
+def _first_looks(
     sequence: StereoSequence, rectifier: Rectifier, background: Background, k: int
+) -> FirstLooks:
+    left, right, plane = _pair_before(sequence, rectifier, background, k)
+    layer, scale = near_layer(left, right, plane), working_scale(rectifier.rig.width_px)
+    of_left, of_right = (
+        FirstLook(reduced_image(image, scale), reduced_image(mask * np.uint8(255), scale) > 127)
+        for image, mask in zip((left, right), (layer.left, layer.right), strict=True)
+    )
+    return of_left, of_right
+
+
+def _masks_of(
+    sequence: StereoSequence,
+    rectifier: Rectifier,
+    background: Background,
+    item: tuple[int, FirstLooks, Sequence[tuple[int, FirstLooks]]],
 ) -> tuple[tuple[bytes, bytes], MaskQuality]:
-    raw = sequence.read_pair(k)
-    X_NR = sequence.X_NC[k] @ rectifier.X_CR
-    plane = plane_seen_from(background.m_N, rectifier.rig, X_NR)
-    layer = near_layer(rectifier(raw.left, 0), rectifier(raw.right, 1), plane)
+    k, own, around = item
+    left, right, plane = _pair_before(sequence, rectifier, background, k)
+    X_NR = sequence.X_NC @ rectifier.X_CR
+    behind = background_images(
+        own,
+        [looks for _, looks in around],
+        background.m_N,
+        rectifier.rig,
+        X_NR[k],
+        X_NR[[j for j, _ in around]],
+    )
+    layer = near_layer(left, right, plane, behind)
     return (encoded(layer.left), encoded(layer.right)), layer.quality
+
+
+def _pair_before(
+    sequence: StereoSequence, rectifier: Rectifier, background: Background, k: int
+) -> tuple[Image, Image, FarPlane]:
+    """The rectified pair k, and the background's plane in it."""
+    raw = sequence.read_pair(k)
+    plane = plane_seen_from(background.m_N, rectifier.rig, sequence.X_NC[k] @ rectifier.X_CR)
+    return rectifier(raw.left, 0), rectifier(raw.right, 1), plane
 
 
 def doubtful_frames(found: FoundMasks) -> list[int]:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from polhode.frontend.background.background_image import BackgroundImage
 from polhode.frontend.background.far_plane import (
     REACH,
     FarPlane,
@@ -47,9 +48,21 @@ MAX_EVIDENCE = 5.5
 which only one camera sees."""
 TARGET_FIRST = 1.5
 """Cost in favour of the target where both layers fit: a hole in the target harms more than a wide outline."""
+POSSIBLE = 6.0
+"""A pixel's cost under the target is no more than this if it differs from the background, and so does the
+point of the other image at the disparity around it."""
+IMPOSSIBLE = 11.0
+"""It is this if that point, and those so many pixels around it, show the background:"""
+DEPTH_PX = 4
 UNLIT = 2.0
 """Cost against it there where the image is as dark as its darkest tenth, in an image that shows dark sky."""
 DARK_SKY_DN = 16.0
+SAME_COST = 2.0
+"""Cost at which an image may differ from the background that other frames show, or not,"""
+BY_TIME = (-4.0, 6.0)
+"""and the evidence for the target that this gives, from the one to the other;"""
+MAX_BY_STEREO = 2.0
+"""stereo adds so much to it at most: the background that one camera alone sees may look like a match."""
 CERTAIN = 3.0
 """Difference of costs from which on a pixel's layer is certain."""
 MIN_PART = 0.02
@@ -85,16 +98,33 @@ class _Labels:
     """(h, w) cost of the background"""
 
 
-def near_layer(left: Image, right: Image, plane: FarPlane) -> NearLayer:
-    """What stands before the background's plane in a rectified pair (H, W)."""
-    scale = max(1, round(left.shape[1] / WORKING_PX))
+def working_scale(width_px: int) -> int:
+    """Pixels of an image for one in which layers are found."""
+    return max(1, round(width_px / WORKING_PX))
+
+
+def near_layer(
+    left: Image,
+    right: Image,
+    plane: FarPlane,
+    behind: tuple[BackgroundImage, BackgroundImage] | None = None,
+) -> NearLayer:
+    """What stands before the background's plane in a rectified pair (H, W).
+
+    behind: the background's images of both cameras at working size, where other frames show them.
+    """
+    scale = working_scale(left.shape[1])
     small, other = reduced_image(left, scale), reduced_image(right, scale)
     far, far_share, offset = _levelled(small, other, plane.reduced(scale))
     moved, inside = _moved(other, far)
     there, back = both_ways(small, moved, NEAREST_PX, int(REACH * small.shape[1]))
-    of_left = _labels(small, moved, there, back, inside)
+    by_time = by_time_moved = None
+    if behind is not None:
+        by_time, in_right = (_by_time(*each) for each in zip((small, other), behind, strict=True))
+        by_time_moved = _moved_values(in_right, far)[:, ::-1]
+    of_left = _labels(small, moved, there, back, inside, by_time)
     flipped = [np.ascontiguousarray(each[:, ::-1]) for each in (moved, small, back, there, inside)]
-    of_moved = _labels(*flipped)
+    of_moved = _labels(*flipped, by_time_moved)
     right_target = of_moved.target[:, ::-1]
     quality = MaskQuality(
         area=float(of_left.target.mean()),
@@ -128,6 +158,12 @@ def _moved(right: Image, far: Floats) -> tuple[Image, Bools]:
     return np.asarray(moved, dtype=np.uint8), np.asarray((columns >= 0) & (columns <= far.shape[1] - 1))
 
 
+def _moved_values(right: Floats, far: Floats) -> Floats:
+    """Values (h, w) of the right image, moved likewise; 0 beyond its border."""
+    v, u = np.mgrid[: far.shape[0], : far.shape[1]].astype(np.float32)
+    return np.asarray(cv2.remap(right, u - far, v, cv2.INTER_LINEAR), dtype=np.float32)
+
+
 def _in_right_image(moved: Bools, plane: FarPlane) -> Bools:
     """A mask (h, w) of the moved right image, in the right image itself."""
     height, width = moved.shape
@@ -137,15 +173,22 @@ def _in_right_image(moved: Bools, plane: FarPlane) -> Bools:
     return np.asarray(found, dtype=np.uint8) > 0
 
 
-def _labels(image: Image, other: Image, near: Floats, back: Floats, inside: Bools) -> _Labels:
+def _labels(
+    image: Image, other: Image, near: Floats, back: Floats, inside: Bools, by_time: Floats | None
+) -> _Labels:
     """Layers of an image (h, w), of which the other one has the same background and is to the right.
 
     near: disparities of the target, were it everywhere; back: those of the other image; inside: what both
-    see.
+    see; by_time: what other frames say.
     """
     evidence, far = _evidence(image, other, near, agreeing(near, back))
+    if by_time is not None:
+        evidence = np.where(by_time == 0.0, evidence, np.minimum(evidence, MAX_BY_STEREO) + by_time)
     far = np.where(inside, far, np.float32(0.0)).astype(np.float32)
-    evidence = np.where(inside, evidence, np.float32(-CERTAIN - 1.0)).astype(np.float32)
+    alone = (
+        np.float32(-CERTAIN - 1.0) if by_time is None else np.where(by_time == 0.0, -CERTAIN - 1.0, by_time)
+    )
+    evidence = np.where(inside, evidence, alone).astype(np.float32)
     smooth = _guided(image, evidence, 3, 1e-3)
     return _Labels(_parts(_filled(_outline(image, smooth), evidence)), evidence, far)
 
@@ -162,15 +205,48 @@ def _evidence(image: Image, other: Image, near: Floats, agrees: Bools) -> tuple[
     matched = cv2.remap(two, columns, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     cost = np.where(known & (columns >= 0), _cost(one - matched, variance), MAX_COST)
     cost = np.where(agrees, cost, np.minimum(cost + 0.25 * MAX_COST, MAX_COST))
+
+    def far_near(columns: Floats, reach_px: int) -> Floats:
+        """Cost of the background (h, w) around a point of the other image."""
+        largest = cv2.dilate(far, np.ones((3, 2 * reach_px + 1)))
+        inside = np.clip(np.round(columns).astype(np.int64), 0, width - 1)
+        return np.asarray(np.take_along_axis(largest, inside, axis=1))
+
     # The match must differ from its background, too.
-    partner = cv2.dilate(far, np.ones((3, 3)))
-    at = np.clip(np.round(columns).astype(np.int64), 0, width - 1)
-    cost = np.maximum(cost, MAX_COST - np.take_along_axis(partner, at, axis=1))
+    cost = np.maximum(cost, MAX_COST - far_near(columns, 1))
+    # Where images of the target differ, as glossy and plain ones do, its neighbours tell where the match is.
+    around = _spread(near, agrees & (cost < 0.25 * MAX_COST) & (far > CERTAIN))
+    if around is not None:
+        possible = (far > CERTAIN) & (far_near(u - around, 1) > CERTAIN)
+        cost = np.where(possible, np.minimum(cost, POSSIBLE), cost)
+        impossible = (cost >= MAX_COST) & (far_near(u - around, DEPTH_PX) < 0.5 * CERTAIN)
+        cost = np.where(impossible, IMPOSSIBLE, cost)
     evidence = np.minimum(far, MAX_EVIDENCE) - cost + TARGET_FIRST
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), 1.0), dtype=np.uint8)
     if np.median(smooth[smooth <= np.percentile(smooth, 10)]) < DARK_SKY_DN:
         evidence = evidence - UNLIT * ((smooth < sky_level(smooth)) & (far < 1.0))
     return np.asarray(evidence, dtype=np.float32), far
+
+
+def _spread(values: Floats, valid: Bools) -> Floats | None:
+    """Those that are valid, and elsewhere the next one that is (h, w); None: none is."""
+    if not valid.any():
+        return None
+    source = (~valid).astype(np.uint8)
+    _, labels = cv2.distanceTransformWithLabels(source, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    table = np.zeros(int(labels.max()) + 1, dtype=np.float32)
+    table[labels[valid]] = values[valid]
+    return np.asarray(cv2.blur(table[labels], (9, 9)), dtype=np.float32)
+
+
+def _by_time(image: Image, behind: BackgroundImage) -> Floats:
+    """Evidence (h, w) for the target, by what the image shows and the background would; 0: not known."""
+    one = image.astype(np.float32)
+    variance = np.maximum(_variance(one), _variance(behind.image)) + behind.spread**2
+    evidence = np.clip(2.0 * (_cost(one - behind.image, variance) - SAME_COST), *BY_TIME)
+    # A shadow on the target looks like the dark sky behind it.
+    same = (one < DARK_SKY_DN) & (behind.image < DARK_SKY_DN) & (evidence < 0.0)
+    return np.where(behind.known & ~same, evidence, 0.0).astype(np.float32)
 
 
 def _variance(image: Floats) -> Floats:

@@ -14,7 +14,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import DictLoader, Environment, StrictUndefined
 from markupsafe import Markup
 from PIL import Image
 from plotly.offline import get_plotlyjs
@@ -57,6 +57,13 @@ def page_file(path: Path, folders: Sequence[Path]) -> Path:
         require_writable(own.parent, path)
         return own
     return output_file(path, "report", REPORT, _is_page)
+
+
+_TEMPLATES = {
+    path.name: path.read_text(encoding="utf-8")
+    for path in sorted(Path(__file__).with_name("templates").glob("*.j2"))
+}
+"""Read with the code that fills them: an update of the program during a long run does not part the two."""
 
 
 def _is_page(path: Path) -> bool:
@@ -168,7 +175,7 @@ def run_name(folder: Path) -> str:
 @cache
 def _environment() -> Environment:
     return Environment(
-        loader=FileSystemLoader(Path(__file__).with_name("templates")),
+        loader=DictLoader(_TEMPLATES),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
