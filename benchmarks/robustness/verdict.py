@@ -3,11 +3,13 @@
     python -m benchmarks.robustness.verdict [--records FILE ...] [-o PNG]
 
 A run is wrong if a claim is beyond five of its sigmas and a floor (``benchmarks/robustness/judge.py``), good
-if none is beyond five sigmas; what is between is left out. For each check: the area under the curve of the
-receiver operating characteristic (AUC; 0.5: no power, 1: tells all apart), its value over its limit being the
-score, the share of the wrong runs in which it raises a doubt, and that of the undisturbed good ones. The
-verdict's score is the largest of its checks; its point on the curve is the status. A good run with a real
-fault in its data is rightly doubted: the share that is spoiled is that of undisturbed runs.
+if none is beyond five sigmas; what is between is left out. So is a body of revolution whose rate was not
+found and is called undetermined; it is wrong if the rate is beyond five of the sigmas stated besides. For
+each check: the area under the curve of the receiver operating characteristic (AUC; 0.5: no power, 1: tells
+all apart), its value over its limit being the score, the share of the wrong runs in which it raises a doubt,
+and that of the undisturbed good ones. The verdict's score is the largest of its checks; its point on the
+curve is the status. A good run with a real fault in its data is rightly doubted: the share that is spoiled is
+that of undisturbed runs.
 """
 
 import json
@@ -23,8 +25,8 @@ from tyro.conf import arg
 from benchmarks.command import RECORDS, Png, command
 from benchmarks.presentation import print_table, save_figure, subplots
 from benchmarks.robustness.data_faults import FAULTS as IMAGE_FAULTS
-from benchmarks.robustness.data_faults import outcome
-from benchmarks.robustness.judge import OUTCOMES, SIGMAS, doubted
+from benchmarks.robustness.judge import SIGMAS, doubted
+from benchmarks.trust.judgement import FOUND_DEG_S
 from polhode.lie import Array
 from polhode.records import Bools
 
@@ -80,15 +82,29 @@ def judged_runs(lines: list[dict[str, Any]]) -> Judged:
     worst = [max((each["worst_sigmas"] for each in line["claims"].values()), default=0.0) for line in lines]
     wrong = np.array([bool(line["wrong"]) for line in lines], dtype=np.bool_)
     good = np.array([sigmas <= SIGMAS for sigmas in worst], dtype=np.bool_)
+    missed = np.array([_rate_missed(line) for line in lines], dtype=np.bool_)
+    beyond = np.array([line.get("rate_error_deg_s", 0.0) > _bound(line) for line in lines], dtype=np.bool_)
+    wrong, good = wrong | (missed & beyond), good & ~missed
     faults = [line["case"].get("fault", "none") for line in lines]
     undisturbed = np.array([fault in UNDISTURBED for fault in faults], dtype=np.bool_)
     said = [
-        outcome(line) in (OUTCOMES[1], OUTCOMES[3])
-        if fault in IMAGE_FAULTS
-        else doubted(line, NAMED.get(fault, ()))
+        doubted(line, IMAGE_FAULTS[fault].named if fault in IMAGE_FAULTS else NAMED.get(fault, ()))
         for line, fault in zip(lines, faults, strict=True)
     ]
     return Judged(lines, wrong, good & ~wrong, undisturbed, np.array(said, dtype=np.bool_))
+
+
+def _rate_missed(line: dict[str, Any]) -> bool:
+    """Whether a run of ``benchmarks.trust`` that leaves the rate undetermined is off by more than what counts
+    as found there: it claims next to nothing, and is not good for that reason.
+    """
+    return "rate" not in line["claims"] and line.get("rate_error_deg_s", 0.0) > FOUND_DEG_S
+
+
+def _bound(line: dict[str, Any]) -> float:
+    """Error of the rate [deg/s] beyond which the stated one is wrong; infinite where none was stated."""
+    sigma = line.get("rate_sigma_deg_s")
+    return float("inf") if sigma is None else SIGMAS * float(sigma)
 
 
 def check_scores(lines: Sequence[dict[str, Any]]) -> dict[str, Array]:
