@@ -278,6 +278,7 @@ def _solved(tracks: StereoTracks, sequence: SyntheticSequence, sun_N: Array) -> 
     estimate = estimate_motion(tracks, start, config.backend, Silent())
     context: Any = SimpleNamespace(
         sequence=SimpleNamespace(frozen=False),
+        rectifier=SimpleNamespace(found=None),
         rig=tracks.rig,
         time_s=tracks.time_s,
         X_NR=tracks.X_NR,

@@ -21,8 +21,12 @@ MIN_IN_REGION, MIN_IN_FRAME, MIN_MEANS = 30, 8, 4
 """Observations of a mean that counts, and number of such means."""
 FULL_WEIGHT = 0.1
 """Observations with less weight contradict the motion, and are counted elsewhere."""
-MAX_BY_FRAME, MAX_BY_REGION, MAX_BY_REGION_D, MAX_SLOPE = 2.5, 2.0, 3.0, 0.12
+MAX_BY_FRAME, MAX_BY_REGION, MAX_BY_REGION_D, MAX_SLOPE, MAX_STEP = 2.5, 2.0, 3.0, 0.12, 3.3
 """Above these the answer is doubted (docs/checks.md)."""
+MIN_BESIDE_STEP = 3
+"""Frames on either side of a step."""
+NORMAL_MEDIAN = 0.455
+"""Of the square of a standard normal deviate."""
 CLEAR_SLOPE = 5.0
 """Standard errors of a correlation, one over the root of the number of observations"""
 
@@ -42,9 +46,15 @@ class Residuals:
 
 
 def residual_checks(tracks: StereoTracks, estimate: MotionEstimate) -> list[Check]:
-    """Means by frame and by region, dependence on the disparity, and from frame to frame."""
+    """Means by frame and by region, a step, dependence on the disparity, and from frame to frame."""
     found = agreeing_residuals(tracks, estimate)
-    return [_by_frame(found), *_by_region(found), _by_disparity(found), _from_frame_to_frame(found)]
+    return [
+        _by_frame(found),
+        step_check(found),
+        *_by_region(found),
+        _by_disparity(found),
+        _from_frame_to_frame(found),
+    ]
 
 
 def agreeing_residuals(tracks: StereoTracks, estimate: MotionEstimate) -> Residuals:
@@ -93,6 +103,32 @@ def _by_frame(found: Residuals) -> Check:
         size,
         f"the disparities of whole frames differ from the motion by {size:.1f} times what their noise "
         "allows: a step of the calibration, or a motion that is not the one assumed, may be the cause",
+    )
+
+
+def step_check(found: Residuals) -> Check:
+    """Of all disparities at some frame, beside a straight line in time, which a velocity absorbs.
+
+    Largest ratio of a step to its standard error over the frames at which it may be, by weighted least
+    squares; the errors of frames are as large as the median of their squares says.
+    """
+    check = Check(name="step of the residuals of the disparity", limit=MAX_STEP, unit="sigma")
+    count = np.bincount(found.frame)
+    frames = np.flatnonzero(count >= MIN_IN_FRAME)
+    if len(frames) <= 2 * MIN_BESIDE_STEP:
+        return check
+    root = np.sqrt(count[frames])
+    mean = np.bincount(found.frame, found.whitened[:, 2])[frames] / count[frames]
+    line, _ = np.linalg.qr(root[:, None] * np.stack([np.ones(len(frames)), frames], axis=1))
+    step = root[:, None] * np.tri(len(frames), dtype=np.float64)[:, MIN_BESIDE_STEP:-MIN_BESIDE_STEP]
+    left, step = root * mean - line @ (line.T @ (root * mean)), step - line @ (line.T @ step)
+    scatter = max(1.0, float(np.median(left**2)) / NORMAL_MEDIAN)
+    size = np.abs(step.T @ left) / np.maximum(np.linalg.norm(step, axis=0), 1e-9) / np.sqrt(scatter)
+    at = int(np.argmax(size))
+    return check.judged(
+        float(size[at]),
+        f"about frame {frames[at + MIN_BESIDE_STEP]} the disparities step away from the motion by "
+        f"{size[at]:.1f} standard errors: a camera may have been knocked, or the target pushed",
     )
 
 

@@ -14,7 +14,12 @@ from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_point
 from polhode.pipeline.answer_checks.agreement import disagreements, largest
 from polhode.pipeline.answer_checks.links_check import links_check
 from polhode.pipeline.answer_checks.parts_check import outline_and_interior, parts_checks
-from polhode.pipeline.answer_checks.residual_check import means_in_errors, residual_checks
+from polhode.pipeline.answer_checks.residual_check import (
+    Residuals,
+    means_in_errors,
+    residual_checks,
+    step_check,
+)
 from polhode.pipeline.answer_checks.sun_check import sun_check
 from polhode.pipeline.answer_checks.twins_check import twins_checks
 from polhode.pipeline.run_directory.summary_schema import Check, reasons_of
@@ -128,6 +133,29 @@ def test_a_camera_that_is_late_shows_over_image_and_depth(sequence: SyntheticSeq
     checks = residual_checks(*changed(sequence, late))
     assert of_name(checks, "disparity, by region").reason
     assert "calibration" in of_name(checks, "follow the disparity").reason
+
+
+def test_a_step_of_the_disparities_is_told_from_a_line_and_from_noise() -> None:
+    rng = np.random.default_rng(0)
+    frame = np.repeat(np.arange(40), 50)
+    landmark, uvd_px, noise = np.arange(2000), np.ones((2000, 3)), rng.normal(size=(2000, 3))
+
+    def checked(mean: Array) -> Check:
+        return step_check(Residuals(frame, landmark, uvd_px, noise + mean[frame, None]))
+
+    t = np.arange(40.0)
+    drift = checked(0.05 * t - 1.0)
+    assert not drift.reason and drift.value is not None and 0.5 < drift.value < 3.0
+    step = checked(0.05 * t - 1.0 + 0.5 * (t >= 20))
+    # the standard error of a step in the middle beside a line: four over the root of the number of values
+    assert step.value == pytest.approx(0.5 / (4.0 / np.sqrt(2000)), abs=2.0)
+    assert (
+        "about frame 20" in step.reason or "about frame 19" in step.reason or "about frame 21" in step.reason
+    )
+    # of frames that scatter by more than their values do, a step must be larger
+    scattered = checked(0.5 * (t >= 20) + 0.5 * rng.normal(size=40))
+    assert scattered.value is not None and scattered.value < 0.5 * step.value
+    assert step_check(Residuals(frame[:300], landmark[:300], uvd_px[:300], noise[:300])).value is None
 
 
 def test_a_mean_is_as_uncertain_as_the_landmarks_that_it_is_made_of() -> None:
