@@ -97,7 +97,7 @@ def _of_runs(name: str, module: str, page: str, minutes: float, runs: str, more:
 BENCHMARKS = (
     Benchmark("scenes", "end_to_end.scenes", "docs/scenes.md", 240, short=None),
     Benchmark("range_images", "end_to_end.range_images", "docs/range_images.md", 15,
-              short="--frames 12 --ranges-only"),
+              short="--frames 12 --record runs/range_images_short.jsonl"),
     _of_runs("prediction_error", "end_to_end.prediction_error", "docs/prediction.md", 1,
              "runs/ts38 data/ts38", "-o runs/prediction.png"),
     _of_runs("readme_picture", "end_to_end.readme_picture", "README.md", 1,
