@@ -25,9 +25,10 @@ MAX_TIME_S = 1e9
 class ImportCommand:
     """Make a dataset from a recording: images, bags, videos (docs/import.md).
 
-    Sources: two folders of images (left, right); a bag of ROS 1 or ROS 2 (.bag, .db3, .mcap, or its folder);
-    one side-by-side video, or two videos; a folder of EuRoC, or of TUM RGB-D (one camera with depth). Images
-    are paired by nearest time, and copied without loss. An interrupted import goes on with the same command.
+    Sources: two folders of images (left, right; or images, depth); a bag of ROS 1 or ROS 2 (.bag, .db3,
+    .mcap, or its folder); one side-by-side video, or two videos; a folder of EuRoC, or of TUM RGB-D (one
+    camera with depth). Images are paired by nearest time, and copied without loss. An interrupted import goes
+    on with the same command.
     """
 
     sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SOURCE...")]
@@ -70,9 +71,11 @@ class ImportCommand:
     crop: Annotated[str | None, arg(metavar="LEFT,TOP,WIDTH,HEIGHT")] = None
     """Part of the images that is kept [px]; the calibration is adjusted."""
     range_scale_m: Annotated[float | None, arg(metavar="M")] = None
-    """Metres per unit of depth images. 0.0002 for TUM RGB-D unless given [m]."""
+    """Metres per unit of depth images: the second of two folders is depth if this is given. 0.0002 for TUM
+    RGB-D unless given [m]."""
     range_sigma_m: Annotated[float | None, arg(metavar="M")] = None
-    """Standard deviation of a pixel's depth, at no distance. That of TUM's sensor unless given [m]."""
+    """Standard deviation of a pixel's depth, at no distance; needed for two folders. That of TUM's sensor
+    unless given [m]."""
     range_growth_per_m: Annotated[float | None, arg(metavar="X")] = None
     """Part of it that grows with the square of the depth. That of TUM's sensor unless given [1/m]."""
     overwrite: Flag = False

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from polhode.errors import InputError
+from polhode.range_images import RangeModel
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,25 @@ class ImportOptions:
     """Their noise [m], and"""
     range_growth_per_m: float | None = None
     """what grows with the square of the depth [1/m]; None: that of the format's usual sensor"""
+
+    @property
+    def states_ranges(self) -> bool:
+        """Whether the options say what the values of depth images mean."""
+        return not (self.range_scale_m is self.range_sigma_m is self.range_growth_per_m is None)
+
+    def range_model(self) -> RangeModel | None:
+        """What the options alone say of depth images; None: nothing.
+
+        Raises InputError for unit without noise, or noise without unit.
+        """
+        if not self.states_ranges:
+            return None
+        if self.range_scale_m is None or self.range_sigma_m is None:
+            raise InputError(
+                "--range-scale-m and --range-sigma-m: give both for depth images, the metres per unit (0.001 "
+                "for millimetres) and the standard deviation of a pixel [m]"
+            )
+        return RangeModel(self.range_scale_m, self.range_sigma_m, self.range_growth_per_m or 0.0)
 
 
 def parse_crop(text: str) -> Crop:

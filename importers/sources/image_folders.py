@@ -1,4 +1,4 @@
-"""Two folders of images, the left camera's and the right one's.
+"""Two folders of images, the left camera's and the right one's, or a camera's and its depth images.
 
 Times come from the names of the files (nanoseconds, microseconds, milliseconds, or seconds with a point,
 since 1970), from a table (--stamps), or from the number at the end of each name and a rate (--rate-hz).
@@ -43,7 +43,10 @@ class ImageFiles:
 
 
 def open_folders(left: Path, right: Path, options: ImportOptions) -> ImageFiles:
-    """The images of two folders. Raises InputError for folders without images, and images without times."""
+    """The images of two folders; the second one's are depth if the options state its unit.
+
+    Raises InputError for folders without images, and images without times.
+    """
     if left.resolve() == right.resolve():
         raise InputError(
             f"{left} and {right} are the same folder: give those of the left and the right camera"
@@ -69,7 +72,7 @@ def open_folders(left: Path, right: Path, options: ImportOptions) -> ImageFiles:
     return ImageFiles(
         f"{left} and {right}",
         (sorted_files[0], sorted_files[1]),
-        Contents((sorted_ns[0], sorted_ns[1]), None),
+        Contents((sorted_ns[0], sorted_ns[1]), None, ranges=options.range_model()),
     )
 
 

@@ -15,8 +15,8 @@ from polhode.importers.sources.video import is_video, open_videos
 from polhode.progress import Progress
 
 KINDS = (
-    "two folders of images (left, right), a folder of EuRoC, a bag of ROS (.bag, .db3, .mcap, or its "
-    "folder), a side-by-side video, two videos, or a folder of TUM RGB-D"
+    "two folders of images (left, right, or images and depth), a folder of EuRoC, a bag of ROS (.bag, .db3, "
+    ".mcap, or its folder), a side-by-side video, two videos, or a folder of TUM RGB-D"
 )
 
 
@@ -32,6 +32,12 @@ def opened_recording(
     for path in paths:
         if not path.exists():
             raise InputError(f"{path}: no such file or folder; give {KINDS}")
+    folders = len(paths) == 2 and all(path.is_dir() for path in paths)
+    if options.states_ranges and not folders and not is_tum_rgbd(paths[0]):
+        raise InputError(
+            f"{paths[0]}: --range-scale-m and its like are for two folders (images, depth) and for TUM "
+            "RGB-D; leave them out"
+        )
     bags, videos = [is_bag(path) for path in paths], [is_video(path) for path in paths]
     if all(bags):
         if len(paths) > 1:
@@ -40,7 +46,7 @@ def opened_recording(
             yield bag
     elif all(videos):
         yield open_videos(paths, options, progress)
-    elif len(paths) == 2 and all(path.is_dir() for path in paths):
+    elif folders:
         yield open_folders(paths[0], paths[1], options)
     elif len(paths) == 1 and is_tum_rgbd(paths[0]):
         yield open_tum_rgbd(paths[0], options)

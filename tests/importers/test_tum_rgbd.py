@@ -1,4 +1,4 @@
-"""Folders of TUM RGB-D, and datasets with ranges: colour, depth, noise, calibration, poses of a camera."""
+"""Folders of TUM RGB-D, images with depth, and datasets with ranges: noise, calibration, poses."""
 
 import shutil
 from collections.abc import Callable
@@ -13,6 +13,7 @@ from polhode.dataset import open_sequence
 from polhode.dataset_writer import write_sensor
 from polhode.lie import exp_so3
 from polhode.progress import Silent
+from polhode.range_images import RangeModel
 from tests.importers.imports import imported, refused
 
 COUNT, WIDTH, HEIGHT = 6, 64, 48
@@ -148,6 +149,44 @@ def test_an_import_of_ours_is_replaced_and_nothing_else(folder: Path, tmp_path: 
     assert import_sequence([folder], tmp_path / "S", options, Silent(), overwrite=True).pairs == COUNT
     (tmp_path / "S" / "mav0" / "range0" / "note.txt").write_text("mine")
     assert "is no dataset that polhode import made" in refused([folder], tmp_path / "S", **rig_of(folder))
+
+
+def folders_of(folder: Path) -> list[Path]:
+    """The same images as two folders, whose names are times."""
+    return [folder / "rgb", folder / "depth"]
+
+
+def test_two_folders_are_images_and_depth_where_the_unit_of_depth_is_given(
+    folder: Path, tmp_path: Path
+) -> None:
+    stated = {"range_scale_m": 0.0002, "range_sigma_m": 0.002}
+    done = imported(folders_of(folder), tmp_path / "S", **rig_of(folder), **stated)
+    assert (done.pairs, done.kind) == (COUNT, "images with ranges")
+    sequence = open_sequence(tmp_path / "S")
+    assert sequence.range_model == RangeModel(0.0002, 0.002, 0.0)
+    assert np.nanmedian(sequence.read_range(0)) == pytest.approx(1.2, abs=1e-3)
+
+
+def test_half_a_statement_about_depth_is_refused(folder: Path, tmp_path: Path) -> None:
+    for half in ({"range_scale_m": 0.001}, {"range_sigma_m": 0.001}, {"range_growth_per_m": 0.0}):
+        line = refused(folders_of(folder), tmp_path / "S", **rig_of(folder), **half)
+        assert "--range-scale-m and --range-sigma-m: give both" in line
+
+
+def test_depth_of_floating_point_metres_is_refused(folder: Path, tmp_path: Path) -> None:
+    for path in (folder / "depth").iterdir():
+        Image.fromarray(np.full((HEIGHT, WIDTH), 1.2, np.float32)).save(path.with_suffix(".tiff"))
+        path.unlink()
+    stated = {"range_scale_m": 0.001, "range_sigma_m": 0.002}
+    line = refused(folders_of(folder), tmp_path / "S", **rig_of(folder), **stated)
+    assert "floating-point values, whose scale is unknown" in line
+
+
+def test_a_unit_of_depth_for_a_recording_without_depth_is_refused(
+    folder: Path, small_sequence: Path, tmp_path: Path
+) -> None:
+    line = refused([small_sequence], tmp_path / "S", range_scale_m=0.001)
+    assert "are for two folders (images, depth) and for TUM RGB-D" in line
 
 
 def _rewritten(name: str, change: Callable[[str], str]) -> Callable[[Path], None]:
