@@ -230,8 +230,13 @@ def _ranged_pair(sequence: StereoSequence, rectifier: Rectifier, k: int) -> Rect
         np.zeros_like(left),
         mask,
         np.zeros_like(mask),
-        measured_disparity(sequence.read_range(k), sequence.range_model, rectifier),
+        frame_disparity(sequence, rectifier, k),
     )
+
+
+def frame_disparity(sequence: StereoSequence, rectifier: Rectifier, k: int) -> MeasuredDisparity:
+    """The ranges of frame k of a sequence with range images, in the rectified left image."""
+    return measured_disparity(sequence.read_range(k), sequence.range_model, rectifier)
 
 
 def measured_disparity(

@@ -59,8 +59,9 @@ def find_cameras(mav0: Path) -> CameraFolders:
             f"{mav0} has {len(found)} cameras, {', '.join(found[:6])}: call the left one of the pair cam0 "
             "and the right one cam1, or move the others out"
         )
-    if len(found) == 1 and (mav0 / RANGE_FOLDER).is_dir():
-        return CameraFolders(mav0, (found[0], RANGE_FOLDER))
+    alone = found or [name for name in USUAL[:1] if (mav0 / name).is_dir()]
+    if len(alone) == 1 and (mav0 / RANGE_FOLDER).is_dir():
+        return CameraFolders(mav0, (alone[0], RANGE_FOLDER))
     if len(found) < 2:
         missing = next(mav0 / name for name in USUAL if not (mav0 / name).is_dir())
         raise InputError(

@@ -58,6 +58,9 @@ PAIRS_AHEAD = 64
 """Pairs that are checked at a time when a sequence is opened."""
 RANGE_SAMPLES = 24
 """Range images from which the usual range is found."""
+BORDER_SHARE, NEAR_PERCENTILE = 0.5, 5.0
+"""Where more of a range image's border than this has a range, there is a background, and the usual range is
+this percentile: that of a target which covers a twentieth of the image or more."""
 SAME_POSITION_M = 1e-9
 SAME_ROTATION = 1e-9
 
@@ -322,26 +325,37 @@ def open_sequence(folder: Path) -> StereoSequence:
 def _with_virtual_camera(sequence: StereoSequence, model: RangeModel, measured: list[int]) -> StereoSequence:
     """The sequence with the virtual right camera where the noise of the ranges asks for it.
 
-    The usual range is that of the target where masks are given, else of all that is measured. measured:
-    pairs whose range image has a measurement.
+    measured: pairs whose range image has a measurement.
     """
-    medians = []
+    usual = []
     for index in np.unique(np.linspace(0, len(measured) - 1, RANGE_SAMPLES).round().astype(int)).tolist():
-        ranges = sequence.read_range(measured[index])
         mask = sequence._read_mask(0, measured[index])
-        on_target = ranges if mask is None else ranges[mask]
-        known = on_target[np.isfinite(on_target)]
-        if len(known):
-            medians.append(float(np.median(known)))
-    if not medians:
+        here_m = _usual_range(sequence.read_range(measured[index]), mask)
+        if np.isfinite(here_m):
+            usual.append(here_m)
+    if not usual:
         raise InputError(
             f"{sequence.folder / 'mav0' / RANGE_FOLDER}: no pixel of the target, as the masks give it, has a "
             "measurement; masks and ranges must be of the same pixels"
         )
     calibration = sequence.calibration
     focal_px = float(np.mean(calibration.K0[[0, 1], [0, 1]]))
-    baseline_m = model.virtual_baseline_m(focal_px, float(np.median(medians)))
+    baseline_m = model.virtual_baseline_m(focal_px, float(np.median(usual)))
     return replace(sequence, calibration=with_baseline(calibration, baseline_m))
+
+
+def _usual_range(range_m: NDArray[np.float32], mask: Bools | None) -> float:
+    """That of the target in a range image (H, W) [m], roughly; NaN: it has none.
+
+    Without a mask, what lies along the border is a background, and the target is nearer.
+    """
+    on_target = range_m if mask is None else range_m[mask]
+    known = on_target[np.isfinite(on_target)]
+    if len(known) == 0:
+        return float("nan")
+    border = np.concatenate([range_m[0], range_m[-1], range_m[:, 0], range_m[:, -1]])
+    has_background = mask is None and np.isfinite(border).mean() > BORDER_SHARE
+    return float(np.percentile(known, NEAR_PERCENTILE if has_background else 50.0))
 
 
 def _unused_ranges(cameras: CameraFolders) -> Iterator[str]:

@@ -59,13 +59,27 @@ class Wall:
             self._known[key] = known
         return known
 
-    def _view(self, camera: Camera, X_NK: Array) -> tuple[Array, Array]:
-        settings, shape = self._settings, (camera.height_px, camera.width_px)
+    def depth(self, camera: Camera, X_NK: Array) -> tuple[Array, Array]:
+        """Depth of the wall along the optical axis [m], and the cosine between ray and normal (H, W), seen
+        from X_NK (4, 4); NaN where it is not."""
+        rays_W, _, reach = self._reach(camera, X_NK)
+        cosine = np.where(np.isfinite(reach), np.abs(rays_W[:, 2]), np.nan)
+        shape = camera.height_px, camera.width_px
+        return (reach * camera.pixel_directions[:, 2]).reshape(shape), cosine.reshape(shape)
+
+    def _reach(self, camera: Camera, X_NK: Array) -> tuple[Array, Array, Array]:
+        """Rays (n, 3) and eye (3,) in the wall's axes, and distance (n,) of the wall [m], NaN where none."""
         rays_W = camera.pixel_directions @ (self._axes_N.T @ X_NK[:3, :3]).T
         eye_W = self._axes_N.T @ (X_NK[:3, 3] - self._point_N)
         with np.errstate(divide="ignore", invalid="ignore"):
             reach = -eye_W[2] / rays_W[:, 2]
-        there = np.isfinite(reach) & (reach > 0.0) & (reach < FARTHEST * settings.distance_m)
+            there = (reach > 0.0) & (reach < FARTHEST * self._settings.distance_m)
+        return rays_W, eye_W, np.where(there, reach, np.nan)
+
+    def _view(self, camera: Camera, X_NK: Array) -> tuple[Array, Array]:
+        settings, shape = self._settings, (camera.height_px, camera.width_px)
+        rays_W, eye_W, reach = self._reach(camera, X_NK)
+        there = np.isfinite(reach)
         place = eye_W + np.where(there, reach, 0.0)[:, None] * rays_W
         # A pixel's side on the wall, without the foreshortening.
         side = np.where(there, reach, 0.0) * camera.pixel_directions[:, 2] / camera.K[0, 0]

@@ -4,6 +4,7 @@ In: rectified pairs and the inspector's poses. Out: ``FoundMasks``. The backgrou
 at rest; the target stands before it, and its outline follows the edges of the images.
 
 find_masks.py     the background of a sequence, and the masks of its pairs
+range_layer.py    both by range images
 near_layer.py     the two layers of one pair: what fits the background's plane, and what stands before it
 background_image.py   what is behind the target, from frames in which it is elsewhere
 far_plane.py      the background's plane: found in one pair, moved from pair to pair

@@ -1,7 +1,8 @@
 """The background of a sequence without masks, and the masks of its pairs.
 
-Stereo finds a background if a plane lies behind the target and stays where it is in N, or at infinity, while
-the inspector moves as its poses say. A target that fills the image is no such plane: it turns.
+Stereo, or ranges, find a background if a plane lies behind the target and stays where it is in N, or at
+infinity, while the inspector moves as its poses say. A target that fills the image is no such plane: it
+turns.
 """
 
 from collections import Counter
@@ -28,8 +29,9 @@ from polhode.frontend.background.far_plane import (
     reduced_image,
 )
 from polhode.frontend.background.near_layer import near_layer, working_scale
+from polhode.frontend.background.range_layer import near_range_layer, range_plane
 from polhode.frontend.found_masks import FoundMasks, MaskQuality, encoded
-from polhode.frontend.rectification import Rectifier
+from polhode.frontend.rectification import Rectifier, frame_disparity
 from polhode.frontend.segmentation import lit_border
 from polhode.lie import Array
 from polhode.processes import in_order
@@ -79,11 +81,8 @@ class Background:
 
 
 def find_background(sequence: StereoSequence, rectifier: Rectifier) -> Background | None:
-    """The background of a sequence; None: the sky is dark, masks are given, or no plane is found.
-
-    None with range images, too: there is no second image.
-    """
-    frames = [] if sequence.has_ranges else _without_masks(sequence)
+    """The background of a sequence; None: the sky is dark, masks are given, or no plane is found."""
+    frames = _without_masks(sequence)
     if not frames:
         return None
     bright = []
@@ -94,12 +93,19 @@ def find_background(sequence: StereoSequence, rectifier: Rectifier) -> Backgroun
         return None
     planes: dict[int, FarPlane] = {}
     for k in frames:
-        pair = sequence.read_pair(k)
-        left, right = rectifier(pair.left, 0), rectifier(pair.right, 1)
-        plane = find_far_plane(left, right, rectifier.rig.disparity_offset_px)
+        plane = _far_plane(sequence, rectifier, k)
         if plane is not None:
             planes[k] = plane
     return _common_background(sequence, rectifier, planes, len(frames))
+
+
+def _far_plane(sequence: StereoSequence, rectifier: Rectifier, k: int) -> FarPlane | None:
+    """The background's plane in pair k, by its ranges or by stereo."""
+    offset_px = rectifier.rig.disparity_offset_px
+    if sequence.has_ranges:
+        return range_plane(frame_disparity(sequence, rectifier, k), offset_px)
+    pair = sequence.read_pair(k)
+    return find_far_plane(rectifier(pair.left, 0), rectifier(pair.right, 1), offset_px)
 
 
 def _without_masks(sequence: StereoSequence) -> list[int]:
@@ -139,10 +145,17 @@ def find_masks(
 ) -> FoundMasks | None:
     """Masks of these pairs; None: nothing stands before the background. ``tick`` is called once per pair.
 
-    First each pair is examined alone, then with the background that the pairs around it show.
+    First each pair is examined alone, then with the background that the pairs around it show. Ranges show the
+    target at once.
     """
     masks: dict[int, tuple[bytes, bytes]] = {}
     quality: dict[int, MaskQuality] = {}
+    if sequence.has_ranges:
+        by_ranges = partial(_masks_by_ranges, sequence, rectifier, background)
+        for k, found in zip(frames, in_order(by_ranges, frames, workers), strict=True):
+            masks[k], quality[k] = found
+            tick()
+        return _unless_empty(masks, quality)
     examine = partial(_first_looks, sequence, rectifier, background)
     finish = partial(_masks_of, sequence, rectifier, background)
     looks: dict[int, FirstLooks] = {}
@@ -157,9 +170,23 @@ def find_masks(
             masks[item[0]], quality[item[0]] = found
             tick()
         looks = {j: look for j, look in looks.items() if j >= block.stop - 2 * REACH_FRAMES}
+    return _unless_empty(masks, quality)
+
+
+def _unless_empty(
+    masks: dict[int, tuple[bytes, bytes]], quality: dict[int, MaskQuality]
+) -> FoundMasks | None:
     if np.median([each.area for each in quality.values()]) < MIN_AREA:
         return None
     return FoundMasks(masks, quality)
+
+
+def _masks_by_ranges(
+    sequence: StereoSequence, rectifier: Rectifier, background: Background, k: int
+) -> tuple[tuple[bytes, bytes], MaskQuality]:
+    plane = plane_seen_from(background.m_N, rectifier.rig, sequence.X_NC[k] @ rectifier.X_CR)
+    layer = near_range_layer(frame_disparity(sequence, rectifier, k), plane)
+    return (encoded(layer.left), encoded(layer.right)), layer.quality
 
 
 def _first_looks(

@@ -190,7 +190,7 @@ def _labels(
     )
     evidence = np.where(inside, evidence, alone).astype(np.float32)
     smooth = _guided(image, evidence, 3, 1e-3)
-    return _Labels(_parts(_filled(_outline(image, smooth), evidence)), evidence, far)
+    return _Labels(large_parts(filled(_outline(image, smooth), evidence)), evidence, far)
 
 
 def _evidence(image: Image, other: Image, near: Floats, agrees: Bools) -> tuple[Floats, Floats]:
@@ -289,7 +289,7 @@ def _outline(image: Image, evidence: Floats) -> Bools:
     return target
 
 
-def _filled(target: Bools, evidence: Floats) -> Bools:
+def filled(target: Bools, evidence: Floats) -> Bools:
     """Without holes (h, w) through which the background is not clearly seen."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats((~target).astype(np.uint8), connectivity=4)
     height, width = target.shape
@@ -302,7 +302,7 @@ def _filled(target: Bools, evidence: Floats) -> Bools:
     return filled
 
 
-def _parts(target: Bools) -> Bools:
+def large_parts(target: Bools) -> Bools:
     """The large connected parts (h, w)."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(target.astype(np.uint8), connectivity=8)
     if count <= 1:

@@ -57,8 +57,10 @@ class FrameRenderer:
         plan, sensor = self._plan, self._plan.scene.range_sensor
         assert sensor is not None
         camera, rng = plan.cameras[0], np.random.default_rng([plan.seed, 0x4, k])
-        X_GK = inverse_pose(plan.target.X_NG[k]) @ plan.X_NC[k] @ camera.X_CK
-        return render_ranges(self._renderer.caster, camera, X_GK, sensor, rng)
+        X_NK = plan.X_NC[k] @ camera.X_CK
+        X_GK = inverse_pose(plan.target.X_NG[k]) @ X_NK
+        behind = None if plan.sky.wall is None else plan.sky.wall.depth(camera, X_NK)
+        return render_ranges(self._renderer.caster, camera, X_GK, sensor, rng, behind)
 
     def write_pair(self, k: int, mav0: Path) -> None:
         """Write frame k into a folder laid out as mav0: both images, or one and its ranges; masks and

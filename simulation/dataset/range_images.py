@@ -35,10 +35,21 @@ def model_of(sensor: RangeSensor) -> RangeModel:
 
 
 def render_ranges(
-    caster: RayCaster, camera: Camera, X_GK: Array, sensor: RangeSensor, rng: np.random.Generator
+    caster: RayCaster,
+    camera: Camera,
+    X_GK: Array,
+    sensor: RangeSensor,
+    rng: np.random.Generator,
+    behind: tuple[Array, Array] | None = None,
 ) -> NDArray[np.uint16]:
-    """The range image (H, W) of a camera at X_GK (4, 4) as stored."""
+    """The range image (H, W) of a camera at X_GK (4, 4) as stored.
+
+    behind: depth [m] and cosine (H, W), as of ``true_depth``, of what stands behind the target.
+    """
     depth_m, cosine = true_depth(caster, camera, X_GK)
+    if behind is not None:
+        off = ~np.isfinite(depth_m)
+        depth_m, cosine = np.where(off, behind[0], depth_m), np.where(off, behind[1], cosine)
     return measure(depth_m, cosine, float(camera.K[0, 0]), sensor, rng)
 
 

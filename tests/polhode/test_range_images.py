@@ -75,6 +75,18 @@ def test_the_usual_range_is_that_of_the_target_where_masks_are_given(ranged: Pat
     assert far / near == pytest.approx((6.0 / 0.5) ** 2, rel=1e-6)
 
 
+def test_with_a_background_the_usual_range_is_that_of_what_is_nearer(ranged: Path) -> None:
+    mav0, baselines_m = ranged / "mav0", []
+    for behind_m in (0.0, 6.0):
+        for stamp in STAMPS:
+            raw = np.full((48, 64), round(behind_m / SCALE_M), dtype=np.uint16)
+            raw[12:36, 20:44] = round(1.2 / SCALE_M)
+            raw[20, 20] = stamp // STEP_NS % 1000 + 1
+            write_png(image_path(mav0 / "range0", stamp), raw)
+        baselines_m.append(open_sequence(ranged).calibration.X_BC1[0, 3])
+    assert baselines_m[1] == pytest.approx(baselines_m[0], rel=1e-6)
+
+
 def test_two_cameras_are_used_before_ranges_with_a_warning(ranged: Path, tmp_path: Path) -> None:
     mav0 = ranged / "mav0"
     shutil.copytree(mav0 / "cam0", mav0 / "cam1")
@@ -139,6 +151,7 @@ BAD: dict[str, tuple[Callable[[Path], None], str]] = {
     "no list": (lambda mav0: (mav0 / "range0" / "data.csv").unlink(), "range0/data.csv"),
     "all zero": (_all_images(np.zeros((48, 64), np.uint16)), "no image has a measurement, all pixels are 0"),
     "all of 8 bits": (_all_images(np.ones((48, 64), np.uint8)), "where 16-bit grey is needed"),
+    "no calibration": (lambda mav0: (mav0 / "cam0" / "sensor.yaml").unlink(), "cam0/sensor.yaml is missing"),
     "no camera": (lambda mav0: shutil.rmtree(mav0 / "cam0"), "cam0 is missing"),
 }
 

@@ -103,7 +103,6 @@ def test_a_plane_that_turns_is_the_target_and_not_the_background() -> None:
 def test_before_a_dark_sky_or_with_masks_nothing_is_looked_for() -> None:
     assert find_background(at_rest([INFINITY] * 3, far=np.full_like(FAR, 2.0)), RECTIFIER) is None
     assert find_background(at_rest([INFINITY] * 3, masked=True), RECTIFIER) is None
-    assert find_background(at_rest([INFINITY] * 3, has_ranges=True), RECTIFIER) is None
 
 
 def test_a_background_with_nothing_before_it_gives_no_masks() -> None:
