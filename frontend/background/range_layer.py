@@ -34,7 +34,7 @@ def range_plane(measured: MeasuredDisparity, offset_px: float) -> FarPlane | Non
 
     offset_px: disparity at infinity, where a background is that returns nothing.
     """
-    ring = border_ring(*measured.disparity_px.shape)
+    ring = border_ring(np.ones(measured.disparity_px.shape, dtype=np.bool_))
     v, u = np.nonzero(ring & np.isfinite(measured.disparity_px))
     if len(u) < MIN_RETURNS * ring.sum():
         return FarPlane(0.0, 0.0, offset_px)
