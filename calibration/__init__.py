@@ -16,6 +16,7 @@ other programs; and the reason for each image that was left out.
 - start_values: one camera from nothing
 - adjustment: the bundle adjustment, with covariance
 - detection: the corners of a board in an image, or why there are none
+- board_map: where a smooth map has the corners, by where most of them are seen
 - corner_fit: corners of four squares, to a hundredth of a pixel
 - lenses: the lens models with their derivatives
 - boards: what is on a board

@@ -359,14 +359,32 @@ def _without_outliers(views: Views, state: RigState) -> RigState:
             ]
         if not worst:
             break
-        # what is worst spoils others: those nearly as bad go with it, the rest is looked at again
-        top = max(worst)[0]
+        # what is worst spoils others, first of all its partner: those nearly as bad go with it, the rest is
+        # looked at again
+        worst.sort(reverse=True)
+        seen: set[int] = set()
         for share, camera, pair, off, usual in worst:
-            if share > 0.5 * top:
-                words = f"corners are {off:.2f} px off the common solution, {usual:.2f} px in the usual image"
-                views.reject(camera, pair, "outlier", words)
+            if share <= 0.5 * worst[0][0] or pair in seen:
+                continue
+            seen.add(pair)
+            if pair in views.found[1 - camera]:
+                # the place of the board is a compromise of both: at fault is the image that no place fits
+                alone = [_alone_rms(data[c], state, c, pair) for c in (0, 1)]
+                camera, off = int(np.argmax(alone)), max(off, *alone)
+            words = f"corners are {off:.2f} px off the common solution, {usual:.2f} px in the usual image"
+            views.reject(camera, pair, "outlier", words)
         require_enough(views)
     return state
+
+
+def _alone_rms(data: CornerData, state: RigState, camera: int, pair: int) -> float:
+    """Root mean square length of the residuals of one image, its board placed by itself [px]."""
+    own = data.kept(data.view == pair)
+    poses = state.X_CB if camera == 0 else state.X_10 @ state.X_CB
+    single = RigState((state.lenses[camera],), poses[pair : pair + 1], np.eye(4))
+    here = CornerData(np.zeros_like(own.view), own.p_B, own.uv_px)
+    fixed = np.zeros(single.shared, dtype=np.bool_)
+    return rms_px(adjust((here,), single, fixed, robust=False).residuals[0])
 
 
 def _final(views: Views, state: RigState) -> CalibratedRig:

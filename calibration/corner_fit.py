@@ -1,7 +1,7 @@
 """Corners of four squares to a hundredth of a pixel: a picture of the corner is fitted to the image.
 
     I(u, v) = b + c erf(d1 / (sqrt(2) s)) erf(d2 / (sqrt(2) s)),
-    d_k = x cos f_k + y sin f_k + h_k t_k^2 / 2,
+    d_k = x cos f_k + y sin f_k + h_k (t_k^2 + s^2) / 2,
 
 with (x, y) from the corner, t_k along the edge k and s the blur: two edges, bent by the lens, that cross at
 the corner. Nine unknowns a corner, in a disc around it, by Levenberg and Marquardt, all corners of an image
@@ -133,19 +133,22 @@ def _model(patch: Array, u: Array, v: Array, p: Array) -> tuple[Array, Array]:
         cos, sin = np.cos(p[:, 2 + k, None]), np.sin(p[:, 2 + k, None])
         along = -x * sin + y * cos
         bend = p[:, 4 + k, None]
-        d = x * cos + y * sin + 0.5 * bend * along**2
+        # blur moves a bent edge towards the inside of the bend
+        d = x * cos + y * sin + 0.5 * bend * (along**2 + s**2)
         values.append(erf(d / (np.sqrt(2.0) * s)))
         slopes.append(np.sqrt(2.0 / np.pi) / s * np.exp(-0.5 * (d / s) ** 2))
         by_corner = (-cos + bend * along * sin, -sin - bend * along * cos)
         by_angle = along - bend * along * (x * cos + y * sin)
-        parts.append((d, by_corner, by_angle, 0.5 * along**2))
+        parts.append((d, by_corner, by_angle, 0.5 * (along**2 + s**2), bend * s))
     J = np.empty((*patch.shape, 9))
     first, second = slopes[0] * values[1] * c, slopes[1] * values[0] * c
     for axis in (0, 1):
         J[:, :, axis] = first * parts[0][1][axis] + second * parts[1][1][axis]
     J[:, :, 2], J[:, :, 3] = first * parts[0][2], second * parts[1][2]
     J[:, :, 4], J[:, :, 5] = first * parts[0][3], second * parts[1][3]
-    J[:, :, 6] = -(first * parts[0][0] + second * parts[1][0]) / s
+    J[:, :, 6] = sum(
+        slope * (part[4] - part[0] / s) for slope, part in zip((first, second), parts, strict=True)
+    )
     J[:, :, 7] = values[0] * values[1]
     J[:, :, 8] = 1.0
     return patch - b - c * J[:, :, 7], J

@@ -6,11 +6,12 @@ What the detector found is not believed at once: corners beyond the board's own 
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 
+from polhode.calibration.board_map import BoardMap, fitted_map, misfit
 from polhode.calibration.boards import Board
 from polhode.calibration.corner_fit import fitted
 from polhode.images import Grey
@@ -43,10 +44,12 @@ FIT_SHARE = 0.9
 """Radius of the fitted disc over the same radius."""
 MIN_WINDOW_PX, MAX_WINDOW_PX = 2, 25
 MIN_CORNERS = 8
+MIN_SHARE = 0.8
+"""Of a chessboard's corners, which the detector has found all."""
 MAX_ASTRAY_PX = 0.5
 """From where its neighbours expect a corner, before it is looked for again."""
 MAX_MISFIT = 0.35
-"""Of a square: markers further from where the board has them mean another board; fisheyes bend less."""
+"""Of a square: markers further from where the board has them mean another board."""
 _RING = 16
 _LOOSENING_PX = (1, 3, 5)
 
@@ -112,6 +115,11 @@ def _reduced(image: Grey) -> tuple[Grey, float]:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8), width / size[0]
 
 
+def _size(image: Grey) -> tuple[int, int]:
+    """Width and height."""
+    return image.shape[1], image.shape[0]
+
+
 def _enlarged(uv_px: Array, factor: float) -> Array:
     """Pixels of the full image; the centre of the first pixel is 0."""
     return (uv_px + 0.5) * factor - 0.5
@@ -130,15 +138,30 @@ def _find_chessboard(image: Grey, board: Board) -> Found | Missed:
     if not ok:
         return _what_is_seen(small, board)
     rough = _enlarged(np.asarray(corners, dtype=np.float64).reshape(-1, 2), factor)
+    # the detector may take the outer corner of a square for the next one of a row
+    expected, astray = _expected(image, board, rough)
+    rough[astray] = expected[astray]
     grid = rough.reshape(board.rows, board.columns, 2)
     free_px = 0.5 * _grid_spacing(grid).ravel()
     uv = fitted(image, refined(image, rough, free_px), FIT_SHARE * free_px)
-    if not np.isfinite(uv).all():
-        lost = int((~np.isfinite(uv)).any(axis=1).sum())
-        return Missed("not found", f"{lost} of {len(uv)} corners cannot be refined")
-    if beyond := _corners_beyond(image, uv.reshape(grid.shape)):
+    expected, astray = _expected(image, board, uv)
+    good = ~astray
+    if good.sum() < max(MIN_CORNERS, MIN_SHARE * len(uv)):
+        words = f"{int(astray.sum())} of {len(uv)} corners are not where the others expect them"
+        return Missed("outlier", words)
+    if beyond := _corners_beyond(image, np.where(astray[:, None], expected, uv).reshape(grid.shape)):
         return Missed("other board", f"the board goes on beyond its {board.words}, {beyond}")
-    return Found(np.arange(len(uv)), uv)
+    return Found(np.flatnonzero(good), uv[good])
+
+
+def _expected(image: Grey, board: Board, uv_px: Array) -> tuple[Array, Bools]:
+    """(N, 2) where all corners of a board expect each, and (N,) which of them are elsewhere, or NaN."""
+    p_m = board.points[:, :2]
+    known = fitted_map(p_m, uv_px, _size(image))
+    expected = uv_px if known is None else known(p_m)
+    off = np.linalg.norm(uv_px - expected, axis=1)
+    limit_px = max(2.0 * MAX_ASTRAY_PX, 4.0 * float(np.nanmedian(off)))
+    return expected, np.asarray(~(off <= limit_px))
 
 
 def _grid_spacing(grid: Array) -> Array:
@@ -250,31 +273,31 @@ def _find_markers(image: Grey, board: Board) -> Found | Missed:
 
 
 def _find_charuco(image: Grey, board: Board) -> Found | Missed:
-    best: tuple[int, Array, Ints, list[Array], Ints] | None = None
+    best: tuple[int, Array, Ints, list[Array], Ints, Any] | None = None
     for legacy in (False, True) if board.rows % 2 == 0 else (False,):
-        detector = cv2.aruco.CharucoDetector(board.opencv_charuco(legacy))
-        corners, ids, markers, marker_ids = detector.detectBoard(image)
+        theirs = board.opencv_charuco(legacy)
+        corners, ids, markers, marker_ids = cv2.aruco.CharucoDetector(theirs).detectBoard(image)
         count = 0 if ids is None else len(ids)
         if best is None or count > best[0]:
             uv = np.empty((0, 2)) if corners is None else np.asarray(corners, dtype=np.float64).reshape(-1, 2)
             own = np.empty(0, np.int64) if ids is None else np.asarray(ids, dtype=np.int64).ravel()
             seen = [] if marker_ids is None else [np.asarray(each, float).reshape(4, 2) for each in markers]
             known = np.empty(0, np.int64) if marker_ids is None else np.asarray(marker_ids, np.int64).ravel()
-            best = (count, uv, own, seen, known)
+            best = (count, uv, own, seen, known, theirs)
     assert best is not None
-    count, uv, ids, seen, known = best
-    if wrong := _foreign_markers(image, board, known):
+    count, uv, ids, seen, known, theirs = best
+    if wrong := _foreign_markers(board, known):
         return Missed("other board", wrong)
-    if len(known) >= 4 and (misfit := _charuco_misfit(board, seen, known)) > MAX_MISFIT:
-        return Missed("other board", _misplaced(board, misfit))
+    p_m, uv_px = _marker_corners(theirs, seen, known)
+    if len(known) >= 4 and (off := misfit(p_m, uv_px, board.square_m, _size(image))) > MAX_MISFIT:
+        return Missed("other board", _misplaced(board, off))
     if count < MIN_CORNERS:
         return _too_few(count, len(known), seen, image, board)
-    return _finished(image, board, ids, uv)
+    return _finished(image, board, ids, uv, fitted_map(p_m, uv_px, _size(image)))
 
 
-def _foreign_markers(image: Grey, board: Board, known: Ints) -> str:
+def _foreign_markers(board: Board, known: Ints) -> str:
     """What is said of markers that the board does not have; empty: there are none."""
-    del image
     count = (board.columns * board.rows) // 2 if board.pattern == "charuco" else board.columns * board.rows
     foreign = known[known >= count]
     if len(foreign) < 2:
@@ -282,30 +305,20 @@ def _foreign_markers(image: Grey, board: Board, known: Ints) -> str:
     return f"marker {int(foreign.max())} is seen, and a board of {board.words} has 0 to {count - 1}"
 
 
-def _misplaced(board: Board, misfit: float) -> str:
-    return f"the markers lie {misfit:.1f} squares from where a board of {board.words} has them"
+def _misplaced(board: Board, off: float) -> str:
+    return f"the markers lie {off:.1f} squares from where a board of {board.words} has them"
 
 
-def _charuco_misfit(board: Board, seen: list[Array], known: Ints) -> float:
-    """How far the markers are from where the board has them, median [squares], after the best homography."""
-    theirs = board.opencv_charuco()
+def _marker_corners(theirs: Any, seen: list[Array], known: Ints) -> tuple[Array, Array]:
+    """Corners (n, 2) of the markers that are seen, on OpenCV's board [m] and in the image [px]."""
     places = {
-        int(i): np.asarray(p)[:, :2]
+        int(i): np.asarray(p, dtype=np.float64)[:, :2]
         for i, p in zip(theirs.getIds().ravel(), theirs.getObjPoints(), strict=True)
     }
     both = [(places[int(i)], corners) for i, corners in zip(known, seen, strict=True) if int(i) in places]
-    if len(both) < 4:
-        return 0.0
-    return _misfit(np.concatenate([a for a, _ in both]), np.concatenate([b for _, b in both]), board.square_m)
-
-
-def _misfit(p_m: Array, uv_px: Array, unit_m: float) -> float:
-    """Median distance, in units, of points (n, 2) on the board from where the best homography has them."""
-    H, _ = cv2.findHomography(uv_px, p_m, cv2.LMEDS)
-    if H is None:
-        return np.inf
-    back = cv2.perspectiveTransform(uv_px[:, None], H).reshape(-1, 2)
-    return float(np.median(np.linalg.norm(back - p_m, axis=1))) / unit_m
+    if not both:
+        return np.empty((0, 2)), np.empty((0, 2))
+    return np.concatenate([a for a, _ in both]), np.concatenate([b for _, b in both])
 
 
 def _too_few(count: int, markers: int, seen: list[Array], image: Grey, board: Board) -> Missed:
@@ -322,77 +335,44 @@ def _too_few(count: int, markers: int, seen: list[Array], image: Grey, board: Bo
     )
 
 
-def _finished(image: Grey, board: Board, ids: Ints, rough: Array) -> Found | Missed:
-    """Corners refined in windows by their local scale; those of which that fails are left out."""
-    free_px = _local_scale(board, ids, rough) * board.free_m
+def _finished(
+    image: Grey, board: Board, ids: Ints, rough: Array, seen: BoardMap | None = None
+) -> Found | Missed:
+    """Corners refined in windows by their local scale; those of which that fails are left out.
+
+    ``seen``: the map of the markers, where they tell more than the corners.
+    """
+    p_m = board.points[ids, :2]
+    size, step_m = _size(image), 0.25 * board.square_m
+    first = fitted_map(p_m, rough, size) if seen is None else seen
+    if first is None:
+        return Missed("not found", f"only {len(ids)} corners are seen; {MIN_CORNERS} are needed")
+    free_px = first.scale(p_m, step_m) * board.free_m
     # a detector's corner of a tag may be pixels off: a wide window first
-    near = refined(image, rough, free_px, WIDE_SHARE) if board.pattern == "aprilgrid" else rough
+    near = refined(image, rough, free_px, WIDE_SHARE) if seen is None else rough
     uv = refined(image, np.where(np.isfinite(near), near, rough), free_px)
     # a detector's corner may be where a tag touches its neighbour: once more, from where the others expect it
-    expected = _expected(board.points[ids, :2], uv)
+    known = (seen if seen is not None else fitted_map(p_m, uv, size)) or first
+    expected = known(p_m)
     off = np.linalg.norm(uv - expected, axis=1)
     astray = ~(off <= np.maximum(MAX_ASTRAY_PX, 3.0 * np.nanmedian(off)))
     uv[astray] = refined(image, expected[astray], free_px[astray])
     height, width = image.shape
-    inside = ((rough > 3.0) & (rough < np.array([width - 4.0, height - 4.0]))).all(axis=1)
+    inside = ((expected > 3.0) & (expected < np.array([width - 4.0, height - 4.0]))).all(axis=1)
     uv = fitted(image, uv, FIT_SHARE * free_px)
-    near = np.linalg.norm(uv - expected, axis=1) <= np.maximum(3.0 * MAX_ASTRAY_PX, 0.2 * free_px)
-    good: Bools = inside & near & (_saddle(image, uv, free_px) > 0.0)
+    near_enough = np.linalg.norm(uv - expected, axis=1) <= np.maximum(3.0 * MAX_ASTRAY_PX, 0.2 * free_px)
+    good: Bools = inside & near_enough & (_saddle(image, uv, free_px) > 0.0)
     if good.sum() < MIN_CORNERS:
         return Missed("cut off", f"only {int(good.sum())} corners are well inside the image")
     order = np.argsort(ids[good], kind="stable")
     return Found(ids[good][order], uv[good][order])
 
 
-def _expected(p_m: Array, uv_px: Array) -> Array:
-    """(n, 2) where a smooth map has points (n, 2) of the board, by where most of them are.
-
-    A homography, and a polynomial for the lens. NaN in ``uv_px``: not known.
-    """
-    known = np.isfinite(uv_px).all(axis=1)
-    if known.sum() < MIN_CORNERS:
-        return uv_px
-    H, _ = cv2.findHomography(p_m[known], uv_px[known], cv2.LMEDS)
-    if H is None:
-        return uv_px
-    flat = cv2.perspectiveTransform(p_m[:, None], H).reshape(-1, 2)
-    off = uv_px - flat
-    unit: Array = (p_m - p_m.mean(axis=0)) / float(np.ptp(p_m, axis=0).max())
-    off = np.asarray(off)
-    x, y = unit[:, 0], unit[:, 1]
-    degree = next(each for each in (5, 3, 1, 0) if known.sum() >= 1.5 * (each + 1) * (each + 2) or not each)
-    terms = [x**a * y**b for a in range(degree + 1) for b in range(degree + 1 - a)]
-    A = np.asarray(np.stack(terms, axis=1))
-    weight = known.astype(np.float64)
-    bend = np.zeros((A.shape[1], 2))
-    for _ in range(8):
-        bend = np.linalg.lstsq(A * weight[:, None], np.nan_to_num(off) * weight[:, None], rcond=1e-9)[0]
-        distance = np.linalg.norm(off - A @ bend, axis=1)
-        scale = max(float(np.nanmedian(distance)), 0.02)
-        weight = np.where(known, 1.0 / (1.0 + (np.nan_to_num(distance, nan=1e9) / (2.0 * scale)) ** 2), 0.0)
-    return np.asarray(flat + A @ bend)
-
-
-def _local_scale(board: Board, ids: Ints, uv_px: Array) -> Array:
-    """(n,) smallest pixels a metre around each corner, by the homography of the board."""
-    p = board.points[ids, :2]
-    H, _ = cv2.findHomography(p, uv_px, 0)
-    if H is None:
-        return np.full(len(ids), 30.0 / board.square_m)
-    h = 0.25 * board.square_m
-    middle = cv2.perspectiveTransform(p[:, None], H).reshape(-1, 2)
-    steps = [
-        np.linalg.norm(cv2.perspectiveTransform((p + d)[:, None], H).reshape(-1, 2) - middle, axis=1) / h
-        for d in (np.array([h, 0.0]), np.array([0.0, h]))
-    ]
-    return np.asarray(np.minimum(steps[0], steps[1]))
-
-
 def _find_grid(image: Grey, board: Board) -> Found | Missed:
     """A grid of AprilTags; which way the tags are turned on it, and which row is first, the image shows."""
     small, factor = _reduced(image)
     tags, known = max((_tags(small, board, bits) for bits in (2, 1)), key=lambda each: len(each[1]))
-    if wrong := _foreign_markers(image, board, known):
+    if wrong := _foreign_markers(board, known):
         return Missed("other board", wrong)
     inside = known < board.columns * board.rows
     tags, known = [tag for tag, good in zip(tags, inside, strict=True) if good], known[inside]
@@ -403,9 +383,13 @@ def _find_grid(image: Grey, board: Board) -> Found | Missed:
     for turn in range(4):
         for upward in (True, False):
             ids = _grid_ids(board, known, turn, upward)
-            misfit = _misfit(board.points[ids.ravel(), :2], corners.reshape(-1, 2), board.square_m)
-            if misfit < 0.9 * least:
-                best, least = ids, misfit
+            p_m, uv_px = board.points[ids.ravel(), :2], corners.reshape(-1, 2)
+            off = misfit(p_m, uv_px, board.square_m, _size(image), bent=False)
+            if off < 0.9 * least:
+                best, least = ids, off
+    if best is not None and least > MAX_MISFIT:
+        p_m = board.points[best.ravel(), :2]
+        least = misfit(p_m, corners.reshape(-1, 2), board.square_m, _size(image))
     if best is None or least > MAX_MISFIT:
         return Missed("other board", _misplaced(board, least).replace("squares", "tags"))
     return _finished(image, board, best.ravel(), corners.reshape(-1, 2))

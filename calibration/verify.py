@@ -49,7 +49,7 @@ MAX_FOCAL = 0.3
 SIGMAS = 5.0
 PARTS = 3
 MIN_CORNERS_IN_PART = 20
-RECALIBRATE = "Calibrate the rig anew: polhode calibrate with these images, and more."
+RECALIBRATE = "Calibrate the rig again: polhode calibrate with these images, and more."
 
 
 class VerificationResult(StrictModel):
@@ -82,8 +82,8 @@ def verify(
 ) -> Verified:
     """Judge the calibration in ``paths`` by images of a board.
 
-    ``unit_m``: of T in OpenCV's files. Raises InputError: no calibration, NaN in it, images of another size
-    or another board, too few of them.
+    ``unit_m``: of T in OpenCV's files. Raises InputError: no calibration, NaN in it, exchanged cameras,
+    images of another size or another board, too few of them.
     """
     rig = read_rig(paths, unit_m)
     if all(camera.size_px is not None for camera in rig.cameras):
@@ -96,7 +96,7 @@ def verify(
     leave_out_blurred(views)
     require_enough(views)
     with progress.stage("judging", 1) as advance:
-        state, data = _placed(views, lenses, X_10)
+        state, data = _placed(views, lenses, X_10, rig.left.source)
         fixed = np.zeros(state.shared, dtype=np.bool_)
         held = adjust(data, state, fixed, robust=True)
         checks = _checks(views, held, data)
@@ -140,8 +140,19 @@ def _require_size(views: Views, rig: Rig) -> None:
             )
 
 
+def _require_order(seen_X_10: Array, stated_X_10: Array, source: str) -> None:
+    """Raise InputError if the images have the right camera where the calibration has the left one."""
+    seen, stated, exchanged = (X[:3, 3] for X in (seen_X_10, stated_X_10, inverse_pose(stated_X_10)))
+    half = 0.5 * np.linalg.norm(stated)
+    if np.linalg.norm(seen - exchanged) < half < np.linalg.norm(seen - stated):
+        raise InputError(
+            f"{source}: the images fit this calibration only with left and right exchanged; exchange --left "
+            "and --right, or the cameras of the calibration"
+        )
+
+
 def _placed(
-    views: Views, lenses: tuple[Lens, Lens], X_10: Array
+    views: Views, lenses: tuple[Lens, Lens], X_10: Array, source: str
 ) -> tuple[RigState, tuple[CornerData, CornerData]]:
     """The boards before the rig; pairs that contradict most others are left out."""
     both = sorted(views.found[0].keys() & views.found[1].keys())
@@ -149,6 +160,7 @@ def _placed(
     consensus = agree(
         [Pair(k, views.found[0][k], views.found[1][k]) for k in both], views.board, lenses, sizes
     )
+    _require_order(consensus.X_10, X_10, source)
     for pair in consensus.agreeing:
         views.found[1][pair.index] = pair.right
     for index, camera, kind, words in consensus.spoiled:

@@ -1,7 +1,9 @@
 """Images of a board as a known camera sees it: rays through the true lens onto the board's plane.
 
-The rays of sub-pixels are interpolated between those of the pixels' centres: to 0.001 px for the lenses drawn
-here. The brightness is the mean over each pixel, blurred by a Gaussian, with noise, in 8 bits.
+The optics blur before the pixels add up the light: a picture four times as fine is blurred by a Gaussian and
+then averaged over each pixel, with noise, in 8 bits. Blurred pixels instead would have edges that wander with
+where they lie between the pixels. Where the rays of sub-pixels meet the board is interpolated to the second
+order between those of the pixels' centres.
 """
 
 from dataclasses import dataclass
@@ -21,9 +23,10 @@ SQUARE_PX = 100
 """Pixels of a square, or of a tag, in the picture of the board."""
 BLACK, WHITE, AROUND = 25.0, 215.0, 90.0
 """Grey levels of ink, paper and surroundings."""
-SAMPLES = 12
-"""Of a pixel, spread by the plastic number: evenly, and in no rows that an edge could follow."""
-PLASTIC = 1.32471795724474602596
+FINE = 4
+"""Sub-pixels along a pixel."""
+MARGIN_PX = 5
+"""Around the board, which its blur reaches."""
 WIDEST_RAD = np.radians(80.0)
 
 
@@ -101,14 +104,8 @@ class BoardCamera:
         width, height = self.size_px
         grey: Array = np.full((height, width), AROUND)
         box = self._box(board, X_CB)
-        total = np.zeros(grey[box].shape)
-        X_BC = inverse_pose(X_CB)
-        spread = (np.arange(SAMPLES)[:, None] * PLASTIC ** -np.array([1.0, 2.0])) % 1.0
-        for du, dv in (spread - spread.mean(axis=0)).tolist():
-            total += self._sampled(board, X_BC, du, dv, box)
-        grey[box] = total / SAMPLES
-        if blur_px > 0.0:
-            grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), blur_px), dtype=np.float64)
+        uv = self._on_picture(board, inverse_pose(X_CB), box)
+        grey[box] = _light(board, uv, blur_px)
         grey = grey + noise * rng.standard_normal(grey.shape)
         return np.asarray(np.clip(np.round(grey), 0, 255), dtype=np.uint8)
 
@@ -127,35 +124,61 @@ class BoardCamera:
         width, height = self.size_px
         if not np.isfinite(uv).all():
             return slice(0, height), slice(0, width)
-        first = np.maximum(np.floor(uv.min(axis=0)).astype(int) - 3, 0)
-        last = np.minimum(np.ceil(uv.max(axis=0)).astype(int) + 4, [width, height])
+        first = np.maximum(np.floor(uv.min(axis=0)).astype(int) - MARGIN_PX, 0)
+        last = np.minimum(np.ceil(uv.max(axis=0)).astype(int) + MARGIN_PX + 1, [width, height])
         last = np.maximum(last, first + 1)
         return slice(first[1], last[1]), slice(first[0], last[0])
 
-    def _sampled(self, board: Picture, X_BC: Array, du: float, dv: float, box: tuple[slice, slice]) -> Array:
-        """Grey levels where the rays of sub-pixels in a part of the image meet the board's plane."""
-        rows_of, columns_of = box
-        flat = self._flat[rows_of.start : rows_of.stop + 2, columns_of.start : columns_of.stop + 2]
-        xy = _between(flat, du, dv)
-        direction = xy[..., 0, None] * X_BC[:3, 0] + xy[..., 1, None] * X_BC[:3, 1] + X_BC[:3, 2]
+    def _on_picture(self, board: Picture, X_BC: Array, box: tuple[slice, slice]) -> Array:
+        """(2, H + 2, W + 2) pixels of the board's picture that the rays of a part of the image meet, with one
+        pixel more on each side; NaN: none."""
+        rows, columns = box
+        flat = self._flat[rows.start : rows.stop + 2, columns.start : columns.stop + 2]
+        direction = flat[..., 0, None] * X_BC[:3, 0] + flat[..., 1, None] * X_BC[:3, 1] + X_BC[:3, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = -X_BC[2, 3] / direction[..., 2]
-            x = X_BC[0, 3] + distance * direction[..., 0]
-            y = X_BC[1, 3] + distance * direction[..., 1]
-        u = board.origin_px[0] + board.px_per_m * x
-        v = board.origin_px[1] + (-1.0 if board.upward else 1.0) * board.px_per_m * y
-        rows, columns = board.grey.shape
-        on = (distance > 0.0) & (u >= 0.0) & (v >= 0.0) & (u < columns) & (v < rows)
-        out: Array = np.full(on.shape, AROUND)
-        ink = board.grey[v[on].astype(np.int64), u[on].astype(np.int64)]
-        out[on] = BLACK + (WHITE - BLACK) / 255.0 * ink
-        return out
+        distance[~(distance > 0.0)] = np.nan
+        x = X_BC[0, 3] + distance * direction[..., 0]
+        y = X_BC[1, 3] + distance * direction[..., 1]
+        down = -1.0 if board.upward else 1.0
+        return np.stack(
+            [board.origin_px[0] + board.px_per_m * x, board.origin_px[1] + down * board.px_per_m * y]
+        )
 
 
-def _between(flat: Array, du: float, dv: float) -> Array:
-    """(H, W, 2) rays at z = 1 of pixels moved by a part of a pixel; ``flat`` (H + 2, W + 2, 2): unmoved."""
-    a, b = abs(du), abs(dv)
-    across = flat[:, 2:] if du > 0.0 else flat[:, :-2]
-    rows = (1.0 - a) * flat[:, 1:-1] + a * across
-    down = rows[2:] if dv > 0.0 else rows[:-2]
-    return np.asarray((1.0 - b) * rows[1:-1] + b * down)
+def _sub_pixels(uv: Array) -> NDArray[np.float32]:
+    """(2, H FINE, W FINE) values at sub-pixels, from (2, H + 2, W + 2) at centres of pixels by differences of
+    the second order."""
+    height, width = uv.shape[1] - 2, uv.shape[2] - 2
+    inner = (np.arange(FINE) + 0.5) / FINE - 0.5
+    dv, du = (each.ravel() for each in np.meshgrid(inner, inner, indexing="ij"))
+    weight = np.zeros((len(du), 3, 3))
+    weight[:, 1, 1] = 1.0 - du**2 - dv**2
+    weight[:, 1, 0], weight[:, 1, 2] = 0.5 * (du**2 - du), 0.5 * (du**2 + du)
+    weight[:, 0, 1], weight[:, 2, 1] = 0.5 * (dv**2 - dv), 0.5 * (dv**2 + dv)
+    twist = 0.25 * du * dv
+    weight[:, 0, 0] = weight[:, 2, 2] = twist
+    weight[:, 0, 2] = weight[:, 2, 0] = -twist
+    out = np.empty((2, height, FINE, width, FINE), np.float32)
+    for each, place in zip(uv.astype(np.float32), out, strict=True):
+        near = np.stack([each[j : j + height, i : i + width].ravel() for j in range(3) for i in range(3)])
+        fine = weight.reshape(-1, 9).astype(np.float32) @ near
+        place[:] = fine.reshape(FINE, FINE, height, width).transpose(2, 0, 3, 1)
+    return out.reshape(2, height * FINE, width * FINE)
+
+
+def _light(board: Picture, uv: Array, blur_px: float) -> Array:
+    """Grey levels (H, W) of pixels whose centres are at (2, H + 2, W + 2) on the board's picture."""
+    height, width = uv.shape[1] - 2, uv.shape[2] - 2
+    # ink as the mean over about as much as a sub-pixel sees of it
+    usual = float(np.nanmedian(np.abs(np.diff(uv, axis=2)).max(axis=0))) / FINE
+    step = next(each for each in (10, 5, 2, 1) if each <= max(1.5 * usual, 1.0))
+    rows, columns = board.grey.shape
+    ink = BLACK + (WHITE - BLACK) / 255.0 * board.grey.astype(np.float32)
+    ink = cv2.resize(ink, (columns // step, rows // step), interpolation=cv2.INTER_AREA)
+    # what is nowhere on the board is far beside it
+    at = _sub_pixels(np.nan_to_num(uv / step - 0.5, nan=-1e6))
+    light = cv2.remap(ink, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=AROUND)
+    if blur_px > 0.0:
+        light = cv2.GaussianBlur(light, (0, 0), FINE * blur_px, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.resize(light, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float64)

@@ -10,8 +10,8 @@ is the squared error of all parameters of lenses and pose by their covariance, w
 as there are parameters. Of single parameters 95 % should be within two standard deviations.
 """
 
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
@@ -23,23 +23,22 @@ from benchmarks.record import Case, complete
 from polhode.calibration.adjustment import RigState
 from polhode.calibration.boards import Board, make_board
 from polhode.calibration.calibrate import CalibratedRig, calibrate
-from polhode.calibration.image_pairs import pairs_of_files
+from polhode.calibration.image_pairs import SIDES, BoardImage
 from polhode.calibration.lenses import Lens, Model, project
 from polhode.calibration.result import result_of
-from polhode.dataset_writer import write_png
 from polhode.lie import Array, exp_so3, log_so3, make_pose, transform_points
 from polhode.progress import Silent
 
 RIGS = 50
 VIEWS = 20
-SIZE = (480, 360)
-OTHER_SIZE = (400, 320)
+SIZES = {"chessboard": ((480, 360), (400, 320)), "charuco": ((720, 540), (600, 480))}
+"""Width and height [px] of most images, and of a right camera with other ones. Markers need more pixels."""
 MODELS: tuple[Model, ...] = ("brown5", "fisheye", "brown8", "fisheye")
 BOARDS = (
     ("chessboard", "9x6", 0.03),
     ("chessboard", "8x5", 0.033),
-    ("charuco", "9x6", 0.032),
-    ("aprilgrid", "5x4", 0.045),
+    ("charuco", "7x5", 0.045),
+    ("aprilgrid", "4x3", 0.06),
 )
 
 
@@ -102,6 +101,25 @@ def board_poses(
     return np.array(poses)
 
 
+@dataclass(frozen=True)
+class Rendered:
+    """Pairs of images that are in no file."""
+
+    all_images: tuple[BoardImage, ...]
+    name: str = "rendered"
+    is_dense: bool = False
+
+    @property
+    def names(self) -> tuple[tuple[str | None, ...], tuple[str | None, ...]]:
+        """By their numbers."""
+        left, right = (tuple(f"{side} {k:02d}" for k in range(VIEWS)) for side in SIDES)
+        return left, right
+
+    def images(self) -> Iterator[BoardImage]:
+        """Pair by pair."""
+        return iter(self.all_images)
+
+
 def measure(case: Case) -> Case:
     """Render and calibrate one rig."""
     seed = int(case["rig"])
@@ -109,7 +127,8 @@ def measure(case: Case) -> Case:
     model = MODELS[seed % len(MODELS)]
     pattern, size, square_m = BOARDS[(seed // 4) % len(BOARDS)]
     board = make_board(pattern, size, square_m)
-    sizes = (SIZE, OTHER_SIZE if seed % 4 == 3 else SIZE)
+    usual, other = SIZES["chessboard" if pattern == "chessboard" else "charuco"]
+    sizes = (usual, other if seed % 4 == 3 else usual)
     lenses = (random_lens(model, sizes[0], rng), random_lens(model, sizes[1], rng))
     X_10 = make_pose(
         exp_so3(rng.uniform(-0.06, 0.06, 3)), [-rng.uniform(0.04, 0.1), *rng.uniform(-0.005, 0.005, 2)]
@@ -118,13 +137,11 @@ def measure(case: Case) -> Case:
     blur, noise = rng.uniform(0.5, 1.0), rng.uniform(0.5, 3.0)
     cameras = [BoardCamera(lens, each) for lens, each in zip(lenses, sizes, strict=True)]
     picture = printed(board)
-    with TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        for k, X in enumerate(truth.X_CB):
-            for side, camera, X_CB in zip(("left", "right"), cameras, (X, X_10 @ X), strict=True):
-                write_png(folder / side / f"{k:02d}.png", camera.picture(picture, X_CB, blur, noise, rng))
-        pairs = pairs_of_files([str(folder / "left")], [str(folder / "right")])
-        rig = calibrate(pairs, board, (model, model), Silent())
+    images = []
+    for pair, X in enumerate(truth.X_CB):
+        for side, (camera, X_CB) in enumerate(zip(cameras, (X, X_10 @ X), strict=True)):
+            images.append(BoardImage(side, pair, camera.picture(picture, X_CB, blur, noise, rng)))
+    rig = calibrate(Rendered(tuple(images)), board, (model, model), Silent())
     return {"model": model, "pattern": pattern, "blur_px": blur, "noise": noise, **judged(rig, truth)}
 
 

@@ -5,8 +5,8 @@
 
 A folder holds left*.jpg and right*.jpg (or .png), such as the pairs left01 to right14 of OpenCV's samples.
 OpenCV calibrates as its sample stereo_calib does: findChessboardCorners, cornerSubPix in windows of 23 px,
-calibrateCamera, stereoCalibrate; five coefficients. Residuals are those of each one's own corners; the third
-row gives OpenCV our corners.
+calibrateCamera, stereoCalibrate; five coefficients. Residuals are those of each one's own corners. OpenCV
+has a row for all pairs in which it finds the board, one for those that we use, and one for our corners.
 """
 
 from collections.abc import Sequence
@@ -22,16 +22,17 @@ from benchmarks.command import command
 from benchmarks.presentation import markdown_table
 from polhode.calibration.adjustment import RigState
 from polhode.calibration.boards import Board, make_board
-from polhode.calibration.calibrate import calibrate
+from polhode.calibration.calibrate import CalibratedRig, calibrate
 from polhode.calibration.epipolar import epipolar_px
 from polhode.calibration.image_pairs import ImagePairs, pairs_of_files
 from polhode.calibration.lenses import Lens
 from polhode.calibration.result import result_of
 from polhode.lie import Array, make_pose
 from polhode.progress import Silent
+from polhode.records import Ints
 
-Corners = dict[int, tuple[NDArray[Any], NDArray[Any]]]
-"""By pair: (N, 2) left and right"""
+Corners = dict[int, tuple[Ints, NDArray[Any], NDArray[Any]]]
+"""By pair: numbers of corners that both images show, (N,), and where, left and right (N, 2)"""
 
 
 def opencv_corners(pairs: ImagePairs, board: Board) -> Corners:
@@ -44,20 +45,36 @@ def opencv_corners(pairs: ImagePairs, board: Board) -> Corners:
         if ok:
             corners = cv2.cornerSubPix(each.pixels, corners, (11, 11), (-1, -1), (3, 30, 0.01))
             seen.setdefault(each.pair, {})[each.camera] = corners.reshape(-1, 2)
-    return {pair: (own[0], own[1]) for pair, own in seen.items() if len(own) == 2}
+    every = np.arange(len(board.points))
+    return {pair: (every, own[0], own[1]) for pair, own in seen.items() if len(own) == 2}
 
 
-def opencv_row(name: str, corners: Corners, board: Board, size_px: tuple[int, int]) -> tuple[str, ...]:
+def our_corners(rig: CalibratedRig) -> Corners:
+    """Of the pairs that are used."""
+    out: Corners = {}
+    for pair in sorted(rig.views.found[0].keys() & rig.views.found[1].keys()):
+        left, right = (side[pair] for side in rig.views.found)
+        ids, a, b = np.intersect1d(left.ids, right.ids, return_indices=True)
+        out[pair] = (ids, left.uv_px[a], right.uv_px[b])
+    return out
+
+
+def opencv_row(
+    name: str, corners: Corners, board: Board, sizes_px: tuple[tuple[int, int], tuple[int, int]]
+) -> tuple[str, ...]:
     """OpenCV's calibration of some corners."""
-    points = [board.points.astype(np.float32)] * len(corners)
-    sides = [[pair[c].astype(np.float32)[:, None] for pair in corners.values()] for c in (0, 1)]
-    alone = [cv2.calibrateCamera(points, side, size_px, None, None) for side in sides]
+    points = [board.points[ids].astype(np.float32) for ids, _, _ in corners.values()]
+    sides = [[pair[c].astype(np.float32)[:, None] for pair in corners.values()] for c in (1, 2)]
+    alone = [
+        cv2.calibrateCamera(points, side, size, None, None)
+        for side, size in zip(sides, sizes_px, strict=True)
+    ]
     found = cv2.stereoCalibrate(
         points,
         sides[0],
         sides[1],
         *(each for one in alone for each in one[1:3]),
-        size_px,
+        sizes_px[0],
         flags=cv2.CALIB_USE_INTRINSIC_GUESS,
         criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-9),
     )
@@ -67,7 +84,7 @@ def opencv_row(name: str, corners: Corners, board: Board, size_px: tuple[int, in
         for K, D in ((K0, D0), (K1, D1))
     )
     state = RigState(lenses, np.eye(4)[None], make_pose(R, np.ravel(T)))
-    left, right = (np.concatenate([pair[c] for pair in corners.values()]).astype(np.float64) for c in (0, 1))
+    left, right = (np.concatenate([pair[c] for pair in corners.values()]).astype(np.float64) for c in (1, 2))
     return _row(
         name,
         len(corners),
@@ -94,28 +111,27 @@ def _row(
 
 
 def rows(folder: Path, board: Board) -> list[tuple[str, ...]]:
-    """Ours, OpenCV's, and OpenCV's with our corners."""
+    """Ours, and OpenCV's: of all its pairs, of ours, and of ours with our corners."""
     pairs = pairs_of_files([str(folder / "left*")], [str(folder / "right*")])
     rig = calibrate(pairs, board, ("brown5", "brown5"), Silent())
     for each in rig.views.rejections():
         print(f"left out by us: {each.file}: {each.reason}")
     result = result_of(rig)
-    both = sorted(rig.views.found[0].keys() & rig.views.found[1].keys())
-    ours: Corners = {
-        pair: (
-            rig.views.found[0][pair].uv_px,
-            rig.views.found[1][pair].uv_px[np.argsort(rig.views.found[1][pair].ids)],
-        )
-        for pair in both
-    }
+    ours, theirs = our_corners(rig), opencv_corners(pairs, board)
     rms = result.rms_px
     own = ("polhode", str(result.pairs), *(f"{value:.3f}" for value in (rms.cam0, rms.cam1, rms.stereo)))
     baseline = result.parameters["rig"]["baseline"]
-    size = rig.views.size_px(0)
+    sizes = (rig.views.size_px(0), rig.views.size_px(1))
     return [
         (*own, f"{result.epipolar_rms_px:.3f}", f"{1e3 * baseline.value:.2f} ± {1e3 * baseline.sigma:.2f}"),
-        opencv_row("OpenCV", opencv_corners(pairs, board), board, size),
-        opencv_row("OpenCV with our corners", ours, board, size),
+        opencv_row("OpenCV, all pairs", theirs, board, sizes),
+        opencv_row(
+            "OpenCV, pairs that polhode uses",
+            {k: own for k, own in theirs.items() if k in ours},
+            board,
+            sizes,
+        ),
+        opencv_row("OpenCV with our corners", ours, board, sizes),
     ]
 
 

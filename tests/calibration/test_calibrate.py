@@ -5,6 +5,7 @@ import re
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -44,6 +45,12 @@ def pairs_of(scene: Scene) -> list[tuple[Grey, Grey]]:
     return [(scene.image(0, X, 2 * k), scene.image(1, X, 2 * k + 1)) for k, X in enumerate(scene.truth.X_CB)]
 
 
+def waved(image: Grey, rows: float) -> Grey:
+    """The same, shaken while its rows were read: 1.5 px to and fro, a radian in so many rows."""
+    v, u = np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32)
+    return np.asarray(cv2.remap(image, u + 1.5 * np.sin(v / rows), v, cv2.INTER_LINEAR), dtype=np.uint8)
+
+
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Path, CalibratedRig]:
     scene = make_scene(BOARD, VIEWS, 3)
@@ -68,7 +75,7 @@ def test_spoiled_images_are_left_out_by_their_reason_and_the_result_stays(
     scene, _, rig = clean
     rng = np.random.default_rng(8)
     images = pairs_of(scene)
-    poses = [board_pose(BOARD, rng) for _ in range(9)]
+    poses = [board_pose(BOARD, rng) for _ in range(10)]
     good = [(scene.image(0, X, 50 + k), scene.image(1, X, 70 + k)) for k, X in enumerate(poses)]
     # its first column is beyond the left border
     far = make_pose(np.eye(3), np.array([-0.165, 0.0, 0.42]) - BOARD.points.mean(axis=0))
@@ -84,6 +91,8 @@ def test_spoiled_images_are_left_out_by_their_reason_and_the_result_stays(
         "moved": ((good[5][0], scene.image(1, moved, 93)), ("moved", "moved")),
         "no board": ((np.full(SIZE[::-1], 120, np.uint8), good[6][1]), ("not found", "")),
         "other size": ((good[7][0][:200], good[7][1]), ("other size", "")),
+        "shaken": ((good[9][0], waved(good[9][1], 9.0)), ("", "outlier")),
+        "outlier": ((waved(good[8][0], 25.0), good[8][1]), ("outlier", "")),
         "other squares": (
             (scene.image(0, poses[8], 94, larger_squares), scene.image(1, poses[8], 95, larger_squares)),
             ("other board", "other board"),

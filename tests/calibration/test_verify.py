@@ -85,6 +85,20 @@ def test_a_calibration_of_another_size_or_with_nan_is_one_line(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_calibration_whose_cameras_are_exchanged_is_one_line(
+    fresh: tuple[Scene, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, images = fresh
+    rig = written(tmp_path / "rig", scene)
+    words = ["calibrate", "--left", str(images / "right"), "--right", str(images / "left"), "--board", "7x5"]
+    words += ["--square-mm", "30", "-o", str(tmp_path / "out"), "--verify", str(rig)]
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and f"{rig}" in error
+    assert "only with left and right exchanged; exchange --left and --right" in error
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_verification_beside_the_calibration_leaves_it_there(
     fresh: tuple[Scene, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
