@@ -112,16 +112,22 @@ class Rectifier:
     """Masks that were found before a background that is not dark (frontend/background)"""
 
     @cached_property
-    def borders(self) -> tuple[Bools, Bools]:
-        """(H, W) along the border of what each camera shows of its rectified image."""
+    def seen(self) -> tuple[Bools, Bools]:
+        """(H, W) what each camera shows of its rectified image."""
         if self.maps is None:
-            whole = border_of(np.ones((self.rig.height_px, self.rig.width_px), dtype=bool))
+            whole = np.ones((self.rig.height_px, self.rig.width_px), dtype=bool)
             return whole, whole
-        seen = [
+        left, right = (
             (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
             for (u, v), (width, height) in zip(self.maps, self.sizes_px, strict=True)
-        ]
-        return border_of(seen[0]), border_of(seen[1])
+        )
+        return left, right
+
+    @cached_property
+    def borders(self) -> tuple[Bools, Bools]:
+        """(H, W) along the border of what each camera shows."""
+        left, right = self.seen
+        return border_of(left), border_of(right)
 
     def __call__(self, image: Image, side: int, interpolation: int = cv2.INTER_CUBIC) -> Image:
         """Rectify one grey image or mask (H, W); side 0 left, 1 right."""

@@ -277,7 +277,7 @@ def _solved(tracks: StereoTracks, sequence: SyntheticSequence, sun_N: Array) -> 
     )
     estimate = estimate_motion(tracks, start, config.backend, Silent())
     context: Any = SimpleNamespace(
-        sequence=SimpleNamespace(frozen=False),
+        sequence=SimpleNamespace(frozen=False, has_ranges=False),
         rectifier=SimpleNamespace(found=None),
         rig=tracks.rig,
         time_s=tracks.time_s,

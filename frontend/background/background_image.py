@@ -46,12 +46,12 @@ MAX_GAIN = 2.0
 
 @dataclass(frozen=True)
 class FirstLook:
-    """One image of a pair at working size, with the target as one pair alone shows it."""
+    """One image of a pair at working size."""
 
     image: Image
     """(h, w)"""
-    target: Bools
-    """(h, w)"""
+    hidden: Bools
+    """(h, w) the target, as one pair alone shows it, and what the camera does not show"""
 
 
 FirstLooks = tuple[FirstLook, FirstLook]
@@ -120,7 +120,7 @@ def background_images(
     def homography(X: Array, sides: tuple[int, int]) -> Array:
         return reduced_homography(plane_homography(plane, rig, X_NR, X, sides), scale)
 
-    free = [~_widened(each.target) for each in own]
+    free = [~_widened(each.hidden) for each in own]
     points = _points(own[0].image, free[0])
     to_right = homography(X_NR, (0, 1))
     layers: list[list[Image]] = [[], []]
@@ -162,7 +162,7 @@ def _layer(own: FirstLook, free: Bools, other: FirstLook, H: Array) -> Image | N
     free (h, w): where this one shows the background. None: it does not fit.
     """
     image = _moved(other.image, H)
-    seen = _moved(np.where(_widened(other.target), np.uint8(0), np.uint8(255)), H) == 255
+    seen = _moved(np.where(_widened(other.hidden), np.uint8(0), np.uint8(255)), H) == 255
     common = seen & free
     if common.sum() < MIN_COMMON * common.size:
         return None
@@ -204,9 +204,9 @@ def _moved(image: Image, H: Array) -> Image:
     return np.asarray(cv2.warpPerspective(image, H, size, flags=flags), dtype=np.uint8)
 
 
-def _widened(target: Bools) -> Bools:
+def _widened(hidden: Bools) -> Bools:
     size = 2 * MARGIN_PX + 1
-    return np.asarray(cv2.dilate(target.astype(np.uint8), np.ones((size, size))) > 0)
+    return np.asarray(cv2.dilate(hidden.astype(np.uint8), np.ones((size, size))) > 0)
 
 
 def _quantile(ordered: Image, count: NDArray[np.int64], share: float) -> Floats:

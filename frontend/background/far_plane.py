@@ -125,12 +125,29 @@ def agreeing(left: Floats, right: Floats, tolerance_px: float = 1.0) -> Bools:
     return np.asarray(inside & (np.abs(left - back) <= tolerance_px))
 
 
-def border_ring(height: int, width: int) -> Bools:
-    """The border (H, W) in which the background is looked for."""
-    ring = np.ones((height, width), dtype=bool)
-    size = max(2, round(BORDER * min(height, width)))
-    ring[size:-size, size:-size] = False
-    return ring
+def reduced_seen(seen: Bools, scale: int) -> Bools:
+    """Pixels (h, w) of a reduced image of which the camera shows all, and those around them."""
+    whole = reduced_image(seen.astype(np.uint8) * np.uint8(255), scale) == 255
+    return np.asarray(cv2.erode(whole.astype(np.uint8), np.ones((3, 3)), borderValue=1) > 0)
+
+
+def border_ring(seen: Bools) -> Bools:
+    """The border (h, w), of what a camera shows, in which the background is looked for."""
+    size = 2 * max(2, round(BORDER * min(seen.shape))) + 1
+    inner = cv2.erode(
+        seen.astype(np.uint8), np.ones((size, size)), borderType=cv2.BORDER_CONSTANT, borderValue=0
+    )
+    return np.asarray(seen & (inner == 0))
+
+
+def matched_inside(disparity: Floats, seen: Bools, seen_right: Bools, margin_px: int = BLOCK_PX) -> Bools:
+    """Pixels (h, w) whose match lies in what both cameras show, not at the edge of that."""
+    kernel = np.ones((2 * margin_px + 1, 2 * margin_px + 1))
+    left, right = (cv2.erode(each.astype(np.uint8), kernel, borderValue=1) > 0 for each in (seen, seen_right))
+    columns = np.arange(disparity.shape[1]) - np.round(np.nan_to_num(disparity)).astype(np.int64)
+    inside = (columns >= 0) & (columns < disparity.shape[1]) & np.isfinite(disparity)
+    there = np.take_along_axis(right, np.clip(columns, 0, disparity.shape[1] - 1), axis=1)
+    return np.asarray(left & inside & there)
 
 
 def textured(image: Image) -> Bools:
@@ -139,17 +156,23 @@ def textured(image: Image) -> Bools:
     return np.asarray(np.abs(cv2.Scharr(smooth, cv2.CV_32F, 1, 0)) / 32.0 > MIN_GRADIENT)
 
 
-def find_far_plane(left: Image, right: Image, offset_px: float) -> FarPlane | None:
+def find_far_plane(
+    left: Image, right: Image, offset_px: float, seen: tuple[Bools, Bools] | None = None
+) -> FarPlane | None:
     """The plane of most matches along the border of a rectified pair (H, W); None: there is none.
 
     offset_px: disparity at infinity. That plane is taken if it explains nearly as many matches as another.
+    seen (H, W): what each camera shows; None: all.
     """
     scale = max(1, round(left.shape[1] / WORKING_PX))
     small = [reduced_image(image, scale) for image in (left, right)]
-    height, width = small[0].shape
+    width = small[0].shape[1]
     least = int(np.floor(offset_px / scale)) - 2
     there, back = both_ways(small[0], small[1], least, int(REACH * width) + 2)
-    v, u = np.nonzero(agreeing(there, back) & border_ring(height, width) & textured(small[0]))
+    whole = np.ones(left.shape, dtype=bool)
+    shown = [reduced_seen(each, scale) for each in (seen or (whole, whole))]
+    good = agreeing(there, back) & matched_inside(there, *shown)
+    v, u = np.nonzero(good & border_ring(shown[0]) & textured(small[0]))
     if len(u) < MIN_MATCHES:
         return None
     A, d = np.column_stack([u, v, np.ones(len(u))]).astype(np.float64), there[v, u].astype(np.float64)

@@ -27,6 +27,7 @@ from polhode.frontend.background.far_plane import (
     plane_in_N,
     plane_seen_from,
     reduced_image,
+    reduced_seen,
 )
 from polhode.frontend.background.near_layer import near_layer, working_scale
 from polhode.frontend.background.range_layer import near_range_layer, range_plane
@@ -105,7 +106,7 @@ def _far_plane(sequence: StereoSequence, rectifier: Rectifier, k: int) -> FarPla
     if sequence.has_ranges:
         return range_plane(frame_disparity(sequence, rectifier, k), offset_px)
     pair = sequence.read_pair(k)
-    return find_far_plane(rectifier(pair.left, 0), rectifier(pair.right, 1), offset_px)
+    return find_far_plane(rectifier(pair.left, 0), rectifier(pair.right, 1), offset_px, rectifier.seen)
 
 
 def _without_masks(sequence: StereoSequence) -> list[int]:
@@ -193,10 +194,13 @@ def _first_looks(
     sequence: StereoSequence, rectifier: Rectifier, background: Background, k: int
 ) -> FirstLooks:
     left, right, plane = _pair_before(sequence, rectifier, background, k)
-    layer, scale = near_layer(left, right, plane), working_scale(rectifier.rig.width_px)
+    layer, scale = near_layer(left, right, plane, seen=rectifier.seen), working_scale(rectifier.rig.width_px)
     of_left, of_right = (
-        FirstLook(reduced_image(image, scale), reduced_image(mask * np.uint8(255), scale) > 127)
-        for image, mask in zip((left, right), (layer.left, layer.right), strict=True)
+        FirstLook(
+            reduced_image(image, scale),
+            (reduced_image(mask * np.uint8(255), scale) > 127) | ~reduced_seen(seen, scale),
+        )
+        for image, mask, seen in zip((left, right), (layer.left, layer.right), rectifier.seen, strict=True)
     )
     return of_left, of_right
 
@@ -218,7 +222,7 @@ def _masks_of(
         X_NR[k],
         X_NR[[j for j, _ in around]],
     )
-    layer = near_layer(left, right, plane, behind)
+    layer = near_layer(left, right, plane, behind, rectifier.seen)
     return (encoded(layer.left), encoded(layer.right)), layer.quality
 
 

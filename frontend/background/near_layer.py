@@ -25,7 +25,9 @@ from polhode.frontend.background.far_plane import (
     agreeing,
     border_ring,
     both_ways,
+    matched_inside,
     reduced_image,
+    reduced_seen,
     semi_global,
     textured,
 )
@@ -108,15 +110,20 @@ def near_layer(
     right: Image,
     plane: FarPlane,
     behind: tuple[BackgroundImage, BackgroundImage] | None = None,
+    seen: tuple[Bools, Bools] | None = None,
 ) -> NearLayer:
     """What stands before the background's plane in a rectified pair (H, W).
 
-    behind: the background's images of both cameras at working size, where other frames show them.
+    behind: the background's images of both cameras at working size, where other frames show them; seen
+    (H, W): what each camera shows; None: all.
     """
     scale = working_scale(left.shape[1])
     small, other = reduced_image(left, scale), reduced_image(right, scale)
-    far, far_share, offset = _levelled(small, other, plane.reduced(scale))
+    whole = np.ones(left.shape, dtype=bool)
+    shown, shown_right = (reduced_seen(each, scale) for each in (seen or (whole, whole)))
+    far, far_share, offset = _levelled(small, other, plane.reduced(scale), shown, shown_right)
     moved, inside = _moved(other, far)
+    inside &= shown & (_moved(shown_right.astype(np.uint8), far)[0] > 0)
     there, back = both_ways(small, moved, NEAREST_PX, int(REACH * small.shape[1]))
     by_time = by_time_moved = None
     if behind is not None:
@@ -137,12 +144,14 @@ def near_layer(
     return NearLayer(_refined(left, of_left.target, scale), _refined(right, in_right, scale), quality)
 
 
-def _levelled(left: Image, right: Image, plane: FarPlane) -> tuple[Floats, float, float]:
+def _levelled(
+    left: Image, right: Image, plane: FarPlane, shown: Bools, shown_right: Bools
+) -> tuple[Floats, float, float]:
     """The background's disparity (h, w), corrected by a constant; share of the border that fits; it."""
     far = plane.at(left.shape[1], left.shape[0])
     moved, _ = _moved(right, far)
     found = semi_global(left, moved, -8, 16)
-    seen = border_ring(*left.shape) & textured(left) & np.isfinite(found)
+    seen = border_ring(shown) & textured(left) & matched_inside(far + found, shown, shown_right)
     if not seen.any():
         return far, 0.0, 0.0
     fits = seen & (np.abs(found) < 1.5)

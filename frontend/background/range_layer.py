@@ -34,7 +34,7 @@ def range_plane(measured: MeasuredDisparity, offset_px: float) -> FarPlane | Non
 
     offset_px: disparity at infinity, where a background is that returns nothing.
     """
-    ring = border_ring(*measured.disparity_px.shape)
+    ring = border_ring(np.ones(measured.disparity_px.shape, dtype=np.bool_))
     v, u = np.nonzero(ring & np.isfinite(measured.disparity_px))
     if len(u) < MIN_RETURNS * ring.sum():
         return FarPlane(0.0, 0.0, offset_px)
@@ -78,7 +78,7 @@ def near_range_layer(measured: MeasuredDisparity, plane: FarPlane) -> NearLayer:
     closed = cv2.morphologyEx(near.astype(np.uint8), cv2.MORPH_CLOSE, kernel) > 0
     evidence = np.where(far, np.float32(-np.inf), np.float32(0.0))
     target = large_parts(filled((closed & ~far) | near, evidence))
-    ring = border_ring(height, width)
+    ring = border_ring(np.ones((height, width), dtype=np.bool_))
     border = ring & known
     quality = MaskQuality(
         area=float(target.mean()),

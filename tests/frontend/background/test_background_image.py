@@ -60,7 +60,7 @@ def test_the_background_is_seen_behind_a_target_that_moves() -> None:
     left, right = background_images(own, others, np.zeros(3), LEVEL, AT_REST, np.tile(AT_REST, (4, 1, 1)))
     for found, look in ((left, own[0]), (right, own[1])):
         assert found.known[20:-20, 20:-20].all()
-        assert np.abs(found.image - FAR)[look.target].max() < 3.0
+        assert np.abs(found.image - FAR)[look.hidden].max() < 3.0
 
 
 def test_nothing_is_known_behind_a_target_that_stays() -> None:
@@ -81,14 +81,14 @@ def test_a_background_that_drifts_is_followed() -> None:
         pair = tuple(
             FirstLook(
                 np.asarray(cv2.warpAffine(each.image, shift, (WIDTH, HEIGHT)), dtype=np.uint8),
-                cv2.warpAffine(each.target.astype(np.uint8), shift, (WIDTH, HEIGHT)) > 0,
+                cv2.warpAffine(each.hidden.astype(np.uint8), shift, (WIDTH, HEIGHT)) > 0,
             )
             for each in looks(u)
         )
         others.append((pair[0], pair[1]))
     left, _ = background_images(own, others, np.zeros(3), LEVEL, AT_REST, np.tile(AT_REST, (4, 1, 1)))
-    inside = own[0].target & left.known
-    assert inside.sum() > 0.9 * own[0].target.sum()
+    inside = own[0].hidden & left.known
+    assert inside.sum() > 0.9 * own[0].hidden.sum()
     assert np.median(np.abs(left.image - FAR)[inside]) < 4.0
 
 
@@ -98,10 +98,10 @@ def test_a_plain_target_that_looks_different_to_both_cameras_is_found_by_what_is
     others = [looks(u, (60, 160)) for u in (90.0, 130.0, 210.0, 250.0)]
     behind = background_images(own, others, np.zeros(3), LEVEL, AT_REST, np.tile(AT_REST, (4, 1, 1)))
     layer = near_layer(own[0].image, own[1].image, INFINITY, behind)
-    assert overlap(layer.left, own[0].target) > 0.95
-    assert overlap(layer.right, own[1].target) > 0.95
+    assert overlap(layer.left, own[0].hidden) > 0.95
+    assert overlap(layer.right, own[1].hidden) > 0.95
     alone = near_layer(own[0].image, own[1].image, INFINITY)
-    assert overlap(alone.left, own[0].target) < 0.9
+    assert overlap(alone.left, own[0].hidden) < 0.9
 
 
 @pytest.mark.parametrize("count", [1, 5, 60, 500])

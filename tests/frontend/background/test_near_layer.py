@@ -85,6 +85,17 @@ def test_a_black_sky_has_no_plane() -> None:
     assert find_far_plane(left, right, 0.0) is None
 
 
+def test_the_edge_of_what_a_rectified_image_shows_is_no_background() -> None:
+    left, right, *_ = pair_of(INFINITY, np.full((HEIGHT, 2 * WIDTH), 110.0), texture(2, 110.0, 30.0))
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    seen = np.abs(u - 170.0) < 130.0 + 0.1 * v, np.abs(u - 160.0) < 130.0 + 0.1 * v
+    left, right = (
+        np.where(part, image, np.uint8(0)) for part, image in zip(seen, (left, right), strict=True)
+    )
+    assert find_far_plane(left, right, 0.0) is not None
+    assert find_far_plane(left, right, 0.0, seen) is None
+
+
 def test_a_plane_seen_from_elsewhere_is_where_its_points_are() -> None:
     X_NR = make_pose(exp_so3([0.02, -0.05, 0.1]), [0.1, -0.2, 0.3])
     m_N = np.array([0.03, -0.05, 0.4])
