@@ -22,9 +22,10 @@ from polhode.pipeline.answer_checks.residual_check import (
 )
 from polhode.pipeline.answer_checks.sun_check import sun_check
 from polhode.pipeline.answer_checks.twins_check import twins_checks
+from polhode.pipeline.answer_checks.window_check import window_check
 from polhode.pipeline.run_directory.summary_schema import Check, reasons_of
 from polhode.progress import Silent
-from polhode.records import InitialMotion, MotionEstimate, StereoTracks
+from polhode.records import InitialMotion, MotionEstimate, OnlineEstimate, StereoTracks
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 SCENE = SyntheticScene(
@@ -213,3 +214,27 @@ def test_a_flat_relief_has_a_near_mirror_twin(undisturbed: Solved) -> None:
     tracks, estimate = undisturbed
     near = replace(estimate, noise=replace(estimate.noise, disparity_sigma_px=50.0))
     assert "inside out" in of_name(twins_checks(tracks, near), "mirror twin").reason
+
+
+def test_the_causal_estimate_ends_within_the_larger_sigma_of_the_smoothed_one(undisturbed: Solved) -> None:
+    _, estimate = undisturbed
+    frames, sigma = len(estimate.r_N), np.sqrt(np.diagonal(estimate.covariance[-1]))
+
+    def online(share: float, sigmas: float) -> OnlineEstimate:
+        """Covariance times ``share``; the last position along x off by ``sigmas`` of the smoothed one."""
+        r_N = estimate.r_N.copy()
+        r_N[-1, 0] += sigmas * sigma[0]
+        eye, zero = np.tile(np.eye(3), (frames, 1, 1)), np.zeros((frames, 3))
+        states = (r_N, estimate.v_N, estimate.R_NP, estimate.w_P, share * estimate.covariance)
+        known = np.ones((frames, 4), dtype=np.bool_)
+        of_com_and_axes = (zero, eye, eye, eye, known)
+        X_NG = np.tile(np.eye(4), (frames, 1, 1))
+        return OnlineEstimate(
+            estimate.timestamps_ns, *states, X_NG, zero[:, :2], eye[:, :2, :2], *of_com_and_axes
+        )
+
+    assert window_check(None, estimate).value is None
+    # a causal estimate that takes itself for surer than the smoothed one does not count as such
+    assert window_check(online(0.01, 2.0), estimate).value == pytest.approx(2.0)
+    assert window_check(online(4.0, 2.0), estimate).value == pytest.approx(1.0)
+    assert "5.0 sigma away" in window_check(online(1.0, 5.0), estimate).reason
