@@ -244,6 +244,7 @@ def _estimate(
         message=f"{solution.message}; best hypothesis: {best}",
         runner_up=runner_up,
         constraints=ended.constraints,
+        ipopt=solution.program,
     )
     estimate = with_systematic(estimate, tracks, config.systematic_px)
     stronger = disturbance_ratio(data, config.accel_psd, config.torque_psd)

@@ -122,6 +122,21 @@ class NoiseLevels:
 
 
 @dataclass(frozen=True)
+class ProgramEnd:
+    """What IPOPT says of the program's solution."""
+
+    status: str
+    """IPOPT's own word, such as Solve_Succeeded"""
+    optimality: float
+    """Largest entry of the gradient of the Lagrangian, of whitened residuals; NaN: not evaluated"""
+    constraint_violation: float
+    """Largest one; 0 without constraints"""
+    iterations: int
+    seconds: float
+    """With the time to build the program"""
+
+
+@dataclass(frozen=True)
 class SolverOutcome:
     """How the optimisation ended."""
 
@@ -135,6 +150,8 @@ class SolverOutcome:
     """Cost of the other hypotheses, by name."""
     constraints: dict[str, bool] = field(default_factory=dict)
     """Constraints that were asked for, by name: whether each is active."""
+    ipopt: ProgramEnd | None = None
+    """None: IPOPT had no part in it."""
 
 
 @dataclass(frozen=True)

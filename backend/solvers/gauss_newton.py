@@ -33,6 +33,7 @@ from polhode.backend.solvers.schur import (
     subtract_landmarks,
 )
 from polhode.lie import Array, right_jacobian_so3
+from polhode.records import ProgramEnd
 
 ITERATION_LIMIT = "limit of iterations (backend.max_iterations)"
 TIME_LIMIT = "limit of time (backend.max_seconds)"
@@ -86,6 +87,8 @@ class Solution:
     iterations: int
     converged: bool
     message: str
+    program: ProgramEnd | None = None
+    """IPOPT's own figures, if it was IPOPT"""
 
 
 @dataclass

@@ -6,6 +6,7 @@ cost, gradient and Hessian entries come from the compiled loops of ``schur``.
 """
 
 from dataclasses import dataclass
+from time import perf_counter
 from typing import Any
 
 import casadi as ca
@@ -39,7 +40,7 @@ from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.backend.solvers.robust_kernel import kernel_curvature, robust_cost, robust_weight
 from polhode.backend.solvers.schur import stereo_normal_equations, stereo_residuals
 from polhode.lie import Array, exp_so3, right_jacobian_so3, wxyz_from_matrix
-from polhode.records import Ints
+from polhode.records import Ints, ProgramEnd
 
 MESSAGES = {
     "Solve_Succeeded": "converged",
@@ -185,6 +186,7 @@ class MotionProgram:
         self, fixed: LinearizationPoint, x: Array, max_iterations: int, max_seconds: float = np.inf
     ) -> Solution:
         """Minimize from x. The program is built at the first call, and when a step needs more series."""
+        begin = perf_counter()
         if self._solver is None or np.any(fixed.steps.series > self._series):
             series = fixed.steps.series
             self._series = np.maximum(series, self._series) if self._solver else series
@@ -196,10 +198,9 @@ class MotionProgram:
         result = self._solver(x0=x, p=program_parameters(self.data, fixed, self._series), **limits)
         stats = self._solver.stats()
         status = str(stats["return_status"])
-        good, message = status in OPTIMAL, MESSAGES.get(status, status)
-        return Solution(
-            np.asarray(result["x"]).ravel(), float(result["f"]), int(stats["iter_count"]), good, message
-        )
+        good, message, count = status in OPTIMAL, MESSAGES.get(status, status), int(stats["iter_count"])
+        end = ProgramEnd(status, *_last_errors(stats), count, perf_counter() - begin)
+        return Solution(np.asarray(result["x"]).ravel(), float(result["f"]), count, good, message, end)
 
     def build(self, layout: "ProgramLayout", max_iterations: int, max_seconds: float) -> Any:
         """The solver as a CasADi function of the start and the parameters."""
@@ -301,6 +302,13 @@ class MotionProgram:
                 arguments.append(ca.reshape(torque, 6, series * len(index)))
             steps.append((series, slots, arguments))
         return steps
+
+
+def _last_errors(stats: dict[str, Any]) -> tuple[float, float]:
+    """Gradient of the Lagrangian and violation of the constraints at the last iterate."""
+    history = stats.get("iterations", {})
+    gradient, violation = (history.get(name) or [np.nan] for name in ("inf_du", "inf_pr"))
+    return float(gradient[-1]), float(violation[-1])
 
 
 class ProgramLayout:

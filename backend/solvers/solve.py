@@ -1,4 +1,4 @@
-"""The solve of the whole problem: the choice of the solver, its limits, and the fallback to IPOPT."""
+"""The solve of the whole problem: Gauss-Newton to the optimum, IPOPT for the answer, their limits."""
 
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -14,6 +14,7 @@ from polhode.backend.solvers.gauss_newton import GaussNewton, Solution
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point, recenter_inertia
 from polhode.config.backend_settings import Backend
+from polhode.records import ProgramEnd
 
 MAX_PASSES = 4
 PASS_TOLERANCE = 1e-7
@@ -34,10 +35,12 @@ class SolvedMotion:
 
 
 def solve(data: MotionData, iterate: Iterate, config: Backend) -> SolvedMotion:
-    """The optimum. If Gauss-Newton does not converge, IPOPT continues from its best point.
+    """The optimum: Gauss-Newton leads to it, IPOPT continues from there and gives the answer.
 
-    IPOPT makes progress in valleys where Gauss-Newton is slow, but takes several times as long. Gauss-Newton
-    gets half of the iterations and of the time; IPOPT, if needed, all iterations and the remaining time.
+    Near the optimum IPOPT takes one to three iterations. Where Gauss-Newton does not converge, IPOPT goes on
+    from its best point: it makes progress in valleys where Gauss-Newton is slow. Gauss-Newton gets half of
+    the iterations and of the time; IPOPT all iterations and the remaining time. With ``backend.solver:
+    gauss_newton`` an answer to which Gauss-Newton converged stands.
     An optimum that violates none of the configuration's constraints is that of the constrained problem, too;
     else IPOPT continues with them. Raises LinAlgError if neither solver has a solution.
     """
@@ -58,31 +61,37 @@ def solve(data: MotionData, iterate: Iterate, config: Backend) -> SolvedMotion:
 
 
 def _unconstrained(data: MotionData, iterate: Iterate, config: Backend) -> SolvedMotion:
-    limits = (config.max_iterations, config.max_seconds)
-    if config.solver == "ipopt":
-        return SolvedMotion(MotionProgram.name, *refine(MotionProgram(data), data, iterate, *limits))
     begin, newton = perf_counter(), None
     half = (max(config.max_iterations // 2, 1), 0.5 * config.max_seconds)
     with suppress(LinAlgError):
         newton = SolvedMotion(
             GaussNewton.name, *refine(GaussNewton(data, line_search=True), data, iterate, *half)
         )
-    if newton is not None and newton.solution.converged:
+    done = newton is not None and newton.solution.converged
+    if newton is not None and done and config.solver == GaussNewton.name:
         return newton
-    done, start = (0, iterate) if newton is None else (newton.iterations, newton.iterate)
     left_s = config.max_seconds - (perf_counter() - begin)
     if newton is not None and left_s <= 0.0:
         return newton
+    start, cost = (iterate, np.inf) if newton is None else (newton.iterate, newton.solution.cost)
     try:
-        at, solution, more = refine(MotionProgram(data), data, start, config.max_iterations, left_s)
+        found = refine(
+            MotionProgram(data), data, start, config.max_iterations, left_s, cost if done else np.inf
+        )
     except LinAlgError:
         if newton is None:
             raise
         return newton
-    if newton is not None and not solution.converged and newton.solution.cost <= solution.cost:
-        return newton
-    message = f"{solution.message}, after {done} iterations of {GaussNewton.name} without convergence"
-    return SolvedMotion(MotionProgram.name, at, replace(solution, message=message), done + more)
+    at, solution, more = found
+    if newton is None:
+        return SolvedMotion(MotionProgram.name, at, solution, more)
+    if not solution.converged and (done or cost <= solution.cost):
+        # what IPOPT says of it is reported all the same
+        return replace(newton, solution=replace(newton.solution, program=solution.program))
+    if not done:
+        note = f"after {newton.iterations} iterations of {GaussNewton.name} without convergence"
+        solution = replace(solution, message=f"{solution.message}, {note}")
+    return SolvedMotion(MotionProgram.name, at, solution, newton.iterations + more)
 
 
 def refine(
@@ -91,15 +100,21 @@ def refine(
     iterate: Iterate,
     max_iterations: int,
     max_seconds: float = np.inf,
+    before: float = np.inf,
 ) -> tuple[Iterate, Solution, int]:
-    """Solve, update references and whitening; repeat until the cost is stationary or a limit is reached."""
-    before, total, end = np.inf, 0, perf_counter() + max_seconds
+    """Solve, update references and whitening; repeat until the cost is stationary or a limit is reached.
+
+    ``before``: cost at the start, if another solver ended there.
+    """
+    total, end, ends = 0, perf_counter() + max_seconds, list[ProgramEnd]()
     for _ in range(MAX_PASSES):
         iterate = recenter_inertia(data, iterate)
         fixed = linearization_point(data, iterate, TIGHT_GAUGE)
         left = (max_iterations - total, end - perf_counter())
         solution = solver.solve(fixed, iterate.vector(), *left)
         iterate, total = iterate.moved_to(solution.x), total + solution.iterations
+        if solution.program is not None:
+            ends.append(solution.program)
         if abs(before - solution.cost) <= PASS_TOLERANCE * max(solution.cost, 1.0):
             # the cost is stationary, whatever ended the last solve
             solution = replace(solution, converged=True)
@@ -107,4 +122,7 @@ def refine(
         if total >= max_iterations or perf_counter() >= end:
             break
         before = solution.cost
+    if ends:
+        seconds = sum(each.seconds for each in ends)
+        solution = replace(solution, program=replace(ends[-1], iterations=total, seconds=seconds))
     return iterate, solution, total

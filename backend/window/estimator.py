@@ -19,7 +19,7 @@ from polhode.backend.window.history import History
 from polhode.backend.window.ipopt import IpoptSolver
 from polhode.backend.window.marginalize import shrink_window
 from polhode.backend.window.noise_levels import estimate_levels, estimate_noise
-from polhode.backend.window.problem import NewtonSolver, WindowSolver
+from polhode.backend.window.problem import WindowSolver
 from polhode.backend.window.solve import choose_inertia, expand_arrival, solve_history, solve_window
 from polhode.camera import RectifiedRig
 from polhode.config.backend_settings import Backend
@@ -56,9 +56,10 @@ class SlidingWindow:
     def __init__(self, rig: RectifiedRig, config: Backend, camera: CameraNoise | None = None) -> None:
         """camera: noise of the stated camera poses; None: they are exact."""
         self.settings = config.window
-        self.solver: WindowSolver = (
-            IpoptSolver(config.window.frames + 1) if config.window.solver == "ipopt" else NewtonSolver()
+        self.answer: WindowSolver | None = (
+            IpoptSolver(config.window.frames + 1) if config.window.solver == "ipopt" else None
         )
+        """Continues where Gauss-Newton ends; None: Gauss-Newton's answer stands"""
         self._camera = camera or CameraNoise()
         self._rig, self._config = rig, config
         self._axes: Array = np.eye(3)
@@ -97,13 +98,13 @@ class SlidingWindow:
             solve_history(state, history)
             if n in REESTIMATION_FRAMES:
                 self._reestimate(state, history)
-            if self.solver.name != "gauss_newton":
+            if self.answer is not None:
                 expand_arrival(state, history)
-                solve_window(state, self.solver)
+                solve_window(state, self.answer)
         else:
             state.active.extend_arrival()
             state.add_newest_factor()
-            solve_window(state, self.solver)
+            solve_window(state, self.answer)
         online = self._report(m)
         shrink_window(state, self.settings.frames, self.settings.key_frames)
         if history is not None and history.n_added >= self.settings.history:

@@ -17,7 +17,14 @@ from polhode.backend.window.active import add_parts
 from polhode.backend.window.causal_state import last_information
 from polhode.backend.window.estimator_state import EstimatorState
 from polhode.backend.window.history import History, HistoryVision
-from polhode.backend.window.problem import NewtonSolver, Quadratic, WindowProblem, WindowSolver, eliminate
+from polhode.backend.window.problem import (
+    Elimination,
+    NewtonSolver,
+    Quadratic,
+    WindowProblem,
+    WindowSolver,
+    eliminate,
+)
 from polhode.backend.window.vision import GATE, CondensedVision
 from polhode.lie import Array
 
@@ -85,11 +92,14 @@ def expand_arrival(state: EstimatorState, history: History) -> None:
     active.factors = history.steps.part(slice(len(history.frames) - len(active.recent), None))
 
 
-def solve_window(state: EstimatorState, solver: WindowSolver) -> None:
-    """Solve for the recent states, the seen poses and the constants under the arrival cost."""
+def solve_window(state: EstimatorState, answer: WindowSolver | None = None) -> None:
+    """Solve for the recent states, the seen poses and the constants under the arrival cost.
+
+    Gauss-Newton leads to the optimum; ``answer``, if given, continues from there.
+    """
     observations, active = state.observations(), state.active
-    n = active.n_seen
-    for _ in range(MAX_ROUNDS):
+    n, newton = active.n_seen, NewtonSolver()
+    for rounds_left in reversed(range(MAX_ROUNDS)):
         condensed = state.condensed(observations)
         x, at = active.vector(), active.seen_entries
         H, g = active.arrival.H.copy(), active.arrival.gradient(x)
@@ -97,14 +107,21 @@ def solve_window(state: EstimatorState, solver: WindowSolver) -> None:
         left = eliminate(H, g, np.arange(n), np.arange(n, len(x)))
         vision = Quadratic(left.H, left.g, x[n:])
         problem = WindowProblem(vision, active.R_ref, active.factors, state.weak_prior, state.prior)
-        solution = solver.solve(problem, x[n:], INNER_ITERATIONS)
-        step = solution.x - x[n:]
-        step = np.concatenate([left.follow(step), step])
+        solution = newton.solve(problem, x[n:], INNER_ITERATIONS)
+        is_last = rounds_left == 0 or _small(_whole_step(left, solution.x - x[n:])[at])
+        if is_last and answer is not None:
+            solution = answer.solve(problem, solution.x, INNER_ITERATIONS)
+        step = _whole_step(left, solution.x - x[n:])
         active.take(x + step)
         state.move_landmarks(condensed, step[at], n_fixed=len(active.keys) + 1)
-        if _small(step[at]):
+        if is_last:
             break
     _remember(state, problem, solution, condensed)
+
+
+def _whole_step(left: Elimination, step: Array) -> Array:
+    """The step of the seen poses that follows from that of states and constants, then the latter."""
+    return np.concatenate([left.follow(step), step])
 
 
 def _small(poses: Array) -> bool:

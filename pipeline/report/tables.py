@@ -9,7 +9,7 @@ import numpy as np
 from polhode.lie import Array
 from polhode.metrics import expected_range
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
-from polhode.pipeline.run_directory.summary_schema import Assumed, Intervals, Summary
+from polhode.pipeline.run_directory.summary_schema import Assumed, Intervals, IpoptSummary, Summary
 from polhode.pipeline.run_directory.trajectory_file import Trajectory
 
 SAME_COST, AMBIGUOUS_COST = 0.01, 6.0
@@ -253,11 +253,23 @@ def run_rows(content: StoredRun) -> list[TableRow]:
         ended = "converged" if solver.converged else f"stopped: {solver.message or 'not converged'}"
         rows.append(TableRow("solver", f"{solver.name}, {solver.iterations} iterations"))
         rows.append(TableRow("solver's end", ended, determined=solver.converged))
+        if solver.ipopt is not None:
+            rows.append(TableRow("IPOPT", _ipopt_in_words(solver.ipopt)))
         rows.append(TableRow("cost", f"{solver.cost:.6g}"))
         if solver.reduced_chi2 is not None:
             rows.append(TableRow("reduced chi-squared", f"{solver.reduced_chi2:.3f}"))
         rows += [TableRow(f"start from {name}", _outcome(cost)) for name, cost in solver.runner_up.items()]
     return rows
+
+
+def _ipopt_in_words(end: IpoptSummary) -> str:
+    """Its status, iterations, gradient and, with constraints, their largest violation."""
+    words = [f"{end.status}, {end.iterations} iterations"]
+    if end.optimality is not None:
+        words.append(f"gradient {end.optimality:.1g}")
+    if end.constraint_violation:
+        words.append(f"constraints violated by {end.constraint_violation:.1g}")
+    return ", ".join(words)
 
 
 def motion_rows(motion: StoredMotion | None) -> list[TableRow]:
@@ -279,7 +291,7 @@ def motion_rows(motion: StoredMotion | None) -> list[TableRow]:
 def timing_rows(summary: Summary) -> list[tuple[str, float, float]]:
     """(stage, seconds, share of the longest); without the report, which is timed after it is made."""
     times = {name: getattr(summary.timing_s, name) for name in type(summary.timing_s).model_fields}
-    stages = {name: s for name, s in times.items() if s > 0 and name not in ("total", "report")}
+    stages = {name: s for name, s in times.items() if s > 0 and name not in ("total", "report", "ipopt")}
     longest = max(stages.values(), default=1.0)
     return [(name, seconds, seconds / longest) for name, seconds in stages.items()]
 

@@ -24,6 +24,7 @@ from polhode.pipeline.run_directory.summary_schema import (
     ESTIMATE_PARTS,
     Check,
     Intervals,
+    IpoptSummary,
     Noise,
     ShapeFindings,
     Status,
@@ -90,6 +91,8 @@ def build_summary(
         texts.sort(key=lambda text: not text.startswith(failure))
     times = {stage: float(timing_s.get(stage, 0.0)) for stage in STAGES}
     times["total"] = times["total"] or sum(times.values())
+    if estimate is not None and estimate.solver.ipopt is not None:
+        times["ipopt"] = estimate.solver.ipopt.seconds
     return Summary.model_validate(
         {
             "status": status,
@@ -248,7 +251,13 @@ def _found(estimate: MotionEstimate) -> dict[str, Any]:
         "cov_com_G": nullable(mass.cov_com_G),
         "R_GP": mass.R_GP,
         "cov_R_GP": nullable(mass.cov_R_GP),
-        "solver": vars(solver) | {"converged": bool(solver.converged)},
+        "solver": vars(solver)
+        | {
+            "converged": bool(solver.converged),
+            "ipopt": None
+            if solver.ipopt is None
+            else {name: getattr(solver.ipopt, name) for name in IpoptSummary.model_fields},
+        },
         "noise": {name: getattr(estimate.noise, name) for name in Noise.model_fields},
         "unknown_pushes": [
             {

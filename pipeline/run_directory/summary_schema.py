@@ -69,6 +69,8 @@ class StageTimes(StrictModel):
     """Of data and answer."""
     report: Finite = 0.0
     total: Finite = 0.0
+    ipopt: Finite = 0.0
+    """Part of backend: IPOPT's last solve of the whole problem, with the time to build its program."""
 
 
 class Inertia(StrictModel):
@@ -115,6 +117,18 @@ class IdentifiableComponents(StrictModel):
     axes_P: Flags
 
 
+class IpoptSummary(StrictModel):
+    """What IPOPT says of the program's solution; its seconds are in timing_s.ipopt."""
+
+    status: str
+    """IPOPT's return status."""
+    optimality: Variance
+    """Largest entry of the gradient of the Lagrangian, of whitened residuals; null: not evaluated."""
+    constraint_violation: Variance
+    """Largest violation of a constraint; 0 without constraints (backend.bounds)."""
+    iterations: int
+
+
 class SolverSummary(StrictModel):
     """How the optimisation ended."""
 
@@ -129,6 +143,8 @@ class SolverSummary(StrictModel):
     constraints: dict[str, bool] = {}
     """Constraints that were asked for (backend.bounds), by name: whether each is active, that is, changed the
     answer or has its limit reached."""
+    ipopt: IpoptSummary | None = None
+    """null: IPOPT had no part in the answer."""
 
 
 class Noise(StrictModel):

@@ -15,8 +15,9 @@ class Window(Section):
 
     enabled: bool = True
     """Write trajectory_online.csv."""
-    solver: Literal["ipopt", "gauss_newton"] = "gauss_newton"
-    """Solver of the window's program; both reach the same optimum."""
+    solver: Literal["ipopt", "gauss_newton"] = "ipopt"
+    """What gives the answer of each window: IPOPT, started where Gauss-Newton ends, or Gauss-Newton alone;
+    both reach the same optimum."""
     frames: int = Field(12, ge=2, le=1000)
     """Number of latest frames whose full state is estimated."""
     key_frames: int = Field(36, ge=2, le=10_000)
@@ -68,9 +69,9 @@ class Backend(Section):
 
     inertia: Literal["second_moments", "ratios_axes"] = "second_moments"
     """Variables of the inertia: log-Cholesky second moments, or log-ratios and principal axes."""
-    solver: Literal["ipopt", "gauss_newton"] = "gauss_newton"
-    """Solver of the whole problem; both reach the same optimum. Where gauss_newton does not converge,
-    ipopt continues."""
+    solver: Literal["ipopt", "gauss_newton"] = "ipopt"
+    """What gives the answer of the whole problem: IPOPT, started where Gauss-Newton ends, or Gauss-Newton
+    alone; both reach the same optimum. Where Gauss-Newton does not converge, IPOPT continues in any case."""
     process_noise: Literal["estimated", "given"] = "estimated"
     """Level of the disturbances: the most likely one given the data, or accel_psd and torque_psd."""
     accel_psd: float = Field(1e-6, ge=1e-30, le=1e6)
@@ -105,7 +106,7 @@ class Backend(Section):
     """Scale of the Cauchy kernel [standard deviations]; for the last solve it is increased as far as the
     residuals allow."""
     max_iterations: int = Field(200, ge=1, le=1_000_000)
-    """Largest number of iterations of a solver (half as many for gauss_newton before ipopt continues); a run
+    """Largest number of iterations of a solver (half as many for Gauss-Newton before IPOPT continues); a run
     that needs more fails and keeps the best motion found."""
     max_seconds: float = Field(600.0, ge=1e-9, le=1e8)
     """Time limit of the solution [s]; likewise."""

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from polhode.backend.window.estimator import SlidingWindow
-from polhode.backend.window.problem import NewtonSolver
 from polhode.backend.window.solve import expand_arrival, solve_history, solve_window
 from polhode.simulation.monte_carlo import generate
 from tests.backend.window.conftest import TUMBLE, Feed
@@ -27,7 +26,7 @@ def test_arrival_cost_stands_for_all_that_left(feed: Feed, sigma: float) -> None
     remove_outliers(window)
     before, whole = state.active.vector(), state.last
     expand_arrival(state, state.history)
-    solve_window(state, NewtonSolver())
+    solve_window(state)
     assert whole is not None and state.last is not None
     sigma_now = np.sqrt(np.diag(np.linalg.inv(state.last.joint)))
     moved = np.abs(state.active.vector() - before)[-20:]
