@@ -115,7 +115,7 @@ def refine(
         iterate, total = iterate.moved_to(solution.x), total + solution.iterations
         if solution.program is not None:
             ends.append(solution.program)
-        if abs(before - solution.cost) <= PASS_TOLERANCE * max(solution.cost, 1.0):
+        if abs(before - solution.cost) <= PASS_TOLERANCE * max(min(before, solution.cost), 1.0):
             # the cost is stationary, whatever ended the last solve
             solution = replace(solution, converged=True)
             break

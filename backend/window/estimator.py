@@ -98,9 +98,6 @@ class SlidingWindow:
             solve_history(state, history)
             if n in REESTIMATION_FRAMES:
                 self._reestimate(state, history)
-            if self.answer is not None:
-                expand_arrival(state, history)
-                solve_window(state, self.answer)
         else:
             state.active.extend_arrival()
             state.add_newest_factor()
