@@ -110,7 +110,7 @@ def solve_window(state: EstimatorState, answer: WindowSolver | None = None) -> N
         solution = newton.solve(problem, x[n:], INNER_ITERATIONS)
         is_last = rounds_left == 0 or _small(_whole_step(left, solution.x - x[n:])[at])
         if is_last and answer is not None:
-            solution = _confirmed(problem, solution, answer.solve(problem, solution.x, INNER_ITERATIONS))
+            solution = confirmed(problem, solution, answer.solve(problem, solution.x, INNER_ITERATIONS))
         step = _whole_step(left, solution.x - x[n:])
         active.take(x + step)
         state.move_landmarks(condensed, step[at], n_fixed=len(active.keys) + 1)
@@ -119,7 +119,7 @@ def solve_window(state: EstimatorState, answer: WindowSolver | None = None) -> N
     _remember(state, problem, solution, condensed)
 
 
-def _confirmed(problem: WindowProblem, before: Solution, found: Solution) -> Solution:
+def confirmed(problem: WindowProblem, before: Solution, found: Solution) -> Solution:
     """The one that was found, unless it is more than a standard deviation away from the one before.
 
     The arrival cost is a quadratic form: far from where it was expanded, an optimum of the window is not one

@@ -15,7 +15,7 @@ class Window(Section):
 
     enabled: bool = True
     """Write trajectory_online.csv."""
-    solver: Literal["ipopt", "gauss_newton"] = "ipopt"
+    solver: Literal["ipopt", "gauss_newton"] = "gauss_newton"
     """What gives the answer of each window: IPOPT, started where Gauss-Newton ends, or Gauss-Newton alone;
     both reach the same optimum."""
     frames: int = Field(12, ge=2, le=1000)
@@ -69,7 +69,7 @@ class Backend(Section):
 
     inertia: Literal["second_moments", "ratios_axes"] = "second_moments"
     """Variables of the inertia: log-Cholesky second moments, or log-ratios and principal axes."""
-    solver: Literal["ipopt", "gauss_newton"] = "ipopt"
+    solver: Literal["ipopt", "gauss_newton"] = "gauss_newton"
     """What gives the answer of the whole problem: IPOPT, started where Gauss-Newton ends, or Gauss-Newton
     alone; both reach the same optimum. Where Gauss-Newton does not converge, IPOPT continues in any case."""
     process_noise: Literal["estimated", "given"] = "estimated"

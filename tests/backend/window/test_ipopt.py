@@ -1,10 +1,13 @@
 """IPOPT on the window's program reaches the optimum of the reference solver, in both forms of the inertia."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from polhode.backend.window.ipopt import IpoptSolver
 from polhode.backend.window.problem import NewtonSolver
+from polhode.backend.window.solve import confirmed
 from polhode.simulation.monte_carlo import SyntheticSequence
 from tests.backend.window.conftest import Feed, problem_of
 
@@ -35,3 +38,14 @@ def test_a_second_problem_needs_no_new_program(tumble: SyntheticSequence, feed: 
     program = solver._program
     assert solver.solve(problem, x + 1e-4, 100).converged
     assert solver._program is program
+
+
+def test_an_optimum_far_from_gauss_newtons_is_not_the_windows(tumble: SyntheticSequence, feed: Feed) -> None:
+    window, _ = feed(tumble, 14, frames=30)
+    problem, x = problem_of(window)
+    best = NewtonSolver().solve(problem, x, 50)
+    _, H, _ = problem.normal_equations(best.x)
+    along = np.eye(len(x))[0] / np.sqrt(H[0, 0])
+    near, far = replace(best, x=best.x + 0.9 * along), replace(best, x=best.x + 1.1 * along)
+    assert confirmed(problem, best, near) is near
+    assert confirmed(problem, best, far) is best
