@@ -55,6 +55,7 @@ class RenderedPairs:
     """(F, 4, 4)"""
     images: tuple[tuple[Image, Image], ...]
     masks: tuple[tuple[Bools, Bools], ...]
+    has_ranges: bool = False
 
     def __len__(self) -> int:
         return len(self.images)
