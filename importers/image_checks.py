@@ -8,6 +8,13 @@ line by what it moved across the line in dt: e_i(-dt) = b, where e_i(t) is the d
 from its line at time t, a parabola through the right images before, at and after the pair, and b a constant
 that a slightly wrong calibration adds. dt and b fit best over all features of several pairs (Tukey's
 biweight, Gauss-Newton from the best of a grid). Features whose path bends unlike the others' are wrong.
+
+Errors of one pair's features are alike (light that moves over a surface, b that is no constant), so the
+standard deviation is also taken from the scatter between pairs, and the larger one counts (sandwich estimator
+with pairs as clusters: Liang and Zeger, "Longitudinal data analysis using generalized linear models",
+Biometrika 73, 1986). Two errors are proportional to dt: noise in the speeds makes dt smaller, by its share of
+their variance; and a parabola through points of a circle sees less speed than there is, by a share of
+w^2 T^2 / 6 for a turn of w T between frames. Both are in the stated sigma, not in that of a dt of 0.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,6 +50,8 @@ MIN_SPEED = 3.0
 """The features' speeds across the lines must differ by so many times their noise: else noise alone fits."""
 SPAN_FRAMES = 1.2
 """Offsets that are tried, either way: beyond the images before and after, a parabola says nothing."""
+MIN_SCATTER = 4
+"""Pairs from which on their scatter says something."""
 TUKEY = 4.685
 """Standard deviations beyond which a residual has no weight: 95 % efficiency for normal noise."""
 
@@ -53,19 +62,22 @@ class ClockOffset:
 
     dt_s: float
     sigma_s: float
+    """With what is proportional to dt"""
+    noise_s: float
+    """Without it: standard deviation if dt is 0"""
     features: int
     interval_s: float
 
     @property
     def is_observable(self) -> bool:
         """Whether the motion of the features shows it."""
-        return self.sigma_s < UNOBSERVABLE_FRAMES * self.interval_s
+        return self.noise_s < UNOBSERVABLE_FRAMES * self.interval_s
 
     @property
     def is_apart(self) -> bool:
         """Whether the images of a pair were not taken together."""
         off = abs(self.dt_s)
-        return self.is_observable and off > max(MAX_SIGMAS * self.sigma_s, MIN_FRAMES * self.interval_s)
+        return self.is_observable and off > max(MAX_SIGMAS * self.noise_s, MIN_FRAMES * self.interval_s)
 
 
 def match_some(
@@ -103,7 +115,11 @@ def _fitting(rig: Rig, left_px: Array, right_px: Array) -> int:
 
 def clock_offset(matches: Sequence[StereoMatches], rig: Rig, interval_s: float) -> ClockOffset | None:
     """The offset that fits best; None: too few features are seen in three right images."""
-    parabolas = np.concatenate([_parabolas(each, rig) for each in matches]) if matches else np.empty((0, 3))
+    parabolas = (
+        np.concatenate([_parabolas(each, rig, pair) for pair, each in enumerate(matches)])
+        if matches
+        else np.empty((0, 5))
+    )
     parabolas = parabolas[_plausible(parabolas)] if len(parabolas) else parabolas
     if len(parabolas) < MIN_PATHS:
         return None
@@ -113,9 +129,9 @@ def clock_offset(matches: Sequence[StereoMatches], rig: Rig, interval_s: float) 
     return _refined(parabolas, float(start), interval_s)
 
 
-def _parabolas(matches: StereoMatches, rig: Rig) -> Array:
-    """(n, 3) coefficients c, s, q of e(t) = c + s t + q t^2 [px], of the features seen in all right
-    images."""
+def _parabolas(matches: StereoMatches, rig: Rig, pair: int) -> Array:
+    """(n, 5) coefficients c, s, q of e(t) = c + s t + q t^2 [px], of the features seen in all right images;
+    where each is across its line [px], and the number of the pair."""
     geometry = EpipolarGeometry.of(rig)
     left = directions(rig.left, matches.left_px)
     lines = geometry.lines(left)
@@ -127,7 +143,8 @@ def _parabolas(matches: StereoMatches, rig: Rig) -> Array:
     d0, d2 = (e0 - e1) / t0, (e2 - e1) / t2
     q = (d2 - d0) / (t2 - t0)
     good = np.isfinite(e0 + e2) & geometry.in_front(left, now) & (np.abs(e1) < FAR_FROM_LINE_PX)
-    return np.asarray(np.column_stack([e1, d0 - q * t0, q])[good])
+    across = (lines[:, :2] * now[:, :2]).sum(axis=1)
+    return np.asarray(np.column_stack([e1, d0 - q * t0, q, across, np.full(len(q), pair)])[good])
 
 
 def _plausible(parabolas: Array) -> Bools:
@@ -147,7 +164,7 @@ def _spread(values: Array) -> float:
 def _refined(parabolas: Array, dt_s: float, interval_s: float) -> ClockOffset:
     """Gauss-Newton with Tukey's weights from a start; the noise is that of the residuals."""
     b = float(np.median(_at(parabolas, -dt_s)))
-    sigma_s = scale = np.inf
+    noise_s = scale = np.inf
     for _ in range(20):
         r = _at(parabolas, -dt_s) - b
         scale = max(1.4826 * _spread(r), 1e-3)
@@ -156,14 +173,40 @@ def _refined(parabolas: Array, dt_s: float, interval_s: float) -> ClockOffset:
         H = (J * w[:, None]).T @ J
         if not np.linalg.det(H) > 1e-12 * H[0, 0] * H[1, 1]:
             break
-        step = -np.linalg.solve(H, J.T @ (w * r))
+        inverse = np.linalg.inv(H)
+        step = -inverse @ (J.T @ (w * r))
         dt_s = float(np.clip(dt_s + step[0], -1.5 * interval_s, 1.5 * interval_s))
         b += float(step[1])
-        sigma_s = float(scale * np.sqrt(np.linalg.inv(H)[0, 0]))
+        single = float(scale * np.sqrt(inverse[0, 0]))
+        noise_s = max(single, _between_pairs(J * (w * r)[:, None], parabolas[:, 4], inverse))
         if abs(step[0]) < 1e-6 * interval_s:
             break
     # of a speed across the line, which is a difference over two intervals
     noise = scale / (np.sqrt(2.0) * interval_s)
-    if 1.4826 * _spread(parabolas[:, 1]) < MIN_SPEED * noise:
-        sigma_s = np.inf
-    return ClockOffset(dt_s, float(sigma_s), len(parabolas), interval_s)
+    speeds = 1.4826 * _spread(parabolas[:, 1])
+    if speeds < MIN_SPEED * noise:
+        noise_s = np.inf
+    share = (noise / speeds) ** 2 + _turn(parabolas) ** 2 * interval_s**2 / 6.0 if speeds > 0.0 else np.inf
+    sigma_s = float(np.hypot(noise_s, share * abs(dt_s))) if np.isfinite(noise_s) else np.inf
+    return ClockOffset(dt_s, sigma_s, float(noise_s), len(parabolas), interval_s)
+
+
+def _between_pairs(gradients: Array, pair: Array, inverse: Array) -> float:
+    """Standard deviation of dt from the gradients (n, 2) of the features, by how their sums over each pair
+    scatter; 0: too few pairs for a scatter."""
+    _, number = np.unique(pair, return_inverse=True)
+    pairs = int(number.max()) + 1
+    if pairs < MIN_SCATTER:
+        return 0.0
+    sums = np.zeros((pairs, 2))
+    np.add.at(sums, number, gradients)
+    along = sums @ inverse[0]
+    return float(np.sqrt(pairs / (pairs - 1.0) * (along**2).sum()))
+
+
+def _turn(parabolas: Array) -> float:
+    """Angular speed [rad/s] at which the features turn: what is higher is pulled back the more."""
+    q, across = parabolas[:, 2], parabolas[:, 3]
+    off = across - np.median(across)
+    slope = float((off * 2.0 * (q - np.median(q))).sum() / max((off**2).sum(), 1e-12))
+    return float(np.sqrt(max(-slope, 0.0)))

@@ -103,7 +103,7 @@ def main(
 ) -> None:
     """Print the table."""
     data = original(SAMPLE)
-    rows = []
+    print("| format | dataset | run |\n|---|---|---|", flush=True)
     with TemporaryDirectory() as temporary:
         base = Path(temporary)
         wanted = {} if short else run_of(SAMPLE, base / "sample_run")
@@ -115,9 +115,7 @@ def main(
             if wanted and (all_runs or name in RUNS):
                 runs = "same bytes" if run_of(area / "seq", area / "run") == wanted else "other bytes"
             alike = "same, bit by bit" if same_dataset(data, area / "seq") else "other"
-            rows.append(f"| {name} | {alike} | {runs} |")
-    print("| format | dataset | run |\n|---|---|---|")
-    print("\n".join(rows))
+            print(f"| {name} | {alike} | {runs} |", flush=True)
 
 
 if __name__ == "__main__":

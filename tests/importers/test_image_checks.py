@@ -56,6 +56,28 @@ def test_the_offset_is_found_where_the_motion_shows_it(frames: float) -> None:
     assert found.is_apart == (frames != 0.0)
 
 
+@pytest.mark.parametrize(("frames", "turn_rad"), [(0.4, 0.4), (-0.2, 0.4), (0.0, 0.4), (0.4, 0.1)])
+def test_the_stated_sigma_covers_the_error_also_of_fast_turns(frames: float, turn_rad: float) -> None:
+    axis = np.array([0.3, 0.1, 0.15]) * turn_rad / (0.35 * INTERVAL_S)
+    scaled = []
+    for seed in range(8):
+        found = clock_offset(matches(frames * INTERVAL_S, axis, seed), RIG, INTERVAL_S)
+        assert found is not None and found.is_observable
+        assert found.noise_s <= found.sigma_s
+        scaled.append((found.dt_s - frames * INTERVAL_S) / found.sigma_s)
+    assert 0.4 < np.sqrt(np.mean(np.square(scaled))) < 1.6
+
+
+def test_pairs_that_contradict_each_other_widen_the_sigma() -> None:
+    """Each pair says another offset, as an epipolar error that changes with the light would make it."""
+    axis = np.array([0.3, 0.1, 0.15])
+    alike = clock_offset(matches(0.0, axis), RIG, INTERVAL_S)
+    shaken = [matches(dt * INTERVAL_S, axis)[k] for k, dt in enumerate((0.1, -0.1, 0.1, -0.1, 0.1, -0.1))]
+    apart = clock_offset(shaken, RIG, INTERVAL_S)
+    assert alike is not None and apart is not None
+    assert apart.sigma_s > 3.0 * alike.sigma_s and not apart.is_apart
+
+
 def test_a_motion_along_the_lines_shows_nothing() -> None:
     rig_axis = np.array([0.0, 0.0, 0.0])
     found = clock_offset(matches(0.2, rig_axis), RIG, INTERVAL_S)
