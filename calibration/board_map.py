@@ -72,7 +72,7 @@ def fitted_map(p_m: Array, uv_px: Array, size_px: tuple[int, int]) -> BoardMap |
         H = cv2.findHomography(p_m, flat, cv2.LMEDS, maxIters=_TRIALS)[0]
         if H is None:
             continue
-        trial = BoardMap(H, focal, middle, 0, centre, side, nothing)
+        trial = BoardMap(np.asarray(H, dtype=np.float64), focal, middle, 0, centre, side, nothing)
         error = float(np.median(np.linalg.norm(trial.without_bend(p_m) - uv_px, axis=1)))
         if error < least:
             best, least = trial, error
@@ -94,7 +94,10 @@ def misfit(p_m: Array, uv_px: Array, unit_m: float, size_px: tuple[int, int], be
     for _, flat in _flat(uv_px - 0.5 * (np.array(size_px) - 1.0), size_px):
         H = cv2.findHomography(flat, p_m, cv2.LMEDS, maxIters=_TRIALS)[0]
         if H is not None:
-            least = min(least, float(np.median(np.linalg.norm(_mapped(H, flat) - p_m, axis=1))))
+            least = min(
+                least,
+                float(np.median(np.linalg.norm(_mapped(np.asarray(H, np.float64), flat) - p_m, axis=1))),
+            )
         if not bent:
             break
     return least / unit_m
@@ -122,13 +125,13 @@ def _flat(xy_px: Array, size_px: tuple[int, int]) -> Iterator[tuple[float, Array
 def _bend(A: Array, off_px: Array) -> Array:
     """Coefficients (k, 2) for terms (n, k) that explain most of (n, 2), by reweighted least squares."""
     weight = np.ones(len(A))
-    bend = np.zeros((A.shape[1], 2))
+    bend: Array = np.zeros((A.shape[1], 2))
     for _ in range(8):
-        bend = np.linalg.lstsq(A * weight[:, None], off_px * weight[:, None], rcond=1e-9)[0]
+        bend = np.asarray(np.linalg.lstsq(A * weight[:, None], off_px * weight[:, None], rcond=1e-9)[0])
         distance = np.linalg.norm(off_px - A @ bend, axis=1)
         scale = max(float(np.median(distance)), _FLOOR_PX)
         weight = 1.0 / (1.0 + (distance / (2.0 * scale)) ** 2)
-    return np.asarray(bend)
+    return bend
 
 
 def _mapped(H: Array, p: Array) -> Array:

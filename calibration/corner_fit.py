@@ -1,13 +1,22 @@
 """Corners of four squares to a hundredth of a pixel: a picture of the corner is fitted to the image.
 
-    I(u, v) = b + c erf(d1 / (sqrt(2) s)) erf(d2 / (sqrt(2) s)),
+    I(u, v) = b + c E(d1 / s, d2 / s; r),
     d_k = x cos f_k + y sin f_k + h_k (t_k^2 + s^2) / 2,
+    r = cos(f1 - f2) + sin(f1 - f2) (h2 t2 - h1 t1),
+    E(z1, z2; r) = erf(z1 / sqrt(2)) erf(z2 / sqrt(2))
+                   + 4 sum_n r^n / n! He_{n-1}(z1) phi(z1) He_{n-1}(z2) phi(z2),
 
 with (x, y) from the corner, t_k along the edge k and s the blur: two edges, bent by the lens, that cross at
-the corner. Nine unknowns a corner, in a disc around it, by Levenberg and Marquardt, all corners of an image
-at once. What interpolates the image instead (``cornerSubPix``) errs by some hundredths of a pixel, by where
-the corner lies between the pixels, and bent edges pull it outwards.
+the corner. E is the mean of sign(z1 + e1) sign(z2 + e2) over normal e1 and e2 with the correlation r, as a
+series (Pearson, "On the correlation of characters not quantitatively measurable", Phil. Trans. A 195, 1900):
+edges that are bent, or not perpendicular, share some of the blur.
+
+Nine unknowns a corner, in a disc around it, by Levenberg and Marquardt, all corners of an image at once. What
+interpolates the image instead (``cornerSubPix``) errs by some hundredths of a pixel, by where the corner lies
+between the pixels, and bent edges pull it outwards.
 """
+
+import math
 
 import cv2
 import numpy as np
@@ -128,27 +137,46 @@ def _model(patch: Array, u: Array, v: Array, p: Array) -> tuple[Array, Array]:
     """Residuals (n, m), and derivatives of the model (n, m, 9)."""
     x, y = u - p[:, 0, None], v - p[:, 1, None]
     c, b, s = p[:, 7, None], p[:, 8, None], p[:, 6, None]
-    values, slopes, parts = [], [], []
+    values, densities, parts, curved = [], [], [], []
     for k in (0, 1):
         cos, sin = np.cos(p[:, 2 + k, None]), np.sin(p[:, 2 + k, None])
         along = -x * sin + y * cos
         bend = p[:, 4 + k, None]
         # blur moves a bent edge towards the inside of the bend
         d = x * cos + y * sin + 0.5 * bend * (along**2 + s**2)
-        values.append(erf(d / (np.sqrt(2.0) * s)))
-        slopes.append(np.sqrt(2.0 / np.pi) / s * np.exp(-0.5 * (d / s) ** 2))
+        z = d / s
+        phi = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
+        values.append(erf(z / np.sqrt(2.0)))
+        densities.append((phi, z * phi, (z**2 - 1.0) * phi, (z**2 - 3.0) * z * phi))
         by_corner = (-cos + bend * along * sin, -sin - bend * along * cos)
         by_angle = along - bend * along * (x * cos + y * sin)
         parts.append((d, by_corner, by_angle, 0.5 * (along**2 + s**2), bend * s))
+        # of the correlation: bend times the place along the edge, by the corner and by the bend
+        curved.append((bend * along, bend * sin, -bend * cos, along))
+    between = (p[:, 2] - p[:, 3])[:, None]
+    r = np.cos(between) + np.sin(between) * (curved[1][0] - curved[0][0])
+    one, two = densities
+    picture = values[0] * values[1]
+    first, second = 2.0 * one[0] * values[1], 2.0 * two[0] * values[0]
+    by_r = np.zeros_like(picture)
+    for n in (1, 2, 3):
+        share = 4.0 * r**n / math.factorial(n)
+        picture = picture + share * one[n - 1] * two[n - 1]
+        first = first - share * one[n] * two[n - 1]
+        second = second - share * one[n - 1] * two[n]
+        by_r += 4.0 * r ** (n - 1) / math.factorial(n - 1) * one[n - 1] * two[n - 1]
+    first, second = first * c / s, second * c / s
+    turned = c * by_r * np.sin(between)
     J = np.empty((*patch.shape, 9))
-    first, second = slopes[0] * values[1] * c, slopes[1] * values[0] * c
     for axis in (0, 1):
         J[:, :, axis] = first * parts[0][1][axis] + second * parts[1][1][axis]
-    J[:, :, 2], J[:, :, 3] = first * parts[0][2], second * parts[1][2]
-    J[:, :, 4], J[:, :, 5] = first * parts[0][3], second * parts[1][3]
+        J[:, :, axis] += turned * (curved[1][1 + axis] - curved[0][1 + axis])
+    J[:, :, 2], J[:, :, 3] = first * parts[0][2] - turned, second * parts[1][2] + turned
+    J[:, :, 4] = first * parts[0][3] - turned * curved[0][3]
+    J[:, :, 5] = second * parts[1][3] + turned * curved[1][3]
     J[:, :, 6] = sum(
         slope * (part[4] - part[0] / s) for slope, part in zip((first, second), parts, strict=True)
     )
-    J[:, :, 7] = values[0] * values[1]
+    J[:, :, 7] = picture
     J[:, :, 8] = 1.0
     return patch - b - c * J[:, :, 7], J
