@@ -299,7 +299,7 @@ def _resampled(
     near = (np.round(map_u).astype(np.int64), np.round(map_v).astype(np.int64))
     # NaN among the corners makes this false
     alike = corners.max(axis=0) - corners.min(axis=0) < at(*near, step)
-    return np.where(alike, np.sum(weights * corners, axis=0), nearest).astype(np.float32)
+    return np.asarray(np.where(alike, np.sum(weights * corners, axis=0), nearest), dtype=np.float32)
 
 
 def rectified_left(sequence: StereoSequence, rectifier: Rectifier, k: int) -> tuple[Image, Bools]:

@@ -171,7 +171,8 @@ def texture_sigma(image: Image, uv_px: Array) -> Array:
     normal, _ = _normal_equations(A, target, weight)
     arm = np.column_stack([np.ones(len(uv_px)), uv_px - centre])
     variance = 2.0 * _noise_levels(image) ** 2
-    return np.sqrt(variance * np.einsum("na,nab,nb->n", arm, np.linalg.inv(normal)[:, :3, :3], arm))
+    along_row = np.einsum("na,nab,nb->n", arm, np.linalg.inv(normal)[:, :3, :3], arm)
+    return np.asarray(np.sqrt(variance * along_row))
 
 
 def _noise_levels(image: Image) -> float:
@@ -185,7 +186,7 @@ def _noise_levels(image: Image) -> float:
     around = cv2.blur(response, (WINDOW_PX, WINDOW_PX))
     lit = cv2.blur(image, (WINDOW_PX, WINDOW_PX)) > 0.3 * float(np.percentile(image, 99.0))
     quiet = float(np.percentile(around[lit], 20)) if lit.any() else 0.0
-    return max(np.sqrt(np.pi / 2.0) * quiet / 6.0, MIN_NOISE_LEVELS)
+    return max(float(np.sqrt(np.pi / 2.0)) * quiet / 6.0, MIN_NOISE_LEVELS)
 
 
 def _match_on_lines(left: KeyPoints, right: KeyPoints, rig: RectifiedRig) -> tuple[NDArray[np.intp], Array]:

@@ -45,7 +45,8 @@ def open_tum_rgbd(path: Path, options: ImportOptions) -> ImageFiles:
         raise InputError(
             f"--poses {options.poses}: TUM RGB-D has no topics; leave it out, or give --poses none"
         )
-    poses, notes = None, (f"ranges: {_in_words(model := _model(options))}",)
+    model, poses = _model(options), None
+    notes: tuple[str, ...] = (f"ranges: {_in_words(model)}",)
     if options.poses is None and (path / POSES).is_file():
         poses = _poses(path / POSES)
         notes = (*notes, f"inspector poses: {POSES} (--poses none: camera at rest)")
@@ -56,9 +57,14 @@ def open_tum_rgbd(path: Path, options: ImportOptions) -> ImageFiles:
 
 
 def _model(options: ImportOptions) -> RangeModel:
-    given = (options.range_scale_m, options.range_sigma_m, options.range_growth_per_m)
-    usual = (SCALE_M, SIGMA_M, GROWTH_PER_M)
-    return RangeModel(*(own if value is None else value for value, own in zip(given, usual, strict=True)))
+    def given_or(value: float | None, usual: float) -> float:
+        return usual if value is None else value
+
+    return RangeModel(
+        given_or(options.range_scale_m, SCALE_M),
+        given_or(options.range_sigma_m, SIGMA_M),
+        given_or(options.range_growth_per_m, GROWTH_PER_M),
+    )
 
 
 def _in_words(model: RangeModel) -> str:
@@ -72,7 +78,8 @@ def _in_words(model: RangeModel) -> str:
 def _listing(folder: Path, name: str) -> tuple[Ints, tuple[Path, ...]]:
     """Times [ns] and files. Raises InputError for a row without a file, or one that is not in the folder."""
     table = folder / name
-    stamps_ns, files = read_stamps(table), []
+    stamps_ns = read_stamps(table)
+    files: list[Path] = []
     for number, line in enumerate(read_text(table, _TABLE_BYTES, "a table").splitlines(), start=1):
         words = line.replace(",", " ").split(maxsplit=1)
         if not words or words[0].startswith("#") or (not files and words[0][0].isalpha()):

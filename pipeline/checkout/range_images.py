@@ -77,7 +77,7 @@ def range_image_checks(found: list[RangeQuality]) -> list[CheckoutCheck]:
             finding=f"Single pixels scatter by {np.median(ratio):.2g} of the stated standard deviation."
             if len(ratio)
             else "Too few pixels with ranges lie side by side.",
-            advice="Correct sigma_m and sigma_growth_per_m in range0/sensor.yaml: sigmas and weights follow "
-            "them.",
+            advice="Correct sigma_m and sigma_growth_per_m in range0/sensor.yaml, since sigmas and weights "
+            "follow them; or scale_m, if the expected range is wrong by such a factor too.",
         ),
     ]

@@ -118,7 +118,7 @@ def test_the_checkout_names_a_noise_that_is_stated_wrong(ranged: Path, tmp_path:
     write_range_sensor(folder / "mav0" / "range0", RangeSensor().scale_m, 0.0005)
     check = checkout(folder, workers=1, count=1).result.named("noise of the ranges, over what is stated")
     assert check.status == "WARN" and check.value == pytest.approx(4.0, rel=0.1)
-    assert "sigma_m" in check.advice
+    assert "sigma_m" in check.advice and "scale_m" in check.advice
 
 
 def test_another_calibration_of_the_camera_is_checked(ranged: Path, tmp_path: Path) -> None:
