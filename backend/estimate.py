@@ -246,7 +246,7 @@ def _estimate(
         constraints=ended.constraints,
         ipopt=solution.program,
     )
-    estimate = with_systematic(estimate, tracks, config.systematic_px)
+    estimate = with_systematic(estimate, tracks, config.systematic_px, config.focal_error)
     stronger = disturbance_ratio(data, config.accel_psd, config.torque_psd)
     turns_deg = ambiguous_turns_deg(found.choice, trials[best], data.dt_s, stronger >= SUSPICIOUS)
     if turns_deg is not None:

@@ -42,21 +42,31 @@ def common_slide(data: MotionData, iterate: Iterate, to_landmark: Array, sigma_p
 
 
 def position_spread(
-    rig: RectifiedRig, X_NR: Array, r_N: Array, sigma_px: Sigma, slide_px: float = 0.0
+    rig: RectifiedRig,
+    X_NR: Array,
+    r_N: Array,
+    sigma_px: Sigma,
+    slide_px: float = 0.0,
+    focal_error: float = 0.0,
 ) -> Array:
-    """Shifts (F, 3, 6) in N [m] of positions r_N (F, 3) for one sigma of each error; X_NR (F, 4, 4).
+    """Shifts (F, 3, 7) in N [m] of positions r_N (F, 3) for one sigma of each error; X_NR (F, 4, 4).
 
-    Three offsets of u, v and disparity, and three slides along the axes of N, by slide_px in the image.
+    Three offsets of u, v and disparity, three slides along the axes of N, by slide_px in the image, and the
+    relative error of the focal length, which stretches the depth alone: x = (u - cx) b / d does not depend on
+    it.
     """
     r_R = transform_points(inverse_pose(X_NR), r_N[:, None])[:, 0]
     offsets = X_NR[:, :3, :3] @ rig.triangulation_jacobian(r_R) * np.asarray(sigma_px)
     slide_m = slide_px * r_R[:, 2] / rig.focal_px
-    return np.concatenate([offsets, slide_m[:, None, None] * np.eye(3)], axis=2)
+    stretch = focal_error * r_R[:, 2, None, None] * X_NR[:, :3, 2, None]
+    return np.concatenate([offsets, slide_m[:, None, None] * np.eye(3), stretch], axis=2)
 
 
-def with_systematic(estimate: MotionEstimate, tracks: StereoTracks, sigma_px: Sigma) -> MotionEstimate:
+def with_systematic(
+    estimate: MotionEstimate, tracks: StereoTracks, sigma_px: Sigma, focal_error: float = 0.0
+) -> MotionEstimate:
     """The estimate with offsets of all frames in the covariances of its positions and centre of mass."""
-    spread = position_spread(tracks.rig, tracks.X_NR, estimate.r_N, sigma_px)
+    spread = position_spread(tracks.rig, tracks.X_NR, estimate.r_N, sigma_px, focal_error=focal_error)
     in_G = estimate.X_NG[0, :3, :3].T @ spread[0]
     joint = np.zeros((20, in_G.shape[1]))
     joint[:3], joint[17:] = spread[-1], in_G
@@ -82,10 +92,10 @@ def _inflated_verdict(mass: MassProperties, in_G: Array) -> Identifiability:
 
 
 def online_with_systematic(
-    online: OnlineEstimate, tracks: StereoTracks, sigma_px: Sigma, slide_px: float
+    online: OnlineEstimate, tracks: StereoTracks, sigma_px: Sigma, slide_px: float, focal_error: float = 0.0
 ) -> OnlineEstimate:
     """The causal estimate with systematic errors in the covariances of positions and centre of mass."""
-    spread = position_spread(tracks.rig, tracks.X_NR, online.r_N, sigma_px, slide_px)
+    spread = position_spread(tracks.rig, tracks.X_NR, online.r_N, sigma_px, slide_px, focal_error)
     known = np.isfinite(np.diagonal(online.covariance, axis1=1, axis2=2)).any(axis=1)
     first = int(np.argmax(known))
     in_G = online.X_NG[first, :3, :3].T @ spread[first]

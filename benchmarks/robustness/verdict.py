@@ -49,6 +49,8 @@ class Judged:
     """(n,)"""
     undisturbed: Bools
     """(n,) without a fault"""
+    missed: Bools
+    """(n,) bodies of revolution whose rate was not found and is called undetermined: not good for it"""
     said: Bools
     """(n,) status or a warning doubts the answer"""
 
@@ -91,7 +93,7 @@ def judged_runs(lines: list[dict[str, Any]]) -> Judged:
         doubted(line, IMAGE_FAULTS[fault].named if fault in IMAGE_FAULTS else NAMED.get(fault, ()))
         for line, fault in zip(lines, faults, strict=True)
     ]
-    return Judged(lines, wrong, good & ~wrong, undisturbed, np.array(said, dtype=np.bool_))
+    return Judged(lines, wrong, good & ~wrong, undisturbed, missed, np.array(said, dtype=np.bool_))
 
 
 def _rate_missed(line: dict[str, Any]) -> bool:
@@ -142,11 +144,18 @@ def print_verdict(runs: Judged) -> None:
     print(f"\n{len(runs.lines)} runs: {runs.wrong.sum()} wrong, {runs.good.sum()} good, of these ", end="")
     clean = runs.good & runs.undisturbed
     print(f"{clean.sum()} undisturbed\n")
+    # beyond five sigmas, but by less than what matters in practice
+    slight = ~runs.wrong & ~runs.good & ~runs.missed
     rows = [
         ("wrong, status ok", *_share(ok, runs.wrong)),
         ("wrong, status ok and no warning that doubts it", *_share(~runs.said, runs.wrong)),
         ("undisturbed and good, spoiled", *_share(~ok, clean)),
         ("good with a fault in the data, doubted", *_share(~ok, runs.good & ~runs.undisturbed)),
+        ("beyond five sigmas by less than the floor, status ok", *_share(ok, slight)),
+        (
+            "beyond five sigmas by less than the floor, and no warning that doubts it",
+            *_share(~runs.said, slight),
+        ),
     ]
     print_table(("runs", "number", "of", "share"), rows, right_from=1)
     print()

@@ -14,7 +14,7 @@ from polhode.pipeline.answer_checks.residual_check import residual_checks
 from polhode.pipeline.answer_checks.sun_check import sun_check
 from polhode.pipeline.answer_checks.twins_check import twins_checks
 from polhode.pipeline.answer_checks.window_check import window_check
-from polhode.pipeline.run_directory.summary_schema import Check
+from polhode.pipeline.run_directory.summary_schema import Check, not_made
 from polhode.records import MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks
 
 _log = logging.getLogger(__name__)
@@ -31,7 +31,7 @@ def check_answer(
     """Doubts about the motion found, from its measurements alone.
 
     ``online``: the causal estimate, None: there is none; sun_N (3,): unit vector towards the Sun, None:
-    unknown. A check that fails does not cost the run.
+    unknown. An error in a check does not cost the run, which is doubted for it.
     """
     X_RG = inverse_pose(tracks.X_NR) @ estimate.X_NG
     steps: tuple[Callable[[], list[Check]], ...] = (
@@ -48,8 +48,9 @@ def check_answer(
         try:
             with np.errstate(invalid="ignore", divide="ignore"):
                 found.extend(step())
-        except (ArithmeticError, LookupError, ValueError, MemoryError):
-            _log.exception("a check of the answer failed")
+        except (ArithmeticError, LookupError, ValueError, MemoryError) as error:
+            _log.debug("a check of the answer ended with an error", exc_info=True)
+            found.append(not_made(error))
     for check in found:
         if check.reason:
             _log.warning(check.reason)

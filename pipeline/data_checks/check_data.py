@@ -20,7 +20,7 @@ from polhode.pipeline.data_checks.self_calibration import (
     focal_check,
 )
 from polhode.pipeline.data_checks.swing_check import swing_check
-from polhode.pipeline.run_directory.summary_schema import Check, reasons_of
+from polhode.pipeline.run_directory.summary_schema import Check, not_made, reasons_of
 from polhode.records import MotionEstimate, StereoTracks
 
 FROZEN = (
@@ -51,7 +51,7 @@ def check_data(
 ) -> Findings:
     """Doubts about the rig, the clock, the poses and the constancy of the target.
 
-    A check that fails does not cost the run.
+    An error in a check does not cost the run, which is doubted for it.
     """
     seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
     found = Findings([_frozen(context.sequence.frozen)], [])
@@ -85,8 +85,9 @@ def check_data(
         for step in steps:
             try:
                 found.checks.extend(step())
-            except (ArithmeticError, LookupError, ValueError, MemoryError):
-                _log.exception("a check of the data failed")
+            except (ArithmeticError, LookupError, ValueError, MemoryError) as error:
+                _log.debug("a check of the data ended with an error", exc_info=True)
+                found.checks.append(not_made(error))
     for reason in found.reasons:
         _log.warning(reason)
     return found

@@ -216,6 +216,17 @@ class Check(StrictModel):
         )
 
 
+def not_made(error: Exception) -> Check:
+    """In place of checks that ended with an error: the run is doubted, since what they find is not known."""
+    kind = type(error).__name__
+    return Check(
+        name=f"checks that ended with an error ({kind})",
+        value=1.0,
+        limit=0.0,
+        reason=f"a check ended with an error ({kind}: {error}): what it finds is not known; see log.txt",
+    )
+
+
 def reasons_of(checks: Iterable[Check]) -> list[str]:
     """Of the checks that do not hold."""
     return [check.reason for check in checks if check.reason]

@@ -83,6 +83,9 @@ class Backend(Section):
     systematic_px: tuple[Pixels, Pixels, Pixels] = (0.03, 0.03, 0.01)
     """Standard deviations of constant errors of u, v and disparity common to all frames [px]: calibration and
     matching. They do not appear in the residuals, and increase the sigma of position."""
+    focal_error: float = Field(0.0, ge=0.0, le=0.1)
+    """Standard deviation of the focal length, relative: the target is nearer or farther by this share of its
+    distance. ``polhode calibrate`` states it; 0: as calibrated. Increases the sigma of position."""
     light_px: Pixels = 0.12
     """Standard deviation of a slide of all features along the surface, in a direction that is as fixed as the
     Sun's, seen from the median distance [px]; the slow drift that is measured of single features is added.

@@ -54,6 +54,17 @@ def test_a_slide_of_the_causal_estimate_shifts_the_position() -> None:
     np.testing.assert_allclose(RIG.focal_px * np.sqrt(np.diag(spread @ spread.T)) / 0.8, 0.3)
 
 
+def test_a_wrong_focal_length_moves_the_target_along_the_line_of_sight_alone() -> None:
+    X_NR = make_pose(exp_so3([[0.3, -0.5, 0.2]]), [[0.1, 0.2, -0.3]])
+    p_R = np.array([[0.1, -0.05, 0.7]])
+    r_N = transform_points(X_NR, p_R[:, None])[:, 0]
+    longer = replace(RIG, focal_px=1.001 * RIG.focal_px)
+    moved = transform_points(X_NR, longer.triangulate(RIG.project(p_R))[:, None])[:, 0] - r_N
+    spread = position_spread(RIG, X_NR, r_N, (0.0, 0.0, 0.0), focal_error=0.001)[0]
+    np.testing.assert_allclose(spread[:, 6], moved[0], rtol=1e-9)
+    assert not spread[:, :6].any() and np.linalg.norm(moved) == pytest.approx(0.7e-3)
+
+
 def slide_of(sequence: SyntheticSequence, sigma_px: float) -> tuple[Array, Array]:
     """Changes (M, 3, 3) of the observations [px] by slides along the axes of N, in their order; landmarks."""
     data, iterate = at_truth(sequence)

@@ -12,6 +12,7 @@ from polhode.camera import stereo_jacobian
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.pipeline.answer_checks.agreement import disagreements, largest
+from polhode.pipeline.answer_checks.check_answer import check_answer
 from polhode.pipeline.answer_checks.links_check import links_check
 from polhode.pipeline.answer_checks.parts_check import outline_and_interior, parts_checks
 from polhode.pipeline.answer_checks.residual_check import (
@@ -25,7 +26,7 @@ from polhode.pipeline.answer_checks.twins_check import twins_checks
 from polhode.pipeline.answer_checks.window_check import window_check
 from polhode.pipeline.run_directory.summary_schema import Check, reasons_of
 from polhode.progress import Silent
-from polhode.records import InitialMotion, MotionEstimate, OnlineEstimate, StereoTracks
+from polhode.records import InitialMotion, MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 SCENE = SyntheticScene(
@@ -214,6 +215,24 @@ def test_a_flat_relief_has_a_near_mirror_twin(undisturbed: Solved) -> None:
     tracks, estimate = undisturbed
     near = replace(estimate, noise=replace(estimate.noise, disparity_sigma_px=50.0))
     assert "inside out" in of_name(twins_checks(tracks, near), "mirror twin").reason
+
+
+def test_a_check_that_ends_with_an_error_is_a_reason_for_doubt(
+    undisturbed: Solved, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tracks, estimate = undisturbed
+
+    def fails(*given: object) -> list[Check]:
+        raise ValueError("seven is not a pose")
+
+    monkeypatch.setattr("polhode.pipeline.answer_checks.check_answer.residual_checks", fails)
+    none = np.zeros(0, dtype=np.int64)
+    links = RelativePoses(none, none, np.zeros((0, 4, 4)), none)
+    checks = check_answer(tracks, estimate, links, CONFIG, None, None)
+    (reason,) = reasons_of(checks)
+    assert "seven is not a pose" in reason
+    # the others were made all the same
+    assert of_name(checks, "halves of the landmarks").value is not None
 
 
 def test_the_causal_estimate_ends_within_the_larger_sigma_of_the_smoothed_one(undisturbed: Solved) -> None:
