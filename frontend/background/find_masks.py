@@ -15,6 +15,7 @@ import numpy as np
 from polhode.dataset import StereoSequence
 from polhode.frontend.background.background_image import (
     REACH_FRAMES,
+    BackgroundImage,
     FirstLook,
     FirstLooks,
     background_images,
@@ -31,6 +32,7 @@ from polhode.frontend.background.far_plane import (
 )
 from polhode.frontend.background.near_layer import near_layer, working_scale
 from polhode.frontend.background.range_layer import near_range_layer, range_plane
+from polhode.frontend.background.still_background import changed_layer, is_still, still_background
 from polhode.frontend.found_masks import FoundMasks, MaskQuality, encoded
 from polhode.frontend.rectification import Rectifier, frame_disparity
 from polhode.frontend.segmentation import lit_border
@@ -48,6 +50,10 @@ MIN_SHARE = 0.5
 MIN_AREA = 5e-4
 """Share of the image that the target covers in the median pair; less is no target."""
 
+AT_REST = 1e-6
+"""Largest change of the camera's pose [rad, m] for a camera at rest."""
+STILL_FRAMES = 40
+"""Pairs, spread over the sequence, in which what stays the same is looked for."""
 BLOCK = 128
 """Pairs that are examined before the masks of the first of them are finished; bounds the memory."""
 
@@ -66,6 +72,8 @@ class Background:
 
     m_N: Array
     """(3,) [1/m]"""
+    still: tuple[BackgroundImage, BackgroundImage] | None = None
+    """Its images, of cameras at rest, where no plane is found"""
 
     @property
     def at_infinity(self) -> bool:
@@ -74,6 +82,8 @@ class Background:
     @property
     def description(self) -> str:
         """Where it is."""
+        if self.still is not None:
+            return "the same in all images"
         return (
             "at infinity"
             if self.at_infinity
@@ -97,7 +107,26 @@ def find_background(sequence: StereoSequence, rectifier: Rectifier) -> Backgroun
         plane = _far_plane(sequence, rectifier, k)
         if plane is not None:
             planes[k] = plane
-    return _common_background(sequence, rectifier, planes, len(frames))
+    found = _common_background(sequence, rectifier, planes, len(frames))
+    return _still(sequence, rectifier) if found is None else found
+
+
+def _still(sequence: StereoSequence, rectifier: Rectifier) -> Background | None:
+    """The background of cameras at rest, by what stays the same; None: they move, or nothing does."""
+    if sequence.has_ranges or np.abs(sequence.X_NC - sequence.X_NC[0]).max() > AT_REST:
+        return None
+    spread = np.unique(np.linspace(0, len(sequence) - 1, STILL_FRAMES).round().astype(int)).tolist()
+    scale = working_scale(rectifier.rig.width_px)
+    looks: list[list[Image]] = [[], []]
+    for k in spread:
+        raw = sequence.read_pair(k)
+        for side, image in enumerate((raw.left, raw.right)):
+            looks[side].append(reduced_image(rectifier(image, side), scale))
+    shown = [reduced_seen(each, scale) for each in rectifier.seen]
+    left, right = (still_background(each, part) for each, part in zip(looks, shown, strict=True))
+    if not (is_still(looks[0], left, shown[0]) and is_still(looks[1], right, shown[1])):
+        return None
+    return Background(np.zeros(3), (left, right))
 
 
 def _far_plane(sequence: StereoSequence, rectifier: Rectifier, k: int) -> FarPlane | None:
@@ -157,6 +186,12 @@ def find_masks(
             masks[k], quality[k] = found
             tick()
         return _unless_empty(masks, quality)
+    if background.still is not None:
+        by_change = partial(_masks_by_change, sequence, rectifier, background.still)
+        for k, found in zip(frames, in_order(by_change, frames, workers), strict=True):
+            masks[k], quality[k] = found
+            tick()
+        return _unless_empty(masks, quality)
     examine = partial(_first_looks, sequence, rectifier, background)
     finish = partial(_masks_of, sequence, rectifier, background)
     looks: dict[int, FirstLooks] = {}
@@ -187,6 +222,14 @@ def _masks_by_ranges(
 ) -> tuple[tuple[bytes, bytes], MaskQuality]:
     plane = plane_seen_from(background.m_N, rectifier.rig, sequence.X_NC[k] @ rectifier.X_CR)
     layer = near_range_layer(frame_disparity(sequence, rectifier, k), plane)
+    return (encoded(layer.left), encoded(layer.right)), layer.quality
+
+
+def _masks_by_change(
+    sequence: StereoSequence, rectifier: Rectifier, still: tuple[BackgroundImage, BackgroundImage], k: int
+) -> tuple[tuple[bytes, bytes], MaskQuality]:
+    raw = sequence.read_pair(k)
+    layer = changed_layer(rectifier(raw.left, 0), rectifier(raw.right, 1), still, rectifier.seen)
     return (encoded(layer.left), encoded(layer.right)), layer.quality
 
 

@@ -127,7 +127,7 @@ def near_layer(
     there, back = both_ways(small, moved, NEAREST_PX, int(REACH * small.shape[1]))
     by_time = by_time_moved = None
     if behind is not None:
-        by_time, in_right = (_by_time(*each) for each in zip((small, other), behind, strict=True))
+        by_time, in_right = (evidence_of_change(*each) for each in zip((small, other), behind, strict=True))
         by_time_moved = _moved_values(in_right, far)[:, ::-1]
     of_left = _labels(small, moved, there, back, inside, by_time)
     flipped = [np.ascontiguousarray(each[:, ::-1]) for each in (moved, small, back, there, inside)]
@@ -141,7 +141,7 @@ def near_layer(
     )
     plane = FarPlane(plane.a, plane.b, plane.c + offset * scale)
     in_right = _in_right_image(right_target, plane.reduced(scale))
-    return NearLayer(_refined(left, of_left.target, scale), _refined(right, in_right, scale), quality)
+    return NearLayer(refined(left, of_left.target, scale), refined(right, in_right, scale), quality)
 
 
 def _levelled(
@@ -198,8 +198,8 @@ def _labels(
         np.float32(-CERTAIN - 1.0) if by_time is None else np.where(by_time == 0.0, -CERTAIN - 1.0, by_time)
     )
     evidence = np.where(inside, evidence, alone).astype(np.float32)
-    smooth = _guided(image, evidence, 3, 1e-3)
-    return _Labels(large_parts(filled(_outline(image, smooth), evidence)), evidence, far)
+    smooth = guided(image, evidence, 3, 1e-3)
+    return _Labels(large_parts(filled(outline(image, smooth), evidence)), evidence, far)
 
 
 def _evidence(image: Image, other: Image, near: Floats, agrees: Bools) -> tuple[Floats, Floats]:
@@ -248,7 +248,7 @@ def _spread(values: Floats, valid: Bools) -> Floats | None:
     return np.asarray(cv2.blur(table[labels], (9, 9)), dtype=np.float32)
 
 
-def _by_time(image: Image, behind: BackgroundImage) -> Floats:
+def evidence_of_change(image: Image, behind: BackgroundImage) -> Floats:
     """Evidence (h, w) for the target, by what the image shows and the background would; 0: not known."""
     one = image.astype(np.float32)
     variance = np.maximum(_variance(one), _variance(behind.image)) + behind.spread**2
@@ -270,7 +270,7 @@ def _cost(difference: Floats, variance: Floats) -> Floats:
     return np.asarray(np.minimum(cv2.blur(squared, (3, 3)) / 2.0, MAX_COST), dtype=np.float32)
 
 
-def _outline(image: Image, evidence: Floats) -> Bools:
+def outline(image: Image, evidence: Floats) -> Bools:
     """The target (h, w) by GrabCut, from what is certain."""
     target = np.zeros(image.shape, dtype=bool)
     certain = evidence > CERTAIN
@@ -320,7 +320,7 @@ def large_parts(target: Bools) -> Bools:
     return np.isin(labels, 1 + np.flatnonzero(area >= max(25, MIN_PART * area.max())))
 
 
-def _refined(image: Image, target: Bools, scale: int) -> Bools:
+def refined(image: Image, target: Bools, scale: int) -> Bools:
     """A mask of the working size at the full size (H, W), with the outline at the edges of the image."""
     height, width = image.shape
     wide = np.repeat(np.repeat(target.astype(np.float32), scale, axis=0), scale, axis=1)
@@ -328,10 +328,10 @@ def _refined(image: Image, target: Bools, scale: int) -> Bools:
     wide = np.asarray(cv2.copyMakeBorder(wide, 0, after[0], 0, after[1], cv2.BORDER_REPLICATE))
     if scale > 1:
         wide = np.asarray(cv2.blur(wide, (scale + 1 - scale % 2, scale + 1 - scale % 2)))
-    return _guided(image, wide, REFINED_PX, FLAT) >= 0.5
+    return guided(image, wide, REFINED_PX, FLAT) >= 0.5
 
 
-def _guided(image: Image, values: Floats, radius: int, flat: float) -> Floats:
+def guided(image: Image, values: Floats, radius: int, flat: float) -> Floats:
     """Values (h, w) averaged within a radius along the edges of an image (guided filter)."""
     guide, size = image.astype(np.float32) / np.float32(255.0), (2 * radius + 1, 2 * radius + 1)
 
