@@ -1,6 +1,7 @@
 """Calibrations of random rendered rigs: errors of every parameter against their standard deviations.
 
     python -m benchmarks.calibration.random_rigs            50 rigs, half of them fisheyes
+    python -m benchmarks.calibration.random_rigs --stored   the rigs that the record has, nothing measured
     python -m benchmarks.calibration.random_rigs --short    2 rigs, kept in no record
 
 Each rig has lenses, a pose of the right camera and 20 poses of a board that are drawn at random. One in four
@@ -12,14 +13,16 @@ as there are parameters. Of single parameters 95 % should be within two standard
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.stats import chi2
+from tyro.conf import arg
 
 from benchmarks.calibration.board_images import BoardCamera, printed
 from benchmarks.command import RECORDS, Record, Short, Workers, command
 from benchmarks.presentation import markdown_table
-from benchmarks.record import Case, complete
+from benchmarks.record import Case, complete, measured
 from polhode.calibration.adjustment import RigState
 from polhode.calibration.boards import Board, make_board
 from polhode.calibration.calibrate import CalibratedRig, calibrate
@@ -30,6 +33,7 @@ from polhode.lie import Array, exp_so3, log_so3, make_pose, transform_points
 from polhode.progress import Silent
 
 RIGS = 50
+Stored = Annotated[bool, arg(help="Only what the record has.")]
 VIEWS = 20
 SIZES = {"chessboard": ((480, 360), (400, 320)), "charuco": ((720, 540), (600, 480))}
 """Width and height [px] of most images, and of a right camera with other ones. Markers need more pixels."""
@@ -220,13 +224,17 @@ def main(
     rigs: int = RIGS,
     record: Record = RECORDS / "random_rigs.jsonl",
     workers: Workers = 2,
+    stored: Stored = False,
     short: Short = False,
 ) -> None:
     """Measure what the record lacks, and print the table."""
+    cases = [{"rig": rig} for rig in range(rigs)]
     if short:
-        lines = [{"case": {"rig": rig}, **measure({"rig": rig})} for rig in range(2)]
+        lines = [{"case": case, **measure(case)} for case in cases[:2]]
+    elif stored:
+        lines = measured(record, cases)
     else:
-        lines = complete(record, [{"rig": rig} for rig in range(rigs)], measure, workers)
+        lines = complete(record, cases, measure, workers)
     print(summary(lines))
 
 
