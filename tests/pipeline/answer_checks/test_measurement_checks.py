@@ -150,6 +150,7 @@ def test_a_step_of_the_disparities_is_told_from_a_line_and_from_noise() -> None:
     assert not drift.reason and drift.value is not None and 0.5 < drift.value < 3.0
     step = checked(0.05 * t - 1.0 + 0.5 * (t >= 20))
     # the standard error of a step in the middle beside a line: four over the root of the number of values
+    assert step.value is not None
     assert step.value == pytest.approx(0.5 / (4.0 / np.sqrt(2000)), abs=2.0)
     assert (
         "about frame 20" in step.reason or "about frame 19" in step.reason or "about frame 21" in step.reason
