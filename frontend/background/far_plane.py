@@ -113,8 +113,10 @@ def semi_global(left: Image, right: Image, least: int, count: int) -> Floats:
 
 def both_ways(left: Image, right: Image, least: int, count: int) -> tuple[Floats, Floats]:
     """Disparities (H, W) of the left image, and of the right one, whose match is at u + d."""
-    mirrored = [np.ascontiguousarray(image[:, ::-1]) for image in (right, left)]
-    return semi_global(left, right, least, count), semi_global(*mirrored, least, count)[:, ::-1]
+    mirrored = semi_global(
+        np.ascontiguousarray(right[:, ::-1]), np.ascontiguousarray(left[:, ::-1]), least, count
+    )
+    return semi_global(left, right, least, count), mirrored[:, ::-1]
 
 
 def agreeing(left: Floats, right: Floats, tolerance_px: float = 1.0) -> Bools:
@@ -170,15 +172,15 @@ def find_far_plane(
     least = int(np.floor(offset_px / scale)) - 2
     there, back = both_ways(small[0], small[1], least, int(REACH * width) + 2)
     whole = np.ones(left.shape, dtype=bool)
-    shown = [reduced_seen(each, scale) for each in (seen or (whole, whole))]
-    good = agreeing(there, back) & matched_inside(there, *shown)
-    v, u = np.nonzero(good & border_ring(shown[0]) & textured(small[0]))
+    shown, shown_right = (reduced_seen(each, scale) for each in (seen or (whole, whole)))
+    good = agreeing(there, back) & matched_inside(there, shown, shown_right)
+    v, u = np.nonzero(good & border_ring(shown) & textured(small[0]))
     if len(u) < MIN_MATCHES:
         return None
     A, d = np.column_stack([u, v, np.ones(len(u))]).astype(np.float64), there[v, u].astype(np.float64)
     random = np.random.default_rng(0)
     best = np.array([0.0, 0.0, offset_px / scale])
-    most = 1.05 * np.count_nonzero(np.abs(A @ best - d) < INLIER_PX)
+    most = 1.05 * float(np.count_nonzero(np.abs(A @ best - d) < INLIER_PX))
     infinite = True
     for _ in range(TRIALS):
         chosen = random.choice(len(u), 3, replace=False)

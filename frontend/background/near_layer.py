@@ -12,9 +12,11 @@ the edges of the whole image.
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from polhode.frontend.background.background_image import BackgroundImage
 from polhode.frontend.background.far_plane import (
@@ -34,6 +36,8 @@ from polhode.frontend.background.far_plane import (
 from polhode.frontend.found_masks import MaskQuality
 from polhode.frontend.segmentation import sky_level
 from polhode.records import Bools
+
+Values = TypeVar("Values", bound=np.generic)
 
 WORKING_PX = 320
 """Width of the images in which layers are found."""
@@ -130,8 +134,9 @@ def near_layer(
         by_time, in_right = (evidence_of_change(*each) for each in zip((small, other), behind, strict=True))
         by_time_moved = _moved_values(in_right, far)[:, ::-1]
     of_left = _labels(small, moved, there, back, inside, by_time)
-    flipped = [np.ascontiguousarray(each[:, ::-1]) for each in (moved, small, back, there, inside)]
-    of_moved = _labels(*flipped, by_time_moved)
+    of_moved = _labels(
+        _flipped(moved), _flipped(small), _flipped(back), _flipped(there), _flipped(inside), by_time_moved
+    )
     right_target = of_moved.target[:, ::-1]
     quality = MaskQuality(
         area=float(of_left.target.mean()),
@@ -140,8 +145,12 @@ def near_layer(
         far_share=far_share,
     )
     plane = FarPlane(plane.a, plane.b, plane.c + offset * scale)
-    in_right = _in_right_image(right_target, plane.reduced(scale))
-    return NearLayer(refined(left, of_left.target, scale), refined(right, in_right, scale), quality)
+    target_right = _in_right_image(right_target, plane.reduced(scale))
+    return NearLayer(refined(left, of_left.target, scale), refined(right, target_right, scale), quality)
+
+
+def _flipped(image: NDArray[Values]) -> NDArray[Values]:
+    return np.ascontiguousarray(image[:, ::-1])
 
 
 def _levelled(
@@ -292,8 +301,10 @@ def outline(image: Image, evidence: Floats) -> Bools:
     channels = cv2.merge([image[box], smooth[box], third])
     # GrabCut starts from random clusters.
     cv2.setRNGSeed(1)
-    models = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.grabCut(np.ascontiguousarray(channels), labels, None, *models, ITERATIONS, cv2.GC_INIT_WITH_MASK)
+    behind, before, no_box = np.zeros((1, 65)), np.zeros((1, 65)), (0, 0, 0, 0)
+    cv2.grabCut(
+        np.ascontiguousarray(channels), labels, no_box, behind, before, ITERATIONS, cv2.GC_INIT_WITH_MASK
+    )
     target[box] = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
     return target
 
@@ -339,7 +350,8 @@ def guided(image: Image, values: Floats, radius: int, flat: float) -> Floats:
         return np.asarray(cv2.blur(of, size, borderType=cv2.BORDER_REFLECT), dtype=np.float32)
 
     m, v = mean(guide), mean(values)
-    slope = (mean(guide * values) - m * v) / (mean(guide * guide) - m * m + np.float32(flat))
+    variance = mean(guide * guide) - m * m
+    slope = ((mean(guide * values) - m * v) / (variance + np.float32(flat))).astype(np.float32)
     return np.asarray(mean(slope) * guide + mean(v - slope * m), dtype=np.float32)
 
 

@@ -21,7 +21,7 @@ MIN_IN_REGION, MIN_IN_FRAME, MIN_MEANS = 30, 8, 4
 """Observations of a mean that counts, and number of such means."""
 FULL_WEIGHT = 0.1
 """Observations with less weight contradict the motion, and are counted elsewhere."""
-MAX_BY_FRAME, MAX_BY_REGION, MAX_BY_REGION_D, MAX_SLOPE, MAX_STEP = 2.5, 2.0, 3.0, 0.12, 3.3
+MAX_BY_FRAME, MAX_BY_REGION, MAX_BY_REGION_D, MAX_SLOPE, MAX_STEP = 2.5, 2.0, 3.0, 0.12, 4.0
 """Above these the answer is doubted (docs/checks.md)."""
 MIN_BESIDE_STEP = 3
 """Frames on either side of a step."""

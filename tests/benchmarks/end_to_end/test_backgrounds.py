@@ -34,11 +34,11 @@ def test_factors_are_those_of_the_errors() -> None:
 
 
 def test_the_table_has_both_runs_and_their_factor() -> None:
-    rows = rows_of(_line(1.2))
+    rows = [list(row) for row in rows_of(_line(1.2))]
     assert all(len(row) == HEAD.count("|") + 1 for row in rows)
     assert rows[0][:3] == ["earth_behind", "no mask", "0.120"] and rows[0][-2:] == ["3 %", "59 of 60"]
     assert rows[2][1:3] == ["factor", "1.20"]
-    assert rows_of(_line(1.2, None))[2][7] == "-"
+    assert list(rows_of(_line(1.2, None))[2])[7] == "-"
 
 
 def test_figures_above_the_factor_are_named() -> None:

@@ -77,7 +77,7 @@ def test_nothing_is_known_behind_a_target_that_stays() -> None:
 def test_a_background_that_drifts_is_followed() -> None:
     own, others = looks(170.0), []
     for n, u in enumerate((90.0, 130.0, 210.0, 250.0)):
-        shift = np.float32([[1, 0, 2 + n], [0, 1, -1]])
+        shift = np.array([[1.0, 0.0, 2.0 + n], [0.0, 1.0, -1.0]])
         pair = tuple(
             FirstLook(
                 np.asarray(cv2.warpAffine(each.image, shift, (WIDTH, HEIGHT)), dtype=np.uint8),

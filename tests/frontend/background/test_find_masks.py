@@ -6,6 +6,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from polhode.dataset import StereoImages, StereoSequence, open_sequence
 from polhode.frontend.background.far_plane import FarPlane, plane_seen_from
@@ -49,7 +50,7 @@ class Drawn:
         left, right, mask, mask_right = pair_of(self.planes[k], self.far, NEAR, radius_px=self.radius_px)
         return StereoImages(left, right, *((mask, mask_right) if self.masked else (None, None)))
 
-    def read_left(self, k: int) -> tuple[Array, Bools | None]:
+    def read_left(self, k: int) -> tuple[NDArray[np.uint8], Bools | None]:
         pair = self.read_pair(k)
         return pair.left, pair.mask_left
 

@@ -22,7 +22,7 @@ DISPARITY_PX = 40.0
 
 def column(k: int) -> float:
     """Of the disk in the left image."""
-    return 160.0 + 60.0 * np.cos(2.0 * np.pi * k / FRAMES)
+    return float(160.0 + 60.0 * np.cos(2.0 * np.pi * k / FRAMES))
 
 
 def image(k: int, side: int, plain: bool = True, exposure: float = 1.0) -> tuple[Image, Bools]:
