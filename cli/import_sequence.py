@@ -10,13 +10,6 @@ from tyro.conf import Positional, arg
 from polhode.cli.console import choose_progress
 from polhode.cli.options import Debug, Flag
 from polhode.errors import InputError
-from polhode.range_images import (
-    MAX_GROWTH_PER_M,
-    MAX_SCALE_M,
-    MAX_SIGMA_M,
-    MIN_SCALE_M,
-    MIN_SIGMA_M,
-)
 
 MAX_TIME_S = 1e9
 
@@ -117,6 +110,8 @@ class ImportCommand:
         return 0
 
     def _require_ranges(self) -> None:
+        from polhode.range_images import MAX_GROWTH_PER_M, MAX_SCALE_M, MAX_SIGMA_M, MIN_SCALE_M, MIN_SIGMA_M
+
         for name in ("rate_hz", "tolerance_s", "offset_s", "start"):
             value, option = getattr(self, name), f"--{name.replace('_', '-')}"
             if value is not None and not (math.isfinite(value) and abs(value) <= MAX_TIME_S):

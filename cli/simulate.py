@@ -44,6 +44,6 @@ class SimulateCommand:
         write_sequence(
             plan, self.output, choose_progress(), worker_count(self.values.runtime.workers), self.overwrite
         )
-        kind = "stereo pairs" if self.values.scene.range_sensor is None else "images with ranges"
+        kind = "stereo pairs" if self.values.scene.ranges is None else "images with ranges"
         print(f"{len(plan.frames)} {kind} with truth: {self.output}")
         return 0

@@ -154,7 +154,12 @@ def consistency_row(line: Case) -> Row:
 def as_sequence(source: Path, folder: Path, sensor: RangeSensor) -> None:
     """Copy the left images of a simulated sequence, with ranges of this sensor in the place of all else."""
     scene, seed = load_scene(source / "scene.yaml")
-    plan = plan_sequence(Scene.model_validate(scene.model_dump() | {"range_sensor": sensor}), seed)
+    plan = plan_sequence(
+        Scene.model_validate(
+            scene.model_dump() | {"range_sensor": sensor.model_copy(update={"enabled": True})}
+        ),
+        seed,
+    )
     stamps = plan.target.timestamps_ns[list(plan.frames)]
     staged = folder.with_name(f".{folder.name}.partial")
     shutil.rmtree(staged, ignore_errors=True)

@@ -256,6 +256,8 @@ class Rig(Section):
 class RangeSensor(Section):
     """Range images beside the left camera's images, in the place of the right camera (flash LIDAR, RGB-D)."""
 
+    enabled: bool = False
+    """Make range images."""
     sigma_m: float = Field(0.003, ge=1e-6, le=1e3)
     """Standard deviation of the depth of a pixel, at no distance [m]."""
     growth_per_m: float = Field(0.0, ge=0, le=1e3)
@@ -401,8 +403,8 @@ class Scene(Section):
     mass: Mass = Mass()
     motion: Motion = Motion()
     rig: Rig = Rig()
-    range_sensor: RangeSensor | None = None
-    """A range sensor in the place of the right camera; null: a stereo pair."""
+    range_sensor: RangeSensor = RangeSensor()
+    """A range sensor in the place of the right camera, if enabled."""
     inspector: Inspector = Inspector()
     light: Light = Light()
     background: Background = Background()
@@ -419,6 +421,11 @@ class Scene(Section):
             if not any(vector):
                 raise ValueError(f"{name} is zero: give a direction")
         return self
+
+    @property
+    def ranges(self) -> RangeSensor | None:
+        """The range sensor; None: a stereo pair."""
+        return self.range_sensor if self.range_sensor.enabled else None
 
     @property
     def duration_s(self) -> float:

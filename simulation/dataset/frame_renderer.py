@@ -54,7 +54,7 @@ class FrameRenderer:
 
     def render_range(self, k: int) -> NDArray[np.uint16]:
         """Range image of frame k as stored, of a scene with a range sensor."""
-        plan, sensor = self._plan, self._plan.scene.range_sensor
+        plan, sensor = self._plan, self._plan.scene.ranges
         assert sensor is not None
         camera, rng = plan.cameras[0], np.random.default_rng([plan.seed, 0x4, k])
         X_NK = plan.X_NC[k] @ camera.X_CK
@@ -67,7 +67,7 @@ class FrameRenderer:
         products on request."""
         plan, asked = self._plan, self._plan.scene.render
         stamp = int(plan.target.timestamps_ns[k])
-        if plan.scene.range_sensor is not None:
+        if plan.scene.ranges is not None:
             write_png(image_path(mav0 / RANGE_FOLDER, stamp), self.render_range(k))
         for index, camera in enumerate(plan.recording_cameras):
             image, picture = self.render_image(k, index)

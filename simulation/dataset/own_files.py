@@ -73,11 +73,11 @@ def _on_request(scene: Scene) -> dict[str, bool]:
     """Folders that not every scene has, and whether this one has them."""
     return {
         "masks0": scene.render.masks,
-        "masks1": scene.render.masks and scene.range_sensor is None,
+        "masks1": scene.render.masks and scene.ranges is None,
         "truth0": bool(scene.render.products),
-        "truth1": bool(scene.render.products) and scene.range_sensor is None,
-        "cam1": scene.range_sensor is None,
-        "range0": scene.range_sensor is not None,
+        "truth1": bool(scene.render.products) and scene.ranges is None,
+        "cam1": scene.ranges is None,
+        "range0": scene.ranges is not None,
         "inspector0": scene.inspector.moves and scene.inspector.reported,
         "wrench0": bool(scene.motion.pushes) and scene.motion.pushes_known,
     }

@@ -46,7 +46,7 @@ class SequencePlan:
     @property
     def recording_cameras(self) -> tuple[Camera, ...]:
         """Those whose images are written: the left one alone, if a range sensor replaces the right one."""
-        return self.cameras if self.scene.range_sensor is None else self.cameras[:1]
+        return self.cameras if self.scene.ranges is None else self.cameras[:1]
 
     @property
     def X_NC(self) -> Array:
@@ -92,7 +92,7 @@ def plan_sequence(scene: Scene, seed: int) -> SequencePlan:
 
 def _require_within_range(plan: SequencePlan) -> None:
     """Raise InputError if the target is never near enough for the 16 bits of the range images."""
-    sensor = plan.scene.range_sensor
+    sensor = plan.scene.ranges
     if sensor is None:
         return
     centre_G = np.asarray(plan.body.mesh.bounds).mean(axis=0)

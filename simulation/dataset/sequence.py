@@ -129,7 +129,7 @@ def write_estimator_inputs(plan: SequencePlan, mav0: Path) -> None:
             fisheye=camera.fisheye,
         )
         write_camera_csv(path, all_ns[list(plan.frames)])
-    if (ranges := scene.range_sensor) is not None:
+    if (ranges := scene.ranges) is not None:
         write_range_sensor(mav0 / RANGE_FOLDER, ranges.scale_m, ranges.sigma_m, ranges.growth_per_m)
         write_camera_csv(mav0 / RANGE_FOLDER, all_ns[list(plan.frames)])
     if (known := known_wrench(scene.motion, plan.target.timestamps_ns)) is not None:

@@ -47,7 +47,7 @@ def run_arguments(config: Path, data: Path, output: Path, *more: str) -> list[st
 
 
 BAD_USAGE: dict[str, tuple[list[str], str]] = {
-    "nothing": ([], "a command is missing: simulate, run, evaluate"),
+    "nothing": ([], "a command is missing: simulate, calibrate, checkout, run, evaluate"),
     "unknown command": (["rnu"], "unknown command 'rnu'; did you mean run?"),
     "no arguments": (["run"], "Missing from polhode run: --data SEQ"),
     "no output": (["run", "c.yaml", "--data", "S"], "-o RUN, --output RUN"),

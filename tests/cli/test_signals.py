@@ -17,6 +17,9 @@ Capture = pytest.CaptureFixture[str]
 ENDING = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 WORDS: dict[str, list[str]] = {
     "simulate": ["C", "-o", "S"],
+    "calibrate": ["C", "-o", "D", "--board", "9x6", "--square-mm", "20"],
+    "checkout": ["S", "-o", "D"],
+    "import": ["C", "-o", "S"],
     "run": ["C", "--data", "S", "-o", "R"],
     "evaluate": ["R", "S"],
     "compare": ["C", "-o", "D"],

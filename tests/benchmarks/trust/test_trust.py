@@ -17,7 +17,7 @@ from polhode.simulation.dataset.plan import plan_sequence
 
 
 def test_there_are_enough_scenes() -> None:
-    assert len(CONFIGS) == 16 and len(KINDS) >= 8 and len(BODIES) >= 20
+    assert len(CONFIGS) == 19 and len(KINDS) >= 8 and len(BODIES) >= 20
     for group, names in SHORT.items():
         assert set(names) <= set(GROUPS[group])
 

@@ -94,7 +94,7 @@ def scene(**changes: object) -> Scene:
             "motion": {"position_m": [0.0, 0.0, 0.8]},
             "rig": {"width_px": 96, "height_px": 72, "focal_px": 90.0, "distortion": [-0.1, 0.01, 0.0, 0.0]},
             "render": {"samples": 1, "bounces": 0},
-            "range_sensor": sensor.model_dump(),
+            "range_sensor": sensor.model_dump() | {"enabled": True},
             **changes,
         }
     )
@@ -148,4 +148,4 @@ def test_a_wall_behind_the_target_is_measured_and_masks_are_found_before_it(tmp_
 
 def test_a_target_beyond_the_ranges_that_16_bits_hold_is_refused() -> None:
     with pytest.raises(InputError, match=r"scale_m: 1e-06 m makes ranges up to 0.0655 m, the target is"):
-        plan_sequence(scene(range_sensor={"scale_m": 1e-6}), 3)
+        plan_sequence(scene(range_sensor={"enabled": True, "scale_m": 1e-6}), 3)
