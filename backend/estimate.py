@@ -230,7 +230,8 @@ def _estimate(
         solution = ended.solution
         advance()
         full = kept.expand(ended.iterate, iterate)
-        estimate = assemble(tracks, data, kept, full, found.scales, initial, config.light_px)
+        errors = (config.correlated_errors, config.light_px)
+        estimate = assemble(tracks, data, kept, full, found.scales, initial, *errors)
         advance()
     trials, best = found.trials, found.choice.name
     runner_up = {name: trial.cost - trials[best].cost for name, trial in trials.items() if name != best}

@@ -47,7 +47,8 @@ def estimate_part(
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             known = InitialMotion(X_RG, np.ones(len(frames), dtype=np.bool_))
             found, _ = problem.solved()
-            return assemble(problem.tracks, data, everything, found, problem.scales, known, light_px=None)
+            own = "drift" if config.correlated_errors == "slide" else config.correlated_errors
+            return assemble(problem.tracks, data, everything, found, problem.scales, known, own, 0.0)
     except LinAlgError:
         return None
 

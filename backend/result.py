@@ -5,6 +5,7 @@ import numpy as np
 from polhode.backend.dynamics.residuals import FrameStates
 from polhode.backend.initialization.rates import FAST_HINT
 from polhode.backend.outliers_and_noise.correlated_noise import (
+    KINDS,
     CorrelatedNoise,
     measure_correlation,
     turns_between,
@@ -37,6 +38,7 @@ from polhode.backend.uncertainty.principal_axes import (
 )
 from polhode.backend.wrenches.known_wrench import with_absolute_scale
 from polhode.backend.wrenches.unknown_wrench import describe_impulse, estimate_impulses
+from polhode.config.backend_settings import CorrelatedErrors
 from polhode.lie import Array, make_pose
 from polhode.records import (
     Bools,
@@ -60,12 +62,13 @@ def assemble(
     iterate: Iterate,
     scales: NoiseScales,
     initial: InitialMotion,
-    light_px: float | None,
+    correlated_errors: CorrelatedErrors,
+    light_px: float,
 ) -> MotionEstimate:
     """The estimate at the solution ``iterate`` of the whole data, with covariances of the pruned problem.
 
-    light_px: standard deviation of a slide of all landmarks, besides what is measured; None: errors that all
-    landmarks share are left out, as parts that are compared share them.
+    correlated_errors, light_px: as in the configuration. Errors that all landmarks share (slide) are left out
+    where parts are compared, which share them.
     """
     all_residuals = whitened_residuals(data, iterate)
     weight = np.where(
@@ -74,7 +77,7 @@ def assemble(
     small = kept.restrict(iterate)
     solver, fixed, x = GaussNewton(kept.data), linearization_point(kept.data, small), small.vector()
     s = np.sum(all_residuals[kept.observations] ** 2, axis=1)
-    correlated, errors = _dependent_errors(solver, fixed, x, light_px)
+    correlated, errors = _dependent_errors(solver, fixed, x, correlated_errors, light_px)
     m = marginals(solver, fixed, x, robust_information(s, data.robust_scale), errors)
     derivative = axes_derivative(data.form, iterate)
     R_GP = derivative.R_GP
@@ -121,9 +124,11 @@ def assemble(
 
 
 def _dependent_errors(
-    solver: GaussNewton, fixed: LinearizationPoint, x: Array, light_px: float | None
+    solver: GaussNewton, fixed: LinearizationPoint, x: Array, known: CorrelatedErrors, light_px: float
 ) -> tuple[CorrelatedNoise | None, DependentErrors | None]:
-    """How the errors of the observations depend on one another, from the residuals; None: too few."""
+    """How the errors of the observations depend on one another, from the residuals, and what of it is
+    ``known`` to the covariance. None: too few observations, or nothing.
+    """
     residuals, (R_RG, _, _) = solver.residuals(fixed, x)
     to_landmark = observation_jacobians(solver, fixed, x)[1]
     iterate = fixed.reference.moved_to(x)
@@ -131,10 +136,16 @@ def _dependent_errors(
     found = measure_correlation(solver.data, residuals, to_landmark, turn_rad)
     if found is None:
         return None, None
+    if known == "none":
+        return found, None
     drift_px = found.slow / float(np.median(solver.data.inv_sigma[:, 0]))
-    slide_px = 0.0 if light_px is None else float(np.hypot(light_px, drift_px))
+    slide_px = float(np.hypot(light_px, drift_px)) if known == "slide" else 0.0
     common = common_slide(solver.data, iterate, to_landmark, slide_px)
-    return found, DependentErrors(found.variance(solver.data), found.drift_between(turn_rad), common)
+    variance, drift = found.variance(solver.data), found.drift_between(turn_rad)
+    if known == "neighbours":
+        # the drift as well is taken as independent between frames
+        variance, drift = variance + found.drifting.sum(axis=1)[KINDS], np.zeros_like(drift)
+    return found, DependentErrors(variance, drift, common)
 
 
 def _state_covariances(

@@ -49,6 +49,9 @@ class Benchmark:
     needs: tuple[str, ...] = ()
     """Folders (with a slash) and Python packages without which it is skipped"""
 
+    also: str = ""
+    """Another topic that it belongs to"""
+
     @property
     def topic(self) -> str:
         """The folder of the module."""
@@ -88,10 +91,12 @@ _TEMPLE = "../shared/data/photographs/temple"
 _VISP = ("/usr/include/visp3",)
 
 
-def _of_runs(name: str, module: str, page: str, minutes: float, runs: str, more: str = "") -> Benchmark:
+def _of_runs(
+    name: str, module: str, page: str, minutes: float, runs: str, more: str = "", also: str = ""
+) -> Benchmark:
     """A benchmark of stored runs or sequences, which has no small version."""
     needs = tuple(word for pair in runs.split() for word in pair.split(":"))
-    return Benchmark(name, module, page, minutes, f"{runs} {more}", None, needs)
+    return Benchmark(name, module, page, minutes, f"{runs} {more}", None, needs, also)
 
 
 BENCHMARKS = (
@@ -117,7 +122,7 @@ BENCHMARKS = (
     Benchmark("disparity", "frontend.disparity", "docs/depth.md", 60),
     Benchmark("masks", "frontend.masks", "docs/masks.md", 3),
     _of_runs("mesh_quality", "mapping.mesh_quality", "docs/mapping.md", 20, _SURFACES),
-    _of_runs("mesh_sigma", "mapping.mesh_sigma", "docs/mapping.md", 5, _WITH_TRUTH),
+    _of_runs("mesh_sigma", "mapping.mesh_sigma", "docs/mapping.md", 5, _WITH_TRUTH, also="trust"),
     Benchmark("lengths", "mapping.lengths", "docs/mapping.md", 1, short=None, needs=_TS38),
     Benchmark("fusion_peers", "mapping.fusion_peers", "docs/mapping.md", 40, needs=tuple(_SURFACES.split())),
     Benchmark("fusion_scale", "mapping.fusion_scale", "docs/mapping.md", 10),
@@ -130,7 +135,7 @@ BENCHMARKS = (
     _of_runs("runs_by_solver", "solvers.runs_by_solver", "docs/backend.md", 10, _BY_SOLVER),
     Benchmark("compare", "solvers.compare", "docs/compare.md", 180),
     Benchmark("pose_graph", "solvers.pose_graph", "docs/architecture.md", 2, needs=("gtsam",)),
-    Benchmark("intervals", "intervals.truth_inside", "docs/run_directory.md", 10),
+    Benchmark("intervals", "intervals.truth_inside", "docs/run_directory.md", 10, also="trust"),
     Benchmark("same_run", "importers.same_run", "docs/import.md", 6, needs=("av", "rosbags")),
     Benchmark("clock_offset", "importers.clock_offset", "docs/import.md", 15),
     Benchmark("rounding", "monte_carlo.rounding", "", 20),
@@ -168,8 +173,10 @@ BENCHMARKS = (
     Benchmark("leaks_images", "robustness.leaks", "docs/testing.md", 20, "images", "images --short"),
     Benchmark("faults", "robustness.data_faults", "docs/robustness.md", 240),
     Benchmark("measurement_faults", "robustness.measurement_faults", "docs/checks.md", 60),
-    Benchmark("verdict", "robustness.verdict", "docs/checks.md", 1, "-o runs/verdict.png", None),
+    Benchmark("verdict", "robustness.verdict", "docs/checks.md", 1, "-o runs/verdict.png", None,
+              also="trust"),
     Benchmark("trust", "trust.trust", "docs/trust.md", 240),
+    Benchmark("error_models", "trust.error_models", "docs/trust.md", 60),
     Benchmark("mutation", "mutation.catch", "docs/testing.md", 30, short=None),
 )  # fmt: skip
 """The scenes come first: they make the runs that others need."""
@@ -180,12 +187,12 @@ def chosen(words: tuple[str, ...]) -> list[Benchmark]:
 
     Raises SystemExit for a word that is neither.
     """
-    known = {word for each in BENCHMARKS for word in (each.name, each.topic)}
+    known = {word for each in BENCHMARKS for word in (each.name, each.topic, each.also) if word}
     for word in words:
         if word not in known:
             topics = ", ".join(dict.fromkeys(each.topic for each in BENCHMARKS))
             raise SystemExit(f"{word}: no such benchmark; the topics are {topics}; --list shows the names")
-    return [each for each in BENCHMARKS if not words or {each.name, each.topic} & set(words)]
+    return [each for each in BENCHMARKS if not words or {each.name, each.topic, each.also} & set(words)]
 
 
 def code_of(module: str) -> tuple[str, ...]:

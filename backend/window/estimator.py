@@ -185,8 +185,9 @@ def estimate_online(tracks: StereoTracks, config: Backend, progress: Progress) -
             seconds.append(perf_counter() - begin)
             advance()
     _log.info("window: median %.0f ms a frame, %.1f s in all", 1e3 * np.median(seconds), sum(seconds))
+    light_px = config.light_px if config.correlated_errors == "slide" else 0.0
     online = online_with_systematic(
-        stack_states(states), tracks, config.systematic_px, config.light_px, config.focal_error
+        stack_states(states), tracks, config.systematic_px, light_px, config.focal_error
     )
     return online if tracks.wrench is None else without_claims_after_torques(online, tracks.wrench)
 

@@ -64,6 +64,9 @@ class Bounds(Section):
         return self
 
 
+CorrelatedErrors = Literal["none", "neighbours", "drift", "slide"]
+
+
 class Backend(Section):
     """Measurements to motion and mass properties."""
 
@@ -86,6 +89,9 @@ class Backend(Section):
     focal_error: float = Field(0.0, ge=0.0, le=0.1)
     """Standard deviation of the focal length, relative: the target is nearer or farther by this share of its
     distance. ``polhode calibrate`` states it; 0: as calibrated. Increases the sigma of position."""
+    correlated_errors: CorrelatedErrors = "slide"
+    """What the covariance knows of errors that depend on one another, each with those before it: nothing,
+    those of neighbours in one image, a drift of each landmark, a slide of all of them (light_px)."""
     light_px: Pixels = 0.12
     """Standard deviation of a slide of all features along the surface, in a direction that is as fixed as the
     Sun's, seen from the median distance [px]; the slow drift that is measured of single features is added.

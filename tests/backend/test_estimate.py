@@ -12,7 +12,7 @@ from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.solve import refine
-from polhode.config.backend_settings import Backend
+from polhode.config.backend_settings import Backend, CorrelatedErrors
 from polhode.errors import RunFailure
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
 from polhode.progress import Silent
@@ -36,6 +36,26 @@ def run(sequence: SyntheticSequence, config: Backend = FAST) -> MotionEstimate:
     return estimate_motion(
         sequence.tracks, initialize_motion(sequence.tracks, sequence.relative, config), config, Silent()
     )
+
+
+def test_what_the_covariance_knows_of_correlated_errors_changes_sigmas_alone() -> None:
+    sequence = generate(replace(TUMBLE, sigma_uv_px=0.2, sigma_d_px=0.2), 3)
+    kinds: tuple[CorrelatedErrors, ...] = ("none", "neighbours", "drift", "slide")
+    found = [run(sequence, FAST.model_copy(update={"correlated_errors": k, "light_px": 0.3})) for k in kinds]
+    for other in found[1:]:
+        np.testing.assert_array_equal(other.r_N, found[0].r_N)
+    position, rate = (
+        np.array([np.sqrt(np.diagonal(each.covariance, axis1=1, axis2=2)[:, at].mean()) for each in found])
+        for at in (slice(0, 3), slice(9, 12))
+    )
+    # the errors of this sequence are independent: only the slide, which no data show, adds to the sigmas
+    for sigmas in (position, rate):
+        np.testing.assert_allclose(sigmas[1:3], sigmas[0], rtol=0.25)
+        assert sigmas[3] > 1.05 * sigmas[2]
+    without_light = run(sequence, FAST.model_copy(update={"light_px": 0.0}))
+    drift_alone = FAST.model_copy(update={"correlated_errors": "drift", "light_px": 0.3})
+    assert np.trace(without_light.covariance[-1]) < np.trace(found[3].covariance[-1])
+    np.testing.assert_array_equal(run(sequence, drift_alone).covariance, found[2].covariance)
 
 
 def state_errors(sequence: SyntheticSequence, estimate: MotionEstimate) -> Array:

@@ -9,6 +9,8 @@ import pytest
 from benchmarks.robustness.judge import Errors
 from benchmarks.trust.cases import CONFIGS, GROUPS, SHORT, scene_of
 from benchmarks.trust.consistency import band, entry_of, holds, pooled
+from benchmarks.trust.error_models import MODELS
+from benchmarks.trust.error_models import print_tables as print_models
 from benchmarks.trust.judgement import OUTCOMES, spin_outcome
 from benchmarks.trust.new_scenes import KINDS, new_scene
 from benchmarks.trust.revolution import BODIES, SHAPES, SURFACES, body_scene, painted, turned
@@ -132,3 +134,18 @@ def test_the_tables_show_what_holds_and_what_does_not(capsys: pytest.CaptureFixt
     assert "Checks: 4.0 % of the time of 3 runs" in out
     assert "| d | 12.0 | 11.000 | 0.100 | degraded | not found, and said so | marks |" in out
     assert "1 found, ok, 0 found, but doubted, 1 not found, and said so, 0 not found, and ok" in out
+
+
+def test_error_models_are_pooled_and_the_worst_quantity_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    entries = {"position": {"nees": 6.0, "expected": 3.0, "inside": 90, "total": 100},
+               "rate": {"nees": 3.0, "expected": 3.0, "inside": 100, "total": 100}}  # fmt: skip
+    calm = {"position": {"nees": 3.0, "expected": 3.0, "inside": 100, "total": 100}}
+    rows: list[dict[str, Any]] = [
+        {"case": {"group": "new", "name": "glitter", "draw": 2}, "models": dict.fromkeys(MODELS, entries)},
+        {"case": {"group": "configs", "name": "ts38"}, "models": dict.fromkeys(MODELS, calm)},
+        {"case": {"group": "configs", "name": "asteroid"}, "models": {}, "failure": "no motion"},
+    ]
+    print_models(rows)
+    printed = capsys.readouterr().out
+    assert "No motion is found: asteroid" in printed and "2 scenes" in printed
+    assert "| glitter 2 |" in printed and "2.00 position" in printed and "**1.50 to 2.41 (95.0)**" in printed
