@@ -34,6 +34,7 @@ from polhode.mesh_metrics import SAMPLES, compare_surfaces, sample_surface
 from polhode.metrics import (
     COVERAGE,
     COVERAGE_CONSTANTS,
+    IN_INTERVAL,
     NEES,
     States,
     angle_deg,
@@ -138,7 +139,7 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
     metrics[NEES] |= of_mass[0]
     metrics[COVERAGE_CONSTANTS] = of_mass[1]
     if summary.intervals is not None:
-        metrics["truth_in_interval"] = _truth_in_intervals(
+        metrics[IN_INTERVAL] = _truth_in_intervals(
             summary,
             summary.intervals,
             truth,
@@ -342,6 +343,8 @@ def format_table(metrics: Metrics) -> str:
 
 
 def _expected(group: str, name: str) -> str:
+    if group == IN_INTERVAL:
+        return "True"
     found = expected_range(group, name)
     return "" if found is None else f"{found[0]:.2g} to {found[1]:.3g}"
 

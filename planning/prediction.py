@@ -328,7 +328,7 @@ def _integrate(
 
 MEMBERS_AT_ONCE = 250
 MAX_DRAWS = 30
-"""Times that a member is drawn at most; one that is out of the range still stays, on the side of caution."""
+"""Times that a member is drawn at most; one that is out of the range still is put to its end."""
 
 
 @dataclass(frozen=True)
@@ -423,7 +423,9 @@ def draw_ensemble(estimate: FinalEstimate, time_s: Array, count: int, seed: int)
 
 
 def _draw_in_range(estimate: FinalEstimate, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """As ``draw_deviations``; members with a centre of mass out of its range are drawn again."""
+    """As ``draw_deviations``; members with a centre of mass out of its range are drawn again, and after
+    ``MAX_DRAWS`` put to its end.
+    """
     deviation, J = draw_deviations(estimate.last, rng.normal(size=(count, 20)))
     if estimate.com_range_G is None:
         return deviation, J
@@ -433,6 +435,7 @@ def _draw_in_range(estimate: FinalEstimate, count: int, rng: np.random.Generator
         if len(outside) == 0:
             break
         deviation[outside], J[outside] = draw_deviations(estimate.last, rng.normal(size=(len(outside), 20)))
+    deviation[:, 17:20] = np.clip(deviation[:, 17:20], low, high)
     return deviation, J
 
 

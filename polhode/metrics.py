@@ -24,6 +24,8 @@ COMPONENTS = {
 """Of each quantity with a NEES and a coverage."""
 NEES, COVERAGE, COVERAGE_CONSTANTS = "nees", "coverage_3sigma", "coverage_3sigma_constants"
 """Groups of the metrics of a run that have an expected range"""
+IN_INTERVAL = "truth_in_interval"
+"""Group of the metrics that are expected to be true"""
 MESH = "mesh"
 MESH_SHARES = {"within_one_sigma": (0.63, 0.73), "within_three_sigma": (0.98, 1.0)}
 """Of the vertices: Gaussian errors would give 0.683 and 0.997"""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from polhode.lie import Array
-from polhode.metrics import expected_range
+from polhode.metrics import IN_INTERVAL, expected_range
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
 from polhode.pipeline.run_directory.summary_schema import Assumed, Intervals, IpoptSummary, Summary
 from polhode.pipeline.run_directory.trajectory_file import Trajectory
@@ -311,6 +311,8 @@ def metric_rows(metrics: dict[str, Any]) -> list[TableRow]:
                 if expected is not None and part is not None:
                     words = f"expected {expected[0]:.2g} to {expected[1]:.3g}"
                     holds = expected[0] <= part <= expected[1]
+                elif key == IN_INTERVAL:
+                    words, holds = "expected True", bool(part)
                 rows.append(
                     TableRow(f"{_plain(key)}: {_member(row.name)}", row.value, words, determined=holds)
                 )

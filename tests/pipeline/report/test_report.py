@@ -342,6 +342,7 @@ def test_nees_and_coverage_stand_beside_what_is_expected() -> None:
         "nees": {"position": 3.0, "inertia": 15.4, "axes": None},
         "coverage_3sigma": {"velocity": 0.95},
         "coverage_3sigma_constants": {"com": 1.0},
+        "truth_in_interval": {"k1": True, "k2": False},
     }
     assert [(row.name, row.unit, row.determined) for row in metric_rows(metrics)] == [
         ("NEES: position", "expected 0.22 to 9.35", True),
@@ -349,6 +350,8 @@ def test_nees_and_coverage_stand_beside_what_is_expected() -> None:
         ("NEES: axes", "", True),
         ("coverage 3sigma: velocity", "expected 0.99 to 1", False),
         ("coverage 3sigma constants: com", "expected 0.99 to 1", True),
+        ("truth in interval: k1", "expected True", True),
+        ("truth in interval: k2", "expected True", False),
     ]
 
 
