@@ -12,9 +12,8 @@ from polhode.config import Config
 from polhode.frontend.extract import extract_depth
 from polhode.lie import transform_points
 from polhode.mapping.fusion.field import fuse
-from polhode.pipeline.answer_checks.check_answer import check_answer
+from polhode.pipeline.answer_checks.check_answer import check_answer, check_surface
 from polhode.pipeline.answer_checks.image_motion import ImageMotion
-from polhode.pipeline.answer_checks.mesh_check import mesh_check
 from polhode.pipeline.checkout.checkout import warn_before_run
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.correspondences import match_frames
@@ -105,7 +104,8 @@ def run(
             sun_N = None if sun is None or sun.sigma_deg is None else np.array(sun.direction_N)
             doubts = images.checks(float(np.median(np.diff(tracks.time_s))))
             doubts += check_answer(tracks, estimate, solution.links, config.backend, online, sun_N)
-            doubts.append(mesh_check(shape.physics))
+            shown = (context.sequence, context.rectifier, tracks, estimate, surface.mesh)
+            doubts += check_surface(*shown, shape.physics, sun_N)
         # the images were compared while the depth maps passed to the fusion
         clock.seconds["checks"] += images.seconds
         clock.seconds["fusion"] -= images.seconds

@@ -4,6 +4,7 @@ In: the solution, depth maps and images. Out: checks, each with its value, limit
 
 - check_answer: all but that of the images, one after the other
 - image_motion: whether the images move as the motion says
+- model_check: whether the surface, moved by the motion, looks like the images
 - symmetry_turn: whether they show the turn of a body of revolution about its axis
 - parts_check: forward prediction, halves of the landmarks, outline and interior, solved apart
 - agreement: how far two estimates differ, in sigmas

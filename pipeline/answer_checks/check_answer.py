@@ -1,20 +1,25 @@
 """All checks of the answer by its measurements, one after the other (docs/checks.md)."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
+import trimesh
 
 from polhode.config.backend_settings import Backend
+from polhode.dataset import StereoSequence
+from polhode.frontend.rectification import Rectifier
 from polhode.lie import Array, inverse_pose
 from polhode.pipeline.answer_checks.links_check import links_check
+from polhode.pipeline.answer_checks.mesh_check import mesh_check
+from polhode.pipeline.answer_checks.model_check import model_check
 from polhode.pipeline.answer_checks.parts_check import parts_checks
 from polhode.pipeline.answer_checks.push_check import push_check
 from polhode.pipeline.answer_checks.residual_check import residual_checks
 from polhode.pipeline.answer_checks.sun_check import sun_check
 from polhode.pipeline.answer_checks.twins_check import twins_checks
 from polhode.pipeline.answer_checks.window_check import window_check
-from polhode.pipeline.run_directory.summary_schema import Check, not_made
+from polhode.pipeline.run_directory.summary_schema import Check, Physics, not_made
 from polhode.records import MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks
 
 _log = logging.getLogger(__name__)
@@ -43,6 +48,26 @@ def check_answer(
         lambda: [push_check(estimate)],
         lambda: [window_check(online, estimate)],
     )
+    return _made(steps)
+
+
+def check_surface(
+    sequence: StereoSequence,
+    rectifier: Rectifier,
+    tracks: StereoTracks,
+    estimate: MotionEstimate,
+    mesh: trimesh.Trimesh,
+    physics: Physics | None,
+    sun_N: Array | None,
+) -> list[Check]:
+    """Doubts about the motion found, from the surface that it gives; as ``check_answer``."""
+    return _made((
+        lambda: [mesh_check(physics)],
+        lambda: [model_check(sequence, rectifier, tracks, estimate, mesh, sun_N)],
+    ))  # fmt: skip
+
+
+def _made(steps: Iterable[Callable[[], list[Check]]]) -> list[Check]:
     found: list[Check] = []
     for step in steps:
         try:

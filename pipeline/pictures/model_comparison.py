@@ -32,6 +32,8 @@ MAX_PIXELS = 256
 MARGIN = 1.12
 """Edge of the window over what the model needs in any frame."""
 _MAX_VERTICES = 3000
+OTHER_LIGHT = 0.03
+"""Light that reaches the target from elsewhere, over the Sun's."""
 
 
 @dataclass(frozen=True)
@@ -97,8 +99,13 @@ def compare_frames(
     mesh: trimesh.Trimesh,
     viewer: MeshViewer,
     frames: list[int],
+    sun_N: Array | None = None,
 ) -> Iterator[FrameComparison]:
-    """The model beside the image, frame by frame. ``viewer`` looks at ``mesh``, which has faces."""
+    """The model beside the image, frame by frame. ``viewer`` looks at ``mesh``, which has faces.
+
+    With sun_N (3,), the unit vector towards the Sun, the brightness of the mesh is taken as its albedo and
+    shaded by Lambert's law.
+    """
     rig = rectifier.rig
     brightness = vertex_rgb(mesh).astype(np.float64).mean(axis=1)
     X_RG = inverse_pose(tracks.X_NR) @ estimate.X_NG
@@ -111,6 +118,9 @@ def compare_frames(
         inside = ((v >= 0) & (v <= rig.height_px - 1))[:, None] & ((u >= 0) & (u <= rig.width_px - 1))
         modelled = view.hit & inside
         model = np.where(modelled, view.values(brightness), 0.0)
+        if sun_N is not None:
+            normals_G = view.values(np.asarray(mesh.vertex_normals))
+            model *= OTHER_LIGHT + (normals_G @ (estimate.X_NG[k, :3, :3].T @ sun_N)).clip(0.0, 1.0)
         fit = fit_brightness(image[seen & modelled], model[seen & modelled])
         time_s = float(tracks.time_s[k])
         yield FrameComparison(k, time_s, bool(measured[k]), image, model, seen, modelled, *fit)
