@@ -1,9 +1,20 @@
-"""The sample through each format and back: are the bytes of its run the same?
+"""The sample through each format and back: is its run the same, byte by byte?
 
-python -m benchmarks.importers.same_run            pixels, times and calibration of all formats; runs of some
-python -m benchmarks.importers.same_run --all      a run for every format
+    python -m benchmarks.importers.same_run            all formats
+    python -m benchmarks.importers.same_run --stored   what the record has, nothing measured
+    python -m benchmarks.importers.same_run --short    two imports without a run, kept in no record
+
+Each format is written from the sample's pixels, times and numbers, and imported by the command; pixels, times
+and calibration are compared with the sample's bit by bit. Every dataset is identified by the digest of all
+files that a run reads, and the command runs each distinct one of them once, with the default configuration.
+Its files are compared with those of a run of the sample itself: without times, the log, and pages with times.
+Two rows have no import: the sample whose right camera's stamps are later, run as it is.
 """
 
+import hashlib
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,7 +23,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from benchmarks.command import Short, command, polhode
+from benchmarks.command import RECORDS, ROOT, Record, Short, Workers, command
 from benchmarks.importers.recordings import (
     BagContents,
     Original,
@@ -26,13 +37,23 @@ from benchmarks.importers.recordings import (
     write_side_by_side,
     write_stamps,
 )
+from benchmarks.presentation import print_table
+from benchmarks.record import Case, complete, measured
+from benchmarks.robustness.results import contents
+from polhode.dataset_writer import image_path, write_camera_csv
 
-SAMPLE = Path(__file__).parents[2] / "sample"
-RESULTS = ("trajectory.csv", "landmarks.ply", "mesh.ply")
-RUN = ("--backend.window.enabled", "False", "--runtime.workers", "1")
-
-EveryRun = Annotated[bool, arg(name="all", help="A run for every format.")]
+SAMPLE = ROOT / "sample"
+Stored = Annotated[bool, arg(help="Only what the record has.")]
 Words = Callable[[Original, Path], list[str]]
+
+ITSELF = "the sample itself"
+COLUMNS = "format | dataset | its run: that of | files that are the same | said of the clocks"
+CLOCKS = "the stamps of "
+"""In the warning about an offset of the clocks"""
+NOT_READ = ("target0", "truth0", "truth1")
+"""Folders below mav0 that no run reads"""
+MAY_WARN = {"summary.json"}
+"""Of a run that warns of an offset, the file that states it"""
 
 
 def _folders(later_ns: int = 0) -> Words:
@@ -62,6 +83,7 @@ def _camera_info(data: Original, area: Path) -> list[str]:
 
 FORMATS: dict[str, Words] = {
     "Kalibr and folders": _folders(),
+    "lossless video": _video,
     "OpenCV (YAML) and folders": _opencv(".yml"),
     "OpenCV (JSON) and folders": _opencv(".json"),
     "camera_info and folders": _camera_info,
@@ -71,12 +93,76 @@ FORMATS: dict[str, Words] = {
     "ROS 2, compressed images": lambda data, area: [
         str(write_ros2(data, area / "bag", BagContents(compressed=True)))
     ],
-    "lossless video": _video,
     "clocks 4 us apart": _folders(4_000),
     "clocks 0.4 frames apart": _folders(200_000_000),
 }
-RUNS = ("ROS 2, MCAP", "lossless video", "clocks 0.4 frames apart")
-"""Whose runs are compared without --all: datasets of the same bytes give the same run."""
+AS_THEY_ARE = {"clocks 4 us apart, not imported": 4_000, "clocks 0.4 frames apart, not imported": 200_000_000}
+"""Run without an import: how much later the right camera's stamps are [ns]."""
+DATASETS = (ITSELF, *FORMATS, *AS_THEY_ARE)
+SHORT = ("Kalibr and folders", "lossless video")
+
+
+def main(
+    workers: Workers = 1,
+    record: Record = RECORDS / "same_run.jsonl",
+    stored: Stored = False,
+    short: Short = False,
+) -> None:
+    """Measure what the record lacks, print the table; exit code 1 if a dataset or a run is another one."""
+    datasets: list[Case] = [{"dataset": name} for name in (SHORT if short else DATASETS)]
+    if short:
+        lines, runs = [{"case": case, **measure(case)} for case in datasets], []
+    elif stored:
+        lines = measured(record, datasets)
+        runs = measured(record, distinct(lines))
+    else:
+        lines = complete(record, datasets, measure, workers)
+        runs = complete(record, distinct(lines), measure, workers)
+    same = print_tables(lines, runs)
+    if not same:
+        sys.exit(1)
+
+
+def distinct(lines: list[Case]) -> list[Case]:
+    """The runs that are needed: of the sample, and of the first imported dataset of each digest."""
+    names: dict[str, str] = {}
+    for line in lines:
+        if line["case"]["dataset"] != ITSELF:
+            names.setdefault(line["input"], line["case"]["dataset"])
+    return [{"run": name} for name in (ITSELF, *names.values())]
+
+
+def measure(case: Case) -> Case:
+    """A dataset: whether it is the sample's, the digest of what a run reads, warnings about the clocks.
+    A run of a dataset: digests of its files, warnings about the clocks."""
+    name = str(case.get("dataset", case.get("run")))
+    with TemporaryDirectory() as temporary:
+        area = Path(temporary)
+        sequence = area / "seq"
+        said = _made(name, area, sequence)
+        if "dataset" in case:
+            return {
+                "same": same_dataset(original(SAMPLE), sequence) if name in FORMATS else None,
+                "input": input_digest(sequence),
+                "said": said,
+            }
+        said = _polhode("run", "--data", sequence, "-o", area / "run")
+        return {"files": contents(area, ("run",)), "said": said}
+
+
+def _made(name: str, area: Path, sequence: Path) -> list[str]:
+    """Make a dataset; what the import said of the clocks."""
+    data = original(SAMPLE)
+    if name in FORMATS:
+        return _polhode("import", *FORMATS[name](data, area), "-o", sequence)
+    shutil.copytree(SAMPLE / "mav0", sequence / "mav0")
+    if name in AS_THEY_ARE:
+        camera = sequence / "mav0" / "cam1"
+        stamps = [stamp + AS_THEY_ARE[name] for stamp in data.files[1]]
+        for stamp, own in zip(reversed(stamps), reversed(data.files[1].values()), strict=True):
+            (camera / "data" / own.name).rename(image_path(camera, stamp))
+        write_camera_csv(camera, stamps)
+    return []
 
 
 def same_dataset(data: Original, folder: Path) -> bool:
@@ -92,30 +178,61 @@ def same_dataset(data: Original, folder: Path) -> bool:
     )
 
 
-def run_of(sequence: Path, folder: Path) -> dict[str, bytes]:
-    """The results of a run of a dataset."""
-    polhode("run", "--data", sequence, "-o", folder, *RUN)
-    return {name: (folder / name).read_bytes() for name in RESULTS}
+def input_digest(folder: Path) -> str:
+    """Of names and contents of all files that a run may read: everything below mav0 but the truth."""
+    digest = hashlib.sha256()
+    for path in sorted(each for each in (folder / "mav0").rglob("*") if each.is_file()):
+        name = path.relative_to(folder / "mav0")
+        if name.parts[0] not in NOT_READ:
+            digest.update(f"{name.as_posix()} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
+    return digest.hexdigest()[:16]
 
 
-def main(
-    all_runs: Annotated[bool, arg(name="all", help="A run for every format.")] = False, short: Short = False
-) -> None:
-    """Print the table."""
-    data = original(SAMPLE)
-    print("| format | dataset | run |\n|---|---|---|", flush=True)
-    with TemporaryDirectory() as temporary:
-        base = Path(temporary)
-        wanted = {} if short else run_of(SAMPLE, base / "sample_run")
-        for number, (name, words) in enumerate(FORMATS.items()):
-            area = base / str(number)
-            area.mkdir()
-            polhode("import", *words(data, area), "-o", area / "seq")
-            runs = "not run"
-            if wanted and (all_runs or name in RUNS):
-                runs = "same bytes" if run_of(area / "seq", area / "run") == wanted else "other bytes"
-            alike = "same, bit by bit" if same_dataset(data, area / "seq") else "other"
-            print(f"| {name} | {alike} | {runs} |", flush=True)
+def _polhode(*words: object) -> list[str]:
+    """Run the program as a user does; its warnings about the clocks."""
+    program = [sys.executable, "-m", "polhode", *map(str, words)]
+    done = subprocess.run(program, cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(map(str, words))}: exit code {done.returncode}: {done.stderr}")
+    said = (*done.stdout.splitlines(), *done.stderr.splitlines())
+    return list(dict.fromkeys(line for line in said if CLOCKS in line))
+
+
+def print_tables(lines: list[Case], runs: list[Case]) -> bool:
+    """The datasets, each beside the run of its digest; whether all are the sample's."""
+    found = {line["case"]["run"]: line for line in runs}
+    wanted = found[ITSELF]["files"] if ITSELF in found else {}
+    of_input = {line["input"]: line["case"]["dataset"] for line in reversed(lines) if _has_run(line, found)}
+    rows, same = [], True
+    for line in lines:
+        name, of = line["case"]["dataset"], of_input.get(line["input"])
+        if name == ITSELF:
+            continue
+        alike = {True: "same, bit by bit", False: "other", None: "stamps differ"}[line["same"]]
+        run = found.get(of or "")
+        files = "not run"
+        if run is not None and wanted:
+            changed = differing(run["files"], wanted)
+            files = f"{len(wanted) - len(changed)} of {len(wanted)}"
+            files += f", not {', '.join(changed)}" if changed else ""
+            same &= not set(changed) - (MAY_WARN if name in AS_THEY_ARE else set())
+        same &= line["same"] is not False
+        said = line["said"] or (found[name]["said"] if name in AS_THEY_ARE and name in found else [])
+        rows.append([name, alike, "itself" if of == name else of or "-", files, "; ".join(said)])
+    print_table(COLUMNS, rows)
+    inputs = {line["input"] for line in lines if line["same"] is not None}
+    print(f"\nThe imports make {len(inputs)} distinct dataset{'s' if len(inputs) > 1 else ''}.")
+    return same
+
+
+def _has_run(line: Case, found: dict[str, Case]) -> bool:
+    return line["case"]["dataset"] in found and line["case"]["dataset"] != ITSELF
+
+
+def differing(files: dict[str, str], wanted: dict[str, str]) -> list[str]:
+    """Names of files that are there in one run only, or have another content."""
+    names = files.keys() | wanted.keys()
+    return sorted(name.removeprefix("run/") for name in names if files.get(name) != wanted.get(name))
 
 
 if __name__ == "__main__":
