@@ -57,12 +57,13 @@ def choose_pairs(name: str, contents: Contents, options: ImportOptions) -> Chose
     Raises InputError when there is no common time, or too few pairs are within the tolerance or the part.
     """
     left_ns, right_ns = contents.stamps_ns
+    has_ranges = contents.ranges is not None
     given_ns = None if options.offset_s is None else round(1e9 * options.offset_s)
     tolerance_ns = None if options.tolerance_s is None else round(1e9 * options.tolerance_s)
-    _require_overlap(name, left_ns, right_ns - (given_ns or 0))
+    _require_overlap(name, left_ns, right_ns - (given_ns or 0), has_ranges)
     pairing = pair_by_time(left_ns, right_ns, tolerance_ns, given_ns)
     if len(pairing.left) < max(MIN_PAIRS, MIN_SHARE * min(len(left_ns), len(right_ns))):
-        raise _too_few(name, pairing)
+        raise _too_few(name, pairing, has_ranges)
     stamps_ns = left_ns[pairing.left]
     since_s = 1e-9 * (stamps_ns - stamps_ns[0])
     chosen = np.flatnonzero((since_s >= options.start_s) & (since_s <= options.end_s))[:: options.every]
@@ -74,13 +75,15 @@ def choose_pairs(name: str, contents: Contents, options: ImportOptions) -> Chose
     lone = len(left_ns) - len(pairing.left), len(right_ns) - len(pairing.right)
     warnings = []
     if pairing.offset_ns and given_ns is None:
-        words = offset_in_words(pairing.offset_ns, pairing.interval_ns, "the right camera", "the left one")
+        two = ("the depth images", "the images") if has_ranges else ("the right camera", "the left one")
+        words = offset_in_words(pairing.offset_ns, pairing.interval_ns, *two)
         warnings.append(f"{words}: taken for an offset of their clocks, and removed")
     if any(lone):
         words = differences_in_words(np.delete(pairing.nearest_ns, pairing.left)) if lone[0] else ""
-        nearest = f"; the nearest right images are off {words}" if words else ""
+        second = "depth" if has_ranges else "right"
+        nearest = f"; the nearest {second} images are off {words}" if words else ""
         warnings.append(
-            f"{lone[0]} left and {lone[1]} right images have no partner within "
+            f"{lone[0]} {'' if has_ranges else 'left '}and {lone[1]} {second} images have no partner within "
             f"{time_in_words(pairing.tolerance_ns)}{nearest} (--tolerance-s)"
         )
     return ChosenPairs(
@@ -94,33 +97,44 @@ def choose_pairs(name: str, contents: Contents, options: ImportOptions) -> Chose
     )
 
 
-def _require_overlap(name: str, left_ns: Ints, right_ns: Ints) -> None:
+def _require_overlap(name: str, left_ns: Ints, right_ns: Ints, has_ranges: bool) -> None:
     gap_ns = max(int(right_ns[0] - left_ns[-1]), int(left_ns[0] - right_ns[-1]))
     if gap_ns > 0:
-        late, early = ("right", "left") if right_ns[0] > left_ns[-1] else ("left", "right")
         off_s = 1e-9 * int(right_ns[0] - left_ns[0])
+        two = ("images", "depth images") if has_ranges else ("left", "right")
+        early, late = two if right_ns[0] > left_ns[-1] else two[::-1]
+        if has_ranges:
+            raise InputError(
+                f"{name}: images and depth images have no time in common: the {late} begin "
+                f"{time_in_words(gap_ns)} after the {early} end; if only their clocks differ, give "
+                f"--offset-s {off_s:.9g}"
+            )
         raise InputError(
             f"{name}: the cameras have no time in common: the {late} one begins {time_in_words(gap_ns)} "
             f"after the {early} one ends; if only their clocks differ, give --offset-s {off_s:.9g}"
         )
 
 
-def _too_few(name: str, pairing: Pairing) -> InputError:
+def _too_few(name: str, pairing: Pairing, has_ranges: bool) -> InputError:
     """The line about stamps that do not fit each other."""
     raw_ns = pairing.nearest_ns + pairing.offset_ns
     near = raw_ns[2 * np.abs(raw_ns) <= pairing.interval_ns]
     if not len(near):
+        which = "image has a depth image" if has_ranges else "left image has a right one"
+        clock = "the depth images'" if has_ranges else "the right camera's"
         return InputError(
-            f"{name}: no left image has a right one within half of its interval of "
-            f"{time_in_words(pairing.interval_ns)}; give the --offset-s of the right camera's clock"
+            f"{name}: no {which} within half of its interval of {time_in_words(pairing.interval_ns)}; give "
+            f"the --offset-s of {clock} clock"
         )
     middle_ns = float(np.median(near))
     needed_s = 1.05e-9 * float(np.abs(near - middle_ns).max())
+    nearest, advice = "the nearest images of the two cameras", "trigger the cameras together"
+    if has_ranges:
+        nearest, advice = "images and their nearest depth images", "take them at the same time"
     return InputError(
         f"{name}: {len(pairing.left)} pairs within {time_in_words(pairing.tolerance_ns)} of a constant "
-        f"offset: the nearest images of the two cameras differ by {_signed(near.min())} to "
-        f"{_signed(near.max())}, {_signed(middle_ns)} in the median; trigger the cameras together, or give "
-        f"--tolerance-s {needed_s:.3g} to pair them nevertheless"
+        f"offset: {nearest} differ by {_signed(near.min())} to {_signed(near.max())}, {_signed(middle_ns)} "
+        f"in the median; {advice}, or give --tolerance-s {needed_s:.3g} to pair them nevertheless"
     )
 
 

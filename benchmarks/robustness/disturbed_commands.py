@@ -29,6 +29,12 @@ class Job:
     resumes: bool = False
     """Whether an unfinished result is visible, and the same command goes on with it"""
 
+    def reads(self, name: str) -> bool:
+        """Whether the command, or one before or after it, needs this input of the stage."""
+        every = (*self.words, *self.before, *(word for words in self.later for word in words))
+        place = f"{{stage}}/{name}"
+        return name in self.inputs or any(word == place or word.startswith(f"{place}/") for word in every)
+
     @property
     def repeated(self) -> Words:
         """The words that repeat the command, whatever is there."""
@@ -43,7 +49,14 @@ _TRAIN = (
 )
 _PLAN = ("plan", "{stage}/R", "-o", "{place}/P", "--horizon", "10")
 _READERS = (("predict", "{place}/R", "--horizon", "5"), ("report", "{place}/R", "-o", "{stage}/later.html"))
-_EVALUATE = (("evaluate", "{stage}/R", "{place}/S"),)
+_CALIBRATE = (
+    *("calibrate", "--left", "{stage}/boards/left", "--right", "{stage}/boards/right"),
+    *("--board", "7x5", "--square-mm", "30", "-o", "{place}/B"),
+)
+_VERIFY = (*_CALIBRATE[:-1], "{place}_later", "--verify", "{place}/B")
+_CHECKOUT = ("checkout", "{stage}/S", "-o", "{place}/C")
+_IMPORT = ("import", "{stage}/S", "-o", "{place}/I")
+_CHECKED = (("checkout", "{place}/I", "-o", "{place}_later"),)
 
 JOBS = {
     job.name: job
@@ -68,5 +81,10 @@ JOBS = {
             ("observability", "{stage}/R", "-o", "{place}/O", "--sigma-px", "2")),
         Job("predict", ("predict", "{stage}/R", "--horizon", "5", "-o", "{place}/p.csv"), ("p.csv",),
             ("predict", "{stage}/R", "--horizon", "3", "-o", "{place}/p.csv")),
+        Job("calibrate", _CALIBRATE, ("B",), (*_CALIBRATE, "--model", "brown8"), later=(_VERIFY,)),
+        Job("checkout", _CHECKOUT, ("C",), (*_CHECKOUT, "--rig", "{stage}/S/mav0")),
+        Job("import", _IMPORT, ("I",), later=_CHECKED, overwrite=True, continues=(".I.partial",)),
+        Job("import --overwrite", (*_IMPORT, "--crop", "4,4,192,152", "--overwrite"), ("I",),
+            (*_IMPORT, "--every", "2"), later=_CHECKED, continues=(".I.partial",)),
     )
 }  # fmt: skip

@@ -2,10 +2,10 @@
 
     python -m benchmarks.robustness.kills [COMMAND ...] [--short] [--workers 1] [--record FILE] [--stage DIR]
 
-Fifty times a command is killed (SIGKILL, its main process alone): at a random share of its time, or right
-after a random change of the names beside its output, as its steps of writing are short. Twenty times the disk
-of its output is full: a tmpfs with room for a random share of the result (limits on the size of a file where
-nothing can be mounted). Some commands replace an earlier good result. After each:
+66 times a command is killed (SIGKILL, its main process alone): at a random share of its time, or right after
+a random change of the names beside its output, as its steps of writing are short. 25 times the disk of its
+output is full: a tmpfs with room for a random share of the result (limits on the size of a file where nothing
+can be mounted). Some commands replace an earlier good result. After each:
 
 - kept: an earlier result is unchanged, or the new one complete; without an earlier one, the result is absent,
   complete, or declared unfinished (a run that failed; a comparison or a training, which resume)
@@ -46,10 +46,12 @@ RECORD = ROOT / "runs" / "kills.jsonl"
 KILLS = {
     "run": 6, "run --overwrite": 6, "simulate": 4, "simulate --overwrite": 4, "compare": 5, "train": 5,
     "plan": 4, "export": 4, "report": 2, "evaluate": 2, "observability": 4, "predict": 4,
+    "calibrate": 4, "checkout": 3, "import": 5, "import --overwrite": 4,
 }  # fmt: skip
 FULL = {
     "run": 3, "run --overwrite": 3, "simulate": 2, "simulate --overwrite": 2, "compare": 2, "train": 2,
     "plan": 1, "export": 2, "report": 1, "observability": 1, "predict": 1,
+    "calibrate": 1, "checkout": 1, "import": 2, "import --overwrite": 1,
 }  # fmt: skip
 CHECKS = ("kept", "later", "same", "gone", "clean", "told")
 MARK = "POLHODE_KILLS_CASE"

@@ -15,7 +15,7 @@ from typing import Any
 from benchmarks.command import ROOT
 from benchmarks.robustness.disturbed_commands import JOBS, Job, Words
 from benchmarks.robustness.results import State, contents, is_failed_run, judged, names_of
-from benchmarks.robustness.small_data import write_scene
+from benchmarks.robustness.small_data import write_boards, write_scene
 from polhode.cli.main import main
 
 STAGE = ROOT / "runs" / "kills"
@@ -161,14 +161,18 @@ def prepared(folder: Path, jobs: tuple[str, ...]) -> Stage:
             *("--train.corpus.folder", "{stage}/corpus"),
         ),
     }
+    needed = {name for name in (*inputs, "boards") for job in jobs if JOBS[job].reads(name)}
+    needed |= {"S"} if "R" in needed else set()
     for name, words in inputs.items():
-        if not (folder / name).exists() and (name != "corpus" or "train" in jobs):
+        if not (folder / name).exists() and name in needed:
             print(f"preparing {name}", file=sys.stderr, flush=True)
             stage._require(words, folder)
             if name == "corpus":
                 # One scene is rendered in each case, the other one is there.
                 shutil.rmtree(folder / "corpus" / "0001")
                 shutil.rmtree(folder / "corpus" / "points")
+    if not (folder / "boards").exists() and "boards" in needed:
+        write_boards(folder / "boards")
     for name in jobs:
         if not (stage._of(JOBS[name]) / "undisturbed.json").is_file():
             print(f"preparing {name}", file=sys.stderr, flush=True)

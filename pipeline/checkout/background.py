@@ -99,11 +99,11 @@ def _found_masks(sample: Sample) -> list[CheckoutCheck]:
     return [
         judged(
             "background",
-            "pairs whose masks, found in the images, are doubtful",
+            f"{sample.noun} whose masks, found in the images, are doubtful",
             100.0 * doubtful / max(count, 1),
             "%",
             MAX_DOUBTFUL,
-            finding=f"{doubtful} of {count} pairs, before a background that is not dark.",
-            advice="Give masks of the target in masks0/ and masks1/.",
+            finding=f"{doubtful} of {count} {sample.noun}, before a background that is not dark.",
+            advice=f"Give masks of the target in masks0/{'' if sample.has_ranges else ' and masks1/'}.",
         )
     ]

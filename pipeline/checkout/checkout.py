@@ -220,4 +220,5 @@ def _run_size(findings: Findings) -> RunSize:
         frames=len(findings.sequence),
         image_mpx=1e-6 * rig.width_px * rig.height_px,
         target_mpx=1e-6 * float(np.median(extents)) if extents else 0.0,
+        noun=findings.sample.noun,
     )

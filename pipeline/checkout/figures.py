@@ -191,7 +191,7 @@ def _ranges(found: Findings) -> list[Figure]:
     }
     curve = line(middle, per_px, "depth per pixel", RIGHT, mode="lines") | {"yaxis": "y2"}
     has_ranges = found.sequence.has_ranges
-    words = "Depth of the features of all examined pairs"
+    words = f"Depth of the features of all examined {found.sample.noun}"
     if has_ranges:
         del drawing["yaxis2"]
     return [

@@ -61,7 +61,8 @@ def format_checkout(done: Checkout) -> str:
         if check.status == status
     ]
     passed = sum(check.status == "PASS" for check in checks)
-    examined = f"{done.result.pairs_examined} of {done.result.pairs} pairs examined"
+    noun = "pairs" if done.findings is None else done.findings.sample.noun
+    examined = f"{done.result.pairs_examined} of {done.result.pairs} {noun} examined"
     return "\n".join([*lines, f"{done.result.status}: {passed} of {len(checks)} checks pass, {examined}"])
 
 

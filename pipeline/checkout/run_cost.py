@@ -35,6 +35,8 @@ class RunSize:
     """Of one rectified image [million pixels]"""
     target_mpx: float
     """Of the target's bounding box [million pixels]"""
+    noun: str = "pairs"
+    """What the frames are called"""
 
     @property
     def matched_pairs(self) -> int:
@@ -65,9 +67,8 @@ def cost_checks(size: RunSize) -> list[CheckoutCheck]:
             float(np.round(minutes, 1)),
             "min",
             MAX_MINUTES,
-            finding=f"An estimate for two cores: {size.frames} pairs, {size.matched_pairs} pairs of frames "
-            "to match; "
-            f"nine of ten runs take {minutes / SPREAD:.2g} to {minutes * SPREAD:.2g} min.",
+            finding=f"An estimate for two cores: {size.frames} {size.noun}, {size.matched_pairs} pairs of "
+            f"frames to match; nine of ten runs take {minutes / SPREAD:.2g} to {minutes * SPREAD:.2g} min.",
             advice="Use a machine with more cores, or every second frame as long as the turn between "
             "frames allows.",
         ),

@@ -88,6 +88,16 @@ class Sample:
     doubtful_masks: tuple[int, int] | None = None
     """Number of pairs whose found masks are doubtful, and of all with such masks; None: there are none"""
 
+    @property
+    def has_ranges(self) -> bool:
+        """Whether range images take the place of the right ones."""
+        return any(pair.ranges is not None for pair in self.pairs)
+
+    @property
+    def noun(self) -> str:
+        """What the examined frames are called."""
+        return "images" if self.has_ranges else "pairs"
+
 
 def places(timestamps_ns: Ints, count: int = PLACES) -> Ints:
     """Indices of frames: ``count`` pairs of successive ones, spread evenly, or all frames if there are few.

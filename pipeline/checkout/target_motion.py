@@ -64,8 +64,11 @@ def turns_of(sequence: StereoSequence, sample: Sample) -> Turns:
 def motion_checks(
     sequence: StereoSequence, sample: Sample, rig: RectifiedRig, turns: Turns
 ) -> list[CheckoutCheck]:
-    """Number of features, turn between frames, matches, share that matches, delay between the cameras."""
-    return [_features(sample), _turn(turns), _matches(turns), _matched(turns), _delay(sequence, sample, rig)]
+    """Number of features, turn between frames, matches, share that matches; of two cameras the delay between
+    them."""
+    noun = "images" if sequence.has_ranges else "pairs"
+    delay = [] if sequence.has_ranges else [_delay(sequence, sample, rig)]
+    return [_features(sample), _turn(turns), _matches(turns, noun), _matched(turns, noun), *delay]
 
 
 def _features(sample: Sample) -> CheckoutCheck:
@@ -73,14 +76,16 @@ def _features(sample: Sample) -> CheckoutCheck:
     few = int(np.sum(count < MIN_INLIERS))
     return judged(
         "motion",
-        "stereo features of the median pair",
+        "features with a range, of the median image"
+        if sample.has_ranges
+        else "stereo features of the median pair",
         float(np.median(count)),
         "",
         MIN_FEATURES,
         fail_limit=FAIL_FEATURES,
         at_least=True,
-        finding=f"{few} of {len(count)} examined pairs have fewer than {MIN_INLIERS}; from {count.min()} to "
-        f"{count.max()}.",
+        finding=f"{few} of {len(count)} examined {sample.noun} have fewer than {MIN_INLIERS}; from "
+        f"{count.min()} to {count.max()}.",
         advice="Improve light, focus or distance; where the surface has no texture, the features trained "
         "here "
         "(frontend.features.method polhode) find more.",
@@ -117,11 +122,13 @@ def _turn(turns: Turns) -> CheckoutCheck:
     )
 
 
-def _matches(turns: Turns) -> CheckoutCheck:
+def _matches(turns: Turns, noun: str) -> CheckoutCheck:
     count = turns.matches
     return judged(
         "motion",
-        "matches of the median successive pair",
+        "matches of successive images, median"
+        if noun == "images"
+        else "matches of the median successive pair",
         float(np.median(count)) if len(count) else None,
         "",
         MIN_LINK,
@@ -129,18 +136,18 @@ def _matches(turns: Turns) -> CheckoutCheck:
         not_possible="WARN",
         finding=f"From {count.min():.0f} to {count.max():.0f} matches agree with a rigid motion."
         if len(count)
-        else "No two examined pairs are successive.",
+        else f"No two examined {noun} are successive.",
         advice="Record at a higher frame rate, or with softer light: shadows that move over the surface "
         "and large "
         "turns lose matches.",
     )
 
 
-def _matched(turns: Turns) -> CheckoutCheck:
+def _matched(turns: Turns, noun: str) -> CheckoutCheck:
     matched = np.isfinite(turns.turn_deg)
     return judged(
         "motion",
-        "successive pairs that match",
+        f"successive {noun} that match",
         100.0 * float(matched.mean()) if len(matched) else None,
         "%",
         MIN_MATCHED,

@@ -40,7 +40,7 @@ def range_checks(sample: Sample, rig: RectifiedRig) -> list[CheckoutCheck]:
 
 def _size(z: Array, extent_px: float | None, rig: RectifiedRig) -> CheckoutCheck:
     if extent_px is None:
-        finding = "No examined pair shows anything brighter than the sky."
+        finding = "No examined image shows anything brighter than the sky."
     else:
         finding = f"The longer side of what is taken as the target has {extent_px:.0f} px"
         if len(z):
@@ -129,14 +129,16 @@ def _depth(sample: Sample, z: Array, extent_px: float | None, rig: RectifiedRig)
             "%",
             limit,
             finding="There are no features with a depth.",
-            advice="See what the checks of the rig and of the images say.",
+            advice="See what the checks of the ranges and of the images say."
+            if sample.has_ranges
+            else "See what the checks of the rig and of the images say.",
             not_possible="WARN",
         )
     middle = float(np.median(z))
     sigma_px = float(np.median(np.concatenate([pair.features.sigma_px[:, 2] for pair in sample.pairs])))
     per_px = middle**2 / (rig.focal_px * rig.baseline_m)
     size = extent_px * middle / rig.focal_px
-    if any(pair.ranges is not None for pair in sample.pairs):
+    if sample.has_ranges:
         finding = f"The depth of a feature at {middle:.3g} m, by the ranges around it, is known to "
     else:
         finding = (

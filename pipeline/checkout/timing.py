@@ -88,7 +88,7 @@ def stamp_checks(stamps: Stamps) -> list[CheckoutCheck]:
             f"{finding[0].upper()}{finding[1:]}, throughout"
             if pairing.offset_ns
             else "There is no constant difference"
-        ) + f"; single pairs deviate by up to {time_in_words(float(scatter))}, {allowed} are allowed."
+        ) + f"; single ones deviate by up to {time_in_words(float(scatter))}, {allowed} are allowed."
     return [
         judged(
             "time",
@@ -99,7 +99,10 @@ def stamp_checks(stamps: Stamps) -> list[CheckoutCheck]:
             finding=finding,
             not_possible="FAIL",
             advice="If the cameras were triggered together, this is an offset of their clocks, which a run "
-            "removes; if not, depth and motion are wrong: see the delay between the cameras.",
+            "removes; if not, depth and motion are wrong: see the delay between the cameras."
+            if stamps.second == "right camera"
+            else "If image and ranges were taken together, this is an offset of their clocks, which a run "
+            "removes; if not, depth and motion are wrong.",
         ),
         judged(
             "time",
@@ -127,6 +130,7 @@ def frame_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
     unreadable = [reason for _, reason in sequence.dropped if not reason.startswith("only in")]
     example = f" (first: {unreadable[0]})" if unreadable else ""
     repeated = int(sequence.repeated.sum())
+    noun, one = ("images", "image") if sequence.has_ranges else ("pairs", "pair")
     return [
         judged(
             "time",
@@ -135,7 +139,7 @@ def frame_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
             "%",
             0.0,
             fail_limit=FAIL_UNPAIRED,
-            finding=f"{len(unreadable)} of {sequence.n_listed} pairs{example}.",
+            finding=f"{len(unreadable)} of {sequence.n_listed} {noun}{example}.",
             advice="Copy the images again, or remove their lines from data.csv.",
         ),
         judged(
@@ -145,9 +149,13 @@ def frame_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
             "%",
             MAX_REPEATED,
             fail_limit=FAIL_UNPAIRED,
-            finding=f"{repeated} of {len(sequence)} pairs have an image of the pair before, bit for bit."
-            + (" All pairs are the same." if sequence.frozen else ""),
-            advice="A camera or the recorder stood still: such pairs are not used; find the cause.",
+            finding=(
+                f"{repeated} of {len(sequence)} images or their ranges are those before, bit for bit."
+                if sequence.has_ranges
+                else f"{repeated} of {len(sequence)} pairs have an image of the pair before, bit for bit."
+            )
+            + (f" All {noun} are the same." if sequence.frozen else ""),
+            advice=f"A camera or the recorder stood still: such {noun} are not used; find the cause.",
         ),
         judged(
             "time",
@@ -155,7 +163,7 @@ def frame_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
             uneven,
             "%",
             MAX_UNEVEN,
-            finding=f"{1.0 / usual:.4g} pairs per second ({usual:.4g} s), 90 % of the intervals within "
+            finding=f"{1.0 / usual:.4g} {noun} per second ({usual:.4g} s), 90 % of the intervals within "
             f"{uneven:.2g} %.",
             advice="Nothing is lost by uneven stamps if they are right; make sure that they are those of the "
             "exposures, not of the transfer.",
@@ -166,7 +174,7 @@ def frame_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
             float(dt[longest]) / usual,
             "intervals",
             MAX_GAP,
-            finding=f"{dt[longest]:.4g} s, {at:.4g} s after the first pair.",
+            finding=f"{dt[longest]:.4g} s, {at:.4g} s after the first {one}.",
             advice="The motion is bridged over a gap by the dynamics alone: record without gaps, or cut "
             "the sequence "
             "there.",
@@ -181,6 +189,7 @@ def inspector_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
         "distance from an image to the nearest inspector pose",
     )
     if not folder.is_dir():
+        at_rest = "the camera is" if sequence.has_ranges else "the cameras are"
         return [
             judged(
                 "inspector",
@@ -189,7 +198,7 @@ def inspector_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
                 "intervals",
                 0.5,
                 advice="",
-                finding="There is no inspector0: the cameras are taken to be at rest.",
+                finding=f"There is no inspector0: {at_rest} taken to be at rest.",
             )
         ]
     stamps = read_table(folder / "data.csv", columns=7).timestamps_ns

@@ -231,7 +231,7 @@ BAD: dict[str, tuple[Callable[[Path], None], str]] = {
     "depth of another size": (_other_size, "calibrated for images of 64x48 px, but they have 32x24"),
     "other times": (
         _rewritten("depth.txt", lambda t: t.replace("13050", "14050")),
-        "the cameras have no time in common",
+        "images and depth images have no time in common: the depth images begin",
     ),
 }
 

@@ -1,6 +1,7 @@
 """A sequence with range images instead of a second camera: the whole path, and its checkout."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from polhode.frontend.features.stereo import RootSift
 from polhode.frontend.rectification import make_rectifier, rectified_pair
 from polhode.mesh_metrics import distance_to_surface
 from polhode.pipeline.checkout.checkout import Checkout, checkout
-from polhode.pipeline.checkout.page import render
+from polhode.pipeline.checkout.page import format_checkout, render
 from polhode.pipeline.evaluation import evaluate
 from polhode.pipeline.run import run
 from polhode.pipeline.run_directory.summary import read_summary
@@ -26,6 +27,7 @@ from polhode.progress import Silent
 from polhode.truth import read_truth
 from tests.conftest import RENDERED_FRAMES, MakeOnce
 
+OF_TWO_CAMERAS = r"stereo|cameras|\bright\b|\bpairs\b(?! of (?:successive )?frames)"
 NEES_OF_THREE = float(chi2.ppf(0.99, 3))
 CONFIG = Config.model_validate(
     {
@@ -103,8 +105,13 @@ def test_the_checkout_judges_ranges_instead_of_a_second_camera(done: Checkout) -
     assert missing is not None and missing < 15.0
     assert not any(check.status == "FAIL" for check in done.result.checks)
     assert "stamps of the range images against the camera" in names
+    assert names > {"features with a range, of the median image", "successive images that match"}
+    said = [f"{check.name} {check.finding} {check.advice}" for check in done.result.checks]
+    said.append(format_checkout(done))
+    assert not [each for each in said if re.search(OF_TWO_CAMERAS, each)]
     for of_two in (
         "vertical disparity",
+        "delay between the cameras",
         "smallest disparity",
         "brightness of the right image against the left",
     ):

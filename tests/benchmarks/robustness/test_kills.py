@@ -6,26 +6,27 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from benchmarks.robustness import kills
 from benchmarks.robustness.disturbed_commands import JOBS, Job
 from benchmarks.robustness.kills import FULL, KILLS, MARK, print_tables
 from benchmarks.robustness.results import contents, is_failed_run, judged, names_of, size_of
+from benchmarks.robustness.small_data import write_boards
 from benchmarks.robustness.stage import Stage
+from polhode.calibration.boards import make_board
+from polhode.calibration.detection import Found, find_board
 from polhode.cli.main import COMMANDS
 
 NEW, OLD = {"R/a": "1", "R/b": "2"}, {"R/a": "0", "R/c": "0"}
 
-ELSEWHERE = ("calibrate", "checkout", "import")
-"""Commands that are killed by their own tests only: tests/cli/test_outputs.py, tests/cli/test_signals.py,
-tests/importers/test_choices.py"""
 
-
-def test_fifty_kills_and_twenty_full_disks_of_every_command_that_writes() -> None:
-    assert (sum(KILLS.values()), sum(FULL.values())) == (50, 20)
+def test_every_command_that_writes_is_killed_and_finds_its_disk_full() -> None:
+    assert (sum(KILLS.values()), sum(FULL.values())) == (66, 25)
     assert KILLS.keys() == JOBS.keys() and FULL.keys() < JOBS.keys()
-    assert {job.words[0] for job in JOBS.values()} == set(COMMANDS) - {"threshold", *ELSEWHERE}
+    assert {job.words[0] for job in JOBS.values()} == set(COMMANDS) - {"threshold"}
 
 
 def test_a_result_is_whole_old_or_something_worse() -> None:
@@ -96,3 +97,19 @@ def test_the_tables_count_what_holds_and_show_what_does_not(capsys: pytest.Captu
     out = capsys.readouterr().out
     assert "| killed | run | 2 | 1 | 1 absent, 1 half | 1 |" in out
     assert "1 of 2 hold" in out and "kill run 1 (change 3): kept: half" in out
+
+
+def test_inputs_are_made_for_the_commands_that_read_them() -> None:
+    of = {name: {job for job in JOBS if JOBS[job].reads(name)} for name in ("S", "R", "corpus", "boards")}
+    assert of["boards"] == {"calibrate"} and of["corpus"] == {"train"}
+    assert {"run", "evaluate", "checkout", "import"} <= of["S"] and "import" not in of["R"]
+    assert {"plan", "predict", "compare", "evaluate"} <= of["R"]
+
+
+def test_the_boards_that_are_calibrated_show_a_board(tmp_path: Path) -> None:
+    board = make_board("chessboard", "7x5", 0.03)
+    folder = write_boards(tmp_path / "boards")
+    for side in ("left", "right"):
+        images = sorted((folder / side).iterdir())
+        assert len(images) == 8
+        assert isinstance(find_board(np.asarray(Image.open(images[0])), board), Found)
