@@ -10,20 +10,22 @@ from contextlib import contextmanager
 from time import perf_counter
 
 from rich.console import Console
+from rich.live import Live
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
+from rich.text import Text
 
 from polhode.errors import one_line, printable
 from polhode.interrupts import raise_if_received
-from polhode.progress import Advance, Progress
+from polhode.progress import Advance, LiveProgress, Show
 
 _log = logging.getLogger(__name__)
 _finished: list[str] = []
 """Titles of the stages that the command has finished."""
 
 
-def choose_progress() -> Progress:
+def choose_progress() -> LiveProgress:
     """Bars on a terminal, plain lines in a file, a pipe or CI."""
     return Bars() if sys.stdout.isatty() else Lines()
 
@@ -55,6 +57,17 @@ class Bars:
         _finished.append(title)
         _log.info("%s: %.1f s", title, perf_counter() - start)
 
+    @contextmanager
+    def line(self) -> Iterator[Show]:
+        """Keep one line at the bottom of the terminal, and its last text when the block ends."""
+        with Live(Text(""), console=Console(file=sys.stdout), refresh_per_second=8) as live:
+
+            def show(text: str) -> None:
+                raise_if_received()
+                live.update(Text(printable(text)))
+
+            yield show
+
 
 class Lines:
     """One line when a stage is done."""
@@ -78,6 +91,16 @@ class Lines:
         print(f"{printable(title)}: {count}{seconds:.1f} s", flush=True)
         _finished.append(title)
         _log.info("%s: %.1f s", title, seconds)
+
+    @contextmanager
+    def line(self) -> Iterator[Show]:
+        """Print every text on a line of its own."""
+
+        def show(text: str) -> None:
+            raise_if_received()
+            print(printable(text), flush=True)
+
+        yield show
 
 
 class _PlainWarnings(logging.Handler):

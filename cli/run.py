@@ -2,14 +2,17 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
 from polhode.cli.console import choose_progress
 from polhode.cli.options import ConfigValues, Debug, Flag, OptionalConfigFile
 from polhode.config import Config
-from polhode.errors import RunFailure
+from polhode.errors import InputError, RunFailure
+
+if TYPE_CHECKING:
+    from polhode.pipeline.run import RunResult
 
 
 @dataclass(frozen=True)
@@ -20,10 +23,19 @@ class RunCommand:
     the file does not set it.
     """
 
-    data: Annotated[Path, arg(metavar="SEQ")]
-    """Folder of the stereo sequence (it contains mav0/)."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
     """Folder of the results, which is created."""
+    data: Annotated[Path | None, arg(metavar="SEQ")] = None
+    """Folder of the stereo sequence (it contains mav0/)."""
+    live: Annotated[Path | None, arg(metavar="SOURCE")] = None
+    """Instead of --data: a folder of the same layout that fills meanwhile. Each pair gives a state before the
+    next one comes; at the end, when the file mav0/end appears or after --patience-s, follows the answer from
+    all of them. Ctrl-C finishes with what has come."""
+    rate: Annotated[float | None, arg(metavar="RATE")] = None
+    """With --live: SOURCE is complete and is replayed, 1 at its own speed, 2 at twice that, 0 as fast as it
+    is processed."""
+    patience_s: Annotated[float | None, arg(metavar="S")] = None
+    """With --live: SOURCE has ended when no pair came for so long [s]; 10 if it is left out."""
     config: OptionalConfigFile = None
     """Configuration, YAML. If it is left out the defaults apply, which fit any calibrated sequence."""
     overwrite: Flag = False
@@ -36,9 +48,23 @@ class RunCommand:
 
     def execute(self) -> int:
         """Run the pipeline. Raises RunFailure when it did not reach a converged estimate."""
+        result = self._run_live(self.live) if self.live is not None else self._run()
+        print(f"{result.sentence} {result.report_path}")
+        note = f"; {result.note}" if result.note else ""
+        if result.failure is not None:
+            raise RunFailure(f"{result.failure}; the best motion found: {result.report_path}{note}")
+        return 0
+
+    def _run(self) -> "RunResult":
         from polhode.pipeline.run import run
 
-        result = run(
+        if self.data is None:
+            raise InputError(
+                "the sequence is missing: give --data SEQ, or --live SOURCE for one that comes now"
+            )
+        if self.rate is not None or self.patience_s is not None:
+            raise InputError("--rate and --patience-s need --live SOURCE: --data is read at once")
+        return run(
             self.values,
             self.data,
             self.output,
@@ -46,8 +72,24 @@ class RunCommand:
             overwrite=self.overwrite,
             even_if_failed=self.even_if_failed,
         )
-        print(f"{result.sentence} {result.report_path}")
-        note = f"; {result.note}" if result.note else ""
-        if result.failure is not None:
-            raise RunFailure(f"{result.failure}; the best motion found: {result.report_path}{note}")
-        return 0
+
+    def _run_live(self, source: Path) -> "RunResult":
+        from polhode.pipeline.live.run_live import PATIENCE_S, run_live
+
+        if self.data is not None:
+            raise InputError("--data and --live: give one of them")
+        result, live = run_live(
+            self.values,
+            source,
+            self.output,
+            choose_progress(),
+            rate=self.rate,
+            patience_s=PATIENCE_S if self.patience_s is None else self.patience_s,
+            overwrite=self.overwrite,
+            even_if_failed=self.even_if_failed,
+        )
+        print(
+            f"live: {len(live.processed)} pairs, {live.dropped} dropped; report {live.report_s:.1f} s after "
+            "the last one"
+        )
+        return result

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from polhode import fisheye
 from polhode.camera import RectifiedRig
-from polhode.dataset import StereoCalibration, StereoSequence
+from polhode.dataset import StereoCalibration, StereoImages, StereoSequence
 from polhode.errors import InputError
 from polhode.frontend.found_masks import FoundMasks
 from polhode.frontend.segmentation import border_of, target_mask
@@ -222,7 +222,11 @@ def rectified_pair(sequence: StereoSequence, rectifier: Rectifier, k: int) -> Re
     """Read, rectify and mask pair k; where the mask was found, the background is black."""
     if sequence.has_ranges:
         return _ranged_pair(sequence, rectifier, k)
-    raw = sequence.read_pair(k)
+    return rectified_images(sequence.read_pair(k), rectifier, k)
+
+
+def rectified_images(raw: StereoImages, rectifier: Rectifier, k: int = 0) -> RectifiedPair:
+    """Rectify and mask one pair of images; ``k``: its number, by which masks that were found are taken."""
     left, mask_left = _rectified(rectifier, k, 0, raw.left, raw.mask_left)
     right, mask_right = _rectified(rectifier, k, 1, raw.right, raw.mask_right)
     return RectifiedPair(left, right, mask_left, mask_right)

@@ -3,6 +3,7 @@
 In: the folder of a sequence and a configuration. Out: the run directory (docs/run_directory.md).
 
 - run: the whole flow on a page
+- streamed: what a stream has found already, for the run that follows
 - context: images, configuration, progress and clock, which every step takes
 - correspondences: features of all frames, and the frames that match
 - find_motion: solve, match again, keep what fits better; consistency_check decides what fits better
@@ -11,8 +12,8 @@ In: the folder of a sequence and a configuration. Out: the run directory (docs/r
 - evaluation: a run against the truth of its dataset, which nothing else reads
 - uniform_density: mass properties from the mesh at uniform density, assumed and compared with the motion's
 
-checkout/ checks a sequence before a run; data_checks/ finds signs that the data are not as they say,
-answer_checks/ that the answer is not; intervals/ bounds what the motion does not determine; run_directory/
-reads and writes a run; report/ and pictures/ show it; after_run/ derives plans, predictions, exports and the
-observability of edges from it.
+live/ takes pairs one at a time, with a state for each; checkout/ checks a sequence before a run; data_checks/
+finds signs that the data are not as they say, answer_checks/ that the answer is not; intervals/ bounds what
+the motion does not determine; run_directory/ reads and writes a run; report/ and pictures/ show it;
+after_run/ derives plans, predictions, exports and the observability of edges from it.
 """

@@ -25,6 +25,7 @@ from polhode.frontend.matching.pairs import (
 from polhode.frontend.tracks.tracks import join_matches
 from polhode.lie import Array
 from polhode.pipeline.context import RunContext
+from polhode.pipeline.streamed import Streamed
 from polhode.records import Ints, RelativePoses, StereoTracks
 
 _log = logging.getLogger(__name__)
@@ -57,19 +58,27 @@ class Correspondences:
         return context.tracks(self.features, join_matches(self.features, self.matches))
 
 
-def match_frames(context: RunContext) -> Correspondences:
+def match_frames(context: RunContext, streamed: Streamed | None = None) -> Correspondences:
     """Match every frame with every other, or with those of similar appearance, without a motion estimate.
 
-    Raises InputError when the weights of a feature method are missing.
+    ``streamed``: what a stream of these pairs has found already, which is used again if it fits. Raises
+    InputError when the weights of a feature method are missing.
     """
     config = context.config
     second = config.frontend.second_method
     if second is not None:
         # A missing file of weights ends the command now, not after the work of the first method.
         feature_method(second), match_method(second)
-    features = _extract(context, config.frontend)
+    if streamed is not None and not streamed.fits(context.sequence.timestamps_ns, context.rectifier):
+        _log.info("all pairs together give other masks than those of the stream, whose features are not used")
+        streamed = None
+    features = _extract(context, config.frontend) if streamed is None else streamed.features
     partners = pairs_to_match(features, config.frontend.pairs, config.seed)
-    matches = _match(context, features, partners, config.frontend)
+    if streamed is None:
+        matches = _match(context, features, partners, config.frontend)
+    else:
+        left = streamed.untried(partners)
+        matches = streamed.with_found(_match(context, features, left, config.frontend))
     return Correspondences(features, _without_contradictions(context, matches))
 
 

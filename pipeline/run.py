@@ -1,7 +1,9 @@
 """The main job, as the data flows: images, tracks, first motion, motion, window, depth, fusion, report."""
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -26,9 +28,10 @@ from polhode.pipeline.report import finish_run, write_report
 from polhode.pipeline.run_directory import outputs
 from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.pipeline.run_directory.recording import recording_of
-from polhode.pipeline.run_directory.run_folder import atomic_run_folder
+from polhode.pipeline.run_directory.run_folder import RunFolder, atomic_run_folder
 from polhode.pipeline.run_directory.summary import build_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
+from polhode.pipeline.streamed import Streamed
 from polhode.progress import Progress
 from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks, SurfaceModel
 from polhode.threads import single_threaded
@@ -58,82 +61,114 @@ def run(
     progress: Progress,
     overwrite: bool = False,
     even_if_failed: bool = False,
+    streamed: Streamed | None = None,
 ) -> RunResult:
     """A stereo sequence on disk to a run directory (docs/run_directory.md).
 
     ``overwrite`` replaces an existing run; a failed run only a failed one, unless ``even_if_failed``.
+    ``streamed``: what a stream of these pairs has found already.
 
     Raises InputError for bad input and then writes nothing; RunFailure when no consistent motion is found,
     and then the run directory contains what was found before.
     """
     with atomic_run_folder(run_folder, overwrite, write_report, even_if_failed) as written:
-        folder = written.path
-        context = open_context(sequence_folder, config, progress)
-        clock = context.clock
-        written.recording = recording_of(context.sequence)
-        outputs.write_config(folder, config)
-        warn_before_run(context.sequence, context.rectifier)
+        finished = fill_run_folder(written, config, sequence_folder, progress, streamed)
+    return finished(written)
 
-        correspondences = match_frames(context)
-        links = correspondences.links
-        write_measurements(correspondences.tracks(context), folder / "measurements.npz", links)
 
-        for solution in find_motion(context, correspondences):
-            # Each solution is written, so that it is kept should a later step fail.
-            outputs.write_estimate(folder, solution.tracks, solution.estimate, solution.links)
-        tracks, estimate = solution.tracks, solution.estimate
-        findings = check_data(context, correspondences.features, tracks, estimate)
-        online = _replay(context, tracks, estimate) if config.backend.window.enabled else None
-        if online is not None:
-            outputs.write_online_estimate(folder, online)
+@single_threaded
+def fill_run_folder(
+    written: RunFolder,
+    config: Config,
+    sequence_folder: Path,
+    progress: Progress,
+    streamed: Streamed | None = None,
+) -> Callable[[RunFolder], RunResult]:
+    """The whole run, into a folder that is open. Returns what makes its result once it is published."""
+    folder = written.path
+    context = open_context(sequence_folder, config, progress)
+    clock = context.clock
+    written.recording = recording_of(context.sequence)
+    outputs.write_config(folder, config)
+    warn_before_run(context.sequence, context.rectifier)
+    if streamed is not None:
+        # In its own frame G until the motion is found, should that fail.
+        outputs.write_online_estimate(folder, streamed.online)
 
-        images = ImageMotion(
-            context.rig, pose_RG(tracks, estimate), np.isin(np.arange(tracks.n_frames), tracks.frame)
-        )
-        fused = _build_surface(context, tracks, estimate, images)
-        with clock("fusion"):
-            X_RG = pose_RG(tracks, estimate)
-            if fused.aligned is not None:
-                X_RG = fused.aligned.put_into(X_RG)
-            surface, levels, shape = finish_surface(context, fused, X_RG, estimate.mass)
-            intervals, unbounded = find_intervals(estimate, surface, shape.coverage, config.backend)
-        outputs.write_surface(folder, surface, levels)
+    correspondences = match_frames(context, streamed)
+    links = correspondences.links
+    write_measurements(correspondences.tracks(context), folder / "measurements.npz", links)
 
-        with clock("checks"):
-            sun = shape.mesh.sun if shape.mesh is not None else None
-            sun_N = None if sun is None or sun.sigma_deg is None else np.array(sun.direction_N)
-            doubts = images.checks(float(np.median(np.diff(tracks.time_s))))
-            doubts += check_answer(tracks, estimate, solution.links, config.backend, online, sun_N)
-            shown = (context.sequence, context.rectifier, tracks, estimate, surface.mesh)
-            doubts += check_surface(*shown, shape.physics, sun_N)
-        # the images were compared while the depth maps passed to the fusion
-        clock.seconds["checks"] += images.seconds
-        clock.seconds["fusion"] -= images.seconds
-        with clock("report"):
-            make_pictures(context, folder, tracks, estimate, surface)
-        clock.add_total()
-        warnings = [*context.sequence.warnings, *window_warnings(tracks.n_frames, config.backend)]
-        warnings += [*fused.warnings, *findings.limits, *unbounded]
-        checks = [*doubts, *findings.checks]
-        summary = build_summary(
-            *(tracks, estimate, surface, clock.seconds, warnings),
-            shape=shape,
-            checks=checks,
-            intervals=intervals,
-        )
-        summary = summary.model_copy(update={"data": written.recording})
-        with progress.stage("report", 1) as advance:
-            summary = finish_run(folder, summary)
-            advance()
+    for solution in find_motion(context, correspondences):
+        # Each solution is written, so that it is kept should a later step fail.
+        outputs.write_estimate(folder, solution.tracks, solution.estimate, solution.links)
+    tracks, estimate = solution.tracks, solution.estimate
+    findings = check_data(context, correspondences.features, tracks, estimate)
+    online = _online(context, tracks, estimate, streamed)
+    if online is not None:
+        outputs.write_online_estimate(folder, online)
+
+    images = ImageMotion(
+        context.rig, pose_RG(tracks, estimate), np.isin(np.arange(tracks.n_frames), tracks.frame)
+    )
+    fused = _build_surface(context, tracks, estimate, images)
+    with clock("fusion"):
+        X_RG = pose_RG(tracks, estimate)
+        if fused.aligned is not None:
+            X_RG = fused.aligned.put_into(X_RG)
+        surface, levels, shape = finish_surface(context, fused, X_RG, estimate.mass)
+        intervals, unbounded = find_intervals(estimate, surface, shape.coverage, config.backend)
+    outputs.write_surface(folder, surface, levels)
+
+    with clock("checks"):
+        sun = shape.mesh.sun if shape.mesh is not None else None
+        sun_N = None if sun is None or sun.sigma_deg is None else np.array(sun.direction_N)
+        doubts = images.checks(float(np.median(np.diff(tracks.time_s))))
+        doubts += check_answer(tracks, estimate, solution.links, config.backend, online, sun_N)
+        shown = (context.sequence, context.rectifier, tracks, estimate, surface.mesh)
+        doubts += check_surface(*shown, shape.physics, sun_N)
+    # the images were compared while the depth maps passed to the fusion
+    clock.seconds["checks"] += images.seconds
+    clock.seconds["fusion"] -= images.seconds
+    with clock("report"):
+        make_pictures(context, folder, tracks, estimate, surface)
+    clock.add_total()
+    warnings = [*(streamed.warnings if streamed is not None else ()), *context.sequence.warnings]
+    warnings += window_warnings(tracks.n_frames, config.backend)
+    warnings += [*fused.warnings, *findings.limits, *unbounded]
+    checks = [*doubts, *findings.checks]
+    summary = build_summary(
+        *(tracks, estimate, surface, clock.seconds, warnings),
+        shape=shape,
+        checks=checks,
+        intervals=intervals,
+    )
+    summary = summary.model_copy(update={"data": written.recording})
+    with progress.stage("report", 1) as advance:
+        summary = finish_run(folder, summary)
+        advance()
     failure = summary.warnings[0] if summary.status == "failed" else None
+    return partial(_result, summary, _sentence(summary, estimate), failure)
+
+
+def _result(summary: Summary, sentence: str, failure: str | None, written: RunFolder) -> RunResult:
     report = written.published / "report.html"
     report = report if report.is_file() else written.published
-    return RunResult(summary.status, report, _sentence(summary, estimate), failure, written.note)
+    return RunResult(summary.status, report, sentence, failure, written.note)
 
 
-def _replay(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> OnlineEstimate:
-    """The estimate of a sliding window as each frame arrived, in the frames of the final estimate."""
+def _online(
+    context: RunContext, tracks: StereoTracks, estimate: MotionEstimate, streamed: Streamed | None
+) -> OnlineEstimate | None:
+    """The estimate as each frame arrived, in the frames of the final one: of the stream if there was one.
+
+    Otherwise the frames pass through a sliding window now, with tracks that were found with all of them.
+    """
+    if not context.config.backend.window.enabled and streamed is None:
+        return None
     with context.clock("backend"):
+        if streamed is not None and np.array_equal(streamed.timestamps_ns, estimate.timestamps_ns):
+            return align_online_estimate(streamed.online, estimate)
         return align_online_estimate(
             estimate_online(tracks, context.config.backend, context.progress), estimate
         )

@@ -52,4 +52,22 @@ interrupts.py      signals that end a command in order
 threads.py         how many threads the libraries may use
 progress.py        how stages report their progress
 errors.py          errors that end a command, with their exit codes; text that is safe to print
+
+``polhode.Session`` is the live estimate as a library: pairs are pushed, each gives a state (docs/live.md).
 """
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from polhode.pipeline.live.session import Session
+
+__all__ = ["Session"]
+
+
+def __getattr__(name: str) -> Any:
+    """The session, loaded when it is first asked for: the program starts without it."""
+    if name == "Session":
+        from polhode.pipeline.live.session import Session
+
+        return Session
+    raise AttributeError(f"module 'polhode' has no attribute {name!r}")

@@ -605,7 +605,7 @@ def read_inspector(folder: Path, timestamps_ns: Ints) -> InspectorPoses:
     require_below(table, MAX_COORDINATE_M, "a coordinate [m]")
     R_NB = attitudes_of(table, values[:, 3:], "q_RS")
     interpolated = _require_cover(path, stamps, timestamps_ns)
-    sigma_p_m, sigma_theta_rad, warnings = _read_sigmas(folder / "sensor.yaml")
+    sigma_p_m, sigma_theta_rad, warnings = read_sigmas(folder / "sensor.yaml")
     X_NB = _interpolate(stamps, values[:, :3], R_NB, timestamps_ns)
     if interpolated:
         warnings = (*warnings, f"{path}: {interpolated} frames lack a pose of their own; it was interpolated")
@@ -627,8 +627,8 @@ def _require_cover(path: Path, stamps: Ints, frames: Ints) -> int:
     return int((distance > 0.5 * interval_ns).sum())
 
 
-def _read_sigmas(path: Path) -> tuple[float, float, tuple[str, ...]]:
-    """sigma_p_m, sigma_theta_rad; a file or key that is absent means that the poses are exact."""
+def read_sigmas(path: Path) -> tuple[float, float, tuple[str, ...]]:
+    """sigma_p_m, sigma_theta_rad, warnings; a file or key that is absent means that the poses are exact."""
     try:
         if not read_text(path, CONFIGURATION_BYTES, "a YAML file").strip():
             return 0.0, 0.0, ()

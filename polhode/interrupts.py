@@ -61,15 +61,30 @@ def interrupts_delayed() -> Iterator[None]:
             signal.raise_signal(number)
 
 
+@contextmanager
+def interrupt_noted() -> Iterator[Callable[[], bool]]:
+    """Ctrl-C within the block is noted, and ends nothing: what it yields says whether it has come.
+
+    For work that is to be finished with what there is. SIGTERM and SIGHUP end the command as always.
+    """
+    noted: list[int] = []
+    with _handlers(lambda number, frame: noted.append(number), of=(signal.SIGINT,)):
+        yield lambda: bool(noted)
+
+
 Handler = Callable[[int, FrameType | None], object]
 
 
 @contextmanager
-def _handlers(handler: Handler, replacing: tuple[object, ...] | None = None) -> Iterator[None]:
+def _handlers(
+    handler: Handler,
+    replacing: tuple[object, ...] | None = None,
+    of: tuple[signal.Signals, ...] = SIGNALS,
+) -> Iterator[None]:
     """Handle the signals within the block; ``replacing``: only those that have one of these handlers."""
     before = {}
     if threading.current_thread() is threading.main_thread():
-        for number in SIGNALS:
+        for number in of:
             present = signal.getsignal(number)
             kept = present not in replacing if replacing else present in (signal.SIG_IGN, None)
             if not kept:

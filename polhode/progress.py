@@ -15,8 +15,23 @@ class Progress(Protocol):
         ...
 
 
+Show = Callable[[str], None]
+
+
+class LiveProgress(Progress, Protocol):
+    """Shows progress, and a line that tells how things are now."""
+
+    def line(self) -> AbstractContextManager[Show]:
+        """Show a line until the block ends; what it yields replaces its text."""
+        ...
+
+
 class Silent:
     """Shows nothing: for tests and for use as a library."""
+
+    @contextmanager
+    def line(self) -> Iterator[Show]:
+        yield lambda text: None
 
     @contextmanager
     def stage(self, title: str, total: int) -> Iterator[Advance]:

@@ -83,7 +83,7 @@ def read_listing(path: Path) -> dict[int, str]:
     for number, fields in _rows(path):
         before = _later_stamp(path, number, fields[0], before)
         name = fields[1] if len(fields) > 1 and fields[1] else f"{fields[0]}.png"
-        if wrong := _wrong_name(name):
+        if wrong := wrong_name(name):
             raise InputError(f"{path} line {number}: the name {_shown(name)} {wrong}")
         if name in seen:
             raise InputError(
@@ -94,7 +94,7 @@ def read_listing(path: Path) -> dict[int, str]:
     return names
 
 
-def _wrong_name(name: str) -> str:
+def wrong_name(name: str) -> str:
     """What is wrong with the name of an image, and what to do; empty: nothing."""
     if _PLAIN_NAME.fullmatch(name):
         return ""

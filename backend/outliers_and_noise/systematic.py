@@ -92,10 +92,18 @@ def _inflated_verdict(mass: MassProperties, in_G: Array) -> Identifiability:
 
 
 def online_with_systematic(
-    online: OnlineEstimate, tracks: StereoTracks, sigma_px: Sigma, slide_px: float, focal_error: float = 0.0
+    online: OnlineEstimate,
+    rig: RectifiedRig,
+    X_NR: Array,
+    sigma_px: Sigma,
+    slide_px: float,
+    focal_error: float = 0.0,
 ) -> OnlineEstimate:
-    """The causal estimate with systematic errors in the covariances of positions and centre of mass."""
-    spread = position_spread(tracks.rig, tracks.X_NR, online.r_N, sigma_px, slide_px, focal_error)
+    """The causal estimate with systematic errors in the covariances of positions and centre of mass.
+
+    X_NR (F, 4, 4): poses of the rectified left camera. A row depends on itself and the first known one only.
+    """
+    spread = position_spread(rig, X_NR, online.r_N, sigma_px, slide_px, focal_error)
     known = np.isfinite(np.diagonal(online.covariance, axis1=1, axis2=2)).any(axis=1)
     first = int(np.argmax(known))
     in_G = online.X_NG[first, :3, :3].T @ spread[first]

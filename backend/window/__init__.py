@@ -20,7 +20,9 @@ from polhode.backend.window.estimator import (
     SlidingWindow,
     align_online_estimate,
     estimate_online,
+    stack_states,
     window_warnings,
+    without_claims_after_torques,
 )
 from polhode.backend.window.frame import CameraNoise, FrameMeasurements, camera_noise_of, frames_of
 
@@ -33,5 +35,7 @@ __all__ = [
     "camera_noise_of",
     "estimate_online",
     "frames_of",
+    "stack_states",
     "window_warnings",
+    "without_claims_after_torques",
 ]

@@ -9,7 +9,7 @@ from scipy.linalg import LinAlgError
 from scipy.spatial.transform import Rotation
 
 from polhode.backend.outliers_and_noise.systematic import online_with_systematic
-from polhode.backend.problem.iterate import COM, RATE
+from polhode.backend.problem.iterate import COM, POSITION, RATE
 from polhode.backend.uncertainty.covariance import with_infinite
 from polhode.backend.window.add_frame import first_frame, next_frame
 from polhode.backend.window.causal_state import OnlineState, online_state, unknown_state
@@ -23,7 +23,7 @@ from polhode.backend.window.problem import WindowSolver
 from polhode.backend.window.solve import choose_inertia, expand_arrival, solve_history, solve_window
 from polhode.camera import RectifiedRig
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array, inverse_pose, transform_points
+from polhode.lie import Array, inverse_pose, make_pose, transform_points
 from polhode.progress import Progress
 from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks, Wrench
 from polhode.rigid_body import HALF_TURNS
@@ -66,7 +66,35 @@ class SlidingWindow:
         self._first_ns: int | None = None
         self._number = 0
         self._missed = 0
+        self.restarts = 0
+        """How often everything was forgotten: each time with a new frame G"""
         self.state = initial_estimator_state(rig, config, self._camera)
+
+    @property
+    def accepted(self) -> int:
+        """Number of observations of the latest frame that agree with the motion."""
+        recent = self.state.active.recent
+        return len(recent[-1].slot) if recent and recent[-1].number == self._number else 0
+
+    @property
+    def sigma_rate(self) -> float:
+        """Standard deviation [rad/s] of the size of the latest angular velocity; inf: it is unknown.
+
+        It is known long before the axes are, along which the state has its components.
+        """
+        last, recent = self.state.last, self.state.active.recent
+        rate = float(np.linalg.norm(recent[-1].x[RATE])) if recent else 0.0
+        if last is None or rate == 0.0:
+            return float("inf")
+        along = recent[-1].x[RATE] / rate
+        return float(np.sqrt(along @ np.linalg.inv(last.joint)[RATE, RATE] @ along))
+
+    def predict(self, timestamp_ns: int) -> Array | None:
+        """X_NG (4, 4) at a time after the latest frame, by the dynamics; None: the motion is unknown."""
+        if self._first_ns is None or len(self.state.active.frames) < 2:
+            return None
+        x, R_NG = self.state.predict((timestamp_ns - self._first_ns) * 1e-9)
+        return make_pose(R_NG, x[POSITION])
 
     def add(self, m: FrameMeasurements) -> OnlineState:
         """Add one frame, later than all before; returns its state as known now."""
@@ -152,6 +180,7 @@ class SlidingWindow:
         """Forget everything and start again, with a new frame G."""
         level = logging.WARNING if self.state.inertia_known else logging.INFO
         _log.log(level, "sliding window: restarted at %.2f s, %s", time_s, why)
+        self.restarts += 1
         self._missed, self.state = 0, initial_estimator_state(self._rig, self._config, self._camera)
         return self._begin(m, time_s)
 
@@ -185,11 +214,21 @@ def estimate_online(tracks: StereoTracks, config: Backend, progress: Progress) -
             seconds.append(perf_counter() - begin)
             advance()
     _log.info("window: median %.0f ms a frame, %.1f s in all", 1e3 * np.median(seconds), sum(seconds))
-    light_px = config.light_px if config.correlated_errors == "slide" else 0.0
-    online = online_with_systematic(
-        stack_states(states), tracks, config.systematic_px, light_px, config.focal_error
-    )
+    online = online_estimate(states, tracks.rig, tracks.X_NR, config)
     return online if tracks.wrench is None else without_claims_after_torques(online, tracks.wrench)
+
+
+def online_estimate(
+    states: list[OnlineState], rig: RectifiedRig, X_NR: Array, config: Backend
+) -> OnlineEstimate:
+    """One record of states with the errors that all landmarks share; X_NR (F, 4, 4): the left camera.
+
+    A row depends on its state and the first one of which something is known only.
+    """
+    light_px = config.light_px if config.correlated_errors == "slide" else 0.0
+    return online_with_systematic(
+        stack_states(states), rig, X_NR, config.systematic_px, light_px, config.focal_error
+    )
 
 
 def without_claims_after_torques(online: OnlineEstimate, wrench: Wrench) -> OnlineEstimate:

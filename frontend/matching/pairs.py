@@ -91,19 +91,28 @@ def _match_row(
     i: int,
 ) -> list[PairMatch]:
     """Matches of frame i with its partners."""
-    found = []
-    for j in partners[i].tolist():
-        if min(len(frames[i]), len(frames[j])) < MIN_INLIERS:
-            continue
-        pairs = match_method(config)(frames[i], frames[j]).features
-        if len(pairs) < MIN_INLIERS:
-            continue
-        a, b = pairs.T
-        rng = np.random.default_rng([seed, i, j])
-        fit = ransac_rigid(frames[i].uvd_px[a], frames[i].p_R[a], frames[j].p_R[b], rig, rng)
-        if fit.inlier.sum() >= MIN_INLIERS:
-            found.append(PairMatch(i, j, fit.X_RiRj, pairs[fit.inlier]))
-    return found
+    matches = (match_pair(frames, i, j, rig, config, seed) for j in partners[i].tolist())
+    return [match for match in matches if match is not None]
+
+
+def match_pair(
+    frames: Sequence[StereoFeatures], i: int, j: int, rig: RectifiedRig, config: Frontend, seed: int
+) -> PairMatch | None:
+    """The match of frames i < j; None: it does not pass the geometric check.
+
+    It depends on these two frames and (seed, i, j) only, whenever it is made.
+    """
+    if min(len(frames[i]), len(frames[j])) < MIN_INLIERS:
+        return None
+    pairs = match_method(config)(frames[i], frames[j]).features
+    if len(pairs) < MIN_INLIERS:
+        return None
+    a, b = pairs.T
+    rng = np.random.default_rng([seed, i, j])
+    fit = ransac_rigid(frames[i].uvd_px[a], frames[i].p_R[a], frames[j].p_R[b], rig, rng)
+    if fit.inlier.sum() < MIN_INLIERS:
+        return None
+    return PairMatch(i, j, fit.X_RiRj, pairs[fit.inlier])
 
 
 def relative_poses(matches: Sequence[PairMatch]) -> RelativePoses:

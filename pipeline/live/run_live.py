@@ -1,0 +1,190 @@
+"""A source to a run directory, pair by pair: ``polhode run --live``."""
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from polhode.config import Config
+from polhode.dataset import StereoImages
+from polhode.errors import InputError
+from polhode.images import bit_depth, has_content, to_grey
+from polhode.interrupts import interrupt_noted
+from polhode.pipeline.live.arrivals import Arrivals
+from polhode.pipeline.live.feed import Arrived, Dropped, Feed
+from polhode.pipeline.live.folder_source import FolderSource, SourcePair
+from polhode.pipeline.live.live_state import LiveState
+from polhode.pipeline.live.recording import FileRecording
+from polhode.pipeline.live.session import RepeatedImages, require_pairs, unmeasured
+from polhode.pipeline.live.stream import Extracted, Stream
+from polhode.pipeline.report import write_report
+from polhode.pipeline.run import RunResult, fill_run_folder
+from polhode.pipeline.run_directory.run_folder import atomic_run_folder
+from polhode.processes import worker_count
+from polhode.progress import LiveProgress
+from polhode.threads import single_threaded
+
+MAX_RATE = 1e4
+PATIENCE_S = 10.0
+"""A folder that fills has ended when no pair came for so long."""
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Processed:
+    """A state, and how long after its pair's arrival it was there."""
+
+    state: LiveState
+    latency_s: float
+
+
+@dataclass
+class LiveReport:
+    """What a live run measured besides its result."""
+
+    processed: list[Processed] = field(default_factory=list)
+    dropped: int = 0
+    report_s: float = 0.0
+    """From the arrival of the last pair to the report"""
+    interrupted: bool = False
+
+
+@dataclass(frozen=True)
+class _Started:
+    """A pair whose features are being extracted."""
+
+    arrived: Arrived
+    extracted: Future[Extracted]
+
+
+@single_threaded
+def run_live(
+    config: Config,
+    source_folder: Path,
+    run_folder: Path,
+    progress: LiveProgress,
+    rate: float | None = None,
+    patience_s: float = PATIENCE_S,
+    overwrite: bool = False,
+    even_if_failed: bool = False,
+) -> tuple[RunResult, LiveReport]:
+    """States of the pairs as they come, then the batch answer of the pairs that came.
+
+    rate: speed of the replay of a recorded sequence, 0 as fast as it goes; None: the folder fills, until the
+    file mav0/end appears or nothing came for ``patience_s``. Ctrl-C ends the stream, not the run. Raises
+    InputError for a wrong source or rate, RunFailure as ``run``.
+    """
+    _require_options(rate, patience_s)
+    source = FolderSource(source_folder, rate is None, patience_s)
+    live = LiveReport()
+    with atomic_run_folder(run_folder, overwrite, write_report, even_if_failed) as written:
+        stream = Stream(config, source.calibration, source.camera_motion())
+        recording = FileRecording(source_folder)
+        try:
+            loop = _Loop(stream, recording, source, worker_count(config.runtime.workers), live)
+            with interrupt_noted() as interrupted, progress.line() as show:
+                last_at = loop.run(rate, interrupted, show)
+            live.interrupted = loop.interrupted
+            require_pairs(len(stream), str(source_folder))
+            recording.close()
+            streamed = stream.streamed(loop.arrivals.warnings)
+            finished = fill_run_folder(written, config, recording.folder, progress, streamed)
+        finally:
+            recording.remove()
+        live.report_s = perf_counter() - last_at
+        _log.info("live: %.1f s from the last pair to the report", live.report_s)
+    return finished(written), live
+
+
+def _require_options(rate: float | None, patience_s: float) -> None:
+    if rate is not None and not 0.0 <= rate <= MAX_RATE:
+        raise InputError(f"--rate {rate:g}: give 1 for the sequence's own speed, 2 for twice, 0 for no pause")
+    if not 0.0 < patience_s <= 1e6:
+        raise InputError(f"--patience-s {patience_s:g}: give seconds, above 0")
+
+
+class _Loop:
+    """Pairs from the feed through the stages; the features of the next ones are extracted meanwhile."""
+
+    def __init__(
+        self, stream: Stream, recording: FileRecording, source: FolderSource, workers: int, live: LiveReport
+    ) -> None:
+        self._stream, self._recording, self._source, self._live = stream, recording, source, live
+        self._bits = source.calibration.bits
+        self._repeated = RepeatedImages()
+        self._workers = workers
+        self.arrivals = Arrivals()
+        self.interrupted = False
+        self._prepared = False
+
+    def run(self, rate: float | None, interrupted: Callable[[], bool], show: Callable[[str], None]) -> float:
+        """Process all pairs; returns when the last one came. Raises InputError of the source."""
+        started: deque[_Started] = deque()
+        last_at = perf_counter()
+        with ThreadPoolExecutor(self._workers) as pool, Feed(self._source.items, rate) as feed:
+            while not (feed.ended and not started):
+                if interrupted() and not self.interrupted:
+                    self.interrupted = True
+                    feed.stop()
+                    show("interrupted: the pairs that have come are finished")
+                busy = len(started) >= self._workers or bool(started and started[0].extracted.done())
+                item = None if busy else feed.next(0.0 if started else 0.05)
+                if isinstance(item, Arrived):
+                    last_at = item.at
+                    if (future := self._start(item.pair, pool)) is not None:
+                        started.append(_Started(item, future))
+                elif isinstance(item, Dropped):
+                    self._live.dropped += 1
+                    self.arrivals.note("dropped", f"{item.timestamp_ns} ns")
+                elif item is not None:
+                    self.arrivals.note("unusable", item.what)
+                elif started and (started[0].extracted.done() or busy or not self._stream.match_ahead()):
+                    show(self._finish(started.popleft()))
+                elif not started:
+                    self._stream.match_ahead()
+        return last_at
+
+    def _start(self, pair: SourcePair, pool: ThreadPoolExecutor) -> Future[Extracted] | None:
+        """Begin the extraction of a pair; None: it is not used."""
+        if not self.arrivals.accepts(pair.stamps_ns[0]):
+            return None
+        if self._bits is None:
+            self._bits = bit_depth(int(max(pair.left.max(), pair.right.max())))
+        images = StereoImages(to_grey(pair.left, self._bits), to_grey(pair.right, self._bits), *pair.masks)
+        shows = has_content(images.left), has_content(images.right)
+        if self._repeated(pair.left, pair.right, shows):
+            self.arrivals.note("repeated", f"{pair.stamps_ns[0]} ns")
+            images = unmeasured(images)
+        elif not self._prepared:
+            self._stream.prepare(images)
+            self._prepared = True
+        return pool.submit(self._stream.extract, images)
+
+    def _finish(self, started: _Started) -> str:
+        """The state of a pair, and the line that shows it."""
+        pair, extracted = started.arrived.pair, started.extracted.result()
+        X_NC = np.eye(4) if pair.X_NB is None else pair.X_NB @ self._source.calibration.X_BC0
+        state = self._stream.add(pair.stamps_ns[0], X_NC, extracted)
+        self._recording.add(pair.stamps_ns, pair.names)
+        latency_s = perf_counter() - started.arrived.at
+        self._live.processed.append(Processed(state, latency_s))
+        return line_of(state, latency_s, self._live.dropped)
+
+
+def line_of(state: LiveState, latency_s: float, dropped: int) -> str:
+    """What the terminal shows of a state."""
+    sigma = state.sigma_rate_rpm
+    rate = "rate unknown"
+    if state.status != "searching":
+        spread = f"+- {sigma:.3f} RPM" if np.isfinite(sigma) else "RPM, not determined"
+        rate = f"{state.rate_rpm:.2f} {spread}"
+    lost = f", {dropped} dropped" if dropped else ""
+    return (
+        f"frame {state.number}: {state.status}, {state.observations} observations, {rate}, "
+        f"latency {latency_s:.2f} s{lost}"
+    )

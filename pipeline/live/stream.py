@@ -1,0 +1,203 @@
+"""The stages of one pair after the other: features, links with earlier frames, landmarks, window.
+
+``extract`` needs nothing of other pairs, so that the next ones may be extracted meanwhile; ``add`` takes
+them in order. The batch uses the same stages: ``extract_pair``, ``match_pair`` and the window's frames. What
+differs is the association, which here depends on this pair and earlier ones only.
+"""
+
+import logging
+from dataclasses import dataclass, field, fields, replace
+from time import perf_counter
+
+import numpy as np
+
+from polhode.backend.outliers_and_noise.systematic import online_with_systematic
+from polhode.backend.window import SlidingWindow, stack_states, without_claims_after_torques
+from polhode.backend.window.causal_state import OnlineState
+from polhode.backend.window.frame import CameraNoise, FrameMeasurements
+from polhode.config import Config
+from polhode.dataset import StereoImages
+from polhode.frontend.extract import extract_pair
+from polhode.frontend.features.methods import feature_method
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.features.surface_features import patch_half_m
+from polhode.frontend.matching.earlier_frames import earlier_frames, viewing_direction_G
+from polhode.frontend.matching.methods import match_method
+from polhode.frontend.matching.pairs import PairMatch, match_pair
+from polhode.frontend.rectification import make_rectifier, rectified_images
+from polhode.frontend.segmentation import has_surroundings
+from polhode.frontend.tracks.causal_tracks import CausalTracks
+from polhode.lie import Array
+from polhode.pipeline.live.live_state import LiveState, live_state
+from polhode.pipeline.streamed import Streamed
+from polhode.records import Ints, OnlineEstimate, Wrench
+from polhode.rig_calibration import StereoCalibration
+
+_log = logging.getLogger(__name__)
+UNKNOWN = np.full(3, np.nan)
+
+
+@dataclass(frozen=True)
+class CameraMotion:
+    """How well the inspector's poses are known, and what is known to act on the target."""
+
+    sigma_p_m: float = 0.0
+    sigma_theta_rad: float = 0.0
+    wrench: Wrench | None = None
+
+
+@dataclass(frozen=True)
+class Extracted:
+    """The features of one pair."""
+
+    features: StereoFeatures
+    seconds: float
+
+
+@dataclass
+class _Past:
+    """What is kept of the frames so far."""
+
+    timestamps_ns: list[int] = field(default_factory=list)
+    features: list[StereoFeatures] = field(default_factory=list)
+    tried: dict[tuple[int, int], PairMatch | None] = field(default_factory=dict)
+    views_G: list[Array] = field(default_factory=list)
+    states: list[OnlineState] = field(default_factory=list)
+    first_known: tuple[OnlineState, Array] | None = None
+    """The first state of which something is determined, and X_NR there"""
+
+
+class Stream:
+    """Features, landmarks and window of the pairs that have come."""
+
+    def __init__(
+        self, config: Config, calibration: StereoCalibration, camera: CameraMotion | None = None
+    ) -> None:
+        """Raises InputError: the calibration gives no common field of view, or weights are missing."""
+        self.rectifier = make_rectifier(calibration)
+        self._camera = camera or CameraMotion()
+        self._X_CR = self.rectifier.X_CR
+        self._seed = config.seed
+        self._frontend, self._backend = config.frontend, config.backend
+        feature_method(self._frontend), match_method(self._frontend)
+        self._window = SlidingWindow(
+            self.rectifier.rig,
+            config.backend,
+            CameraNoise(self._camera.sigma_p_m, self._camera.sigma_theta_rad, calibration.X_BC0 @ self._X_CR),
+        )
+        self._tracks = CausalTracks()
+        self._past = _Past()
+        self._next_pair_to_try = (0, 1)
+
+    def __len__(self) -> int:
+        return len(self._past.timestamps_ns)
+
+    def prepare(self, images: StereoImages) -> None:
+        """Take from the first pair what the batch takes from all: dim surroundings, size of patches."""
+        if images.mask_left is None:
+            left = self.rectifier(images.left, 0)
+            surroundings = has_surroundings([left], self.rectifier.borders[0])
+            self.rectifier = replace(self.rectifier, surroundings=surroundings)
+        features = self._frontend.features
+        if features.method == "polhode" and features.patch_half_m is None:
+            found = self.extract(images).features
+            if len(found):
+                half_m = patch_half_m(float(np.median(found.p_R[:, 2])), self.rectifier.rig)
+                sized = features.model_copy(update={"patch_half_m": half_m})
+                self._frontend = self._frontend.model_copy(update={"features": sized})
+
+    def extract(self, images: StereoImages) -> Extracted:
+        """Rectify, mask and extract; independent of every other pair."""
+        begin = perf_counter()
+        pair = rectified_images(images, self.rectifier)
+        features = extract_pair(pair, self.rectifier.rig, self._frontend)
+        return Extracted(features, perf_counter() - begin)
+
+    def add(self, timestamp_ns: int, X_NC: Array, extracted: Extracted) -> LiveState:
+        """Match, associate and estimate; the pair is later than all before. X_NC (4, 4): left camera."""
+        begin = perf_counter()
+        past, k, X_NR = self._past, len(self), X_NC @ self._X_CR
+        past.timestamps_ns.append(timestamp_ns)
+        past.features.append(extracted.features)
+        matches = self._match_earlier(timestamp_ns, X_NR)
+        landmark = self._tracks.add(len(extracted.features), matches)
+        matched = perf_counter()
+        state = self._estimate(timestamp_ns, X_NR, extracted.features, landmark)
+        past.states.append(state)
+        done = perf_counter()
+        seconds = {"features": extracted.seconds, "matching": matched - begin, "window": done - matched}
+        window = self._window
+        return live_state(state, k, window.accepted, window.restarts, window.sigma_rate, seconds)
+
+    def match_ahead(self) -> bool:
+        """Match one pair of frames that the batch will want, while nothing else is to do; False: none left.
+
+        Only as long as the batch matches all frames with all.
+        """
+        i, j = self._next_pair_to_try
+        while (i, j) in self._past.tried:
+            i, j = (i + 1, j) if i + 1 < j else (0, j + 1)
+        self._next_pair_to_try = (i, j)
+        if j >= min(len(self), self._frontend.pairs.exhaustive_frames):
+            return False
+        self._try(i, j)
+        return True
+
+    def _try(self, i: int, j: int) -> PairMatch | None:
+        found = match_pair(self._past.features, i, j, self.rectifier.rig, self._frontend, self._seed)
+        self._past.tried[i, j] = found
+        return found
+
+    def _match_earlier(self, timestamp_ns: int, X_NR: Array) -> list[PairMatch]:
+        k, X_NG = len(self) - 1, self._window.predict(timestamp_ns)
+        predicted = None if X_NG is None else viewing_direction_G(X_NR, X_NG)
+        views = np.array(self._past.views_G).reshape(k, 3)
+        found = (self._try(int(i), k) for i in earlier_frames(views, predicted))
+        return [match for match in found if match is not None]
+
+    def _estimate(
+        self, timestamp_ns: int, X_NR: Array, features: StereoFeatures, landmark: Ints
+    ) -> OnlineState:
+        restarts = self._window.restarts
+        state = self._window.add(
+            FrameMeasurements(timestamp_ns, X_NR, landmark, features.uvd_px, features.sigma_px)
+        )
+        if self._window.restarts > restarts:
+            # The views of the frames so far are in a frame G that is gone.
+            self._past.views_G = [UNKNOWN] * len(self._past.views_G)
+        seen = viewing_direction_G(X_NR, state.X_NG) if self._window.accepted else UNKNOWN
+        self._past.views_G.append(seen)
+        return self._with_systematic(state, X_NR)
+
+    def _with_systematic(self, state: OnlineState, X_NR: Array) -> OnlineState:
+        """The state with the errors that all landmarks share in its covariances, as the batch reports it."""
+        past, backend = self._past, self._backend
+        if past.first_known is None and np.isfinite(np.diagonal(state.covariance)).any():
+            past.first_known = state, X_NR
+        rows, X = [state], [X_NR]
+        if past.first_known is not None:
+            rows, X = [past.first_known[0], state], [past.first_known[1], X_NR]
+        online = online_with_systematic(
+            stack_states(rows),
+            self.rectifier.rig,
+            np.stack(X),
+            backend.systematic_px,
+            backend.light_px,
+            backend.focal_error,
+        )
+        if self._camera.wrench is not None:
+            online = without_claims_after_torques(online, self._camera.wrench)
+        names = [each.name for each in fields(OnlineEstimate) if each.name != "timestamps_ns"]
+        return replace(state, **{name: getattr(online, name)[-1] for name in names})
+
+    def streamed(self, warnings: tuple[str, ...]) -> Streamed:
+        """What was found, for the batch. At least one pair has come."""
+        past = self._past
+        return Streamed(
+            np.array(past.timestamps_ns, dtype=np.int64),
+            tuple(past.features),
+            dict(past.tried),
+            self.rectifier.surroundings,
+            stack_states(past.states),
+            warnings,
+        )
