@@ -1,5 +1,6 @@
 """The sliding window: frames in, one by one, and the causal estimate at each frame out, in bounded time.
 
+- ``warm_up``: what is compiled before the first frame.
 - ``estimator``: the sliding window, frame by frame and over a whole sequence.
 - ``frame``: measurements of a frame, a frame while the window keeps it, slots of the landmarks.
 - ``add_frame``: pose and landmarks of a new frame.
@@ -25,6 +26,7 @@ from polhode.backend.window.estimator import (
     without_claims_after_torques,
 )
 from polhode.backend.window.frame import CameraNoise, FrameMeasurements, camera_noise_of, frames_of
+from polhode.backend.window.warm_up import warm_up
 
 __all__ = [
     "CameraNoise",
@@ -36,6 +38,7 @@ __all__ = [
     "estimate_online",
     "frames_of",
     "stack_states",
+    "warm_up",
     "window_warnings",
     "without_claims_after_torques",
 ]

@@ -10,6 +10,7 @@ from time import perf_counter
 
 import numpy as np
 
+from polhode.backend.window import warm_up
 from polhode.config import Config
 from polhode.dataset import StereoImages
 from polhode.errors import InputError
@@ -84,6 +85,9 @@ def run_live(
     live = LiveReport()
     with atomic_run_folder(run_folder, overwrite, write_report, even_if_failed) as written:
         stream = Stream(config, source.calibration, source.camera_motion())
+        with progress.stage("compiling", 1) as advance:
+            warm_up(stream.rectifier.rig, config.backend)
+            advance()
         recording = FileRecording(source_folder)
         try:
             loop = _Loop(stream, recording, source, worker_count(config.runtime.workers), live)
