@@ -49,7 +49,16 @@ def run_arguments(config: Path, data: Path, output: Path, *more: str) -> list[st
 BAD_USAGE: dict[str, tuple[list[str], str]] = {
     "nothing": ([], "a command is missing: simulate, calibrate, checkout, run, evaluate"),
     "unknown command": (["rnu"], "unknown command 'rnu'; did you mean run?"),
-    "no arguments": (["run"], "Missing from polhode run: --data SEQ"),
+    "no arguments": (["run"], "Missing from polhode run: -o RUN"),
+    "no sequence": (["run", "-o", "R"], "the sequence is missing: give --data SEQ, or --live SOURCE"),
+    "two sequences": (["run", "--data", "S", "--live", "S", "-o", "R"], "--data and --live: give one"),
+    "rate of a file": (
+        ["run", "--data", "S", "--rate", "1", "-o", "R"],
+        "--rate and --patience-s need --live",
+    ),
+    "negative rate": (["run", "--live", "S", "--rate=-1", "-o", "R"], "--rate -1: give 1 for the sequence's"),
+    "no patience": (["run", "--live", "S", "--patience-s", "0", "-o", "R"], "--patience-s 0: give seconds"),
+    "no source": (["run", "--live", "none", "-o", "R"], "none: no such sequence: give the folder"),
     "no output": (["run", "c.yaml", "--data", "S"], "-o RUN, --output RUN"),
     "no value": (["run", "c.yaml", "--data"], "Missing value for argument '--data'"),
     "unknown option": (
