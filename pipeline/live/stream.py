@@ -11,8 +11,7 @@ from time import perf_counter
 
 import numpy as np
 
-from polhode.backend.outliers_and_noise.systematic import online_with_systematic
-from polhode.backend.window import SlidingWindow, stack_states, without_claims_after_torques
+from polhode.backend.window import SlidingWindow, online_estimate, stack_states, without_claims_after_torques
 from polhode.backend.window.causal_state import OnlineState
 from polhode.backend.window.frame import CameraNoise, FrameMeasurements
 from polhode.config import Config
@@ -171,20 +170,13 @@ class Stream:
 
     def _with_systematic(self, state: OnlineState, X_NR: Array) -> OnlineState:
         """The state with the errors that all landmarks share in its covariances, as the batch reports it."""
-        past, backend = self._past, self._backend
+        past = self._past
         if past.first_known is None and np.isfinite(np.diagonal(state.covariance)).any():
             past.first_known = state, X_NR
         rows, X = [state], [X_NR]
         if past.first_known is not None:
             rows, X = [past.first_known[0], state], [past.first_known[1], X_NR]
-        online = online_with_systematic(
-            stack_states(rows),
-            self.rectifier.rig,
-            np.stack(X),
-            backend.systematic_px,
-            backend.light_px,
-            backend.focal_error,
-        )
+        online = online_estimate(rows, self.rectifier.rig, np.stack(X), self._backend)
         if self._camera.wrench is not None:
             online = without_claims_after_torques(online, self._camera.wrench)
         names = [each.name for each in fields(OnlineEstimate) if each.name != "timestamps_ns"]
