@@ -149,6 +149,51 @@ def _unequal(second: Array) -> Array:
     return np.array([second[0, 0] - second[1, 1], 2.0 * second[0, 1]])
 
 
+class InertiaOfHull:
+    """The inertia is that of a mass in a convex hull whose density is nonnegative and bounded.
+
+    The parameters of the inertia have a mass of nonnegative density in any case, but perhaps far outside of
+    the body. Per mass, and about its own centre, the second moment along a direction u is at most the square
+    of half the hull's length along u. It is at least that of a slab, t^2 / 12: the cap on the density
+    leaves at least the thickness t = V / (ratio A), with the hull's volume V and its shadow A across u. The
+    scale is unknown, so what counts is ``least_i a_j <= most_j a_i`` with a = u^T Sigma u, for all pairs of
+    some directions: necessary conditions, written as logarithms.
+    """
+
+    name = "inertia of a body in hull"
+
+    def __init__(self, form: InertiaForm, directions: Array, least: Array, most: Array) -> None:
+        """directions (D, 3) unit; least, most (D,) second moments per mass along them [m^2]."""
+        self.form, self.directions = form, directions
+        i, j = np.nonzero(~np.eye(len(directions), dtype=bool))
+        self._pairs = i, j
+        self._offset = np.log(least[i] / most[j])
+        self.low, self.high = np.full(len(i), -FREE), np.zeros(len(i))
+
+    def values(self, fixed: LinearizationPoint, x: Array) -> Array:
+        logarithms, _ = self._logarithms(fixed, x)
+        i, j = self._pairs
+        return np.asarray(self._offset + logarithms[j] - logarithms[i])
+
+    def cells(self, reference: Iterate) -> tuple[Ints, Ints]:
+        xi = reference.n_states + np.arange(N_CONSTANTS)[XI]
+        m = len(self.high)
+        return np.repeat(np.arange(m), len(xi)), np.tile(xi, m)
+
+    def derivatives(self, fixed: LinearizationPoint, x: Array) -> Array:
+        _, slopes = self._logarithms(fixed, x)
+        i, j = self._pairs
+        return np.asarray((slopes[j] - slopes[i]).ravel())
+
+    def _logarithms(self, fixed: LinearizationPoint, x: Array) -> tuple[Array, Array]:
+        """Of the second moments along the directions (D,), and their derivatives (D, 5)."""
+        at, u = fixed.reference, self.directions
+        xi = x[at.n_states : at.n_states + N_CONSTANTS][XI]
+        along = np.einsum("di,ij,dj->d", u, self.form.second_moments(xi, at.R_inertia), u)
+        slopes = np.einsum("di,kij,dj->dk", u, self.form.derivative(xi, at.R_inertia), u)
+        return np.log(along), slopes / along[:, None]
+
+
 class KnownMass:
     """The mass that known forces would determine is the given one."""
 
@@ -233,6 +278,9 @@ def constraints_of(data: MotionData, iterate: Iterate, config: Backend) -> Const
         parts.append(LandmarksInFront(data, bounds.least_depth_m))
     if bounds.equal_moments != "none":
         parts.append(EqualMoments(data.form, bounds.equal_moments))
+    if bounds.inertia_in == "landmarks":
+        limits = second_moment_limits(iterate.p_G, bounds.hull_growth, bounds.max_density_ratio)
+        parts += [] if limits is None else [InertiaOfHull(data.form, *limits)]
     if bounds.known_mass and config.mass_kg is not None and iterate.wrench is not None:
         parts.append(KnownMass(config.mass_kg))
     return Constraints(tuple(parts))
@@ -249,3 +297,34 @@ def _hull_of_landmarks(p_G: Array, growth: float) -> CentreOfMassInHull | None:
     middle = p_G[hull.vertices].mean(axis=0)
     depth = offsets - normals @ middle
     return CentreOfMassInHull(normals, normals @ middle + growth * depth)
+
+
+def second_moment_limits(
+    p_G: Array, growth: float, max_density_ratio: float
+) -> tuple[Array, Array, Array] | None:
+    """Directions (13, 3), least and largest second moments (13,) per mass [m^2] of a body.
+
+    Its convex hull is between that of the landmarks (L, 3) over ``growth`` and that times ``growth``. None:
+    they lie in a plane.
+    """
+    try:
+        hull = ConvexHull(p_G)
+    except (QhullError, ValueError):
+        return None
+    corners = p_G[hull.vertices]
+    axes = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)[2]
+    grid = np.stack(np.meshgrid(*3 * [[-1.0, 0.0, 1.0]], indexing="ij"), axis=-1).reshape(-1, 3)
+    # one of each pair of opposite directions
+    grid = grid[len(grid) // 2 + 1 :]
+    directions = grid @ axes / np.linalg.norm(grid, axis=1, keepdims=True)
+    length_m = growth * np.ptp(corners @ directions.T, axis=0)
+    shadow_m2 = np.array([_shadow(corners, u) for u in directions])
+    slab_m = hull.volume / (max_density_ratio * shadow_m2 * growth)
+    return directions, slab_m**2 / 12.0, (0.5 * length_m) ** 2
+
+
+def _shadow(corners: Array, u: Array) -> float:
+    """Area [m^2] of the projection of points (n, 3) across a unit vector."""
+    across = np.linalg.svd(u[None])[2][1:]
+    # in the plane Qhull's volume is an area
+    return float(ConvexHull(corners @ across.T).volume)

@@ -60,6 +60,10 @@ class SlidingWindow:
             IpoptSolver(config.window.frames + 1) if config.window.solver == "ipopt" else None
         )
         """Continues where Gauss-Newton ends; None: Gauss-Newton's answer stands"""
+        self.updates = 0
+        """Frames after which the window was solved"""
+        self.answered = 0
+        """Those of them whose result is the optimum of ``answer``"""
         self._camera = camera or CameraNoise()
         self._rig, self._config = rig, config
         self._axes: Array = np.eye(3)
@@ -123,13 +127,16 @@ class SlidingWindow:
             n = history.n_added
             if n <= 24 or n in REESTIMATION_FRAMES:
                 state.update_weak_prior()
-            solve_history(state, history)
             if n in REESTIMATION_FRAMES:
-                self._reestimate(state, history)
+                solve_history(state, history)
+                is_answered = self._reestimate(state, history)
+            else:
+                is_answered = solve_history(state, history, self.answer)
         else:
             state.active.extend_arrival()
             state.add_newest_factor()
-            solve_window(state, self.answer)
+            is_answered = solve_window(state, self.answer)
+        self.updates, self.answered = self.updates + 1, self.answered + is_answered
         online = self._report(m)
         shrink_window(state, self.settings.frames, self.settings.key_frames)
         if history is not None and history.n_added >= self.settings.history:
@@ -146,14 +153,17 @@ class SlidingWindow:
             frame.fix_linearization()
         state.history = None
 
-    def _reestimate(self, state: EstimatorState, history: History) -> None:
-        """Estimate what is fixed while solving: noise, disturbances, the choice among inertias."""
+    def _reestimate(self, state: EstimatorState, history: History) -> bool:
+        """Estimate what is fixed while solving: noise, disturbances, the choice among inertias.
+
+        Returns whether the last solve is answered, as ``solve_history``.
+        """
         estimate_noise(state)
         solve_history(state, history)
         if self._config.process_noise == "estimated" and len(history.frames) >= MIN_FRAMES_FOR_LEVELS:
             estimate_levels(state, history, (self._config.accel_psd, self._config.torque_psd))
         choose_inertia(state, history)
-        solve_history(state, history)
+        return solve_history(state, history, self.answer)
 
     def _begin(self, m: FrameMeasurements, time_s: float) -> OnlineState:
         """Start with the first frame with measurements: the motion is still unknown."""
@@ -214,6 +224,8 @@ def estimate_online(tracks: StereoTracks, config: Backend, progress: Progress) -
             seconds.append(perf_counter() - begin)
             advance()
     _log.info("window: median %.0f ms a frame, %.1f s in all", 1e3 * np.median(seconds), sum(seconds))
+    if window.answer is not None and window.updates:
+        _log.info("window: %d of %d answers by IPOPT", window.answered, window.updates)
     online = online_estimate(states, tracks.rig, tracks.X_NR, config)
     return online if tracks.wrench is None else without_claims_after_torques(online, tracks.wrench)
 

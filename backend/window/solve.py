@@ -1,13 +1,16 @@
 """The solves of one frame's update: of the whole history while it is kept, of the window alone afterwards.
 
+Gauss-Newton leads to the optimum, and IPOPT continues with the recent states and the constants, by default.
 While the history is kept, brief solves from several inertias decide whether another one fits better.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError
 
+from polhode.backend.dynamics.residuals import add_steps
 from polhode.backend.initialization.multistart import inertia_hypotheses
 from polhode.backend.initialization.rates import interpolated_rates, interval_rates
 from polhode.backend.problem.inertia import inertia_from_second_moments
@@ -18,12 +21,14 @@ from polhode.backend.window.causal_state import last_information
 from polhode.backend.window.estimator_state import EstimatorState
 from polhode.backend.window.history import History, HistoryVision
 from polhode.backend.window.problem import (
+    NEGLIGIBLE,
     Elimination,
     NewtonSolver,
     Quadratic,
     WindowProblem,
     WindowSolver,
     eliminate,
+    factor_jacobians,
 )
 from polhode.backend.window.vision import GATE, CondensedVision
 from polhode.lie import Array
@@ -55,11 +60,16 @@ class InertiaCandidate:
     cost: float
 
 
-def solve_history(state: EstimatorState, history: History) -> None:
-    """Solve for all states so far, with the active observations linearized at the solution."""
+def solve_history(state: EstimatorState, history: History, answer: WindowSolver | None = None) -> bool:
+    """Solve for all states so far, with the active observations linearized at the solution.
+
+    Gauss-Newton leads to the optimum; ``answer``, if given, continues with the recent states and the
+    constants (``answer_of_recent``). Returns whether its optimum is the one that was taken.
+    """
     observations, active = state.observations(), state.active
     left = LONG_ITERATIONS if len(history.frames) > LONG_HISTORY else MAX_ROUNDS * INNER_ITERATIONS
-    for _ in range(MAX_ROUNDS):
+    is_answered = False
+    for rounds_left in reversed(range(MAX_ROUNDS)):
         state.recenter_inertia()
         condensed = state.condensed(observations)
         x = history.vector(active.constants)
@@ -68,11 +78,67 @@ def solve_history(state: EstimatorState, history: History) -> None:
         problem = WindowProblem(vision.quadratic, history.R_ref, factors, state.weak_prior, state.prior)
         solution = NewtonSolver().solve(problem, x, min(left, INNER_ITERATIONS))
         left -= solution.iterations
-        step = set_history(state, history, vision, condensed, solution.x)
-        if _small(step) or left <= 0:
+        is_last = rounds_left == 0 or left <= 0 or _small(vision.seen_steps(solution.x - x))
+        last, at = problem, solution.x
+        if is_last and answer is not None:
+            recent = answer_of_recent(problem, solution, len(active.recent), answer)
+            if recent is not None:
+                last, at, solution, is_answered = recent
+        set_history(state, history, vision, condensed, solution.x)
+        if is_last:
             break
     history.steps = factors
-    _remember(state, problem, solution, condensed)
+    _remember(state, last, at, condensed)
+    return is_answered
+
+
+class AnswerOfRecent(NamedTuple):
+    """What a solver makes of the recent states of a longer problem."""
+
+    problem: WindowProblem
+    """That of the recent states and the constants"""
+    x: Array
+    """Its unknowns at the end"""
+    whole: Solution
+    """That of the longer problem"""
+    is_answered: bool
+    """Whether the solver's optimum is the one that was taken"""
+
+
+def answer_of_recent(
+    problem: WindowProblem, before: Solution, n_recent: int, answer: WindowSolver
+) -> AnswerOfRecent | None:
+    """Continue from a solution with the latest states and the constants; the earlier states follow.
+
+    The dynamics of the earlier states are linearized at the solution. The step is taken if the whole problem
+    costs no more after it. None: the earlier states cannot be eliminated.
+    """
+    n_old, x = problem.n_frames - n_recent, before.x
+    H, g = problem.vision.H.copy(), problem.vision.gradient(x)
+    r, D = factor_jacobians(x, problem.R_ref, problem.factors, problem.prior.form, problem.R_inertia)
+    # the steps between recent states remain part of the program
+    r[n_old:], D[n_old:] = 0.0, 0.0
+    add_steps(H, g, r, D, N_STATE)
+    old, kept = np.split(np.arange(len(x)), [N_STATE * n_old])
+    try:
+        left = eliminate(H, g, old, kept)
+    except LinAlgError:
+        return None
+    recent = WindowProblem(
+        Quadratic(left.H, left.g, x[kept]),
+        problem.R_ref[n_old:],
+        problem.factors.part(slice(n_old, None)),
+        problem.weak_prior,
+        problem.prior,
+    )
+    start = replace(before, x=x[kept])
+    found = answer.solve(recent, x[kept], INNER_ITERATIONS)
+    if not found.converged or confirmed(recent, start, found) is start:
+        return AnswerOfRecent(recent, x[kept], before, False)
+    whole = x + _whole_step(left, found.x - x[kept])
+    if not problem.cost(whole) <= before.cost + NEGLIGIBLE:
+        return AnswerOfRecent(recent, x[kept], before, False)
+    return AnswerOfRecent(recent, found.x, replace(before, x=whole), True)
 
 
 def set_history(
@@ -92,11 +158,13 @@ def expand_arrival(state: EstimatorState, history: History) -> None:
     active.factors = history.steps.part(slice(len(history.frames) - len(active.recent), None))
 
 
-def solve_window(state: EstimatorState, answer: WindowSolver | None = None) -> None:
+def solve_window(state: EstimatorState, answer: WindowSolver | None = None) -> bool:
     """Solve for the recent states, the seen poses and the constants under the arrival cost.
 
-    Gauss-Newton leads to the optimum; ``answer``, if given, continues from there.
+    Gauss-Newton leads to the optimum; ``answer``, if given, continues from there. Returns whether its optimum
+    is the one that was taken.
     """
+    is_answered = False
     observations, active = state.observations(), state.active
     n, newton = active.n_seen, NewtonSolver()
     for rounds_left in reversed(range(MAX_ROUNDS)):
@@ -110,13 +178,16 @@ def solve_window(state: EstimatorState, answer: WindowSolver | None = None) -> N
         solution = newton.solve(problem, x[n:], INNER_ITERATIONS)
         is_last = rounds_left == 0 or _small(_whole_step(left, solution.x - x[n:])[at])
         if is_last and answer is not None:
-            solution = confirmed(problem, solution, answer.solve(problem, solution.x, INNER_ITERATIONS))
+            found = answer.solve(problem, solution.x, INNER_ITERATIONS)
+            solution = confirmed(problem, solution, found)
+            is_answered = found.converged and solution is found
         step = _whole_step(left, solution.x - x[n:])
         active.take(x + step)
         state.move_landmarks(condensed, step[at], n_fixed=len(active.keys) + 1)
         if is_last:
             break
-    _remember(state, problem, solution, condensed)
+    _remember(state, problem, solution.x, condensed)
+    return is_answered
 
 
 def confirmed(problem: WindowProblem, before: Solution, found: Solution) -> Solution:
@@ -131,7 +202,7 @@ def confirmed(problem: WindowProblem, before: Solution, found: Solution) -> Solu
 
 
 def _whole_step(left: Elimination, step: Array) -> Array:
-    """The step of the seen poses that follows from that of states and constants, then the latter."""
+    """The step of what was eliminated, which follows from that of what was kept, then the latter."""
     return np.concatenate([left.follow(step), step])
 
 
@@ -139,12 +210,11 @@ def _small(poses: Array) -> bool:
     return bool(np.abs(poses.reshape(-1, N_POSE)[:, ROTATION]).max() < SMALL_TURN_RAD)
 
 
-def _remember(
-    state: EstimatorState, problem: WindowProblem, solution: Solution, condensed: CondensedVision
-) -> None:
-    _, H, _ = problem.normal_equations(solution.x)
+def _remember(state: EstimatorState, problem: WindowProblem, x: Array, condensed: CondensedVision) -> None:
+    """``problem`` ends with the last state and the constants; x is where it was solved."""
+    _, H, _ = problem.normal_equations(x)
     state.contradicted = float(np.mean(condensed.squared > GATE**2)) if len(condensed.squared) else 0.0
-    state.last = last_information(H, problem.prior(solution.x[-N_CONSTANTS:], problem.weak_prior)[2])
+    state.last = last_information(H, problem.prior(x[-N_CONSTANTS:], problem.weak_prior)[2])
 
 
 def choose_inertia(state: EstimatorState, history: History) -> str:

@@ -4,9 +4,10 @@
 
 Each RUN is a folder that ``polhode run`` made: its measurements and its own configuration are read. What
 comes before the last step (hypotheses, pruning, noise, pushes) is done once; then Gauss-Newton and IPOPT
-solve as ``backend.estimate`` does, IPOPT with the time to build its program, and after them the default
-(Gauss-Newton; where that does not converge, IPOPT). "to gain" is what one more Gauss-Newton step
-promises where a solver stopped, over the cost. Seconds are those of the processor, on one thread.
+solve as ``backend.estimate`` does, IPOPT with the time to build its program, and after them the default:
+IPOPT, started where Gauss-Newton ends; its own iterations and seconds, the latter on the clock, stand in
+brackets. "to gain" is what one more Gauss-Newton step promises where a solver stopped, over the cost. The
+other seconds are those of the processor, on one thread.
 """
 
 import time
@@ -32,13 +33,14 @@ from polhode.config.loader import load_config
 from polhode.errors import InputError, RunFailure
 from polhode.lie import Array
 from polhode.pipeline.run_directory.archives import read_measurements, read_relative_poses
+from polhode.records import ProgramEnd
 
 SOLVERS = (partial(GaussNewton, line_search=True), MotionProgram)
 """As ``backend.solvers.solve`` makes them."""
 COLUMNS = (
     "run", "frames", "observations", "Gauss-Newton: iterations", "s", "IPOPT: iterations", "s",
     "IPOPT takes times", "Gauss-Newton's cost over IPOPT's, - 1", "path apart [mm]",
-    "default: solver, iterations, s", "its cost over the least, - 1",
+    "default: solver, iterations, s (IPOPT's)", "its cost over the least, - 1",
 )  # fmt: skip
 SAME = 1e-6
 """Relative difference of the costs up to which they are called the same."""
@@ -58,6 +60,8 @@ class Stopped:
     """What one more step promises, over the cost"""
     r_N: Array
     """(F, 3) path of the centre of mass [m]"""
+    program: ProgramEnd | None
+    """What IPOPT says, if it had a part"""
 
 
 def main(runs: Runs) -> None:
@@ -81,7 +85,7 @@ def main(runs: Runs) -> None:
             f"{ipopt.seconds / newton.seconds:.1f}",
             f"{apart[-1]:+.1e}",
             f"{shift_mm:.4f}",
-            f"{default.name}, {default.iterations}, {default.seconds:.2f}",
+            f"{default.name}, {default.iterations}, {default.seconds:.2f} ({_of_ipopt(default)})",
             f"{default.cost / min(one.cost for one in found) - 1.0:.1e}",
         ]
         print(f"| {' | '.join(cells)} |")
@@ -119,11 +123,19 @@ def solve_run(run: Path) -> tuple[MotionData, list[Stopped]]:
     return data, out
 
 
+def _of_ipopt(ended: Stopped) -> str:
+    """Iterations and seconds of IPOPT, on the clock."""
+    program = ended.program
+    return "no part" if program is None else f"{program.iterations}, {program.seconds:.2f}"
+
+
 def _stopped(data: MotionData, ended: SolvedMotion, seconds: float) -> Stopped:
     at, solution = ended.iterate, ended.solution
     outcome = (solution.cost, solution.converged, solution.message)
     r_N = at.p_NG + at.R_NG @ at.com_G
-    return Stopped(ended.solver, seconds, ended.iterations, *outcome, to_gain(data, at), r_N)
+    return Stopped(
+        ended.solver, seconds, ended.iterations, *outcome, to_gain(data, at), r_N, solution.program
+    )
 
 
 def to_gain(data: MotionData, at: Iterate) -> float:

@@ -71,7 +71,8 @@ class WindowLength:
 def settings_of(data: MotionData, frames: int) -> Backend:
     """Settings of the window: its length, a history of the same length, the noise of the problem."""
     return Backend(
-        window=Window(frames=frames, history=max(frames, MIN_HISTORY)),
+        # the length is compared here, not the solver
+        window=Window(solver="gauss_newton", frames=frames, history=max(frames, MIN_HISTORY)),
         process_noise="given",
         accel_psd=data.accel_psd,
         torque_psd=data.torque_psd,

@@ -15,7 +15,7 @@ class Window(Section):
 
     enabled: bool = True
     """Write trajectory_online.csv."""
-    solver: Literal["ipopt", "gauss_newton"] = "gauss_newton"
+    solver: Literal["ipopt", "gauss_newton"] = "ipopt"
     """What gives the answer of each window: IPOPT, started where Gauss-Newton ends, or Gauss-Newton alone;
     both reach the same optimum."""
     frames: int = Field(12, ge=2, le=1000)
@@ -35,13 +35,13 @@ class Bounds(Section):
     determine them."""
     max_density_ratio: float = Field(8.0, gt=1, le=1000)
     """No part of the convex hull is denser than the mean over the hull by more than this factor: for the
-    intervals of k1 and k2. Over the 30 bodies of the scenes and of the campaign of faults, 1.0 to 4.5 explain
-    the inertia."""
+    intervals of k1 and k2, and for inertia_in. Over the 30 bodies of the scenes and of the campaign of
+    faults, 1.0 to 4.5 explain the inertia."""
     com_in: Literal["none", "landmarks", "box"] = "none"
     """Constrain the centre of mass to the convex hull of the landmarks, enlarged by hull_growth, or to
     com_box_G."""
     hull_growth: float = Field(1.1, ge=1, le=100)
-    """Size of the hull of com_in over that of the landmarks' hull."""
+    """Size of the hull of com_in and inertia_in over that of the landmarks' hull."""
     com_box_G: tuple[Position, Position] | None = None
     """Least and largest coordinates of the centre of mass in G [m], for com_in box."""
     least_depth_m: float | None = Field(None, ge=0, le=1e6)
@@ -50,6 +50,9 @@ class Bounds(Section):
     equal_moments: Literal["none", "largest", "smallest"] = "none"
     """Constrain the two largest or the two smallest moments to be equal, for a body that is known to be
     symmetric about an axis."""
+    inertia_in: Literal["none", "landmarks"] = "none"
+    """Constrain the inertia to that of a body in the hull of the landmarks, up to hull_growth larger or
+    smaller, whose density is from 0 to max_density_ratio times its mean over the hull."""
     known_mass: bool = False
     """Constrain the mass that known forces act on to backend.mass_kg."""
 
@@ -72,7 +75,7 @@ class Backend(Section):
 
     inertia: Literal["second_moments", "ratios_axes"] = "second_moments"
     """Variables of the inertia: log-Cholesky second moments, or log-ratios and principal axes."""
-    solver: Literal["ipopt", "gauss_newton"] = "gauss_newton"
+    solver: Literal["ipopt", "gauss_newton"] = "ipopt"
     """What gives the answer of the whole problem: IPOPT, started where Gauss-Newton ends, or Gauss-Newton
     alone; both reach the same optimum. Where Gauss-Newton does not converge, IPOPT continues in any case."""
     process_noise: Literal["estimated", "given"] = "estimated"

@@ -1,6 +1,7 @@
 """Constraints of the nonlinear program: derivatives against finite differences, and cases that are active."""
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -13,20 +14,26 @@ from polhode.backend.solvers.constraints import (
     Constraint,
     Constraints,
     EqualMoments,
+    InertiaOfHull,
     KnownMass,
     LandmarksInFront,
     constraints_of,
+    second_moment_limits,
 )
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
 from polhode.backend.solvers.solve import refine, solve
 from polhode.config.backend_settings import Backend, Bounds
+from polhode.lie import Array
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 from tests.backend.solvers.test_ipopt import CASES, NAMES, start
 
+PLATE = np.random.default_rng(7).uniform(-1.0, 1.0, size=(400, 3)) * [0.3, 0.2, 0.01]
+"""Landmarks on and in a thin plate [m]"""
+LIMITS = cast(tuple[Array, Array, Array], second_moment_limits(PLATE, 1.1, 8.0))
 NORMALS = np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.0, 0.0, -1.0]])
 
 
@@ -41,6 +48,7 @@ def test_derivatives_are_those_of_finite_differences(form: str, scene: Synthetic
         LandmarksInFront(data, 0.1),
         EqualMoments(data.form, "largest"),
         EqualMoments(data.form, "smallest"),
+        InertiaOfHull(data.form, *LIMITS),
     ]
     if iterate.wrench is not None:
         parts.append(KnownMass(4.5))
@@ -133,6 +141,58 @@ def test_no_landmark_comes_closer_than_the_least_depth() -> None:
     assert solution.converged
     after = LandmarksInFront(data, 0.0).values(linearization_point(data, at, TIGHT_GAUGE), at.vector())
     assert after.min() == pytest.approx(least_m, abs=1e-6)
+
+
+def along(second: Array, directions: Array) -> Array:
+    return np.asarray(np.einsum("di,ij,dj->d", directions, second, directions))
+
+
+def test_masses_in_a_hull_are_within_its_limits_and_others_are_not() -> None:
+    directions, least, most = LIMITS
+    assert len(directions) == 13 and np.all(least < most)
+    rng = np.random.default_rng(8)
+    for _ in range(20):
+        # a part of the points is eight times as dense as the mean over all, the rest is empty
+        chosen = (
+            rng.permutation(len(PLATE))[: len(PLATE) // 8]
+            if rng.random() < 0.5
+            else np.argsort(np.linalg.norm(PLATE - PLATE[rng.integers(len(PLATE))], axis=1))[
+                : len(PLATE) // 8
+            ]
+        )
+        p = PLATE[chosen] - PLATE[chosen].mean(axis=0)
+        a = along(p.T @ p / len(p), directions)
+        assert np.all(a >= least) and np.all(a <= most)
+    ball = along(np.eye(3), directions)
+    i, j = np.argmax(least / ball), np.argmin(most / ball)
+    assert least[i] * ball[j] > most[j] * ball[i]
+    assert second_moment_limits(PLATE * [1.0, 1.0, 0.0], 1.1, 8.0) is None
+
+
+def test_an_inertia_that_the_hull_excludes_is_drawn_to_the_limit() -> None:
+    solver, _, iterate = start(*CASES[0])
+    data = solver.data
+    iterate, _, _ = refine(GaussNewton(data, line_search=True), data, iterate, 50)
+    a = along(iterate.second_moments(data.form), np.eye(3))
+    # the largest second moment along x over that along y, smaller than what the data say
+    largest = 0.7 * a[0] / a[1]
+    least, most = np.array([1.0, 1.0, 1e-6]), np.array([largest, 1.0, 1e6])
+    held = Constraints((InertiaOfHull(data.form, np.eye(3), least, most),))
+    fixed = linearization_point(data, iterate, TIGHT_GAUGE)
+    assert held.reached(fixed, iterate.vector())["inertia of a body in hull"]
+    assert not held.hold(fixed, iterate.vector())
+    at, solution, _ = refine(MotionProgram(data, held), data, iterate, 100)
+    assert solution.converged
+    after = along(at.second_moments(data.form), np.eye(3))
+    # IPOPT's barrier keeps off the limit by its tolerance
+    assert 0.9999 * largest < after[0] / after[1] <= largest
+
+
+def test_the_hull_of_the_landmarks_hardly_ever_binds() -> None:
+    sequence_bounds = Bounds(inertia_in="landmarks")
+    held, free = solved(sequence_bounds, SPIN), solved(Bounds(), SPIN)
+    assert held.solver.constraints == {"inertia of a body in hull": False}
+    np.testing.assert_array_equal(held.r_N, free.r_N)
 
 
 def test_a_known_mass_is_kept() -> None:

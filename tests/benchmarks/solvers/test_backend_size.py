@@ -24,11 +24,12 @@ def test_both_solvers_are_timed_on_the_way_to_the_same_cost() -> None:
     assert times.costs[0] == pytest.approx(times.costs[1], rel=1e-7)
     assert min(times.gauss_newton_s, times.ipopt_s, times.build_s, times.covariance_s) > 0.0
     assert 1 < times.gauss_newton_iterations < 60 and 1 < times.ipopt_iterations < 60
+    assert times.answer_s > times.build_s and 1 <= times.answer_iterations <= 6
 
 
 def test_the_growth_is_drawn(tmp_path: Path) -> None:
     rows = [
-        PhaseTimes(n, 10 * n, 50 * n, 1e-3 * n, 5, 3e-3 * n, 5, 0.1, 1e-5 * n**2, (1.0, 1.0))
+        PhaseTimes(n, 10 * n, 50 * n, 1e-3 * n, 5, 3e-3 * n, 5, 0.1, 0.2, 2, 1e-5 * n**2, (1.0, 1.0))
         for n in (10, 20)
     ]
     draw_growth(tmp_path / "deep" / "growth.png", rows, rows)

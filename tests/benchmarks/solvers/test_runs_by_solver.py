@@ -27,7 +27,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_solvers_and_the_default_start_from_one_place_and_agree(run: Path) -> None:
     data, found = solve_run(run)
     assert data.n_frames == SCENE.frames
-    assert [one.name for one in found] == ["gauss_newton", "ipopt", "gauss_newton"]
+    assert [one.name for one in found] == ["gauss_newton", "ipopt", "ipopt"]
+    assert found[2].program is not None and 1 <= found[2].program.iterations <= 3
     for one in found:
         assert one.converged and abs(one.to_gain) < 1e-5 and one.r_N.shape == (SCENE.frames, 3)
         assert one.cost == pytest.approx(found[0].cost, rel=1e-6)
