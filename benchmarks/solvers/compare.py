@@ -173,7 +173,7 @@ def front_words(found: Comparison, problem: ProblemSummary) -> str:
 
 
 def default_table(found: Comparison, solver: str) -> str:
-    """The default solver on each problem from the cold start, and the solvers that beat it."""
+    """One solver on each problem from the cold start, and the solvers that beat it."""
     lines, on_front = [], 0
     for problem in found.problems:
         rows = _cold(found, problem.name)
@@ -190,7 +190,7 @@ def default_table(found: Comparison, solver: str) -> str:
         time = "" if own.wall_s is None else f"{own.wall_s:.2f}"
         lines.append([problem.name, own.status, time, "yes" if good else "no", ", ".join([*names, *more])])
     head = (
-        f"{solver}, the default: on the front of time against accuracy on {on_front} of {len(lines)} "
+        f"{solver}, which leads to the optimum of a run: on the front of time against accuracy on {on_front} of {len(lines)} "
         f"problems (cold starts; times within {NOISE:.0%} and costs within {AGREED:g} count as equal)"
     )
     columns = ["problem", "status", "time s", "on the front", "beaten by"]
