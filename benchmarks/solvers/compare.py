@@ -51,7 +51,7 @@ def main(
             ROOT / "configs" / ("default.yaml" if name == "run" else f"compare/{name}.yaml"), {}
         )
         found = read_comparison(folder / FILE) if stored else _compared(name, folder, config, run, sequence)
-        text = found if isinstance(found, str) else markdown(found, config.backend.solver)
+        text = found if isinstance(found, str) else markdown(found, LEADS)
         print(f"## {name}\n\n{text}\n\nPage: {folder / 'compare.html'}\n", flush=True)
 
 
@@ -65,21 +65,23 @@ def _compared(name: str, folder: Path, config: Config, run: Path, sequence: Path
     return compare(config, folder, choose_progress(), run=run, truth=truth)
 
 
+LEADS = "gauss_newton"
+"""The solver that leads to the optimum of a run; where it ends, IPOPT continues."""
 WITHIN = (1.0, 2.0, 5.0, 10.0)
 """Factors of the fastest solver's time whose shares are printed."""
 SHOWN = ("solver", "status", "over least", "iter", "time s", "build", "eval", "linear", "Python s", "MB",
          "MB before", "sigma k1", "sigma k2")  # fmt: skip
 
 
-def markdown(found: Comparison, default: str) -> str:
-    """All tables that a comparison gives, and where ``backend.solver`` stands."""
+def markdown(found: Comparison, own: str) -> str:
+    """All tables that a comparison gives, and where the solver ``own`` stands."""
     parts = [solver_table(found, problem) for problem in found.problems] if len(found.problems) == 1 else []
     tables: Sequence[Callable[[Comparison], str]] = (
         motions_table, growth_table, starts_table, profile_table, errors_table,
     )  # fmt: skip
     parts += [table(found) for table in tables]
     parts.append("\n".join(front_words(found, problem) for problem in found.problems))
-    parts.append(default_table(found, default))
+    parts.append(place_table(found, own))
     return "\n\n".join(part for part in parts if part)
 
 
@@ -172,7 +174,7 @@ def front_words(found: Comparison, problem: ProblemSummary) -> str:
     return f"{problem.name}: on the front: {', '.join(names)}" if names else ""
 
 
-def default_table(found: Comparison, solver: str) -> str:
+def place_table(found: Comparison, solver: str) -> str:
     """One solver on each problem from the cold start, and the solvers that beat it."""
     lines, on_front = [], 0
     for problem in found.problems:
@@ -190,7 +192,7 @@ def default_table(found: Comparison, solver: str) -> str:
         time = "" if own.wall_s is None else f"{own.wall_s:.2f}"
         lines.append([problem.name, own.status, time, "yes" if good else "no", ", ".join([*names, *more])])
     head = (
-        f"{solver}, which leads to the optimum of a run: on the front of time against accuracy on {on_front} of {len(lines)} "
+        f"{solver}: on the front of time against accuracy on {on_front} of {len(lines)} "
         f"problems (cold starts; times within {NOISE:.0%} and costs within {AGREED:g} count as equal)"
     )
     columns = ["problem", "status", "time s", "on the front", "beaten by"]

@@ -1,6 +1,6 @@
 """Who is on the front of time against accuracy: noise of the times counts as equal, failures do not count."""
 
-from benchmarks.solvers.compare import default_table
+from benchmarks.solvers.compare import place_table
 from polhode.compare.ranking import beaten_by, front
 from polhode.compare.rows import Row
 from tests.compare.test_rows import comparison, row
@@ -51,7 +51,7 @@ def test_the_table_names_who_beats_the_default_on_each_problem() -> None:
         row("other", 10.0, 2.0, problem="b"),
         row("other", 10.0, 2.0, problem="c"),
     ]
-    head, *lines = default_table(comparison(rows), "own").splitlines()
+    head, *lines = place_table(comparison(rows), "own").splitlines()
     assert "on 1 of 3 problems" in head and "times within 10%" in head
     assert lines[2:] == [
         "| a | ok | 1.00 | yes |  |",
