@@ -28,6 +28,8 @@ _STEPS = 31
 """Of an octave, in a histogram of 256 bins."""
 _VALLEY_OCTAVES = 0.15
 """Sigma of the smoothing of that histogram."""
+OUTLINE_PX = 3
+"""Distance to which blur and smoothing carry a target's brightness beyond its edge."""
 
 
 def target_mask(image: Image, given: Bools | None = None, border: Bools | None = None) -> Bools:
@@ -115,13 +117,44 @@ def _classes(smooth: Image, lit: Bools, border: Bools) -> _Classes | None:
     bright = octaves > level
     if bright.all() or not bright.any():
         return None
-    target = _lit_parts(smooth, float(2.0**level)) & lit
+    target = _up_to_edge(smooth, _lit_parts(smooth, float(2.0**level)) & lit)
     contact = int((lit & border).sum())
     return _Classes(
         target,
         float(octaves[bright].mean() - octaves[~bright].mean()),
         contact / max(int(border.sum()), 1),
         float((target & border).sum() / max(contact, 1)),
+    )
+
+
+def _up_to_edge(smooth: Image, target: Bools) -> Bools:
+    """The target (H, W) up to the edges that blur hides: halfway from its brightness to that beside it.
+
+    The level that parts two classes is near the darker one, so that what is above it reaches beyond the edge,
+    and stereo would see the surroundings there as a rim of the target. Parts too thin to have a brightness
+    away from their edges stay as they are.
+    """
+    whole = target.astype(np.uint8)
+    core = _eroded(whole, OUTLINE_PX)
+    brightness, beside = _mean_around(smooth, core), _mean_around(smooth, 1 - whole)
+    # a comparison with NaN is false
+    beyond = (_eroded(whole, 2 * OUTLINE_PX) == 0) & (smooth < 0.5 * (brightness + beside))
+    return np.asarray(target & ~beyond)
+
+
+def _eroded(mask: Image, reach_px: int) -> Image:
+    """A mask (H, W) of 0 and 1 without what lies within a distance of its outline."""
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach_px + 1, 2 * reach_px + 1))
+    return np.asarray(cv2.erode(mask, kernel), dtype=np.uint8)
+
+
+def _mean_around(image: Image, where: Image) -> NDArray[np.float32]:
+    """(H, W) mean of an image over the pixels of a mask of 0 and 1 around each pixel; NaN: there are none."""
+    size = (4 * OUTLINE_PX + 1, 4 * OUTLINE_PX + 1)
+    share = cv2.blur(where.astype(np.float32), size)
+    total = cv2.blur((image * where).astype(np.float32), size)
+    return np.asarray(
+        np.where(share > 1e-6, total / np.maximum(share, np.float32(1e-6)), np.nan), dtype=np.float32
     )
 
 

@@ -10,7 +10,12 @@ from polhode.frontend.matching.pairs import MIN_INLIERS
 from polhode.lie import Array, inverse_pose, log_so3
 from polhode.pipeline.checkout.result import CheckoutCheck, judged
 from polhode.pipeline.checkout.sample import Sample
-from polhode.pipeline.data_checks.rig_check import MAX_DELAY_S, MIN_MATCHES, delay_by_rows
+from polhode.pipeline.data_checks.rig_check import (
+    MAX_DELAY_S,
+    MIN_MATCHES,
+    CameraDelay,
+    delay_by_rows,
+)
 
 MAX_TURN_DEG, FAIL_TURN_DEG = 35.0, 60.0
 """Between successive frames. At 30 degrees RootSIFT finds the motion of four fifths of the lit pairs of
@@ -180,7 +185,7 @@ def _delay(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) -> Check
         name,
         size,
         "ms",
-        max(1e3 * MAX_DELAY_S, 1e3 * CLEAR_DELAY * found[1]),
+        1e3 * max(CLEAR_DELAY * found.sigma_s, found.limit_s),
         sigma=1e3 * found[1],
         finding=f"By the rows of moving points the right image is {size:.2g} ms {late} (sigma "
         f"{1e3 * found[1]:.2g} ms).",
@@ -188,8 +193,8 @@ def _delay(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) -> Check
     )
 
 
-def camera_delay(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) -> tuple[float, float] | None:
-    """Time of the right camera minus that of the left one and its sigma [s], as ``rig_check`` finds it.
+def camera_delay(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) -> CameraDelay | None:
+    """Time of the right camera minus that of the left one, as ``rig_check`` finds it.
 
     The velocities of the points follow from the relative poses of successive pairs.
     """

@@ -13,6 +13,7 @@ What no image can show is in docs/robustness.md.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,6 +40,9 @@ MAX_TURN = 1e-3
 """Of the rows' inclination [rad]: 0.06 degrees."""
 MAX_DELAY_S = 4e-3
 """Between the cameras; far above the jitter of a trigger."""
+MIN_DELAY_PX = 0.03
+"""What a delay must displace rows by, in the root mean square, beside what a calibration can explain; less is
+within the accuracy of a feature, and any slowly turning target makes a delay of it."""
 MAX_SIDEWAYS, CLEAR_SIDEWAYS = 2e-3, 5.5
 """Of the angle between the cameras [rad], and in standard deviations: undisturbed sequences show 0.1 degrees
 at 4.6 sigma at most."""
@@ -192,14 +196,29 @@ def _late(context: RunContext, features: Sequence[StereoFeatures], estimate: Mot
         size,
         f"the right camera's images are {size:.0f} ms {late} (sigma {1e3 * found[1]:.1f} ms): the rows of "
         "the two images differ where the target moves, and distances and shape are wrong accordingly",
-        1e3 * max(MAX_DELAY_S, CLEAR * found[1]),
+        1e3 * found.limit_s,
     )
+
+
+class CameraDelay(NamedTuple):
+    """Time of the right camera minus that of the left one."""
+
+    seconds: float
+    sigma_s: float
+    speed_px_s: float
+    """Scatter of the rows' velocities beside what a calibration can explain"""
+
+    @property
+    def limit_s(self) -> float:
+        """A delay beyond it is a fault."""
+        least_s = MIN_DELAY_PX / max(self.speed_px_s, 1e-9)
+        return max(MAX_DELAY_S, CLEAR * self.sigma_s, least_s)
 
 
 def camera_delay(
     context: RunContext, features: Sequence[StereoFeatures], estimate: MotionEstimate
-) -> tuple[float, float] | None:
-    """Time of the right camera minus that of the left one and its sigma [s]; None: nothing shows it.
+) -> CameraDelay | None:
+    """Time of the right camera minus that of the left one; None: nothing shows it.
 
     Least squares of the row offsets on the rows' velocities, which follow from the estimated motion. What an
     imperfect calibration explains is left out: offsets that depend on the place in the image, to second
@@ -223,8 +242,8 @@ def camera_delay(
     )
 
 
-def delay_by_rows(speed: Array, offset_px: Array, frame: Ints, uvd_px: Array) -> tuple[float, float] | None:
-    """The delay and its sigma [s], by offsets (n,) of rows and velocities (n,) along their order [px/s].
+def delay_by_rows(speed: Array, offset_px: Array, frame: Ints, uvd_px: Array) -> CameraDelay | None:
+    """The delay, by offsets (n,) of rows and velocities (n,) along their order [px/s].
 
     frame (n,): what each is from; uvd_px (n, 3): where it is. None: too few, or the velocities hide it.
     """
@@ -242,7 +261,8 @@ def delay_by_rows(speed: Array, offset_px: Array, frame: Ints, uvd_px: Array) ->
         spread = 1.4826 * float(np.median(np.abs(residual[good])))
         good = np.abs(residual) < 3.0 * max(spread, 0.02)
     by_frame = np.bincount(of[good], x0[good] * residual[good])
-    return -slope, float(np.sqrt(np.sum(by_frame**2)) / np.sum(x0[good] ** 2))
+    sigma_s = float(np.sqrt(np.sum(by_frame**2)) / np.sum(x0[good] ** 2))
+    return CameraDelay(-slope, sigma_s, float(np.std(x0[good])))
 
 
 def _calibration_terms(uvd_px: Array) -> Array:

@@ -1,5 +1,6 @@
 """The target's mask in an image, with dim surroundings and without."""
 
+import cv2
 import numpy as np
 
 from polhode.frontend.rectification import Image
@@ -31,6 +32,20 @@ def test_dim_surroundings_that_reach_the_border_are_left_out() -> None:
     assert whole[250, 20] and whole[target].mean() > 0.99
     assert not alone[250, 20]
     assert (alone & target).sum() / (alone | target).sum() > 0.95
+
+
+def test_the_mask_of_a_blurred_target_ends_at_its_edge_and_keeps_thin_parts() -> None:
+    """What blur carries outwards is brighter than the surroundings, but is none of the target."""
+    image = laboratory(0, floor=10.0).astype(np.float32)
+    image[40:47, 270:360] = 120.0
+    alone = target_mask(cv2.GaussianBlur(image, (0, 0), 2.5).astype(np.uint8), border=BORDER)
+    target = shape_of_target()
+    outline = cv2.distanceTransform((~target).astype(np.uint8), cv2.DIST_L2, 5)
+    rows, columns = np.mgrid[0:300, 0:400]
+    on_cloth = (rows > 175) & (np.abs(columns - 200) < 60)
+    assert not (alone & on_cloth & (outline > 1.2)).any()
+    assert alone[target & (cv2.distanceTransform(target.astype(np.uint8), cv2.DIST_L2, 5) > 3)].all()
+    assert alone[43, 280:350].all()
 
 
 def test_surroundings_show_in_every_image_or_are_none() -> None:

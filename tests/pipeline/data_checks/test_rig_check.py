@@ -14,6 +14,7 @@ from polhode.frontend.features.stereo import StereoFeatures
 from polhode.lie import Array
 from polhode.pipeline.data_checks.rig_check import (
     camera_delay,
+    delay_by_rows,
     largest_step,
     rig_checks,
 )
@@ -138,6 +139,22 @@ def test_rows_that_an_imperfect_calibration_inclines_are_no_delay() -> None:
     u, v, _ = ((tracks.uvd_px - tracks.uvd_px.mean(axis=0)) / tracks.uvd_px.std(axis=0)).T
     said = reasons(spinning, estimate, features(tracks, 0.2 * u - 0.1 * v + 0.1 * u * v))
     assert not any("ms late" in each or "ms early" in each for each in said)
+
+
+def test_a_delay_that_hardly_displaces_the_rows_is_not_named() -> None:
+    """At little speed a feature's inaccuracy would be a delay of hundreds of milliseconds."""
+    rng = np.random.default_rng(5)
+    n = 4000
+    uvd = rng.uniform(0.0, 100.0, size=(n, 3))
+    speed, frame = 0.06 * rng.normal(size=n), np.arange(n) // 100
+    slight, clear = (
+        delay_by_rows(factor * speed, -0.3 * factor * speed + 0.01 * rng.normal(size=n), frame, uvd)
+        for factor in (1.0, 3.0)
+    )
+    assert slight is not None and clear is not None
+    assert slight.seconds == pytest.approx(0.3, abs=0.03) and slight.sigma_s < 0.03
+    assert slight.seconds < slight.limit_s
+    assert clear.seconds == pytest.approx(0.3, abs=0.03) and clear.seconds > clear.limit_s
 
 
 def test_exchanged_images_are_counted(sequence: SyntheticSequence, estimate: MotionEstimate) -> None:
