@@ -147,4 +147,4 @@ def test_wrong_pairs_are_refused_in_one_line(
 def test_the_package_offers_it_by_name() -> None:
     assert polhode.Session is Session
     with pytest.raises(AttributeError, match="no attribute 'Sessions'"):
-        _ = polhode.Sessions  # type: ignore[attr-defined]
+        _ = polhode.Sessions
