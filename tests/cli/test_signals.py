@@ -73,7 +73,7 @@ def test_an_interrupted_run_leaves_nothing_and_what_was_there(
     capsys: Capture,
 ) -> None:
 
-    def interrupted(context: Any) -> None:
+    def interrupted(*_: Any) -> None:
         os.kill(os.getpid(), number)
 
     monkeypatch.setattr(pipeline_run, "match_frames", interrupted)
