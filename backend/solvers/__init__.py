@@ -8,5 +8,6 @@
 - ``robust_kernel``: the Cauchy kernel of the stereo residuals.
 - ``schur``: normal equations of the stereo measurements, elimination of the landmarks.
 - ``chain``: elimination of velocities and rates, which couple neighbouring frames only.
+- ``condensed``: the problem with its stereo terms expanded in the poses, for searches over the dynamics.
 - ``casadi_nlp``: assembly of CasADi programs from blocks, and the set-up of IPOPT.
 """

@@ -61,10 +61,11 @@ def eliminate_chain(H: Array, g: Array, n_frames: int, n_state: int, damping: fl
     return ChainFactor(diagonal, below, X, y, dense, dense_gradient)
 
 
-def solve_with_chain(chain: ChainFactor, n_state: int) -> Array:
+def solve_with_chain(chain: ChainFactor, n_state: int) -> tuple[Array, float]:
     """Solution (n,) of ``H step = -g``, after other unknowns were eliminated from the dense part, if any.
 
-    Raises LinAlgError when the dense part is not positive definite. Overwrites ``chain.dense``.
+    Also returns half the logarithm of the determinant of H after that. Raises LinAlgError when the dense part
+    is not positive definite. Overwrites ``chain.dense``.
     """
     factor = cho_factor(chain.dense, lower=True, overwrite_a=True, check_finite=False)
     rest = -cho_solve(factor, chain.dense_gradient, check_finite=False)
@@ -73,7 +74,17 @@ def solve_with_chain(chain: ChainFactor, n_state: int) -> Array:
     states = np.empty((n_frames, n_state))
     states[:, :N_POSE] = rest[: N_POSE * n_frames].reshape(-1, N_POSE)
     states[:, N_POSE:] = _back_substitute(chain.diagonal, chain.below, along)
-    return np.concatenate([states.ravel(), rest[N_POSE * n_frames :]])
+    of_chain = np.log(np.diagonal(chain.diagonal, axis1=1, axis2=2)).sum()
+    half_log_det = float(of_chain + np.log(np.diagonal(factor[0])).sum())
+    return np.concatenate([states.ravel(), rest[N_POSE * n_frames :]]), half_log_det
+
+
+def half_log_det(H: Array, n_frames: int, n_state: int) -> float:
+    """Half the logarithm of the determinant of H (n, n), lower triangle, constants last.
+
+    Raises LinAlgError when it is not positive definite.
+    """
+    return solve_with_chain(eliminate_chain(H, np.zeros(len(H)), n_frames, n_state), n_state)[1]
 
 
 @compiled

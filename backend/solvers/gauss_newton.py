@@ -181,7 +181,7 @@ class GaussNewton:
         while trials:
             best, least = None, system.cost * (1.0 + 1e-13)
             for trial in trials:
-                step = self._step(system, trial)
+                step = self.step(system, trial)
                 candidate, cost = x + step, self._cost_there(fixed, x + step)
                 if self.line_search and rejected == 0 and not cost <= least:
                     candidate, cost = self._search_along(fixed, x, system, step)
@@ -216,9 +216,14 @@ class GaussNewton:
     def cost(self, fixed: LinearizationPoint, x: Array) -> float:
         """The objective."""
         residuals, _ = self.residuals(fixed, x)
-        total = robust_cost(np.sum(residuals**2, axis=1), self.data.robust_scale)
+        return self.with_other_costs(
+            robust_cost(np.sum(residuals**2, axis=1), self.data.robust_scale), fixed, x
+        )
+
+    def with_other_costs(self, of_vision: float, fixed: LinearizationPoint, x: Array) -> float:
+        """The objective, given the contribution of the stereo measurements."""
         n = fixed.reference.n_states
-        total += self.dynamics_cost(fixed, x)
+        total = of_vision + self.dynamics_cost(fixed, x)
         total += self._prior(x[n : n + N_CONSTANTS], fixed.prior)[0]
         total += self.camera_cost(fixed, x) + 0.5 * float(np.sum(self._wrench(fixed, x)[0] ** 2))
         return total + 0.5 * float(np.sum(fixed.gauge_information * self._gauge_offset(fixed, x) ** 2))
@@ -271,14 +276,21 @@ class GaussNewton:
         for k in range(d.n_frames):
             H[s * k : s * k + 6, s * k : s * k + 6] += H6[k]
             g[s * k : s * k + 6] += g6[k]
-        total += self._add_dynamics(fixed, x, H, g)
+        total = self.add_other_terms(total, fixed, x, H, g, prior)
+        return NormalEquations(H, g, C, h, E, total, s)
+
+    def add_other_terms(
+        self, of_vision: float, fixed: LinearizationPoint, x: Array, H: Array, g: Array, prior: bool = True
+    ) -> float:
+        """Add all terms but the stereo measurements' to H (n, n) and g (n,); the objective, given theirs."""
+        total = of_vision + self._add_dynamics(fixed, x, H, g)
         total += self._add_camera(fixed, x, H, g)
         total += self._add_wrench(fixed, x, H, g, prior)
         if prior:
             total += self._add_prior(fixed, x, H, g)
         untouched = np.diagonal(H) == 0.0
         H[untouched, untouched] = 1.0
-        return NormalEquations(H, g, C, h, E, total, s)
+        return total
 
     def reduced(self, system: NormalEquations, damping: float = 0.0) -> tuple[Array, Array, Array]:
         """Eliminate the landmarks: S (n, n) lower, gradient (n,), C^-1 (L, 3, 3)."""
@@ -293,7 +305,8 @@ class GaussNewton:
         C = system.C + (damping + 1e-12) * np.eye(3) * np.trace(system.C, axis1=1, axis2=2)[:, None, None]
         return np.asarray(np.linalg.inv(C))
 
-    def _step(self, system: NormalEquations, damped: Damping) -> Array:
+    def step(self, system: NormalEquations, damped: Damping) -> Array:
+        """The damped step of all unknowns."""
         d, damping = self.data, damped.of_all
         while True:
             try:
@@ -303,7 +316,7 @@ class GaussNewton:
                 at = N_POSE * d.n_frames + np.arange(N_CONSTANTS)
                 S[at, at] += damped.of_constants / CONSTANT_SCALE**2
                 subtract_landmarks(S, g, d.frame, d.start, system.E, C_inv, system.h, N_POSE)
-                step = solve_with_chain(chain, system.n_state)
+                step, _ = solve_with_chain(chain, system.n_state)
                 break
             except LinAlgError:
                 damping = max(damping, 1e-8) * 10.0

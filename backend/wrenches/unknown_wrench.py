@@ -21,6 +21,7 @@ from polhode.backend.dynamics.residuals import dynamics_jacobians
 from polhode.backend.outliers_and_noise.process_level import (
     INDIFFERENT,
     LevelFit,
+    LevelSearch,
     estimate_process_noise,
     fit_level,
 )
@@ -77,24 +78,29 @@ def find_disturbed_steps(
         level = _reduce_sigma(_reduce_sigma(level, 0), 1)
     if np.array_equal(level.data.nodes, data.nodes):
         return None
-    gain = _fit(data, iterate, level_is_given).minus_log_evidence - level.minus_log_evidence
-    if not gain > MIN_EVIDENCE_GAIN:
+    # the level without nodes is searched for only if nodes gain against the present one
+    enough = level.minus_log_evidence + MIN_EVIDENCE_GAIN
+    if not fit_level(data, iterate, data.accel_psd, data.torque_psd).minus_log_evidence > enough:
+        return None
+    if not level_is_given and not estimate_process_noise(data, iterate).minus_log_evidence > enough:
         return None
     return data.nodes | _with_neighbours(level.data.nodes & ~data.nodes), level.data.node_sigma
 
 
 def _reduce_sigma(best: LevelFit, which: int) -> LevelFit:
     """Lower one of the standard deviations while the evidence rises; of equally likely ones the largest."""
-    tried = [best]
+    search = LevelSearch(best.data, best.iterate)
+    tried = [search.fit(best.data, search.start)]
     for _ in range(MAX_WEAKER_STEPS):
         sigma = list(tried[-1].data.node_sigma)
         sigma[which] /= WEAKER
         data = replace(tried[-1].data, node_sigma=(sigma[0], sigma[1]))
-        tried.append(fit_level(data, tried[-1].iterate, data.accel_psd, data.torque_psd))
+        tried.append(search.fit(data, tried[-1].x))
         if not tried[-1].minus_log_evidence < tried[-2].minus_log_evidence:
             break
-    least = min(level.minus_log_evidence for level in tried)
-    return next(level for level in tried if level.minus_log_evidence < least + INDIFFERENT)
+    least = min(trial.minus_log_evidence for trial in tried)
+    chosen = next(trial for trial in tried if trial.minus_log_evidence < least + INDIFFERENT)
+    return best if chosen is tried[0] else search.fitted(chosen)
 
 
 def _with_neighbours(steps: Bools) -> Bools:

@@ -139,7 +139,7 @@ def test_a_step_that_goes_too_far_is_made_shorter_until_it_brings_enough(
     fixed, x = linearization_point(data, start), start.vector()
     solver = GaussNewton(data, line_search=True)
     system = solver.normal_equations(fixed, x)
-    step = solver._step(system, Damping())
+    step = solver.step(system, Damping())
     slope = float(np.concatenate([system.g, system.h.ravel()]) @ step)
     ahead, behind = (solver.cost(fixed, x + d * step) for d in (1e-6, -1e-6))
     assert slope == pytest.approx((ahead - behind) / 2e-6, rel=1e-4) and slope < 0.0
