@@ -20,6 +20,7 @@ records.py         what passes between the stages: tracks, estimates, depth maps
 lie.py             rotations, rigid transforms, quaternions: exponential, logarithm, conversions
 rigid_body.py      Euler's equations, energy, momentum, integration; half-turns of the principal axes
 rigid_fit.py       least-squares rotations and rigid transforms
+small_systems.py   symmetric systems of a few unknowns, in compiled loops
 camera.py          the rectified stereo camera: projection, triangulation
 fisheye.py         the equidistant fisheye lens: rays to pixels and back
 calibration.py     the calibration of the rig, from sensor.yaml

@@ -83,6 +83,13 @@ def no_key_points() -> KeyPoints:
     return KeyPoints(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), dtype=np.float32))
 
 
+def strongest(points: KeyPoints, count: int) -> KeyPoints:
+    """The first ``count`` key points."""
+    return KeyPoints(
+        points.uv_px[:count], points.scale_px[:count], points.angle_rad[:count], points.descriptors[:count]
+    )
+
+
 def detect(image: Image, mask: Bools, crop: Crop, config: Features) -> KeyPoints:
     """RootSIFT key points of a rectified image (H, W) inside the mask, from its crop."""
     enlarged = enlarge(image, crop, config)

@@ -2,6 +2,7 @@
 
 pairs.py       selection of frame pairs, their matching in parallel; two methods together
 methods.py     the interface and the registry of match methods
-matchers.py    the methods ``nearest`` and ``polhode``: dual softmax, motions on which matches agree
+nearest.py     the method ``nearest``: mutual nearest neighbours
+matchers.py    the method ``polhode``: dual softmax, motions on which matches agree
 ransac.py      the geometric check: RANSAC on absolute orientation
 """

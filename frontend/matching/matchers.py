@@ -1,4 +1,4 @@
-"""Matching of two frames by descriptors: mutual nearest neighbours, and dual softmax with a common motion.
+"""The method ``polhode``: descriptors of two frames by dual softmax, with a common motion.
 
 The dual softmax considers more pairs than mutual nearest neighbours: where texture repeats, the second or
 third best may be correct, and the common motion decides. The probability of a match is the product of the
@@ -17,7 +17,6 @@ Distances between points, which are invariant to the motion, are compared as wel
 import math
 from dataclasses import dataclass
 
-import kornia.feature
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -191,23 +190,6 @@ def _refined(
         miss = np.linalg.norm(p_A - transform_points(X_AB, p_B), axis=1)
         inlier = np.asarray((miss < shrink * gate_m) & free)
     return MotionMode(X_AB, inlier, float(weight[inlier].sum())) if inlier.sum() >= 3 else None
-
-
-class MutualNearest:
-    """``MatchMethod``: mutual nearest neighbours with a ratio test on both sides (Kornia's
-    ``match_smnn``)."""
-
-    def __init__(self, config: Frontend) -> None:
-        self._ratio = config.pairs.ratio
-
-    def __call__(self, a: StereoFeatures, b: StereoFeatures) -> Matches:
-        """Matches; confidence: one minus the distance ratio, 0 where best and second best are the same."""
-        if min(len(a), len(b)) < 2:
-            return Matches.none()
-        with torch.inference_mode():
-            descriptors_a, descriptors_b = (torch.from_numpy(frame.descriptors) for frame in (a, b))
-            ratio, index = kornia.feature.match_smnn(descriptors_a, descriptors_b, self._ratio)
-        return Matches(index.numpy().astype(np.int64), 1.0 - ratio.numpy().ravel().astype(np.float64))
 
 
 class SoftmaxMatcher:

@@ -42,7 +42,7 @@ class MatchMethod(Protocol):
 
 
 MATCH_METHODS: Mapping[str, str] = {
-    "nearest": "polhode.frontend.matching.matchers:MutualNearest",
+    "nearest": "polhode.frontend.matching.nearest:MutualNearest",
     "polhode": "polhode.frontend.matching.matchers:SoftmaxMatcher",
     "lightglue": "polhode.frontend.peers.matchers:LightGlueMatcher",
     "loftr": "polhode.frontend.peers.matchers:LoftrMatcher",

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.camera import RectifiedRig
-from polhode.lie import Array, exp_so3, make_pose, transform_points
-from polhode.records import Bools
+from polhode.compiled import compiled_reordered
+from polhode.lie import Array, make_pose, transform_points
+from polhode.records import Bools, Ints
 from polhode.rigid_fit import fit_rigid
+from polhode.small_systems import solve_symmetric
 
 HYPOTHESES = 300
 """Number of minimal samples."""
@@ -15,6 +17,8 @@ GATE_PX = 2.0
 """Largest reprojection error of an inlier."""
 NOISE_PX = np.array([0.7, 0.7, 0.25])
 """Noise of u, v and disparity of features [px]; only the ratios matter."""
+MIN_DEPTH_M = 1e-6
+"""Points nearer to the camera's plane, or behind it, are not seen [m]."""
 ROBUST = 9.0
 """Squared error over variance at which the weight of a point is a quarter."""
 
@@ -44,10 +48,11 @@ def ransac_rigid(
     """
     triples = _sample_triples(len(uvd_i), rng)
     R, t = _triads(p_Ri[triples], p_Rj[triples])
-    moved = np.einsum("hab,nb->hna", R, p_Rj) + t[:, None]
-    agreement = _inliers(moved, uvd_i, rig)
-    X = make_pose(R[(best := int(agreement.sum(axis=1).argmax()))], t[best])
-    inlier = agreement[best]
+    camera = rig.focal_px, rig.cx_px, rig.cy_px, rig.baseline_m, rig.disparity_offset_px
+    count = _count_inliers(R, t, np.ascontiguousarray(p_Rj.T), np.ascontiguousarray(uvd_i.T), camera)
+    best = int(count.argmax())
+    X = make_pose(R[best], t[best])
+    inlier = _inliers(transform_points(X, p_Rj), uvd_i, rig)
     for _ in range(4):
         if inlier.sum() < 3:
             break
@@ -71,38 +76,139 @@ def fit_noisy(X_AB: Array, p_A: Array, p_B: Array, rig: RectifiedRig, rounds: in
     Each difference is weighted by the covariances of both points: stereo is more accurate across the ray than
     along it, and the rays of the two frames differ in the body.
     """
-    C_A, C_B = _covariance(p_A, rig), _covariance(p_B, rig)
+    X = X_AB.copy()
+    _fit_noisy(X, np.ascontiguousarray(p_A), np.ascontiguousarray(p_B), rig.focal_px, rig.baseline_m, rounds)
+    return X
+
+
+@compiled_reordered
+def _fit_noisy(X: Array, p_A: Array, p_B: Array, focal_px: float, baseline_m: float, rounds: int) -> None:
+    """Improve the motion X (4, 4) in place."""
+    normal, rhs = np.empty((6, 6)), np.empty(6)
+    L, step, turn = np.zeros((6, 6)), np.empty(6), np.empty((3, 3))
+    C_A, C_B, W = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    moved, miss, W_miss = np.empty(3), np.empty(3), np.empty(3)
+    J = np.zeros((3, 6))
+    for a in range(3):
+        J[a, 3 + a] = 1.0
     for _ in range(rounds):
-        R, moved = X_AB[:3, :3], transform_points(X_AB, p_B)
-        W = np.linalg.inv(C_A + R @ C_B @ R.T)
-        miss = p_A - moved
-        W_miss = (W @ miss[..., None])[..., 0]
-        # Geman and McClure
-        W *= (1.0 / (1.0 + np.sum(miss * W_miss, axis=1) / ROBUST) ** 2)[:, None, None]
-        J = np.zeros((len(p_A), 3, 6))
-        J[:, :, 3:] = np.eye(3)
-        x, y, z = moved.T
-        J[:, 0, 1], J[:, 0, 2], J[:, 1, 0], J[:, 1, 2], J[:, 2, 0], J[:, 2, 1] = z, -y, -z, x, y, -x
-        J_W = np.swapaxes(J, 1, 2) @ W
-        normal = np.sum(J_W @ J, axis=0)
-        rhs = np.einsum("nij,nj->i", J_W, miss)
-        step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(6), rhs)
-        X_AB = make_pose(exp_so3(step[:3]), step[3:]) @ X_AB
-    return X_AB
+        normal[:] = 0.0
+        rhs[:] = 0.0
+        for k in range(len(p_A)):
+            _covariance(p_A[k], focal_px, baseline_m, C_A)
+            _covariance(p_B[k], focal_px, baseline_m, C_B)
+            for a in range(3):
+                moved[a] = X[a, 0] * p_B[k, 0] + X[a, 1] * p_B[k, 1] + X[a, 2] * p_B[k, 2] + X[a, 3]
+                miss[a] = p_A[k, a] - moved[a]
+                for b in range(3):
+                    value = C_A[a, b]
+                    for c in range(3):
+                        for d in range(3):
+                            value += X[a, c] * C_B[c, d] * X[b, d]
+                    W[a, b] = value
+            _invert(W)
+            square = 0.0
+            for a in range(3):
+                W_miss[a] = W[a, 0] * miss[0] + W[a, 1] * miss[1] + W[a, 2] * miss[2]
+                square += miss[a] * W_miss[a]
+            # Geman and McClure
+            weight = 1.0 / (1.0 + square / ROBUST) ** 2
+            x, y, z = moved
+            J[0, 1], J[0, 2], J[1, 0], J[1, 2], J[2, 0], J[2, 1] = z, -y, -z, x, y, -x
+            for i in range(6):
+                for a in range(3):
+                    rhs[i] += weight * J[a, i] * W_miss[a]
+                    along = weight * (J[0, i] * W[0, a] + J[1, i] * W[1, a] + J[2, i] * W[2, a])
+                    for j in range(i + 1):
+                        normal[i, j] += along * J[a, j]
+        trace = 0.0
+        for i in range(6):
+            trace += normal[i, i]
+        for i in range(6):
+            normal[i, i] += 1e-9 * trace
+            for j in range(i):
+                normal[j, i] = normal[i, j]
+        solve_symmetric(normal, rhs, L, step)
+        _exp(step, turn)
+        for b in range(4):
+            x, y, z = X[0, b], X[1, b], X[2, b]
+            for a in range(3):
+                X[a, b] = turn[a, 0] * x + turn[a, 1] * y + turn[a, 2] * z
+        for a in range(3):
+            X[a, 3] += step[3 + a]
 
 
-def _covariance(p_R: Array, rig: RectifiedRig) -> Array:
-    J = rig.triangulation_jacobian(p_R)
-    return np.asarray((J * NOISE_PX**2) @ np.swapaxes(J, 1, 2))
+@compiled_reordered
+def _covariance(p_R: Array, focal_px: float, baseline_m: float, C: Array) -> None:
+    """Covariance (3, 3) of a point by ``NOISE_PX``."""
+    x, y, z = p_R
+    across = (NOISE_PX[0] * z / focal_px) ** 2
+    along = (NOISE_PX[2] * z * z / (focal_px * baseline_m)) ** 2
+    r = x / z, y / z, 1.0
+    for a in range(3):
+        for b in range(3):
+            C[a, b] = along * r[a] * r[b]
+    C[0, 0] += across
+    C[1, 1] += across
+
+
+@compiled_reordered
+def _invert(W: Array) -> None:
+    """The inverse of a symmetric matrix (3, 3), in place."""
+    a, b, c, d, e, f = W[0, 0], W[0, 1], W[0, 2], W[1, 1], W[1, 2], W[2, 2]
+    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
+    scale = 1.0 / (a * A + b * B + c * C)
+    W[0, 0], W[1, 1], W[2, 2] = A * scale, (a * f - c * c) * scale, (a * d - b * b) * scale
+    W[0, 1], W[0, 2], W[1, 2] = B * scale, C * scale, (b * c - a * e) * scale
+    W[1, 0], W[2, 0], W[2, 1] = W[0, 1], W[0, 2], W[1, 2]
+
+
+@compiled_reordered
+def _exp(w: Array, R: Array) -> None:
+    """Rotation (3, 3) by the vector of the first three entries (Rodrigues)."""
+    x, y, z = w[0], w[1], w[2]
+    square = x * x + y * y + z * z
+    angle = np.sqrt(square)
+    if angle > 1e-4:
+        s, c = np.sin(angle) / angle, (1.0 - np.cos(angle)) / square
+    else:
+        s, c = 1.0 - square / 6.0, 0.5 - square / 24.0
+    R[0, 0], R[0, 1], R[0, 2] = 1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y
+    R[1, 0], R[1, 1], R[1, 2] = c * x * y + s * z, 1.0 - c * (x * x + z * z), c * y * z - s * x
+    R[2, 0], R[2, 1], R[2, 2] = c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y)
 
 
 def reprojection_error_px(p_R: Array, uvd_px: Array, rig: RectifiedRig) -> Array:
     """The larger of image distance and disparity error (...) [px]; infinite behind the camera."""
-    in_front = p_R[..., 2] > 1e-6
+    in_front = p_R[..., 2] > MIN_DEPTH_M
     safe = np.where(in_front[..., None], p_R, [0.0, 0.0, 1.0])
     error = rig.project(safe) - uvd_px
     worst = np.maximum(np.hypot(error[..., 0], error[..., 1]), np.abs(error[..., 2]))
     return np.asarray(np.where(in_front, worst, np.inf))
+
+
+@compiled_reordered
+def _count_inliers(R: Array, t: Array, p_Rj: Array, uvd_i: Array, camera: tuple[float, ...]) -> Ints:
+    """Number of inliers (h,) of each motion R (h, 3, 3), t (h, 3), for points and measurements (3, n)."""
+    focal_px, cx_px, cy_px, baseline_m, offset_px = camera
+    x, y, z = p_Rj
+    u, v, d = uvd_i
+    count = np.zeros(len(R), np.int64)
+    for h in range(len(R)):
+        xx, xy, xz, tx = R[h, 0, 0], R[h, 0, 1], R[h, 0, 2], t[h, 0]
+        yx, yy, yz, ty = R[h, 1, 0], R[h, 1, 1], R[h, 1, 2], t[h, 1]
+        zx, zy, zz, tz = R[h, 2, 0], R[h, 2, 1], R[h, 2, 2], t[h, 2]
+        inliers = 0
+        for k in range(len(x)):
+            depth = zx * x[k] + zy * y[k] + zz * z[k] + tz
+            scale = focal_px / max(depth, MIN_DEPTH_M)
+            du = (xx * x[k] + xy * y[k] + xz * z[k] + tx) * scale + cx_px - u[k]
+            dv = (yx * x[k] + yy * y[k] + yz * z[k] + ty) * scale + cy_px - v[k]
+            dd = baseline_m * scale + offset_px - d[k]
+            near = du * du + dv * dv < GATE_PX * GATE_PX and abs(dd) < GATE_PX
+            inliers += int(near and depth > MIN_DEPTH_M)
+        count[h] = inliers
+    return count
 
 
 def _inliers(p_Ri: Array, uvd_i: Array, rig: RectifiedRig) -> Bools:

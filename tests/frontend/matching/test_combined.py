@@ -7,7 +7,7 @@ import pytest
 
 from polhode.config.frontend_settings import Features, Frontend, GuidedMatching, PairMatching
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.matching.matchers import MutualNearest
+from polhode.frontend.matching.nearest import MutualNearest
 from polhode.frontend.matching.pairs import (
     MAX_NEIGHBOUR_STEPS,
     MAX_VIEW_ANGLE_DEG,
