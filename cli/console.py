@@ -18,7 +18,7 @@ from rich.text import Text
 
 from polhode.errors import one_line, printable
 from polhode.interrupts import raise_if_received
-from polhode.progress import Advance, LiveProgress, Show
+from polhode.progress import NOTE, Advance, LiveProgress, Show
 
 _log = logging.getLogger(__name__)
 _finished: list[str] = []
@@ -104,7 +104,7 @@ class Lines:
 
 
 class _PlainWarnings(logging.Handler):
-    """Warnings on standard output, one line each and each once, whatever stream that is at the time."""
+    """Notes and warnings on standard output, whatever that is at the time: one line each, and each once."""
 
     def __init__(self, level: int) -> None:
         super().__init__(level)
@@ -124,14 +124,17 @@ def is_working() -> bool:
 
 @contextmanager
 def show_warnings() -> Iterator[None]:
-    """Print the program's warnings while the block runs, which is one command."""
+    """Print the program's notes and warnings while the block runs, which is one command."""
     _finished.clear()
-    handler = _PlainWarnings(level=logging.WARNING)
+    handler = _PlainWarnings(level=NOTE)
     # Errors are reported by the last line on standard error.
     handler.addFilter(lambda record: record.levelno < logging.ERROR)
-    root = logging.getLogger()
+    root, own = logging.getLogger(), logging.getLogger("polhode")
+    level = own.level
     root.addHandler(handler)
+    own.setLevel(NOTE)
     try:
         yield
     finally:
+        own.setLevel(level)
         root.removeHandler(handler)

@@ -51,7 +51,7 @@ parent_death.py    processes that end with the one that started them
 fork_server.py     the same for the server that forks the workers
 interrupts.py      signals that end a command in order
 threads.py         how many threads the libraries may use
-progress.py        how stages report their progress
+progress.py        how stages report their progress; notes to the user
 errors.py          errors that end a command, with their exit codes; text that is safe to print
 
 ``polhode.Session`` is the live estimate as a library: pairs are pushed, each gives a state (docs/live.md).

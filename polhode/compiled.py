@@ -7,12 +7,17 @@ of every constant and compiled function that it reads, so that a changed constan
 
 The cache is a pickle with machine code, so it is kept only where no other user can write (``code_cache``).
 
+The first function that is compiled because no copy is stored says so, once: the first run takes longer.
+
 The variants differ in the floating-point rules that the compiler may apply; they give different bytes.
 """
 
 import hashlib
+import logging
+import multiprocessing
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any, ParamSpec, TypeVar, cast
@@ -21,9 +26,11 @@ import numba
 import numpy as np
 
 from polhode.code_cache import code_cache, require_no_settings_of_numba
+from polhode.progress import NOTE
 
 require_no_settings_of_numba()
 
+_log = logging.getLogger(__name__)
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -89,11 +96,14 @@ class _DispensableCache:
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled function that is stored; None: compile it."""
         try:
-            return self._cache.load_overload(sig, target_context)
+            stored = self._cache.load_overload(sig, target_context)
         except Exception:  # noqa: BLE001  whatever a damaged file leads to
             with suppress(OSError):
                 self._cache.flush()
-            return None
+            stored = None
+        if stored is None:
+            _say_that_it_compiles()
+        return stored
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store a compiled function, where that is possible."""
@@ -102,6 +112,13 @@ class _DispensableCache:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._cache, name)
+
+
+@cache
+def _say_that_it_compiles() -> None:
+    # Workers would repeat it.
+    if multiprocessing.parent_process() is None:
+        _log.log(NOTE, "some functions are compiled now, once on this machine; it takes some seconds in all")
 
 
 def _digest_of_constants(function: FunctionType) -> str:

@@ -1,8 +1,13 @@
-"""The interface through which stages report their progress."""
+"""How stages report their progress, and the level of what a user should read while they work."""
 
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol
+
+NOTE = 25
+"""Level of the log between information and warnings: the command line prints it, though nothing is wrong"""
+logging.addLevelName(NOTE, "NOTE")
 
 Advance = Callable[[], None]
 

@@ -1,6 +1,7 @@
 """Exponential and logarithm of SO(3) for many rotations at once, compiled: ``polhode.lie`` for inner loops.
 
-``polhode.lie`` uses SciPy's general conversions, whose overhead dominates for a dozen rotations.
+``polhode.lie`` uses SciPy's general conversions, whose overhead dominates for a dozen rotations. Arrays of
+any memory layout are taken, but copied to be contiguous, since the functions would be compiled for each.
 """
 
 import numpy as np
@@ -25,9 +26,13 @@ def _fill(out: Array, x: float, y: float, z: float, a: float, b: float) -> None:
     out[1, 2], out[2, 1] = b * y * z - a * x, b * y * z + a * x
 
 
-@compiled
 def rotation_matrices(theta: Array) -> Array:
     """Rotation vectors [rad] (n, 3) -> matrices (n, 3, 3)."""
+    return _rotation_matrices(np.ascontiguousarray(theta))
+
+
+@compiled
+def _rotation_matrices(theta: Array) -> Array:
     out = np.empty((len(theta), 3, 3))
     for n in range(len(theta)):
         x, y, z = theta[n, 0], theta[n, 1], theta[n, 2]
@@ -92,23 +97,25 @@ def rotation_vectors(R: Array) -> Array:
     return out
 
 
+def right_jacobians(theta: Array) -> Array:
+    """``Exp(theta + d) ~ Exp(theta) Exp(Jr(theta) d)``: (n, 3) -> (n, 3, 3)."""
+    return _right_jacobians(np.ascontiguousarray(theta))
+
+
+def inverse_right_jacobians(theta: Array) -> Array:
+    """``Log(R Exp(d)) ~ Log(R) + Jr^-1 d`` at theta = Log(R) (n, 3), below a revolution -> (n, 3, 3)."""
+    return _inverse_right_jacobians(np.ascontiguousarray(theta))
+
+
 @compiled
-def _jacobians(theta: Array, inverse: bool) -> Array:
-    """Right Jacobians I - a hat + b hat^2, or their inverses I + hat / 2 + c hat^2."""
+def _right_jacobians(theta: Array) -> Array:
+    """I - a hat + b hat^2"""
     out = np.empty((len(theta), 3, 3))
     for n in range(len(theta)):
         x, y, z = theta[n, 0], theta[n, 1], theta[n, 2]
         s = x * x + y * y + z * z
         angle = np.sqrt(s)
-        small = angle < 10.0 * SMALL_RAD
-        if inverse:
-            a = -0.5
-            b = (
-                1.0 / 12.0 + s / 720.0 + s * s / 30240.0
-                if small
-                else (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / s
-            )
-        elif small:
+        if angle < 10.0 * SMALL_RAD:
             a, b = 0.5 - s / 24.0 + s * s / 720.0, 1.0 / 6.0 - s / 120.0 + s * s / 5040.0
         else:
             a, b = (1.0 - np.cos(angle)) / s, (angle - np.sin(angle)) / (s * angle)
@@ -117,11 +124,16 @@ def _jacobians(theta: Array, inverse: bool) -> Array:
 
 
 @compiled
-def right_jacobians(theta: Array) -> Array:
-    """``Exp(theta + d) ~ Exp(theta) Exp(Jr(theta) d)``: (n, 3) -> (n, 3, 3)."""
-    return _jacobians(theta, False)
-
-
-def inverse_right_jacobians(theta: Array) -> Array:
-    """``Log(R Exp(d)) ~ Log(R) + Jr^-1 d`` at theta = Log(R) (n, 3), below a revolution -> (n, 3, 3)."""
-    return _jacobians(theta, True)
+def _inverse_right_jacobians(theta: Array) -> Array:
+    """I + hat / 2 + c hat^2"""
+    out = np.empty((len(theta), 3, 3))
+    for n in range(len(theta)):
+        x, y, z = theta[n, 0], theta[n, 1], theta[n, 2]
+        s = x * x + y * y + z * z
+        angle = np.sqrt(s)
+        if angle < 10.0 * SMALL_RAD:
+            c = 1.0 / 12.0 + s / 720.0 + s * s / 30240.0
+        else:
+            c = (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / s
+        _fill(out[n], x, y, z, 0.5, c)
+    return out

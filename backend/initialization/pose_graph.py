@@ -75,7 +75,7 @@ def update_link_consensus(
             ahead = component[i[e]] == low
             A, B = (X[i[e]], X[j[e]]) if ahead else (X[j[e]], X[i[e]])
             distance[m] = _between(A, X_ij[e], B, ahead, R[m], t[m], centre[m])
-        scale = 0.3 * np.median(distance[:size])
+        scale = 0.3 * _median(distance, size)
         best, most, links = 0, -1.0, 0
         for s in range(size):
             total, agree = 0.0, 0
@@ -89,8 +89,30 @@ def update_link_consensus(
         if links == 1:
             best = 0
         score[low, high] = weight[member[other, 0]] if links == 1 else most
-        T[low, high] = np.eye(4)
-        T[low, high, :3, :3], T[low, high, :3, 3] = R[best], t[best]
+        _put_pose(R[best], t[best], T[low, high])
+
+
+@compiled
+def _put_pose(R: Array, t: Array, T: Array) -> None:
+    """R (3, 3) and t (3,) into T (4, 4); element by element, since slices take seconds to compile."""
+    for r in range(3):
+        for c in range(3):
+            T[r, c] = R[r, c]
+        T[r, 3], T[3, r] = t[r], 0.0
+    T[3, 3] = 1.0
+
+
+@compiled
+def _median(values: Array, size: int) -> float:
+    """Of the first ``size`` values, by insertion: NumPy's takes seconds to compile."""
+    ordered = values[:size].copy()
+    for k in range(1, size):
+        value, at = ordered[k], k
+        while at > 0 and ordered[at - 1] > value:
+            ordered[at] = ordered[at - 1]
+            at -= 1
+        ordered[at] = value
+    return float(0.5 * (ordered[(size - 1) // 2] + ordered[size // 2]))
 
 
 @compiled
@@ -146,9 +168,12 @@ def closed_triangles(
     """
     agree, seen = np.zeros(len(i)), np.zeros(len(i))
     R, t, zero = np.empty((3, 3)), np.empty(3), np.zeros(3)
+    direct, p = np.empty((3, 3)), np.empty(3)
     for e in range(len(i)):
-        direct = X_ij[e]
-        p = direct[:3, 3]
+        for r in range(3):
+            p[r] = X_ij[e, r, 3]
+            for c in range(3):
+                direct[r, c] = X_ij[e, r, c]
         allowed = bound_shift * max(np.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2), 1e-9)
         for third in range(len(linked)):
             if not (linked[i[e], third] and linked[j[e], third]):
@@ -160,7 +185,7 @@ def closed_triangles(
                     t[r] += A[r, c] * B[c, 3]
                     R[r, c] = A[r, 0] * B[0, c] + A[r, 1] * B[1, c] + A[r, 2] * B[2, c]
             seen[e] += 1.0
-            if _agree(R, t, direct[:3, :3], p, zero, bound_rad, allowed):
+            if _agree(R, t, direct, p, zero, bound_rad, allowed):
                 agree[e] += 1.0
             if seen[e] == MAX_TRIANGLES:
                 break

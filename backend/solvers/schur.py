@@ -141,7 +141,8 @@ def back_substitute(
     out = np.empty((len(start) - 1, 3))
     rest = np.empty(3)
     for mark in range(len(start) - 1):
-        rest[:] = h[mark]
+        for j in range(3):
+            rest[j] = h[mark, j]
         for a in range(start[mark], start[mark + 1]):
             k = stride * frame[a]
             for j in range(3):

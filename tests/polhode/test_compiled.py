@@ -49,3 +49,12 @@ def test_a_cache_that_cannot_be_written_or_read_costs_time_only(tmp_path: Path) 
     for path in (*cache.glob("*.nbi"), *cache.glob("*.nbc")):
         path.write_bytes(path.read_bytes()[:-40])
     assert result_with(tmp_path, "8") == "7"
+
+
+def test_only_what_is_not_stored_yet_is_announced(tmp_path: Path) -> None:
+    (tmp_path / "kept.py").write_text(
+        "from polhode.compiled import compiled\n\n\n@compiled\ndef outer() -> int:\n    return 7\n"
+    )
+    shown = "import logging, sys; logging.basicConfig(level=25, stream=sys.stdout, format='%(levelname)s');"
+    assert result_with(tmp_path, "8", shown) == "NOTE\n7"
+    assert result_with(tmp_path, "8", shown) == "7"
