@@ -6,9 +6,11 @@ several times more. Lucas and Kanade 1981; Gruen, "Adaptive least squares correl
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
 from polhode.camera import RectifiedRig
@@ -39,6 +41,10 @@ SIGMA_UV_PX = 0.30
 MIN_SIGMA_DISPARITY_PX = 0.10
 """Floor of a refined disparity's sigma, since the noise is not the only error [px]."""
 
+LARGEST_COORDINATE = 0.5
+"""Of a descriptor, where it is rounded to 8 bits: larger ones count as this one."""
+COARSE_ROWS = 128
+"""Descriptors are filled up to multiples of so many for comparisons."""
 MIN_NOISE_LEVELS = 1.0
 """Floor of the noise of an image [8-bit levels]: rounding, and what the model of its texture lacks."""
 
@@ -51,6 +57,35 @@ class ImageCrop:
     """(H, W)"""
     corner_px: tuple[int, int]
     """(u, v) of the part's first pixel in the whole image"""
+
+
+@dataclass(frozen=True)
+class CoarseDescriptors:
+    """Descriptors as whole numbers, filled up to one of a few sizes, for which products are prepared once."""
+
+    whole: NDArray[np.int8]
+    """(n, d)"""
+    square: NDArray[np.float32]
+    """(n,) of their lengths; infinite where a row is filled up"""
+
+    @classmethod
+    def of(cls, descriptors: Descriptors) -> "CoarseDescriptors":
+        """Rounded: a coordinate of ``LARGEST_COORDINATE`` becomes 127."""
+        whole = np.round(descriptors * np.float32(127.0 / LARGEST_COORDINATE))
+        np.clip(whole, -127.0, 127.0, out=whole)
+        return cls._filled(whole.astype(np.int8), np.sum(whole * whole, axis=1))
+
+    @classmethod
+    def _filled(cls, whole: NDArray[np.int8], square: NDArray[np.float32]) -> "CoarseDescriptors":
+        rows = -len(whole) % COARSE_ROWS
+        return cls(
+            np.concatenate([whole, np.zeros((rows, whole.shape[1]), np.int8)]),
+            np.concatenate([square, np.full(rows, np.inf, np.float32)]),
+        )
+
+    def some(self, rows: Ints) -> "CoarseDescriptors":
+        """Those of some features."""
+        return self._filled(self.whole[rows], self.square[rows])
 
 
 @dataclass(frozen=True)
@@ -82,6 +117,11 @@ class StereoFeatures:
 
     def __len__(self) -> int:
         return len(self.uvd_px)
+
+    @cached_property
+    def coarse_descriptors(self) -> "CoarseDescriptors":
+        """The descriptors for comparisons of all with all"""
+        return CoarseDescriptors.of(self.descriptors)
 
     @property
     def on_surface(self) -> Bools:

@@ -6,7 +6,7 @@ import numpy as np
 
 from polhode.camera import RectifiedRig
 from polhode.compiled import compiled_reordered
-from polhode.lie import Array, make_pose, transform_points
+from polhode.lie import Array, transform_points
 from polhode.records import Bools, Ints
 from polhode.rigid_fit import fit_rigid
 from polhode.small_systems import solve_symmetric
@@ -17,6 +17,9 @@ GATE_PX = 2.0
 """Largest reprojection error of an inlier."""
 NOISE_PX = np.array([0.7, 0.7, 0.25])
 """Noise of u, v and disparity of features [px]; only the ratios matter."""
+MIN_SUPPORT = 4
+"""Inliers of the best minimal sample, of which three are the sample: with fewer the fit is not refined."""
+_TINY = 1e-12
 MIN_DEPTH_M = 1e-6
 """Points nearer to the camera's plane, or behind it, are not seen [m]."""
 ROBUST = 9.0
@@ -47,12 +50,11 @@ def ransac_rigid(
     measurements of frame i.
     """
     triples = _sample_triples(len(uvd_i), rng)
-    R, t = _triads(p_Ri[triples], p_Rj[triples])
     camera = rig.focal_px, rig.cx_px, rig.cy_px, rig.baseline_m, rig.disparity_offset_px
-    count = _count_inliers(R, t, np.ascontiguousarray(p_Rj.T), np.ascontiguousarray(uvd_i.T), camera)
-    best = int(count.argmax())
-    X = make_pose(R[best], t[best])
+    X, support = _best_motion(triples, p_Ri, p_Rj, np.ascontiguousarray(uvd_i.T), camera)
     inlier = _inliers(transform_points(X, p_Rj), uvd_i, rig)
+    if support < MIN_SUPPORT:
+        return RigidFit(X, inlier)
     for _ in range(4):
         if inlier.sum() < 3:
             break
@@ -188,16 +190,30 @@ def reprojection_error_px(p_R: Array, uvd_px: Array, rig: RectifiedRig) -> Array
 
 
 @compiled_reordered
-def _count_inliers(R: Array, t: Array, p_Rj: Array, uvd_i: Array, camera: tuple[float, ...]) -> Ints:
-    """Number of inliers (h,) of each motion R (h, 3, 3), t (h, 3), for points and measurements (3, n)."""
+def _best_motion(
+    triples: Ints, p_Ri: Array, p_Rj: Array, uvd_i: Array, camera: tuple[float, ...]
+) -> tuple[Array, int]:
+    """The motion (4, 4) by a triple of the matches (n, 3) with most inliers, and their number; uvd_i (3, n)."""
     focal_px, cx_px, cy_px, baseline_m, offset_px = camera
-    x, y, z = p_Rj
     u, v, d = uvd_i
-    count = np.zeros(len(R), np.int64)
-    for h in range(len(R)):
-        xx, xy, xz, tx = R[h, 0, 0], R[h, 0, 1], R[h, 0, 2], t[h, 0]
-        yx, yy, yz, ty = R[h, 1, 0], R[h, 1, 1], R[h, 1, 2], t[h, 1]
-        zx, zy, zz, tz = R[h, 2, 0], R[h, 2, 1], R[h, 2, 2], t[h, 2]
+    x, y, z = np.ascontiguousarray(p_Rj.T)
+    A, B, R = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    best, most = np.eye(4), -1
+    for h in range(len(triples)):
+        k0, k1, k2 = triples[h]
+        _triad(p_Ri[k0], p_Ri[k1], p_Ri[k2], A)
+        _triad(p_Rj[k0], p_Rj[k1], p_Rj[k2], B)
+        for a in range(3):
+            for b in range(3):
+                R[a, b] = A[a, 0] * B[b, 0] + A[a, 1] * B[b, 1] + A[a, 2] * B[b, 2]
+        mid_x = (p_Rj[k0, 0] + p_Rj[k1, 0] + p_Rj[k2, 0]) / 3.0
+        mid_y = (p_Rj[k0, 1] + p_Rj[k1, 1] + p_Rj[k2, 1]) / 3.0
+        mid_z = (p_Rj[k0, 2] + p_Rj[k1, 2] + p_Rj[k2, 2]) / 3.0
+        xx, xy, xz, yx, yy, yz = R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2]
+        zx, zy, zz = R[2, 0], R[2, 1], R[2, 2]
+        tx = (p_Ri[k0, 0] + p_Ri[k1, 0] + p_Ri[k2, 0]) / 3.0 - (xx * mid_x + xy * mid_y + xz * mid_z)
+        ty = (p_Ri[k0, 1] + p_Ri[k1, 1] + p_Ri[k2, 1]) / 3.0 - (yx * mid_x + yy * mid_y + yz * mid_z)
+        tz = (p_Ri[k0, 2] + p_Ri[k1, 2] + p_Ri[k2, 2]) / 3.0 - (zx * mid_x + zy * mid_y + zz * mid_z)
         inliers = 0
         for k in range(len(x)):
             depth = zx * x[k] + zy * y[k] + zz * z[k] + tz
@@ -205,10 +221,28 @@ def _count_inliers(R: Array, t: Array, p_Rj: Array, uvd_i: Array, camera: tuple[
             du = (xx * x[k] + xy * y[k] + xz * z[k] + tx) * scale + cx_px - u[k]
             dv = (yx * x[k] + yy * y[k] + yz * z[k] + ty) * scale + cy_px - v[k]
             dd = baseline_m * scale + offset_px - d[k]
-            near = du * du + dv * dv < GATE_PX * GATE_PX and abs(dd) < GATE_PX
-            inliers += int(near and depth > MIN_DEPTH_M)
-        count[h] = inliers
-    return count
+            near = (du * du + dv * dv < GATE_PX * GATE_PX) & (abs(dd) < GATE_PX)
+            inliers += int(near & (depth > MIN_DEPTH_M))
+        if inliers > most:
+            most = inliers
+            best[:3, :3] = R
+            best[0, 3], best[1, 3], best[2, 3] = tx, ty, tz
+    return best, most
+
+
+@compiled_reordered
+def _triad(a: Array, b: Array, c: Array, axes: Array) -> None:
+    """Axes (3, 3) of a triangle, by edge and normal (TRIAD; Black 1964); columns."""
+    ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    length = max(np.sqrt(ex * ex + ey * ey + ez * ez), _TINY)
+    ex, ey, ez = ex / length, ey / length, ez / length
+    fx, fy, fz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    nx, ny, nz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
+    length = max(np.sqrt(nx * nx + ny * ny + nz * nz), _TINY)
+    nx, ny, nz = nx / length, ny / length, nz / length
+    axes[0, 0], axes[1, 0], axes[2, 0] = ex, ey, ez
+    axes[0, 1], axes[1, 1], axes[2, 1] = ny * ez - nz * ey, nz * ex - nx * ez, nx * ey - ny * ex
+    axes[0, 2], axes[1, 2], axes[2, 2] = nx, ny, nz
 
 
 def _inliers(p_Ri: Array, uvd_i: Array, rig: RectifiedRig) -> Bools:
@@ -224,20 +258,3 @@ def _sample_triples(n: int, rng: np.random.Generator) -> np.ndarray[tuple[int, i
     third = third + (third >= low)
     third = third + (third >= high)
     return np.stack([first, second, third % n], axis=1).astype(np.intp)
-
-
-def _triads(p_A: Array, p_B: Array) -> tuple[Array, Array]:
-    """Motion from triangles (h, 3, 3), by edge and normal (TRIAD; Black 1964): R_AB (h, 3, 3), t (h, 3)."""
-    R = _triad(p_A) @ np.swapaxes(_triad(p_B), -1, -2)
-    t = p_A.mean(axis=1) - np.einsum("hab,hb->ha", R, p_B.mean(axis=1))
-    return R, t
-
-
-def _triad(p: Array) -> Array:
-    e1 = _unit(p[:, 1] - p[:, 0])
-    e3 = _unit(np.cross(e1, p[:, 2] - p[:, 0]))
-    return np.stack([e1, np.cross(e3, e1), e3], axis=-1)
-
-
-def _unit(v: Array) -> Array:
-    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-12))

@@ -14,8 +14,10 @@ from polhode.errors import InputError
 from polhode.frontend.extract import extract_features, extract_pair
 from polhode.frontend.features.keypoints import detect
 from polhode.frontend.features.methods import FEATURE_METHODS, feature_method
-from polhode.frontend.features.stereo import StereoFeatures, match_stereo
+from polhode.frontend.features.stereo import LARGEST_COORDINATE, StereoFeatures, match_stereo
+from polhode.frontend.matching import nearest
 from polhode.frontend.matching.methods import MATCH_METHODS, match_method
+from polhode.frontend.matching.nearest import _products
 from polhode.frontend.rectification import (
     RectifiedPair,
     Rectifier,
@@ -79,12 +81,30 @@ def test_nearest_is_kornias_symmetric_ratio_test() -> None:
     a, b = make_world(n_frames=2).frames
     matches = match_method(configured(ratio=0.8))(a, b)
     with torch.inference_mode():
-        ratio, index = kornia.feature.match_smnn(
-            torch.from_numpy(a.descriptors), torch.from_numpy(b.descriptors), 0.8
-        )
+        whole = [torch.from_numpy(each.coarse_descriptors.whole[: len(each)]).float() for each in (a, b)]
+        ratio, index = kornia.feature.match_smnn(whole[0], whole[1], 0.8)
     assert len(index) > 20
     np.testing.assert_array_equal(matches.features, index.numpy())
     np.testing.assert_allclose(matches.confidence, 1.0 - ratio.numpy()[:, 0], atol=1e-6)
+
+
+def test_rounding_leaves_the_distances_of_descriptors_as_they_are() -> None:
+    a, b = make_world(n_frames=2).frames
+    product, scale = (
+        _products(a.coarse_descriptors, b.coarse_descriptors)[: len(a), : len(b)],
+        127.0 / LARGEST_COORDINATE,
+    )
+    np.testing.assert_allclose(product / scale**2, a.descriptors @ b.descriptors.T, atol=0.01)
+
+
+def test_products_are_the_same_without_instructions_for_whole_numbers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    a, b = (frame.coarse_descriptors for frame in make_world(n_frames=2).frames)
+    expected = a.whole.astype(np.int64) @ b.whole.astype(np.int64).T
+    for has in (nearest._multiplies_whole_numbers(), False):
+        monkeypatch.setattr(nearest, "_multiplies_whole_numbers", lambda has=has: has)
+        np.testing.assert_array_equal(_products(a, b), expected)
 
 
 def test_a_threshold_on_the_confidence_is_the_ratio_test() -> None:
