@@ -45,10 +45,8 @@ class MutualNearest:
         return Matches(np.column_stack([rows, nearest[rows]])[mutual], 1.0 - worst)
 
 
-def _nearest(
-    of: CoarseDescriptors, among: CoarseDescriptors, ratio: float
-) -> tuple[Ints, NDArray[np.float64]]:
-    """For each descriptor (n,) its nearest one, -1 if the second is nearly as near; ratio of the distances."""
+def _nearest(of: CoarseDescriptors, among: CoarseDescriptors, ratio: float) -> tuple[Ints, Array]:
+    """For each descriptor (n,) its nearest one, -1 if the second is nearly as near; the distances' ratio."""
     smallest, index = _two_smallest(_products(of, among), of.square, among.square, ratio**2)
     return index, np.sqrt(smallest[0] / np.maximum(smallest[1], 1.0)).astype(np.float64)
 

@@ -193,7 +193,7 @@ def reprojection_error_px(p_R: Array, uvd_px: Array, rig: RectifiedRig) -> Array
 def _best_motion(
     triples: Ints, p_Ri: Array, p_Rj: Array, uvd_i: Array, camera: tuple[float, ...]
 ) -> tuple[Array, int]:
-    """The motion (4, 4) by a triple of the matches (n, 3) with most inliers, and their number; uvd_i (3, n)."""
+    """The motion (4, 4) by three of the matches (n, 3) with most inliers, and their number; uvd_i (3, n)."""
     focal_px, cx_px, cy_px, baseline_m, offset_px = camera
     u, v, d = uvd_i
     x, y, z = np.ascontiguousarray(p_Rj.T)
