@@ -35,6 +35,7 @@ def command(main: Callable[..., None]) -> None:
     limit_threads(1)
     module = sys.modules[main.__module__]
     name = module.__spec__.name if module.__spec__ is not None else module.__name__
+    name = name.removesuffix(".__main__")
     tyro.cli(main, prog=f"python -m {name}", description=module.__doc__, config=(FlagCreatePairsOff,))
 
 

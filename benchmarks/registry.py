@@ -61,7 +61,8 @@ class Benchmark:
     @property
     def prints(self) -> str:
         """The first sentence of the module's docstring."""
-        path = ROOT / "benchmarks" / f"{self.module.replace('.', '/')}.py"
+        path = ROOT / "benchmarks" / self.module.replace(".", "/")
+        path = path / "__main__.py" if path.is_dir() else path.with_suffix(".py")
         text = ast.get_docstring(ast.parse(path.read_text())) or ""
         return " ".join(text.split("\n\n")[0].split())
 
@@ -116,7 +117,7 @@ BENCHMARKS = (
     Benchmark("random_rigs", "calibration.random_rigs", "docs/calibrate.md", 30),
     Benchmark("real_pairs", "calibration.real_pairs", "docs/calibrate.md", 2, "data/chessboard_pairs", None,
               ("data/chessboard_pairs",)),
-    Benchmark("live", "live.replay", "docs/live.md", 40),
+    Benchmark("live", "live", "docs/live.md", 40),
     Benchmark("start", "live.start", "docs/speed.md", 4),
     Benchmark("checkout", "checkout.sequences", "docs/checkout.md", 10),
     _of_runs("run_cost", "checkout.run_cost", "docs/checkout.md", 1, _WITH_TRUTH),
@@ -203,6 +204,6 @@ def chosen(words: tuple[str, ...]) -> list[Benchmark]:
 def code_of(module: str) -> tuple[str, ...]:
     """The folders that a result of a module depends on."""
     parts = module.split(".")
-    if parts[0] != "benchmarks" or len(parts) < 3:
+    if parts[0] != "benchmarks" or len(parts) < 2 or parts[1] not in CODE:
         return ALL
     return (*CODE[parts[1]], f"benchmarks/{parts[1]}")

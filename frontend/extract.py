@@ -7,7 +7,7 @@ from functools import partial
 from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Depth, Frontend
 from polhode.dataset import StereoSequence
-from polhode.frontend.disparity.depth import compute_depth
+from polhode.frontend.disparity.depth import DisparityRange, compute_depth
 from polhode.frontend.disparity.learned import disparity_network
 from polhode.frontend.disparity.measured import measured_depth
 from polhode.frontend.features.methods import feature_method
@@ -54,16 +54,26 @@ def extract_depth(
     sequence: StereoSequence,
     rectifier: Rectifier,
     config: Frontend,
-    disparity_ranges_px: Sequence[tuple[float, float] | None],
+    disparity_ranges_px: Sequence[DisparityRange],
     workers: int,
+    pairs: Sequence[int] | None = None,
 ) -> Iterator[DepthMap]:
-    """Depth map of every pair, in order.
+    """Depth maps of these pairs, or of every pair, in order.
 
-    disparity_ranges_px: for each pair, the range of the target's disparity that the sparse map predicts, if
-    any.
+    disparity_ranges_px: for every pair of the sequence.
     """
-    jobs = list(enumerate(disparity_ranges_px))
+    chosen = range(len(disparity_ranges_px)) if pairs is None else pairs
+    jobs = [(k, disparity_ranges_px[k]) for k in chosen]
     return in_order(partial(_depth_of, sequence, rectifier, config.depth), jobs, workers)
+
+
+def depth_of_pair(
+    pair: RectifiedPair, rig: RectifiedRig, config: Depth, disparity_range_px: DisparityRange
+) -> DepthMap:
+    """Depth map of one pair. disparity_range_px: of the target, None: it is searched for."""
+    if pair.measured is not None:
+        return measured_depth(pair, rig, config.largest_sigma_px)
+    return compute_depth(pair.left, pair.right, pair.mask_left, rig, config, disparity_range_px)
 
 
 def extract_pair(pair: RectifiedPair, rig: RectifiedRig, config: Frontend) -> StereoFeatures:
@@ -83,11 +93,8 @@ def _depth_of(
     sequence: StereoSequence,
     rectifier: Rectifier,
     config: Depth,
-    job: tuple[int, tuple[float, float] | None],
+    job: tuple[int, DisparityRange],
 ) -> DepthMap:
     """The depth of pair k, given its range of disparity."""
     k, span = job
-    pair = rectified_pair(sequence, rectifier, k)
-    if pair.measured is not None:
-        return measured_depth(pair, rectifier.rig, config.largest_sigma_px)
-    return compute_depth(pair.left, pair.right, pair.mask_left, rectifier.rig, config, span)
+    return depth_of_pair(rectified_pair(sequence, rectifier, k), rectifier.rig, config, span)

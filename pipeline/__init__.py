@@ -6,6 +6,7 @@ In: the folder of a sequence and a configuration. Out: the run directory (docs/r
 - streamed: what a stream has found already, for the run that follows
 - context: images, configuration, progress and clock, which every step takes
 - correspondences: features of all frames, and the frames that match
+- depth_maps: depth of all pairs, made now or stored before
 - find_motion: solve, match again, keep what fits better; consistency_check decides what fits better
 - finish_surface: holes, colours, coverage and levels of the fused surface
 - coverage: the share of the body that was seen, seen but never lit, never seen

@@ -1,7 +1,7 @@
 """The main job, as the data flows: images, tracks, first motion, motion, window, depth, fusion, report."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,8 +11,7 @@ import numpy as np
 
 from polhode.backend import align_online_estimate, estimate_online, window_warnings
 from polhode.config import Config
-from polhode.frontend.extract import extract_depth
-from polhode.lie import transform_points
+from polhode.frontend.features.stereo import StereoFeatures
 from polhode.mapping.fusion.field import fuse
 from polhode.pipeline.answer_checks.check_answer import check_answer, check_surface
 from polhode.pipeline.answer_checks.image_motion import ImageMotion
@@ -20,6 +19,7 @@ from polhode.pipeline.checkout.checkout import warn_before_run
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.correspondences import match_frames
 from polhode.pipeline.data_checks.check_data import check_data
+from polhode.pipeline.depth_maps import depth_maps
 from polhode.pipeline.find_motion import find_motion, pose_RG
 from polhode.pipeline.finish_surface import finish_surface
 from polhode.pipeline.intervals.find_intervals import find_intervals
@@ -111,7 +111,7 @@ def fill_run_folder(
     images = ImageMotion(
         context.rig, pose_RG(tracks, estimate), np.isin(np.arange(tracks.n_frames), tracks.frame)
     )
-    fused = _build_surface(context, tracks, estimate, images)
+    fused = _build_surface(context, correspondences.features, tracks, estimate, images, streamed)
     with clock("fusion"):
         X_RG = pose_RG(tracks, estimate)
         if fused.aligned is not None:
@@ -175,17 +175,20 @@ def _online(
 
 
 def _build_surface(
-    context: RunContext, tracks: StereoTracks, estimate: MotionEstimate, images: ImageMotion
+    context: RunContext,
+    features: Sequence[StereoFeatures],
+    tracks: StereoTracks,
+    estimate: MotionEstimate,
+    images: ImageMotion,
+    streamed: Streamed | None,
 ) -> SurfaceModel:
     """Depth of every pair, moved into G by the motion, fused; ``images`` compares what passes by."""
     config, clock, rig = context.config, context.clock, context.rig
     X_RG = pose_RG(tracks, estimate)
-    # The disparities of a frame's own landmarks bound the search for its disparities.
-    ranges: list[tuple[float, float] | None] = []
-    for X in X_RG:
-        disparity = rig.project(transform_points(X, estimate.landmarks.p_G))[:, 2]
-        ranges.append((float(disparity.min()), float(disparity.max())) if len(disparity) else None)
-    maps = extract_depth(context.sequence, context.rectifier, config.frontend, ranges, context.workers)
+    stored = None
+    if streamed is not None and streamed.fits(context.sequence.timestamps_ns, context.rectifier):
+        stored = streamed.depth
+    maps = depth_maps(context, features, stored)
     with clock("fusion"):
         surface = fuse(
             zip(images.watching(clock.waiting("depth", maps)), X_RG, strict=True),

@@ -8,6 +8,7 @@ import numpy as np
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.pairs import PairMatch
 from polhode.frontend.rectification import Rectifier
+from polhode.pipeline.depth_maps import DepthStore
 from polhode.records import Ints, OnlineEstimate
 
 
@@ -26,6 +27,8 @@ class Streamed:
     """One row for each pair"""
     warnings: tuple[str, ...]
     """What became of late, missing, repeated and dropped pairs, one line each"""
+    depth: DepthStore | None = None
+    """Depth maps of some of the pairs"""
 
     def fits(self, timestamps_ns: Ints, rectifier: Rectifier) -> bool:
         """Whether the features are those that these pairs would give with this rectifier's masks."""

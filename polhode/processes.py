@@ -17,7 +17,7 @@ from concurrent.futures.process import BrokenProcessPool
 from functools import cache
 from multiprocessing.connection import wait as wait_for_end
 from multiprocessing.context import BaseContext
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from polhode import fork_server
 from polhode.errors import RunFailure
@@ -30,6 +30,7 @@ U = TypeVar("U")
 
 WAITING_PER_WORKER = 3
 """Items per process that are submitted or whose results are not yet taken."""
+LOWEST_PRIORITY = 19
 
 
 def worker_count(workers: int) -> int:
@@ -72,6 +73,48 @@ def as_finished(work: Callable[[T], U], items: Sequence[T], workers: int) -> Ite
     if items:
         pool, first = _begun(work, items[0], min(workers, len(items)))
         yield from _results(pool, first, items[1:], workers, ordered=False)
+
+
+class Background(Generic[T, U]):
+    """One process beside this one that works on items in their order, at the lowest priority.
+
+    ``work`` is called in that process alone, and may therefore keep there what it has found.
+    """
+
+    def __init__(self, work: Callable[[T], U], preload: Sequence[str] = ()) -> None:
+        """Raises OSError where there can be no process."""
+        self._pool: ProcessPoolExecutor | None = _pool(_Yielding(work), 1, preload)
+        _pools.append(self._pool)
+
+    def submit(self, item: T) -> "Future[U] | None":
+        """What will be the result; None: the process is gone, and nothing more will be done."""
+        if self._pool is None:
+            return None
+        try:
+            return _submitted(self._pool, item)
+        except (_ServerLost, BrokenProcessPool):
+            self.close()
+            return None
+
+    def close(self) -> None:
+        """Give up what has not begun. What has begun ends soon, or with this process."""
+        if self._pool is not None:
+            _pools.remove(self._pool)
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool = None
+
+
+class _Yielding(Generic[T, U]):
+    """Work that leaves the processor to every other process."""
+
+    def __init__(self, work: Callable[[T], U]) -> None:
+        self._work, self._begun = work, False
+
+    def __call__(self, item: T) -> U:
+        if not self._begun:
+            self._begun = True
+            os.nice(LOWEST_PRIORITY)
+        return self._work(item)
 
 
 def kill_workers() -> None:

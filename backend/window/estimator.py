@@ -81,6 +81,12 @@ class SlidingWindow:
         return len(recent[-1].slot) if recent and recent[-1].number == self._number else 0
 
     @property
+    def landmarks_G(self) -> Array:
+        """(L, 3) landmarks of the frames that are kept, in the present frame G [m]."""
+        landmarks = self.state.landmarks
+        return np.array(landmarks.p_G[landmarks.used])
+
+    @property
     def sigma_rate(self) -> float:
         """Standard deviation [rad/s] of the size of the latest angular velocity; inf: it is unknown.
 

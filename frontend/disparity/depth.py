@@ -14,8 +14,17 @@ from polhode.frontend.disparity.classical import classical_disparity
 from polhode.frontend.disparity.learned import network_disparity
 from polhode.frontend.disparity.sgbm import Floats, StereoCrop, cut_crop, match_checked
 from polhode.frontend.rectification import Image
+from polhode.lie import Array
 from polhode.records import Bools, DepthMap
 
+DisparityRange = tuple[float, float] | None
+"""Smallest and largest disparity of the target [px]; None: not known."""
+MIN_FEATURES = 20
+"""With fewer, the range of the disparities is not taken from the features of the pair."""
+RANGE_PERCENTILES = (1.0, 99.0)
+"""Of the disparities of the features, without wrong ones."""
+RANGE_MARGIN_PX, RANGE_MARGIN_SHARE = 4.0, 0.25
+"""That the surface without features may reach beyond them; a share of their range."""
 MAX_SHIFT_SHARE = 0.4
 """Largest distance of the columns of a match that is searched for when the range is not known, as a share of
 the image's width."""
@@ -31,7 +40,7 @@ def compute_depth(
     mask: Bools,
     rig: RectifiedRig,
     config: Depth,
-    disparity_range_px: tuple[float, float] | None = None,
+    disparity_range_px: DisparityRange = None,
 ) -> DepthMap:
     """Depth map in the rectified left camera.
 
@@ -66,7 +75,7 @@ def dense_disparity(
     mask: Bools,
     rig: RectifiedRig,
     config: Depth,
-    disparity_range_px: tuple[float, float] | None = None,
+    disparity_range_px: DisparityRange = None,
 ) -> tuple[Floats, Floats]:
     """Disparity and its standard deviation (H, W) [px]; NaN where there is none.
 
@@ -93,9 +102,21 @@ def crop_disparity(crop: StereoCrop, config: Depth) -> tuple[Floats, Floats]:
     )
 
 
+def range_of_features(disparity_px: Array) -> DisparityRange:
+    """The range of the target's disparities by those (n,) of the pair's own features; None: too few.
+
+    It depends on this pair only, so that its depth does not wait for the motion.
+    """
+    if len(disparity_px) < MIN_FEATURES:
+        return None
+    low, high = np.percentile(disparity_px, RANGE_PERCENTILES)
+    margin = RANGE_MARGIN_PX + RANGE_MARGIN_SHARE * (high - low)
+    return float(low - margin), float(high + margin)
+
+
 def find_disparity_range(
     left: Image, right: Image, mask: Bools, config: Depth, offset_px: float = 0.0
-) -> tuple[float, float] | None:
+) -> DisparityRange:
     """Smallest and largest disparity of the target [px], from images of a quarter of the size, or None.
 
     offset_px: disparity of a point at infinity, cx_left - cx_right.

@@ -15,7 +15,7 @@ separate, orthogonal blocks. The matches of a frame pair remain two separate ``P
 geometric check.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -96,7 +96,12 @@ def _match_row(
 
 
 def match_pair(
-    frames: Sequence[StereoFeatures], i: int, j: int, rig: RectifiedRig, config: Frontend, seed: int
+    frames: Sequence[StereoFeatures] | Mapping[int, StereoFeatures],
+    i: int,
+    j: int,
+    rig: RectifiedRig,
+    config: Frontend,
+    seed: int,
 ) -> PairMatch | None:
     """The match of frames i < j; None: it does not pass the geometric check.
 

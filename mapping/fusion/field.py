@@ -352,7 +352,7 @@ def choose_device(config: Mapping) -> torch.device:
 Frame = tuple[DepthMap, Array]
 _PEEK = 5
 """Frames used to choose the voxel size."""
-_KEPT = 0.25
+KEPT_SHARE = 0.25
 """Share of the field's memory for the depth maps that are kept."""
 
 
@@ -377,7 +377,7 @@ def fuse(
     stream = iter(frames)
     head = list(islice(stream, _PEEK))
     voxel_m = choose_voxel_m([frame for frame, _ in head], rig, config)
-    field = Field(rig, config, voxel_m, _KEPT * config.memory_mib)
+    field = Field(rig, config, voxel_m, KEPT_SHARE * config.memory_mib)
     with (progress or Silent()).stage("fusing depth", n_frames) as advance:
         for k, (frame, X_RG) in enumerate(chain(head, stream)):
             field.add(frame, X_RG, None if covariance_G is None else covariance_G[k])

@@ -6,6 +6,7 @@
 - folder_source: a folder that fills, or a recorded one
 - recording: what has come as a sequence on disk, which the batch reads at the end
 - stream: the stages of a pair: features, links with earlier frames, landmarks, window
+- ahead: what the batch will want of each pair, done in another process meanwhile; the growing surface
 - arrivals: what becomes of late, missing and repeated pairs
 - live_state: what is known after a pair
 """

@@ -17,7 +17,7 @@ from polhode.errors import InputError
 from polhode.images import bit_depth, has_content, to_grey
 from polhode.interrupts import interrupt_noted
 from polhode.pipeline.live.arrivals import Arrivals
-from polhode.pipeline.live.feed import Arrived, Dropped, Feed
+from polhode.pipeline.live.feed import WAIT_S, Arrived, Dropped, Feed
 from polhode.pipeline.live.folder_source import FolderSource, SourcePair
 from polhode.pipeline.live.live_state import LiveState
 from polhode.pipeline.live.recording import FileRecording
@@ -33,6 +33,8 @@ from polhode.threads import single_threaded
 MAX_RATE = 1e4
 PATIENCE_S = 10.0
 """A folder that fills has ended when no pair came for so long."""
+BESIDE_S = 0.01
+"""Between looks at a pair whose features are being extracted, while another may come."""
 _log = logging.getLogger(__name__)
 
 
@@ -99,6 +101,7 @@ def run_live(
             streamed = stream.streamed(loop.arrivals.warnings)
             finished = fill_run_folder(written, config, recording.folder, progress, streamed)
         finally:
+            stream.close()
             recording.remove()
         live.report_s = perf_counter() - last_at
         _log.info("live: %.1f s from the last pair to the report", live.report_s)
@@ -137,7 +140,7 @@ class _Loop:
                     feed.stop()
                     show("interrupted: the pairs that have come are finished")
                 busy = len(started) >= self._workers or bool(started and started[0].extracted.done())
-                item = None if busy else feed.next(0.0 if started else 0.05)
+                item = None if busy else feed.next(BESIDE_S if started else WAIT_S)
                 if isinstance(item, Arrived):
                     last_at = item.at
                     if (future := self._start(item.pair, pool)) is not None:
@@ -147,10 +150,8 @@ class _Loop:
                     self.arrivals.note("dropped", f"{item.timestamp_ns} ns")
                 elif item is not None:
                     self.arrivals.note("unusable", item.what)
-                elif started and (started[0].extracted.done() or busy or not self._stream.match_ahead()):
+                elif started and (busy or feed.ended):
                     show(self._finish(started.popleft()))
-                elif not started:
-                    self._stream.match_ahead()
         return last_at
 
     def _start(self, pair: SourcePair, pool: ThreadPoolExecutor) -> Future[Extracted] | None:

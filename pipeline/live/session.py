@@ -19,7 +19,7 @@ from polhode.pipeline.live.recording import ImageRecording
 from polhode.pipeline.live.stream import CameraMotion, Stream
 from polhode.pipeline.run import RunResult, run
 from polhode.progress import Progress, Silent
-from polhode.records import Bools
+from polhode.records import Bools, SurfaceModel
 from polhode.rig_calibration import StereoCalibration
 from polhode.threads import single_threaded
 
@@ -84,6 +84,19 @@ class Session:
         """What became of late, missing and repeated pairs so far, one line for each kind."""
         return self._arrivals.warnings
 
+    @property
+    def landmarks_G(self) -> Array:
+        """(L, 3) the sparse map so far, of the frames that the window keeps, in the present frame G [m]."""
+        return self._stream.landmarks_G
+
+    def surface(self) -> SurfaceModel | None:
+        """The surface that the pairs so far have shown, in the present frame G: it grows from call to call.
+
+        Another process makes it, at the poses as they were known live; it is empty until a motion is known.
+        None: with ``runtime.workers`` 1 it is made at the end only.
+        """
+        return self._stream.surface()
+
     @single_threaded
     def push(
         self,
@@ -146,6 +159,7 @@ class Session:
 
     def close(self) -> None:
         """Remove the pairs that were kept."""
+        self._stream.close()
         self._recording.remove()
 
     def _require_image(self, camera: int, image: NDArray[Any], mask: Bools | None) -> None:

@@ -26,10 +26,12 @@ from polhode.frontend.matching.pairs import PairMatch, match_pair
 from polhode.frontend.rectification import make_rectifier, rectified_images
 from polhode.frontend.segmentation import has_surroundings
 from polhode.frontend.tracks.causal_tracks import CausalTracks
-from polhode.lie import Array
+from polhode.lie import Array, inverse_pose
+from polhode.pipeline.live.ahead import Ahead, ComingPair
 from polhode.pipeline.live.live_state import LiveState, live_state
 from polhode.pipeline.streamed import Streamed
-from polhode.records import Ints, OnlineEstimate, Wrench
+from polhode.processes import worker_count
+from polhode.records import Ints, OnlineEstimate, SurfaceModel, Wrench
 from polhode.rig_calibration import StereoCalibration
 
 _log = logging.getLogger(__name__)
@@ -50,6 +52,7 @@ class Extracted:
     """The features of one pair."""
 
     features: StereoFeatures
+    images: StereoImages
     seconds: float
 
 
@@ -86,7 +89,8 @@ class Stream:
         )
         self._tracks = CausalTracks()
         self._past = _Past()
-        self._next_pair_to_try = (0, 1)
+        self._config = config
+        self._ahead: Ahead | None = None
 
     def __len__(self) -> int:
         return len(self._past.timestamps_ns)
@@ -110,7 +114,7 @@ class Stream:
         begin = perf_counter()
         pair = rectified_images(images, self.rectifier)
         features = extract_pair(pair, self.rectifier.rig, self._frontend)
-        return Extracted(features, perf_counter() - begin)
+        return Extracted(features, images, perf_counter() - begin)
 
     def add(self, timestamp_ns: int, X_NC: Array, extracted: Extracted) -> LiveState:
         """Match, associate and estimate; the pair is later than all before. X_NC (4, 4): left camera."""
@@ -126,21 +130,38 @@ class Stream:
         done = perf_counter()
         seconds = {"features": extracted.seconds, "matching": matched - begin, "window": done - matched}
         window = self._window
+        self._work_ahead(k, extracted, X_NR, state)
         return live_state(state, k, window.accepted, window.restarts, window.sigma_rate, seconds)
 
-    def match_ahead(self) -> bool:
-        """Match one pair of frames that the batch will want, while nothing else is to do; False: none left.
+    def _work_ahead(self, k: int, extracted: Extracted, X_NR: Array, state: OnlineState) -> None:
+        """Pass the pair on to the process that does what the batch will want."""
+        if worker_count(self._config.runtime.workers) == 1:
+            return
+        if self._ahead is None:
+            self._ahead = Ahead(self.rectifier, self._config.model_copy(update={"frontend": self._frontend}))
+        images, tried = extracted.images, [i for i, j in self._past.tried if j == k]
+        measured = images.mask_left is None or bool(images.mask_left.any())
+        X_RG = inverse_pose(X_NR) @ state.X_NG if self._window.accepted else None
+        self._ahead.add(
+            ComingPair(
+                k, images if measured else None, extracted.features, tried, X_RG, self._window.restarts
+            )
+        )
 
-        Only as long as the batch matches all frames with all.
-        """
-        i, j = self._next_pair_to_try
-        while (i, j) in self._past.tried:
-            i, j = (i + 1, j) if i + 1 < j else (0, j + 1)
-        self._next_pair_to_try = (i, j)
-        if j >= min(len(self), self._frontend.pairs.exhaustive_frames):
-            return False
-        self._try(i, j)
-        return True
+    def surface(self) -> SurfaceModel | None:
+        """The surface that the pairs so far have shown, in the present frame G; None: with one process only,
+        the surface is made at the end."""
+        return None if self._ahead is None else self._ahead.surface()
+
+    @property
+    def landmarks_G(self) -> Array:
+        """(L, 3) landmarks of the present window, in the present frame G [m]."""
+        return self._window.landmarks_G
+
+    def close(self) -> None:
+        """Stop what works ahead, and remove what it has stored."""
+        if self._ahead is not None:
+            self._ahead.remove()
 
     def _try(self, i: int, j: int) -> PairMatch | None:
         found = match_pair(self._past.features, i, j, self.rectifier.rig, self._frontend, self._seed)
@@ -184,12 +205,13 @@ class Stream:
 
     def streamed(self, warnings: tuple[str, ...]) -> Streamed:
         """What was found, for the batch. At least one pair has come."""
-        past = self._past
+        past, ahead = self._past, self._ahead
         return Streamed(
             np.array(past.timestamps_ns, dtype=np.int64),
             tuple(past.features),
-            dict(past.tried),
+            {**past.tried, **({} if ahead is None else ahead.finish())},
             self.rectifier.surroundings,
             stack_states(past.states),
             warnings,
+            None if ahead is None else ahead.depth,
         )

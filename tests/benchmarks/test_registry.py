@@ -13,7 +13,7 @@ from benchmarks.registry import BENCHMARKS, CODE, chosen, code_of
 def test_every_command_is_in_the_registry_and_the_other_way_round() -> None:
     folder = ROOT / "benchmarks"
     modules = {
-        ".".join(path.relative_to(folder).with_suffix("").parts)
+        ".".join(path.relative_to(folder).with_suffix("").parts).removesuffix(".__main__")
         for path in folder.glob("*/*.py")
         if '__name__ == "__main__"' in path.read_text()
     }

@@ -7,11 +7,12 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from threadpoolctl import threadpool_info
 
 from polhode import processes
 from polhode.errors import RunFailure
-from polhode.processes import as_finished, in_order, worker_count
+from polhode.processes import LOWEST_PRIORITY, Background, as_finished, in_order, worker_count
 
 
 @dataclass(frozen=True)
@@ -249,6 +250,32 @@ def test_without_processes_the_work_is_done_here(
     monkeypatch.setattr(processes, "ProcessPoolExecutor", refuse)
     assert list(in_order(Square(), range(4), 2)) == [0, 1, 4, 9]
     assert "no parallel processes can be started" in caplog.text
+
+
+class Counting:
+    """Counts its calls, and says at which priority they are made."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(self, item: str) -> tuple[str, int, int]:
+        if item == "fail":
+            raise ValueError(item)
+        self.calls += 1
+        return item, self.calls, os.nice(0)
+
+
+def test_a_process_in_the_background_keeps_what_it_finds() -> None:
+    background = Background(Counting())
+    futures = [background.submit(item) for item in ("a", "fail", "b")]
+    assert all(future is not None for future in futures)
+    first, failed, second = (cast("Future[tuple[str, int, int]]", future) for future in futures)
+    assert first.result()[:2] == ("a", 1) and second.result()[:2] == ("b", 2)
+    assert isinstance(failed.exception(), ValueError)
+    assert second.result()[2] == LOWEST_PRIORITY
+    background.close()
+    background.close()
+    assert background.submit("c") is None
 
 
 def _numbers(folder: Path) -> list[int]:

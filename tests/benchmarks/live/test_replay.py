@@ -7,7 +7,19 @@ from typing import Any, cast
 import pytest
 
 from benchmarks.command import ROOT
-from benchmarks.live.replay import ERRORS, SAMPLE, SCENES, TIMES, error_rows, stage_times, times_row
+from benchmarks.live.replay import (
+    BATCH,
+    ERRORS,
+    NEES_HEAD,
+    SAMPLE,
+    SCENES,
+    TIMES,
+    batch_row,
+    error_rows,
+    nees_row,
+    stage_times,
+    times_row,
+)
 from polhode.pipeline.live.run_live import LiveReport
 
 
@@ -19,23 +31,34 @@ def line(same: bool) -> dict[str, Any]:
         "report_s": 41.26,
         "seconds": {stage: [0.2, 0.35] for stage in ("features", "matching", "window", "latency")},
         "errors": {
-            "live": [1.0, 2.0, 0.3],
-            "window of the batch": [1.0, 1.0, 0.2],
-            "final": [0.5, 0.1, 0.01],
+            "live": [1.0, 2.0, 0.3, 3.0],
+            "window of the batch": [1.0, 1.0, 0.2, 2.5],
+            "final": [0.5, 0.1, 0.01, 1.0],
         },
+        "nees": {"position": 3.123, "velocity": 2.0, "attitude": None, "angular_velocity": 3.0},
         "same": same,
+        "film_s": 57.5,
+        "batch_s": 69.0,
+        "sift_s": 23.0,
+        "load": [0.0, 1.25],
     }
 
 
 def test_rows_have_the_columns_of_their_heads() -> None:
     row = times_row(line(True))
     assert len(row) == TIMES.count("|") + 1
-    assert row == ["ts38", "115", "1", *["0.200 (0.350)"] * 4, "41.3"]
+    assert row == ["ts38", "115", "1", *["0.200 (0.350)"] * 4, "41.3", "0.0"]
     rows = error_rows(line(True))
     assert all(len(each) == ERRORS.count("|") + 1 for each in rows)
     assert [each[1] for each in rows] == ["live", "window of the batch", "final"]
     assert [each[-1] for each in rows] == ["-", "-", "yes"]
     assert error_rows(line(False))[-1][-1] == "no"
+    consistency = nees_row(line(True))
+    assert len(consistency) == NEES_HEAD.count("|") + 1
+    assert consistency == ["ts38", "3.12", "2.00", "-", "3.00", "0.22 to 9.35"]
+    batch = batch_row(line(True))
+    assert len(batch) == BATCH.count("|") + 1
+    assert batch == ["ts38", "57.5", "69.0", "1.20", "23.0", "3.0", "1.2"]
 
 
 def test_stages_have_median_and_95_percent() -> None:

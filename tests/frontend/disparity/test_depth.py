@@ -9,7 +9,7 @@ import pytest
 
 from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Depth
-from polhode.frontend.disparity.depth import compute_depth, find_disparity_range
+from polhode.frontend.disparity.depth import compute_depth, find_disparity_range, range_of_features
 from polhode.lie import Array
 from polhode.records import Bools
 
@@ -178,3 +178,12 @@ def test_disparities_below_zero_are_found_when_the_principal_points_differ(known
     assert found[mask].mean() > 0.8
     disparity = 400.0 * 0.1 / depth.depth_m - 40.0
     assert np.median(np.abs(disparity - true)[found]) < 0.06
+
+
+def test_a_few_wrong_features_do_not_widen_the_range() -> None:
+    disparity = np.linspace(50.0, 70.0, 400)
+    low, high = range_of_features(disparity) or (0.0, 0.0)
+    assert low < 50.0 and high > 70.0 and high - low < 40.0
+    wrong = np.concatenate([disparity, [5.0, 160.0]])
+    assert np.abs(np.subtract(range_of_features(wrong) or (0.0, 0.0), (low, high))).max() < 1.0
+    assert range_of_features(disparity[:10]) is None

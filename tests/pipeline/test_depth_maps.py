@@ -1,0 +1,68 @@
+"""Depth maps on disk: what is read is what was written, and what is stored is not computed again."""
+
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from polhode.pipeline.depth_maps import MARGIN_PX, DepthStore, depth_maps
+from polhode.records import DepthMap
+
+SIZE = 90, 120
+
+
+def depth_map(seed: int) -> DepthMap:
+    rng = np.random.default_rng(seed)
+    target = np.zeros(SIZE, dtype=np.bool_)
+    target[40:60, 50:85] = True
+    known = target & (rng.random(SIZE) > 0.3)
+    depth_m, sigma_m = (np.where(known, rng.random(SIZE), np.nan).astype(np.float32) for _ in range(2))
+    return DepthMap(depth_m, sigma_m, rng.integers(0, 255, SIZE, dtype=np.uint8), target)
+
+
+def assert_equal(found: DepthMap, wanted: DepthMap) -> None:
+    for each in fields(DepthMap):
+        np.testing.assert_array_equal(getattr(found, each.name), getattr(wanted, each.name))
+
+
+def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
+    store, depth = DepthStore(tmp_path), depth_map(1)
+    assert 3 not in store
+    size = store.write(3, depth)
+    assert 3 in store and size < 8 * np.isfinite(depth.depth_m).sum() + 10_000
+    found, part = store.read(3), np.s_[40 - MARGIN_PX : 60 + MARGIN_PX, 50 - MARGIN_PX : 85 + MARGIN_PX]
+    np.testing.assert_array_equal(found.intensity[part], depth.intensity[part])
+    assert not np.delete(found.intensity, np.r_[part[0]], axis=0).any()
+    assert_equal(replace(found, intensity=depth.intensity), depth)
+
+
+def test_a_pair_without_the_target_is_stored_too(tmp_path: Path) -> None:
+    store = DepthStore(tmp_path)
+    nothing = np.full(SIZE, np.nan, dtype=np.float32)
+    empty = replace(depth_map(1), depth_m=nothing, sigma_m=nothing, target=np.zeros(SIZE, dtype=np.bool_))
+    store.write(0, empty)
+    assert_equal(store.read(0), replace(empty, intensity=np.zeros(SIZE, dtype=np.uint8)))
+
+
+def test_only_what_is_not_stored_is_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store, whole = DepthStore(tmp_path), [depth_map(k) for k in range(4)]
+    asked: list[list[int]] = []
+
+    def computed(*arguments: Any) -> Iterator[DepthMap]:
+        asked.append(arguments[-1])
+        return iter([whole[k] for k in arguments[-1]])
+
+    monkeypatch.setattr("polhode.pipeline.depth_maps.extract_depth", computed)
+    features = cast(Any, [SimpleNamespace(uvd_px=np.zeros((0, 3)))] * 4)
+    context = cast(Any, SimpleNamespace(sequence=None, rectifier=None, workers=1))
+    context.config = SimpleNamespace(frontend=None)
+    without = list(depth_maps(context, features))
+    store.write(0, whole[0])
+    store.write(2, whole[2])
+    for found, wanted in zip(depth_maps(context, features, store), without, strict=True):
+        assert_equal(found, wanted)
+    assert asked == [[0, 1, 2, 3], [1, 3]]
