@@ -68,7 +68,7 @@ class Caster:
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
         self.middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         self.radius_m = float(np.linalg.norm(vertices - self.middle, axis=1).max())
-        self._scene = RayScene((vertices - self.middle)[mesh.faces])
+        self._scene = RayScene(vertices - self.middle, np.asarray(mesh.faces))
 
     def first(self, origin: Array, direction: Array) -> tuple[Array, Ints]:
         """Distance to the first hit (n,) [m], inf where there is none, and its face (n,), -1 where none.
@@ -239,10 +239,11 @@ class MeshView:
 class MeshViewer:
     """Renders one mesh, in its frame G [m], from any pose."""
 
-    def __init__(self, mesh: trimesh.Trimesh) -> None:
+    def __init__(self, mesh: trimesh.Trimesh, caster: Caster | None = None) -> None:
+        """``caster``: of this mesh, if there is one already."""
         self._vertices = np.asarray(mesh.vertices, dtype=np.float64)
         self._faces = np.asarray(mesh.faces, dtype=np.int64)
-        self._caster = Caster(mesh) if len(self._faces) else None
+        self._caster = (caster or Caster(mesh)) if len(self._faces) else None
         used = self._vertices[self._faces].reshape(-1, 3) if len(self._faces) else np.zeros((1, 3))
         low, high = used.min(axis=0), used.max(axis=0)
         self._centre, self._radius_m = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))

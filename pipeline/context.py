@@ -1,7 +1,7 @@
 """What every step of a run works with: the images, the configuration, progress for the user, stage times."""
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,7 +20,7 @@ from polhode.frontend.tracks.tracks import Association, to_tracks
 from polhode.lie import Array
 from polhode.pipeline.found_background import doubts_of_masks, with_found_masks
 from polhode.processes import worker_count
-from polhode.progress import Progress
+from polhode.progress import Progress, Silent
 from polhode.records import StereoTracks
 
 LOOKED_AT = 8
@@ -58,6 +58,11 @@ class Stopwatch:
                 return
             yield item
 
+    def add(self, seconds: Mapping[str, float]) -> None:
+        """Add the seconds that another process spent in stages while this one went on."""
+        for stage, more in seconds.items():
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + more
+
     def add_total(self) -> None:
         """Record the time since the start, which includes what belongs to no stage."""
         self.seconds["total"] = perf_counter() - self.start
@@ -72,6 +77,10 @@ class RunContext:
     config: Config
     progress: Progress
     clock: Stopwatch = field(default_factory=Stopwatch)
+
+    def for_another_process(self) -> "RunContext":
+        """The same inputs, without the display of the progress and with a clock of its own."""
+        return replace(self, progress=Silent(), clock=Stopwatch())
 
     @property
     def rig(self) -> RectifiedRig:

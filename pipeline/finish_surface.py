@@ -41,14 +41,20 @@ _MARGIN_PX = 6
 
 
 def finish_surface(
-    context: RunContext, surface: SurfaceModel, X_RG: Array, mass: MassProperties
+    context: RunContext,
+    surface: SurfaceModel,
+    X_RG: Array,
+    mass: MassProperties,
+    ready: Callable[[SurfaceModel], object] = lambda finished: None,
 ) -> tuple[SurfaceModel, list[DetailLevel], ShapeFindings]:
     """The finished surface, its lighter levels, and the findings about the shape.
 
-    X_RG (F, 4, 4): pose of the target in the rectified left camera.
+    X_RG (F, 4, 4): pose of the target in the rectified left camera. ``ready`` is called with the finished
+    surface as soon as there is one, before what follows from it.
     """
     config = context.config
     if len(surface.mesh.faces) == 0:
+        ready(surface)
         assumed, doubts = assumed_properties(mass, surface, config.backend)
         return surface, [], ShapeFindings(assumed=assumed, warnings=tuple(doubts))
     steps, rig, mapping = _OptionalSteps(), context.rig, config.mapping
@@ -75,6 +81,7 @@ def finish_surface(
         "coverage of the vertices", lambda: with_classes(finished, views, rig, caster()), None
     )
     finished = replace(finished, coverage=classes)
+    ready(finished)
     coverage = None
     if views:
         coverage = steps.attempt("coverage", lambda: coverage_of(finished.mesh, views, rig), None)

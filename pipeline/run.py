@@ -9,22 +9,22 @@ from typing import Literal
 
 import numpy as np
 
-from polhode.backend import align_online_estimate, estimate_online, window_warnings
+from polhode.backend import align_online_estimate, window_warnings
 from polhode.config import Config
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.mapping.fusion.field import fuse
-from polhode.pipeline.answer_checks.check_answer import check_answer, check_surface
+from polhode.pipeline.answer_checks.check_answer import check_surface, with_sun_check
 from polhode.pipeline.answer_checks.image_motion import ImageMotion
 from polhode.pipeline.checkout.checkout import warn_before_run
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.correspondences import match_frames
-from polhode.pipeline.data_checks.check_data import check_data
 from polhode.pipeline.depth_maps import depth_maps
 from polhode.pipeline.find_motion import find_motion, pose_RG
 from polhode.pipeline.finish_surface import finish_surface
 from polhode.pipeline.intervals.find_intervals import find_intervals
-from polhode.pipeline.pictures import make_pictures
+from polhode.pipeline.pictures import PicturesToMake
 from polhode.pipeline.report import finish_run, write_report
+from polhode.pipeline.review_motion import MotionToReview, review_motion
 from polhode.pipeline.run_directory import outputs
 from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.pipeline.run_directory.recording import recording_of
@@ -32,6 +32,7 @@ from polhode.pipeline.run_directory.run_folder import RunFolder, atomic_run_fold
 from polhode.pipeline.run_directory.summary import build_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.streamed import Streamed
+from polhode.processes import beside
 from polhode.progress import Progress
 from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks, SurfaceModel
 from polhode.threads import single_threaded
@@ -103,40 +104,55 @@ def fill_run_folder(
         # Each solution is written, so that it is kept should a later step fail.
         outputs.write_estimate(folder, solution.tracks, solution.estimate, solution.links)
     tracks, estimate = solution.tracks, solution.estimate
-    findings = check_data(context, correspondences.features, tracks, estimate)
-    online = _online(context, tracks, estimate, streamed)
-    if online is not None:
-        outputs.write_online_estimate(folder, online)
+    aside = context.for_another_process()
+    with beside(context.workers) as start:
+        reviewed = start(
+            review_motion,
+            MotionToReview(
+                *(aside, folder, correspondences.features, tracks, estimate, solution.links),
+                online=_online_of_stream(estimate, streamed),
+            ),
+        )
+        made: list[Callable[[], float]] = []
 
-    images = ImageMotion(
-        context.rig, pose_RG(tracks, estimate), np.isin(np.arange(tracks.n_frames), tracks.frame)
-    )
-    fused = _build_surface(context, correspondences.features, tracks, estimate, images, streamed)
-    with clock("fusion"):
-        X_RG = pose_RG(tracks, estimate)
-        if fused.aligned is not None:
-            X_RG = fused.aligned.put_into(X_RG)
-        surface, levels, shape = finish_surface(context, fused, X_RG, estimate.mass)
-        intervals, unbounded = find_intervals(estimate, surface, shape.coverage, config.backend)
-    outputs.write_surface(folder, surface, levels)
+        def ready(finished: SurfaceModel) -> None:
+            pictures = PicturesToMake(aside, folder, tracks, estimate, finished)
+            made.append(start(PicturesToMake.make, pictures))
 
-    with clock("checks"):
-        sun = shape.mesh.sun if shape.mesh is not None else None
-        sun_N = None if sun is None or sun.sigma_deg is None else np.array(sun.direction_N)
-        doubts = images.checks(float(np.median(np.diff(tracks.time_s))))
-        doubts += check_answer(tracks, estimate, solution.links, config.backend, online, sun_N)
-        shown = (context.sequence, context.rectifier, tracks, estimate, surface.mesh)
-        doubts += check_surface(*shown, shape.physics, sun_N)
-    # the images were compared while the depth maps passed to the fusion
-    clock.seconds["checks"] += images.seconds
-    clock.seconds["fusion"] -= images.seconds
-    with clock("report"):
-        make_pictures(context, folder, tracks, estimate, surface)
+        images = ImageMotion(
+            context.rig, pose_RG(tracks, estimate), np.isin(np.arange(tracks.n_frames), tracks.frame)
+        )
+        fused = _build_surface(context, correspondences.features, tracks, estimate, images, streamed)
+        with clock("fusion"):
+            X_RG = pose_RG(tracks, estimate)
+            if fused.aligned is not None:
+                X_RG = fused.aligned.put_into(X_RG)
+            surface, levels, shape = finish_surface(context, fused, X_RG, estimate.mass, ready)
+            intervals, unbounded = find_intervals(estimate, surface, shape.coverage, config.backend)
+        outputs.write_surface(folder, surface, levels)
+
+        with clock("checks"):
+            sun = shape.mesh.sun if shape.mesh is not None else None
+            sun_N = None if sun is None or sun.sigma_deg is None else np.array(sun.direction_N)
+            doubts = images.checks(float(np.median(np.diff(tracks.time_s))))
+            shown = (context.sequence, context.rectifier, tracks, estimate, surface.mesh)
+            of_surface = check_surface(*shown, shape.physics, sun_N)
+        # the images were compared while the depth maps passed to the fusion
+        clock.seconds["checks"] += images.seconds
+        clock.seconds["fusion"] -= images.seconds
+        with context.progress.stage("checks and pictures", 1 + len(made)) as advance:
+            review = reviewed()
+            advance()
+            doubts += [*with_sun_check(review.doubts, tracks, estimate, sun_N), *of_surface]
+            for seconds in made:
+                clock.add({"report": seconds()})
+                advance()
+        clock.add(review.seconds)
     clock.add_total()
     warnings = [*(streamed.warnings if streamed is not None else ()), *context.sequence.warnings]
     warnings += window_warnings(tracks.n_frames, config.backend)
-    warnings += [*fused.warnings, *findings.limits, *unbounded]
-    checks = [*doubts, *findings.checks]
+    warnings += [*fused.warnings, *review.findings.limits, *unbounded]
+    checks = [*doubts, *review.findings.checks]
     summary = build_summary(
         *(tracks, estimate, surface, clock.seconds, warnings),
         shape=shape,
@@ -157,21 +173,11 @@ def _result(summary: Summary, sentence: str, failure: str | None, written: RunFo
     return RunResult(summary.status, report, sentence, failure, written.note)
 
 
-def _online(
-    context: RunContext, tracks: StereoTracks, estimate: MotionEstimate, streamed: Streamed | None
-) -> OnlineEstimate | None:
-    """The estimate as each frame arrived, in the frames of the final one: of the stream if there was one.
-
-    Otherwise the frames pass through a sliding window now, with tracks that were found with all of them.
-    """
-    if not context.config.backend.window.enabled and streamed is None:
+def _online_of_stream(estimate: MotionEstimate, streamed: Streamed | None) -> OnlineEstimate | None:
+    """The causal estimate of a stream of the same frames, in the frames of the final one."""
+    if streamed is None or not np.array_equal(streamed.timestamps_ns, estimate.timestamps_ns):
         return None
-    with context.clock("backend"):
-        if streamed is not None and np.array_equal(streamed.timestamps_ns, estimate.timestamps_ns):
-            return align_online_estimate(streamed.online, estimate)
-        return align_online_estimate(
-            estimate_online(tracks, context.config.backend, context.progress), estimate
-        )
+    return align_online_estimate(streamed.online, estimate)
 
 
 def _build_surface(

@@ -1,4 +1,5 @@
-"""One function applied to many items by parallel processes: results in order, memory bounded.
+"""One function applied to many items by parallel processes: results in order, memory bounded; or to one item,
+beside the work of this process.
 
 The processes end with their parent, even if it is killed and whatever they are doing; they leave interrupts
 to it and use one thread each.
@@ -6,6 +7,7 @@ to it and use one thread each.
 
 import contextlib
 import logging
+import logging.handlers
 import multiprocessing
 import os
 import signal
@@ -14,10 +16,10 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from functools import cache
+from functools import cache, partial
 from multiprocessing.connection import wait as wait_for_end
 from multiprocessing.context import BaseContext
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from polhode import fork_server
 from polhode.errors import RunFailure
@@ -31,6 +33,8 @@ U = TypeVar("U")
 WAITING_PER_WORKER = 3
 """Items per process that are submitted or whose results are not yet taken."""
 LOWEST_PRIORITY = 19
+NICENESS = 5
+"""Of a process beside this one: what this one waits for goes first."""
 
 
 def worker_count(workers: int) -> int:
@@ -115,6 +119,90 @@ class _Yielding(Generic[T, U]):
             self._begun = True
             os.nice(LOWEST_PRIORITY)
         return self._work(item)
+
+
+class Start(Protocol):
+    """Starts work beside that of this process."""
+
+    def __call__(self, work: Callable[[T], U], item: T) -> Callable[[], U]:
+        """Start ``work(item)``, after what was started before; what is returned waits for the result."""
+        ...
+
+
+@contextlib.contextmanager
+def beside(workers: int) -> Iterator[Start]:
+    """Another process, for work that needs not be done here, until the block ends; work in progress is ended.
+
+    It takes the time that other processes leave (``NICENESS``). Log messages appear here once a result is
+    taken, which raises what the work raises. With one worker, or where no process can be started, the work is
+    done here when its result is asked for.
+    """
+    pools: list[ProcessPoolExecutor] = []
+
+    def start(work: Callable[[T], U], item: T) -> Callable[[], U]:
+        job = (work, logging.getLogger("polhode").getEffectiveLevel(), item)
+        try:
+            if workers > 1 and not pools:
+                pool, future = _begun(_with_messages, job, 1)
+                pools.append(pool)
+                _pools.append(pool)
+            elif workers > 1:
+                future = _submitted(pools[0], job)
+            else:
+                return cache(lambda: work(item))
+        except OSError as error:
+            _say_once(f"no parallel processes can be started ({error}): the work is done by one, more slowly")
+            return cache(lambda: work(item))
+        except (BrokenProcessPool, _ServerLost):
+            raise _killed("a worker process") from None
+        waiting.append(future)
+        return cache(partial(_told, future, pools[0]))
+
+    waiting: list[Future[Any]] = []
+    try:
+        yield start
+    finally:
+        for pool in pools:
+            if not all(future.done() for future in waiting):
+                _kill(pool)
+            _pools.remove(pool)
+            pool.shutdown(cancel_futures=True)
+
+
+def _with_messages(job: tuple[Callable[[T], U], int, T]) -> tuple[U, list[logging.LogRecord]]:
+    """In the other process: the result, and the messages that were logged."""
+    work, level, item = job
+    with contextlib.suppress(OSError):
+        os.nice(NICENESS - os.nice(0))
+    logger, messages = logging.getLogger("polhode"), _Messages()
+    logger.setLevel(level)
+    logger.handlers, logger.propagate = [messages], False
+    return work(item), messages.records
+
+
+class _Messages(logging.handlers.QueueHandler):
+    """Keeps messages in a form that another process can show."""
+
+    def __init__(self) -> None:
+        super().__init__(queue=None)  # type: ignore[arg-type]
+        self.records: list[logging.LogRecord] = []
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        """Keep a message."""
+        self.records.append(record)
+
+
+def _told(future: "Future[tuple[U, list[logging.LogRecord]]]", pool: ProcessPoolExecutor) -> U:
+    try:
+        result, messages = future.result()
+    except BrokenProcessPool:
+        raise _killed("a worker process") from None
+    except KeyboardInterrupt:
+        _kill(pool)
+        raise
+    for message in messages:
+        logging.getLogger(message.name).handle(message)
+    return result
 
 
 def kill_workers() -> None:

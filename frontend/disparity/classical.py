@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects
 
+from polhode.compiled import compiled_fused_ieee, compiled_inline
 from polhode.config.frontend_settings import Depth
 from polhode.frontend.disparity.sgbm import MIN_INTENSITY, WINDOW_PX, Floats, StereoCrop, match_checked
 from polhode.frontend.rectification import Image
@@ -182,65 +183,107 @@ def _best_plane(
     d: Array, weight: Array, radius_px: int, correlated_px2: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Value of the best window's plane at each pixel, its variance, and whether there is such a window."""
+    planes = plane_per_window(d, weight, radius_px, correlated_px2)
+    value, variance, score = best_window(planes, max(1, round(0.7 * radius_px)))
+    return value, variance, np.isfinite(score)
+
+
+@compiled_fused_ieee
+def plane_per_window(d: Array, weight: Array, radius_px: int, correlated_px2: float) -> Array:
+    """Weighted planes in the window around each pixel of d (h, w): (h, w, 5).
+
+    Slopes a, b, value at the centre, its variance, and mean squared scatter, infinite where too few pixels of
+    the window have a weight. Coordinates count from the centre; running sums over columns, then along rows.
+    """
     h, w = d.shape
-    v, u = np.mgrid[:h, :w].astype(np.float64)
-    a, b, value, scatter, variance, share = _plane_per_window(d, weight, u, v, radius_px, correlated_px2)
-    usable = share > _MIN_FILLED_SHARE
-    score = np.where(usable, scatter, np.inf)
-    best, best_value, best_variance = score.copy(), value.copy(), variance.copy()
-    r = max(1, round(0.7 * radius_px))
-    for dv in (-r, 0, r):
-        for du in (-r, 0, r):
-            if du == dv == 0:
+    r = radius_px
+    out = np.empty((h, w, 5))
+    column, total, term = np.zeros((w, 11)), np.empty(11), np.empty(11)
+    least = _MIN_FILLED_SHARE * (2 * r + 1) ** 2
+    for v in range(-r, h):
+        # rows enter and leave the sums of the columns; rows outside the image have no weight
+        for sign, row in ((1.0, v + r), (-1.0, v - r - 1)):
+            if row < 0 or row >= h:
                 continue
-            # The window centred at (u + du, v + dv) extrapolates its plane to (u, v).
-            shifted_score = 1.15 * _shift(score, du, dv, np.inf)
-            shifted = _shift(value, du, dv, 0.0) - du * _shift(a, du, dv, 0.0) - dv * _shift(b, du, dv, 0.0)
-            better = shifted_score < best
-            best = np.where(better, shifted_score, best)
-            best_value = np.where(better, shifted, best_value)
-            best_variance = np.where(better, 3.0 * _shift(variance, du, dv, 0.0), best_variance)
-    return best_value, best_variance, np.isfinite(best)
-
-
-def _plane_per_window(
-    d: Array, weight: Array, u: Array, v: Array, radius_px: int, correlated_px2: float
-) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Slopes a, b, value at the centre, mean squared scatter, the value's variance, filled share; (h, w)."""
-    size = 2 * radius_px + 1
-
-    def total(image: Array) -> Array:
-        return np.asarray(cv2.boxFilter(image, cv2.CV_64F, (size, size), normalize=False, borderType=0))
-
-    s, su, sv = total(weight), total(weight * u), total(weight * v)
-    safe = np.maximum(s, 1e-9)
-    mu, mv, md = su / safe, sv / safe, total(weight * d) / safe
-    uu = total(weight * u * u) / safe - mu * mu + 1e-3
-    vv = total(weight * v * v) / safe - mv * mv + 1e-3
-    uv = total(weight * u * v) / safe - mu * mv
-    ud = total(weight * u * d) / safe - mu * md
-    vd = total(weight * v * d) / safe - mv * md
-    dd = total(weight * d * d) / safe - md * md
-    determinant = np.maximum(uu * vv - uv * uv, 1e-6)
-    a = (ud * vv - vd * uv) / determinant
-    b = (vd * uu - ud * uv) / determinant
-    value = md + a * (u - mu) + b * (v - mv)
-    scatter = np.maximum(dd - a * ud - b * vd, 0.0) + 1e-4
-    count = total((weight > 0).astype(np.float64))
-    # Disparities of neighbours come from overlapping windows: far fewer are independent.
-    independent = np.maximum(count / correlated_px2, 1.0)
-    variance = np.maximum(scatter, 0.0) / independent + correlated_px2 / np.maximum(s, 1e-9)
-    return a, b, value, scatter, variance, count / size**2
-
-
-def _shift(image: Array, du: int, dv: int, outside: float) -> Array:
-    """out[v, u] = image[v + dv, u + du]; ``outside`` where that is not in the image."""
-    out = np.full_like(image, outside)
-    h, w = image.shape
-    rows, columns = slice(max(0, -dv), min(h, h - dv)), slice(max(0, -du), min(w, w - du))
-    source = (slice(max(0, dv), min(h, h + dv)), slice(max(0, du), min(w, w + du)))
-    out[rows, columns] = image[source]
+            for u in range(w):
+                _terms(float(row), float(u), d[row, u], sign * weight[row, u], term)
+                for c in range(11):
+                    column[u, c] += term[c]
+        if v < 0:
+            continue
+        total[:] = 0.0
+        for u in range(-r, w):
+            if u + r < w:
+                total += column[u + r]
+            if u < 0:
+                continue
+            if u - r - 1 >= 0:
+                total -= column[u - r - 1]
+            s = max(total[0], 1e-9)
+            mu, mv, md = total[1] / s, total[2] / s, total[3] / s
+            uu = total[4] / s - mu * mu + 1e-3
+            vv = total[5] / s - mv * mv + 1e-3
+            uv = total[6] / s - mu * mv
+            ud = total[7] / s - mu * md
+            vd = total[8] / s - mv * md
+            dd = total[9] / s - md * md
+            determinant = max(uu * vv - uv * uv, 1e-6)
+            a = (ud * vv - vd * uv) / determinant
+            b = (vd * uu - ud * uv) / determinant
+            scatter = max(dd - a * ud - b * vd, 0.0) + 1e-4
+            count = total[10]
+            # Disparities of neighbours come from overlapping windows: far fewer are independent.
+            independent = max(count / correlated_px2, 1.0)
+            out[v, u, 0], out[v, u, 1] = a, b
+            out[v, u, 2] = md + a * (u - mu) + b * (v - mv)
+            out[v, u, 3] = scatter / independent + correlated_px2 / s
+            out[v, u, 4] = scatter if count > least else np.inf
     return out
+
+
+@compiled_inline
+def _terms(v: float, u: float, d: float, weight: float, out: Array) -> None:
+    """What a pixel adds to the sums of a window; a negative weight takes it away."""
+    wu, wv, wd = weight * u, weight * v, weight * d
+    out[0], out[1], out[2], out[3] = weight, wu, wv, wd
+    out[4], out[5], out[6] = wu * u, wv * v, wu * v
+    out[7], out[8], out[9] = wu * d, wv * d, wd * d
+    out[10] = 0.0
+    if weight > 0.0:
+        out[10] = 1.0
+    elif weight < 0.0:
+        out[10] = -1.0
+
+
+@compiled_fused_ieee
+def best_window(planes: Array, step_px: int) -> tuple[Array, Array, Array]:
+    """The best of nine windows, centred and shifted by a step, at each pixel: value, variance and score.
+
+    planes (h, w, 5) as of ``plane_per_window``. The score (h, w) is infinite where no window is usable.
+    """
+    h, w = planes.shape[:2]
+    value, variance, score = np.empty((h, w)), np.empty((h, w)), np.empty((h, w))
+    for v in range(h):
+        for u in range(w):
+            best = planes[v, u, 4]
+            dv_best, du_best = 0, 0
+            for i in range(-1, 2):
+                row = v + i * step_px
+                if row < 0 or row >= h:
+                    continue
+                for j in range(-1, 2):
+                    column = u + j * step_px
+                    if column < 0 or column >= w or (i == 0 and j == 0):
+                        continue
+                    shifted = 1.15 * planes[row, column, 4]
+                    if shifted < best:
+                        best, dv_best, du_best = shifted, i * step_px, j * step_px
+            at = planes[v + dv_best, u + du_best]
+            # the window centred at (u + du, v + dv) extrapolates its plane to (u, v)
+            value[v, u] = at[2] - du_best * at[0] - dv_best * at[1]
+            variance[v, u] = at[3] if dv_best == 0 and du_best == 0 else 3.0 * at[3]
+            score[v, u] = best
+    return value, variance, score
 
 
 @dataclass(frozen=True)

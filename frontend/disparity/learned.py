@@ -22,6 +22,7 @@ from kornia.geometry.transform import remap
 from numpy.typing import NDArray
 from torch import Tensor
 
+from polhode.compiled import compiled_fused_ieee
 from polhode.config.frontend_settings import Depth
 from polhode.frontend.disparity.classical import (
     MIN_MATCHED_PIXELS,
@@ -33,6 +34,7 @@ from polhode.frontend.disparity.classical import (
 )
 from polhode.frontend.disparity.sgbm import Floats, StereoCrop, match_coarse, match_left_right
 from polhode.frontend.networks.disparity import OFFSETS_PX, STRIDE, DisparityNet, mixture_from_outputs
+from polhode.frontend.networks.precision import multiplies_in_bfloat16
 from polhode.frontend.networks.weights import load_weights, shipped_path
 from polhode.records import Bools
 
@@ -196,9 +198,11 @@ def input_channels(start: InitialDisparity) -> Tensor:
 def warp_right(right: Tensor, disparity: Tensor, margin_px: int) -> Tensor:
     """The right image (h, w + 2 margin) warped to the left one by k disparities (k, h, w) [px].
 
-    Differentiable in both.
+    Differentiable in both; where neither needs a derivative, by a compiled loop.
     """
     k, h, w = disparity.shape
+    if not (torch.is_grad_enabled() and (right.requires_grad or disparity.requires_grad)):
+        return torch.from_numpy(shift_rows(right.numpy(), disparity.numpy(), margin_px))
     u = torch.arange(w, dtype=disparity.dtype) + margin_px - disparity
     v = torch.arange(h, dtype=disparity.dtype)[None, :, None].expand(k, h, w)
     # One tall image holds the k maps below each other.
@@ -211,6 +215,23 @@ def warp_right(right: Tensor, disparity: Tensor, margin_px: int) -> Tensor:
         align_corners=True,
     )
     return warped.reshape(k, h, w)
+
+
+@compiled_fused_ieee
+def shift_rows(right: Floats, disparity: Floats, margin_px: int) -> Floats:
+    """As ``warp_right``, linearly interpolated along the rows; the border is repeated."""
+    k, h, w = disparity.shape
+    last = right.shape[1] - 1
+    out = np.empty((k, h, w), dtype=right.dtype)
+    for n in range(k):
+        for v in range(h):
+            row = right[v]
+            for u in range(w):
+                at = min(max(u + margin_px - disparity[n, v, u], np.float32(0.0)), np.float32(last))
+                low = min(np.int64(at), last - 1)
+                share = at - low
+                out[n, v, u] = row[low] + share * (row[low + 1] - row[low])
+    return out
 
 
 def _grey(start: InitialDisparity, disparity: Tensor) -> Tensor:
@@ -285,7 +306,9 @@ def refine(network: DisparityNet, start: InitialDisparity) -> RefinedDisparity:
     with torch.no_grad():
         channels = input_channels(padded).contiguous(memory_format=torch.channels_last)
         target = torch.from_numpy(padded.target)
-        outputs, guess = network(channels)[:, :, target], hypotheses(padded)[None, :, target]
+        with torch.autocast("cpu", torch.bfloat16, enabled=multiplies_in_bfloat16()):
+            raw = network(channels)
+        outputs, guess = raw[:, :, target], hypotheses(padded)[None, :, target]
         mixture = mixture_from_outputs(outputs, guess).strongest(_COMPONENTS)
         mode = mixture.mode()
         values = (mode, mixture.sigma(mode), torch.sigmoid(mixture.visible))

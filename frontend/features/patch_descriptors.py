@@ -24,6 +24,7 @@ from polhode.frontend.features.patches import (
     rotate_affines,
 )
 from polhode.frontend.networks.descriptor import DIMENSIONS, DescriptorNet
+from polhode.frontend.networks.precision import multiplies_in_bfloat16
 from polhode.frontend.networks.weights import load_weights, shipped_path
 from polhode.frontend.rectification import Image
 from polhode.lie import Array
@@ -94,7 +95,7 @@ def describe(network: DescriptorNet, patches: Patches) -> PatchDescriptions:
     """Describe patches (n, 1, 32, 32) of grey values 0..255."""
     if len(patches) == 0:
         return PatchDescriptions(np.zeros((0, DIMENSIONS), dtype=np.float32), np.zeros(0), np.zeros(0))
-    with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=_multiplies_in_bfloat16()):
+    with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=multiplies_in_bfloat16()):
         parts = [network(some) for some in torch.from_numpy(patches).split(NETWORK_BATCH)]
     descriptor, reliability, direction = (torch.cat(each).float() for each in zip(*parts, strict=True))
     return PatchDescriptions(
@@ -102,9 +103,3 @@ def describe(network: DescriptorNet, patches: Patches) -> PatchDescriptions:
         torch.atan2(direction[:, 1], direction[:, 0]).numpy().astype(np.float64),
         torch.sigmoid(reliability).numpy().astype(np.float64),
     )
-
-
-@cache
-def _multiplies_in_bfloat16() -> bool:
-    """Whether the processor has matrix instructions for bfloat16, which take half the time."""
-    return bool(torch.backends.mkldnn.is_available() and torch.cpu._is_amx_tile_supported())

@@ -59,10 +59,12 @@ class DisparityMixture:
     def mode(self, window_px: float = 0.5) -> Tensor:
         """(B, ...) the mean of a component with the largest probability in a window around it [px]."""
         radius = torch.full_like(self.visible, window_px)
-        mass = torch.stack(
-            [self.mass_within(self.mean[:, k], radius) for k in range(self.mean.shape[1])], dim=1
-        )
-        return self.mean.gather(1, mass.argmax(dim=1, keepdim=True))[:, 0]
+        best = self.mean[:, 0]
+        most = self.mass_within(best, radius)
+        for mean in self.mean.unbind(dim=1)[1:]:
+            mass = self.mass_within(mean, radius)
+            best, most = torch.where(mass > most, mean, best), torch.maximum(mass, most)
+        return best
 
     def sigma(self, disparity: Tensor, rounds: int = 6) -> Tensor:
         """Half the width (B, ...) [px] of the interval around ``disparity`` with a probability of 68 %.
@@ -142,7 +144,11 @@ class DisparityNet(nn.Module):
             # A 1x1 convolution and an enlargement commute: fewer channels are enlarged.
             wide = functional.interpolate(up(x), scale_factor=2.0, mode="bilinear", align_corners=False)
             x = leave(wide + skipped.pop())
-        out: Tensor = functional.pixel_shuffle(self.head(functional.relu(x)), 2)
+        # corrections of a hundredth of a pixel need more digits than the layers before
+        with torch.autocast("cpu", enabled=False):
+            out: Tensor = functional.pixel_shuffle(
+                self.head(functional.relu(x).to(self.head.weight.dtype)), 2
+            )
         return out
 
 

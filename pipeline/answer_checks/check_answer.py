@@ -16,7 +16,7 @@ from polhode.pipeline.answer_checks.model_check import model_check
 from polhode.pipeline.answer_checks.parts_check import parts_checks
 from polhode.pipeline.answer_checks.push_check import push_check
 from polhode.pipeline.answer_checks.residual_check import residual_checks
-from polhode.pipeline.answer_checks.sun_check import sun_check
+from polhode.pipeline.answer_checks.sun_check import SUN_CHECK, sun_check
 from polhode.pipeline.answer_checks.twins_check import twins_checks
 from polhode.pipeline.answer_checks.window_check import window_check
 from polhode.pipeline.run_directory.summary_schema import Check, Physics, not_made
@@ -49,6 +49,16 @@ def check_answer(
         lambda: [window_check(online, estimate)],
     )
     return _made(steps)
+
+
+def with_sun_check(
+    doubts: list[Check], tracks: StereoTracks, estimate: MotionEstimate, sun_N: Array | None
+) -> list[Check]:
+    """The doubts with the check against the Sun made again, now that its direction is known."""
+    if sun_N is None:
+        return doubts
+    made = _made((lambda: [sun_check(tracks, estimate, sun_N)],))
+    return [made[0] if each.name == SUN_CHECK else each for each in doubts]
 
 
 def check_surface(

@@ -22,10 +22,13 @@ MAX_SIGMAS = 5.0
 MIN_LANDMARKS = 30
 """Seen at least twice"""
 
+SUN_CHECK = "landmarks that slide with the Sun"
+"""Its name"""
+
 
 def sun_check(tracks: StereoTracks, estimate: MotionEstimate, sun_N: Array | None) -> Check:
     """Significance of the slide; sun_N (3,): unit vector towards the Sun, None: not known."""
-    check = Check(name="landmarks that slide with the Sun", limit=MAX_SIGMAS, unit="sigma")
+    check = Check(name=SUN_CHECK, limit=MAX_SIGMAS, unit="sigma")
     good = np.flatnonzero(estimate.inlier_weight > FULL_WEIGHT)
     landmark = tracks.landmark[good]
     count = np.bincount(landmark, minlength=tracks.n_landmarks)

@@ -6,7 +6,9 @@ None of them is a result: if one cannot be made, it is left out with a warning.
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from time import perf_counter
 
 import cv2
 import numpy as np
@@ -31,6 +33,7 @@ from polhode.pipeline.pictures.model_comparison import (
 from polhode.pipeline.run_directory.outputs import write_picture
 from polhode.progress import Advance
 from polhode.records import MotionEstimate, StereoTracks, SurfaceModel
+from polhode.threads import single_threaded
 
 STILLS = 4
 """Frames of the animation that the report shows."""
@@ -42,6 +45,24 @@ OUTLIER_BGR = (70, 80, 240)
 SIDE_PX = 360
 
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class PicturesToMake:
+    """What the pictures of a run show."""
+
+    context: RunContext
+    folder: Path
+    tracks: StereoTracks
+    estimate: MotionEstimate
+    surface: SurfaceModel
+
+    @single_threaded
+    def make(self) -> float:
+        """``make_pictures``; returns the seconds that it took."""
+        start = perf_counter()
+        make_pictures(self.context, self.folder, self.tracks, self.estimate, self.surface)
+        return perf_counter() - start
 
 
 def make_pictures(

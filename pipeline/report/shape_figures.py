@@ -50,21 +50,29 @@ def thinned(mesh: trimesh.Trimesh, max_faces: int) -> tuple[Array, Ints, Ints]:
     # A surface has about two triangles a cell that it crosses.
     cell = float(np.sqrt(mesh.area / max_faces))
     while True:
-        keys = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
-        _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-        group = group.reshape(-1)
+        keys = _packed(np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64))
+        _, first, group = np.unique(keys, return_index=True, return_inverse=True)
         merged = group[faces]
         distinct = (
             (merged[:, 0] != merged[:, 1]) & (merged[:, 1] != merged[:, 2]) & (merged[:, 2] != merged[:, 0])
         )
         merged = merged[distinct]
-        _, keep = np.unique(np.sort(merged, axis=1), axis=0, return_index=True)
+        _, keep = np.unique(_packed(np.sort(merged, axis=1)), return_index=True)
         if len(keep) <= max_faces:
             break
         cell *= 1.15
     count = np.bincount(group)
     centres = np.stack([np.bincount(group, weights=vertices[:, k]) / count for k in range(3)], axis=1)
     return centres, merged[np.sort(keep)], first
+
+
+def _packed(rows: Ints) -> Ints:
+    """(n,) numbers in the order of rows (n, 3) of whole numbers >= 0, whose ranges' product is below 2^63.
+
+    NumPy sorts numbers ten times faster than rows.
+    """
+    widths = rows.max(axis=0, initial=0) + 1
+    return np.asarray((rows[:, 0] * widths[1] + rows[:, 1]) * widths[2] + rows[:, 2])
 
 
 def cameras_in_target(content: StoredRun) -> Array | None:

@@ -1,6 +1,7 @@
 """Work over processes: results in order for any number of workers, errors reach the caller."""
 
 import errno
+import logging
 import multiprocessing.forkserver
 import os
 import signal
@@ -20,7 +21,7 @@ from threadpoolctl import threadpool_info
 
 from polhode import processes
 from polhode.errors import RunFailure
-from polhode.processes import LOWEST_PRIORITY, Background, as_finished, in_order, worker_count
+from polhode.processes import LOWEST_PRIORITY, Background, as_finished, beside, in_order, worker_count
 
 
 @dataclass(frozen=True)
@@ -290,3 +291,59 @@ def _eventually(holds: Callable[[], bool], limit_s: float = 60.0) -> bool:
             return False
         sleep(0.05)
     return True
+
+
+def told(text: str) -> int:
+    """The number of the process that does the work, which says so."""
+    logging.getLogger("polhode.test").info("worked on %s", text)
+    if text == "nothing":
+        raise ValueError(text)
+    return os.getpid()
+
+
+def sleeps(path: Path) -> None:
+    path.write_text(str(os.getpid()))
+    sleep(600.0)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_work_beside_this_process_gives_its_result_and_its_messages(
+    workers: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO, "polhode"), beside(workers) as start:
+        first, second = start(told, "a surface"), start(told, "pictures")
+        numbers = {first(), second()}
+        assert first() is first()
+    assert len(numbers) == 1 and (os.getpid() in numbers) == (workers == 1)
+    assert [record.getMessage() for record in caplog.records] == ["worked on a surface", "worked on pictures"]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_error_beside_this_process_is_raised_where_the_result_is_taken(workers: int) -> None:
+    with beside(workers) as start:
+        found = start(told, "nothing")
+        with pytest.raises(ValueError, match="nothing"):
+            found()
+
+
+def test_work_beside_this_process_ends_with_the_block(tmp_path: Path) -> None:
+    path = tmp_path / "number"
+    with beside(2) as start:
+        start(sleeps, path)
+        while not path.exists() or not path.read_text():
+            sleep(0.01)
+    end, alive = monotonic() + 10.0, True
+    while alive and monotonic() < end:
+        try:
+            os.kill(int(path.read_text()), 0)
+        except ProcessLookupError:
+            alive = False
+        sleep(0.01)
+    assert not alive
+
+
+def test_killed_work_beside_this_process_is_told_in_a_line() -> None:
+    with beside(2) as start:
+        found = start(kill_itself, 1)
+        with pytest.raises(RunFailure, match="was killed"):
+            found()

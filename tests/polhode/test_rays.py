@@ -31,3 +31,14 @@ def test_blocked_within_reach_only() -> None:
     assert scene.blocked(start, direction, np.array([2.0, 0.5])).tolist() == [True, False]
     assert scene.blocked(start, direction).all()
     assert not RayScene(np.zeros((0, 3, 3))).blocked(start, direction).any()
+
+
+def test_faces_of_vertices_are_the_same_triangles() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    direction = -np.asarray(ball.vertices)
+    both = (RayScene(ball.triangles), RayScene(ball.vertices, np.asarray(ball.faces)))
+    first, second = (scene.first_hits(-3.0 * direction, direction) for scene in both)
+    for one, other in zip(vars(first).values(), vars(second).values(), strict=True):
+        np.testing.assert_array_equal(one, other)
+    none = RayScene(ball.vertices, np.zeros((0, 3), dtype=np.int64))
+    assert not none.blocked(-3.0 * direction, direction).any()
