@@ -28,6 +28,8 @@ _STEPS = 31
 """Of an octave, in a histogram of 256 bins."""
 _VALLEY_OCTAVES = 0.15
 """Sigma of the smoothing of that histogram."""
+DARK_SHARE = 0.1
+"""Share of the pixels, the darkest ones, that show the sky's level."""
 OUTLINE_PX = 3
 """Distance to which blur and smoothing carry a target's brightness beyond its edge."""
 
@@ -75,8 +77,22 @@ def border_of(seen: Bools) -> Bools:
 
 def sky_level(smooth: Image) -> float:
     """Intensity above which a smoothed pixel is not sky: the darkest level plus four times its scatter."""
-    dark = smooth[smooth <= np.percentile(smooth, 10)].astype(np.float64)
-    return float(np.median(dark)) + 4.0 * max(1.0, float(np.std(dark)))
+    count = np.bincount(smooth.ravel(), minlength=256)
+    level, below = np.arange(256), np.cumsum(count)
+    dark = level <= _quantile(below, DARK_SHARE)
+    number = int(below[dark][-1])
+    mean = float(np.sum((count * level)[dark])) / number
+    scatter = float(np.sqrt(np.sum((count * (level - mean) ** 2)[dark]) / number))
+    return _quantile(below[dark], 0.5) + 4.0 * max(1.0, scatter)
+
+
+def _quantile(below: NDArray[np.int64], share: float) -> float:
+    """Of intensities, ``below`` of which do not exceed 0, 1, ...; between neighbours it is interpolated."""
+    place = share * (int(below[-1]) - 1)
+    first = int(place)
+    lower, upper = (int(np.searchsorted(below, each, side="right")) for each in (first, first + 1))
+    upper = min(upper, len(below) - 1)
+    return lower + (place - first) * (upper - lower)
 
 
 @dataclass(frozen=True)
@@ -179,8 +195,8 @@ def _lit_parts(smooth: Image, level: float) -> Bools:
     area = np.asarray(stats)[1:, cv2.CC_STAT_AREA].astype(np.int64)
     largest = int(area.max())
     # Shadow can separate parts of one spacecraft; stars and hot pixels are tiny.
-    kept = 1 + np.flatnonzero(area >= max(25, 0.02 * largest))
-    lit = np.isin(labels, kept).astype(np.uint8)
+    kept = np.concatenate([[False], area >= max(25, 0.02 * largest)])
+    lit = kept.astype(np.uint8)[labels]
     reach = max(3, int(0.04 * np.sqrt(largest)) | 1)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     return np.asarray(cv2.morphologyEx(lit, cv2.MORPH_CLOSE, kernel), dtype=bool)

@@ -8,6 +8,7 @@ window_fit.py           least squares of the disparity over windows
 line_search.py          nearest descriptors near the same row
 keypoints.py            detection of key points, RootSIFT
 surface_features.py     the method ``polhode``: features with surface axes from dense disparity; their noise
+local_planes.py         planes through the disparity map, for the normals
 patches.py              patches in the tangent plane of the surface
 patch_descriptors.py    descriptors of patches
 """

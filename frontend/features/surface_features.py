@@ -31,7 +31,6 @@ bodies, textures and light of other scenes, so a check on these is not entirely 
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Depth, Frontend
@@ -40,6 +39,7 @@ from polhode.frontend.disparity.depth import find_disparity_range
 from polhode.frontend.disparity.measured import disparity_at
 from polhode.frontend.disparity.sgbm import Floats, cut_crop, match_checked
 from polhode.frontend.features.keypoints import FeatureCandidates, find_candidates
+from polhode.frontend.features.local_planes import local_planes
 from polhode.frontend.features.patch_descriptors import SurfaceDescriptor, make_descriptor
 from polhode.frontend.features.patches import rotate_affines, surface_frames, surface_normals, tangent_affines
 from polhode.frontend.features.stereo import (
@@ -61,17 +61,11 @@ DISPARITY_CONFIDENCE = (-0.051, -0.049)
 """Log of a match's variance over the sum of its features': first + second * logit(confidence)."""
 _MIN_SIGMA_LS_PX = 0.01
 _MIN_CONFIDENCE, _MAX_CONFIDENCE = 1e-4, 1.0 - 1e-4
-PLANE_RADIUS_PX = 12
-"""Half side of the windows whose disparities give the normal of the surface [px]."""
 PATCH_HALF_PX = 12.0
 """Half side of a patch at the target's median distance, if its size in metres is not set [px]."""
 _SIZE_SAMPLES = 6
 """Pairs of the sequence from which the size of patches is computed."""
 _REFINEMENTS = 4
-_JUMP_PX = 1.5
-"""Pixels whose disparity differs from a local plane by more belong to another surface."""
-_MIN_SUPPORT = 0.15
-"""Smallest share of the window's weight that lies on a plane."""
 _MAX_DISPARITY_CHANGE_PX = 1.5
 """A refined disparity that differs by more belongs to another surface [px]."""
 
@@ -217,60 +211,3 @@ def _measure(
         ),
         plane[good],
     )
-
-
-def local_planes(disparity: Floats, uv_px: Array) -> Array:
-    """Planes (n, 3) of a disparity map (H, W) at points uv (n, 2): value [px] and slopes along u and v.
-
-    NaN where too little is known. The first plane is the median level of the window with a tolerance for
-    slant; each further round uses the pixels within ``_JUMP_PX`` of the previous plane.
-    """
-    n = len(uv_px)
-    r = PLANE_RADIUS_PX
-    # Every second pixel is enough: disparities of neighbours come from overlapping windows.
-    y, x = (a.ravel() for a in np.mgrid[-r : r + 1 : 2, -r : r + 1 : 2])
-    centre = np.round(uv_px).astype(np.int64)
-    rows, columns = centre[:, 1:] + y, centre[:, :1] + x
-    h, w = disparity.shape
-    inside = (rows >= 0) & (rows < h) & (columns >= 0) & (columns < w)
-    d = disparity[np.clip(rows, 0, h - 1), np.clip(columns, 0, w - 1)].astype(np.float64)
-    known = inside & np.isfinite(d)
-    du, dv = columns - uv_px[:, :1], rows - uv_px[:, 1:]
-    window = np.exp(-(du**2 + dv**2) / (2.0 * (0.6 * r) ** 2))
-    weight = np.where(known, window, 0.0)
-    filled = np.where(known, d, 0.0)
-    reference = _level(filled, known, du**2 + dv**2)
-    # The gate opens away from the centre: 0.35 px per px is the slope of a very inclined surface.
-    gate = _JUMP_PX + 0.35 * np.hypot(du, dv)
-    keep = np.abs(filled - reference[:, None]) < gate
-    solution = np.zeros((n, 3))
-    for _ in range(3):
-        solution = _fit_planes(du, dv, filled, weight * keep, reference)
-        predicted = solution[:, :1] + solution[:, 1:2] * du + solution[:, 2:] * dv
-        keep = np.abs(filled - predicted) < _JUMP_PX
-    support = (weight * keep).sum(axis=1) / window.sum(axis=1)
-    enough = (support >= _MIN_SUPPORT) & np.isfinite(reference)
-    return np.where(enough[:, None], solution, np.nan)
-
-
-def _level(d: Array, known: NDArray[np.bool_], distance2: Array) -> Array:
-    """Median (n,) of the nearest known disparities of each window; NaN where there are none."""
-    nearest = np.argsort(np.where(known, distance2, np.inf), axis=1, kind="stable")[:, :9]
-    values = np.where(
-        np.take_along_axis(known, nearest, axis=1), np.take_along_axis(d, nearest, axis=1), np.nan
-    )
-    some = np.isfinite(values).any(axis=1)
-    level = np.full(len(d), np.nan)
-    if some.any():
-        level[some] = np.nanmedian(values[some], axis=1)
-    return level
-
-
-def _fit_planes(du: Array, dv: Array, d: Array, weight: Array, reference: Array) -> Array:
-    """Weighted planes (n, 3); a window with little weight keeps its reference level without slope."""
-    A = np.stack([np.ones_like(du), du, dv], axis=-1)
-    Aw = A * weight[..., None]
-    normal = np.swapaxes(Aw, 1, 2) @ A + np.diag([1e-6, 1e-1, 1e-1])
-    level = np.where(np.isfinite(reference), reference, 0.0)[:, None]
-    step = np.linalg.solve(normal, np.swapaxes(Aw, 1, 2) @ (d - level)[..., None])[..., 0]
-    return np.asarray(step + np.column_stack([level, np.zeros((len(d), 2))]))

@@ -19,8 +19,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from polhode.compiled import compiled_fused_ieee
 from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.methods import Matches, one_to_one
@@ -28,6 +30,7 @@ from polhode.lie import Array, transform_points
 from polhode.records import Bools, Ints
 from polhode.rigid_fit import fit_rigid
 
+Floats = NDArray[np.float32]
 TEMPERATURE = 0.03
 """Divisor of the similarities."""
 DUSTBIN = 0.6
@@ -151,31 +154,51 @@ def _proposal_support(
     The support is the weight of the agreeing matches, each multiplied by its own support among them.
     Arguments as ``motion_modes``.
     """
-    m = len(p_A)
     # Single precision is a millionth of the target's size.
-    centre_A, centre_B = p_A.mean(axis=0), p_B.mean(axis=0)
-    a, b = (p_A - centre_A).astype(np.float32), (p_B - centre_B).astype(np.float32)
+    a, b = ((p - p.mean(axis=0)).astype(np.float32) for p in (p_A, p_B))
     R = np.einsum("nij,nkj->nik", R_AS, R_BS).astype(np.float32)
-    flat = R.reshape(m, 9)
-    alike = flat @ flat.T > np.float32(1.0 + 2.0 * np.cos(np.deg2rad(AXES_DEG)))
-    away_A, away_B = _distances(a), _distances(b)
-    gate = np.add.outer(gate_m, gate_m).astype(np.float32)
-    same_length = np.abs(away_A - away_B) < gate
-    # Position of point k of frame B by the proposal of match n, relative to its position in frame A.
-    moved = (R.reshape(3 * m, 3) @ b.T).reshape(m, 3, m)
-    miss = moved - a.T[None] - (np.einsum("nij,nj->ni", R, b) - a)[:, :, None]
-    reach = np.float32(2.0 * np.sin(np.deg2rad(AXES_DEG) / 2.0))
-    hits = np.einsum("nik,nik->nk", miss, miss) < (reach * away_A + gate) ** 2
-    agrees = alike & same_length & hits & hits.T
+    flat = R.reshape(len(R), 9)
+    agrees = _agreement(a, b, R, flat @ flat.T, gate_m.astype(np.float32))
     pull = agrees.astype(np.float32) * weight.astype(np.float32)
     # Supporters are counted by their own support within the group, which chance agreements lack.
     total = np.einsum("nk,nk->n", pull @ agrees.astype(np.float32), pull)
     return agrees, total.astype(np.float64)
 
 
-def _distances(p: np.ndarray[tuple[int, int], np.dtype[np.float32]]) -> Array:
-    square = np.sum(p * p, axis=1)
-    return np.asarray(np.sqrt(np.maximum(square[:, None] + square[None, :] - 2.0 * (p @ p.T), 0.0)))
+@compiled_fused_ieee
+def _agreement(a: Floats, b: Floats, R: Floats, trace: Floats, gate_m: Floats) -> Bools:
+    """Which proposals (m, m) agree: rotations, distances between the points, and places of each by the other.
+
+    a, b (m, 3): points in the two frames; R (m, 3, 3): rotations; trace (m, m) of their differences.
+    """
+    m = len(a)
+    agrees = np.zeros((m, m), dtype=np.bool_)
+    alike = np.float32(1.0 + 2.0 * np.cos(np.deg2rad(AXES_DEG)))
+    reach = np.float32(2.0 * np.sin(np.deg2rad(AXES_DEG) / 2.0))
+    for n in range(m):
+        agrees[n, n] = True
+        for k in range(n):
+            if not trace[n, k] > alike:
+                continue
+            gate = gate_m[n] + gate_m[k]
+            away_A, away_B = np.float32(0.0), np.float32(0.0)
+            miss, miss_back = np.float32(0.0), np.float32(0.0)
+            for i in range(3):
+                step = a[k, i] - a[n, i]
+                turned, turned_back = np.float32(0.0), np.float32(0.0)
+                for j in range(3):
+                    apart = b[k, j] - b[n, j]
+                    turned += R[n, i, j] * apart
+                    turned_back += R[k, i, j] * apart
+                away_A += step * step
+                away_B += (b[k, i] - b[n, i]) ** 2
+                miss += (turned - step) ** 2
+                miss_back += (turned_back - step) ** 2
+            away_A = np.sqrt(away_A)
+            near = (reach * away_A + gate) ** 2
+            if abs(away_A - np.sqrt(away_B)) < gate and miss < near and miss_back < near:
+                agrees[n, k] = agrees[k, n] = True
+    return agrees
 
 
 def _refined(
