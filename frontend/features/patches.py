@@ -8,14 +8,19 @@ A patch's coordinates (x, y) run from -1 to 1, x right and y down on a surface t
 affine map A (2, 2) [px] gives their position in the image: (u, v) = uv + A (x, y).
 """
 
+from collections.abc import Iterator
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from polhode.camera import RectifiedRig
+from polhode.compiled import compiled_reordered
 from polhode.frontend.rectification import Image
 from polhode.lie import Array
+from polhode.records import Ints
 
+Grey = NDArray[np.float32]
 Patches = NDArray[np.float32]
 PATCH_PX = 32
 """Side of a patch [px]."""
@@ -24,8 +29,6 @@ MAX_TILT_DEG = 70.0
 fill the patch."""
 _BLUR_STEPS = np.sqrt(2.0) ** np.arange(9)
 """Pixels of the image per pixel of the patch for which the image is smoothed."""
-_ROWS_AT_ONCE = 1000
-"""Patches in one call of OpenCV's remap, whose images have at most 32,767 rows."""
 
 
 def surface_normals(uv_px: Array, plane: Array, rig: RectifiedRig) -> Array:
@@ -111,25 +114,47 @@ def cut_patches(image: Image, uv_px: Array, affine_px: Array, size_px: int = PAT
     patches = np.zeros((n, 1, size_px, size_px), dtype=np.float32)
     if n == 0:
         return patches
-    side = (2.0 * np.arange(size_px) + 1.0) / size_px - 1.0
-    grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    for smooth, chosen in smoothed_levels(image, affine_px, size_px):
+        _cut_each(smooth, uv_px, affine_px, chosen, patches[:, 0])
+    return patches
+
+
+def smoothed_levels(image: Image, affine_px: Array, size_px: int) -> Iterator[tuple[Grey, Ints]]:
+    """The image smoothed for the sampling of patches with maps (n, 2, 2), and the patches to cut from it."""
     # The geometric mean of both directions: more would blur the short one, less would alias the long one.
     step = np.sqrt(np.abs(np.linalg.det(affine_px))) * 2.0 / size_px
     level = np.abs(np.log(np.maximum(step, 1e-6))[:, None] - np.log(_BLUR_STEPS)).argmin(axis=1)
     grey = image.astype(np.float32)
     for k in np.unique(level):
-        smooth = _smoothed(grey, float(_BLUR_STEPS[k]))
-        chosen = np.flatnonzero(level == k)
-        for first in range(0, len(chosen), _ROWS_AT_ONCE):
-            some = chosen[first : first + _ROWS_AT_ONCE]
-            uv = uv_px[some, None, :] + grid @ np.swapaxes(affine_px[some], 1, 2)
-            u, v = (uv[..., a].astype(np.float32).reshape(-1, size_px) for a in (0, 1))
-            cut = cv2.remap(smooth, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            patches[some, 0] = cut.reshape(-1, size_px, size_px)
-    return patches
+        yield _smoothed(grey, float(_BLUR_STEPS[k])), np.flatnonzero(level == k)
 
 
-def _smoothed(grey: NDArray[np.float32], step_px: float) -> NDArray[np.float32]:
+@compiled_reordered
+def _cut_each(image: Grey, uv_px: Array, affine_px: Array, chosen: Ints, patches: Grey) -> None:
+    for k in chosen:
+        cut_patch(image, uv_px[k, 0], uv_px[k, 1], affine_px[k], patches[k])
+
+
+@compiled_reordered
+def cut_patch(image: Grey, u: float, v: float, affine_px: Array, patch: Grey) -> None:
+    """One patch (s, s) around (u, v) by its map (2, 2), interpolated bilinearly."""
+    height, width = image.shape
+    size = len(patch)
+    for row in range(size):
+        y = (2.0 * row + 1.0) / size - 1.0
+        start_u, start_v = u + affine_px[0, 1] * y, v + affine_px[1, 1] * y
+        for column in range(size):
+            x = (2.0 * column + 1.0) / size - 1.0
+            at_u = min(max(start_u + affine_px[0, 0] * x, 0.0), width - 1.0)
+            at_v = min(max(start_v + affine_px[1, 0] * x, 0.0), height - 1.0)
+            left, top = min(int(at_u), width - 2), min(int(at_v), height - 2)
+            s, t = np.float32(at_u - left), np.float32(at_v - top)
+            upper = image[top, left] + s * (image[top, left + 1] - image[top, left])
+            lower = image[top + 1, left] + s * (image[top + 1, left + 1] - image[top + 1, left])
+            patch[row, column] = upper + t * (lower - upper)
+
+
+def _smoothed(grey: Grey, step_px: float) -> Grey:
     """The image smoothed for a sampling distance of ``step_px``."""
     if step_px <= 1.0:
         return grey

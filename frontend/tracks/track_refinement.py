@@ -18,11 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.camera import RectifiedRig
+from polhode.compiled import compiled_reordered
 from polhode.config.frontend_settings import Frontend
 from polhode.dataset import StereoSequence
 from polhode.frontend.disparity.measured import disparity_at
 from polhode.frontend.features import stereo
-from polhode.frontend.features.patches import PATCH_PX, Patches, axes_affines, cut_patches, root_image
+from polhode.frontend.features.patches import (
+    PATCH_PX,
+    Patches,
+    axes_affines,
+    cut_patch,
+    cut_patches,
+    root_image,
+    smoothed_levels,
+)
 from polhode.frontend.features.stereo import StereoFeatures, refine_disparity
 from polhode.frontend.features.surface_features import feature_sigma, patch_half_m
 from polhode.frontend.rectification import Image, Rectifier, rectified_pair
@@ -35,6 +44,8 @@ Floats = NDArray[np.float32]
 WINDOW = 0.5
 """Standard deviation of the weight around the centre, over half a side."""
 ROUNDS = 6
+MIN_GAIN, MAX_GAIN = 0.2, 5.0
+"""Range of the ratio of contrasts between a landmark's reference and another view."""
 _MAX_STEP = 0.1
 """In patch coordinates, where half a side is 1."""
 PATCH_SCALE = 2.0 / 3.0
@@ -70,15 +81,15 @@ def align_patches(template: Patches, image: Image, uv_px: Array, affine_px: Arra
     """Find templates (n, 1, s, s) near positions (n, 2) of an image, cut by maps (n, 2, 2) [px]."""
     n, size = len(template), template.shape[-1]
     side = (2.0 * np.arange(size) + 1.0) / size - 1.0
-    weight = np.exp(-(side[:, None] ** 2 + side[None, :] ** 2) / (2.0 * WINDOW**2)).astype(np.float32)
+    weight = np.exp(-(side[:, None] ** 2 + side[None, :] ** 2) / (2.0 * WINDOW**2))
     weight /= weight.sum()
-    shift = np.zeros((n, 2))
-    target = _centred(template[:, 0], weight)
-    for _ in range(ROUNDS):
-        normal, rhs, _, _ = _equations(target, image, uv_px, affine_px, shift, weight)
-        step = np.linalg.solve(normal, rhs[..., None])[..., 0]
-        shift += np.clip(step, -_MAX_STEP, _MAX_STEP)
-    normal, _, variance, correlation = _equations(target, image, uv_px, affine_px, shift, weight)
+    shift, normal = np.zeros((n, 2)), np.zeros((n, 2, 2))
+    variance, correlation = np.zeros(n), np.zeros(n)
+    found = shift, normal, variance, correlation
+    target = template[:, 0].astype(np.float64)
+    target -= np.einsum("nij,ij->n", target, weight)[:, None, None]
+    for smooth, chosen in smoothed_levels(image, affine_px, size):
+        _align_each(target, smooth, uv_px, affine_px, chosen, weight, found)
     # Effective number of samples of the weight.
     samples = 1.0 / float(np.sum(weight**2))
     covariance = affine_px @ np.linalg.inv(normal) @ np.swapaxes(affine_px, 1, 2)
@@ -86,34 +97,71 @@ def align_patches(template: Patches, image: Image, uv_px: Array, affine_px: Arra
     return PatchAlignment(uv_px + np.einsum("nab,nb->na", affine_px, shift), correlation, np.sqrt(spread))
 
 
-def _centred(patches: Floats, weight: Floats) -> Floats:
-    mean = np.einsum("nij,ij->n", patches, weight)
-    return np.asarray(patches - mean[:, None, None], dtype=np.float32)
+@compiled_reordered
+def _align_each(
+    target: Array,
+    image: Floats,
+    uv_px: Array,
+    affine_px: Array,
+    chosen: Ints,
+    weight: Array,
+    found: tuple[Array, Array, Array, Array],
+) -> None:
+    """Align the chosen ones of the targets (n, s, s), whose weighted means are zero.
 
-
-def _equations(
-    target: Floats, image: Image, uv_px: Array, affine_px: Array, shift: Array, weight: Floats
-) -> tuple[Array, Array, Array, Array]:
-    """Normal matrices (n, 2, 2) and right-hand sides (n, 2) of the shift; residual variance; correlation."""
+    Written into ``found``: shifts (n, 2), normal matrices (n, 2, 2), residual variances and correlations.
+    """
+    shift, normal, variance, correlation = found
     size = target.shape[-1]
-    positions = uv_px + np.einsum("nab,nb->na", affine_px, shift)
-    seen = _centred(cut_patches(image, positions, affine_px, size)[:, 0], weight)
-    gx, gy = np.zeros_like(seen), np.zeros_like(seen)
-    gx[:, :, 1:-1] = (seen[:, :, 2:] - seen[:, :, :-2]) * (size / 4.0)
-    gy[:, 1:-1, :] = (seen[:, 2:, :] - seen[:, :-2, :]) * (size / 4.0)
-    common = np.einsum("nij,nij,ij->n", seen, target, weight)
-    own = np.einsum("nij,nij,ij->n", seen, seen, weight)
-    gain = np.clip(common / np.maximum(own, 1e-6), 0.2, 5.0)
-    residual = target - gain[:, None, None].astype(np.float32) * seen
-    slopes = [_centred(g, weight) * gain[:, None, None].astype(np.float32) for g in (gx, gy)]
-    grams = [[np.einsum("nij,nij,ij->n", a, b, weight) for b in slopes] for a in slopes]
-    # The regularisation of one squared grey level keeps patches without texture in place.
-    normal = np.array(grams, dtype=np.float64).transpose(2, 0, 1) + np.eye(2)
-    rhs = np.stack([np.einsum("nij,nij,ij->n", a, residual, weight) for a in slopes], axis=1)
-    variance = np.einsum("nij,nij,ij->n", residual, residual, weight)
-    power = np.einsum("nij,nij,ij->n", target, target, weight)
-    correlation = common / np.sqrt(np.maximum(own * power, 1e-9))
-    return normal, rhs.astype(np.float64), variance.astype(np.float64), correlation.astype(np.float64)
+    slope = size / 4.0
+    seen = np.empty((size, size), np.float32)
+    for k in chosen:
+        A, wanted = affine_px[k], target[k]
+        for i in range(ROUNDS + 1):
+            u = uv_px[k, 0] + A[0, 0] * shift[k, 0] + A[0, 1] * shift[k, 1]
+            v = uv_px[k, 1] + A[1, 0] * shift[k, 0] + A[1, 1] * shift[k, 1]
+            cut_patch(image, u, v, A, seen)
+            mean, mean_x, mean_y = 0.0, 0.0, 0.0
+            own, common, power = 0.0, 0.0, 0.0
+            xx, xy, yy, x_seen, y_seen, x_wanted, y_wanted = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for r in range(size):
+                inner = 1.0 if 0 < r < size - 1 else 0.0
+                above, below = max(r - 1, 0), min(r + 1, size - 1)
+                for c in range(size):
+                    w, s, t = weight[r, c], float(seen[r, c]), wanted[r, c]
+                    gx = 0.0
+                    if 0 < c < size - 1:
+                        gx = slope * (seen[r, c + 1] - seen[r, c - 1])
+                    gy = inner * slope * (seen[below, c] - seen[above, c])
+                    mean += w * s
+                    mean_x += w * gx
+                    mean_y += w * gy
+                    own += w * s * s
+                    common += w * s * t
+                    power += w * t * t
+                    xx += w * gx * gx
+                    xy += w * gx * gy
+                    yy += w * gy * gy
+                    x_seen += w * gx * s
+                    y_seen += w * gy * s
+                    x_wanted += w * gx * t
+                    y_wanted += w * gy * t
+            own -= mean * mean
+            gain = min(max(common / max(own, 1e-6), MIN_GAIN), MAX_GAIN)
+            xx, xy, yy = xx - mean_x * mean_x, xy - mean_x * mean_y, yy - mean_y * mean_y
+            x_seen, y_seen = x_seen - mean_x * mean, y_seen - mean_y * mean
+            # The regularisation of one squared grey level keeps patches without texture in place.
+            n00, n01, n11 = gain * gain * xx + 1.0, gain * gain * xy, gain * gain * yy + 1.0
+            if i == ROUNDS:
+                normal[k, 0, 0], normal[k, 0, 1], normal[k, 1, 0], normal[k, 1, 1] = n00, n01, n01, n11
+                variance[k] = max(power - 2.0 * gain * common + gain * gain * own, 0.0)
+                correlation[k] = common / np.sqrt(max(own * power, 1e-9))
+                break
+            b0, b1 = gain * (x_wanted - gain * x_seen), gain * (y_wanted - gain * y_seen)
+            determinant = n00 * n11 - n01 * n01
+            step_x, step_y = (n11 * b0 - n01 * b1) / determinant, (n00 * b1 - n01 * b0) / determinant
+            shift[k, 0] += min(max(step_x, -_MAX_STEP), _MAX_STEP)
+            shift[k, 1] += min(max(step_y, -_MAX_STEP), _MAX_STEP)
 
 
 @dataclass(frozen=True)

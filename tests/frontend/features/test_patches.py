@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from polhode.camera import RectifiedRig
+from polhode.frontend.features.local_planes import local_planes
 from polhode.frontend.features.patches import (
     Patches,
     cut_patches,
@@ -13,7 +14,6 @@ from polhode.frontend.features.patches import (
     tangent_affines,
     upright_affines,
 )
-from polhode.frontend.features.surface_features import local_planes
 from polhode.lie import Array, exp_so3, make_pose, transform_points
 
 RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480, 3.0)
