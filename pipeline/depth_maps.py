@@ -5,19 +5,27 @@ soon as the pair has come. It is stored as the pixels of the target's surroundin
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from polhode.atomic import replaced
-from polhode.frontend.disparity.depth import range_of_features
-from polhode.frontend.extract import extract_depth
+from polhode.config.frontend_settings import Frontend
+from polhode.dataset import StereoSequence
+from polhode.frontend.disparity.depth import DisparityRange, range_of_features
+from polhode.frontend.extract import PRELOADED, depth_of_pair, extract_depth
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.rectification import Crop, target_crop
+from polhode.frontend.rectification import Crop, Rectifier, rectified_pair, target_crop
 from polhode.pipeline.context import RunContext
+from polhode.processes import Background
 from polhode.records import DepthMap
 
+PREFIX = "polhode-depth-"
+MAX_STORED_BYTES = 2**30
+"""Of the depth maps that are kept."""
 MARGIN_PX = 12
 """Around the target, of the image that is stored; beyond, a stored image is black."""
 
@@ -82,21 +90,84 @@ def _as_stored(depth: DepthMap) -> DepthMap:
     return replace(depth, intensity=intensity)
 
 
-def depth_maps(
-    context: RunContext, features: Sequence[StereoFeatures], stored: DepthStore | None = None
-) -> Iterator[DepthMap]:
-    """Depth map of every pair, in order; what is not stored is computed.
+class DepthMaps:
+    """Depth maps of all pairs of a run, in order; what is not stored is computed.
 
-    features: of every pair, of the first feature method.
+    While the motion is solved by one process, ``made_beside`` has another one begin with them.
     """
-    ranges = [range_of_features(each.uvd_px[:, 2]) for each in features]
-    missing = [k for k in range(len(ranges)) if stored is None or k not in stored]
-    computed = extract_depth(
-        context.sequence, context.rectifier, context.config.frontend, ranges, context.workers, missing
-    )
-    waiting = set(missing)
-    for k in range(len(ranges)):
-        if k in waiting or stored is None:
-            yield _as_stored(next(computed))
-        else:
-            yield stored.read(k)
+
+    def __init__(
+        self, context: RunContext, features: Sequence[StereoFeatures], stored: DepthStore | None = None
+    ) -> None:
+        """features: of every pair, of the first feature method; stored: what is there already."""
+        self._context = context
+        self._ranges = [range_of_features(each.uvd_px[:, 2]) for each in features]
+        self._temporary: TemporaryDirectory[str] | None = None
+        self._store = stored
+
+    def __iter__(self) -> Iterator[DepthMap]:
+        context, store, everything = self._context, self._store, range(len(self._ranges))
+        stored = set() if store is None else {k for k in everything if k in store}
+        missing = [k for k in everything if k not in stored]
+        computed = extract_depth(
+            context.sequence,
+            context.rectifier,
+            context.config.frontend,
+            self._ranges,
+            context.workers,
+            missing,
+        )
+        for k in everything:
+            yield store.read(k) if store is not None and k in stored else _as_stored(next(computed))
+        self.remove()
+
+    @contextmanager
+    def made_beside(self) -> Iterator[None]:
+        """Have another process begin with what is missing; at the end of the block it stops."""
+        process = self._begin() if self._context.workers > 1 else None
+        try:
+            yield
+        finally:
+            if process is not None:
+                process.close()
+
+    def remove(self) -> None:
+        """Remove what was stored here."""
+        if self._temporary is not None:
+            self._temporary.cleanup()
+            self._temporary = self._store = None
+
+    def _begin(self) -> "Background[tuple[int, DisparityRange], None] | None":
+        if self._store is None:
+            self._temporary = TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True)
+            self._store = DepthStore(Path(self._temporary.name))
+        missing = [(k, span) for k, span in enumerate(self._ranges) if k not in self._store]
+        if not missing:
+            return None
+        context = self._context
+        work = _Making(context.sequence, context.rectifier, context.config.frontend, self._store)
+        try:
+            process = Background(work, PRELOADED)
+        except OSError:
+            # made later, where it is said
+            return None
+        for job in missing:
+            process.submit(job)
+        return process
+
+
+class _Making:
+    """Runs in the other process."""
+
+    def __init__(
+        self, sequence: StereoSequence, rectifier: Rectifier, config: Frontend, store: DepthStore
+    ) -> None:
+        self._sequence, self._rectifier, self._config, self._store = sequence, rectifier, config, store
+        self._stored_bytes = 0
+
+    def __call__(self, job: tuple[int, DisparityRange]) -> None:
+        if self._stored_bytes < MAX_STORED_BYTES:
+            k, span = job
+            pair = rectified_pair(self._sequence, self._rectifier, k)
+            depth = depth_of_pair(pair, self._rectifier.rig, self._config.depth, span)
+            self._stored_bytes += self._store.write(k, depth)

@@ -1,7 +1,7 @@
 """The main job, as the data flows: images, tracks, first motion, motion, window, depth, fusion, report."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from polhode.pipeline.answer_checks.image_motion import ImageMotion
 from polhode.pipeline.checkout.checkout import warn_before_run
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.correspondences import match_frames
-from polhode.pipeline.depth_maps import depth_maps
+from polhode.pipeline.depth_maps import DepthMaps
 from polhode.pipeline.find_motion import find_motion, pose_RG
 from polhode.pipeline.finish_surface import finish_surface
 from polhode.pipeline.intervals.find_intervals import find_intervals
@@ -34,7 +34,7 @@ from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.streamed import Streamed
 from polhode.processes import beside
 from polhode.progress import Progress
-from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks, SurfaceModel
+from polhode.records import DepthMap, MotionEstimate, OnlineEstimate, StereoTracks, SurfaceModel
 from polhode.threads import single_threaded
 
 _log = logging.getLogger(__name__)
@@ -100,9 +100,11 @@ def fill_run_folder(
     links = correspondences.links
     write_measurements(correspondences.tracks(context), folder / "measurements.npz", links)
 
-    for solution in find_motion(context, correspondences):
-        # Each solution is written, so that it is kept should a later step fail.
-        outputs.write_estimate(folder, solution.tracks, solution.estimate, solution.links)
+    depth = _depth_maps(context, correspondences.features, streamed)
+    with depth.made_beside():
+        for solution in find_motion(context, correspondences):
+            # Each solution is written, so that it is kept should a later step fail.
+            outputs.write_estimate(folder, solution.tracks, solution.estimate, solution.links)
     tracks, estimate = solution.tracks, solution.estimate
     aside = context.for_another_process()
     with beside(context.workers) as start:
@@ -122,7 +124,7 @@ def fill_run_folder(
         images = ImageMotion(
             context.rig, pose_RG(tracks, estimate), np.isin(np.arange(tracks.n_frames), tracks.frame)
         )
-        fused = _build_surface(context, correspondences.features, tracks, estimate, images, streamed)
+        fused = _build_surface(context, depth, tracks, estimate, images)
         with clock("fusion"):
             X_RG = pose_RG(tracks, estimate)
             if fused.aligned is not None:
@@ -180,21 +182,25 @@ def _online_of_stream(estimate: MotionEstimate, streamed: Streamed | None) -> On
     return align_online_estimate(streamed.online, estimate)
 
 
+def _depth_maps(
+    context: RunContext, features: Sequence[StereoFeatures], streamed: Streamed | None
+) -> DepthMaps:
+    """Those of the stream, where it had the same masks, and the others."""
+    fits = streamed is not None and streamed.fits(context.sequence.timestamps_ns, context.rectifier)
+    return DepthMaps(context, features, streamed.depth if fits and streamed is not None else None)
+
+
 def _build_surface(
     context: RunContext,
-    features: Sequence[StereoFeatures],
+    depth: Iterable[DepthMap],
     tracks: StereoTracks,
     estimate: MotionEstimate,
     images: ImageMotion,
-    streamed: Streamed | None,
 ) -> SurfaceModel:
     """Depth of every pair, moved into G by the motion, fused; ``images`` compares what passes by."""
     config, clock, rig = context.config, context.clock, context.rig
     X_RG = pose_RG(tracks, estimate)
-    stored = None
-    if streamed is not None and streamed.fits(context.sequence.timestamps_ns, context.rectifier):
-        stored = streamed.depth
-    maps = depth_maps(context, features, stored)
+    maps = iter(depth)
     with clock("fusion"):
         surface = fuse(
             zip(images.watching(clock.waiting("depth", maps)), X_RG, strict=True),

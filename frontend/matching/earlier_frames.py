@@ -1,8 +1,8 @@
 """With which earlier frames a new one is matched as it arrives: the latest, and those of the same side.
 
 Which frames saw the same side follows from the predicted attitude: after a revolution, a side is recognised
-in the frames that showed it first. Frames next to each other in time show nearly the same, so only one of
-them is taken.
+in the frames that showed it first. Of frames next to each other in time that show nearly the same, only one
+is taken.
 """
 
 import numpy as np
@@ -13,10 +13,10 @@ from polhode.records import Ints
 
 FIRST_FRAMES = 10
 """So many frames are matched with all before: the motion is not known yet."""
-MOST_IN_VIEW = 8
+MOST_IN_VIEW = 24
 """Frames of the same side that a new one is matched with, besides its neighbours in time."""
-APART_FRAMES = 3
-"""Distance in time of those frames from each other."""
+APART_FRAMES, APART_DEG = 3, 5.0
+"""Of frames that are closer in time and in viewing direction, only one is taken."""
 
 
 def viewing_direction_G(X_NR: Array, X_NG: Array) -> Array:
@@ -43,6 +43,7 @@ def earlier_frames(views_G: Array, predicted_G: Array | None) -> Ints:
                 break
             if len(chosen) == MAX_NEIGHBOUR_STEPS + MOST_IN_VIEW:
                 break
-            if all(abs(j - other) >= APART_FRAMES for other in chosen):
+            near = [other for other in chosen if abs(j - other) < APART_FRAMES]
+            if not (views_G[near] @ views_G[j] > np.cos(np.deg2rad(APART_DEG))).any():
                 chosen.append(j)
     return np.array(sorted(chosen), dtype=np.int64)

@@ -22,16 +22,13 @@ from polhode.frontend.rectification import Rectifier, rectified_images
 from polhode.lie import Array
 from polhode.mapping.fusion.field import KEPT_SHARE, Field, choose_voxel_m
 from polhode.mapping.fusion.surface_extraction import empty_surface
-from polhode.pipeline.depth_maps import DepthStore
+from polhode.pipeline.depth_maps import MAX_STORED_BYTES, PREFIX, DepthStore
 from polhode.processes import Background
 from polhode.records import SurfaceModel
 
 _log = logging.getLogger(__name__)
-PREFIX = "polhode-depth-"
 MAX_WAITING = 40
 """Pairs that wait for the process; with more, it will not catch up, and the batch does the rest."""
-MAX_STORED_BYTES = 2**30
-"""Of the depth maps that are kept."""
 
 Tried = Mapping[tuple[int, int], PairMatch | None]
 
@@ -58,7 +55,7 @@ class Ahead:
 
     def __init__(self, rectifier: Rectifier, config: Config) -> None:
         """rectifier: with which the features are extracted."""
-        self._temporary = TemporaryDirectory(prefix=PREFIX)
+        self._temporary = TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True)
         self.depth = DepthStore(Path(self._temporary.name))
         self._waiting: list[Future[Tried | SurfaceModel]] = []
         self._tried: dict[tuple[int, int], PairMatch | None] = {}

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from polhode.pipeline.depth_maps import MARGIN_PX, DepthStore, depth_maps
+from polhode.pipeline.depth_maps import MARGIN_PX, DepthMaps, DepthStore
 from polhode.records import DepthMap
 
 SIZE = 90, 120
@@ -60,9 +60,9 @@ def test_only_what_is_not_stored_is_computed(tmp_path: Path, monkeypatch: pytest
     features = cast(Any, [SimpleNamespace(uvd_px=np.zeros((0, 3)))] * 4)
     context = cast(Any, SimpleNamespace(sequence=None, rectifier=None, workers=1))
     context.config = SimpleNamespace(frontend=None)
-    without = list(depth_maps(context, features))
+    without = list(DepthMaps(context, features))
     store.write(0, whole[0])
     store.write(2, whole[2])
-    for found, wanted in zip(depth_maps(context, features, store), without, strict=True):
+    for found, wanted in zip(DepthMaps(context, features, store), without, strict=True):
         assert_equal(found, wanted)
     assert asked == [[0, 1, 2, 3], [1, 3]]

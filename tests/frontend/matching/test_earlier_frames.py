@@ -31,8 +31,18 @@ def test_after_a_revolution_the_frames_of_the_same_side_are_found() -> None:
     # the same side was seen at 20 and at 60
     assert {20, 60} <= set(chosen.tolist())
     distant = chosen[chosen < 100 - MAX_NEIGHBOUR_STEPS]
-    assert len(distant) <= MOST_IN_VIEW and np.diff(distant).min() >= APART_FRAMES
+    assert len(distant) <= MOST_IN_VIEW
     assert (views[distant] @ views[100] > np.cos(np.deg2rad(70.0))).all()
+
+
+def test_of_frames_that_show_nearly_the_same_one_is_taken() -> None:
+    fast, slow = turning(401, 40), turning(401, 400)
+    of_fast, of_slow = (earlier_frames(views[:400], views[400]) for views in (fast, slow))
+    assert len(of_fast) == len(of_slow) == MAX_NEIGHBOUR_STEPS + MOST_IN_VIEW
+    assert np.diff(of_fast).min() == 1
+    assert np.diff(of_slow[of_slow < 400 - MAX_NEIGHBOUR_STEPS]).min() >= APART_FRAMES
+    # the revolution before is found as well
+    assert of_slow.min() < 20
 
 
 def test_frames_of_unknown_view_are_only_matched_as_neighbours() -> None:
