@@ -21,18 +21,8 @@ class EvaluateCommand:
 
     def execute(self) -> int:
         """Write the metrics, renew the report and print the table."""
-        from polhode.output.locks import at_work
-        from polhode.output.place import require_writable
-        from polhode.output.single_file import remove_all_partials
-        from polhode.pipeline.evaluation import evaluate, format_table
-        from polhode.pipeline.report import write_evaluation
-        from polhode.pipeline.run_directory.run_folder import require_run_folder
+        from polhode.pipeline.evaluation import format_table
+        from polhode.pipeline.report import evaluate_and_report
 
-        require_run_folder(self.run)
-        require_writable(self.run, self.run, "make the run writable, or evaluate a copy of it")
-        with at_work(self.run, self.run):
-            remove_all_partials(self.run)
-            metrics = evaluate(self.run, self.data)
-            write_evaluation(self.run, metrics)
-        print(format_table(metrics))
+        print(format_table(evaluate_and_report(self.run, self.data)))
         return 0

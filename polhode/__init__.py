@@ -54,21 +54,28 @@ threads.py         how many threads the libraries may use
 progress.py        how stages report their progress; notes to the user
 errors.py          errors that end a command, with their exit codes; text that is safe to print
 
-``polhode.Session`` is the live estimate as a library: pairs are pushed, each gives a state (docs/live.md).
+Above all of them is api.py, the library: ``polhode.run``, ``load``, ``simulate``, ``evaluate``, ``Run``.
+``polhode.Session`` is the live estimate: pairs are pushed, each gives a state (docs/live.md).
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from polhode.api import Run, evaluate, load, run, simulate
     from polhode.pipeline.live.session import Session
 
-__all__ = ["Session"]
+__all__ = ["Run", "Session", "evaluate", "load", "run", "simulate"]
 
 
 def __getattr__(name: str) -> Any:
-    """The session, loaded when it is first asked for: the program starts without it."""
-    if name == "Session":
-        from polhode.pipeline.live.session import Session
+    """What the library offers, loaded when it is first asked for: the program starts without it."""
+    if name not in __all__:
+        raise AttributeError(f"module 'polhode' has no attribute {name!r}")
+    return getattr(
+        import_module("polhode.pipeline.live.session" if name == "Session" else "polhode.api"), name
+    )
 
-        return Session
-    raise AttributeError(f"module 'polhode' has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -2,7 +2,8 @@
 beside the work of this process.
 
 The processes end with their parent, even if it is killed and whatever they are doing; they leave interrupts
-to it and use one thread each.
+to it and use one thread each. They do not import the caller's script, so that it needs no guard
+(``if __name__ == "__main__"``), unless the work itself is defined there.
 """
 
 import contextlib
@@ -11,6 +12,7 @@ import logging.handlers
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -19,6 +21,7 @@ from concurrent.futures.process import BrokenProcessPool
 from functools import cache, partial
 from multiprocessing.connection import wait as wait_for_end
 from multiprocessing.context import BaseContext
+from types import ModuleType
 from typing import Any, Generic, Protocol, TypeVar
 
 from polhode import fork_server
@@ -53,10 +56,10 @@ def in_order(
     """Yield ``work(item)`` for each item, in the order of the items, whatever the number of workers.
 
     ``work`` must be picklable; every process receives it once. With one worker or one item, or where no
-    process can be started (a warning says so), it is called here. ``preload`` names modules that every
-    process will need. Raises what ``work`` raises, after the results of the items before, and RunFailure when
-    a process is killed. After an error, items in progress are finished and no others are started; an
-    interrupt ends all.
+    process can be started (a warning says so), as in a worker process of the caller, it is called here. ``preload``
+    names modules that every process will need. Raises what ``work`` raises, after the results of the items
+    before, and RunFailure when a process is killed. After an error, items in progress are finished and no
+    others are started; an interrupt ends all.
     """
     if workers > 1 and len(items) > 1:
         try:
@@ -218,6 +221,8 @@ def _say_once(warning: str) -> None:
 
 def _pool(work: Callable[[T], U], workers: int, preload: Sequence[str] = ()) -> ProcessPoolExecutor:
     """Processes that will call ``work``. Raises OSError where there can be none."""
+    if multiprocessing.current_process().daemon:
+        raise OSError("a worker process may have none of its own")
     # The tracker of shared resources, which starts here, must not end by SIGHUP.
     with _signals_blocked():
         return ProcessPoolExecutor(workers, _context(preload), _begin, (work,))
@@ -278,7 +283,7 @@ class _ServerLost(Exception):
 def _submitted(pool: ProcessPoolExecutor, item: Any) -> Future[Any]:
     """Submit an item; a worker is started where one is missing. Raises _ServerLost."""
     try:
-        with _signals_blocked():
+        with _signals_blocked(), _script_hidden(pool._initargs[0]):
             return pool.submit(_call, item)
     except (EOFError, ConnectionError) as error:
         raise _ServerLost from error
@@ -329,6 +334,27 @@ def _environment(name: str, value: str) -> Iterator[None]:
             del os.environ[name]
         else:
             os.environ[name] = before
+
+
+@contextlib.contextmanager
+def _script_hidden(work: Callable[..., Any]) -> Iterator[None]:
+    """Processes that are started in the block do not import the caller's script, unless the work needs it."""
+    if _needs_script(work):
+        yield
+        return
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
+
+
+def _needs_script(work: Any) -> bool:
+    """Whether a function, or what it is given, is defined in the caller's script."""
+    if isinstance(work, partial):
+        return any(map(_needs_script, (work.func, *work.args, *work.keywords.values())))
+    return "__main__" in (getattr(work, "__module__", ""), type(work).__module__)
 
 
 @contextlib.contextmanager

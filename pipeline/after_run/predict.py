@@ -78,6 +78,30 @@ def predict_run(
     """
     last, summary = last_body(run_folder)
     time_s, timestamps_ns = prediction_instants(run_folder, horizon_s, step_s, from_last)
+    return _predicted(run_folder, last, summary, time_s, timestamps_ns, progress)
+
+
+def predict_instants(run_folder: Path, time_s: Array) -> PredictedMotion:
+    """Predict to times (T,) [s] after the last pair. Raises InputError: no estimate, or not increasing."""
+    last, summary = last_body(run_folder)
+    if time_s.ndim != 1 or not 1 <= len(time_s) <= MAX_ROWS:
+        raise InputError(f"times of shape {time_s.shape}: give one, or a row of up to {MAX_ROWS}")
+    if not (np.isfinite(time_s).all() and time_s[0] >= 0.0 and (np.diff(time_s) > 0.0).all()):
+        raise InputError("times: give increasing seconds after the last pair, none below 0")
+    if time_s[-1] > 0.0:
+        require_horizon(float(time_s[-1]), float(np.linalg.norm(last.w_G)))
+    stamps = read_trajectory(run_folder).timestamps_ns[-1] + np.round(time_s * 1e9).astype(np.int64)
+    return _predicted(run_folder, last, summary, time_s, stamps, None)
+
+
+def _predicted(
+    run_folder: Path,
+    last: FinalState,
+    summary: Summary,
+    time_s: Array,
+    timestamps_ns: Ints,
+    progress: Progress | None,
+) -> PredictedMotion:
     assert summary.noise is not None and summary.identifiable_components is not None
     shown = Silent() if progress is None or len(time_s) <= LONG_ROWS else progress
     with shown.stage("prediction", math.ceil(len(time_s) / ROWS_AT_ONCE)) as advance:

@@ -3,7 +3,7 @@
 In: a run directory. Out: report.html.
 
 - page: fills the template with tables and figures; finish_run writes the summary and the report of a run,
-  write_evaluation its metrics and the report with them
+  evaluate_and_report its metrics and the report with them
 - comparison: the page about several runs
 - tables: the finding in a sentence, and the rows of every table
 - motion_figures: centre of mass, attitude, angular velocity
@@ -16,7 +16,21 @@ In: a run directory. Out: report.html.
 """
 
 from polhode.pipeline.report.comparison import write_comparison
-from polhode.pipeline.report.page import finish_run, page_file, write_evaluation, write_report
+from polhode.pipeline.report.page import (
+    evaluate_and_report,
+    finish_run,
+    page_file,
+    write_evaluation,
+    write_report,
+)
 from polhode.pipeline.report.tables import finding
 
-__all__ = ["finding", "finish_run", "page_file", "write_comparison", "write_evaluation", "write_report"]
+__all__ = [
+    "evaluate_and_report",
+    "finding",
+    "finish_run",
+    "page_file",
+    "write_comparison",
+    "write_evaluation",
+    "write_report",
+]

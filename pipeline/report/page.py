@@ -22,9 +22,11 @@ from plotly.offline import get_plotlyjs
 from polhode.atomic import write_all, write_text
 from polhode.errors import InputError, printable
 from polhode.images import MAX_PIXELS
+from polhode.output.locks import at_work
 from polhode.output.place import begins_with, require_writable
 from polhode.output.run_files import SUMMARY
-from polhode.output.single_file import make_parent, output_file
+from polhode.output.single_file import make_parent, output_file, remove_all_partials
+from polhode.pipeline.evaluation import Metrics, evaluate
 from polhode.pipeline.report import tables
 from polhode.pipeline.report.convergence_figures import convergence_figures
 from polhode.pipeline.report.motion_figures import motion_figures
@@ -93,6 +95,20 @@ def write_evaluation(folder: Path, metrics: dict[str, Any]) -> None:
     page = render(read_stored_run(folder, run_name(folder), metrics))
     text = json.dumps(stored, indent=2, allow_nan=False) + "\n"
     write_all({folder / METRICS: text.encode(), folder / REPORT: page.encode()})
+
+
+def evaluate_and_report(folder: Path, sequence_folder: Path) -> Metrics:
+    """Compare a run with the truth of its sequence; write metrics.json and the report. Returns the metrics.
+
+    Raises InputError: no run, no truth, another sequence, or the run cannot be written.
+    """
+    require_run_folder(folder)
+    require_writable(folder, folder, "make the run writable, or evaluate a copy of it")
+    with at_work(folder, folder):
+        remove_all_partials(folder)
+        metrics = evaluate(folder, sequence_folder)
+        write_evaluation(folder, metrics)
+    return metrics
 
 
 def finish_run(folder: Path, summary: Summary) -> Summary:

@@ -92,7 +92,7 @@ def read_stored_run(folder: Path, name: str, metrics: dict[str, Any] | None = No
     if metrics is None:
         metrics = own_metrics(folder, _json(folder / METRICS, "metrics"))
     has_tracks = (folder / "measurements.npz").is_file()
-    motion, tracks = _motion(folder, summary), read_measurements(folder) if has_tracks else None
+    motion, tracks = read_motion(folder, summary), read_measurements(folder) if has_tracks else None
     if motion is not None and tracks is not None:
         require_same_frames(folder, motion.trajectory, tracks.timestamps_ns, "measurements.npz")
     return StoredRun(
@@ -110,7 +110,8 @@ def read_stored_run(folder: Path, name: str, metrics: dict[str, Any] | None = No
     )
 
 
-def _motion(folder: Path, summary: Summary) -> StoredMotion | None:
+def read_motion(folder: Path, summary: Summary) -> StoredMotion | None:
+    """The estimate of a run; None: it ended before it had one. Raises InputError for damaged files."""
     files = (folder / "trajectory.csv", folder / "covariance.npz")
     if summary.inertia is None or summary.R_GP is None or summary.com_G is None:
         return None

@@ -87,17 +87,21 @@ class _Layered:
                 self.source[here] = source
 
 
-def load_config(path: Path | None, overrides: Mapping[str, Any] | None = None) -> Config:
+def load_config(
+    path: Path | None, overrides: Mapping[str, Any] | None = None, source: str = COMMAND_LINE
+) -> Config:
     """Read ``path`` (None: the default) and what it extends, lay ``overrides`` (dotted key -> value) over it.
+
+    ``source``: where the overrides come from, for errors.
 
     Raises InputError: a missing file, a YAML syntax error with its line, a circular ``extends``, an
     unknown key, a wrong type, a value out of range.
     """
     layered = _Layered()
-    for source, values in _chain(path or DEFAULT_CONFIG, ()):
-        layered.merge(values, str(source))
+    for file, values in _chain(path or DEFAULT_CONFIG, ()):
+        layered.merge(values, str(file))
     for key, value in (overrides or {}).items():
-        layered.merge(_nested(key.split("."), value), COMMAND_LINE)
+        layered.merge(_nested(key.split("."), value), source)
     _drop_removed(layered)
     _drop_empty_sections(layered.values, ())
     return _validate(layered)

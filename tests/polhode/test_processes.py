@@ -347,3 +347,13 @@ def test_killed_work_beside_this_process_is_told_in_a_line() -> None:
         found = start(kill_itself, 1)
         with pytest.raises(RunFailure, match="was killed"):
             found()
+
+
+def squares_in_a_pool(count: int) -> list[int]:
+    """Called in a worker process of the caller, which may have no children."""
+    return list(in_order(square, range(count), 2))
+
+
+def test_a_worker_process_of_the_caller_does_the_work_itself() -> None:
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert pool.apply(squares_in_a_pool, (3,)) == [0, 1, 4]

@@ -1,0 +1,349 @@
+"""The library: ``polhode.run``, ``load``, ``simulate``, ``evaluate``, and a finished run as an object.
+
+Everything is what the command line does and reads the same files; a mistake of the caller raises
+``polhode.errors.InputError`` with one line, a run without an answer ``RunFailure``. ``polhode.Session`` is
+the live estimate (``pipeline/live/session.py``). docs/api.md has examples.
+"""
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike
+
+from polhode.cli.console import choose_progress
+from polhode.config import Config
+from polhode.config.loader import load_config
+from polhode.errors import InputError, RunFailure
+from polhode.lie import Array
+from polhode.pipeline.after_run.export.export_run import export_run
+from polhode.pipeline.after_run.export.options import ExportOptions
+from polhode.pipeline.after_run.observability.assess import Assessment, CameraOptions, assess, subject_of
+from polhode.pipeline.after_run.plan import final_estimate, plan_run, surface_of
+from polhode.pipeline.after_run.predict import predict_instants
+from polhode.pipeline.evaluation import Metrics
+from polhode.pipeline.report import evaluate_and_report
+from polhode.pipeline.run import run as run_pipeline
+from polhode.pipeline.run_directory.archives import read_covariance, read_measurements, undetermined_as_inf
+from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
+from polhode.pipeline.run_directory.run_folder import REPORT, require_run_folder
+from polhode.pipeline.run_directory.stored_run import StoredMotion, read_motion
+from polhode.pipeline.run_directory.summary import read_summary
+from polhode.pipeline.run_directory.summary_schema import Identifiable, Intervals, Summary, Verdict
+from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_trajectory
+from polhode.planning.approach.surface_speed import velocity
+from polhode.planning.edges.edge_model import CREASE_DEG
+from polhode.planning.exports.formats import Format
+from polhode.planning.keep_out.measured_body import Cover
+from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions
+from polhode.planning.prediction import PredictedMotion, nominal_motion
+from polhode.processes import worker_count
+from polhode.progress import Progress, Silent
+from polhode.records import Landmarks, StereoTracks, SurfaceModel
+from polhode.threads import single_threaded
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Configuration = Config | str | Path | Mapping[str, Any] | None
+"""A configuration, a file of one, settings that differ from the default ({"backend.inertia": "ratios_axes"},
+or nested), or the default"""
+
+
+def run(
+    data: str | Path,
+    output: str | Path | None = None,
+    config: Configuration = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress | bool = True,
+) -> "Run":
+    """Estimate motion, mass properties, map and mesh from a stereo sequence, as ``polhode run``.
+
+    data: folder of the sequence; output: folder of the run, None: a temporary one, which is removed with the
+    last reference to what is returned. Raises InputError for bad input, which leaves nothing behind;
+    RunFailure when no motion is found, and then ``output`` holds what was found before. A run that ends with
+    a motion that cannot be trusted is returned, with the status "failed" or "degraded".
+    """
+    values, shown = configuration(config), _progress(progress)
+    if output is not None:
+        run_pipeline(values, Path(data), Path(output), shown, overwrite=overwrite)
+        return Run(Path(output))
+    temporary = tempfile.TemporaryDirectory(prefix="polhode-")
+    folder = Path(temporary.name) / "run"
+    try:
+        run_pipeline(values, Path(data), folder, shown)
+    except RunFailure as failure:
+        temporary.cleanup()
+        raise RunFailure(
+            f"{failure} (a temporary folder, which is removed: give output to keep it)"
+        ) from None
+    except BaseException:
+        temporary.cleanup()
+        raise
+    return Run(folder, temporary)
+
+
+def load(run: str | Path) -> "Run":
+    """A finished run. Raises InputError if the folder holds none."""
+    return Run(Path(run))
+
+
+@single_threaded
+def simulate(
+    config: Configuration,
+    output: str | Path,
+    *,
+    overwrite: bool = False,
+    progress: Progress | bool = True,
+) -> Path:
+    """Render a sequence with truth from the scene of a configuration, as ``polhode simulate``.
+
+    Returns the folder. Raises InputError: there is no scene, or ``output`` is taken.
+    """
+    from polhode.simulation.dataset.sequence import plan_sequence, require_free, write_sequence
+
+    values = configuration(config)
+    if values.scene is None:
+        raise InputError("the configuration has no 'scene' to simulate; configs/scenes/ has examples")
+    folder = Path(output)
+    require_free(folder, overwrite)
+    plan = plan_sequence(values.scene, values.seed)
+    write_sequence(plan, folder, _progress(progress), worker_count(values.runtime.workers), overwrite)
+    return folder
+
+
+@single_threaded
+def evaluate(run: "Run | str | Path", data: str | Path) -> Metrics:
+    """Errors of a run against the truth of its sequence: the content of metrics.json, which is written, too.
+
+    Values that cannot be computed are None. Raises InputError: no estimate, no truth, or another sequence's.
+    """
+    return evaluate_and_report(run.folder if isinstance(run, Run) else Path(run), Path(data))
+
+
+def configuration(config: Configuration) -> Config:
+    """The configuration that is meant. Raises InputError for an unknown key, a wrong type or value."""
+    if isinstance(config, Config):
+        return config
+    if isinstance(config, Mapping):
+        return load_config(None, config, "settings")
+    return load_config(None if config is None else Path(config))
+
+
+def _progress(wanted: Progress | bool) -> Progress:
+    if isinstance(wanted, bool):
+        return choose_progress() if wanted else Silent()
+    return wanted
+
+
+@dataclass(frozen=True)
+class MassEstimate:
+    """How the mass is distributed, up to scale; variances are ``inf`` where the motion does not show it."""
+
+    k: Array
+    """(2,) k1 = ln(Jxx / Jyy), k2 = ln(Jyy / Jzz)"""
+    cov_k: Array
+    """(2, 2)"""
+    moments: Array
+    """(3,) Jxx >= Jyy >= Jzz, the middle one 1"""
+    J_G: Array
+    """(3, 3) about the centre of mass, axes of G"""
+    com_G: Array
+    """(3,) centre of mass [m]"""
+    cov_com_G: Array
+    """(3, 3) [m^2]"""
+    R_GP: Array
+    """(3, 3) principal axes, as columns in G"""
+    cov_R_GP: Array
+    """(3, 3) of theta in R_GP Exp(theta) [rad^2]"""
+    identifiable: Identifiable
+    """What the motion determines"""
+    intervals: Intervals | None
+    """Where the rest can lie, by other bounds"""
+    mass_kg: float | None
+    """None: no forces are known"""
+
+
+class Run:
+    """A finished run: what was estimated, how sure it is, and what follows from it.
+
+    Its files are read when they are asked for.
+    """
+
+    def __init__(self, folder: Path, temporary: "tempfile.TemporaryDirectory[str] | None" = None) -> None:
+        """``temporary`` holds the folder as long as this object lives. Raises InputError: there is no run."""
+        require_run_folder(folder)
+        self.folder, self._temporary = folder, temporary
+        self.summary: Summary = read_summary(folder)
+        """The content of summary.json"""
+
+    def __repr__(self) -> str:
+        found = self.summary
+        return f"<polhode.Run {self.folder}: {found.status}, {found.frames_used} of {found.frames} frames>"
+
+    @property
+    def status(self) -> Literal["ok", "degraded", "failed"]:
+        """Whether the answer can be trusted, in a word."""
+        return self.summary.status
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """The same with reasons and every check; None: of an earlier version."""
+        return self.summary.verdict
+
+    @property
+    def report(self) -> Path:
+        """The page to open."""
+        return self.folder / REPORT
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """States of every pair, with standard deviations. Raises InputError."""
+        return read_trajectory(self.folder / "trajectory.csv")
+
+    @cached_property
+    def online(self) -> Trajectory:
+        """The same as it was known when each pair came. Raises InputError: the window was off."""
+        return read_trajectory(self.folder / "trajectory_online.csv")
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(F, 12, 12) of r (N), v (N), theta (P), w (P); ``inf`` on the diagonal where undetermined."""
+        return read_covariance(self.folder).covariance
+
+    @cached_property
+    def mass(self) -> MassEstimate:
+        """Inertia, centre of mass and axes. Raises InputError if the run ended before it had them."""
+        found = self.summary
+        if found.inertia is None or found.com_G is None or found.R_GP is None or found.identifiable is None:
+            raise InputError(f"{self.folder}: this run failed before it had an estimate")
+        return MassEstimate(
+            k=np.array([found.inertia.k1, found.inertia.k2]),
+            cov_k=_variances(found.inertia.cov),
+            moments=np.array(found.inertia.moments),
+            J_G=np.array(found.inertia.J_G),
+            com_G=np.array(found.com_G),
+            cov_com_G=_variances(found.cov_com_G),
+            R_GP=np.array(found.R_GP),
+            cov_R_GP=_variances(found.cov_R_GP),
+            identifiable=found.identifiable,
+            intervals=found.intervals,
+            mass_kg=found.inertia.mass_kg,
+        )
+
+    @cached_property
+    def X_NG(self) -> Array:
+        """(F, 4, 4) pose of the body frame G in N. Raises InputError without an estimate."""
+        return self._motion.X_NG
+
+    @cached_property
+    def _motion(self) -> StoredMotion:
+        motion = read_motion(self.folder, self.summary)
+        if motion is None:
+            raise InputError(f"{self.folder}: this run failed before it had an estimate")
+        return motion
+
+    @cached_property
+    def landmarks(self) -> Landmarks:
+        """The sparse map in G. Raises InputError."""
+        return read_landmarks(self.folder / "landmarks.ply")
+
+    @cached_property
+    def surface(self) -> SurfaceModel:
+        """The dense mesh in G, with the standard deviation of each vertex. Raises InputError: none."""
+        return surface_of(self.folder)
+
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        """The dense mesh in G [m]. Raises InputError: there is none."""
+        return self.surface.mesh
+
+    @cached_property
+    def measurements(self) -> StereoTracks:
+        """The tracks that a back end of one's own can start from. Raises InputError."""
+        return read_measurements(self.folder)
+
+    def predict(self, time_s: ArrayLike) -> PredictedMotion:
+        """The motion at times (T,), or one time, in seconds after the last pair, with its covariance.
+
+        Raises InputError: no estimate, times that do not increase or are negative.
+        """
+        return predict_instants(self.folder, np.atleast_1d(np.asarray(time_s, dtype=np.float64)))
+
+    def keep_out(
+        self,
+        horizon_s: float = 60.0,
+        confidence: float = 0.99,
+        *,
+        members: int = 800,
+        cover: Cover = "auto",
+    ) -> KeepOut:
+        """The space that the target may sweep over the horizon, in N; ``signed_distance`` of points in it.
+
+        Raises InputError: no mesh, no estimate, or too few members for the confidence.
+        """
+        plan = plan_run(
+            self.folder, KeepOutOptions(horizon_s, confidence, members=members, cover=cover), None
+        )
+        if plan.keep_out is None:
+            raise InputError(plan.left_out["keepout"])
+        return plan.keep_out
+
+    def points_velocity(self, p_G: ArrayLike, time_s: float = 0.0) -> Array:
+        """Velocity (n, 3) in N [m/s] of points (n, 3) of the target in G, seconds after the last pair."""
+        points = np.atleast_2d(np.asarray(p_G, dtype=np.float64))
+        if points.shape[-1] != 3 or not np.isfinite(points).all():
+            raise InputError("points: give finite coordinates (n, 3) in G [m]")
+        if not 0.0 <= time_s < np.inf:
+            raise InputError(f"time {time_s:g}: give seconds after the last pair, at least 0")
+        motion = nominal_motion(final_estimate(self.folder)[0], np.array([time_s]))
+        return velocity(motion, 0, points)
+
+    def observability(
+        self,
+        trajectory: str | Path | None = None,
+        *,
+        frame: Literal["G", "N"] = "G",
+        sigma_px: float = 1.0,
+        spacing_px: float = 10.0,
+        sun_N: Sequence[float] | None = None,
+        edges: int | None = None,
+    ) -> Assessment:
+        """How well edges of the mesh determine the relative pose along a trajectory of the camera.
+
+        trajectory: a TUM file in ``frame``, None: the run's own pairs. sigma_px: noise normal to an edge;
+        spacing_px: between control points; sun_N: direction to the Sun; edges: also select the best of so
+        many. Raises InputError for input that does not fit.
+        """
+        sun = None if sun_N is None else np.asarray(sun_N, dtype=np.float64) / np.linalg.norm(sun_N)
+        path = None if trajectory is None else Path(trajectory)
+        subject = subject_of(self.folder, path, frame, CameraOptions(), None, sun, CREASE_DEG, 1.0)
+        return assess(subject, spacing_px, sigma_px, edges, False, Silent())
+
+    def export(self, to: Format, output: str | Path, **options: Any) -> list[Path]:
+        """Write the run in another program's format, as ``polhode export``; options of that name.
+
+        Returns the files, the one that was asked for last. Raises InputError.
+        """
+        return export_run(self.folder, ExportOptions(to, Path(output), **options), Silent())
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """trajectory.csv as a table: one row for each pair (needs pandas)."""
+        try:
+            import pandas as pd
+        except ImportError:
+            raise InputError("pandas is not installed: pip install 'polhode[pandas]'") from None
+        return pd.read_csv(self.folder / "trajectory.csv")
+
+
+def _variances(rows: Sequence[Sequence[float | None]] | None) -> Array:
+    """A covariance (n, n) of summary.json: null, as a variance, is inf."""
+    if rows is None:
+        return np.full((3, 3), np.nan)
+    return undetermined_as_inf(np.array([[np.nan if each is None else each for each in row] for row in rows]))

@@ -1,0 +1,194 @@
+"""The library: a finished run as an object, and what its functions share with the command line."""
+
+import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import polhode
+from polhode.api import configuration
+from polhode.cli.main import main
+from polhode.config import Config
+from polhode.errors import InputError, RunFailure
+from polhode.lie import transform_points
+from polhode.pipeline.after_run.predict import predict_run
+from tests.pipeline.conftest import Example, write_example
+
+
+@pytest.fixture
+def stored(example: Example, tmp_path: Path) -> polhode.Run:
+    (tmp_path / "run").mkdir()
+    write_example(tmp_path / "run", example)
+    return polhode.load(tmp_path / "run")
+
+
+def test_a_stored_run_is_what_was_estimated(stored: polhode.Run, example: Example) -> None:
+    estimate = example.estimate
+    assert stored.status == "ok" and stored.verdict is not None and stored.verdict.status == "ok"
+    assert stored.report.is_file() and "24 frames" in repr(stored)
+    np.testing.assert_array_equal(stored.trajectory.r_N, estimate.r_N)
+    np.testing.assert_allclose(stored.covariance, estimate.covariance)
+    np.testing.assert_allclose(stored.X_NG, estimate.X_NG, atol=1e-12)
+    np.testing.assert_allclose(stored.landmarks.p_G, estimate.landmarks.p_G, atol=1e-6)
+    assert len(stored.mesh.faces) == len(example.surface.mesh.faces)
+    assert len(stored.measurements.frame) == len(example.tracks.frame)
+    mass = stored.mass
+    np.testing.assert_allclose(mass.k, [estimate.mass.k1, estimate.mass.k2])
+    np.testing.assert_allclose(mass.cov_com_G, estimate.mass.cov_com_G)
+    np.testing.assert_allclose(mass.J_G, estimate.mass.J_G)
+    assert mass.identifiable.com and mass.mass_kg is None
+
+
+def test_what_is_undetermined_has_infinite_variance(undetermined: Example, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    write_example(tmp_path / "run", undetermined)
+    mass = polhode.load(tmp_path / "run").mass
+    assert np.isinf(np.diagonal(mass.cov_k)).all()
+    np.testing.assert_array_equal(np.isinf(np.diagonal(mass.cov_com_G)), [False, True, False])
+    assert not mass.identifiable.com
+
+
+def test_a_prediction_at_any_times_is_that_of_the_command(stored: polhode.Run) -> None:
+    of_command = predict_run(stored.folder, 2.0, step_s=0.5)
+    found = stored.predict(of_command.time_s)
+    np.testing.assert_array_equal(found.r_N, of_command.r_N)
+    np.testing.assert_array_equal(found.covariance, of_command.covariance)
+    np.testing.assert_array_equal(found.timestamps_ns, of_command.timestamps_ns)
+    now = stored.predict(0.0)
+    np.testing.assert_allclose(now.r_N[0], stored.trajectory.r_N[-1], atol=1e-9)
+
+
+@pytest.mark.parametrize("times", [-1.0, [1.0, 0.5], [[1.0]], [np.nan], []])
+def test_times_that_are_no_times_are_refused(stored: polhode.Run, times: object) -> None:
+    with pytest.raises(InputError, match="times"):
+        stored.predict(times)  # type: ignore[arg-type]
+
+
+def test_velocities_are_those_of_the_moving_body(stored: polhode.Run) -> None:
+    p_G, step_s = np.array([[0.06, 0.0, 0.1], [0.0, 0.1, 0.0]]), 1e-3
+    velocity = stored.points_velocity(p_G, 1.0)
+    before, after = (
+        transform_points(pose_at(stored, time_s), p_G) for time_s in (1.0 - step_s, 1.0 + step_s)
+    )
+    np.testing.assert_allclose(velocity, (after - before) / (2.0 * step_s), atol=1e-6)
+    with pytest.raises(InputError, match=r"coordinates \(n, 3\)"):
+        stored.points_velocity([1.0, 2.0])
+    with pytest.raises(InputError, match="after the last pair"):
+        stored.points_velocity(p_G, -1.0)
+
+
+def pose_at(run: polhode.Run, time_s: float) -> np.ndarray:
+    """X_NG (4, 4) by the predicted centre of mass and axes."""
+    motion, mass = run.predict(time_s), run.mass
+    X_NG = np.eye(4)
+    X_NG[:3, :3] = motion.R_NP[0] @ mass.R_GP.T
+    X_NG[:3, 3] = motion.r_N[0] - X_NG[:3, :3] @ mass.com_G
+    return X_NG
+
+
+def test_the_keep_out_volume_contains_the_body_now(stored: polhode.Run) -> None:
+    swept = stored.keep_out(2.0, 0.97, members=100).swept
+    now = transform_points(stored.X_NG[-1], np.asarray(stored.mesh.vertices))
+    assert (swept.signed_distance(now) < 0.0).all()
+    assert (swept.signed_distance(now + np.array([3.0, 0.0, 0.0])) > 2.0).all()
+    with pytest.raises(InputError, match="members"):
+        stored.keep_out(2.0, 0.97, members=4)
+
+
+def test_observability_and_exports_follow_from_the_object(stored: polhode.Run, tmp_path: Path) -> None:
+    assessed = stored.observability(sigma_px=0.5)
+    assert assessed.sigma.shape == (24, 6) and (assessed.sigma[np.isfinite(assessed.sigma)] > 0.0).all()
+    files = stored.export("tum", tmp_path / "motion.tum", horizon=2.0)
+    assert files == [tmp_path / "motion.tum"] and files[0].read_text().startswith("#")
+
+
+def test_the_table_has_the_columns_of_the_file(stored: polhode.Run) -> None:
+    table = stored.to_pandas()
+    assert table.shape == (24, 26)
+    np.testing.assert_allclose(table[["r_N_x", "r_N_y", "r_N_z"]], stored.trajectory.r_N)
+
+
+def test_a_configuration_is_a_file_a_dictionary_or_itself(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text("seed: 5\n")
+    assert configuration(tmp_path / "c.yaml").seed == 5 == configuration({"seed": 5}).seed
+    assert configuration(None) == Config() == configuration(Config())
+    nested = configuration({"backend": {"inertia": "ratios_axes"}})
+    assert nested == configuration({"backend.inertia": "ratios_axes"}) != Config()
+    with pytest.raises(InputError, match=r"^settings: unknown key"):
+        configuration({"backend.inertiaa": "ratios_axes"})
+
+
+def test_a_run_without_an_answer_raises_and_leaves_no_temporary_folder(
+    small_sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.raises(RunFailure, match=r"stereo features on the target.*give output to keep it"):
+        polhode.run(small_sequence, progress=False)
+    assert not list(tmp_path.glob("polhode-*"))
+    with pytest.raises(InputError, match="missing is not a folder"):
+        polhode.run(tmp_path / "missing", progress=False)
+
+
+def test_the_scene_is_what_a_simulation_needs(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no 'scene'"):
+        polhode.simulate(None, tmp_path / "seq", progress=False)
+
+
+SCRIPT = """
+import polhode
+
+print("begins")
+sequence = polhode.simulate({scene!r}, {folder!r}, progress=False)
+try:
+    print("ends", polhode.run(sequence, progress=False, config={{"runtime.workers": 2}}).status)
+except polhode.errors.RunFailure:
+    print("ends without an answer")
+"""
+
+
+def test_a_script_needs_no_guard(tmp_path: Path) -> None:
+    """Its processes would otherwise begin the script again."""
+    scene = {
+        "scene": {
+            "frames": 3,
+            "truth_horizon_s": 0,
+            "rig": {"width_px": 48, "height_px": 36, "focal_px": 35.0},
+            "render": {"samples": 1, "bounces": 0},
+        }
+    }
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT.format(scene=scene, folder=str(tmp_path / "seq")))
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("begins") == 1
+    assert "ends" in done.stdout and (tmp_path / "seq" / "mav0" / "target0").is_dir()
+
+
+def test_evaluate_writes_what_the_command_writes(
+    rendered_sequence: Path, stored: polhode.Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(InputError) as caught:
+        polhode.evaluate(stored, rendered_sequence)
+    assert main(["evaluate", str(stored.folder), str(rendered_sequence)]) == 2
+    assert capsys.readouterr().err == f"polhode: error: {caught.value}\n"
+
+
+def test_the_code_of_the_page_runs_from_top_to_bottom(
+    rendered_sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "api.md").read_text()
+    code = "\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL))
+    (tmp_path / "SEQ").symlink_to(rendered_sequence)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "page.py").write_text(code)
+    found = runpy.run_path("page.py")
+    run, errors = found["run"], found["errors"]
+    assert isinstance(run, polhode.Run) and isinstance(errors, dict)
+    assert run.status == "ok" and errors["rmse_position_m"] < 2e-3
+    assert {path.name for path in tmp_path.iterdir()} == {"SEQ", "RUN", "SIMULATED", "motion.tum", "page.py"}
