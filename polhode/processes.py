@@ -56,10 +56,10 @@ def in_order(
     """Yield ``work(item)`` for each item, in the order of the items, whatever the number of workers.
 
     ``work`` must be picklable; every process receives it once. With one worker or one item, or where no
-    process can be started (a warning says so), as in a worker process of the caller, it is called here. ``preload``
-    names modules that every process will need. Raises what ``work`` raises, after the results of the items
-    before, and RunFailure when a process is killed. After an error, items in progress are finished and no
-    others are started; an interrupt ends all.
+    process can be started, as in a worker process of the caller (a warning says so), it is called here.
+    ``preload`` names modules that every process will need. Raises what ``work`` raises, after the results of
+    the items before, and RunFailure when a process is killed. After an error, items in progress are finished
+    and no others are started; an interrupt ends all.
     """
     if workers > 1 and len(items) > 1:
         try:

@@ -351,7 +351,7 @@ def test_killed_work_beside_this_process_is_told_in_a_line() -> None:
 
 def squares_in_a_pool(count: int) -> list[int]:
     """Called in a worker process of the caller, which may have no children."""
-    return list(in_order(square, range(count), 2))
+    return list(in_order(Square(), range(count), 2))
 
 
 def test_a_worker_process_of_the_caller_does_the_work_itself() -> None:
