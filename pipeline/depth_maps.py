@@ -8,10 +8,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from numpy.typing import NDArray
 
+from polhode.array_files import read_arrays
 from polhode.atomic import replaced
 from polhode.config.frontend_settings import Frontend
 from polhode.dataset import StereoSequence
@@ -58,16 +61,15 @@ class DepthStore:
 
     def read(self, k: int) -> DepthMap:
         """The stored depth map of pair k. What it does not fill is black, and its depth NaN."""
-        with np.load(self._path(k), allow_pickle=False) as stored:
-            height, width = stored["size"].tolist()
-            v0, u0 = stored["corner"].tolist()
-            known, target = (
-                np.unpackbits(stored[name], axis=1, count=width).astype(np.bool_)
-                for name in ("known", "target")
-            )
-            depth_m, sigma_m = (np.full((height, width), np.nan, dtype=np.float32) for _ in range(2))
-            depth_m[known], sigma_m[known] = stored["depth_m"], stored["sigma_m"]
-            part = stored["intensity"]
+        stored: dict[str, NDArray[Any]] = read_arrays(self._path(k))
+        height, width = stored["size"].tolist()
+        v0, u0 = stored["corner"].tolist()
+        known, target = (
+            np.unpackbits(stored[name], axis=1, count=width).astype(np.bool_) for name in ("known", "target")
+        )
+        depth_m, sigma_m = (np.full((height, width), np.nan, dtype=np.float32) for _ in range(2))
+        depth_m[known], sigma_m[known] = stored["depth_m"], stored["sigma_m"]
+        part = stored["intensity"]
         intensity = np.zeros((height, width), dtype=np.uint8)
         intensity[v0 : v0 + part.shape[0], u0 : u0 + part.shape[1]] = part
         return DepthMap(depth_m=depth_m, sigma_m=sigma_m, intensity=intensity, target=target)
