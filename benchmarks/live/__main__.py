@@ -6,7 +6,8 @@ Sequences: those of configs/ts38.yaml and three scenes of configs/scenes, which 
 them; ``--short``: the shipped sample. Each is replayed by ``polhode run --live``, and solved by ``polhode
 run`` for comparison, both with configs/default.yaml. Times are those of the wall clock on this machine, with
 what else it does: the load (processes that want to run, mean of a minute) before each run is printed beside
-them.
+them. "Of the processor" is what the main process took; on a machine that does nothing else, the others work
+beside it, so that it is near the wall clock's time.
 
 Errors are root mean squares over the second half of the frames: of the states as they were known live, of the
 causal window of the batch run, whose tracks were found with all frames, and of the final answer. "r / sigma"

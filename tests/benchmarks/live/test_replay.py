@@ -29,6 +29,7 @@ def line(same: bool) -> dict[str, Any]:
         "pairs": 115,
         "dropped": 1,
         "report_s": 41.26,
+        "report_processor_s": 20.04,
         "seconds": {stage: [0.2, 0.35] for stage in ("features", "matching", "window", "latency")},
         "errors": {
             "live": [1.0, 2.0, 0.3, 3.0],
@@ -40,6 +41,7 @@ def line(same: bool) -> dict[str, Any]:
         "film_s": 57.5,
         "batch_s": 69.0,
         "sift_s": 23.0,
+        "processor_s": 40.0,
         "load": [0.0, 1.25],
     }
 
@@ -47,7 +49,7 @@ def line(same: bool) -> dict[str, Any]:
 def test_rows_have_the_columns_of_their_heads() -> None:
     row = times_row(line(True))
     assert len(row) == TIMES.count("|") + 1
-    assert row == ["ts38", "115", "1", *["0.200 (0.350)"] * 4, "41.3", "0.0"]
+    assert row == ["ts38", "115", "1", *["0.200 (0.350)"] * 4, "41.3", "20.0", "0.0"]
     rows = error_rows(line(True))
     assert all(len(each) == ERRORS.count("|") + 1 for each in rows)
     assert [each[1] for each in rows] == ["live", "window of the batch", "final"]
@@ -58,7 +60,7 @@ def test_rows_have_the_columns_of_their_heads() -> None:
     assert consistency == ["ts38", "3.12", "2.00", "-", "3.00", "0.22 to 9.35"]
     batch = batch_row(line(True))
     assert len(batch) == BATCH.count("|") + 1
-    assert batch == ["ts38", "57.5", "69.0", "1.20", "23.0", "3.0", "1.2"]
+    assert batch == ["ts38", "57.5", "69.0", "1.20", "23.0", "3.0", "40.0", "1.2"]
 
 
 def test_stages_have_median_and_95_percent() -> None:
