@@ -35,7 +35,8 @@ U = TypeVar("U")
 
 WAITING_PER_WORKER = 3
 """Items per process that are submitted or whose results are not yet taken."""
-LOWEST_PRIORITY = 19
+BACKGROUND_NICENESS = 10
+"""Of a process that works ahead: it leaves the processor to what is waited for."""
 NICENESS = 5
 """Of a process beside this one: what this one waits for goes first."""
 
@@ -83,7 +84,7 @@ def as_finished(work: Callable[[T], U], items: Sequence[T], workers: int) -> Ite
 
 
 class Background(Generic[T, U]):
-    """One process beside this one that works on items in their order, at the lowest priority.
+    """One process beside this one that works on items in their order, at a low priority.
 
     ``work`` is called in that process alone, and may therefore keep there what it has found.
     """
@@ -120,7 +121,7 @@ class _Yielding(Generic[T, U]):
     def __call__(self, item: T) -> U:
         if not self._begun:
             self._begun = True
-            os.nice(LOWEST_PRIORITY)
+            os.nice(BACKGROUND_NICENESS)
         return self._work(item)
 
 

@@ -1,6 +1,6 @@
 """What the batch will want of each pair, done while the stream goes on: its depth map, and further links.
 
-Another process does it, at the lowest priority: it takes only the time that the stream leaves. What it does
+Another process does it, at a low priority: it takes the time that the stream leaves. What it does
 depends on the pairs alone, so it does not matter how far it gets: the batch does the rest, with the same
 result.
 """
@@ -73,12 +73,13 @@ class Ahead:
             self._submit(pair)
 
     def surface(self) -> SurfaceModel | None:
-        """The surface so far, of the pairs whose depth maps are made; None: nothing works ahead.
+        """The surface so far, of the pairs whose depth maps are made; None: nothing works ahead, or the
+        process has ended.
 
         It waits for the pairs before.
         """
         future = self._submit(None)
-        found = None if future is None else future.result()
+        found = future.result() if future is not None and future.exception() is None else None
         self._collect()
         return found if isinstance(found, SurfaceModel) else None
 

@@ -10,6 +10,7 @@ from polhode.config import Config
 from polhode.dataset import open_sequence
 from polhode.pipeline.live.session import Session
 from polhode.pipeline.run import run
+from polhode.processes import kill_workers
 from polhode.progress import Silent
 from polhode.records import SurfaceModel
 
@@ -46,6 +47,19 @@ def finished(
         assert stored.is_dir()
     assert not stored.exists()
     return folder, surfaces, made, landmarks
+
+
+def test_without_the_process_the_stream_goes_on(rendered_sequence: Path) -> None:
+    sequence = open_sequence(rendered_sequence)
+    pair = sequence.read_pair(0)
+    with Session(CONFIG, sequence.calibration) as session:
+        session.push(pair.left, pair.right, 0.0)
+        assert session.surface() is not None
+        kill_workers()
+        assert session.surface() is None
+        state = session.push(pair.right, pair.left, 0.5)
+        assert state is not None and state.number == 1
+        assert session.surface() is None
 
 
 def test_the_answer_is_that_of_a_batch_run(
