@@ -43,6 +43,10 @@ class RunCommand:
     in its folder stay. A failed run replaces only a failed one: else it is written to RUN.failed."""
     even_if_failed: Flag = False
     """With --overwrite: a failed run, too, replaces one that did not fail."""
+    resume: Flag = False
+    """Go on with the run that was interrupted at RUN, or replace the one that is there by one with another
+    configuration: stages that are finished, and that the configuration does not change, are used again. The
+    result is the same as without. Where there is nothing to resume, all is computed."""
     debug: Debug = False
     values: ConfigValues = field(default_factory=Config)
 
@@ -71,6 +75,7 @@ class RunCommand:
             choose_progress(),
             overwrite=self.overwrite,
             even_if_failed=self.even_if_failed,
+            resume=self.resume,
         )
 
     def _run_live(self, source: Path) -> "RunResult":
@@ -78,6 +83,11 @@ class RunCommand:
 
         if self.data is not None:
             raise InputError("--data and --live: give one of them")
+        if self.resume:
+            raise InputError(
+                "--resume: a stream cannot be resumed; give --data instead of --live for the answer from "
+                "the pairs that were recorded"
+            )
         result, live = run_live(
             self.values,
             source,

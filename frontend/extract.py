@@ -1,6 +1,6 @@
 """Stereo features and depth maps of every pair of a sequence, computed in parallel processes."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -12,13 +12,10 @@ from polhode.frontend.disparity.learned import disparity_network
 from polhode.frontend.disparity.measured import measured_depth
 from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import ImageCrop, StereoFeatures
-from polhode.frontend.features.surface_features import with_patch_size
 from polhode.frontend.matching.methods import READS_IMAGES, match_method
 from polhode.frontend.rectification import RectifiedPair, Rectifier, rectified_pair, target_crop
 from polhode.processes import in_order
 from polhode.records import DepthMap
-
-Tick = Callable[[], None]
 
 PRELOADED = (
     "polhode.frontend.extract",
@@ -31,23 +28,22 @@ PRELOADED = (
 """Modules that the jobs on frames import: extraction is the first stage of a run that starts processes."""
 
 
-def extract_features(
-    sequence: StereoSequence, rectifier: Rectifier, config: Frontend, workers: int, tick: Tick
-) -> list[StereoFeatures]:
-    """Stereo features of every pair, in the order of the sequence; ``tick`` is called once per pair.
-
-    Raises InputError at once: weights that extraction, matching or, later, depth need are missing or wrong.
-    """
+def require_weights(config: Frontend) -> None:
+    """Raise InputError: weights that extraction, matching or, later, depth need are missing or wrong."""
     feature_method(config), match_method(config)
     if config.depth.method == "network" and config.depth.weights is not None:
         disparity_network(config.depth.weights)
-    config = with_patch_size(config, sequence, rectifier)
-    features: list[StereoFeatures] = []
-    job = partial(_features_of, sequence, rectifier, config)
-    for extracted in in_order(job, range(len(sequence)), workers, PRELOADED):
-        features.append(extracted)
-        tick()
-    return features
+
+
+def extract_features(
+    sequence: StereoSequence, rectifier: Rectifier, config: Frontend, workers: int, pairs: Sequence[int]
+) -> Iterator[StereoFeatures]:
+    """Stereo features of these pairs, in order, with the size of patches as ``with_patch_size`` gives it.
+
+    Raises InputError at once, as ``require_weights``.
+    """
+    feature_method(config), match_method(config)
+    return in_order(partial(_features_of, sequence, rectifier, config), pairs, workers, PRELOADED)
 
 
 def extract_depth(

@@ -19,6 +19,7 @@ from polhode.frontend.segmentation import has_surroundings
 from polhode.frontend.tracks.tracks import Association, to_tracks
 from polhode.lie import Array
 from polhode.pipeline.found_background import doubts_of_masks, with_found_masks
+from polhode.pipeline.run_directory.stages import StageStore
 from polhode.processes import worker_count
 from polhode.progress import Progress, Silent
 from polhode.records import StereoTracks
@@ -77,6 +78,8 @@ class RunContext:
     config: Config
     progress: Progress
     clock: Stopwatch = field(default_factory=Stopwatch)
+    stages: StageStore = field(default_factory=StageStore)
+    """Results of finished stages, which are used again"""
 
     def for_another_process(self) -> "RunContext":
         """The same inputs, without the display of the progress and with a clock of its own."""

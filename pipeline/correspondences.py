@@ -2,21 +2,22 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from polhode.backend import consistent_links
 from polhode.config.frontend_settings import Frontend
 from polhode.errors import RunFailure
-from polhode.frontend.extract import extract_features
+from polhode.frontend.extract import extract_features, require_weights
 from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.features.surface_features import with_patch_size
 from polhode.frontend.matching.methods import match_method
 from polhode.frontend.matching.pairs import (
     PairMatch,
     combine_features,
-    match_pairs,
+    match_rows,
     offset_matches,
     pairs_in_view,
     pairs_to_match,
@@ -26,6 +27,7 @@ from polhode.frontend.tracks.tracks import join_matches
 from polhode.lie import Array
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.streamed import Streamed
+from polhode.record_files import digest_of
 from polhode.records import Ints, RelativePoses, StereoTracks
 
 _log = logging.getLogger(__name__)
@@ -103,23 +105,61 @@ def add_second_method(
 
 
 def _extract(context: RunContext, frontend: Frontend) -> list[StereoFeatures]:
-    method, sequence = frontend.features.method, context.sequence
+    method, sequence, rectifier = frontend.features.method, context.sequence, context.rectifier
     with (
         context.clock("frontend"),
         context.progress.stage(f"features ({method})", len(sequence)) as advance,
     ):
-        features = extract_features(sequence, context.rectifier, frontend, context.workers, advance)
+        require_weights(frontend)
+        settings = with_patch_size(frontend.for_features, sequence, rectifier)
+        features: list[StereoFeatures] = []
+        for found in context.stages.each(
+            "features",
+            StereoFeatures,
+            _feature_keys(context, settings),
+            lambda pairs: extract_features(sequence, rectifier, settings, context.workers, pairs),
+        ):
+            features.append(found)
+            advance()
     median = int(np.median([len(f) for f in features]))
     _log.info("stereo features (%s) per frame: median %d", method, median)
     return features
 
 
+def _feature_keys(context: RunContext, settings: Frontend) -> list[str]:
+    """What the features of each pair depend on: its images, how they are rectified, the settings."""
+    sequence, rectifier, stages = context.sequence, context.rectifier, context.stages
+    alike = digest_of(replace(rectifier, found=None), settings.with_digests)
+    masks = {} if rectifier.found is None else rectifier.found.encoded
+    return [stages.key(alike, sequence.digest_of_pair(k), masks.get(k)) for k in range(len(sequence))]
+
+
+def _match_keys(
+    context: RunContext, features: Sequence[StereoFeatures], partners: Sequence[Ints], settings: Frontend
+) -> list[str]:
+    """What the matches of each frame depend on: its features and those of its partners."""
+    known = [digest_of(each) for each in features]
+    alike = digest_of(context.rig, settings.with_digests, context.config.seed)
+    return [
+        context.stages.key(alike, i, known[i], row, [known[j] for j in row.tolist()])
+        for i, row in enumerate(partners)
+    ]
+
+
 def _match(
     context: RunContext, features: Sequence[StereoFeatures], partners: Sequence[Ints], frontend: Frontend
 ) -> list[PairMatch]:
-    seed, workers = context.config.seed, context.workers
+    seed, workers, settings = context.config.seed, context.workers, frontend.for_matching
+    matches: list[PairMatch] = []
     with context.clock("frontend"), context.progress.stage("matching frames", len(features)) as advance:
-        matches = match_pairs(features, partners, context.rig, frontend, seed, workers, advance)
+        for found in context.stages.each(
+            "matches",
+            list[PairMatch],
+            _match_keys(context, features, partners, settings),
+            lambda rows: match_rows(features, partners, context.rig, settings, seed, workers, rows),
+        ):
+            matches.extend(found)
+            advance()
     _log.info("%d of %d pairs of frames matched", len(matches), sum(map(len, partners)))
     return matches
 
@@ -127,6 +167,7 @@ def _match(
 def _without_contradictions(context: RunContext, matches: Sequence[PairMatch]) -> list[PairMatch]:
     """Without the matches that contradict others."""
     with context.clock("initialization"):
-        good = consistent_links(relative_poses(matches), context.time_s, context.X_NR[:, :3, :3])
+        links = relative_poses(matches)
+        good = context.stages.once(consistent_links, links, context.time_s, context.X_NR[:, :3, :3])
     _log.info("%d of %d matched pairs contradict others and are dropped", np.sum(~good), len(matches))
     return [match for match, kept in zip(matches, good, strict=True) if kept]

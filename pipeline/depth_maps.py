@@ -6,31 +6,79 @@ soon as the pair has come. It is stored as the pixels of the target's surroundin
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.array_files import read_arrays
-from polhode.atomic import replaced
-from polhode.config.frontend_settings import Frontend
+from polhode.config import Frontend
 from polhode.dataset import StereoSequence
+from polhode.errors import RunFailure
 from polhode.frontend.disparity.depth import DisparityRange, range_of_features
 from polhode.frontend.extract import PRELOADED, depth_of_pair, extract_depth
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.rectification import Crop, Rectifier, rectified_pair, target_crop
 from polhode.pipeline.context import RunContext
+from polhode.pipeline.run_directory.stages import StageStore
 from polhode.processes import Background
+from polhode.record_files import digest_of, read_record, write_record
 from polhode.records import DepthMap
 
-PREFIX = "polhode-depth-"
+PREFIX, STAGE = "polhode-depth-", "depth"
 MAX_STORED_BYTES = 2**30
 """Of the depth maps that are kept."""
 MARGIN_PX = 12
 """Around the target, of the image that is stored; beyond, a stored image is black."""
+
+
+@dataclass(frozen=True)
+class PackedDepth:
+    """A depth map as it is stored. What it does not fill is black, and its depth NaN."""
+
+    size: tuple[int, int]
+    """Rows and columns of the image"""
+    corner: tuple[int, int]
+    """First row and column of the part that is stored"""
+    known: NDArray[np.uint8]
+    """(H, W / 8) bits: where the depth is known"""
+    depth_m: NDArray[np.float32]
+    """(n,) where it is"""
+    sigma_m: NDArray[np.float32]
+    """(n,)"""
+    intensity: NDArray[np.uint8]
+    """(h, w) of the part"""
+    target: NDArray[np.uint8]
+    """(H, W / 8) bits"""
+
+    @classmethod
+    def of(cls, depth: DepthMap) -> "PackedDepth":
+        """Of a depth map, without the image far from the target."""
+        height, width = depth.target.shape
+        crop, known = target_crop(depth.target, MARGIN_PX) or Crop(0, 0, 0, 0), np.isfinite(depth.depth_m)
+        return cls(
+            size=(height, width),
+            corner=(crop.v0, crop.u0),
+            known=np.packbits(known, axis=1),
+            depth_m=depth.depth_m[known],
+            sigma_m=depth.sigma_m[known],
+            intensity=depth.intensity[crop.v0 : crop.v1, crop.u0 : crop.u1],
+            target=np.packbits(depth.target, axis=1),
+        )
+
+    def unpacked(self) -> DepthMap:
+        """The depth map."""
+        (v0, u0), width = self.corner, self.size[1]
+        known, target = (
+            np.unpackbits(bits, axis=1, count=width).astype(np.bool_) for bits in (self.known, self.target)
+        )
+        depth_m, sigma_m = (np.full(self.size, np.nan, dtype=np.float32) for _ in range(2))
+        depth_m[known], sigma_m[known] = self.depth_m, self.sigma_m
+        intensity = np.zeros(self.size, dtype=np.uint8)
+        height, wide = self.intensity.shape
+        intensity[v0 : v0 + height, u0 : u0 + wide] = self.intensity
+        return DepthMap(depth_m=depth_m, sigma_m=sigma_m, intensity=intensity, target=target)
 
 
 class DepthStore:
@@ -44,52 +92,61 @@ class DepthStore:
 
     def write(self, k: int, depth: DepthMap) -> int:
         """Store the depth map of pair k, whole or not at all; returns the size of its file [bytes]."""
-        height, width = depth.target.shape
-        part, known = _stored_part(depth), np.isfinite(depth.depth_m)
-        with replaced(self._path(k)) as path, path.open("wb") as stream:
-            np.savez(
-                stream,
-                size=np.array([height, width]),
-                corner=np.array([part[0].start, part[1].start]),
-                known=np.packbits(known, axis=1),
-                depth_m=depth.depth_m[known],
-                sigma_m=depth.sigma_m[known],
-                intensity=depth.intensity[part],
-                target=np.packbits(depth.target, axis=1),
-            )
+        write_record(self._path(k), f"{k}", PackedDepth.of(depth))
         return self._path(k).stat().st_size
 
     def read(self, k: int) -> DepthMap:
-        """The stored depth map of pair k. What it does not fill is black, and its depth NaN."""
-        stored: dict[str, NDArray[Any]] = read_arrays(self._path(k))
-        height, width = stored["size"].tolist()
-        v0, u0 = stored["corner"].tolist()
-        known, target = (
-            np.unpackbits(stored[name], axis=1, count=width).astype(np.bool_) for name in ("known", "target")
-        )
-        depth_m, sigma_m = (np.full((height, width), np.nan, dtype=np.float32) for _ in range(2))
-        depth_m[known], sigma_m[known] = stored["depth_m"], stored["sigma_m"]
-        part = stored["intensity"]
-        intensity = np.zeros((height, width), dtype=np.uint8)
-        intensity[v0 : v0 + part.shape[0], u0 : u0 + part.shape[1]] = part
-        return DepthMap(depth_m=depth_m, sigma_m=sigma_m, intensity=intensity, target=target)
+        """The stored depth map of pair k. Raises RunFailure: the file has changed."""
+        found = self.packed(k)
+        if found is None:
+            raise RunFailure(f"{self._path(k)}: changed while in use")
+        return found.unpacked()
+
+    def packed(self, k: int) -> PackedDepth | None:
+        """The same as it is stored; None: the file has changed."""
+        return read_record(self._path(k), f"{k}", PackedDepth)
 
     def _path(self, k: int) -> Path:
         return self.folder / f"{k:06d}.npz"
 
 
-def _stored_part(depth: DepthMap) -> tuple[slice, slice]:
-    """Rows and columns of the image that are stored."""
-    crop = target_crop(depth.target, MARGIN_PX) or Crop(0, 0, 0, 0)
-    return slice(crop.v0, crop.v1), slice(crop.u0, crop.u1)
+@dataclass
+class StagedDepth:
+    """The same among the results of stages of a run, as far as there is room for them."""
+
+    stages: StageStore
+    keys: Sequence[str]
+    """Of each pair: what its depth map depends on"""
+    bytes: int = 0
+    """That were written here"""
+
+    def __contains__(self, k: int) -> bool:
+        return self.stages.has(STAGE, self.keys[k])
+
+    def write(self, k: int, depth: DepthMap) -> int:
+        """As ``DepthStore.write``; nothing if there are too many."""
+        size = 0
+        if self.bytes < MAX_STORED_BYTES:
+            size = self.stages.put(STAGE, self.keys[k], PackedDepth.of(depth))
+            self.bytes += size
+        return size
+
+    def packed(self, k: int) -> PackedDepth | None:
+        """As ``DepthStore.packed``."""
+        return self.stages.find(STAGE, self.keys[k], PackedDepth)
 
 
-def _as_stored(depth: DepthMap) -> DepthMap:
-    """The depth map as if it had been stored and read: a run does not depend on when it was made."""
-    intensity = np.zeros_like(depth.intensity)
-    part = _stored_part(depth)
-    intensity[part] = depth.intensity[part]
-    return replace(depth, intensity=intensity)
+def depth_keys(context: RunContext, ranges_px: Sequence[DisparityRange]) -> list[str]:
+    """What the depth map of each pair depends on: its images, the range of its disparity, the settings."""
+    sequence, rectifier, stages = context.sequence, context.rectifier, context.stages
+    alike = digest_of(
+        replace(rectifier, found=None), Frontend(depth=context.config.frontend.depth).with_digests
+    )
+    masks = {} if rectifier.found is None else rectifier.found.encoded
+    return [
+        stages.key(alike, sequence.digest_of_pair(k), masks.get(k), range_px)
+        for k, range_px in enumerate(ranges_px)
+    ]
 
 
 class DepthMaps:
@@ -101,27 +158,38 @@ class DepthMaps:
     def __init__(
         self, context: RunContext, features: Sequence[StereoFeatures], stored: DepthStore | None = None
     ) -> None:
-        """features: of every pair, of the first feature method; stored: what is there already."""
+        """features: of every pair, of the first feature method; stored: what a stream has made already."""
         self._context = context
         self._ranges = [range_of_features(each.uvd_px[:, 2]) for each in features]
         self._temporary: TemporaryDirectory[str] | None = None
-        self._store = stored
+        self._store: DepthStore | StagedDepth | None = stored
+        self.keys: list[str] = []
+        """Those of the results of this stage, if they are stored"""
+        if context.stages.keeps:
+            self.keys = depth_keys(context, self._ranges)
+            if stored is None:
+                self._store = StagedDepth(context.stages, self.keys)
 
     def __iter__(self) -> Iterator[DepthMap]:
-        context, store, everything = self._context, self._store, range(len(self._ranges))
+        store, everything = self._store, range(len(self._ranges))
         stored = set() if store is None else {k for k in everything if k in store}
         missing = [k for k in everything if k not in stored]
-        computed = extract_depth(
-            context.sequence,
-            context.rectifier,
-            context.config.frontend,
-            self._ranges,
-            context.workers,
-            missing,
-        )
+        computed = self._computed(missing) if missing else iter(())
         for k in everything:
-            yield store.read(k) if store is not None and k in stored else _as_stored(next(computed))
+            packed = store.packed(k) if store is not None and k in stored else None
+            if packed is None:
+                depth = next(computed if k not in stored else self._computed([k]))
+                if isinstance(store, StagedDepth):
+                    store.write(k, depth)
+                packed = PackedDepth.of(depth)
+            yield packed.unpacked()
         self.remove()
+
+    def _computed(self, pairs: list[int]) -> Iterator[DepthMap]:
+        context, frontend = self._context, self._context.config.frontend
+        return extract_depth(
+            context.sequence, context.rectifier, frontend, self._ranges, context.workers, pairs
+        )
 
     @contextmanager
     def made_beside(self) -> Iterator[None]:
@@ -162,7 +230,11 @@ class _Making:
     """Runs in the other process."""
 
     def __init__(
-        self, sequence: StereoSequence, rectifier: Rectifier, config: Frontend, store: DepthStore
+        self,
+        sequence: StereoSequence,
+        rectifier: Rectifier,
+        config: Frontend,
+        store: DepthStore | StagedDepth,
     ) -> None:
         self._sequence, self._rectifier, self._config, self._store = sequence, rectifier, config, store
         self._stored_bytes = 0

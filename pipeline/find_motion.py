@@ -136,24 +136,25 @@ def _last(solutions: Iterator[MotionSolution]) -> MotionSolution:
 def solve_repeatedly(context: RunContext, correspondences: Correspondences) -> Iterator[MotionSolution]:
     """Solve, match again with the solved motion, and repeat while lost frames are recovered."""
     config, guided = context.config, context.config.frontend.guided
+    once, backend = context.stages.once, context.config.backend.for_motion
     features, links = correspondences.features, correspondences.links
     correspondences.require_features(MIN_INLIERS)
     with context.clock("initialization"), context.progress.stage("first motion", 1) as advance:
-        motion = initialize_motion(correspondences.tracks(context), links, config.backend)
+        motion = once(initialize_motion, correspondences.tracks(context), links, backend)
         advance()
     matches = consistent_matches(correspondences.matches, features, motion, context.rig, CONSISTENCY_PX)
     association = join_matches(features, matches)
     for number in range(guided.rounds):
         before = motion.connected
         with context.clock("frontend"):
-            relocated = reconnect(features, association, motion, context.rig, guided, config.seed)
+            relocated = once(reconnect, features, association, motion, context.rig, guided, config.seed)
             association, motion = relocated.association, relocated.motion
             tracks = context.tracks(features, association)
         _log.info("round %d: %d of %d frames connected", number + 1, motion.connected.sum(), len(before))
         if number > 0 and np.array_equal(motion.connected, before):
             break
         with context.clock("backend"):
-            estimate = estimate_motion(tracks, motion, config.backend, context.progress)
+            estimate = once(estimate_motion, tracks, motion, backend, progress=context.progress)
         motion = InitialMotion(pose_RG(tracks, estimate), motion.connected)
         yield MotionSolution(features, association, motion, tracks, estimate, links)
 
@@ -169,7 +170,10 @@ def refine(context: RunContext, solution: MotionSolution) -> MotionSolution:
             tracks = context.tracks(features, association)
         try:
             with context.clock("backend"):
-                estimate = estimate_motion(tracks, solution.motion, context.config.backend, context.progress)
+                backend = context.config.backend.for_motion
+                estimate = context.stages.once(
+                    estimate_motion, tracks, solution.motion, backend, progress=context.progress
+                )
         except RunFailure as failure:
             _log.info("no motion is found with these tracks, which are not used: %s", failure)
             continue
@@ -195,7 +199,9 @@ RefinementStep = Callable[[RunContext, MotionSolution], ChangedTracks | None]
 def _merge_duplicate_landmarks(context: RunContext, solution: MotionSolution) -> ChangedTracks | None:
     """Merge landmarks that the motion shows to be the same point; None: there are none."""
     before, guided = solution.association, context.config.frontend.guided
-    merged = merge_duplicates(solution.features, before, solution.motion, context.rig, guided)
+    merged = context.stages.once(
+        merge_duplicates, solution.features, before, solution.motion, context.rig, guided
+    )
     n_merged = before.n_landmarks - merged.n_landmarks
     _log.info("%d of %d landmarks are duplicates and merged", n_merged, before.n_landmarks)
     return (solution.features, merged) if n_merged else None

@@ -51,7 +51,8 @@ def review_motion(given: MotionToReview) -> MotionReview:
     config, online = context.config.backend, given.online
     if online is None and config.window.enabled:
         with context.clock("backend"):
-            online = align_online_estimate(estimate_online(tracks, config, context.progress), estimate)
+            found = context.stages.once(estimate_online, tracks, config.for_window, progress=context.progress)
+            online = align_online_estimate(found, estimate)
     if online is not None:
         outputs.write_online_estimate(given.folder, online)
     findings = check_data(context, given.features, tracks, estimate)

@@ -1,8 +1,8 @@
 """The main job, as the data flows: images, tracks, first motion, motion, window, depth, fusion, report."""
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -12,12 +12,15 @@ import numpy as np
 from polhode.backend import align_online_estimate, window_warnings
 from polhode.config import Config
 from polhode.frontend.features.stereo import StereoFeatures
+from polhode.mapping.finishing.detail_levels import DetailLevel
 from polhode.mapping.fusion.field import fuse
 from polhode.pipeline.answer_checks.check_answer import check_surface, with_sun_check
 from polhode.pipeline.answer_checks.image_motion import ImageMotion
+from polhode.pipeline.answer_checks.symmetry_turn import PairView
 from polhode.pipeline.checkout.checkout import warn_before_run
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.correspondences import match_frames
+from polhode.pipeline.depth_maps import STAGE as DEPTH
 from polhode.pipeline.depth_maps import DepthMaps
 from polhode.pipeline.find_motion import find_motion, pose_RG
 from polhode.pipeline.finish_surface import finish_surface
@@ -30,11 +33,11 @@ from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.pipeline.run_directory.recording import recording_of
 from polhode.pipeline.run_directory.run_folder import RunFolder, atomic_run_folder
 from polhode.pipeline.run_directory.summary import build_summary
-from polhode.pipeline.run_directory.summary_schema import Summary
+from polhode.pipeline.run_directory.summary_schema import ShapeFindings, Summary
 from polhode.pipeline.streamed import Streamed
 from polhode.processes import beside
 from polhode.progress import Progress
-from polhode.records import DepthMap, MotionEstimate, OnlineEstimate, StereoTracks, SurfaceModel
+from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks, SurfaceModel
 from polhode.threads import single_threaded
 
 _log = logging.getLogger(__name__)
@@ -63,16 +66,18 @@ def run(
     overwrite: bool = False,
     even_if_failed: bool = False,
     streamed: Streamed | None = None,
+    resume: bool = False,
 ) -> RunResult:
     """A stereo sequence on disk to a run directory (docs/run_directory.md).
 
     ``overwrite`` replaces an existing run; a failed run only a failed one, unless ``even_if_failed``.
-    ``streamed``: what a stream of these pairs has found already.
+    ``streamed``: what a stream of these pairs has found already. ``resume``: stages that an earlier run has
+    finished there are not computed again, and that run is replaced.
 
     Raises InputError for bad input and then writes nothing; RunFailure when no consistent motion is found,
     and then the run directory contains what was found before.
     """
-    with atomic_run_folder(run_folder, overwrite, write_report, even_if_failed) as written:
+    with atomic_run_folder(run_folder, overwrite, write_report, even_if_failed, resume) as written:
         finished = fill_run_folder(written, config, sequence_folder, progress, streamed)
     return finished(written)
 
@@ -90,6 +95,7 @@ def fill_run_folder(
     context = open_context(sequence_folder, config, progress)
     clock = context.clock
     written.recording = recording_of(context.sequence)
+    context = replace(context, stages=written.open_stages(sequence_folder, config.runtime))
     outputs.write_config(folder, config)
     warn_before_run(context.sequence, context.rectifier)
     if streamed is not None:
@@ -129,7 +135,15 @@ def fill_run_folder(
             X_RG = pose_RG(tracks, estimate)
             if fused.aligned is not None:
                 X_RG = fused.aligned.put_into(X_RG)
-            surface, levels, shape = finish_surface(context, fused, X_RG, estimate.mass, ready)
+            shown = context.sequence, context.rectifier
+            settings = config.mapping, config.backend, config.seed
+            key = context.stages.key(shown, fused, X_RG, estimate.mass, settings)
+            surface, levels, shape = context.stages.keyed(
+                *("finished_surface", tuple[SurfaceModel, list[DetailLevel], ShapeFindings], key),
+                lambda: finish_surface(context, fused, X_RG, estimate.mass, ready),
+            )
+            if not made:
+                ready(surface)
             intervals, unbounded = find_intervals(estimate, surface, shape.coverage, config.backend)
         outputs.write_surface(folder, surface, levels)
 
@@ -137,8 +151,7 @@ def fill_run_folder(
             sun = shape.mesh.sun if shape.mesh is not None else None
             sun_N = None if sun is None or sun.sigma_deg is None else np.array(sun.direction_N)
             doubts = images.checks(float(np.median(np.diff(tracks.time_s))))
-            shown = (context.sequence, context.rectifier, tracks, estimate, surface.mesh)
-            of_surface = check_surface(*shown, shape.physics, sun_N)
+            of_surface = check_surface(*shown, tracks, estimate, surface.mesh, shape.physics, sun_N)
         # the images were compared while the depth maps passed to the fusion
         clock.seconds["checks"] += images.seconds
         clock.seconds["fusion"] -= images.seconds
@@ -169,6 +182,15 @@ def fill_run_folder(
     return partial(_result, summary, _sentence(summary, estimate), failure)
 
 
+@dataclass(frozen=True)
+class FusedSurface:
+    """The surface, and what was compared in the images while it was made (``ImageMotion``)."""
+
+    surface: SurfaceModel
+    shares: list[float]
+    views: list[PairView]
+
+
 def _result(summary: Summary, sentence: str, failure: str | None, written: RunFolder) -> RunResult:
     report = written.published / "report.html"
     report = report if report.is_file() else written.published
@@ -192,7 +214,7 @@ def _depth_maps(
 
 def _build_surface(
     context: RunContext,
-    depth: Iterable[DepthMap],
+    depth: DepthMaps,
     tracks: StereoTracks,
     estimate: MotionEstimate,
     images: ImageMotion,
@@ -200,8 +222,9 @@ def _build_surface(
     """Depth of every pair, moved into G by the motion, fused; ``images`` compares what passes by."""
     config, clock, rig = context.config, context.clock, context.rig
     X_RG = pose_RG(tracks, estimate)
-    maps = iter(depth)
-    with clock("fusion"):
+
+    def fused() -> FusedSurface:
+        maps = iter(depth)
         surface = fuse(
             zip(images.watching(clock.waiting("depth", maps)), X_RG, strict=True),
             rig,
@@ -211,6 +234,14 @@ def _build_surface(
             covariance_G=estimate.covariance_X_NG,
             landmarks_G=estimate.landmarks.p_G,
         )
+        return FusedSurface(surface, images.shares, images.views)
+
+    with clock("fusion"):
+        poses = X_RG, estimate.covariance_X_NG, estimate.landmarks.p_G, images.measured
+        context.stages.use(DEPTH, depth.keys)
+        key = context.stages.key(depth.keys, poses, rig, config.mapping)
+        found = context.stages.keyed("surface", FusedSurface, key, fused)
+    surface, images.shares, images.views = found.surface, found.shares, found.views
     for warning in surface.warnings:
         _log.warning(warning)
     if surface.aligned is not None:

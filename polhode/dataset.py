@@ -10,6 +10,7 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from hashlib import blake2b
 from itertools import islice, pairwise
 from pathlib import Path
@@ -36,6 +37,7 @@ from polhode.images import (
 from polhode.lie import Array, make_pose
 from polhode.pairing import Pairing, offset_in_words, pair_by_time, time_in_words
 from polhode.range_images import RANGE_FOLDER, RangeModel, read_range_model, why_no_ranges
+from polhode.record_files import digest_of
 from polhode.records import Bools, Ints, Wrench
 from polhode.rig_calibration import (
     StereoCalibration,
@@ -148,6 +150,18 @@ class StereoSequence:
     def read_left(self, k: int) -> tuple[Grey, Bools | None]:
         """The left image and mask of pair k alone."""
         return self._read_image(0, k), self._read_mask(0, k)
+
+    def digest_of_pair(self, k: int) -> str:
+        """Of all that is recorded in pair k and of how it is read: images or ranges, masks, depth of bits."""
+        masks = [self._read_mask(camera, k) for camera in (0, *(() if self.has_ranges else (1,)))]
+        return digest_of(self._digests[k], masks, self._bits, self.range_model)
+
+    @cached_property
+    def content_digest(self) -> str:
+        """Of all that an estimate depends on: pairs, times, calibration, poses of the inspector, wrench."""
+        pairs = [self.digest_of_pair(k) for k in range(len(self))]
+        inspector = self.X_NC, self.sigma_camera_p_m, self.sigma_camera_theta_rad
+        return digest_of(pairs, self.timestamps_ns, self.calibration, inspector, self.wrench)
 
     def left_file(self, k: int) -> Path:
         """The file of the left image of pair k."""

@@ -15,7 +15,7 @@ separate, orthogonal blocks. The matches of a frame pair remain two separate ``P
 geometric check.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -75,11 +75,23 @@ def match_pairs(
     workers.
     """
     matches: list[PairMatch] = []
-    job = partial(_match_row, frames, partners, rig, config, seed)
-    for found in in_order(job, range(len(frames)), workers):
+    for found in match_rows(frames, partners, rig, config, seed, workers, range(len(frames))):
         matches.extend(found)
         tick()
     return matches
+
+
+def match_rows(
+    frames: Sequence[StereoFeatures],
+    partners: Sequence[Ints],
+    rig: RectifiedRig,
+    config: Frontend,
+    seed: int,
+    workers: int,
+    rows: Sequence[int],
+) -> Iterator[list[PairMatch]]:
+    """The same for some frames i, the matches of each in its turn."""
+    return in_order(partial(_match_row, frames, partners, rig, config, seed), rows, workers)
 
 
 def _match_row(

@@ -39,7 +39,10 @@ def recording_of(sequence: StereoSequence) -> Recording:
     return Recording(width_px=width_px, height_px=height_px, left_images=tuple(images))
 
 
-def require_recording(recording: Recording | None, sequence_folder: Path) -> None:
+TRUTH_BESIDE = "give the one that the run was made from, with its truth in mav0/target0"
+
+
+def require_recording(recording: Recording | None, sequence_folder: Path, remedy: str = TRUTH_BESIDE) -> None:
     """Raise InputError unless the images of a sequence are those of the run.
 
     What counts is what the camera saw, and when: the folder may have been moved or copied, its files renamed
@@ -57,12 +60,12 @@ def require_recording(recording: Recording | None, sequence_folder: Path) -> Non
     for image in recording.left_images if listed else ():
         where = f"left image at {image.timestamp_ns} ns"
         if image.timestamp_ns not in names:
-            raise _other(sequence_folder, f"it has no {where}")
+            raise _other(sequence_folder, f"it has no {where}", remedy)
         file = camera / "data" / names[image.timestamp_ns]
         if not file.exists():
             continue
         if not _is_same(file, image, recording):
-            raise _other(sequence_folder, f"its {where} is another one")
+            raise _other(sequence_folder, f"its {where} is another one", remedy)
         compared += 1
     if not compared:
         _log.warning("%s: no images that show whether it is the sequence of this run", sequence_folder)
@@ -77,11 +80,8 @@ def _is_same(file: Path, image: RecordedImage, recording: Recording) -> bool:
         return False
 
 
-def _other(folder: Path, why: str) -> InputError:
-    return InputError(
-        f"{folder}: not the sequence of this run ({why}); give the one that the run was made from, with its "
-        "truth in mav0/target0"
-    )
+def _other(folder: Path, why: str, remedy: str) -> InputError:
+    return InputError(f"{folder}: not the sequence of this run ({why}); {remedy}")
 
 
 def _file(file: Path) -> str:

@@ -5,7 +5,9 @@ Everything is written into a hidden folder beside RUN, which takes the place of 
 - failure of the run: summary.json gets the status ``failed`` and the results so far are published, beside RUN
   as RUN.failed if RUN holds a run that did not fail; nothing is published if there are no results and a run
   exists already, nor if even summary.json cannot be written: the hidden folder is then kept;
-- the user's mistake (InputError) or an interrupt: nothing is left behind, and an existing run stays.
+- the user's mistake (InputError): nothing is left behind, and an existing run stays;
+- an interrupt: likewise, but for the results of finished stages (``stages``), which stay in the hidden folder
+  for a run that resumes from them.
 
 Replaced are a run's own files: those of ``polhode.output.run_files`` that its summary.json lists, if they are
 what the run wrote. Files of the user that are among them stay in RUN.
@@ -18,13 +20,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from polhode.atomic import REFUSALS, refused
+from polhode.config import Runtime
 from polhode.errors import InputError, RunFailure
 from polhode.output.exchange import IsOwn, entries, foreign, is_regular
 from polhode.output.place import begins_with, folder_place, printable
-from polhode.output.run_files import LATER, PICTURES, SUMMARY, is_run_file
+from polhode.output.run_files import LATER, PICTURES, STAGES, SUMMARY, is_run_file, is_stage_file
 from polhode.output.staged_folder import StagedFolder, staged_folder
 from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.pipeline.run_directory.own_results import changed_results
+from polhode.pipeline.run_directory.stages import KeptStages, StageStore
 from polhode.pipeline.run_directory.summary import build_summary, read_summary, with_files, write_summary
 from polhode.pipeline.run_directory.summary_schema import Recording
 
@@ -37,6 +41,8 @@ RESULTS: tuple[str, ...] = ("measurements.npz", "trajectory.csv", "landmarks.ply
 NEEDED: tuple[str, ...] = ("config.yaml", "trajectory.csv", "covariance.npz")
 """A folder without them is no run; the first is in that of a failed one, too."""
 
+INTERRUPTED = "finished stages are kept, the same command with --resume goes on from there"
+
 _log = logging.getLogger(__name__)
 
 
@@ -48,10 +54,20 @@ class RunFolder:
     """Where to write: a hidden folder"""
     published: Path
     """Where the run is to be read, after the block; None: it was not published"""
+    stages: KeptStages
+    """Results of finished stages, of this run and of those before it"""
+    before: Recording | None = None
+    """The recording of the run that is to be replaced"""
     note: str = ""
     """What the user should know about the place"""
     recording: Recording | None = None
     """What the run is made from, for the summary of a failure"""
+
+    def open_stages(self, sequence_folder: Path, runtime: Runtime) -> StageStore:
+        """The results of finished stages, of this recording. Raises InputError: they are of another."""
+        assert self.recording is not None
+        salt = f"{runtime.blas_threads} threads"
+        return self.stages.open(self.recording, self.before, sequence_folder, runtime.stages, salt)
 
 
 @contextmanager
@@ -60,31 +76,48 @@ def atomic_run_folder(
     overwrite: bool = False,
     write_report: Callable[[Path], None] | None = None,
     even_if_failed: bool = False,
+    resume: bool = False,
 ) -> Iterator[RunFolder]:
     """The folder to write into, which becomes ``path`` at the end; messages of the program go to its log.txt.
 
-    ``even_if_failed``: a failed run, too, replaces one that did not fail. ``write_report`` makes the report
-    of a failed run from its files. Raises InputError when ``path`` is a file, or a folder that is not empty,
-    unless it is a run and ``overwrite`` is set; RunFailure, which says where the results are, instead of one
-    that is raised in the block, and when the run cannot be written.
+    ``even_if_failed``: a failed run, too, replaces one that did not fail. ``resume``: the run goes on from
+    the stages that an earlier one has finished, and replaces that one as with ``overwrite``. ``write_report``
+    makes the report of a failed run from its files. Raises InputError when ``path`` is a file, or a folder
+    that is not empty, unless it is a run and ``overwrite`` is set; RunFailure, which says where the results
+    are, instead of one that is raised in the block, and when the run cannot be written.
     """
     place = folder_place(path)
+    overwrite = overwrite or resume
     with staged_folder(place, path, is_run_file, lambda folder: own_files(folder) is not None) as staged:
         _require_usable(place, path, overwrite)
-        staged.claim()
-        run = RunFolder(staged.path, path)
+        stages = KeptStages(staged.path / STAGES, place, resume)
+        if resume:
+            staged.claim(is_stage_file)
+            stages.take_over()
+        else:
+            staged.claim()
+        was_interrupted = stages.has_results
+        run = RunFolder(staged.path, path, stages, _recording_of(place) if resume else None)
         try:
             with _logging_to(staged.path / "log.txt"):
                 try:
                     yield run
+                    stages.finish()
                 except InputError:
                     raise
                 except Exception as error:
                     _log.error("the run failed: %s", error, exc_info=error)
                     raise
         except InputError:
+            staged.keep = was_interrupted
             raise
+        except KeyboardInterrupt as stop:
+            if not stages.has_results:
+                raise
+            staged.keep = True
+            raise KeyboardInterrupt(f"interrupted; {INTERRUPTED}") from stop
         except Exception as error:
+            stages.finish()
             where = _publish_failed(run, staged, path, error, write_report, overwrite, even_if_failed)
             if isinstance(error, RunFailure):
                 raise RunFailure(f"{error}; {where}") from error
@@ -95,6 +128,14 @@ def atomic_run_folder(
             raise
         else:
             _publish(run, staged, path, overwrite, even_if_failed)
+
+
+def _recording_of(place: Path) -> Recording | None:
+    """The recording of a published run; None: there is no run, or it does not say."""
+    try:
+        return read_summary(place / SUMMARY).data
+    except InputError:
+        return None
 
 
 def require_run_folder(folder: Path) -> None:
@@ -115,6 +156,7 @@ def own_files(folder: Path) -> IsOwn | None:
         return None
     if not begins_with(folder / "config.yaml", CONFIG_SIGN):
         return None
+    # The results of stages are many, and not listed: no other program uses their names.
     listed = None if summary.files is None else {*summary.files, *LATER}
     changed = changed_results(folder, summary.sha256)
     has_other_page = (folder / REPORT).is_file() and not begins_with(folder / REPORT, PAGE_SIGN)
@@ -122,7 +164,7 @@ def own_files(folder: Path) -> IsOwn | None:
     def is_own(name: str) -> bool:
         if not is_run_file(name) or name in changed or (name == REPORT and has_other_page):
             return False
-        return listed is None or name in listed or "/." in f"/{name}"
+        return listed is None or name in listed or is_stage_file(name) or "/." in f"/{name}"
 
     return is_own
 

@@ -17,7 +17,7 @@ from polhode.errors import InputError
 from polhode.json_files import read_json
 from polhode.lie import Array
 from polhode.output.exchange import entries
-from polhode.output.run_files import is_run_file
+from polhode.output.run_files import is_run_file, is_stage_file
 from polhode.pipeline.run_directory.archives import undetermined_as_inf
 from polhode.pipeline.run_directory.own_results import digests, require_own_results
 from polhode.pipeline.run_directory.summary_schema import (
@@ -163,7 +163,11 @@ def _undetermined(estimate: MotionEstimate | None) -> list[str]:
 
 def with_files(summary: Summary, folder: Path) -> Summary:
     """The summary, with the names of the run's files in ``folder``, and digests of its results."""
-    names = sorted(name for name, is_folder in entries(folder) if not is_folder and is_run_file(name))
+    names = sorted(
+        name
+        for name, is_folder in entries(folder)
+        if not is_folder and is_run_file(name) and not is_stage_file(name)
+    )
     return summary.model_copy(update={"files": tuple(names), "sha256": digests(folder, names)})
 
 

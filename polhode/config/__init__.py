@@ -9,6 +9,8 @@ In: YAML files and overrides of the command line. Out: a frozen ``Config``.
 - section: the base of every section
 """
 
+from typing import Literal
+
 from pydantic import Field
 
 from polhode.config.backend_settings import Backend
@@ -29,6 +31,9 @@ class Runtime(Section):
     """Parallel processes; 0: one per core."""
     blas_threads: int = Field(1, ge=1, le=1024)
     """Threads of BLAS and OpenMP in each process: more than one was 5-8 times slower on small problems."""
+    stages: Literal["kept", "while_running", "none"] = "kept"
+    """Results of finished stages, from which run --resume goes on: kept in RUN/stages, for another
+    configuration too; kept only until the run is complete, in case it is interrupted; or not stored."""
 
 
 class Pictures(Section):

@@ -125,6 +125,18 @@ class Backend(Section):
     bounds: Bounds = Bounds()
     window: Window = Window()
 
+    @property
+    def for_motion(self) -> "Backend":
+        """The settings that the estimate from all frames depends on; the others at their defaults."""
+        bounds = self.bounds.model_copy(update={"intervals": Bounds().intervals})
+        return self.model_copy(update={"bounds": bounds, "window": Window()})
+
+    @property
+    def for_window(self) -> "Backend":
+        """The settings that the causal estimate depends on; the others at their defaults."""
+        bounds = self.bounds.model_copy(update={"intervals": Bounds().intervals})
+        return self.model_copy(update={"bounds": bounds})
+
     @model_validator(mode="after")
     def _times_in_order(self) -> Self:
         for start_s, end_s in self.unknown_wrench_s:

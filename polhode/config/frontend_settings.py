@@ -1,10 +1,15 @@
 """Settings of the front end."""
 
+from pathlib import Path
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from polhode.config.section import Section
+from polhode.foreign_files import GIB, sha256_of
+
+MAX_WEIGHTS_BYTES = 4 * GIB
+"""Of a file of weights"""
 
 
 class Features(Section):
@@ -139,6 +144,29 @@ class Frontend(Section):
         """Name of the method that matches frames."""
         own = "polhode" if self.features.method == "polhode" else "nearest"
         return self.pairs.method or own
+
+    @property
+    def with_digests(self) -> tuple["Frontend", tuple[str, ...]]:
+        """The settings, and the digests of the files of weights that they name."""
+        named = [*self.weights.model_dump().values(), self.depth.weights]
+        files = [Path(name) for name in named if name is not None]
+        return self, tuple(sha256_of(file, MAX_WEIGHTS_BYTES, "weights") for file in files)
+
+    @property
+    def for_features(self) -> "Frontend":
+        """The settings that the features of a pair depend on; the others at their defaults."""
+        features = self.features.model_copy(update={"second": None, "second_below": 0})
+        depth = self.depth if self.features.method == "polhode" else Depth()
+        pairs = PairMatching(method=self.pairs.method)
+        return Frontend(features=features, pairs=pairs, depth=depth, weights=self.weights)
+
+    @property
+    def for_matching(self) -> "Frontend":
+        """The settings that the matches of two frames depend on; the others at their defaults."""
+        features = self.features.model_copy(update={"second": None, "second_below": 0})
+        chosen = ("exhaustive_frames", "neighbours", "retrieved")
+        pairs = self.pairs.model_copy(update={name: getattr(PairMatching(), name) for name in chosen})
+        return Frontend(features=features, pairs=pairs, weights=self.weights)
 
     @property
     def second_method(self) -> "Frontend | None":

@@ -6,6 +6,8 @@ SUMMARY = "summary.json"
 LATER: tuple[str, ...] = (SUMMARY, "config.yaml", "log.txt", "report.html", "metrics.json")
 """Of every run, whether or not its list of files has them: some are written after it."""
 PICTURES = "pictures"
+STAGES = "stages"
+"""Folder of the results of finished stages"""
 SCHEMA = "polhode-summary/"
 """At the beginning of every summary."""
 
@@ -14,7 +16,10 @@ _FILE = re.compile(
     r"|(covariance|measurements|online)\.npz|landmarks\.ply|mesh\.(ply|glb)|mesh_lod\d+\.glb"
     r"|pictures/(captions\.json|\d+\.(jpg|png)|(landmarks|mesh)\.png|masks\.jpg|model\.(mp4|gif|csv)|model_\d+\.jpg)"
 )
-_PARTIAL = re.compile(r"(?P<folder>(pictures/)?)\.(?P<stem>[^/]+)\.partial-\d+(?P<suffix>\.\w+)")
+_STAGE_FILE = re.compile(r"stages/(recording\.json|(earlier/)?(recording\.json|\w+/[0-9a-f]+\.npz))")
+_PARTIAL = re.compile(
+    r"(?P<folder>(pictures/|stages/((earlier|\w+)/)?)?)\.(?P<stem>[^/]+)\.partial-\d+(?P<suffix>\.\w+)"
+)
 
 
 def is_run_file(name: str) -> bool:
@@ -22,4 +27,9 @@ def is_run_file(name: str) -> bool:
     partial = _PARTIAL.fullmatch(name)
     if partial is not None:
         name = partial["folder"] + partial["stem"] + partial["suffix"]
-    return _FILE.fullmatch(name) is not None
+    return _FILE.fullmatch(name) is not None or _STAGE_FILE.fullmatch(name) is not None
+
+
+def is_stage_file(name: str) -> bool:
+    """Whether a run keeps the result of a stage, or what these are of, under this name."""
+    return name.startswith(f"{STAGES}/") and is_run_file(name)

@@ -47,19 +47,25 @@ class StagedFolder:
     keep: bool = False
     """Leave the hidden folder there at the end, for another command to resume"""
 
-    def claim(self) -> None:
-        """Take the hidden folder, without what a process that ended left in it.
+    def claim(self, kept: IsOwn | None = None) -> None:
+        """Take the hidden folder, without what a process that ended left in it, except for ``kept`` files.
 
         Raises InputError when not all of that is ours.
         """
         if any(self.path.iterdir()):
-            left = empty(self.path, self.is_own, self.place)
+
+            def goes(name: str) -> bool:
+                return self.is_own(name) and not (kept is not None and kept(name))
+
+            left = empty(self.path, goes, self.place)
+            left = [name for name in left if not (kept is not None and kept(name))]
             if left:
                 raise InputError(
                     f"{self.path}: contains {left[0]}, which polhode did not write there; move it, or choose "
                     "another -o"
                 )
-            _log.warning(LEFT_BEHIND, self.path)
+            if kept is None:
+                _log.warning(LEFT_BEHIND, self.path)
         self.is_claimed = True
         require_writable(self.path, self.place)
 

@@ -187,11 +187,12 @@ def run_of_stored_files(
     progress: object,
     overwrite: bool = False,
     even_if_failed: bool = False,
+    resume: bool = False,
     work: Callable[[Path], None] = lambda folder: None,
 ) -> RunResult:
     """A run whose files are those of another one; ``work`` comes after they are written."""
     del config, data, progress
-    with atomic_run_folder(folder, overwrite, write_report, even_if_failed) as written:
+    with atomic_run_folder(folder, overwrite, write_report, even_if_failed, resume) as written:
         for path in sorted(stored.iterdir()):
             write_text(written.path / path.name, "") if path.name == "log.txt" else shutil.copy(
                 path, written.path

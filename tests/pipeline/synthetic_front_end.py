@@ -46,14 +46,15 @@ def put_in_place(
     def found(images: Any, rectifier: Any, config: Frontend, *_: Any) -> list[StereoFeatures]:
         return features if config.features.method == "rootsift" else others
 
-    def matched(frames: Any, partners: Any, rig: Any, config: Frontend, *_: Any) -> list[PairMatch]:
-        return matches if config.features.method == "rootsift" else joined
+    def matched(frames: Any, partners: Any, rig: Any, config: Frontend, *_: Any) -> list[list[PairMatch]]:
+        these = matches if config.features.method == "rootsift" else joined
+        return [[match for match in these if match.i == i] for i in range(len(features))]
 
     def built(*_: Any) -> SurfaceModel:
         return surface
 
     patch.setattr("polhode.pipeline.correspondences.extract_features", found)
-    patch.setattr("polhode.pipeline.correspondences.match_pairs", matched)
+    patch.setattr("polhode.pipeline.correspondences.match_rows", matched)
     patch.setattr("polhode.pipeline.run._build_surface", built)
 
 

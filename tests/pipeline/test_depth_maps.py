@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from polhode.pipeline.depth_maps import MARGIN_PX, DepthMaps, DepthStore
+from polhode.pipeline.run_directory.stages import StageStore
 from polhode.records import DepthMap
 
 SIZE = 90, 120
@@ -59,7 +60,7 @@ def test_only_what_is_not_stored_is_computed(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr("polhode.pipeline.depth_maps.extract_depth", computed)
     features = cast(Any, [SimpleNamespace(uvd_px=np.zeros((0, 3)))] * 4)
     context = cast(Any, SimpleNamespace(sequence=None, rectifier=None, workers=1))
-    context.config = SimpleNamespace(frontend=None)
+    context.config, context.stages = SimpleNamespace(frontend=None), StageStore()
     without = list(DepthMaps(context, features))
     store.write(0, whole[0])
     store.write(2, whole[2])

@@ -11,7 +11,7 @@ import torch
 from polhode.config.frontend_settings import Depth, Features, Frontend, PairMatching
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
-from polhode.frontend.extract import extract_features, extract_pair
+from polhode.frontend.extract import extract_features, extract_pair, require_weights
 from polhode.frontend.features.keypoints import detect
 from polhode.frontend.features.methods import FEATURE_METHODS, feature_method
 from polhode.frontend.features.stereo import LARGEST_COORDINATE, StereoFeatures, match_stereo
@@ -137,21 +137,12 @@ def test_only_matchers_that_read_images_are_given_them(pair: RectifiedPair, rect
 
 def test_a_matcher_whose_weights_are_missing_is_refused_before_any_work(small_sequence: Path) -> None:
     sequence = open_sequence(small_sequence)
-    seen: list[None] = []
-    with pytest.raises(InputError, match=r"LoFTR.*frontend\.weights\.loftr"):
-        extract_features(
-            sequence,
-            make_rectifier(sequence.calibration),
-            configured(pairs="loftr"),
-            1,
-            lambda: seen.append(None),
-        )
-    assert seen == []
-
-
-def test_wrong_weights_of_the_depth_are_refused_before_any_work(small_sequence: Path, tmp_path: Path) -> None:
-    sequence = open_sequence(small_sequence)
     rectifier = make_rectifier(sequence.calibration)
+    with pytest.raises(InputError, match=r"LoFTR.*frontend\.weights\.loftr"):
+        extract_features(sequence, rectifier, configured(pairs="loftr"), 1, range(len(sequence)))
+
+
+def test_wrong_weights_of_the_depth_are_refused_before_any_work(tmp_path: Path) -> None:
     (tmp_path / "bad.safetensors").write_bytes(b"0" * 40)
     for name, expected in (
         ("none.safetensors", "are missing"),
@@ -159,4 +150,4 @@ def test_wrong_weights_of_the_depth_are_refused_before_any_work(small_sequence: 
     ):
         config = Frontend(depth=Depth(weights=str(tmp_path / name)))
         with pytest.raises(InputError, match=f"{name}.*{expected}"):
-            extract_features(sequence, rectifier, config, 1, lambda: pytest.fail("work was done"))
+            require_weights(config)

@@ -1,0 +1,143 @@
+"""Runs that are interrupted or killed and resumed: the same bytes, and nothing is computed twice."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import polhode.pipeline.run_directory.stages as stages_module
+from benchmarks.robustness.results import contents
+from polhode.cli.main import main
+from polhode.record_files import write_record
+from tests.conftest import MakeOnce
+
+Capture = pytest.CaptureFixture[str]
+FAST = ("--pictures.animation", "false", "--pictures.views", "false", "--runtime.workers", "1")
+INTERRUPTED_BY_SIGINT = 130
+
+
+def words(sequence: Path, place: Path, *more: str) -> list[str]:
+    return ["run", "--data", str(sequence), "-o", str(place / "R"), *FAST, *more]
+
+
+def results(place: Path) -> dict[str, str]:
+    return contents(place, ("R",))
+
+
+@pytest.fixture(scope="module")
+def undisturbed(at_rest: Path, make_once: MakeOnce) -> Path:
+    """The folder in which a run of the sequence is, R."""
+
+    def fill(folder: Path) -> None:
+        folder.mkdir()
+        assert main(words(at_rest, folder)) == 0
+
+    return make_once("undisturbed", fill)
+
+
+def stop_after(results: int, patch: pytest.MonkeyPatch) -> None:
+    """Send an interrupt once so many results of stages are stored."""
+    write, stored = write_record, list[str]()
+
+    def written(path: Path, key: str, value: Any) -> None:
+        write(path, key, value)
+        stored.append(key)
+        if len(stored) == results:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    patch.setattr(stages_module, "write_record", written)
+
+
+def test_an_interrupted_run_says_so_and_the_resumed_one_has_the_same_bytes(
+    undisturbed: Path, at_rest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    for number in (4, 9):
+        with monkeypatch.context() as patch:
+            stop_after(number, patch)
+            assert main(words(at_rest, tmp_path, *(["--resume"] if number > 4 else []))) == (
+                INTERRUPTED_BY_SIGINT
+            )
+        assert "finished stages are kept, the same command with --resume goes on" in capsys.readouterr().err
+        assert [path.name for path in tmp_path.iterdir()] == [".R.partial"]
+    assert main(words(at_rest, tmp_path, "--resume")) == 0
+    assert "resuming: 13 results of stages are there" in capsys.readouterr().out
+    assert results(tmp_path) == results(undisturbed)
+    assert [path.name for path in tmp_path.iterdir()] == ["R"]
+
+
+def test_a_killed_run_resumes_to_the_same_bytes(undisturbed: Path, at_rest: Path, tmp_path: Path) -> None:
+    program = subprocess.Popen(
+        [sys.executable, "-m", "polhode", *words(at_rest, tmp_path, "--runtime.workers", "2")],
+        env=os.environ | {"PYTHONPATH": str(Path.cwd())},
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        while len(list(tmp_path.glob(".R.partial/stages/**/*.npz"))) < 3:
+            assert program.poll() is None
+            time.sleep(0.002)
+    finally:
+        os.killpg(program.pid, signal.SIGKILL)
+        program.wait()
+    # what a kill can leave: a result that is cut short, and one on its way to its name
+    stored = sorted(tmp_path.glob(".R.partial/stages/features/*.npz"))
+    stored[0].write_bytes(stored[0].read_bytes()[:1000])
+    stored[0].with_name(f".{stored[0].stem}.partial-123.npz").write_bytes(b"half")
+    assert main(words(at_rest, tmp_path, "--resume")) == 0
+    found, wanted = results(tmp_path), results(undisturbed)
+    assert found == wanted
+    assert [path.name for path in tmp_path.iterdir()] == ["R"]
+
+
+def test_another_configuration_computes_only_what_it_changes(
+    undisturbed: Path, at_rest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(undisturbed / "R", tmp_path / "R")
+    more = ("--mapping.levels", "0.5")
+    assert main(["run", "--data", str(at_rest), "-o", str(tmp_path / "new" / "R"), *FAST, *more]) == 0
+    with monkeypatch.context() as patch:
+        for name in ("correspondences.extract_features", "correspondences.match_rows"):
+            patch.setattr(f"polhode.pipeline.{name}", lambda *_: pytest.fail("computed again"))
+        patch.setattr("polhode.pipeline.depth_maps.extract_depth", lambda *_: pytest.fail("computed again"))
+        assert main(words(at_rest, tmp_path, *more, "--resume")) == 0
+    assert results(tmp_path) == results(tmp_path / "new")
+    assert results(tmp_path) != results(undisturbed)
+
+
+def test_where_there_is_nothing_to_resume_all_is_computed_and_stages_need_not_be_kept(
+    undisturbed: Path, at_rest: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    assert main(words(at_rest, tmp_path, "--resume", "--runtime.stages", "while_running")) == 0
+    assert "there is nothing to resume: all is computed" in capsys.readouterr().out
+    assert not (tmp_path / "R" / "stages").exists()
+    whole = results(undisturbed)
+    ours = {name: digest for name, digest in results(tmp_path).items() if name != "R/config.yaml"}
+    assert ours.items() <= whole.items()
+    assert {name for name in whole.keys() - ours.keys() if "/stages/" not in name} == {"R/config.yaml"}
+
+
+def test_a_run_of_another_sequence_is_not_resumed(
+    undisturbed: Path, small_sequence: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    shutil.copytree(undisturbed / "R", tmp_path / "R")
+    shutil.copytree(undisturbed / "R" / "stages", tmp_path / ".killed.partial" / "stages")
+    before = sorted(path for path in tmp_path.rglob("*") if "sequence" not in path.parts)
+    for name in ("R", "killed"):
+        line = ["run", "--data", str(small_sequence), "-o", str(tmp_path / name), "--resume"]
+        assert main(line) == 2
+        error = capsys.readouterr().err
+        assert "not the sequence of this run" in error and "give --data of the same recording" in error
+        assert error.count("\n") == 1
+    kept = {path.name for path in tmp_path.rglob("*.npz")}
+    assert kept >= {path.name for path in before if path.suffix == ".npz"}
+
+
+def test_a_stream_is_not_resumed(tmp_path: Path, capsys: Capture) -> None:
+    assert main(["run", "--live", str(tmp_path), "-o", str(tmp_path / "R"), "--resume"]) == 2
+    assert "a stream cannot be resumed; give --data instead" in capsys.readouterr().err
