@@ -175,6 +175,7 @@ BENCHMARKS = (
     Benchmark("rendering_time", "rendering.rendering_time", "docs/simulation.md", 20),
     Benchmark("fuzz", "robustness.fuzzing", "docs/testing.md", 340),
     Benchmark("kills", "robustness.kills", "docs/testing.md", 60),
+    Benchmark("resumed", "robustness.resumed", "docs/run_directory.md", 30),
     Benchmark("leaks", "robustness.leaks", "docs/testing.md", 60),
     Benchmark("leaks_images", "robustness.leaks", "docs/testing.md", 20, "images", "images --short"),
     Benchmark("faults", "robustness.data_faults", "docs/robustness.md", 240),

@@ -20,7 +20,7 @@ result; the earlier result is no longer whole"""
 TIMES = (
     *("timing_s", "training_s", "prepared_s", "wall_s", "build_s", "evaluation_s", "linear_s", "callback_s"),
     *("memory_mb", "memory_before_mb", "trace", "profiles", "machine", "elapsed_s"),
-    *("own_sha256", "summary_sha256", "digest"),
+    *("own_sha256", "summary_sha256", "digest", "sha256", "seconds"),
 )
 """Keys of JSON files and names of arrays that differ from call to call: times, and digests of these"""
 UNLIKE = (".html", "log.txt", "checkpoint.safetensors", ".polhode-output")
@@ -56,8 +56,15 @@ def _digest(path: Path, place: Path) -> str:
     if path.suffix == ".npz":
         with suppress(ValueError, BadZipFile), np.load(path) as arrays:
             kept = [name for name in sorted(arrays) if name not in TIMES]
-            content = b"".join(name.encode() + arrays[name].tobytes() for name in kept)
+            content = b"".join(name.encode() + _bytes(name, arrays[name]) for name in kept)
     return hashlib.sha256(content).hexdigest()[:16]
+
+
+def _bytes(name: str, values: Any) -> bytes:
+    """Of an array; of the tree of a stored result (polhode/record_files.py) without times."""
+    if name != "tree":
+        return bytes(values.tobytes())
+    return json.dumps(_without_times(json.loads(values.tobytes()))).encode()
 
 
 def _without_times(value: Any) -> Any:
