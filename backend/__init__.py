@@ -1,6 +1,7 @@
 """The back end: feature tracks in; motion, mass properties and their covariances out.
 
 - ``estimate``: full smoothing over the sequence; ``result``: what is reported of a solution.
+- ``between``: all frames of a long sequence, from the estimate of its key frames.
 - ``part``: some of the measurements solved by themselves, for checks.
 - ``window``: the causal estimate by a sliding window.
 - ``wrenches``: known and unknown forces and torques.

@@ -15,7 +15,9 @@ from polhode.backend.initialization.multistart import (
     N_HYPOTHESES,
     HypothesisFit,
     InitialGuess,
+    KnownMotion,
     initial_guesses,
+    known_guess,
     try_hypotheses,
 )
 from polhode.backend.initialization.rates import FAST_HINT, frame_rates
@@ -24,7 +26,7 @@ from polhode.backend.outliers_and_noise.process_level import estimate_process_no
 from polhode.backend.outliers_and_noise.systematic import with_systematic
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
-from polhode.backend.result import assemble
+from polhode.backend.result import FAR_TURNS, assemble
 from polhode.backend.solvers.solve import solve
 from polhode.backend.uncertainty.ambiguity import (
     HypothesisChoice,
@@ -76,12 +78,21 @@ class Fit:
 
 
 def fit(
-    data: MotionData, tracks: StereoTracks, initial: InitialMotion, config: Backend, advance: Advance
+    data: MotionData,
+    tracks: StereoTracks,
+    initial: InitialMotion,
+    config: Backend,
+    advance: Advance,
+    known: KnownMotion | None = None,
 ) -> Fit:
     """Fit the motion; where frames seem to contradict one another, also from fewer of them.
 
-    Raises RunFailure or LinAlgError if no guess leads to a motion that most observations agree with.
+    known: a motion that is near the optimum, from which alone the fit starts. Raises RunFailure or
+    LinAlgError if no guess leads to a motion that most observations agree with.
     """
+    if known is not None:
+        starts = [known_guess(tracks, initial, data, known)]
+        return _with_disturbances(data, _fit(data, starts, config, advance), starts, config)
     failure: RunFailure | LinAlgError | None = None
     found: list[tuple[Fit, list[InitialGuess]]] = []
     for first in (initial, *motions_from_fewer_frames(tracks, initial)):
@@ -201,16 +212,21 @@ def _stretches(tracks: StereoTracks, initial: InitialMotion, seen: Ints) -> list
 
 @single_threaded
 def estimate_motion(
-    tracks: StereoTracks, initial: InitialMotion, config: Backend, progress: Progress
+    tracks: StereoTracks,
+    initial: InitialMotion,
+    config: Backend,
+    progress: Progress,
+    known: KnownMotion | None = None,
 ) -> MotionEstimate:
     """Smooth the whole sequence, from several guesses of the inertia (problem: ``ipopt.MotionProgram``).
 
-    Raises RunFailure when no guess leads to a motion that most observations agree with.
+    known: a motion that is near the optimum, from which alone the solver starts. Raises RunFailure when no
+    guess leads to a motion that most observations agree with.
     """
     try:
         # guesses that diverge overflow, and are rejected by their cost
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            return _estimate(tracks, initial, config, progress)
+            return _estimate(tracks, initial, config, progress, known)
     except LinAlgError as error:
         # NumPy's message says nothing about the target
         reason = error if "bounds" in str(error) else "its equations have no solution"
@@ -220,11 +236,15 @@ def estimate_motion(
 
 
 def _estimate(
-    tracks: StereoTracks, initial: InitialMotion, config: Backend, progress: Progress
+    tracks: StereoTracks,
+    initial: InitialMotion,
+    config: Backend,
+    progress: Progress,
+    known: KnownMotion | None,
 ) -> MotionEstimate:
     data = motion_data(tracks, config)
     with progress.stage("motion and inertia", N_HYPOTHESES + 4) as advance:
-        found = fit(data, tracks, initial, config, advance)
+        found = fit(data, tracks, initial, config, advance, known)
         data, kept, iterate = found.data, found.kept, found.iterate
         ended = solve(kept.data, kept.restrict(iterate), config)
         solution = ended.solution
@@ -253,6 +273,9 @@ def _estimate(
     if turns_deg is not None:
         estimate = with_ambiguous_rotation(estimate, turns_deg)
     warnings = [*estimate.warnings, *_unused_times(data, config)]
+    if known is not None:
+        # which frames are far apart in time does not matter to it
+        warnings = [warning for warning in warnings if FAR_TURNS not in warning]
     if not solution.converged:
         warnings.append(f"the solver stopped before convergence: {solution.message} ({FAST_HINT})")
     noise = replace(estimate.noise, times_stated=stronger)

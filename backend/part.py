@@ -95,8 +95,8 @@ def _problem(
     if rows.sum() < MIN_OBSERVATIONS or len(np.unique(tracks.frame[rows])) < 3:
         return None
     part, p_G = _part_of(tracks, whole, rows, frames)
-    data, scales = _data(part, whole, config)
-    start = _iterate(data, whole, frames, p_G)
+    data, scales = data_of_part(part, whole, config)
+    start = iterate_of(data, whole, frames, p_G)
     scale = most_efficient_scale(np.sum(whitened_residuals(data, start) ** 2, axis=1), data.robust_scale)
     return _Problem(part, replace(data, robust_scale=scale), scales, start)
 
@@ -124,7 +124,9 @@ def _part_of(
     return part, p_G
 
 
-def _data(part: StereoTracks, whole: MotionEstimate, config: Backend) -> tuple[MotionData, NoiseScales]:
+def data_of_part(
+    part: StereoTracks, whole: MotionEstimate, config: Backend
+) -> tuple[MotionData, NoiseScales]:
     """The problem of the part, with the whole's noise and disturbances."""
     noise, stated = whole.noise, np.median(part.sigma_px, axis=0)
     scales = NoiseScales(
@@ -141,7 +143,7 @@ def _data(part: StereoTracks, whole: MotionEstimate, config: Backend) -> tuple[M
     return replace(data, nodes=nodes, accel_psd=noise.accel_psd, torque_psd=noise.torque_psd), scales
 
 
-def _iterate(data: MotionData, whole: MotionEstimate, frames: Ints, p_G: Array) -> Iterate:
+def iterate_of(data: MotionData, whole: MotionEstimate, frames: Ints, p_G: Array) -> Iterate:
     """The whole's estimate as a value of the part's unknowns; a known wrench's steps are left free."""
     xi, R_inertia = data.form.coordinates(second_moments_from_inertia(whole.mass.J_G, 0.0))
     n = len(frames)

@@ -53,6 +53,8 @@ from polhode.records import (
 )
 
 OUTLIER_WARNING_SHARE = 0.3
+FAR_TURNS = "between frames: near half a revolution and beyond"
+"""Of the warning that poses do not determine the direction of rotation"""
 
 
 def assemble(
@@ -268,7 +270,7 @@ def _warnings(
     turn = np.rad2deg(np.linalg.norm(at.w_G[:-1], axis=1) * data.dt_s).max()
     if turn > 150.0:
         out.append(
-            f"up to {turn:.0f} degrees between frames: near half a revolution and beyond, poses do not "
-            "determine the direction of rotation, Euler's equation alone does"
+            f"up to {turn:.0f} degrees {FAR_TURNS}, poses do not determine the direction of rotation, "
+            "Euler's equation alone does"
         )
     return out

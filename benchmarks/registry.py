@@ -118,6 +118,7 @@ BENCHMARKS = (
     Benchmark("real_pairs", "calibration.real_pairs", "docs/calibrate.md", 2, "data/chessboard_pairs", None,
               ("data/chessboard_pairs",)),
     Benchmark("live", "live", "docs/live.md", 40),
+    Benchmark("long", "live.long", "docs/long.md", 25, "-o docs/images/long.png"),
     Benchmark("start", "live.start", "docs/speed.md", 4),
     Benchmark("checkout", "checkout.sequences", "docs/checkout.md", 10),
     _of_runs("run_cost", "checkout.run_cost", "docs/checkout.md", 1, _WITH_TRUTH),

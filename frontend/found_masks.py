@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.records import Bools
+from polhode.records import Bools, Ints
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,14 @@ class FoundMasks:
     encoded: Mapping[int, tuple[bytes, bytes]]
     """Index of the pair -> left and right mask, as PNG"""
     quality: Mapping[int, MaskQuality]
+
+    def part(self, frames: Ints) -> "FoundMasks":
+        """The masks of some of the pairs (n,), which are numbered anew."""
+        old = list(enumerate(frames.tolist()))
+        return FoundMasks(
+            {n: self.encoded[k] for n, k in old if k in self.encoded},
+            {n: self.quality[k] for n, k in old if k in self.quality},
+        )
 
     def masks(self, k: int) -> tuple[Bools, Bools] | None:
         """Left and right mask (H, W) of pair k; None: it was not examined."""

@@ -8,6 +8,7 @@ In: the folder of a sequence and a configuration. Out: the run directory (docs/r
 - correspondences: features of all frames, and the frames that match
 - depth_maps: depth of all pairs, made now or stored before
 - find_motion: solve, match again, keep what fits better; consistency_check decides what fits better
+- long_sequence: thousands of frames by a stream, key frames, and all states in their map
 - review_motion: the causal estimate and the checks of a motion, which need no surface
 - finish_surface: holes, colours, coverage and levels of the fused surface
 - coverage: the share of the body that was seen, seen but never lit, never seen

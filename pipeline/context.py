@@ -22,7 +22,7 @@ from polhode.pipeline.found_background import doubts_of_masks, with_found_masks
 from polhode.pipeline.run_directory.stages import StageStore
 from polhode.processes import worker_count
 from polhode.progress import Progress, Silent
-from polhode.records import StereoTracks
+from polhode.records import Ints, StereoTracks
 
 LOOKED_AT = 8
 """Images in which surroundings are looked for."""
@@ -104,6 +104,12 @@ class RunContext:
     def workers(self) -> int:
         """Number of processes for parallel work."""
         return worker_count(self.config.runtime.workers)
+
+    def of_frames(self, frames: Ints) -> "RunContext":
+        """The inputs of a run on some of the frames (n,), ascending."""
+        found = self.rectifier.found
+        rectifier = self.rectifier if found is None else replace(self.rectifier, found=found.part(frames))
+        return replace(self, sequence=self.sequence.part(frames), rectifier=rectifier)
 
     def tracks(self, features: Sequence[StereoFeatures], association: Association) -> StereoTracks:
         """The measurements of associated features, as the back end takes them."""

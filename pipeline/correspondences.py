@@ -1,7 +1,7 @@
 """Features of every frame, and the frames that match: without knowledge of the motion, or guided by it."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -105,25 +105,33 @@ def add_second_method(
 
 
 def _extract(context: RunContext, frontend: Frontend) -> list[StereoFeatures]:
-    method, sequence, rectifier = frontend.features.method, context.sequence, context.rectifier
+    method, features = frontend.features.method, []
     with (
         context.clock("frontend"),
-        context.progress.stage(f"features ({method})", len(sequence)) as advance,
+        context.progress.stage(f"features ({method})", len(context.sequence)) as advance,
     ):
-        require_weights(frontend)
-        settings = with_patch_size(frontend.for_features, sequence, rectifier)
-        features: list[StereoFeatures] = []
-        for found in context.stages.each(
-            "features",
-            StereoFeatures,
-            _feature_keys(context, settings),
-            lambda pairs: extract_features(sequence, rectifier, settings, context.workers, pairs),
-        ):
+        for found in features_in_turn(context, frontend):
             features.append(found)
             advance()
     median = int(np.median([len(f) for f in features]))
     _log.info("stereo features (%s) per frame: median %d", method, median)
     return features
+
+
+def features_in_turn(context: RunContext, frontend: Frontend) -> Iterator[StereoFeatures]:
+    """The features of one pair after the other, few ahead of the caller.
+
+    Raises InputError at once: weights that extraction, matching or, later, depth need are missing or wrong.
+    """
+    sequence, rectifier = context.sequence, context.rectifier
+    require_weights(frontend)
+    settings = with_patch_size(frontend.for_features, sequence, rectifier)
+    return context.stages.each(
+        "features",
+        StereoFeatures,
+        _feature_keys(context, settings),
+        lambda pairs: extract_features(sequence, rectifier, settings, context.workers, pairs),
+    )
 
 
 def _feature_keys(context: RunContext, settings: Frontend) -> list[str]:

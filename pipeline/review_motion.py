@@ -23,8 +23,8 @@ class MotionToReview:
     """A motion with what it was found from."""
 
     context: RunContext
-    folder: Path
-    """Where the causal estimate is written"""
+    folder: Path | None
+    """Where the causal estimate is written; None: it is there already, of more frames than these"""
     features: Sequence[StereoFeatures]
     tracks: StereoTracks
     estimate: MotionEstimate
@@ -53,7 +53,7 @@ def review_motion(given: MotionToReview) -> MotionReview:
         with context.clock("backend"):
             found = context.stages.once(estimate_online, tracks, config.for_window, progress=context.progress)
             online = align_online_estimate(found, estimate)
-    if online is not None:
+    if online is not None and given.folder is not None:
         outputs.write_online_estimate(given.folder, online)
     findings = check_data(context, given.features, tracks, estimate)
     with context.clock("checks"):

@@ -25,6 +25,7 @@ from polhode.pipeline.depth_maps import DepthMaps
 from polhode.pipeline.find_motion import find_motion, pose_RG
 from polhode.pipeline.finish_surface import finish_surface
 from polhode.pipeline.intervals.find_intervals import find_intervals
+from polhode.pipeline.long_sequence import LongSolution, is_long, solve_long
 from polhode.pipeline.pictures import PicturesToMake
 from polhode.pipeline.report import finish_run, write_report
 from polhode.pipeline.review_motion import MotionToReview, review_motion
@@ -37,10 +38,14 @@ from polhode.pipeline.run_directory.summary_schema import ShapeFindings, Summary
 from polhode.pipeline.streamed import Streamed
 from polhode.processes import beside
 from polhode.progress import Progress
-from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks, SurfaceModel
+from polhode.records import MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks, SurfaceModel
 from polhode.threads import single_threaded
 
 _log = logging.getLogger(__name__)
+NO_LINKS = RelativePoses(
+    np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 4, 4)), np.zeros(0, dtype=np.int64)
+)
+"""Of a long sequence, whose frames are connected by the tracks of a stream"""
 
 
 @dataclass(frozen=True)
@@ -102,23 +107,33 @@ def fill_run_folder(
         # In its own frame G until the motion is found, should that fail.
         outputs.write_online_estimate(folder, streamed.online)
 
-    correspondences = match_frames(context, streamed)
-    links = correspondences.links
-    write_measurements(correspondences.tracks(context), folder / "measurements.npz", links)
+    long: LongSolution | None = None
+    online: OnlineEstimate | None
+    if is_long(context):
+        long = solve_long(context, streamed)
+        # What follows sees the key frames only; what the run says of all frames is written now.
+        context, features, links = long.context, long.features, NO_LINKS
+        tracks, estimate = long.tracks, long.estimate
+        long.write(folder)
+        depth, online = _depth_maps(context, features, None), long.key_online
+    else:
+        correspondences = match_frames(context, streamed)
+        features, links = correspondences.features, correspondences.links
+        write_measurements(correspondences.tracks(context), folder / "measurements.npz", links)
 
-    depth = _depth_maps(context, correspondences.features, streamed)
-    with depth.made_beside():
-        for solution in find_motion(context, correspondences):
-            # Each solution is written, so that it is kept should a later step fail.
-            outputs.write_estimate(folder, solution.tracks, solution.estimate, solution.links)
-    tracks, estimate = solution.tracks, solution.estimate
+        depth = _depth_maps(context, features, streamed)
+        with depth.made_beside():
+            for solution in find_motion(context, correspondences):
+                # Each solution is written, so that it is kept should a later step fail.
+                outputs.write_estimate(folder, solution.tracks, solution.estimate, solution.links)
+        tracks, estimate, links = solution.tracks, solution.estimate, solution.links
+        online = _online_of_stream(estimate, streamed)
     aside = context.for_another_process()
     with beside(context.workers) as start:
         reviewed = start(
             review_motion,
             MotionToReview(
-                *(aside, folder, correspondences.features, tracks, estimate, solution.links),
-                online=_online_of_stream(estimate, streamed),
+                aside, folder if long is None else None, features, tracks, estimate, links, online
             ),
         )
         made: list[Callable[[], float]] = []
@@ -165,6 +180,8 @@ def fill_run_folder(
         clock.add(review.seconds)
     clock.add_total()
     warnings = [*(streamed.warnings if streamed is not None else ()), *context.sequence.warnings]
+    if long is not None:
+        tracks, estimate = long.all_tracks, long.all_frames
     warnings += window_warnings(tracks.n_frames, config.backend)
     warnings += [*fused.warnings, *review.findings.limits, *unbounded]
     checks = [*doubts, *review.findings.checks]

@@ -122,6 +122,19 @@ class StereoSequence:
     def __len__(self) -> int:
         return len(self.timestamps_ns)
 
+    def part(self, frames: Ints) -> "StereoSequence":
+        """The sequence of some of its pairs (n,), ascending."""
+        chosen = frames.tolist()
+        return replace(
+            self,
+            timestamps_ns=self.timestamps_ns[frames],
+            X_NC=self.X_NC[frames],
+            repeated=self.repeated[frames],
+            _files=tuple(self._files[k] for k in chosen),
+            _digests=tuple(self._digests[k] for k in chosen),
+            _right_ns=self._right_ns[frames],
+        )
+
     @property
     def has_ranges(self) -> bool:
         """Whether there are range images instead of a right camera."""

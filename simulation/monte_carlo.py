@@ -27,6 +27,11 @@ J_SPHERES = np.array(
 RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)
 
 
+NO_LINKS = RelativePoses(
+    np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 4, 4)), np.zeros(0, dtype=np.int64)
+)
+
+
 @dataclass(frozen=True)
 class SyntheticScene:
     """A body, its motion and the camera. Lengths [m], rates [rad/s]."""
@@ -74,6 +79,8 @@ class SyntheticScene:
     """Share of the relative poses that are wrong, with few inliers."""
     min_inliers: int = 8
     """Pairs of frames with fewer common landmarks have no relative pose."""
+    links: bool = True
+    """False: no relative poses, of which a long sequence has too many."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +129,9 @@ def generate(scene: SyntheticScene, seed: int) -> SyntheticSequence:
     outlier = rng.random(len(uvd)) < scene.outliers
     measured[outlier] += rng.uniform(-40.0, 40.0, (int(outlier.sum()), 3))
     measured[:, 2] = np.maximum(measured[:, 2], 5.0)
-    relative = _relative_poses(scene, frame, point, measured, inverse_pose(X_NR) @ X_NG, rng)
+    relative = NO_LINKS
+    if scene.links:
+        relative = _relative_poses(scene, frame, point, measured, inverse_pose(X_NR) @ X_NG, rng)
     identity = (
         point if scene.loop_closure else _split_by_view(scene, frame, point, X_NR, X_NG, points, normals)
     )

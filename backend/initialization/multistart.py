@@ -94,6 +94,34 @@ def initial_guesses(tracks: StereoTracks, initial: InitialMotion, data: MotionDa
     return starts
 
 
+@dataclass(frozen=True)
+class KnownMotion:
+    """A motion near the optimum: where frames are far apart, poses alone do not give it."""
+
+    v_N: Array
+    """(F, 3) velocity of the centre of mass [m/s]"""
+    w_G: Array
+    """(F, 3) [rad/s]"""
+    com_G: Array
+    """(3,) [m]"""
+    second: Array
+    """(3, 3) second moments in G, of determinant 1"""
+
+
+def known_guess(
+    tracks: StereoTracks, initial: InitialMotion, data: MotionData, known: KnownMotion
+) -> InitialGuess:
+    """The starting point of a motion that is known; the poses are those of ``initial``."""
+    X_NG = tracks.X_NR @ initial.X_RG
+    p_G, _ = robust_landmarks(tracks, initial.X_RG, initial.connected)
+    xi, R_inertia = data.form.coordinates(known.second)
+    camera = np.zeros((len(X_NG), N_CAMERA)) if data.camera_is_noisy else None
+    iterate = Iterate(
+        X_NG[:, :3, 3], X_NG[:, :3, :3], known.v_N, known.w_G, known.com_G, xi, R_inertia, p_G, camera
+    )
+    return InitialGuess(iterate, {"known": known.second}, tracks.time_s, [], tracks, initial)
+
+
 def try_hypotheses(
     data: MotionData, starts: list[InitialGuess], advance: Advance
 ) -> dict[str, HypothesisFit]:

@@ -42,3 +42,8 @@ class CausalTracks:
         self._next += int(new.sum())
         self.landmark.append(labels)
         return labels
+
+    def forget(self, frame: int) -> Ints:
+        """The landmarks (n,) of a frame that will not be matched with any more."""
+        labels, self.landmark[frame] = self.landmark[frame], np.zeros(0, dtype=np.int64)
+        return labels

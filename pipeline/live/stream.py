@@ -21,6 +21,7 @@ from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.features.surface_features import patch_half_m
 from polhode.frontend.matching.earlier_frames import earlier_frames, viewing_direction_G
+from polhode.frontend.matching.key_frames import frames_to_let_go
 from polhode.frontend.matching.methods import match_method
 from polhode.frontend.matching.pairs import PairMatch, match_pair
 from polhode.frontend.rectification import make_rectifier, rectified_images
@@ -29,7 +30,7 @@ from polhode.frontend.tracks.causal_tracks import CausalTracks
 from polhode.lie import Array, inverse_pose
 from polhode.pipeline.live.ahead import Ahead, ComingPair
 from polhode.pipeline.live.live_state import LiveState, live_state
-from polhode.pipeline.streamed import Streamed
+from polhode.pipeline.streamed import Observations, Streamed, observations_of
 from polhode.processes import worker_count
 from polhode.records import Ints, OnlineEstimate, SurfaceModel, Wrench
 from polhode.rig_calibration import StereoCalibration
@@ -52,7 +53,8 @@ class Extracted:
     """The features of one pair."""
 
     features: StereoFeatures
-    images: StereoImages
+    images: StereoImages | None
+    """None: nothing is to be made ahead of the batch"""
     seconds: float
 
 
@@ -61,7 +63,12 @@ class _Past:
     """What is kept of the frames so far."""
 
     timestamps_ns: list[int] = field(default_factory=list)
-    features: list[StereoFeatures] = field(default_factory=list)
+    features: dict[int, StereoFeatures] = field(default_factory=dict)
+    """By frame, in the order of time: of all frames, of a long stream those of its key frames"""
+    observations: dict[int, Observations] = field(default_factory=dict)
+    """By frame: of the frames that are no key frames"""
+    found_from: int = 0
+    """First frame of those whose poses are in the present frame G"""
     tried: dict[tuple[int, int], PairMatch | None] = field(default_factory=dict)
     views_G: list[Array] = field(default_factory=list)
     states: list[OnlineState] = field(default_factory=list)
@@ -121,12 +128,14 @@ class Stream:
         begin = perf_counter()
         past, k, X_NR = self._past, len(self), X_NC @ self._X_CR
         past.timestamps_ns.append(timestamp_ns)
-        past.features.append(extracted.features)
+        past.features[k] = extracted.features
         matches = self._match_earlier(timestamp_ns, X_NR)
         landmark = self._tracks.add(len(extracted.features), matches)
         matched = perf_counter()
         state = self._estimate(timestamp_ns, X_NR, extracted.features, landmark)
         past.states.append(state)
+        if self.is_long:
+            self._let_go()
         done = perf_counter()
         seconds = {"features": extracted.seconds, "matching": matched - begin, "window": done - matched}
         window = self._window
@@ -135,7 +144,7 @@ class Stream:
 
     def _work_ahead(self, k: int, extracted: Extracted, X_NR: Array, state: OnlineState) -> None:
         """Pass the pair on to the process that does what the batch will want."""
-        if worker_count(self._config.runtime.workers) == 1:
+        if extracted.images is None or worker_count(self._config.runtime.workers) == 1:
             return
         if self._ahead is None:
             self._ahead = Ahead(self.rectifier, self._config.model_copy(update={"frontend": self._frontend}))
@@ -165,7 +174,8 @@ class Stream:
 
     def _try(self, i: int, j: int) -> PairMatch | None:
         found = match_pair(self._past.features, i, j, self.rectifier.rig, self._frontend, self._seed)
-        self._past.tried[i, j] = found
+        if not self.is_long:
+            self._past.tried[i, j] = found
         return found
 
     def _match_earlier(self, timestamp_ns: int, X_NR: Array) -> list[PairMatch]:
@@ -185,6 +195,7 @@ class Stream:
         if self._window.restarts > restarts:
             # The views of the frames so far are in a frame G that is gone.
             self._past.views_G = [UNKNOWN] * len(self._past.views_G)
+            self._past.found_from = len(self._past.views_G)
         seen = viewing_direction_G(X_NR, state.X_NG) if self._window.accepted else UNKNOWN
         self._past.views_G.append(seen)
         return self._with_systematic(state, X_NR)
@@ -203,15 +214,47 @@ class Stream:
         names = [each.name for each in fields(OnlineEstimate) if each.name != "timestamps_ns"]
         return replace(state, **{name: getattr(online, name)[-1] for name in names})
 
+    @property
+    def is_long(self) -> bool:
+        """Whether so many pairs have come that only key frames keep their features."""
+        return len(self) > self._config.key_frames.above
+
+    @property
+    def n_with_features(self) -> int:
+        """Number of frames whose features are kept: of a long stream, those of the key frames."""
+        return len(self._past.features)
+
+    def _let_go(self) -> None:
+        """Keep of the frames that others tell the same as what they observe of which landmark."""
+        past = self._past
+        # the first time; what was tried is not used again, as there are too many pairs to match all
+        past.tried.clear()
+        kept = np.fromiter(past.features, dtype=np.int64)
+        time_s = 1e-9 * (np.array(past.timestamps_ns)[kept] - past.timestamps_ns[0])
+        views = np.stack([past.views_G[k] for k in kept])
+        for k in kept[frames_to_let_go(views, time_s, self._config.key_frames.number)].tolist():
+            landmark = self._tracks.forget(k)
+            past.observations[k] = observations_of(past.features.pop(k), landmark)
+            past.views_G[k] = UNKNOWN
+
     def streamed(self, warnings: tuple[str, ...]) -> Streamed:
         """What was found, for the batch. At least one pair has come."""
-        past, ahead = self._past, self._ahead
+        past, ahead, n = self._past, self._ahead, len(self)
+        observations = [
+            past.observations[k]
+            if k in past.observations
+            else observations_of(past.features[k], self._tracks.landmark[k])
+            for k in range(n if self.is_long else 0)
+        ]
         return Streamed(
             np.array(past.timestamps_ns, dtype=np.int64),
-            tuple(past.features),
+            tuple(past.features.values()),
             {**past.tried, **({} if ahead is None else ahead.finish())},
             self.rectifier.surroundings,
             stack_states(past.states),
             warnings,
+            np.fromiter(past.features, dtype=np.int64),
+            tuple(observations),
+            past.found_from,
             None if ahead is None else ahead.depth,
         )

@@ -9,9 +9,9 @@ In: YAML files and overrides of the command line. Out: a frozen ``Config``.
 - section: the base of every section
 """
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from polhode.config.backend_settings import Backend
 from polhode.config.compare_settings import Compare
@@ -21,7 +21,18 @@ from polhode.config.scene_settings import Scene
 from polhode.config.section import Section, Seed
 from polhode.config.train_settings import Train
 
-__all__ = ["Backend", "Compare", "Config", "Frontend", "Mapping", "Pictures", "Runtime", "Scene", "Train"]
+__all__ = [
+    "Backend",
+    "Compare",
+    "Config",
+    "Frontend",
+    "KeyFrames",
+    "Mapping",
+    "Pictures",
+    "Runtime",
+    "Scene",
+    "Train",
+]
 
 
 class Runtime(Section):
@@ -47,6 +58,21 @@ class Pictures(Section):
     """Largest number of frames of the animation, spread evenly over the sequence."""
 
 
+class KeyFrames(Section):
+    """Long sequences: key frames give the map and the mass properties, the other frames are located in it."""
+
+    above: int = Field(600, ge=10, le=1_000_000)
+    """Sequences of more frames are solved by key frames; up to this number, by all frames at once."""
+    number: int = Field(200, ge=8, le=2000)
+    """Largest number of key frames. They are spread over the views of the target and over time."""
+
+    @model_validator(mode="after")
+    def _fewer(self) -> Self:
+        if self.number > self.above:
+            raise ValueError(f"number: {self.number} key frames are more than above: {self.above} frames")
+        return self
+
+
 class Config(Section):
     """One schema for every command: a scene (for simulate), the stages (for run), a training (for train)."""
 
@@ -56,6 +82,7 @@ class Config(Section):
     frontend: Frontend = Frontend()
     backend: Backend = Backend()
     mapping: Mapping = Mapping()
+    key_frames: KeyFrames = KeyFrames()
     pictures: Pictures = Pictures()
     compare: Compare = Compare()
     train: Train | None = None

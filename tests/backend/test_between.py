@@ -1,0 +1,141 @@
+"""All frames of a long sequence from the estimate of its key frames."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from polhode.backend.between import FrameGuess, first_states, smooth_between
+from polhode.backend.estimate import estimate_motion
+from polhode.backend.initialization.multistart import KnownMotion
+from polhode.backend.problem.inertia import second_moments_from_inertia
+from polhode.backend.window import SlidingWindow, frames_of, online_estimate
+from polhode.config.backend_settings import Backend
+from polhode.lie import exp_so3, inverse_pose
+from polhode.progress import Silent
+from polhode.records import InitialMotion, Ints, MotionEstimate, OnlineEstimate, StereoTracks
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
+
+CONFIG = Backend.model_validate({"window": {"solver": "gauss_newton"}, "solver": "gauss_newton"})
+SCENE = SyntheticScene(
+    frames=160,
+    landmarks=900,
+    w_G=(3.0 * 0.1047, 6.0 * 0.1047, 2.0 * 0.1047),
+    J_G=np.diag([1.5, 1.2, 0.9]),
+    sigma_uv_px=0.5,
+    sigma_d_px=0.5,
+    v_N=(0.0, 0.0, 0.0),
+    outliers=0.02,
+    links=False,
+)
+KEYS: Ints = np.unique(np.concatenate([np.arange(0, 160, 4), [159]]))
+
+
+@pytest.fixture(scope="module")
+def sequence() -> SyntheticSequence:
+    return generate(SCENE, 5)
+
+
+@pytest.fixture(scope="module")
+def online(sequence: SyntheticSequence) -> OnlineEstimate:
+    tracks = sequence.tracks
+    window = SlidingWindow(tracks.rig, CONFIG)
+    states = [window.add(each) for each in frames_of(tracks)]
+    assert window.restarts == 0
+    return online_estimate(states, tracks.rig, tracks.X_NR, CONFIG)
+
+
+@pytest.fixture(scope="module")
+def of_keys(sequence: SyntheticSequence, online: OnlineEstimate) -> MotionEstimate:
+    tracks = sequence.tracks
+    rows = np.isin(tracks.frame, KEYS)
+    part = replace(
+        tracks,
+        timestamps_ns=tracks.timestamps_ns[KEYS],
+        X_NR=tracks.X_NR[KEYS],
+        frame=np.searchsorted(KEYS, tracks.frame[rows]),
+        landmark=np.unique(tracks.landmark[rows], return_inverse=True)[1].reshape(-1).astype(np.int64),
+        uvd_px=tracks.uvd_px[rows],
+        sigma_px=tracks.sigma_px[rows],
+    )
+    J_G = online.R_GP[-1] @ np.diag(np.exp([online.k[-1, 0], 0.0, -online.k[-1, 1]])) @ online.R_GP[-1].T
+    w_G = np.einsum("fij,fj->fi", online.R_GP, online.w_P)[KEYS]
+    known = KnownMotion(online.v_N[KEYS], w_G, online.com_G[-1], second_moments_from_inertia(J_G))
+    initial = InitialMotion(inverse_pose(part.X_NR) @ online.X_NG[KEYS], np.ones(len(KEYS), dtype=np.bool_))
+    return estimate_motion(part, initial, CONFIG, Silent(), known)
+
+
+@pytest.fixture(scope="module")
+def everywhere(
+    sequence: SyntheticSequence, online: OnlineEstimate, of_keys: MotionEstimate
+) -> tuple[StereoTracks, MotionEstimate]:
+    guess = first_states(sequence.tracks, KEYS, of_keys, online, 0, CONFIG)
+    return smooth_between(sequence.tracks, KEYS, of_keys, guess, CONFIG)
+
+
+def squared(sequence: SyntheticSequence, estimate: MotionEstimate, frames: Ints) -> np.ndarray:
+    """Errors of the positions, squared, in their own covariance (F,)."""
+    off = estimate.r_N - sequence.truth.r_N[frames]
+    covariance = estimate.covariance[:, :3, :3]
+    return np.asarray(np.einsum("fi,fij,fj->f", off, np.linalg.inv(covariance), off))
+
+
+def test_every_frame_has_a_state_as_good_as_those_of_the_key_frames(
+    sequence: SyntheticSequence, of_keys: MotionEstimate, everywhere: tuple[StereoTracks, MotionEstimate]
+) -> None:
+    truth, found = sequence.truth, everywhere[1]
+    assert len(found.r_N) == SCENE.frames
+    keys = np.sqrt(np.mean((of_keys.r_N - truth.r_N[KEYS]) ** 2))
+    every = np.sqrt(np.mean((found.r_N - truth.r_N) ** 2))
+    assert every < 1.1 * keys
+
+
+def test_the_states_are_as_accurate_as_their_covariance_says(
+    sequence: SyntheticSequence, everywhere: tuple[StereoTracks, MotionEstimate]
+) -> None:
+    mean = float(np.mean(squared(sequence, everywhere[1], np.arange(SCENE.frames))))
+    assert 0.5 < mean < 6.0
+
+
+def test_gross_errors_get_no_weight(
+    sequence: SyntheticSequence, everywhere: tuple[StereoTracks, MotionEstimate]
+) -> None:
+    part, found = everywhere
+    assert len(part.frame) == len(found.inlier_weight) == len(found.residuals_px)
+    refused = float(np.mean(found.inlier_weight == 0.0))
+    assert 0.5 * SCENE.outliers < refused < 2.0 * SCENE.outliers
+
+
+def test_a_worse_start_ends_in_the_same_states(
+    sequence: SyntheticSequence,
+    online: OnlineEstimate,
+    of_keys: MotionEstimate,
+    everywhere: tuple[StereoTracks, MotionEstimate],
+) -> None:
+    guess = first_states(sequence.tracks, KEYS, of_keys, online, 0, CONFIG)
+    X_NG, rng = guess.X_NG.copy(), np.random.default_rng(1)
+    X_NG[:, :3, 3] += rng.normal(0.0, 2e-3, (SCENE.frames, 3))
+    X_NG[:, :3, :3] = X_NG[:, :3, :3] @ exp_so3(rng.normal(0.0, 0.02, (SCENE.frames, 3)))
+    worse = FrameGuess(X_NG, guess.v_N, guess.w_G)
+    found = smooth_between(sequence.tracks, KEYS, of_keys, worse, CONFIG)[1]
+    sigma = np.sqrt(np.diagonal(everywhere[1].covariance, axis1=1, axis2=2)[:, :3])
+    assert np.abs((found.r_N - everywhere[1].r_N) / sigma).max() < 0.05
+
+
+def test_frames_before_a_restart_are_located_in_the_map(
+    sequence: SyntheticSequence,
+    online: OnlineEstimate,
+    of_keys: MotionEstimate,
+    everywhere: tuple[StereoTracks, MotionEstimate],
+) -> None:
+    later = KEYS[KEYS >= 20]
+    X_NG = online.X_NG.copy()
+    X_NG[:20] = np.eye(4)
+    names = [each for each in vars(of_keys) if np.shape(getattr(of_keys, each))[:1] == (len(KEYS),)]
+    cut = replace(of_keys, **{name: getattr(of_keys, name)[KEYS >= 20] for name in names})
+    rows = np.isin(sequence.tracks.frame, KEYS)
+    kept = np.isin(sequence.tracks.frame[rows], later)
+    cut = replace(cut, residuals_px=of_keys.residuals_px[kept], inlier_weight=of_keys.inlier_weight[kept])
+    guess = first_states(sequence.tracks, later, cut, replace(online, X_NG=X_NG), 20, CONFIG)
+    found = smooth_between(sequence.tracks, later, cut, guess, CONFIG)[1]
+    assert np.abs(found.r_N - everywhere[1].r_N)[:20].max() < 2e-3
