@@ -120,6 +120,7 @@ BENCHMARKS = (
     Benchmark("live", "live", "docs/live.md", 40),
     Benchmark("long", "live.long", "docs/long.md", 25, "-o docs/images/long.png"),
     Benchmark("start", "live.start", "docs/speed.md", 4),
+    Benchmark("stages", "live.stages", "docs/speed.md", 8),
     Benchmark("checkout", "checkout.sequences", "docs/checkout.md", 10),
     _of_runs("run_cost", "checkout.run_cost", "docs/checkout.md", 1, _WITH_TRUTH),
     Benchmark("temple", "end_to_end.photographs", "docs/photographs.md", 15,
