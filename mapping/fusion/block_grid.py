@@ -3,6 +3,8 @@
 Voxel (i, j, k) of block (a, b, c) has its centre at ``voxel_m * (8 * [a, b, c] + [i, j, k])`` in G.
 """
 
+from contextlib import suppress
+
 import numpy as np
 import torch
 from jaxtyping import Float32, Int64
@@ -78,12 +80,21 @@ class BlockGrid:
         return torch.zeros((blocks, VOXELS, CHANNELS), device=self.device)
 
     def _reserve(self, blocks: int) -> None:
-        """Reserve memory for this many blocks; it grows by half at least, so that copies are rare."""
+        """Reserve memory for this many blocks.
+
+        On the processor for all that there may ever be, so that none is copied; where memory that is not
+        touched counts too, it grows by half at least, so that copies are rare.
+        """
         room = len(self._values)
         if blocks <= room:
             return
-        room = min(self.most, max(blocks, room + room // 2, _MIN_RESERVED))
-        values, keys = self._empty(room), torch.zeros(room, dtype=torch.int64, device=self.device)
+        grown = min(self.most, max(blocks, room + room // 2, _MIN_RESERVED))
+        values = None
+        if self.device.type == "cpu" and room == 0:
+            with suppress(MemoryError):
+                values = self._empty(self.most)
+        values = self._empty(grown) if values is None else values
+        keys = torch.zeros(len(values), dtype=torch.int64, device=self.device)
         values[: self._n], keys[: self._n] = self.values, self.keys
         self._values, self._keys = values, keys
 
