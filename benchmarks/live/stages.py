@@ -65,7 +65,7 @@ STAGES: dict[str, tuple[tuple[Name, ...], str, tuple[str, ...]]] = {
         (*SOLVING, "calc", "run"),
     ),
     "depth": (
-        (("frontend.extract", "depth_of"), ("frontend.extract", "_depth_of")),
+        (("frontend.extract", "_depth_of"),),
         "semi-global matching, convolutions",
         ("compute", "conv2d", "mkldnn_convolution"),
     ),
@@ -185,18 +185,13 @@ def _plain(name: str) -> str:
 
 
 def _measure(module: str, name: str, profile: cProfile.Profile) -> None:
-    """Profile the calls of a function, under whatever name the program's modules know it.
-
-    One that a checkout lacks is left out: of a function that has been renamed, both names are listed.
-    """
+    """Profile the calls of a function, under whatever name the program's modules know it."""
     holder = sys.modules[f"polhode.{module}"]
     owner, _, method = name.rpartition(".")
     if owner:
         setattr(getattr(holder, owner), method, _profiled(getattr(getattr(holder, owner), method), profile))
         return
-    function = getattr(holder, name, None)
-    if function is None:
-        return
+    function = getattr(holder, name)
     profiled = _profiled(function, profile)
     for known in [each for key, each in sys.modules.items() if key.startswith("polhode")]:
         for attribute, value in list(vars(known).items()):
