@@ -1,6 +1,6 @@
 """An hour of frames: time a frame and memory against the number of frames, and the answer of a long run.
 
-    python -m benchmarks.live.long [--frames 10000] [--short] [--record FILE] [-o docs/images/long.png]
+    python -m benchmarks.live.long [--only tracks] [--frames 10000] [--short] [--record FILE] [-o PNG]
 
 Synthetic tracks: the sliding window over 10,000 frames of a tumbling body, whose landmarks return into view
 with each revolution. Rendered frames: the stream (features, matching, window) over the 2,000 small pairs of
@@ -17,7 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from resource import RUSAGE_SELF, getrusage
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from tyro.conf import arg
@@ -59,20 +59,34 @@ def main(
     frames: Annotated[int, arg(help="Frames of synthetic tracks.")] = 10_000,
     short: Short = False,
     record: Record = RECORD,
+    only: Annotated[Literal["tracks", "rendered"] | None, arg(help="One of the two; else both.")] = None,
     png: Png = None,
 ) -> None:
     """Measure what the record lacks, print the tables."""
-    folder = ROOT / "sample" if short else simulated(SCENE, ROOT / "runs" / "long")
-    cases: list[Case] = [
-        {"kind": "tracks", "frames": 300 if short else frames},
-        {"kind": "rendered", "sequence": str(folder.relative_to(ROOT)), "short": short},
-    ]
+    cases: list[Case] = []
+    if only != "rendered":
+        cases.append({"kind": "tracks", "frames": 300 if short else frames})
+    if only != "tracks":
+        folder = ROOT / "sample" if short else simulated(SCENE, ROOT / "runs" / "long")
+        cases.append({"kind": "rendered", "sequence": str(folder.relative_to(ROOT)), "short": short})
     # one after the other: they are timed
-    tracks, rendered = complete(record, cases, measure, 1)
+    lines = complete(record, cases, measure, 1)
+    for line in lines:
+        (print_window if line["case"]["kind"] == "tracks" else print_run)(line)
+    if png is not None:
+        draw(lines, png)
+
+
+def print_window(tracks: Case) -> None:
+    """The window's table, and its errors at the end."""
     print("\nThe sliding window over synthetic tracks\n")
     print_table("frames | ms a frame | longest | MB | landmarks held | restarts", window_rows(tracks))
     errors = ", ".join(f"{name} {value:.2g}" for name, value in tracks["last"].items())
     print(f"\nErrors in sigmas after the last frame: {errors}.")
+
+
+def print_run(rendered: Case) -> None:
+    """The stream's table, what the batch took, and the errors of the run."""
     print("\nThe stream over rendered pairs\n")
     head = "frames | features ms | matching ms | window ms | sum | MB | frames with features"
     print_table(head, stream_rows(rendered))
@@ -85,8 +99,6 @@ def main(
         " | ".join(name for _, name in ERRORS.values()),
         [[f"{scale * found[key]:.3g}" for key, (scale, _) in ERRORS.items()]],
     )
-    if png is not None:
-        draw(tracks, rendered, png)
 
 
 def measure(case: Case) -> Case:
@@ -97,7 +109,7 @@ def measure(case: Case) -> Case:
 def measure_window(n_frames: int) -> Case:
     """Synthetic tracks through the window alone; hardly a force acts, so that the target stays in view."""
     scene = replace(GROWTH, frames=n_frames, v_N=(0.0, 0.0, 0.0), accel_psd=1e-12, links=False)
-    config = Backend(process_noise="given", accel_psd=GROWTH.accel_psd, torque_psd=scene.torque_psd)
+    config = Backend(process_noise="given", accel_psd=scene.accel_psd, torque_psd=scene.torque_psd)
     sequence = generate(scene, SEED)
     window, curve = SlidingWindow(sequence.tracks.rig, config), Curve(n_frames)
     for measurements in frames_of(sequence.tracks):
@@ -205,13 +217,18 @@ def stream_rows(line: Case) -> list[list[object]]:
     ]  # fmt: skip
 
 
-def draw(tracks: Case, rendered: Case, png: Path) -> None:
-    """The two curves, each over the number of frames."""
-    figure, axes = subplots(2, 2, (9.0, 5.0), sharex="col", layout="constrained")
-    for column, (line, title, stages) in enumerate((
-        (tracks, "window, synthetic tracks", ("window",)),
-        (rendered, "stream, rendered pairs", ("features", "matching", "window")),
-    )):  # fmt: skip
+CURVES = {
+    "tracks": ("window, synthetic tracks", ("window",)),
+    "rendered": ("stream, rendered pairs", ("features", "matching", "window")),
+}
+
+
+def draw(lines: list[Case], png: Path) -> None:
+    """Time a frame and memory over the number of frames, a column for each sequence."""
+    n = len(lines)
+    figure, axes = subplots(2, n, (1.0 + 4.0 * n, 5.0), sharex="col", squeeze=False, layout="constrained")
+    for column, line in enumerate(lines):
+        title, stages = CURVES[line["case"]["kind"]]
         ends = [part["end"] for part in line["parts"]]
         for stage in stages:
             axes[0, column].plot(ends, [part[stage] for part in line["parts"]], marker=".", label=stage)
