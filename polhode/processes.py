@@ -355,7 +355,11 @@ def _needs_script(work: Any) -> bool:
     """Whether a function, or what it is given, is defined in the caller's script."""
     if isinstance(work, partial):
         return any(map(_needs_script, (work.func, *work.args, *work.keywords.values())))
-    return "__main__" in (getattr(work, "__module__", ""), type(work).__module__)
+    return any(map(_is_of_script, (work, *getattr(work, "__dict__", {}).values())))
+
+
+def _is_of_script(value: Any) -> bool:
+    return "__main__" in (getattr(value, "__module__", ""), type(value).__module__)
 
 
 @contextlib.contextmanager

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any, cast
@@ -357,3 +358,20 @@ def squares_in_a_pool(count: int) -> list[int]:
 def test_a_worker_process_of_the_caller_does_the_work_itself() -> None:
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         assert pool.apply(squares_in_a_pool, (3,)) == [0, 1, 4]
+
+
+class _Holder:
+    """Work that calls a function which it holds."""
+
+    def __init__(self, function: Callable[[int], int]) -> None:
+        self.function = function
+
+
+def test_work_that_holds_a_function_of_the_script_needs_the_script() -> None:
+    def of_the_script(item: int) -> int:
+        return item
+
+    assert not processes._needs_script(_Holder(of_the_script))
+    of_the_script.__module__ = "__main__"
+    assert processes._needs_script(_Holder(of_the_script))
+    assert processes._needs_script(partial(map, of_the_script))
