@@ -20,7 +20,6 @@ from polhode.backend.initialization.multistart import KnownMotion
 from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.errors import RunFailure
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.tracks.tracks import MIN_VIEWS
 from polhode.lie import Array, inverse_pose
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.correspondences import features_in_turn
@@ -30,6 +29,8 @@ from polhode.pipeline.streamed import Observations, Streamed
 from polhode.records import InitialMotion, Ints, MotionEstimate, OnlineEstimate, StereoTracks
 
 MIN_KEY_FRAMES = 3
+MIN_KEY_VIEWS = 2
+"""Key frames that see a landmark of the map"""
 MIN_OBSERVATIONS = 8
 """Of landmarks that other key frames see: with fewer, a frame is no key frame."""
 _log = logging.getLogger(__name__)
@@ -116,7 +117,7 @@ def _tracks(context: RunContext, streamed: Streamed) -> StereoTracks:
     label = np.concatenate([seen.landmark for seen in streamed.observations]).astype(np.int64)
     of_keys = np.isin(frame, streamed.key_frames[streamed.key_frames >= streamed.found_from])
     views = np.bincount(label[of_keys], minlength=int(label.max(initial=-1)) + 1)
-    used = np.flatnonzero(views[label] >= MIN_VIEWS)
+    used = np.flatnonzero(views[label] >= MIN_KEY_VIEWS)
     landmark = np.unique(label[used], return_inverse=True)[1].reshape(-1)
 
     def values(name: str) -> Array:
