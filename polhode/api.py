@@ -61,18 +61,20 @@ def run(
     config: Configuration = None,
     *,
     overwrite: bool = False,
+    resume: bool = False,
     progress: Progress | bool = True,
 ) -> "Run":
     """Estimate motion, mass properties, map and mesh from a stereo sequence, as ``polhode run``.
 
     data: folder of the sequence; output: folder of the run, None: a temporary one, which is removed with the
-    last reference to what is returned. Raises InputError for bad input, which leaves nothing behind;
+    last reference to what is returned; resume: stages that an earlier run has finished in ``output`` are used
+    again. Raises InputError for bad input, which leaves nothing behind;
     RunFailure when no motion is found, and then ``output`` holds what was found before. A run that ends with
     a motion that cannot be trusted is returned, with the status "failed" or "degraded".
     """
     values, shown = configuration(config), _progress(progress)
     if output is not None:
-        run_pipeline(values, Path(data), Path(output), shown, overwrite=overwrite)
+        run_pipeline(values, Path(data), Path(output), shown, overwrite=overwrite, resume=resume)
         return Run(Path(output))
     temporary = tempfile.TemporaryDirectory(prefix="polhode-")
     folder = Path(temporary.name) / "run"
