@@ -127,6 +127,7 @@ BENCHMARKS = (
               f"{_TEMPLE} --run runs/temple -o runs/temple.png", None, (_TEMPLE,)),
     Benchmark("backgrounds", "end_to_end.backgrounds", "docs/masks.md", 60),
     Benchmark("matching", "frontend.matching", "docs/frontend.md", 120),
+    Benchmark("frontend_cost", "frontend.cost", "docs/frontend.md", 2, needs=("data/ts38",)),
     Benchmark("disparity", "frontend.disparity", "docs/depth.md", 60),
     Benchmark("masks", "frontend.masks", "docs/masks.md", 3),
     _of_runs("mesh_quality", "mapping.mesh_quality", "docs/mapping.md", 20, _SURFACES),

@@ -71,13 +71,16 @@ def _planes(disparity: NDArray[np.float32], uv_px: Array) -> Array:
                 far[at], value[at] = square, here
         if known == 0:
             continue
-        level = np.median(value[:near])
-        plane[:] = 0.0
+        level = _median(value, near)
+        for a in range(3):
+            plane[a] = 0.0
         support = 0.0
         # the last round only counts the support of the plane
         for i in range(ROUNDS + 1):
-            A[:] = 0.0
-            b[:] = 0.0
+            for a in range(3):
+                b[a] = 0.0
+                for c in range(3):
+                    A[a, c] = 0.0
             support = 0.0
             for m in range(known):
                 away = d[m] - level
@@ -106,3 +109,15 @@ def _planes(disparity: NDArray[np.float32], uv_px: Array) -> Array:
         if support >= MIN_SUPPORT * total:
             planes[k, 0], planes[k, 1], planes[k, 2] = plane[0] + level, plane[1], plane[2]
     return planes
+
+
+@compiled_fused_ieee
+def _median(value: Array, count: int) -> float:
+    """Of the first ``count`` values, which are put in order."""
+    for i in range(1, count):
+        moved, at = value[i], i
+        while at > 0 and value[at - 1] > moved:
+            value[at] = value[at - 1]
+            at -= 1
+        value[at] = moved
+    return 0.5 * (value[(count - 1) // 2] + value[count // 2])

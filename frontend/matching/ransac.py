@@ -51,7 +51,11 @@ def ransac_rigid(
     """
     triples = _sample_triples(len(uvd_i), rng)
     camera = rig.focal_px, rig.cx_px, rig.cy_px, rig.baseline_m, rig.disparity_offset_px
-    X, support = _best_motion(triples, p_Ri, p_Rj, np.ascontiguousarray(uvd_i.T), camera)
+    p_Ri, p_Rj = np.ascontiguousarray(p_Ri), np.ascontiguousarray(p_Rj)
+    X = np.eye(4)
+    support = _best_motion(
+        triples, p_Ri, p_Rj, np.ascontiguousarray(p_Rj.T), np.ascontiguousarray(uvd_i.T), *camera, X
+    )
     inlier = _inliers(transform_points(X, p_Rj), uvd_i, rig)
     if support < MIN_SUPPORT:
         return RigidFit(X, inlier)
@@ -94,8 +98,10 @@ def _fit_noisy(X: Array, p_A: Array, p_B: Array, focal_px: float, baseline_m: fl
     for a in range(3):
         J[a, 3 + a] = 1.0
     for _ in range(rounds):
-        normal[:] = 0.0
-        rhs[:] = 0.0
+        for i in range(6):
+            rhs[i] = 0.0
+            for j in range(6):
+                normal[i, j] = 0.0
         for k in range(len(p_A)):
             _covariance(p_A[k], focal_px, baseline_m, C_A)
             _covariance(p_B[k], focal_px, baseline_m, C_B)
@@ -115,7 +121,7 @@ def _fit_noisy(X: Array, p_A: Array, p_B: Array, focal_px: float, baseline_m: fl
                 square += miss[a] * W_miss[a]
             # Geman and McClure
             weight = 1.0 / (1.0 + square / ROBUST) ** 2
-            x, y, z = moved
+            x, y, z = moved[0], moved[1], moved[2]
             J[0, 1], J[0, 2], J[1, 0], J[1, 2], J[2, 0], J[2, 1] = z, -y, -z, x, y, -x
             for i in range(6):
                 for a in range(3):
@@ -143,7 +149,7 @@ def _fit_noisy(X: Array, p_A: Array, p_B: Array, focal_px: float, baseline_m: fl
 @compiled_reordered
 def _covariance(p_R: Array, focal_px: float, baseline_m: float, C: Array) -> None:
     """Covariance (3, 3) of a point by ``NOISE_PX``."""
-    x, y, z = p_R
+    x, y, z = p_R[0], p_R[1], p_R[2]
     across = (NOISE_PX[0] * z / focal_px) ** 2
     along = (NOISE_PX[2] * z * z / (focal_px * baseline_m)) ** 2
     r = x / z, y / z, 1.0
@@ -191,16 +197,28 @@ def reprojection_error_px(p_R: Array, uvd_px: Array, rig: RectifiedRig) -> Array
 
 @compiled_reordered
 def _best_motion(
-    triples: Ints, p_Ri: Array, p_Rj: Array, uvd_i: Array, camera: tuple[float, ...]
-) -> tuple[Array, int]:
-    """The motion (4, 4) by three of the matches (n, 3) with most inliers, and their number; uvd_i (3, n)."""
-    focal_px, cx_px, cy_px, baseline_m, offset_px = camera
-    u, v, d = uvd_i
-    x, y, z = np.ascontiguousarray(p_Rj.T)
+    triples: Ints,
+    p_Ri: Array,
+    p_Rj: Array,
+    p: Array,
+    uvd_i: Array,
+    focal_px: float,
+    cx_px: float,
+    cy_px: float,
+    baseline_m: float,
+    offset_px: float,
+    X: Array,
+) -> int:
+    """The motion by three of the matches (n, 3) with most inliers, into X (4, 4); returns their number.
+
+    p (3, n): p_Rj; uvd_i (3, n)
+    """
+    u, v, d = uvd_i[0], uvd_i[1], uvd_i[2]
+    x, y, z = p[0], p[1], p[2]
     A, B, R = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    best, most = np.eye(4), -1
+    most = -1
     for h in range(len(triples)):
-        k0, k1, k2 = triples[h]
+        k0, k1, k2 = triples[h, 0], triples[h, 1], triples[h, 2]
         _triad(p_Ri[k0], p_Ri[k1], p_Ri[k2], A)
         _triad(p_Rj[k0], p_Rj[k1], p_Rj[k2], B)
         for a in range(3):
@@ -225,9 +243,11 @@ def _best_motion(
             inliers += int(near & (depth > MIN_DEPTH_M))
         if inliers > most:
             most = inliers
-            best[:3, :3] = R
-            best[0, 3], best[1, 3], best[2, 3] = tx, ty, tz
-    return best, most
+            for a in range(3):
+                for b in range(3):
+                    X[a, b] = R[a, b]
+            X[0, 3], X[1, 3], X[2, 3] = tx, ty, tz
+    return most
 
 
 @compiled_reordered
