@@ -120,4 +120,5 @@ def _median(value: Array, count: int) -> float:
             value[at] = value[at - 1]
             at -= 1
         value[at] = moved
-    return 0.5 * (value[(count - 1) // 2] + value[count // 2])
+    lower, upper = value[(count - 1) // 2], value[count // 2]
+    return 0.5 * (float(lower) + float(upper))
