@@ -61,6 +61,8 @@ COMMANDS: dict[str, type[Command]] = {
     "import": ImportCommand,
     "train": TrainCommand,
 }
+CONFIGURED = (SimulateCommand, RunCommand, CompareCommand, TrainCommand)
+"""Those that read a configuration"""
 DESCRIPTION = "Motion, mass properties and shape of a tumbling target, from a stereo camera."
 RESUMES = {
     "compare": "finished rows are kept, the same command goes on from there",
@@ -128,7 +130,7 @@ def _dispatch(words: list[str]) -> int:
     if command is None:
         return 0
     require_no_settings_of_numba()
-    if isinstance(command, SimulateCommand | RunCommand | CompareCommand | TrainCommand):
+    if isinstance(command, CONFIGURED):
         values = load_config(command.config, overrides)
         limit_threads(values.runtime.blas_threads)
         command = dataclasses.replace(command, values=values)
@@ -177,6 +179,10 @@ def _parse(words: list[str]) -> Command | None:
     except SystemExit as stop:
         if stop.code in (0, None):
             return None
+        # What an option that does not exist leaves for the others, tyro's message is about.
+        mistaken = next((word for word in words[1:] if _is_no_option(words[0], word)), None)
+        if mistaken is not None:
+            raise InputError(_unknown_option(words[0], mistaken)) from None
         raise InputError(f"{squash(stderr.getvalue())}; see polhode {words[0]} --help") from None
     if unknown:
         raise InputError(_unknown_option(words[0], unknown[0]))
@@ -202,11 +208,23 @@ def _registry() -> ConstructorRegistry:
     return registry
 
 
+def _own_options(command: str) -> list[str]:
+    """Options of a command beside the keys of the configuration; its positional arguments are among them."""
+    names = [each.name for each in dataclasses.fields(cast(Any, COMMANDS[command])) if each.name != "values"]
+    return ["--" + name.replace("_", "-") for name in names]
+
+
+def _is_no_option(command: str, word: str) -> bool:
+    name = word.partition("=")[0].replace("_", "-")
+    return name.startswith("--") and name not in _own_options(command)
+
+
 def _unknown_option(command: str, word: str) -> str:
     if not word.startswith("-"):
         return f"unexpected argument '{word}'; see polhode {command} --help"
     name = word.partition("=")[0]
-    hint = suggestion(name, [*option_names(), "--data", "--output", "--overwrite", "--debug"])
+    configured = option_names() if issubclass(COMMANDS[command], CONFIGURED) else []
+    hint = suggestion(name, [*_own_options(command), *configured])
     return f"unknown option '{name}';{hint} see polhode {command} --help"
 
 

@@ -33,6 +33,8 @@ from polhode.range_images import why_no_ranges
 
 _log = logging.getLogger(__name__)
 _TABLE_BYTES = 512 * MIB
+USUAL_BASELINE_M = 5.0
+"""Above it the unit is asked for: a rig of 5 mm and more whose T is in millimetres."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,8 @@ def import_sequence(
         contents = recording.contents
         rig = _rig(recording, options)
         pairs = choose_pairs(recording.name, contents, options)
-        for line in (*contents.warnings, *pairs.warnings):
+        early = (*contents.warnings, *pairs.warnings, *_about_scale(rig, contents))
+        for line in early:
             _log.warning(line)
         has_ranges = contents.ranges is not None
         with staged_import(folder, overwrite, _fingerprint(sources, options), has_ranges) as dataset:
@@ -76,13 +79,14 @@ def import_sequence(
                 # of files that are published under another name
                 raise InputError(str(error).replace(str(dataset.path), recording.name)) from None
             offset = _check_images(recording, rig, written, dataset, progress)
-            remarks = (*contents.warnings, *pairs.warnings, *lost, *_about_clocks(offset, pairs))
-            for line in remarks[len(contents.warnings) + len(pairs.warnings) :]:
+            remarks = (*early, *lost, *_about_clocks(offset, pairs))
+            for line in remarks[len(early) :]:
                 _log.warning(line)
             dataset.write_record(_record(sources, options, pairs, offset, remarks))
     stamps = written.stamps
     kind = "images with ranges" if has_ranges else "stereo pairs"
-    return Imported(len(stamps), 1e-9 * (stamps[-1] - stamps[0]), contents.notes, remarks, kind)
+    notes = contents.notes if has_ranges else (*contents.notes, f"baseline: {rig.baseline_m:.4g} m")
+    return Imported(len(stamps), 1e-9 * (stamps[-1] - stamps[0]), notes, remarks, kind)
 
 
 def _rig(recording: Recording, options: ImportOptions) -> Rig:
@@ -103,6 +107,16 @@ def _rig(recording: Recording, options: ImportOptions) -> Rig:
     if all(camera.size_px is not None for camera in rig.cameras):
         require_usable(rig)
     return rig
+
+
+def _about_scale(rig: Rig, contents: Contents) -> tuple[str, ...]:
+    """A warning of a baseline that looks like millimetres: no image would show it, all lengths follow it."""
+    if contents.ranges is not None or rig.baseline_m <= USUAL_BASELINE_M:
+        return ()
+    return (
+        f"{rig.right.source}: the cameras are {rig.baseline_m:.4g} m apart; if OpenCV's T is in millimetres, "
+        "give --unit mm: all lengths scale with it",
+    )
 
 
 def _require_pairs(recording: Recording, pairs: ChosenPairs, written: WrittenImages) -> tuple[str, ...]:

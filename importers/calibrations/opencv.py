@@ -22,6 +22,7 @@ from polhode.importers.calibrations.rig import (
     pose_from_inverse,
 )
 from polhode.lie import Array, make_pose
+from polhode.rig_calibration import MIN_BASELINE_M
 from polhode.tables import numbers_at
 from polhode.yaml_files import parse_yaml
 
@@ -46,7 +47,8 @@ def is_opencv(text: str) -> bool:
 def read_opencv(paths: Sequence[Path], unit_m: float) -> Rig:
     """The rig of one file, or of two that complete each other; T is in units of ``unit_m`` [m].
 
-    Raises InputError when a matrix is missing, has the wrong size, or holds NaN.
+    Raises InputError when a matrix is missing, has the wrong size, or holds NaN, or T is shorter than a
+    baseline can be.
     """
     values: dict[str, Any] = {}
     where: dict[str, Path] = {}
@@ -64,6 +66,11 @@ def read_opencv(paths: Sequence[Path], unit_m: float) -> Rig:
         )
     R = _rotation(where[R_key], values, R_key)
     t = numbers_at(where[T_key], values, T_key, (3,)) * unit_m
+    if np.linalg.norm(t) < MIN_BASELINE_M:
+        raise InputError(
+            f"{where[T_key]}: {T_key} is {np.linalg.norm(t):g} m long with --unit "
+            f"{'m' if unit_m == 1.0 else 'mm'}; state its unit, that of the board's squares: --unit m or mm"
+        )
     poses = (np.eye(4), pose_from_inverse(make_pose(R, t)))
     left, right = (_camera(shown, values, side, X_BC) for side, X_BC in zip(_SIDES, poses, strict=True))
     return Rig(left, right)

@@ -75,6 +75,11 @@ class Rig:
         """Left, right."""
         return self.left, self.right
 
+    @property
+    def baseline_m(self) -> float:
+        """Distance between the cameras."""
+        return float(np.linalg.norm(self.right.X_BC[:3, 3] - self.left.X_BC[:3, 3]))
+
     def of_depth(self, bits: int) -> "Rig":
         """The rig whose images have ``bits`` bits, where the calibration does not state them."""
         left, right = (replace(camera, bits=camera.bits or bits) for camera in self.cameras)

@@ -65,6 +65,16 @@ BAD_USAGE: dict[str, tuple[list[str], str]] = {
         ["run", "c.yaml", "--data", "S", "-o", "R", "--overwite"],
         "unknown option '--overwite'; did you mean --overwrite?",
     ),
+    "unknown option where the configuration is left out": (
+        ["run", "--data", "S", "-o", "R", "--overwite"],
+        "unknown option '--overwite'; did you mean --overwrite?",
+    ),
+    "unknown option before an argument": (["checkout", "--rg", "R", "S", "-o", "D"], "did you mean --rig?"),
+    "unknown option beside required ones": (
+        ["calibrate", "--boards", "9x6", "-o", "R"],
+        "unknown option '--boards'; did you mean --board?",
+    ),
+    "option of no command": (["import", "a.bag", "-o", "S", "--xyz", "3"], "'--xyz'; see polhode import"),
     "unknown key": (
         ["run", "c.yaml", "--data", "S", "-o", "R", "--bakend.inertia", "x"],
         "unknown option '--bakend.inertia'; did you mean --backend.inertia?",

@@ -229,6 +229,12 @@ BAD: dict[str, tuple[Bad, str]] = {
     "camchain of one camera": (chain_with("cam1:", "camera1:"), "lacks cam1"),
     "unknown distortion": (chain_with("radtan", "fov"), "the distortion model 'fov' is not known"),
     "OpenCV's file without T": (with_folders(without_t), "lacks T, from the left to the right camera"),
+    "OpenCV's T in metres, said to be in millimetres": (
+        with_folders(
+            lambda data, area, _: {"calibration": (write_opencv(data, area / "c.yml"),), "unit_m": 1e-3}
+        ),
+        "m long with --unit mm; state its unit, that of the board's squares: --unit m or mm",
+    ),
     "calibration of no kind": (
         calibration_is("c.yaml", "a: 1\n"),
         "lacks R, from the left to the right camera",

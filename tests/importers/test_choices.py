@@ -12,6 +12,7 @@ from benchmarks.importers.recordings import (
     original,
     write_folders,
     write_kalibr,
+    write_opencv,
     write_ros1,
     write_ros2,
     write_side_by_side,
@@ -116,6 +117,19 @@ def test_an_offset_of_the_clocks_is_removed_and_stated(small_sequence: Path, tmp
         require_same(data, tmp_path / f"back{later_ns}")
     record = json.loads((tmp_path / "back4000" / "import.json").read_text())
     assert record["offset_of_stamps_s"] == pytest.approx(4e-6) and record["pairs"] == N
+
+
+def test_a_baseline_that_looks_like_millimetres_is_doubted(small_sequence: Path, tmp_path: Path) -> None:
+    data = original(small_sequence)
+    folders = write_folders(data, tmp_path / "images")
+    calibration = write_opencv(data, tmp_path / "c.yml", unit_m=1e-3)
+    baseline_m = float(np.linalg.norm(data.X_01[:3, 3]))
+    wrong = imported(folders, tmp_path / "wrong", calibration=(calibration,))
+    assert wrong.warnings[0].endswith("give --unit mm: all lengths scale with it")
+    assert wrong.notes[-1] == f"baseline: {1e3 * baseline_m:.4g} m"
+    right = imported(folders, tmp_path / "right", calibration=(calibration,), unit_m=1e-3)
+    assert right.notes[-1] == f"baseline: {baseline_m:.4g} m"
+    assert not any("--unit" in line for line in right.warnings)
 
 
 def test_a_given_offset_pairs_clocks_far_apart(small_sequence: Path, tmp_path: Path) -> None:
