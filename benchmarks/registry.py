@@ -125,6 +125,8 @@ BENCHMARKS = (
     _of_runs("run_cost", "checkout.run_cost", "docs/checkout.md", 1, _WITH_TRUTH),
     Benchmark("temple", "end_to_end.photographs", "docs/photographs.md", 15,
               f"{_TEMPLE} --run runs/temple -o runs/temple.png", None, (_TEMPLE,)),
+    Benchmark("turntable", "end_to_end.turntable", "docs/photographs.md", 1,
+              "data/turntable data/turntable/matrices.mat -o runs/turntable", None, ("data/turntable",)),
     Benchmark("backgrounds", "end_to_end.backgrounds", "docs/masks.md", 60),
     Benchmark("matching", "frontend.matching", "docs/frontend.md", 120),
     Benchmark("frontend_cost", "frontend.cost", "docs/frontend.md", 2, needs=("data/ts38",)),

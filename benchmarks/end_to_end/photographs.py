@@ -1,6 +1,6 @@
 """Photographs of a real object with known motion: displacements, rate, axis, and mesh outside of its box.
 
-    python -m benchmarks.end_to_end.photographs SEQ --run RUN [-o PNG]
+    python -m benchmarks.end_to_end.photographs SEQ --run RUN [--box None] [-o PNG]
 
 SEQ holds ``mav0/`` and ``truth.csv``: timestamp [ns], rotation row by row and translation [m] that take the
 object's frame O to the left camera. The truth is the calibration of the views. RUN is made by
@@ -78,8 +78,8 @@ def main(
     sequence: Positional[Path],
     run: Annotated[Path, arg(metavar="RUN", help="The run; made unless it exists.")] = Path("runs/temple"),
     box: Annotated[
-        tuple[float, float, float, float, float, float],
-        arg(help="Lower and upper corner of the object's box in its frame [m]."),
+        tuple[float, float, float, float, float, float] | None,
+        arg(help="Lower and upper corner of the object's box in its frame [m]; None: not known."),
     ] = TEMPLE_BOX_M,
     output: Png = None,
     frame: Annotated[int, arg(help="Frame that the figure shows.")] = 0,
@@ -91,7 +91,8 @@ def main(
     if content.motion is None or content.landmarks is None:
         raise InputError(f"{run}: the run found no motion")
     stamps, X_CO = read_poses(sequence / "truth.csv")
-    print("\n".join(agreement(content, stamps, X_CO, np.reshape(box, (2, 3))).lines()))
+    found = agreement(content, stamps, X_CO, np.reshape(TEMPLE_BOX_M if box is None else box, (2, 3)))
+    print("\n".join(found.lines() if box is not None else found.lines()[:-1]))
     if output is not None:
         output.parent.mkdir(parents=True, exist_ok=True)
         side_by_side(content, sequence, frame).save(output, optimize=True)
