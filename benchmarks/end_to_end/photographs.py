@@ -41,6 +41,8 @@ TEMPLE_BOX_M = (-0.023121, -0.038009, -0.091940, 0.078626, 0.121636, -0.017395)
 """The object of the templeRing set lies between these corners of its frame."""
 FAR_M = 2e-3
 """The box of the temple ends up to 2 mm above the cloth on which it stands."""
+SHIFT_M = 0.2e-3
+"""Half of what the landmarks are displaced by against the calibration."""
 DOCS = "docs/photographs.md"
 
 
@@ -93,6 +95,8 @@ def main(
     stamps, X_CO = read_poses(sequence / "truth.csv")
     found = agreement(content, stamps, X_CO, np.reshape(TEMPLE_BOX_M if box is None else box, (2, 3)))
     print("\n".join(found.lines() if box is not None else found.lines()[:-1]))
+    if box is not None and content.surface is not None:
+        print("\n".join(limits_of_the_box(content, stamps, X_CO, np.reshape(box, (2, 3)))))
     if output is not None:
         output.parent.mkdir(parents=True, exist_ok=True)
         side_by_side(content, sequence, frame).save(output, optimize=True)
@@ -132,6 +136,37 @@ def agreement(content: StoredRun, stamps: Ints, X_CO: Array, box_O: Array) -> Ag
         len(vertices_O),
         *(float(np.mean(off_m > limit)) if len(off_m) else float("nan") for limit in (0.0, FAR_M)),
     )
+
+
+def limits_of_the_box(content: StoredRun, stamps: Ints, X_CO: Array, box_O: Array) -> list[str]:
+    """What the share of the vertices outside of the box (2, 3) depends on, as lines: frames that a vertex was
+    seen in, its sigma, and where the mesh is laid into O."""
+    motion, landmarks, surface = content.motion, content.landmarks, content.surface
+    assert motion is not None and landmarks is not None and surface is not None
+    _, estimated, true = np.intersect1d(motion.trajectory.timestamps_ns, stamps, return_indices=True)
+    X_OG = object_frame(X_CO[true], motion.X_NG[estimated], landmarks.p_G)
+    vertices_O = transform_points(X_OG, np.asarray(surface.mesh.vertices))
+    views, sigma_m = np.asarray(surface.views), np.asarray(surface.sigma_m)
+
+    def off_m(moved_O: Array) -> Array:
+        at_O = vertices_O + moved_O
+        return np.asarray(np.linalg.norm(at_O - np.clip(at_O, box_O[0], box_O[1]), axis=1))
+
+    off, known = off_m(np.zeros(3)), np.isfinite(sigma_m)
+    seen = [(n, views >= n) for n in (4, 6, 8)]
+    sure = [(q, known & (sigma_m <= np.percentile(sigma_m[known], q))) for q in (95, 80)]
+    beyond = [(k, np.mean(off[known] > k * sigma_m[known])) for k in (1, 2, 3)]
+    shifts = [np.mean(off_m(sign * SHIFT_M * axis) > 0.0) for axis in np.eye(3) for sign in (-1.0, 1.0)]
+    return [
+        "outside, of the vertices seen in at least n frames: "
+        + ", ".join(f"{n}: {100 * np.mean(off[one] > 0.0):.2f} % ({one.mean():.0%} left)" for n, one in seen),
+        "outside, of those with the smallest sigmas: "
+        + ", ".join(f"{q} % of them: {100 * np.mean(off[one] > 0.0):.2f} %" for q, one in sure),
+        "outside by more than k of their sigmas: "
+        + ", ".join(f"{k}: {100 * share:.2f} %" for k, share in beyond),
+        f"outside if the mesh is moved by {1e3 * SHIFT_M:g} mm along one of the axes: "
+        f"{100 * min(shifts):.2f} to {100 * max(shifts):.2f} %",
+    ]
 
 
 def mean_rate(time_s: Array, R: Array) -> Array:
