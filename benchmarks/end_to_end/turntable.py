@@ -28,6 +28,7 @@ from tyro.conf import Positional, arg
 from benchmarks.command import command
 from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
 from polhode.errors import InputError
+from polhode.images import Grey
 from polhode.lie import Array, inverse_pose, log_so3, make_pose
 from polhode.rigid_fit import mean_rotation
 
@@ -57,7 +58,7 @@ def main(
     P = np.array([np.asarray(each, dtype=np.float64) for each in loadmat(matrices)["P"].ravel()])
     if len(views) != len(P) or len(P) < 3:
         raise InputError(f"{images}: {len(views)} views for {len(P)} matrices; give all of them, 3 at least")
-    pixels = [cv2.imread(str(each), cv2.IMREAD_GRAYSCALE) for each in views]
+    pixels = [_read(each) for each in views]
     height, width = pixels[0].shape
     table = euclidean(P, 0.5 * (height - 1))
     # the rig: how the next view's camera stands to this one's, as if the object were at rest
@@ -69,7 +70,7 @@ def main(
         write_sensor(folder, table.K, np.zeros(4), X_BC, width, height, 1.0)
         write_camera_csv(folder, stamps)
         for stamp, grey in zip(stamps, pixels[camera:], strict=False):
-            write_png(image_path(folder, int(stamp)), np.asarray(grey, dtype=np.uint8))
+            write_png(image_path(folder, int(stamp)), grey)
     rows = np.column_stack([table.X_CO[:-1, :3, :3].reshape(-1, 9), table.X_CO[:-1, :3, 3]])
     text = "".join(
         f"{stamp},{','.join(f'{value:.17g}' for value in row)}\n"
@@ -118,6 +119,13 @@ def euclidean(P: Array, middle_row_px: float) -> Turntable:
     X_CO[:, :3, 3] /= np.linalg.norm(X_CO[0, :3, 3])
     K[0, 1] = 0.0
     return Turntable(K, X_CO)
+
+
+def _read(path: Path) -> Grey:
+    found = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if found is None:
+        raise InputError(f"{path}: not an image; give the folder of the views")
+    return np.asarray(found, dtype=np.uint8)
 
 
 def _parts(P: Array) -> tuple[Array, Array, Array]:
