@@ -85,11 +85,17 @@ def normalised(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
+def _field(installed: Distribution, name: str) -> str | None:
+    """The first of this name that a distribution's metadata has."""
+    found = installed.metadata.get_all(name)
+    return str(found[0]) if found else None
+
+
 def licences(installed: Distribution) -> list[License]:
     """What the distribution declares: its SPDX expression, its licence, or its classifiers."""
     make, declared = LicenseFactory(), LicenseAcknowledgement.DECLARED
     for field in ("License-Expression", "License"):
-        text = " ".join(str(installed.metadata.get(field) or "").split())
+        text = " ".join(str(_field(installed, field) or "").split())
         if text and text != "UNKNOWN" and len(text) <= MAX_LICENCE_LENGTH:
             return [make.make_from_string(text, license_acknowledgement=declared)]
     classifiers = (str(each) for each in installed.metadata.get_all("Classifier") or [])
@@ -108,7 +114,7 @@ def component_of(package: Package) -> Component:
         bom_ref=str(url),
         purl=url,
         licenses=licences(package.installed),
-        description=package.installed.metadata.get("Summary"),
+        description=_field(package.installed, "Summary"),
     )
 
 
