@@ -32,8 +32,8 @@ def test_a_projective_map_along_the_axis_is_undone(mirrored: bool) -> None:
     table = euclidean(np.array([1.0, -3.0] * 6)[:, None, None] * (K @ X_CO[:, :3] @ H), 23.5)
     np.testing.assert_allclose(table.K, K, rtol=1e-6, atol=1e-4)
     # the frame of the object is free but for its axis
-    between = [X[1:, :3, :3] @ np.swapaxes(X[:-1, :3, :3], 1, 2) for X in (table.X_CO, X_CO)]
-    np.testing.assert_allclose(*between, atol=1e-6)
+    found, true = (X[1:, :3, :3] @ np.swapaxes(X[:-1, :3, :3], 1, 2) for X in (table.X_CO, X_CO))
+    np.testing.assert_allclose(found, true, atol=1e-6)
     np.testing.assert_allclose(table.X_CO[:, :3, 3], X_CO[:, :3, 3], atol=1e-6)
 
 
