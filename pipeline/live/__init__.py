@@ -7,6 +7,7 @@
 - recording: what has come as a sequence on disk, which the batch reads at the end
 - stream: the stages of a pair: features, links with earlier frames, landmarks, window
 - ahead: what the batch will want of each pair, done in another process meanwhile; the growing surface
+- warm_up: what is compiled before the first pair comes
 - arrivals: what becomes of late, missing and repeated pairs
 - live_state: what is known after a pair
 """

@@ -10,7 +10,6 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from polhode.backend.window import warm_up
 from polhode.config import Config
 from polhode.dataset import StereoImages
 from polhode.errors import InputError
@@ -23,6 +22,7 @@ from polhode.pipeline.live.live_state import LiveState
 from polhode.pipeline.live.recording import FileRecording
 from polhode.pipeline.live.session import RepeatedImages, require_pairs, unmeasured
 from polhode.pipeline.live.stream import Extracted, Stream
+from polhode.pipeline.live.warm_up import warm_up_stream
 from polhode.pipeline.report import write_report
 from polhode.pipeline.run import RunResult, fill_run_folder
 from polhode.pipeline.run_directory.run_folder import atomic_run_folder
@@ -91,7 +91,7 @@ def run_live(
     with atomic_run_folder(run_folder, overwrite, write_report, even_if_failed) as written:
         stream = Stream(config, source.calibration, source.camera_motion())
         with progress.stage("compiling", 1) as advance:
-            warm_up(stream.rectifier.rig, config.backend)
+            warm_up_stream(stream.rectifier.rig, config)
             advance()
         recording = FileRecording(source_folder)
         try:
