@@ -39,6 +39,10 @@ def _made_up_pair(rig: RectifiedRig, right_px: int) -> RectifiedPair:
     place = slice(v, v + side), slice(u, u + side)
     left[place], mask[place] = grey, True
     disparity = DISPARITY_PX + round(rig.disparity_offset_px)
-    moved = [np.roll(image, right_px, axis=1) for image in (left, mask)]
-    seen_right = [np.roll(image, right_px - disparity, axis=1) for image in (left, mask)]
-    return RectifiedPair(moved[0], seen_right[0], moved[1], seen_right[1])
+    to_right_px = right_px - disparity
+    return RectifiedPair(
+        left=np.roll(left, right_px, axis=1),
+        right=np.roll(left, to_right_px, axis=1),
+        mask_left=np.roll(mask, right_px, axis=1),
+        mask_right=np.roll(mask, to_right_px, axis=1),
+    )
