@@ -28,11 +28,12 @@ def _fill(out: Array, x: float, y: float, z: float, a: float, b: float) -> None:
 
 def rotation_matrices(theta: Array) -> Array:
     """Rotation vectors [rad] (n, 3) -> matrices (n, 3, 3)."""
-    return _rotation_matrices(np.ascontiguousarray(theta))
+    return contiguous_rotation_matrices(np.ascontiguousarray(theta))
 
 
 @compiled
-def _rotation_matrices(theta: Array) -> Array:
+def contiguous_rotation_matrices(theta: Array) -> Array:
+    """``rotation_matrices`` of a contiguous array, for compiled loops."""
     out = np.empty((len(theta), 3, 3))
     for n in range(len(theta)):
         x, y, z = theta[n, 0], theta[n, 1], theta[n, 2]
@@ -99,7 +100,7 @@ def rotation_vectors(R: Array) -> Array:
 
 def right_jacobians(theta: Array) -> Array:
     """``Exp(theta + d) ~ Exp(theta) Exp(Jr(theta) d)``: (n, 3) -> (n, 3, 3)."""
-    return _right_jacobians(np.ascontiguousarray(theta))
+    return contiguous_right_jacobians(np.ascontiguousarray(theta))
 
 
 def inverse_right_jacobians(theta: Array) -> Array:
@@ -108,8 +109,8 @@ def inverse_right_jacobians(theta: Array) -> Array:
 
 
 @compiled
-def _right_jacobians(theta: Array) -> Array:
-    """I - a hat + b hat^2"""
+def contiguous_right_jacobians(theta: Array) -> Array:
+    """``right_jacobians`` of a contiguous array, for compiled loops: I - a hat + b hat^2."""
     out = np.empty((len(theta), 3, 3))
     for n in range(len(theta)):
         x, y, z = theta[n, 0], theta[n, 1], theta[n, 2]

@@ -15,7 +15,7 @@ from scipy.sparse import csr_matrix
 
 from polhode.backend.dynamics.kernels import prior_kernel
 from polhode.backend.dynamics.residuals import FrameStates, dynamics_jacobians, dynamics_residuals
-from polhode.backend.dynamics.so3_exp import right_jacobians, rotation_matrices
+from polhode.backend.dynamics.so3_exp import contiguous_right_jacobians, contiguous_rotation_matrices
 from polhode.backend.problem.inertia import inertia_derivative, inertia_from_second_moments
 from polhode.backend.problem.iterate import N_CAMERA, N_CONSTANTS, N_STATE
 from polhode.backend.problem.motion_data import MotionData
@@ -210,7 +210,8 @@ def landmark_block(
     """
     n = len(poses)
     out = np.empty((n, 3))
-    rotation, right = rotation_matrices(poses[:, 3:6]), right_jacobians(poses[:, 3:6])
+    theta = np.ascontiguousarray(poses[:, 3:6])
+    rotation, right = contiguous_rotation_matrices(theta), contiguous_right_jacobians(theta)
     D, T = np.zeros((3, 3)), np.empty((3, 3))
     for m in range(n):
         A = A_ref[m] @ rotation[m]

@@ -13,7 +13,7 @@ from polhode.backend import estimate_motion
 from polhode.cli.main import main
 from polhode.dataset_writer import write_png
 from polhode.errors import RunFailure
-from polhode.frontend.tracks.guided_matching import reconnect
+from polhode.frontend.tracks.guided_matching import GuidedResult, reconnect
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
 from tests.pipeline.conftest import REST_FRAMES
@@ -48,10 +48,12 @@ def test_a_target_at_rest_is_a_complete_answer_with_a_warning(
 def test_measurements_without_a_consistent_motion_fail_the_run_and_stay(
     at_rest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    def of_outliers(tracks: StereoTracks, motion: InitialMotion, *more: Any) -> MotionEstimate:
+    def of_outliers(
+        tracks: StereoTracks, motion: InitialMotion, *more: Any, **services: Any
+    ) -> MotionEstimate:
         rng = np.random.default_rng(0)
         uvd_px = rng.uniform(20.0, 200.0, tracks.uvd_px.shape)
-        return estimate_motion(replace(tracks, uvd_px=uvd_px), motion, *more)
+        return estimate_motion(replace(tracks, uvd_px=uvd_px), motion, *more, **services)
 
     monkeypatch.setattr("polhode.pipeline.find_motion.estimate_motion", of_outliers)
     assert run(at_rest, tmp_path / "run", *NO_PICTURES) == 1
@@ -65,7 +67,7 @@ def test_what_an_earlier_round_found_stays_when_a_later_one_fails(
 ) -> None:
     rounds: list[int] = []
 
-    def failing(*arguments: Any) -> Any:
+    def failing(*arguments: Any) -> GuidedResult:
         rounds.append(1)
         if len(rounds) > 1:
             raise RunFailure("no consistent motion")

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-import polhode.pipeline.evaluation
 from polhode.cli.main import main
 from polhode.config import Config
 from polhode.pipeline.report import finish_run, write_comparison
@@ -118,7 +117,7 @@ def test_evaluation_enters_the_report(
     def measured(run: Path, data: Path) -> dict[str, Any]:
         return {"rmse_position_m": 0.000081}
 
-    monkeypatch.setattr(polhode.pipeline.evaluation, "evaluate", measured)
+    monkeypatch.setattr("polhode.pipeline.report.page.evaluate", measured)
     assert main(["evaluate", str(folder), str(tmp_path)]) == 0
     page = (folder / "report.html").read_text()
     assert "Against the truth" in page and "0.081" in page
