@@ -37,7 +37,7 @@ class FoundMasks:
     quality: Mapping[int, MaskQuality]
 
     def part(self, frames: Ints) -> "FoundMasks":
-        """The masks of some of the pairs (n,), which are numbered anew."""
+        """The masks of some of the pairs (n,), which are numbered from 0."""
         old = list(enumerate(frames.tolist()))
         return FoundMasks(
             {n: self.encoded[k] for n, k in old if k in self.encoded},

@@ -45,7 +45,7 @@ ITERATIONS = 3
 SMALL_DECREASE = 0.01
 """A smaller decrease of the cost ends them: it changes no comparison of evidences."""
 EXPANSIONS, AGREEING = 3, 0.5
-"""Searches with stereo terms expanded anew, until the problem itself has the same evidence within this."""
+"""Searches with stereo terms expanded again, until the problem itself has the same evidence within this."""
 
 
 @dataclass(frozen=True)
