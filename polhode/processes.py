@@ -14,6 +14,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -35,6 +36,8 @@ U = TypeVar("U")
 
 WAITING_PER_WORKER = 3
 """Items per process that are submitted or whose results are not yet taken."""
+SERVER_PAUSES = (0.02, 0.1, 0.5)
+"""Seconds after each try to start a worker by a server that does not answer."""
 BACKGROUND_NICENESS = 10
 """Of a process that works ahead: it leaves the processor to what is waited for."""
 NICENESS = 5
@@ -235,18 +238,16 @@ def _begun(
     """A pool that works on the first item. Raises OSError where there can be none, and RunFailure.
 
     If the fork server was killed during earlier work, and its end is noticed only now, another is started.
+    A process that is being killed refuses connections before the system reports its end: hence the pauses.
     """
-    pool = _pool(work, workers, preload)
-    try:
-        return pool, _submitted(pool, item)
-    except _ServerLost:
-        pool.shutdown(cancel_futures=True)
-    pool = _pool(work, workers, preload)
-    try:
-        return pool, _submitted(pool, item)
-    except _ServerLost:
-        pool.shutdown(cancel_futures=True)
-        raise _killed("the process that starts the workers") from None
+    for pause in SERVER_PAUSES:
+        pool = _pool(work, workers, preload)
+        try:
+            return pool, _submitted(pool, item)
+        except _ServerLost:
+            pool.shutdown(cancel_futures=True)
+        time.sleep(pause)
+    raise _killed("the process that starts the workers")
 
 
 def _results(
