@@ -10,6 +10,7 @@ from polhode.cli.console import choose_progress
 from polhode.cli.options import ConfigValues, Debug, Flag, OptionalConfigFile
 from polhode.config import Config
 from polhode.errors import InputError, RunFailure
+from polhode.processes import start_server, worker_count
 
 if TYPE_CHECKING:
     from polhode.pipeline.run import RunResult
@@ -60,6 +61,7 @@ class RunCommand:
         return 0
 
     def _run(self) -> "RunResult":
+        start_server(("polhode.pipeline.run",), worker_count(self.values.runtime.workers))
         from polhode.pipeline.run import run
 
         if self.data is None:
@@ -79,6 +81,7 @@ class RunCommand:
         )
 
     def _run_live(self, source: Path) -> "RunResult":
+        start_server(("polhode.pipeline.live.run_live",), worker_count(self.values.runtime.workers))
         from polhode.pipeline.live.run_live import PATIENCE_S, run_live
 
         if self.data is not None:

@@ -42,7 +42,7 @@ from polhode.planning.exports.formats import Format
 from polhode.planning.keep_out.measured_body import Cover
 from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions
 from polhode.planning.prediction import PredictedMotion, nominal_motion
-from polhode.processes import worker_count
+from polhode.processes import start_server, worker_count
 from polhode.progress import Progress, Silent
 from polhode.records import Landmarks, StereoTracks, SurfaceModel
 from polhode.threads import single_threaded
@@ -73,6 +73,7 @@ def run(
     a motion that cannot be trusted is returned, with the status "failed" or "degraded".
     """
     values, shown = configuration(config), _progress(progress)
+    start_server((run_pipeline.__module__,), worker_count(values.runtime.workers))
     if output is not None:
         run_pipeline(values, Path(data), Path(output), shown, overwrite=overwrite, resume=resume)
         return Run(Path(output))

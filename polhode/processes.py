@@ -10,6 +10,7 @@ import contextlib
 import logging
 import logging.handlers
 import multiprocessing
+import multiprocessing.forkserver
 import os
 import signal
 import sys
@@ -84,6 +85,19 @@ def as_finished(work: Callable[[T], U], items: Sequence[T], workers: int) -> Ite
     if items:
         pool, first = _begun(work, items[0], min(workers, len(items)))
         yield from _results(pool, first, items[1:], workers, ordered=False)
+
+
+def start_server(modules: Sequence[str], workers: int) -> None:
+    """Let the server of the workers import ``modules`` while this process goes on; workers then need not.
+
+    For the beginning of a command that takes seconds. Does nothing where there will be no workers, where the
+    system has no such server, or after it has started.
+    """
+    if workers > 1 and not multiprocessing.current_process().daemon and _has_server():
+        _context(modules)
+        # Where it cannot be started, the first work says so.
+        with contextlib.suppress(OSError), _signals_blocked(), _script_hidden(start_server):
+            multiprocessing.forkserver.ensure_running()
 
 
 class Background(Generic[T, U]):
@@ -229,7 +243,19 @@ def _pool(work: Callable[[T], U], workers: int, preload: Sequence[str] = ()) -> 
         raise OSError("a worker process may have none of its own")
     # The tracker of shared resources, which starts here, must not end by SIGHUP.
     with _signals_blocked():
-        return ProcessPoolExecutor(workers, _context(preload), _begin, (work,))
+        return ProcessPoolExecutor(workers, _context((*preload, *_modules_of(work))), _begin, (work,))
+
+
+def _modules_of(work: Any) -> set[str]:
+    """The modules that define a function and what it is given, but for the caller's script."""
+    parts = (work.func, *work.args, *work.keywords.values()) if isinstance(work, partial) else ()
+    if parts:
+        return set().union(*map(_modules_of, parts))
+    return {getattr(work, "__module__", None) or type(work).__module__} - {"__main__", "builtins"}
+
+
+def _has_server() -> bool:
+    return "forkserver" in multiprocessing.get_all_start_methods()
 
 
 def _begun(
@@ -316,7 +342,7 @@ def _context(preload: Sequence[str]) -> BaseContext:
     A plain fork beside the threads of torch or embree can hang, and a spawned process spends seconds on its
     imports, at each stage of a run.
     """
-    if "forkserver" not in multiprocessing.get_all_start_methods():
+    if not _has_server():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     # Takes effect until the server starts; later calls change nothing.

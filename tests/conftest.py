@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from polhode import processes
 from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
 
 # The same examples in every run, on a machine of any speed, and nothing is kept between runs.
@@ -26,6 +27,9 @@ settings.load_profile("same")
 # tests start would inherit it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+# What workers need is imported once for all tests of this process, as a run does, while they are collected.
+processes.start_server(("polhode.pipeline.run",), workers=2)
 
 WIDTH_PX, HEIGHT_PX, BASELINE_M = 64, 48, 0.09
 RENDERED_FRAMES = 14
