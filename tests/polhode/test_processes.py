@@ -24,6 +24,8 @@ from polhode import processes
 from polhode.errors import RunFailure
 from polhode.processes import BACKGROUND_NICENESS, Background, as_finished, beside, in_order, worker_count
 
+ROOT = Path(__file__).parents[2]
+
 
 @dataclass(frozen=True)
 class Square:
@@ -58,6 +60,25 @@ def test_results_as_finished_are_complete() -> None:
 
 def test_zero_workers_stand_for_the_cores_that_may_be_used() -> None:
     assert worker_count(0) == len(os.sched_getaffinity(0)) and worker_count(3) == 3
+
+
+def is_loaded(module: str) -> bool:
+    return module in sys.modules
+
+
+@pytest.mark.parametrize("early", [True, False])
+def test_the_server_imports_what_workers_need_while_the_command_does_something_else(early: bool) -> None:
+    module = "polhode.camera"
+    begin = f"start_server(({module!r},), workers=2)" if early else ""
+    script = (
+        "from polhode.processes import in_order, start_server\n"
+        "from tests.polhode.test_processes import is_loaded\n"
+        f"{begin}\nprint(list(in_order(is_loaded, [{module!r}] * 2, 2)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == f"{[early] * 2}\n"
 
 
 def kill_itself(k: int) -> int:
