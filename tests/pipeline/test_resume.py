@@ -79,14 +79,14 @@ def test_a_killed_run_resumes_to_the_same_bytes(undisturbed: Path, at_rest: Path
         start_new_session=True,
     )
     try:
-        while len(list(tmp_path.glob(".R.partial/stages/**/*.npz"))) < 3:
+        while len(list(tmp_path.glob(".R.partial/stages/**/[!.]*.npz"))) < 3:
             assert program.poll() is None
             time.sleep(0.002)
     finally:
         os.killpg(program.pid, signal.SIGKILL)
         program.wait()
     # what a kill can leave: a result that is cut short, and one on its way to its name
-    stored = sorted(tmp_path.glob(".R.partial/stages/features/*.npz"))
+    stored = sorted(tmp_path.glob(".R.partial/stages/features/[!.]*.npz"))
     stored[0].write_bytes(stored[0].read_bytes()[:1000])
     stored[0].with_name(f".{stored[0].stem}.partial-123.npz").write_bytes(b"half")
     assert main(words(at_rest, tmp_path, "--resume")) == 0
