@@ -53,6 +53,8 @@ class RunCommand:
 
     def execute(self) -> int:
         """Run the pipeline. Raises RunFailure when it did not reach a converged estimate."""
+        # before this process imports the same
+        start_server(("polhode.pipeline.run",), worker_count(self.values.runtime.workers))
         result = self._run_live(self.live) if self.live is not None else self._run()
         print(f"{result.sentence} {result.report_path}")
         note = f"; {result.note}" if result.note else ""
@@ -61,7 +63,6 @@ class RunCommand:
         return 0
 
     def _run(self) -> "RunResult":
-        start_server(("polhode.pipeline.run",), worker_count(self.values.runtime.workers))
         from polhode.pipeline.run import run
 
         if self.data is None:
@@ -81,7 +82,6 @@ class RunCommand:
         )
 
     def _run_live(self, source: Path) -> "RunResult":
-        start_server(("polhode.pipeline.live.run_live",), worker_count(self.values.runtime.workers))
         from polhode.pipeline.live.run_live import PATIENCE_S, run_live
 
         if self.data is not None:
