@@ -5,8 +5,8 @@
 ``polhode --help`` as a user starts it: seconds by the clock and of the processor. Then the shipped sample is
 run with one process and an empty folder for compiled code, and again with what is kept there; ``--short``:
 its first seconds. Compiling is timed by numba's own events, in seconds of the processor, so that other
-programs on the machine count little. The last column is what a user waits: both runs once more, with as many
-processes as there are cores, by the clock.
+programs on the machine count little. The last column is the wall-clock time of both runs with one process per
+core.
 """
 
 import json
