@@ -231,21 +231,36 @@ def draw_mesh(surface: SurfaceModel, viewer: MeshViewer, frame: BodyFrame) -> by
         for view, each in zip(views, directions, strict=True)
     ]
     quantities = _quantities(surface)
-    size_in = (0.01 * len(directions) * (TILE_PX + 6) + 0.9, 0.01 * len(quantities) * (TILE_PX + 44) + 0.5)
-    figure = Figure(figsize=size_in, dpi=DPI, facecolor="white", layout="constrained")
+    pitch_px, row_px = TILE_PX + 8, TILE_PX + 48
+    # Placed by the pixel: a layout of some forty axes takes longer than the rays.
+    width_px, height_px = len(directions) * pitch_px + 78, len(quantities) * row_px + 44
+    figure = Figure(figsize=(width_px / DPI, height_px / DPI), dpi=DPI, facecolor="white")
+
+    def write(x_px: float, y_px: float, words: str, **style: Any) -> None:
+        figure.text(x_px / width_px, y_px / height_px, words, color=INK, **style)
+
+    def part(x_px: float, y_px: float, wide_px: float) -> Axes:
+        """Axes as high as a tile."""
+        size = (x_px / width_px, y_px / height_px, wide_px / width_px, TILE_PX / height_px)
+        return figure.add_axes(size)
+
     title = f"Mesh: {len(mesh.faces)} triangles, orthographic. {frame.description}"
-    figure.suptitle(title, size=13, weight="bold", color=INK)
-    parts: Any = figure.subfigures(len(quantities), 1)
-    for part, quantity in zip(parts, quantities, strict=True):
-        part.suptitle(quantity.title, x=0.01, ha="left", size=10, weight="bold", color=INK)
-        panels = part.subplots(1, len(directions))
-        for panel, view, light, direction in zip(panels, views, lights, directions, strict=True):
-            panel.imshow(_tile(view, light, quantity), interpolation="nearest")
-            panel.set_title(f"from {direction.name}", size=10, color=INK)
-            panel.set_axis_off()
+    write(8, height_px - 22, title, size=13, weight="bold", va="center")
+    for row, quantity in enumerate(quantities):
+        bottom_px = height_px - 44 - (row + 1) * row_px + 8
+        write(8, bottom_px + TILE_PX + 24, quantity.title, size=10, weight="bold")
+        for column, (view, light, direction) in enumerate(zip(views, lights, directions, strict=True)):
+            left_px = 8 + column * pitch_px
+            figure.figimage(_tile(view, light, quantity), left_px, bottom_px, origin="upper")
+            words = f"from {direction.name}"
+            write(left_px + TILE_PX / 2, bottom_px + TILE_PX + 6, words, size=10, ha="center")
         if quantity.scale is not None:
-            part.colorbar(quantity.scale, ax=panels, pad=0.005, aspect=15).ax.tick_params(labelsize=9)
-    add_scale_bar(panels[0], 2e3 * half_m, TILE_PX)
+            bar = figure.colorbar(quantity.scale, cax=part(8 + len(directions) * pitch_px, bottom_px, 16))
+            bar.ax.tick_params(labelsize=9)
+    lowest = part(8, bottom_px, TILE_PX)
+    lowest.set(xlim=(0.0, TILE_PX), ylim=(0.0, TILE_PX), zorder=1)
+    lowest.set_axis_off()
+    add_scale_bar(lowest, 2e3 * half_m, TILE_PX)
     return png(figure)
 
 
