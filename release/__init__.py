@@ -2,5 +2,12 @@
 
 In: the checkout and the environment in which it is installed. Out: files in dist/.
 
+    __main__             `make release`: the steps of a release, in their order
+    version              the version to release, from the tag; what must agree with it
+    notes                the release notes, from the changelog
+    distribution         sdist and wheel of a commit; what they must hold
+    trial                the wheel, installed into an empty environment and run there
+    checksums            dist/SHA256SUMS
     bill_of_materials    dist/polhode.cdx.json: the software bill of materials
+    commands             other programs, with their failure in one line
 """
