@@ -1,4 +1,4 @@
-# make setup   the environment .venv, with polhode in it
+# make setup   the environment .venv, with polhode in it and the tools of its developers (make setup EXTRAS=: without)
 # make demo    the shipped sample, end to end; the last line names the report
 # make example    flies around the target of the demo in MuJoCo, with a video (docs/planning.md)
 # make test    the tests, in two processes (make test JOBS=4: in four)
@@ -6,6 +6,8 @@
 # make matchers    weights of feature networks to compare with (docs/frontend.md)
 # make fusion-peers    Open3D and pycolmap, 500 MB, for benchmarks/mapping/fusion_peers.py; without them its rows say so
 # make sbom    dist/polhode.cdx.json: the software bill of materials, in CycloneDX's JSON (docs/security.md)
+# make release    sdist, wheel, notes, bill of materials and checksums of the tagged commit, in dist/ (docs/release.md);
+#              make release OPTIONS="--dry-run --offline" tries it without a tag
 # make bench   every benchmark, hours. What was measured before is read from its record, so that it can be
 #              interrupted. make bench SHORT=--short: small versions, minutes. make bench-TOPIC: those of a topic
 #              or of a name; python -m benchmarks --list shows them
@@ -24,9 +26,11 @@ SITE := .venv/.docs
 SHOWN := .venv/.shown
 DEMO_RUN := runs/demo
 SHORT ?=
+OPTIONS ?=
+EXTRAS ?= [dev]
 JOBS ?= 2
 
-.PHONY: setup matchers fusion-peers demo example test check sbom bench
+.PHONY: setup matchers fusion-peers demo example test check sbom release bench
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -37,7 +41,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
 	    { echo "polhode: error: $(PYTHON) cannot make environments; on Debian: apt-get install python3-venv" >&2; exit 2; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.$(EXTRAS)'
 	@touch $@
 
 $(PEERS): $(STAMP)
@@ -106,6 +110,9 @@ check: setup
 
 sbom: setup $(SBOM)
 	$(BIN)/python -m release.bill_of_materials dist/polhode.cdx.json
+
+release: setup $(SBOM)
+	@$(BIN)/python -m release $(OPTIONS)
 
 bench: setup $(MATCHERS) $(SOLVERS)
 	$(BIN)/python -m benchmarks $(SHORT)

@@ -107,6 +107,8 @@ def test_no_package_of_tests_shadows_ours() -> None:
 
 
 PAGES = (
+    "CODE_OF_CONDUCT.md",
+    "CONTRIBUTING.md",
     "README.md",
     "SECURITY.md",
     *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").glob("*.md")),
