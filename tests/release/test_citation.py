@@ -37,31 +37,3 @@ def test_each_reference_can_be_found_by_its_authors_title_and_year(cited: dict[s
     ]
     assert found == [("thesis", 2013, ["Tweddle"]), ("slides", 2012, ["Eaton", "Naasz"])]
     assert all(each["title"] and each["institution"]["name"] for each in cited["references"])
-
-
-FORMS = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
-
-
-@pytest.mark.parametrize("form", [each for each in FORMS if each.name != "config.yml"], ids=lambda f: f.stem)
-def test_each_issue_form_can_be_shown(form: Path) -> None:
-    """What GitHub requires: a name, a description, and elements with a label and an identifier of their own."""
-    content = yaml.safe_load(form.read_text())
-    assert content["name"] and content["description"]
-    fields = [each for each in content["body"] if each["type"] != "markdown"]
-    assert {each["type"] for each in fields} <= {"input", "textarea", "dropdown", "checkboxes"}
-    names = [each["id"] for each in fields]
-    assert len(set(names)) == len(names) and all(each["attributes"]["label"] for each in fields)
-    assert any(each.get("validations", {}).get("required") for each in fields)
-
-
-def test_reports_ask_for_the_installation_and_for_the_summary() -> None:
-    asked = {
-        form.stem: {
-            each["id"]
-            for each in yaml.safe_load(form.read_text()).get("body", [])
-            if each.get("validations", {}).get("required")
-        }
-        for form in FORMS
-    }
-    assert {"command", "doctor"} <= asked["bug"]
-    assert {"summary", "checkout", "doctor"} <= asked["wrong_answer"]
