@@ -23,6 +23,8 @@ ENV PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu \
 
 # Dependencies change less often than code: this layer is made again only when one of these files changes.
 COPY --chown=polhode Makefile pyproject.toml constraints.txt README.md LICENSE ./
+# An editable installation leads to the folder of the package, which must be one.
+COPY --chown=polhode polhode/__init__.py polhode/
 RUN make setup EXTRAS=
 
 COPY --chown=polhode . .

@@ -41,7 +41,8 @@ def test_it_begins_from_an_image_of_the_oldest_python_that_is_supported(
 def test_what_it_copies_exists_and_is_not_ignored(instructions: list[Instruction]) -> None:
     copies = [rest.split()[1:-1] for name, rest in instructions if name == "COPY"]
     assert copies[-1] == ["."] and "constraints.txt" in copies[0]
-    assert [name for name in copies[0] if not (ROOT / name).is_file() or ignored(name)] == []
+    names = [name for each in copies[:-1] for name in each]
+    assert [name for name in names if not (ROOT / name).is_file() or ignored(name)] == []
 
 
 def test_all_that_a_run_needs_is_copied_and_nothing_that_is_not_tracked() -> None:
@@ -57,6 +58,8 @@ def test_dependencies_are_a_layer_of_their_own_in_their_tested_versions(
     names = [name for name, _ in instructions]
     install = instructions.index(("RUN", "make setup EXTRAS="))
     assert names[install - 1 : install + 2] == ["COPY", "RUN", "COPY"]
+    # without a module of the package, the installation would lead nowhere
+    assert instructions[install - 1][1].endswith("polhode/__init__.py polhode/")
     assert "--constraint constraints.txt --editable '.'" in planned("setup", "EXTRAS=")
     assert "--constraint constraints.txt --editable '.[dev]'" in planned("setup")
 
