@@ -99,7 +99,7 @@ example:
 	test -f $(DEMO_RUN)/mesh.ply || $(MAKE) demo
 	$(BIN)/python -m examples.inspect_tumbling $(DEMO_RUN) sample -o runs/flight
 
-test: setup $(PEERS) $(MATCHERS) $(SOLVERS) $(FORMATS) $(SBOM) $(IMPORT) $(SITE) $(SHOWN)
+test: setup $(PEERS) $(MATCHERS) $(SOLVERS) $(FORMATS) $(SBOM) $(IMPORT)
 	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal
 
 check: setup
