@@ -30,5 +30,5 @@ def test_reports_ask_for_the_installation_and_for_the_summary() -> None:
         }
         for form in FORMS
     }
-    assert {"command", "doctor"} <= asked["bug"]
-    assert {"summary", "checkout", "doctor"} <= asked["wrong_answer"]
+    assert {"command", "versions"} <= asked["bug"]
+    assert {"summary", "checkout", "versions"} <= asked["wrong_answer"]
