@@ -7,7 +7,6 @@ In: the checkout and the environment in which it is installed. Out: files in dis
     notes                the release notes, from the changelog
     distribution         sdist and wheel of a commit; what they must hold
     trial                the wheel, installed into an empty environment and run there
-    checksums            dist/SHA256SUMS
     bill_of_materials    dist/polhode.cdx.json: the software bill of materials
     commands             other programs, with their failure in one line
 """

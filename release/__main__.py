@@ -16,8 +16,7 @@ from pathlib import Path
 
 from polhode.atomic import write_all
 from polhode.errors import InputError, RunFailure, one_line
-from release.checksums import sha256sums
-from release.distribution import build, check_distribution, export_commit
+from release.distribution import build, check_distribution, export_commit, sha256sums
 from release.notes import release_notes, section_of
 from release.trial import make_environment, try_program
 from release.version import candidate, require_cited_date

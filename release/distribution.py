@@ -14,6 +14,7 @@ import shutil
 import sys
 import tarfile
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from email.parser import BytesParser
 from pathlib import Path
@@ -147,3 +148,8 @@ def _metadata_of_sdist(sdist: Path) -> bytes:
     with tarfile.open(sdist) as archive:
         stream = archive.extractfile(f"{sdist.name.removesuffix('.tar.gz')}/PKG-INFO")
         return stream.read() if stream is not None else b""
+
+
+def sha256sums(files: Mapping[str, bytes]) -> str:
+    """The text of SHA256SUMS for ``sha256sum --check``: a line for each file, by name."""
+    return "".join(f"{hashlib.sha256(files[name]).hexdigest()}  {name}\n" for name in sorted(files))

@@ -13,7 +13,6 @@ import pytest
 
 from polhode.errors import InputError, RunFailure
 from release.__main__ import main, make_release
-from release.checksums import sha256sums
 from release.commands import call
 from release.distribution import (
     Distribution,
@@ -21,6 +20,7 @@ from release.distribution import (
     check_distribution,
     metadata_faults,
     packaged_files,
+    sha256sums,
     wheel_faults,
 )
 
