@@ -12,7 +12,7 @@ from polhode.calibration.figures import (
 from polhode.calibration.formats import FORMAT_FILES, calibration_files
 from polhode.calibration.result import CalibrationResult, Parameter, epipolar_of, result_of
 from polhode.errors import printable
-from polhode.pipeline.report.page import fill
+from polhode.pipeline.report.template import fill
 from polhode.pipeline.run_directory.summary_schema import json_text
 
 COMMAND = "calibrate"

@@ -15,7 +15,7 @@ from polhode.calibration.verify import Verified
 from polhode.errors import printable
 from polhode.pipeline.checkout.checkout import in_a_line
 from polhode.pipeline.checkout.page import check_row
-from polhode.pipeline.report.page import fill
+from polhode.pipeline.report.template import fill
 from polhode.pipeline.run_directory.summary_schema import json_text
 
 VERIFY_COMMAND = "calibrate --verify"

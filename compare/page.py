@@ -19,8 +19,8 @@ from polhode.compare.tables import (
     tally_text,
     verdict,
 )
-from polhode.pipeline.report.page import fill
 from polhode.pipeline.report.plot_style import Figure, Trace, axis, layout, line
+from polhode.pipeline.report.template import fill
 
 COLORS = (
     "#5b3f8c", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#22303c", "#a05195",

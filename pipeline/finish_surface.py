@@ -45,16 +45,17 @@ def finish_surface(
     surface: SurfaceModel,
     X_RG: Array,
     mass: MassProperties,
-    ready: Callable[[SurfaceModel], object] = lambda finished: None,
+    ready: Callable[[SurfaceModel, Array | None], object] = lambda finished, sun_N: None,
 ) -> tuple[SurfaceModel, list[DetailLevel], ShapeFindings]:
     """The finished surface, its lighter levels, and the findings about the shape.
 
     X_RG (F, 4, 4): pose of the target in the rectified left camera. ``ready`` is called with the finished
-    surface as soon as there is one, before what follows from it.
+    surface as soon as there is one, and with the Sun's direction in N (3,) if its shading was divided out of
+    the colours, before what follows from them.
     """
     config = context.config
     if len(surface.mesh.faces) == 0:
-        ready(surface)
+        ready(surface, None)
         assumed, doubts = assumed_properties(mass, surface, config.backend)
         return surface, [], ShapeFindings(assumed=assumed, warnings=tuple(doubts))
     steps, rig, mapping = _OptionalSteps(), context.rig, config.mapping
@@ -81,7 +82,7 @@ def finish_surface(
         "coverage of the vertices", lambda: with_classes(finished, views, rig, caster()), None
     )
     finished = replace(finished, coverage=classes)
-    ready(finished)
+    ready(finished, colours.sun.direction_N if colours.divided and colours.sun is not None else None)
     coverage = None
     if views:
         coverage = steps.attempt("coverage", lambda: coverage_of(finished.mesh, views, rig), None)

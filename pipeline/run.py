@@ -12,6 +12,7 @@ import numpy as np
 from polhode.backend import align_online_estimate, window_warnings
 from polhode.config import Config
 from polhode.frontend.features.stereo import StereoFeatures
+from polhode.lie import Array
 from polhode.mapping.finishing.detail_levels import DetailLevel
 from polhode.mapping.fusion.field import fuse
 from polhode.pipeline.answer_checks.check_answer import check_surface, with_sun_check
@@ -138,8 +139,8 @@ def fill_run_folder(
         )
         made: list[Callable[[], float]] = []
 
-        def ready(finished: SurfaceModel) -> None:
-            pictures = PicturesToMake(aside, folder, tracks, estimate, finished)
+        def ready(finished: SurfaceModel, sun_N: Array | None) -> None:
+            pictures = PicturesToMake(aside, folder, tracks, estimate, finished, sun_N)
             made.append(start(PicturesToMake.make, pictures))
 
         images = ImageMotion(
@@ -157,14 +158,14 @@ def fill_run_folder(
                 *("finished_surface", tuple[SurfaceModel, list[DetailLevel], ShapeFindings], key),
                 lambda: finish_surface(context, fused, X_RG, estimate.mass, ready),
             )
+            sun = shape.mesh.sun if shape.mesh is not None else None
+            sun_N = None if sun is None or sun.sigma_deg is None else np.array(sun.direction_N)
             if not made:
-                ready(surface)
+                ready(surface, sun_N)
             intervals, unbounded = find_intervals(estimate, surface, shape.coverage, config.backend)
         outputs.write_surface(folder, surface, levels)
 
         with clock("checks"):
-            sun = shape.mesh.sun if shape.mesh is not None else None
-            sun_N = None if sun is None or sun.sigma_deg is None else np.array(sun.direction_N)
             doubts = images.checks(float(np.median(np.diff(tracks.time_s))))
             of_surface = check_surface(*shown, tracks, estimate, surface.mesh, shape.physics, sun_N)
         # the images were compared while the depth maps passed to the fusion

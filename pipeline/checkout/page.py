@@ -12,7 +12,7 @@ from polhode.output.marked_folder import marked_folder, write_files
 from polhode.pipeline.checkout.checkout import Checkout, in_a_line
 from polhode.pipeline.checkout.figures import LEVEL_PX, checkout_figures, draw_pair
 from polhode.pipeline.checkout.result import CheckoutCheck
-from polhode.pipeline.report.page import fill
+from polhode.pipeline.report.template import fill
 from polhode.pipeline.run_directory.summary_schema import json_text
 
 COMMAND = "checkout"

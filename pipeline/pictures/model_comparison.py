@@ -23,8 +23,10 @@ from polhode.camera import RectifiedRig
 from polhode.dataset import StereoSequence
 from polhode.frontend.rectification import Rectifier, rectified_left
 from polhode.lie import Array, inverse_pose, transform_points
-from polhode.mapping.visibility import MeshViewer
+from polhode.mapping.finishing.albedo import smooth_normals
+from polhode.mapping.visibility import Caster, MeshViewer
 from polhode.pipeline.report.shape_figures import vertex_rgb
+from polhode.pipeline.run_directory.film import FOOT_PX, GAP_PX, GIF_SCALE, HEAD_PX, PANEL_PX
 from polhode.records import Bools, Ints, MotionEstimate, StereoTracks
 
 MAX_PIXELS = 256
@@ -100,17 +102,21 @@ def compare_frames(
     viewer: MeshViewer,
     frames: list[int],
     sun_N: Array | None = None,
+    shadows: Caster | None = None,
 ) -> Iterator[FrameComparison]:
     """The model beside the image, frame by frame. ``viewer`` looks at ``mesh``, which has faces.
 
     With sun_N (3,), the unit vector towards the Sun, the brightness of the mesh is taken as its albedo and
-    shaded by Lambert's law.
+    shaded by Lambert's law; ``shadows``, which knows the mesh, adds those that it casts on itself, and its
+    normals are then those by which its albedo was found.
     """
     rig = rectifier.rig
     brightness = vertex_rgb(mesh).astype(np.float64).mean(axis=1)
     X_RG = inverse_pose(tracks.X_NR) @ estimate.X_NG
     corners, side = _window(np.asarray(mesh.vertices), rig, X_RG[frames])
     measured = np.bincount(tracks.frame, minlength=tracks.n_frames) > 0
+    vertices_G = np.asarray(mesh.vertices, dtype=np.float64)
+    normals = np.asarray(mesh.vertex_normals) if shadows is None else smooth_normals(mesh)
     for k, corner in zip(frames, corners, strict=True):
         left, mask = rectified_left(sequence, rectifier, k)
         u, v, image, seen = _cut(left, mask, corner, side)
@@ -119,8 +125,11 @@ def compare_frames(
         modelled = view.hit & inside
         model = np.where(modelled, view.values(brightness), 0.0)
         if sun_N is not None:
-            normals_G = view.values(np.asarray(mesh.vertex_normals))
-            model *= OTHER_LIGHT + (normals_G @ (estimate.X_NG[k, :3, :3].T @ sun_N)).clip(0.0, 1.0)
+            sun_G = estimate.X_NG[k, :3, :3].T @ sun_N
+            light = (view.values(normals) @ sun_G).clip(0.0, 1.0)
+            if shadows is not None:
+                light[view.hit] *= shadows.lit_by(sun_G, view.values(vertices_G)[view.hit])
+            model *= OTHER_LIGHT + light
         fit = fit_brightness(image[seen & modelled], model[seen & modelled])
         time_s = float(tracks.time_s[k])
         yield FrameComparison(k, time_s, bool(measured[k]), image, model, seen, modelled, *fit)
@@ -182,7 +191,6 @@ def _cut(
 
 Rgb = NDArray[np.uint8]
 
-PANEL_PX, GAP_PX, HEAD_PX, FOOT_PX = 320, 8, 30, 54
 SIZE_PX = (3 * PANEL_PX + 2 * GAP_PX, HEAD_PX + PANEL_PX + FOOT_PX)
 """(width, height), both even, as video codecs require."""
 SPAN_GREY = 64.0
@@ -196,10 +204,11 @@ GROUND, TEXT, SOFT = (16, 21, 27), (236, 240, 244), (150, 162, 174)
 DARKER, EQUAL, BRIGHTER = (60, 140, 255), (48, 54, 60), (255, 140, 40)
 """Image darker than the model, equal, brighter: blue to orange, which colour-blind readers distinguish."""
 TITLES = ("left camera, rectified", "model at the estimated pose", "difference: camera minus model")
+SUNLIT = "model in the estimated sunlight"
 
 
-def draw_frame(comparison: FrameComparison, n_frames: int) -> Rgb:
-    """(H, W, 3) of ``SIZE_PX``."""
+def draw_frame(comparison: FrameComparison, n_frames: int, sunlit: bool = False) -> Rgb:
+    """(H, W, 3) of ``SIZE_PX``. ``sunlit``: whether the Sun that was estimated lights the model."""
     width, height = SIZE_PX
     canvas = np.empty((height, width, 3), dtype=np.uint8)
     canvas[:] = GROUND
@@ -211,7 +220,7 @@ def draw_frame(comparison: FrameComparison, n_frames: int) -> Rgb:
         canvas[HEAD_PX : HEAD_PX + PANEL_PX, left : left + PANEL_PX] = panel
     _draw_bar(canvas)
     page = Image.fromarray(canvas)
-    _write(ImageDraw.Draw(page), comparison, n_frames)
+    _write(ImageDraw.Draw(page), comparison, n_frames, sunlit)
     return np.asarray(page, dtype=np.uint8)
 
 
@@ -229,8 +238,9 @@ def caption(comparison: FrameComparison) -> str:
     )
 
 
-def _write(draw: ImageDraw.ImageDraw, comparison: FrameComparison, n_frames: int) -> None:
-    for column, title in enumerate(TITLES):
+def _write(draw: ImageDraw.ImageDraw, comparison: FrameComparison, n_frames: int, sunlit: bool) -> None:
+    titles = (TITLES[0], SUNLIT, TITLES[2]) if sunlit else TITLES
+    for column, title in enumerate(titles):
         draw.text((_left(column), HEAD_PX / 2), title, TEXT, _font(15), anchor="lm")
     pose = "" if comparison.measured else ", pose from the dynamics"
     fit = f"gain {comparison.gain:.2f}, offset {round(comparison.offset):+d}".replace("-", MINUS)
@@ -285,7 +295,7 @@ def _font(size_px: int) -> ImageFont.FreeTypeFont:
 
 
 RATE_HZ = 10
-GIF_SCALE, MAX_GIF_BYTES, MIN_GIF_FRAMES = 0.75, 3_000_000, 8
+MAX_GIF_BYTES, MIN_GIF_FRAMES = 3_000_000, 8
 GREYS, HUES = 48, 64
 """Colours of the GIF: of the images, and of the difference."""
 

@@ -17,7 +17,7 @@ from polhode.atomic import write_text
 from polhode.dataset import StereoSequence
 from polhode.frontend.rectification import Crop, Rectifier, rectified_left, target_crop
 from polhode.lie import Array
-from polhode.mapping.visibility import MeshViewer
+from polhode.mapping.visibility import Caster, MeshViewer
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.pictures.body_views import body_frame, draw_landmarks, draw_mesh
 from polhode.pipeline.pictures.mask_strip import mask_strip
@@ -37,11 +37,22 @@ from polhode.threads import single_threaded
 
 STILLS = 4
 """Frames of the animation that the report shows."""
-MODEL_COLUMNS = ("frame", "timestamp_ns", "measured", "iou", "covered", "rms_grey", "gain", "offset_grey")
+MODEL_COLUMNS = (
+    "frame",
+    "timestamp_ns",
+    "measured",
+    "iou",
+    "covered",
+    "rms_grey",
+    "gain",
+    "offset_grey",
+    "sunlit",
+)
 """Header line of model.csv; a missing value is nan."""
 
-INLIER_BGR = (120, 220, 60)
-OUTLIER_BGR = (70, 80, 240)
+INLIER_BGR = (233, 180, 86)
+OUTLIER_BGR = (0, 94, 213)
+"""Sky blue and vermillion of Okabe and Ito, which colour-blind readers tell apart"""
 SIDE_PX = 360
 
 _log = logging.getLogger(__name__)
@@ -56,12 +67,14 @@ class PicturesToMake:
     tracks: StereoTracks
     estimate: MotionEstimate
     surface: SurfaceModel
+    sun_N: Array | None = None
+    """(3,) unit vector towards the Sun whose shading the surface's colours are free of; None: of no Sun"""
 
     @single_threaded
     def make(self) -> float:
         """``make_pictures``; returns the seconds that it took."""
         start = perf_counter()
-        make_pictures(self.context, self.folder, self.tracks, self.estimate, self.surface)
+        make_pictures(self.context, self.folder, self.tracks, self.estimate, self.surface, self.sun_N)
         return perf_counter() - start
 
 
@@ -71,12 +84,18 @@ def make_pictures(
     tracks: StereoTracks,
     estimate: MotionEstimate,
     surface: SurfaceModel,
+    sun_N: Array | None = None,
 ) -> None:
-    """Write the pictures that the configuration asks for into ``folder``/pictures."""
+    """Write the pictures that the configuration asks for into ``folder``/pictures.
+
+    With sun_N (3,), the film shows the model in that light, with the shadows that it casts on itself.
+    """
     sequence, rectifier, config = context.sequence, context.rectifier, context.config.pictures
-    viewer = None
+    viewer = caster = None
     with _optional("the mesh"):
-        viewer = MeshViewer(surface.mesh) if len(surface.mesh.faces) else None
+        if len(surface.mesh.faces):
+            caster = Caster(surface.mesh)
+            viewer = MeshViewer(surface.mesh, caster)
     frames = chosen_frames(tracks.n_frames, config.frames) if config.animation and viewer else []
     with context.progress.stage("pictures", 1 + 2 * config.views + len(frames)) as advance:
         with _optional("tracks on the images"):
@@ -102,12 +121,21 @@ def make_pictures(
             advance()
         if viewer is not None and frames:
             with _optional("model.mp4"):
-                compared = compare_frames(sequence, rectifier, tracks, estimate, surface.mesh, viewer, frames)
-                _animate(folder, compared, tracks, len(frames), advance)
+                compared = compare_frames(
+                    *(sequence, rectifier, tracks, estimate, surface.mesh, viewer, frames),
+                    sun_N=sun_N,
+                    shadows=caster if sun_N is not None else None,
+                )
+                _animate(folder, compared, tracks, len(frames), sun_N is not None, advance)
 
 
 def _animate(
-    folder: Path, compared: Iterator[FrameComparison], tracks: StereoTracks, count: int, advance: Advance
+    folder: Path,
+    compared: Iterator[FrameComparison],
+    tracks: StereoTracks,
+    count: int,
+    sunlit: bool,
+    advance: Advance,
 ) -> None:
     """model.mp4, model.gif, model.csv, and some of the frames as separate pictures."""
     target = folder / "pictures"
@@ -117,13 +145,13 @@ def _animate(
     rows: list[FrameComparison] = []
     with film(target / "model.mp4", target / "model.gif") as add:
         for number, comparison in enumerate(compared):
-            picture = draw_frame(comparison, tracks.n_frames)
+            picture = draw_frame(comparison, tracks.n_frames, sunlit)
             add(picture)
             rows.append(comparison)
             if number in still:
                 stills[f"model_{comparison.frame:04d}.jpg"] = picture, caption(comparison)
             advance()
-    write_text(target / "model.csv", _table(rows, tracks))
+    write_text(target / "model.csv", _table(rows, tracks, sunlit))
     for name, (picture, words) in stills.items():
         encoded = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1]
         write_picture(folder, name, encoded.tobytes(), words)
@@ -132,12 +160,12 @@ def _animate(
         _log.info("silhouettes of model and image overlap by %.2f (median)", float(np.median(overlap)))
 
 
-def _table(rows: Sequence[FrameComparison], tracks: StereoTracks) -> str:
+def _table(rows: Sequence[FrameComparison], tracks: StereoTracks, sunlit: bool) -> str:
     lines = [",".join(MODEL_COLUMNS)]
     for each in rows:
         numbers = (each.overlap, each.covered, each.rms_grey, each.gain, each.offset)
         start = f"{each.frame},{tracks.timestamps_ns[each.frame]},{int(each.measured)}"
-        lines.append(",".join([start, *(f"{number:.4f}" for number in numbers)]))
+        lines.append(",".join([start, *(f"{number:.4f}" for number in numbers), str(int(sunlit))]))
     return "\n".join(lines) + "\n"
 
 
@@ -156,7 +184,7 @@ def track_pictures(
     estimate: MotionEstimate,
     count: int = 6,
 ) -> dict[str, bytes]:
-    """Caption -> JPEG of the left image's crop with its measurements: inliers green, outliers red."""
+    """Caption -> JPEG of the left image's crop with its measurements: inliers blue, outliers orange."""
     pictures = {}
     for k in np.unique(np.linspace(0, tracks.n_frames - 1, count).round().astype(int)).tolist():
         left, mask = rectified_left(sequence, rectifier, k)
@@ -165,7 +193,8 @@ def track_pictures(
         inlier = estimate.inlier_weight[here] > 0.5
         picture = _draw(left, crop, tracks.uvd_px[here, :2], inlier)
         seconds = float(tracks.time_s[k])
-        caption = f"frame {k}, {seconds:.1f} s: {int(inlier.sum())} inliers, {int((~inlier).sum())} outliers"
+        counts = f"{int(inlier.sum())} inliers (blue), {int((~inlier).sum())} outliers (orange)"
+        caption = f"frame {k}, {seconds:.1f} s: {counts}"
         pictures[caption] = picture
     return pictures
 

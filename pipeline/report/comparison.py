@@ -9,23 +9,16 @@ from polhode.atomic import write_text
 from polhode.lie import Array
 from polhode.output.single_file import make_parent
 from polhode.pipeline.report import tables
-from polhode.pipeline.report.page import fill, run_name
+from polhode.pipeline.report.page import run_name
 from polhode.pipeline.report.plot_style import TIME_TITLE, Figure, Trace, axis, layout, line
 from polhode.pipeline.report.polhode_and_inertia_figures import possible_bodies, ratio_ellipse, ratio_traces
+from polhode.pipeline.report.template import fill
 from polhode.pipeline.run_directory.run_folder import require_run_folder
 from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
 
-RUN_COLORS: tuple[str, ...] = (
-    "#5b3f8c",
-    "#d55e00",
-    "#0072b2",
-    "#009e73",
-    "#cc79a7",
-    "#b8860b",
-    "#56b4e9",
-    "#22303c",
-)
-"""Used cyclically."""
+RUN_COLORS: tuple[str, ...] = ("#0072b2", "#d55e00", "#cc79a7", "#22303c", "#56b4e9", "#b8860b")
+SYMBOLS: tuple[str, ...] = ("circle", "square", "diamond", "triangle-up", "cross", "star", "hexagon")
+"""Colours and marks of the runs, used cyclically; their numbers differ, so that pairs repeat late."""
 NO_VALUE = "\u2013"
 OWN_FRAME = "centre of mass, "
 """Rows in the frame G of one run are not comparable with another's."""
@@ -101,7 +94,7 @@ def _ratios(contents: Sequence[StoredRun]) -> list[Figure]:
     )
     caption = (
         "Dots: estimates; ellipses: three standard deviations; an open dot has none, because the motion of "
-        "that run does not determine the ratios. Green: where rigid bodies can lie."
+        "that run does not determine the ratios. Grey: where rigid bodies can lie."
     )
     return [
         Figure("ratios", "Inertia ratios", caption, [*possible_bodies(1), *data], figure, 460, wide=False)
@@ -115,7 +108,9 @@ def _rates(contents: Sequence[StoredRun]) -> list[Figure]:
         if content.motion is not None:
             path = content.motion.trajectory
             rate = np.rad2deg(np.linalg.norm(path.w_P, axis=1))
-            data.append(line(path.time_s, rate, content.name, _color(k)))
+            curve = line(path.time_s, rate, content.name, _color(k))
+            curve["marker"] |= {"symbol": SYMBOLS[k % len(SYMBOLS)], "size": 5}
+            data.append(curve)
     if not data:
         return []
     figure = layout(xaxis=axis(TIME_TITLE), yaxis=axis("angular velocity, magnitude [deg/s]"))

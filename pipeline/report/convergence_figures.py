@@ -4,8 +4,10 @@ import numpy as np
 
 from polhode.lie import Array, log_so3, transform_points
 from polhode.pipeline.report.plot_style import (
+    ACCENT,
     AXIS_COLORS,
     INK,
+    SECOND,
     Figure,
     Layout,
     Trace,
@@ -25,7 +27,7 @@ STATES = (
     ("attitude", DEG, "deg"),
     ("rate", DEG, "deg/s"),
 )
-RATIO_COLORS = ("#5b3f8c", "#b8860b")
+RATIO_COLORS = (ACCENT, SECOND)
 WIDEST = 8.0
 """A panel shows so many final standard deviations around the final value, or half of what was determined."""
 
@@ -49,7 +51,6 @@ def _mass(content: StoredRun, online: OnlineEstimate) -> Figure:
             ("σ of k<sub>1</sub>", "σ of k<sub>2</sub>", "σ of com [mm]", "σ of axes [deg]"),
         ],
         "frames",
-        showlegend=False,
     )
     data: list[Trace] = []
     final = (inertia.k1, inertia.k2)
@@ -77,6 +78,7 @@ def _mass(content: StoredRun, online: OnlineEstimate) -> Figure:
         data,
         figure,
         height_px=520,
+        clock="frames",
     )
 
 
@@ -103,8 +105,7 @@ def _states(motion: StoredMotion, online: OnlineEstimate) -> Figure:
         for name, sigma, color in (("causal", causal, AXIS_COLORS[0]), ("smoothed", smooth, INK)):
             worst = scale * sigma[:, 3 * n : 3 * n + 3].max(axis=1)
             known = np.where(np.isfinite(worst), worst, np.nan)
-            more = {"legendgroup": name, "showlegend": n == 0}
-            data.append(line(frames, known, name, color, n + 1, **more))
+            data.append(line(frames, known, name, color, n + 1))
         figure[_y(n + 1)]["type"] = "log"
     figure["xaxis"]["range"] = [1, int(frames[-1])]
     return Figure(
@@ -115,6 +116,7 @@ def _states(motion: StoredMotion, online: OnlineEstimate) -> Figure:
         data,
         figure,
         height_px=480,
+        clock="frames",
     )
 
 
@@ -123,7 +125,7 @@ def _differences(motion: StoredMotion, online: OnlineEstimate) -> Figure:
     causal, path = standard_deviations(online.covariance), motion.trajectory
     frames = np.arange(1.0, len(causal) + 1.0)
     titles = [f"{name} [{unit}]" for name, _, unit in STATES]
-    figure = panels([titles[:2], titles[2:]], "frames", showlegend=False)
+    figure = panels([titles[:2], titles[2:]], "frames")
     differences = (
         online.r_N - path.r_N,
         online.v_N - path.v_N,
@@ -145,6 +147,7 @@ def _differences(motion: StoredMotion, online: OnlineEstimate) -> Figure:
         data,
         figure,
         height_px=480,
+        clock="frames",
     )
 
 
@@ -154,7 +157,7 @@ def _history(
     known = np.where(np.isfinite(sigma), value, np.nan)
     return [
         *band(frames, value, 3 * sigma, color, panel),
-        dashed(frames[[0, -1]], [final, final], "final", panel),
+        dashed(frames[[0, -1]], [final, final], "final value", panel),
         line(frames, known, name, color, panel),
     ]
 

@@ -5,6 +5,7 @@ import numpy as np
 from polhode.lie import Array
 from polhode.pipeline.report.plot_style import (
     AXIS_COLORS,
+    INK,
     TIME_TITLE,
     Figure,
     Layout,
@@ -61,7 +62,6 @@ def _centre_of_mass(motion: StoredMotion, shapes: list[Layout]) -> Figure:
         titles,
         TIME_TITLE,
         ("position in N", "position minus a straight line", "velocity in N"),
-        showlegend=False,
         shapes=shapes,
     )
     data = []
@@ -81,6 +81,7 @@ def _centre_of_mass(motion: StoredMotion, shapes: list[Layout]) -> Figure:
         data,
         figure,
         height_px=560,
+        clock="time",
     )
 
 
@@ -90,7 +91,6 @@ def _angular_velocity(motion: StoredMotion, shapes: list[Layout]) -> Figure:
     figure = panels(
         [(f"ω<sub>{a}</sub> [deg/s]",) for a in "xyz"],
         TIME_TITLE,
-        showlegend=False,
         shapes=shapes,
     )
     data = []
@@ -107,6 +107,7 @@ def _angular_velocity(motion: StoredMotion, shapes: list[Layout]) -> Figure:
         figure,
         height_px=520,
         wide=False,
+        clock="time",
     )
 
 
@@ -118,14 +119,13 @@ def _attitude(motion: StoredMotion, shapes: list[Layout]) -> Figure:
         TIME_TITLE,
         shapes=shapes,
     )
-    colors = ("#5d6b78", *AXIS_COLORS)
+    colors = (INK, *AXIS_COLORS)
     data = [
-        line(path.time_s, path.q_NP_wxyz[:, k], name, colors[k], 1, legendgroup=name)
+        line(path.time_s, path.q_NP_wxyz[:, k], name, colors[k], 1)
         for k, name in enumerate(("w", "x", "y", "z"))
     ]
     for k, name in enumerate("xyz"):
-        more = {"legendgroup": name, "showlegend": False, "mode": "lines"}
-        data.append(line(path.time_s, 3 * sigma_deg[:, k], f"about {name}", AXIS_COLORS[k], 2, **more))
+        data.append(line(path.time_s, 3 * sigma_deg[:, k], name, AXIS_COLORS[k], 2, mode="lines"))
     figure["yaxis2"]["rangemode"] = "tozero"
     return Figure(
         "attitude",
@@ -137,6 +137,7 @@ def _attitude(motion: StoredMotion, shapes: list[Layout]) -> Figure:
         figure,
         height_px=520,
         wide=False,
+        clock="time",
     )
 
 

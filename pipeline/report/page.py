@@ -1,27 +1,17 @@
 """The report of a run: one HTML file that needs no network and no other file."""
 
-import base64
-import contextlib
-import io
 import json
 import logging
-import math
 import os
 import re
 from collections.abc import Sequence
-from functools import cache
+from datetime import UTC, datetime
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from jinja2 import DictLoader, Environment, StrictUndefined
-from markupsafe import Markup
-from PIL import Image
-from plotly.offline import get_plotlyjs
-
 from polhode.atomic import write_all, write_text
 from polhode.errors import InputError, printable
-from polhode.images import MAX_PIXELS
 from polhode.output.locks import at_work
 from polhode.output.place import begins_with, require_writable
 from polhode.output.run_files import SUMMARY
@@ -29,23 +19,27 @@ from polhode.output.single_file import make_parent, output_file, remove_all_part
 from polhode.pipeline.evaluation import Metrics, evaluate
 from polhode.pipeline.report import tables
 from polhode.pipeline.report.convergence_figures import convergence_figures
+from polhode.pipeline.report.embedded_pictures import MASKS, SHEETS, embedded
+from polhode.pipeline.report.film import film_frames
 from polhode.pipeline.report.motion_figures import motion_figures
-from polhode.pipeline.report.plot_style import Figure
 from polhode.pipeline.report.polhode_and_inertia_figures import rotation_figures
 from polhode.pipeline.report.residual_figures import measurement_figures
 from polhode.pipeline.report.shape_figures import shape_figures
+from polhode.pipeline.report.template import deflated, fill, json_text
+from polhode.pipeline.report.timeline import timeline
 from polhode.pipeline.run_directory.own_results import METRICS, OF_SUMMARY, summary_digest
 from polhode.pipeline.run_directory.run_folder import require_run_folder
-from polhode.pipeline.run_directory.stored_run import StoredPicture, StoredRun, read_stored_run
+from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
 from polhode.pipeline.run_directory.summary import with_files, write_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 
 _log = logging.getLogger(__name__)
 
 REPORT = "report.html"
-SHEETS = ("landmarks.png", "mesh.png")
-"""Pictures over the full width of the page; the files in RUN/pictures are sharper."""
-MASKS = "masks.jpg"
+OVERVIEW = ("polhode", "mesh")
+"""Figures that stand beside the film, where the slider moves all of them."""
+FIRST_DATE_NS = 946_684_800 * 10**9
+"""Timestamps before the year 2000 count from something else, and are no dates."""
 
 
 def page_file(path: Path, folders: Sequence[Path]) -> Path:
@@ -59,13 +53,6 @@ def page_file(path: Path, folders: Sequence[Path]) -> Path:
         require_writable(own.parent, path)
         return own
     return output_file(path, "report", REPORT, _is_page)
-
-
-_TEMPLATES = {
-    path.name: path.read_text(encoding="utf-8")
-    for path in sorted(Path(__file__).with_name("templates").glob("*.j2"))
-}
-"""Read with the code that fills them: an update of the program during a long run does not part the two."""
 
 
 def _is_page(path: Path) -> bool:
@@ -145,10 +132,13 @@ def render(content: StoredRun) -> str:
         ("Measurements", measurement_figures(content), "The run did not reach measurements."),
         ("Shape", shape_figures(content), "The run has neither a map nor a surface."),
     ]
+    film = film_frames(content.film)
+    line = timeline(content, film)
     return fill(
         "report.html.j2",
         title=content.name,
         name=content.name,
+        data_date=data_date(content),
         finding=tables.finding(summary, motion.trajectory if motion else None),
         summary=summary,
         check_rows=tables.check_rows(summary),
@@ -164,71 +154,31 @@ def render(content: StoredRun) -> str:
         run_rows=tables.run_rows(content),
         timing_rows=tables.timing_rows(summary),
         metric_rows=tables.metric_rows(content.metrics),
-        sections=sections,
+        overview=[each for _, figures, _ in sections for each in figures if each.key in OVERVIEW],
+        sections=[
+            (title, [each for each in figures if each.key not in OVERVIEW], words)
+            for title, figures, words in sections
+        ],
+        film=film,
+        film_uris=json_text([each.uri for each in film]),
+        sunlit=content.film is not None and content.film.sunlit,
+        timeline_text=deflated(json.dumps(line, separators=(",", ":"))) if line else "",
         has_surface=content.surface is not None,
-        sheets=[_embedded(each) for each in content.pictures if each.name in SHEETS],
-        stills=[_embedded(each) for each in content.pictures if each.name.startswith("model")],
-        masks=[_embedded(each) for each in content.pictures if each.name == MASKS],
-        pictures=[_embedded(each) for each in content.pictures if each.name[0].isdigit()],
+        sheets=[embedded(each) for each in content.pictures if each.name in SHEETS],
+        stills=[embedded(each) for each in content.pictures if each.name.startswith("model")],
+        masks=[embedded(each) for each in content.pictures if each.name == MASKS],
+        pictures=[embedded(each) for each in content.pictures if each.name[0].isdigit()],
         config_text=content.config_text,
     )
 
 
-def fill(template: str, **values: Any) -> str:
-    """A template of this package, filled with values; it also gets plotly.js and the encoder of figures."""
-    return (
-        _environment()
-        .get_template(template)
-        .render(figure_json=_figure_json, plotly_js=_plotly_js(), **values)
-    )
+def data_date(content: StoredRun) -> str:
+    """The day of the first frame (UTC); empty where the timestamps are no dates."""
+    if content.tracks is None or content.tracks.timestamps_ns[0] < FIRST_DATE_NS:
+        return ""
+    return f"{datetime.fromtimestamp(int(content.tracks.timestamps_ns[0]) // 10**9, UTC):%d %B %Y}"
 
 
 def run_name(folder: Path) -> str:
     """The run's name, as a text, also while it is being written into a hidden folder beside its final one."""
     return printable(re.sub(r"^\.(.+)\.partial(-\w+)?$", r"\1", folder.resolve().name))
-
-
-@cache
-def _environment() -> Environment:
-    return Environment(
-        loader=DictLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-
-
-def _figure_json(figure: Figure) -> Markup:
-    content = {"data": figure.data, "layout": {**figure.layout, "height": figure.height_px}}
-    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
-    # Inside a script element only "<" could end it early.
-    return Markup(text.replace("<", "\\u003c"))  # noqa: S704
-
-
-@cache
-def _plotly_js() -> Markup:
-    """The library. The addresses of its own links (maps, its logo) are escaped, so that no scanner takes them
-    for something that this page loads; to JavaScript the strings are the same.
-    """
-    library = re.sub(r"((?:src|href)\s*=\s*.?)h(ttps?:)", r"\1\\u0068\2", get_plotlyjs())
-    return Markup(library)  # noqa: S704  of an installed package
-
-
-def _embedded(picture: StoredPicture) -> tuple[str, str]:
-    """Caption and content; sheets as JPEG, which is a quarter of the size."""
-    content = picture.content
-    if picture.name in SHEETS:
-        stream = io.BytesIO()
-        # A damaged or a hostile image is left to the browser.
-        with contextlib.suppress(Exception):
-            picture_of_run = Image.open(io.BytesIO(content), formats=("PNG", "JPEG"))
-            if math.prod(picture_of_run.size) <= MAX_PIXELS:
-                picture_of_run.convert("RGB").save(stream, "JPEG", quality=86)
-                content = stream.getvalue()
-    return picture.caption, _data_uri(content)
-
-
-def _data_uri(image: bytes) -> str:
-    kind = "png" if image.startswith(b"\x89PNG") else "jpeg"
-    return f"data:image/{kind};base64,{base64.b64encode(image).decode('ascii')}"

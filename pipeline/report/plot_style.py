@@ -1,9 +1,10 @@
 """The parts that every figure is drawn with: traces, axes, colours, as plain data for plotly.js."""
 
 import base64
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,10 +16,40 @@ Trace = dict[str, Any]
 Layout = dict[str, Any]
 
 TIME_TITLE = "time since the first frame [s]"
-AXIS_COLORS: tuple[str, str, str] = ("#d55e00", "#009e73", "#0072b2")
-"""x, y, z: vermillion, green, blue of Okabe and Ito, distinguishable for colour-blind readers too."""
-INK, FAINT, ACCENT = "#22303c", "#8a97a3", "#5b3f8c"
+AXIS_COLORS: tuple[str, str, str] = ("#d55e00", "#cc79a7", "#0072b2")
+"""x, y, z: vermillion, reddish purple, blue of Okabe and Ito, distinct for colour-blind readers too."""
+INK, FAINT, ACCENT = "#22303c", "#77848f", "#0072b2"
+SECOND = "#d55e00"
+"""Beside ACCENT, where two curves share a drawing"""
 GRID = "#e8ecf0"
+PAPER, EDGE, STRIP = "#ffffff", "#c3ccd4", "#dfe4e8"
+"""Ground of a drawing, line of an axis, strip over frames without measurements"""
+SCENE_GROUND, SCENE_GRID = "#fafbfc", "#dde3e8"
+WIRE, SHEET, REGION = "#7a8b99", "#9fc5de", "#5d6b78"
+"""Wires and sheet of the ellipsoids; region of the possible bodies"""
+DARK: dict[str, str] = {
+    AXIS_COLORS[0]: "#f5893d",
+    AXIS_COLORS[1]: "#e9a3cb",
+    AXIS_COLORS[2]: "#56b4e9",
+    INK: "#e6ebef",
+    FAINT: "#93a0ab",
+    GRID: "#29323a",
+    PAPER: "#171d23",
+    EDGE: "#4a5661",
+    STRIP: "#34404a",
+    SCENE_GROUND: "#1c242b",
+    SCENE_GRID: "#36424c",
+    WIRE: "#a7b4bf",
+    SHEET: "#35566d",
+    REGION: "#a9b6c1",
+}
+"""What a colour becomes in the dark scheme; others are the same in both."""
+NARROW_PANEL_PX = 190
+"""Height of a panel where they stand one below the other, on a phone."""
+LEGEND_ABOVE_TITLES = 1.06
+"""Height of a legend, on the paper of a drawing, over titles of columns"""
+BAND = "± 3σ"
+"""Name of a band of three standard deviations in a legend"""
 TIME_SCALE = [[0.0, "#3b0f70"], [0.35, "#b5367a"], [0.7, "#fb8861"], [1.0, "#f6d746"]]
 EYE_DISTANCE = 2.3
 """In sizes of the scene: far enough that no axis leaves the drawing."""
@@ -36,6 +67,35 @@ class Figure:
     layout: Layout
     height_px: int = 420
     wide: bool = True
+    clock: Literal["", "time", "frames"] = ""
+    """What its first x axis and those that match it count, along which the page's slider moves a line"""
+
+    @property
+    def traces(self) -> list[Trace]:
+        """The data, each name once in the legend: what shares a name is switched together."""
+        shown: set[str] = set()
+        traces = []
+        for trace in self.data:
+            name = trace.get("name", "")
+            if name and trace.get("showlegend", True):
+                trace = trace | {"legendgroup": name, "showlegend": name not in shown}
+                shown.add(name)
+            traces.append(trace)
+        return traces
+
+    @property
+    def narrow(self) -> Layout:
+        """What differs in the layout on a phone: the panels one below the other; empty for a single one."""
+        return stacked(self.layout)
+
+    @property
+    def words(self) -> str:
+        """All that is written at it, without markup: where symbols occur that need an explanation."""
+        axes = [value for key, value in self.layout.items() if re.match("[xy]axis", key)]
+        axes += [self.layout.get("scene", {}).get(f"{name}axis", {}) for name in "xyz"]
+        titles = [each.get("title", {}).get("text", "") for each in axes]
+        names = [str(trace.get("name", "")) for trace in self.data]
+        return re.sub("<[^>]*>", "", " | ".join([self.title, self.caption, *titles, *names]))
 
 
 def packed(values: ArrayLike, dtype: str = "f4") -> dict[str, str]:
@@ -51,9 +111,8 @@ def packed(values: ArrayLike, dtype: str = "f4") -> dict[str, str]:
 
 
 def translucent(color: str, alpha: float) -> str:
-    """#rrggbb -> rgba()."""
-    red, green, blue = (int(color[k : k + 2], 16) for k in (1, 3, 5))
-    return f"rgba({red},{green},{blue},{alpha})"
+    """#rrggbb -> #rrggbbaa, which begins with the colour: ``DARK`` replaces it there too."""
+    return f"{color}{round(255 * alpha):02x}"
 
 
 def line(x: ArrayLike, y: ArrayLike, name: str, color: str, panel: int = 1, **more: Any) -> Trace:
@@ -100,7 +159,7 @@ def band(x: ArrayLike, y: ArrayLike, half: ArrayLike, color: str, panel: int = 1
         "mode": "lines",
         "line": {"width": 0},
         "hoverinfo": "skip",
-        "showlegend": False,
+        "name": BAND,
     }
     fill = {"fill": "toself", "fillcolor": translucent(color, 0.22)}
     return [{**style, **fill, "x": packed(a), "y": packed(b), **on(panel), **more} for a, b in outlines]
@@ -118,11 +177,11 @@ def axis(title: str = "", **more: Any) -> Layout:
         "title": {"text": title, "font": {"size": 12}, "standoff": 6},
         "gridcolor": GRID,
         "zeroline": False,
-        "linecolor": "#c3ccd4",
+        "linecolor": EDGE,
         "showline": True,
         "ticks": "outside",
         "ticklen": 3,
-        "tickcolor": "#c3ccd4",
+        "tickcolor": EDGE,
         "automargin": True,
         "exponentformat": "power",
         "minexponent": 5,
@@ -139,12 +198,13 @@ def layout(**more: Any) -> Layout:
             "color": INK,
         },
         "paper_bgcolor": "rgba(0,0,0,0)",
-        "plot_bgcolor": "#ffffff",
+        "plot_bgcolor": PAPER,
         "margin": {"l": 64, "r": 16, "t": 28, "b": 46},
         "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0, "xanchor": "left"},
+        "showlegend": True,
         "hovermode": "closest",
         "hoverlabel": {"font": {"size": 12}},
-        "modebar": {"bgcolor": "rgba(255,255,255,0.85)", "color": "#b3bdc6", "activecolor": ACCENT},
+        "modebar": {"bgcolor": PAPER, "color": FAINT, "activecolor": ACCENT},
         **more,
     }
 
@@ -168,12 +228,47 @@ def panels(
             y = axis(y_titles[row][column], domain=[top - height, top], anchor=name["xaxis"])
             out[name["xaxis"].replace("x", "xaxis", 1)] = x
             out[name["yaxis"].replace("y", "yaxis", 1)] = y
+    if column_titles:
+        # The legend stands above them.
+        out["legend"] = out["legend"] | {"y": LEGEND_ABOVE_TITLES}
     centres = [column * (width + gap_x) + width / 2 for column in range(len(column_titles))]
     out["annotations"] = [
         note(title, centre, 1.0, yanchor="bottom", yshift=6, font={"size": 13, "color": INK})
         for title, centre in zip(column_titles, centres, strict=True)
     ]
     return out
+
+
+def stacked(wide: Layout) -> Layout:
+    """Domains that put the panels of a layout one below the other, column by column; empty for one panel.
+
+    Titles of columns stay above the first panel of theirs; strips over all panels are drawn once.
+    """
+    names = sorted((key for key in wide if key.startswith("xaxis")), key=_panel_number)
+    if len(names) < 2:
+        return {}
+    left = {name: wide[name]["domain"][0] for name in names}
+    columns = sorted(set(left.values()))
+    if len(columns) < 2:
+        return {}
+    order = sorted(names, key=lambda name: (left[name], _panel_number(name)))
+    out: Layout = {"height": NARROW_PANEL_PX * len(order) + 90, "legend": {"y": 1.0}}
+    height, notes = 1.0 / len(order), list(wide.get("annotations", []))
+    for row, name in enumerate(order):
+        top = 1.0 - (row + 0.2) * height
+        column = columns.index(left[name])
+        if column < len(notes) and (row == 0 or left[order[row - 1]] != left[name]):
+            notes[column] = notes[column] | {"x": 0.5, "y": top}
+        out[name] = {"domain": [0, 1], "showticklabels": True}
+        out[name.replace("x", "y", 1)] = {"domain": [top - 0.58 * height, top]}
+    out["annotations"] = notes
+    if wide.get("shapes"):
+        out["shapes"] = [each for each in wide["shapes"] if each.get("xref") == "x"]
+    return out
+
+
+def _panel_number(axis_name: str) -> int:
+    return int(axis_name.removeprefix("xaxis") or 1)
 
 
 def note(text: str, x: float, y: float, **more: Any) -> Layout:
@@ -199,11 +294,13 @@ def gap_shapes(time_s: Array, seen: Bools, columns: int = 1) -> list[Layout]:
             "y0": 0,
             "y1": 1,
             "yref": "paper",
-            "fillcolor": "#dfe4e8",
+            "fillcolor": STRIP,
             "opacity": 0.6,
             "line": {"width": 0},
+            "name": "no measurements: bridged by the dynamics",
+            "showlegend": number == 0 and column == 1,
         }
-        for run in runs
+        for number, run in enumerate(runs)
         for column in range(1, columns + 1)
     ]
 
@@ -219,8 +316,8 @@ def scene(
 ) -> Layout:
     """Three axes of equal scale, seen from the direction ``eye`` (3,)."""
     look = {
-        "backgroundcolor": "#fafbfc",
-        "gridcolor": "#dde3e8",
+        "backgroundcolor": SCENE_GROUND,
+        "gridcolor": SCENE_GRID,
         "showbackground": True,
         "zeroline": False,
         "tickfont": {"size": 10.5},
@@ -256,7 +353,6 @@ def axis_arrows(origin: Array, R: Array, length: float, names: Sequence[str]) ->
             textfont={"color": color, "size": 13},
             line={"color": color, "width": 6},
             hoverinfo="name",
-            showlegend=False,
         )
         for tip, name, color in zip((origin + length * R.T), names, AXIS_COLORS, strict=True)
     ]

@@ -9,8 +9,12 @@ from polhode.pipeline.report.plot_style import (
     ACCENT,
     FAINT,
     INK,
+    REGION,
+    SECOND,
+    SHEET,
     TIME_SCALE,
     TIME_TITLE,
+    WIRE,
     Figure,
     Trace,
     axis,
@@ -31,6 +35,8 @@ from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
 from polhode.pipeline.run_directory.summary_schema import Inertia, Summary
 from polhode.rigid_body import angular_acceleration, angular_momentum_N, rotational_energy
 
+NOW = "at the time of the slider"
+"""Name of the point that the page's slider moves"""
 FLAT_LIMIT = float(np.log(2.0))
 """k1 of a thin disc that is symmetric about its axis, Jxx = 2 Jyy: no body with k2 = 0 lies beyond."""
 
@@ -99,6 +105,12 @@ def _polhode(motion: StoredMotion) -> Figure:
                 "colorbar": color_bar("time [s]"),
             },
         ),
+        # Moved by the page's slider.
+        points3d(
+            np.rad2deg(path.w_P[:1]),
+            NOW,
+            marker={"size": 9, "color": SECOND, "symbol": "diamond", "line": {"color": INK, "width": 2}},
+        ),
     ]
     names = ("ω<sub>x</sub>", "ω<sub>y</sub>", "ω<sub>z</sub>")
     figure = scene_layout(unit="deg/s", names=names, eye=look_at(path.w_P))
@@ -126,7 +138,7 @@ def look_at(w_P: Array) -> Array:
 
 
 def _ellipsoid(semi_axes: Array, name: str) -> Trace:
-    polar, azimuth = np.meshgrid(np.linspace(0, np.pi, 41), np.linspace(0, 2 * np.pi, 61), indexing="ij")
+    polar, azimuth = np.meshgrid(np.linspace(0, np.pi, 25), np.linspace(0, 2 * np.pi, 37), indexing="ij")
     unit = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)])
     x, y, z = (packed(unit[k] * semi_axes[k]) for k in range(3))
     return {
@@ -136,7 +148,7 @@ def _ellipsoid(semi_axes: Array, name: str) -> Trace:
         "z": z,
         "opacity": 0.35,
         "showscale": False,
-        "colorscale": [[0, "#b9a6dc"], [1, "#b9a6dc"]],
+        "colorscale": [[0, SHEET], [1, SHEET]],
         "lighting": {"ambient": 0.75, "diffuse": 0.5, "specular": 0.05},
         "hoverinfo": "skip",
         "name": name,
@@ -145,7 +157,7 @@ def _ellipsoid(semi_axes: Array, name: str) -> Trace:
 
 
 def _wires(semi_axes: Array, name: str) -> Trace:
-    t = np.linspace(0, 2 * np.pi, 73)
+    t = np.linspace(0, 2 * np.pi, 49)
     wires = []
     for polar in np.linspace(0, np.pi, 9)[1:-1]:
         wires.append(
@@ -155,7 +167,7 @@ def _wires(semi_axes: Array, name: str) -> Trace:
         wires.append(np.stack([np.sin(t) * np.cos(azimuth), np.sin(t) * np.sin(azimuth), np.cos(t)]))
     gap = np.full((3, 1), np.nan)
     points = np.concatenate([part for wire in wires for part in (wire, gap)], axis=1).T * semi_axes
-    return points3d(points, name, mode="lines", line={"color": "#7a8b99", "width": 1.5}, hoverinfo="skip")
+    return points3d(points, name, mode="lines", line={"color": WIRE, "width": 1.5}, hoverinfo="skip")
 
 
 def _ratios(content: StoredRun) -> Figure:
@@ -165,6 +177,7 @@ def _ratios(content: StoredRun) -> Figure:
     ellipse = ratio_ellipse(inertia)
     truth = _truth(content.metrics, mean)
     figure = layout(
+        legend={"orientation": "h", "y": 1.08, "yanchor": "bottom", "x": 0, "xanchor": "left"},
         xaxis=axis("k<sub>1</sub> = ln(Jxx / Jyy)", domain=[0, 0.45], range=[0, 0.78], anchor="y"),
         yaxis=axis("k<sub>2</sub> = ln(Jyy / Jzz)", range=[0, max(2.0, 1.3 * mean[1])], anchor="x"),
         xaxis2=axis("k<sub>1</sub>", domain=[0.57, 1], anchor="y2"),
@@ -174,7 +187,6 @@ def _ratios(content: StoredRun) -> Figure:
             note("close up", 0.785, 1.0, yanchor="bottom", font={"size": 13}),
             *(_corner(*corner) for corner in ((0, 0, "sphere"), (FLAT_LIMIT, 0, "thin disc"))),
         ],
-        showlegend=False,
     )
     box = ratio_box(content.summary)
     zoom = ellipse if ellipse is not None else mean + 0.15 * np.array([[-1.0, -1.0], [1.0, 1.0]])
@@ -194,7 +206,7 @@ def _ratios(content: StoredRun) -> Figure:
         data += ratio_traces(inertia, "estimate", ACCENT, panel)
         if box is not None:
             fill: dict[str, Any] = {"fill": "toself", "fillcolor": translucent(ACCENT, 0.12)}
-            data.append(line(box[:, 0], box[:, 1], "possible", ACCENT, panel, mode="lines", **fill))
+            data.append(line(box[:, 0], box[:, 1], "possible range", ACCENT, panel, mode="lines", **fill))
         if truth is not None:
             marker = {"color": INK, "size": 11, "symbol": "x-thin", "line": {"width": 2, "color": INK}}
             data.append(line(truth[:1], truth[1:], "truth", INK, panel, mode="markers", marker=marker))
@@ -213,8 +225,7 @@ def _ratios(content: StoredRun) -> Figure:
         + (" Cross: the truth of the simulation." if truth is not None else ""),
         data,
         figure,
-        height_px=520,
-        wide=False,
+        height_px=460,
     )
 
 
@@ -251,7 +262,7 @@ def ratio_traces(inertia: Inertia, name: str, color: str, panel: int = 1) -> lis
     data: list[Trace] = []
     if ellipse is not None:
         fill: dict[str, Any] = {"fill": "toself", "fillcolor": translucent(color, 0.2), "mode": "lines"}
-        data.append(line(ellipse[:, 0], ellipse[:, 1], "3σ", color, panel, showlegend=False, **fill))
+        data.append(line(ellipse[:, 0], ellipse[:, 1], "3σ", color, panel, **fill))
     marker = {"color": color, "size": 9, "symbol": "circle" if ellipse is not None else "circle-open"}
     data.append(line([inertia.k1], [inertia.k2], name, color, panel, mode="markers", marker=marker))
     return data
@@ -262,8 +273,8 @@ def possible_bodies(panel: int) -> list[Trace]:
     k2 = np.linspace(0, 8, 200)
     x, y = np.concatenate([[0], largest_k1(k2), [0]]), np.concatenate([[0], k2, [8]])
     style = {"type": "scatter", "mode": "lines", "hoverinfo": "skip", **on(panel)}
-    fill, edge = {"fill": "toself", "fillcolor": "rgba(0,158,115,0.09)"}, {"color": "#009e73", "width": 1.2}
-    return [style | fill | {"x": packed(x), "y": packed(y), "line": edge, "showlegend": False}]
+    fill, edge = {"fill": "toself", "fillcolor": translucent(REGION, 0.1)}, {"color": REGION, "width": 1.2}
+    return [style | fill | {"x": packed(x), "y": packed(y), "line": edge, "name": "possible bodies"}]
 
 
 def _corner(x: float, y: float, text: str) -> dict[str, Any]:
@@ -302,14 +313,13 @@ def _conserved(motion: StoredMotion) -> Figure:
             ("momentum [%]", "direction [deg]"),
         ],
         TIME_TITLE,
-        showlegend=False,
     )
     data = []
     for panel, (value, sigma, mean) in enumerate(curves, start=1):
         data += band(path.time_s, value, 3 * sigma, ACCENT, panel)
         data.append(dashed(path.time_s[[0, -1]], [mean, mean], "mean", panel))
-        data.append(line(path.time_s, value, "", ACCENT, panel))
-    data.append(line(path.time_s, np.rad2deg(tilt), "", ACCENT, 4))
+        data.append(line(path.time_s, value, "estimate", ACCENT, panel))
+    data.append(line(path.time_s, np.rad2deg(tilt), "estimate", ACCENT, 4))
     figure["yaxis4"]["rangemode"] = "tozero"
     return Figure(
         "energy-momentum",
@@ -321,6 +331,7 @@ def _conserved(motion: StoredMotion) -> Figure:
         data,
         figure,
         height_px=480,
+        clock="time",
     )
 
 

@@ -7,6 +7,7 @@ from polhode.pipeline.report.plot_style import (
     AXIS_COLORS,
     FAINT,
     INK,
+    PAPER,
     TIME_TITLE,
     Figure,
     Trace,
@@ -103,6 +104,7 @@ def _rms_per_frame(tracks: StereoTracks, residuals: MeasurementResiduals) -> Fig
         figure,
         height_px=380,
         wide=False,
+        clock="time",
     )
 
 
@@ -115,15 +117,15 @@ def _observations(tracks: StereoTracks) -> Figure:
             ("landmarks seen",),
         ],
         TIME_TITLE,
-        showlegend=False,
     )
     figure["xaxis"] |= {"domain": [0, 0.52]}
     figure["xaxis2"] = axis("observations of a landmark", domain=[0.69, 1], anchor="y2")
     figure["yaxis2"] = axis("landmarks", anchor="x2")
     bars = {"type": "bar", "marker": {"color": ACCENT}, "width": 0.8 * _spacing(tracks)}
     data: list[Trace] = [
-        bars | {"x": packed(tracks.time_s), "y": packed(count, "i4"), **on(1)},
+        bars | {"x": packed(tracks.time_s), "y": packed(count, "i4"), "name": "per frame", **on(1)},
         {
+            "name": "by number of observations",
             "type": "bar",
             "marker": {"color": FAINT},
             "x": packed(np.arange(1, len(lengths) + 1), "i4"),
@@ -143,6 +145,7 @@ def _observations(tracks: StereoTracks) -> Figure:
         figure,
         height_px=380,
         wide=False,
+        clock="time",
     )
 
 
@@ -164,11 +167,21 @@ def _landmarks_over_time(tracks: StereoTracks) -> Figure:
             "x": packed(tracks.time_s),
             "y": packed((np.arange(rows) + 0.5) * tracks.n_landmarks / rows),
             "z": packed(seen, "u1"),
-            "colorscale": [[0, "#ffffff"], [1, ACCENT]],
+            "colorscale": [[0, PAPER], [1, ACCENT]],
             "showscale": False,
             "hoverinfo": "skip",
             **on(1),
-        }
+        },
+        # A heat map has no entry of its own in a legend.
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "x": [None],
+            "y": [None],
+            "name": "seen in this frame",
+            "marker": {"symbol": "square", "color": ACCENT},
+            **on(1),
+        },
     ]
     return Figure(
         "landmarks-over-time",
@@ -180,6 +193,7 @@ def _landmarks_over_time(tracks: StereoTracks) -> Figure:
         figure,
         height_px=380,
         wide=False,
+        clock="time",
     )
 
 

@@ -23,7 +23,7 @@ from polhode.pipeline.report.plot_style import (
 from polhode.pipeline.run_directory.stored_run import StoredRun
 from polhode.records import Ints, Landmarks
 
-MAX_FACES = 60_000
+MAX_FACES = 16_000
 """A denser mesh is thinned for the page; mesh.ply keeps everything."""
 
 
@@ -89,7 +89,7 @@ def _map(content: StoredRun, landmarks: Landmarks) -> Figure:
     top = float(np.quantile(sigma_mm[known], 0.95)) if np.any(known) else 1.0
     data: list[Trace] = [
         points3d(
-            p_mm,
+            binary_rounded(p_mm),
             "landmarks",
             marker={
                 "size": 2.6 if len(p_mm) < 3000 else 1.7,
@@ -113,8 +113,7 @@ def _map(content: StoredRun, landmarks: Landmarks) -> Figure:
         "the principal axes x (largest moment), y, z (smallest).",
         data,
         _body_layout(content),
-        height_px=520,
-        wide=False,
+        height_px=560,
     )
 
 
@@ -125,13 +124,17 @@ def _mesh(content: StoredRun, mesh: trimesh.Trimesh) -> Figure:
     data: list[Trace] = [
         {
             "type": "mesh3d",
-            **{name: packed(p_mm[:, k]) for k, name in enumerate("xyz")},
-            **{name: packed(faces[:, k], "i4") for k, name in enumerate("ijk")},
-            "vertexcolor": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in rgb.tolist()],
+            **{name: packed(column) for name, column in zip("xyz", binary_rounded(p_mm).T, strict=True)},
+            **{name: packed(faces[:, k], "u2") for k, name in enumerate("ijk")},
+            "intensity": packed(rgb.mean(axis=1).round(), "u1"),
+            "colorscale": [[0, "#000000"], [1, "#fefefe"]],
+            "cmin": 0,
+            "cmax": 255,
+            "showscale": False,
             "lighting": {"ambient": 0.75, "diffuse": 0.55, "specular": 0.05, "roughness": 0.9},
             "lightposition": {"x": 1000, "y": -2000, "z": 3000},
             "name": "surface",
-            "showlegend": False,
+            "showlegend": True,
             "hoverinfo": "skip",
         },
         *_body_axes(content, p_mm),
@@ -154,6 +157,13 @@ def _mesh(content: StoredRun, mesh: trimesh.Trimesh) -> Figure:
         height_px=520,
         wide=False,
     )
+
+
+def binary_rounded(points: Array) -> Array:
+    """Points (n, 3) to a power of two below 1/4000 of their extent: their last digits are zeros."""
+    extent = float(np.max(np.ptp(points, axis=0), initial=0.0))
+    step = 2.0 ** np.floor(np.log2(extent / 4000.0)) if extent > 0.0 else 1.0
+    return np.asarray(np.round(points / step) * step)
 
 
 def vertex_rgb(mesh: trimesh.Trimesh) -> "np.ndarray[Any, np.dtype[np.uint8]]":

@@ -21,6 +21,7 @@ from polhode.pipeline.run_directory.archives import (
     read_online,
     read_residuals,
 )
+from polhode.pipeline.run_directory.film import StoredFilm, read_film
 from polhode.pipeline.run_directory.own_results import METRICS, own_metrics
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.summary import read_summary
@@ -80,6 +81,7 @@ class StoredRun:
     surface: SurfaceModel | None
     metrics: dict[str, Any]
     pictures: tuple[StoredPicture, ...]
+    film: StoredFilm | None
     config_text: str
 
 
@@ -106,6 +108,7 @@ def read_stored_run(folder: Path, name: str, metrics: dict[str, Any] | None = No
         surface=read_ply(folder / "mesh.ply") if (folder / "mesh.ply").is_file() else None,
         metrics=metrics,
         pictures=_pictures(folder / "pictures"),
+        film=read_film(folder / "pictures"),
         config_text=_text(folder / "config.yaml"),
     )
 

@@ -288,7 +288,7 @@ def test_the_report_shows_sheets_and_stills_and_loads_nothing(run: Any, tmp_path
     page = (folder / "report.html").read_text()
     assert "Landmarks from six sides. Principal axes" in page and "Mesh from eight sides." in page
     assert page.count('<div class="card strips">') == 1 and "pictures/model.mp4" in page
-    assert len(re.findall(r'<img src="data:image/jpeg;base64,', page)) == 2 + 4 + FRAMES
+    assert len(re.findall(r'<img src="data:image/webp;base64,', page)) == 2 + 4 + FRAMES
     assert len(page) - before < 2_000_000
     (folder / "pictures" / "mesh.png").write_bytes(b"not a picture")
     write_report(folder)

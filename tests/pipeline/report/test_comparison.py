@@ -11,6 +11,7 @@ from polhode.cli.main import main
 from polhode.config import Config
 from polhode.pipeline.report import finish_run, write_comparison
 from polhode.pipeline.report.comparison import NO_VALUE, side_by_side
+from polhode.pipeline.report.template import inflated
 from polhode.pipeline.run_directory.stored_run import read_stored_run
 from polhode.pipeline.run_directory.summary import build_summary
 from tests.pipeline.stored_run import write_run
@@ -44,7 +45,7 @@ def runs(example: Any, undetermined: Any, tmp_path_factory: pytest.TempPathFacto
 def figure(page: str, key: str) -> Any:
     found = re.search(rf'data-target="plot-{key}">(.*?)</script>', page, re.DOTALL)
     assert found is not None
-    return json.loads(found[1])
+    return json.loads(inflated(found[1]))
 
 
 def test_several_runs_share_one_page(runs: list[Path], tmp_path: Path, capsys: Capture) -> None:
