@@ -10,6 +10,7 @@ In: the folder of a sequence and a configuration. Out: the run directory (docs/r
 - find_motion: solve, match again, keep what fits better; consistency_check decides what fits better
 - long_sequence: thousands of frames by a stream, key frames, and all states in their map
 - review_motion: the causal estimate and the checks of a motion, which need no surface
+- build_surface: fusion of the depth by the motion, and the finished mesh
 - finish_surface: holes, colours, coverage and levels of the fused surface
 - coverage: the share of the body that was seen, seen but never lit, never seen
 - evaluation: a run against the truth of its dataset, which nothing else reads

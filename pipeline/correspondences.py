@@ -9,7 +9,7 @@ import numpy as np
 from polhode.backend import consistent_links
 from polhode.config.frontend_settings import Frontend
 from polhode.errors import RunFailure
-from polhode.frontend.extract import extract_features, require_weights
+from polhode.frontend.extract import extract_features, extract_pair, require_weights
 from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.features.surface_features import with_patch_size
@@ -23,6 +23,7 @@ from polhode.frontend.matching.pairs import (
     pairs_to_match,
     relative_poses,
 )
+from polhode.frontend.rectification import RectifiedPair
 from polhode.frontend.tracks.tracks import join_matches
 from polhode.lie import Array
 from polhode.pipeline.context import RunContext
@@ -61,20 +62,43 @@ class Correspondences:
 
 
 def match_frames(context: RunContext, streamed: Streamed | None = None) -> Correspondences:
-    """Match every frame with every other, or with those of similar appearance, without a motion estimate.
+    """Extract the features of every frame and match them, without a motion estimate.
 
     ``streamed``: what a stream of these pairs has found already, which is used again if it fits. Raises
     InputError when the weights of a feature method are missing.
     """
-    config = context.config
-    second = config.frontend.second_method
+    second = context.config.frontend.second_method
     if second is not None:
         # A missing file of weights ends the command now, not after the work of the first method.
         feature_method(second), match_method(second)
     if streamed is not None and not streamed.fits(context.sequence.timestamps_ns, context.rectifier):
         _log.info("all pairs together give other masks than those of the stream, whose features are not used")
         streamed = None
-    features = _extract(context, config.frontend) if streamed is None else streamed.features
+    features = features_of_frames(context) if streamed is None else streamed.features
+    return match_features(context, features, streamed)
+
+
+def features_of_frames(context: RunContext) -> list[StereoFeatures]:
+    """The features of every pair, in order, by the first feature method.
+
+    Raises InputError: weights that extraction, matching or, later, depth need are missing or wrong.
+    """
+    return _extract(context, context.config.frontend)
+
+
+def features_of_pair(context: RunContext, pair: RectifiedPair) -> StereoFeatures:
+    """The features of one rectified pair, of the sequence or of the same cameras, by the first method."""
+    return extract_pair(pair, context.rig, _with_patch_size(context, context.config.frontend))
+
+
+def match_features(
+    context: RunContext, features: Sequence[StereoFeatures], streamed: Streamed | None = None
+) -> Correspondences:
+    """Match every frame with every other, or with those of similar appearance, without a motion estimate.
+
+    features: of every frame, F. ``streamed``: what a stream has matched of them already.
+    """
+    config = context.config
     partners = pairs_to_match(features, config.frontend.pairs, config.seed)
     if streamed is None:
         matches = _match(context, features, partners, config.frontend)
@@ -125,13 +149,18 @@ def features_in_turn(context: RunContext, frontend: Frontend) -> Iterator[Stereo
     """
     sequence, rectifier = context.sequence, context.rectifier
     require_weights(frontend)
-    settings = with_patch_size(frontend.for_features, sequence, rectifier)
+    settings = _with_patch_size(context, frontend)
     return context.stages.each(
         "features",
         StereoFeatures,
         _feature_keys(context, settings),
         lambda pairs: extract_features(sequence, rectifier, settings, context.workers, pairs),
     )
+
+
+def _with_patch_size(context: RunContext, frontend: Frontend) -> Frontend:
+    """What the features depend on, with the size of patches that the sequence calls for."""
+    return with_patch_size(frontend.for_features, context.sequence, context.rectifier)
 
 
 def _feature_keys(context: RunContext, settings: Frontend) -> list[str]:

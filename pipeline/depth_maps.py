@@ -19,7 +19,7 @@ from polhode.errors import RunFailure
 from polhode.frontend.disparity.depth import DisparityRange, range_of_features
 from polhode.frontend.extract import PRELOADED, depth_of_pair, extract_depth
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.rectification import Crop, Rectifier, rectified_pair, target_crop
+from polhode.frontend.rectification import Crop, RectifiedPair, Rectifier, rectified_pair, target_crop
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.run_directory.stages import StageStore
 from polhode.processes import Background
@@ -147,6 +147,16 @@ def depth_keys(context: RunContext, ranges_px: Sequence[DisparityRange]) -> list
         stages.key(alike, sequence.digest_of_pair(k), masks.get(k), range_px)
         for k, range_px in enumerate(ranges_px)
     ]
+
+
+def depth_map_of_pair(context: RunContext, pair: RectifiedPair, features: StereoFeatures) -> DepthMap:
+    """The depth map of one rectified pair, as the fusion gets it: black away from the target.
+
+    features: of this pair; their disparities limit the search.
+    """
+    span = range_of_features(features.uvd_px[:, 2])
+    depth = depth_of_pair(pair, context.rig, context.config.frontend.depth, span)
+    return PackedDepth.of(depth).unpacked()
 
 
 class DepthMaps:

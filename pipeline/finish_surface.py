@@ -5,7 +5,7 @@ Every step is optional: if one fails, its result is left out with a warning, and
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TypeVar
 
@@ -40,14 +40,25 @@ MAX_PIXELS = 40e6
 _MARGIN_PX = 6
 
 
+@dataclass(frozen=True)
+class FinishedSurface:
+    """The mesh as it is published, and what was found about the shape."""
+
+    surface: SurfaceModel
+    levels: list[DetailLevel]
+    """Lighter meshes, the finest first"""
+    findings: ShapeFindings
+    """Coverage, closed holes, the Sun, mass against volume; with the warnings of steps that failed"""
+
+
 def finish_surface(
     context: RunContext,
     surface: SurfaceModel,
     X_RG: Array,
     mass: MassProperties,
     ready: Callable[[SurfaceModel, Array | None], object] = lambda finished, sun_N: None,
-) -> tuple[SurfaceModel, list[DetailLevel], ShapeFindings]:
-    """The finished surface, its lighter levels, and the findings about the shape.
+) -> FinishedSurface:
+    """Close small holes, divide the shading out, class the vertices, make lighter meshes.
 
     X_RG (F, 4, 4): pose of the target in the rectified left camera. ``ready`` is called with the finished
     surface as soon as there is one, and with the Sun's direction in N (3,) if its shading was divided out of
@@ -57,7 +68,7 @@ def finish_surface(
     if len(surface.mesh.faces) == 0:
         ready(surface, None)
         assumed, doubts = assumed_properties(mass, surface, config.backend)
-        return surface, [], ShapeFindings(assumed=assumed, warnings=tuple(doubts))
+        return FinishedSurface(surface, [], ShapeFindings(assumed=assumed, warnings=tuple(doubts)))
     steps, rig, mapping = _OptionalSteps(), context.rig, config.mapping
     views: list[FrameView] = []
     views = steps.attempt("reading the images again", lambda: _views(context, surface, X_RG), views)
@@ -94,7 +105,8 @@ def finish_surface(
     described = _describe(finished, holes, colours, levels)
     for sentence in physics.words if physics is not None else ():
         _log.info(sentence)
-    return finished, levels, ShapeFindings(described, coverage, physics, assumed, tuple(warnings))
+    findings = ShapeFindings(described, coverage, physics, assumed, tuple(warnings))
+    return FinishedSurface(finished, levels, findings)
 
 
 class _OptionalSteps:

@@ -1,6 +1,5 @@
 """The main job, as the data flows: images, tracks, first motion, motion, window, depth, fusion, report."""
 
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,18 +12,14 @@ from polhode.backend import align_online_estimate, window_warnings
 from polhode.config import Config
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.lie import Array
-from polhode.mapping.finishing.detail_levels import DetailLevel
-from polhode.mapping.fusion.field import fuse
 from polhode.pipeline.answer_checks.check_answer import check_surface, with_sun_check
 from polhode.pipeline.answer_checks.image_motion import ImageMotion
-from polhode.pipeline.answer_checks.symmetry_turn import PairView
+from polhode.pipeline.build_surface import build_surface, finish_fused
 from polhode.pipeline.checkout.checkout import warn_before_run
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.correspondences import match_frames
-from polhode.pipeline.depth_maps import STAGE as DEPTH
 from polhode.pipeline.depth_maps import DepthMaps
 from polhode.pipeline.find_motion import find_motion, pose_RG
-from polhode.pipeline.finish_surface import finish_surface
 from polhode.pipeline.intervals.find_intervals import find_intervals
 from polhode.pipeline.long_sequence import LongSolution, is_long, solve_long
 from polhode.pipeline.pictures import PicturesToMake
@@ -35,14 +30,13 @@ from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.pipeline.run_directory.recording import recording_of
 from polhode.pipeline.run_directory.run_folder import RunFolder, atomic_run_folder
 from polhode.pipeline.run_directory.summary import build_summary
-from polhode.pipeline.run_directory.summary_schema import ShapeFindings, Summary
+from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.streamed import Streamed
 from polhode.processes import beside
 from polhode.progress import Progress
-from polhode.records import MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks, SurfaceModel
+from polhode.records import MotionEstimate, OnlineEstimate, RelativePoses, SurfaceModel
 from polhode.threads import single_threaded
 
-_log = logging.getLogger(__name__)
 NO_LINKS = RelativePoses(
     np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 4, 4)), np.zeros(0, dtype=np.int64)
 )
@@ -146,27 +140,20 @@ def fill_run_folder(
         images = ImageMotion(
             context.rig, pose_RG(tracks, estimate), np.isin(np.arange(tracks.n_frames), tracks.frame)
         )
-        fused = _build_surface(context, depth, tracks, estimate, images)
+        fused = build_surface(context, depth, tracks, estimate, images)
         with clock("fusion"):
-            X_RG = pose_RG(tracks, estimate)
-            if fused.aligned is not None:
-                X_RG = fused.aligned.put_into(X_RG)
-            shown = context.sequence, context.rectifier
-            settings = config.mapping, config.backend, config.seed
-            key = context.stages.key(shown, fused, X_RG, estimate.mass, settings)
-            surface, levels, shape = context.stages.keyed(
-                *("finished_surface", tuple[SurfaceModel, list[DetailLevel], ShapeFindings], key),
-                lambda: finish_surface(context, fused, X_RG, estimate.mass, ready),
-            )
+            finished = finish_fused(context, fused, tracks, estimate, ready)
+            surface, shape = finished.surface, finished.findings
             sun = shape.mesh.sun if shape.mesh is not None else None
             sun_N = None if sun is None or sun.sigma_deg is None else np.array(sun.direction_N)
             if not made:
                 ready(surface, sun_N)
             intervals, unbounded = find_intervals(estimate, surface, shape.coverage, config.backend)
-        outputs.write_surface(folder, surface, levels)
+        outputs.write_surface(folder, surface, finished.levels)
 
         with clock("checks"):
             doubts = images.checks(float(np.median(np.diff(tracks.time_s))))
+            shown = context.sequence, context.rectifier
             of_surface = check_surface(*shown, tracks, estimate, surface.mesh, shape.physics, sun_N)
         # the images were compared while the depth maps passed to the fusion
         clock.seconds["checks"] += images.seconds
@@ -200,15 +187,6 @@ def fill_run_folder(
     return partial(_result, summary, _sentence(summary, estimate), failure)
 
 
-@dataclass(frozen=True)
-class FusedSurface:
-    """The surface, and what was compared in the images while it was made (``ImageMotion``)."""
-
-    surface: SurfaceModel
-    shares: list[float]
-    views: list[PairView]
-
-
 def _result(summary: Summary, sentence: str, failure: str | None, written: RunFolder) -> RunResult:
     report = written.published / "report.html"
     report = report if report.is_file() else written.published
@@ -228,47 +206,6 @@ def _depth_maps(
     """Those of the stream, where it had the same masks, and the others."""
     fits = streamed is not None and streamed.fits(context.sequence.timestamps_ns, context.rectifier)
     return DepthMaps(context, features, streamed.depth if fits and streamed is not None else None)
-
-
-def _build_surface(
-    context: RunContext,
-    depth: DepthMaps,
-    tracks: StereoTracks,
-    estimate: MotionEstimate,
-    images: ImageMotion,
-) -> SurfaceModel:
-    """Depth of every pair, moved into G by the motion, fused; ``images`` compares what passes by."""
-    config, clock, rig = context.config, context.clock, context.rig
-    X_RG = pose_RG(tracks, estimate)
-
-    def fused() -> FusedSurface:
-        maps = iter(depth)
-        surface = fuse(
-            zip(images.watching(clock.waiting("depth", maps)), X_RG, strict=True),
-            rig,
-            config.mapping,
-            context.progress,
-            len(X_RG),
-            covariance_G=estimate.covariance_X_NG,
-            landmarks_G=estimate.landmarks.p_G,
-        )
-        return FusedSurface(surface, images.shares, images.views)
-
-    with clock("fusion"):
-        poses = X_RG, estimate.covariance_X_NG, estimate.landmarks.p_G, images.measured
-        context.stages.use(DEPTH, depth.keys)
-        key = context.stages.key(depth.keys, poses, rig, config.mapping)
-        found = context.stages.keyed("surface", FusedSurface, key, fused)
-    surface, images.shares, images.views = found.surface, found.shares, found.views
-    for warning in surface.warnings:
-        _log.warning(warning)
-    if surface.aligned is not None:
-        _log.info(
-            "%d of %d frames with doubtful poses were aligned to the surface of the others",
-            *(len(surface.aligned.frames), surface.aligned.doubtful),
-        )
-    clock.seconds["fusion"] -= clock.seconds.get("depth", 0.0)
-    return surface
 
 
 def _sentence(summary: Summary, estimate: MotionEstimate) -> str:

@@ -56,22 +56,26 @@ errors.py          errors that end a command, with their exit codes; text that i
 
 Above all of them is api.py, the library: ``polhode.run``, ``load``, ``simulate``, ``evaluate``, ``Run``.
 ``polhode.Session`` is the live estimate: pairs are pushed, each gives a state (docs/live.md).
+``polhode.stages`` is the main job stage by stage (stages.py).
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from polhode import stages
     from polhode.api import Run, evaluate, load, run, simulate
     from polhode.pipeline.live.session import Session
 
-__all__ = ["Run", "Session", "evaluate", "load", "run", "simulate"]
+__all__ = ["Run", "Session", "evaluate", "load", "run", "simulate", "stages"]
 
 
 def __getattr__(name: str) -> Any:
     """What the library offers, loaded when it is first asked for: the program starts without it."""
     if name not in __all__:
         raise AttributeError(f"module 'polhode' has no attribute {name!r}")
+    if name == "stages":
+        return import_module("polhode.stages")
     return getattr(
         import_module("polhode.pipeline.live.session" if name == "Session" else "polhode.api"), name
     )

@@ -2,7 +2,8 @@
 
 Everything is what the command line does and reads the same files; a mistake of the caller raises
 ``polhode.errors.InputError`` with one line, a run without an answer ``RunFailure``. ``polhode.Session`` is
-the live estimate (``pipeline/live/session.py``). docs/api.md has examples.
+the live estimate (``pipeline/live/session.py``), ``polhode.stages`` each stage by itself. docs/api.md has
+examples.
 """
 
 import tempfile
@@ -29,8 +30,17 @@ from polhode.pipeline.after_run.predict import predict_instants
 from polhode.pipeline.evaluation import Metrics
 from polhode.pipeline.report import evaluate_and_report
 from polhode.pipeline.run import run as run_pipeline
-from polhode.pipeline.run_directory.archives import read_covariance, read_measurements, undetermined_as_inf
+from polhode.pipeline.run_directory.archives import (
+    MeasurementResiduals,
+    read_covariance,
+    read_measurements,
+    read_relative_poses,
+    read_residuals,
+    undetermined_as_inf,
+)
+from polhode.pipeline.run_directory.data_frames import TableName, columns_of
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
+from polhode.pipeline.run_directory.run_card import card_html, card_text
 from polhode.pipeline.run_directory.run_folder import REPORT, require_run_folder
 from polhode.pipeline.run_directory.stored_run import StoredMotion, read_motion
 from polhode.pipeline.run_directory.summary import read_summary
@@ -44,7 +54,7 @@ from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions
 from polhode.planning.prediction import PredictedMotion, nominal_motion
 from polhode.processes import start_server, worker_count
 from polhode.progress import Progress, Silent
-from polhode.records import Landmarks, StereoTracks, SurfaceModel
+from polhode.records import Landmarks, RelativePoses, StereoTracks, SurfaceModel
 from polhode.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -72,7 +82,7 @@ def run(
     RunFailure when no motion is found, and then ``output`` holds what was found before. A run that ends with
     a motion that cannot be trusted is returned, with the status "failed" or "degraded".
     """
-    values, shown = configuration(config), _progress(progress)
+    values, shown = configuration(config), chosen_progress(progress)
     start_server((run_pipeline.__module__,), worker_count(values.runtime.workers))
     if output is not None:
         run_pipeline(values, Path(data), Path(output), shown, overwrite=overwrite, resume=resume)
@@ -117,7 +127,7 @@ def simulate(
     folder = Path(output)
     require_free(folder, overwrite)
     plan = plan_sequence(values.scene, values.seed)
-    write_sequence(plan, folder, _progress(progress), worker_count(values.runtime.workers), overwrite)
+    write_sequence(plan, folder, chosen_progress(progress), worker_count(values.runtime.workers), overwrite)
     return folder
 
 
@@ -139,7 +149,7 @@ def configuration(config: Configuration) -> Config:
     return load_config(None if config is None else Path(config))
 
 
-def _progress(wanted: Progress | bool) -> Progress:
+def chosen_progress(wanted: Progress | bool) -> Progress:
     if isinstance(wanted, bool):
         return choose_progress() if wanted else Silent()
     return wanted
@@ -187,8 +197,15 @@ class Run:
         """The content of summary.json"""
 
     def __repr__(self) -> str:
-        found = self.summary
-        return f"<polhode.Run {self.folder}: {found.status}, {found.frames_used} of {found.frames} frames>"
+        return card_text(self.folder, self.summary)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        try:
+            trajectory = self.trajectory
+        except InputError:
+            trajectory = None
+        return card_html(self.folder, self.summary, trajectory)
 
     @property
     def status(self) -> Literal["ok", "degraded", "failed"]:
@@ -272,6 +289,22 @@ class Run:
         """The tracks that a back end of one's own can start from. Raises InputError."""
         return read_measurements(self.folder)
 
+    @cached_property
+    def links(self) -> RelativePoses:
+        """The relative poses of matched frames, for ``stages.first_motion``. Raises InputError."""
+        found = read_relative_poses(self.folder)
+        if found is None:
+            raise InputError(f"{self.folder}: this run ended before it had matched frames")
+        return found
+
+    @cached_property
+    def residuals(self) -> MeasurementResiduals:
+        """Residual (M, 3) [px] and weight (M,) of each measurement after the estimate. Raises InputError."""
+        found = read_residuals(self.folder)
+        if found is None:
+            raise InputError(f"{self.folder}: this run failed before it had an estimate")
+        return found
+
     def predict(self, time_s: ArrayLike) -> PredictedMotion:
         """The motion at times (T,), or one time, in seconds after the last pair, with its covariance.
 
@@ -336,13 +369,21 @@ class Run:
         """
         return export_run(self.folder, ExportOptions(to, Path(output), **options), Silent())
 
-    def to_pandas(self) -> "pd.DataFrame":
-        """trajectory.csv as a table: one row for each pair (needs pandas)."""
+    def to_pandas(self, table: TableName = "trajectory") -> "pd.DataFrame":
+        """A table of the run, with the columns and units of docs/run_directory.md (needs pandas).
+
+        Args:
+            table: "trajectory", "online", "landmarks", "observations" (with residuals) or "checks".
+
+        Raises:
+            InputError: pandas is not installed, there is no such table, or the run has no such file.
+        """
+        columns = columns_of(table, self.folder, self.summary)
         try:
             import pandas as pd
         except ImportError:
             raise InputError("pandas is not installed: pip install 'polhode[pandas]'") from None
-        return pd.read_csv(self.folder / "trajectory.csv")
+        return pd.DataFrame(columns)
 
 
 def _variances(rows: Sequence[Sequence[float | None]] | None) -> Array:

@@ -100,7 +100,7 @@ def measure(folder: Path, config: Config, voxel_m: float, most: int | None = Non
     begin = now()
     surface = field.surface()
     meshed = now()
-    finished, _, _ = finish_surface(context, surface, X_RG, mass_of_nothing())
+    finished = finish_surface(context, surface, X_RG, mass_of_nothing()).surface
     wall_s, core_s = np.stack([depth, fusion, meshed - begin, now() - meshed]).T
     size = f"{rectifier.rig.width_px}x{rectifier.rig.height_px}"
     return FrameTimes(count, size, wall_s, core_s, len(finished.mesh.faces))

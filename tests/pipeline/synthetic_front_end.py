@@ -55,7 +55,7 @@ def put_in_place(
 
     patch.setattr("polhode.pipeline.correspondences.extract_features", found)
     patch.setattr("polhode.pipeline.correspondences.match_rows", matched)
-    patch.setattr("polhode.pipeline.run._build_surface", built)
+    patch.setattr("polhode.pipeline.run.build_surface", built)
 
 
 def _write(sequence: SyntheticSequence, folder: Path) -> None:

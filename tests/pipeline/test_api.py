@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import polhode
@@ -16,6 +17,9 @@ from polhode.config import Config
 from polhode.errors import InputError, RunFailure
 from polhode.lie import transform_points
 from polhode.pipeline.after_run.predict import predict_run
+from polhode.pipeline.run_directory.archives import write_measurements
+from polhode.pipeline.run_directory.run_card import card_html
+from polhode.pipeline.run_directory.summary_schema import Verdict
 from tests.pipeline.conftest import Example, write_example
 
 
@@ -106,10 +110,73 @@ def test_observability_and_exports_follow_from_the_object(stored: polhode.Run, t
     assert files == [tmp_path / "motion.tum"] and files[0].read_text().startswith("#")
 
 
-def test_the_table_has_the_columns_of_the_file(stored: polhode.Run) -> None:
+def test_the_table_of_the_trajectory_is_that_of_the_file(stored: polhode.Run) -> None:
     table = stored.to_pandas()
-    assert table.shape == (24, 26)
-    np.testing.assert_allclose(table[["r_N_x", "r_N_y", "r_N_z"]], stored.trajectory.r_N)
+    of_file = pd.read_csv(stored.folder / "trajectory.csv")
+    pd.testing.assert_frame_equal(table, of_file, rtol=1e-12)
+    with pytest.raises(InputError, match=r"trajectory_online.csv"):
+        stored.to_pandas("online")
+
+
+def test_tables_have_the_numbers_of_the_records(stored: polhode.Run) -> None:
+    landmarks, observations, checks = (
+        stored.to_pandas(name) for name in ("landmarks", "observations", "checks")
+    )
+    np.testing.assert_array_equal(landmarks[["x", "y", "z"]], stored.landmarks.p_G)
+    assert landmarks["observations"].sum() == len(observations)
+    np.testing.assert_array_equal(observations[["u_px", "v_px", "disparity_px"]], stored.measurements.uvd_px)
+    np.testing.assert_array_equal(
+        observations[["residual_u_px", "residual_v_px", "residual_disparity_px"]],
+        stored.residuals.residuals_px,
+    )
+    stamps = stored.measurements.timestamps_ns[observations["frame"]]
+    np.testing.assert_array_equal(observations["timestamp_ns"], stamps)
+    assert stored.verdict is not None
+    assert list(checks["name"]) == [check.name for check in stored.verdict.checks]
+    with pytest.raises(InputError, match="no table 'forces'; there are trajectory, online"):
+        stored.to_pandas("forces")  # type: ignore[arg-type]
+
+
+def test_observations_of_a_run_without_an_estimate_have_no_residuals(
+    stored: polhode.Run, example: Example
+) -> None:
+    write_measurements(example.tracks, stored.folder / "measurements.npz")
+    names = stored.to_pandas("observations").columns
+    assert "u_px" in names and not any(name.startswith("residual") for name in names)
+    with pytest.raises(InputError, match="before it had an estimate"):
+        stored.residuals  # noqa: B018
+    with pytest.raises(InputError, match="before it had matched frames"):
+        stored.links  # noqa: B018
+
+
+def test_links_are_the_relative_poses_that_were_measured(stored: polhode.Run, example: Example) -> None:
+    np.testing.assert_array_equal(stored.links.i, example.relative.i)
+    np.testing.assert_array_equal(stored.links.X_RiRj, example.relative.X_RiRj)
+
+
+def test_a_run_says_what_was_found_in_a_line_and_in_a_table(stored: polhode.Run) -> None:
+    mass = stored.mass
+    ratio = f"k1 {mass.k[0]:.4f} +- {np.sqrt(mass.cov_k[0, 0]):.4f}"
+    assert repr(stored).startswith(f"<polhode.Run {stored.folder}: ok, 23 of 24 frames, {ratio}")
+    shown = stored._repr_html_()
+    assert shown.startswith("<table>") and len(shown) < 3000
+    rate_rpm = np.median(np.linalg.norm(stored.trajectory.w_P, axis=1)) * 30.0 / np.pi
+    assert f"{rate_rpm:.2f} RPM" in shown and f"{ratio[3:]}" in shown
+
+
+def test_what_is_not_determined_is_called_so(undetermined: Example, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    write_example(tmp_path / "run", undetermined)
+    run = polhode.load(tmp_path / "run")
+    assert "k1 not determined, k2 not determined" in repr(run)
+    assert "not determined in every direction" in run._repr_html_()
+
+
+def test_the_table_of_a_notebook_escapes_what_files_say(stored: polhode.Run) -> None:
+    verdict = Verdict(status="degraded", reasons=("<script>alert(1)</script>",), checks=())
+    summary = stored.summary.model_copy(update={"status": "degraded", "verdict": verdict})
+    shown = card_html(Path("/runs/<b>"), summary, None)
+    assert "<script>" not in shown and "&lt;script&gt;" in shown and "/runs/&lt;b&gt;" in shown
 
 
 def test_a_configuration_is_a_file_a_dictionary_or_itself(tmp_path: Path) -> None:
@@ -142,32 +209,22 @@ SCRIPT = """
 import polhode
 
 print("begins")
-sequence = polhode.simulate({scene!r}, {folder!r}, progress=False)
 try:
-    print("ends", polhode.run(sequence, progress=False, config={{"runtime.workers": 2}}).status)
+    print("ends", polhode.run({folder!r}, progress=False, config={{"runtime.workers": 2}}).status)
 except polhode.errors.RunFailure:
     print("ends without an answer")
 """
 
 
-def test_a_script_needs_no_guard(tmp_path: Path) -> None:
+def test_a_script_needs_no_guard(small_sequence: Path, tmp_path: Path) -> None:
     """Its processes would otherwise begin the script again."""
-    scene = {
-        "scene": {
-            "frames": 3,
-            "truth_horizon_s": 0,
-            "rig": {"width_px": 48, "height_px": 36, "focal_px": 35.0},
-            "render": {"samples": 1, "bounces": 0},
-        }
-    }
     script = tmp_path / "script.py"
-    script.write_text(SCRIPT.format(scene=scene, folder=str(tmp_path / "seq")))
+    script.write_text(SCRIPT.format(folder=str(small_sequence)))
     done = subprocess.run(
         [sys.executable, str(script)], capture_output=True, text=True, check=False, cwd=tmp_path
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("begins") == 1
-    assert "ends" in done.stdout and (tmp_path / "seq" / "mav0" / "target0").is_dir()
+    assert done.stdout.split("\n") == ["begins", "ends without an answer", ""]
 
 
 def test_evaluate_writes_what_the_command_writes(

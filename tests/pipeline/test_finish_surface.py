@@ -32,7 +32,8 @@ def finished(
 ) -> tuple[SurfaceModel, list[DetailLevel], ShapeFindings]:
     sequence, rectifier, X_RG = seen
     context = RunContext(sequence, rectifier, config, Silent())
-    return finish_surface(context, surface, X_RG, example.estimate.mass)
+    made = finish_surface(context, surface, X_RG, example.estimate.mass)
+    return made.surface, made.levels, made.findings
 
 
 @pytest.fixture

@@ -19,17 +19,11 @@ from polhode.pipeline.run_directory.recording import recording_of
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.progress import Silent
-from tests.conftest import RENDERED_FRAMES, MakeOnce
+from tests.conftest import RENDERED_FRAMES
 
 CONFIG = Config.model_validate({"runtime": {"workers": 1}})
 NO_PICTURES = {"animation": False, "views": False}
 COMPARED = ("trajectory.csv", "landmarks.ply", "mesh.ply")
-
-
-@pytest.fixture(scope="session")
-def finished(rendered_sequence: Path, make_once: MakeOnce) -> Path:
-    """The directory of a run with the default configuration."""
-    return make_once("finished", lambda folder: run(CONFIG, rendered_sequence, folder, Silent()))
 
 
 def test_the_motion_is_found_from_a_cold_start(
