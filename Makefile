@@ -3,6 +3,7 @@
 # make example    flies around the target of the demo in MuJoCo, with a video (docs/planning.md)
 # make test    the tests, in two processes (make test JOBS=4: in four)
 # make check   style, types, import rules
+# make extras  the optional parts, which `polhode doctor` lists: more solvers, bags and videos, convex pieces, ...
 # make matchers    weights of feature networks to compare with (docs/frontend.md)
 # make fusion-peers    Open3D and pycolmap, 500 MB, for benchmarks/mapping/fusion_peers.py; without them its rows say so
 # make sbom    dist/polhode.cdx.json: the software bill of materials, in CycloneDX's JSON (docs/security.md)
@@ -28,7 +29,7 @@ OPTIONS ?=
 EXTRAS ?= [dev]
 JOBS ?= 2
 
-.PHONY: setup matchers fusion-peers demo example test check sbom release bench
+.PHONY: setup extras matchers fusion-peers demo example test check sbom release bench
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -75,6 +76,9 @@ $(MATCHERS): $(STAMP)
 	@touch $@
 
 matchers: $(MATCHERS)
+
+extras: $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[export,import,pandas,solvers,train]'
 
 fusion-peers: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[mapping-peers]'

@@ -1,13 +1,14 @@
 """``polhode calibrate``: the calibration of a stereo rig from images of a board."""
 
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Debug
+from polhode.cli.answer import Answer
 from polhode.errors import InputError
 
 
@@ -20,6 +21,12 @@ class CalibrateCommand:
     Writes sensor.yaml of both cameras, the same for OpenCV, Kalibr and ROS, calibration.json with the
     standard deviation of every parameter, and the page report.html.
     """
+
+    GROUPS: ClassVar = {
+        "board": ("marker_mm", "spacing", "dictionary"),
+        "recording": (*("rate_hz", "left_topic", "right_topic", "tolerance_s", "start_s", "end_s", "every"),),
+        "verification": ("verify", "unit"),
+    }
 
     sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SOURCE...")] = ()
     """A recording: one path or two, instead of --left and --right."""
@@ -59,15 +66,14 @@ class CalibrateCommand:
     """Topic of the right images."""
     tolerance_s: Annotated[float | None, arg(metavar="S")] = None
     """Largest difference between the times of a pair [s]. A hundredth of the usual interval unless given."""
-    start: Annotated[float, arg(metavar="S")] = 0.0
+    start_s: Annotated[float, arg(metavar="S", aliases=["--start"])] = 0.0
     """Of a recording, begin so long after the first pair [s]."""
-    end: Annotated[float, arg(metavar="S")] = math.inf
+    end_s: Annotated[float, arg(metavar="S", aliases=["--end"])] = math.inf
     """End so long after the first pair [s]."""
     every: Annotated[int, arg(metavar="N")] = 1
     """Look at each N-th pair of a recording; at most 200, spread over it, are looked at."""
-    debug: Debug = False
 
-    def execute(self) -> int:
+    def execute(self) -> Answer:
         """Calibrate, write and print."""
         self._require_ranges()
         from polhode.calibration.boards import make_board
@@ -95,8 +101,8 @@ class CalibrateCommand:
             right_topic=self.right_topic,
             poses="none",
             tolerance_s=self.tolerance_s,
-            start_s=self.start,
-            end_s=self.end,
+            start_s=self.start_s,
+            end_s=self.end_s,
             every=self.every,
         )
         progress = choose_progress()
@@ -115,19 +121,28 @@ class CalibrateCommand:
             with results_folder(self.output, command, names) as place, opened as pairs:
                 done = verify(pairs, board, self.verify, unit_m, progress)
                 name = " ".join(path.name for path in self.verify)
-                write_results(place, command, verification_files(done, name), names)
-            print(format_verification(done))
-            print(f"Verification: {self.output / VERIFY_PAGE}")
-            return 0
+                files = verification_files(done, name)
+                write_results(place, command, files, names)
+            page = self.output / VERIFY_PAGE
+            return Answer(
+                f"Verification: {page}",
+                format_verification(done),
+                paths=tuple(self.output / name for name in (VERIFY_PAGE, *files) if name in files),
+                figures=json.loads(files["verification.json"]),
+            )
         from polhode.calibration.calibrate import calibrate
         from polhode.calibration.page import COMMAND, FILES, PAGE, files_of, format_calibration
 
         with results_folder(self.output, COMMAND, FILES) as place, opened as pairs:
             rig = calibrate(pairs, board, models, progress)
-            write_results(place, COMMAND, files_of(rig, place.name), FILES)
-        print(format_calibration(rig))
-        print(f"Calibration: {self.output / PAGE}")
-        return 0
+            files = files_of(rig, place.name)
+            write_results(place, COMMAND, files, FILES)
+        return Answer(
+            f"Calibration: {self.output / PAGE}",
+            format_calibration(rig),
+            paths=tuple(self.output / name for name in (PAGE, *(each for each in files if each != PAGE))),
+            figures=json.loads(files["calibration.json"]),
+        )
 
     def _require_ranges(self) -> None:
         if not math.isfinite(self.square_mm) or self.square_mm <= 0.0:
@@ -136,7 +151,7 @@ class CalibrateCommand:
             raise InputError(f"--unit {self.unit}: choose m or mm")
         if self.every < 1:
             raise InputError(f"--every {self.every}: give a whole number of at least 1")
-        if not self.end > self.start >= 0.0:
+        if not self.end_s > self.start_s >= 0.0:
             raise InputError(
-                f"--start {self.start:g} --end {self.end:g}: give times of at least 0, end later"
+                f"--start-s {self.start_s:g} --end-s {self.end_s:g}: give times of at least 0, end later"
             )

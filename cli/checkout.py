@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Debug
+from polhode.cli.answer import Answer
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,8 @@ class CheckoutCommand:
     """Folder of the results: a new or empty one, or that of an earlier call, whose files are replaced."""
     rig: Annotated[Path | None, arg(metavar="RIG")] = None
     """Check with this calibration instead: a folder with cam0/sensor.yaml and cam1/sensor.yaml."""
-    debug: Debug = False
 
-    def execute(self) -> int:
+    def execute(self) -> Answer:
         """Check, write and print."""
         from polhode.cli.console import choose_progress
         from polhode.pipeline.checkout.checkout import checkout
@@ -34,6 +33,10 @@ class CheckoutCommand:
         with checkout_folder(self.output) as place:
             done = checkout(self.sequence, self.rig, choose_progress())
             write_checkout(done, self.sequence.resolve().name, place)
-        print(format_checkout(done))
-        print(f"Checkout: {self.output / 'checkout.html'}")
-        return 0
+        page, table = self.output / "checkout.html", self.output / "checkout.json"
+        return Answer(
+            f"Checkout: {page}",
+            format_checkout(done),
+            paths=(page, table),
+            figures=done.result.model_dump(by_alias=True),
+        )

@@ -6,10 +6,13 @@ from typing import Annotated
 
 from tyro.conf import arg
 
+from polhode.cli.answer import Answer
 from polhode.cli.console import choose_progress
-from polhode.cli.options import ConfigValues, Debug, OptionalConfigFile
+from polhode.cli.options import ConfigValues, OptionalConfigFile
 from polhode.config import Config
-from polhode.errors import RunFailure
+
+FIGURES = {"problem", "solver", "start", "seed", "status", "cost", "iterations", "wall_s", "k1", "k2"}
+"""Of each row, what the answer repeats of compare.json"""
 
 
 @dataclass(frozen=True)
@@ -33,18 +36,20 @@ class CompareCommand:
     """Folder of a finished run: its measurements.npz is used."""
     truth: Annotated[Path | None, arg(metavar="SEQ")] = None
     """With --run: folder of the sequence of that run; its truth (mav0/target0) gives errors."""
-    debug: Debug = False
     values: ConfigValues = field(default_factory=Config)
 
-    def execute(self) -> int:
+    def execute(self) -> Answer:
         """Compare and print the tables. Raises RunFailure when no solver converged."""
         from polhode.compare.comparison import compare
-        from polhode.compare.tables import print_tables
+        from polhode.compare.tables import format_tables
 
         comparison = compare(self.values, self.output, choose_progress(), self.data, self.run, self.truth)
-        print_tables(comparison)
         page = self.output / "compare.html"
-        if not any(row.status in ("ok", "baseline") for row in comparison.rows):
-            raise RunFailure(f"no solver converged; the reasons: {page}")
-        print(f"Comparison: {page}")
-        return 0
+        solved = any(row.status in ("ok", "baseline") for row in comparison.rows)
+        return Answer(
+            f"Comparison: {page}",
+            format_tables(comparison),
+            paths=(page, self.output / "compare.json", self.output / "compare.csv"),
+            figures={"rows": [row.model_dump(include=FIGURES) for row in comparison.rows]},
+            failure=None if solved else f"no solver converged; the reasons: {page}",
+        )

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Debug
+from polhode.cli.answer import Answer
 
 
 @dataclass(frozen=True)
@@ -17,12 +17,12 @@ class EvaluateCommand:
     """Folder of a finished run."""
     data: Annotated[Positional[Path], arg(metavar="SEQ")]
     """Folder of the sequence of that run, with its truth in mav0/target0."""
-    debug: Debug = False
 
-    def execute(self) -> int:
+    def execute(self) -> Answer:
         """Write the metrics, renew the report and print the table."""
         from polhode.pipeline.evaluation import format_table
         from polhode.pipeline.report import evaluate_and_report
 
-        print(format_table(evaluate_and_report(self.run, self.data)))
-        return 0
+        metrics = evaluate_and_report(self.run, self.data)
+        path = self.run / "metrics.json"
+        return Answer(f"Metrics: {path}", format_table(metrics), paths=(path,), figures=metrics)

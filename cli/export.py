@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Debug, Flag
+from polhode.cli.answer import Answer
+from polhode.cli.options import Flag
 from polhode.errors import InputError
 from polhode.planning.exports.formats import FORMATS
 
@@ -20,10 +21,16 @@ class ExportCommand:
     but the mesh, with covariances. What the run lacks is left out, with a warning.
     """
 
+    GROUPS: ClassVar = {
+        "CAD model": ("cad", "cad_points", "cad_unit"),
+        "body for simulators": ("middle_moment_kg_m2", "pieces"),
+        "predicted motion": ("animate", "horizon_s", "step_s", "epoch", "object_name", "object_id"),
+    }
+
     run: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a run."""
-    to: Annotated[str, arg(metavar="FORMAT")]
-    """glb ply stl obj urdf mjcf sdf aem oem tum json"""
+    to: Annotated[str, arg(metavar="|".join(FORMATS))]
+    """Format of the file."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
     """The file. An earlier export is replaced, with its folder of meshes; any other file is not."""
     frame: Annotated[str | None, arg(metavar="G|P|cad")] = None
@@ -51,7 +58,7 @@ class ExportCommand:
     pieces: Annotated[int, arg(metavar="N")] = 512
     """Maximum number of convex pieces of the collision geometry; 1: the convex hull. Fewer pieces protrude
     more from the surface."""
-    horizon: Annotated[float, arg(metavar="S")] = 60.0
+    horizon_s: Annotated[float, arg(metavar="S", aliases=["--horizon"])] = 60.0
     """Time to predict beyond the last stereo pair [s]."""
     step_s: Annotated[float | None, arg(metavar="S")] = None
     """Time between two rows [s]; the run's own interval unless given."""
@@ -61,9 +68,8 @@ class ExportCommand:
     """Name of the target in the file."""
     object_id: Annotated[str, arg(metavar="ID")] = "UNKNOWN"
     """International designator of the target, for aem and oem."""
-    debug: Debug = False
 
-    def execute(self) -> int:
+    def execute(self) -> Answer:
         """Check, export and print the path."""
         _require("--to", self.to, list(FORMATS))
         _require("--unit", self.unit, ["m", "mm"])
@@ -74,12 +80,13 @@ class ExportCommand:
         from polhode.pipeline.after_run.export.export_run import export_run
         from polhode.pipeline.after_run.export.options import ExportOptions
 
-        values = {each.name: getattr(self, each.name) for each in fields(ExportOptions)}
-        files = export_run(self.run, ExportOptions(**values), choose_progress())
-        if len(files) > 1:
-            print(f"Meshes: {len(files) - 1} files in {files[0].parent}")
-        print(f"Export: {self.output}")
-        return 0
+        values = {
+            each.name: getattr(self, each.name) for each in fields(ExportOptions) if each.name != "horizon"
+        }
+        options = ExportOptions(**values, horizon=self.horizon_s)
+        files = export_run(self.run, options, choose_progress())
+        meshes = f"Meshes: {len(files) - 1} files in {files[0].parent}" if len(files) > 1 else ""
+        return Answer(f"Export: {self.output}", meshes, paths=tuple(reversed(files)))
 
 
 def _require(option: str, value: str, valid: list[str]) -> None:

@@ -3,12 +3,13 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
+from polhode.cli.answer import Answer
 from polhode.cli.console import choose_progress
-from polhode.cli.options import Debug, Flag
+from polhode.cli.options import Flag
 from polhode.errors import InputError
 
 MAX_TIME_S = 1e9
@@ -23,6 +24,13 @@ class ImportCommand:
     camera with depth). Images are paired by nearest time, and copied without loss. An interrupted import goes
     on with the same command.
     """
+
+    GROUPS: ClassVar = {
+        "times": ("stamps", "rate_hz", "tolerance_s", "offset_s"),
+        "part of the recording": ("start_s", "end_s", "every", "crop"),
+        "bag": ("left_topic", "right_topic", "poses", "pose_of"),
+        "depth images": ("range_scale_m", "range_sigma_m", "range_growth_per_m"),
+    }
 
     sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SOURCE...")]
     """One path or two."""
@@ -55,9 +63,9 @@ class ImportCommand:
     offset_s: Annotated[float | None, arg(metavar="S")] = None
     """What the right camera's clock is ahead of the left one's [s]. Found from the timestamps unless
     given."""
-    start: Annotated[float, arg(metavar="S")] = 0.0
+    start_s: Annotated[float, arg(metavar="S", aliases=["--start"])] = 0.0
     """Begin so long after the first pair [s]."""
-    end: Annotated[float, arg(metavar="S")] = math.inf
+    end_s: Annotated[float, arg(metavar="S", aliases=["--end"])] = math.inf
     """End so long after the first pair [s]."""
     every: Annotated[int, arg(metavar="N")] = 1
     """Import each N-th pair."""
@@ -74,9 +82,8 @@ class ImportCommand:
     overwrite: Flag = False
     """Replace an existing dataset that import made, if nothing was changed in it. Nothing else is ever
     replaced."""
-    debug: Debug = False
 
-    def execute(self) -> int:
+    def execute(self) -> Answer:
         """Import. The dataset appears when it is complete; an interrupted one is resumed."""
         if self.unit not in ("m", "mm"):
             raise InputError(f"--unit {self.unit}: choose m or mm")
@@ -95,8 +102,8 @@ class ImportCommand:
             pose_of=self.pose_of,
             tolerance_s=self.tolerance_s,
             offset_s=self.offset_s,
-            start_s=self.start,
-            end_s=self.end,
+            start_s=self.start_s,
+            end_s=self.end_s,
             every=self.every,
             crop=parse_crop(self.crop) if self.crop is not None else None,
             range_scale_m=self.range_scale_m,
@@ -104,21 +111,23 @@ class ImportCommand:
             range_growth_per_m=self.range_growth_per_m,
         )
         done = import_sequence(self.sources, self.output, options, choose_progress(), self.overwrite)
-        for note in done.notes:
-            print(note)
-        print(f"{done.pairs} {done.kind}, {done.duration_s:.4g} s: {self.output}")
-        return 0
+        return Answer(
+            f"{done.pairs} {done.kind}, {done.duration_s:.4g} s: {self.output}",
+            "\n".join(done.notes),
+            paths=(self.output,),
+            figures={"pairs": done.pairs, "kind": done.kind, "duration_s": done.duration_s},
+        )
 
     def _require_ranges(self) -> None:
         from polhode.range_images import MAX_GROWTH_PER_M, MAX_SCALE_M, MAX_SIGMA_M, MIN_SCALE_M, MIN_SIGMA_M
 
-        for name in ("rate_hz", "tolerance_s", "offset_s", "start"):
+        for name in ("rate_hz", "tolerance_s", "offset_s", "start_s"):
             value, option = getattr(self, name), f"--{name.replace('_', '-')}"
             if value is not None and not (math.isfinite(value) and abs(value) <= MAX_TIME_S):
                 raise InputError(f"{option} {value:g}: give a number up to {MAX_TIME_S:g}")
         if self.rate_hz is not None and self.rate_hz <= 0.0:
             raise InputError(f"--rate-hz {self.rate_hz:g}: give a number above 0")
-        for name in ("tolerance_s", "start"):
+        for name in ("tolerance_s", "start_s"):
             value = getattr(self, name)
             if value is not None and value < 0.0:
                 raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number of at least 0")
@@ -130,8 +139,8 @@ class ImportCommand:
             value = getattr(self, name)
             if value is not None and not least <= value <= most:
                 raise InputError(f"--{name.replace('_', '-')} {value:g}: give {least:g} to {most:g}")
-        if not self.end > self.start:
-            raise InputError(f"--end {self.end:g}: give a time after --start {self.start:g}")
+        if not self.end_s > self.start_s:
+            raise InputError(f"--end-s {self.end_s:g}: give a time after --start-s {self.start_s:g}")
         if self.every < 1:
             raise InputError(f"--every {self.every}: give a whole number of at least 1")
         if len(self.stamps) > 2:

@@ -1,34 +1,32 @@
-"""The program ``polhode``: finds the command, loads its configuration and runs it.
+"""The program ``polhode``: finds the command, loads its configuration, runs it and shows its answer.
 
 Exit code 0: success; 1: the run failed; 2: the user's mistake; 128 + n: ended by signal n. Every error is one
-line on standard error.
+line on standard error; with --json it is in the answer, too.
 """
 
 import contextlib
 import dataclasses
-import io
-import operator
 import signal
 import sys
 import warnings
 from collections.abc import Sequence
-from itertools import dropwhile, takewhile
-from typing import Annotated, Any, Union, cast
 
-import tyro
-from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
-
+from polhode.cli.answer import Answer, Outcome
 from polhode.cli.calibrate import CalibrateCommand
 from polhode.cli.checkout import CheckoutCommand
 from polhode.cli.compare import CompareCommand
+from polhode.cli.completion import CompletionCommand
 from polhode.cli.console import is_working, show_warnings
+from polhode.cli.doctor import DoctorCommand
 from polhode.cli.evaluate import EvaluateCommand
 from polhode.cli.export import ExportCommand
 from polhode.cli.failures import explained, printable_traceback
+from polhode.cli.help import overview
 from polhode.cli.import_sequence import ImportCommand
 from polhode.cli.observability import ObservabilityCommand
-from polhode.cli.options import Command
-from polhode.cli.overrides import option_names, split_overrides
+from polhode.cli.options import Command, GeneralOptions, split_general
+from polhode.cli.overrides import split_overrides
+from polhode.cli.parsing import parse, print_help
 from polhode.cli.plan import PlanCommand
 from polhode.cli.predict import PredictCommand
 from polhode.cli.report import ReportCommand
@@ -38,7 +36,7 @@ from polhode.cli.streams import tolerant_streams
 from polhode.cli.threshold import ThresholdCommand
 from polhode.cli.train import TrainCommand
 from polhode.code_cache import require_no_settings_of_numba
-from polhode.config.keys import is_structured, suggestion
+from polhode.config.keys import suggestion
 from polhode.config.loader import load_config
 from polhode.errors import InputError, RunFailure, one_line
 from polhode.interrupts import interrupts_raised, received
@@ -60,7 +58,16 @@ COMMANDS: dict[str, type[Command]] = {
     "report": ReportCommand,
     "import": ImportCommand,
     "train": TrainCommand,
+    "doctor": DoctorCommand,
+    "completion": CompletionCommand,
 }
+TOPICS = {
+    "data": ("simulate", "import", "calibrate", "checkout"),
+    "estimate": ("run", "evaluate", "report", "compare"),
+    "use a run": ("predict", "plan", "observability", "export", "threshold"),
+    "program": ("train", "doctor", "completion"),
+}
+"""Commands in the order of the help; those that are in no topic follow at the end"""
 CONFIGURED = (SimulateCommand, RunCommand, CompareCommand, TrainCommand)
 """Those that read a configuration"""
 DESCRIPTION = "Motion, mass properties and shape of a tumbling target, from a stereo camera."
@@ -75,68 +82,106 @@ ENDED_BY_SIGNAL = 128
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line (by default that of the process) and return the exit code."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    debug = "--debug" in words
+    general, words = split_general(sys.argv[1:] if arguments is None else arguments)
     # Nothing imported so far loads NumPy (tests/cli/test_main.py); the configuration may raise the limit.
     limit_threads(1)
     with tolerant_streams() as streams, interrupts_raised(first=kill_workers):
-        code = _run([word for word in words if word != "--debug"], debug)
+        code = _call(words, general)
         sys.stdout.flush()
         if streams.lost and code == 0:
             lost = f"standard output: {streams.lost}: what was printed is lost, the work is complete"
-            return _fail(RunFailure.exit_code, lost)
+            print(_error_line(lost), file=sys.stderr)
+            return RunFailure.exit_code
     return code
 
 
-def _run(words: list[str], debug: bool) -> int:
-    """The command; an error as its exit code, after one line on standard error."""
+def _call(words: list[str], general: GeneralOptions) -> int:
+    """Run the command and show how it ended. Returns the exit code."""
+    # Whatever else is printed, by libraries too: a program that reads JSON gets nothing but the answer.
+    aside = contextlib.redirect_stdout(sys.stderr) if general.json else contextlib.nullcontext()
+    with aside, show_warnings(general.quiet, general.verbose) as warned:
+        outcome = _outcome(words, general)
+    if general.json:
+        print(outcome.as_json(warned))
+    elif outcome.answer is not None:
+        lines = [outcome.answer.line] if general.quiet else [outcome.answer.text, outcome.answer.line]
+        # what a name has that is no UTF-8 is shown as an escape, wherever this goes
+        print("\n".join(filter(None, lines)).encode(errors="backslashreplace").decode())
+    if outcome.error is not None:
+        print(_error_line(outcome.error), file=sys.stderr)
+    return outcome.exit_code
+
+
+def _outcome(words: list[str], general: GeneralOptions) -> Outcome:
+    """What becomes of the command: its answer, or an error as exit code and one line."""
+    command = words[0] if words and words[0] in COMMANDS else ""
     try:
-        with show_warnings(), warnings.catch_warnings():
-            if not debug:
+        if general.quiet and general.verbose:
+            raise InputError("--quiet and --verbose contradict each other: give one of them")
+        with warnings.catch_warnings():
+            if not general.debug:
                 # Of libraries, to programmers: standard error holds one line.
                 warnings.simplefilter("ignore")
-            return _dispatch(words)
+            answer = _dispatch(words)
     except KeyboardInterrupt as stop:
         number = received()
         by = f" by {number.name}" if number is not None else ""
-        return _fail(ENDED_BY_SIGNAL + (number or signal.SIGINT), _interrupted(words, by, stop), stop, debug)
+        code = ENDED_BY_SIGNAL + (number or signal.SIGINT)
+        return _error(command, code, _interrupted(command, by, stop), stop, general.debug)
     except Exception as error:  # noqa: BLE001  last resort: one line instead of a traceback
-        return _fail(*explained(error, is_working(), *words[:1]), error, debug)
+        return _error(command, *explained(error, is_working(), *words[:1]), error, general.debug)
+    failure = None if answer is None else answer.failure
+    return Outcome(command, 0 if failure is None else RunFailure.exit_code, answer, failure)
 
 
-def _interrupted(words: list[str], by: str, stop: KeyboardInterrupt) -> str:
+def _error(command: str, code: int, message: str, error: BaseException, debug: bool) -> Outcome:
+    if debug:
+        sys.stderr.write(printable_traceback(error))
+    return Outcome(command, code, error=message)
+
+
+def _interrupted(command: str, by: str, stop: KeyboardInterrupt) -> str:
     """What was interrupted, and what is kept, in the words of the room or of the command."""
-    command = words[0] if words and words[0] in COMMANDS else ""
     kept = str(stop).removeprefix("interrupted") if str(stop).startswith("interrupted") else ""
     kept = kept or f"; {RESUMES.get(command, 'nothing was written or replaced')}"
     return " ".join(filter(None, [command, f"interrupted{by}{kept}"]))
 
 
-def _dispatch(words: list[str]) -> int:
+def _dispatch(words: list[str]) -> Answer | None:
+    """Run the command that the words name; None: its help was printed."""
     if words == ["--version"]:
         from importlib.metadata import version
 
-        print(f"polhode {version('polhode')}")
-        return 0
-    asks_help = any(word in ("-h", "--help") for word in words)
-    if not asks_help:
-        _require_command(words)
-    elif words[0] in COMMANDS:
+        return Answer(f"polhode {version('polhode')}", figures={"version": version("polhode")})
+    asked_help = next((word for word in words if word in ("-h", "--help")), None)
+    if asked_help is not None and words[0] not in COMMANDS:
+        return Answer(overview(DESCRIPTION, _topics(), COMMANDS))
+    _require_command(words)
+    name, *rest = words
+    if asked_help is not None:
         # Help wins over everything else on the line, even over mistakes.
-        words = [words[0], "--help"]
+        print_help(name, COMMANDS[name], everything=asked_help == "--help")
+        return None
     _require_no_empty_word(words)
-    own, overrides = split_overrides(words)
-    command = _parse(own)
-    if command is None:
-        return 0
+    own, overrides = split_overrides(rest)
+    command = parse(name, COMMANDS[name], own)
     require_no_settings_of_numba()
     if isinstance(command, CONFIGURED):
         values = load_config(command.config, overrides)
         limit_threads(values.runtime.blas_threads)
         command = dataclasses.replace(command, values=values)
     elif overrides:
-        raise InputError(f"'{words[0]}' reads no configuration: remove --{next(iter(overrides))}")
+        raise InputError(f"'{name}' reads no configuration: remove --{next(iter(overrides))}")
+    elif isinstance(command, CompletionCommand):
+        command = dataclasses.replace(command, commands=COMMANDS)
     return command.execute()
+
+
+def _topics() -> dict[str, list[str]]:
+    """The commands by topic, each once."""
+    known = {name for names in TOPICS.values() for name in names}
+    others = [name for name in COMMANDS if name not in known]
+    return {title: list(names) for title, names in TOPICS.items()} | ({"others": others} if others else {})
 
 
 def _require_no_empty_word(words: list[str]) -> None:
@@ -158,90 +203,5 @@ def _require_command(words: list[str]) -> None:
         raise InputError(f"unknown command '{words[0]}';{hint} commands: {names}; see polhode --help")
 
 
-def _parse(words: list[str]) -> Command | None:
-    """The command with its options; None for ``--help``, which tyro has printed.
-
-    tyro 1.0 has no public access to the text of an error: it draws it in a box on standard error and exits.
-    """
-    options = [Annotated[cls, tyro.conf.subcommand(name)] for name, cls in COMMANDS.items()]
-    union = cast(Any, Union)[tuple(options)]
-    stderr = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(stderr):
-            command, unknown = tyro.cli(
-                union,
-                prog="polhode",
-                description=DESCRIPTION,
-                args=words,
-                return_unknown_args=True,
-                registry=_registry(),
-            )
-    except SystemExit as stop:
-        if stop.code in (0, None):
-            return None
-        # What an option that does not exist leaves for the others, tyro's message is about.
-        mistaken = next((word for word in words[1:] if _is_no_option(words[0], word)), None)
-        if mistaken is not None:
-            raise InputError(_unknown_option(words[0], mistaken)) from None
-        raise InputError(f"{squash(stderr.getvalue())}; see polhode {words[0]} --help") from None
-    if unknown:
-        raise InputError(_unknown_option(words[0], unknown[0]))
-    return cast(Command, command)
-
-
-def _registry() -> ConstructorRegistry:
-    """Tell tyro that lists of sections, and mappings, are one word of YAML, which ``overrides`` reads."""
-    registry = ConstructorRegistry()
-
-    @registry.primitive_rule
-    def structured(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-        if not is_structured(info.type):
-            return None
-        return PrimitiveConstructorSpec(
-            nargs=1,
-            metavar="YAML",
-            instance_from_str=lambda words: words[0],
-            is_instance=lambda value: isinstance(value, tuple | dict),
-            str_from_instance=lambda value: ["{}" if isinstance(value, dict) else "[]"],
-        )
-
-    return registry
-
-
-def _own_options(command: str) -> list[str]:
-    """Options of a command beside the keys of the configuration; its positional arguments are among them."""
-    names = [each.name for each in dataclasses.fields(cast(Any, COMMANDS[command])) if each.name != "values"]
-    return ["--" + name.replace("_", "-") for name in names]
-
-
-def _is_no_option(command: str, word: str) -> bool:
-    name = word.partition("=")[0].replace("_", "-")
-    return name.startswith("--") and name not in _own_options(command)
-
-
-def _unknown_option(command: str, word: str) -> str:
-    if not word.startswith("-"):
-        return f"unexpected argument '{word}'; see polhode {command} --help"
-    name = word.partition("=")[0]
-    configured = option_names() if issubclass(COMMANDS[command], CONFIGURED) else []
-    hint = suggestion(name, [*_own_options(command), *configured])
-    return f"unknown option '{name}';{hint} see polhode {command} --help"
-
-
-def squash(text: str) -> str:
-    """A message that tyro drew as a title and a box, as one line: the title and the text above the next rule.
-
-    Where standard output is not UTF-8, tyro underlines the title with hyphens instead of drawing a box.
-    """
-    lines = [line.strip("│╭╮╰╯─ ") for line in text.splitlines()]
-    rows = iter(line if line.strip("-") else "" for line in lines)
-    title = next(filter(None, rows), "this command line cannot be read")
-    body = " ".join(takewhile(bool, dropwhile(operator.not_, rows)))
-    return " ".join((f"{title}: {body}" if body else title).split())
-
-
-def _fail(code: int, message: str, error: BaseException | None = None, debug: bool = False) -> int:
-    if debug and error is not None:
-        sys.stderr.write(printable_traceback(error))
-    print(f"polhode: error: {one_line(message)}", file=sys.stderr)
-    return code
+def _error_line(message: str) -> str:
+    return f"polhode: error: {one_line(message)}"

@@ -1,13 +1,15 @@
 """``polhode observability``: how well edges determine the pose along a camera trajectory."""
 
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Debug, Flag
+from polhode.cli.answer import Answer
+from polhode.cli.options import Flag
 from polhode.errors import InputError
 
 MAX_IMAGE_PX = 100_000
@@ -15,6 +17,8 @@ MAX_IMAGE_PX = 100_000
 MAX_EDGES = 1_000_000
 MIN_FOCAL_PX, MAX_FOCAL_PX = 1.0, 1e9
 MAX_COORDINATE_M = 1e12
+_FRAMES = {"body": "G", "inertial": "N", "G": "G", "N": "N"}
+"""Frame letters of docs/notation.md, by what a user may call them"""
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,13 @@ class ObservabilityCommand:
     contributions.png.
     """
 
+    GROUPS: ClassVar = {
+        "metric": ("about", "sun", "sigma_px", "spacing_px"),
+        "camera": ("focal_px", "width_px", "height_px"),
+        "selection": ("edges", "fewest"),
+        "mesh file": ("crease_deg", "unit"),
+    }
+
     source: Annotated[Positional[Path], arg(metavar="RUN|MESH")]
     """Folder of a run, whose mesh is used, or a mesh file (PLY, STL, OBJ, GLB)."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
@@ -34,9 +45,10 @@ class ObservabilityCommand:
     trajectory: Annotated[Path | None, arg(metavar="FILE")] = None
     """Camera trajectory, TUM format: one line per pose, timestamp tx ty tz qx qy qz qw; the camera looks
     along its z axis, x points right, y down. A run's own unless given."""
-    frame: Literal["G", "N"] = "G"
-    """Frame of this trajectory: G of the mesh; N, for a run whose target keeps tumbling as predicted, with
-    times in seconds after its last pair."""
+    frame: Annotated[Literal["body", "inertial", "G", "N"], arg(metavar="body|inertial")] = "body"
+    """Frame in which the trajectory states the camera's poses. body (or G, the frame of the mesh): fixed to
+    the target. inertial (or N, the inertial frame of the run): the target tumbles on as predicted, and times
+    are seconds after the last pair of the run. `polhode plan` writes such a trajectory."""
     sun: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
     """Direction to the Sun, of any length: edges are then weighted by their contrast. In N for a run, in its
     own frame for a mesh. Without it all edges have the same weight."""
@@ -62,9 +74,8 @@ class ObservabilityCommand:
     fewest: Flag = False
     """Also find the smallest set of edges that keeps every sigma within 10 % of that with all; takes up to a
     minute."""
-    debug: Debug = False
 
-    def execute(self) -> int:
+    def execute(self) -> Answer:
         """Check, assess, write and print."""
         import numpy as np
 
@@ -81,7 +92,7 @@ class ObservabilityCommand:
             subject = subject_of(
                 self.source,
                 self.trajectory,
-                self.frame,
+                _FRAMES[self.frame],
                 CameraOptions(self.focal_px, self.width_px, self.height_px),
                 None if self.about is None else np.array(self.about),
                 None if self.sun is None else np.array(self.sun) / np.linalg.norm(self.sun),
@@ -92,9 +103,12 @@ class ObservabilityCommand:
                 subject, self.spacing_px, self.sigma_px, self.edges, self.fewest, choose_progress()
             )
             names = write_assessment(assessment, place)
-        print(format_assessment(assessment))
-        print(f"{', '.join(names)}: {self.output}")
-        return 0
+        return Answer(
+            f"{', '.join(names)}: {self.output}",
+            format_assessment(assessment),
+            paths=(self.output, *(self.output / name for name in names)),
+            figures=json.loads((self.output / "observability.json").read_text()),
+        )
 
     def _check(self) -> None:
         """Raises InputError for an option that is out of its range."""

@@ -3,11 +3,12 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Debug, require_positive
+from polhode.cli.answer import Answer
+from polhode.cli.options import require_positive
 from polhode.errors import InputError
 
 MAX_COORDINATE_M = 1e6
@@ -16,16 +17,23 @@ MAX_MEMBERS = 100_000
 
 @dataclass(frozen=True)
 class PlanCommand:
-    """What planners need from a run: keep-out volume, speeds of the surface, corridor of a docking point.
+    """What planners need from a run: keep-out volume, speeds of the surface, corridor, path of an approach.
 
-    Writes keepout.ply and .glb (N), surface_speed.ply (G), corridor.csv (N), planning.json into a folder.
+    Writes keepout.ply and .glb (N), surface_speed.ply (G), corridor.csv (N), planning.json, and plan.txt (N):
+    the camera's path from its last pose to the docking point, or else towards the target, for polhode
+    observability RUN --trajectory DIR/plan.txt --frame inertial.
     """
+
+    GROUPS: ClassVar = {
+        "docking": ("dock_point", "dock_axis", "stand_off_m", "half_angle_deg", "isp_s"),
+        "keep-out volume": ("cover", "members"),
+    }
 
     run: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a finished run."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
     """Folder of the results: a new or empty one, or that of an earlier call, whose files are replaced."""
-    horizon: Annotated[float, arg(metavar="S")] = 60.0
+    horizon_s: Annotated[float, arg(metavar="S", aliases=["--horizon"])] = 60.0
     """Time to predict beyond the last stereo pair [s]."""
     confidence: Annotated[float, arg(metavar="SHARE")] = 0.99
     """Probability that the whole surface stays inside the volume at all instants, 0.5 to 0.999."""
@@ -38,20 +46,19 @@ class PlanCommand:
     """Docking point in G [m]."""
     dock_axis: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
     """Docking axis in G, pointing outwards, of any length."""
-    stand_off: Annotated[float, arg(metavar="M")] = 0.5
+    stand_off_m: Annotated[float, arg(metavar="M", aliases=["--stand-off"])] = 0.5
     """Distance of the inspector from the docking point along the axis [m]."""
     half_angle_deg: Annotated[float, arg(metavar="DEG")] = 10.0
     """Half angle of the corridor's cone [deg]."""
     isp_s: Annotated[float, arg(metavar="S")] = 230.0
     """Specific impulse, for the fuel that station keeping uses [s]."""
-    debug: Debug = False
 
-    def execute(self) -> int:
+    def execute(self) -> Answer:
         """Plan, write and print."""
         import numpy as np
 
         from polhode.pipeline.after_run.plan import Docking, plan_run
-        from polhode.pipeline.after_run.plan_files import format_plan, plan_folder, write_plan
+        from polhode.pipeline.after_run.plan_files import format_plan, plan_folder, summary_of, write_plan
         from polhode.planning.keep_out.volumes import KeepOutOptions
 
         with plan_folder(self.output) as place:
@@ -59,13 +66,16 @@ class PlanCommand:
             docking = None
             if self.dock_point is not None and self.dock_axis is not None:
                 point, axis = np.array(self.dock_point), np.array(self.dock_axis)
-                docking = Docking(point, axis, self.stand_off, self.half_angle_deg, self.isp_s)
-            wanted = KeepOutOptions(self.horizon, self.confidence, members=self.members, cover=self.cover)
+                docking = Docking(point, axis, self.stand_off_m, self.half_angle_deg, self.isp_s)
+            wanted = KeepOutOptions(self.horizon_s, self.confidence, members=self.members, cover=self.cover)
             plan = plan_run(self.run, wanted, docking)
             names = write_plan(plan, place)
-        print(format_plan(plan))
-        print(f"{', '.join(names)}: {self.output}")
-        return 0
+        return Answer(
+            f"{', '.join(names)}: {self.output}",
+            format_plan(plan),
+            paths=(self.output, *(self.output / name for name in names)),
+            figures=summary_of(plan),
+        )
 
     def _check(self) -> None:
         """Raises InputError for an option that is out of its range."""
@@ -79,5 +89,5 @@ class PlanCommand:
             raise InputError("--dock-axis: give a direction whose length is neither 0 nor above 1e100")
         if not all(abs(each) <= MAX_COORDINATE_M for each in self.dock_point):
             raise InputError(f"--dock-point: give metres in G, at most {MAX_COORDINATE_M:g}")
-        require_positive(self, "stand_off", "isp_s", most=1e6)
+        require_positive(self, "stand_off_m", "isp_s", most=1e6)
         require_positive(self, "half_angle_deg", most=89.9)

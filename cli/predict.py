@@ -6,7 +6,11 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Debug, Flag
+from polhode.cli.answer import Answer
+from polhode.cli.options import Flag
+
+STATE = ("r_N", "v_N", "R_NP", "w_P")
+"""Of a prediction, what the answer repeats for the horizon: rotation as a matrix"""
 
 
 @dataclass(frozen=True)
@@ -18,7 +22,7 @@ class PredictCommand:
 
     run: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a finished run."""
-    horizon: Annotated[float, arg(metavar="S")]
+    horizon_s: Annotated[float, arg(metavar="S", aliases=["--horizon"])]
     """Time to predict beyond the last stereo pair [s]."""
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="FILE")] = None
     """Table, CSV; with the suffix .npz an archive with the full covariances. An earlier prediction is
@@ -28,9 +32,8 @@ class PredictCommand:
     marks: Flag = False
     """Give the standard deviations of the body itself: the estimated centre of mass and principal axes are
     treated as marks on it. They are finite even where the motion does not determine those."""
-    debug: Debug = False
 
-    def execute(self) -> int:
+    def execute(self) -> Answer:
         """Predict, write and print."""
         from polhode.cli.console import choose_progress
         from polhode.pipeline.after_run.predict import (
@@ -41,9 +44,14 @@ class PredictCommand:
         )
 
         place = None if self.output is None else prediction_file(self.output, self.run)
-        prediction = predict_run(self.run, self.horizon, self.step_s, progress=choose_progress())
-        print(format_prediction(prediction, place is not None, self.marks))
-        if place is not None:
-            write_prediction(prediction, place, self.marks)
-            print(f"Prediction: {self.output}")
-        return 0
+        prediction = predict_run(self.run, self.horizon_s, self.step_s, progress=choose_progress())
+        table = format_prediction(prediction, place is not None, self.marks)
+        figures = {
+            "rows": len(prediction.time_s),
+            "last": {name: getattr(prediction, name)[-1] for name in ("time_s", "timestamps_ns", *STATE)},
+            "undetermined": prediction.undetermined,
+        }
+        if self.output is None or place is None:
+            return Answer(table, figures=figures)
+        write_prediction(prediction, place, self.marks)
+        return Answer(f"Prediction: {self.output}", table, paths=(self.output,), figures=figures)

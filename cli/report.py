@@ -7,7 +7,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.options import Debug
+from polhode.cli.answer import Answer
 from polhode.errors import InputError
 
 
@@ -19,9 +19,8 @@ class ReportCommand:
     """Folders of runs."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
     """The page, HTML. An earlier page of this command is replaced, any other file is not."""
-    debug: Debug = False
 
-    def execute(self) -> int:
+    def execute(self) -> Answer:
         """Write the page."""
         if not self.runs:
             raise InputError(
@@ -38,5 +37,4 @@ class ReportCommand:
             write_report(self.runs[0], place)
         else:
             write_comparison(self.runs, place)
-        print(f"Report: {self.output}")
-        return 0
+        return Answer(f"Report: {self.output}", paths=(self.output,))

@@ -2,18 +2,26 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import arg
 
-from polhode.cli.console import choose_progress
-from polhode.cli.options import ConfigValues, Debug, Flag, OptionalConfigFile
+from polhode.cli.answer import Answer
+from polhode.cli.console import announce, choose_progress, progress_of_run
+from polhode.cli.options import ConfigValues, Flag, OptionalConfigFile
 from polhode.config import Config
-from polhode.errors import InputError, RunFailure
+from polhode.errors import InputError
 from polhode.processes import start_server, worker_count
 
 if TYPE_CHECKING:
     from polhode.pipeline.run import RunResult
+
+REPORT = "report.html"
+FIGURES = {
+    *("frames", "frames_used", "landmarks", "observations", "duration_s", "timing_s"),
+    *("com_G", "identifiable", "noise"),
+}
+"""What the answer repeats of summary.json, beside k1 and k2"""
 
 
 @dataclass(frozen=True)
@@ -23,6 +31,8 @@ class RunCommand:
     Options with dots override the configuration; the help shows the default of each key, which applies where
     the file does not set it.
     """
+
+    GROUPS: ClassVar = {"live stream": ("live", "rate", "patience_s")}
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
     """Folder of the results, which is created."""
@@ -48,19 +58,22 @@ class RunCommand:
     """Go on with the run that was interrupted at RUN, or replace the one that is there by one with another
     configuration: stages that are finished, and that the configuration does not change, are used again. The
     result is the same as without. Where there is nothing to resume, all is computed."""
-    debug: Debug = False
     values: ConfigValues = field(default_factory=Config)
 
-    def execute(self) -> int:
-        """Run the pipeline. Raises RunFailure when it did not reach a converged estimate."""
+    def execute(self) -> Answer:
+        """Run the pipeline. A run that did not reach a converged estimate has its failure in the answer."""
         # before this process imports the same
         start_server(("polhode.pipeline.run",), worker_count(self.values.runtime.workers))
         result = self._run_live(self.live) if self.live is not None else self._run()
-        print(f"{result.sentence} {result.report_path}")
         note = f"; {result.note}" if result.note else ""
-        if result.failure is not None:
-            raise RunFailure(f"{result.failure}; the best motion found: {result.report_path}{note}")
-        return 0
+        failure = result.failure
+        return Answer(
+            f"{result.sentence} {result.report_path}",
+            paths=(result.report_path, _folder_of(result)),
+            status=result.status,
+            **_from_summary(_folder_of(result)),
+            failure=failure and f"{failure}; the best motion found: {result.report_path}{note}",
+        )
 
     def _run(self) -> "RunResult":
         from polhode.pipeline.run import run
@@ -71,15 +84,16 @@ class RunCommand:
             )
         if self.rate is not None or self.patience_s is not None:
             raise InputError("--rate and --patience-s need --live SOURCE: --data is read at once")
-        return run(
-            self.values,
-            self.data,
-            self.output,
-            choose_progress(),
-            overwrite=self.overwrite,
-            even_if_failed=self.even_if_failed,
-            resume=self.resume,
-        )
+        with progress_of_run() as progress:
+            return run(
+                self.values,
+                self.data,
+                self.output,
+                progress,
+                overwrite=self.overwrite,
+                even_if_failed=self.even_if_failed,
+                resume=self.resume,
+            )
 
     def _run_live(self, source: Path) -> "RunResult":
         from polhode.pipeline.live.run_live import PATIENCE_S, run_live
@@ -101,8 +115,27 @@ class RunCommand:
             overwrite=self.overwrite,
             even_if_failed=self.even_if_failed,
         )
-        print(
+        announce(
             f"live: {len(live.processed)} pairs, {live.dropped} dropped; report {live.report_s:.1f} s after "
             "the last one"
         )
         return result
+
+
+def _folder_of(result: "RunResult") -> Path:
+    """The folder of the run; where there is no page, the result names it instead."""
+    return result.report_path.parent if result.report_path.name == REPORT else result.report_path
+
+
+def _from_summary(folder: Path) -> dict[str, Any]:
+    """Key figures and warnings of a run's summary; nothing where a failed run has none."""
+    from polhode.pipeline.run_directory.summary import read_summary
+
+    try:
+        summary = read_summary(folder / "summary.json")
+    except InputError:
+        return {}
+    figures = summary.model_dump(include=FIGURES)
+    if summary.inertia is not None:
+        figures |= {"k1": summary.inertia.k1, "k2": summary.inertia.k2}
+    return {"figures": figures, "warnings": tuple(summary.warnings)}

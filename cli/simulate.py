@@ -6,8 +6,9 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from polhode.cli.console import choose_progress
-from polhode.cli.options import ConfigFile, ConfigValues, Debug, Flag
+from polhode.cli.answer import Answer
+from polhode.cli.console import announce, choose_progress
+from polhode.cli.options import ConfigFile, ConfigValues, Flag
 from polhode.config import Config, Scene
 from polhode.errors import InputError
 from polhode.processes import worker_count
@@ -28,10 +29,9 @@ class SimulateCommand:
     overwrite: Flag = False
     """Replace an existing dataset that simulate made, if nothing was added to it. Nothing else is ever
     replaced."""
-    debug: Debug = False
     values: ConfigValues = field(default_factory=lambda: Config(scene=Scene()))
 
-    def execute(self) -> int:
+    def execute(self) -> Answer:
         """Render. The dataset appears when it is complete; an interrupted one is resumed."""
         if self.values.scene is None:
             raise InputError(f"{self.config}: no 'scene' to simulate; add one, or extend a file that has it")
@@ -40,10 +40,13 @@ class SimulateCommand:
 
         require_free(self.output, self.overwrite)
         plan = plan_sequence(self.values.scene, self.values.seed)
-        print(describe(plan.body), flush=True)
+        announce(describe(plan.body))
         write_sequence(
             plan, self.output, choose_progress(), worker_count(self.values.runtime.workers), self.overwrite
         )
         kind = "stereo pairs" if self.values.scene.ranges is None else "images with ranges"
-        print(f"{len(plan.frames)} {kind} with truth: {self.output}")
-        return 0
+        return Answer(
+            f"{len(plan.frames)} {kind} with truth: {self.output}",
+            paths=(self.output,),
+            figures={"pairs": len(plan.frames)},
+        )

@@ -5,7 +5,8 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from polhode.cli.options import Debug, require_positive
+from polhode.cli.answer import Answer
+from polhode.cli.options import require_positive
 from polhode.errors import InputError
 
 
@@ -29,9 +30,8 @@ class ThresholdCommand:
     """Duration of station keeping [s]."""
     fuel_fraction: Annotated[float, arg(metavar="SHARE")]
     """Share of its mass that may be used as fuel, above 0 and below 1."""
-    debug: Debug = False
 
-    def execute(self) -> int:
+    def execute(self) -> Answer:
         """Print the three rates."""
         from polhode.planning.approach.tumbling_threshold import RPM, StationKeeping, threshold
 
@@ -45,12 +45,14 @@ class ThresholdCommand:
             rates = threshold(given)
         except ValueError as error:
             raise InputError(f"these values are inconsistent ({error}): check their units") from None
-        for name, rate in (
-            ("omega_Thresh F  (thrust)", rates.by_force),
-            ("omega_Thresh Mf (fuel)", rates.by_fuel),
-            ("omega_Thresh    (both)", rates.overall),
+        lines, figures = [], {}
+        for name, key, rate in (
+            ("omega_Thresh F  (thrust)", "by_thrust_rad_s", rates.by_force),
+            ("omega_Thresh Mf (fuel)", "by_fuel_rad_s", rates.by_fuel),
+            ("omega_Thresh    (both)", "both_rad_s", rates.overall),
         ):
             # fixed decimals as long as they show significant digits
             digits = ("10.6f", "10.4f") if 0.001 <= rate < 1e5 else ("10.4g", "10.4g")
-            print(f"{name:24s} {rate:{digits[0]}} rad/s {rate / RPM:{digits[1]}} RPM")
-        return 0
+            lines.append(f"{name:24s} {rate:{digits[0]}} rad/s {rate / RPM:{digits[1]}} RPM")
+            figures[key] = rate
+        return Answer("\n".join(lines), figures=figures)

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass, field
 
+from polhode.cli.answer import Answer
 from polhode.cli.console import choose_progress
-from polhode.cli.options import ConfigFile, ConfigValues, Debug
+from polhode.cli.options import ConfigFile, ConfigValues
 from polhode.config import Config, Train
 from polhode.errors import InputError
 from polhode.processes import worker_count
@@ -19,10 +20,9 @@ class TrainCommand:
 
     config: ConfigFile
     """Configuration with a train section, YAML: configs/train/features.yaml, configs/train/depth.yaml."""
-    debug: Debug = False
     values: ConfigValues = field(default_factory=lambda: Config(train=Train()))
 
-    def execute(self) -> int:
+    def execute(self) -> Answer:
         """Train; print the weights' path and their scores."""
         if self.values.train is None:
             raise InputError(f"{self.config}: no 'train' section; see configs/train/ for examples")
@@ -31,10 +31,13 @@ class TrainCommand:
         trained = train(
             self.values, self.values.train, choose_progress(), worker_count(self.values.runtime.workers)
         )
-        for name, value in trained.outcome.scores.items():
-            print(f"  {name}: {value:.4g}")
+        lines = [f"  {name}: {value:.4g}" for name, value in trained.outcome.scores.items()]
         if not trained.outcome.finished:
             steps = f"step {trained.outcome.step} of {self.values.train.schedule.steps}"
-            print(f"The time limit was reached at {steps}; the same command resumes.")
-        print(f"Weights: {trained.weights}")
-        return 0
+            lines.append(f"The time limit was reached at {steps}; the same command resumes.")
+        return Answer(
+            f"Weights: {trained.weights}",
+            "\n".join(lines),
+            paths=(trained.weights,),
+            figures={"finished": trained.outcome.finished, "scores": trained.outcome.scores},
+        )

@@ -35,6 +35,7 @@ from polhode.compare.solver import (
     seconds_since_start,
 )
 from polhode.lie import Array
+from polhode.optional_parts import missing_message
 from polhode.parent_death import tied
 from polhode.threads import limit_threads
 
@@ -61,7 +62,7 @@ def row_of(problem_file: Path, entry: Entry, case: Case, limit_s: float) -> Row:
     """Solve in a new process; whatever happens to it, there is a row."""
     package = entry.missing()
     if package is not None:
-        reason = f"the package {package} is not installed: pip install 'polhode[solvers]'"
+        reason = missing_message(package)
         return empty_row(entry, case, "missing", reason)
     with TemporaryDirectory(prefix="polhode-compare-") as folder:
         out, begin = Path(folder) / "row.json", time()

@@ -20,11 +20,17 @@ WIDTH = 132
 """Characters of the table where the output is no terminal."""
 
 
-def print_tables(comparison: Comparison) -> None:
-    """A table for each problem, and a sentence on the agreement of the solvers."""
+def format_tables(comparison: Comparison) -> str:
+    """A table for each problem, a sentence on the agreement of the solvers, and which were left out."""
     console = Console()
     if not console.is_terminal:
         console = Console(width=WIDTH)
+    with console.capture() as printed:
+        _print_tables(console, comparison)
+    return printed.get().rstrip("\n")
+
+
+def _print_tables(console: Console, comparison: Comparison) -> None:
     for problem in comparison.problems:
         rows = [row for row in comparison.rows if row.problem == problem.name]
         least = problem.least_cost

@@ -4,8 +4,7 @@ from importlib import import_module
 from typing import Any
 
 from polhode.errors import InputError
-
-INSTALL = "pip install 'polhode[import]'"
+from polhode.optional_parts import part_with
 
 
 def required(module: str, distribution: str, what: str) -> Any:
@@ -14,5 +13,6 @@ def required(module: str, distribution: str, what: str) -> Any:
         return import_module(module)
     except ImportError:
         raise InputError(
-            f"{what} need the library {distribution}, which is not installed: {INSTALL}"
+            f"{what} need the library {distribution}, which is not installed: "
+            f"{part_with(module.partition('.')[0]).how_to_install}"
         ) from None

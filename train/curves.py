@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 from polhode.drawing_style import default_style
 from polhode.errors import InputError
 from polhode.lie import Array
+from polhode.optional_parts import missing_message
 
 FOLDER = "curves"
-MISSING = "tensorboard, which reads and writes the curves, is not installed: pip install 'polhode[train]'"
 
 
 class Curves:
@@ -30,7 +30,7 @@ class Curves:
         try:
             from torch.utils.tensorboard.writer import SummaryWriter
         except ImportError:
-            raise InputError(MISSING) from None
+            raise InputError(f"{missing_message('tensorboard')}, which reads and writes the curves") from None
         _wait_for_a_later_second(output / FOLDER)
         self._writer = SummaryWriter(str(output / FOLDER), purge_step=first_step + 1, flush_secs=20)
 
@@ -58,7 +58,7 @@ def read_curves(output: Path) -> dict[str, Array]:
     try:
         from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
     except ImportError:
-        raise InputError(MISSING) from None
+        raise InputError(f"{missing_message('tensorboard')}, which reads and writes the curves") from None
     events = EventAccumulator(str(output / FOLDER), size_guidance={"scalars": 0})
     events.Reload()
     names = events.Tags().get("scalars", [])

@@ -1,4 +1,4 @@
-"""``polhode plan``: keep-out volume, speeds of the surface and the corridor of a docking point from a run."""
+"""``polhode plan``: keep-out volume, surface speeds, corridor of a docking point and approach from a run."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +10,11 @@ from polhode.lie import Array
 from polhode.mapping.mesh_files import read_ply
 from polhode.mesh_metrics import distance_to_surface
 from polhode.pipeline.after_run.predict import last_body, require_horizon, undetermined_names
+from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.pipeline.run_directory.intervals_in_words import describe_intervals
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.summary_schema import Intervals, Summary
+from polhode.planning.approach.approach_path import POSES, ApproachPath, along_corridor, towards_centre
 from polhode.planning.approach.corridor import Corridor, corridor
 from polhode.planning.approach.surface_speed import SurfaceSpeed, surface_speed
 from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions, keep_out, member_times
@@ -21,6 +23,9 @@ from polhode.records import SurfaceModel
 
 DOUBTFUL_DOCK_DISTANCE, MAX_DOCK_DISTANCE = 0.05, 5.0
 """Shares of the body's size: a docking point farther from the surface gives a warning, or is refused."""
+APPROACH_RADII = 1.5
+"""Distance from the centre of mass at which an approach without a docking point ends, over that of the
+farthest part of the body with its margin"""
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,7 @@ class Plan:
     speed: SurfaceSpeed | None
     surface: SurfaceModel | None
     corridor: Corridor | None
+    approach: ApproachPath | None
     docking: Docking | None
     left_out: dict[str, str]
     notes: tuple[str, ...]
@@ -112,11 +118,34 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
         path = corridor(
             motion, docking.point_G, docking.axis_G, docking.stand_off_m, np.deg2rad(docking.half_angle_deg)
         )
+    try:
+        approach = _approach(run, estimate, options.horizon_s, found, docking)
+    except InputError as error:
+        approach, left_out["approach"] = None, str(error)
     return Plan(
-        *(options.horizon_s, options.confidence, found, speed, surface, path, docking, left_out),
+        *(options.horizon_s, options.confidence, found, speed, surface, path, approach, docking, left_out),
         notes=tuple(notes),
         intervals=summary.intervals,
     )
+
+
+def _approach(
+    run: Path, estimate: FinalEstimate, horizon_s: float, found: KeepOut | None, docking: Docking | None
+) -> ApproachPath:
+    """The camera's path from its last pose to the docking point, or towards the centre of mass.
+
+    Raises InputError: the run has neither a surface nor a docking point, or its measurements cannot be read.
+    """
+    X_NR = read_measurements(run / "measurements.npz").X_NR[-1]
+    motion = nominal_motion(estimate, np.linspace(0.0, horizon_s, POSES))
+    if docking is not None:
+        half_angle_rad = np.deg2rad(docking.half_angle_deg)
+        path = corridor(motion, docking.point_G, docking.axis_G, docking.stand_off_m, half_angle_rad)
+        return along_corridor(motion, path, X_NR, docking.stand_off_m)
+    if found is None:
+        raise InputError("no surface, whose size decides how near the camera may come, and no --dock-point")
+    farthest_m = np.linalg.norm(found.body.points_G - estimate.com_G, axis=1).max()
+    return towards_centre(motion, X_NR, APPROACH_RADII * float(farthest_m + found.instant.margin_m().max()))
 
 
 def _check_docking(docking: Docking, surface: SurfaceModel | None, run: Path) -> list[str]:

@@ -36,9 +36,11 @@ from polhode.pipeline.pictures.body_views import (
     png,
 )
 from polhode.pipeline.report.plot_style import FAINT, INK
+from polhode.planning.approach.approach_path import ApproachPath
 from polhode.planning.approach.corridor import Corridor
 from polhode.planning.approach.surface_speed import SurfaceSpeed, slowest_points
 from polhode.planning.approach.tumbling_threshold import fuel_share
+from polhode.planning.exports.ccsds import tum
 from polhode.planning.keep_out.volumes import KeepOut
 from polhode.ply import binary_ply
 from polhode.records import SurfaceModel
@@ -46,7 +48,7 @@ from polhode.records import SurfaceModel
 COMMAND = "plan"
 FILES = (
     "keepout.ply", "keepout.glb", "keepout.png", "surface_speed.ply", "surface_speed.png", "corridor.csv",
-    "corridor.png", "planning.json",
+    "corridor.png", "plan.txt", "planning.json",
 )  # fmt: skip
 """Files that the command writes; those of an earlier call that this one does not write are removed."""
 SIDE_PX = 340
@@ -237,8 +239,8 @@ def plan_folder(path: Path) -> AbstractContextManager[Path]:
 
 
 def write_plan(plan: Plan, folder: Path) -> list[str]:
-    """keepout.ply, keepout.glb, surface_speed.ply, corridor.csv, pictures, planning.json: all or none; the
-    names of those written. Raises InputError, RunFailure."""
+    """keepout.ply, keepout.glb, surface_speed.ply, corridor.csv, plan.txt, pictures, planning.json: all or
+    none; the names of those written. Raises InputError, RunFailure."""
     files: dict[str, bytes] = {}
     summary = summary_of(plan)
     if plan.keep_out is not None:
@@ -249,6 +251,8 @@ def write_plan(plan: Plan, folder: Path) -> list[str]:
         files["surface_speed.ply"] = speed_ply(plan.surface.mesh, plan.speed)
     if plan.corridor is not None:
         files["corridor.csv"] = corridor_csv(plan.corridor).encode()
+    if plan.approach is not None:
+        files["plan.txt"] = approach_text(plan.approach).encode()
     grapples = summary["surface_speed"]["grapples"] if summary["surface_speed"] else []
     files |= plan_pictures(plan, grapples)
     files["planning.json"] = (json.dumps(summary, indent=1) + "\n").encode()
@@ -290,6 +294,12 @@ def corridor_csv(path: Corridor) -> str:
     return text.getvalue()
 
 
+def approach_text(path: ApproachPath) -> str:
+    """The camera's poses in N, TUM format, times in seconds after the last pair of the run."""
+    what = "X_NR: poses in N of a camera that looks along z (x right, y down); seconds after the last pair"
+    return tum(np.round(1e9 * path.time_s).astype(np.int64), path.X_NR, (what,))
+
+
 def summary_of(plan: Plan) -> dict[str, Any]:
     """The content of planning.json: SI units."""
     out: dict[str, Any] = {
@@ -299,6 +309,7 @@ def summary_of(plan: Plan) -> dict[str, Any]:
         "keepout": None,
         "surface_speed": None,
         "corridor": None,
+        "approach": None,
         "left_out": plan.left_out,
         "notes": list(plan.notes),
         "intervals": None if plan.intervals is None else plan.intervals.model_dump(mode="json"),
@@ -330,6 +341,16 @@ def summary_of(plan: Plan) -> dict[str, Any]:
             "delta_v_m_s": plan.corridor.delta_v_m_s,
             "isp_s": plan.docking.isp_s,
             "fuel_share": fuel_share(plan.corridor.delta_v_m_s, plan.docking.isp_s),
+        }
+    if plan.approach is not None:
+        out["approach"] = {
+            "frame": "N",
+            "looks_at": "docking point" if plan.docking is not None else "centre of mass",
+            "poses": len(plan.approach.time_s),
+            "distance_m": {
+                "start": float(plan.approach.distance_m[0]),
+                "end": float(plan.approach.distance_m[-1]),
+            },
         }
     return out
 
@@ -405,6 +426,12 @@ def format_plan(plan: Plan) -> str:
             f"Corridor: {least:.3g} to {largest:.3g} mm/s^2 to stay at {path['stand_off_m']:g} m, "
             f"{path['delta_v_m_s']:.3g} m/s over the horizon, {path['fuel_share']:.2%} of the mass "
             f"at {path['isp_s']:g} s"
+        )
+    if (approach := found["approach"]) is not None:
+        distance = approach["distance_m"]
+        lines.append(
+            f"Approach (plan.txt, frame N): from {distance['start']:.3g} to {distance['end']:.3g} m from the "
+            f"{approach['looks_at']} over the horizon"
         )
     lines += [f"Left out: {name}: {why}" for name, why in plan.left_out.items()]
     return "\n".join([*lines, *plan.notes])

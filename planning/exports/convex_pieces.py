@@ -21,6 +21,7 @@ import trimesh
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from polhode.lie import Array
+from polhode.optional_parts import missing_message
 from polhode.planning.exports.records import ExportShape
 from polhode.records import Bools, Ints
 
@@ -170,7 +171,7 @@ def _initial_pieces(mesh: trimesh.Trimesh, max_pieces: int) -> tuple[list[Array]
     try:
         import vhacdx
     except ImportError:
-        return [], "alone, as V-HACD is not installed (pip install 'polhode[export]')"
+        return [], f"alone, as {missing_message('vhacdx')}"
     if mesh.is_volume and mesh.convex_hull.volume < (1.0 + NEARLY_CONVEX) * mesh.volume:
         return [], "as the body is convex"
     thin = mesh if len(mesh.faces) <= CUT_FACES else mesh.simplify_quadric_decimation(face_count=CUT_FACES)

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 import polhode.pipeline.run
+from polhode.cli.answer import Answer
 from polhode.cli.evaluate import EvaluateCommand
-from polhode.cli.main import COMMANDS, main, squash
+from polhode.cli.main import COMMANDS, main
 from polhode.cli.overrides import option_names
+from polhode.cli.parsing import squash
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset_writer import write_camera_csv, write_png
@@ -292,7 +294,7 @@ def test_a_failed_run_is_one_line_and_exit_1(
 def test_an_unexpected_error_shows_its_traceback_only_with_debug(
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    def fail(command: EvaluateCommand) -> int:
+    def fail(command: EvaluateCommand) -> Answer:
         raise ZeroDivisionError("a\nb")
 
     monkeypatch.setattr(EvaluateCommand, "execute", fail)

@@ -33,6 +33,8 @@ WORDS: dict[str, list[str]] = {
     "export": ["R", "--to", "stl", "-o", "F"],
     "report": ["R", "-o", "F"],
     "train": ["C"],
+    "doctor": [],
+    "completion": ["bash"],
 }
 KEPT = {"compare": "finished rows are kept", "train": "finished scenes and the last checkpoint are kept"}
 

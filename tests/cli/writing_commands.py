@@ -162,7 +162,7 @@ def make_quick(patch: pytest.MonkeyPatch, stage: Stage) -> None:
     """Replace the work by its stored results; what checks, writes and replaces is the program's own."""
     patch.setattr(polhode.pipeline.run, "run", partial(run_of_stored_files, stage.run))
     patch.setattr(polhode.compare.comparison, "_compared", _compared)
-    patch.setattr("polhode.compare.tables.print_tables", lambda comparison: None)
+    patch.setattr("polhode.compare.tables.format_tables", lambda comparison: "")
     patch.setattr(polhode.train.run, "_trained", _trained)
     patch.setattr(polhode.pipeline.checkout.checkout, "checkout", lambda *_: _checked())
     patch.setattr(polhode.calibration.calibrate, "calibrate", lambda pairs, *_: _calibrated(pairs))
@@ -216,7 +216,7 @@ def _compared(config: Config, folder: Path, *_: object) -> Any:
     del config
     for name in polhode.compare.comparison.FILES:
         write_text(folder / name, LONG)
-    return SimpleNamespace(rows=[SimpleNamespace(status="ok")])
+    return SimpleNamespace(rows=[SimpleNamespace(status="ok", model_dump=lambda **_: {})])
 
 
 def _calibrated(pairs: ImagePairs) -> CalibratedRig:

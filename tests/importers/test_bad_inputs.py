@@ -26,6 +26,7 @@ from benchmarks.importers.recordings import (
 )
 from polhode.cli.main import main
 from polhode.importers.options import Crop
+from polhode.optional_parts import part_with
 from tests.conftest import TIMESTAMPS_NS
 from tests.importers.imports import refused
 
@@ -291,7 +292,8 @@ def test_a_missing_library_is_named_with_its_command(
     path.touch()
     monkeypatch.setitem(sys.modules, module, None)
     line = refused([path], tmp_path / "out" / "seq")
-    assert line == f"{what} need the library {module}, which is not installed: pip install 'polhode[import]'"
+    how = part_with(module).how_to_install
+    assert line == f"{what} need the library {module}, which is not installed: {how}"
 
 
 @pytest.mark.parametrize(
@@ -299,9 +301,9 @@ def test_a_missing_library_is_named_with_its_command(
     [
         (["--tolerance-s", "-1"], "--tolerance-s -1: give a number of at least 0"),
         (["--rate-hz", "0"], "--rate-hz 0: give a number above 0"),
-        (["--end", "0"], "--end 0: give a time after --start 0"),
+        (["--end", "0"], "--end-s 0: give a time after --start-s 0"),
         (["--every", "0"], "--every 0: give a whole number of at least 1"),
-        (["--start", "nan"], "--start nan: give a number"),
+        (["--start", "nan"], "--start-s nan: give a number"),
         (["--unit", "inch"], "--unit inch: choose m or mm"),
         (["--crop", "1,2"], "--crop 1,2: give LEFT,TOP,WIDTH,HEIGHT"),
     ],

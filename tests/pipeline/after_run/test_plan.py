@@ -102,6 +102,7 @@ def test_without_a_mesh_the_rest_is_given_and_the_reason_said(
     assert sorted(file.name for file in out.iterdir() if file.name != MARK) == [
         "corridor.csv",
         "corridor.png",
+        "plan.txt",
         "planning.json",
     ]
 
@@ -143,7 +144,7 @@ def test_a_docking_point_off_the_target_is_told_of(
         (["--dock-point", "0", "0", "nan", "--dock-axis", "1", "0", "0"], "--dock-point: give metres in G"),
         (["--dock-point", "0", "0", "0", "--dock-axis", "1e308", "0", "0"], "--dock-axis: give a direction"),
         (["--dock-point", "0", "0", "0", "--dock-axis", "nan", "0", "0"], "--dock-axis: give a direction"),
-        ([*DOCK, "--stand-off", "1e308"], "--stand-off 1e+308"),
+        ([*DOCK, "--stand-off", "1e308"], "--stand-off-m 1e+308"),
         ([*DOCK, "--half-angle-deg", "180"], "--half-angle-deg 180"),
         ([*DOCK, "--isp-s", "1e-308"], "--isp-s 1e-308"),
         (["--dock-point", "0", "0", "0"], "--dock-axis"),

@@ -1,0 +1,122 @@
+"""``polhode completion``: a script that lets the shell complete commands, options and their values.
+
+The script holds all words, so that a press of TAB starts no Python. tyro's own scripts start it each time,
+and complete no file names of arguments.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from tyro.conf import Fixed, Positional, Suppress, arg
+
+from polhode.cli.answer import Answer
+from polhode.cli.options import Command, GeneralOptions, Option, is_configured, options_of
+from polhode.config import Config
+from polhode.config.keys import dotted, leaves
+from polhode.config.keys import options_of as union_members
+
+Shell = Literal["bash", "zsh", "fish"]
+
+
+@dataclass(frozen=True)
+class CompletionCommand:
+    """Print a script that completes commands, options and values in the shell (docs/command_line.md).
+
+    bash: polhode completion bash > ~/.local/share/bash-completion/completions/polhode. fish: polhode
+    completion fish > ~/.config/fish/completions/polhode.fish. zsh: polhode completion zsh > _polhode in a
+    folder of $fpath.
+    """
+
+    shell: Annotated[Positional[Shell], arg(metavar="bash|zsh|fish")]
+    """For which shell."""
+    commands: Suppress[Fixed[Mapping[str, Any]]] = field(default_factory=dict)
+
+    def execute(self) -> Answer:
+        """Make the script."""
+        return Answer(completion_script(self.shell, self.commands))
+
+
+def completion_script(shell: Shell, commands: Mapping[str, type[Command]]) -> str:
+    """The script for these commands."""
+    if shell == "fish":
+        return "\n".join(_fish(commands))
+    start = ["#compdef polhode", "autoload -U +X bashcompinit && bashcompinit"] if shell == "zsh" else []
+    return "\n".join([*start, *_bash(commands)])
+
+
+def configuration_options() -> list[Option]:
+    """The keys of the configuration as options."""
+    found = []
+    for path, annotation in leaves(Config):
+        kinds = union_members(annotation)
+        choices = [str(value) for kind in kinds if get_origin(kind) is Literal for value in get_args(kind)]
+        if bool in kinds:
+            choices += ["true", "false"]
+        name = f"--{dotted(path).replace('_', '-')}"
+        found.append(Option((name,), is_positional=False, takes_value=True, choices=tuple(choices)))
+    return found
+
+
+def _bash(commands: Mapping[str, type[Command]]) -> Iterator[str]:
+    general, keys = options_of(GeneralOptions), configuration_options()
+    yield "_polhode() {"
+    yield '  local cur="${COMP_WORDS[COMP_CWORD]}" prev="${COMP_WORDS[COMP_CWORD-1]}" words="" keys=""'
+    yield "  COMPREPLY=()"
+    yield "  if (( COMP_CWORD == 1 )); then"
+    yield f'    words="{" ".join([*commands, "--help", "--version"])}"'
+    yield "  else"
+    yield '    case "${COMP_WORDS[1]} $prev" in'
+    for name, command in commands.items():
+        options = options_of(command)
+        for option in options:
+            if option.choices and not option.is_positional:
+                pattern = "|".join(f'"{name} {each}"' for each in option.names)
+                yield f'      {pattern}) words="{" ".join(option.choices)}" ;;'
+            if option.choices and option.is_positional:
+                yield f'      "{name} {name}") words="{" ".join(option.choices)}" ;;'
+    for option in keys:
+        if option.choices:
+            yield f'      *" {option.names[0]}") words="{" ".join(option.choices)}" ;;'
+    yield "    esac"
+    yield '    if [[ -z "$words" && "$cur" == -* ]]; then'
+    yield f'      keys="{_words(keys)}"'
+    yield '      case "${COMP_WORDS[1]}" in'
+    for name, command in commands.items():
+        more = " $keys" if is_configured(command) else ""
+        yield f'        {name}) words="{_words([*options_of(command), *general])} -h --help{more}" ;;'
+    yield "      esac"
+    yield "    fi"
+    yield "  fi"
+    yield '  [[ -n "$words" ]] && COMPREPLY=($(compgen -W "$words" -- "$cur"))'
+    yield "}"
+    # where there is no word to offer, the shell completes file names
+    yield "complete -o default -F _polhode polhode"
+
+
+def _fish(commands: Mapping[str, type[Command]]) -> Iterator[str]:
+    yield f'complete -c polhode -f -n __fish_use_subcommand -a "{" ".join(commands)}"'
+    for option in options_of(GeneralOptions):
+        yield _fish_line("", option)
+    for name, command in commands.items():
+        condition = f'-n "__fish_seen_subcommand_from {name}"'
+        for option in options_of(command):
+            yield _fish_line(condition, option)
+    configured = " ".join(name for name, command in commands.items() if is_configured(command))
+    for option in configuration_options():
+        yield _fish_line(f'-n "__fish_seen_subcommand_from {configured}"', option)
+
+
+def _fish_line(condition: str, option: Option) -> str:
+    words = ["complete -c polhode", condition]
+    if not option.is_positional:
+        words += [f"-l {name[2:]}" if name.startswith("--") else f"-s {name[1:]}" for name in option.names]
+    if option.takes_value and not option.is_positional:
+        words.append("-r")
+    if option.choices:
+        words.append(f'-f -a "{" ".join(option.choices)}"')
+    return " ".join(filter(None, words))
+
+
+def _words(options: Sequence[Option]) -> str:
+    return " ".join(name for option in options if not option.is_positional for name in option.names)

@@ -1,0 +1,73 @@
+"""What the machine and the installation offer: packages, processors, memory, space for temporary files."""
+
+import os
+import platform
+import resource
+import shutil
+import tempfile
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+
+from packaging.requirements import Requirement
+
+MEMINFO = Path("/proc/meminfo")
+CGROUP_LIMITS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
+GIB = 2**30
+
+
+def wrong_packages() -> list[str]:
+    """Packages that polhode requires and that are missing, or too old, each in words."""
+    found = []
+    for requirement in map(Requirement, requires("polhode") or ()):
+        if requirement.marker is not None and not requirement.marker.evaluate({"extra": ""}):
+            continue
+        try:
+            installed = version(requirement.name)
+        except PackageNotFoundError:
+            found.append(f"{requirement.name} is missing")
+            continue
+        if not requirement.specifier.contains(installed, prereleases=True):
+            found.append(f"{requirement.name} {installed} does not meet {requirement.specifier}")
+    return found
+
+
+def processors() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def memory_gib() -> tuple[float | None, float | None]:
+    """(Usable at all, free now) [GiB]: of the machine, of the container, or by ulimit -v; None: not known."""
+    known = {}
+    if MEMINFO.is_file():
+        for line in MEMINFO.read_text().splitlines():
+            name, _, value = line.partition(":")
+            known[name] = 1024 * int(value.split()[0])
+    limits = [known["MemTotal"]] if "MemTotal" in known else []
+    for path in CGROUP_LIMITS:
+        if path.is_file() and (text := path.read_text().strip()).isdigit():
+            limits.append(int(text))
+    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if soft != resource.RLIM_INFINITY:
+        limits.append(soft)
+    usable = min(limits, default=None)
+    free = known.get("MemAvailable")
+    if free is not None and usable is not None:
+        free = min(free, usable)
+    return (None if usable is None else usable / GIB), (None if free is None else free / GIB)
+
+
+def scratch_folder() -> Path:
+    """Where temporary files go."""
+    return Path(tempfile.gettempdir())
+
+
+def scratch_gib() -> float:
+    """Free space there [GiB]."""
+    return shutil.disk_usage(scratch_folder()).free / GIB
+
+
+def python() -> str:
+    """The interpreter, as people name it."""
+    system = f"{platform.system()} {platform.machine()}"
+    return f"{platform.python_implementation()} {platform.python_version()} on {system}"

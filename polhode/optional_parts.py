@@ -1,0 +1,66 @@
+"""What an installation may lack: optional parts, what each is for, and the command that adds it.
+
+In a checkout ``make extras`` adds all of them; elsewhere pip adds one, as an extra of the package.
+"""
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parent
+CHECKOUT = PACKAGE.parent / "Makefile"
+"""Beside the package only in a checkout"""
+
+
+@dataclass(frozen=True)
+class OptionalPart:
+    """Packages that only some commands need."""
+
+    extra: str
+    """Name of the extra in pyproject.toml"""
+    modules: dict[str, str]
+    """Module that is imported -> the name people know it by"""
+    purpose: str
+    """What it is for, or what happens without it"""
+
+    @property
+    def missing(self) -> list[str]:
+        """Names of what is not installed."""
+        return [name for module, name in self.modules.items() if find_spec(module) is None]
+
+    @property
+    def how_to_install(self) -> str:
+        """The command that adds it."""
+        return "make extras" if CHECKOUT.is_file() else f"pip install 'polhode[{self.extra}]'"
+
+
+OPTIONAL_PARTS: tuple[OptionalPart, ...] = (
+    OptionalPart(
+        "solvers", {"pyceres": "Ceres", "gtsam": "GTSAM"},
+        "their rows of polhode compare; without them the comparison leaves these solvers out",
+    ),
+    OptionalPart(
+        "export", {"vhacdx": "V-HACD"},
+        "convex pieces of the bodies for simulators (urdf, mjcf, sdf); without it they get their convex hull",
+    ),
+    OptionalPart(
+        "import", {"rosbags": "rosbags", "av": "PyAV"},
+        "bags and videos in polhode import and polhode calibrate; folders of images need neither",
+    ),
+    OptionalPart("train", {"tensorboard": "tensorboard"}, "curves of polhode train, which needs it"),
+    OptionalPart("pandas", {"pandas": "pandas"}, "polhode.load(RUN).to_pandas() in Python"),
+)  # fmt: skip
+
+
+def part_with(module: str) -> OptionalPart:
+    """The part that a module belongs to. Raises KeyError: it belongs to none."""
+    for part in OPTIONAL_PARTS:
+        if module in part.modules:
+            return part
+    raise KeyError(module)
+
+
+def missing_message(module: str) -> str:
+    """That a module is not installed, and the command that adds it."""
+    part = part_with(module)
+    return f"{part.modules[module]} is not installed ({part.how_to_install})"
