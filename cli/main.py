@@ -37,6 +37,7 @@ from polhode.cli.simulate import SimulateCommand
 from polhode.cli.streams import tolerant_streams
 from polhode.cli.threshold import ThresholdCommand
 from polhode.cli.train import TrainCommand
+from polhode.cli.view import ViewCommand
 from polhode.code_cache import require_no_settings_of_numba
 from polhode.config.keys import is_structured, suggestion
 from polhode.config.loader import load_config
@@ -58,6 +59,7 @@ COMMANDS: dict[str, type[Command]] = {
     "observability": ObservabilityCommand,
     "export": ExportCommand,
     "report": ReportCommand,
+    "view": ViewCommand,
     "import": ImportCommand,
     "train": TrainCommand,
 }

@@ -1,5 +1,7 @@
 """``polhode run``: estimate motion, mass properties, map and mesh from a stereo sequence."""
 
+import logging
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +15,11 @@ from polhode.errors import InputError, RunFailure
 from polhode.processes import start_server, worker_count
 
 if TYPE_CHECKING:
+    from polhode.pipeline.live.run_live import Watch
     from polhode.pipeline.run import RunResult
+    from polhode.pipeline.view.target import ViewTarget
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -48,19 +54,41 @@ class RunCommand:
     """Go on with the run that was interrupted at RUN, or replace the one that is there by one with another
     configuration: stages that are finished, and that the configuration does not change, are used again. The
     result is the same as without. Where there is nothing to resume, all is computed."""
+    view: Flag = False
+    """Show the run in the window of Rerun (pip install 'polhode[view]'): with --live each pair as its state
+    comes, otherwise the finished run."""
+    view_save: Annotated[Path | None, arg(metavar="FILE")] = None
+    """The same as a recording, FILE.rrd, which "rerun FILE.rrd" shows. An earlier one is replaced."""
     debug: Debug = False
     values: ConfigValues = field(default_factory=Config)
 
     def execute(self) -> int:
         """Run the pipeline. Raises RunFailure when it did not reach a converged estimate."""
+        target = self._view_target()
         # before this process imports the same
         start_server(("polhode.pipeline.run",), worker_count(self.values.runtime.workers))
-        result = self._run_live(self.live) if self.live is not None else self._run()
+        if self.live is not None:
+            result = self._run_live(self.live, target)
+        else:
+            result = self._run()
+            if target is not None:
+                _show(result, self.data, target)
         print(f"{result.sentence} {result.report_path}")
         note = f"; {result.note}" if result.note else ""
         if result.failure is not None:
             raise RunFailure(f"{result.failure}; the best motion found: {result.report_path}{note}")
         return 0
+
+    def _view_target(self) -> "ViewTarget | None":
+        """Where the run is shown, checked before the work."""
+        if not self.view and self.view_save is None:
+            return None
+        from polhode.pipeline.view.rerun_library import require_rerun
+
+        require_rerun("--view" if self.view else "--view-save")
+        from polhode.pipeline.view.target import require_target
+
+        return require_target(self.view_save, self.view, "--view-save")
 
     def _run(self) -> "RunResult":
         from polhode.pipeline.run import run
@@ -81,7 +109,7 @@ class RunCommand:
             resume=self.resume,
         )
 
-    def _run_live(self, source: Path) -> "RunResult":
+    def _run_live(self, source: Path, target: "ViewTarget | None") -> "RunResult":
         from polhode.pipeline.live.run_live import PATIENCE_S, run_live
 
         if self.data is not None:
@@ -91,18 +119,40 @@ class RunCommand:
                 "--resume: a stream cannot be resumed; give --data instead of --live for the answer from "
                 "the pairs that were recorded"
             )
-        result, live = run_live(
-            self.values,
-            source,
-            self.output,
-            choose_progress(),
-            rate=self.rate,
-            patience_s=PATIENCE_S if self.patience_s is None else self.patience_s,
-            overwrite=self.overwrite,
-            even_if_failed=self.even_if_failed,
-        )
+        with _watching(target, source) as watch:
+            result, live = run_live(
+                self.values,
+                source,
+                self.output,
+                choose_progress(),
+                rate=self.rate,
+                patience_s=PATIENCE_S if self.patience_s is None else self.patience_s,
+                overwrite=self.overwrite,
+                even_if_failed=self.even_if_failed,
+                watch=watch,
+            )
         print(
             f"live: {len(live.processed)} pairs, {live.dropped} dropped; report {live.report_s:.1f} s after "
             "the last one"
         )
         return result
+
+
+def _watching(target: "ViewTarget | None", source: Path) -> "AbstractContextManager[Watch | None]":
+    """What shows the pairs of a stream; None: nothing does."""
+    if target is None:
+        return nullcontext()
+    from polhode.pipeline.view.show_live import watching
+
+    return watching(target, source.resolve().name)
+
+
+def _show(result: "RunResult", data: Path | None, target: "ViewTarget") -> None:
+    """Show a finished run, which stays complete if that does not succeed."""
+    from polhode.pipeline.view.show_run import show_run
+
+    report = result.report_path
+    try:
+        show_run(report if report.is_dir() else report.parent, data, target, choose_progress())
+    except (InputError, RunFailure) as error:
+        _log.warning("the run is complete, but it could not be shown: %s", error)
