@@ -35,6 +35,7 @@ from polhode.cli.simulate import SimulateCommand
 from polhode.cli.streams import tolerant_streams
 from polhode.cli.threshold import ThresholdCommand
 from polhode.cli.train import TrainCommand
+from polhode.cli.view import ViewCommand
 from polhode.code_cache import require_no_settings_of_numba
 from polhode.config.keys import suggestion
 from polhode.config.loader import load_config
@@ -56,6 +57,7 @@ COMMANDS: dict[str, type[Command]] = {
     "observability": ObservabilityCommand,
     "export": ExportCommand,
     "report": ReportCommand,
+    "view": ViewCommand,
     "import": ImportCommand,
     "train": TrainCommand,
     "doctor": DoctorCommand,
@@ -63,7 +65,7 @@ COMMANDS: dict[str, type[Command]] = {
 }
 TOPICS = {
     "data": ("simulate", "import", "calibrate", "checkout"),
-    "estimate": ("run", "evaluate", "report", "compare"),
+    "estimate": ("run", "evaluate", "report", "view", "compare"),
     "use a run": ("predict", "plan", "observability", "export", "threshold"),
     "program": ("train", "doctor", "completion"),
 }

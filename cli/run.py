@@ -1,5 +1,7 @@
 """``polhode run``: estimate motion, mass properties, map and mesh from a stereo sequence."""
 
+import logging
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -10,11 +12,15 @@ from polhode.cli.answer import Answer
 from polhode.cli.console import announce, choose_progress, progress_of_run
 from polhode.cli.options import ConfigValues, Flag, OptionalConfigFile
 from polhode.config import Config
-from polhode.errors import InputError
+from polhode.errors import InputError, RunFailure
 from polhode.processes import start_server, worker_count
 
 if TYPE_CHECKING:
+    from polhode.pipeline.live.run_live import Watch
     from polhode.pipeline.run import RunResult
+    from polhode.pipeline.view.target import ViewTarget
+
+_log = logging.getLogger(__name__)
 
 REPORT = "report.html"
 FIGURES = {
@@ -32,7 +38,7 @@ class RunCommand:
     the file does not set it.
     """
 
-    GROUPS: ClassVar = {"live stream": ("live", "rate", "patience_s")}
+    GROUPS: ClassVar = {"live stream": ("live", "rate", "patience_s"), "viewer": ("view", "view_save")}
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
     """Folder of the results, which is created."""
@@ -58,13 +64,24 @@ class RunCommand:
     """Go on with the run that was interrupted at RUN, or replace the one that is there by one with another
     configuration: stages that are finished, and that the configuration does not change, are used again. The
     result is the same as without. Where there is nothing to resume, all is computed."""
+    view: Flag = False
+    """Show the run in the window of Rerun: with --live each pair as its state comes, otherwise the finished
+    run."""
+    view_save: Annotated[Path | None, arg(metavar="FILE")] = None
+    """The same as a recording, FILE.rrd, which "rerun FILE.rrd" shows. An earlier one is replaced."""
     values: ConfigValues = field(default_factory=Config)
 
     def execute(self) -> Answer:
         """Run the pipeline. A run that did not reach a converged estimate has its failure in the answer."""
+        target = self._view_target()
         # before this process imports the same
         start_server(("polhode.pipeline.run",), worker_count(self.values.runtime.workers))
-        result = self._run_live(self.live) if self.live is not None else self._run()
+        if self.live is not None:
+            result = self._run_live(self.live, target)
+        else:
+            result = self._run()
+            if target is not None:
+                _show(result, self.data, target)
         note = f"; {result.note}" if result.note else ""
         failure = result.failure
         return Answer(
@@ -74,6 +91,17 @@ class RunCommand:
             **_from_summary(_folder_of(result)),
             failure=failure and f"{failure}; the best motion found: {result.report_path}{note}",
         )
+
+    def _view_target(self) -> "ViewTarget | None":
+        """Where the run is shown, checked before the work."""
+        if not self.view and self.view_save is None:
+            return None
+        from polhode.pipeline.view.rerun_library import require_rerun
+
+        require_rerun("--view" if self.view else "--view-save")
+        from polhode.pipeline.view.target import require_target
+
+        return require_target(self.view_save, self.view, "--view-save")
 
     def _run(self) -> "RunResult":
         from polhode.pipeline.run import run
@@ -95,7 +123,7 @@ class RunCommand:
                 resume=self.resume,
             )
 
-    def _run_live(self, source: Path) -> "RunResult":
+    def _run_live(self, source: Path, target: "ViewTarget | None") -> "RunResult":
         from polhode.pipeline.live.run_live import PATIENCE_S, run_live
 
         if self.data is not None:
@@ -105,16 +133,18 @@ class RunCommand:
                 "--resume: a stream cannot be resumed; give --data instead of --live for the answer from "
                 "the pairs that were recorded"
             )
-        result, live = run_live(
-            self.values,
-            source,
-            self.output,
-            choose_progress(),
-            rate=self.rate,
-            patience_s=PATIENCE_S if self.patience_s is None else self.patience_s,
-            overwrite=self.overwrite,
-            even_if_failed=self.even_if_failed,
-        )
+        with _watching(target, source) as watch:
+            result, live = run_live(
+                self.values,
+                source,
+                self.output,
+                choose_progress(),
+                rate=self.rate,
+                patience_s=PATIENCE_S if self.patience_s is None else self.patience_s,
+                overwrite=self.overwrite,
+                even_if_failed=self.even_if_failed,
+                watch=watch,
+            )
         announce(
             f"live: {len(live.processed)} pairs, {live.dropped} dropped; report {live.report_s:.1f} s after "
             "the last one"
@@ -139,3 +169,23 @@ def _from_summary(folder: Path) -> dict[str, Any]:
     if summary.inertia is not None:
         figures |= {"k1": summary.inertia.k1, "k2": summary.inertia.k2}
     return {"figures": figures, "warnings": tuple(summary.warnings)}
+
+
+def _watching(target: "ViewTarget | None", source: Path) -> "AbstractContextManager[Watch | None]":
+    """What shows the pairs of a stream; None: nothing does."""
+    if target is None:
+        return nullcontext()
+    from polhode.pipeline.view.show_live import watching
+
+    return watching(target, source.resolve().name)
+
+
+def _show(result: "RunResult", data: Path | None, target: "ViewTarget") -> None:
+    """Show a finished run, which stays complete if that does not succeed."""
+    from polhode.pipeline.view.show_run import show_run
+
+    report = result.report_path
+    try:
+        show_run(report if report.is_dir() else report.parent, data, target, choose_progress())
+    except (InputError, RunFailure) as error:
+        _log.warning("the run is complete, but it could not be shown: %s", error)

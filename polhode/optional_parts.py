@@ -47,6 +47,7 @@ OPTIONAL_PARTS: tuple[OptionalPart, ...] = (
         "import", {"rosbags": "rosbags", "av": "PyAV"},
         "bags and videos in polhode import and polhode calibrate; folders of images need neither",
     ),
+    OptionalPart("view", {"rerun": "Rerun"}, "polhode view, and polhode run --view and --view-save"),
     OptionalPart("train", {"tensorboard": "tensorboard"}, "curves of polhode train, which needs it"),
     OptionalPart("pandas", {"pandas": "pandas"}, "polhode.load(RUN).to_pandas() in Python"),
 )  # fmt: skip

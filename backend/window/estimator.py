@@ -25,7 +25,7 @@ from polhode.camera import RectifiedRig
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, inverse_pose, make_pose, transform_points
 from polhode.progress import Progress
-from polhode.records import MotionEstimate, OnlineEstimate, StereoTracks, Wrench
+from polhode.records import Ints, MotionEstimate, OnlineEstimate, StereoTracks, Wrench
 from polhode.rigid_body import HALF_TURNS
 from polhode.threads import single_threaded
 
@@ -79,6 +79,13 @@ class SlidingWindow:
         """Number of observations of the latest frame that agree with the motion."""
         recent = self.state.active.recent
         return len(recent[-1].slot) if recent and recent[-1].number == self._number else 0
+
+    @property
+    def accepted_landmarks(self) -> Ints:
+        """(accepted,) the landmarks that they are of."""
+        if not self.accepted:
+            return np.zeros(0, dtype=np.int64)
+        return np.asarray(self.state.landmarks.name[self.state.active.recent[-1].slot])
 
     @property
     def landmarks_G(self) -> Array:

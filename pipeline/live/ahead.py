@@ -78,10 +78,14 @@ class Ahead:
 
         It waits for the pairs before.
         """
-        future = self._submit(None)
+        future = self.request_surface()
         found = future.result() if future is not None and future.exception() is None else None
         self._collect()
         return found if isinstance(found, SurfaceModel) else None
+
+    def request_surface(self) -> "Future[Tried | SurfaceModel] | None":
+        """The surface of ``surface`` as soon as it is made; None: it will not be, the process has ended."""
+        return self._submit(None)
 
     def finish(self) -> Tried:
         """Stop; returns the links that were tried ahead. The depth maps stay until ``remove``."""

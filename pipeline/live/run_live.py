@@ -7,21 +7,24 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter, process_time
+from typing import Any
 
 import numpy as np
 
 from polhode.config import Config
 from polhode.dataset import StereoImages
 from polhode.errors import InputError
+from polhode.frontend.rectification import Rectifier
 from polhode.images import bit_depth, has_content, to_grey
 from polhode.interrupts import interrupt_noted
+from polhode.lie import Array
 from polhode.pipeline.live.arrivals import Arrivals
 from polhode.pipeline.live.feed import WAIT_S, Arrived, Dropped, Feed
 from polhode.pipeline.live.folder_source import FolderSource, SourcePair
 from polhode.pipeline.live.live_state import LiveState
 from polhode.pipeline.live.recording import FileRecording
 from polhode.pipeline.live.session import RepeatedImages, require_pairs, unmeasured
-from polhode.pipeline.live.stream import Extracted, Stream
+from polhode.pipeline.live.stream import Extracted, Observed, Stream
 from polhode.pipeline.live.warm_up import warm_up_stream
 from polhode.pipeline.report import write_report
 from polhode.pipeline.run import RunResult, fill_run_folder
@@ -61,6 +64,25 @@ class LiveReport:
 
 
 @dataclass(frozen=True)
+class WatchedPair:
+    """A pair whose state is known, for a viewer."""
+
+    state: LiveState
+    images: StereoImages | None
+    rectifier: Rectifier
+    X_NR: Array
+    """(4, 4) the rectified left camera"""
+    observed: Observed
+    landmarks_G: Array
+    """(L, 3) those of the window, in the present frame G [m]"""
+    request_surface: Callable[[], "Future[Any] | None"]
+    """The surface so far, a ``SurfaceModel``, once another process has made it; None: it makes none"""
+
+
+Watch = Callable[[WatchedPair], None]
+
+
+@dataclass(frozen=True)
 class _Started:
     """A pair whose features are being extracted."""
 
@@ -78,12 +100,14 @@ def run_live(
     patience_s: float = PATIENCE_S,
     overwrite: bool = False,
     even_if_failed: bool = False,
+    watch: Watch | None = None,
 ) -> tuple[RunResult, LiveReport]:
     """States of the pairs as they come, then the batch answer of the pairs that came.
 
     rate: speed of the replay of a recorded sequence, 0 as fast as it goes; None: the folder fills, until the
-    file mav0/end appears or nothing came for ``patience_s``. Ctrl-C ends the stream, not the run. Raises
-    InputError for a wrong source or rate, RunFailure as ``run``.
+    file mav0/end appears or nothing came for ``patience_s``. Ctrl-C ends the stream, not the run.
+    ``watch`` is called with each pair after its state, and must not take long. Raises InputError for a wrong
+    source or rate, RunFailure as ``run``.
     """
     _require_options(rate, patience_s)
     source = FolderSource(source_folder, rate is None, patience_s)
@@ -95,7 +119,7 @@ def run_live(
             advance()
         recording = FileRecording(source_folder)
         try:
-            loop = _Loop(stream, recording, source, worker_count(config.runtime.workers), live)
+            loop = _Loop(stream, recording, source, worker_count(config.runtime.workers), live, watch)
             with interrupt_noted() as interrupted, progress.line() as show:
                 last_at = loop.run(rate, interrupted, show)
             live.interrupted = loop.interrupted
@@ -126,12 +150,18 @@ class _Loop:
     """Pairs from the feed through the stages; the features of the next ones are extracted meanwhile."""
 
     def __init__(
-        self, stream: Stream, recording: FileRecording, source: FolderSource, workers: int, live: LiveReport
+        self,
+        stream: Stream,
+        recording: FileRecording,
+        source: FolderSource,
+        workers: int,
+        live: LiveReport,
+        watch: Watch | None,
     ) -> None:
         self._stream, self._recording, self._source, self._live = stream, recording, source, live
         self._bits = source.calibration.bits
         self._repeated = RepeatedImages()
-        self._workers = workers
+        self._workers, self._watch = workers, watch
         self.arrivals = Arrivals()
         self.interrupted = False
         self.processor_s = 0.0
@@ -187,7 +217,15 @@ class _Loop:
         self._recording.add(pair.stamps_ns, pair.names)
         latency_s = perf_counter() - started.arrived.at
         self._live.processed.append(Processed(state, latency_s))
+        if self._watch is not None:
+            self._watch(self._watched(state, X_NC, extracted.images))
         return line_of(state, latency_s, self._live.dropped)
+
+    def _watched(self, state: LiveState, X_NC: Array, images: StereoImages | None) -> WatchedPair:
+        stream = self._stream
+        X_NR = X_NC @ stream.rectifier.X_CR
+        request = stream.request_surface
+        return WatchedPair(state, images, stream.rectifier, X_NR, stream.latest, stream.landmarks_G, request)
 
 
 def line_of(state: LiveState, latency_s: float, dropped: int) -> str:

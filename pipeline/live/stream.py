@@ -6,8 +6,10 @@ differs is the association, which here depends on this pair and earlier ones onl
 """
 
 import logging
+from concurrent.futures import Future
 from dataclasses import dataclass, field, fields, replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +34,7 @@ from polhode.pipeline.live.ahead import Ahead, ComingPair
 from polhode.pipeline.live.live_state import LiveState, live_state
 from polhode.pipeline.streamed import Observations, Streamed, observations_of
 from polhode.processes import worker_count
-from polhode.records import Ints, OnlineEstimate, SurfaceModel, Wrench
+from polhode.records import Bools, Ints, OnlineEstimate, SurfaceModel, Wrench
 from polhode.rig_calibration import StereoCalibration
 
 _log = logging.getLogger(__name__)
@@ -56,6 +58,18 @@ class Extracted:
     images: StereoImages | None
     """None: nothing is to be made ahead of the batch"""
     seconds: float
+
+
+@dataclass(frozen=True)
+class Observed:
+    """The features of a pair in its rectified left image, n of them."""
+
+    uv_px: Array
+    """(n, 2)"""
+    landmark: Ints
+    """(n,)"""
+    agrees: Bools
+    """(n,) with the motion"""
 
 
 @dataclass
@@ -98,6 +112,7 @@ class Stream:
         self._past = _Past()
         self._config = config
         self._ahead: Ahead | None = None
+        self._latest = Observed(np.zeros((0, 2)), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_))
 
     def __len__(self) -> int:
         return len(self._past.timestamps_ns)
@@ -134,6 +149,8 @@ class Stream:
         matched = perf_counter()
         state = self._estimate(timestamp_ns, X_NR, extracted.features, landmark)
         past.states.append(state)
+        agrees = np.isin(landmark, self._window.accepted_landmarks)
+        self._latest = Observed(extracted.features.uvd_px[:, :2], landmark, agrees)
         if self.is_long:
             self._let_go()
         done = perf_counter()
@@ -161,6 +178,15 @@ class Stream:
         """The surface that the pairs so far have shown, in the present frame G; None: with one process only,
         the surface is made at the end."""
         return None if self._ahead is None else self._ahead.surface()
+
+    def request_surface(self) -> "Future[Any] | None":
+        """The same, a ``SurfaceModel``, as soon as it is made; None: it will not be."""
+        return None if self._ahead is None else self._ahead.request_surface()
+
+    @property
+    def latest(self) -> Observed:
+        """What the latest pair observes."""
+        return self._latest
 
     @property
     def landmarks_G(self) -> Array:

@@ -1,0 +1,147 @@
+"""The pairs of a stream in Rerun as their states come.
+
+A thread encodes the images and logs, so that the stream need not wait; where it falls behind, pairs are shown
+without their images. What is shown is the causal estimate: a state knows nothing of later pairs.
+"""
+
+import logging
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import numpy as np
+
+from polhode.errors import one_line
+from polhode.frontend.rectification import rectified_images
+from polhode.pipeline.live.live_state import LiveState
+from polhode.pipeline.live.run_live import Watch, WatchedPair
+from polhode.pipeline.view.blueprint import Eyes, arrangement, beside_camera
+from polhode.pipeline.view.mesh_growth import coloured
+from polhode.pipeline.view.recorder import Recorder
+from polhode.pipeline.view.shown_frame import ShownFeatures, ShownFrame, ShownMotion, ShownRatios, ShownRig
+from polhode.pipeline.view.target import ViewTarget
+from polhode.records import SurfaceModel
+
+SURFACE_EVERY = 20
+"""Pairs from one request of the growing surface to the next."""
+MAX_FACES = 20_000
+"""Of the growing surface."""
+MAX_WAITING = 8
+"""Pairs that wait to be shown with their images; later ones are shown without."""
+
+_log = logging.getLogger(__name__)
+
+
+@contextmanager
+def watching(target: ViewTarget, name: str) -> Iterator[Watch]:
+    """What is called with each pair after its state. When the block ends, all of them are shown.
+
+    name: of the stream. A viewer that cannot show them is no failure of the stream, only a warning.
+    """
+    viewer = _LiveViewer(target, name)
+    try:
+        yield viewer
+    finally:
+        viewer.close()
+
+
+class _LiveViewer:
+    """Passes pairs on to the thread that shows them."""
+
+    def __init__(self, target: ViewTarget, name: str) -> None:
+        self._show = _PairShow(target, name)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="polhode-view")
+        self._waiting: list[Future[None]] = []
+        self._surface: Future[Any] | None = None
+
+    def __call__(self, pair: WatchedPair) -> None:
+        """Called by the stream; returns at once."""
+        self._waiting = [each for each in self._waiting if not each.done()]
+        surface = self._surface if self._surface is not None and self._surface.done() else None
+        if surface is not None:
+            self._surface = None
+        if self._surface is None and pair.state.number % SURFACE_EVERY == SURFACE_EVERY - 1:
+            self._surface = pair.request_surface()
+        has_images = len(self._waiting) < MAX_WAITING
+        self._waiting.append(self._thread.submit(self._show.add, pair, surface, has_images))
+
+    def close(self) -> None:
+        """Show what waits, and complete the recording."""
+        self._thread.submit(self._show.close).result()
+        self._thread.shutdown()
+
+
+class _PairShow:
+    """Runs in the thread. What goes wrong ends the showing with a warning, and nothing else."""
+
+    def __init__(self, target: ViewTarget, name: str) -> None:
+        self._target, self._name = target, name
+        self._recorder: Recorder | None = None
+        self._opened = ExitStack()
+        self._failed = False
+        self._first_ns = 0
+
+    def add(self, pair: WatchedPair, surface: "Future[Any] | None", has_images: bool) -> None:
+        """Show the next pair, and the surface where another process has made it meanwhile."""
+        if self._failed:
+            return
+        with self._warning_of_failure():
+            recorder = self._recorder or self._open(pair)
+            time_s = 1e-9 * (pair.state.timestamp_ns - self._first_ns)
+            recorder.log_frame(shown_pair(pair, time_s, has_images))
+            if surface is not None and surface.exception() is None:
+                _log_surface(surface.result(), recorder)
+
+    def close(self) -> None:
+        """Complete the recording."""
+        with self._warning_of_failure():
+            self._opened.close()
+
+    def _open(self, pair: WatchedPair) -> Recorder:
+        self._first_ns = pair.state.timestamp_ns
+        rig = ShownRig.rectified(pair.rectifier.rig)
+        eyes = Eyes(beside_camera(pair.X_NR, rig.plane_m))
+        blueprint = arrangement(eyes, has_motion=True, landmarks_add_up=False)
+        self._recorder = self._opened.enter_context(self._target.opened(self._name, rig, blueprint))
+        return self._recorder
+
+    @contextmanager
+    def _warning_of_failure(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001  the stream goes on, whatever happens to its viewer
+            self._failed = True
+            _log.warning("the stream is not shown any more: %s", one_line(str(error)))
+
+
+def shown_pair(pair: WatchedPair, time_s: float, has_images: bool) -> ShownFrame:
+    """What is shown of a pair; a motion from when one is known."""
+    state, observed, images = pair.state, pair.observed, None
+    if has_images and pair.images is not None:
+        images = rectified_images(pair.images, pair.rectifier)
+    is_known = state.status != "searching"
+    known = state.determined[:2]
+    sigma = np.where(known, np.sqrt(np.abs(np.diagonal(state.cov_k))), np.inf)
+    return ShownFrame(
+        number=state.number,
+        time_s=time_s,
+        X_NL=pair.X_NR,
+        left=None if images is None else images.left,
+        right=None if images is None else images.right,
+        features=ShownFeatures(observed.uv_px, observed.landmark, observed.agrees),
+        motion=_motion_of(state) if is_known else None,
+        ratios=ShownRatios(np.where(known, state.k, np.nan), sigma),
+        landmarks_G=pair.landmarks_G if is_known else np.zeros((0, 3)),
+    )
+
+
+def _motion_of(state: LiveState) -> ShownMotion:
+    moments = np.array([np.exp(state.k[0]), 1.0, np.exp(-state.k[1])])
+    return ShownMotion(state.r_N, state.v_N, state.R_NP, state.w_P, state.covariance, state.X_NG, moments)
+
+
+def _log_surface(surface: SurfaceModel, recorder: Recorder) -> None:
+    if len(surface.mesh.faces):
+        vertices, rgb, faces = coloured(surface, MAX_FACES)
+        recorder.log_surface(vertices, rgb, faces)

@@ -1,0 +1,96 @@
+"""``polhode view`` and ``polhode run --view-save``: what they write, and one line for mistakes."""
+
+import sys
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+import polhode.pipeline.run
+from polhode.cli.main import main
+from polhode.optional_parts import part_with
+from polhode.pipeline.view.target import is_recording
+from tests.cli.writing_commands import run_of_stored_files
+from tests.conftest import MakeOnce
+from tests.pipeline.conftest import N_FRAMES, make_example, write_example
+from tests.pipeline.view.read_recording import values_of
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def run(make_once: MakeOnce) -> Path:
+    def write(folder: Path) -> None:
+        folder.mkdir()
+        write_example(folder, make_example())
+
+    return make_once("run_to_view", write)
+
+
+def test_a_run_and_a_sequence_are_recorded(
+    run: Path, small_sequence: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    for shown in (run, small_sequence):
+        file = tmp_path / f"{shown.name}.rrd"
+        assert main(["view", str(shown), "--save", str(file)]) == 0
+        printed = capsys.readouterr()
+        assert printed.out.splitlines()[-1] == f"Recording: {file}" and printed.err == ""
+        assert is_recording(file)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["nowhere"], "nowhere: neither a run (summary.json) nor a sequence (mav0/)"),
+        (["SEQ", "--data", "SEQ"], "--data goes with a run: a sequence has its images"),
+        (["SEQ", "--save", "s.txt"], "s.txt: give a name that ends in .rrd"),
+        (["SEQ"], "no display for Rerun's window (DISPLAY is not set): --save FILE"),
+    ],
+)
+def test_a_mistake_is_one_line(
+    words: list[str], line: str, small_sequence: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    assert main(["view", *(word.replace("SEQ", str(small_sequence)) for word in words)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"polhode: error: {line}") and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [["view", "SEQ"], ["run", "--data", "SEQ", "-o", "R", "--view"]])
+def test_without_rerun_the_line_has_the_command_that_installs_it(
+    words: list[str], small_sequence: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    monkeypatch.chdir(small_sequence)
+    assert main([word.replace("SEQ", ".") for word in words]) == 2
+    error = capsys.readouterr().err
+    assert f"Rerun is not installed ({part_with('rerun').how_to_install})" in error
+    assert error.count("\n") == 1
+    assert not (small_sequence / "R").exists()
+
+
+def test_a_finished_run_is_recorded_after_it_is_written(
+    run: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(polhode.pipeline.run, "run", partial(run_of_stored_files, run))
+    monkeypatch.setattr("polhode.pipeline.view.show_run.open_sequence", lambda folder: None)
+    monkeypatch.setattr("polhode.pipeline.view.show_run.pictures_of", lambda *_: lambda k: None)
+    folder, file = tmp_path / "R", tmp_path / "R.rrd"
+    words = ["run", "--data", "none", "-o", str(folder), "--view-save", str(file)]
+    assert main(words) == 0
+    assert capsys.readouterr().out.splitlines()[-1].endswith(str(folder / "report.html"))
+    assert len(values_of(file, "/N/target", "Transform3D:translation")) == N_FRAMES
+
+
+def test_a_run_is_complete_though_it_cannot_be_shown(
+    run: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(polhode.pipeline.run, "run", partial(run_of_stored_files, run))
+    folder = tmp_path / "R"
+    words = ["run", "--data", str(tmp_path), "-o", str(folder), "--view-save", str(tmp_path / "R.rrd")]
+    assert main(words) == 0
+    printed = capsys.readouterr()
+    assert "the run is complete, but it could not be shown: " in printed.out and printed.err == ""
+    assert printed.out.splitlines()[-1].endswith("report.html")
