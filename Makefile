@@ -4,6 +4,8 @@
 # make test    the tests, in two processes (make test JOBS=4: in four)
 # make check   style, types, import rules
 # make extras  the optional parts, which `polhode doctor` lists: more solvers, bags and videos, convex pieces, ...
+# make docs    the documentation as a site, in site/, with its internal links checked; it is read without a network
+# make docs-links    whether the links that leave the site still answer, which needs a network
 # make matchers    weights of feature networks to compare with (docs/frontend.md)
 # make fusion-peers    Open3D and pycolmap, 500 MB, for benchmarks/mapping/fusion_peers.py; without them its rows say so
 # make sbom    dist/polhode.cdx.json: the software bill of materials, in CycloneDX's JSON (docs/security.md)
@@ -16,21 +18,20 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
-PEERS := .venv/.peers
 SOLVERS := .venv/.solvers
 MATCHERS := .venv/.matchers
-FORMATS := .venv/.formats
 FUZZ := .venv/.fuzz
 SBOM := .venv/.sbom
-IMPORT := .venv/.import
-SHOWN := .venv/.shown
+SITE := .venv/.site
+TESTED := .venv/.tested
+TEST_EXTRAS := docs,export,formats,import,peers,sbom,solvers,view
 DEMO_RUN := runs/demo
 SHORT ?=
 OPTIONS ?=
 EXTRAS ?= [dev]
 JOBS ?= 2
 
-.PHONY: setup extras matchers fusion-peers demo example test check sbom release bench
+.PHONY: setup extras matchers fusion-peers demo example test check docs docs-links sbom release bench
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -44,34 +45,27 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.$(EXTRAS)'
 	@touch $@
 
-$(PEERS): $(STAMP)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[peers]'
-	@touch $@
-
 $(SOLVERS): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[solvers]'
-	@touch $@
-
-# Programs that must accept what `polhode export` writes. Drake reads SDF with Gazebo's parser; it asks for a
-# commercial solver, which reading needs not. The validator of glTF is there where npm is; its test says so.
-$(FORMATS): $(STAMP)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[export,formats]'
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps drake || \
-	    echo "polhode: Drake is not installed here: its tests are skipped" >&2
-	@command -v npm > /dev/null && npm install --silent --no-fund --no-audit --prefix .venv/gltf \
-	    gltf-validator@2.0.0-dev.3.10 || echo "polhode: no npm: the test of the glTF validator is skipped" >&2
 	@touch $@
 
 $(SBOM): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[sbom]'
 	@touch $@
 
-$(IMPORT): $(STAMP)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[import]'
+$(SITE): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
 	@touch $@
 
-$(SHOWN): $(STAMP)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[view]'
+# What the tests need, among it programs that must accept what `polhode export` writes. Drake reads SDF with Gazebo's
+# parser; it asks for a commercial solver, which reading needs not. The validator of glTF is there where npm is; its
+# test says so.
+$(TESTED): $(STAMP) $(MATCHERS)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[$(TEST_EXTRAS)]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps drake || \
+	    echo "polhode: Drake is not installed here: its tests are skipped" >&2
+	@command -v npm > /dev/null && npm install --silent --no-fund --no-audit --prefix .venv/gltf \
+	    gltf-validator@2.0.0-dev.3.10 || echo "polhode: no npm: the test of the glTF validator is skipped" >&2
 	@touch $@
 
 # Weights of feature networks to compare with. Only files are read, so what the packages depend on stays out:
@@ -97,7 +91,7 @@ example:
 	test -f $(DEMO_RUN)/mesh.ply || $(MAKE) demo
 	$(BIN)/python -m examples.inspect_tumbling $(DEMO_RUN) sample -o runs/flight
 
-test: setup $(PEERS) $(MATCHERS) $(SOLVERS) $(FORMATS) $(SBOM) $(IMPORT) $(SHOWN)
+test: setup $(TESTED)
 	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal
 
 check: setup
@@ -105,6 +99,13 @@ check: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
+
+# Material for MkDocs announces other programs at every start.
+docs: setup $(SITE)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+docs-links: setup $(SITE)
+	$(BIN)/python -m website.external_links
 
 sbom: setup $(SBOM)
 	$(BIN)/python -m release.bill_of_materials dist/polhode.cdx.json

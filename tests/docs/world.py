@@ -1,0 +1,149 @@
+"""What the commands of the pages are run on: small data under the names that the pages use.
+
+A name is provided when a command is about to read it and nothing is there, so that what an earlier command of
+the page has written is used where there is something.
+"""
+
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from benchmarks.calibration.board_images import BoardCamera, printed
+from benchmarks.importers.recordings import original, write_folders, write_ros1, write_side_by_side
+from polhode.calibration.boards import make_board
+from polhode.calibration.lenses import Lens
+from polhode.dataset_writer import write_png
+from polhode.rig_calibration import read_calibration
+from tests.calibration.rendered_rigs import board_pose
+from tests.docs.page_code import ROOT
+
+FRAMES = 8
+BOARD_VIEWS = 9
+POSES = "".join(f"{time} 0.0 0.0 {-0.9 + 0.02 * time} 0 0 0 1\n" for time in range(4))
+"""A trajectory, TUM format: towards the origin of G along z."""
+
+
+def small_sequence(rendered: Path, folder: Path) -> None:
+    """The first FRAMES pairs of a rendered sequence."""
+    shutil.copytree(rendered, folder, copy_function=lambda a, b: Path(b).symlink_to(a))
+    for camera in ("cam0", "cam1"):
+        table = folder / "mav0" / camera / "data.csv"
+        rows = table.read_text().splitlines(keepends=True)
+        table.unlink()
+        table.write_text("".join(rows[: FRAMES + 1]))
+
+
+def provide(word: str, folder: Path, sequence: Path, run: Callable[[], Path]) -> None:
+    """Make what a word names in the folder, if it is a name that the pages take for granted."""
+    name = Path(word).parts[0] if word and not word.startswith("-") else ""
+    place = folder / name
+    if name and not place.exists() and not place.is_symlink():
+        if name in LINKED:
+            place.symlink_to(ROOT / name)
+        elif name in ("SEQ", "sample"):
+            place.symlink_to(sequence)
+        elif name == "RUN":
+            shutil.copytree(run(), place)
+        elif name in MADE:
+            MADE[name](place, sequence)
+
+
+def _rig(place: Path, sequence: Path) -> None:
+    for camera in ("cam0", "cam1"):
+        (place / camera).mkdir(parents=True)
+        shutil.copy(sequence / "mav0" / camera / "sensor.yaml", place / camera)
+
+
+def _filled_folder(place: Path, sequence: Path) -> None:
+    """A folder that a recorder has filled to its end."""
+    shutil.copytree(sequence, place)
+    (place / "mav0" / "end").touch()
+
+
+def _boards(place: Path, sequence: Path) -> None:
+    """A chessboard before the cameras of the sequence."""
+    rig, recorded = read_calibration(sequence / "mav0"), original(sequence)
+    board, random = make_board("chessboard", "9x6", 0.0254), np.random.default_rng(2)
+    picture, size = printed(board), (rig.width_px, rig.height_px)
+    cameras = [
+        BoardCamera(Lens("brown5", np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *dist[:4], 0.0])), size)
+        for K, dist in zip(recorded.K, recorded.dist, strict=True)
+    ]
+    for number in range(1, BOARD_VIEWS + 1):
+        X_0B = board_pose(board, random)
+        for side, camera, X in (("left", cameras[0], X_0B), ("right", cameras[1], recorded.X_10 @ X_0B)):
+            image = camera.picture(picture, X, 0.7, 1.0, np.random.default_rng(number))
+            write_png(place / side / f"{number:02d}.png", image)
+
+
+def _half_of_the_boards(side: str) -> Callable[[Path, Path], None]:
+    """left/ or right/ of the boards, for pages that name them without a folder above."""
+
+    def make(place: Path, sequence: Path) -> None:
+        _boards(place.parent / "boards", sequence)
+        (place.parent / "boards" / side).rename(place)
+        shutil.rmtree(place.parent / "boards")
+
+    return make
+
+
+def _cad_model(place: Path, sequence: Path) -> None:
+    """Another program's model of the body, in millimetres and a frame of its own."""
+    mesh = trimesh.load(sequence / "mav0" / "target0" / "mesh.ply")
+    mesh.apply_scale(1000.0)
+    mesh.export(place)
+
+
+def _model(place: Path, sequence: Path) -> None:
+    shutil.copy(sequence / "mav0" / "target0" / "mesh.ply", place)
+
+
+def _body(place: Path, sequence: Path) -> None:
+    del sequence
+    trimesh.creation.box((300.0, 200.0, 100.0)).export(place)
+
+
+def _scene(place: Path, sequence: Path) -> None:
+    """The configuration that docs/simulation.md shows, and the mesh that it names."""
+    page = (ROOT / "docs" / "simulation.md").read_text()
+    place.write_text(page.split("```yaml\n")[1].split("```")[0])
+    _body(place.with_suffix(".obj"), sequence)
+
+
+def _recording(place: Path, sequence: Path) -> None:
+    write_folders(original(sequence), place)
+
+
+def _bag(place: Path, sequence: Path) -> None:
+    write_ros1(original(sequence), place)
+
+
+def _video(place: Path, sequence: Path) -> None:
+    write_side_by_side(original(sequence), place)
+
+
+def _poses(place: Path, sequence: Path) -> None:
+    del sequence
+    place.write_text(POSES)
+
+
+LINKED = ("configs", "examples")
+MADE: Mapping[str, Callable[[Path, Path], None]] = {
+    "RIG": _rig,
+    "SOURCE": _filled_folder,
+    "board": _boards,
+    "left": _half_of_the_boards("left"),
+    "right": _half_of_the_boards("right"),
+    "recording": _recording,
+    "flight.bag": _bag,
+    "both.mp4": _video,
+    "model.stl": _cad_model,
+    "model.ply": _model,
+    "my_satellite.yaml": _scene,
+    "plan.txt": _poses,
+    "poses.txt": _poses,
+}
+"""How to make what the pages name, from the sequence"""
