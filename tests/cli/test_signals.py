@@ -32,6 +32,7 @@ WORDS: dict[str, list[str]] = {
     "observability": ["R", "-o", "D"],
     "export": ["R", "--to", "stl", "-o", "F"],
     "report": ["R", "-o", "F"],
+    "view": ["R"],
     "train": ["C"],
 }
 KEPT = {"compare": "finished rows are kept", "train": "finished scenes and the last checkpoint are kept"}
