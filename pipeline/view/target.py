@@ -68,9 +68,9 @@ def require_target(file: Path | None, window: bool, option: str = "--save") -> V
 
 
 def _recording_file(path: Path, option: str) -> Path:
+    place = output_file(path, "view", "recording.rrd", is_recording, option=option)
     if path.suffix != ".rrd":
         raise InputError(f"{path}: give a name that ends in .rrd, by which Rerun knows its recordings")
-    place = output_file(path, "view", "recording.rrd", is_recording, option=option)
     make_parent(place, path)
     return place
 
@@ -116,7 +116,7 @@ def _to_window(name: str, blueprint: rrb.Blueprint) -> Iterator[rr.RecordingStre
 
 def _stream(name: str) -> rr.RecordingStream:
     """A stream that logs nothing of the clock, so that the same run gives the same data."""
-    stream = rr.RecordingStream(APPLICATION, recording_id=name, send_properties=False)
+    stream = rr.RecordingStream(APPLICATION, recording_id=printable(name), send_properties=False)
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
     return stream

@@ -30,7 +30,7 @@ RESUMED, STAYS, FAILED = "resumed", "replaced; theirs stays", "fails; nothing re
 STAGED = ("run", "simulate", "import")
 """Those that write beside the place, and then replace it whole."""
 FOLDERS = (*STAGED[:2], "compare", "train", "calibrate", "checkout", "plan", "observability", "import")
-FILES = ("export", "export urdf", "predict", "report")
+FILES = ("export", "export urdf", "predict", "report", "view")
 COMMANDS = (*FOLDERS, *FILES)
 
 
@@ -45,7 +45,7 @@ TABLE: dict[str, dict[str, str]] = {
     "a folder in which nothing is; an empty file": row(WRITTEN),
     "a folder of the user's files; a file of the user": row(REFUSED),
     "such a folder with a summary.json, scene.yaml, mav0/ or results among the files": row(
-        REFUSED, export=NONE, predict=NONE, report=NONE
+        REFUSED, export=NONE, predict=NONE, report=NONE, view=NONE
     ),
     "such a folder, with --overwrite": row(NONE, run=REFUSED, simulate=REFUSED, import_=REFUSED),
     "its own result": row(
@@ -53,7 +53,7 @@ TABLE: dict[str, dict[str, str]] = {
     ),
     "its own result, with --overwrite": row(NONE, run=REPLACED, simulate=REPLACED, import_=REPLACED),
     "its own result and files of the user, with --overwrite where there is one": row(
-        STAYS, simulate=REFUSED, import_=REFUSED, export=NONE, predict=NONE, report=NONE
+        STAYS, simulate=REFUSED, import_=REFUSED, export=NONE, predict=NONE, report=NONE, view=NONE
     ),
     "among its own results a file of the user with the name of a result": row(
         REFUSED,
@@ -67,6 +67,7 @@ TABLE: dict[str, dict[str, str]] = {
         export=NONE,
         predict=NONE,
         report=NONE,
+        view=NONE,
     ),
     "the name of a result of a run": row(REFUSED),
     "a name inside a dataset": row(REFUSED),
@@ -97,7 +98,9 @@ TABLE: dict[str, dict[str, str]] = {
     "a place that is full": row(REFUSED),
     "a place that fills during the work, its own result there": row(FAILED),
     "what a killed process left on its way there": row(WRITTEN, compare=NONE, train=NONE),
-    "another process that is writing there": row(REFUSED, export=WRITTEN, predict=WRITTEN, report=WRITTEN),
+    "another process that is writing there": row(
+        REFUSED, export=WRITTEN, predict=WRITTEN, report=WRITTEN, view=WRITTEN
+    ),
 }
 
 
@@ -357,7 +360,7 @@ def stale(scene: Scene) -> None:
 
 
 def busy(scene: Scene) -> None:
-    if scene.name in ("export", "predict", "report"):
+    if scene.name in ("export", "predict", "report", "view"):
         place = scene.place
         scene.rival = place.with_name(f".{place.stem}.partial-{os.getppid()}{place.suffix}")
         shutil.copy(scene.own_file(), scene.rival)

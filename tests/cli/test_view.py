@@ -8,7 +8,9 @@ import pytest
 
 import polhode.pipeline.run
 from polhode.cli.main import main
+from polhode.errors import RunFailure
 from polhode.optional_parts import part_with
+from polhode.pipeline.live import run_live
 from polhode.pipeline.view.target import is_recording
 from tests.cli.writing_commands import run_of_stored_files
 from tests.conftest import MakeOnce
@@ -94,3 +96,27 @@ def test_a_run_is_complete_though_it_cannot_be_shown(
     printed = capsys.readouterr()
     assert "the run is complete, but it could not be shown: " in printed.out and printed.err == ""
     assert printed.out.splitlines()[-1].endswith("report.html")
+
+
+def test_a_stream_is_recorded_even_if_no_motion_is_found(
+    small_sequence: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*words: object) -> None:
+        raise RunFailure("no consistent motion")
+
+    monkeypatch.setattr(run_live, "fill_run_folder", fails)
+    monkeypatch.setattr(run_live, "warm_up_stream", lambda *words: None)
+    file = tmp_path / "live.rrd"
+    words = [
+        "--live",
+        str(small_sequence),
+        "--rate",
+        "0",
+        "-o",
+        str(tmp_path / "R"),
+        "--view-save",
+        str(file),
+    ]
+    assert main(["run", *words, "--runtime.workers", "1"]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+    assert len(values_of(file, "/N/camera/left", "EncodedImage:blob")) == 6

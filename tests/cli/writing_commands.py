@@ -21,6 +21,7 @@ import polhode.pipeline.after_run.plan
 import polhode.pipeline.after_run.plan_files
 import polhode.pipeline.checkout.checkout
 import polhode.pipeline.run
+import polhode.pipeline.view.show_run
 import polhode.train.run
 from polhode.atomic import write_text
 from polhode.calibration.adjustment import adjust
@@ -36,6 +37,8 @@ from polhode.pipeline.checkout.timing import Stamps
 from polhode.pipeline.report import write_report
 from polhode.pipeline.run import RunResult
 from polhode.pipeline.run_directory.run_folder import atomic_run_folder
+from polhode.pipeline.run_directory.stored_run import StoredMotion
+from polhode.pipeline.view.recorder import Recorder
 from polhode.planning.keep_out.volumes import KeepOutOptions
 from tests.calibration.synthetic_rigs import SIZE, rig, seen_corners
 from tests.pipeline.conftest import Example, write_example
@@ -90,6 +93,7 @@ WRITERS: Mapping[str, Writer] = {
     "export urdf": Writer("export", "u.urdf", "", beside="u_meshes"),
     "predict": Writer("predict", "ahead.csv", ""),
     "report": Writer("report", "page.html", ""),
+    "view": Writer("view", "shown.rrd", "", option="--save"),
 }
 
 
@@ -117,6 +121,7 @@ class Stage:
             "export urdf": [run, "--to", "urdf", "--pieces", "1"],
             "predict": [run, "--horizon", "30"],
             "report": [run],
+            "view": [run],
         }[name]
         return [writer.command, *arguments, writer.option, str(output), *more]
 
@@ -167,6 +172,7 @@ def make_quick(patch: pytest.MonkeyPatch, stage: Stage) -> None:
     patch.setattr(polhode.pipeline.checkout.checkout, "checkout", lambda *_: _checked())
     patch.setattr(polhode.calibration.calibrate, "calibrate", lambda pairs, *_: _calibrated(pairs))
     patch.setattr(polhode.train.run, "require_same_training", lambda *_: None)
+    patch.setattr(polhode.pipeline.view.show_run, "show_stored_run", _one_path)
     once = _Once()
     plan, assess = polhode.pipeline.after_run.plan, polhode.pipeline.after_run.observability.assess
     few = KeepOutOptions(2.0, 0.97, members=100)
@@ -210,6 +216,14 @@ class _Once:
         if name not in self.known:
             self.known[name] = make()
         return self.known[name]
+
+
+def _one_path(
+    run: object, motion: StoredMotion, tracks: object, pictures: object, recorder: Recorder, progress: object
+) -> None:
+    """A recording of one path instead of all frames."""
+    del run, tracks, pictures, progress
+    recorder.log_polhode_path(motion.trajectory.w_P)
 
 
 def _compared(config: Config, folder: Path, *_: object) -> Any:

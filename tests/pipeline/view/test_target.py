@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 
 from polhode.errors import InputError
 from polhode.pipeline.view.rerun_library import require_rerun
@@ -35,19 +36,27 @@ def test_without_a_display_one_line_names_the_file_instead(monkeypatch: pytest.M
     assert require_target(None, window=True) == ViewTarget(None, True)
 
 
+def test_a_name_that_is_not_utf8_is_shown_with_escapes(small_sequence: Path, tmp_path: Path) -> None:
+    folder = small_sequence.rename(tmp_path / os.fsdecode(b"bad\xff"))
+    show_sequence(folder, ViewTarget(tmp_path / "s.rrd", window=False), Silent())
+    assert RrdReader(tmp_path / "s.rrd").recordings()[0].recording_id == "bad\\udcff"
+
+
 def test_a_file_of_the_user_stays(small_sequence: Path, tmp_path: Path) -> None:
-    for name, message in (("notes.txt", "ends in .rrd"), ("notes.rrd", "choose another --view-save")):
+    for name in ("notes.txt", "notes.rrd"):
         (tmp_path / name).write_text("mine")
-        with pytest.raises(InputError, match=message):
+        with pytest.raises(InputError, match=r"was not written by polhode view.*choose another --view-save"):
             require_target(tmp_path / name, False, "--view-save")
         assert (tmp_path / name).read_text() == "mine"
+    with pytest.raises(InputError, match=r"new.txt: give a name that ends in .rrd"):
+        require_target(tmp_path / "new.txt", False)
     own = tmp_path / "own.rrd"
     show_sequence(small_sequence, require_target(own, window=False), Silent())
     assert is_recording(own)
     assert require_target(own, window=False).file == own
     # a recording of another program, of the same format
     (tmp_path / "other.rrd").write_bytes(own.read_bytes().replace(b"polhode", b"another"))
-    with pytest.raises(InputError, match="was not written by polhode view"):
+    with pytest.raises(InputError, match=r"was not written by polhode view"):
         require_target(tmp_path / "other.rrd", window=False)
 
 
