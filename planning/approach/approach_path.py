@@ -30,7 +30,7 @@ class ApproachPath:
 
 
 def towards_centre(motion: BodyMotion, X_NR: Array, end_m: float) -> ApproachPath:
-    """From the camera's last pose X_NR (4, 4) to ``end_m`` from the centre of mass, on a line fixed in N.
+    """From the camera's last pose X_NR (4, 4) to ``end_m`` from the centre of mass, a direction fixed in N.
 
     A camera that is nearer keeps its distance.
     """
