@@ -77,7 +77,7 @@ $(MATCHERS): $(STAMP)
 matchers: $(MATCHERS)
 
 extras: $(STAMP)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[export,import,pandas,solvers,train]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[export,import,pandas,solvers,train,view]'
 
 fusion-peers: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[mapping-peers]'

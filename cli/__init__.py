@@ -4,12 +4,15 @@
 of its own, whose ``execute`` checks them and calls the room that does the work. Heavy imports wait for that
 call, so that ``--help`` is quick.
 
-- main: finds the command, loads its configuration, turns errors into exit codes and one line each
+- main: finds the command, loads its configuration, shows the answer, turns errors into exit codes
+- parsing, help: words to a command; help in groups
+- answer: what a command returns, as text or as JSON
 - options: what several commands have in common
 - overrides: configuration keys given on the command line
-- console: progress bars or plain lines, and warnings
+- console, time_left: progress bars or plain lines, and warnings; how long a run still takes
 - streams: standard output and error that are closed, full, or read by nobody
 - failures: errors that no room has explained, as exit code and one line
+- doctor, machine, self_test, completion: the installation itself
 - simulate, train: make datasets; train the networks of the front end
 - checkout: check a sequence before a run
 - run, evaluate, report, compare: estimate; compare with the truth; show; compare optimizers

@@ -23,9 +23,8 @@ Shell = Literal["bash", "zsh", "fish"]
 class CompletionCommand:
     """Print a script that completes commands, options and values in the shell (docs/command_line.md).
 
-    bash: polhode completion bash > ~/.local/share/bash-completion/completions/polhode. fish: polhode
-    completion fish > ~/.config/fish/completions/polhode.fish. zsh: polhode completion zsh > _polhode in a
-    folder of $fpath.
+    In ~/.bashrc or ~/.zshrc: source <(polhode completion bash), or zsh. In ~/.config/fish/config.fish: source
+    (polhode completion fish | psub).
     """
 
     shell: Annotated[Positional[Shell], arg(metavar="bash|zsh|fish")]

@@ -64,7 +64,7 @@ def class_for_help(name: str, command: type[Command], everything: bool) -> type:
 def _group(title: str, of: type) -> tuple[str, Any, Any]:
     """A field that tyro shows as a group of options, their names without the group's."""
     annotation = Annotated[OmitArgPrefixes[of], arg(name=title)]  # type: ignore[valid-type]
-    return (re.sub(r"\W", "_", title).lower(), annotation, dataclasses.field(kw_only=True))
+    return ("group_" + re.sub(r"\W", "_", title).lower(), annotation, dataclasses.field(kw_only=True))
 
 
 def _restricted(command: type[Command], shown: Sequence[str]) -> type[Command]:

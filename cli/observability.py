@@ -1,6 +1,5 @@
 """``polhode observability``: how well edges determine the pose along a camera trajectory."""
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,6 +81,7 @@ class ObservabilityCommand:
         from polhode.cli.console import choose_progress
         from polhode.pipeline.after_run.observability.assess import CameraOptions, assess, subject_of
         from polhode.pipeline.after_run.observability.files import (
+            NAMES,
             assessment_folder,
             format_assessment,
             write_assessment,
@@ -107,7 +107,12 @@ class ObservabilityCommand:
             f"{', '.join(names)}: {self.output}",
             format_assessment(assessment),
             paths=(self.output, *(self.output / name for name in names)),
-            figures=json.loads((self.output / "observability.json").read_text()),
+            figures={
+                "poses": len(assessment.views),
+                "edges": assessment.subject.model.size,
+                "sigma_px": assessment.sigma_px,
+                "median_sigma": dict(zip(NAMES, np.median(assessment.sigma, axis=0), strict=True)),
+            },
         )
 
     def _check(self) -> None:

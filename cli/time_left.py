@@ -19,7 +19,7 @@ from polhode.foreign_files import MIB, read_text
 
 MAX_LOG_BYTES = 16 * MIB
 MIN_SHARE = 0.03
-"""Of the whole run: before it has passed, nothing is said."""
+"""Of the whole run, since its first stage: before it has passed, nothing is said."""
 _LINE = re.compile(r"^(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}) \w+ (\S+): (.*)$")
 _STAGE = re.compile(r"^(.+): (\d+\.\d) s$")
 
@@ -35,16 +35,17 @@ class StageShare:
 
 
 RUN_SHARES = (
-    StageShare("features", 0.06, 0.19),
-    StageShare("matching frames", 0.19, 0.29),
-    StageShare("first motion", 0.34, 0.49),
-    StageShare("motion and inertia", 0.49, 0.60),
-    StageShare("motion and inertia", 0.60, 0.63),
-    StageShare("fusing depth", 0.63, 0.71),
-    StageShare("checks and pictures", 0.98, 0.98),
-    StageShare("report", 0.98, 1.00),
+    StageShare("features", 0.03, 0.17),
+    StageShare("matching frames", 0.17, 0.25),
+    StageShare("first motion", 0.28, 0.35),
+    StageShare("motion and inertia", 0.35, 0.43),
+    StageShare("motion and inertia", 0.44, 0.48),
+    StageShare("fusing depth", 0.49, 0.65),
+    StageShare("checks and pictures", 0.97, 0.97),
+    StageShare("report", 0.97, 1.00),
 )
-"""Of ``polhode run``, a stage that comes twice standing twice; printed by the command above"""
+"""Of ``polhode run``, a stage that comes twice standing twice; printed by the command above for runs of the
+sample and of ts38"""
 
 
 class TimeLeft:
@@ -53,21 +54,22 @@ class TimeLeft:
     def __init__(
         self, shares: Sequence[StageShare] = RUN_SHARES, now: Callable[[], float] = perf_counter
     ) -> None:
-        self.shares, self._now = shares, now
-        self._start = now()
+        self._shares, self._now = shares, now
+        self._times = [time for share in shares for time in (share.begins, share.ends)]
         self._seen: Counter[str] = Counter()
         self._first: tuple[float, float] | None = None
-        """Share and time [s] at which the first stage began: what a resumed run skips took no time"""
+        """Share and time [s] at which the first stage began: libraries may take long to load before it, and
+        what a resumed run skips takes no time"""
         self._stage: StageShare | None = None
         self.share = 0.0
         """Of the whole that has passed"""
         self._left_s: float | None = None
-        self._as_of = self._start
+        self._as_of = 0.0
 
     def begin(self, title: str) -> None:
         """A stage begins."""
         name = title.partition(" (")[0]
-        known = [share for share in self.shares if share.title == name]
+        known = [share for share in self._shares if share.title == name]
         self._stage = known[min(self._seen[name], len(known) - 1)] if known else None
         self._seen[name] += 1
         self._reach(0.0)
@@ -80,10 +82,9 @@ class TimeLeft:
         """Until the end of the whole; None: not known yet."""
         if self._left_s is None:
             return None
-        at_least = 0.0
-        if self._stage is not None and self.share < 1.0:
-            # what follows this stage, however long the stage itself takes
-            at_least = self._left_s * (1.0 - max(self._stage.ends, self.share)) / (1.0 - self.share)
+        # what follows this stage, or the pause after it, is still to come, however long it takes
+        reached = min((time for time in self._times if time > self.share), default=1.0)
+        at_least = self._left_s * (1.0 - reached) / (1.0 - self.share) if self.share < 1.0 else 0.0
         return max(self._left_s - (self._now() - self._as_of), at_least)
 
     def _reach(self, done: float) -> None:
@@ -92,9 +93,7 @@ class TimeLeft:
         now = self._now()
         share = self._stage.begins + done * (self._stage.ends - self._stage.begins)
         if self._first is None:
-            self._first = (
-                (share, now) if share > MIN_SHARE and now - self._start < 1.0 else (0.0, self._start)
-            )
+            self._first = (share, now)
         # a stage that comes once more than expected does not set the clock back
         self.share = max(self.share, share)
         before, since = self._first

@@ -1,6 +1,10 @@
 """``polhode train``: train a network of the front end."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
 
 from polhode.cli.answer import Answer
 from polhode.cli.console import choose_progress
@@ -20,6 +24,9 @@ class TrainCommand:
 
     config: ConfigFile
     """Configuration with a train section, YAML: configs/train/features.yaml, configs/train/depth.yaml."""
+    output: Annotated[Path | None, arg(aliases=["-o"], metavar="DIR")] = None
+    """Folder of the results, instead of train.output of the configuration. A training that was begun there
+    continues."""
     values: ConfigValues = field(default_factory=lambda: Config(train=Train()))
 
     def execute(self) -> Answer:
@@ -28,16 +35,24 @@ class TrainCommand:
             raise InputError(f"{self.config}: no 'train' section; see configs/train/ for examples")
         from polhode.train.run import train
 
-        trained = train(
-            self.values, self.values.train, choose_progress(), worker_count(self.values.runtime.workers)
-        )
+        values = self._with_output(self.values.train)
+        assert values.train is not None
+        trained = train(values, values.train, choose_progress(), worker_count(values.runtime.workers))
         lines = [f"  {name}: {value:.4g}" for name, value in trained.outcome.scores.items()]
         if not trained.outcome.finished:
-            steps = f"step {trained.outcome.step} of {self.values.train.schedule.steps}"
+            steps = f"step {trained.outcome.step} of {values.train.schedule.steps}"
             lines.append(f"The time limit was reached at {steps}; the same command resumes.")
         return Answer(
             f"Weights: {trained.weights}",
             "\n".join(lines),
             paths=(trained.weights,),
             figures={"finished": trained.outcome.finished, "scores": trained.outcome.scores},
+        )
+
+    def _with_output(self, settings: Train) -> Config:
+        """The configuration with the folder that -o names."""
+        if self.output is None:
+            return self.values
+        return self.values.model_copy(
+            update={"train": settings.model_copy(update={"output": str(self.output)})}
         )

@@ -61,6 +61,11 @@ def part_with(module: str) -> OptionalPart:
     raise KeyError(module)
 
 
+def missing_part(module: str) -> str | None:
+    """What ``missing_message`` says, if the module is missing."""
+    return missing_message(module) if find_spec(module) is None else None
+
+
 def missing_message(module: str) -> str:
     """That a module is not installed, and the command that adds it."""
     part = part_with(module)

@@ -1,5 +1,6 @@
 """The program as a user meets it: exit codes, one line on standard error, help, the last line."""
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,6 +15,7 @@ import polhode.pipeline.run
 from polhode.cli.answer import Answer
 from polhode.cli.evaluate import EvaluateCommand
 from polhode.cli.main import COMMANDS, main
+from polhode.cli.options import groups_of, options_of
 from polhode.cli.overrides import option_names
 from polhode.cli.parsing import squash
 from polhode.config import Config
@@ -312,6 +314,39 @@ def test_help_lists_every_command_and_every_value_with_its_default(capsys: Captu
         text = capsys.readouterr().out
         assert [name for name in option_names() if name not in text and not name.startswith(not_its)] == []
         assert "(default: 1e-06)" in text
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_every_option_in_one_group_and_the_short_one_the_common_ones(
+    command: str, capsys: Capture
+) -> None:
+    options = options_of(COMMANDS[command])
+    groups = groups_of(COMMANDS[command])
+    rare = [f"--{name.replace('_', '-')}" for names in groups.values() for name in names]
+    assert len(set(rare)) == len(rare) and set(rare) <= {option.names[0] for option in options}
+    assert main([command, "--help"]) == 0
+    everything = capsys.readouterr().out
+    assert main([command, "-h"]) == 0
+    short = capsys.readouterr().out
+    for title in (*groups, "general"):
+        assert f"{title} options" in everything
+    for option in options:
+        if not option.is_positional:
+            assert re.search(rf"\W{option.names[0]}\W", everything), option
+            assert bool(re.search(rf"  ?{option.names[0]}[ ,]", short)) == (option.names[0] not in rare), (
+                option
+            )
+    assert (f"polhode {command} --help shows all" in short) == (len(everything) > len(short))
+    assert short.count("\n") < 60
+
+
+def test_the_overview_has_every_command_once_and_its_summary_is_a_sentence(capsys: Capture) -> None:
+    assert main(["--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    named = [line.split()[0] for line in lines if re.match(r"  [a-z]+  ", line)]
+    assert sorted(named) == sorted(COMMANDS)
+    for command in COMMANDS.values():
+        assert (command.__doc__ or "").partition("\n")[0].rstrip().endswith(".")
 
 
 def test_help_of_run_lists_the_stages(capsys: Capture) -> None:

@@ -34,6 +34,7 @@ WORDS: dict[str, list[str]] = {
     "report": ["R", "-o", "F"],
     "view": ["R"],
     "train": ["C"],
+    "view": ["R"],
     "doctor": [],
     "completion": ["bash"],
 }

@@ -84,7 +84,7 @@ WRITERS: Mapping[str, Writer] = {
     "simulate": Writer("simulate", "S", "scene.yaml", overwrite=True),
     "import": Writer("import", "I", "import.json", overwrite=True),
     "compare": Writer("compare", "C", "compare.json"),
-    "train": Writer("train", "T", "scores.json", option="--train.output"),
+    "train": Writer("train", "T", "scores.json"),
     "calibrate": Writer("calibrate", "B", "calibration.json"),
     "checkout": Writer("checkout", "K", "checkout.json"),
     "plan": Writer("plan", "P", "planning.json"),

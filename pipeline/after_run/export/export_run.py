@@ -14,6 +14,7 @@ import numpy as np
 from trimesh.exchange.obj import export_obj
 
 from polhode.errors import InputError
+from polhode.optional_parts import missing_part
 from polhode.pipeline.after_run.export.job import ExportJob, Files, failure_of, open_job
 from polhode.pipeline.after_run.export.json_document import json_document
 from polhode.pipeline.after_run.export.options import (
@@ -155,6 +156,8 @@ def _robot(job: ExportJob) -> Files:
         except ValueError as error:
             job.leave_out(f"collision geometry is left out: {error}")
         else:
+            if options.pieces > 1 and (without := missing_part("vhacdx")):
+                job.leave_out(f"{without}: the collision geometry is the convex hull")
             comments.append(f"{cut.description}; {cut.describe_protrusion()}")
             _log.info("%s", comments[-1])
             if cut.far_share > FAR_SHARE:

@@ -94,7 +94,7 @@ def subject_of(
     if trajectory is None:
         raise InputError(f"{path}: a mesh needs --trajectory FILE, the poses of the camera in its frame")
     if frame != "G":
-        raise InputError("--frame N is for a run, whose target tumbles; a mesh has only its own frame, G")
+        raise InputError("--frame inertial is for a run, whose target tumbles; a mesh has only its own frame")
     model = edge_model(read_mesh(path, unit_m), crease_deg)
     poses = read_poses(trajectory)
     o_G, about = (
@@ -126,7 +126,7 @@ def _of_run(
     R_NG = None
     if trajectory is None:
         if frame != "G":
-            raise InputError("--frame N: give --trajectory FILE with the camera's poses in N")
+            raise InputError("--frame inertial: give --trajectory FILE with the camera's poses in N")
         time_s, X_RG, R_NG = _poses_of_run(run, summary, tracks.X_NR)
     else:
         poses = read_poses(trajectory)
@@ -135,7 +135,7 @@ def _of_run(
             X_RG, R_NG = _poses_of_predicted_target(run, trajectory, poses)
     if sun_N is not None and R_NG is None:
         raise InputError(
-            "--sun is in N, and poses in G do not give the attitude of the target in N: --frame N does"
+            "--sun is in N, and poses in G do not give the attitude of the target in N: --frame inertial does"
         )
     sun_G = None if sun_N is None or R_NG is None else sun_N @ R_NG
     if about_G is not None:
@@ -161,7 +161,7 @@ def _poses_of_predicted_target(run: Path, file: Path, poses: TimedPoses) -> tupl
     """X_RG (k, 4, 4) and R_NG (k, 3, 3) of the predicted target, seen from camera poses in N."""
     if poses.time_s[0] < 0.0:
         raise InputError(
-            f"{file}: with --frame N times are seconds after the run's last pair; one is negative"
+            f"{file}: with --frame inertial times are seconds after the run's last pair; one is negative"
         )
     estimate, _ = final_estimate(run)
     motion = nominal_motion(estimate, poses.time_s)

@@ -245,7 +245,7 @@ def test_wrong_trajectories(content: str, words: str, box: Path, tmp_path: Path,
         (["--height-px", "1"], "--height-px 1: give a number from 16 to 100000"),
         (["--about", "nan", "0", "0"], "--about"),
         (["--focal-px", "0"], "--focal-px"),
-        (["--frame", "N"], "--frame N"),
+        (["--frame", "N"], "--frame inertial is for a run"),
     ],
 )
 def test_wrong_options(options: list[str], words: str, box: Path, tmp_path: Path, capsys: Capture) -> None:

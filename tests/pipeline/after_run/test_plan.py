@@ -11,9 +11,11 @@ from matplotlib.image import imread
 from polhode.cli.main import main
 from polhode.config import Config
 from polhode.output.marked_folder import MARK
+from polhode.pipeline.after_run.observability.assess import read_poses
 from polhode.pipeline.after_run.plan import final_estimate
 from polhode.pipeline.after_run.plan_files import CORRIDOR_COLUMNS
 from polhode.pipeline.run_directory.summary_schema import Intervals
+from polhode.planning.approach.approach_path import POSES
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import Example
 from tests.pipeline.stored_run import write_run
@@ -58,6 +60,8 @@ def test_everything_is_written_and_opens_again(example: Example, tmp_path: Path,
     assert last[0] == 2.0 and np.linalg.norm(last[4:7]) == pytest.approx(1.0)
     assert found["corridor"]["delta_v_m_s"] > 0.0 and found["left_out"] == {}
     assert not any("--dock-point" in words or "runs into" in words for words in found["notes"])
+    assert found["approach"]["looks_at"] == "docking point"
+    assert found["approach"]["distance_m"]["end"] == pytest.approx(0.3)
     for name in ("keepout.png", "surface_speed.png", "corridor.png"):
         picture = imread(out / name)
         assert picture.shape[0] > 400 and len(np.unique(picture[..., :3].reshape(-1, 3), axis=0)) > 500
@@ -105,6 +109,24 @@ def test_without_a_mesh_the_rest_is_given_and_the_reason_said(
         "plan.txt",
         "planning.json",
     ]
+
+
+def test_observability_reads_the_approach(
+    example: Example, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("polhode.pipeline.after_run.plan_files.plan_pictures", lambda *_: {})
+    for name in ("draw_metric", "draw_views", "draw_contributions"):
+        monkeypatch.setattr(f"polhode.pipeline.after_run.observability.pictures.{name}", lambda *_: b"png")
+    run, out = written(example, tmp_path / "run", example.surface), tmp_path / "out"
+    assert main(["plan", str(run), "-o", str(out), *AHEAD]) == 0
+    assert "Approach (plan.txt, frame N): from" in capsys.readouterr().out
+    poses = read_poses(out / "plan.txt")
+    assert (poses.time_s[0], poses.time_s[-1], len(poses.time_s)) == (0.0, 2.0, POSES)
+    np.testing.assert_allclose(poses.X_FR[0, :3, 3], example.tracks.X_NR[-1, :3, 3], atol=1e-9)
+    words = ["--trajectory", str(out / "plan.txt"), "--frame", "inertial"]
+    assert main(["observability", str(run), "-o", str(out), *words]) == 0
+    assert f"Metric of {POSES} poses" in capsys.readouterr().out
+    assert (out / "observability.json").is_file() and (out / "planning.json").is_file()
 
 
 @pytest.mark.parametrize("mesh", [True, False])

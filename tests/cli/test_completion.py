@@ -1,0 +1,96 @@
+"""Completion by the shells themselves: commands, options, values, and file names where nothing else fits."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from time import perf_counter
+
+import pytest
+
+from polhode.cli.completion import completion_script, configuration_options
+from polhode.cli.main import COMMANDS, main
+from polhode.cli.options import options_of
+
+BASH = """
+source ./script
+COMP_WORDS=({words}) COMP_CWORD=$(( ${{#COMP_WORDS[@]}} - 1 ))
+{last}
+_polhode
+printf '%s\\n' "${{COMPREPLY[@]}}"
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("completion")
+    (path / "script").write_text(completion_script("bash", COMMANDS))
+    return path
+
+
+def completed(folder: Path, words: str) -> list[str]:
+    """What bash offers for the last word; a blank at the end: for a new one."""
+    last = "COMP_WORDS+=('') COMP_CWORD=$(( COMP_CWORD + 1 ))" if words.endswith(" ") else ""
+    code = BASH.format(words=words, last=last)
+    done = subprocess.run(["bash", "-c", code], cwd=folder, capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("polhode ", [*COMMANDS, "--help", "--version"]),
+        ("polhode ex", ["export"]),
+        ("polhode run --pat", ["--patience-s"]),
+        ("polhode run --backend.in", ["--backend.inertia"]),
+        ("polhode run --backend.inertia ", ["second_moments", "ratios_axes"]),
+        ("polhode run --json --qu", ["--quiet"]),
+        ("polhode export --to u", ["urdf"]),
+        ("polhode observability R --frame i", ["inertial"]),
+        ("polhode evaluate --backend", []),
+        ("polhode completion f", ["fish"]),
+        # the shell's own file names follow
+        ("polhode run --data sam", []),
+        ("polhode evaluate ", []),
+    ],
+)
+def test_bash_offers(folder: Path, words: str, expected: list[str]) -> None:
+    assert completed(folder, words) == expected
+
+
+def test_a_press_of_tab_is_quick(folder: Path) -> None:
+    start = perf_counter()
+    assert "--backend.solver" in completed(folder, "polhode run --")
+    assert perf_counter() - start < 1.0
+    assert "python" not in (folder / "script").read_text()
+
+
+def test_every_option_of_every_command_is_there() -> None:
+    for shell in ("bash", "fish"):
+        script = completion_script(shell, COMMANDS)
+        for command in COMMANDS.values():
+            for option in (*options_of(command), *configuration_options()):
+                for name in () if option.is_positional else option.names:
+                    spelled = name if shell == "bash" else name.replace("--", "-l ", 1).replace(" -", " -s ")
+                    assert spelled.lstrip("-").split()[-1] in script
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_shell_reads_its_script(shell: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert script.startswith(
+        {"bash": "_polhode()", "zsh": "#compdef polhode", "fish": "complete -c polhode"}[shell]
+    )
+    program = shutil.which(shell)
+    if program is not None:
+        (tmp_path / "script").write_text(script)
+        subprocess.run([program, "-n", "script"], cwd=tmp_path, check=True)
+
+
+def test_an_unknown_shell_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", "tcsh"]) == 2
+    stderr = capsys.readouterr().err
+    assert "bash" in stderr and stderr.count("\n") == 1
+    assert sys.executable

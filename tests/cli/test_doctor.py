@@ -1,0 +1,96 @@
+"""polhode doctor: the installation, the machine, and a self-test of real work."""
+
+import json
+from importlib.metadata import PackageNotFoundError
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from polhode.cli import machine, self_test
+from polhode.cli.main import main
+from polhode.errors import RunFailure
+from polhode.optional_parts import OPTIONAL_PARTS
+from polhode.progress import Silent
+
+Capture = pytest.CaptureFixture[str]
+
+
+def facts(capsys: Capture, *more: str) -> dict[str, Any]:
+    main(["doctor", "--json", "--quiet", *more])
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_the_whole_self_test_passes_here(capsys: Capture) -> None:
+    found = facts(capsys)
+    assert (found["status"], found["exit_code"]) == ("ok", 0)
+    checks = found["figures"]["self_test"]
+    assert [each["name"] for each in checks] == list(self_test.CHECKS)
+    assert all(each["holds"] for each in checks)
+    assert "ipopt solved a simulated tumble" in checks[3]["finding"]
+
+
+def test_it_names_the_machine_and_the_optional_parts(capsys: Capture) -> None:
+    found = facts(capsys, "--skip-test")["figures"]
+    assert found["processors"] >= 1 and found["free_scratch_gib"] > 0.0
+    assert found["memory_gib"] >= found["free_memory_gib"] > 0.0
+    assert [part["extra"] for part in found["optional_parts"]] == [part.extra for part in OPTIONAL_PARTS]
+    assert main(["doctor", "--skip-test"]) == 0
+    text = capsys.readouterr().out
+    assert all(part.purpose in text for part in OPTIONAL_PARTS)
+    assert "Self-test" not in text and text.endswith("doctor: what polhode needs is installed\n")
+
+
+def test_what_is_wrong_is_one_line_and_exit_1(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    def broken() -> str:
+        raise OSError("libtorch.so:\ncannot open shared object file")
+
+    monkeypatch.setattr(self_test, "CHECKS", {"networks": broken, "processes": lambda: "fine"})
+    monkeypatch.setattr(machine, "wrong_packages", lambda: ["numba 0.1 does not meet >=0.60"])
+    assert main(["doctor"]) == 1
+    captured = capsys.readouterr()
+    assert captured.out.endswith("doctor: 2 faults\n") and "ok   processes" in captured.out
+    assert captured.err == (
+        "polhode: error: this installation does not work: numba 0.1 does not meet >=0.60; networks: OSError: "
+        "libtorch.so: cannot open shared object file\n"
+    )
+
+
+def test_packages_that_are_missing_or_old_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def version(name: str) -> str:
+        if name == "b":
+            raise PackageNotFoundError(name)
+        return "1.0"
+
+    wanted = ["a>=2", "b>=1", "c>=1", 'd>=9; extra == "dev"']
+    monkeypatch.setattr(machine, "requires", lambda name: wanted)
+    monkeypatch.setattr(machine, "version", version)
+    assert machine.wrong_packages() == ["a 1.0 does not meet >=2", "b is missing"]
+
+
+def test_the_memory_of_a_container_is_its_limit(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    meminfo, limit = tmp_path / "meminfo", tmp_path / "memory.max"
+    meminfo.write_text("MemTotal:       8388608 kB\nMemAvailable:   6291456 kB\n")
+    monkeypatch.setattr(machine, "MEMINFO", meminfo)
+    monkeypatch.setattr(machine, "CGROUP_LIMITS", (limit,))
+    limit.write_text("max\n")
+    assert machine.memory_gib() == (8.0, 6.0)
+    limit.write_text(f"{4 * 2**30}\n")
+    assert machine.memory_gib() == (4.0, 4.0)
+    monkeypatch.setattr(machine, "MEMINFO", tmp_path / "none")
+    assert machine.memory_gib() == (4.0, None)
+
+
+def test_each_check_can_fail(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def no_motion(*_: object) -> None:
+        raise RunFailure("no motion fits")
+
+    monkeypatch.setattr("polhode.code_cache.code_cache", lambda source: None)
+    monkeypatch.setattr("polhode.frontend.networks.weights.shipped_path", lambda name: tmp_path / "none")
+    monkeypatch.setattr("polhode.simulation.dataset.plan.plan_sequence", no_motion)
+    monkeypatch.setattr("polhode.backend.initialize_motion", no_motion)
+    monkeypatch.setattr("polhode.processes.in_order", lambda work, items, workers: [])
+    checks = self_test.self_test(Silent())
+    assert [each.holds for each in checks] == [False] * len(self_test.CHECKS)
+    assert "NUMBA_CACHE_DIR" in checks[0].finding and "the weights are missing" in checks[1].finding
