@@ -7,7 +7,9 @@
   const NARROW_PX = 600;
   /* Width of a card's drawing on paper [px]: A4 between its margins, at the zoom of the style sheet. */
   const PAPER_PX = { wide: 1034, half: 493 };
-  const CONFIG = { responsive: true, displaylogo: false, displayModeBar: "hover", modeBarButtonsToRemove: ["select2d", "lasso2d"] };
+  const CONFIG = { displaylogo: false, displayModeBar: "hover", modeBarButtonsToRemove: ["select2d", "lasso2d"],
+    /* Not two pixels for one, as the library does: without a graphics processor that is four times the work. */
+    plotGlPixelRatio: Math.min(2, Math.max(1, devicePixelRatio)) };
 
   /* Compressed texts. */
   function bytesOf(base64) {
@@ -39,7 +41,7 @@
   /* Figures. */
   const figures = Array.from(document.querySelectorAll("script.figure"), function (node) {
     const drawing = document.getElementById(node.dataset.target);
-    return { node, drawing, plot: drawing.parentElement, text: null, clock: "", narrow: false, drawn: false, stale: false, near: false, inView: false, moments: [] };
+    return { node, drawing, plot: drawing.parentElement, text: null, clock: "", width: 0, drawn: false, stale: false, near: false, inView: false, moments: [] };
   });
   const isPrinting = { now: false };
   function isDark() {
@@ -51,8 +53,10 @@
     if (isDark()) for (const light in DARK_COLORS) text = text.replaceAll('"' + light, '"' + DARK_COLORS[light]);
     const found = JSON.parse(text), layout = found.layout;
     layout.uirevision = "kept";
-    figure.narrow = !isPrinting.now && figure.plot.clientWidth < NARROW_PX;
-    if (figure.narrow) for (const key in found.narrow) {
+    figure.width = figure.plot.clientWidth || NARROW_PX;
+    layout.autosize = false;
+    layout.width = figure.width;
+    if (!isPrinting.now && figure.width < NARROW_PX) for (const key in found.narrow) {
       const part = found.narrow[key];
       layout[key] = part && typeof part === "object" && !Array.isArray(part) ? Object.assign({}, layout[key], part) : part;
     }
@@ -79,8 +83,12 @@
     figure.stale = false;
     const found = content(figure);
     Plotly.react(figure.drawing, found.data, found.layout, CONFIG);
-    if (!isPrinting.now) Plotly.Plots.resize(figure.drawing);
     placeAll(figure);
+  }
+  /* Drawn in the other scheme, or for another width. */
+  function isOld(figure) {
+    const width = figure.plot.clientWidth;
+    return figure.drawn && (figure.stale || (width > 0 && width !== figure.width));
   }
   let drawing = null;
   function wanted() {
@@ -107,7 +115,7 @@
   async function drawAll() {
     for (const each of figures) each.near = true;
     while (wanted()) await drawNear();
-    for (const each of figures) if (each.stale) redraw(each);
+    for (const each of figures) if (isOld(each)) redraw(each);
   }
   const byNode = new Map(figures.map(function (each) { return [each.plot, each]; }));
   const near = new IntersectionObserver(function (entries) {
@@ -118,7 +126,7 @@
     for (const entry of entries) {
       const figure = byNode.get(entry.target);
       figure.inView = entry.isIntersecting;
-      if (figure.inView && figure.stale) redraw(figure);
+      if (figure.inView && isOld(figure)) redraw(figure);
       else if (figure.inView && figure.drawn) placeAll(figure);
     }
     noteProgress();
@@ -143,7 +151,7 @@
   window.addEventListener("resize", function () {
     clearTimeout(resized);
     resized = setTimeout(function () {
-      for (const each of figures) if (each.drawn && each.narrow !== each.plot.clientWidth < NARROW_PX) refresh(each);
+      for (const each of figures) if (isOld(each)) refresh(each);
     }, 150);
   });
 
