@@ -110,6 +110,8 @@ BENCHMARKS = (
              "runs/ts38 data/ts38", "-o runs/prediction.png"),
     _of_runs("readme_picture", "end_to_end.readme_picture", "README.md", 1,
              "runs/ts38 data/ts38", "-o runs/overview.png"),
+    Benchmark("report_page", "end_to_end.report_page", "docs/report.md", 2, "runs/demo", None,
+              ("runs/demo", "/usr/bin/chromium", "playwright")),
     Benchmark("report_picture", "end_to_end.report_picture", "docs/checks.md", 1,
               "runs/minor_axis -o runs/report_panel.png", None, ("runs/minor_axis", "/usr/bin/chromium")),
     _of_runs("keepout", "planning.keepout", "docs/planning.md", 60, _THREE),

@@ -23,8 +23,8 @@ from polhode.pipeline.report.plot_style import Figure, Trace, axis, layout, line
 from polhode.pipeline.report.template import fill
 
 COLORS = (
-    "#5b3f8c", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#22303c", "#a05195",
-    "#8c564b",
+    "#0072b2", "#d55e00", "#cc79a7", "#22303c", "#56b4e9", "#b8860b", "#5b3f8c", "#8a97a3", "#8c564b",
+    "#a05195",
 )  # fmt: skip
 """Colours of the solvers in their order; the pattern of the line changes after the last one."""
 DASHES = ("solid", "dash", "dot")

@@ -7,4 +7,6 @@ In: configurations of scenes. Out: errors, consistency of covariances, predictio
     photographs        a real object with known motion
     prediction_error   a prediction against what came after it
     readme_picture     the picture of README.md
+    report_page        what a report costs its reader
+    report_picture     a part of a report as a picture
 """

@@ -5,14 +5,18 @@ In: a run directory. Out: report.html.
 - page: fills the template with tables and figures; finish_run writes the summary and the report of a run,
   evaluate_and_report its metrics and the report with them
 - comparison: the page about several runs
+- template: templates, style, script, plotting library and figures inside one file
 - tables: the finding in a sentence, and the rows of every table
+- terms: explanations of symbols and terms, shown where they occur
 - motion_figures: centre of mass, attitude, angular velocity
 - polhode_and_inertia_figures: polhode, inertia ratios, energy and angular momentum
 - convergence_figures: the causal estimate after each frame
 - residual_figures: residuals against their noise, observations per frame and landmark
 - shape_figures: sparse map and surface
 - plot_style: axes, traces and colours that the figures share
-- templates/: the pages, Jinja
+- film: frames of camera beside model; timeline: what the slider moves over
+- embedded_pictures: pictures of the run inside the page
+- templates/: the pages (Jinja), their style (page.css) and script (page.js)
 """
 
 from polhode.pipeline.report.comparison import write_comparison

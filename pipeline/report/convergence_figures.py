@@ -4,10 +4,8 @@ import numpy as np
 
 from polhode.lie import Array, log_so3, transform_points
 from polhode.pipeline.report.plot_style import (
-    ACCENT,
     AXIS_COLORS,
     INK,
-    SECOND,
     Figure,
     Layout,
     Trace,
@@ -27,7 +25,7 @@ STATES = (
     ("attitude", DEG, "deg"),
     ("rate", DEG, "deg/s"),
 )
-RATIO_COLORS = (ACCENT, SECOND)
+RATIO_COLORS = (INK, INK)
 WIDEST = 8.0
 """A panel shows so many final standard deviations around the final value, or half of what was determined."""
 

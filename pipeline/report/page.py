@@ -132,13 +132,15 @@ def render(content: StoredRun) -> str:
         ("Measurements", measurement_figures(content), "The run did not reach measurements."),
         ("Shape", shape_figures(content), "The run has neither a map nor a surface."),
     ]
+    date = data_date(content)
     film = film_frames(content.film)
     line = timeline(content, film)
     return fill(
         "report.html.j2",
         title=content.name,
         name=content.name,
-        data_date=data_date(content),
+        data_date=date,
+        head=f"polhode, run {content.name}, {f'data of {date}' if date else 'data without a date'}",
         finding=tables.finding(summary, motion.trajectory if motion else None),
         summary=summary,
         check_rows=tables.check_rows(summary),

@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+import trimesh
 
 from polhode.lie import Array
 from polhode.pipeline.report.plot_style import (
@@ -138,17 +139,14 @@ def look_at(w_P: Array) -> Array:
 
 
 def _ellipsoid(semi_axes: Array, name: str) -> Trace:
-    polar, azimuth = np.meshgrid(np.linspace(0, np.pi, 25), np.linspace(0, 2 * np.pi, 37), indexing="ij")
-    unit = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)])
-    x, y, z = (packed(unit[k] * semi_axes[k]) for k in range(3))
+    # A mesh, not a trace of type "surface", which takes a browser four times as long.
+    sphere = trimesh.creation.icosphere(subdivisions=3)
     return {
-        "type": "surface",
-        "x": x,
-        "y": y,
-        "z": z,
+        "type": "mesh3d",
+        **{key: packed(column) for key, column in zip("xyz", (sphere.vertices * semi_axes).T, strict=True)},
+        **{key: packed(column, "u2") for key, column in zip("ijk", sphere.faces.T, strict=True)},
+        "color": SHEET,
         "opacity": 0.35,
-        "showscale": False,
-        "colorscale": [[0, SHEET], [1, SHEET]],
         "lighting": {"ambient": 0.75, "diffuse": 0.5, "specular": 0.05},
         "hoverinfo": "skip",
         "name": name,
@@ -157,17 +155,28 @@ def _ellipsoid(semi_axes: Array, name: str) -> Trace:
 
 
 def _wires(semi_axes: Array, name: str) -> Trace:
-    t = np.linspace(0, 2 * np.pi, 49)
-    wires = []
-    for polar in np.linspace(0, np.pi, 9)[1:-1]:
-        wires.append(
-            np.stack([np.sin(polar) * np.cos(t), np.sin(polar) * np.sin(t), np.full_like(t, np.cos(polar))])
-        )
-    for azimuth in np.linspace(0, np.pi, 9)[:-1]:
-        wires.append(np.stack([np.sin(t) * np.cos(azimuth), np.sin(t) * np.sin(azimuth), np.cos(t)]))
-    gap = np.full((3, 1), np.nan)
-    points = np.concatenate([part for wire in wires for part in (wire, gap)], axis=1).T * semi_axes
+    points = _grid_of_sphere() * semi_axes
     return points3d(points, name, mode="lines", line={"color": WIRE, "width": 1.5}, hoverinfo="skip")
+
+
+def _grid_of_sphere(meridians: int = 8, parallels: int = 7, steps: int = 48) -> Array:
+    """Points (n, 3) of one line along all meridians and parallels of the unit sphere, without a gap.
+
+    A gap would be drawn as a point at the origin.
+    """
+    turn = np.linspace(0.0, 2.0 * np.pi, steps + 1)
+    angles = [
+        np.stack([turn, np.full_like(turn, azimuth)]) for azimuth in np.arange(meridians) * np.pi / meridians
+    ]
+    # Down the first meridian, once around at each parallel.
+    levels = np.arange(1, parallels + 1) * np.pi / (parallels + 1)
+    for above, level in zip([0.0, *levels[:-1]], levels, strict=True):
+        down = np.linspace(above, level, 1 + steps // 12)
+        angles.append(np.stack([down, np.zeros_like(down)]))
+        angles.append(np.stack([np.full_like(turn, level), turn]))
+    polar, azimuth = np.concatenate(angles, axis=1)
+    sine = np.sin(polar)
+    return np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(polar)], axis=1)
 
 
 def _ratios(content: StoredRun) -> Figure:

@@ -8,6 +8,7 @@ In: the records of the stages. Out: the files of a run (docs/run_directory.md), 
 - summary: summary.json; summary_schema has its models and generates its JSON Schema
 - intervals_in_words: its intervals as descriptions
 - own_results: digests of the run's files, and whether those in the folder are its own
+- film: the film of camera beside model, and where its panels lie
 - recording: which recording the run was made from
 - archives: covariance.npz, measurements.npz, online.npz
 - trajectory_file, point_cloud_file: trajectory.csv and landmarks.ply

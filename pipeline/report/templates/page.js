@@ -6,8 +6,10 @@
   const DARK_COLORS = JSON.parse(document.getElementById("dark-colors").textContent);
   const NARROW_PX = 600;
   /* Width of a card's drawing on paper [px]: A4 between its margins, at the zoom of the style sheet. */
-  const PAPER_PX = { wide: 926, half: 432 };
-  const CONFIG = { responsive: true, displaylogo: false, displayModeBar: "hover", modeBarButtonsToRemove: ["select2d", "lasso2d"] };
+  const PAPER_PX = { wide: 1034, half: 493 };
+  const CONFIG = { displaylogo: false, displayModeBar: "hover", modeBarButtonsToRemove: ["select2d", "lasso2d"],
+    /* Not two pixels for one, as the library does: without a graphics processor that is four times the work. */
+    plotGlPixelRatio: Math.min(2, Math.max(1, devicePixelRatio)) };
 
   /* Compressed texts. */
   function bytesOf(base64) {
@@ -21,18 +23,25 @@
   }
   let library = null;
   function loadLibrary() {
-    if (!library) library = inflated(document.getElementById("plotly")).then(function (text) {
-      const script = document.createElement("script");
-      script.textContent = text;
-      document.head.append(script);
-    });
+    if (!library) {
+      const start = performance.now();
+      library = inflated(document.getElementById("plotly")).then(function (text) {
+        const script = document.createElement("script"), limit = Error.stackTraceLimit;
+        script.textContent = text;
+        /* The library makes errors as it starts; where in 5 MB they were made nobody asks, and it takes long to find. */
+        Error.stackTraceLimit = 0;
+        document.head.append(script);
+        Error.stackTraceLimit = limit;
+        performance.measure("plotly", { start });
+      });
+    }
     return library;
   }
 
   /* Figures. */
   const figures = Array.from(document.querySelectorAll("script.figure"), function (node) {
     const drawing = document.getElementById(node.dataset.target);
-    return { node, drawing, plot: drawing.parentElement, text: null, clock: "", narrow: false, drawn: false, near: false, inView: false, moments: [] };
+    return { node, drawing, plot: drawing.parentElement, text: null, clock: "", width: 0, drawn: false, stale: false, near: false, inView: false, moments: [] };
   });
   const isPrinting = { now: false };
   function isDark() {
@@ -44,8 +53,10 @@
     if (isDark()) for (const light in DARK_COLORS) text = text.replaceAll('"' + light, '"' + DARK_COLORS[light]);
     const found = JSON.parse(text), layout = found.layout;
     layout.uirevision = "kept";
-    figure.narrow = !isPrinting.now && figure.plot.clientWidth < NARROW_PX;
-    if (figure.narrow) for (const key in found.narrow) {
+    figure.width = figure.plot.clientWidth || NARROW_PX;
+    layout.autosize = false;
+    layout.width = figure.width;
+    if (!isPrinting.now && figure.width < NARROW_PX) for (const key in found.narrow) {
       const part = found.narrow[key];
       layout[key] = part && typeof part === "object" && !Array.isArray(part) ? Object.assign({}, layout[key], part) : part;
     }
@@ -58,19 +69,26 @@
     if (figure.text === null) figure.text = await inflated(figure.node);
     await loadLibrary();
     if (figure.drawn) return;
-    const found = content(figure);
+    const found = content(figure), start = performance.now();
     figure.drawn = true;
     figure.drawing.classList.remove("waiting");
     figure.drawing.textContent = "";
     await Plotly.newPlot(figure.drawing, found.data, found.layout, CONFIG);
     figure.drawing.on("plotly_afterplot", function () { placeMoments(figure); });
     placeAll(figure);
+    performance.measure(figure.drawing.id, { start });
   }
   function redraw(figure) {
     if (!figure.drawn) return;
+    figure.stale = false;
     const found = content(figure);
     Plotly.react(figure.drawing, found.data, found.layout, CONFIG);
-    if (figure.drawing.id === "plot-polhode") movePoint(figure);
+    placeAll(figure);
+  }
+  /* Drawn in the other scheme, or for another width. */
+  function isOld(figure) {
+    const width = figure.plot.clientWidth;
+    return figure.drawn && (figure.stale || (width > 0 && width !== figure.width));
   }
   let drawing = null;
   function wanted() {
@@ -97,6 +115,7 @@
   async function drawAll() {
     for (const each of figures) each.near = true;
     while (wanted()) await drawNear();
+    for (const each of figures) if (isOld(each)) redraw(each);
   }
   const byNode = new Map(figures.map(function (each) { return [each.plot, each]; }));
   const near = new IntersectionObserver(function (entries) {
@@ -107,14 +126,21 @@
     for (const entry of entries) {
       const figure = byNode.get(entry.target);
       figure.inView = entry.isIntersecting;
-      if (figure.inView && figure.drawn) placeAll(figure);
+      if (figure.inView && isOld(figure)) redraw(figure);
+      else if (figure.inView && figure.drawn) placeAll(figure);
     }
+    noteProgress();
     drawNear();
   });
   for (const each of figures) { seen.observe(each.plot); near.observe(each.plot); }
 
   /* Colour scheme: the system's, or what the switch was set to. */
-  function redrawAll() { for (const each of figures) redraw(each); }
+  /* Now where the reader looks, elsewhere when it comes into view. */
+  function refresh(figure) {
+    if (figure.inView) redraw(figure);
+    else figure.stale = figure.drawn;
+  }
+  function redrawAll() { figures.forEach(refresh); }
   dark.addEventListener("change", function () { if (!root.dataset.scheme) redrawAll(); });
   for (const button of document.querySelectorAll(".switch")) button.addEventListener("click", function () {
     root.dataset.scheme = isDark() ? "light" : "dark";
@@ -125,7 +151,7 @@
   window.addEventListener("resize", function () {
     clearTimeout(resized);
     resized = setTimeout(function () {
-      for (const each of figures) if (each.drawn && each.narrow !== each.plot.clientWidth < NARROW_PX) redraw(each);
+      for (const each of figures) if (isOld(each)) refresh(each);
     }, 150);
   });
 
@@ -224,7 +250,7 @@
     folded = Array.from(document.querySelectorAll("details:not([open]):not(.menu)"));
     for (const each of folded) each.open = true;
     isPrinting.now = true;
-    redrawAll();
+    figures.forEach(redraw);
   });
   addEventListener("afterprint", function () {
     isPrinting.now = false;

@@ -1,0 +1,120 @@
+"""What the slider of the page moves: frames of the film, views of the body; and the explanations of terms."""
+
+import base64
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from polhode.config import Config
+from polhode.pipeline.report.film import MAX_BYTES, MAX_FRAMES, film_frames
+from polhode.pipeline.report.page import data_date
+from polhode.pipeline.report.plot_style import panels, stacked
+from polhode.pipeline.report.template import css_text, deflated, inflated
+from polhode.pipeline.report.terms import TERMS, explained
+from polhode.pipeline.report.timeline import camera_views, timeline
+from polhode.pipeline.run_directory.film import StoredFilm, read_film
+from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
+from tests.pipeline.stored_run import write_run
+
+
+def gif(count: int) -> bytes:
+    """Noise, which compresses badly."""
+    random = np.random.default_rng(1)
+    noise = random.integers(0, 256, (count, 303, 732), dtype=np.uint8)
+    pictures = [Image.fromarray(each).convert("P") for each in noise]
+    stream = io.BytesIO()
+    pictures[0].save(stream, "GIF", save_all=True, append_images=pictures[1:])
+    return stream.getvalue()
+
+
+def test_frames_of_the_film_are_those_of_the_table(caplog: pytest.LogCaptureFixture) -> None:
+    # The table has twice as many rows: the GIF shows every second frame.
+    frames = film_frames(StoredFilm(gif(3), (10, 11, 12, 13, 14)))
+    assert [each.frame for each in frames] == [10, 12, 14]
+    with Image.open(io.BytesIO(base64.b64decode(frames[0].uri.partition(",")[2]))) as picture:
+        assert picture.format == "WEBP" and picture.size == (732, 240)
+    assert film_frames(StoredFilm(gif(3), (10, 11))) == [] and "3 pictures" in caplog.text
+    assert film_frames(StoredFilm(b"GIF89a, cut off", (1, 2))) == [] and film_frames(None) == []
+
+
+def test_a_long_film_is_thinned() -> None:
+    content = io.BytesIO()
+    pictures = [Image.new("P", (732, 303), k) for k in range(2 * MAX_FRAMES)]
+    for k, each in enumerate(pictures):
+        each.putpixel((k, 50), 255)
+    pictures[0].save(content, "GIF", save_all=True, append_images=pictures[1:])
+    frames = film_frames(StoredFilm(content.getvalue(), tuple(range(2 * MAX_FRAMES))))
+    assert len(frames) == MAX_FRAMES and (frames[0].frame, frames[-1].frame) == (0, 2 * MAX_FRAMES - 1)
+    assert sum(len(each.uri) for each in frames) < 1.4 * MAX_BYTES
+
+
+def test_a_damaged_film_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    assert read_film(tmp_path) is None and caplog.text == ""
+    (tmp_path / "model.gif").write_bytes(gif(1))
+    (tmp_path / "model.csv").write_text("frame,sunlit\n7,1\n")
+    stored = read_film(tmp_path)
+    assert stored is not None and stored.frames == (7,) and stored.sunlit
+    (tmp_path / "model.csv").write_text("frame\nseven\n")
+    assert read_film(tmp_path) is None and "is damaged and is left out" in caplog.text
+
+
+@pytest.fixture(scope="module")
+def content(example: Any, tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
+    folder = tmp_path_factory.mktemp("timeline") / "run"
+    folder.mkdir()
+    write_run(
+        folder, config=Config(), tracks=example.tracks, estimate=example.estimate, surface=None, timing_s={}
+    )
+    return read_stored_run(folder, "run")
+
+
+def test_views_look_from_the_camera_with_the_image_upright(content: StoredRun, example: Any) -> None:
+    views = camera_views(content)
+    assert views is not None
+    eye, up = views
+    # The camera is at rest at the origin of N: there, it looks along z, and y points down.
+    R_NG = example.estimate.X_NG[:, :3, :3]
+    upright_N = np.tile([0.0, -1.0, 0.0], (24, 1))
+    np.testing.assert_allclose(np.einsum("fij,fj->fi", R_NG, up), upright_N, atol=1e-12)
+    towards_N = -example.estimate.r_N / np.linalg.norm(example.estimate.r_N, axis=1, keepdims=True)
+    np.testing.assert_allclose(np.einsum("fij,fj->fi", R_NG, eye), towards_N, atol=1e-9)
+
+
+def test_each_stop_shows_the_nearest_picture(content: StoredRun) -> None:
+    film = film_frames(StoredFilm(gif(3), (0, 10, 23)))
+    line = timeline(content, film)
+    assert line is not None
+    assert line["picture"] == [0] * 6 + [1] * 11 + [2] * 7
+    assert line["time"][1] == 0.5 and len(line["rate"]) == line["frames"] == 24
+    assert "picture" not in (timeline(content, []) or {"picture": 0})
+
+
+def test_timestamps_from_zero_are_no_date(content: StoredRun) -> None:
+    assert data_date(content) == ""
+
+
+def test_terms_are_explained_where_they_occur_and_only_there() -> None:
+    names = [each.name for each in explained("mesh: chamfer [mm] | RMSE position | k1 = ln(Jxx / Jyy)")]
+    assert names == ["k1", "Jxx, Jyy, Jzz", "RMSE", "chamfer"]
+    assert [each.name for each in explained("position in N | velocity in N")] == ["N"]
+    assert explained("known force [N m], frames, landmarks; GPS, PNG") == []
+    assert len({each.name for each in TERMS}) == len(TERMS)
+
+
+def test_panels_stand_one_below_the_other_on_a_phone() -> None:
+    wide = panels([("a", "b"), ("c", "d")], "time", ("left", "right"))
+    narrow = stacked(wide)
+    tops = [narrow[name]["domain"][1] for name in ("yaxis", "yaxis3", "yaxis2", "yaxis4")]
+    assert tops == sorted(tops, reverse=True), "column by column"
+    assert all(narrow[name]["domain"] == [0, 1] for name in ("xaxis", "xaxis2", "xaxis3", "xaxis4"))
+    assert [each["y"] for each in narrow["annotations"]] == pytest.approx([tops[0], tops[2]])
+    assert stacked(panels([("a",), ("b",)], "time")) == {}
+
+
+def test_texts_survive_the_page() -> None:
+    assert inflated(deflated("σ </script> & more")) == "σ </script> & more"
+    assert css_text('a"b</style>') == "a\\000022b\\00003c\\00002fstyle\\00003e"
