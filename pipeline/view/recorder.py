@@ -240,7 +240,7 @@ class Recorder:
 
     def _log(self, path: str, content: rr.AsComponents, static: bool = False) -> None:
         for stream in self._streams:
-            stream.log(path, content, static=static)
+            stream.log(path, content, static=static, strict=True)
 
 
 def _transform(X_AB: Array) -> rr.Transform3D:

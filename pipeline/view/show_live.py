@@ -35,15 +35,21 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def watching(target: ViewTarget, name: str) -> Iterator[Watch]:
-    """What is called with each pair after its state. When the block ends, all of them are shown.
+    """What is called with each pair after its state. When the block ends, but by an interrupt, all are shown.
 
     name: of the stream. A viewer that cannot show them is no failure of the stream, only a warning.
     """
     viewer = _LiveViewer(target, name)
     try:
         yield viewer
-    finally:
+    except Exception:
+        # what the stream has shown is kept, as what it has found is
         viewer.close()
+        raise
+    except BaseException:
+        viewer.stop()
+        raise
+    viewer.close()
 
 
 class _LiveViewer:
@@ -65,6 +71,10 @@ class _LiveViewer:
             self._surface = pair.request_surface()
         has_images = len(self._waiting) < MAX_WAITING
         self._waiting.append(self._thread.submit(self._show.add, pair, surface, has_images))
+
+    def stop(self) -> None:
+        """Give up what waits, and write nothing."""
+        self._thread.shutdown(cancel_futures=True)
 
     def close(self) -> None:
         """Show what waits, and complete the recording."""
