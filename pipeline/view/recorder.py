@@ -97,6 +97,10 @@ class Recorder:
         mesh = rr.Mesh3D(vertex_positions=vertices_G, vertex_colors=rgb, triangle_indices=faces)
         self._log("N/target/mesh", mesh)
 
+    def remove_surface(self) -> None:
+        """Show no surface from the last frame on that was logged: it was in a frame G that is gone."""
+        self._log("N/target/mesh", rr.Clear(recursive=False))
+
     def log_vertices(self, vertices_G: Array, rgb: NDArray[np.uint8]) -> None:
         """The vertices (V, 3) [m] of a surface of which ``log_faces`` shows more and more."""
         vertices = rr.Mesh3D.from_fields(vertex_positions=vertices_G, vertex_colors=rgb)
@@ -240,7 +244,7 @@ class Recorder:
 
     def _log(self, path: str, content: rr.AsComponents, static: bool = False) -> None:
         for stream in self._streams:
-            stream.log(path, content, static=static)
+            stream.log(path, content, static=static, strict=True)
 
 
 def _transform(X_AB: Array) -> rr.Transform3D:

@@ -8,6 +8,7 @@ import logging
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,15 +36,30 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def watching(target: ViewTarget, name: str) -> Iterator[Watch]:
-    """What is called with each pair after its state. When the block ends, all of them are shown.
+    """What is called with each pair after its state. When the block ends, but by an interrupt, all are shown.
 
     name: of the stream. A viewer that cannot show them is no failure of the stream, only a warning.
     """
     viewer = _LiveViewer(target, name)
     try:
         yield viewer
-    finally:
+    except Exception:
+        # what the stream has shown is kept, as what it has found is
         viewer.close()
+        raise
+    except BaseException:
+        viewer.stop()
+        raise
+    viewer.close()
+
+
+@dataclass(frozen=True)
+class _Requested:
+    """A surface that another process makes."""
+
+    future: "Future[Any]"
+    restarts: int
+    """Frames G before the one that it is in"""
 
 
 class _LiveViewer:
@@ -53,18 +69,30 @@ class _LiveViewer:
         self._show = _PairShow(target, name)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="polhode-view")
         self._waiting: list[Future[None]] = []
-        self._surface: Future[Any] | None = None
+        self._requested: _Requested | None = None
 
     def __call__(self, pair: WatchedPair) -> None:
         """Called by the stream; returns at once."""
         self._waiting = [each for each in self._waiting if not each.done()]
-        surface = self._surface if self._surface is not None and self._surface.done() else None
-        if surface is not None:
-            self._surface = None
-        if self._surface is None and pair.state.number % SURFACE_EVERY == SURFACE_EVERY - 1:
-            self._surface = pair.request_surface()
-        has_images = len(self._waiting) < MAX_WAITING
+        has_images, surface = len(self._waiting) < MAX_WAITING, self._surface_made(pair.state.restarts)
+        if self._requested is None and pair.state.number % SURFACE_EVERY == SURFACE_EVERY - 1:
+            future = pair.request_surface()
+            self._requested = None if future is None else _Requested(future, pair.state.restarts)
         self._waiting.append(self._thread.submit(self._show.add, pair, surface, has_images))
+
+    def _surface_made(self, restarts: int) -> SurfaceModel | None:
+        """The surface that was requested, once it is made, unless it is in a frame G that is gone."""
+        requested = self._requested
+        if requested is None or not requested.future.done():
+            return None
+        self._requested = None
+        failed = requested.future.cancelled() or requested.future.exception() is not None
+        found = None if failed or requested.restarts != restarts else requested.future.result()
+        return found if isinstance(found, SurfaceModel) and len(found.mesh.faces) else None
+
+    def stop(self) -> None:
+        """Give up what waits, and write nothing."""
+        self._thread.shutdown(cancel_futures=True)
 
     def close(self) -> None:
         """Show what waits, and complete the recording."""
@@ -80,9 +108,9 @@ class _PairShow:
         self._recorder: Recorder | None = None
         self._opened = ExitStack()
         self._failed = False
-        self._first_ns = 0
+        self._first_ns, self._restarts = 0, 0
 
-    def add(self, pair: WatchedPair, surface: "Future[Any] | None", has_images: bool) -> None:
+    def add(self, pair: WatchedPair, surface: SurfaceModel | None, has_images: bool) -> None:
         """Show the next pair, and the surface where another process has made it meanwhile."""
         if self._failed:
             return
@@ -90,8 +118,11 @@ class _PairShow:
             recorder = self._recorder or self._open(pair)
             time_s = 1e-9 * (pair.state.timestamp_ns - self._first_ns)
             recorder.log_frame(shown_pair(pair, time_s, has_images))
-            if surface is not None and surface.exception() is None:
-                _log_surface(surface.result(), recorder)
+            if pair.state.restarts != self._restarts:
+                self._restarts = pair.state.restarts
+                recorder.remove_surface()
+            if surface is not None:
+                recorder.log_surface(*coloured(surface, MAX_FACES))
 
     def close(self) -> None:
         """Complete the recording."""
@@ -139,9 +170,3 @@ def shown_pair(pair: WatchedPair, time_s: float, has_images: bool) -> ShownFrame
 def _motion_of(state: LiveState) -> ShownMotion:
     moments = np.array([np.exp(state.k[0]), 1.0, np.exp(-state.k[1])])
     return ShownMotion(state.r_N, state.v_N, state.R_NP, state.w_P, state.covariance, state.X_NG, moments)
-
-
-def _log_surface(surface: SurfaceModel, recorder: Recorder) -> None:
-    if len(surface.mesh.faces):
-        vertices, rgb, faces = coloured(surface, MAX_FACES)
-        recorder.log_surface(vertices, rgb, faces)

@@ -1,5 +1,6 @@
 """A finished run in Rerun; with its sequence, the images too."""
 
+import logging
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from polhode.pipeline.view.mesh_growth import coloured, growth
 from polhode.pipeline.view.recorder import Recorder
 from polhode.pipeline.view.shown_frame import ShownFeatures, ShownFrame, ShownMotion, ShownRatios, ShownRig
 from polhode.pipeline.view.target import ViewTarget
-from polhode.progress import Progress
+from polhode.progress import NOTE, Progress
 from polhode.records import Ints, Landmarks, OnlineEstimate, StereoTracks, SurfaceModel
 
 MAX_FACES = 40_000
@@ -28,6 +29,7 @@ MAX_FACES = 40_000
 MAX_PICTURES = 600
 """Frames that are shown with their images; of a longer sequence every second, third, ... one."""
 
+_log = logging.getLogger(__name__)
 Pictures = Callable[[int], RectifiedPair | None]
 """The rectified pair of a frame; None: it is not shown"""
 
@@ -41,10 +43,13 @@ def show_run(run_folder: Path, sequence_folder: Path | None, target: ViewTarget,
     if run.motion is None or run.tracks is None:
         raise InputError(f"{run_folder}: this run has no motion to show; {run_folder / 'log.txt'} tells why")
     pictures: Pictures = no_pictures
-    if sequence_folder is not None:
+    has_right = False
+    if sequence_folder is None:
+        _log.log(NOTE, "no images are shown: --data SEQ gives the sequence that the run was made from")
+    else:
         sequence = open_sequence(sequence_folder)
         require_recording(run.summary.data, sequence_folder, "give the sequence that the run was made from")
-        pictures = pictures_of(sequence, run.tracks)
+        pictures, has_right = pictures_of(sequence, run.tracks), not sequence.has_ranges
     rig = ShownRig.rectified(run.tracks.rig)
     trajectory, X_NR = run.motion.trajectory, run.tracks.X_NR
     distance_m = float(np.linalg.norm(trajectory.r_N[0] - X_NR[0, :3, 3]))
@@ -52,6 +57,7 @@ def show_run(run_folder: Path, sequence_folder: Path | None, target: ViewTarget,
         Eyes(beside_camera(X_NR[0], distance_m), before_polhode(trajectory.w_P)),
         has_motion=True,
         landmarks_add_up=True,
+        has_right=has_right,
     )
     with target.opened(run_folder.resolve().name, rig, blueprint) as recorder:
         show_stored_run(run, run.motion, run.tracks, pictures, recorder, progress)

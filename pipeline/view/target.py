@@ -17,7 +17,7 @@ from typing import IO
 import rerun as rr
 import rerun.blueprint as rrb
 
-from polhode.atomic import replaced
+from polhode.atomic import write_bytes
 from polhode.errors import InputError, printable
 from polhode.output.single_file import make_parent, output_file
 from polhode.pipeline.view.recorder import Recorder
@@ -45,7 +45,7 @@ class ViewTarget:
 
     @contextmanager
     def opened(self, name: str, rig: ShownRig, blueprint: rrb.Blueprint) -> Iterator[Recorder]:
-        """A recorder; when the block ends the file is complete, and the window has everything.
+        """A recorder; when the block succeeds, the file is complete and the window has everything.
 
         name: of what is shown. Raises InputError where the window does not open, RunFailure where the file
         cannot be written.
@@ -84,18 +84,14 @@ def is_recording(path: Path) -> bool:
 
 @contextmanager
 def _to_file(place: Path, name: str, blueprint: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
-    """A stream whose content becomes the file when the block ends, even if by an error."""
+    """A stream whose content becomes the file when the block succeeds."""
     stream = _stream(name)
     content = stream.binary_stream()
     stream.send_blueprint(blueprint)
-    try:
-        yield stream
-    finally:
-        data = content.read(flush=True)
-        stream.disconnect()
-        if data is not None:
-            with replaced(place) as partial:
-                partial.write_bytes(data)
+    yield stream
+    data = content.read(flush=True) or b""
+    stream.disconnect()
+    write_bytes(place, data)
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 import sys
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -77,7 +78,8 @@ def test_a_finished_run_is_recorded_after_it_is_written(
     run: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(polhode.pipeline.run, "run", partial(run_of_stored_files, run))
-    monkeypatch.setattr("polhode.pipeline.view.show_run.open_sequence", lambda folder: None)
+    none = SimpleNamespace(has_ranges=False)
+    monkeypatch.setattr("polhode.pipeline.view.show_run.open_sequence", lambda folder: none)
     monkeypatch.setattr("polhode.pipeline.view.show_run.pictures_of", lambda *_: lambda k: None)
     folder, file = tmp_path / "R", tmp_path / "R.rrd"
     words = ["run", "--data", "none", "-o", str(folder), "--view-save", str(file)]

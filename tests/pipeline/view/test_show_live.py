@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,38 @@ def test_the_surface_is_shown_once_it_is_made(
     faces = values_of(file, "/N/target/mesh", "Mesh3D:triangle_indices")
     assert {k: len(each) for k, each in faces.items()} == {6: len(example.surface.mesh.faces)}
     assert len(made) == 3, "asked for at pairs 3, 7 and 11"
+
+
+def test_a_surface_of_a_frame_g_that_is_gone_is_removed_and_not_shown(
+    example: Example, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "SURFACE_EVERY", 1)
+    file = tmp_path / "live.rrd"
+
+    def request() -> Future[Any]:
+        made: Future[Any] = Future()
+        made.set_result(example.surface)
+        return made
+
+    with watching(ViewTarget(file, window=False), "live") as watch:
+        for k in range(6):
+            pair = watched(example, k, request)
+            watch(replace(pair, state=replace(pair.state, restarts=int(k >= 4))))
+    assert list(values_of(file, "/N/target/mesh", "Mesh3D:triangle_indices")) == [1, 2, 3, 5]
+    assert list(values_of(file, "/N/target/mesh", "Clear:is_recursive")) == [4]
+
+
+def test_an_interrupted_stream_leaves_no_recording(example: Example, tmp_path: Path) -> None:
+    file = tmp_path / "live.rrd"
+
+    def interrupted() -> None:
+        with watching(ViewTarget(file, window=False), "live") as watch:
+            watch(watched(example, 0))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_viewer_that_fails_is_one_warning_and_the_stream_goes_on(
