@@ -68,9 +68,9 @@ def day_of(benchmark: Benchmark, root: Path) -> str:
 
 
 def record_name(benchmark: Benchmark) -> str:
-    """Name of the file of the record: that of the module, with two exceptions."""
+    """Name of the file of the record: that of the module, with one exception."""
     module = benchmark.module.rpartition(".")[2]
-    return {"disturbances": "pushes", "recorded_flights": "flights"}.get(module, module)
+    return {"disturbances": "pushes"}.get(module, module)
 
 
 def _last_time(record: Path) -> str:

@@ -1,0 +1,233 @@
+"""The formulas of docs/derivations.md, each against the code or a computation of another kind."""
+
+import re
+
+import numpy as np
+import pytest
+import sympy
+from scipy.integrate import solve_ivp
+
+from polhode.backend.dynamics.process_noise import rotation_covariance_scaled, translation_covariance
+from polhode.backend.problem.inertia import (
+    FORMS,
+    inertia_from_second_moments,
+    principal_axes,
+    second_moments_from_inertia,
+    unit_determinant,
+)
+from polhode.backend.solvers.robust_kernel import kernel_curvature, robust_cost, robust_weight
+from polhode.camera import RectifiedRig
+from polhode.lie import Array, exp_so3, hat, log_so3, right_jacobian_so3
+from polhode.rigid_body import angular_acceleration, angular_momentum_N, propagate, rotational_energy
+from tests.docs.page_code import ROOT
+
+J = np.array([[1.3, 0.1, -0.05], [0.1, 1.0, 0.08], [-0.05, 0.08, 0.8]])
+W = np.array([0.3, 0.9, -0.4])
+
+
+def moved(J_A: Array, w: Array, times: Array) -> tuple[Array, Array]:
+    """Attitudes (n, 3, 3) and rates (n, 3) of free motion from rest at the origin."""
+    _, _, R, rates = propagate(times, np.zeros(3), np.zeros(3), np.eye(3), w, J_A)
+    return R, rates
+
+
+def test_every_section_names_its_test() -> None:
+    page = (ROOT / "docs" / "derivations.md").read_text()
+    sections = re.split(r"^## ", page, flags=re.MULTILINE)[1:]
+    named = [re.findall(r"Test: `(test_\w+)`", section) for section in sections]
+    assert [len(each) for each in named] == [1] * len(sections)
+    own = [name for name in globals() if re.match(r"test_d\d", name)]
+    assert [each[0] for each in named] == own
+    assert [section.split()[0].lower() for section in sections] == [name.split("_")[1] for name in own]
+
+
+def test_d1_right_jacobian() -> None:
+    theta, delta = np.array([0.4, -1.1, 0.7]), 1e-6 * np.array([1.0, 2.0, -0.5])
+    phi, H = float(np.linalg.norm(theta)), hat(theta)
+    stated = np.eye(3) - (1 - np.cos(phi)) / phi**2 * H + (phi - np.sin(phi)) / phi**3 * H @ H
+    np.testing.assert_allclose(right_jacobian_so3(theta), stated, atol=1e-14)
+    found = log_so3(exp_so3(theta).T @ exp_so3(theta + delta))
+    np.testing.assert_allclose(found, stated @ delta, rtol=1e-5)
+
+
+def test_d2_energy_and_momentum() -> None:
+    R, w = moved(J, W, np.linspace(0.0, 20.0, 9))
+    np.testing.assert_allclose(rotational_energy(J, w), 0.5 * W @ J @ W, rtol=1e-9)
+    np.testing.assert_allclose(angular_momentum_N(J, R, w), np.tile(J @ W, (9, 1)), atol=1e-9)
+    np.testing.assert_allclose(np.einsum("ni,ij,nj->n", w, J @ J, w), W @ J @ J @ W, rtol=1e-9)
+    assert np.ptp(w, axis=0).min() > 0.01  # it does move
+
+
+def test_d3_scale() -> None:
+    np.testing.assert_allclose(angular_acceleration(7.0 * J, W), angular_acceleration(J, W), atol=1e-14)
+    torque = np.array([0.1, 0.0, 0.0])
+    with_torque = angular_acceleration(J, W, torque), angular_acceleration(7.0 * J, W, torque)
+    assert np.abs(with_torque[0] - with_torque[1]).max() > 0.01
+
+
+def test_d4_triangle_inequality() -> None:
+    random = np.random.default_rng(1)
+    points = random.normal(size=(50, 3)) * [1.0, 0.6, 0.1]
+    points -= points.mean(axis=0)
+    second = points.T @ points
+    by_integral = sum(np.dot(p, p) * np.eye(3) - np.outer(p, p) for p in points)
+    np.testing.assert_allclose(inertia_from_second_moments(second), by_integral, atol=1e-10)
+    np.testing.assert_allclose(0.5 * np.trace(by_integral) * np.eye(3) - by_integral, second, atol=1e-10)
+    np.testing.assert_allclose(
+        second_moments_from_inertia(by_integral, floor=0.0), unit_determinant(second), rtol=1e-9
+    )
+    for _ in range(200):
+        moments = np.sort(random.uniform(0.05, 1.0, 3))[::-1]
+        k1, k2 = np.log(moments[:2] / moments[1:])
+        possible = bool((0.5 * moments.sum() - moments > 0.0).all())
+        assert possible == (k1 < np.log1p(np.exp(-k2)))
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_d5_parametrisations(name: str) -> None:
+    form, R_ref = FORMS[name], exp_so3([0.3, -0.2, 0.5]) if name == "ratios_axes" else np.eye(3)
+    xi = np.array([0.4, -0.3, 0.2, -0.5, 0.1])
+    second = form.second_moments(xi, R_ref)
+    assert np.linalg.det(second) == pytest.approx(1.0)
+    assert np.linalg.eigvalsh(second)[0] > 0.0
+    step = 1e-6 * np.eye(5)
+    differences = [
+        (form.second_moments(xi + h, R_ref) - form.second_moments(xi - h, R_ref)) / 2e-6 for h in step
+    ]
+    np.testing.assert_allclose(form.derivative(xi, R_ref), differences, atol=1e-8)
+    back, R_back = form.coordinates(3.0 * second)
+    np.testing.assert_allclose(form.second_moments(back, R_back), second, atol=1e-12)
+
+
+def test_d6_depth() -> None:
+    rig = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480, disparity_offset_px=3.0)
+    p_R = np.array([0.1, -0.05, 0.7])
+    uvd = rig.project(p_R)
+    np.testing.assert_allclose(rig.triangulate(uvd), p_R, atol=1e-12)
+    stated = p_R[2] ** 2 / (467.0 * 0.09)
+    assert -rig.triangulation_jacobian(p_R)[2, 2] == pytest.approx(stated)
+    shifted = rig.triangulate(uvd + np.array([0.0, 0.0, 1e-4]))
+    assert (p_R - shifted)[2] == pytest.approx(stated * 1e-4, rel=1e-5)
+
+
+def test_d7_robust_kernel() -> None:
+    c, h = 3.0, 1e-5
+    for s in (0.1, 1.0, 4.0):
+        slope = (robust_cost(np.array([s + h]), c) - robust_cost(np.array([s - h]), c)) / (2.0 * h)
+        weight = float(robust_weight(np.array([s]), c)[0])
+        assert weight == pytest.approx(2.0 * slope, rel=1e-6) == pytest.approx(1.0 / (1.0 + s / c**2))
+        # whole while the limit does not act: the exact second derivative of the cost in the residual
+        kappa = float(kernel_curvature(np.array([s]), c)[0])
+        assert 2.0 * kappa - kappa**2 * s == pytest.approx(min(2.0 * weight / c**2, 0.6 / s), rel=1e-6)
+    e, B = np.array([0.6, -0.3, 0.5]), sympy.symbols("x y z")
+    cost = sympy.Rational(9, 2) * sympy.log(1 + sum(x**2 for x in B) / 9)
+    exact = np.array(sympy.hessian(cost, B).subs(dict(zip(B, e, strict=True))), dtype=float)
+    squared = np.array([e @ e])
+    kappa, weight = float(kernel_curvature(squared, c)[0]), float(robust_weight(squared, c)[0])
+    root = np.eye(3) - kappa * np.outer(e, e)
+    np.testing.assert_allclose(weight * root.T @ root, exact, atol=1e-9)
+
+
+def test_d8_white_acceleration() -> None:
+    t, tau = sympy.symbols("t tau", positive=True)
+    impulse = sympy.Matrix([t - tau, 1])
+    integral = (impulse * impulse.T).applyfunc(lambda each: sympy.integrate(each, (tau, 0, t)))
+    expected = np.array(integral.subs(t, 1.7), dtype=float)
+    np.testing.assert_allclose(translation_covariance(np.array([1.7]), 2.0)[0], 2.0 * expected)
+    # the prediction: r + t v of a start with covariance P, and noise
+    P = np.array([[4.0, 0.5], [0.5, 0.3]])
+    F = np.array([[1.0, 1.7], [0.0, 1.0]])
+    stated = P[0, 0] + 1.7 * 2.0 * P[0, 1] + 1.7**2 * P[1, 1] + 2.0 * 1.7**3 / 3.0
+    assert (F @ P @ F.T + 2.0 * expected)[0, 0] == pytest.approx(stated)
+
+
+def test_d9_white_torque() -> None:
+    middle = np.linalg.eigvalsh(J)[1]
+    J1, S, t = J / middle, 0.3, 0.8
+    cov, scale = rotation_covariance_scaled(W[None], J, np.array([t]), S)
+    found = cov[0] * np.outer(scale[0], scale[0])
+    B = np.vstack([np.zeros((3, 3)), np.linalg.inv(J1)])
+
+    def rate(_: float, y: Array) -> Array:
+        w, L = y[:3], y[3:].reshape(6, 6)
+        A = np.zeros((6, 6))
+        A[:3, :3], A[:3, 3:] = -hat(w), np.eye(3)
+        A[3:, 3:] = np.linalg.solve(J1, hat(J1 @ w) - hat(w) @ J1)
+        change = A @ L + L @ A.T + S * B @ B.T
+        return np.concatenate([angular_acceleration(J1, w), change.ravel()])
+
+    solution = solve_ivp(rate, (0.0, t), np.concatenate([W, np.zeros(36)]), rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(found, solution.y[3:, -1].reshape(6, 6), rtol=1e-5, atol=1e-8)
+    cov, scale = rotation_covariance_scaled(np.zeros((1, 3)), J, np.array([t]), S)
+    at_rest = cov[0] * np.outer(scale[0], scale[0])
+    inverse_square = np.linalg.inv(J1 @ J1)
+    np.testing.assert_allclose(at_rest[:3, :3], S * inverse_square * t**3 / 3.0, rtol=1e-6)
+    np.testing.assert_allclose(at_rest[:3, 3:], S * inverse_square * t**2 / 2.0, rtol=1e-6)
+    np.testing.assert_allclose(at_rest[3:, 3:], S * inverse_square * t, rtol=1e-6)
+
+
+def test_d10_schur_complement() -> None:
+    random = np.random.default_rng(2)
+    root = random.normal(size=(7, 5))
+    information, g = root.T @ root, random.normal(size=5)
+    A, E, C = information[:2, :2], information[:2, 2:], information[2:, 2:]
+    reduced = A - E @ np.linalg.solve(C, E.T)
+    np.testing.assert_allclose(np.linalg.inv(reduced), np.linalg.inv(information)[:2, :2], rtol=1e-9)
+    x = np.linalg.solve(reduced, g[:2] - E @ np.linalg.solve(C, g[2:]))
+    np.testing.assert_allclose(x, np.linalg.solve(information, g)[:2], rtol=1e-9)
+
+
+def test_d11_axes_and_ratios() -> None:
+    random = np.random.default_rng(3)
+    dJ = random.normal(size=(3, 3))
+    dJ = 1e-6 * (dJ + dJ.T)
+    moments, R = principal_axes(J)
+    after, R_after = principal_axes(J + dJ)
+    x, y, z = np.linalg.eigvalsh(J)[::-1]
+    M = R.T @ dJ @ R
+    found = np.diff(np.log(moments)) * -1.0, np.diff(np.log(after)) * -1.0
+    stated = np.array([M[0, 0] / x - M[1, 1] / y, M[1, 1] / y - M[2, 2] / z])
+    np.testing.assert_allclose(found[1] - found[0], stated, rtol=1e-4)
+    turn = np.array([M[2, 1] / (y - z), -M[0, 2] / (x - z), M[1, 0] / (x - y)])
+    np.testing.assert_allclose(log_so3(R.T @ R_after), turn, rtol=1e-4)
+
+
+def test_d12_sandwich() -> None:
+    random = np.random.default_rng(4)
+    design, root = random.normal(size=(6, 2)), random.normal(size=(6, 6))
+    noise = root @ root.T
+    H = design.T @ design
+    S = design.T @ noise @ design
+    estimator = np.linalg.solve(H, design.T)
+    np.testing.assert_allclose(
+        estimator @ noise @ estimator.T, np.linalg.inv(H) @ S @ np.linalg.inv(H), rtol=1e-9
+    )
+    np.testing.assert_allclose(design.T @ np.eye(6) @ design, H)
+
+
+def test_d13_pure_spin() -> None:
+    times, spin = np.linspace(0.0, 10.0, 6), np.array([0.0, 0.0, 0.7])
+    one, other = np.diag([1.3, 1.0, 0.8]), np.diag([0.6, 1.0, 0.9])
+    R, w = moved(one, spin, times)
+    R_other, w_other = moved(other, spin, times)
+    np.testing.assert_allclose(R, R_other, atol=1e-9)
+    np.testing.assert_allclose(w, w_other, atol=1e-9)
+    # the centre of mass shifted along the axis: the same poses of G, again on a straight line
+    com, shift = np.array([0.1, 0.2, -0.1]), np.array([0.0, 0.0, 0.05])
+    r = np.outer(times, [0.01, 0.0, 0.02])
+    p_NG = r - R @ com
+    r_other = p_NG + R @ (com + shift)
+    np.testing.assert_allclose(np.diff(r_other, axis=0), np.diff(r, axis=0), atol=1e-9)
+
+
+@pytest.mark.parametrize("moments", [(0.8, 1.0, 1.3), (1.3, 1.0, 0.8)])
+def test_d14_nutation(moments: tuple[float, float, float]) -> None:
+    b, c, a = moments
+    omega = 0.7
+    Omega = omega * np.sqrt((a - b) * (a - c) / (b * c))
+    _, w = moved(
+        np.diag(moments), np.array([1e-4, 0.0, omega]), np.array([0.0, np.pi / 2 / Omega, np.pi / Omega])
+    )
+    amplitude_b, amplitude_c = w[0, 0], abs(w[1, 1])
+    assert abs(w[1, 0]) < 1e-3 * amplitude_b and w[2, 0] == pytest.approx(-amplitude_b, rel=1e-4)
+    assert amplitude_b / amplitude_c == pytest.approx(np.sqrt(c * (a - c) / (b * (a - b))), rel=1e-4)
