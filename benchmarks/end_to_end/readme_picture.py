@@ -8,6 +8,7 @@ Right: the path of the angular velocity on the ellipsoid of equal energy; fine l
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -30,6 +31,7 @@ from polhode.pipeline.report.polhode_and_inertia_figures import look_at, torque_
 from polhode.pipeline.report.shape_figures import stretched, vertex_rgb
 from polhode.pipeline.report.tables import finding
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun, read_stored_run
+from polhode.records import Bools
 
 SIDE_PX, GAP_PX, CAPTION_PX, FINE = 520, 18, 64, 2
 """Panel, space, text below; panels are drawn FINE times larger and shrunk, which smooths every edge."""
@@ -147,10 +149,12 @@ def _pixels(p_N: Array, content: StoredRun, k: int, crop: Crop, zoom: float) -> 
     return np.asarray(np.round((uv - [crop.u0, crop.v0] + 0.5) * zoom - 0.5), dtype=np.int64)
 
 
-def surface_panel(content: StoredRun, k: int, rig: RectifiedRig, crop: Crop) -> Picture:
+def surface_panel(
+    content: StoredRun, k: int, rig: RectifiedRig, crop: Crop, side: int = FINE * SIDE_PX
+) -> Picture:
     """The mesh in its colours, lit a little from the camera, by one ray per fine pixel."""
     assert content.motion is not None and content.tracks is not None and content.surface is not None
-    mesh, side = content.surface.mesh, FINE * SIDE_PX
+    mesh = content.surface.mesh
     X_GR = inverse_pose(content.motion.X_NG[k]) @ content.tracks.X_NR[k]
     place = (np.arange(side) + 0.5) * crop.width_px / side - 0.5
     u, v = np.meshgrid(crop.u0 + place, crop.v0 + place)
@@ -173,13 +177,36 @@ def surface_panel(content: StoredRun, k: int, rig: RectifiedRig, crop: Crop) -> 
     return canvas.reshape(side, side, 3)
 
 
-def _polhode(motion: StoredMotion) -> Picture:
-    """The energy ellipsoid with lines of constant angular momentum, and the path of the run on it."""
-    path, moments = motion.trajectory, motion.moments
-    energy = 0.5 * float(np.mean(np.sum(path.w_P**2 * moments, axis=1)))
+@dataclass(frozen=True)
+class EllipsoidPicture:
+    """The ellipsoid of equal energy, and how points of the body are drawn on it."""
+
+    picture: Picture
+    semi: Array
+    """(3,) half axes [rad/s]"""
+    R_VP: Array
+    """(3, 3) axes of the view: to the right, up, to the eye"""
+    scale: float
+    """Fine pixels for 1 rad/s"""
+
+    def project(self, w_P: Array) -> tuple[NDArray[np.int64], Bools]:
+        """Fine pixels (n, 2) of angular velocities (n, 3), and whether they are on the near side."""
+        on_surface = w_P / np.sqrt(np.sum((w_P / self.semi) ** 2, axis=1, keepdims=True))
+        in_front = (on_surface / self.semi**2) @ self.R_VP[2] > 0.0
+        return _on_paper(on_surface, self.R_VP, self.scale, len(self.picture)), in_front
+
+
+def energy_ellipsoid(
+    w_P: Array, moments: Array, eye_P: Array, side: int = FINE * SIDE_PX
+) -> EllipsoidPicture:
+    """With lines of constant angular momentum and the axes that face the eye.
+
+    w_P (F, 3) [rad/s] gives the energy; moments (3,); eye_P (3,) is the direction from which it is
+    seen; side: of the picture [px].
+    """
+    energy = 0.5 * float(np.mean(np.sum(w_P**2 * moments, axis=1)))
     semi = np.sqrt(2.0 * energy / moments)
-    R_VP = _view(look_at(path.w_P))
-    side = FINE * SIDE_PX
+    R_VP = _view(eye_P)
     scale = 0.40 * side / float(semi.max())
     canvas = _ellipsoid(semi, moments, R_VP, scale, side)
     for k, name in enumerate("xyz"):
@@ -190,14 +217,21 @@ def _polhode(motion: StoredMotion) -> Picture:
                 continue
             cv2.line(canvas, ends[0].tolist(), ends[1].tolist(), SOFT, 2 * FINE - 1, cv2.LINE_AA)
             _letter(canvas, f"{'-' if sign < 0 else ''}{name}", ends[1])
-    dense = torque_free_path(path.time_s, path.w_P, moments)
-    dense = dense / np.sqrt(np.sum((dense / semi) ** 2, axis=1, keepdims=True))
-    colors = _time_colors(np.linspace(0.0, 1.0, len(dense) - 1))
-    depth, places = (dense @ R_VP.T)[:, 2], _on_paper(dense, R_VP, scale, side)
-    for a, b, z, color in zip(places[:-1].tolist(), places[1:].tolist(), depth[:-1], colors, strict=True):
+    return EllipsoidPicture(canvas, semi, R_VP, scale)
+
+
+def _polhode(motion: StoredMotion) -> Picture:
+    """The energy ellipsoid with lines of constant angular momentum, and the path of the run on it."""
+    path = motion.trajectory
+    ellipsoid = energy_ellipsoid(path.w_P, motion.moments, look_at(path.w_P))
+    places, in_front = ellipsoid.project(torque_free_path(path.time_s, path.w_P, motion.moments))
+    colors, canvas = _time_colors(np.linspace(0.0, 1.0, len(places) - 1)), ellipsoid.picture.copy()
+    for a, b, near, color in zip(
+        places[:-1].tolist(), places[1:].tolist(), in_front[:-1].tolist(), colors, strict=True
+    ):
         behind = 0.3 * np.array(color) + 0.7 * np.array((86, 84, 110))
-        shade = color if z > 0 else behind.astype(int).tolist()
-        cv2.line(canvas, a, b, shade, (5 if z > 0 else 2) * FINE, cv2.LINE_AA)
+        shade = color if near else behind.astype(int).tolist()
+        cv2.line(canvas, a, b, shade, (5 if near else 2) * FINE, cv2.LINE_AA)
     return canvas
 
 

@@ -1,8 +1,8 @@
 """A part of a run's report, as a browser shows it, for the documentation.
 
-    python -m benchmarks.end_to_end.report_picture RUN --rows 0 1700 [--width 1200] -o PNG
+    python -m benchmarks.end_to_end.report_picture RUN --rows 0 1700 [--columns 240 1200] -o PNG
 
-Chromium renders the page without a window; the rows of pixels are those of the page from its top.
+Chromium renders the page without a window; rows and columns are pixels of the page from its upper left.
 """
 
 import shutil
@@ -16,6 +16,8 @@ from tyro.conf import Positional, arg
 
 from benchmarks.command import command
 
+BELOW_PX = 100
+"""More of the page than is shown: a bar at the lower edge of the window is cut away"""
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 
@@ -24,9 +26,13 @@ def main(
     output: Annotated[Path, arg(aliases=["-o"], metavar="PNG", help="The picture.")],
     rows: Annotated[tuple[int, int], arg(help="First and last row of the page [px].")] = (0, 1700),
     width: Annotated[int, arg(help="Of the page [px].")] = 1200,
+    columns: Annotated[
+        tuple[int, int] | None, arg(help="First and last column; all of them unless given.")
+    ] = None,
 ) -> None:
     """Write the picture."""
     page, browser = run / "report.html", next(filter(None, map(shutil.which, BROWSERS)), None)
+    left, right = columns or (0, width)
     if not page.is_file():
         raise SystemExit(f"{page}: no such report")
     if browser is None:
@@ -35,10 +41,11 @@ def main(
         whole = Path(folder) / "page.png"
         words = [browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
         # the plots are drawn by the page's own scripts
-        words += ["--virtual-time-budget=20000", f"--window-size={width},{rows[1]}", f"--screenshot={whole}"]
+        words += ["--virtual-time-budget=20000", f"--screenshot={whole}"]
+        words += [f"--window-size={width},{rows[1] + BELOW_PX}"]
         subprocess.run([*words, page.resolve().as_uri()], check=True, capture_output=True)
         with Image.open(whole) as image:
-            part = image.convert("RGB").crop((0, rows[0], width, rows[1]))
+            part = image.convert("RGB").crop((left, rows[0], right, rows[1]))
         output.parent.mkdir(parents=True, exist_ok=True)
         part.quantize(128).save(output, optimize=True)
     print(output)

@@ -24,6 +24,9 @@ def test_rows_of_the_page_are_cut_out(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(subprocess, "run", browser)
     monkeypatch.setattr(shutil, "which", lambda _: "/bin/browser")
     report_picture.main(tmp_path, tmp_path / "deep" / "part.png", rows=(20, 60), width=30)
+    report_picture.main(tmp_path, tmp_path / "narrow.png", rows=(20, 60), width=30, columns=(10, 28))
+    with Image.open(tmp_path / "narrow.png") as image:
+        assert image.size == (18, 40)
     with Image.open(tmp_path / "deep" / "part.png") as image:
         found = np.asarray(image.convert("L"))
     assert found.shape == (40, 30) and abs(int(found[0, 0]) - 20) < 4 and abs(int(found[-1, 0]) - 59) < 4
