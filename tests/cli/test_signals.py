@@ -34,7 +34,6 @@ WORDS: dict[str, list[str]] = {
     "report": ["R", "-o", "F"],
     "view": ["R"],
     "train": ["C"],
-    "view": ["R"],
     "doctor": [],
     "completion": ["bash"],
 }
