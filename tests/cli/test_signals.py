@@ -33,7 +33,6 @@ WORDS: dict[str, list[str]] = {
     "export": ["R", "--to", "stl", "-o", "F"],
     "report": ["R", "-o", "F"],
     "train": ["C"],
-    "view": ["R"],
     "doctor": [],
     "completion": ["bash"],
 }
