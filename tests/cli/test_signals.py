@@ -32,6 +32,7 @@ WORDS: dict[str, list[str]] = {
     "observability": ["R", "-o", "D"],
     "export": ["R", "--to", "stl", "-o", "F"],
     "report": ["R", "-o", "F"],
+    "view": ["R"],
     "train": ["C"],
     "doctor": [],
     "completion": ["bash"],
