@@ -51,7 +51,10 @@ def class_for_help(name: str, command: type[Command], everything: bool) -> type:
     if everything:
         parts = [*(_group(title, _restricted(command, names)) for title, names in groups.items()), *parts]
         if values is not None:
-            parts.append(("values", ConfigValues, dataclasses.field(default_factory=values.default_factory)))
+            # under another name, as a field of the command would keep its place before the groups
+            parts.append(
+                ("configuration", ConfigValues, dataclasses.field(default_factory=values.default_factory))
+            )
     bases = (_restricted(command, common),)
     made = dataclasses.make_dataclass(name, parts, bases=bases, frozen=True, kw_only=True)
     made.__doc__ = inspect.cleandoc(command.__doc__ or "")

@@ -15,7 +15,7 @@ import polhode.pipeline.run
 from polhode.cli.answer import Answer
 from polhode.cli.evaluate import EvaluateCommand
 from polhode.cli.main import COMMANDS, main
-from polhode.cli.options import groups_of, options_of
+from polhode.cli.options import groups_of, is_configured, options_of
 from polhode.cli.overrides import option_names
 from polhode.cli.parsing import squash
 from polhode.config import Config
@@ -328,8 +328,11 @@ def test_help_has_every_option_in_one_group_and_the_short_one_the_common_ones(
     everything = capsys.readouterr().out
     assert main([command, "-h"]) == 0
     short = capsys.readouterr().out
-    for title in (*groups, "general"):
-        assert f"{title} options" in everything
+    titles = [f"{title} options" for title in (*groups, "general")]
+    if is_configured(COMMANDS[command]):
+        titles.append("backend options")
+    places = [everything.index(title) for title in titles]
+    assert places == sorted(places)
     for option in options:
         if not option.is_positional:
             assert re.search(rf"\W{option.names[0]}\W", everything), option
