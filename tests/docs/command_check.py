@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import tyro
 
+from polhode.cli.answer import Answer
 from polhode.cli.main import COMMANDS, main
 from tests.docs.page_code import ROOT
 
@@ -38,7 +39,7 @@ def _check_polhode(words: list[str], patch: pytest.MonkeyPatch) -> None:
     assert words[0] in (*COMMANDS, "--version", "--help"), f"polhode {words[0]}: no such command"
     if len(words) > 1 and words[0] in COMMANDS:
         for command in COMMANDS.values():
-            patch.setattr(command, "execute", lambda self: 0)
+            patch.setattr(command, "execute", lambda self: Answer("done"))
         stderr = io.StringIO()
         with contextlib.redirect_stderr(stderr), contextlib.redirect_stdout(io.StringIO()):
             code = main(words)
