@@ -66,7 +66,7 @@ class Recorder:
         """Number of the frame and place in the image of the last observations of each landmark"""
         self._last: dict[str, Array] = {}
         self._target_shown = False
-        self._enlarged: int | None = None
+        self._enlarged = 1
         self._size_m = 0.0
         self._log_rig(rig.plane_m)
         self._log_styles()
@@ -187,9 +187,9 @@ class Recorder:
             return
         values, vectors = np.linalg.eigh(covariance)
         half_m = N_SIGMA * np.sqrt(np.maximum(values, 0.0))
-        if self._enlarged is None:
-            most = ELLIPSOID_SHARE * distance_m / max(float(half_m.max()), 1e-12 * distance_m)
-            self._enlarged = 10 ** int(np.clip(np.floor(np.log10(max(most, 1.0))), 0, 6))
+        most = ELLIPSOID_SHARE * distance_m / max(float(half_m.max()), 1e-12 * distance_m)
+        # a stream knows the position better and better: the factor only grows, so that it seldom changes
+        self._enlarged = max(self._enlarged, 10 ** int(np.clip(np.floor(np.log10(max(most, 1.0))), 0, 6)))
         # eigenvectors may be a reflection, which no rotation is
         R = vectors * np.sign(np.linalg.det(vectors))
         times = f" ×{self._enlarged}" if self._enlarged > 1 else ""
