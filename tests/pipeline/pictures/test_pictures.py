@@ -145,9 +145,10 @@ def test_the_body_casts_its_shadow_on_itself(run: Any) -> None:
     side = np.array([0.0, 0.0, -1.0])  # of G; the camera looks at it in frame 0, where G is upright in N
     plate = trimesh.creation.box((0.05, 0.05, 0.004))
     plate.apply_translation(0.16 * side)
-    body = trimesh.util.concatenate([box, plate])
-    grey = np.full((len(body.vertices), 1), 200, dtype=np.uint8)
-    body.visual.vertex_colors = np.hstack([grey, grey, grey, np.full_like(grey, 255)])
+    corners = np.vstack([box.vertices, plate.vertices])
+    faces = np.vstack([box.faces, plate.faces + len(box.vertices)])
+    grey = np.tile(np.array([200, 200, 200, 255], dtype=np.uint8), (len(corners), 1))
+    body = trimesh.Trimesh(corners, faces, vertex_colors=grey, process=False)
     given = (run.sequence, run.rectifier, run.tracks, run.estimate, body, MeshViewer(body), [0])
     # From beside the camera, so that the shadow lies beside the plate.
     sun_N = np.array([-0.5, 0.0, -1.0]) / np.linalg.norm([-0.5, 0.0, -1.0])
