@@ -2,7 +2,7 @@
 
 import contextlib
 import io
-from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -33,11 +33,38 @@ def sequence(make_once: MakeOnce, rendered_sequence: Path) -> Path:
     return make_once("docs_sequence", lambda folder: small_sequence(rendered_sequence, folder))
 
 
+@dataclass(frozen=True)
+class StoredRuns:
+    """Runs of the shared sequence, each made when it is first asked for."""
+
+    sequence: Path
+    make_once: MakeOnce
+
+    def plain(self) -> Path:
+        """That of all pairs at once, with the default configuration."""
+        return self._made("docs_run", ["--data", str(self.sequence)])
+
+    def live(self) -> Path:
+        """That of the pairs one at a time."""
+        return self._made("docs_live", ["--live", str(self.sequence), "--rate", "0"])
+
+    def of(self, words: list[str]) -> Path | None:
+        """The one that a command makes; None: it makes another one."""
+        match [word for word in words if word not in ("configs/default.yaml", "--resume")]:
+            case ["run", "--data", data, "-o", _] if Path(data).resolve() == self.sequence.resolve():
+                return self.plain()
+            case ["run", "--live", *_]:
+                return self.live()
+        return None
+
+    def _made(self, name: str, words: list[str]) -> Path:
+        def fill(folder: Path) -> None:
+            succeed(["run", *words, "-o", str(folder), *QUICK_RUN])
+
+        return self.make_once(name, fill)
+
+
 @pytest.fixture(scope="session")
-def stored_run(make_once: MakeOnce, sequence: Path) -> Callable[[], Path]:
-    """A run of that sequence; it is made when it is asked for."""
-
-    def fill(folder: Path) -> None:
-        succeed(["run", "--data", str(sequence), "-o", str(folder), *QUICK_RUN])
-
-    return lambda: make_once("docs_run", fill)
+def runs(make_once: MakeOnce, sequence: Path) -> StoredRuns:
+    """Runs of that sequence."""
+    return StoredRuns(sequence, make_once)

@@ -1,19 +1,19 @@
 """Every command of every page is run, in the order of the page, or, where the page says why not, checked.
 
-The commands run on small data (``world``), some with further options that make them quick (``QUICK``).
+The commands run on small data (``world``), some with further options that make them quick (``QUICK``). A run
+that several pages show is made once; where it is shown again, its options are checked and it is copied.
 Commands in running text are checked: their options exist, and so does what they name in the repository.
 """
 
 import runpy
 import shutil
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from tests.docs.command_check import check, check_mention
-from tests.docs.conftest import QUICK_RUN, succeed
+from tests.docs.conftest import QUICK_RUN, StoredRuns, succeed
 from tests.docs.page_code import LEFT_OUT, PAGES, PROGRAMS, Fence, commands_in_text, fences, words_of
 from tests.docs.world import provide
 
@@ -25,7 +25,7 @@ QUICK_SIMULATION = (
 )
 QUICK = {
     "plan": ("--horizon", "2", "--members", "100", "--confidence", "0.97"),
-    "export": ("--pieces", "4", "--horizon", "4"),
+    "export": ("--pieces", "1", "--horizon", "4"),
 }
 """Options that are appended to a command, by its name"""
 LANGUAGES = ("sh", "python", "text", "yaml", "json", "xml", "cpp", "")
@@ -67,7 +67,7 @@ def test_commands_in_the_text_could_be_run(page: str, monkeypatch: pytest.Monkey
     "page", [page for page in PAGES if page not in OWN_TESTS and any(map(is_run, fences(page)))]
 )
 def test_the_page_runs_from_top_to_bottom(
-    page: str, sequence: Path, stored_run: Callable[[], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: str, runs: StoredRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs").mkdir()
@@ -76,42 +76,42 @@ def test_the_page_runs_from_top_to_bottom(
             continue
         if fence.language == "sh":
             for command in fence.commands():
-                run_command(words_of(command), sequence, stored_run, monkeypatch)
+                run_command(words_of(command), runs, monkeypatch)
         elif fence.language == "python":
             run_code(fence, tmp_path)
 
 
-def run_command(
-    words: list[str], sequence: Path, stored_run: Callable[[], Path], patch: pytest.MonkeyPatch
-) -> None:
+def run_command(words: list[str], runs: StoredRuns, patch: pytest.MonkeyPatch) -> None:
     """Provide what the command reads, then run it in this process."""
     for before, word in zip(["", *words], words, strict=False):
         if before not in ("-o", "--output"):
-            provide(word, Path.cwd(), sequence, stored_run)
+            provide(word, Path.cwd(), runs.sequence, runs.plain)
     if words[0] == "polhode":
-        run_polhode(words[1:], sequence, stored_run)
+        run_polhode(words[1:], runs, patch)
     elif words[0] == "python":
         run_python(words[1:], patch)
     else:
         raise AssertionError(f"{' '.join(words)}: give a title that begins with {LEFT_OUT!r}")
 
 
-def run_polhode(words: list[str], sequence: Path, stored_run: Callable[[], Path]) -> None:
-    """Run it; the run with the default configuration, which several pages show, only once for all of them."""
-    plain = [word for word in words if word != "configs/default.yaml"]
-    match plain:
-        case ["run", "--data", data, "-o", output] if Path(data).resolve() == sequence.resolve():
-            shutil.copytree(stored_run(), output)
-        case ["run", *options]:
-            succeed(["run", *QUICK_RUN, *options])
-        case ["simulate", *_]:
-            succeed([*words, *QUICK_SIMULATION])
-            # a run needs more than two small pairs
-            simulated = Path(words[words.index("-o") + 1])
-            shutil.rmtree(simulated)
-            simulated.symlink_to(sequence)
-        case _:
-            succeed([*words, *QUICK.get(words[0], ())])
+def run_polhode(words: list[str], runs: StoredRuns, patch: pytest.MonkeyPatch) -> None:
+    """Run it; what several pages show on the same pairs (``StoredRuns``) is run only once for all of them."""
+    stored = runs.of(words)
+    if stored is not None:
+        check(["polhode", *words], patch)
+        shutil.copytree(stored, words[words.index("-o") + 1], dirs_exist_ok=True)
+    elif words[0] == "run":
+        succeed(["run", *QUICK_RUN, *words[1:]])
+    elif words[0] == "simulate":
+        succeed([*words, *QUICK_SIMULATION])
+        # a run needs more than two small pairs
+        simulated = Path(words[words.index("-o") + 1])
+        shutil.rmtree(simulated)
+        simulated.symlink_to(runs.sequence)
+    else:
+        succeed([*words, *QUICK.get(words[0], ())])
+    if "-o" in words:
+        assert Path(words[words.index("-o") + 1]).exists(), " ".join(words)
 
 
 def run_python(words: list[str], patch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,8 @@ from tests.calibration.rendered_rigs import board_pose
 from tests.docs.page_code import ROOT
 
 FRAMES = 8
-BOARD_VIEWS = 9
+BOARD_VIEWS = 7
+CAD_FACES = 500
 POSES = "".join(f"{time} 0.0 0.0 {-0.9 + 0.02 * time} 0 0 0 1\n" for time in range(4))
 """A trajectory, TUM format: towards the origin of G along z."""
 
@@ -91,14 +92,17 @@ def _half_of_the_boards(side: str) -> Callable[[Path, Path], None]:
 
 
 def _cad_model(place: Path, sequence: Path) -> None:
-    """Another program's model of the body, in millimetres and a frame of its own."""
-    mesh = trimesh.load(sequence / "mav0" / "target0" / "mesh.ply")
+    """Another program's model of the body, in millimetres."""
+    mesh = trimesh.load_mesh(sequence / "mav0" / "target0" / "mesh.ply")
+    mesh = mesh.simplify_quadric_decimation(face_count=CAD_FACES)
     mesh.apply_scale(1000.0)
     mesh.export(place)
 
 
 def _model(place: Path, sequence: Path) -> None:
-    shutil.copy(sequence / "mav0" / "target0" / "mesh.ply", place)
+    """Some mesh, in metres."""
+    del sequence
+    trimesh.creation.box((0.3, 0.2, 0.1)).export(place)
 
 
 def _body(place: Path, sequence: Path) -> None:
