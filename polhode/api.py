@@ -25,7 +25,7 @@ from polhode.lie import Array
 from polhode.pipeline.after_run.export.export_run import export_run
 from polhode.pipeline.after_run.export.options import ExportOptions
 from polhode.pipeline.after_run.observability.assess import Assessment, CameraOptions, assess, subject_of
-from polhode.pipeline.after_run.plan import final_estimate, plan_run, surface_of
+from polhode.pipeline.after_run.plan import final_estimate, keep_out_of_run, surface_of
 from polhode.pipeline.after_run.predict import predict_instants
 from polhode.pipeline.evaluation import Metrics
 from polhode.pipeline.report import evaluate_and_report
@@ -38,7 +38,7 @@ from polhode.pipeline.run_directory.archives import (
     read_residuals,
     undetermined_as_inf,
 )
-from polhode.pipeline.run_directory.data_frames import TableName, columns_of
+from polhode.pipeline.run_directory.data_frames import TableName, columns_of, kept_landmarks
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.run_card import card_html, card_text
 from polhode.pipeline.run_directory.run_folder import REPORT, require_run_folder
@@ -54,7 +54,7 @@ from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions
 from polhode.planning.prediction import PredictedMotion, nominal_motion
 from polhode.processes import start_server, worker_count
 from polhode.progress import Progress, Silent
-from polhode.records import Landmarks, RelativePoses, StereoTracks, SurfaceModel
+from polhode.records import Ints, Landmarks, RelativePoses, StereoTracks, SurfaceModel
 from polhode.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -275,6 +275,14 @@ class Run:
         return read_landmarks(self.folder / "landmarks.ply")
 
     @cached_property
+    def landmark_numbers(self) -> Ints:
+        """(L,) the number of each landmark of the map in ``measurements.landmark``, ascending.
+
+        A landmark with outliers only is in the measurements, but not in the map. Raises InputError.
+        """
+        return kept_landmarks(self.folder)
+
+    @cached_property
     def surface(self) -> SurfaceModel:
         """The dense mesh in G, with the standard deviation of each vertex. Raises InputError: none."""
         return surface_of(self.folder)
@@ -324,12 +332,8 @@ class Run:
 
         Raises InputError: no mesh, no estimate, or too few members for the confidence.
         """
-        plan = plan_run(
-            self.folder, KeepOutOptions(horizon_s, confidence, members=members, cover=cover), None
-        )
-        if plan.keep_out is None:
-            raise InputError(plan.left_out["keepout"])
-        return plan.keep_out
+        options = KeepOutOptions(horizon_s, confidence, members=members, cover=cover)
+        return keep_out_of_run(self.folder, options)
 
     def points_velocity(self, p_G: ArrayLike, time_s: float = 0.0) -> Array:
         """Velocity (n, 3) in N [m/s] of points (n, 3) of the target in G, seconds after the last pair."""

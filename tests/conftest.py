@@ -101,6 +101,17 @@ def rendered_sequence(make_once: MakeOnce) -> Path:
     return make_once("rendered", lambda folder: simulate(found, 3, folder, Silent(), 1, False))
 
 
+@pytest.fixture(scope="session")
+def finished(rendered_sequence: Path, make_once: MakeOnce) -> Path:
+    """The directory of a run of the rendered sequence with the default configuration."""
+    from polhode.config import Config
+    from polhode.pipeline.run import run
+    from polhode.progress import Silent
+
+    config = Config.model_validate({"runtime": {"workers": 1}})
+    return make_once("finished", lambda folder: run(config, rendered_sequence, folder, Silent()))
+
+
 @pytest.fixture
 def small_sequence(tmp_path: Path) -> Path:
     """Six pairs of 64x48 px: a bright random patch before black sky with sensor noise."""

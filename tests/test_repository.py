@@ -92,7 +92,10 @@ def test_every_import_is_a_declared_dependency() -> None:
 def test_every_declared_dependency_has_a_tested_version() -> None:
     groups = project()["project"]
     extras = groups["optional-dependencies"]
-    installed = ("dev", "peers", "solvers", "export", "formats", "sbom", "import", "view", "docs")
+    installed = (
+        *("dev", "peers", "solvers", "export", "formats", "sbom", "import", "view", "docs", "browser"),
+        "notebook",
+    )
     wanted = groups["dependencies"] + [each for name in installed for each in extras[name]]
     declared = {normalised(each) for each in wanted}
     lines = (ROOT / "constraints.txt").read_text().splitlines()

@@ -3,9 +3,11 @@
 import contextlib
 import io
 import os
+import re
 from unittest.mock import patch
 
 from polhode.cli.main import COMMANDS, CONFIGURED, main
+from polhode.config import Config
 
 WIDTH = 96
 """Columns of the help"""
@@ -42,12 +44,18 @@ def help_of(command: str) -> str:
 
 
 def _own_help(text: str, configured: bool) -> str:
-    """The help without the options of the configuration, which follow those of the command."""
+    """The help without the options of the configuration."""
     if not configured:
         return text
-    lines = text.splitlines()
-    first = next(n for n, line in enumerate(lines) if line.lstrip().startswith("--seed "))
-    return "\n".join(lines[:first]).rstrip()
+    groups = re.split(r"\n(?= \S[^\n]*\n -{9})", text)
+    own = [group for group in groups if _section_of(group) not in Config.model_fields]
+    # that of no section stands among the options of the command, at their end
+    return "\n\n".join(group.partition("\n  --seed ")[0].rstrip() for group in own)
+
+
+def _section_of(group: str) -> str:
+    """The section of the configuration that a group of options has in its title, if it is one."""
+    return group.split()[0].partition(".")[0].replace("-", "_")
 
 
 def _first_sentence(command: type) -> str:

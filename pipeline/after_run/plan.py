@@ -82,10 +82,8 @@ def surface_of(run: Path) -> SurfaceModel:
 
 def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Plan:
     """All parts that the run allows; the others are named with the reason."""
-    if not 0.5 <= options.confidence <= 0.999:
-        raise InputError(f"--confidence {options.confidence:g}: give a share from 0.5 to 0.999")
     estimate, summary = final_estimate(run)
-    require_horizon(options.horizon_s, float(np.linalg.norm(estimate.last.w_G)))
+    _require_options(options, estimate)
     left_out: dict[str, str] = {}
     notes = [*summary.warnings[:1]] if summary.status == "failed" else []
     if hidden := undetermined_names(summary):
@@ -101,10 +99,7 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
         left_out["keepout"] = left_out["surface_speed"] = str(error)
     doubts = [] if docking is None else _check_docking(docking, surface, run)
     if surface is not None:
-        try:
-            found = keep_out(surface, estimate, options)
-        except ValueError as error:
-            raise InputError(f"--members {options.members}: {error}") from None
+        found = _keep_out(surface, estimate, options)
         notes += _describe_coverage(found, summary)
         mesh = surface.mesh
         speed = surface_speed(
@@ -146,6 +141,26 @@ def _approach(
         raise InputError("no surface, whose size decides how near the camera may come, and no --dock-point")
     farthest_m = np.linalg.norm(found.body.points_G - estimate.com_G, axis=1).max()
     return towards_centre(motion, X_NR, APPROACH_RADII * float(farthest_m + found.instant.margin_m().max()))
+
+
+def keep_out_of_run(run: Path, options: KeepOutOptions) -> KeepOut:
+    """The keep-out volume alone. Raises InputError: no estimate, no mesh, or options that do not fit."""
+    estimate, _ = final_estimate(run)
+    _require_options(options, estimate)
+    return _keep_out(surface_of(run), estimate, options)
+
+
+def _require_options(options: KeepOutOptions, estimate: FinalEstimate) -> None:
+    if not 0.5 <= options.confidence <= 0.999:
+        raise InputError(f"--confidence {options.confidence:g}: give a share from 0.5 to 0.999")
+    require_horizon(options.horizon_s, float(np.linalg.norm(estimate.last.w_G)))
+
+
+def _keep_out(surface: SurfaceModel, estimate: FinalEstimate, options: KeepOutOptions) -> KeepOut:
+    try:
+        return keep_out(surface, estimate, options)
+    except ValueError as error:
+        raise InputError(f"--members {options.members}: {error}") from None
 
 
 def _check_docking(docking: Docking, surface: SurfaceModel | None, run: Path) -> list[str]:

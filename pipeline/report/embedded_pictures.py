@@ -13,7 +13,7 @@ from polhode.pipeline.run_directory.stored_run import StoredPicture
 SHEETS = ("landmarks.png", "mesh.png")
 """Pictures over the full width of the page; the files in RUN/pictures are sharper."""
 MASKS = "masks.jpg"
-SHEET_WIDTH_PX, SHEET_QUALITY, QUALITY = 1240, 52, 50
+SHEET_WIDTH_PX, SHEET_QUALITY, QUALITY = 1160, 45, 42
 
 
 def embedded(picture: StoredPicture) -> tuple[str, str]:

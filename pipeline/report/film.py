@@ -14,7 +14,7 @@ from polhode.pipeline.run_directory.film import GAP_PX, GIF_SCALE, HEAD_PX, PANE
 _log = logging.getLogger(__name__)
 
 MAX_FRAMES = 30
-MAX_BYTES = 200_000
+MAX_BYTES = 180_000
 """Of all frames together: a tenth of the page."""
 QUALITIES = (55, 42, 30, 18)
 """Of WebP: the first one with which the frames are small enough, else the last one."""

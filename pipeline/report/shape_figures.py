@@ -23,7 +23,7 @@ from polhode.pipeline.report.plot_style import (
 from polhode.pipeline.run_directory.stored_run import StoredRun
 from polhode.records import Ints, Landmarks
 
-MAX_FACES = 16_000
+MAX_FACES = 14_000
 """A denser mesh is thinned for the page; mesh.ply keeps everything."""
 
 

@@ -16,11 +16,12 @@ from polhode.pipeline.run_directory.archives import REMEDY, read_measurements, r
 from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import TRAJECTORY_COLUMNS, read_trajectory
+from polhode.records import Ints
 
 TableName = Literal["trajectory", "online", "landmarks", "observations", "checks"]
 """trajectory, online: a row for each pair, the columns of trajectory.csv. landmarks: a row for each landmark,
-its position in G [m]. observations: a row for each measurement of a landmark, with its residual. checks: a
-row for each check of the verdict."""
+its position in G [m]. observations: a row for each measurement, with its residual; the column ``landmark``
+joins it with the landmarks. checks: a row for each check of the verdict."""
 Columns = dict[str, NDArray[Any] | Sequence[Any]]
 UVD = ("u_px", "v_px", "disparity_px")
 
@@ -52,9 +53,30 @@ def _states(file: Path) -> Columns:
 
 
 def _landmarks(folder: Path) -> Columns:
-    found = read_landmarks(folder)
+    found, numbers = read_landmarks(folder), kept_landmarks(folder)
     position = dict(zip("xyz", found.p_G.T, strict=True))
-    return {**position, "sigma_m": found.sigma_m, "observations": found.observations}
+    return {"landmark": numbers, **position, "sigma_m": found.sigma_m, "observations": found.observations}
+
+
+def kept_landmarks(folder: Path) -> Ints:
+    """(L,) the number that each landmark of landmarks.ply has in measurements.npz, ascending.
+
+    A landmark of whose observations all are outliers is not in the map.
+
+    Raises:
+        InputError: the run has no estimate, or another map than the one that it wrote.
+    """
+    tracks, residuals = read_measurements(folder), read_residuals(folder)
+    count = len(read_landmarks(folder).p_G)
+    if residuals is None:
+        raise InputError(f"{folder}: this run failed before it had an estimate")
+    kept = np.unique(tracks.landmark[residuals.inlier_weight > 0.0])
+    if len(kept) != count:
+        raise InputError(
+            f"{folder / 'landmarks.ply'} has {count} points, but {len(kept)} landmarks of measurements.npz "
+            f"were kept: it is not the map of this run; {REMEDY}"
+        )
+    return kept
 
 
 def _observations(folder: Path) -> Columns:

@@ -22,13 +22,13 @@ ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PROGRAM = ".venv/bin/polhode"
 SHORTER = {
-    "run": LIGHT,
+    "run": (*LIGHT, "--frontend.features.second", "None"),
     "simulate": (
         *("--scene.frames", "3", "--scene.truth-horizon-s", "0", "--scene.render.samples", "1"),
         *("--scene.rig.width-px", "96", "--scene.rig.height-px", "72", "--scene.rig.focal-px", "90"),
     ),
     "compare": ("--compare.solvers", "gauss_newton"),
-    "plan": ("--members", "50"),
+    "plan": ("--members", "226"),
 }
 """By subcommand: options that change how long a line takes, not what it does."""
 

@@ -14,7 +14,6 @@ import trimesh
 from polhode.camera import RectifiedRig
 from polhode.config import Config
 from polhode.lie import inverse_pose, make_pose, transform_points
-from polhode.pipeline.run import run
 from polhode.progress import Silent
 from polhode.records import (
     Identifiability,
@@ -101,13 +100,6 @@ def make_example() -> Example:
     eye = np.tile(np.eye(4), (N_FRAMES - 1, 1, 1))
     i = np.arange(N_FRAMES - 1, dtype=np.int64)
     return Example(tracks, RelativePoses(i, i + 1, eye, np.full(N_FRAMES - 1, 20)), estimate, surface)
-
-
-@pytest.fixture(scope="session")
-def finished(rendered_sequence: Path, make_once: MakeOnce) -> Path:
-    """The directory of a run of the rendered sequence with the default configuration."""
-    config = Config.model_validate({"runtime": {"workers": 1}})
-    return make_once("finished", lambda folder: run(config, rendered_sequence, folder, Silent()))
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,5 @@
 """The library: a finished run as an object, and what its functions share with the command line."""
 
-import re
-import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -15,11 +13,13 @@ from polhode.api import configuration
 from polhode.cli.main import main
 from polhode.config import Config
 from polhode.errors import InputError, RunFailure
-from polhode.lie import transform_points
+from polhode.lie import inverse_pose, transform_points
 from polhode.pipeline.after_run.predict import predict_run
 from polhode.pipeline.run_directory.archives import write_measurements
+from polhode.pipeline.run_directory.point_cloud_file import write_landmarks
 from polhode.pipeline.run_directory.run_card import card_html
 from polhode.pipeline.run_directory.summary_schema import Verdict
+from polhode.records import Landmarks
 from tests.pipeline.conftest import Example, write_example
 
 
@@ -124,6 +124,8 @@ def test_tables_have_the_numbers_of_the_records(stored: polhode.Run) -> None:
     )
     np.testing.assert_array_equal(landmarks[["x", "y", "z"]], stored.landmarks.p_G)
     assert landmarks["observations"].sum() == len(observations)
+    seen = observations.groupby("landmark").size()
+    np.testing.assert_array_equal(landmarks.set_index("landmark")["observations"], seen)
     np.testing.assert_array_equal(observations[["u_px", "v_px", "disparity_px"]], stored.measurements.uvd_px)
     np.testing.assert_array_equal(
         observations[["residual_u_px", "residual_v_px", "residual_disparity_px"]],
@@ -147,6 +149,27 @@ def test_observations_of_a_run_without_an_estimate_have_no_residuals(
         stored.residuals  # noqa: B018
     with pytest.raises(InputError, match="before it had matched frames"):
         stored.links  # noqa: B018
+
+
+def test_measurements_and_map_give_the_residuals(finished: Path) -> None:
+    """Whoever starts from the measurements finds the landmark of each in the map."""
+    run = polhode.load(finished)
+    tracks, residuals, numbers = run.measurements, run.residuals, run.landmark_numbers
+    inlier = residuals.inlier_weight > 0.0
+    assert 0 < len(numbers) == len(run.landmarks.p_G)
+    frame, row = tracks.frame[inlier], np.searchsorted(numbers, tracks.landmark[inlier])
+    X_RG = (inverse_pose(tracks.X_NR) @ run.X_NG)[frame]
+    p_R = np.einsum("nij,nj->ni", X_RG[:, :3, :3], run.landmarks.p_G[row]) + X_RG[:, :3, 3]
+    np.testing.assert_allclose(
+        tracks.uvd_px[inlier] - tracks.rig.project(p_R), residuals.residuals_px[inlier], atol=1e-6
+    )
+
+
+def test_a_map_of_another_run_is_refused(stored: polhode.Run, example: Example) -> None:
+    fewer = Landmarks(*(part[1:] for part in vars(example.estimate.landmarks).values()))
+    write_landmarks(fewer, stored.folder / "landmarks.ply")
+    with pytest.raises(InputError, match=r"has 149 points, but 150 landmarks of measurements.npz were kept"):
+        stored.landmark_numbers  # noqa: B018
 
 
 def test_links_are_the_relative_poses_that_were_measured(stored: polhode.Run, example: Example) -> None:
@@ -234,18 +257,3 @@ def test_evaluate_writes_what_the_command_writes(
         polhode.evaluate(stored, rendered_sequence)
     assert main(["evaluate", str(stored.folder), str(rendered_sequence)]) == 2
     assert capsys.readouterr().err == f"polhode: error: {caught.value}\n"
-
-
-def test_the_code_of_the_page_runs_from_top_to_bottom(
-    rendered_sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "api.md").read_text()
-    code = "\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL))
-    (tmp_path / "SEQ").symlink_to(rendered_sequence)
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "page.py").write_text(code)
-    found = runpy.run_path("page.py")
-    run, errors = found["run"], found["errors"]
-    assert isinstance(run, polhode.Run) and isinstance(errors, dict)
-    assert run.status == "ok" and errors["rmse_position_m"] < 2e-3
-    assert {path.name for path in tmp_path.iterdir()} == {"SEQ", "RUN", "SIMULATED", "motion.tum", "page.py"}

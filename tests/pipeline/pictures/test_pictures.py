@@ -21,7 +21,7 @@ from polhode.dataset import StereoImages, StereoSequence
 from polhode.frontend.found_masks import FoundMasks, MaskQuality, encoded
 from polhode.frontend.rectification import Rectifier
 from polhode.lie import inverse_pose
-from polhode.mapping.visibility import MeshViewer
+from polhode.mapping.visibility import Caster, MeshViewer
 from polhode.output.run_files import is_run_file
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.pictures import run_pictures as pictures
@@ -137,6 +137,27 @@ def test_the_same_image_leaves_no_difference(run: Any) -> None:
         assert comparison.offset == pytest.approx(20.0, abs=2.0)
         inside = comparison.seen & comparison.modelled
         assert np.abs(comparison.difference[inside]).max() < 6.0
+
+
+def test_the_body_casts_its_shadow_on_itself(run: Any) -> None:
+    """A small plate between box and Sun darkens the side that it stands before, and no other."""
+    box = run.surface.mesh
+    side = np.array([0.0, 0.0, -1.0])  # of G; the camera looks at it in frame 0, where G is upright in N
+    plate = trimesh.creation.box((0.05, 0.05, 0.004))
+    plate.apply_translation(0.16 * side)
+    corners = np.vstack([box.vertices, plate.vertices])
+    faces = np.vstack([box.faces, plate.faces + len(box.vertices)])
+    grey = np.tile(np.array([200, 200, 200, 255], dtype=np.uint8), (len(corners), 1))
+    body = trimesh.Trimesh(corners, faces, vertex_colors=grey, process=False)
+    given = (run.sequence, run.rectifier, run.tracks, run.estimate, body, MeshViewer(body), [0])
+    # From beside the camera, so that the shadow lies beside the plate.
+    sun_N = np.array([-0.5, 0.0, -1.0]) / np.linalg.norm([-0.5, 0.0, -1.0])
+    plain, shaded = (next(compare_frames(*given, sun_N=sun_N, shadows=each)) for each in (None, Caster(body)))
+    darker = plain.modelled & (shaded.model < 0.1 * plain.model)
+    share = darker.sum() / plain.modelled.sum()
+    assert 0.02 < share < 0.3
+    columns = np.flatnonzero(darker.any(axis=0))
+    assert columns.mean() > 0.5 * plain.model.shape[1], "away from the Sun, which stands at the left"
 
 
 def test_a_frame_without_the_body_in_view_neither_shrinks_nor_breaks_the_others(run: Any) -> None:

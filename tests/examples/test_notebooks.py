@@ -1,0 +1,51 @@
+"""The notebooks of examples/notebooks: they run, and what is stored in them is what they show."""
+
+import re
+from collections.abc import Iterator
+
+import nbformat
+import pytest
+from jupyter_client.manager import KernelManager
+
+from examples.execute_notebooks import execute, kernel, notebooks
+from tests.pipeline.conftest import make_example, write_example
+
+NAMES = [path.name for path in notebooks()]
+MAX_BYTES = 400_000
+
+
+@pytest.fixture(scope="module")
+def manager(tmp_path_factory: pytest.TempPathFactory) -> Iterator[KernelManager]:
+    """A kernel that reads a small run, and keeps its history to itself."""
+    folder = tmp_path_factory.mktemp("notebooks")
+    (folder / "run").mkdir()
+    write_example(folder / "run", make_example())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("POLHODE_RUN", str(folder / "run"))
+        patch.setenv("IPYTHONDIR", str(folder / "ipython"))
+        with kernel() as started:
+            yield started
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_notebook_runs_and_draws(name: str, manager: KernelManager) -> None:
+    path = next(path for path in notebooks() if path.name == name)
+    executed = execute(path, manager)
+    shown, stored = kinds_of(executed), kinds_of(nbformat.read(path, as_version=4))
+    assert shown == stored and sum("image/png" in kinds for kinds in shown) >= 1
+
+
+def kinds_of(notebook: nbformat.NotebookNode) -> list[set[str]]:
+    """What each code cell shows, without warnings, which depend on the run."""
+    return [
+        {kind for output in cell.outputs for kind in output.get("data", [output.get("name")])} - {"stderr"}
+        for cell in notebook.cells
+        if cell.cell_type == "code"
+    ]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_notebook_is_small_and_holds_no_place_of_the_machine(name: str) -> None:
+    text = next(path for path in notebooks() if path.name == name).read_text()
+    assert len(text) < MAX_BYTES
+    assert "../../runs/demo" in text and not re.search(r"(?<!\.)/(tmp|home|root|work|usr)/", text)

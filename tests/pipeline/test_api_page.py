@@ -1,0 +1,96 @@
+"""The code of docs/api.md, from top to bottom; and that stage by stage the result is that of a run."""
+
+import re
+import runpy
+import shutil
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import polhode
+from polhode import stages
+from polhode.config import Config
+from polhode.errors import InputError
+from polhode.mapping.mesh_files import write_ply
+from polhode.pipeline.context import RunContext, open_context
+from polhode.pipeline.run_directory.stages import StageStore
+from polhode.pipeline.run_directory.trajectory_file import trajectory_of, write_trajectory
+from polhode.progress import Progress
+
+PAGE = Path(__file__).parents[2] / "docs" / "api.md"
+
+
+@pytest.fixture(scope="module")
+def page(
+    rendered_sequence: Path, finished: Path, tmp_path_factory: pytest.TempPathFactory
+) -> SimpleNamespace:
+    """The names that the page leaves, its ``folder``, and the ``results`` that its stages have taken.
+
+    What the run of the page needs was computed by ``finished``: it is resumed, and the stages of the page
+    find their results by a digest of all their inputs.
+    """
+    folder = tmp_path_factory.mktemp("page")
+    (folder / "SEQ").symlink_to(rendered_sequence)
+    shutil.copytree(finished, folder / "RUN")
+    results = StageStore(folder / "RUN" / "stages", f"{Config().runtime.blas_threads} threads")
+
+    def opened(data: Path, config: Config, progress: Progress) -> RunContext:
+        return replace(open_context(data, config, progress), stages=results)
+
+    code = "\n".join(re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL))
+    (folder / "page.py").write_text(code)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr(polhode, "run", partial(polhode.run, resume=True))
+        patch.setattr(stages, "open_context", opened)
+        # The mesh of so few frames is open; the distances from its hull would take most of the time.
+        patch.setattr("polhode.planning.keep_out.measured_body.OPEN_SHARE", 1.0)
+        names = runpy.run_path("page.py")
+    # What is read later is read from another working directory.
+    names["run"] = polhode.load(folder / "RUN")
+    return SimpleNamespace(**{**names, "folder": folder, "results": results})
+
+
+def test_the_code_of_the_page_runs_from_top_to_bottom(page: SimpleNamespace) -> None:
+    assert page.run.status == "ok" and page.errors["rmse_position_m"] < 2e-3
+    assert [path.name for path in page.files] == ["motion.tum"]
+    made = {path.name for path in page.folder.iterdir()}
+    assert made == {"SEQ", "RUN", "SIMULATED", "motion.tum", "page.py"}
+
+
+def test_every_stage_has_the_inputs_that_it_has_in_a_run(page: SimpleNamespace) -> None:
+    """Then its result is the run's: each was found under the digest of its inputs, none was computed."""
+    assert page.results.stored == 0 and page.results.found > 2 * len(page.features)
+
+
+def test_stage_by_stage_the_files_are_those_of_the_run(page: SimpleNamespace, tmp_path: Path) -> None:
+    write_trajectory(trajectory_of(page.estimate), tmp_path / "trajectory.csv")
+    write_ply(page.finished.surface, tmp_path / "mesh.ply")
+    for name in ("trajectory.csv", "mesh.ply"):
+        assert (tmp_path / name).read_bytes() == (page.folder / "RUN" / name).read_bytes(), name
+
+
+def test_a_pair_by_itself_gives_what_it_gives_in_the_run(page: SimpleNamespace) -> None:
+    np.testing.assert_array_equal(page.points.uvd_px, page.features[0].uvd_px)
+    in_run = next(stages.depth_maps(page.context, page.features))
+    np.testing.assert_array_equal(page.depth.depth_m, in_run.depth_m)
+    assert page.pair.mask_left.any() and page.pair.left.dtype == np.uint8
+    with pytest.raises(InputError, match="pair 14: the sequence has pairs 0 to 13"):
+        stages.rectified_pair(page.context, 14)
+
+
+def test_the_back_end_alone_finds_the_motion_of_the_run(page: SimpleNamespace) -> None:
+    """With another form of the inertia, which so few frames do not determine."""
+    assert page.initial.connected.all()
+    shift_m = page.other.r_N - page.run.trajectory.r_N
+    assert 0.0 < np.abs(shift_m).max() < 1e-4
+    assert (np.abs(shift_m) < 3.0 * page.run.trajectory.sigma_r).all()
+
+
+def test_observations_and_landmarks_are_joined_by_their_number(page: SimpleNamespace) -> None:
+    assert 0 < len(page.observations) <= len(page.run.measurements.frame)
+    assert set(page.observations["landmark"]) == set(page.run.landmark_numbers)
