@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.end_to_end import against_slam, thesis
+from benchmarks.end_to_end import against_slam, footprint, thesis
 from benchmarks.presentation import markdown_table
 from benchmarks.registry import BENCHMARKS
 from polhode.cli.main import COMMANDS, main
@@ -28,7 +28,7 @@ SHORTER = {
         *("--scene.rig.width-px", "96", "--scene.rig.height-px", "72", "--scene.rig.focal-px", "90"),
     ),
     "compare": ("--compare.solvers", "gauss_newton"),
-    "plan": ("--members", "226"),
+    "plan": ("--horizon", "3", "--confidence", "0.9", "--members", "100"),
 }
 """By subcommand: options that change how long a line takes, not what it does."""
 
@@ -116,6 +116,12 @@ def test_the_table_beside_the_thesis_is_that_of_the_record() -> None:
 def test_the_table_beside_other_programs_is_that_of_the_record() -> None:
     rows = [against_slam.row_of(line) for line in lines_of(against_slam.RECORD)]
     assert markdown_table(against_slam.HEAD, rows) in README
+
+
+def test_disk_and_memory_are_those_of_the_record() -> None:
+    for line in lines_of(footprint.RECORD):
+        name, _, value = footprint.line_of(line).partition(": ")
+        assert f"| {name} | {value}" in README
 
 
 def test_the_replica_of_the_thesis_has_the_errors_of_the_page_about_scenes() -> None:
