@@ -28,6 +28,7 @@ SHORTER = {
         *("--scene.rig.width-px", "96", "--scene.rig.height-px", "72", "--scene.rig.focal-px", "90"),
     ),
     "compare": ("--compare.solvers", "gauss_newton"),
+    "export": ("--pieces", "2"),
     "plan": ("--horizon", "3", "--confidence", "0.9", "--members", "100"),
 }
 """By subcommand: options that change how long a line takes, not what it does."""

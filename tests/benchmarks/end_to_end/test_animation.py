@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.end_to_end.animation import FINE, PAPER, TIP_RGB, PolhodePanel, camera_panel
+from benchmarks.end_to_end.animation import TIP_RGB, PolhodePanel, camera_panel
+from benchmarks.end_to_end.readme_picture import FINE, PAPER
 from polhode.frontend.rectification import Crop
 
 SIDE = FINE * 290

@@ -16,8 +16,8 @@ MARGIN_PX = 40
 def pair(shift_px: int) -> RectifiedPair:
     """A wall that faces the camera at f b / DISPARITY_PX = 2.5 m, displaced to the right in the images."""
     noise = np.random.default_rng(2).integers(0, 255, (240, 480)).astype(np.uint8)
-    wall = cv2.GaussianBlur(noise, (0, 0), 2.0)
-    wall = cv2.normalize(wall, None, 0, 255, cv2.NORM_MINMAX)
+    wall = cv2.GaussianBlur(noise.astype(np.float64), (0, 0), 2.0)
+    wall = np.rint(255.0 * (wall - wall.min()) / np.ptp(wall)).astype(np.uint8)
     left, right = (
         np.ascontiguousarray(wall[:, 80 - shift_px + d : 400 - shift_px + d]) for d in (0, DISPARITY_PX)
     )
