@@ -68,7 +68,7 @@ def recording(rendered_sequence: Path, tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_every_command_runs_in_order(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Those of the program, then the lines of Python. A run is evaluated on the sequence that it is of."""
+    """Those of the program, then the lines of Python."""
     ours = [words[1:] for words in commands(README) if words[0] == PROGRAM]
     assert {"import", "checkout", "run", "predict", "plan", "observability", "export", "compare"} <= {
         words[0] for words in ours
