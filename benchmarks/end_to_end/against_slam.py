@@ -52,7 +52,7 @@ _PR_SET_CHILD_SUBREAPER = 36
 
 
 def main(
-    scenes: Annotated[tuple[str, ...], arg(help="Of sample, closed_tumble.")] = ("sample", "closed_tumble"),
+    scenes: Annotated[tuple[str, ...], arg(help="Of sample, closed_tumble.")] = ("sample",),
     record: Record = RECORD,
 ) -> None:
     """Measure what the record lacks and print the table."""

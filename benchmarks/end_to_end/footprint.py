@@ -28,17 +28,17 @@ LOOK_S = 0.5
 
 def main(record: Record = RECORD) -> None:
     """Measure what the record lacks and print it."""
-    print("\n".join(lines_of(complete(record, CASES, measure, 1))))
+    print("\n".join(map(line_of, complete(record, CASES, measure, 1))))
 
 
-def lines_of(found: list[Case]) -> list[str]:
-    """What is printed of the two cases."""
-    packages, run = found
-    return [
-        f"disk: {packages['core_gb']:.1f} GB of packages, of which PyTorch ({packages['torch']}) has "
-        f"{packages['torch_gb']:.1f} GB; with the tools of developers {packages['dev_gb']:.1f} GB",
-        f"memory: {run['memory_gb']:.1f} GB",
-    ]
+def line_of(found: Case) -> str:
+    """What is printed of a case."""
+    if found["case"]["of"] != "packages":
+        return f"memory: {found['memory_gb']:.1f} GB"
+    return (
+        f"disk: {found['core_gb']:.1f} GB of packages, of which PyTorch ({found['torch']}) has "
+        f"{found['torch_gb']:.1f} GB; with the tools of developers {found['dev_gb']:.1f} GB"
+    )
 
 
 def measure(case: Case) -> dict[str, Any]:

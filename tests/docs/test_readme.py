@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.end_to_end import against_slam, thesis
+from benchmarks.end_to_end import against_slam, footprint, thesis
 from benchmarks.presentation import markdown_table
 from benchmarks.registry import BENCHMARKS
 from polhode.cli.main import COMMANDS, main
@@ -28,7 +28,8 @@ SHORTER = {
         *("--scene.rig.width-px", "96", "--scene.rig.height-px", "72", "--scene.rig.focal-px", "90"),
     ),
     "compare": ("--compare.solvers", "gauss_newton"),
-    "plan": ("--members", "226"),
+    "export": ("--pieces", "2"),
+    "plan": ("--horizon", "3", "--confidence", "0.9", "--members", "100"),
 }
 """By subcommand: options that change how long a line takes, not what it does."""
 
@@ -67,7 +68,7 @@ def recording(rendered_sequence: Path, tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_every_command_runs_in_order(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Those of the program, then the lines of Python. A run is evaluated on the sequence that it is of."""
+    """Those of the program, then the lines of Python."""
     ours = [words[1:] for words in commands(README) if words[0] == PROGRAM]
     assert {"import", "checkout", "run", "predict", "plan", "observability", "export", "compare"} <= {
         words[0] for words in ours
@@ -118,6 +119,12 @@ def test_the_table_beside_other_programs_is_that_of_the_record() -> None:
     assert markdown_table(against_slam.HEAD, rows) in README
 
 
+def test_disk_and_memory_are_those_of_the_record() -> None:
+    for line in lines_of(footprint.RECORD):
+        name, _, value = footprint.line_of(line).partition(": ")
+        assert f"| {name} | {value}" in README
+
+
 def test_the_replica_of_the_thesis_has_the_errors_of_the_page_about_scenes() -> None:
     page = (ROOT / "docs/scenes.md").read_text(encoding="utf-8")
     row = next(line for line in page.splitlines() if line.startswith("| ts38 |"))
@@ -132,7 +139,7 @@ def test_the_replica_of_the_thesis_has_the_errors_of_the_page_about_scenes() -> 
 def test_pictures_are_small_and_the_animation_repeats_without_end() -> None:
     from PIL import Image
 
-    names = re.findall(r"!\[[^\]]+\]\((docs/images/[^)]+)\)", README)
+    names = re.findall(r"(?:\]\(|src=\")(docs/images/[^)\"]+)", README)
     assert names[0].endswith("tumbling.webp")
     assert all((ROOT / name).stat().st_size <= 2.5e6 for name in names)
     with Image.open(ROOT / names[0]) as animation:

@@ -6,7 +6,7 @@ import sys
 from importlib.metadata import distribution
 from pathlib import Path
 
-from benchmarks.end_to_end.footprint import family, lines_of, proportional_bytes, required, size_of
+from benchmarks.end_to_end.footprint import family, line_of, proportional_bytes, required, size_of
 
 
 def test_what_a_package_requires_is_counted() -> None:
@@ -36,6 +36,6 @@ def test_processes_below_a_process_are_its_family() -> None:
 
 def test_what_is_printed() -> None:
     packages = {"core_gb": 2.04, "dev_gb": 2.4, "torch_gb": 0.76, "torch": "2.13.0+cpu"}
-    disk, memory = lines_of([packages, {"memory_gb": 1.55}])
+    disk = line_of({"case": {"of": "packages"}, **packages})
     assert disk.startswith("disk: 2.0 GB of packages, of which PyTorch (2.13.0+cpu) has 0.8 GB")
-    assert memory == "memory: 1.6 GB"
+    assert line_of({"case": {"of": "run on the sample"}, "memory_gb": 1.55}) == "memory: 1.6 GB"
