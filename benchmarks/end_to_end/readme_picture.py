@@ -207,7 +207,7 @@ def energy_ellipsoid(
     energy = 0.5 * float(np.mean(np.sum(w_P**2 * moments, axis=1)))
     semi = np.sqrt(2.0 * energy / moments)
     R_VP = _view(eye_P)
-    scale = 0.40 * side / float(semi.max())
+    scale = 0.34 * side / float(semi.max())
     canvas = _ellipsoid(semi, moments, R_VP, scale, side)
     for k, name in enumerate("xyz"):
         for sign in (-1.0, 1.0):
