@@ -72,7 +72,7 @@ def random_scene(corpus: Corpus, index: int) -> Scene:
             stars=bool(rng.random() < corpus.stars), earth=bool(rng.random() < corpus.earth_behind)
         ),
         sensor=_sensor(corpus, rng),
-        render=Render(products=("depth", "normals", "mask", "shadow")),
+        render=Render(products=("depth", "normals", "mask", "shadow"), scattered=corpus.scattered),
     )
 
 

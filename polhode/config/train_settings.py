@@ -66,6 +66,9 @@ class Corpus(Section):
     """Share of the scenes with stars."""
     earth_behind: Share = 0.1
     """Share of the scenes with the Earth's disc in the background."""
+    scattered: bool = True
+    """Scatter the rays of each pixel, as ``scene.render.scattered``: the network should not learn by how much
+    the pattern of the rays displaces edges."""
 
     @model_validator(mode="after")
     def _ranges_are_ordered(self) -> Self:
