@@ -9,4 +9,5 @@ corpus.py           the simulated training sequences, of random scenes
 feature_noise.py    constants of the front end's noise model
 descriptor/         the descriptor of surface patches
 disparity/          the refinement of disparities
+surface/            which points of an image are found again under other light
 """

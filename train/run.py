@@ -21,7 +21,7 @@ from polhode.progress import Progress
 from polhode.train.checkpoint import CHECKPOINT, require_same_training
 from polhode.train.corpus import render_corpus, require_corpus, split
 from polhode.train.curves import FOLDER as CURVES
-from polhode.train.task import Task, make_task
+from polhode.train.task import TASKS, Task, make_task
 from polhode.train.training_loop import TrainingLoop, TrainingOutcome, device_of
 
 FREE_KEYS = (
@@ -35,6 +35,8 @@ FREE_KEYS = (
 """Settings on which the weights do not depend: they may change when a training is resumed."""
 
 
+SEQUENCES = ("descriptor", "depth")
+"""Tasks that learn from the sequences of the corpus; others render what they need themselves."""
 COMMAND = "train"
 FILES = ("config.yaml", "scores.json", CHECKPOINT)
 """Files of a training, beside the weights and the folder of curves."""
@@ -77,7 +79,8 @@ def _require_sound(train: Train) -> None:
 
 
 def _trained(config: Config, train: Train, output: Path, progress: Progress, workers: int) -> Trained:
-    render_corpus(train.corpus, progress, workers)
+    if train.task in SEQUENCES:
+        render_corpus(train.corpus, progress, workers)
     torch.manual_seed(config.seed)
     task = make_task(train, config.seed, progress, workers)
     outcome = TrainingLoop(task, train.schedule, output, config.seed).run(
@@ -93,7 +96,7 @@ def _trained(config: Config, train: Train, output: Path, progress: Progress, wor
 def setting_of(train: Train, seed: int) -> dict[str, Any]:
     """The settings on which the weights depend: dotted key -> value."""
     setting = {"seed": seed, **_flat(train, "")}
-    others = {"descriptor", "depth"} - {train.task}
+    others = TASKS.keys() - {train.task}
     return {
         key: value
         for key, value in setting.items()

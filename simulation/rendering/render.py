@@ -1,5 +1,6 @@
 """One image: rays, hits, materials, light, and the mean over the samples of each pixel."""
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -46,6 +47,13 @@ class Renderer:
         self._bounces = scene.render.bounces
         pixels = scene.rig.width_px * scene.rig.height_px
         self._probes = int(np.clip(pixels // PIXELS_A_PROBE, *PROBES))
+
+    def under(self, light: config.Light) -> "Renderer":
+        """The same body under other light; what does not depend on the light is shared."""
+        _ = self._indirect  # built before it is shared
+        other = copy(self)
+        other.light = light
+        return other
 
     @cached_property
     def _indirect(self) -> IndirectLight:
