@@ -156,8 +156,10 @@ class SurfaceTraining(Section):
     """Poses of a body, ``corpus.turn_deg`` apart."""
     max_points: int = Field(500, ge=10, le=100_000)
     """Candidates of an image that are used, the strongest ones."""
-    batch: int = Field(4, ge=2, le=1000)
-    """Images of one body in a step."""
+    bodies: int = Field(3, ge=1, le=1000)
+    """Bodies in a step."""
+    images: int = Field(2, ge=2, le=1000)
+    """Images of each body in a step."""
     crop_px: int = Field(224, ge=32, le=4096, multiple_of=16)
     """Largest side of an image in a step; a part of a larger one is used."""
 

@@ -1,4 +1,4 @@
-"""Batches of the surface network: some images of one body, their points, and what became of these
+"""Batches of the surface network: some images of a few bodies, their points, and what became of these
 elsewhere."""
 
 from collections.abc import Mapping
@@ -71,16 +71,29 @@ class ViewBatches:
         return not self._drawable
 
     def batch(self, step: int) -> Batch:
-        """``images`` (b, 1, s, s) of one body; ``light`` (b, s / 2, s / 2): kinds of light, SKY off the
-        target.
+        """``images`` (b, 1, s, s), several of each body; ``light`` (b, s / 2, s / 2): kinds of light, SKY off
+        the target.
 
         Points (n,): ``owner`` image, ``uv`` (n, 2) [px], ``known`` (n, 3), ``seen`` and ``found`` in how many
         other images. Matches (m,) between images of the batch: ``first`` and ``second`` points, ``square``:
         squared distance of the place from the true one, both axes [px^2].
         """
         rng = np.random.default_rng([self._seed, 0x5F, step])
-        views = self._bodies[self._drawable[rng.integers(len(self._drawable))]]
-        chosen = rng.permutation(len(views.grey))[: self._config.batch]
+        parts, images, points = [], 0, 0
+        for _ in range(self._config.bodies):
+            views = self._bodies[self._drawable[rng.integers(len(self._drawable))]]
+            part = self._of_body(views, rng)
+            parts.append(
+                part
+                | {"owner": part["owner"] + images}
+                | {name: part[name] + points for name in ("first", "second")}
+            )
+            images, points = images + len(part["images"]), points + len(part["owner"])
+        return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
+
+    def _of_body(self, views: LitViews, rng: np.random.Generator) -> Batch:
+        """The part of a batch that one body contributes."""
+        chosen = rng.permutation(len(views.grey))[: self._config.images]
         side = self._config.crop_px
         images = np.zeros((len(chosen), 1, side, side), np.float32)
         light = np.full((len(chosen), side, side), SKY, np.uint8)

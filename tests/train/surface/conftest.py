@@ -9,7 +9,7 @@ from polhode.progress import Silent
 from polhode.train.surface.lit_views import LitViews, prepare_views
 from tests.conftest import MakeOnce
 
-SURFACE = SurfaceTraining(suns=2, poses=2, max_points=150, batch=3, crop_px=96)
+SURFACE = SurfaceTraining(suns=2, poses=2, max_points=150, bodies=2, images=2, crop_px=96)
 
 
 @pytest.fixture(scope="session")
