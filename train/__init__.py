@@ -9,5 +9,5 @@ corpus.py           the simulated training sequences, of random scenes
 feature_noise.py    constants of the front end's noise model
 descriptor/         the descriptor of surface patches
 disparity/          the refinement of disparities
-surface/            which points of an image are found again under other light
+light/              what other light does to features: bodies under several Suns
 """

@@ -15,13 +15,15 @@ from polhode.atomic import write_bytes, write_text
 from polhode.config import Config
 from polhode.config.loader import dump_config
 from polhode.config.train_settings import Train
+from polhode.errors import InputError
+from polhode.frontend.networks.weights import load_weights
 from polhode.output.marked_folder import claim, marked_folder, withdrawn_if_refused
 from polhode.output.place import folder_place, require_writable
 from polhode.progress import Progress
 from polhode.train.checkpoint import CHECKPOINT, require_same_training
 from polhode.train.corpus import render_corpus, require_corpus, split
 from polhode.train.curves import FOLDER as CURVES
-from polhode.train.task import TASKS, Task, make_task
+from polhode.train.task import Task, make_task
 from polhode.train.training_loop import TrainingLoop, TrainingOutcome, device_of
 
 FREE_KEYS = (
@@ -35,8 +37,6 @@ FREE_KEYS = (
 """Settings on which the weights do not depend: they may change when a training is resumed."""
 
 
-SEQUENCES = ("descriptor", "depth")
-"""Tasks that learn from the sequences of the corpus; others render what they need themselves."""
 COMMAND = "train"
 FILES = ("config.yaml", "scores.json", CHECKPOINT)
 """Files of a training, beside the weights and the folder of curves."""
@@ -73,16 +73,19 @@ def _require_sound(train: Train) -> None:
     split(train.corpus)
     device_of(train.schedule)
     require_corpus(train.corpus)
+    if train.start_from is not None and not Path(train.start_from).is_file():
+        raise InputError(f"train.start_from: {train.start_from} is no file; give weights of polhode train")
     if train.task == "depth":
         shown = Path(f"train.depth.cache: {train.depth.cache}")
         require_writable(folder_place(Path(train.depth.cache), shown), shown)
 
 
 def _trained(config: Config, train: Train, output: Path, progress: Progress, workers: int) -> Trained:
-    if train.task in SEQUENCES:
-        render_corpus(train.corpus, progress, workers)
+    render_corpus(train.corpus, progress, workers)
     torch.manual_seed(config.seed)
     task = make_task(train, config.seed, progress, workers)
+    if train.start_from is not None:
+        load_weights(task.network, Path(train.start_from))
     outcome = TrainingLoop(task, train.schedule, output, config.seed).run(
         setting_of(train, config.seed), progress
     )
@@ -96,7 +99,9 @@ def _trained(config: Config, train: Train, output: Path, progress: Progress, wor
 def setting_of(train: Train, seed: int) -> dict[str, Any]:
     """The settings on which the weights depend: dotted key -> value."""
     setting = {"seed": seed, **_flat(train, "")}
-    others = TASKS.keys() - {train.task}
+    others = {"descriptor", "depth"} - {train.task}
+    if train.task != "descriptor":
+        others |= {"light"}
     return {
         key: value
         for key, value in setting.items()

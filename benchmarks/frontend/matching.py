@@ -5,8 +5,7 @@
 
 A method is written features-zoom+matcher: ``disk-1x+lightglue`` is DISK on the crop as it is, matched by
 LightGlue; without a matcher, mutual nearest neighbours; ``polhode`` alone has its own matcher. Methods whose
-weights are missing are left out, with the reason; ``polhode-ranked`` keeps the candidates that the surface
-network judges reliable. What was measured before is read from the record, whatever
+weights are missing are left out, with the reason. What was measured before is read from the record, whatever
 has become of the method since: ``--again`` measures again.
 
 Frames 30 and 60 degrees of turn apart. Wrong stereo: the disparity is off by more than 1 px from every
@@ -305,14 +304,10 @@ def usable(methods: "dict[str, None]") -> list[str]:
 
 def settings(method: str) -> Frontend:
     """Configuration of a method by its name here."""
-    parts = re.fullmatch(
-        r"(?P<features>[a-z]+)(-(?P<zoom>[\d.]+)x)?(?P<ranked>-ranked)?(\+(?P<matcher>[a-z]+))?", method
-    )
+    parts = re.fullmatch(r"(?P<features>[a-z]+)(-(?P<zoom>[\d.]+)x)?(\+(?P<matcher>[a-z]+))?", method)
     if parts is None:
         raise SystemExit(f"{method}: write features, or features-2x+matcher")
     features = {"method": parts["features"]} | ({"upsample": parts["zoom"]} if parts["zoom"] else {})
-    if parts["ranked"]:
-        features["ranking"] = "reliability"
     return Frontend.model_validate({"features": features, "pairs": {"method": parts["matcher"]}})
 
 

@@ -11,5 +11,4 @@ surface_features.py     the method ``polhode``: features with surface axes from 
 local_planes.py         planes through the disparity map, for the normals
 patches.py              patches in the tangent plane of the surface
 patch_descriptors.py    descriptors of patches
-judgement.py            which candidates are found again, by the surface network
 """

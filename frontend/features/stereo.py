@@ -114,8 +114,6 @@ class StereoFeatures:
     """(n,) standard deviation of the disparity according to the least squares alone"""
     rows: RowOffsets | None = None
     """Matches that ignore the epipolar constraint; None: the method detects in the left image alone"""
-    reliability: Array | None = None
-    """(n,) probability of being found again in an image in which the surface is lit, where it is estimated"""
 
     def __len__(self) -> int:
         return len(self.uvd_px)

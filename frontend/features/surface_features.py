@@ -29,7 +29,6 @@ bodies, textures and light of other scenes, so a check on these is not entirely 
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -39,7 +38,6 @@ from polhode.dataset import StereoSequence
 from polhode.frontend.disparity.depth import find_disparity_range
 from polhode.frontend.disparity.measured import disparity_at
 from polhode.frontend.disparity.sgbm import Floats, cut_crop, match_checked
-from polhode.frontend.features.judgement import PointJudgement, judge, surface_network
 from polhode.frontend.features.keypoints import FeatureCandidates, find_candidates
 from polhode.frontend.features.local_planes import local_planes
 from polhode.frontend.features.patch_descriptors import SurfaceDescriptor, make_descriptor
@@ -50,7 +48,6 @@ from polhode.frontend.features.stereo import (
     refine_disparity,
     texture_sigma,
 )
-from polhode.frontend.networks.surface import SurfaceNet
 from polhode.frontend.rectification import RectifiedPair, Rectifier, rectified_pair
 from polhode.lie import Array
 from polhode.records import Ints
@@ -69,8 +66,6 @@ PATCH_HALF_PX = 12.0
 _SIZE_SAMPLES = 6
 """Pairs of the sequence from which the size of patches is computed."""
 _REFINEMENTS = 4
-RELIABLE_SHARE = 0.5
-"""Share of the candidates that are kept when they are ranked by reliability."""
 _MAX_DISPARITY_CHANGE_PX = 1.5
 """A refined disparity that differs by more belongs to another surface [px]."""
 
@@ -108,16 +103,13 @@ class SurfaceFeatureMethod:
     def __init__(self, config: Frontend) -> None:
         self._config = config
         self._describe: SurfaceDescriptor = make_descriptor(config)
-        ranked = config.features.ranking == "reliability"
-        weights = config.weights.surface
-        self._judge = surface_network(None if weights is None else Path(weights)) if ranked else None
 
     def __call__(self, pair: RectifiedPair, rig: RectifiedRig) -> StereoFeatures:
         """Features of the left image; none when the target is out of view."""
         config = self._config
         candidates = find_candidates(pair.left, pair.mask_left, config.features)
         disparity = matched_disparity(pair, rig, config.depth)
-        measured, planes = _measure(pair, candidates, disparity, rig, self._judge)
+        measured, planes = _measure(pair, candidates, disparity, rig, config)
         if len(measured) == 0:
             return measured
         half_m = config.features.patch_half_m
@@ -185,21 +177,11 @@ def _distance_m(config: Frontend, sequence: StereoSequence, rectifier: Rectifier
 
 
 def _measure(
-    pair: RectifiedPair,
-    candidates: FeatureCandidates,
-    disparity: Floats,
-    rig: RectifiedRig,
-    network: SurfaceNet | None,
+    pair: RectifiedPair, candidates: FeatureCandidates, disparity: Floats, rig: RectifiedRig, config: Frontend
 ) -> tuple[StereoFeatures, Array]:
-    """Candidates with a refined disparity, without descriptors, and the planes (n, 3) of their surfaces.
-
-    ``network`` chooses among the candidates, and gives the scatter of their places.
-    """
+    """Candidates with a refined disparity, without descriptors, and the planes (n, 3) of their surfaces."""
     planes = local_planes(disparity, candidates.uv_px)
     known = np.flatnonzero(np.isfinite(planes[:, 0]))
-    judged = None
-    if network is not None:
-        known, judged = _most_reliable(network, pair, candidates, planes, known, rig)
     uv, plane = candidates.uv_px[known], planes[known]
     if pair.measured is not None:
         refined, sigma_d = disparity_at(pair.measured, uv)
@@ -210,8 +192,6 @@ def _measure(
             pair.left, pair.right, uv, plane[:, 0], _REFINEMENTS, plane[:, 1:]
         )
         sigma, is_seen = feature_sigma(sigma_ls), correlation > MIN_CORRELATION
-    if judged is not None:
-        sigma[:, :2] = judged.sigma_px[:, None]
     good = (
         is_seen
         & (np.abs(refined - plane[:, 0]) < _MAX_DISPARITY_CHANGE_PX)
@@ -228,26 +208,6 @@ def _measure(
             scale,
             np.zeros((len(uvd), 128), dtype=np.float32),
             sigma_ls_px=sigma_ls[good],
-            reliability=None if judged is None else judged.reliability[good],
         ),
         plane[good],
     )
-
-
-def _most_reliable(
-    network: SurfaceNet,
-    pair: RectifiedPair,
-    candidates: FeatureCandidates,
-    planes: Array,
-    known: Ints,
-    rig: RectifiedRig,
-) -> tuple[Ints, PointJudgement]:
-    """The more reliable half of the candidates ``known``, in their order, and their judgement."""
-    uv = candidates.uv_px[known]
-    rays = np.column_stack([(uv - [rig.cx_px, rig.cy_px]) / rig.focal_px, np.ones(len(uv))])
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    cosine = -np.einsum("nk,nk->n", surface_normals(uv, planes[known], rig), rays)
-    judged = judge(network, pair.left, pair.mask_left, uv, candidates.scale_px[known], cosine)
-    count = round(RELIABLE_SHARE * len(known))
-    best = np.sort(np.argsort(-judged.reliability, kind="stable")[:count])
-    return known[best], PointJudgement(judged.reliability[best], judged.sigma_px[best])

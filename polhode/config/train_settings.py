@@ -147,34 +147,30 @@ class DepthTraining(Section):
     """Compute in bfloat16 on a CPU; several times faster where the CPU has instructions for it (AMX)."""
 
 
-class SurfaceTraining(Section):
-    """Images of one body from several poses, each under several Suns."""
+class LightStudy(Section):
+    """Bodies of the corpus from several poses, each under several Suns: what they show differs in light
+    alone, in pose alone, or in both. The task ``descriptor`` also learns from them."""
 
+    bodies: int = Field(0, ge=0, le=100_000)
+    """Number of bodies: the first ones of the corpus, which may have fewer scenes. 0: none."""
     suns: int = Field(3, ge=2, le=100)
     """Suns, each with an exposure and other lights of its own, under which every pose is rendered."""
-    poses: int = Field(3, ge=2, le=100)
+    poses: int = Field(3, ge=1, le=100)
     """Poses of a body, ``corpus.turn_deg`` apart."""
-    max_points: int = Field(500, ge=10, le=100_000)
-    """Candidates of an image that are used, the strongest ones."""
-    bodies: int = Field(3, ge=1, le=1000)
-    """Bodies in a step."""
-    images: int = Field(2, ge=2, le=1000)
-    """Images of each body in a step."""
-    crop_px: int = Field(224, ge=32, le=4096, multiple_of=16)
-    """Largest side of an image in a step; a part of a larger one is used."""
 
 
 class Train(Section):
     """Training of one network of the front end."""
 
-    task: Literal["descriptor", "depth", "surface"] = "descriptor"
-    """Which network: the descriptor of surface patches, the one that refines disparities, or the one that
-    judges places of an image."""
+    task: Literal["descriptor", "depth"] = "descriptor"
+    """Which network: the descriptor of surface patches, or the one that refines disparities."""
     output: str = "runs/train"
     """Folder of the results: checkpoint, curves, weights, scores. A training that was begun there
     continues."""
+    start_from: str | None = None
+    """Weights from which the training starts, a safetensors file of the same network; null: random ones."""
     corpus: Corpus = Corpus()
     schedule: Schedule = Schedule()
     descriptor: DescriptorTraining = DescriptorTraining()
     depth: DepthTraining = DepthTraining()
-    surface: SurfaceTraining = SurfaceTraining()
+    light: LightStudy = LightStudy()

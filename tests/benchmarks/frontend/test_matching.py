@@ -66,8 +66,6 @@ def test_a_methods_name_says_its_settings() -> None:
     assert settings("rootsift-2x").matcher == "nearest"
     assert settings("polhode").matcher == "polhode"
     assert settings("polhode+nearest").matcher == "nearest"
-    assert settings("polhode-ranked").features.ranking == "reliability"
-    assert settings("polhode").features.ranking == "contrast"
     assert loosened(config).pairs.min_confidence == 0.0
     assert len({settings(method) for method in METHODS}) == len(METHODS)
     with pytest.raises(SystemExit, match="write features"):

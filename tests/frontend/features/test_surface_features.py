@@ -4,12 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
-from safetensors.torch import save_file
 
-from polhode.config.frontend_settings import Features, Frontend, Weights
+from polhode.config.frontend_settings import Features, Frontend
 from polhode.dataset import StereoSequence, open_sequence
-from polhode.frontend.features.judgement import judge, surface_network
 from polhode.frontend.features.keypoints import find_candidates
 from polhode.frontend.features.stereo import RootSift, StereoFeatures
 from polhode.frontend.features.surface_features import (
@@ -19,7 +16,6 @@ from polhode.frontend.features.surface_features import (
     match_sigma,
     with_patch_size,
 )
-from polhode.frontend.networks.surface import SurfaceNet
 from polhode.frontend.rectification import RectifiedPair, Rectifier, make_rectifier, rectified_pair
 from polhode.train.feature_noise import MatchResiduals, fit_noise, normalised_variance
 
@@ -68,48 +64,6 @@ def test_the_same_image_gives_the_same_features(pair: RectifiedPair, rectifier: 
     one, two = (SurfaceFeatureMethod(CONFIG)(pair, rectifier.rig) for _ in range(2))
     assert np.array_equal(one.uvd_px, two.uvd_px)
     assert np.array_equal(one.descriptors, two.descriptors)
-
-
-@pytest.fixture(scope="module")
-def some_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Weights of the surface network as they are before training."""
-    torch.manual_seed(5)
-    path = tmp_path_factory.mktemp("weights") / "surface.safetensors"
-    save_file(SurfaceNet().state_dict(), path)
-    return path
-
-
-def test_ranked_by_reliability_the_more_reliable_half_is_kept_with_its_own_sigmas(
-    pair: RectifiedPair, rectifier: Rectifier, some_weights: Path
-) -> None:
-    every = SurfaceFeatureMethod(CONFIG)(pair, rectifier.rig)
-    features = CONFIG.features.model_copy(update={"ranking": "reliability"})
-    config = Frontend(features=features, weights=Weights(surface=str(some_weights)))
-    ranked = SurfaceFeatureMethod(config)(pair, rectifier.rig)
-    assert every.reliability is None
-    assert ranked.reliability is not None
-    assert np.all((ranked.reliability > 0.0) & (ranked.reliability < 1.0))
-    assert 0.4 * len(every) < len(ranked) < 0.65 * len(every)
-    # what is kept is measured as before; only the scatter of its place is another one
-    own = {tuple(uvd): k for k, uvd in enumerate(every.uvd_px)}
-    index = [own[tuple(uvd)] for uvd in ranked.uvd_px]
-    assert np.array_equal(ranked.sigma_px[:, 2], every.sigma_px[index, 2])
-    assert np.array_equal(ranked.sigma_px[:, 0], ranked.sigma_px[:, 1])
-    assert not np.allclose(ranked.sigma_px[:, 0], every.sigma_px[index, 0])
-    # those that are left out are judged less reliable
-    network = surface_network(some_weights)
-    points = find_candidates(pair.left, pair.mask_left, config.features)
-    judged = judge(network, pair.left, pair.mask_left, points.uv_px, points.scale_px, np.ones(len(points)))
-    kept = np.isin(points.uv_px[:, 0], ranked.uvd_px[:, 0])
-    assert judged.reliability[kept].mean() > judged.reliability[~kept].mean()
-
-
-def test_an_image_without_the_target_is_not_judged(rectifier: Rectifier, some_weights: Path) -> None:
-    black = np.zeros((rectifier.rig.height_px, rectifier.rig.width_px), np.uint8)
-    nothing = judge(
-        surface_network(some_weights), black, black > 0, np.zeros((0, 2)), np.zeros(0), np.zeros(0)
-    )
-    assert len(nothing.reliability) == len(nothing.sigma_px) == 0
 
 
 def test_an_empty_image_has_no_features(rectifier: Rectifier) -> None:

@@ -1,6 +1,5 @@
 """Matching: soft assignment can be differentiated; few right matches among many wrong ones are found."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -206,22 +205,3 @@ def test_modes_are_found_strongest_first() -> None:
 def test_no_feature_has_two_partners() -> None:
     pairs = np.array([[0, 0], [0, 1], [1, 1], [2, 1]])
     assert np.array_equal(one_to_one(pairs, np.array([0.5, 0.9, 0.8, 0.95])), [0, 3])
-
-
-def test_reliable_features_have_more_weight_in_the_vote() -> None:
-    """Two motions with as many matches each; the one of the reliable features is found."""
-    a, b = _frames(24, 24, seed=6)
-    other = transform_points(make_pose(exp_so3([-0.5, 0.4, 0.1]), [0.0, -0.04, 0.02]), b.p_R[24:])
-    turn = exp_so3([-0.5, 0.4, 0.1])
-    assert a.R_RS is not None and b.R_RS is not None
-    p_A = np.concatenate([a.p_R[:24], other])
-    R_AS = np.concatenate([a.R_RS[:24], turn @ b.R_RS[24:]])
-    a = _features(p_A, R_AS, a.descriptors)
-    match = SoftmaxMatcher(Frontend())
-    for reliable in (slice(0, 24), slice(24, 48)):
-        reliability = np.full(48, 0.1)
-        reliability[reliable] = 0.9
-        found = match(*(replace(each, reliability=reliability) for each in (a, b)))
-        inside = (found.features[:, 0] >= reliable.start) & (found.features[:, 0] < reliable.stop)
-        assert len(found.features) > 15
-        assert inside.mean() > 0.9
