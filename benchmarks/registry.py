@@ -142,6 +142,7 @@ BENCHMARKS = (
     Benchmark("backgrounds", "end_to_end.backgrounds", "docs/masks.md", 60),
     Benchmark("matching", "frontend.matching", "docs/frontend.md", 120),
     Benchmark("frontend_cost", "frontend.cost", "docs/frontend.md", 2, needs=("data/ts38",)),
+    Benchmark("reliability", "frontend.reliability", "docs/model_card.md", 15),
     Benchmark("disparity", "frontend.disparity", "docs/depth.md", 60),
     Benchmark("masks", "frontend.masks", "docs/masks.md", 3),
     _of_runs("mesh_quality", "mapping.mesh_quality", "docs/mapping.md", 20, _SURFACES),

@@ -9,4 +9,5 @@ corpus.py           the simulated training sequences, of random scenes
 feature_noise.py    constants of the front end's noise model
 descriptor/         the descriptor of surface patches
 disparity/          the refinement of disparities
+light/              what other light does to features: bodies under several Suns
 """

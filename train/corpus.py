@@ -67,12 +67,12 @@ def random_scene(corpus: Corpus, index: int) -> Scene:
         body=body,
         motion=_motion(corpus, rig, depth_m, radius_m, rng),
         rig=rig.model_copy(update={"baseline_m": baseline_m}),
-        light=_light(corpus, rng),
+        light=random_light(corpus, rng),
         background=Background(
             stars=bool(rng.random() < corpus.stars), earth=bool(rng.random() < corpus.earth_behind)
         ),
-        sensor=_sensor(corpus, rng),
-        render=Render(products=("depth", "normals", "mask", "shadow")),
+        sensor=random_sensor(corpus, rng),
+        render=Render(products=("depth", "normals", "mask", "shadow"), scattered=corpus.scattered),
     )
 
 
@@ -118,7 +118,8 @@ def _motion(corpus: Corpus, rig: Rig, depth_m: float, radius_m: float, rng: np.r
     )
 
 
-def _light(corpus: Corpus, rng: np.random.Generator) -> Light:
+def random_light(corpus: Corpus, rng: np.random.Generator) -> Light:
+    """Sun, Earth and lamp of one scene."""
     phase_rad = np.deg2rad(_uniform(rng, corpus.sun_phase_deg))
     around_rad = rng.uniform(0.0, 2.0 * np.pi)
     across = np.array([np.cos(around_rad), np.sin(around_rad)]) * np.sin(phase_rad)
@@ -134,7 +135,8 @@ def _light(corpus: Corpus, rng: np.random.Generator) -> Light:
     )
 
 
-def _sensor(corpus: Corpus, rng: np.random.Generator) -> Sensor:
+def random_sensor(corpus: Corpus, rng: np.random.Generator) -> Sensor:
+    """Exposure, blur and noise of one scene."""
     return Sensor(
         white_dn=_logarithmic(rng, corpus.white_dn),
         exposure_ms=_uniform(rng, corpus.exposure_ms),
@@ -191,11 +193,7 @@ def render_corpus(corpus: Corpus, progress: Progress, workers: int) -> None:
 
     Raises InputError as ``require_corpus``; RunFailure: a process was killed, or a file cannot be written.
     """
-    require_corpus(corpus)
-    folder = Path(corpus.folder)
-    if not (folder / NOTE).is_file():
-        with occupied(folder, _shown(corpus)):
-            write_text(folder / NOTE, yaml.safe_dump(_drawn_from(corpus), sort_keys=False))
+    begin_corpus(corpus)
     missing = _missing(corpus)
     if not missing:
         return
@@ -206,13 +204,22 @@ def render_corpus(corpus: Corpus, progress: Progress, workers: int) -> None:
             advance()
 
 
+def begin_corpus(corpus: Corpus) -> None:
+    """Write down what the scenes are drawn from, if the folder is new. Raises as ``require_corpus``."""
+    require_corpus(corpus)
+    folder = Path(corpus.folder)
+    if not (folder / NOTE).is_file():
+        with occupied(folder, _shown(corpus)):
+            write_text(folder / NOTE, yaml.safe_dump(_drawn_from(corpus), sort_keys=False))
+
+
 def _render(work: tuple[Corpus, int]) -> None:
     corpus, index = work
-    simulate(random_scene(corpus, index), _seed(corpus, index), scene_folder(corpus, index), Silent())
+    simulate(random_scene(corpus, index), scene_seed(corpus, index), scene_folder(corpus, index), Silent())
 
 
-def _seed(corpus: Corpus, index: int) -> int:
-    """Seed of the scene's noise and stars."""
+def scene_seed(corpus: Corpus, index: int) -> int:
+    """Seed of a scene's noise and stars."""
     return corpus.seed * 100_000 + index
 
 

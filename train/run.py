@@ -15,6 +15,8 @@ from polhode.atomic import write_bytes, write_text
 from polhode.config import Config
 from polhode.config.loader import dump_config
 from polhode.config.train_settings import Train
+from polhode.errors import InputError
+from polhode.frontend.networks.weights import load_weights
 from polhode.output.marked_folder import claim, marked_folder, withdrawn_if_refused
 from polhode.output.place import folder_place, require_writable
 from polhode.progress import Progress
@@ -71,6 +73,8 @@ def _require_sound(train: Train) -> None:
     split(train.corpus)
     device_of(train.schedule)
     require_corpus(train.corpus)
+    if train.start_from is not None and not Path(train.start_from).is_file():
+        raise InputError(f"train.start_from: {train.start_from} is no file; give weights of polhode train")
     if train.task == "depth":
         shown = Path(f"train.depth.cache: {train.depth.cache}")
         require_writable(folder_place(Path(train.depth.cache), shown), shown)
@@ -80,6 +84,8 @@ def _trained(config: Config, train: Train, output: Path, progress: Progress, wor
     render_corpus(train.corpus, progress, workers)
     torch.manual_seed(config.seed)
     task = make_task(train, config.seed, progress, workers)
+    if train.start_from is not None:
+        load_weights(task.network, Path(train.start_from))
     outcome = TrainingLoop(task, train.schedule, output, config.seed).run(
         setting_of(train, config.seed), progress
     )
@@ -94,6 +100,8 @@ def setting_of(train: Train, seed: int) -> dict[str, Any]:
     """The settings on which the weights depend: dotted key -> value."""
     setting = {"seed": seed, **_flat(train, "")}
     others = {"descriptor", "depth"} - {train.task}
+    if train.task != "descriptor":
+        others |= {"light"}
     return {
         key: value
         for key, value in setting.items()

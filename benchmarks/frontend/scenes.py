@@ -16,6 +16,7 @@ from polhode.config.loader import load_config
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.frontend.rectification import RectifiedPair, Rectifier, make_rectifier, rectified_pair
 from polhode.lie import Array, inverse_pose, transform_points
+from polhode.records import Bools
 from polhode.simulation.dataset.correspondence import view_of
 from polhode.simulation.dataset.plan import plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster
@@ -94,14 +95,23 @@ class UnseenScene:
         bright_i, bright_j = (self.pair(k).left > BRIGHT_DN for k in (i, j))
         v, u = np.nonzero(bright_i)
         p_G, _ = self._seen(i, np.column_stack([u, v])[::EVERY].astype(np.float64))
-        p_G = p_G[np.isfinite(p_G[:, 0])]
-        uv = self.rig.project(transform_points(inverse_pose(self.X_GR[j]), p_G))[:, :2]
+        return EVERY * int(self._shown(p_G, j, bright_j).sum())
+
+    def shown_in_light(self, p_G: Array, j: int) -> Bools:
+        """Whether frame j shows points (n, 3) of the body in the light; not where they are NaN."""
+        return self._shown(p_G, j, self.pair(j).left > BRIGHT_DN)
+
+    def _shown(self, p_G: Array, j: int, bright: Bools) -> Bools:
+        """Whether frame j shows points (n, 3) at pixels that are ``bright`` (H, W)."""
+        shown = np.isfinite(p_G[:, 0])
+        uv = np.full((len(p_G), 2), -1.0)
+        uv[shown] = self.rig.project(transform_points(inverse_pose(self.X_GR[j]), p_G[shown]))[:, :2]
         pixel = np.round(uv).astype(int)
-        inside = ((pixel >= 0) & (pixel < [self.rig.width_px, self.rig.height_px])).all(axis=1)
-        again_G, _ = self._seen(j, uv[inside])
-        visible = np.linalg.norm(again_G - p_G[inside], axis=1) < SAME_SURFACE_M
-        lit = bright_j[pixel[inside, 1], pixel[inside, 0]]
-        return EVERY * int(np.sum(visible & lit))
+        shown &= ((pixel >= 0) & (pixel < [self.rig.width_px, self.rig.height_px])).all(axis=1)
+        again_G, _ = self._seen(j, uv[shown])
+        same = np.linalg.norm(again_G - p_G[shown], axis=1) < SAME_SURFACE_M
+        shown[shown] = same & bright[pixel[shown, 1], pixel[shown, 0]]
+        return shown
 
     def _seen(self, k: int, uv_px: Array) -> tuple[Array, Array]:
         """First surface behind pixels (n, 2) of the rectified left image: points (n, 3) in G, depth (n,)."""

@@ -66,6 +66,9 @@ class Corpus(Section):
     """Share of the scenes with stars."""
     earth_behind: Share = 0.1
     """Share of the scenes with the Earth's disc in the background."""
+    scattered: bool = True
+    """Scatter the rays of each pixel, as ``scene.render.scattered``: the network should not learn by how much
+    the pattern of the rays displaces edges."""
 
     @model_validator(mode="after")
     def _ranges_are_ordered(self) -> Self:
@@ -144,6 +147,18 @@ class DepthTraining(Section):
     """Compute in bfloat16 on a CPU; several times faster where the CPU has instructions for it (AMX)."""
 
 
+class LightStudy(Section):
+    """Bodies of the corpus from several poses, each under several Suns: what they show differs in light
+    alone, in pose alone, or in both. The task ``descriptor`` also learns from them."""
+
+    bodies: int = Field(0, ge=0, le=100_000)
+    """Number of bodies: the first ones of the corpus, which may have fewer scenes. 0: none."""
+    suns: int = Field(3, ge=2, le=100)
+    """Suns, each with an exposure and other lights of its own, under which every pose is rendered."""
+    poses: int = Field(3, ge=1, le=100)
+    """Poses of a body, ``corpus.turn_deg`` apart."""
+
+
 class Train(Section):
     """Training of one network of the front end."""
 
@@ -152,7 +167,10 @@ class Train(Section):
     output: str = "runs/train"
     """Folder of the results: checkpoint, curves, weights, scores. A training that was begun there
     continues."""
+    start_from: str | None = None
+    """Weights from which the training starts, a safetensors file of the same network; null: random ones."""
     corpus: Corpus = Corpus()
     schedule: Schedule = Schedule()
     descriptor: DescriptorTraining = DescriptorTraining()
     depth: DepthTraining = DepthTraining()
+    light: LightStudy = LightStudy()

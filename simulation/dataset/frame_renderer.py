@@ -34,13 +34,14 @@ from polhode.simulation.stereo_camera import Camera, Image, expose, sample_times
 class FrameRenderer:
     """Renders images and stereo pairs of a plan."""
 
-    def __init__(self, plan: SequencePlan) -> None:
-        self._plan = plan
+    def __init__(self, plan: SequencePlan, renderer: Renderer | None = None) -> None:
+        """``renderer``: of the plan's body and light, if there is one already."""
+        self._plan, self._given = plan, renderer
 
     @cached_property
     def _renderer(self) -> Renderer:
         """Built at the first frame, in the process that renders it."""
-        return Renderer(self._plan.body, self._plan.scene, self._plan.seed)
+        return self._given or Renderer(self._plan.body, self._plan.scene, self._plan.seed)
 
     def render_image(self, k: int, index: int) -> tuple[Image, RenderedLight]:
         """Frame k of camera ``index`` (0: left) as the sensor gives it, and the light before the lens."""

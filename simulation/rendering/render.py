@@ -1,5 +1,6 @@
 """One image: rays, hits, materials, light, and the mean over the samples of each pixel."""
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,7 +14,7 @@ from polhode.simulation.rendering.appearance import SurfaceAppearance
 from polhode.simulation.rendering.indirect import IndirectLight
 from polhode.simulation.rendering.light import Lights, lights_in_body
 from polhode.simulation.rendering.raycast import Hits, RayCaster
-from polhode.simulation.rendering.sampling import Stratum, rays_over_disc
+from polhode.simulation.rendering.sampling import Stratum, rays_over_disc, scattered_offsets
 from polhode.simulation.rendering.shading import IncidentLight, SpecularTracer, shade
 from polhode.simulation.stereo_camera import Camera, sample_offsets
 from polhode.simulation.surface.materials import Surface
@@ -40,12 +41,19 @@ class Renderer:
     def __init__(self, body: Body, scene: config.Scene, seed: int) -> None:
         self._body = body
         self.light = scene.light
-        self._samples = scene.render.samples
+        self._samples, self._scattered = scene.render.samples, scene.render.scattered
         self.caster = RayCaster(body)
         self.appearance = SurfaceAppearance(body, scene.body, seed)
         self._bounces = scene.render.bounces
         pixels = scene.rig.width_px * scene.rig.height_px
         self._probes = int(np.clip(pixels // PIXELS_A_PROBE, *PROBES))
+
+    def under(self, light: config.Light) -> "Renderer":
+        """The same body under other light; what does not depend on the light is shared."""
+        _ = self._indirect  # built before it is shared
+        other = copy(self)
+        other.light = light
+        return other
 
     @cached_property
     def _indirect(self) -> IndirectLight:
@@ -65,7 +73,8 @@ class Renderer:
             X_GK = X_GN @ X_NK
             lights = lights_in_body(self.light, X_GN, X_GK @ inverse_pose(camera.X_CK), t_s)
             pixels = self._pixels_near_body(camera, X_GK)
-            rays_G = _directions(camera, pixels, offsets[i]) @ X_GK[:3, :3].T
+            place_px = scattered_offsets(pixels, offsets[i], t_s) if self._scattered else offsets[i]
+            rays_G = _directions(camera, pixels, place_px) @ X_GK[:3, :3].T
             hits = self.caster.first_hits(X_GK[:3, 3], rays_G)
             surface = self.appearance.at(hits)
             to_viewer = -rays_G[hits.ray]
@@ -98,6 +107,7 @@ class Renderer:
 
 
 def _directions(camera: Camera, pixels: Ints, offset_px: Array) -> Array:
-    """Unit rays (n, 3) in the camera, through pixels (n,) at one offset (2,) from their centres."""
+    """Unit rays (n, 3) in the camera, through pixels (n,), at one offset (2,) or each at its own (n, 2) from
+    their centres [px]."""
     v, u = np.divmod(pixels, camera.width_px)
     return camera.directions(np.stack([u, v], axis=1) + offset_px)

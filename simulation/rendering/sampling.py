@@ -1,4 +1,5 @@
-"""Sampling patterns: directions evenly over the sphere, look-up of the nearest one, points on discs."""
+"""Sampling patterns: directions evenly over the sphere, look-up of the nearest one, points on discs and in
+pixels."""
 
 from dataclasses import dataclass
 
@@ -11,6 +12,8 @@ from polhode.lie import Array
 from polhode.records import Ints
 
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+_SCATTER_USE = 1000
+"""First of the hashes of scattered rays; those of discs are below."""
 MAP_CELLS = 96
 """Cells along an edge of the map that finds the nearest direction."""
 
@@ -77,6 +80,18 @@ def spiral_points(index: Array, count: int, turn_rad: Array | float = 0.0) -> Ar
     """Points (n, 2) on the unit disc: those of index (n,) in [0, count) on a spiral of ``count`` points."""
     radius, angle = np.sqrt(index / count), np.floor(index) * GOLDEN_ANGLE + turn_rad
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+
+
+def scattered_offsets(pixel: Ints, offset_px: Array, t_s: float) -> Array:
+    """Positions (n, 2) of one sample in its pixels (n,) [px], from -1/2 to 1/2.
+
+    The regular position (2,) is shifted by an amount drawn for each pixel, and wrapped into the pixel
+    (Cranley and Patterson, "Randomization of number theoretic methods for multiple integration", 1976): the
+    samples of a pixel stay as far apart, and over many pixels each of them is anywhere, whenever it is taken.
+    Another time t_s draws other shifts.
+    """
+    shift = np.stack(_hash(pixel, _SCATTER_USE + round(1e3 * t_s)), axis=1)
+    return np.asarray((offset_px + shift) % 1.0 - 0.5)
 
 
 def rays_over_disc(direction_G: Array, radius_rad: float, stratum: Stratum) -> Array:

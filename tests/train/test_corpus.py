@@ -29,7 +29,7 @@ from polhode.train.corpus import (
 )
 
 ROOT = Path(__file__).parents[2]
-SHIPPED = ("features.yaml", "depth.yaml")
+SHIPPED = ("features.yaml", "depth.yaml", "light.yaml")
 
 
 def test_a_scene_depends_on_the_seed_and_its_number_alone() -> None:

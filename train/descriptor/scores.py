@@ -40,6 +40,8 @@ from polhode.train.descriptor.surface_points import ScenePoints, find_points
 
 ANGLES_DEG = {"30": (20.0, 40.0), "60": (50.0, 70.0)}
 """Range of the angle between the views for each score."""
+LIGHT_ALONE = {"light": (-1.0, 1.0)}
+"""The same for images of one pose under two Suns."""
 PAIRS_PER_SCENE = 4
 """Frame pairs for each scene and angle."""
 MAX_ERROR_PX = 3.0
@@ -93,7 +95,7 @@ def validation_pairs(scenes: Mapping[int, ScenePoints], seed: int) -> list[Valid
         same = same_appearance(points)
         pairs, distractor = frame_pairs(points, same, number, np.pi), distractor_points(points, same)
         angles = [np.rad2deg(np.median(points.angle_rad[pair.found])) for pair in pairs]
-        for name, (least, most) in ANGLES_DEG.items():
+        for name, (least, most) in (ANGLES_DEG | LIGHT_ALONE).items():
             inside = [pair for pair, angle in zip(pairs, angles, strict=True) if least < angle < most]
             for k in rng.permutation(len(inside))[:PAIRS_PER_SCENE]:
                 trials.append(_trial(points, inside[k], name, distractor, rng))
@@ -109,8 +111,8 @@ def _trial(
     half_m = HALF_PX * float(np.median(points.p_K[a, 2])) / float(points.focal_px)
     own, partner = points.point[pair.found], points.again[pair.found]
     histogram = HistogramDescriptor()
-    patches_a, affine_a = _noisy_patches(points, a, half_m, rng)
-    patches_b, affine_b = _noisy_patches(points, b, half_m, rng)
+    patches_a, affine_a = noisy_patches(points, a, half_m, rng)
+    patches_b, affine_b = noisy_patches(points, b, half_m, rng)
     row, column = np.searchsorted(a, own), np.searchsorted(b, partner)
     R_ba = camera_rotation(points, pair.a, pair.b)
     return ValidationPair(
@@ -138,7 +140,7 @@ def _trial(
     )
 
 
-def _noisy_patches(
+def noisy_patches(
     points: ScenePoints, index: Ints, half_m: float, rng: np.random.Generator
 ) -> tuple[Patches, Array]:
     """Patches at key points of one frame, with the errors of a run, and their maps."""

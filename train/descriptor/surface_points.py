@@ -43,6 +43,7 @@ from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.dataset.sequence import SCENE_FILE
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.rendering.render import Renderer
+from polhode.simulation.stereo_camera import Camera
 from polhode.train.corpus import scene_digest, scene_folder
 
 VERSION = 2
@@ -185,8 +186,14 @@ def find_points(folder: Path) -> ScenePoints:
     caster = RayCaster(plan.body)
     views = [view_of(plan, k, 0) for k in range(config.scene.frames)]
     grey = np.stack([_read_grey(folder, plan, k) for k in range(len(views))])
-    truths = _truths(folder, plan)
-    found = [_detected(plan, grey[k], truths[k], k) for k in range(len(views))]
+    return points_of_frames(caster, views, grey, _truths(folder, plan))
+
+
+def points_of_frames(
+    caster: RayCaster, views: Sequence[CameraView], grey: Grey, truths: Sequence[Products]
+) -> ScenePoints:
+    """The points of images (F, H, W) of one body, each with its view and the truth of its pixels."""
+    found = [_detected(views[k].camera, grey[k], truths[k], k) for k in range(len(views))]
     trees = [cKDTree(each["uv_px"]) if len(each["uv_px"]) else None for each in found]
     start = np.cumsum([0, *(len(each["uv_px"]) for each in found)])
     seen = [
@@ -195,7 +202,7 @@ def find_points(folder: Path) -> ScenePoints:
         for b in range(len(views))
         if b != k and len(found[k]["uv_px"])
     ]
-    camera = plan.cameras[0]
+    camera = views[0].camera
     per_point = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
     per_sighting = {name: np.concatenate([each[name] for each in seen]) for name in seen[0]}
     return ScenePoints(
@@ -224,7 +231,7 @@ def _truths(folder: Path, plan: SequencePlan) -> list[Products]:
     return [render_products(renderer, camera, X_NC, X_NG, names) for X_NC, X_NG in poses]
 
 
-def _detected(plan: SequencePlan, grey: Grey, truth: Products, k: int) -> dict[str, NDArray[Any]]:
+def _detected(camera: Camera, grey: Grey, truth: Products, k: int) -> dict[str, NDArray[Any]]:
     """Key points of frame k on the target, one per position, with the true properties of their surface."""
     assert truth.mask is not None
     assert truth.depth is not None
@@ -235,7 +242,7 @@ def _detected(plan: SequencePlan, grey: Grey, truth: Products, k: int) -> dict[s
     uv = points.uv_px[first]
     pixel = np.round(uv).astype(int).reshape(-1, 2)
     depth_m = truth.depth[pixel[:, 1], pixel[:, 0]]
-    rays = plan.cameras[0].directions(uv) if len(places) else np.zeros((0, 3))
+    rays = camera.directions(uv) if len(places) else np.zeros((0, 3))
     return {
         "frame": np.full(len(uv), k),
         "uv_px": uv,

@@ -24,6 +24,7 @@ from polhode.train.corpus import split
 from polhode.train.descriptor.batches import PatchBatches
 from polhode.train.descriptor.scores import ValidationPair, describe_patches, score, validation_pairs
 from polhode.train.descriptor.surface_points import prepare_points
+from polhode.train.light.lit_points import prepare_lit_points
 from polhode.train.task import Batch
 
 RELIABILITY_WEIGHT = DIRECTION_WEIGHT = 0.3
@@ -35,6 +36,8 @@ LATE_FROM = 0.6
 SAME_POINT_PX = 4.0
 """Points of one frame pair that are this close to each other are not used as negatives of each other [px]."""
 START_TEMPERATURE = 0.07
+LIT = 1_000_000
+"""Added to the numbers of bodies under several Suns, beside the same bodies of the corpus."""
 MIN_POINTS = 8
 """Frame pairs with fewer points do not determine a motion."""
 MAX_MOTION_LOSS = 2.0
@@ -210,11 +213,17 @@ def make_task(train: Train, seed: int, progress: Progress, workers: int) -> Desc
     """Find the points of the corpus. Raises InputError: there are too few."""
     halves = split(train.corpus)
     scenes = prepare_points(train.corpus, range(train.corpus.scenes), progress, workers)
-    batches = PatchBatches({i: scenes[i] for i in halves.training}, train.descriptor, seed)
+    lit = prepare_lit_points(train.corpus, train.light, progress, workers)
+    learned = {i: scenes[i] for i in halves.training}
+    # a body has one number, in the corpus and under several Suns
+    learned |= {LIT + i: points for i, points in lit.items() if not train.corpus.is_validation(i)}
+    batches = PatchBatches(learned, train.descriptor, seed)
     if batches.is_empty:
         raise InputError(
             "train.corpus: no two frames show enough common points: more scenes or frames, or smaller turns"
         )
-    trials = validation_pairs({i: scenes[i] for i in halves.validation}, seed)
+    held_out = {i: scenes[i] for i in halves.validation}
+    held_out |= {LIT + i: points for i, points in lit.items() if train.corpus.is_validation(i)}
+    trials = validation_pairs(held_out, seed)
     late_from = round(LATE_FROM * train.schedule.steps)
     return DescriptorTask(batches, trials, late_from)

@@ -10,7 +10,9 @@ from polhode.simulation.rendering.sampling import (
     nearest_direction,
     nearest_direction_map,
     rays_over_disc,
+    scattered_offsets,
 )
+from polhode.simulation.stereo_camera import sample_offsets, sample_times
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -72,3 +74,37 @@ def test_the_map_of_directions_finds_one_of_the_nearest() -> None:
             nearest_direction(direction[0], direction[1], direction[2], nearest)
             in np.argsort(-directions @ direction)[:4]
         ), index
+
+
+@pytest.mark.parametrize("samples", [4, 16])
+def test_scattered_rays_do_not_displace_an_edge(samples: int) -> None:
+    """Of the regular pattern, edges of slope 1:2 are displaced: their pixels are covered by too much."""
+    pixel, offsets = np.arange(20_000), sample_offsets(samples)
+    normal = np.array([1.0, -2.0]) / np.sqrt(5.0)
+    scattered = np.stack([scattered_offsets(pixel, offset, 0.0) for offset in offsets])
+    covered = np.mean(scattered @ normal > 0.1)
+    # the area of a unit square beyond a line, by counting
+    fine = np.stack(np.meshgrid(*2 * [np.linspace(-0.4995, 0.4995, 1000)]), axis=-1)
+    area = np.mean(fine @ normal > 0.1)
+    assert covered == pytest.approx(area, abs=0.004)
+    if samples == 4:
+        assert abs(np.mean(offsets @ normal > 0.1) - area) > 0.08
+
+
+def test_the_place_of_a_scattered_ray_says_nothing_of_its_moment() -> None:
+    pixel, offsets, moment = np.arange(20_000), sample_offsets(4), sample_times(4)
+    scattered = np.stack([scattered_offsets(pixel, offset, 0.0) for offset in offsets])
+    assert np.abs(scattered).max() <= 0.5
+    for axis in range(2):
+        regular = np.corrcoef(offsets[:, axis], moment)[0, 1]
+        place, when = scattered[..., axis].ravel(), np.repeat(moment, len(pixel))
+        assert abs(np.corrcoef(place, when)[0, 1]) < 0.02 < abs(regular)
+
+
+def test_scattered_rays_of_a_pixel_stay_apart_and_change_from_frame_to_frame() -> None:
+    pixel, offsets = np.arange(5000), sample_offsets(4)
+    first = np.stack([scattered_offsets(pixel, offset, 0.0) for offset in offsets])
+    away = np.abs(first[0] - first[1])
+    apart = np.linalg.norm(np.minimum(away, 1.0 - away), axis=1)
+    assert apart.min() > 0.4
+    assert np.abs(first - [scattered_offsets(pixel, offset, 1.0) for offset in offsets]).mean() > 0.2

@@ -18,6 +18,7 @@ from polhode.frontend.features.patch_descriptors import descriptor_network
 from polhode.frontend.features.patches import Patches, tangent_affines
 from polhode.frontend.matching.matchers import DualSoftmax
 from polhode.frontend.networks.descriptor import DescriptorOutput
+from polhode.frontend.networks.weights import shipped_path
 from polhode.lie import Array, exp_so3
 from polhode.progress import Silent
 from polhode.train.checkpoint import CHECKPOINT
@@ -224,6 +225,23 @@ def test_the_command_trains_and_resumes_to_the_same_weights(training_file: Path,
     assert (tmp_path / "parts" / CHECKPOINT).is_file()
     assert main(parts) == 0
     assert (tmp_path / "parts" / "descriptor.safetensors").read_bytes() == whole.read_bytes()
+
+
+def test_training_starts_from_given_weights_and_learns_from_bodies_under_several_suns(
+    training_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With a learning rate of nearly nothing the weights stay what they were."""
+    shipped = shipped_path("descriptor")
+    more = ["--train.light.bodies=1", "--train.light.poses=1", "--train.light.suns=2"]
+    still = [f"--train.start-from={shipped}", "--train.schedule.learning-rate=1e-9", *more]
+    assert main(["train", str(training_file), *still]) == 0
+    started = descriptor_network(tmp_path / "out" / "descriptor.safetensors")
+    expected = descriptor_network(shipped)
+    for got, wanted in zip(started.parameters(), expected.parameters(), strict=True):
+        torch.testing.assert_close(got, wanted, atol=1e-6, rtol=0.0)
+    capsys.readouterr()
+    assert main(["train", str(training_file), "--train.start-from=nowhere.safetensors"]) == 2
+    assert "train.start_from: nowhere.safetensors is no file" in capsys.readouterr().err
 
 
 def test_changed_settings_are_refused_before_the_corpus_is_rendered(
