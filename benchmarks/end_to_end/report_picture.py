@@ -2,12 +2,11 @@
 
     python -m benchmarks.end_to_end.report_picture RUN --rows 0 1700 [--columns 240 1200] -o PNG
 
-Chromium renders the page without a window; rows and columns are pixels of the page from its upper left.
+Chromium renders the page without a window, with every figure drawn; rows and columns are pixels of the page
+from its upper left. ``--section`` takes a whole section instead, by its id in the page.
 """
 
-import shutil
-import subprocess
-import tempfile
+import io
 from pathlib import Path
 from typing import Annotated
 
@@ -15,10 +14,11 @@ from PIL import Image
 from tyro.conf import Positional, arg
 
 from benchmarks.command import command
+from benchmarks.end_to_end.report_page import draw_all, headless
 
-BELOW_PX = 100
-"""More of the page than is shown: a bar at the lower edge of the window is cut away"""
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+HEIGHT_PX = 1000
+"""Of the window; the page is longer, and its bar at the lower edge is hidden."""
+STILL = "#timeline, .timeline { display: none !important } * { animation: none !important }"
 
 
 def main(
@@ -29,26 +29,36 @@ def main(
     columns: Annotated[
         tuple[int, int] | None, arg(help="First and last column; all of them unless given.")
     ] = None,
+    section: Annotated[str | None, arg(help="Instead of rows and columns: id of a section.")] = None,
 ) -> None:
     """Write the picture."""
-    page, browser = run / "report.html", next(filter(None, map(shutil.which, BROWSERS)), None)
+    page = run / "report.html"
     left, right = columns or (0, width)
     if not page.is_file():
         raise SystemExit(f"{page}: no such report")
-    if browser is None:
-        raise SystemExit(f"there is no browser: install one of {', '.join(BROWSERS)}")
-    with tempfile.TemporaryDirectory() as folder:
-        whole = Path(folder) / "page.png"
-        words = [browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
-        # the plots are drawn by the page's own scripts
-        words += ["--virtual-time-budget=20000", f"--screenshot={whole}"]
-        words += [f"--window-size={width},{rows[1] + BELOW_PX}"]
-        subprocess.run([*words, page.resolve().as_uri()], check=True, capture_output=True)
-        with Image.open(whole) as image:
-            part = image.convert("RGB").crop((left, rows[0], right, rows[1]))
-        output.parent.mkdir(parents=True, exist_ok=True)
-        part.quantize(128).save(output, optimize=True)
+    with Image.open(io.BytesIO(whole_page(page, width, section))) as image:
+        part = image.convert("RGB")
+    if section is None:
+        part = part.crop((left, rows[0], right, rows[1]))
+    output.parent.mkdir(parents=True, exist_ok=True)
+    part.quantize(128).save(output, optimize=True)
     print(output)
+
+
+def whole_page(file: Path, width_px: int, section: str | None) -> bytes:
+    """The page, or a section of it, as a PNG. Raises SystemExit: no browser, or no such section."""
+    with headless() as browser:
+        page = browser.new_page(viewport={"width": width_px, "height": HEIGHT_PX}, color_scheme="light")
+        page.goto(file.resolve().as_uri())
+        draw_all(page)
+        page.add_style_tag(content=STILL)
+        if section is None:
+            return page.screenshot(full_page=True)
+        found = page.locator(f"[id='{section}']")
+        if found.count() == 0:
+            ids = page.evaluate("[...document.querySelectorAll('.section')].map(each => each.id)")
+            raise SystemExit(f"{section}: no such section; there are {', '.join(ids)}")
+        return found.screenshot()
 
 
 if __name__ == "__main__":

@@ -1,28 +1,26 @@
 """The picture of a report is the part of the page that was asked for."""
 
-import shutil
-import subprocess
+import io
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.end_to_end import report_picture
+from benchmarks.end_to_end import report_page, report_picture
 
 
-def test_rows_of_the_page_are_cut_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_and_columns_of_the_page_are_cut_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "report.html").write_text("<p>page</p>")
 
-    def browser(words: list[str], **_: Any) -> None:
-        size = next(word for word in words if word.startswith("--window-size=")).split("=")[1].split(",")
-        width, height = map(int, size)
-        rows = np.repeat(np.arange(height, dtype=np.uint8)[:, None], width, axis=1)
-        Image.fromarray(rows).save(next(w for w in words if w.startswith("--screenshot=")).split("=")[1])
+    def picture(_file: Path, width_px: int, section: str | None) -> bytes:
+        assert section is None
+        rows = np.repeat(np.arange(200, dtype=np.uint8)[:, None], width_px, axis=1)
+        stream = io.BytesIO()
+        Image.fromarray(rows).save(stream, format="PNG")
+        return stream.getvalue()
 
-    monkeypatch.setattr(subprocess, "run", browser)
-    monkeypatch.setattr(shutil, "which", lambda _: "/bin/browser")
+    monkeypatch.setattr(report_picture, "whole_page", picture)
     report_picture.main(tmp_path, tmp_path / "deep" / "part.png", rows=(20, 60), width=30)
     report_picture.main(tmp_path, tmp_path / "narrow.png", rows=(20, 60), width=30, columns=(10, 28))
     with Image.open(tmp_path / "narrow.png") as image:
@@ -38,6 +36,6 @@ def test_a_run_without_a_report_and_a_machine_without_a_browser_say_so(
     with pytest.raises(SystemExit, match="no such report"):
         report_picture.main(tmp_path, tmp_path / "part.png")
     (tmp_path / "report.html").touch()
-    monkeypatch.setattr(shutil, "which", lambda _: None)
+    monkeypatch.setattr(report_page, "browser_path", lambda: None)
     with pytest.raises(SystemExit, match="there is no browser"):
         report_picture.main(tmp_path, tmp_path / "part.png")
