@@ -44,10 +44,11 @@ class ObservabilityCommand:
     trajectory: Annotated[Path | None, arg(metavar="FILE")] = None
     """Camera trajectory, TUM format: one line per pose, timestamp tx ty tz qx qy qz qw; the camera looks
     along its z axis, x points right, y down. A run's own unless given."""
-    frame: Annotated[Literal["body", "inertial", "G", "N"], arg(metavar="body|inertial")] = "body"
+    frame: Annotated[Literal["body", "inertial", "G", "N"] | None, arg(metavar="body|inertial")] = None
     """Frame in which the trajectory states the camera's poses. body (or G, the frame of the mesh): fixed to
     the target. inertial (or N, the inertial frame of the run): the target tumbles on as predicted, and times
-    are seconds after the last pair of the run. `polhode plan` writes such a trajectory."""
+    are seconds after the last pair of the run. body unless given, and inertial for the file that
+    `polhode plan` writes, whose first line says so."""
     sun: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
     """Direction to the Sun, of any length: edges are then weighted by their contrast. In N for a run, in its
     own frame for a mesh. Without it all edges have the same weight."""
@@ -86,13 +87,15 @@ class ObservabilityCommand:
             format_assessment,
             write_assessment,
         )
+        from polhode.pipeline.after_run.plan_files import is_in_N
 
         with assessment_folder(self.output) as place:
             self._check()
+            stated = "inertial" if self.trajectory is not None and is_in_N(self.trajectory) else "body"
             subject = subject_of(
                 self.source,
                 self.trajectory,
-                _FRAMES[self.frame],
+                _FRAMES[self.frame or stated],
                 CameraOptions(self.focal_px, self.width_px, self.height_px),
                 None if self.about is None else np.array(self.about),
                 None if self.sun is None else np.array(self.sun) / np.linalg.norm(self.sun),

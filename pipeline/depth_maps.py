@@ -90,6 +90,11 @@ class DepthStore:
     def __contains__(self, k: int) -> bool:
         return self._path(k).is_file()
 
+    @property
+    def is_there(self) -> bool:
+        """Whether there is a folder to store in."""
+        return self.folder.is_dir()
+
     def write(self, k: int, depth: DepthMap) -> int:
         """Store the depth map of pair k, whole or not at all; returns the size of its file [bytes]."""
         write_record(self._path(k), f"{k}", PackedDepth.of(depth))
@@ -122,6 +127,11 @@ class StagedDepth:
 
     def __contains__(self, k: int) -> bool:
         return self.stages.has(STAGE, self.keys[k])
+
+    @property
+    def is_there(self) -> bool:
+        """As ``DepthStore.is_there``: a run that is complete has moved."""
+        return self.stages.folder is not None and self.stages.folder.is_dir()
 
     def write(self, k: int, depth: DepthMap) -> int:
         """As ``DepthStore.write``; nothing if there are too many."""
@@ -254,4 +264,6 @@ class _Making:
             k, span = job
             pair = rectified_pair(self._sequence, self._rectifier, k)
             depth = depth_of_pair(pair, self._rectifier.rig, self._config.depth, span)
-            self._stored_bytes += self._store.write(k, depth)
+            # the last one may end after the run
+            if self._store.is_there:
+                self._stored_bytes += self._store.write(k, depth)

@@ -37,7 +37,7 @@ class OptionalPart:
 OPTIONAL_PARTS: tuple[OptionalPart, ...] = (
     OptionalPart(
         "solvers", {"pyceres": "Ceres", "gtsam": "GTSAM"},
-        "their rows of polhode compare; without them the comparison leaves these solvers out",
+        "their rows of polhode compare; without them these rows say missing",
     ),
     OptionalPart(
         "export", {"vhacdx": "V-HACD"},
@@ -67,6 +67,8 @@ def missing_part(module: str) -> str | None:
 
 
 def missing_message(module: str) -> str:
-    """That a module is not installed, and the command that adds it."""
+    """That a module is not installed, and the command that adds it where an optional part has the module."""
+    if not any(module in part.modules for part in OPTIONAL_PARTS):
+        return f"{module} is not installed"
     part = part_with(module)
     return f"{part.modules[module]} is not installed ({part.how_to_install})"

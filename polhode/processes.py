@@ -109,6 +109,7 @@ class Background(Generic[T, U]):
     def __init__(self, work: Callable[[T], U], preload: Sequence[str] = ()) -> None:
         """Raises OSError where there can be no process."""
         self._pool: ProcessPoolExecutor | None = _pool(_Yielding(work), 1, preload)
+        self._submitted: list[Future[U]] = []
         _pools.append(self._pool)
 
     def submit(self, item: T) -> "Future[U] | None":
@@ -116,15 +117,20 @@ class Background(Generic[T, U]):
         if self._pool is None:
             return None
         try:
-            return _submitted(self._pool, item)
+            self._submitted.append(_submitted(self._pool, item))
         except (_ServerLost, BrokenProcessPool):
             self.close()
             return None
+        return self._submitted[-1]
 
     def close(self) -> None:
         """Give up what has not begun. What has begun ends soon, or with this process."""
         if self._pool is not None:
             _pools.remove(self._pool)
+            # Not by cancel_futures alone: the pool forgets that when nothing refers to it any more.
+            for future in self._submitted:
+                future.cancel()
+            self._submitted.clear()
             self._pool.shutdown(wait=False, cancel_futures=True)
             self._pool = None
 

@@ -45,6 +45,9 @@ from polhode.planning.keep_out.volumes import KeepOut
 from polhode.ply import binary_ply
 from polhode.records import SurfaceModel
 
+IN_N = "X_NR: poses in N"
+"""How the first line of a planned trajectory begins, after "#"."""
+
 COMMAND = "plan"
 FILES = (
     "keepout.ply", "keepout.glb", "keepout.png", "surface_speed.ply", "surface_speed.png", "corridor.csv",
@@ -296,8 +299,18 @@ def corridor_csv(path: Corridor) -> str:
 
 def approach_text(path: ApproachPath) -> str:
     """The camera's poses in N, TUM format, times in seconds after the last pair of the run."""
-    what = "X_NR: poses in N of a camera that looks along z (x right, y down); seconds after the last pair"
+    what = f"{IN_N} of a camera that looks along z (x right, y down); seconds after the last pair"
     return tum(np.round(1e9 * path.time_s).astype(np.int64), path.X_NR, (what,))
+
+
+def is_in_N(file: Path) -> bool:
+    """Whether a trajectory is one of ``approach_text``, by its first line."""
+    try:
+        with file.open("rb") as stream:
+            return IN_N.encode() in stream.readline(200)
+    except OSError:
+        # who reads the poses says what is wrong with it
+        return False
 
 
 def summary_of(plan: Plan) -> dict[str, Any]:

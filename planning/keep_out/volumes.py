@@ -16,6 +16,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.planning.keep_out.distance_fields import (
     FAR,
@@ -113,8 +114,8 @@ class SweptKeepOut:
         return ScalarGrid(level.origin, level.step_m, signed.astype(np.float32))
 
     def signed_distance(self, p_N: Array) -> Array:
-        """Distance (n,) [m] of points (n, 3) in N from the volume, negative inside."""
-        level, p_N = self.level, np.asarray(p_N, dtype=np.float64)
+        """Distance (n,) [m] of points (n, 3) in N from the volume, negative inside. Raises InputError."""
+        level, p_N = self.level, _points(p_N)
         q = (p_N - level.origin) / level.step_m
         outside = ((q < 0.0) | (q > np.array(level.values.shape) - 1.0)).any(axis=1)
         out = self.distance.at(p_N)
@@ -135,8 +136,15 @@ class InstantKeepOut:
     added_m: float
 
     def signed_distance(self, k: int, p_N: Array) -> Array:
-        """Distance (n,) [m] of points (n, 3) in N from the volume at the motion's instant k."""
-        p_G = (np.asarray(p_N) - self.motion.p_NG[k]) @ self.motion.R_NG[k]
+        """Distance (n,) [m] of points (n, 3) in N from the volume at the motion's instant k, negative inside.
+
+        Raises InputError for points of another shape, or an instant that there is not.
+        """
+        if not 0 <= k < len(self.motion.p_NG):
+            raise InputError(
+                f"instant {k}: give 0 to {len(self.motion.p_NG) - 1}, an index into motion.time_s"
+            )
+        p_G = (_points(p_N) - self.motion.p_NG[k]) @ self.motion.R_NG[k]
         away, nearest = self._tree.query(p_G)
         out, found, grid = np.empty(len(p_G)), np.empty(4), self.body.grid
         for n, g in enumerate(p_G):
@@ -165,13 +173,25 @@ class InstantKeepOut:
         return np.asarray(self.factor * biggest + self.added_m)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class KeepOut:
     """Both volumes and the body that they were made of."""
 
     body: MeasuredBody
     swept: SweptKeepOut
     instant: InstantKeepOut
+
+    def __repr__(self) -> str:
+        horizon_s = self.instant.motion.time_s[-1]
+        return f"KeepOut({self.swept.volume_m3:.4g} m^3 swept over {horizon_s:g} s)"
+
+
+def _points(p_N: Array) -> Array:
+    """(n, 3) in N. Raises InputError for another shape."""
+    points = np.asarray(p_N, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"points of shape {points.shape}: give coordinates (n, 3) in N [m]")
+    return points
 
 
 def keep_out(surface: SurfaceModel, estimate: FinalEstimate, options: KeepOutOptions) -> KeepOut:

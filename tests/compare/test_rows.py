@@ -20,6 +20,7 @@ from polhode.compare.rows import (
 )
 from polhode.compare.tables import cells, csv_text, not_separable, tallies, verdict
 from polhode.errors import InputError
+from tests.figures_of_page import text_of_figures
 
 
 def row(solver: str, cost: float | None, wall_s: float, **more: object) -> Row:
@@ -138,6 +139,7 @@ def test_the_page_tells_how_many_cases_were_run(tmp_path: Path) -> None:
     ]
     write_page(comparison(rows), tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
+    page += text_of_figures(page)
     assert "2 of 2" in page and "1 of 1 (1 not run)" in page and "x: 2 of 2" in page
     write_page(comparison(rows[:1]), tmp_path / "one.html")
     assert "1 of 1" not in (tmp_path / "one.html").read_text()

@@ -113,7 +113,7 @@ def test_what_is_wrong_with_depth_and_poses_reaches_the_user(
     for name, work in (("match_frames", match_frames), ("find_motion", find_motion)):
         monkeypatch.setattr(f"polhode.pipeline.run.{name}", once(name, work))
     monkeypatch.setattr("polhode.pipeline.depth_maps.extract_depth", maps)
-    monkeypatch.setattr("polhode.pipeline.run.fuse", fused)
+    monkeypatch.setattr("polhode.pipeline.build_surface.fuse", fused)
     options = [word for name, value in QUICK.items() for word in (f"--{name}", value)]
     folder = tmp_path / "run"
     command = ["run", "configs/default.yaml", "--data", str(at_rest), "-o", str(folder)]

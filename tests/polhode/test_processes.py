@@ -1,6 +1,7 @@
 """Work over processes: results in order for any number of workers, errors reach the caller."""
 
 import errno
+import gc
 import logging
 import multiprocessing.forkserver
 import os
@@ -299,6 +300,27 @@ def test_a_process_in_the_background_keeps_what_it_finds() -> None:
     background.close()
     background.close()
     assert background.submit("c") is None
+
+
+def slowly(item: str) -> str:
+    sleep(0.2)
+    Path(item).touch()
+    return item
+
+
+def test_what_a_closed_process_had_not_begun_is_never_done(tmp_path: Path) -> None:
+    """Nothing refers to its pool any more, by which alone the library would not cancel it."""
+    background = Background(slowly)
+    first = background.submit(str(tmp_path / "0"))
+    for k in range(1, 20):
+        background.submit(str(tmp_path / f"{k}"))
+    assert first is not None and first.result()
+    background.close()
+    del background
+    gc.collect()
+    sleep(2.0)
+    # that in work, and those that its process had been given already
+    assert len(list(tmp_path.iterdir())) <= 4
 
 
 def _numbers(folder: Path) -> list[int]:

@@ -13,7 +13,7 @@ from polhode.config import Config
 from polhode.output.marked_folder import MARK
 from polhode.pipeline.after_run.observability.assess import read_poses
 from polhode.pipeline.after_run.plan import final_estimate
-from polhode.pipeline.after_run.plan_files import CORRIDOR_COLUMNS
+from polhode.pipeline.after_run.plan_files import CORRIDOR_COLUMNS, is_in_N
 from polhode.pipeline.run_directory.summary_schema import Intervals
 from polhode.planning.approach.approach_path import POSES
 from polhode.records import SurfaceModel
@@ -125,7 +125,12 @@ def test_observability_reads_the_approach(
     np.testing.assert_allclose(poses.X_FR[0, :3, 3], example.tracks.X_NR[-1, :3, 3], atol=1e-9)
     words = ["--trajectory", str(out / "plan.txt"), "--frame", "inertial"]
     assert main(["observability", str(run), "-o", str(out), *words]) == 0
-    assert f"Metric of {POSES} poses" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert f"Metric of {POSES} poses" in printed
+    # the file says in which frame its poses are
+    assert main(["observability", str(run), "-o", str(out), *words[:2]]) == 0
+    assert capsys.readouterr().out == printed
+    assert not is_in_N(tmp_path / "missing.txt")
     assert (out / "observability.json").is_file() and (out / "planning.json").is_file()
 
 

@@ -1,6 +1,7 @@
 """Where a recording goes, and the one line where it cannot."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 from polhode.errors import InputError
+from polhode.optional_parts import missing_message
 from polhode.pipeline.view.rerun_library import require_rerun
 from polhode.pipeline.view.show_sequence import show_sequence
 from polhode.pipeline.view.target import ViewTarget, is_recording, require_target
@@ -19,9 +21,7 @@ from polhode.progress import Silent
 def test_without_rerun_one_line_has_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
     require_rerun("--view")
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(
-        InputError, match=r"--view needs the library rerun-sdk.*pip install 'polhode\[view\]'"
-    ):
+    with pytest.raises(InputError, match=re.escape(f"--view: {missing_message('rerun')}")):
         require_rerun("--view")
 
 
@@ -66,7 +66,11 @@ def test_the_window_is_of_this_machine_alone_and_sends_no_statistics(
 
     def fail(command: list[str], **options: Any) -> Any:
         started.append((command, options))
-        failing = [sys.executable, "-c", "print('a first line'); raise SystemExit('no graphics card')"]
+        failing = [
+            sys.executable,
+            "-c",
+            "print('a first line', flush=True); raise SystemExit('no graphics card')",
+        ]
         return subprocess.Popen(failing, **options)
 
     monkeypatch.setattr(subprocess, "Popen", _Once(fail, subprocess.Popen, monkeypatch))

@@ -1,11 +1,13 @@
 """Keep-out volumes against closed forms, and their promise against independent draws."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 import trimesh
 
+from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.planning.keep_out.measured_body import continuous_sigma, grown_body
 from polhode.planning.keep_out.volumes import KeepOutOptions, conformal, keep_out
@@ -118,6 +120,16 @@ def test_the_instant_volume_moves_with_the_body() -> None:
         tip = states.p_NG[k] + states.R_NG[k] @ np.array([[0.20, 0.0, 0.0], [0.0, 0.0, 0.0]]).T.T[0]
         distance = float(found.signed_distance(k, tip[None])[0])
         assert distance == pytest.approx(0.05, abs=2.0 * found.body.grid.step_m) and distance < 0.05
+
+
+def test_points_of_another_shape_are_refused_in_a_line() -> None:
+    found = keep_out(box(), estimate((0.0, 0.5, 0.0), size=0.01), quick(4.0))
+    for distances in (found.swept.signed_distance, partial(found.instant.signed_distance, 0)):
+        with pytest.raises(InputError, match=r"points of shape \(3,\): give coordinates \(n, 3\) in N"):
+            distances(np.zeros(3))
+    with pytest.raises(InputError, match="instant 1000000: give 0 to"):
+        found.instant.signed_distance(10**6, np.zeros((1, 3)))
+    assert repr(found).startswith("KeepOut(") and len(repr(found)) < 80
 
 
 def test_a_lone_sigma_is_held_by_its_neighbours() -> None:
