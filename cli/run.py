@@ -184,8 +184,7 @@ def _show(result: "RunResult", data: Path | None, target: "ViewTarget") -> None:
     """Show a finished run, which stays complete if that does not succeed."""
     from polhode.pipeline.view.show_run import show_run
 
-    report = result.report_path
     try:
-        show_run(report if report.is_dir() else report.parent, data, target, choose_progress())
+        show_run(_folder_of(result), data, target, choose_progress())
     except (InputError, RunFailure) as error:
         _log.warning("the run is complete, but it could not be shown: %s", error)
