@@ -14,14 +14,18 @@
 """
 
 from polhode.backend.estimate import estimate_motion
+from polhode.backend.initialization.hypotheses import contrast_of_links, links_of_the_body, rotation_errors
 from polhode.backend.initialization.initialize import consistent_links, initialize_motion
 from polhode.backend.window.estimator import align_online_estimate, estimate_online, window_warnings
 
 __all__ = [
     "align_online_estimate",
     "consistent_links",
+    "contrast_of_links",
     "estimate_motion",
     "estimate_online",
     "initialize_motion",
+    "links_of_the_body",
+    "rotation_errors",
     "window_warnings",
 ]

@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polhode.backend import consistent_links
+from polhode.backend import consistent_links, contrast_of_links, links_of_the_body, rotation_errors
 from polhode.config.frontend_settings import Frontend
 from polhode.errors import RunFailure
 from polhode.frontend.extract import extract_features, extract_pair, require_weights
 from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.features.surface_features import with_patch_size
-from polhode.frontend.matching.methods import match_method
+from polhode.frontend.matching.methods import HypothesisMethod, match_method
 from polhode.frontend.matching.pairs import (
     PairMatch,
     combine_features,
@@ -33,6 +33,13 @@ from polhode.records import Ints, RelativePoses, StereoTracks
 
 _log = logging.getLogger(__name__)
 MIN_MEASURED_FRAMES = 3
+PREDICTED_RAD = np.deg2rad(15.0)
+"""A match whose rotation differs by more from that of the known motion contradicts it."""
+MANY_OFF = 0.3
+"""Share of the matches of a second method that contradict the known motion; with more, other motions of the
+same frames are considered."""
+CLEAR_CONTRAST = 3.0
+"""Inliers of frames that show the same side over those of others; with less it may be the light's motion."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +112,7 @@ def match_features(
     else:
         left = streamed.untried(partners)
         matches = streamed.with_found(_match(context, features, left, config.frontend))
+    _, matches = _of_the_body(context, features, partners, matches, config.frontend)
     return Correspondences(features, _without_contradictions(context, matches))
 
 
@@ -123,8 +131,13 @@ def add_second_method(
         else pairs_in_view(X_RG, second.pairs)
     )
     matches = _match(context, features, partners, second)
+    known = list(first.matches)
+    if X_RG is None:
+        known, matches = _of_the_body(context, features, partners, matches, second, known)
+    else:
+        known, matches = _as_predicted(context, features, partners, matches, second, known, X_RG)
     both = combine_features(first.features, features)
-    together = [*first.matches, *offset_matches(matches, first.features)]
+    together = [*known, *offset_matches(matches, first.features)]
     return Correspondences(both, _without_contradictions(context, sorted(together, key=lambda m: (m.i, m.j))))
 
 
@@ -172,11 +185,15 @@ def _feature_keys(context: RunContext, settings: Frontend) -> list[str]:
 
 
 def _match_keys(
-    context: RunContext, features: Sequence[StereoFeatures], partners: Sequence[Ints], settings: Frontend
+    context: RunContext,
+    features: Sequence[StereoFeatures],
+    partners: Sequence[Ints],
+    settings: Frontend,
+    hypotheses: int,
 ) -> list[str]:
     """What the matches of each frame depend on: its features and those of its partners."""
     known = [digest_of(each) for each in features]
-    alike = digest_of(context.rig, settings.with_digests, context.config.seed)
+    alike = digest_of(context.rig, settings.with_digests, context.config.seed, hypotheses)
     return [
         context.stages.key(alike, i, known[i], row, [known[j] for j in row.tolist()])
         for i, row in enumerate(partners)
@@ -184,21 +201,102 @@ def _match_keys(
 
 
 def _match(
-    context: RunContext, features: Sequence[StereoFeatures], partners: Sequence[Ints], frontend: Frontend
+    context: RunContext,
+    features: Sequence[StereoFeatures],
+    partners: Sequence[Ints],
+    frontend: Frontend,
+    hypotheses: int = 1,
 ) -> list[PairMatch]:
     seed, workers, settings = context.config.seed, context.workers, frontend.for_matching
+    title = "matching frames" if hypotheses == 1 else "matching frames, several motions each"
     matches: list[PairMatch] = []
-    with context.clock("frontend"), context.progress.stage("matching frames", len(features)) as advance:
+    with context.clock("frontend"), context.progress.stage(title, len(features)) as advance:
         for found in context.stages.each(
             "matches",
             list[PairMatch],
-            _match_keys(context, features, partners, settings),
-            lambda rows: match_rows(features, partners, context.rig, settings, seed, workers, rows),
+            _match_keys(context, features, partners, settings, hypotheses),
+            lambda rows: match_rows(
+                features, partners, context.rig, settings, seed, workers, rows, hypotheses
+            ),
         ):
             matches.extend(found)
             advance()
     _log.info("%d of %d pairs of frames matched", len(matches), sum(map(len, partners)))
     return matches
+
+
+def _of_the_body(
+    context: RunContext,
+    features: Sequence[StereoFeatures],
+    partners: Sequence[Ints],
+    matches: list[PairMatch],
+    frontend: Frontend,
+    first: Sequence[PairMatch] = (),
+) -> tuple[list[PairMatch], list[PairMatch]]:
+    """These matches, or those of other motions of the same frames, where what stands still hides the body.
+
+    ``first``: matches of another method on the same frames, which are judged with them. Returned are those of
+    them that are kept, and the matches.
+    """
+    count, unchanged = frontend.pairs.hypotheses, (list(first), matches)
+    if count == 1 or not isinstance(match_method(frontend), HypothesisMethod):
+        return unchanged
+    time_s, R_NR = context.time_s, context.X_NR[:, :3, :3]
+    with context.clock("initialization"):
+        present = contrast_of_links(relative_poses([*first, *matches]), time_s, R_NR)
+    if present is not None and present >= CLEAR_CONTRAST:
+        return unchanged
+    several = _match(context, features, partners, frontend, count)
+    with context.clock("initialization"):
+        chosen = links_of_the_body(relative_poses([*first, *several]), time_s, R_NR, present)
+    _log.info(
+        "frames that show the same side match hardly better than others%s: %s",
+        "" if present is None else f" ({present:.1f} times)",
+        "no other motion is clearer"
+        if chosen is None
+        else f"{np.sum(chosen)} links of another motion are used",
+    )
+    if chosen is None:
+        return unchanged
+    old, new = chosen[: len(first)], chosen[len(first) :]
+    return (
+        [match for match, good in zip(first, old, strict=True) if good],
+        [match for match, good in zip(several, new, strict=True) if good],
+    )
+
+
+def _as_predicted(
+    context: RunContext,
+    features: Sequence[StereoFeatures],
+    partners: Sequence[Ints],
+    matches: list[PairMatch],
+    frontend: Frontend,
+    first: list[PairMatch],
+    X_RG: Array,
+) -> tuple[list[PairMatch], list[PairMatch]]:
+    """These matches, or those of other motions of the same frames if many contradict the poses (F, 4, 4).
+
+    ``first``: matches of another method; returned are those that do not contradict the poses either.
+    """
+    count = frontend.pairs.hypotheses
+    off = rotation_errors(relative_poses(matches), X_RG) > PREDICTED_RAD
+    if count == 1 or np.mean(off) < MANY_OFF or not isinstance(match_method(frontend), HypothesisMethod):
+        return first, matches
+    several = _match(context, features, partners, frontend, count)
+    error = rotation_errors(relative_poses(several), X_RG)
+    nearest: dict[tuple[int, int], int] = {}
+    for k in np.argsort(error, kind="stable").tolist():
+        if error[k] < PREDICTED_RAD:
+            nearest.setdefault((several[k].i, several[k].j), k)
+    _log.info(
+        "%.0f %% of the matched pairs contradict the motion; of several motions each, %d agree with it",
+        *(100.0 * np.mean(off), len(nearest)),
+    )
+    agree = rotation_errors(relative_poses(first), X_RG) < PREDICTED_RAD
+    return (
+        [match for match, good in zip(first, agree, strict=True) if good],
+        [several[k] for k in sorted(nearest.values())],
+    )
 
 
 def _without_contradictions(context: RunContext, matches: Sequence[PairMatch]) -> list[PairMatch]:

@@ -142,7 +142,7 @@ def measure(case: Case) -> dict[str, Any]:
 @lru_cache(maxsize=1)
 def _views(body: str, rich: bool) -> tuple[EdgeViews, EdgeModel]:
     target = edge_body(body, plain=not rich)
-    return EdgeViews(target, RIG, 3, ViewOptions(sensor=LENS, scattered=True)), edge_model(target.mesh)
+    return EdgeViews(target, RIG, 3, ViewOptions(sensor=LENS)), edge_model(target.mesh)
 
 
 def levels(model: EdgeModel) -> list[EdgeModel]:

@@ -228,21 +228,11 @@ class ViewOptions:
     """Radiance of the Earth's disc relative to a white surface in sunlight; 0: black shadows"""
     samples: int = 4
     """Rays a pixel: 1, 4, 9 or 16"""
-    scattered: bool = False
-    """Each ray a little aside at random: where rays lie in rows, edges of some slopes are displaced whole"""
+    scattered: bool = True
+    """Whether the rays of each pixel are shifted at random, as ``scene.render.scattered``"""
     bounces: int = 0
     sensor: config.Sensor = field(default_factory=config.Sensor)
     """Blur, noise, gain; nothing moves while the shutter is open"""
-
-
-class _Scattered(Camera):
-    """Rays up to a quarter of a pixel aside, by a seed that is that of their place in the pixel."""
-
-    def directions(self, uv_px: Array) -> Array:
-        """Pixels (n, 2) -> unit rays (n, 3) in this camera."""
-        place = np.round(4096.0 * (uv_px[0] % 1.0)).astype(np.int64) if len(uv_px) else np.zeros(2, dtype=int)
-        aside = np.random.default_rng(place).uniform(-0.25, 0.25, uv_px.shape)
-        return super().directions(uv_px + aside)
 
 
 class EdgeViews:
@@ -255,7 +245,9 @@ class EdgeViews:
         chosen = options or ViewOptions()
         self.target, self.rig = target, rig
         self._seed, self._sensor = seed, chosen.sensor
-        render = config.Render.model_validate({"samples": chosen.samples, "bounces": chosen.bounces})
+        render = config.Render.model_validate(
+            {"samples": chosen.samples, "bounces": chosen.bounces, "scattered": chosen.scattered}
+        )
         light = config.Light(
             sun=chosen.sun,
             earth=chosen.earth,
@@ -266,8 +258,7 @@ class EdgeViews:
         scene = config.Scene(
             body=target.config, light=light, rig=section, render=render, sensor=chosen.sensor
         )
-        kind = _Scattered if chosen.scattered else Camera
-        self._camera = kind(rig.K, np.zeros(4), np.eye(4), rig.width_px, rig.height_px)
+        self._camera = Camera(rig.K, np.zeros(4), np.eye(4), rig.width_px, rig.height_px)
         self._renderer = Renderer(target.body, scene, 0)
 
     def image(self, X_CG: Array, sun_C: Array, number: int = 0) -> Grey:

@@ -189,7 +189,7 @@ def _caught(
     return np.isin(of_edge, order[taken]), away
 
 
-VIEWS = ViewOptions(earth=0.0, scattered=True, sensor=LENS)
+VIEWS = ViewOptions(earth=0.0, sensor=LENS)
 TRACKING = TrackerOptions(restarts=0)
 """One start, as fast as a filter at each image needs it; it goes wrong more often than with restarts."""
 NEAR = np.repeat([0.01, np.deg2rad(1.0)], 3)

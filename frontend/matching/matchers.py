@@ -228,13 +228,24 @@ class SoftmaxMatcher:
         pairs, probability = self._probable(a, b)
         if a.R_RS is None or b.R_RS is None or a.metres_per_px is None:
             likely = probability >= self._min_confidence
-            pairs, probability = pairs[likely], probability[likely]
-        else:
-            agrees = _agreeing(a, b, a.R_RS, b.R_RS, a.metres_per_px, pairs, probability)
-            pairs, probability = pairs[agrees], probability[agrees]
-        kept = one_to_one(pairs, probability)
-        kept = kept[np.argsort(pairs[kept, 0])]
-        return Matches(pairs[kept], probability[kept])
+            return _matches(pairs[likely], probability[likely])
+        agrees = _agreeing(a, b, a.R_RS, b.R_RS, a.metres_per_px, pairs, probability)
+        return _matches(pairs[agrees], probability[agrees])
+
+    def hypotheses(self, a: StereoFeatures, b: StereoFeatures, count: int) -> list[Matches]:
+        """The matches of each of the ``count`` motions with most support, that one first."""
+        if a.R_RS is None or b.R_RS is None or a.metres_per_px is None or min(len(a), len(b)) < 2:
+            return [self(a, b)]
+        pairs, probability = self._probable(a, b)
+        modes, gate_m = _modes(a, b, a.R_RS, b.R_RS, a.metres_per_px, pairs, probability)
+        found = []
+        for mode in modes[:count]:
+            miss = np.linalg.norm(
+                a.p_R[pairs[:, 0]] - transform_points(mode.X_AB, b.p_R[pairs[:, 1]]), axis=1
+            )
+            agrees = miss < gate_m
+            found.append(_matches(pairs[agrees], probability[agrees]))
+        return found
 
     def _probable(self, a: StereoFeatures, b: StereoFeatures) -> tuple[Ints, Array]:
         """The most probable pairs (m, 2), most probable first, and their probability (m,)."""
@@ -250,6 +261,31 @@ class SoftmaxMatcher:
         return pairs, likely[order].astype(np.float64) ** 2
 
 
+def _matches(pairs: Ints, probability: Array) -> Matches:
+    """One match per feature, ascending in the first frame."""
+    kept = one_to_one(pairs, probability)
+    kept = kept[np.argsort(pairs[kept, 0])]
+    return Matches(pairs[kept], probability[kept])
+
+
+def _modes(
+    a: StereoFeatures,
+    b: StereoFeatures,
+    R_AS: Array,
+    R_BS: Array,
+    metres_per_px: Array,
+    pairs: Ints,
+    probability: Array,
+) -> tuple[list[MotionMode], Array]:
+    """Motions that the most probable of the pairs (m, 2) support, and the gate (m,) [m] of each pair."""
+    i, j = pairs.T
+    gate_m = np.maximum(GATE_PX * metres_per_px[i, 0], GATE_DISPARITY_PX * metres_per_px[i, 1])
+    some = slice(0, PROPOSING_PAIRS)
+    i, j = i[some], j[some]
+    weight = probability[some] ** VOTE_EXPONENT
+    return motion_modes(a.p_R[i], b.p_R[j], R_AS[i], R_BS[j], weight, gate_m[some]), gate_m
+
+
 def _agreeing(
     a: StereoFeatures,
     b: StereoFeatures,
@@ -262,17 +298,13 @@ def _agreeing(
     """Whether each of the pairs (m, 2), most probable first, agrees with the motion that most pairs
     support."""
     i, j = pairs.T
-    p_A, p_B = a.p_R[i], b.p_R[j]
-    gate_m = np.maximum(GATE_PX * metres_per_px[i, 0], GATE_DISPARITY_PX * metres_per_px[i, 1])
-    some = slice(0, PROPOSING_PAIRS)
-    modes = motion_modes(
-        p_A[some], p_B[some], R_AS[i[some]], R_BS[j[some]], probability[some] ** VOTE_EXPONENT, gate_m[some]
-    )
+    modes, gate_m = _modes(a, b, R_AS, R_BS, metres_per_px, pairs, probability)
     if not modes:
         return np.zeros(len(pairs), dtype=bool)
+    some = slice(0, PROPOSING_PAIRS)
     displacement_px = np.linalg.norm(a.uvd_px[i[some], :2] - b.uvd_px[j[some], :2], axis=1)
     mode = _moving_mode(modes, displacement_px)
-    miss = np.linalg.norm(p_A - transform_points(mode.X_AB, p_B), axis=1)
+    miss = np.linalg.norm(a.p_R[i] - transform_points(mode.X_AB, b.p_R[j]), axis=1)
     return np.asarray(miss < gate_m)
 
 

@@ -7,7 +7,7 @@ and imported only when it is used.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -38,6 +38,15 @@ class MatchMethod(Protocol):
 
     def __call__(self, a: StereoFeatures, b: StereoFeatures) -> Matches:
         """Matches between the features of frames a and b, either of which may have none."""
+        ...
+
+
+@runtime_checkable
+class HypothesisMethod(Protocol):
+    """A method that can tell several motions between the same two frames apart."""
+
+    def hypotheses(self, a: StereoFeatures, b: StereoFeatures, count: int) -> list[Matches]:
+        """The matches of each of the ``count`` motions with most support, that one first."""
         ...
 
 

@@ -26,7 +26,7 @@ from scipy.cluster.vq import kmeans2, vq
 from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Frontend, PairMatching
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.matching.methods import match_method
+from polhode.frontend.matching.methods import HypothesisMethod, match_method
 from polhode.frontend.matching.ransac import ransac_rigid
 from polhode.lie import Array, inverse_pose
 from polhode.processes import in_order
@@ -89,9 +89,11 @@ def match_rows(
     seed: int,
     workers: int,
     rows: Sequence[int],
+    hypotheses: int = 1,
 ) -> Iterator[list[PairMatch]]:
-    """The same for some frames i, the matches of each in its turn."""
-    return in_order(partial(_match_row, frames, partners, rig, config, seed), rows, workers)
+    """The same for some frames i, the matches of each in its turn; up to so many ``hypotheses`` for each pair
+    of frames, each with its own motion."""
+    return in_order(partial(_match_row, frames, partners, rig, config, seed, hypotheses), rows, workers)
 
 
 def _match_row(
@@ -100,11 +102,15 @@ def _match_row(
     rig: RectifiedRig,
     config: Frontend,
     seed: int,
+    hypotheses: int,
     i: int,
 ) -> list[PairMatch]:
     """Matches of frame i with its partners."""
-    matches = (match_pair(frames, i, j, rig, config, seed) for j in partners[i].tolist())
-    return [match for match in matches if match is not None]
+    return [
+        match
+        for j in partners[i].tolist()
+        for match in _match_hypotheses(frames, i, j, rig, config, seed, hypotheses)
+    ]
 
 
 def match_pair(
@@ -119,17 +125,36 @@ def match_pair(
 
     It depends on these two frames and (seed, i, j) only, whenever it is made.
     """
+    found = _match_hypotheses(frames, i, j, rig, config, seed, 1)
+    return found[0] if found else None
+
+
+def _match_hypotheses(
+    frames: Sequence[StereoFeatures] | Mapping[int, StereoFeatures],
+    i: int,
+    j: int,
+    rig: RectifiedRig,
+    config: Frontend,
+    seed: int,
+    hypotheses: int,
+) -> list[PairMatch]:
+    """The match of frames i < j, or of each of several motions, as far as they pass the geometric check."""
     if min(len(frames[i]), len(frames[j])) < MIN_INLIERS:
-        return None
-    pairs = match_method(config)(frames[i], frames[j]).features
-    if len(pairs) < MIN_INLIERS:
-        return None
-    a, b = pairs.T
-    rng = np.random.default_rng([seed, i, j])
-    fit = ransac_rigid(frames[i].uvd_px[a], frames[i].p_R[a], frames[j].p_R[b], rig, rng)
-    if fit.inlier.sum() < MIN_INLIERS:
-        return None
-    return PairMatch(i, j, fit.X_RiRj, pairs[fit.inlier])
+        return []
+    method = match_method(config)
+    if hypotheses > 1 and isinstance(method, HypothesisMethod):
+        candidates = method.hypotheses(frames[i], frames[j], hypotheses)
+    else:
+        candidates = [method(frames[i], frames[j])]
+    found, rng = [], np.random.default_rng([seed, i, j])
+    for pairs in (candidate.features for candidate in candidates):
+        if len(pairs) < MIN_INLIERS:
+            continue
+        a, b = pairs.T
+        fit = ransac_rigid(frames[i].uvd_px[a], frames[i].p_R[a], frames[j].p_R[b], rig, rng)
+        if fit.inlier.sum() >= MIN_INLIERS:
+            found.append(PairMatch(i, j, fit.X_RiRj, pairs[fit.inlier]))
+    return found
 
 
 def relative_poses(matches: Sequence[PairMatch]) -> RelativePoses:

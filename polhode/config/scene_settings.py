@@ -313,9 +313,9 @@ class Render(Section):
 
     samples: Literal[1, 4, 9, 16] = 4
     """Rays in a pixel."""
-    scattered: bool = False
-    """Shift the rays of each pixel at random, instead of one pattern for all pixels, which displaces edges of
-    some slopes by up to an eighth of a pixel. The images are noisier at edges."""
+    scattered: bool = True
+    """Shift the rays of each pixel at random. One pattern for all pixels displaces edges of some slopes by up
+    to an eighth of a pixel."""
     bounces: Literal[0, 1] = 1
     """Reflections of light from one part of the body onto another; 0: direct light only."""
     masks: bool = False

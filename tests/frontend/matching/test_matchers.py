@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 
-from polhode.config.frontend_settings import Frontend
+from polhode.config.frontend_settings import Frontend, PairMatching
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.matchers import (
@@ -16,6 +16,7 @@ from polhode.frontend.matching.matchers import (
     root_probabilities,
 )
 from polhode.frontend.matching.methods import one_to_one
+from polhode.frontend.matching.pairs import match_rows
 from polhode.lie import Array, exp_so3, make_pose, transform_points
 from polhode.rigid_fit import fit_rigid
 from polhode.train.descriptor.task import motion_loss
@@ -191,6 +192,26 @@ def test_what_stands_still_gives_way_to_what_turns() -> None:
     # A target at rest stays at rest.
     still = SoftmaxMatcher(Frontend())(b, b)
     assert np.array_equal(still.features, np.column_stack([np.arange(95)] * 2))
+
+
+def test_each_motion_of_two_frames_keeps_its_matches() -> None:
+    a, b = _frames(25, 70, seed=7)
+    rest = np.arange(25, 65)
+    p_A, R_AS = a.p_R.copy(), np.asarray(a.R_RS).copy()
+    p_A[rest], R_AS[rest] = b.p_R[rest], np.asarray(b.R_RS)[rest]
+    matcher, both = SoftmaxMatcher(Frontend()), _features(p_A, R_AS, a.descriptors)
+    still, turning = matcher.hypotheses(both, b, 6)[:2]
+    assert np.array_equal(still.features[:, 0], rest)
+    assert set(turning.features[:, 0]) >= set(range(25)) and np.mean(turning.features[:, 0] < 25) > 0.9
+    assert len(matcher.hypotheses(both, b, 1)) == 1
+    # the geometric check of a pair of frames keeps both motions
+    config = Frontend(pairs=PairMatching(method="polhode"))
+    (found,) = match_rows([both, b], [np.array([1])], RIG, config, 0, 1, [0], 6)
+    np.testing.assert_allclose(found[0].X_RiRj, np.eye(4), atol=1e-3)
+    np.testing.assert_allclose(found[1].X_RiRj, X_AB, atol=1e-3)
+    # without axes of the surface there is one
+    plain = [_features(frame.p_R, None, frame.descriptors) for frame in (a, b)]
+    assert len(matcher.hypotheses(*plain, 6)) == 1
 
 
 def test_modes_are_found_strongest_first() -> None:

@@ -77,10 +77,10 @@ def test_a_bounce_adds_light_and_never_takes_any_away_from_a_matt_body() -> None
 
 
 def test_scattered_rays_show_the_same_body_and_the_same_picture_twice() -> None:
-    scattered = SCENE.model_copy(update={"render": config.Render(samples=4, bounces=0, scattered=True)})
+    rows = SCENE.model_copy(update={"render": config.Render(samples=4, bounces=0, scattered=False)})
     body = build_body(SCENE.body, 3)
-    regular = Renderer(body, SCENE, 3).picture(LEFT, np.eye(4), X_NG)
-    first, again = (Renderer(body, scattered, 3).picture(LEFT, np.eye(4), X_NG) for _ in range(2))
+    regular = Renderer(body, rows, 3).picture(LEFT, np.eye(4), X_NG)
+    first, again = (Renderer(body, SCENE, 3).picture(LEFT, np.eye(4), X_NG) for _ in range(2))
     np.testing.assert_array_equal(first.level, again.level)
     assert abs(first.covered.sum() / regular.covered.sum() - 1.0) < 0.02
     inside = (first.covered == 1.0) & (regular.covered == 1.0)
