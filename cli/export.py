@@ -20,6 +20,13 @@ class ExportCommand:
     but the mesh, with covariances. What the run lacks is left out, with a warning.
     """
 
+    EXAMPLES: ClassVar = (
+        ("polhode export RUN --to glb -o target.glb", "the mesh, for viewers"),
+        (
+            "polhode export RUN --to urdf -o target.urdf --mass-kg 4.2",
+            "a free body for simulators, its inertia in kg m^2",
+        ),
+    )
     GROUPS: ClassVar = {
         "CAD model": ("cad", "cad_points", "cad_unit"),
         "body for simulators": ("middle_moment_kg_m2", "pieces"),

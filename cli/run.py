@@ -38,6 +38,13 @@ class RunCommand:
     the file does not set it.
     """
 
+    EXAMPLES: ClassVar = (
+        ("polhode run --data SEQ -o RUN", "with the defaults, which fit any calibrated sequence"),
+        (
+            "polhode run configs/default.yaml --data sample -o runs/demo --overwrite",
+            "the shipped sample again",
+        ),
+    )
     GROUPS: ClassVar = {"live stream": ("live", "rate", "patience_s"), "viewer": ("view", "view_save")}
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
