@@ -103,9 +103,9 @@ class RunCommand:
         """Where the run is shown, checked before the work."""
         if not self.view and self.view_save is None:
             return None
-        from polhode.pipeline.view.rerun_library import require_rerun
+        from polhode.optional_parts import require_part
 
-        require_rerun("--view" if self.view else "--view-save")
+        require_part("rerun", "--view" if self.view else "--view-save")
         from polhode.pipeline.view.target import require_target
 
         return require_target(self.view_save, self.view, "--view-save")
