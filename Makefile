@@ -1,3 +1,4 @@
+# make help    this list
 # make setup   the environment .venv, with polhode in it and the tools of its developers (make setup EXTRAS=: without)
 # make demo    the shipped sample, end to end; the last line names the report
 # make example    flies around the target of the demo in MuJoCo, with a video (docs/planning.md)
@@ -33,8 +34,12 @@ OPTIONS ?=
 EXTRAS ?= [dev]
 JOBS ?= 2
 
-.PHONY: setup setup-tests extras matchers fusion-peers demo example test check docs docs-links sbom release bench
+.PHONY: help setup setup-tests extras matchers fusion-peers demo example test check docs docs-links sbom release bench
 .DEFAULT_GOAL := setup
+
+# The comment at the top of this file.
+help:
+	@sed -n '/^$$/q; s/^# \{0,1\}//p' $(firstword $(MAKEFILE_LIST))
 
 setup: $(STAMP)
 

@@ -8,7 +8,6 @@ from tyro.conf import Positional, arg
 
 from polhode.cli.answer import Answer
 from polhode.cli.options import Flag
-from polhode.errors import InputError
 from polhode.planning.exports.formats import FORMATS
 
 
@@ -21,6 +20,13 @@ class ExportCommand:
     but the mesh, with covariances. What the run lacks is left out, with a warning.
     """
 
+    EXAMPLES: ClassVar = (
+        ("polhode export RUN --to glb -o target.glb", "the mesh, for viewers"),
+        (
+            "polhode export RUN --to urdf -o target.urdf --mass-kg 4.2",
+            "a free body for simulators, its inertia in kg m^2",
+        ),
+    )
     GROUPS: ClassVar = {
         "CAD model": ("cad", "cad_points", "cad_unit"),
         "body for simulators": ("middle_moment_kg_m2", "pieces"),
@@ -71,11 +77,6 @@ class ExportCommand:
 
     def execute(self) -> Answer:
         """Check, export and print the path."""
-        _require("--to", self.to, list(FORMATS))
-        _require("--unit", self.unit, ["m", "mm"])
-        _require("--cad-unit", self.cad_unit, ["m", "mm"])
-        if self.frame is not None:
-            _require("--frame", self.frame, ["G", "P", "cad"])
         from polhode.cli.console import choose_progress
         from polhode.pipeline.after_run.export.export_run import export_run
         from polhode.pipeline.after_run.export.options import ExportOptions
@@ -87,12 +88,3 @@ class ExportCommand:
         files = export_run(self.run, options, choose_progress())
         meshes = f"Meshes: {len(files) - 1} files in {files[0].parent}" if len(files) > 1 else ""
         return Answer(f"Export: {self.output}", meshes, paths=tuple(reversed(files)))
-
-
-def _require(option: str, value: str, valid: list[str]) -> None:
-    if value not in valid:
-        from polhode.config.keys import suggestion
-
-        raise InputError(
-            f"{option} '{value}': unknown;{suggestion(value, valid)} give one of {' '.join(valid)}"
-        )

@@ -38,6 +38,13 @@ class RunCommand:
     the file does not set it.
     """
 
+    EXAMPLES: ClassVar = (
+        ("polhode run --data SEQ -o RUN", "with the defaults, which fit any calibrated sequence"),
+        (
+            "polhode run configs/default.yaml --data sample -o runs/demo --overwrite",
+            "the shipped sample again",
+        ),
+    )
     GROUPS: ClassVar = {"live stream": ("live", "rate", "patience_s"), "viewer": ("view", "view_save")}
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
@@ -96,9 +103,9 @@ class RunCommand:
         """Where the run is shown, checked before the work."""
         if not self.view and self.view_save is None:
             return None
-        from polhode.pipeline.view.rerun_library import require_rerun
+        from polhode.optional_parts import require_part
 
-        require_rerun("--view" if self.view else "--view-save")
+        require_part("rerun", "--view" if self.view else "--view-save")
         from polhode.pipeline.view.target import require_target
 
         return require_target(self.view_save, self.view, "--view-save")

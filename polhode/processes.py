@@ -28,7 +28,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from polhode import fork_server
 from polhode.errors import RunFailure
-from polhode.interrupts import SIGNALS, interrupts_delayed
+from polhode.interrupts import SIGNALS, interrupts_delayed, interrupts_kept
 from polhode.parent_death import end_with_parent
 from polhode.threads import limit_threads, limited_threads
 
@@ -304,6 +304,11 @@ def _results(
         raise _killed("the process that starts the workers") from None
     except KeyboardInterrupt:
         _kill(pool)
+        raise
+    except GeneratorExit:
+        # Python may call this itself, when nobody asks for more: an interrupt would be printed, and lost.
+        with interrupts_kept():
+            pool.shutdown(cancel_futures=True)
         raise
     finally:
         _pools.remove(pool)
