@@ -371,7 +371,7 @@ class Run:
 
         Returns the files, the one that was asked for last. Raises InputError.
         """
-        return export_run(self.folder, ExportOptions(to, Path(output), **options), Silent())
+        return export_run(self.folder, ExportOptions(to, Path(output), **options), Silent()).files
 
     def to_pandas(self, table: TableName = "trajectory") -> "pd.DataFrame":
         """A table of the run, with the columns and units of docs/run_directory.md (needs pandas).
