@@ -9,7 +9,6 @@ from tyro.conf import Positional, arg
 
 from polhode.cli.answer import Answer, sizes_of
 from polhode.cli.options import Flag
-from polhode.errors import InputError
 from polhode.planning.exports.formats import FORMATS
 
 
@@ -79,11 +78,6 @@ class ExportCommand:
 
     def execute(self) -> Answer:
         """Check, export and print the path."""
-        _require("--to", self.to, list(FORMATS))
-        _require("--unit", self.unit, ["m", "mm"])
-        _require("--cad-unit", self.cad_unit, ["m", "mm"])
-        if self.frame is not None:
-            _require("--frame", self.frame, ["G", "P", "cad"])
         from polhode.cli.console import choose_progress
         from polhode.pipeline.after_run.export.export_run import export_run
         from polhode.pipeline.after_run.export.options import ExportOptions
@@ -107,12 +101,3 @@ class ExportCommand:
             "duration_s": perf_counter() - start,
         }
         return Answer(f"Export: {self.output}", meshes, paths=paths, figures=figures)
-
-
-def _require(option: str, value: str, valid: list[str]) -> None:
-    if value not in valid:
-        from polhode.config.keys import suggestion
-
-        raise InputError(
-            f"{option} '{value}': unknown;{suggestion(value, valid)} give one of {' '.join(valid)}"
-        )
