@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from time import perf_counter
 from typing import Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.answer import Answer
+from polhode.cli.answer import Answer, sizes_of
 from polhode.cli.options import Flag
 from polhode.planning.exports.formats import FORMATS
 
@@ -84,7 +85,19 @@ class ExportCommand:
         values = {
             each.name: getattr(self, each.name) for each in fields(ExportOptions) if each.name != "horizon"
         }
-        options = ExportOptions(**values, horizon=self.horizon_s)
-        files = export_run(self.run, options, choose_progress())
+        options, start = ExportOptions(**values, horizon=self.horizon_s), perf_counter()
+        export = export_run(self.run, options, choose_progress())
+        files, inertial = export.files, export.inertial
         meshes = f"Meshes: {len(files) - 1} files in {files[0].parent}" if len(files) > 1 else ""
-        return Answer(f"Export: {self.output}", meshes, paths=tuple(reversed(files)))
+        paths = tuple(reversed(files))
+        figures = {
+            "format": self.to,
+            "files": sizes_of(paths),
+            "mass_properties": inertial
+            and {
+                name: getattr(inertial, name)
+                for name in ("mass_kg", "mass_is", "com_F", "moments_kg_m2", "scale_is")
+            },
+            "duration_s": perf_counter() - start,
+        }
+        return Answer(f"Export: {self.output}", meshes, paths=paths, figures=figures)

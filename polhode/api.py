@@ -406,7 +406,7 @@ class Run:
                 f"export has no option '{unknown}';{suggestion(unknown, EXPORT_OPTIONS)} "
                 f"options: {', '.join(EXPORT_OPTIONS)}"
             )
-        return export_run(self.folder, ExportOptions(to, Path(output), **options), Silent())
+        return export_run(self.folder, ExportOptions(to, Path(output), **options), Silent()).files
 
     def to_pandas(self, table: TableName = "trajectory") -> "pd.DataFrame":
         """A table of the run, with the columns and units of docs/run_directory.md (needs pandas).

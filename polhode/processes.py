@@ -11,6 +11,7 @@ import logging
 import logging.handlers
 import multiprocessing
 import multiprocessing.forkserver
+import multiprocessing.resource_tracker
 import os
 import signal
 import sys
@@ -409,6 +410,10 @@ def _signals_blocked() -> Iterator[None]:
     """
     with interrupts_delayed(), _environment("PYTHONSAFEPATH", "1"):
         previous = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        # The tracker of shared resources lets interrupts through again when it has started: hence before the
+        # server of the workers, which would print a traceback if one came while it imports.
+        multiprocessing.resource_tracker.ensure_running()
+        signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         if threading.current_thread() is threading.main_thread():
             os.environ[fork_server.PARENT] = str(os.getpid())
         try:

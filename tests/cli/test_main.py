@@ -308,6 +308,28 @@ def test_the_last_line_of_a_run_ends_with_the_report_however_long(
     assert (seen[0].seed, seen[0].backend.inertia) == (1, "ratios_axes")
 
 
+def test_the_warnings_of_a_run_are_listed_at_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    report = tmp_path / "report.html"
+
+    def fake(*arguments: Any, **more: Any) -> Result:
+        summary = build_summary(
+            None, None, None, {}, ["3 frames are lost", "a line\nbreaks"], failure="no motion"
+        )
+        write_summary(summary, tmp_path / "summary.json")
+        return Result("failed", report, failure="no motion")
+
+    monkeypatch.setattr(polhode.pipeline.run, "run", fake)
+    words = ["run", "--data", str(tmp_path), "-o", str(tmp_path)]
+    assert main(words) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "Warnings of this run:" and lines[-1].endswith(str(report))
+    assert lines[1:-1] == ["- 3 frames are lost", "- a line breaks"]
+    assert main([*words, "--quiet"]) == 1
+    assert capsys.readouterr().out.count("\n") == 1
+
+
 def test_a_failed_run_is_one_line_and_exit_1(
     config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:

@@ -41,6 +41,34 @@ class Square:
         return k * k
 
 
+def test_an_interrupt_while_the_server_imports_is_left_to_the_program(tmp_path: Path) -> None:
+    """As Ctrl-C does it: the signal goes to all processes of the terminal."""
+    begun = tmp_path / "begun"
+    (tmp_path / "slow.py").write_text(f"import time\nopen({str(begun)!r}, 'w').close()\ntime.sleep(2)\n")
+    script = (
+        "import time\nfrom polhode.processes import start_server\nstart_server(('slow',), 2)\n"
+        "try:\n    time.sleep(60)\nexcept KeyboardInterrupt:\n    print('ended')\n"
+    )
+    program = subprocess.Popen(
+        [sys.executable, "-c", script],
+        env=os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    try:
+        while not begun.exists():
+            assert program.poll() is None
+            sleep(0.01)
+        os.killpg(program.pid, signal.SIGINT)
+        printed = program.communicate(timeout=60)
+    finally:
+        program.kill()
+    assert printed == ("ended\n", "")
+
+
 def test_an_interrupt_while_abandoned_results_are_cleaned_up_is_neither_printed_nor_lost(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
