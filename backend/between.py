@@ -37,7 +37,12 @@ from polhode.backend.solvers.linearization_point import (
 )
 from polhode.backend.solvers.robust_kernel import robust_weight
 from polhode.backend.solvers.schur import stereo_normal_equations, stereo_residuals
-from polhode.backend.uncertainty.covariance import body_jacobians, state_jacobians, with_infinite
+from polhode.backend.uncertainty.covariance import (
+    body_jacobians,
+    mark_jacobians,
+    state_jacobians,
+    with_infinite,
+)
 from polhode.backend.uncertainty.principal_axes import axes_derivative
 from polhode.config.backend_settings import Backend
 from polhode.errors import RunFailure
@@ -276,6 +281,7 @@ class _Chain:
         lost = np.isinf(np.diagonal(of_keys.covariance, axis1=1, axis2=2))[nearest]
         covariance = np.stack([with_infinite(c, gone) for c, gone in zip(covariance, lost, strict=True)])
         body = _with_constants(body_jacobians(at, self.data.camera_N)[-1], joint[-1], s)
+        of_marks = mark_jacobians(at, R_GP, self.data.camera_N)
         last = _with_constants(np.diag(flip) @ T[-1], joint[-1], s)
         last_lost = np.isinf(np.diagonal(of_keys.covariance_last_joint))
         to_G = np.zeros((n, N_POSE, N_POSE))
@@ -298,6 +304,7 @@ class _Chain:
             covariance_last_joint=with_infinite(last, last_lost),
             covariance_last_body=body,
             covariance_X_NG=pose,
+            covariance_of_marks=of_marks @ joint @ np.swapaxes(of_marks, 1, 2),
             residuals_px=_unsorted(self.data, r / self.data.inv_sigma),
             inlier_weight=_unsorted(self.data, weight),
         )

@@ -75,6 +75,11 @@ class Outcome:
         return json.dumps(plain(content), allow_nan=False)
 
 
+def sizes_of(paths: Sequence[Path]) -> list[dict[str, Any]]:
+    """Files that were written, with their sizes [bytes]."""
+    return [{"path": path, "bytes": path.stat().st_size} for path in paths]
+
+
 def plain(value: Any) -> Any:
     """A value as JSON has it: paths and others as text, arrays as lists, what is not finite as null."""
     if isinstance(value, BaseModel):

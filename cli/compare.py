@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from tyro.conf import arg
 
@@ -23,6 +23,14 @@ class CompareCommand:
     The same command resumes an interrupted comparison. Options with dots override the configuration; the
     help shows the default of each key, which applies where the file does not set it.
     """
+
+    EXAMPLES: ClassVar = (
+        ("polhode compare --run RUN -o DIR", "every solver on the measurements of a run"),
+        (
+            "polhode compare -o DIR --compare.solvers gauss_newton,ipopt",
+            "two solvers on simulated measurements",
+        ),
+    )
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
     """Folder of the results: a new one, or that of the same comparison, which is resumed."""

@@ -6,6 +6,7 @@ sends all of it to standard error instead; with --quiet none of it is shown.
 
 import logging
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -32,6 +33,8 @@ from polhode.interrupts import raise_if_received
 from polhode.progress import NOTE, Advance, LiveProgress, Progress, Show
 
 _log = logging.getLogger(__name__)
+SILENCE_S = 30.0
+"""Where there is no terminal, a line says what is going on when none was printed for so long."""
 LOG_FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 
 
@@ -63,7 +66,9 @@ def progress_of_run() -> Iterator[Progress]:
         with RunBars().shown() as progress:
             yield progress
     else:
-        yield Lines(TimeLeft())
+        lines = Lines(TimeLeft())
+        with lines.never_silent():
+            yield lines
 
 
 def announce(text: str) -> None:
@@ -187,30 +192,83 @@ def _finish(title: str, seconds: float) -> None:
     _log.info("%s: %.1f s", title, seconds)
 
 
+@dataclass
+class _Stage:
+    """A stage that is open."""
+
+    title: str
+    total: int
+    """Steps; 0: their number is not known"""
+    start: float
+    """Time at which it began [s]"""
+    steps: int = 0
+
+
 class Lines:
-    """One line when a stage is done; with ``left`` it says how long the whole still takes."""
+    """One line when a stage is done, and one now and then while it goes on; with ``left`` they say how long
+    the whole still takes."""
 
     def __init__(self, left: TimeLeft | None = None) -> None:
         self._left = left
+        self._start = self._printed = perf_counter()
+        self._stages: list[_Stage] = []
+        """Those that are open, each within the one before"""
+        self._is_watched = False
+
+    @contextmanager
+    def never_silent(self) -> Iterator[None]:
+        """While the block runs, print a line whenever none was printed for ``SILENCE_S``."""
+        if self._is_watched:
+            yield
+            return
+        done = threading.Event()
+
+        def watch() -> None:
+            while not done.wait(max(self._printed + SILENCE_S - perf_counter(), 0.01)):
+                if perf_counter() - self._printed >= SILENCE_S:
+                    self._print(self._going_on())
+
+        self._is_watched, self._printed = True, perf_counter()
+        watcher = threading.Thread(target=watch, daemon=True)
+        watcher.start()
+        try:
+            yield
+        finally:
+            done.set()
+            watcher.join()
+            self._is_watched = False
+
+    def _going_on(self) -> str:
+        """What is being done, and how far it is."""
+        if not self._stages:
+            return f"working, {duration(perf_counter() - self._start)} since the start{self._time_left()}"
+        stage = self._stages[-1]
+        count = f"{stage.steps} of {stage.total}" if stage.total else "working"
+        since = duration(perf_counter() - stage.start)
+        return f"{printable(stage.title)}: {count} after {since}{self._time_left()}"
 
     @contextmanager
     def stage(self, title: str, total: int) -> Iterator[Advance]:
         """Count the steps; print title, count and seconds at the end."""
         raise_if_received()
-        start, steps = perf_counter(), 0
+        stage = _Stage(title, total, perf_counter())
         if self._left is not None:
             self._left.begin(title)
 
         def advance() -> None:
-            nonlocal steps
             raise_if_received()
-            steps += 1
+            stage.steps += 1
             if self._left is not None:
-                self._left.advance(steps / max(total, steps))
+                self._left.advance(stage.steps / max(total, stage.steps))
 
-        yield advance
-        seconds = perf_counter() - start
-        count = f"{steps} in " if steps else ""
+        self._stages.append(stage)
+        try:
+            with self.never_silent():
+                yield advance
+        finally:
+            self._stages.remove(stage)
+        seconds = perf_counter() - stage.start
+        count = f"{stage.steps} in " if stage.steps else ""
         self._print(f"{printable(title)}: {count}{seconds:.1f} s{self._what_is_left()}")
         _finish(title, seconds)
 
@@ -228,15 +286,24 @@ class Lines:
         if self._left is None:
             return ""
         self._left.advance(1.0)
-        seconds = self._left.seconds()
-        return "" if seconds is None or self._left.share >= 1.0 else f"; about {duration(seconds)} left"
+        return self._time_left()
+
+    def _time_left(self) -> str:
+        seconds = None if self._left is None or self._left.share >= 1.0 else self._left.seconds()
+        return "" if seconds is None else f"; about {duration(seconds)} left"
 
     def _print(self, text: str) -> None:
+        self._printed = perf_counter()
         print(text, flush=True)
 
 
 class Quiet(Lines):
     """Nothing is shown."""
+
+    @contextmanager
+    def never_silent(self) -> Iterator[None]:
+        """Nothing, here too."""
+        yield
 
     def _print(self, text: str) -> None:
         del text

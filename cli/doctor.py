@@ -1,23 +1,27 @@
 """``polhode doctor``: whether this installation works, on this machine."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from polhode.cli.answer import Answer
-from polhode.cli.console import choose_progress
+from polhode.cli.console import announce, choose_progress
 from polhode.cli.options import Flag
 
 if TYPE_CHECKING:
     from polhode.cli.self_test import Check
+    from polhode.optional_parts import OptionalPart
 
 LITTLE_MEMORY_GIB = 2.0
 """Below it the answer says so: a run of the sample takes some 1.3 GiB in all its processes."""
 
+BUSY = 0.5
+"""Load average for each processor, beyond which the answer says that times are longer"""
+
 
 @dataclass(frozen=True)
 class DoctorCommand:
-    """Check the installation: packages, threads, memory, optional parts, and a self-test of some seconds.
+    """Check the installation: packages, load, memory, optional parts, and a self-test of some seconds.
 
     Exit code 0: it works; 1: something that polhode needs is missing or does not work. Optional parts are
     listed with what they are for and the command that adds them; none of them is needed. The first call after
@@ -28,11 +32,15 @@ class DoctorCommand:
     """Leave out the self-test."""
 
     def execute(self) -> Answer:
-        """Look, test, and say what was found."""
-        from polhode.cli.self_test import self_test
-
-        facts, parts = _facts(), _parts()
-        checks = [] if self.skip_test else self_test(choose_progress())
+        """Look, test, and say what was found, each as soon as it is."""
+        facts: dict[str, Any] = {}
+        for found, line in _facts():
+            facts |= found
+            announce(line)
+        announce("")
+        announce("Optional parts, none of which is needed:")
+        parts = [_described(part) for part in _optional_parts()]
+        checks = [] if self.skip_test else _tested()
         wrong = [
             *facts["wrong_packages"],
             *(f"{each.name}: {each.finding}" for each in checks if not each.holds),
@@ -40,14 +48,13 @@ class DoctorCommand:
         works = "what polhode needs is installed" if self.skip_test else "polhode works here"
         return Answer(
             f"doctor: {len(wrong)} faults" if wrong else f"doctor: {works}",
-            "\n".join([*_lines_of_facts(facts), *_lines_of_parts(parts), *_lines_of_checks(checks)]),
             figures={**facts, "optional_parts": parts, "self_test": [asdict(each) for each in checks]},
             failure=f"this installation does not work: {'; '.join(wrong)}" if wrong else None,
         )
 
 
-def _facts() -> dict[str, Any]:
-    """The machine and the installation, in figures."""
+def _facts() -> Iterator[tuple[dict[str, Any], str]]:
+    """The machine and the installation: figures, and a line about them, one after the other."""
     from importlib.metadata import version
 
     from polhode.cli import machine
@@ -55,80 +62,85 @@ def _facts() -> dict[str, Any]:
     from polhode.optional_parts import PACKAGE
     from polhode.processes import worker_count
 
+    own = version("polhode")
+    yield {"version": own, "installed_in": PACKAGE}, f"polhode {own} in {PACKAGE}"
+    yield {"python": machine.python()}, f"Python         {machine.python()}"
+    wrong = machine.wrong_packages()
+    packages = "; ".join(wrong) or "all that polhode needs, in versions that it accepts"
+    yield {"wrong_packages": wrong}, f"packages       {packages}"
+    processors = machine.processors()
+    yield (
+        {"processors": processors, "workers": worker_count(0), "threads_per_process": 1},
+        f"processors     {processors}: as many parallel processes (--runtime.workers), with 1 thread each "
+        "(--runtime.blas-threads)",
+    )
+    load = machine.load_average()
+    yield {"load_average": load}, f"load           {_load_in_words(load, processors)}"
     usable_gib, free_gib = machine.memory_gib()
+    yield (
+        {"memory_gib": usable_gib, "free_memory_gib": free_gib},
+        f"memory         {_memory_in_words(usable_gib, free_gib)}",
+    )
+    folder, scratch_gib = machine.scratch_folder(), machine.scratch_gib()
+    yield (
+        {"scratch_folder": folder, "free_scratch_gib": scratch_gib},
+        f"scratch space  {scratch_gib:.1f} GiB free in {folder}",
+    )
     cache = code_cache(PACKAGE / "lie.py")
-    return {
-        "version": version("polhode"),
-        "installed_in": PACKAGE,
-        "python": machine.python(),
-        "wrong_packages": machine.wrong_packages(),
-        "processors": machine.processors(),
-        "workers": worker_count(0),
-        "threads_per_process": 1,
-        "memory_gib": usable_gib,
-        "free_memory_gib": free_gib,
-        "scratch_folder": machine.scratch_folder(),
-        "free_scratch_gib": machine.scratch_gib(),
-        "code_cache": cache,
-    }
+    kept = cache or "none: functions are compiled in every run; set NUMBA_CACHE_DIR"
+    yield {"code_cache": cache}, f"code cache     {kept}"
 
 
-def _parts() -> list[dict[str, Any]]:
-    """The optional parts, and what is missing of each."""
-    from polhode.optional_parts import OPTIONAL_PARTS
-
-    return [
-        {
-            "extra": part.extra,
-            "packages": list(part.modules.values()),
-            "missing": part.missing,
-            "purpose": part.purpose,
-            "install": part.how_to_install,
-        }
-        for part in OPTIONAL_PARTS
-    ]
+def _load_in_words(load: float | None, processors: int) -> str:
+    """Load average beside the processors, and what it means for times."""
+    if load is None:
+        return "unknown"
+    text = f"{load:.1f} processes on average over the last minute, on {processors} processors"
+    if load < BUSY * processors:
+        return text
+    slower = (load + processors) / processors
+    return f"{text}: busy; a run takes up to {slower:.1f} times as long as on an idle machine"
 
 
-def _lines_of_facts(facts: Mapping[str, Any]) -> list[str]:
-    packages = "; ".join(facts["wrong_packages"]) or "all that polhode needs, in versions that it accepts"
-    usable_gib, free_gib = facts["memory_gib"], facts["free_memory_gib"]
+def _memory_in_words(usable_gib: float | None, free_gib: float | None) -> str:
     memory = "unknown" if usable_gib is None else f"{usable_gib:.1f} GiB"
     if free_gib is not None:
         memory += f", {free_gib:.1f} GiB of it free"
         if free_gib < LITTLE_MEMORY_GIB:
             memory += ": little for a run; close other programs, or use fewer --runtime.workers"
-    cache = facts["code_cache"] or "none: functions are compiled in every run; set NUMBA_CACHE_DIR"
-    return [
-        f"polhode {facts['version']} in {facts['installed_in']}",
-        f"Python         {facts['python']}",
-        f"packages       {packages}",
-        f"processors     {facts['processors']}: as many parallel processes (--runtime.workers), with "
-        f"{facts['threads_per_process']} thread each (--runtime.blas-threads)",
-        f"memory         {memory}",
-        f"scratch space  {facts['free_scratch_gib']:.1f} GiB free in {facts['scratch_folder']}",
-        f"code cache     {cache}",
-    ]
+    return memory
 
 
-def _lines_of_parts(parts: Sequence[Mapping[str, Any]]) -> list[str]:
-    lines = ["", "Optional parts, none of which is needed:"]
-    for part in parts:
-        names = ", ".join(part["packages"])
-        state = (
-            f"missing: {', '.join(part['missing'])}; {part['install']}" if part["missing"] else "installed"
-        )
-        lines += [f"  {names} ({state})", f"      for {part['purpose']}"]
-    return lines
+def _optional_parts() -> "tuple[OptionalPart, ...]":
+    from polhode.optional_parts import OPTIONAL_PARTS
+
+    return OPTIONAL_PARTS
 
 
-def _lines_of_checks(checks: "Sequence[Check]") -> list[str]:
-    if not checks:
-        return []
-    return [
-        "",
-        "Self-test:",
-        *(
-            f"  {'ok  ' if each.holds else 'FAIL'} {each.name:12s} {each.seconds:4.1f} s  {each.finding}"
-            for each in checks
-        ),
-    ]
+def _described(part: "OptionalPart") -> dict[str, Any]:
+    """An optional part and what is missing of it, which is also printed."""
+    found: Mapping[str, Any] = {
+        "extra": part.extra,
+        "packages": list(part.modules.values()),
+        "missing": part.missing,
+        "purpose": part.purpose,
+        "install": part.how_to_install,
+    }
+    lacks = f"missing: {', '.join(found['missing'])}; {part.how_to_install}"
+    announce(f"  {', '.join(found['packages'])} ({lacks if found['missing'] else 'installed'})")
+    announce(f"      for {part.purpose}")
+    return dict(found)
+
+
+def _tested() -> "list[Check]":
+    """The self-test, each check printed when it is done."""
+    from polhode.cli.self_test import self_test
+
+    announce("")
+    announce("Self-test:")
+    checks = []
+    for each in self_test(choose_progress()):
+        state = "ok  " if each.holds else "FAIL"
+        announce(f"  {state} {each.name:12s} {each.seconds:4.1f} s  {each.finding}")
+        checks.append(each)
+    return checks

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
@@ -12,6 +12,10 @@ from polhode.cli.answer import Answer
 @dataclass(frozen=True)
 class EvaluateCommand:
     """Compare a run with the truth of its dataset: RUN/metrics.json, a table, a section of the report."""
+
+    EXAMPLES: ClassVar = (
+        ("polhode evaluate RUN SEQ", "errors of a run, beside what its standard deviations promise"),
+    )
 
     run: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a finished run."""

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from time import perf_counter
 from typing import Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.answer import Answer
+from polhode.cli.answer import Answer, sizes_of
 from polhode.cli.options import Flag
-from polhode.errors import InputError
 from polhode.planning.exports.formats import FORMATS
 
 
@@ -21,6 +21,13 @@ class ExportCommand:
     but the mesh, with covariances. What the run lacks is left out, with a warning.
     """
 
+    EXAMPLES: ClassVar = (
+        ("polhode export RUN --to glb -o target.glb", "the mesh, for viewers"),
+        (
+            "polhode export RUN --to urdf -o target.urdf --mass-kg 4.2",
+            "a free body for simulators, its inertia in kg m^2",
+        ),
+    )
     GROUPS: ClassVar = {
         "CAD model": ("cad", "cad_points", "cad_unit"),
         "body for simulators": ("middle_moment_kg_m2", "pieces"),
@@ -71,11 +78,6 @@ class ExportCommand:
 
     def execute(self) -> Answer:
         """Check, export and print the path."""
-        _require("--to", self.to, list(FORMATS))
-        _require("--unit", self.unit, ["m", "mm"])
-        _require("--cad-unit", self.cad_unit, ["m", "mm"])
-        if self.frame is not None:
-            _require("--frame", self.frame, ["G", "P", "cad"])
         from polhode.cli.console import choose_progress
         from polhode.pipeline.after_run.export.export_run import export_run
         from polhode.pipeline.after_run.export.options import ExportOptions
@@ -83,16 +85,19 @@ class ExportCommand:
         values = {
             each.name: getattr(self, each.name) for each in fields(ExportOptions) if each.name != "horizon"
         }
-        options = ExportOptions(**values, horizon=self.horizon_s)
-        files = export_run(self.run, options, choose_progress())
+        options, start = ExportOptions(**values, horizon=self.horizon_s), perf_counter()
+        export = export_run(self.run, options, choose_progress())
+        files, inertial = export.files, export.inertial
         meshes = f"Meshes: {len(files) - 1} files in {files[0].parent}" if len(files) > 1 else ""
-        return Answer(f"Export: {self.output}", meshes, paths=tuple(reversed(files)))
-
-
-def _require(option: str, value: str, valid: list[str]) -> None:
-    if value not in valid:
-        from polhode.config.keys import suggestion
-
-        raise InputError(
-            f"{option} '{value}': unknown;{suggestion(value, valid)} give one of {' '.join(valid)}"
-        )
+        paths = tuple(reversed(files))
+        figures = {
+            "format": self.to,
+            "files": sizes_of(paths),
+            "mass_properties": inertial
+            and {
+                name: getattr(inertial, name)
+                for name in ("mass_kg", "mass_is", "com_F", "moments_kg_m2", "scale_is")
+            },
+            "duration_s": perf_counter() - start,
+        }
+        return Answer(f"Export: {self.output}", meshes, paths=paths, figures=figures)

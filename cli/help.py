@@ -8,15 +8,25 @@ help alone, put the fields of a command into nested ones.
 import dataclasses
 import inspect
 import re
+import shutil
 import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, cast
 
 from tyro.conf import OmitArgPrefixes, Suppress, arg
 
-from polhode.cli.options import Command, ConfigValues, GeneralOptions, field_names, groups_of
+from polhode.cli.options import (
+    Command,
+    ConfigValues,
+    GeneralOptions,
+    examples_of,
+    field_names,
+    groups_of,
+    options_of,
+)
 
-WIDTH = 100
+MIN_WIDTH, MAX_WIDTH = 40, 100
+"""Of the overview [columns]; the help of a command is as wide as the terminal, and no narrower"""
 HIDDEN: Any = Suppress[str]
 """Type of a field that the help does not show"""
 USAGE = "usage: polhode COMMAND [OPTIONS]"
@@ -25,19 +35,55 @@ MORE = "polhode COMMAND -h shows the common options of a command, polhode COMMAN
 
 def overview(description: str, groups: Mapping[str, Sequence[str]], commands: Mapping[str, type]) -> str:
     """The text of ``polhode --help``: each command with the first sentence of its docstring."""
-    lines = [USAGE, "", description, MORE]
+    width = min(_columns(), MAX_WIDTH)
+    lines = [USAGE, "", *textwrap.wrap(description, width), *textwrap.wrap(MORE, width)]
     indent = 2 + max(map(len, commands)) + 2
     for title, names in groups.items():
         lines += ["", f"{title}:"]
         for name in names:
             summary = (commands[name].__doc__ or "").strip().partition("\n")[0]
             start = f"  {name}".ljust(indent)
-            lines += textwrap.wrap(summary, WIDTH, initial_indent=start, subsequent_indent=" " * indent)
+            lines += textwrap.wrap(summary, width, initial_indent=start, subsequent_indent=" " * indent)
     lines += ["", "for every command:"]
     lines += ["  --quiet, -q   the last line only        --json   one JSON object on standard output"]
     lines += ["  --verbose, -v the log on standard error --debug  the traceback of an error"]
     lines += ["  --version     the version of polhode"]
     return "\n".join(lines)
+
+
+def introduction(name: str, command: type[Command], everything: bool) -> str:
+    """What stands above the options: usage, description and examples, as wide as the terminal."""
+    width, usage = _columns(), f"usage: polhode {name} "
+    paragraphs = [
+        textwrap.fill(_usage_words(command), width, initial_indent=usage, subsequent_indent=8 * " ")
+    ]
+    description = inspect.cleandoc(command.__doc__ or "").split("\n\n")
+    if not everything and (groups_of(command) or _values_of(command) is not None):
+        also = "" if _values_of(command) is None else ", and the configuration"
+        description.append(f"These are the common options; polhode {name} --help shows all{also}.")
+    paragraphs += [textwrap.fill(" ".join(each.split()), width) for each in description]
+    if examples_of(command):
+        lines = ["examples:"]
+        for line, effect in examples_of(command):
+            lines += [
+                f"  {line}",
+                textwrap.fill(effect, width, initial_indent=6 * " ", subsequent_indent=6 * " "),
+            ]
+        paragraphs.append("\n".join(lines))
+    return "\n\n".join(paragraphs)
+
+
+def _usage_words(command: type[Command]) -> str:
+    """Arguments and required options, in brackets what may be left out."""
+    options = options_of(command)
+    arguments = [each for each in options if each.is_positional]
+    words = [each.metavar if each.required else f"[{each.metavar}]" for each in arguments]
+    words += [each.invocation for each in options if each.required and not each.is_positional]
+    return " ".join([*words, "[OPTIONS]"])
+
+
+def _columns() -> int:
+    return max(MIN_WIDTH, shutil.get_terminal_size().columns)
 
 
 def class_for_help(name: str, command: type[Command], everything: bool) -> type:
@@ -46,7 +92,7 @@ def class_for_help(name: str, command: type[Command], everything: bool) -> type:
     groups = groups_of(command)
     rare = {field for names in groups.values() for field in names}
     common = [each for each in field_names(command) if each not in rare]
-    values = {each.name: each for each in dataclasses.fields(cast(Any, command))}.get("values")
+    values = _values_of(command)
     parts = [_group("general", GeneralOptions)]
     if everything:
         parts = [*(_group(title, _restricted(command, names)) for title, names in groups.items()), *parts]
@@ -57,11 +103,13 @@ def class_for_help(name: str, command: type[Command], everything: bool) -> type:
             )
     bases = (_restricted(command, common),)
     made = dataclasses.make_dataclass(name, parts, bases=bases, frozen=True, kw_only=True)
-    made.__doc__ = inspect.cleandoc(command.__doc__ or "")
-    if not everything and (groups or values is not None):
-        also = "" if values is None else ", and the configuration"
-        made.__doc__ += f"\n\nThese are the common options; polhode {name} --help shows all{also}."
+    made.__doc__ = ""
     return made
+
+
+def _values_of(command: type[Command]) -> "dataclasses.Field[Any] | None":
+    """The field of the configuration; None: the command reads none."""
+    return {each.name: each for each in dataclasses.fields(cast(Any, command))}.get("values")
 
 
 def _group(title: str, of: type) -> tuple[str, Any, Any]:

@@ -36,6 +36,14 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def load_average() -> float | None:
+    """Processes that wanted to compute, on average over the last minute; None: not known."""
+    try:
+        return os.getloadavg()[0]
+    except (AttributeError, OSError):
+        return None
+
+
 def memory_gib() -> tuple[float | None, float | None]:
     """(Usable at all, free now) [GiB]: of the machine, of the container, or by ulimit -v; None: not known."""
     known = {}

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol, cast, get_args, get_origin, get_type_hints
 
@@ -24,7 +24,8 @@ Flag = FlagCreatePairsOff[bool]
 class Command(Protocol):
     """What the command line is parsed into.
 
-    A command may have ``GROUPS``, the groups of its less common options: title -> names of its fields.
+    A command may have ``GROUPS``, the groups of its less common options: title -> names of its fields; and
+    ``EXAMPLES``: pairs of a command line and what it does.
     """
 
     def execute(self) -> Answer:
@@ -66,15 +67,30 @@ class Option:
     takes_value: bool
     choices: tuple[str, ...]
     """Empty: any value"""
+    required: bool = False
+    metavar: str = ""
+    """What stands for the value in the help; empty: it has none of its own"""
+    kinds: tuple[Any, ...] = ()
+    """Types of its value: the members of a union"""
+
+    @property
+    def invocation(self) -> str:
+        """The shortest name with what stands for the value, as people write it."""
+        if self.is_positional:
+            return self.metavar
+        return f"{min(self.names, key=len)} {self.metavar}".rstrip()
 
 
 def options_of(command: type[Any]) -> list[Option]:
     """The options of a command beside those of the configuration, and its positional arguments."""
     hints = get_type_hints(command, include_extras=True)
-    return [_option(name, hints[name]) for name in field_names(command)]
+    required = {
+        each.name for each in fields(command) if each.default is MISSING and each.default_factory is MISSING
+    }
+    return [_option(name, hints[name], name in required) for name in field_names(command)]
 
 
-def _option(field: str, annotation: Any) -> Option:
+def _option(field: str, annotation: Any, required: bool) -> Option:
     markers = getattr(annotation, "__metadata__", ())
     aliases = [alias for marker in markers for alias in getattr(marker, "aliases", None) or ()]
     metavar = next((each.metavar for each in markers if getattr(each, "metavar", None)), "")
@@ -87,6 +103,9 @@ def _option(field: str, annotation: Any) -> Option:
         is_positional=_POSITIONAL in markers,
         takes_value=bool not in kinds,
         choices=tuple(choices),
+        required=required,
+        metavar=metavar,
+        kinds=kinds,
     )
 
 
@@ -101,6 +120,11 @@ def is_configured(command: type[Command]) -> bool:
 def groups_of(command: type[Command]) -> Mapping[str, Sequence[str]]:
     """Titles of the groups of a command's less common options, and the fields in each."""
     return cast(Mapping[str, Sequence[str]], getattr(command, "GROUPS", {}))
+
+
+def examples_of(command: type[Command]) -> Sequence[tuple[str, str]]:
+    """Command lines that show how a command is used, each with what it does."""
+    return cast(Sequence[tuple[str, str]], getattr(command, "EXAMPLES", ()))
 
 
 def field_names(command: type[Command]) -> list[str]:

@@ -24,6 +24,13 @@ class PlanCommand:
     observability RUN --trajectory DIR/plan.txt --frame inertial.
     """
 
+    EXAMPLES: ClassVar = (
+        ("polhode plan RUN -o DIR", "keep-out volume and speeds of the surface over the next minute"),
+        (
+            "polhode plan RUN -o DIR --dock-point 0 0 0.1 --dock-axis 0 0 1",
+            "with the corridor to a docking point",
+        ),
+    )
     GROUPS: ClassVar = {
         "docking": ("dock_point", "dock_axis", "stand_off_m", "half_angle_deg", "isp_s"),
         "keep-out volume": ("cover", "members"),

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
@@ -19,6 +19,14 @@ class PredictCommand:
 
     Prints a few rows; -o writes all of them with the columns of trajectory.csv.
     """
+
+    EXAMPLES: ClassVar = (
+        ("polhode predict RUN --horizon-s 60", "one minute, as a short table"),
+        (
+            "polhode predict RUN --horizon-s 60 --step-s 0.1 -o motion.csv",
+            "every tenth of a second, in a file",
+        ),
+    )
 
     run: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a finished run."""

@@ -3,11 +3,12 @@
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from time import perf_counter
 from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from polhode.cli.answer import Answer
+from polhode.cli.answer import Answer, sizes_of
 from polhode.errors import InputError
 
 
@@ -32,9 +33,15 @@ class ReportCommand:
                 raise InputError(f"{same} and {run} are the same run: give each run once")
         from polhode.pipeline.report import page_file, write_comparison, write_report
 
+        start = perf_counter()
         place = page_file(self.output, self.runs)
         if len(self.runs) == 1:
             write_report(self.runs[0], place)
         else:
             write_comparison(self.runs, place)
-        return Answer(f"Report: {self.output}", paths=(self.output,))
+        figures = {
+            "runs": len(self.runs),
+            "files": sizes_of((self.output,)),
+            "duration_s": perf_counter() - start,
+        }
+        return Answer(f"Report: {self.output}", paths=(self.output,), figures=figures)

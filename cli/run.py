@@ -12,7 +12,7 @@ from polhode.cli.answer import Answer
 from polhode.cli.console import announce, choose_progress, progress_of_run
 from polhode.cli.options import ConfigValues, Flag, OptionalConfigFile
 from polhode.config import Config
-from polhode.errors import InputError, RunFailure
+from polhode.errors import InputError, RunFailure, one_line
 from polhode.processes import start_server, worker_count
 
 if TYPE_CHECKING:
@@ -38,6 +38,13 @@ class RunCommand:
     the file does not set it.
     """
 
+    EXAMPLES: ClassVar = (
+        ("polhode run --data SEQ -o RUN", "with the defaults, which fit any calibrated sequence"),
+        (
+            "polhode run configs/default.yaml --data sample -o runs/demo --overwrite",
+            "the shipped sample again",
+        ),
+    )
     GROUPS: ClassVar = {"live stream": ("live", "rate", "patience_s"), "viewer": ("view", "view_save")}
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
@@ -83,12 +90,13 @@ class RunCommand:
             if target is not None:
                 _show(result, self.data, target)
         note = f"; {result.note}" if result.note else ""
-        failure = result.failure
+        failure, found = result.failure, _from_summary(_folder_of(result))
         return Answer(
             f"{result.sentence} {result.report_path}",
+            _listed([each for each in found.get("warnings", ()) if each != failure]),
             paths=(result.report_path, _folder_of(result)),
             status=result.status,
-            **_from_summary(_folder_of(result)),
+            **found,
             failure=failure and f"{failure}; the best motion found: {result.report_path}{note}",
         )
 
@@ -96,9 +104,9 @@ class RunCommand:
         """Where the run is shown, checked before the work."""
         if not self.view and self.view_save is None:
             return None
-        from polhode.pipeline.view.rerun_library import require_rerun
+        from polhode.optional_parts import require_part
 
-        require_rerun("--view" if self.view else "--view-save")
+        require_part("rerun", "--view" if self.view else "--view-save")
         from polhode.pipeline.view.target import require_target
 
         return require_target(self.view_save, self.view, "--view-save")
@@ -169,6 +177,13 @@ def _from_summary(folder: Path) -> dict[str, Any]:
     if summary.inertia is not None:
         figures |= {"k1": summary.inertia.k1, "k2": summary.inertia.k2}
     return {"figures": figures, "warnings": tuple(summary.warnings)}
+
+
+def _listed(warnings: list[str]) -> str:
+    """The warnings of a run together, as those that came while it worked stand far above; empty: none."""
+    return "\n".join(
+        ["Warnings of this run:", *(f"- {one_line(each)}" for each in warnings)] if warnings else []
+    )
 
 
 def _watching(target: "ViewTarget | None", source: Path) -> "AbstractContextManager[Watch | None]":

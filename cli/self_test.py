@@ -117,12 +117,8 @@ CHECKS: dict[str, Callable[[], str]] = {
 }
 
 
-def self_test(progress: Progress) -> list[Check]:
+def self_test(progress: Progress) -> Iterator[Check]:
     """All checks, one after the other; one that fails does not end the test."""
-    return list(_checked(progress))
-
-
-def _checked(progress: Progress) -> Iterator[Check]:
     with progress.stage("self-test", len(CHECKS)) as advance:
         for name, check in CHECKS.items():
             start = perf_counter()

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from tyro.conf import arg
 
@@ -21,6 +21,17 @@ class SimulateCommand:
     Options with dots override the configuration; the help shows the default of each key, which applies where
     the file does not set it.
     """
+
+    EXAMPLES: ClassVar = (
+        (
+            "polhode simulate configs/scenes/fast_20rpm.yaml -o runs/fast_data",
+            "a scene of the checkout, with its truth",
+        ),
+        (
+            "polhode simulate SCENE.yaml -o SEQ --scene.frames 20 --overwrite",
+            "a short version, in place of the last",
+        ),
+    )
 
     config: ConfigFile
     """Configuration with a scene, YAML."""

@@ -28,14 +28,14 @@ class ViewCommand:
 
     def execute(self) -> Answer:
         """Check what is asked for, then show it."""
-        from polhode.pipeline.view.rerun_library import require_rerun
+        from polhode.optional_parts import require_part
 
         is_run, is_sequence = ((self.shown / name).exists() for name in ("summary.json", "mav0"))
         if not (is_run or is_sequence):
             raise InputError(f"{self.shown}: neither a run (summary.json) nor a sequence (mav0/)")
         if self.data is not None and not is_run:
             raise InputError("--data goes with a run: a sequence has its images")
-        require_rerun("polhode view")
+        require_part("rerun", "polhode view")
         from polhode.cli.console import choose_progress
         from polhode.pipeline.view.show_run import show_run
         from polhode.pipeline.view.show_sequence import show_sequence

@@ -35,7 +35,7 @@ from polhode.output.marked_folder import marked_place, read_mark, withdrawn_if_r
 from polhode.output.place import folder_place, unwritable
 from polhode.output.single_file import remove_all_partials
 from polhode.pipeline.run_directory.outputs import write_config
-from polhode.progress import Progress
+from polhode.progress import NOTE, Progress
 
 FILE = "compare.json"
 COMMAND = "compare"
@@ -72,7 +72,9 @@ def _compared(
 ) -> Comparison:
     _warn_of_pickles(folder)
     # the first use on a machine compiles: that must not count as time of a solver
-    compile_block()
+    with progress.stage("compiling the cost", 1) as advance:
+        compile_block()
+        advance()
     deadline = perf_counter() + config.compare.total_s
     problems: list[ProblemSummary] = []
     rows: list[Row] = []
@@ -87,8 +89,9 @@ def _compared(
         problem = read_problem(file)
         key, cases, own = of_problem(problem), list(_cases(source.name, config, chosen)), []
         with progress.stage(f"solvers, {source.name}", len(cases)) as advance:
-            for entry, case in cases:
+            for number, (entry, case) in enumerate(cases, 1):
                 own.append(_row(file, key, folder, entry, case, config, deadline))
+                _log.log(NOTE, "%s, %d of %d", _in_one_line(own[-1]), number, len(cases))
                 advance()
         rows += own
         problems.append(_summary(source, problem, key, own))
@@ -118,6 +121,14 @@ def _cases(problem: str, config: Config, chosen: tuple[Entry, ...]) -> Iterator[
         for start, count in counts.items():
             for seed in range(count):
                 yield entry, Case(problem=problem, solver=entry.name, start=start, seed=seed)
+
+
+def _in_one_line(row: Row) -> str:
+    """What became of a row."""
+    start = row.start if row.start == "cold" else f"{row.start} {row.seed}"
+    found = "" if row.cost is None else f", cost {row.cost:.6g}"
+    took = "" if row.wall_s is None else f", {row.wall_s:.1f} s"
+    return f"{row.problem}: {row.solver} ({start} start): {row.status}{found}{took}"
 
 
 def claim(folder: Path) -> Path:

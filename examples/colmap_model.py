@@ -1,19 +1,24 @@
 """A run's sparse map as a model of COLMAP, in its text format: cameras, images with their points, points.
 
-    python -m examples.colmap_model RUN -o DIR
+    python -m examples.colmap_model RUN -o DIR [--data SEQ]
 
+With --data, the sequence of the run, DIR/images gets the rectified left images, for COLMAP's dense stereo.
 COLMAP's world is the target's frame G, in metres; its camera is the rectified left one, without distortion.
-A point is the median of the places where its stereo pairs put it, which a few wrong ones do not move.
+A point is the median of the places where its stereo pairs put it, which a few wrong ones do not move. Points
+are those of landmarks.ply: number n is its vertex n - 1. Landmarks that only outliers had seen are left out.
 COLMAP puts the centre of the first pixel at (0.5, 0.5), polhode at (0, 0).
 """
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 import polhode
+from polhode import stages
+from polhode.dataset_writer import write_png
 from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, transform_points, wxyz_from_matrix
 from polhode.records import Ints, StereoTracks
@@ -27,18 +32,44 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("run", type=Path, help="folder of a run")
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the model")
+    parser.add_argument("--data", type=Path, help="sequence of the run: write its rectified left images, too")
     options = parser.parse_args(arguments)
     try:
         run = polhode.load(options.run)
-        files = model_of(run.measurements, run.X_NG)
+        tracks = of_map(run.measurements, run.landmark_numbers)
+        files = model_of(tracks, run.X_NG)
+        if options.data is not None:
+            write_images(options.data, run, options.output / "images")
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return InputError.exit_code
     options.output.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         (options.output / name).write_text(text)
-    print(f"{run.measurements.n_frames} images, {run.measurements.n_landmarks} points: {options.output}")
+    print(f"{tracks.n_frames} images, {tracks.n_landmarks} points: {options.output}")
     return 0
+
+
+def of_map(tracks: StereoTracks, numbers: Ints) -> StereoTracks:
+    """The tracks of the landmarks of the map, numbered by its rows; numbers (L,): theirs in the tracks."""
+    kept = np.isin(tracks.landmark, numbers)
+    return replace(
+        tracks,
+        frame=tracks.frame[kept],
+        landmark=np.searchsorted(numbers, tracks.landmark[kept]),
+        uvd_px=tracks.uvd_px[kept],
+        sigma_px=tracks.sigma_px[kept],
+    )
+
+
+def write_images(data: Path, run: polhode.Run, folder: Path) -> None:
+    """The rectified left images of the run's sequence, named as in images.txt. Raises InputError."""
+    context = stages.open_sequence(data, run.folder / "config.yaml")
+    tracks = run.measurements
+    if context.rig != tracks.rig or not np.array_equal(context.sequence.timestamps_ns, tracks.timestamps_ns):
+        raise InputError(f"{data}: not the sequence of {run.folder}, whose times or calibration are others")
+    for k, stamp in enumerate(tracks.timestamps_ns):
+        write_png(folder / f"{stamp}.png", stages.rectified_pair(context, k).left)
 
 
 def model_of(tracks: StereoTracks, X_NG: Array) -> dict[str, str]:

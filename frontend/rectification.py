@@ -210,10 +210,13 @@ class RectifiedPair:
     """One rectified stereo pair with the target's mask in each image: the input of every feature method."""
 
     left: Image
+    """(H, W) grey, 8 bits"""
     right: Image
-    """Empty, as its mask, where disparities are measured"""
+    """(H, W); empty, as its mask, where disparities are measured"""
     mask_left: Bools
+    """(H, W) true on the target"""
     mask_right: Bools
+    """(H, W)"""
     measured: MeasuredDisparity | None = None
     """None: there are two images to measure them in"""
 

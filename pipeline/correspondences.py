@@ -47,7 +47,9 @@ class Correspondences:
     """Features of each frame, and those matches between frames that no others contradict."""
 
     features: Sequence[StereoFeatures]
+    """Of each frame, F"""
     matches: Sequence[PairMatch]
+    """Of each pair of frames i < j with enough matches that agree with one motion, sorted by (i, j)"""
 
     @property
     def links(self) -> RelativePoses:

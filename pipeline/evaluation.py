@@ -328,18 +328,40 @@ def seen_truth(
 def format_table(metrics: Metrics) -> str:
     """Everything in metrics.json, one line each, as text, beside what is expected if the sigmas are right."""
     table = Table(
-        Column(style="bold"), Column("found", justify="right"), "expected", title="Estimate minus truth"
+        Column(style="bold"),
+        Column("found", justify="right"),
+        "unit",
+        "expected",
+        title="Estimate minus truth",
     )
     for key, value in metrics.items():
         if isinstance(value, dict):
             for name, part in value.items():
-                table.add_row(f"{key} {name}", _shown(part), _expected(key, name))
+                table.add_row(f"{key} {name}", _shown(part), _unit(key, name), _expected(key, name))
         else:
-            table.add_row(key, _shown(value), "")
+            table.add_row(key, _shown(value), _unit(key), "")
     console = Console(width=100, file=StringIO(), force_terminal=False)
     with console.capture() as capture:
         console.print(table)
     return capture.get()
+
+
+_UNITS = {
+    "_deg_s": "deg/s",
+    "_m_s": "m/s",
+    "_deg": "deg",
+    "_mm": "mm",
+    "_m": "m",
+    "_px": "px",
+    "_s": "s",
+}
+"""By the end of a name, the longer ones first"""
+
+
+def _unit(key: str, name: str = "") -> str:
+    """Of a number of metrics.json, as its own name or that of its group ends; empty: it has none."""
+    found = (unit for text in (name, key) for end, unit in _UNITS.items() if text.endswith(end))
+    return next(found, "")
 
 
 def _expected(group: str, name: str) -> str:

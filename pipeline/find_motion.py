@@ -33,7 +33,9 @@ class MotionSolution:
     """An estimate of the motion with the data that it was made from."""
 
     features: Sequence[StereoFeatures]
+    """Of each frame, F, of both methods where there are two"""
     association: Association
+    """Which features are one landmark"""
     motion: InitialMotion
     """Solved poses, and which frames are connected by measurements"""
     tracks: StereoTracks

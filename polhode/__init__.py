@@ -33,6 +33,7 @@ images.py          image files: reading, conversion to 8-bit grey
 truth.py           the truth of a simulated sequence; only the evaluation may import it
 metrics.py         errors of an estimate against the truth
 mesh_metrics.py    distances between meshes
+argument_names.py  errors of the library in the words of Python, not of the command line
 array_files.py     archives of arrays (.npz), their headers compared with their sizes
 foreign_files.py   opening the files that others made: regular ones, of a limited size
 foreign_meshes/    meshes of others (PLY, STL, OBJ, GLB), their structure checked before they are read

@@ -8,22 +8,24 @@ examples.
 
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
+from polhode.argument_names import errors_name_arguments
 from polhode.cli.console import choose_progress
 from polhode.config import Config
+from polhode.config.keys import suggestion
 from polhode.config.loader import load_config
 from polhode.errors import InputError, RunFailure
 from polhode.lie import Array
 from polhode.pipeline.after_run.export.export_run import export_run
-from polhode.pipeline.after_run.export.options import ExportOptions
+from polhode.pipeline.after_run.export.options import ExportOptions, FrameName, Unit
 from polhode.pipeline.after_run.observability.assess import Assessment, CameraOptions, assess, subject_of
 from polhode.pipeline.after_run.plan import final_estimate, keep_out_of_run, surface_of
 from polhode.pipeline.after_run.predict import predict_instants
@@ -48,7 +50,7 @@ from polhode.pipeline.run_directory.summary_schema import Identifiable, Interval
 from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_trajectory
 from polhode.planning.approach.surface_speed import velocity
 from polhode.planning.edges.edge_model import CREASE_DEG
-from polhode.planning.exports.formats import Format
+from polhode.planning.exports.formats import FORMATS, Format
 from polhode.planning.keep_out.measured_body import Cover
 from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions
 from polhode.planning.prediction import PredictedMotion, nominal_motion
@@ -60,11 +62,16 @@ from polhode.threads import single_threaded
 if TYPE_CHECKING:
     import pandas as pd
 
+EXPORT_OPTIONS = tuple(each.name for each in fields(ExportOptions) if each.name not in ("to", "output"))
+EXPORT_WORDS = {word: word for word in (*FORMATS, *get_args(FrameName), *get_args(Unit))}
+"""What ``Run.export`` passes on, and the texts among their values"""
+
 Configuration = Config | str | Path | Mapping[str, Any] | None
 """A configuration, a file of one, settings that differ from the default ({"backend.inertia": "ratios_axes"},
 or nested), or the default"""
 
 
+@errors_name_arguments()
 def run(
     data: str | Path,
     output: str | Path | None = None,
@@ -107,6 +114,7 @@ def load(run: str | Path) -> "Run":
     return Run(Path(run))
 
 
+@errors_name_arguments()
 @single_threaded
 def simulate(
     config: Configuration,
@@ -131,6 +139,7 @@ def simulate(
     return folder
 
 
+@errors_name_arguments()
 @single_threaded
 def evaluate(run: "Run | str | Path", data: str | Path) -> Metrics:
     """Errors of a run against the truth of its sequence: the content of metrics.json, which is written, too.
@@ -238,6 +247,21 @@ class Run:
         return read_covariance(self.folder).covariance
 
     @cached_property
+    def covariance_of_marks(self) -> Array:
+        """(F, 12, 12) as ``covariance``, of the body itself: always finite (docs/run_directory.md).
+
+        The estimated centre of mass and axes are exact marks on the body, as in a prediction. Raises
+        InputError: the run is of an earlier version, which stored it for the last frame alone.
+        """
+        found = read_covariance(self.folder).covariance_of_marks
+        if found is None:
+            raise InputError(
+                f"{self.folder / 'covariance.npz'}: an earlier version wrote it, without the covariance of "
+                "marks in every frame; run it again, or take that of the last one from predict(0.0)"
+            )
+        return found
+
+    @cached_property
     def mass(self) -> MassEstimate:
         """Inertia, centre of mass and axes. Raises InputError if the run ended before it had them."""
         found = self.summary
@@ -313,6 +337,7 @@ class Run:
             raise InputError(f"{self.folder}: this run failed before it had an estimate")
         return found
 
+    @errors_name_arguments()
     def predict(self, time_s: ArrayLike) -> PredictedMotion:
         """The motion at times (T,), or one time, in seconds after the last pair, with its covariance.
 
@@ -320,6 +345,7 @@ class Run:
         """
         return predict_instants(self.folder, np.atleast_1d(np.asarray(time_s, dtype=np.float64)))
 
+    @errors_name_arguments({"--horizon": "horizon_s"})
     def keep_out(
         self,
         horizon_s: float = 60.0,
@@ -335,6 +361,7 @@ class Run:
         options = KeepOutOptions(horizon_s, confidence, members=members, cover=cover)
         return keep_out_of_run(self.folder, options)
 
+    @errors_name_arguments()
     def points_velocity(self, p_G: ArrayLike, time_s: float = 0.0) -> Array:
         """Velocity (n, 3) in N [m/s] of points (n, 3) of the target in G, seconds after the last pair."""
         points = np.atleast_2d(np.asarray(p_G, dtype=np.float64))
@@ -345,6 +372,7 @@ class Run:
         motion = nominal_motion(final_estimate(self.folder)[0], np.array([time_s]))
         return velocity(motion, 0, points)
 
+    @errors_name_arguments({"--sun": "sun_N"}, words={"inertial": "N"})
     def observability(
         self,
         trajectory: str | Path | None = None,
@@ -366,12 +394,19 @@ class Run:
         subject = subject_of(self.folder, path, frame, CameraOptions(), None, sun, CREASE_DEG, 1.0)
         return assess(subject, spacing_px, sigma_px, edges, False, Silent())
 
+    @errors_name_arguments(words=EXPORT_WORDS, further=EXPORT_OPTIONS)
     def export(self, to: Format, output: str | Path, **options: Any) -> list[Path]:
         """Write the run in another program's format, as ``polhode export``; options of that name.
 
         Returns the files, the one that was asked for last. Raises InputError.
         """
-        return export_run(self.folder, ExportOptions(to, Path(output), **options), Silent())
+        unknown = next((name for name in options if name not in EXPORT_OPTIONS), None)
+        if unknown is not None:
+            raise InputError(
+                f"export has no option '{unknown}';{suggestion(unknown, EXPORT_OPTIONS)} "
+                f"options: {', '.join(EXPORT_OPTIONS)}"
+            )
+        return export_run(self.folder, ExportOptions(to, Path(output), **options), Silent()).files
 
     def to_pandas(self, table: TableName = "trajectory") -> "pd.DataFrame":
         """A table of the run, with the columns and units of docs/run_directory.md (needs pandas).

@@ -11,6 +11,10 @@ SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP"
 
 _received: signal.Signals | None = None
 """The signal that is ending the block of ``interrupts_raised``"""
+_at_once: Callable[[], object] | None = None
+"""What the block of ``interrupts_raised`` does first; None: there is no such block"""
+_is_kept = False
+"""Whether the signal has raised nothing yet"""
 
 
 @contextmanager
@@ -21,21 +25,22 @@ def interrupts_raised(first: Callable[[], object]) -> Iterator[None]:
     and one that has a handler of its own keeps it. Other threads than the main one cannot set handlers: there
     the block changes nothing.
     """
-    global _received
+    global _received, _at_once, _is_kept
 
     def raise_once(number: int, frame: FrameType | None) -> None:
         del frame
-        global _received
-        if _received is None:
-            _received = signal.Signals(number)
+        global _received, _is_kept
+        if _received is None or _is_kept:
+            _received, _is_kept = _received or signal.Signals(number), False
             first()
             raise KeyboardInterrupt
 
+    _at_once = first
     try:
         with _handlers(raise_once, replacing=(signal.SIG_DFL, signal.default_int_handler)):
             yield
     finally:
-        _received = None
+        _received, _at_once, _is_kept = None, None, False
 
 
 def received() -> signal.Signals | None:
@@ -44,9 +49,33 @@ def received() -> signal.Signals | None:
 
 
 def raise_if_received() -> None:
-    """Raise KeyboardInterrupt again, in case a library has swallowed the first one."""
+    """Raise KeyboardInterrupt for a signal that was kept, and again in case a library has swallowed the first
+    one."""
+    global _is_kept
     if _received is not None:
+        if _is_kept and _at_once is not None:
+            _is_kept = False
+            _at_once()
         raise KeyboardInterrupt
+
+
+@contextmanager
+def interrupts_kept() -> Iterator[None]:
+    """A signal within the block raises nothing: ``raise_if_received`` does, or the next signal.
+
+    For a clean-up that Python calls itself, such as that of a generator which nobody asks any more: what is
+    raised there is printed and lost. Outside of ``interrupts_raised`` the signal takes effect at the end.
+    """
+    global _received, _is_kept
+    waiting: list[int] = []
+    try:
+        with _handlers(lambda number, frame: waiting.append(number)):
+            yield
+    finally:
+        if waiting and _at_once is None:
+            signal.raise_signal(waiting[0])
+        elif waiting and _received is None:
+            _received, _is_kept = signal.Signals(waiting[0]), True
 
 
 @contextmanager

@@ -3,9 +3,14 @@
 In a checkout ``make extras`` adds all of them; elsewhere pip adds one, as an extra of the package.
 """
 
-from dataclasses import dataclass
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+
+from polhode.errors import InputError
 
 PACKAGE = Path(__file__).resolve().parent
 CHECKOUT = PACKAGE.parent / "Makefile"
@@ -22,6 +27,8 @@ class OptionalPart:
     """Module that is imported -> the name people know it by"""
     purpose: str
     """What it is for, or what happens without it"""
+    environment: Mapping[str, str] = field(default_factory=dict)
+    """Variables of the environment with which it is imported, unless they are set already"""
 
     @property
     def missing(self) -> list[str]:
@@ -47,7 +54,11 @@ OPTIONAL_PARTS: tuple[OptionalPart, ...] = (
         "import", {"rosbags": "rosbags", "av": "PyAV"},
         "bags and videos in polhode import and polhode calibrate; folders of images need neither",
     ),
-    OptionalPart("view", {"rerun": "Rerun"}, "polhode view, and polhode run --view and --view-save"),
+    OptionalPart(
+        "view", {"rerun": "Rerun"}, "polhode view, and polhode run --view and --view-save",
+        # Its own messages go to standard error, which holds one line: that of an error of ours.
+        {"RUST_LOG": "off"},
+    ),
     OptionalPart("train", {"tensorboard": "tensorboard"}, "curves of polhode train, which needs it"),
     OptionalPart("pandas", {"pandas": "pandas"}, "polhode.load(RUN).to_pandas() in Python"),
 )  # fmt: skip
@@ -59,6 +70,16 @@ def part_with(module: str) -> OptionalPart:
         if module in part.modules:
             return part
     raise KeyError(module)
+
+
+def require_part(module: str, what: str) -> None:
+    """Raise InputError, with the command that installs the module, where it is missing. ``what`` needs it."""
+    for name, value in part_with(module).environment.items():
+        os.environ.setdefault(name, value)
+    try:
+        import_module(module)
+    except ImportError:
+        raise InputError(f"{what}: {missing_message(module)}") from None
 
 
 def missing_part(module: str) -> str | None:

@@ -11,6 +11,7 @@ import logging
 import logging.handlers
 import multiprocessing
 import multiprocessing.forkserver
+import multiprocessing.resource_tracker
 import os
 import signal
 import sys
@@ -28,7 +29,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from polhode import fork_server
 from polhode.errors import RunFailure
-from polhode.interrupts import SIGNALS, interrupts_delayed
+from polhode.interrupts import SIGNALS, interrupts_delayed, interrupts_kept
 from polhode.parent_death import end_with_parent
 from polhode.threads import limit_threads, limited_threads
 
@@ -305,6 +306,11 @@ def _results(
     except KeyboardInterrupt:
         _kill(pool)
         raise
+    except GeneratorExit:
+        # Python may call this itself, when nobody asks for more: an interrupt would be printed, and lost.
+        with interrupts_kept():
+            pool.shutdown(cancel_futures=True)
+        raise
     finally:
         _pools.remove(pool)
         pool.shutdown(cancel_futures=True)
@@ -404,6 +410,10 @@ def _signals_blocked() -> Iterator[None]:
     """
     with interrupts_delayed(), _environment("PYTHONSAFEPATH", "1"):
         previous = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        # The tracker of shared resources lets interrupts through again when it has started: hence before the
+        # server of the workers, which would print a traceback if one came while it imports.
+        multiprocessing.resource_tracker.ensure_running()
+        signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         if threading.current_thread() is threading.main_thread():
             os.environ[fork_server.PARENT] = str(os.getpid())
         try:

@@ -64,10 +64,12 @@ class StereoTracks:
 
     @property
     def n_frames(self) -> int:
+        """F"""
         return len(self.timestamps_ns)
 
     @property
     def n_landmarks(self) -> int:
+        """L, those with outliers only among them."""
         return int(self.landmark.max()) + 1 if len(self.landmark) else 0
 
     @property
@@ -84,13 +86,17 @@ class RelativePoses:
     """
 
     i: Ints
-    """(E,)"""
+    """(E,) index of the one frame"""
     j: Ints
-    """(E,)"""
+    """(E,) index of the other, i < j"""
     X_RiRj: Array
-    """(E, 4, 4)"""
+    """(E, 4, 4) from the left camera of j to that of i, for points of the target; translation [m]"""
     inliers: Ints
-    """(E,)"""
+    """(E,) number of matches that agree with it"""
+
+    def __len__(self) -> int:
+        """Number of pairs of frames, E."""
+        return len(self.i)
 
 
 @dataclass(frozen=True)
@@ -257,6 +263,10 @@ class Landmarks:
     observations: Ints
     """(L,) number of frames"""
 
+    def __len__(self) -> int:
+        """Number of landmarks, L."""
+        return len(self.p_G)
+
 
 @dataclass(frozen=True)
 class MotionEstimate:
@@ -294,6 +304,10 @@ class MotionEstimate:
     covariance_X_NG: Array | None = None
     """(F, 6, 6) of X_NG, translation t [m] and rotation a [rad] along the axes of G:
     p_N = X_NG (Exp(a) p_G + t). Without errors common to all poses, so always finite. None: unknown"""
+    covariance_of_marks: Array | None = None
+    """(F, 12, 12) in the order r (N), v (N), theta (P), w (P), of the body itself: the estimated centre of
+    mass and axes are exact marks on it, so it is finite also where they are undetermined. The marks are where
+    the first frame shows them: it is the covariance of the motion since then. None: unknown"""
     disturbances: Disturbances | None = None
     """By unknown forces and torques; None: not sought, or none found"""
 

@@ -24,6 +24,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from polhode.api import Configuration, chosen_progress, configuration
+from polhode.argument_names import errors_name_arguments
 from polhode.backend import estimate_motion as estimate_by_back_end
 from polhode.backend import initialize_motion
 from polhode.errors import InputError
@@ -73,6 +74,7 @@ __all__ = [
 ]
 
 
+@errors_name_arguments()
 @single_threaded
 def open_sequence(
     data: str | Path, config: Configuration = None, *, progress: Progress | bool = False

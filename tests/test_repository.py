@@ -3,6 +3,7 @@
 import ast
 import importlib
 import re
+import subprocess
 import sys
 import tomllib
 from importlib.metadata import packages_distributions
@@ -165,3 +166,31 @@ def test_the_page_about_the_architecture_lists_every_sub_room() -> None:
         if f"`{path.parent.name}/`" not in rows[room]
     }
     assert missing == set()
+
+
+def test_make_help_lists_every_target() -> None:
+    text = (ROOT / "Makefile").read_text()
+    phony = re.search(r"^\.PHONY: (.*)$", text, re.MULTILINE)
+    assert phony is not None
+    done = subprocess.run(["make", "help"], cwd=ROOT, capture_output=True, text=True, check=True)
+    listed = re.findall(r"^make ([\w-]+)", done.stdout, re.MULTILINE)
+    assert listed[0] == "help" and set(phony[1].split()) <= set(listed)
+
+
+def test_what_tests_and_site_need_comes_with_one_installation() -> None:
+    """The guards of the later ones read in the stamp of the first what came with it."""
+    done = subprocess.run(
+        ["make", "--always-make", "--dry-run", "setup-tests", "docs"],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    lines = done.stdout.replace("\\\n", " ").splitlines()
+    (extras, *others) = [
+        re.findall(r"--editable '\.\[(.*)\]'", line)[0] for line in lines if "--editable" in line
+    ]
+    assert f"echo '[{extras}]' > .venv/.installed" in lines
+    assert len(others) == 2 and all(each in extras for each in others)
+    guarded = [line for line in lines if "--editable" in line and line.startswith("grep -qs")]
+    assert len(guarded) == len(others)

@@ -19,7 +19,7 @@ from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.uncertainty.identifiability import NAMES, determined_description
 from polhode.camera import RectifiedRig
-from polhode.lie import Array, inverse_pose, transform_points
+from polhode.lie import Array, hat, inverse_pose, transform_points
 from polhode.records import Identifiability, MassProperties, MotionEstimate, OnlineEstimate, StereoTracks
 
 Sigma = tuple[float, float, float]
@@ -70,16 +70,30 @@ def with_systematic(
     in_G = estimate.X_NG[0, :3, :3].T @ spread[0]
     joint = np.zeros((20, in_G.shape[1]))
     joint[:3], joint[17:] = spread[-1], in_G
-    body, mass = estimate.covariance_last_body, estimate.mass
+    body, marks, mass = estimate.covariance_last_body, estimate.covariance_of_marks, estimate.mass
+    if marks is not None:
+        of_marks = _of_marks(estimate, spread, in_G)
+        marks = np.stack([_inflated(c, s) for c, s in zip(marks, of_marks, strict=True)])
     return replace(
         estimate,
         covariance=np.stack([_inflated(c, s) for c, s in zip(estimate.covariance, spread, strict=True)]),
         covariance_last_joint=_inflated(estimate.covariance_last_joint, joint),
         covariance_last_body=None if body is None else _inflated(body, joint),
+        covariance_of_marks=marks,
         mass=replace(
             mass, cov_com_G=_inflated(mass.cov_com_G, in_G), identifiable=_inflated_verdict(mass, in_G)
         ),
     )
+
+
+def _of_marks(estimate: MotionEstimate, spread: Array, in_G: Array) -> Array:
+    """Errors (F, 6, n) of position and velocity of the mark where the centre of mass is estimated.
+
+    spread (F, 3, n): of the centre of mass in N; in_G (3, n): of where it is in G, which the mark is without.
+    """
+    lever = estimate.R_NP @ (estimate.mass.R_GP.T @ in_G)
+    w_N = (estimate.R_NP @ estimate.w_P[:, :, None])[:, :, 0]
+    return np.concatenate([spread - lever, -hat(w_N) @ lever], axis=1)
 
 
 def _inflated_verdict(mass: MassProperties, in_G: Array) -> Identifiability:

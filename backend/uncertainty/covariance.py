@@ -235,6 +235,20 @@ def state_jacobians(iterate: Iterate, derivative: AxesDerivative, camera_N: Arra
     return out
 
 
+def mark_jacobians(iterate: Iterate, R_GP: Array, camera_N: Array | None = None) -> Array:
+    """As above (F, 12, s + 8), for marks on the body where the centre of mass and the axes are estimated.
+
+    An error of the centre of mass does not move such a mark, but it changes the velocity that the mark has.
+    R_GP (3, 3): the estimated axes, along which attitude and rate are.
+    """
+    out, s = body_jacobians(iterate, camera_N), iterate.n_state
+    by_centre = out[:, ERR_R, s : s + 3].copy()
+    out[:, ERR_R, s : s + 3] = 0.0
+    out[:, ERR_V, s : s + 3] = -by_centre @ hat(iterate.w_G)
+    out[:, ERR_THETA], out[:, ERR_W] = R_GP.T @ out[:, ERR_THETA], R_GP.T @ out[:, ERR_W]
+    return out
+
+
 def state_covariances(iterate: Iterate, m: Marginals, jacobians: Array) -> tuple[Array, Array]:
     """Covariances (F, 12, 12) of the states, and the last one jointly with xi and com_G (20, 20).
 

@@ -3,7 +3,8 @@
     python -m benchmarks.end_to_end.report_picture RUN --rows 0 1700 [--columns 240 1200] -o PNG
 
 Chromium renders the page without a window, with every figure drawn; rows and columns are pixels of the page
-from its upper left. ``--section`` takes a whole section instead, by its id in the page.
+from its upper left. ``--section`` takes a whole section or figure instead, by its id in the page: ``checks``,
+``plot-inertia-ratios``.
 """
 
 import io
@@ -18,7 +19,7 @@ from benchmarks.end_to_end.report_page import draw_all, headless
 
 HEIGHT_PX = 1000
 """Of the window; the page is longer, and its bar at the lower edge is hidden."""
-STILL = "#timeline, .timeline { display: none !important } * { animation: none !important }"
+STILL = ".clock, .moment { display: none !important } * { animation: none !important }"
 
 
 def main(
@@ -29,7 +30,9 @@ def main(
     columns: Annotated[
         tuple[int, int] | None, arg(help="First and last column; all of them unless given.")
     ] = None,
-    section: Annotated[str | None, arg(help="Instead of rows and columns: id of a section.")] = None,
+    section: Annotated[
+        str | None, arg(help="Instead of rows and columns: id of a section or a figure.")
+    ] = None,
 ) -> None:
     """Write the picture."""
     page = run / "report.html"
@@ -41,7 +44,7 @@ def main(
     if section is None:
         part = part.crop((left, rows[0], right, rows[1]))
     output.parent.mkdir(parents=True, exist_ok=True)
-    part.quantize(128).save(output, optimize=True)
+    part.quantize(256).save(output, optimize=True)
     print(output)
 
 

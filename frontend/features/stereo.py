@@ -90,32 +90,35 @@ class CoarseDescriptors:
 
 @dataclass(frozen=True)
 class StereoFeatures:
-    """Stereo measurements of one frame with their descriptors."""
+    """Stereo measurements of one frame with their descriptors: n of them."""
 
     uvd_px: Array
-    """(n, 3) u and v in the left image, and disparity, in the rectified pair"""
+    """(n, 3) u and v in the rectified left image, (0, 0) at the centre of the first pixel, and disparity,
+    u of the left minus u of the right image [px]"""
     sigma_px: Array
-    """(n, 3)"""
+    """(n, 3) standard deviations of uvd [px]"""
     p_R: Array
-    """(n, 3) [m] in the rectified left camera"""
+    """(n, 3) the point in the rectified left camera: x to the right, y down, z forwards [m]"""
     scale_px: Array
-    """(n,)"""
+    """(n,) scale of the key point in the left image [px]"""
     descriptors: Descriptors
-    """(n, d) of the left image, unit length"""
+    """(n, d) of the left image, unit length; d = 128 for RootSIFT"""
     angle_rad: Array | None = None
-    """(n,) orientation in the left image, where the method has one"""
+    """(n,) orientation in the left image [rad], from u to v, where the method has one"""
     picture: ImageCrop | None = None
     """The left image of the target, if the matcher reads images"""
     R_RS: Array | None = None
-    """(n, 3, 3) axes of the surface at the feature: z is its normal, x a direction given by its texture"""
+    """(n, 3, 3) axes of the surface at the feature, as columns in the left camera: z is its normal, x a
+    direction given by its texture; NaN where unknown"""
     metres_per_px: Array | None = None
     """(n, 2) displacement of the point for one pixel in the image, and for one pixel of disparity [m/px]"""
     sigma_ls_px: Array | None = None
-    """(n,) standard deviation of the disparity according to the least squares alone"""
+    """(n,) standard deviation of the disparity according to the least squares alone [px]"""
     rows: RowOffsets | None = None
     """Matches that ignore the epipolar constraint; None: the method detects in the left image alone"""
 
     def __len__(self) -> int:
+        """Number of features, n."""
         return len(self.uvd_px)
 
     @cached_property

@@ -54,9 +54,13 @@ class PairMatch:
     i: int
     j: int
     X_RiRj: Array
-    """(4, 4)"""
+    """(4, 4) p_Ri = X_RiRj p_Rj for a point of the target in the left cameras; translation [m]"""
     features: Ints
     """(m, 2) indices into the features of i and of j"""
+
+    def __len__(self) -> int:
+        """Number of matches, m."""
+        return len(self.features)
 
 
 def match_pairs(

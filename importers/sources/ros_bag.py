@@ -15,7 +15,6 @@ import numpy as np
 from polhode.errors import InputError
 from polhode.importers.calibrations.camera_info import CameraInfo, rig_of
 from polhode.importers.calibrations.rig import Rig
-from polhode.importers.libraries import required
 from polhode.importers.options import ImportOptions
 from polhode.importers.sources.recording import Contents, FramedImage, Poses, Wanted
 from polhode.importers.sources.ros_frames import Frames, plain
@@ -32,6 +31,7 @@ from polhode.importers.sources.ros_messages import (
     stamp_of,
 )
 from polhode.lie import Array
+from polhode.optional_parts import require_part
 from polhode.progress import Progress
 from polhode.records import Ints
 
@@ -56,7 +56,7 @@ def is_bag(path: Path) -> bool:
 @contextmanager
 def opened_bag(path: Path, options: ImportOptions, progress: Progress) -> Iterator["RosBag"]:
     """The bag, its times read. Raises InputError for what is missing, cut off or not there to be chosen."""
-    required("rosbags", "rosbags", "bags")
+    require_part("rosbags", "bags")
     if path.is_dir() and not (path / "metadata.yaml").exists():
         files = sorted(each for each in path.iterdir() if each.suffix in (".db3", ".mcap"))
         if len(files) != 1:

@@ -15,11 +15,11 @@ import numpy as np
 
 from polhode.errors import InputError
 from polhode.images import Raw
-from polhode.importers.libraries import required
 from polhode.importers.options import ImportOptions
 from polhode.importers.sources.recording import Contents, DecodedImage, FramedImage, Wanted
 from polhode.importers.sources.ros_messages import grey_of_colour
 from polhode.importers.sources.stamp_files import read_stamps, require_increasing
+from polhode.optional_parts import require_part
 from polhode.progress import Progress
 from polhode.records import Ints
 
@@ -71,7 +71,7 @@ class Videos:
 
 def open_videos(paths: Sequence[Path], options: ImportOptions, progress: Progress) -> Videos:
     """The videos, their times read. Raises InputError for what is damaged, of odd width, or without times."""
-    required("av", "av", "videos")
+    require_part("av", "videos")
     tables = options.stamps if len(options.stamps) == len(paths) else options.stamps * len(paths)
     stamps, bits = [], None
     for number, path in enumerate(paths):

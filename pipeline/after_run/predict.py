@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from polhode.backend.problem.inertia import FORMS, inertia_by_parameters
@@ -333,14 +334,17 @@ def format_prediction(prediction: PredictedMotion, is_written: bool, marks: bool
     rows = np.unique(np.linspace(0, len(time_s) - 1, SHOWN_ROWS + 1).round().astype(int)[1:])
     sigma = standard_deviations(prediction.covariance_of_marks)
     table = Table(title="After the last pair (one standard deviation, worst axis)")
-    for name in ("seconds", "r_N [m]", "position of the body", "attitude of the body", "rate [deg/s]"):
-        table.add_column(name, justify="right", no_wrap=True)
+    for name in (
+        *("time [s]", "r_N [m]", "position of the body\n[mm]", "attitude of the body\n[deg]"),
+        "rate [deg/s]",
+    ):
+        table.add_column(escape(name), justify="right", no_wrap=True)
     for k in rows:
         table.add_row(
             f"{time_s[k]:g}",
             " ".join(f"{x:.4f}" for x in prediction.r_N[k]),
-            f"± {1e3 * sigma[k, 0:3].max():.2g} mm",
-            f"± {np.rad2deg(sigma[k, 6:9].max()):.2g} deg",
+            f"± {1e3 * sigma[k, 0:3].max():.2g}",
+            f"± {np.rad2deg(sigma[k, 6:9].max()):.2g}",
             f"{np.rad2deg(np.linalg.norm(prediction.w_P[k])):.2f}",
         )
     console = Console(width=100, file=StringIO(), force_terminal=False)

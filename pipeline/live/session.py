@@ -8,6 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from polhode.argument_names import errors_name_arguments
 from polhode.config import Config
 from polhode.dataset import StereoImages
 from polhode.errors import InputError
@@ -138,6 +139,7 @@ class Session:
         X_NC = np.eye(4) if X_NB is None else X_NB @ self.calibration.X_BC0
         return self._stream.add(timestamp_ns, X_NC, self._stream.extract(images))
 
+    @errors_name_arguments({"-o": "run_folder"})
     def finish(
         self, run_folder: Path, progress: Progress | None = None, overwrite: bool = False
     ) -> RunResult:

@@ -19,13 +19,14 @@ from polhode.output.single_file import make_parent, output_file, remove_all_part
 from polhode.pipeline.evaluation import Metrics, evaluate
 from polhode.pipeline.report import tables
 from polhode.pipeline.report.convergence_figures import convergence_figures
-from polhode.pipeline.report.embedded_pictures import MASKS, SHEETS, embedded
-from polhode.pipeline.report.film import film_frames
+from polhode.pipeline.report.embedded_pictures import MASKS, SHEETS, EmbeddedPicture, embedded
+from polhode.pipeline.report.film import MAX_BYTES, FilmFrame, film_frames
 from polhode.pipeline.report.motion_figures import motion_figures
+from polhode.pipeline.report.page_size import PAGE_BYTES, figures_within
 from polhode.pipeline.report.polhode_and_inertia_figures import rotation_figures
 from polhode.pipeline.report.residual_figures import measurement_figures
 from polhode.pipeline.report.shape_figures import shape_figures
-from polhode.pipeline.report.template import deflated, fill, json_text
+from polhode.pipeline.report.template import deflated, figure_text, fill, json_text
 from polhode.pipeline.report.timeline import timeline
 from polhode.pipeline.run_directory.own_results import METRICS, OF_SUMMARY, summary_digest
 from polhode.pipeline.run_directory.run_folder import require_run_folder
@@ -38,6 +39,10 @@ _log = logging.getLogger(__name__)
 REPORT = "report.html"
 OVERVIEW = ("polhode", "mesh")
 """Figures that stand beside the film, where the slider moves all of them."""
+FILM_SHARE = 0.42
+"""Of what figures and words leave for film and pictures"""
+WORDS_OF_PICTURES_BYTES = 8_000
+"""Headings and captions of film and pictures; with longer captions the pictures are made again, smaller."""
 FIRST_DATE_NS = 946_684_800 * 10**9
 """Timestamps before the year 2000 count from something else, and are no dates."""
 
@@ -119,9 +124,9 @@ def finish_run(folder: Path, summary: Summary) -> Summary:
 
 
 def render(content: StoredRun) -> str:
-    """The whole page."""
+    """The whole page, of at most ``PAGE_BYTES``: what figures and words leave is for the pictures."""
     summary, motion = content.summary, content.motion
-    sections = [
+    parts = [
         ("Motion", motion_figures(content), "The run did not reach an estimate of the motion."),
         (
             "Rotation and inertia",
@@ -132,46 +137,60 @@ def render(content: StoredRun) -> str:
         ("Measurements", measurement_figures(content), "The run did not reach measurements."),
         ("Shape", shape_figures(content), "The run has neither a map nor a surface."),
     ]
+    figures = figures_within([each for _, figures, _ in parts for each in figures], figure_text)
+    drawn = {each.key: each for each in figures}
     date = data_date(content)
-    film = film_frames(content.film)
-    line = timeline(content, film)
-    return fill(
-        "report.html.j2",
-        title=content.name,
-        name=content.name,
-        data_date=date,
-        head=f"polhode, run {content.name}, {f'data of {date}' if date else 'data without a date'}",
-        finding=tables.finding(summary, motion.trajectory if motion else None),
-        summary=summary,
-        check_rows=tables.check_rows(summary),
-        inertia_rows=tables.inertia_rows(summary),
-        intervals_rest_on=tables.intervals_rest_on(summary),
-        absolute_rows=tables.absolute_rows(summary),
-        disturbance_rows=tables.disturbance_rows(summary),
-        assumed_rows=tables.assumed_rows(summary.assumed),
-        mesh_rows=tables.mesh_rows(summary),
-        mesh_sentences=tables.mesh_sentences(summary),
-        motion_rows=tables.motion_rows(motion),
-        sigma_rows=tables.sigma_rows(content),
-        run_rows=tables.run_rows(content),
-        timing_rows=tables.timing_rows(summary),
-        metric_rows=tables.metric_rows(content.metrics),
-        overview=[each for _, figures, _ in sections for each in figures if each.key in OVERVIEW],
-        sections=[
-            (title, [each for each in figures if each.key not in OVERVIEW], words)
-            for title, figures, words in sections
-        ],
-        film=film,
-        film_uris=json_text([each.uri for each in film]),
-        sunlit=content.film is not None and content.film.sunlit,
-        timeline_text=deflated(json.dumps(line, separators=(",", ":"))) if line else "",
-        has_surface=content.surface is not None,
-        sheets=[embedded(each) for each in content.pictures if each.name in SHEETS],
-        stills=[embedded(each) for each in content.pictures if each.name.startswith("model")],
-        masks=[embedded(each) for each in content.pictures if each.name == MASKS],
-        pictures=[embedded(each) for each in content.pictures if each.name[0].isdigit()],
-        config_text=content.config_text,
-    )
+
+    def page(film: Sequence[FilmFrame], pictures: Sequence[EmbeddedPicture]) -> str:
+        line = timeline(content, film)
+        return fill(
+            "report.html.j2",
+            title=content.name,
+            name=content.name,
+            data_date=date,
+            head=f"polhode, run {content.name}, {f'data of {date}' if date else 'data without a date'}",
+            finding=tables.finding(summary, motion.trajectory if motion else None),
+            summary=summary,
+            checks=tables.check_panel(summary),
+            inertia_rows=tables.inertia_rows(summary),
+            intervals_rest_on=tables.intervals_rest_on(summary),
+            absolute_rows=tables.absolute_rows(summary),
+            disturbance_rows=tables.disturbance_rows(summary),
+            assumed_rows=tables.assumed_rows(summary.assumed),
+            mesh_rows=tables.mesh_rows(summary),
+            mesh_sentences=tables.mesh_sentences(summary),
+            motion_rows=tables.motion_rows(motion),
+            sigma_rows=tables.sigma_rows(content),
+            run_rows=tables.run_rows(content),
+            timing_rows=tables.timing_rows(summary),
+            metric_rows=tables.metric_rows(content.metrics),
+            nees_sentences=tables.nees_sentences(content.metrics),
+            overview=[each for each in figures if each.key in OVERVIEW],
+            sections=[
+                (title, [drawn[each.key] for each in found if each.key not in OVERVIEW], words)
+                for title, found, words in parts
+            ],
+            film=film,
+            film_uris=json_text([each.uri for each in film]),
+            sunlit=content.film is not None and content.film.sunlit,
+            timeline_text=deflated(json.dumps(line, separators=(",", ":"))) if line else "",
+            has_surface=content.surface is not None,
+            sheets=[each for each in pictures if each.name in SHEETS],
+            stills=[each for each in pictures if each.name.startswith("model")],
+            masks=[each for each in pictures if each.name == MASKS],
+            pictures=[each for each in pictures if each.name[0].isdigit()],
+            config_text=content.config_text,
+        )
+
+    left = PAGE_BYTES - WORDS_OF_PICTURES_BYTES - len(page([], []).encode())
+    film = film_frames(content.film, min(MAX_BYTES, round(FILM_SHARE * left)))
+    left -= sum(len(each.uri) for each in [*film, *film[:1]])
+    while True:
+        whole = page(film, embedded(content.pictures, left))
+        excess = len(whole.encode()) - PAGE_BYTES
+        if excess <= 0 or left <= 0:
+            return whole
+        left -= excess
 
 
 def data_date(content: StoredRun) -> str:

@@ -84,6 +84,11 @@ class Figure:
         return traces
 
     @property
+    def solid(self) -> bool:
+        """Whether it is three-dimensional, which takes a browser longer."""
+        return "scene" in self.layout
+
+    @property
     def narrow(self) -> Layout:
         """What differs in the layout on a phone: the panels one below the other; empty for a single one."""
         return stacked(self.layout)

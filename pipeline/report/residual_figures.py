@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from polhode.lie import Array
 from polhode.pipeline.report.plot_style import (
     ACCENT,
     AXIS_COLORS,
@@ -20,9 +21,13 @@ from polhode.pipeline.report.plot_style import (
 )
 from polhode.pipeline.run_directory.archives import MeasurementResiduals
 from polhode.pipeline.run_directory.stored_run import StoredRun
+from polhode.pipeline.run_directory.summary_schema import Noise
 from polhode.records import StereoTracks
 
 NAMES = ("u", "v", "disparity")
+ONE_SIGMA = 0.6827
+"""Share of a Gaussian within one standard deviation"""
+CORE_TOLERANCE = 0.05
 INLIER_WEIGHT = 0.5
 """A measurement with less weight in the robust kernel counts as an outlier here."""
 
@@ -35,7 +40,7 @@ def measurement_figures(content: StoredRun) -> list[Figure]:
     if content.residuals is not None and len(content.residuals.residuals_px) == len(content.tracks.frame):
         figures = [
             _histogram(content, content.tracks, content.residuals),
-            _rms_per_frame(content.tracks, content.residuals),
+            _rms_per_frame(content.tracks, content.residuals, content.summary.noise),
         ]
     return [*figures, _observations(content.tracks), _landmarks_over_time(content.tracks)]
 
@@ -52,12 +57,25 @@ def rms_per_frame(
         return np.stack([np.sqrt(s / np.where(count > 0, count, np.nan)) for s in sums], axis=1)
 
 
+def sigma_found(tracks: StereoTracks, noise: Noise | None) -> Array:
+    """Standard deviations (M, 3) [px] that the estimate used: those stated, times what it found of the noise.
+
+    Their medians are the noise of u, v and of the disparity in the tables.
+    """
+    if noise is None or len(tracks.sigma_px) == 0:
+        return tracks.sigma_px
+    u, v, disparity = np.median(tracks.sigma_px, axis=0)
+    uv = noise.pixel_sigma_px / (0.5 * (u + v))
+    return np.asarray(tracks.sigma_px * [uv, uv, noise.disparity_sigma_px / disparity])
+
+
 def _histogram(content: StoredRun, tracks: StereoTracks, residuals: MeasurementResiduals) -> Figure:
-    normalised = residuals.residuals_px / tracks.sigma_px
+    noise = content.summary.noise
+    normalised = residuals.residuals_px / sigma_found(tracks, noise)
     edges = np.linspace(-5, 5, 1 + int(np.clip(np.sqrt(len(normalised)), 20, 80)))
     centres, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
     figure = layout(
-        xaxis=axis("residual / its standard deviation", range=[-5, 5]),
+        xaxis=axis("residual / standard deviation of the noise", range=[-5, 5]),
         yaxis=axis("density", rangemode="tozero"),
     )
     data: list[Trace] = []
@@ -72,16 +90,23 @@ def _histogram(content: StoredRun, tracks: StereoTracks, residuals: MeasurementR
     outliers = float(np.mean(residuals.inlier_weight < INLIER_WEIGHT))
     solver = content.summary.solver
     chi2 = (
-        f" Reduced chi-squared {solver.reduced_chi2:.3g}."
+        f" Reduced chi-squared, which counts the unknowns, is {solver.reduced_chi2:.3g}."
         if solver and solver.reduced_chi2 is not None
         else ""
     )
+    levels = (
+        f" ({noise.pixel_sigma_px:.3f} px of u and v, {noise.disparity_sigma_px:.3f} px of the disparity)"
+        if noise
+        else ""
+    )
+    core = _core(normalised[residuals.inlier_weight > 0.0], tracks)
     return Figure(
         "residual-histogram",
         "Residuals against their noise",
-        "Measured minus predicted, over the standard deviation that the estimate assumed; dotted: the "
-        f"Gaussian that they should follow.{chi2} {100 * outliers:.1f} % of the measurements have less "
-        f"than half their weight in the robust kernel; {100 * beyond:.1f} % lie outside the drawing.",
+        f"Measured minus predicted, over the noise that the estimate found{levels}; dotted: a "
+        f"Gaussian of that noise. {core}{chi2} {100 * outliers:.1f} % of the "
+        " measurements have less than half their weight in the robust kernel; "
+        f"{100 * beyond:.1f} % lie outside the drawing.",
         data,
         figure,
         height_px=380,
@@ -89,17 +114,44 @@ def _histogram(content: StoredRun, tracks: StereoTracks, residuals: MeasurementR
     )
 
 
-def _rms_per_frame(tracks: StereoTracks, residuals: MeasurementResiduals) -> Figure:
+def _core(kept: Array, tracks: StereoTracks) -> str:
+    """In words: how wide the middle of the normalised residuals (K, 3) is, and why it may be narrower."""
+    if len(kept) == 0:
+        return ""
+    width, tails = float(np.quantile(np.abs(kept), ONE_SIGMA)), float(np.mean(np.abs(kept) > 3.0))
+    words = f"68 % of the residuals lie within {width:.2f} of it"
+    if width > 1.0 + CORE_TOLERANCE:
+        return f"{words}, more than the noise explains: heavy tails, or a noise that varies."
+    if width >= 1.0 - CORE_TOLERANCE:
+        return f"{words}, as they should."
+    unknowns = 3 * len(np.unique(tracks.landmark)) + 6 * len(np.unique(tracks.frame))
+    return (
+        f"{words}: the middle is narrower than the Gaussian. A residual is smaller than the error behind it, "
+        f"because the fit follows part of the errors (some {unknowns} unknowns of landmarks and poses from "
+        f"{3 * len(tracks.frame)} measured numbers); the noise is that of the errors, and it counts the "
+        f"tails too ({100 * tails:.1f} % beyond three, 0.3 % of a Gaussian)."
+    )
+
+
+def _rms_per_frame(tracks: StereoTracks, residuals: MeasurementResiduals, noise: Noise | None) -> Figure:
     rms = rms_per_frame(tracks, residuals)
     figure = layout(
         xaxis=axis(TIME_TITLE),
         yaxis=axis("residual, root mean square [px]", rangemode="tozero"),
     )
     data = [line(tracks.time_s, rms[:, k], name, AXIS_COLORS[k]) for k, name in enumerate(NAMES)]
+    larger = (
+        f" They are smaller than the noise ({noise.pixel_sigma_px:.3f} px of u and v, "
+        f"{noise.disparity_sigma_px:.3f} px of the disparity), which is corrected for what the fit follows "
+        "and counts larger residuals too."
+        if noise
+        else ""
+    )
     return Figure(
         "residual-rms",
         "Residuals per frame",
-        "Inliers only. A frame that stands out points at light, blur or a wrong association.",
+        "Root mean square of the residuals as they are, of the inliers only. A frame that stands out points "
+        f"at light, blur or a wrong association.{larger}",
         data,
         figure,
         height_px=380,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from polhode.lie import Array
-from polhode.metrics import IN_INTERVAL, expected_range
+from polhode.metrics import IN_INTERVAL, NEES, expected_range
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
 from polhode.pipeline.run_directory.summary_schema import Assumed, Intervals, IpoptSummary, Summary
 from polhode.pipeline.run_directory.trajectory_file import Trajectory
@@ -76,7 +76,27 @@ class CheckRow:
     expected: str
     verdict: str
     kind: str
-    """holds, doubt or absent: how it is coloured"""
+    """doubt, holds, information, or impossible: with these data it cannot be made"""
+
+
+@dataclass(frozen=True)
+class CheckPanel:
+    """The panel of checks: those that were made, and those that the data do not allow."""
+
+    rows: list[CheckRow]
+    impossible: list[CheckRow]
+
+    @property
+    def words(self) -> str:
+        """All names and values, where terms occur that need an explanation."""
+        return " | ".join(f"{row.name} | {row.value}" for row in [*self.rows, *self.impossible])
+
+
+def check_panel(summary: Summary) -> CheckPanel | None:
+    """None for runs of earlier versions, which have no checks."""
+    rows = check_rows(summary)
+    made = [row for row in rows if row.kind != "impossible"]
+    return CheckPanel(made, [row for row in rows if row.kind == "impossible"]) if rows else None
 
 
 def check_rows(summary: Summary) -> list[CheckRow]:
@@ -87,14 +107,16 @@ def check_rows(summary: Summary) -> list[CheckRow]:
         bound = "" if check.limit is None else f"{_short(check.limit)}{unit}"
         expected = f"{'at least' if check.at_least else 'at most'} {bound}" if bound else "information"
         if check.value is None:
-            rows.append(CheckRow(check.name, "", expected, "not possible with these data", "absent"))
+            rows.append(CheckRow(check.name, "", expected, "not possible with these data", "impossible"))
             continue
         if check.limit is None:
-            rows.append(CheckRow(check.name, f"{_short(check.value)}{unit}", expected, "no doubt", "absent"))
+            rows.append(
+                CheckRow(check.name, f"{_short(check.value)}{unit}", expected, "no doubt", "information")
+            )
             continue
         verdict, kind = ("doubt", "doubt") if check.reason else ("holds", "holds")
         rows.append(CheckRow(check.name, f"{_short(check.value)}{unit}", expected, verdict, kind))
-    return sorted(rows, key=lambda row: ("doubt", "holds", "absent").index(row.kind))
+    return sorted(rows, key=lambda row: ("doubt", "holds", "information", "impossible").index(row.kind))
 
 
 def _short(value: float) -> str:
@@ -238,8 +260,8 @@ def run_rows(content: StoredRun) -> list[TableRow]:
     if summary.noise is not None:
         noise = summary.noise
         rows += [
-            TableRow("residual of u, v", f"{noise.pixel_sigma_px:.3f}", "px"),
-            TableRow("residual of the disparity", f"{noise.disparity_sigma_px:.3f}", "px"),
+            TableRow("noise of u, v", f"{noise.pixel_sigma_px:.3f}", "px"),
+            TableRow("noise of the disparity", f"{noise.disparity_sigma_px:.3f}", "px"),
             *(
                 []
                 if noise.drift_px is None
@@ -328,6 +350,37 @@ def metric_rows(metrics: dict[str, Any]) -> list[TableRow]:
                 )
             )
     return rows
+
+
+def nees_sentences(metrics: dict[str, Any]) -> list[str]:
+    """What it means that a NEES lies outside of its range; empty where none does."""
+    below, above = [], []
+    for name, value in (metrics.get(NEES) or {}).items():
+        expected = expected_range(NEES, name)
+        if expected is not None and isinstance(value, int | float):
+            low, high = expected
+            words = f"{name.replace('_', ' ')} ({value:.2g}, at least {low:.2g} is expected)"
+            if value < low:
+                below.append(words)
+            elif value > high:
+                above.append(words.replace(f"at least {low:.2g}", f"at most {high:.3g}"))
+    sentences = []
+    if below:
+        sentences.append(
+            f"Below its range is the NEES of {_listed(below)}: the error is smaller than the stated σ let "
+            "expect, which here are on the cautious side. The errors of a run's frames depend on one "
+            "another, so that this is one draw, and one in forty falls below even if the σ are right."
+        )
+    if above:
+        sentences.append(
+            f"Above its range is the NEES of {_listed(above)}: the error is larger than the stated σ let "
+            "expect; one draw in forty is, if they are right."
+        )
+    return sentences
+
+
+def _listed(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def _about(w_P: Array) -> str:

@@ -33,7 +33,7 @@ def fill(template: str, **values: Any) -> str:
             script=Markup(_FILES["page.js"]),  # noqa: S704  of this package
             plotly_deflated=_plotly(),
             dark_colors=json_text(DARK),
-            figure_text=_figure_text,
+            figure_text=figure_text,
             css_text=css_text,
             **values,
         )
@@ -76,7 +76,8 @@ def _environment() -> Environment:
     return environment
 
 
-def _figure_text(figure: Figure) -> Markup:
+def figure_text(figure: Figure) -> Markup:
+    """A figure as the page holds it: for plotly.js, compressed."""
     content = {
         "data": figure.traces,
         "layout": {**figure.layout, "height": figure.height_px},

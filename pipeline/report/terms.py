@@ -50,7 +50,7 @@ TERMS: tuple[Term, ...] = (
     Term(
         "NEES",
         "normalised estimation error squared: the error over its own covariance. It should be about the "
-        "number of components; more means that the stated σ are too small",
+        "number of components; more means that the stated σ are too small, less that they are cautious",
         r"\bNEES\b",
     ),
     Term(

@@ -55,6 +55,8 @@ class Covariance:
     """(20, 20) always finite; None in a run of an earlier version"""
     covariance_X_NG: Array | None = None
     """(F, 6, 6) as in ``MotionEstimate``: it weights each frame's depth; None: not stored"""
+    covariance_of_marks: Array | None = None
+    """(F, 12, 12) of the body itself, as in ``MotionEstimate``, always finite; None: not stored"""
 
 
 @dataclass(frozen=True)
@@ -145,8 +147,8 @@ def undetermined_as_inf(covariance: Array) -> Array:
 
 
 def write_covariance(estimate: MotionEstimate, path: Path) -> None:
-    """Keys: timestamps_ns, covariance (F, 12, 12), last_joint and last_body (20, 20), covariance_X_NG
-    (F, 6, 6), and their orders."""
+    """Keys: timestamps_ns, covariance and covariance_of_marks (F, 12, 12), last_joint and last_body (20, 20),
+    covariance_X_NG (F, 6, 6), and their orders: docs/run_directory.md describes each."""
     arrays: Arrays = {
         "timestamps_ns": estimate.timestamps_ns,
         "covariance": undetermined_as_inf(estimate.covariance),
@@ -159,6 +161,9 @@ def write_covariance(estimate: MotionEstimate, path: Path) -> None:
     if estimate.covariance_X_NG is not None:
         arrays["covariance_X_NG"] = undetermined_as_inf(estimate.covariance_X_NG)
         arrays["covariance_X_NG_order"] = np.array(POSE_ORDER)
+    if estimate.covariance_of_marks is not None:
+        # in the order of ``covariance``
+        arrays["covariance_of_marks"] = estimate.covariance_of_marks
     write_arrays(path, arrays)
 
 
@@ -170,12 +175,16 @@ def read_covariance(path: Path) -> Covariance:
     of_poses = None
     if "covariance_X_NG" in archive:
         of_poses = archive.numbers("covariance_X_NG", count, k, k, infinite=True)
+    of_marks = None
+    if "covariance_of_marks" in archive:
+        of_marks = archive.numbers("covariance_of_marks", count, n, n)
     return Covariance(
         timestamps_ns,
         archive.numbers("covariance", count, n, n, infinite=True),
         archive.numbers("last_joint", m, m, infinite=True),
         archive.numbers("last_body", m, m) if "last_body" in archive else None,
         of_poses,
+        of_marks,
     )
 
 

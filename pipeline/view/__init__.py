@@ -11,5 +11,4 @@ data in the window of its viewer. All three show their frames through one ``Reco
 - shown_frame: what is shown of a frame
 - mesh_growth: the mesh for a viewer, and which of its faces have been seen up to each frame
 - blueprint: how the views are arranged
-- rerun_library: whether Rerun is there
 """

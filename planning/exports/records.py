@@ -70,6 +70,8 @@ class Inertial:
     """determined, given, assumed or relative: that of the moments"""
     notes: tuple[str, ...]
     """Origin of each number and what was assumed, a sentence each"""
+    restated: tuple[str, ...] = ()
+    """Those of the notes that only repeat what the user gave"""
 
 
 @dataclass(frozen=True)

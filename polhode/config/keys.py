@@ -151,6 +151,13 @@ def _describe_one(option: Any) -> str:
     return str(option)
 
 
+def elsewhere(root: type[BaseModel], name: str) -> str:
+    """The same for a name that a key of another section has: ' did you mean section.x?'."""
+    known = {path[-1]: dotted(path) for path, _ in leaves(root)}
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.75)
+    return f" did you mean {known[close[0]]}?" if close else ""
+
+
 def suggestion(word: str, valid: Sequence[str]) -> str:
     """' did you mean x?' where something is close, else nothing."""
     close = difflib.get_close_matches(word, valid, n=1, cutoff=0.6)

@@ -205,7 +205,7 @@ def _one_line(layered: _Layered, problem: dict[str, Any]) -> str:
         if not _NAME.fullmatch(str(path[-1])):
             # It may be a line of any file: a configuration of someone else can extend /etc/shadow.
             return f"{source}: a key that is not a name; valid keys: {', '.join(valid)}"
-        hint = config_keys.suggestion(str(path[-1]), valid)
+        hint = config_keys.suggestion(str(path[-1]), valid) or config_keys.elsewhere(Config, str(path[-1]))
         return f"{source}: unknown key '{key}';{hint} valid keys: {', '.join(valid)}"
     where = f"{source}: key '{key}'" if key else source
     if problem["type"] == "missing":

@@ -52,6 +52,10 @@ def test_a_stored_run_gives_table_csv_json_and_page(
     assert main(command) == 0
     printed = capsys.readouterr()
     assert printed.err == ""
+    done = re.findall(
+        r"^note: (\w+): (\w+) \(cold start\): (\w+), .*\d s, (\d of \d)$", printed.out, re.MULTILINE
+    )
+    assert [row[1:] for row in done] == [("gauss_newton", "ok", "1 of 2"), ("odometry", "baseline", "2 of 2")]
     assert "gauss_newton" in printed.out and printed.out.rstrip().endswith(str(out / "compare.html"))
     found = read_comparison(out / "compare.json")
     assert [(row.solver, row.status) for row in found.rows] == [
@@ -67,7 +71,8 @@ def test_a_stored_run_gives_table_csv_json_and_page(
 
     # the same command again reads what it measured
     before = json.loads((out / "compare.json").read_text())["rows"]
-    assert main(command) == 0
+    assert main([*command, "--quiet"]) == 0
+    assert capsys.readouterr().out == f"Comparison: {out / 'compare.html'}\n"
     assert json.loads((out / "compare.json").read_text())["rows"] == before
 
 

@@ -42,6 +42,38 @@ def test_it_names_the_machine_and_the_optional_parts(capsys: Capture) -> None:
     assert "Self-test" not in text and text.endswith("doctor: what polhode needs is installed\n")
 
 
+@pytest.mark.parametrize(
+    ("load", "words"),
+    [
+        (None, "load           unknown\n"),
+        (0.3, "load           0.3 processes on average over the last minute, on 2 processors\n"),
+        (6.0, "on 2 processors: busy; a run takes up to 4.0 times as long as on an idle machine\n"),
+    ],
+)
+def test_it_says_when_the_machine_is_busy(
+    load: float | None, words: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setattr(machine, "load_average", lambda: load)
+    monkeypatch.setattr(machine, "processors", lambda: 2)
+    assert main(["doctor", "--skip-test"]) == 0
+    assert words in capsys.readouterr().out
+
+
+def test_each_row_is_printed_as_it_is_found(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    printed: list[str] = []
+
+    def look() -> str:
+        printed.append(capsys.readouterr().out)
+        return "fine"
+
+    monkeypatch.setattr(self_test, "CHECKS", {"first": look, "second": look})
+    assert main(["doctor"]) == 0
+    before, between = printed
+    assert before.startswith("polhode ") and before.endswith("\nSelf-test:\n")
+    assert "memory " in before and "Optional parts" in before
+    assert between.startswith("  ok   first ") and between.count("\n") == 1
+
+
 def test_what_is_wrong_is_one_line_and_exit_1(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     def broken() -> str:
         raise OSError("libtorch.so:\ncannot open shared object file")
@@ -91,6 +123,6 @@ def test_each_check_can_fail(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) ->
     monkeypatch.setattr("polhode.simulation.dataset.plan.plan_sequence", no_motion)
     monkeypatch.setattr("polhode.backend.initialize_motion", no_motion)
     monkeypatch.setattr("polhode.processes.in_order", lambda work, items, workers: [])
-    checks = self_test.self_test(Silent())
+    checks = list(self_test.self_test(Silent()))
     assert [each.holds for each in checks] == [False] * len(self_test.CHECKS)
     assert "NUMBA_CACHE_DIR" in checks[0].finding and "the weights are missing" in checks[1].finding

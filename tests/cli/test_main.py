@@ -1,10 +1,14 @@
 """The program as a user meets it: exit codes, one line on standard error, help, the last line."""
 
+import contextlib
+import io
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +19,9 @@ import polhode.pipeline.run
 from polhode.cli.answer import Answer
 from polhode.cli.evaluate import EvaluateCommand
 from polhode.cli.main import COMMANDS, main
-from polhode.cli.options import groups_of, is_configured, options_of
-from polhode.cli.overrides import option_names
-from polhode.cli.parsing import squash
+from polhode.cli.options import examples_of, groups_of, is_configured, options_of
+from polhode.cli.overrides import option_names, split_overrides
+from polhode.cli.parsing import parse, squash
 from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset_writer import write_camera_csv, write_png
@@ -53,7 +57,7 @@ def run_arguments(config: Path, data: Path, output: Path, *more: str) -> list[st
 BAD_USAGE: dict[str, tuple[list[str], str]] = {
     "nothing": ([], "a command is missing: simulate, calibrate, checkout, run, evaluate"),
     "unknown command": (["rnu"], "unknown command 'rnu'; did you mean run?"),
-    "no arguments": (["run"], "Missing from polhode run: -o RUN"),
+    "no arguments": (["run"], "-o RUN (folder of the results, which is created) is missing"),
     "no sequence": (["run", "-o", "R"], "the sequence is missing: give --data SEQ, or --live SOURCE"),
     "two sequences": (["run", "--data", "S", "--live", "S", "-o", "R"], "--data and --live: give one"),
     "rate of a file": (
@@ -63,8 +67,30 @@ BAD_USAGE: dict[str, tuple[list[str], str]] = {
     "negative rate": (["run", "--live", "S", "--rate=-1", "-o", "R"], "--rate -1: give 1 for the sequence's"),
     "no patience": (["run", "--live", "S", "--patience-s", "0", "-o", "R"], "--patience-s 0: give seconds"),
     "no source": (["run", "--live", "none", "-o", "R"], "none: no such sequence: give the folder"),
-    "no output": (["run", "c.yaml", "--data", "S"], "-o RUN, --output RUN"),
-    "no value": (["run", "c.yaml", "--data"], "Missing value for argument '--data'"),
+    "no output": (
+        ["run", "c.yaml", "--data", "S"],
+        "-o RUN (folder of the results, which is created) is missing",
+    ),
+    "nothing of what is required": (
+        ["predict"],
+        "RUN (folder of a finished run) and --horizon S (time to predict beyond the last stereo pair [s]) ",
+    ),
+    "no value": (["run", "c.yaml", "--data"], "--data: a value is missing; give SEQ;"),
+    "too few values": (
+        ["plan", "R", "-o", "D", "--dock-point", "1", "2"],
+        "--dock-point 1 2: give 3 numbers: X Y Z;",
+    ),
+    "too many values": (
+        ["plan", "R", "-o", "D", "--dock-axis", "-1", "0", "0", "0"],
+        "--dock-axis -1 0 0 0: give 3 numbers: X Y Z;",
+    ),
+    "no numbers": (["plan", "R", "-o", "D", "--dock-point=x"], "--dock-point x: give 3 numbers: X Y Z;"),
+    "no whole number": (["plan", "R", "-o", "D", "--members", "1.5"], "--members 1.5: give a whole number;"),
+    "no number": (["predict", "R", "--horizon-s", "soon"], "--horizon-s soon: give a number;"),
+    "no such choice": (
+        ["plan", "R", "-o", "D", "--cover", "x"],
+        "--cover x: give one of auto, surface, hull;",
+    ),
     "unknown option": (
         ["run", "c.yaml", "--data", "S", "-o", "R", "--overwite"],
         "unknown option '--overwite'; did you mean --overwrite?",
@@ -282,6 +308,28 @@ def test_the_last_line_of_a_run_ends_with_the_report_however_long(
     assert (seen[0].seed, seen[0].backend.inertia) == (1, "ratios_axes")
 
 
+def test_the_warnings_of_a_run_are_listed_at_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    report = tmp_path / "report.html"
+
+    def fake(*arguments: Any, **more: Any) -> Result:
+        summary = build_summary(
+            None, None, None, {}, ["3 frames are lost", "a line\nbreaks"], failure="no motion"
+        )
+        write_summary(summary, tmp_path / "summary.json")
+        return Result("failed", report, failure="no motion")
+
+    monkeypatch.setattr(polhode.pipeline.run, "run", fake)
+    words = ["run", "--data", str(tmp_path), "-o", str(tmp_path)]
+    assert main(words) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "Warnings of this run:" and lines[-1].endswith(str(report))
+    assert lines[1:-1] == ["- 3 frames are lost", "- a line breaks"]
+    assert main([*words, "--quiet"]) == 1
+    assert capsys.readouterr().out.count("\n") == 1
+
+
 def test_a_failed_run_is_one_line_and_exit_1(
     config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
@@ -328,6 +376,7 @@ def test_help_has_every_option_in_one_group_and_the_short_one_the_common_ones(
     everything = capsys.readouterr().out
     assert main([command, "-h"]) == 0
     short = capsys.readouterr().out
+    listed = short.partition("-h, --help ")[2]
     titles = [f"{title} options" for title in (*groups, "general")]
     if is_configured(COMMANDS[command]):
         titles.append("backend options")
@@ -336,11 +385,66 @@ def test_help_has_every_option_in_one_group_and_the_short_one_the_common_ones(
     for option in options:
         if not option.is_positional:
             assert re.search(rf"\W{option.names[0]}\W", everything), option
-            assert bool(re.search(rf"  ?{option.names[0]}[ ,]", short)) == (option.names[0] not in rare), (
+            assert bool(re.search(rf"  ?{option.names[0]}[ ,]", listed)) == (option.names[0] not in rare), (
                 option
             )
     assert (f"polhode {command} --help shows all" in short) == (len(everything) > len(short))
     assert short.count("\n") < 60
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_usage_has_in_brackets_what_may_be_left_out(command: str, capsys: Capture) -> None:
+    assert main([command, "-h"]) == 0
+    usage = " ".join(capsys.readouterr().out.partition("\n\n")[0].split())
+    assert usage.startswith(f"usage: polhode {command} ") and usage.endswith(" [OPTIONS]")
+    for option in options_of(COMMANDS[command]):
+        if option.is_positional:
+            assert (f"[{option.metavar}]" in usage) == (not option.required)
+        else:
+            assert (f" {option.invocation} " in usage) == option.required
+
+
+MAIN_COMMANDS = ("run", "simulate", "evaluate", "compare", "export", "predict", "plan")
+
+
+@pytest.mark.parametrize("command", MAIN_COMMANDS)
+def test_the_examples_of_the_help_stand_before_the_options_and_are_command_lines(
+    command: str, capsys: Capture
+) -> None:
+    assert main([command, "-h"]) == 0
+    text = capsys.readouterr().out
+    examples = examples_of(COMMANDS[command])
+    assert 1 <= len(examples) <= 2
+    for line, _ in examples:
+        assert text.index(f"\n  {line}\n") < text.index("-h, --help ")
+        program, name, *words = shlex.split(line)
+        assert (program, name) == ("polhode", command)
+        own, overrides = split_overrides(words)
+        parse(command, COMMANDS[command], own)
+        assert set(overrides) <= {name.removeprefix("--").replace("-", "_") for name in option_names()}
+        assert all((ROOT / word).exists() for word in words if word.startswith("configs/"))
+
+
+class _Utf8(io.StringIO):
+    encoding = "utf-8"
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_is_wrapped_at_the_width_of_the_terminal_and_nowhere_else(
+    command: str, columns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    with contextlib.redirect_stdout(_Utf8()) as printed:
+        assert main([command, "--help"]) == 0
+    lines = printed.getvalue().splitlines()
+    assert all(len(line) <= columns for line in lines)
+    boxed = [line.strip("│╭╮╰╯─").rstrip() if line.startswith("│") else "" for line in lines]
+    for line, following in pairwise(boxed):
+        # lines of a description are indented, at least where it goes on; names stand alone on a line
+        goes_on = line.startswith(" " * 5) or re.match(r" -\S.*\S  +\S", line)
+        if goes_on and following.startswith(" " * 5):
+            assert len(line) + 1 + len(following.split()[0]) > columns - 3, (line, following)
 
 
 def test_the_overview_has_every_command_once_and_its_summary_is_a_sentence(capsys: Capture) -> None:

@@ -2,12 +2,15 @@
 
 from pathlib import Path
 
+import cv2
 import gtsam
 import numpy as np
 import pytest
 
+import polhode
 from examples import basilisk_state, colmap_model, tracks_in_gtsam
 from examples.basilisk_state import hub_state, rodrigues_parameters
+from polhode import stages
 from polhode.lie import (
     exp_so3,
     hat,
@@ -45,6 +48,37 @@ def test_a_model_of_colmap_projects_where_the_features_were(example: Example) ->
             seen += 1
     assert seen == len(tracks.frame) and np.median(errors) < 1.0
     assert cx == tracks.rig.cx_px + 0.5  # COLMAP's pixels begin at their corner
+
+
+def test_the_points_of_colmap_are_those_of_the_map_in_its_order(
+    finished: Path, rendered_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [str(finished), "--data", str(rendered_sequence), "-o", str(tmp_path / "colmap")]
+    assert colmap_model.main(words) == 0
+    run = polhode.load(finished)
+    lines = [line.split() for line in (tmp_path / "colmap" / "points3D.txt").read_text().splitlines()]
+    count = len(run.landmarks.p_G)
+    assert [int(line[0]) for line in lines] == list(range(1, count + 1))
+    assert f"{run.measurements.n_frames} images, {count} points" in capsys.readouterr().out
+    distance_m = np.linalg.norm(np.array([line[1:4] for line in lines], float) - run.landmarks.p_G, axis=1)
+    assert np.median(distance_m) < 1e-3
+    heads = (tmp_path / "colmap" / "images.txt").read_text().splitlines()[::2]
+    images = {
+        name: cv2.imread(str(tmp_path / "colmap" / "images" / name), cv2.IMREAD_GRAYSCALE)
+        for name in (head.split()[-1] for head in heads)
+    }
+    context = stages.open_sequence(rendered_sequence)
+    for k, (name, image) in enumerate(images.items()):
+        assert name == f"{context.sequence.timestamps_ns[k]}.png"
+        np.testing.assert_array_equal(image, stages.rectified_pair(context, k).left)
+
+
+def test_images_of_another_sequence_are_refused(
+    finished: Path, small_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [str(finished), "--data", str(small_sequence), "-o", str(tmp_path / "colmap")]
+    assert colmap_model.main(words) == 2
+    assert "not the sequence of" in capsys.readouterr().err and not (tmp_path / "colmap").exists()
 
 
 def test_gtsam_finds_the_poses_of_the_run(example: Example) -> None:

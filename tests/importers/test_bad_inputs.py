@@ -26,7 +26,7 @@ from benchmarks.importers.recordings import (
 )
 from polhode.cli.main import main
 from polhode.importers.options import Crop
-from polhode.optional_parts import part_with
+from polhode.optional_parts import missing_message
 from tests.conftest import TIMESTAMPS_NS
 from tests.importers.imports import refused
 
@@ -292,8 +292,7 @@ def test_a_missing_library_is_named_with_its_command(
     path.touch()
     monkeypatch.setitem(sys.modules, module, None)
     line = refused([path], tmp_path / "out" / "seq")
-    how = part_with(module).how_to_install
-    assert line == f"{what} need the library {module}, which is not installed: {how}"
+    assert line == f"{what}: {missing_message(module)}"
 
 
 @pytest.mark.parametrize(

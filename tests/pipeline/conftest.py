@@ -86,6 +86,7 @@ def make_example() -> Example:
         covariance=covariance,
         covariance_last_joint=np.eye(20) * 1e-6,
         covariance_last_body=np.eye(20) * 1e-6,
+        covariance_of_marks=covariance / 4.0,
         mass=mass,
         landmarks=Landmarks(points, np.full(150, 4e-4), np.bincount(tracks.landmark, minlength=150)),
         residuals_px=residuals,

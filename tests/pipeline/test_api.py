@@ -2,6 +2,8 @@
 
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,7 @@ from polhode.config import Config
 from polhode.errors import InputError, RunFailure
 from polhode.lie import inverse_pose, transform_points
 from polhode.pipeline.after_run.predict import predict_run
-from polhode.pipeline.run_directory.archives import write_measurements
+from polhode.pipeline.run_directory.archives import write_covariance, write_measurements
 from polhode.pipeline.run_directory.point_cloud_file import write_landmarks
 from polhode.pipeline.run_directory.run_card import card_html
 from polhode.pipeline.run_directory.summary_schema import Verdict
@@ -54,6 +56,18 @@ def test_what_is_undetermined_has_infinite_variance(undetermined: Example, tmp_p
     assert np.isinf(np.diagonal(mass.cov_k)).all()
     np.testing.assert_array_equal(np.isinf(np.diagonal(mass.cov_com_G)), [False, True, False])
     assert not mass.identifiable.com
+
+
+def test_the_covariance_of_the_body_is_finite_in_every_frame(stored: polhode.Run, example: Example) -> None:
+    np.testing.assert_array_equal(stored.covariance_of_marks, example.estimate.covariance_of_marks)
+
+
+def test_a_run_of_an_earlier_version_says_that_it_has_it_for_the_last_frame_alone(
+    stored: polhode.Run, example: Example
+) -> None:
+    write_covariance(replace(example.estimate, covariance_of_marks=None), stored.folder / "covariance.npz")
+    with pytest.raises(InputError, match=r"an earlier version wrote it.* run it again, or .*predict\(0.0\)"):
+        stored.covariance_of_marks  # noqa: B018
 
 
 def test_a_prediction_at_any_times_is_that_of_the_command(stored: polhode.Run) -> None:
@@ -108,6 +122,40 @@ def test_observability_and_exports_follow_from_the_object(stored: polhode.Run, t
     assert assessed.sigma.shape == (24, 6) and (assessed.sigma[np.isfinite(assessed.sigma)] > 0.0).all()
     files = stored.export("tum", tmp_path / "motion.tum", horizon=2.0)
     assert files == [tmp_path / "motion.tum"] and files[0].read_text().startswith("#")
+
+
+def test_errors_name_the_arguments_of_python(stored: polhode.Run, tmp_path: Path) -> None:
+    place = tmp_path / "target.urdf"
+    wrong: dict[str, Callable[[], object]] = {
+        r"^to 'urdff': unknown; did you mean urdf\? give one of glb ply .* json$": lambda: stored.export(
+            "urdff",  # type: ignore[arg-type]
+            place,
+        ),
+        r"^output .*target.urdf: .urdf is .* give target.glb, or to='urdf'$": lambda: stored.export(
+            "glb", place
+        ),
+        r"^export has no option 'horizn'; did you mean horizon\? options: frame, cad, .*": lambda: (
+            stored.export("tum", tmp_path / "m.tum", horizn=2.0)
+        ),
+        r"^horizon=0: give the seconds": lambda: stored.export("tum", tmp_path / "m.tum", horizon=0.0),
+        r"^frame='G': an OEM is the path": lambda: stored.export("oem", tmp_path / "m.oem", frame="G"),
+        r"^confidence=2: give a share": lambda: stored.keep_out(2.0, 2.0),
+        r"^horizon_s=-1: give the seconds": lambda: stored.keep_out(-1.0),
+        r"^members=4: ": lambda: stored.keep_out(2.0, 0.97, members=4),
+        r"^edges=0: give a number": lambda: stored.observability(edges=0),
+        r"^frame='N': give trajectory FILE": lambda: stored.observability(frame="N"),
+    }
+    for message, call in wrong.items():
+        with pytest.raises(InputError, match=message):
+            call()
+    assert not list(tmp_path.glob("*.*"))
+
+
+def test_a_run_that_is_there_is_replaced_by_an_argument(
+    stored: polhode.Run, small_sequence: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=r"replace it with overwrite=True"):
+        polhode.run(small_sequence, stored.folder, progress=False)
 
 
 def test_the_table_of_the_trajectory_is_that_of_the_file(stored: polhode.Run) -> None:
@@ -210,6 +258,20 @@ def test_a_configuration_is_a_file_a_dictionary_or_itself(tmp_path: Path) -> Non
     assert nested == configuration({"backend.inertia": "ratios_axes"}) != Config()
     with pytest.raises(InputError, match=r"^settings: unknown key"):
         configuration({"backend.inertiaa": "ratios_axes"})
+
+
+@pytest.mark.parametrize(
+    ("settings", "nearest"),
+    [
+        ({"bakend.inertia": "ratios_axes"}, "backend"),
+        ({"backend": {"inertiaa": "ratios_axes"}}, "inertia"),
+        ({"voxel_mm": 3.0}, "mapping.voxel_mm"),
+        ({"backend.voxel_m": 3.0}, "mapping.voxel_mm"),
+    ],
+)
+def test_an_unknown_setting_names_the_nearest_one(settings: dict[str, object], nearest: str) -> None:
+    with pytest.raises(InputError, match=rf"^settings: unknown key .* did you mean {nearest}\? valid keys: "):
+        configuration(settings)
 
 
 def test_a_run_without_an_answer_raises_and_leaves_no_temporary_folder(

@@ -15,6 +15,7 @@ import polhode
 from polhode import stages
 from polhode.config import Config
 from polhode.errors import InputError
+from polhode.lie import transform_points
 from polhode.mapping.mesh_files import write_ply
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.run_directory.stages import StageStore
@@ -81,6 +82,42 @@ def test_a_pair_by_itself_gives_what_it_gives_in_the_run(page: SimpleNamespace) 
     assert page.pair.mask_left.any() and page.pair.left.dtype == np.uint8
     with pytest.raises(InputError, match="pair 14: the sequence has pairs 0 to 13"):
         stages.rectified_pair(page.context, 14)
+
+
+def test_records_of_the_front_end_have_the_shapes_of_the_page(page: SimpleNamespace) -> None:
+    features, found = page.features[0], page.correspondences
+    n = len(features)
+    assert n == len(features.uvd_px) == len(features.sigma_px) == len(features.scale_px) > 0
+    np.testing.assert_allclose(features.p_R, page.context.rig.triangulate(features.uvd_px))
+    np.testing.assert_allclose(np.linalg.norm(features.descriptors, axis=1), 1.0, atol=1e-5)
+    links, match = found.links, found.matches[0]
+    assert len(links) == len(links.i) == len(links.X_RiRj) and (links.i < links.j).all()
+    # what the pose of a pair says of its matches: from the camera at j to the one at i
+    assert len(match) == len(match.features) and match.i < match.j
+    p_Ri, p_Rj = (page.features[k].p_R[match.features[:, n]] for n, k in enumerate((match.i, match.j)))
+    moved = transform_points(match.X_RiRj, p_Rj)
+    assert np.median(np.linalg.norm(moved - p_Ri, axis=1)) < 5e-3
+    assert np.median(np.linalg.norm(p_Rj - p_Ri, axis=1)) > 5e-3
+    assert len(page.estimate.landmarks) == len(page.estimate.landmarks.p_G)
+
+
+def test_every_record_and_field_of_the_table_exists(page: SimpleNamespace) -> None:
+    rows = PAGE.read_text().split("| record | field |")[1].split("\n\n")[0].splitlines()[2:]
+    examples = {
+        type(each).__name__: each
+        for each in (
+            *(page.pair, page.features[0], page.correspondences, page.correspondences.matches[0]),
+            *(page.correspondences.links, page.tracks, page.initial, page.depth),
+        )
+    }
+    record, seen = "", set()
+    for row in rows:
+        name, names = row.split("|")[1:3]
+        record = name.strip(" `") or record
+        seen.add(record)
+        for field in re.findall(r"`(\w+)`", names):
+            assert hasattr(examples[record], field), f"{record}.{field}"
+    assert seen == set(examples)
 
 
 def test_the_back_end_alone_finds_the_motion_of_the_run(page: SimpleNamespace) -> None:

@@ -116,6 +116,13 @@ def test_the_truth_scores_zero_in_another_frame_G(example: Example, sequence: Pa
     assert metrics["coverage_3sigma_constants"] == {"inertia": 1.0, "com": 1.0, "axes": 1.0}
     table = format_table(metrics)
     assert "rmse_position_m" in table and "expected" in table
+    for name, unit in (
+        ("rmse_velocity_m_s", "m/s"),
+        ("prediction_error_deg 10", "deg"),
+        ("mesh chamfer_mm", "mm"),
+    ):
+        assert re.search(rf" {name} .*\d │ {unit} +│", table)
+    assert re.search(r" mesh completeness_3mm .*\d │ +│", table)
     (line,) = [line for line in table.splitlines() if "nees inertia" in line]
     assert "0.83 to 12.8" in line
 

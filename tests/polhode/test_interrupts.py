@@ -7,7 +7,13 @@ from contextlib import suppress
 
 import pytest
 
-from polhode.interrupts import interrupts_delayed, interrupts_raised, raise_if_received, received
+from polhode.interrupts import (
+    interrupts_delayed,
+    interrupts_kept,
+    interrupts_raised,
+    raise_if_received,
+    received,
+)
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -63,6 +69,21 @@ def test_an_interrupt_that_a_library_has_swallowed_is_raised_again_by_who_asks()
             send(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt):
             raise_if_received()
+
+
+def test_a_signal_that_is_kept_is_raised_by_who_asks_or_by_the_next_one() -> None:
+    called: list[int] = []
+    for ask in (raise_if_received, lambda: send(signal.SIGINT)):
+        with interrupts_raised(first=lambda: called.append(1)):
+            with interrupts_kept():
+                send(signal.SIGTERM)
+            assert called == [] and received() == signal.SIGTERM
+            with pytest.raises(KeyboardInterrupt):
+                ask()
+            assert called == [1] and received() == signal.SIGTERM
+            called.clear()
+    with pytest.raises(KeyboardInterrupt), interrupts_kept():  # where this package is a library
+        send(signal.SIGINT)
 
 
 def test_a_signal_amid_steps_that_belong_together_takes_effect_after_them() -> None:

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -23,6 +23,7 @@ from threadpoolctl import threadpool_info
 
 from polhode import processes
 from polhode.errors import RunFailure
+from polhode.interrupts import interrupts_raised, raise_if_received
 from polhode.processes import BACKGROUND_NICENESS, Background, as_finished, beside, in_order, worker_count
 
 ROOT = Path(__file__).parents[2]
@@ -38,6 +39,59 @@ class Square:
         if k == self.bad:
             raise ValueError(f"frame {k}")
         return k * k
+
+
+def test_an_interrupt_while_the_server_imports_is_left_to_the_program(tmp_path: Path) -> None:
+    """As Ctrl-C does it: the signal goes to all processes of the terminal."""
+    begun = tmp_path / "begun"
+    (tmp_path / "slow.py").write_text(f"import time\nopen({str(begun)!r}, 'w').close()\ntime.sleep(2)\n")
+    script = (
+        "import time\nfrom polhode.processes import start_server\nstart_server(('slow',), 2)\n"
+        "try:\n    time.sleep(60)\nexcept KeyboardInterrupt:\n    print('ended')\n"
+    )
+    program = subprocess.Popen(
+        [sys.executable, "-c", script],
+        env=os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    try:
+        while not begun.exists():
+            assert program.poll() is None
+            sleep(0.01)
+        os.killpg(program.pid, signal.SIGINT)
+        printed = program.communicate(timeout=60)
+    finally:
+        program.kill()
+    assert printed == ("ended\n", "")
+
+
+def test_an_interrupt_while_abandoned_results_are_cleaned_up_is_neither_printed_nor_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """``zip`` ends with its first argument: it is the garbage collector that then closes the results."""
+    ignored: list[object] = []
+    shutdown = ProcessPoolExecutor.shutdown
+
+    def interrupted(self: ProcessPoolExecutor, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        monkeypatch.setattr(ProcessPoolExecutor, "shutdown", shutdown)
+        os.kill(os.getpid(), signal.SIGINT)
+        shutdown(self, wait, cancel_futures=cancel_futures)
+
+    with interrupts_raised(first=processes.kill_workers):
+        pairs = list(zip(range(3), in_order(Square(), range(6), 2), strict=False))
+        monkeypatch.setattr(sys, "unraisablehook", ignored.append)
+        results = in_order(Square(), range(6), 2)
+        assert next(results) == 0
+        monkeypatch.setattr(ProcessPoolExecutor, "shutdown", interrupted)
+        del results
+        gc.collect()
+        assert pairs == [(0, 0), (1, 1), (2, 4)] and ignored == []
+        with pytest.raises(KeyboardInterrupt):
+            raise_if_received()
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3])

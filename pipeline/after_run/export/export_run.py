@@ -6,7 +6,7 @@ The formats themselves are written by ``planning/exports``.
 
 import logging
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ from polhode.pipeline.after_run.export.own_files import (
 from polhode.planning.exports import ccsds, glb, mesh_files, robot_xml
 from polhode.planning.exports.convex_pieces import WITHIN, decompose
 from polhode.planning.exports.formats import MESHES, MOTIONS, ROBOTS
-from polhode.planning.exports.records import ExportShape, shape_of_landmarks, shape_of_surface
+from polhode.planning.exports.records import ExportShape, Inertial, shape_of_landmarks, shape_of_surface
 from polhode.progress import Progress, Silent
 
 LIGHT_LEVEL = 2
@@ -46,7 +46,17 @@ MAX_KEY_ROTATION_RAD = np.deg2rad(5.0)
 _log = logging.getLogger(__name__)
 
 
-def export_run(run: Path, options: ExportOptions, progress: Progress | None = None) -> list[Path]:
+@dataclass(frozen=True)
+class Export:
+    """What was written."""
+
+    files: list[Path]
+    """The one that was named last"""
+    inertial: Inertial | None
+    """The mass properties in them; None: they have none"""
+
+
+def export_run(run: Path, options: ExportOptions, progress: Progress | None = None) -> Export:
     """Write the files, the one that was named last.
 
     Raises InputError when there is nothing to export, or the place is taken; RunFailure when a file cannot be
@@ -57,7 +67,7 @@ def export_run(run: Path, options: ExportOptions, progress: Progress | None = No
         return _exported(run, replace(options, output=place), progress or Silent())
 
 
-def _exported(run: Path, options: ExportOptions, progress: Progress) -> list[Path]:
+def _exported(run: Path, options: ExportOptions, progress: Progress) -> Export:
     job = open_job(run, options, progress)
     if job.summary.status == "failed":
         job.leave_out(f"this run failed ({failure_of(job.summary)}): what it had found by then is exported")
@@ -65,7 +75,7 @@ def _exported(run: Path, options: ExportOptions, progress: Progress) -> list[Pat
     for reason in job.left_out:
         _log.warning("%s", reason)
     write_export(files, options.output)
-    return list(files)
+    return Export(list(files), job.written)
 
 
 def _mesh(job: ExportJob) -> Files:
@@ -156,14 +166,15 @@ def _robot(job: ExportJob) -> Files:
         except ValueError as error:
             job.leave_out(f"collision geometry is left out: {error}")
         else:
-            if options.pieces > 1 and (without := missing_part("vhacdx")):
+            without = missing_part("vhacdx")
+            if options.pieces > 1 and without:
                 job.leave_out(f"{without}: the collision geometry is the convex hull")
             comments.append(f"{cut.description}; {cut.describe_protrusion()}")
             _log.info("%s", comments[-1])
             if cut.far_share > FAR_SHARE:
                 job.leave_out(
                     f"{cut.far_share:.1%} of the collision geometry protrudes from the surface by more than "
-                    f"{WITHIN:.0%} of its diameter: more --pieces protrude less"
+                    f"{WITHIN:.0%} of its diameter{'' if without else ': more --pieces protrude less'}"
                 )
             for number, piece in enumerate(cut.pieces):
                 collision.append(piece_file(number))
@@ -173,9 +184,10 @@ def _robot(job: ExportJob) -> Files:
                 )
                 files[folder / collision[-1]] = content.encode("ascii")
     comments += [robot_xml.describe_state(state)] if state is not None else []
-    # Assumptions are shown on the terminal, too.
+    # Assumptions are shown on the terminal, too; what the user gave is not.
     for note in notes:
-        job.leave_out(note)
+        if inertial is not None and note not in inertial.restated:
+            job.leave_out(note)
     robot = robot_xml.Robot(
         name=options.object_name,
         folder=folder.name,

@@ -37,6 +37,8 @@ UNIT_MASS_KG = 1.0
 SECONDS_PER_YEAR = 365.25 * 86400.0
 USUAL_RADII = (0.05, 1.0)
 """Radius of gyration over the distance of the farthest vertex; a uniform ball has 0.63."""
+USUAL_DENSITIES_KG_M3 = (1.0, 20_000.0)
+"""Lighter than air, and denser than gold: no body is either."""
 FAR_OUTSIDE = 10.0
 """Beyond the usual by this factor no hidden part of the body explains it: the units are wrong."""
 Files = dict[Path, bytes]
@@ -61,6 +63,8 @@ class ExportJob:
     """What the file lacks, and why; also what was assumed"""
     progress: Progress = field(default_factory=Silent)
     """Of a long prediction"""
+    written: Inertial | None = None
+    """The mass properties that the files have; None: they have none"""
 
     def leave_out(self, reason: str) -> None:
         """Note what is left out; once."""
@@ -155,9 +159,10 @@ class ExportJob:
             self.leave_out(f"mass properties are left out: this run has no estimate of them, and {reason}")
         elif self.surface is not None:
             vertices_F = transform_points(self.at.X_FG, self.surface.mesh.vertices)
-            warning = contradiction(inertial, vertices_F)
-            if warning:
-                self.leave_out(warning)
+            for warning in (contradiction(inertial, vertices_F), impossible_density(inertial, solid)):
+                if warning:
+                    self.leave_out(warning)
+        self.written = inertial
         return inertial
 
 
@@ -200,6 +205,7 @@ def inertial_of(
     """
     mass, mass_is, notes = _mass(summary, options.mass_kg)
     uniform_is = "relative" if mass_is == "relative" else "assumed"
+    restated = notes[:1] if mass_is == "given" else []
     if summary.inertia is None or summary.R_GP is None or summary.com_G is None:
         if solid is None:
             return None
@@ -215,6 +221,7 @@ def inertial_of(
         moments = scale * np.array(summary.inertia.moments)
         R_GP, (com_G, moved_m) = np.array(summary.R_GP), possible_com(summary)
         notes.append(note)
+        restated += [note] if scale_is == "given" else []
         if moved_m > 0.0:
             notes.append(
                 f"centre of mass: moved by {1e3 * moved_m:.3g} mm into the body, as nothing determines it"
@@ -232,6 +239,7 @@ def inertial_of(
         mass_is=mass_is,
         scale_is=scale_is,
         notes=tuple(notes),
+        restated=tuple(restated),
     )
 
 
@@ -258,6 +266,22 @@ def contradiction(inertial: Inertial, vertices_F: Array) -> str:
     if not least / FAR_OUTSIDE <= radius <= FAR_OUTSIDE * most:
         raise InputError(reason)
     return reason
+
+
+def impossible_density(inertial: Inertial, solid: Solid | None) -> str:
+    """A warning when a mass that was given makes the body lighter than air or denser than any metal, in the
+    volume of the mesh; empty: it does not, or there is no volume."""
+    if inertial.mass_is != "given" or solid is None:
+        return ""
+    density_kg_m3 = inertial.mass_kg / solid.volume_m3
+    least, most = USUAL_DENSITIES_KG_M3
+    if least <= density_kg_m3 <= most:
+        return ""
+    bound = "less than that of air" if density_kg_m3 < least else "more than that of gold"
+    return (
+        f"a density of {density_kg_m3:.3g} kg/m^3, {bound}: {inertial.mass_kg:g} kg in "
+        f"{solid.volume_m3:.3g} m^3, the {solid.words}; check --mass-kg [kg] and the units of the calibration"
+    )
 
 
 def _mass(summary: Summary, given: float | None) -> tuple[float, str, list[str]]:

@@ -32,7 +32,7 @@ from polhode.pipeline.run_directory.summary_schema import (
     json_text,
 )
 from polhode.planning.exports import ccsds
-from polhode.planning.exports.records import ExportShape
+from polhode.planning.exports.records import ExportShape, Inertial
 
 SCHEMA_FILE = Path(__file__).with_name("export.schema.json")
 MAX_STATES = 10_000
@@ -183,11 +183,17 @@ def json_document(job: ExportJob) -> str:
             "prediction": states[1:],
             "undetermined": list(undetermined),
             "mass_properties": _mass_properties(job),
-            "inertial": None if inertial is None else _renamed(vars(inertial), notes="words"),
+            "inertial": None if inertial is None else _inertial(inertial),
             "shape": None if shape is None else _shape(shape),
         }
     )
     return json_text(document, indent=1)
+
+
+def _inertial(inertial: Inertial) -> dict[str, Any]:
+    content = _renamed(vars(inertial), notes="words")
+    del content["restated"]
+    return content
 
 
 def _states(job: ExportJob) -> tuple[list[dict[str, Any]], tuple[str, ...]]:

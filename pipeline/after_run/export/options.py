@@ -2,13 +2,15 @@
 
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
+from polhode.config.keys import suggestion
 from polhode.errors import InputError
 from polhode.pipeline.after_run.predict import require_step
 from polhode.planning.exports.formats import FORMATS, MESHES, MOTIONS, Format
@@ -65,6 +67,10 @@ class ExportOptions:
 def check(options: ExportOptions) -> None:
     """Raise InputError, one line, for options that contradict each other or a file that cannot be written."""
     to = options.to
+    _require_one_of("--to", to, FORMATS)
+    _require_one_of("--frame", options.frame_name, get_args(FrameName))
+    _require_one_of("--unit", options.unit, get_args(Unit))
+    _require_one_of("--cad-unit", options.cad_unit, get_args(Unit))
     suffix = options.output.suffix.lower().removeprefix(".")
     if suffix in FORMATS and suffix != to:
         raise InputError(
@@ -100,6 +106,12 @@ def check(options: ExportOptions) -> None:
     if options.object_name in ("N", "P", "world"):
         raise InputError(f"--object-name {options.object_name}: this is the name of a frame; give another")
     _ = options.epoch_utc
+
+
+def _require_one_of(option: str, value: str, valid: Sequence[str]) -> None:
+    if value not in valid:
+        hint = suggestion(str(value), valid)
+        raise InputError(f"{option} '{value}': unknown;{hint} give one of {' '.join(valid)}")
 
 
 def creation_date() -> str:

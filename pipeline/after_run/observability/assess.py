@@ -258,9 +258,10 @@ def assess(
     """
     size_mib = len(subject.X_RG) * subject.model.size * 36 * 8 / 2**20
     if size_mib > MAX_MEMORY_MIB:
+        fewer_edges = "" if Path(subject.source).is_dir() else ", or a larger --crease-deg"
         raise InputError(
             f"{len(subject.X_RG)} poses of {subject.model.size} edges take {size_mib:.0f} MiB: "
-            "give fewer poses, or a larger --crease-deg"
+            f"give fewer poses{fewer_edges}"
         )
     views, C = [], []
     with progress.stage("evaluating views", len(subject.X_RG)) as advance:

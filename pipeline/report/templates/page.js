@@ -41,8 +41,9 @@
   /* Figures. */
   const figures = Array.from(document.querySelectorAll("script.figure"), function (node) {
     const drawing = document.getElementById(node.dataset.target);
-    return { node, drawing, plot: drawing.parentElement, text: null, clock: "", width: 0, drawn: false, stale: false, near: false, inView: false, moments: [] };
+    return { node, drawing, plot: drawing.parentElement, text: null, clock: "", width: 0, drawn: false, stale: false, near: false, asked: false, sketched: false, found: null, shape: null, view: null, inView: false, moments: [] };
   });
+  const REST_MS = 350;
   const isPrinting = { now: false };
   function isDark() {
     if (isPrinting.now) return false;
@@ -65,6 +66,143 @@
     figure.clock = found.clock;
     return found;
   }
+  /* A 3D figure until it is touched: its own data on a flat canvas, in the same view. A browser without a graphics
+     processor takes seconds for the real one, and milliseconds for this. */
+  const ARRAYS = { f4: Float32Array, u1: Uint8Array, u2: Uint16Array, i4: Int32Array };
+  const FIELD_OF_VIEW_RAD = Math.PI / 4, LIGHT = [0.27, -0.53, 0.8];
+  function numbers(value) {
+    if (!value) return [];
+    return value.bdata ? new ARRAYS[value.dtype](bytesOf(value.bdata).buffer) : value;
+  }
+  function isSolid(figure) { return figure.node.dataset.kind === "3d"; }
+  function cross(a, b) { return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]; }
+  function dot(a, b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+  function unit(a) { const length = Math.hypot(a[0], a[1], a[2]) || 1; return [a[0] / length, a[1] / length, a[2] / length]; }
+  function colorAt(scale, share) {
+    let k = 1;
+    while (k < scale.length - 1 && share > scale[k][0]) k++;
+    const low = scale[k - 1], high = scale[k], at = Math.min(1, Math.max(0, (share - low[0]) / (high[0] - low[0] || 1)));
+    const part = function (color, n) { return parseInt(color.slice(1 + 2 * n, 3 + 2 * n), 16); };
+    return [0, 1, 2].map(function (n) { return Math.round(part(low[1], n) + at * (part(high[1], n) - part(low[1], n))); });
+  }
+  function solidOf(found) {
+    const traces = found.data.filter(function (each) { return each.visible !== "legendonly" && (each.type === "mesh3d" || each.type === "scatter3d"); });
+    const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+    const solid = traces.map(function (trace) {
+      const points = ["x", "y", "z"].map(function (name) { return numbers(trace[name]); });
+      points.forEach(function (values, n) { for (const value of values) { if (value < low[n]) low[n] = value; if (value > high[n]) high[n] = value; } });
+      return { trace, points };
+    });
+    const size = [0, 1, 2].map(function (n) { return Math.max(high[n] - low[n], 1e-12); });
+    return { solid, low, high, middle: [0, 1, 2].map(function (n) { return 0.5 * (low[n] + high[n]); }), scale: Math.cbrt(size[0] * size[1] * size[2]) };
+  }
+  function sketch(figure) {
+    const found = figure.found, width = figure.width, height = found.layout.height;
+    if (!figure.shape) figure.shape = solidOf(found);
+    const shape = figure.shape, view = figure.view || found.layout.scene.camera, center = view.center || { x: 0, y: 0, z: 0 };
+    let canvas = figure.drawing.querySelector("canvas.sketch");
+    if (!canvas) {
+      figure.drawing.textContent = "";
+      figure.drawing.classList.remove("waiting");
+      canvas = document.createElement("canvas");
+      canvas.className = "sketch";
+      const button = document.createElement("button");
+      button.type = "button";
+      button.className = "turn";
+      button.textContent = "Turn in 3D";
+      figure.drawing.append(canvas, button);
+    }
+    const pixel = Math.min(2, devicePixelRatio || 1);
+    canvas.width = width * pixel;
+    canvas.height = height * pixel;
+    const pen = canvas.getContext("2d");
+    pen.scale(pixel, pixel);
+    const eye = [view.eye.x, view.eye.y, view.eye.z], toward = [center.x, center.y, center.z], up = view.up || { x: 0, y: 0, z: 1 };
+    const away = unit(eye.map(function (value, n) { return value - toward[n]; })), right = unit(cross([up.x, up.y, up.z], away)), top = cross(away, right);
+    const focal = 0.5 * 0.93 * height / Math.tan(0.5 * FIELD_OF_VIEW_RAD);
+    const seen = function (x, y, z) {
+      const p = [(x - shape.middle[0]) / shape.scale - eye[0], (y - shape.middle[1]) / shape.scale - eye[1], (z - shape.middle[2]) / shape.scale - eye[2]];
+      const depth = Math.max(-dot(p, away), 1e-3);
+      return [0.5 * width + focal * dot(p, right) / depth, 0.465 * height - focal * dot(p, top) / depth, depth];
+    };
+    /* Far parts first. */
+    const parts = [];
+    for (const { trace, points } of shape.solid) {
+      const count = points[0].length, at = new Array(count);
+      for (let k = 0; k < count; k++) at[k] = seen(points[0][k], points[1][k], points[2][k]);
+      if (trace.type === "mesh3d") {
+        const i = numbers(trace.i), j = numbers(trace.j), l = numbers(trace.k), grey = trace.intensity ? numbers(trace.intensity) : null;
+        const color = grey ? null : colorAt([[0, trace.color], [1, trace.color]], 0);
+        for (let k = 0; k < i.length; k++) {
+          const a = i[k], b = j[k], c = l[k];
+          const edge = function (to) { return [points[0][to] - points[0][a], points[1][to] - points[1][a], points[2][to] - points[2][a]]; };
+          const light = 0.7 + 0.3 * Math.abs(dot(unit(cross(edge(b), edge(c))), LIGHT));
+          const tone = grey ? new Array(3).fill((grey[a] + grey[b] + grey[c]) / 3) : color;
+          parts.push([(at[a][2] + at[b][2] + at[c][2]) / 3, 0, [at[a], at[b], at[c]], "rgb(" + tone.map(function (part) { return Math.round(light * part); }).join() + ")", trace.opacity || 1]);
+        }
+      } else if (trace.mode.includes("lines")) {
+        for (let k = 1; k < count; k++) parts.push([0.5 * (at[k - 1][2] + at[k][2]), 1, [at[k - 1], at[k]], trace.line.color, 0.5 * trace.line.width]);
+        if (trace.text && trace.mode.includes("text")) trace.text.forEach(function (word, k) { if (word) parts.push([at[k][2], 3, [at[k]], trace.textfont.color, word]); });
+      } else {
+        const values = trace.marker.color, scale = trace.marker.colorscale, many = values && values.bdata ? numbers(values) : null;
+        const low = many ? (trace.marker.cmin ?? Math.min(...many)) : 0, high = many ? (trace.marker.cmax ?? Math.max(...many)) : 1;
+        for (let k = 0; k < count; k++) parts.push([at[k][2], 2, [at[k]], many ? "rgb(" + colorAt(scale, (many[k] - low) / (high - low || 1)).join() + ")" : values, 0.5 * trace.marker.size]);
+      }
+    }
+    parts.sort(function (a, b) { return b[0] - a[0]; });
+    box(pen, shape, found, seen, width);
+    pen.lineCap = "round";
+    for (const [, kind, at, color, more] of parts) {
+      pen.fillStyle = pen.strokeStyle = color;
+      pen.beginPath();
+      if (kind === 2) { pen.arc(at[0][0], at[0][1], more, 0, 7); pen.fill(); continue; }
+      if (kind === 3) { pen.font = "13px sans-serif"; pen.fillText(more, at[0][0] + 4, at[0][1] - 4); continue; }
+      pen.moveTo(at[0][0], at[0][1]);
+      for (let k = 1; k < at.length; k++) pen.lineTo(at[k][0], at[k][1]);
+      if (kind === 1) { pen.lineWidth = more; pen.stroke(); continue; }
+      pen.globalAlpha = more;
+      pen.fill();
+      /* Without a seam between neighbours. */
+      if (more === 1) { pen.lineWidth = 0.6; pen.stroke(); }
+      pen.globalAlpha = 1;
+    }
+    figure.sketched = true;
+  }
+  /* The edges of the box around everything, and at three of them the title of the axis; from so near that the box is cut, none. */
+  function box(pen, shape, found, seen, width) {
+    const ends = [shape.low, shape.high], corner = function (a, b, c) { return seen(ends[a][0], ends[b][1], ends[c][2]); };
+    const scene = found.layout.scene, height = found.layout.height;
+    for (let k = 0; k < 8; k++) {
+      const [x, y] = corner(k & 1, k >> 1 & 1, k >> 2 & 1);
+      if (x < -0.05 * width || x > 1.05 * width || y < -0.05 * height || y > 1.05 * height) return;
+    }
+    pen.strokeStyle = scene.xaxis.gridcolor;
+    pen.lineWidth = 1;
+    for (let k = 0; k < 8; k++) for (let n = 0; n < 3; n++) if (!(k >> n & 1)) {
+      const other = k | 1 << n, a = corner(k & 1, k >> 1 & 1, k >> 2 & 1), b = corner(other & 1, other >> 1 & 1, other >> 2 & 1);
+      pen.beginPath();
+      pen.moveTo(a[0], a[1]);
+      pen.lineTo(b[0], b[1]);
+      pen.stroke();
+    }
+    pen.fillStyle = found.layout.font.color;
+    pen.font = "12px sans-serif";
+    pen.textAlign = "center";
+    [scene.xaxis, scene.yaxis, scene.zaxis].forEach(function (axis, n) {
+      const a = corner(0, 0, 0), b = corner(n === 0 ? 1 : 0, n === 1 ? 1 : 0, n === 2 ? 1 : 0);
+      pen.fillText(axis.title.text.replace(/<[^>]*>/g, ""), 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]) + 14);
+    });
+    pen.textAlign = "left";
+  }
+  async function drawSketch(figure) {
+    if (figure.text === null) figure.text = await inflated(figure.node);
+    if (figure.drawn) return;
+    const start = performance.now();
+    figure.found = content(figure);
+    sketch(figure);
+    placeAll(figure);
+    performance.measure("sketch-" + figure.drawing.id, { start });
+  }
   async function draw(figure) {
     if (figure.text === null) figure.text = await inflated(figure.node);
     await loadLibrary();
@@ -79,6 +217,13 @@
     performance.measure(figure.drawing.id, { start });
   }
   function redraw(figure) {
+    if (figure.sketched && !figure.drawn) {
+      figure.stale = false;
+      figure.found = content(figure);
+      figure.shape = null;
+      sketch(figure);
+      placeAll(figure);
+    }
     if (!figure.drawn) return;
     figure.stale = false;
     const found = content(figure);
@@ -88,15 +233,19 @@
   /* Drawn in the other scheme, or for another width. */
   function isOld(figure) {
     const width = figure.plot.clientWidth;
-    return figure.drawn && (figure.stale || (width > 0 && width !== figure.width));
+    return (figure.drawn || figure.sketched) && (figure.stale || (width > 0 && width !== figure.width));
   }
   let drawing = null;
+  function isShown(figure) { return figure.drawn || (figure.sketched && !figure.asked); }
   function wanted() {
-    return figures.find(function (each) { return each.inView && !each.drawn; }) || figures.find(function (each) { return each.near && !each.drawn; });
+    const open = figures.filter(function (each) { return !isShown(each); });
+    return open.find(function (each) { return each.asked && each.inView; }) || open.find(function (each) { return each.inView && isSolid(each); })
+      || open.find(function (each) { return each.inView; }) || open.find(function (each) { return each.near; });
   }
   async function drawWanted() {
     for (let next = wanted(); next; next = wanted()) {
-      await draw(next);
+      if (isSolid(next) && !next.asked) await drawSketch(next);
+      else await draw(next);
       noteProgress();
       /* The browser answers the reader between two figures. */
       await new Promise(function (resolve) { setTimeout(resolve, 0); });
@@ -109,11 +258,11 @@
   /* For measurements: milliseconds until all that is in view was drawn, and whether everything is. */
   function noteProgress() {
     const data = document.body.dataset;
-    if (!data.shown && !figures.some(function (each) { return each.inView && !each.drawn; })) data.shown = Math.round(performance.now());
+    if (!data.shown && !figures.some(function (each) { return each.inView && !isShown(each); })) data.shown = Math.round(performance.now());
     if (figures.every(function (each) { return each.drawn; })) data.drawn = "yes";
   }
   async function drawAll() {
-    for (const each of figures) each.near = true;
+    for (const each of figures) each.near = each.asked = true;
     while (wanted()) await drawNear();
     for (const each of figures) if (isOld(each)) redraw(each);
   }
@@ -127,18 +276,36 @@
       const figure = byNode.get(entry.target);
       figure.inView = entry.isIntersecting;
       if (figure.inView && isOld(figure)) redraw(figure);
-      else if (figure.inView && figure.drawn) placeAll(figure);
+      else if (figure.inView && isShown(figure)) placeAll(figure);
     }
     noteProgress();
     drawNear();
   });
   for (const each of figures) { seen.observe(each.plot); near.observe(each.plot); }
+  /* The real 3D figure when the pointer rests on it, or with a touch or the button. */
+  function ask(figure) { figure.asked = figure.near = true; drawNear(); }
+  for (const each of figures.filter(isSolid)) {
+    let rest = 0;
+    each.plot.addEventListener("pointerenter", function () { rest = setTimeout(function () { ask(each); }, REST_MS); });
+    each.plot.addEventListener("pointerleave", function () { clearTimeout(rest); });
+    each.plot.addEventListener("click", function () { ask(each); });
+  }
+
+  /* What is not in view yet, while nothing else is to be done: so that a print has all of it. */
+  const PAUSE_MS = 1500, whenIdle = function (act) { if (window.requestIdleCallback) requestIdleCallback(act, { timeout: 1000 }); else setTimeout(act, 50); };
+  function drawNextIdle() {
+    const next = figures.find(function (each) { return !isShown(each); });
+    if (!next || !document.body.dataset.shown) return;
+    next.near = true;
+    drawNear().then(function () { whenIdle(drawNextIdle); });
+  }
+  setTimeout(function () { whenIdle(drawNextIdle); }, PAUSE_MS);
 
   /* Colour scheme: the system's, or what the switch was set to. */
   /* Now where the reader looks, elsewhere when it comes into view. */
   function refresh(figure) {
     if (figure.inView) redraw(figure);
-    else figure.stale = figure.drawn;
+    else figure.stale = figure.drawn || figure.sketched;
   }
   function redrawAll() { figures.forEach(refresh); }
   dark.addEventListener("change", function () { if (!root.dataset.scheme) redrawAll(); });
@@ -176,7 +343,7 @@
     clock.querySelector("output").innerHTML = '<span class="long">frame ' + (line.frame[index] + 1) + " of " + line.frames + ", </span>" + line.time[index].toFixed(1) + " s";
     const film = document.getElementById("film");
     if (film && line.picture && pictures.length) film.src = pictures[line.picture[index]];
-    for (const each of figures) if (each.drawn && each.inView) placeAll(each);
+    for (const each of figures) if (isShown(each) && each.inView) placeAll(each);
   }
   function placeAll(figure) {
     if (!line) return;
@@ -204,13 +371,22 @@
     });
   }
   function movePoint(figure) {
-    const data = figure.drawing.data, index = data.length - 1, rate = line.rate[stop];
+    const rate = line.rate[stop];
+    if (!figure.drawn) {
+      if (!figure.shape) return;
+      const point = figure.shape.solid.at(-1).points;
+      for (let n = 0; n < 3; n++) point[n] = [rate[n]];
+      return sketch(figure);
+    }
+    const data = figure.drawing.data, index = data.length - 1;
     Plotly.restyle(figure.drawing, { x: [[rate[0]]], y: [[rate[1]]], z: [[rate[2]]] }, [index]);
   }
   function turnBody(figure) {
     if (!line.eye) return;
     const eye = line.eye[stop], up = line.up[stop], away = 1.6, vector = function (v, scale) { return { x: scale * v[0], y: scale * v[1], z: scale * v[2] }; };
-    Plotly.relayout(figure.drawing, { "scene.camera": { eye: vector(eye, away), up: vector(up, 1), center: { x: 0, y: 0, z: 0 } } });
+    figure.view = { eye: vector(eye, away), up: vector(up, 1), center: { x: 0, y: 0, z: 0 } };
+    if (figure.drawn) Plotly.relayout(figure.drawing, { "scene.camera": figure.view });
+    else if (figure.shape) sketch(figure);
   }
   function play() {
     clock.querySelector("button").textContent = "Pause";

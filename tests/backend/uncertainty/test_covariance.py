@@ -25,7 +25,7 @@ from polhode.backend.uncertainty.covariance import (
     state_covariances,
 )
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array, hat, inverse_pose, log_so3
+from polhode.lie import Array, hat, inverse_pose, log_so3, transform_points
 from polhode.progress import Silent
 from polhode.records import MotionEstimate
 from polhode.rigid_fit import mean_rotation
@@ -99,6 +99,58 @@ def test_the_covariance_of_each_pose_without_what_all_share_holds_its_errors() -
         assert np.all(np.linalg.eigvalsh(motion.covariance_X_NG) > 0.0)
     # neighbouring frames err alike, so the mean of 60 of these scatters as that of some ten
     assert 0.6 < np.mean(squares) < 1.6
+
+
+def test_the_body_is_where_the_covariance_of_its_marks_says_in_every_frame() -> None:
+    squares = []
+    for seed in range(3):
+        scene = SyntheticScene(
+            frames=20, landmarks=250, detection=0.4, sigma_uv_px=0.3, sigma_d_px=0.2, J_G=BOX,
+            w_G=(0.4, 0.5, 0.45), accel_psd=1e-8, torque_psd=1e-8,
+        )  # fmt: skip
+        sequence = generate(scene, seed)
+        config = Backend(
+            solver="gauss_newton", process_noise="given", accel_psd=1e-8, torque_psd=1e-8,
+            systematic_px=(0.0, 0.0, 0.0),
+        )  # fmt: skip
+        first = initialize_motion(sequence.tracks, sequence.relative, config)
+        motion = estimate_motion(sequence.tracks, first, config, Silent())
+        assert motion.covariance_of_marks is not None
+        # the estimated centre of mass and axes, fixed to the true body as they are in the first frame
+        marks = inverse_pose(sequence.X_NG[0]) @ motion.X_NG[0]
+        R_NP = sequence.X_NG[:, :3, :3] @ marks[:3, :3] @ motion.mass.R_GP
+        arm_N = sequence.X_NG[:, :3, :3] @ (transform_points(marks, motion.mass.com_G[None])[0])
+        r_N = sequence.X_NG[:, :3, 3] + arm_N
+        truth = sequence.truth
+        w_N = np.einsum("fij,fj->fi", truth.R_NP, truth.w_P)
+        v_N = truth.v_N + np.cross(w_N, r_N - truth.r_N)
+        w_P = np.einsum("fji,fj->fi", R_NP, w_N)
+        turn = log_so3(np.swapaxes(R_NP, 1, 2) @ motion.R_NP)
+        error = np.hstack([motion.r_N - r_N, motion.v_N - v_N, turn, motion.w_P - w_P])
+        later = slice(1, None)
+        information = np.linalg.inv(motion.covariance_of_marks[later])
+        squares.append(np.einsum("fi,fij,fj->f", error[later], information, error[later]) / 12.0)
+        np.testing.assert_allclose(error[0, :3], 0.0, atol=1e-9)
+        np.testing.assert_allclose(motion.covariance_of_marks[0, :3, :3], 0.0, atol=1e-12)
+    # neighbouring frames err alike, so the mean of 57 of these scatters as that of some ten
+    assert 0.6 < np.mean(squares) < 1.6
+
+
+def test_the_covariance_of_marks_in_the_last_frame_is_that_of_the_prediction() -> None:
+    """With offsets of all frames: the same as from the last state jointly with the centre of mass."""
+    for w_G in ((0.4, 0.5, 0.45), (0.0, 0.0, 0.8)):
+        motion = estimate(w_G)
+        assert motion.covariance_of_marks is not None and motion.covariance_last_body is not None
+        R_GP, R_NG = motion.mass.R_GP, motion.R_NP[-1] @ motion.mass.R_GP.T
+        T = np.zeros((12, 20))
+        T[:6, :6] = np.eye(6)
+        T[6:9, 6:9] = T[9:12, 9:12] = R_GP.T
+        T[:3, 17:], T[3:6, 17:] = -R_NG, -R_NG @ hat(R_GP @ motion.w_P[-1])
+        np.testing.assert_allclose(
+            motion.covariance_of_marks[-1], T @ motion.covariance_last_body @ T.T, rtol=1e-5, atol=1e-12
+        )
+        assert np.isfinite(motion.covariance_of_marks).all()
+        assert np.linalg.eigvalsh(motion.covariance_of_marks).min() > -1e-12
 
 
 def test_the_covariance_of_the_gradient_is_that_of_dense_algebra() -> None:

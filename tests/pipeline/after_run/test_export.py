@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from trimesh.visual import ColorVisuals
 from polhode.cli.main import main
 from polhode.config import Config
 from polhode.lie import exp_so3, log_so3, make_pose, matrix_from_wxyz, transform_points
+from polhode.mapping.mesh_files import read_ply
 from polhode.mesh_metrics import distance_to_surface
 from polhode.pipeline.after_run.export.json_document import SCHEMA_FILE, Document
 from polhode.pipeline.run_directory.summary import read_summary, write_summary
@@ -390,6 +392,39 @@ def test_a_moment_that_does_not_fit_mass_and_mesh_is_a_warning(
         assert ("has a radius of gyration of" in capsys.readouterr().out) == warned
     # a moment alone has no mass to compare with
     assert document(run, tmp_path, "--horizon", "1", "--middle-moment-kg-m2", "1e6")["left_out"] == []
+
+
+@pytest.mark.parametrize(
+    ("mass_kg", "expected"),
+    [("1000", "more than that of gold"), ("0.001", "less than that of air")],
+)
+def test_a_mass_that_no_body_of_this_volume_has_is_a_warning(
+    mass_kg: str, expected: str, run: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    export(run, "json", tmp_path / "x.json", "--horizon", "1", "--mass-kg", mass_kg)
+    printed = capsys.readouterr().out
+    assert re.search(
+        rf"warning: a density of \S+ kg/m\^3, {expected}: {mass_kg} kg in .* check --mass-kg", printed
+    )
+
+
+def test_what_the_user_gave_is_no_warning(run: Path, tmp_path: Path, capsys: Capture) -> None:
+    volume_m3 = abs(float(read_ply(run / "mesh.ply").mesh.volume))
+    mass = ["--mass-kg", f"{800.0 * volume_m3:g}"]
+    path = export(run, "mjcf", tmp_path / "x.xml", "--pieces", "1", *mass)
+    printed = capsys.readouterr().out
+    assert "as given" not in printed and "density of" not in printed
+    assert "as given" in path.read_text()
+
+
+def test_the_answer_has_sizes_mass_properties_and_time(run: Path, tmp_path: Path, capsys: Capture) -> None:
+    capsys.readouterr()
+    path = export(run, "json", tmp_path / "x.json", "--horizon", "1", "--mass-kg", "2", "--json")
+    figures = json.loads(capsys.readouterr().out)["figures"]
+    assert figures["files"] == [{"path": str(path), "bytes": path.stat().st_size}]
+    properties, stored = figures["mass_properties"], json.loads(path.read_text())["inertial"]
+    assert properties["mass_is"] == "given" and figures["duration_s"] > 0.0
+    assert {name: stored[name] for name in properties} == properties
 
 
 def test_an_epoch_beside_timestamps_that_are_utc_already_is_a_warning(

@@ -83,6 +83,7 @@ def test_the_table_goes_on_where_the_trajectory_ends(
     run, file = write_example(example, tmp_path / "run"), tmp_path / "ahead.csv"
     assert main(["predict", str(run), "--horizon", "10", "-o", str(file)]) == 0
     shown = capsys.readouterr().out
+    assert all(f"[{unit}]" in shown for unit in ("s", "m", "mm", "deg", "deg/s"))
     assert shown.rstrip().endswith(str(file)) and "attitude of the body" in shown
     assert file.read_text().splitlines()[0] == ",".join(TRAJECTORY_COLUMNS)
     path, estimate = read_trajectory(file), example.estimate

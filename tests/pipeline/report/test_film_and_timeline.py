@@ -33,7 +33,7 @@ def gif(count: int) -> bytes:
 
 def test_frames_of_the_film_are_those_of_the_table(caplog: pytest.LogCaptureFixture) -> None:
     # The table has twice as many rows: the GIF shows every second frame.
-    frames = film_frames(StoredFilm(gif(3), (10, 11, 12, 13, 14)))
+    frames = film_frames(StoredFilm(gif(3), (10, 11, 12, 13, 14)), 10**9)
     assert [each.frame for each in frames] == [10, 12, 14]
     with Image.open(io.BytesIO(base64.b64decode(frames[0].uri.partition(",")[2]))) as picture:
         assert picture.format == "WEBP" and picture.size == (732, 240)
@@ -85,7 +85,7 @@ def test_views_look_from_the_camera_with_the_image_upright(content: StoredRun, e
 
 
 def test_each_stop_shows_the_nearest_picture(content: StoredRun) -> None:
-    film = film_frames(StoredFilm(gif(3), (0, 10, 23)))
+    film = film_frames(StoredFilm(gif(3), (0, 10, 23)), 10**9)
     line = timeline(content, film)
     assert line is not None
     assert line["picture"] == [0] * 6 + [1] * 11 + [2] * 7

@@ -237,6 +237,41 @@ def test_print_is_light_unfolded_and_as_wide_as_the_paper(pages: dict[str, Opene
     assert not page.locator("#configuration pre").is_visible(), "folded again"
 
 
+def test_solid_figures_are_flat_until_they_are_touched(browser: Any, run_folder: Path) -> None:
+    opened = _opened(browser, (run_folder / "report.html").as_uri())
+    page = opened.page
+    page.set_viewport_size({"width": 1400, "height": 2400})
+    page.wait_for_selector("#plot-mesh canvas.sketch")
+    page.wait_for_selector("#plot-polhode canvas.sketch")
+    assert page.locator("#plot-mesh.js-plotly-plot").count() == 0
+    pixels = """name => {
+        const canvas = document.querySelector("#plot-" + name + " canvas.sketch");
+        return Array.from(canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data);
+    }"""
+    page.wait_for_selector(".clock:not([hidden])")
+    for name in ("mesh", "polhode"):
+        page.locator(".clock input").fill("0")
+        first = np.array(page.evaluate(pixels, name)).reshape(-1, 4)
+        assert 0.03 < np.mean(first[:, 3] > 0) < 0.9, "the body, and the paper around it"
+        page.locator(".clock input").fill("12")
+        assert np.any(np.array(page.evaluate(pixels, name)).reshape(-1, 4) != first), "the slider moves it"
+    page.locator("#plot-mesh .turn").click()
+    page.wait_for_selector("#plot-mesh.js-plotly-plot canvas")
+    assert page.locator("#plot-mesh canvas.sketch").count() == 0
+    assert page.locator("#plot-sparse-map.js-plotly-plot").count() == 0, "one at a time"
+    page.wait_for_selector("#plot-attitude.js-plotly-plot", timeout=60_000)
+    assert opened.errors == []
+    page.context.close()
+
+
+def test_what_is_not_in_view_is_drawn_for_a_print(browser: Any, run_folder: Path) -> None:
+    opened = _opened(browser, (run_folder / "report.html").as_uri())
+    drawn = "document.querySelectorAll('.drawing:is(.js-plotly-plot, :has(canvas.sketch))').length"
+    opened.page.wait_for_function(f"{drawn} === document.querySelectorAll('.drawing').length", timeout=60_000)
+    assert opened.page.evaluate("scrollY") == 0 and opened.errors == []
+    opened.page.context.close()
+
+
 def test_tables_and_pictures_need_no_script(browser: Any, run_folder: Path) -> None:
     opened = _opened(browser, (run_folder / "report.html").as_uri(), script=False)
     page = opened.page

@@ -25,9 +25,17 @@ from polhode.pipeline.report.polhode_and_inertia_figures import (
     largest_k1,
     torque_free_path,
 )
-from polhode.pipeline.report.residual_figures import rms_per_frame
+from polhode.pipeline.report.residual_figures import rms_per_frame, sigma_found
 from polhode.pipeline.report.shape_figures import MAX_FACES, cameras_in_target, thinned
-from polhode.pipeline.report.tables import check_rows, inertia_rows, metric_rows, with_sigma
+from polhode.pipeline.report.tables import (
+    check_panel,
+    check_rows,
+    inertia_rows,
+    metric_rows,
+    nees_sentences,
+    run_rows,
+    with_sigma,
+)
 from polhode.pipeline.report.template import inflated
 from polhode.pipeline.run_directory.archives import write_measurements
 from polhode.pipeline.run_directory.outputs import write_config, write_estimate
@@ -273,6 +281,20 @@ def test_the_panel_of_checks_begins_with_what_is_in_doubt(example: Any, tmp_path
     assert "Can it be trusted?" in words and words.index("shared landmarks") < words.index("rows: step")
 
 
+def test_checks_that_are_not_possible_are_folded_into_one_line(example: Any, tmp_path: Path) -> None:
+    checks = (*CHECKS, Check(name="poses of the inspector", limit=3.0, unit="sigma"))
+    summary = build_summary(example.tracks, example.estimate, example.surface, {}, checks=checks)
+    panel = check_panel(summary)
+    assert panel is not None
+    folded = {row.name: row.expected for row in panel.impossible}
+    assert folded["attitudes"] == "at most 0.1 deg" and folded["poses of the inspector"] == "at most 3 sigma"
+    assert not {row.name for row in panel.rows} & set(folded)
+    assert len(panel.rows) + len(folded) == len(check_rows(summary))
+    write_estimate(tmp_path, example.tracks, example.estimate)
+    finish_run(tmp_path, summary)
+    assert f"{len(folded)} more checks are not possible with these data" in _page(tmp_path).words
+
+
 def test_a_run_without_an_answer_has_no_panel(example: Any, tmp_path: Path) -> None:
     write_config(tmp_path, Config())
     finish_run(tmp_path, build_summary(example.tracks, None, None, {}, failure="no consistent motion"))
@@ -355,6 +377,37 @@ def test_nees_and_coverage_stand_beside_what_is_expected() -> None:
         ("truth in interval: k1", "expected True", True),
         ("truth in interval: k2", "expected True", False),
     ]
+
+
+def test_a_nees_outside_of_its_range_is_explained() -> None:
+    assert nees_sentences({"nees": {"position": 3.0, "axes": None}}) == [] == nees_sentences({})
+    below, above = nees_sentences({"nees": {"position": 0.15, "angular_velocity": 0.1, "inertia": 15.4}})
+    assert below.startswith(
+        "Below its range is the NEES of position (0.15, at least 0.22 is expected) and angular velocity (0.1,"
+    )
+    assert "cautious" in below
+    assert above.startswith("Above its range is the NEES of inertia (15, at most 12.8 is expected)")
+
+
+def test_the_histogram_has_the_noise_of_the_tables(run_folder: Path) -> None:
+    content = read_stored_run(run_folder, "tumbler")
+    assert content.tracks is not None and content.residuals is not None
+    noise = content.summary.noise
+    assert noise is not None
+    sigma_px = sigma_found(content.tracks, noise)
+    expected = [noise.pixel_sigma_px, noise.pixel_sigma_px, noise.disparity_sigma_px]
+    np.testing.assert_allclose(np.median(sigma_px, axis=0), expected, rtol=1e-12)
+    shown = {row.name: row.value for row in run_rows(content)}
+    page = _page(run_folder)
+    for name in ("noise of u, v", "noise of the disparity"):
+        assert page.words.count(f"{shown[name]} px of") >= 2, "in both captions"
+    drawn = next(t for t in page.figures["residual-histogram"]["data"] if t["name"] == "u")
+    centres, density = _numbers(drawn["x"]), _numbers(drawn["y"])
+    normalised = content.residuals.residuals_px[:, 0] / sigma_px[:, 0]
+    inside = np.abs(normalised) <= 5.0
+    assert density.sum() * (centres[1] - centres[0]) == pytest.approx(np.mean(inside), rel=1e-3)
+    spread = np.sqrt(np.average(centres**2, weights=density))
+    assert spread == pytest.approx(np.sqrt(np.mean(normalised[inside] ** 2)), rel=0.03)
 
 
 def test_the_drawn_polhode_is_the_motion_of_a_free_body(example: Any) -> None:

@@ -1,5 +1,6 @@
 """covariance.npz, measurements.npz and landmarks.ply: round trips, and readers that are not ours."""
 
+import re
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from polhode.backend.problem.inertia import FORMS
 from polhode.errors import InputError
+from polhode.lie import exp_so3
 from polhode.pipeline.run_directory.archives import (
     read_covariance,
     read_measurements,
@@ -61,9 +64,41 @@ def test_covariances_come_back_with_the_order_of_their_rows(example: Any, tmp_pa
     np.testing.assert_array_equal(again.timestamps_ns, example.estimate.timestamps_ns)
     np.testing.assert_array_equal(again.covariance, example.estimate.covariance)
     np.testing.assert_array_equal(again.last_joint, example.estimate.covariance_last_joint)
+    np.testing.assert_array_equal(again.covariance_of_marks, example.estimate.covariance_of_marks)
     with np.load(tmp_path / "covariance.npz") as archive:
         assert archive["order"].tolist()[::3] == ["r_N_x", "v_N_x", "theta_P_x", "w_P_x"]
         assert len(archive["order"]) == 12 and len(archive["last_joint_order"]) == 20
+
+
+def test_the_page_names_exactly_the_keys_of_the_file(finished: Path) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "run_directory.md").read_text()
+    table = page.split("## covariance.npz\n")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| `(\w+)` \| \(([^)]*)\) \|", table, re.MULTILINE)
+    with np.load(finished / "covariance.npz") as archive:
+        shapes = {name: archive[name].shape for name in archive.files}
+    frames = len(read_covariance(finished).timestamps_ns)
+    described = {
+        name: tuple(frames if size == "F" else int(size) for size in shape.split(",") if size.strip())
+        for name, shape in ((name, shape.replace(" ", "")) for name, shape in rows)
+    }
+    assert described == shapes
+
+
+def test_the_inertia_of_the_joint_covariance_is_what_the_page_describes() -> None:
+    """Five numbers, and the matrix that the page makes of them."""
+    R = exp_so3([0.3, -0.2, 0.5])
+    J = R @ np.diag([1.4, 1.0, 0.8]) @ R.T
+    xi, _ = FORMS["second_moments"].coordinates(0.5 * np.trace(J) * np.eye(3) - J)
+    L = np.diag([np.exp(xi[0]), np.exp(xi[1]), np.exp(-xi[0] - xi[1])])
+    L[1, 0], L[2, 0], L[2, 1] = xi[2:]
+    S = L @ L.T
+    found = np.trace(S) * np.eye(3) - S
+    assert np.linalg.det(S) == pytest.approx(1.0)
+    np.testing.assert_allclose(found / found[0, 0], J / J[0, 0], atol=1e-9)
+    xi, R_ref = FORMS["ratios_axes"].coordinates(0.5 * np.trace(J) * np.eye(3) - J)
+    d = np.diag(R_ref.T @ S @ R_ref)
+    np.testing.assert_allclose(xi, [np.log(d[0] / d[2]), np.log(d[1] / d[2]), 0.0, 0.0, 0.0], atol=1e-9)
+    assert d[0] < d[1] < d[2]
 
 
 def test_covariances_of_the_poses_come_back(example: Any, tmp_path: Path) -> None:

@@ -11,18 +11,17 @@ import pytest
 from rerun.chunk import RrdReader
 
 from polhode.errors import InputError
-from polhode.optional_parts import missing_message
-from polhode.pipeline.view.rerun_library import require_rerun
+from polhode.optional_parts import missing_message, require_part
 from polhode.pipeline.view.show_sequence import show_sequence
 from polhode.pipeline.view.target import ViewTarget, is_recording, require_target
 from polhode.progress import Silent
 
 
 def test_without_rerun_one_line_has_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    require_rerun("--view")
+    require_part("rerun", "--view")
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(InputError, match=re.escape(f"--view: {missing_message('rerun')}")):
-        require_rerun("--view")
+        require_part("rerun", "--view")
 
 
 def test_without_a_display_one_line_names_the_file_instead(monkeypatch: pytest.MonkeyPatch) -> None:
