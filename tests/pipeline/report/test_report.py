@@ -213,7 +213,16 @@ def test_a_run_of_three_frames_with_no_measurement_is_drawn(example: Any, tmp_pa
         example.estimate,
         **{
             name: getattr(example.estimate, name)[three]
-            for name in ("timestamps_ns", "r_N", "v_N", "R_NP", "w_P", "X_NG", "covariance")
+            for name in (
+                "timestamps_ns",
+                "r_N",
+                "v_N",
+                "R_NP",
+                "w_P",
+                "X_NG",
+                "covariance",
+                "covariance_of_marks",
+            )
         },
         residuals_px=np.empty((0, 3)),
         inlier_weight=np.empty(0),
