@@ -240,7 +240,7 @@ def _of_the_body(
     ``first``: matches of another method on the same frames, which are judged with them. Returned are those of
     them that are kept, and the matches.
     """
-    count, unchanged = frontend.pairs.hypotheses, (list(first), matches)
+    count, unchanged = frontend.pairs.motions, (list(first), matches)
     if count == 1 or not isinstance(match_method(frontend), HypothesisMethod):
         return unchanged
     time_s, R_NR = context.time_s, context.X_NR[:, :3, :3]
@@ -280,7 +280,7 @@ def _as_predicted(
 
     ``first``: matches of another method; returned are those that do not contradict the poses either.
     """
-    count = frontend.pairs.hypotheses
+    count = frontend.pairs.motions
     off = rotation_errors(relative_poses(matches), X_RG) > PREDICTED_RAD
     if count == 1 or np.mean(off) < MANY_OFF or not isinstance(match_method(frontend), HypothesisMethod):
         return first, matches

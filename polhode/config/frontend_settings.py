@@ -56,7 +56,7 @@ class PairMatching(Section):
     """Number of frames before and after each frame that it is matched with, in long sequences."""
     retrieved: int = Field(30, ge=0, le=10_000)
     """Number of most similar frames elsewhere with which it is also matched, to close loops."""
-    hypotheses: int = Field(6, ge=1, le=12)
+    motions: int = Field(6, ge=1, le=12)
     """Number of motions of two frames that are kept until the whole sequence decides (method polhode), where
     frames that show the same side match hardly better than others: light that stands still hides the motion
     of the body. 1: only the motion with most support."""
@@ -168,7 +168,7 @@ class Frontend(Section):
     def for_matching(self) -> "Frontend":
         """The settings that the matches of two frames depend on; the others at their defaults."""
         features = self.features.model_copy(update={"second": None, "second_below": 0})
-        chosen = ("exhaustive_frames", "neighbours", "retrieved", "hypotheses")
+        chosen = ("exhaustive_frames", "neighbours", "retrieved", "motions")
         pairs = self.pairs.model_copy(update={name: getattr(PairMatching(), name) for name in chosen})
         return Frontend(features=features, pairs=pairs, weights=self.weights)
 
