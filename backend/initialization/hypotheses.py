@@ -133,10 +133,9 @@ def _rates(links: RelativePoses, turn_N: Array, time_s: Array) -> list[Rates]:
     for k in range(len(time_s) - 1):
         around = np.flatnonzero(np.abs(middle - (k + 0.5)) <= AROUND)
         seeds = around[(links.i[near[around]] <= k) & (links.j[near[around]] > k) & (frames[around] < 2.5)]
+        of = near[around]
         rates = [
-            _supported(
-                vector[seed] / frames[seed], turn_N[near[around]], *(x[around] for x in (frames, pair, root))
-            )
+            _supported(vector[seed] / frames[seed], turn_N[of], frames[around], pair[around], root[around])
             for seed in seeds
         ]
         found.append(_distinct(rates))

@@ -47,8 +47,13 @@ def links_under_light(X_RG: Array, light: int, body: int, seed: int = 0) -> tupl
                 wrong = make_pose(exp_so3(rng.uniform(-1.5, 1.5, 3)), 0.05 * rng.normal(size=3))
                 rows.append((i, j, wrong, 12, False))
     kept = [row for row in rows if row[3] > 0]
-    i, j, X, inliers, right = zip(*kept, strict=True)
-    return RelativePoses(np.array(i), np.array(j), np.array(X), np.array(inliers)), np.array(right)
+    links = RelativePoses(
+        np.array([row[0] for row in kept]),
+        np.array([row[1] for row in kept]),
+        np.array([row[2] for row in kept]),
+        np.array([row[3] for row in kept]),
+    )
+    return links, np.array([row[4] for row in kept])
 
 
 def test_a_spin_is_found_though_three_quarters_of_the_matches_stand_still() -> None:

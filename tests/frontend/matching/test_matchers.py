@@ -211,7 +211,7 @@ def test_each_motion_of_two_frames_keeps_its_matches() -> None:
     np.testing.assert_allclose(found[1].X_RiRj, X_AB, atol=1e-3)
     # without axes of the surface there is one
     plain = [_features(frame.p_R, None, frame.descriptors) for frame in (a, b)]
-    assert len(matcher.hypotheses(*plain, 6)) == 1
+    assert len(matcher.hypotheses(plain[0], plain[1], 6)) == 1
 
 
 def test_modes_are_found_strongest_first() -> None:
