@@ -14,11 +14,12 @@ from polhode.planning.exports.formats import FORMATS
 
 @dataclass(frozen=True)
 class ExportCommand:
-    """Write a run in the format of another program: its mesh, a body for simulators, or its predicted motion.
+    """Write a run in the format of another program: its mesh, a body for simulators, or its motion.
 
     glb, ply, stl, obj: the mesh. urdf, mjcf, sdf: a free body with inertia, surface and convex pieces, whose
-    meshes are written to a folder beside the file. aem, oem, tum: the predicted motion. json: everything
-    but the mesh, with covariances. What the run lacks is left out, with a warning.
+    meshes are written to a folder beside the file. aem, oem, tum: the predicted motion; tum also the
+    estimated one. json: everything but the mesh, with covariances. What the run lacks is left out, with a
+    warning.
     """
 
     EXAMPLES: ClassVar = (
@@ -27,6 +28,7 @@ class ExportCommand:
             "polhode export RUN --to urdf -o target.urdf --mass-kg 4.2",
             "a free body for simulators, its inertia in kg m^2",
         ),
+        ("polhode export RUN --to tum --poses estimated -o run.tum", "the trajectory of the run, for evo"),
     )
     GROUPS: ClassVar = {
         "CAD model": ("cad", "cad_points", "cad_unit"),
@@ -65,6 +67,8 @@ class ExportCommand:
     pieces: Annotated[int, arg(metavar="N")] = 512
     """Maximum number of convex pieces of the collision geometry; 1: the convex hull. Fewer pieces protrude
     more from the surface."""
+    poses: Annotated[str, arg(metavar="predicted|estimated")] = "predicted"
+    """tum: the poses predicted from the last stereo pair on, or those that the run estimated at its pairs."""
     horizon_s: Annotated[float, arg(metavar="S", aliases=["--horizon"])] = 60.0
     """Time to predict beyond the last stereo pair [s]."""
     step_s: Annotated[float | None, arg(metavar="S")] = None

@@ -13,6 +13,7 @@ import numpy as np
 from polhode.camera import RectifiedRig
 from polhode.config import Config
 from polhode.dataset import StereoSequence, open_sequence
+from polhode.errors import InputError
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.rectification import Image, Rectifier, make_rectifier
 from polhode.frontend.segmentation import has_surroundings
@@ -105,11 +106,15 @@ class RunContext:
         """Number of processes for parallel work."""
         return worker_count(self.config.runtime.workers)
 
-    def of_frames(self, frames: Ints) -> "RunContext":
-        """The inputs of a run on some of the frames (n,), ascending."""
+    def of_frames(self, frames: Ints | Sequence[int]) -> "RunContext":
+        """The inputs of a run on some of the frames (n,), ascending, each 0 <= k < F.
+
+        Raises InputError: other numbers, or none.
+        """
+        chosen = _ascending(frames, len(self.sequence))
         found = self.rectifier.found
-        rectifier = self.rectifier if found is None else replace(self.rectifier, found=found.part(frames))
-        return replace(self, sequence=self.sequence.part(frames), rectifier=rectifier)
+        rectifier = self.rectifier if found is None else replace(self.rectifier, found=found.part(chosen))
+        return replace(self, sequence=self.sequence.part(chosen), rectifier=rectifier)
 
     def tracks(self, features: Sequence[StereoFeatures], association: Association) -> StereoTracks:
         """The measurements of associated features, as the back end takes them."""
@@ -124,6 +129,21 @@ class RunContext:
             (sequence.sigma_camera_p_m, sequence.sigma_camera_theta_rad),
         )
         return replace(tracks, X_BR=sequence.calibration.X_BC0 @ self.rectifier.X_CR, wrench=sequence.wrench)
+
+
+def _ascending(frames: Ints | Sequence[int], count: int) -> Ints:
+    """The numbers of frames (n,) as an array. Raises InputError unless they are 0 <= k < count, ascending."""
+    numbers = np.asarray(frames)
+    if numbers.ndim != 1 or not numbers.size or not np.issubdtype(numbers.dtype, np.integer):
+        raise InputError("frames: give one or more whole numbers, as a list or an array (n,)")
+    outside = numbers[(numbers < 0) | (numbers >= count)]
+    if outside.size:
+        raise InputError(f"frames: there is no frame {outside[0]}; the sequence has frames 0 to {count - 1}")
+    back = np.flatnonzero(np.diff(numbers.astype(np.int64)) <= 0)
+    if back.size:
+        before, after = numbers[back[0]], numbers[back[0] + 1]
+        raise InputError(f"frames: {after} follows {before}; give each frame once, in ascending order")
+    return numbers.astype(np.int64)
 
 
 def open_context(sequence_folder: Path, config: Config, progress: Progress) -> RunContext:

@@ -25,7 +25,7 @@ from polhode.config.loader import load_config
 from polhode.errors import InputError, RunFailure
 from polhode.lie import Array
 from polhode.pipeline.after_run.export.export_run import export_run
-from polhode.pipeline.after_run.export.options import ExportOptions, FrameName, Unit
+from polhode.pipeline.after_run.export.options import ExportOptions, FrameName, Poses, Unit
 from polhode.pipeline.after_run.observability.assess import Assessment, CameraOptions, assess, subject_of
 from polhode.pipeline.after_run.plan import final_estimate, keep_out_of_run, surface_of
 from polhode.pipeline.after_run.predict import predict_instants
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 EXPORT_OPTIONS = tuple(each.name for each in fields(ExportOptions) if each.name not in ("to", "output"))
-EXPORT_WORDS = {word: word for word in (*FORMATS, *get_args(FrameName), *get_args(Unit))}
+EXPORT_WORDS = {word: word for word in (*FORMATS, *get_args(FrameName), *get_args(Unit), *get_args(Poses))}
 """What ``Run.export`` passes on, and the texts among their values"""
 
 Configuration = Config | str | Path | Mapping[str, Any] | None

@@ -138,8 +138,13 @@ def match_features(context: RunContext, features: Sequence[StereoFeatures]) -> C
 
     Returns:
         ``matches`` that pass the geometric check and contradict no others; ``links``, the relative poses that
-        follow from them; ``tracks(context)``, the measurements for a back end.
+        follow from them; ``tracks(context)``, the measurements for a back end. ``PairMatch.i`` and ``.j`` are
+        positions in ``features``, and so frames of the context.
+
+    Raises:
+        InputError: there are not as many features as the context has frames.
     """
+    _require_every_frame(context, features)
     return match_all_frames(context, features)
 
 
@@ -197,7 +202,11 @@ def depth_maps(context: RunContext, features: Sequence[StereoFeatures]) -> Itera
     Args:
         context: of the sequence.
         features: of every frame, F.
+
+    Raises:
+        InputError: there are not as many features as the context has frames.
     """
+    _require_every_frame(context, features)
     return iter(DepthMaps(context, features))
 
 
@@ -228,6 +237,14 @@ def finish_surface(
     The images are read again. A step that fails is left out with a warning in ``findings``.
     """
     return finish_fused(context, fused, tracks, estimate)
+
+
+def _require_every_frame(context: RunContext, features: Sequence[StereoFeatures]) -> None:
+    if len(features) != len(context.sequence):
+        raise InputError(
+            f"features of {len(features)} frames for a context of {len(context.sequence)}: give those of "
+            "every frame, or the context of these by context.of_frames"
+        )
 
 
 def _require_pair(context: RunContext, k: int) -> None:

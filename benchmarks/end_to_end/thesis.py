@@ -43,7 +43,12 @@ QUANTITIES = (
     Quantity("velocity [mm/s]", "1.3, 2.3, 1.6", "table 6.1, p. 217", "{velocity_mm_s:.3f}"),
     Quantity("angular velocity [deg/s]", "1.5, 0.9, 0.9", "table 6.2, p. 218",
              "{angular_velocity_deg_s:.3f}"),
-    Quantity("attitude [deg]", "13.5 (mean)", "table 6.2, p. 218", "{attitude_deg:.3f} (median)"),
+    Quantity(
+        "attitude, for polhode after the constant rotation of the axes is removed [deg]",
+        "13.5 (mean)",
+        "table 6.2, p. 218",
+        "{attitude_deg:.3f} (median)",
+    ),
     Quantity("lengths on the model [mm]", "1.8 (mean of 8)", "table 6.3, p. 236",
              "{lengths_mm:.2f} (mean of {lengths})"),
     Quantity("sigma of the position [mm]", "0.34, 0.29, 0.33", "table 6.4, p. 244",

@@ -53,6 +53,7 @@ class PairMatch:
 
     i: int
     j: int
+    """As ``i``, a position in the list of features that were matched"""
     X_RiRj: Array
     """(4, 4) p_Ri = X_RiRj p_Rj for a point of the target in the left cameras; translation [m]"""
     features: Ints

@@ -15,13 +15,11 @@ against each other it is excluded by the landmarks that connect them (``data_che
 import numpy as np
 
 from polhode.pipeline.answer_checks.residual_check import agreeing_residuals
-from polhode.pipeline.run_directory.summary_schema import Check
+from polhode.pipeline.run_directory.summary_schema import SAME_MINIMUM, Check
 from polhode.records import MotionEstimate, StereoTracks
 
 MIN_MIRROR = 12.0
 """[sigma] of a frame; undisturbed runs have 90 or more."""
-SAME_MINIMUM = 1.0
-"""Costs that differ by less are of the same minimum."""
 
 
 def twins_checks(tracks: StereoTracks, estimate: MotionEstimate) -> list[Check]:

@@ -9,11 +9,15 @@ import numpy as np
 from polhode.lie import Array
 from polhode.metrics import ALIGNED, IN_INTERVAL, NEES, expected_range
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
-from polhode.pipeline.run_directory.summary_schema import Assumed, Intervals, IpoptSummary, Summary
+from polhode.pipeline.run_directory.summary_schema import (
+    SAME_MINIMUM,
+    Assumed,
+    Intervals,
+    IpoptSummary,
+    Summary,
+)
 from polhode.pipeline.run_directory.trajectory_file import Trajectory
 
-SAME_COST, AMBIGUOUS_COST = 0.01, 6.0
-"""Excess over the best minimum: below the first it is the same, below the second the data hardly decide."""
 AXIS_NAMES = ("x (largest moment)", "y (middle moment)", "z (smallest moment)")
 
 
@@ -415,13 +419,16 @@ def _median_row(name: str, sigma: Array, unit: str) -> TableRow:
 
 
 def _outcome(cost: float | None) -> str:
-    """Where another start of the inertia ended, by its excess cost over the chosen one."""
+    """Where another start of the inertia ended, by its excess cost over the chosen one.
+
+    Not a judgement: right and wrong runs do not differ by it (``answer_checks/twins_check``). An ambiguity that
+    matters is in the sigmas and the warnings.
+    """
     if cost is None:
         return "did not converge"
-    if cost < SAME_COST:
+    if cost <= SAME_MINIMUM:
         return "ended in the same minimum"
-    likely = "almost as likely: an ambiguity" if cost < AMBIGUOUS_COST else "far less likely"
-    return f"a minimum of {cost:.1f} more: {likely}"
+    return f"ended in another minimum, whose cost is higher by {_short(cost)}"
 
 
 def _member(name: str) -> str:

@@ -129,6 +129,10 @@ class IpoptSummary(StrictModel):
     iterations: int
 
 
+SAME_MINIMUM = 1.0
+"""Costs of two starts that differ by less are of the same minimum: the starts are not solved to the end."""
+
+
 class SolverSummary(StrictModel):
     """How the optimisation ended."""
 

@@ -203,6 +203,8 @@ def _robot(job: ExportJob) -> Files:
 
 def _motion(job: ExportJob) -> Files:
     options = job.options
+    if options.poses == "estimated":
+        return _estimated(job)
     motion = job.motion(options.step_s)
     if motion.undetermined:
         job.leave_out(
@@ -247,6 +249,15 @@ def _motion(job: ExportJob) -> Files:
         origin = "poses of the frame in N [m], predicted from the last state of the run on"
         text = ccsds.tum(motion.timestamps_ns, X_NF, [*job.comments, origin, uncertainty])
     return {options.output: text.encode("ascii", "replace")}
+
+
+def _estimated(job: ExportJob) -> Files:
+    """The poses that the run estimated at its frames, in the format of TUM."""
+    table = job.trajectory()
+    origin = "poses of the frame in N [m], estimated at the frames of the run"
+    sigma = "standard deviations of the estimate: trajectory.csv and covariance.npz of the run"
+    text = ccsds.tum(table.timestamps_ns, job.poses(table), [*job.comments, origin, sigma])
+    return {job.options.output: text.encode("ascii", "replace")}
 
 
 def _json(job: ExportJob) -> Files:

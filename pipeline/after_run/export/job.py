@@ -98,6 +98,12 @@ class ExportJob:
             self.leave_out(f"covariances of the motion are left out: {error}")
             return predict_without_covariance(self.folder, self.options.horizon, step_s)
 
+    def trajectory(self) -> Trajectory:
+        """The states at the frames. Raises InputError when the run has no motion."""
+        if self.no_motion:
+            raise InputError(f"{self.folder}: {self.no_motion}")
+        return read_trajectory(self.folder)
+
     def check_epoch(self, first_ns: int) -> None:
         """Note when the first time in the file is far from --epoch: the timestamps count from elsewhere."""
         years = first_ns * 1e-9 / SECONDS_PER_YEAR

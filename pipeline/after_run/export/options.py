@@ -17,6 +17,8 @@ from polhode.planning.exports.formats import FORMATS, MESHES, MOTIONS, Format
 
 FrameName = Literal["G", "P", "cad"]
 Unit = Literal["m", "mm"]
+Poses = Literal["predicted", "estimated"]
+"""After the last frame, or at the frames"""
 METRES: dict[str, float] = {"m": 1.0, "mm": 1e-3}
 MAX_PIECES = 1024
 MIN_MASS, MAX_MASS = 1e-9, 1e15
@@ -39,6 +41,7 @@ class ExportOptions:
     mass_kg: float | None = None
     middle_moment_kg_m2: float | None = None
     pieces: int = 512
+    poses: Poses = "predicted"
     horizon: float = 60.0
     step_s: float | None = None
     epoch: str = "1970-01-01T00:00:00"
@@ -79,6 +82,9 @@ def check(options: ExportOptions) -> None:
         )
     if options.unit == "mm" and to not in MESHES:
         raise InputError(f"--unit mm: {to} has lengths of its own; the unit is for {', '.join(MESHES)}")
+    _require_one_of("--poses", options.poses, get_args(Poses))
+    if options.poses == "estimated" and to != "tum":
+        raise InputError(f"--poses estimated: only tum can have the poses at the frames, not {to}")
     if options.animate and to != "glb":
         raise InputError(f"--animate: only glb can store a motion of the model, not {to}")
     if to == "oem" and options.frame_name != "P":

@@ -14,12 +14,15 @@ import pytest
 import trimesh
 from trimesh.visual import ColorVisuals
 
+import polhode
 from polhode.cli.main import main
 from polhode.config import Config
+from polhode.errors import InputError
 from polhode.lie import exp_so3, log_so3, make_pose, matrix_from_wxyz, transform_points
 from polhode.mapping.mesh_files import read_ply
 from polhode.mesh_metrics import distance_to_surface
 from polhode.pipeline.after_run.export.json_document import SCHEMA_FILE, Document
+from polhode.pipeline.after_run.export.options import FrameName
 from polhode.pipeline.run_directory.summary import read_summary, write_summary
 from polhode.pipeline.run_directory.summary_schema import Intervals, json_schema
 from polhode.records import SurfaceModel
@@ -286,6 +289,23 @@ def test_a_run_without_covariances_exports_the_motion_and_says_so(
     assert content["mass_properties"]["k1"] is not None
 
 
+@pytest.mark.parametrize("frame", ["P", "G"])
+def test_estimated_poses_in_tum_are_those_of_the_run(frame: FrameName, run: Path, tmp_path: Path) -> None:
+    file = export(run, "tum", tmp_path / "run.tum", "--poses", "estimated", "--frame", frame)
+    rows = [line.split() for line in file.read_text().splitlines() if not line.startswith("#")]
+    stored = polhode.load(run)
+    stamps = [int(row[0].replace(".", "")) for row in rows]
+    assert stamps == stored.trajectory.timestamps_ns.tolist()
+    values = np.array(rows)[:, 1:].astype(float)
+    X_NF = make_pose(matrix_from_wxyz(values[:, [6, 3, 4, 5]]), values[:, :3])
+    expected = stored.X_NG if frame == "G" else make_pose(stored.trajectory.R_NP, stored.trajectory.r_N)
+    np.testing.assert_allclose(X_NF, expected, atol=1e-9)
+    (same,) = stored.export("tum", tmp_path / "same.tum", poses="estimated", frame=frame)
+    assert same.read_bytes() == file.read_bytes()
+    with pytest.raises(InputError, match="poses='estimated': only tum"):
+        stored.export("aem", tmp_path / "x.aem", poses="estimated")
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -321,6 +341,8 @@ def test_a_run_without_covariances_exports_the_motion_and_says_so(
         (["--to", "ply", "--frame", "Q"], "--frame 'Q': unknown"),
         (["--to", "urdf", "--unit", "mm"], "--unit mm: urdf has lengths of its own"),
         (["--to", "ply", "--level", "9"], "--level 9: this run's mesh has levels 0 to"),
+        (["--to", "oem", "--poses", "estimated"], "--poses estimated: only tum can have the poses at the"),
+        (["--to", "tum", "--poses", "true"], "--poses 'true': unknown; give one of predicted estimated"),
         (["--to", "ply", "--animate"], "--animate: only glb"),
         (["--to", "oem", "--frame", "G"], "an OEM is the path of the centre of mass"),
         (["--to", "oem", "--horizon", "-1"], "--horizon -1: give the seconds"),

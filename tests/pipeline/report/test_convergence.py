@@ -132,10 +132,10 @@ def test_undetermined_sigmas_have_no_bound(example: Any, undetermined: Any, tmp_
 
 
 def test_the_other_starts_are_told_in_words(example: Any, tmp_path: Path) -> None:
-    others = {"momentum": 0.0, "oblate": 2.5, "prolate": 114.0, "flat across": float("inf")}
+    others = {"momentum": 0.6, "oblate": 2.5, "prolate": 114.0, "flat across": float("inf")}
     estimate = replace(example.estimate, solver=replace(example.estimate.solver, runner_up=others))
     rows = {row.name: row.value for row in run_rows(_content(example, estimate, tmp_path / "run"))}
     assert rows["start from momentum"] == "ended in the same minimum"
-    assert rows["start from oblate"] == "a minimum of 2.5 more: almost as likely: an ambiguity"
-    assert rows["start from prolate"] == "a minimum of 114.0 more: far less likely"
+    assert rows["start from oblate"] == "ended in another minimum, whose cost is higher by 2.5"
+    assert rows["start from prolate"] == "ended in another minimum, whose cost is higher by 114"
     assert rows["start from flat across"] == "did not converge"
