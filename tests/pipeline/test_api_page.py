@@ -15,7 +15,7 @@ import polhode
 from polhode import stages
 from polhode.config import Config
 from polhode.errors import InputError
-from polhode.lie import transform_points
+from polhode.lie import log_so3, transform_points
 from polhode.mapping.mesh_files import write_ply
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.run_directory.stages import StageStore
@@ -42,12 +42,19 @@ def page(
     def opened(data: Path, config: Config, progress: Progress) -> RunContext:
         return replace(open_context(data, config, progress), stages=results)
 
+    of_frames = RunContext.of_frames
+
+    def apart(context: RunContext, frames: list[int]) -> RunContext:
+        """Of some frames, which no run has taken: their results are no results of the page's stages."""
+        return replace(of_frames(context, frames), stages=StageStore())
+
     code = "\n".join(re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL))
     (folder / "page.py").write_text(code)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr(polhode, "run", partial(polhode.run, resume=True))
         patch.setattr(stages, "open_context", opened)
+        patch.setattr(RunContext, "of_frames", apart)
         # The mesh of so few frames is open; the distances from its hull would take most of the time.
         patch.setattr("polhode.planning.keep_out.measured_body.OPEN_SHARE", 1.0)
         names = runpy.run_path("page.py")
@@ -58,9 +65,9 @@ def page(
 
 def test_the_code_of_the_page_runs_from_top_to_bottom(page: SimpleNamespace) -> None:
     assert page.run.status == "ok" and page.errors["rmse_position_m"] < 2e-3
-    assert [path.name for path in page.files] == ["motion.tum"]
+    assert [path.name for path in page.files] == ["run.tum"]
     made = {path.name for path in page.folder.iterdir()}
-    assert made == {"SEQ", "RUN", "SIMULATED", "motion.tum", "page.py"}
+    assert made == {"SEQ", "RUN", "SIMULATED", "motion.tum", "run.tum", "page.py"}
 
 
 def test_every_stage_has_the_inputs_that_it_has_in_a_run(page: SimpleNamespace) -> None:
@@ -82,6 +89,37 @@ def test_a_pair_by_itself_gives_what_it_gives_in_the_run(page: SimpleNamespace) 
     assert page.pair.mask_left.any() and page.pair.left.dtype == np.uint8
     with pytest.raises(InputError, match="pair 14: the sequence has pairs 0 to 13"):
         stages.rectified_pair(page.context, 14)
+
+
+def test_two_frames_by_themselves_have_the_relative_pose_of_the_truth(page: SimpleNamespace) -> None:
+    assert (page.match.i, page.match.j) == (0, 1) and len(page.match) > 20
+    assert np.rad2deg(np.linalg.norm(log_so3(page.difference[:3, :3]))) < 0.5
+    assert np.linalg.norm(page.difference[:3, 3]) < 5e-3
+    with pytest.raises(InputError, match="features of 14 frames for a context of 2"):
+        stages.match_features(page.two, page.features)
+    with pytest.raises(InputError, match="features of 14 frames for a context of 2"):
+        stages.depth_maps(page.two, page.features)
+
+
+@pytest.mark.parametrize(
+    ("frames", "words"),
+    [
+        ([1, 0], "0 follows 1; give each frame once, in ascending order"),
+        ([2, 2], "2 follows 2; give each frame once"),
+        ([0, 14], "there is no frame 14; the sequence has frames 0 to 13"),
+        ([-1, 3], "there is no frame -1;"),
+        ([], "give one or more whole numbers"),
+        ([0.5], "give one or more whole numbers"),
+    ],
+)
+def test_frames_that_are_none_of_the_context_are_refused(
+    frames: list[int], words: str, page: SimpleNamespace
+) -> None:
+    with pytest.raises(InputError, match=words):
+        page.context.of_frames(frames)
+    for kind in (list, tuple, np.array):
+        some = page.context.of_frames(kind([1, 4]))
+        np.testing.assert_array_equal(some.X_NR, page.context.X_NR[[1, 4]])
 
 
 def test_records_of_the_front_end_have_the_shapes_of_the_page(page: SimpleNamespace) -> None:
