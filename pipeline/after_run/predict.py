@@ -85,12 +85,7 @@ def predict_run(
 def predict_instants(run_folder: Path, time_s: Array) -> PredictedMotion:
     """Predict to times (T,) [s] after the last pair. Raises InputError: no estimate, or not increasing."""
     last, summary = last_body(run_folder)
-    if time_s.ndim != 1 or not 1 <= len(time_s) <= MAX_ROWS:
-        raise InputError(f"times of shape {time_s.shape}: give one, or a row of up to {MAX_ROWS}")
-    if not (np.isfinite(time_s).all() and time_s[0] >= 0.0 and (np.diff(time_s) > 0.0).all()):
-        raise InputError("times: give increasing seconds after the last pair, none below 0")
-    if time_s[-1] > 0.0:
-        require_horizon(float(time_s[-1]), float(np.linalg.norm(last.w_G)))
+    require_instants(time_s, last)
     stamps = read_trajectory(run_folder).timestamps_ns[-1] + np.round(time_s * 1e9).astype(np.int64)
     return _predicted(run_folder, last, summary, time_s, stamps, None)
 
@@ -160,6 +155,16 @@ def prediction_instants(
 def undetermined_names(summary: Summary) -> tuple[str, ...]:
     """Names of the quantities that the run's motion does not determine."""
     return tuple(name for name, words in summary.identifiable_detail.items() if words.startswith("not"))
+
+
+def require_instants(time_s: Array, last: FinalState) -> None:
+    """Raise InputError unless these are times (T,) [s] after the last pair that can be predicted."""
+    if time_s.ndim != 1 or not 1 <= len(time_s) <= MAX_ROWS:
+        raise InputError(f"times of shape {time_s.shape}: give one, or a row of up to {MAX_ROWS}")
+    if not (np.isfinite(time_s).all() and time_s[0] >= 0.0 and (np.diff(time_s) > 0.0).all()):
+        raise InputError("times: give increasing seconds after the last pair, none below 0")
+    if time_s[-1] > 0.0:
+        require_horizon(float(time_s[-1]), float(np.linalg.norm(last.w_G)))
 
 
 def require_horizon(horizon_s: float, rate_rad_s: float) -> None:
