@@ -32,6 +32,7 @@ from polhode.mapping.mesh_files import read_ply
 from polhode.mapping.visibility import CLEARANCE, Caster, light_level
 from polhode.mesh_metrics import SAMPLES, compare_surfaces, sample_surface
 from polhode.metrics import (
+    ALIGNED,
     COVERAGE,
     COVERAGE_CONSTANTS,
     IN_INTERVAL,
@@ -175,9 +176,11 @@ def _motion_metrics(estimate: States, truth: States, covariance: Covariance) -> 
     errors = asdict(motion_errors(estimate, truth))
     half_turn = errors.pop("half_turn")
     attitude = {"median": errors.pop("attitude_median_deg"), "max": errors.pop("attitude_max_deg")}
+    with_axes = {name: errors.pop(f"attitude_with_axes_{name}_deg") for name in ("median", "max")}
     return {
         **errors,
         "attitude_error_deg": attitude,
+        "attitude_error_with_axes_deg": with_axes,
         "half_turn": HALF_TURN_NAMES[half_turn],
         NEES: state_nees(estimate, truth, covariance.covariance, half_turn),
         COVERAGE: state_coverage(estimate, truth, covariance.covariance, half_turn),
@@ -337,7 +340,8 @@ def format_table(metrics: Metrics) -> str:
     for key, value in metrics.items():
         if isinstance(value, dict):
             for name, part in value.items():
-                table.add_row(f"{key} {name}", _shown(part), _unit(key, name), _expected(key, name))
+                label = f"{key} {name}" + (f"\n  {ALIGNED[key]}" if key in ALIGNED else "")
+                table.add_row(label, _shown(part), _unit(key, name), _expected(key, name))
         else:
             table.add_row(key, _shown(value), _unit(key), "")
     console = Console(width=100, file=StringIO(), force_terminal=False)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from polhode.lie import Array
-from polhode.metrics import IN_INTERVAL, NEES, expected_range
+from polhode.metrics import ALIGNED, IN_INTERVAL, NEES, expected_range
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
 from polhode.pipeline.run_directory.summary_schema import Assumed, Intervals, IpoptSummary, Summary
 from polhode.pipeline.run_directory.trajectory_file import Trajectory
@@ -335,9 +335,9 @@ def metric_rows(metrics: dict[str, Any]) -> list[TableRow]:
                     holds = expected[0] <= part <= expected[1]
                 elif key == IN_INTERVAL:
                     words, holds = "expected True", bool(part)
-                rows.append(
-                    TableRow(f"{_plain(key)}: {_member(row.name)}", row.value, words, determined=holds)
-                )
+                aligned = f", {ALIGNED[key]}" if key in ALIGNED else ""
+                name = f"{_plain(key)}: {_member(row.name)}{aligned}"
+                rows.append(TableRow(name, row.value, words, determined=holds))
         elif isinstance(value, bool | str) or value is None:
             rows.append(TableRow(_plain(key), "–" if value is None else str(value)))
         elif isinstance(value, int | float):

@@ -100,6 +100,7 @@ def test_the_truth_scores_zero_in_another_frame_G(example: Example, sequence: Pa
     metrics = evaluate(run, sequence)
     assert metrics["rmse_position_m"] < 1e-12
     assert metrics["attitude_error_deg"]["max"] < 1e-5
+    assert metrics["attitude_error_with_axes_deg"]["max"] < 1e-5
     assert metrics["error_com_mm"] < 1e-9
     assert abs(metrics["error_k1"]) < 1e-12
     assert all(value < 1e-6 for value in metrics["nees"].values())
@@ -122,6 +123,11 @@ def test_the_truth_scores_zero_in_another_frame_G(example: Example, sequence: Pa
         ("mesh chamfer_mm", "mm"),
     ):
         assert re.search(rf" {name} .*\d │ {unit} +│", table)
+    for name in ("attitude_error_deg max", "prediction_error_deg 10"):
+        assert re.search(rf" {name} .*\n.*after the constant rotation of the axes is removed ", table)
+    assert re.search(
+        r" attitude_error_with_axes_deg max .*\n.*of the run's own axes, after half_turn ", table
+    )
     assert re.search(r" mesh completeness_3mm .*\d │ +│", table)
     (line,) = [line for line in table.splitlines() if "nees inertia" in line]
     assert "0.83 to 12.8" in line

@@ -64,6 +64,8 @@ def test_constant_errors_are_given_back_exactly(truth: Truth) -> None:
     assert errors.rmse_angular_velocity_deg_s == pytest.approx(1.0, rel=1e-9)
     assert errors.principal_axes_error_deg == pytest.approx(2.0, abs=1e-6)
     assert errors.attitude_max_deg < 1e-5
+    assert errors.attitude_with_axes_median_deg == pytest.approx(2.0, abs=1e-6)
+    assert errors.attitude_with_axes_max_deg == pytest.approx(2.0, abs=1e-6)
 
 
 def test_attitude_error_is_what_no_constant_rotation_explains(truth: Truth) -> None:

@@ -360,11 +360,15 @@ def test_a_value_has_the_digits_that_its_sigma_allows(value: float, sigma: float
 def test_metrics_are_listed_with_their_units() -> None:
     metrics = {
         "rmse_velocity_m_s": 2e-4,
+        "attitude_error_deg": {"median": 0.02},
+        "attitude_error_with_axes_deg": {"median": 0.09},
         "prediction_error_m": {"10": 0.002},
         "mesh": {"completeness_3mm": 0.9},
     }
     assert [(row.name, row.value) for row in metric_rows(metrics)] == [
         ("RMSE velocity [mm/s]", "0.2"),
+        ("attitude error [deg]: median, after the constant rotation of the axes is removed", "0.02"),
+        ("attitude error with axes [deg]: median, of the run's own axes, after half_turn", "0.09"),
         ("prediction error [mm]: 10 s after the last image", "2"),
         ("mesh: completeness 3mm", "0.9"),
     ]
