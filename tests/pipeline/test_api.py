@@ -20,7 +20,7 @@ from polhode.pipeline.after_run.predict import predict_run
 from polhode.pipeline.run_directory.archives import write_covariance, write_measurements
 from polhode.pipeline.run_directory.point_cloud_file import write_landmarks
 from polhode.pipeline.run_directory.run_card import card_html
-from polhode.pipeline.run_directory.summary_schema import Verdict
+from polhode.pipeline.run_directory.summary_schema import CheckVerdict, Verdict
 from polhode.records import Landmarks
 from tests.pipeline.conftest import Example, write_example
 
@@ -279,6 +279,24 @@ def test_what_is_not_determined_is_called_so(undetermined: Example, tmp_path: Pa
     run = polhode.load(tmp_path / "run")
     assert "k1 not determined, k2 not determined" in repr(run)
     assert "not determined in every direction" in run._repr_html_()
+
+
+def test_the_verdict_is_a_few_lines_that_name_what_does_not_hold(stored: polhode.Run) -> None:
+    checks = (
+        CheckVerdict(name="residuals", value=1.0, expected=(0.0, 2.0), holds=True),
+        CheckVerdict(name="prediction", value=5.0, expected=(0.0, 3.0), holds=False),
+        CheckVerdict(name="images", value=7.0, expected=(0.0, None), holds=None),
+        CheckVerdict(name="mirror twin", value=None, expected=(0.0, 3.0), holds=None),
+    )
+    verdict = Verdict(status="degraded", reasons=("the prediction is off",), checks=checks)
+    assert str(verdict).splitlines() == [
+        "degraded: 1 of 2 checks hold",
+        "  reason: the prediction is off",
+        "  does not hold: prediction",
+        "  not possible with these data: mirror twin",
+    ]
+    assert repr(verdict) == str(verdict)
+    assert str(stored.verdict).startswith("ok: ") and len(str(stored.verdict)) < 1000
 
 
 def test_the_table_of_a_notebook_escapes_what_files_say(stored: polhode.Run) -> None:
