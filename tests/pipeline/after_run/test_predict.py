@@ -123,7 +123,7 @@ def test_the_table_goes_on_where_the_trajectory_ends(
     ],
 )
 def test_the_rows_on_the_screen_are_at_even_steps_to_the_horizon(count: int, seconds: list[float]) -> None:
-    time_s = 0.5 * np.arange(1, count + 1)
+    time_s = 0.5 * np.arange(1, count + 1, dtype=np.float64)
     assert time_s[shown_rows(time_s)].tolist() == seconds
 
 
