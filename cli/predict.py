@@ -17,7 +17,8 @@ STATE = ("r_N", "v_N", "R_NP", "w_P")
 class PredictCommand:
     """Predict the target's motion: its last state propagated as a free rigid body, with standard deviations.
 
-    Prints a few rows; -o writes all of them with the columns of trajectory.csv.
+    Prints a few rows of position, velocity, attitude and rate; -o writes all rows, with the columns of
+    trajectory.csv.
     """
 
     EXAMPLES: ClassVar = (
@@ -39,7 +40,8 @@ class PredictCommand:
     """Time between two rows [s]; the run's own interval unless given."""
     marks: Flag = False
     """Give the standard deviations of the body itself: the estimated centre of mass and principal axes are
-    treated as marks on it. They are finite even where the motion does not determine those."""
+    treated as marks on it. They are finite even where the motion does not determine those. States are the
+    same."""
 
     def execute(self) -> Answer:
         """Predict, write and print."""

@@ -28,7 +28,7 @@ from polhode.pipeline.after_run.export.export_run import export_run
 from polhode.pipeline.after_run.export.options import ExportOptions, FrameName, Poses, Unit
 from polhode.pipeline.after_run.observability.assess import Assessment, CameraOptions, assess, subject_of
 from polhode.pipeline.after_run.plan import final_estimate, keep_out_of_run, surface_of
-from polhode.pipeline.after_run.predict import predict_instants
+from polhode.pipeline.after_run.predict import predict_instants, require_instants
 from polhode.pipeline.evaluation import Metrics
 from polhode.pipeline.report import evaluate_and_report
 from polhode.pipeline.run import run as run_pipeline
@@ -48,7 +48,7 @@ from polhode.pipeline.run_directory.stored_run import StoredMotion, read_motion
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Identifiable, Intervals, Summary, Verdict
 from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_trajectory
-from polhode.planning.approach.surface_speed import velocity
+from polhode.planning.approach.surface_speed import velocity, velocity_covariance
 from polhode.planning.edges.edge_model import CREASE_DEG
 from polhode.planning.exports.formats import FORMATS, Format
 from polhode.planning.keep_out.measured_body import Cover
@@ -337,13 +337,13 @@ class Run:
             raise InputError(f"{self.folder}: this run failed before it had an estimate")
         return found
 
-    @errors_name_arguments()
+    @errors_name_arguments({"--horizon": "time_s"})
     def predict(self, time_s: ArrayLike) -> PredictedMotion:
         """The motion at times (T,), or one time, in seconds after the last pair, with its covariance.
 
         Raises InputError: no estimate, times that do not increase or are negative.
         """
-        return predict_instants(self.folder, np.atleast_1d(np.asarray(time_s, dtype=np.float64)))
+        return predict_instants(self.folder, np.atleast_1d(_seconds(time_s)))
 
     @errors_name_arguments({"--horizon": "horizon_s"})
     def keep_out(
@@ -361,16 +361,32 @@ class Run:
         options = KeepOutOptions(horizon_s, confidence, members=members, cover=cover)
         return keep_out_of_run(self.folder, options)
 
-    @errors_name_arguments()
-    def points_velocity(self, p_G: ArrayLike, time_s: float = 0.0) -> Array:
-        """Velocity (n, 3) in N [m/s] of points (n, 3) of the target in G, seconds after the last pair."""
-        points = np.atleast_2d(np.asarray(p_G, dtype=np.float64))
-        if points.shape[-1] != 3 or not np.isfinite(points).all():
-            raise InputError("points: give finite coordinates (n, 3) in G [m]")
-        if not 0.0 <= time_s < np.inf:
-            raise InputError(f"time {time_s:g}: give seconds after the last pair, at least 0")
-        motion = nominal_motion(final_estimate(self.folder)[0], np.array([time_s]))
-        return velocity(motion, 0, points)
+    @errors_name_arguments({"--horizon": "time_s"})
+    def points_velocity(self, p_G: ArrayLike, time_s: ArrayLike = 0.0) -> Array:
+        """Velocity along N [m/s] of points fixed to the target.
+
+        p_G (n, 3) [m], or one point (3,), in the body frame G, as the vertices of ``mesh`` and the landmarks.
+        time_s: seconds after the last pair. One time gives (n, 3), increasing times (T,) give (T, n, 3).
+        Raises InputError: no estimate, points or times that do not fit.
+        """
+        points, time = _points(p_G), _seconds(time_s)
+        estimate, _ = final_estimate(self.folder)
+        require_instants(np.atleast_1d(time), estimate.last)
+        motion = nominal_motion(estimate, np.atleast_1d(time))
+        return velocity(motion, 0 if time.ndim == 0 else slice(None), points)
+
+    @errors_name_arguments({"--horizon": "time_s"})
+    def points_velocity_covariance(self, p_G: ArrayLike, time_s: ArrayLike = 0.0) -> Array:
+        """Covariance along N [(m/s)^2] of ``points_velocity``: (n, 3, 3), or (T, n, 3, 3) for times (T,).
+
+        To first order, from ``predict(time_s).covariance_of_marks``; so it includes the uncertain centre of
+        mass, and is finite where the motion does not determine it. The points are exact in G: the standard
+        deviation of a landmark or vertex is not part of it. Raises InputError as ``points_velocity``.
+        """
+        points, time = _points(p_G), _seconds(time_s)
+        motion = predict_instants(self.folder, np.atleast_1d(time))
+        found = velocity_covariance(motion, (points - self.mass.com_G) @ self.mass.R_GP)
+        return found[0] if time.ndim == 0 else found
 
     @errors_name_arguments({"--sun": "sun_N"}, words={"inertial": "N"})
     def observability(
@@ -423,6 +439,25 @@ class Run:
         except ImportError:
             raise InputError("pandas is not installed: pip install 'polhode[pandas]'") from None
         return pd.DataFrame(columns)
+
+
+def _seconds(time_s: ArrayLike) -> Array:
+    """One time () or times (T,). Raises InputError: not numbers."""
+    try:
+        return np.asarray(time_s, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("times: give numbers, in seconds after the last pair") from None
+
+
+def _points(p_G: ArrayLike) -> Array:
+    """(n, 3) from these or one point (3,). Raises InputError."""
+    try:
+        points = np.atleast_2d(np.asarray(p_G, dtype=np.float64))
+    except (TypeError, ValueError):
+        raise InputError("points: give numbers, coordinates (n, 3) in G [m]") from None
+    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+        raise InputError(f"points of shape {np.shape(p_G)}: give finite coordinates (n, 3) in G [m]")
+    return points
 
 
 def _variances(rows: Sequence[Sequence[float | None]] | None) -> Array:

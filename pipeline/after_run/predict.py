@@ -51,7 +51,7 @@ ARRAYS = (
 )  # fmt: skip
 """Names in the archive of a prediction."""
 SHOWN_ROWS = 6
-"""Of the printed table, evenly spaced."""
+"""Of the printed tables, about so many."""
 SEEN_FRAMES = 20
 """Past frames that bound an undetermined inertia."""
 MIN_POSITION_SHARE = 0.1
@@ -85,12 +85,7 @@ def predict_run(
 def predict_instants(run_folder: Path, time_s: Array) -> PredictedMotion:
     """Predict to times (T,) [s] after the last pair. Raises InputError: no estimate, or not increasing."""
     last, summary = last_body(run_folder)
-    if time_s.ndim != 1 or not 1 <= len(time_s) <= MAX_ROWS:
-        raise InputError(f"times of shape {time_s.shape}: give one, or a row of up to {MAX_ROWS}")
-    if not (np.isfinite(time_s).all() and time_s[0] >= 0.0 and (np.diff(time_s) > 0.0).all()):
-        raise InputError("times: give increasing seconds after the last pair, none below 0")
-    if time_s[-1] > 0.0:
-        require_horizon(float(time_s[-1]), float(np.linalg.norm(last.w_G)))
+    require_instants(time_s, last)
     stamps = read_trajectory(run_folder).timestamps_ns[-1] + np.round(time_s * 1e9).astype(np.int64)
     return _predicted(run_folder, last, summary, time_s, stamps, None)
 
@@ -160,6 +155,16 @@ def prediction_instants(
 def undetermined_names(summary: Summary) -> tuple[str, ...]:
     """Names of the quantities that the run's motion does not determine."""
     return tuple(name for name, words in summary.identifiable_detail.items() if words.startswith("not"))
+
+
+def require_instants(time_s: Array, last: FinalState) -> None:
+    """Raise InputError unless these are times (T,) [s] after the last pair that can be predicted."""
+    if time_s.ndim != 1 or not 1 <= len(time_s) <= MAX_ROWS:
+        raise InputError(f"times of shape {time_s.shape}: give one, or a row of up to {MAX_ROWS}")
+    if not (np.isfinite(time_s).all() and time_s[0] >= 0.0 and (np.diff(time_s) > 0.0).all()):
+        raise InputError("times: give increasing seconds after the last pair, none below 0")
+    if time_s[-1] > 0.0:
+        require_horizon(float(time_s[-1]), float(np.linalg.norm(last.w_G)))
 
 
 def require_horizon(horizon_s: float, rate_rad_s: float) -> None:
@@ -326,36 +331,72 @@ def write_prediction(prediction: PredictedMotion, path: Path, marks: bool) -> No
 
 
 def format_prediction(prediction: PredictedMotion, is_written: bool, marks: bool) -> str:
-    """A few rows as text: the predicted centre of mass, and standard deviations of position and attitude.
+    """A few rows as text: the predicted states, each with the standard deviation of its worst axis.
 
-    ``is_written``: there is a file as well, ``marks`` as it was written.
+    ``is_written``: there is a file as well; ``marks``: the standard deviations are those of the body itself,
+    as they are in the file.
     """
-    time_s = prediction.time_s
-    rows = np.unique(np.linspace(0, len(time_s) - 1, SHOWN_ROWS + 1).round().astype(int)[1:])
-    sigma = standard_deviations(prediction.covariance_of_marks)
-    table = Table(title="After the last pair (one standard deviation, worst axis)")
-    for name in (
-        *("time [s]", "r_N [m]", "position of the body\n[mm]", "attitude of the body\n[deg]"),
-        "rate [deg/s]",
-    ):
-        table.add_column(escape(name), justify="right", no_wrap=True)
+    rows = shown_rows(prediction.time_s)
+    sigma = standard_deviations(prediction.covariance_of_marks if marks else prediction.covariance)
+    q = continuous_wxyz(wxyz_from_matrix(prediction.R_NP))
+    w_deg_s = np.rad2deg(prediction.w_P)
+    sigmas_of = "the body itself (--marks)" if marks else "the centre of mass and the principal axes"
+    centre = _table("Centre of mass", "time [s]", "r_N x y z [m]", "± [mm]", "v_N x y z [mm/s]", "± [mm/s]")
+    turn = _table("Rotation", "time [s]", "q_NP w x y z", "± [deg]", "w_P x y z [deg/s]", "± [deg/s]")
     for k in rows:
-        table.add_row(
-            f"{time_s[k]:g}",
-            " ".join(f"{x:.4f}" for x in prediction.r_N[k]),
-            f"± {1e3 * sigma[k, 0:3].max():.2g}",
-            f"± {np.rad2deg(sigma[k, 6:9].max()):.2g}",
-            f"{np.rad2deg(np.linalg.norm(prediction.w_P[k])):.2f}",
+        time = f"{prediction.time_s[k]:.6g}"
+        centre.add_row(
+            time,
+            _numbers(prediction.r_N[k], 4),
+            _worst(1e3 * sigma[k, 0:3]),
+            _numbers(1e3 * prediction.v_N[k], 3),
+            _worst(1e3 * sigma[k, 3:6]),
         )
-    console = Console(width=100, file=StringIO(), force_terminal=False)
+        turn.add_row(
+            time,
+            _numbers(q[k], 4),
+            _worst(np.rad2deg(sigma[k, 6:9])),
+            _numbers(w_deg_s[k], 3),
+            _worst(np.rad2deg(sigma[k, 9:12])),
+        )
+    console = Console(width=120, file=StringIO(), force_terminal=False)
     with console.capture() as capture:
-        console.print(table)
-    words = ""
+        console.print(centre)
+        console.print(turn)
+    words = f"Seconds after the last pair; ±: one standard deviation, worst axis, of {sigmas_of}.\n"
     if prediction.undetermined:
         shown = "the sigmas are those of the body itself"
-        if is_written and not marks:
-            shown = "sigmas that depend on it are inf in the file; --marks gives those of the body itself"
-        words = f"The run does not determine {', '.join(prediction.undetermined)}: {shown}.\n"
+        if not marks:
+            where = " in the file" if is_written else ""
+            shown = f"sigmas that depend on it are inf{where}; --marks gives those of the body itself"
+        words += f"The run does not determine {', '.join(prediction.undetermined)}: {shown}.\n"
     if prediction.ranges:
         words += f"By the hull of the body: {'; '.join(prediction.ranges)}.\n"
     return capture.get() + words
+
+
+def shown_rows(time_s: Array) -> Ints:
+    """Which of the rows (T,) are printed: about ``SHOWN_ROWS`` at even steps, the last one at the horizon.
+
+    The steps are even where a number of rows from 4 to 8 divides T. Elsewhere the last one is shorter.
+    """
+    count = len(time_s)
+    fitting = [shown for shown in range(4, 9) if count % shown == 0]
+    shown = min(fitting, key=lambda each: abs(each - SHOWN_ROWS), default=SHOWN_ROWS)
+    step = -(-count // shown)
+    return np.unique(np.append(np.arange(step - 1, count, step), count - 1)).astype(np.int64)
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title)
+    for name in columns:
+        table.add_column(escape(name), justify="right", no_wrap=True)
+    return table
+
+
+def _numbers(values: Array, digits: int) -> str:
+    return " ".join(f"{x:.{digits}f}" for x in values)
+
+
+def _worst(sigma: Array) -> str:
+    return f"{sigma.max():.2g}"

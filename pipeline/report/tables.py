@@ -494,11 +494,16 @@ def mesh_sentences(summary: Summary) -> list[str]:
 
 @dataclass(frozen=True)
 class SigmaRow:
-    """Standard deviations along three axes, as text."""
+    """Standard deviations as text: along three axes, or one of a quantity without axes."""
 
     name: str
     unit: str
-    cells: tuple[str, str, str]
+    cells: tuple[str, ...]
+
+    @property
+    def along_axes(self) -> bool:
+        """Whether the cells are x, y, z."""
+        return len(self.cells) == 3
 
 
 def sigma_rows(content: StoredRun) -> list[SigmaRow]:
@@ -517,7 +522,10 @@ def sigma_rows(content: StoredRun) -> list[SigmaRow]:
         SigmaRow("angular velocity, along P, mean", "deg/s", _cells(deg * path.sigma_w.mean(axis=0))),
         SigmaRow("centre of mass, along G", "mm", _cells(1e3 * _roots(cov_com))),
         SigmaRow("principal axes, about P", "deg", _cells(deg * _roots(cov_axes))),
-        SigmaRow("inertia ratios k1, k2", "", (*_cells(_roots(ratios))[:2], "")),
+        *(
+            SigmaRow(f"inertia ratio {name}", "", (cell,))
+            for name, cell in zip(("k1", "k2"), _cells(_roots(ratios)), strict=True)
+        ),
     ]
 
 
@@ -527,6 +535,5 @@ def _roots(covariance: Array) -> Array:
     return np.where(np.isfinite(variance), np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), np.inf)
 
 
-def _cells(sigma: Array) -> tuple[str, str, str]:
-    shown = [f"{value:.3g}" if np.isfinite(value) else "no bound" for value in sigma]
-    return (shown[0], shown[1], shown[2] if len(shown) > 2 else "")
+def _cells(sigma: Array) -> tuple[str, ...]:
+    return tuple(f"{value:.3g}" if np.isfinite(value) else "no bound" for value in sigma)

@@ -57,8 +57,11 @@ def json_text(content: Any) -> Markup:
 
 
 def css_text(text: str) -> Markup:
-    """A text inside the quotation marks of a style sheet: all but letters, digits and spaces escaped."""
-    escaped = "".join(each if re.match("[A-Za-z0-9 ]", each) else f"\\{ord(each):06x}" for each in text)
+    """A text inside the quotation marks of a style sheet: all but letters, digits and spaces escaped.
+
+    A space ends each escape: a style sheet takes one away there, even after six digits.
+    """
+    escaped = "".join(each if re.match("[A-Za-z0-9 ]", each) else f"\\{ord(each):06x} " for each in text)
     return Markup(escaped)  # noqa: S704
 
 

@@ -256,6 +256,20 @@ class Verdict(StrictModel):
     """Why it is not "ok", a sentence each; the first one is the failure, if any."""
     checks: tuple[CheckVerdict, ...]
 
+    def __repr__(self) -> str:
+        """Status and reasons, then how many checks hold, with the names of those that do not or cannot."""
+        judged = [check for check in self.checks if check.holds is not None]
+        failing = [check.name for check in judged if not check.holds]
+        impossible = [check.name for check in self.checks if check.value is None]
+        lines = [f"{self.status}: {len(judged) - len(failing)} of {len(judged)} checks hold"]
+        lines += [f"  reason: {reason}" for reason in self.reasons]
+        lines += [f"  does not hold: {name}" for name in failing]
+        if impossible:
+            lines.append(f"  not possible with these data: {'; '.join(impossible)}")
+        return "\n".join(lines)
+
+    __str__ = __repr__
+
 
 def verdict_of(status: Status, reasons: Iterable[str], checks: Iterable[Check]) -> Verdict:
     """The verdict of a run with these checks. No value of a check is negative."""

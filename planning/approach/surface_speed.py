@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.lie import Array, hat
-from polhode.planning.prediction import BodyMotion
+from polhode.planning.prediction import BodyMotion, Prediction
 
 MAX_INSTANTS = 200
 
@@ -61,18 +61,44 @@ def surface_speed(
     )
 
 
-def velocity(motion: BodyMotion, k: int, p_G: Array) -> Array:
-    """Of points (V, 3) fixed to the target, along N (V, 3) [m/s], at the motion's instant k."""
-    lever = p_G @ motion.R_NG[k].T + motion.p_NG[k] - motion.com_N[k]
-    return np.asarray(motion.v_N[k] + np.cross(motion.w_N[k], lever))
+def velocity(motion: BodyMotion, k: int | slice, p_G: Array) -> Array:
+    """Of points (V, 3) fixed to the target, along N [m/s]: (V, 3) at instant k of the motion, or (T, V, 3) at
+    the T instants of a slice.
+    """
+    rotated = p_G @ np.swapaxes(motion.R_NG[k], -1, -2)
+    lever = rotated + motion.p_NG[k][..., None, :] - motion.com_N[k][..., None, :]
+    return np.asarray(motion.v_N[k][..., None, :] + np.cross(motion.w_N[k][..., None, :], lever))
+
+
+def velocity_covariance(prediction: Prediction, lever_P: Array) -> Array:
+    """Covariance (T, V, 3, 3) along N [(m/s)^2] of the velocities of points fixed to the target.
+
+    lever_P (V, 3): from the estimated centre of mass, along the estimated axes [m]. These are exact marks on
+    the body in ``covariance_of_marks``, which has the uncertain centre of mass in r and v. So the velocity is
+    v + R (w x lever) with an exact lever, to first order in v, theta and w.
+    """
+    R = prediction.R_NP[:, None]
+    jacobian = np.concatenate(
+        [
+            np.broadcast_to(np.eye(3), (len(R), len(lever_P), 3, 3)),
+            -R @ hat(np.cross(prediction.w_P[:, None], lever_P)),
+            -R @ hat(lever_P),
+        ],
+        axis=-1,
+    )
+    covariance = prediction.covariance_of_marks[:, None, 3:, 3:]
+    return np.asarray(jacobian @ covariance @ np.swapaxes(jacobian, -1, -2))
 
 
 def _sigma(motion: BodyMotion, R: Array, p_G: Array, along_G: Array, covariance: Array) -> Array:
-    """In G: the velocity is R^T v + w x (p - com); the length of its change along itself, to first order."""
+    """The velocity is v + R w_G x (p - com); the length of its change along itself, to first order."""
     lever = p_G - (motion.com_N[0] - motion.p_NG[0]) @ R
     w_G = motion.w_N[0] @ R
-    slopes = np.concatenate([along_G @ R.T, np.cross(lever, along_G), -np.cross(along_G, w_G)], axis=1)
-    chosen = np.r_[3:6, 9:12, 17:20]
+    by_attitude = np.cross(np.cross(w_G, lever), along_G)
+    slopes = np.concatenate(
+        [along_G @ R.T, by_attitude, np.cross(lever, along_G), -np.cross(along_G, w_G)], axis=1
+    )
+    chosen = np.r_[3:12, 17:20]
     part = covariance[np.ix_(chosen, chosen)]
     return np.asarray(np.sqrt(np.maximum(np.einsum("vi,ij,vj->v", slopes, part, slopes), 0.0)))
 

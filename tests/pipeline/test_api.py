@@ -20,7 +20,7 @@ from polhode.pipeline.after_run.predict import predict_run
 from polhode.pipeline.run_directory.archives import write_covariance, write_measurements
 from polhode.pipeline.run_directory.point_cloud_file import write_landmarks
 from polhode.pipeline.run_directory.run_card import card_html
-from polhode.pipeline.run_directory.summary_schema import Verdict
+from polhode.pipeline.run_directory.summary_schema import CheckVerdict, Verdict
 from polhode.records import Landmarks
 from tests.pipeline.conftest import Example, write_example
 
@@ -97,6 +97,44 @@ def test_velocities_are_those_of_the_moving_body(stored: polhode.Run) -> None:
         stored.points_velocity([1.0, 2.0])
     with pytest.raises(InputError, match="after the last pair"):
         stored.points_velocity(p_G, -1.0)
+
+
+def test_velocities_at_many_times_are_those_at_each_time(stored: polhode.Run) -> None:
+    p_G, times = np.array([[0.06, 0.0, 0.1], [0.0, 0.1, 0.0], [0.0, 0.0, 0.0]]), np.linspace(0.0, 60.0, 5)
+    velocity, covariance = (
+        stored.points_velocity(p_G, times),
+        stored.points_velocity_covariance(p_G, times),
+    )
+    assert velocity.shape == (5, 3, 3) and covariance.shape == (5, 3, 3, 3)
+    for k, time_s in enumerate(times):
+        np.testing.assert_allclose(velocity[k], stored.points_velocity(p_G, time_s), atol=1e-8)
+        alone = stored.points_velocity_covariance(p_G, time_s)
+        np.testing.assert_allclose(covariance[k], alone, rtol=1e-4, atol=1e-12)
+    assert stored.points_velocity(p_G[0], times[:1]).shape == (1, 1, 3)
+
+
+@pytest.mark.parametrize("name", ["points_velocity", "points_velocity_covariance"])
+@pytest.mark.parametrize(
+    ("points", "times", "words"),
+    [
+        ([1.0, 2.0], 0.0, r"points of shape \(2,\)"),
+        ([[[1.0, 2.0, 3.0]]], 0.0, r"points of shape \(1, 1, 3\)"),
+        ([[1.0, 2.0, np.nan]], 0.0, "finite coordinates"),
+        ("here", 0.0, "points: give numbers"),
+        ([1.0, 2.0, 3.0], [1.0, 0.5], "times: give increasing seconds"),
+        ([1.0, 2.0, 3.0], [-1.0, 0.5], "none below 0"),
+        ([1.0, 2.0, 3.0], [[0.0, 1.0]], r"times of shape \(1, 2\)"),
+        ([1.0, 2.0, 3.0], [], r"times of shape \(0,\)"),
+        ([1.0, 2.0, 3.0], "soon", "times: give numbers"),
+        ([1.0, 2.0, 3.0], [0.0, 1e12], r"^time_s=1e\+12: .* revolutions"),
+    ],
+)
+def test_points_and_times_that_do_not_fit_are_one_line(
+    stored: polhode.Run, name: str, points: object, times: object, words: str
+) -> None:
+    with pytest.raises(InputError, match=words) as error:
+        getattr(stored, name)(points, times)
+    assert "\n" not in str(error.value)
 
 
 def pose_at(run: polhode.Run, time_s: float) -> np.ndarray:
@@ -241,6 +279,24 @@ def test_what_is_not_determined_is_called_so(undetermined: Example, tmp_path: Pa
     run = polhode.load(tmp_path / "run")
     assert "k1 not determined, k2 not determined" in repr(run)
     assert "not determined in every direction" in run._repr_html_()
+
+
+def test_the_verdict_is_a_few_lines_that_name_what_does_not_hold(stored: polhode.Run) -> None:
+    checks = (
+        CheckVerdict(name="residuals", value=1.0, expected=(0.0, 2.0), holds=True),
+        CheckVerdict(name="prediction", value=5.0, expected=(0.0, 3.0), holds=False),
+        CheckVerdict(name="images", value=7.0, expected=(0.0, None), holds=None),
+        CheckVerdict(name="mirror twin", value=None, expected=(0.0, 3.0), holds=None),
+    )
+    verdict = Verdict(status="degraded", reasons=("the prediction is off",), checks=checks)
+    assert str(verdict).splitlines() == [
+        "degraded: 1 of 2 checks hold",
+        "  reason: the prediction is off",
+        "  does not hold: prediction",
+        "  not possible with these data: mirror twin",
+    ]
+    assert repr(verdict) == str(verdict)
+    assert str(stored.verdict).startswith("ok: ") and len(str(stored.verdict)) < 1000
 
 
 def test_the_table_of_a_notebook_escapes_what_files_say(stored: polhode.Run) -> None:

@@ -1,5 +1,6 @@
 """polhode predict through the real command line: the table, its honesty, its errors."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from polhode.errors import InputError
 from polhode.lie import exp_so3, log_so3
 from polhode.pipeline.after_run.predict import (
     prediction_times,
+    shown_rows,
     undetermined_components,
 )
 from polhode.pipeline.run_directory.trajectory_file import TRAJECTORY_COLUMNS, read_trajectory
@@ -83,8 +85,8 @@ def test_the_table_goes_on_where_the_trajectory_ends(
     run, file = write_example(example, tmp_path / "run"), tmp_path / "ahead.csv"
     assert main(["predict", str(run), "--horizon", "10", "-o", str(file)]) == 0
     shown = capsys.readouterr().out
-    assert all(f"[{unit}]" in shown for unit in ("s", "m", "mm", "deg", "deg/s"))
-    assert shown.rstrip().endswith(str(file)) and "attitude of the body" in shown
+    assert all(f"[{unit}]" in shown for unit in ("s", "m", "mm", "mm/s", "deg", "deg/s"))
+    assert shown.rstrip().endswith(str(file)) and "of the centre of mass and the principal axes" in shown
     assert file.read_text().splitlines()[0] == ",".join(TRAJECTORY_COLUMNS)
     path, estimate = read_trajectory(file), example.estimate
     np.testing.assert_array_equal(np.diff(path.timestamps_ns), 500_000_000)
@@ -96,7 +98,33 @@ def test_the_table_goes_on_where_the_trajectory_ends(
     np.testing.assert_allclose(path.r_N, r_N[1:], atol=1e-9)
     np.testing.assert_allclose(path.R_NP, R_NP[1:], atol=1e-8)
     np.testing.assert_allclose(path.w_P, w_P[1:], atol=1e-8)
+    # the last row on the screen is that of the file
+    last = [row for row in shown.splitlines() if re.match(r"\W*10 ", row)]
+    assert len(last) == 2
+    for row, values, digits in (
+        (last[0], path.r_N[-1], 4),
+        (last[0], 1e3 * path.v_N[-1], 3),
+        (last[1], path.q_NP_wxyz[-1], 4),
+        (last[1], np.rad2deg(path.w_P[-1]), 3),
+    ):
+        assert " ".join(f"{x:.{digits}f}" for x in values) in row
+    assert f"{np.rad2deg(path.sigma_theta[-1].max()):.2g}" in last[1]
     assert np.all(np.isfinite(path.sigma_theta)) and np.all(np.diff(path.sigma_r[:, 0]) > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("count", "seconds"),
+    [
+        (60, [5.0, 10.0, 15.0, 20.0, 25.0, 30.0]),
+        (40, [4.0, 8.0, 12.0, 16.0, 20.0]),
+        (3, [0.5, 1.0, 1.5]),
+        (1, [0.5]),
+        (61, [5.5, 11.0, 16.5, 22.0, 27.5, 30.5]),
+    ],
+)
+def test_the_rows_on_the_screen_are_at_even_steps_to_the_horizon(count: int, seconds: list[float]) -> None:
+    time_s = 0.5 * np.arange(1, count + 1, dtype=np.float64)
+    assert time_s[shown_rows(time_s)].tolist() == seconds
 
 
 def test_the_archive_holds_full_covariances_and_the_same_bytes_again(
@@ -137,7 +165,9 @@ def test_an_undetermined_inertia_predicts_the_body_all_the_same(tmp_path: Path, 
     assert main(["predict", str(run), "--horizon", "30"]) == 0
     # the one file has none, and then there is no file
     printed = capsys.readouterr().out
-    assert printed.count(": the sigmas are those of the body itself") == 2 and "in the file" not in printed
+    with_marks, without = printed.split("(--marks)")
+    assert "inf" not in with_marks and ": the sigmas are those of the body itself" in without
+    assert "are inf; --marks gives" in without and "in the file" not in printed
     assert np.all(np.isinf(read_trajectory(plain).sigma_theta))
     path, seen = read_trajectory(marks), read_trajectory(run)
     # the body's attitude: after the constant rotation between the estimated and the true axes

@@ -117,7 +117,8 @@ def test_a_run_without_a_causal_estimate_has_no_such_figures(content: StoredRun)
 def test_final_sigmas_are_listed_with_their_units(content: StoredRun) -> None:
     rows = {row.name.split(",")[0]: row for row in sigma_rows(content)}
     assert rows["position"].cells == ("0.3", "0.3", "0.3") and rows["position"].unit == "mm"
-    assert rows["inertia ratios k1"].cells == ("0.002", "0.006", "")
+    assert rows["inertia ratio k1"].cells == ("0.002",) and rows["inertia ratio k2"].cells == ("0.006",)
+    assert rows["position"].along_axes and not rows["inertia ratio k1"].along_axes
     assert float(rows["attitude"].cells[0]) == pytest.approx(np.rad2deg(2e-3), rel=1e-2)
 
 
@@ -128,7 +129,7 @@ def test_undetermined_sigmas_have_no_bound(example: Any, undetermined: Any, tmp_
     }
     assert rows["position"].cells == ("0.3", "no bound", "0.3")
     assert rows["centre of mass"].cells[1] == "no bound"
-    assert rows["inertia ratios k1"].cells == ("no bound", "no bound", "")
+    assert rows["inertia ratio k1"].cells == rows["inertia ratio k2"].cells == ("no bound",)
 
 
 def test_the_other_starts_are_told_in_words(example: Any, tmp_path: Path) -> None:

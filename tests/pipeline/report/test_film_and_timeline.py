@@ -2,6 +2,7 @@
 
 import base64
 import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -117,4 +118,8 @@ def test_panels_stand_one_below_the_other_on_a_phone() -> None:
 
 def test_texts_survive_the_page() -> None:
     assert inflated(deflated("σ </script> & more")) == "σ </script> & more"
-    assert css_text('a"b</style>') == "a\\000022b\\00003c\\00002fstyle\\00003e"
+    text = 'a"b</style>, run x'
+    escaped = css_text(text)
+    assert "<" not in escaped and '"' not in escaped
+    # as a browser reads it: one space after an escape belongs to it
+    assert re.sub(r"\\([0-9a-f]{6}) ?", lambda match: chr(int(match[1], 16)), escaped) == text

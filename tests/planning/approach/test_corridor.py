@@ -1,11 +1,19 @@
 """The corridor and the speeds of the surface against the closed forms of a pure spin, and differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from polhode.lie import Array, exp_so3
 from polhode.planning.approach.corridor import corridor
-from polhode.planning.approach.surface_speed import slowest_points, surface_speed, velocity
-from polhode.planning.prediction import nominal_motion
+from polhode.planning.approach.surface_speed import (
+    slowest_points,
+    surface_speed,
+    velocity,
+    velocity_covariance,
+)
+from polhode.planning.prediction import nominal_motion, predict, propagate_members
 from tests.planning.bodies import estimate
 
 SPIN = 0.4
@@ -61,9 +69,40 @@ def test_speeds_of_a_pure_spin_grow_with_the_distance_from_the_axis() -> None:
 
 
 def test_the_sigma_of_a_speed_is_what_draws_scatter() -> None:
-    target = estimate((0.1, 0.5, 0.3), (0.01, 0.0, 0.0), com_G=(0.02, 0.01, 0.0))
+    # fast enough that the attitude matters beside the rate
+    target = estimate((0.1, 0.5, 0.3), (0.2, 0.0, 0.0), com_G=(0.02, 0.01, 0.0))
     p, last = np.array([[0.15, 0.05, -0.1]]), target.last
     found = surface_speed(nominal_motion(target, TIMES), p, np.array([[1.0, 0.0, 0.0]]), last.covariance)
     d = np.random.default_rng(1).multivariate_normal(np.zeros(20), last.covariance, 20_000)
-    u = (last.v_N + d[:, 3:6]) @ last.R_NG + np.cross(last.w_G + d[:, 9:12], p - target.com_G - d[:, 17:20])
+    swing_G = np.cross(last.w_G + d[:, 9:12], p - target.com_G - d[:, 17:20])
+    u = last.v_N + d[:, 3:6] + np.einsum("nij,nj->ni", last.R_NG @ exp_so3(d[:, 6:9]), swing_G)
     assert np.linalg.norm(u, axis=1).std() == pytest.approx(found.sigma_m_s[0], rel=0.03)
+
+
+def test_the_covariance_of_velocities_is_that_of_states_drawn_and_propagated() -> None:
+    """With everything correlated, at the last pair and later, also of the point at the centre of mass."""
+    target = estimate((0.1, 0.5, 0.3), (0.05, 0.0, 0.0), com_G=(0.02, 0.01, 0.0))
+    mixed = np.eye(20) + 0.3 * np.random.default_rng(2).normal(size=(20, 20))
+    root = np.sqrt(np.diag(target.last.covariance))[:, None] * mixed
+    last = replace(target.last, covariance=root @ root.T, R_GP=np.eye(3)[:, [1, 2, 0]])
+    p_G, times = np.array([[0.15, 0.05, -0.1], target.com_G, [0.0, 0.8, 0.0]]), np.array([0.0, 2.0, 6.0])
+    found = velocity_covariance(predict(last, times, 0.0, 0.0), (p_G - target.com_G) @ last.R_GP)
+    d = np.random.default_rng(3).normal(size=(20_000, 20)) @ root.T
+    J = last.J_G + np.einsum("nk,kij->nij", d[:, 12:17], last.J_jacobian)
+    R, w = propagate_members(last, d, J, times)
+    lever = p_G[:, None] - target.com_G - d[:, 17:20]
+    for k in range(len(times)):
+        for n in range(len(p_G)):
+            drawn: Array = last.v_N + d[:, 3:6] + np.einsum("mij,mj->mi", R[k], np.cross(w[k], lever[n]))
+            expected = np.cov(drawn.T)
+            sigma = np.sqrt(np.diag(expected))
+            # 20,000 draws: an element scatters by at most 1 % of the two sigmas
+            np.testing.assert_allclose(
+                found[k, n] / sigma / sigma[:, None], expected / sigma / sigma[:, None], atol=0.04
+            )
+
+
+def test_disturbances_make_velocities_less_certain_with_time() -> None:
+    target, times = estimate((0.1, 0.5, 0.3), size=0.0), np.array([1.0, 4.0])
+    found = velocity_covariance(predict(target.last, times, 1e-6, 0.0), np.array([[0.1, 0.0, 0.0]]))
+    np.testing.assert_allclose(found[:, 0], times[:, None, None] * 1e-6 * np.eye(3), atol=1e-12)
