@@ -71,7 +71,7 @@ JOBS = {
         Job("train", _TRAIN, ("T", "corpus"), inputs=("corpus",), resumes=True),
         Job("plan", (*_PLAN, "--confidence", "0.95"), ("P",), (*_PLAN, "--confidence", "0.9")),
         Job("export", ("export", "{stage}/R", "--to", "urdf", "-o", "{place}/u.urdf", "--pieces", "2"),
-            ("u.urdf", "u_meshes"),
+            ("u.urdf", "u.urdf_meshes"),
             ("export", "{stage}/R", "--to", "urdf", "-o", "{place}/u.urdf", "--pieces", "1")),
         Job("report", ("report", "{stage}/R", "-o", "{place}/page.html"), ("page.html",),
             ("report", "{stage}/R", "{stage}/R", "-o", "{place}/page.html")),

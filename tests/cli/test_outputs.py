@@ -162,7 +162,7 @@ class Scene:
         else:
             shutil.copy(source, place)
         if self.writer.beside:
-            shutil.copytree(self._own / self.writer.beside, place.with_name(f"{place.stem}_meshes"))
+            shutil.copytree(self._own / self.writer.beside, place.with_name(f"{place.name}_meshes"))
 
     def own_file(self) -> Path:
         """A file that an earlier call of the same command wrote, elsewhere."""
@@ -183,7 +183,7 @@ class Scene:
 
     def written(self) -> list[Path]:
         """All that the command may write or replace."""
-        beside = self.place.with_name(f"{self.place.stem}_meshes")
+        beside = self.place.with_name(f"{self.place.name}_meshes")
         return [self.place, *([beside] if self.writer.beside else []), *self.cleared]
 
 
@@ -243,7 +243,7 @@ def own_and_foreign(scene: Scene) -> None:
 
 def own_and_our_name(scene: Scene) -> None:
     own_overwrite(scene)
-    name = {"run": "pushes.csv", "plan": "corridor.csv", "export urdf": "u_meshes/collision_007.obj"}[
+    name = {"run": "pushes.csv", "plan": "corridor.csv", "export urdf": "u.urdf_meshes/collision_007.obj"}[
         scene.name
     ]
     (scene.place.parent / name if scene.writer.beside else scene.place / name).write_text(NOTES)

@@ -90,7 +90,7 @@ WRITERS: Mapping[str, Writer] = {
     "plan": Writer("plan", "P", "planning.json"),
     "observability": Writer("observability", "O", "observability.json"),
     "export": Writer("export", "target.stl", ""),
-    "export urdf": Writer("export", "u.urdf", "", beside="u_meshes"),
+    "export urdf": Writer("export", "u.urdf", "", beside="u.urdf_meshes"),
     "predict": Writer("predict", "ahead.csv", ""),
     "report": Writer("report", "page.html", ""),
     "view": Writer("view", "shown.rrd", "", option="--save"),

@@ -53,8 +53,8 @@ def export_place(options: ExportOptions) -> Iterator[Path]:
 
 
 def meshes_of(output: Path) -> Path:
-    """The folder of a robot's meshes."""
-    return output.with_name(f"{output.stem}_meshes")
+    """The folder of a robot's meshes, for this file alone: target.xml and target.urdf may differ in frame."""
+    return output.with_name(f"{output.name}_meshes")
 
 
 def piece_file(number: int) -> str:

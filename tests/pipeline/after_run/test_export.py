@@ -398,9 +398,38 @@ def test_the_same_run_gives_the_same_bytes(
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     for to in ("glb", "urdf", "oem", "json"):
         first, second = (export(run, to, tmp_path / f"{name}.{to}") for name in "ab")
-        assert first.read_bytes().replace(b"a_meshes", b"b_meshes") == second.read_bytes()
-    for file in (tmp_path / "a_meshes").iterdir():
-        assert file.read_bytes() == (tmp_path / "b_meshes" / file.name).read_bytes()
+        assert first.read_bytes().replace(b"a.urdf_meshes", b"b.urdf_meshes") == second.read_bytes()
+    for file in (tmp_path / "a.urdf_meshes").iterdir():
+        assert file.read_bytes() == (tmp_path / "b.urdf_meshes" / file.name).read_bytes()
+
+
+def test_exports_of_one_stem_keep_their_own_meshes(run: Path, example: Example, tmp_path: Path) -> None:
+    first = export(run, "mjcf", tmp_path / "target.xml", "--mass-kg", "5")
+    before = {file: file.read_bytes() for file in (tmp_path / "target.xml_meshes").iterdir()}
+    places = _vertices_of(first)
+    second = export(run, "urdf", tmp_path / "target.urdf", "--frame", "P", "--mass-kg", "5")
+    third = export(run, "sdf", tmp_path / "target.sdf", "--frame", "P", "--mass-kg", "5", "--pieces", "1")
+    assert {file: file.read_bytes() for file in before} == before and len(before) >= 2
+    np.testing.assert_array_equal(_vertices_of(first), places)
+    # P has its origin at the centre of mass, with the axes of G in this example: the meshes differ
+    shift = _vertices_of(second).min(axis=0) - places.min(axis=0)
+    np.testing.assert_allclose(shift, -example.estimate.mass.com_G, atol=1e-6)
+    assert np.abs(shift).max() > 1e-3
+    for file in (first, second, third):
+        folder = tmp_path / f"{file.name}_meshes"
+        assert (folder / "surface.obj").is_file() and folder.name in file.read_text()
+
+
+def _vertices_of(file: Path) -> np.ndarray:
+    """Vertices (V, 3) of all meshes as MuJoCo loads them, in the frame of the body [m]."""
+    model = mujoco.MjModel.from_xml_path(str(file))
+    places = []
+    for geom in range(model.ngeom):
+        mesh = model.geom_dataid[geom]
+        first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        R = matrix_from_wxyz(model.geom_quat[geom])
+        places.append(model.mesh_vert[first : first + count] @ R.T + model.geom_pos[geom])
+    return np.concatenate(places)
 
 
 def test_a_moment_that_does_not_fit_mass_and_mesh_is_a_warning(

@@ -67,7 +67,7 @@ def test_fcl_finds_every_point_of_the_surface_inside_the_pieces(
     fcl = pytest.importorskip("fcl")
     pytest.importorskip("vhacdx")
     export(cross_run, "urdf", tmp_path / "cross.urdf", "--pieces", "16")
-    pieces = pieces_of(tmp_path / "cross_meshes")
+    pieces = pieces_of(tmp_path / "cross.urdf_meshes")
     assert 3 <= len(pieces) <= 16 and all(piece.is_convex and piece.is_volume for piece in pieces)
     manager = fcl.DynamicAABBTreeCollisionManager()
     bodies = []
@@ -276,7 +276,7 @@ def test_drake_accepts_sdf_and_urdf_with_their_meshes(
     inertia = spatial.CalcRotationalInertia().CopyToFullMatrix3()
     np.testing.assert_allclose(inertia, np.diag(content["inertial"]["moments_kg_m2"]), atol=1e-9)
     inspector = scene.model_inspector()
-    pieces = len(list((tmp_path / "cross_meshes").glob("collision_*.obj")))
+    pieces = len(list((tmp_path / f"cross.{to}_meshes").glob("collision_*.obj")))
     assert inspector.NumGeometriesWithRole(Role.kProximity) == pieces
     assert inspector.NumGeometriesWithRole(Role.kIllustration) == 1
     if to == "sdf":
