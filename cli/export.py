@@ -23,7 +23,6 @@ class ExportCommand:
     """
 
     EXAMPLES: ClassVar = (
-        ("polhode export RUN --to glb -o target.glb", "the mesh, for viewers"),
         (
             "polhode export RUN --to urdf -o target.urdf --mass-kg 4.2",
             "a free body for simulators, its inertia in kg m^2",

@@ -210,9 +210,8 @@ def _match(
     hypotheses: int = 1,
 ) -> list[PairMatch]:
     seed, workers, settings = context.config.seed, context.workers, frontend.for_matching
-    title = "matching frames" if hypotheses == 1 else "matching frames, several motions each"
     matches: list[PairMatch] = []
-    with context.clock("frontend"), context.progress.stage(title, len(features)) as advance:
+    with context.clock("frontend"), context.progress.stage("matching frames", len(features)) as advance:
         for found in context.stages.each(
             "matches",
             list[PairMatch],
