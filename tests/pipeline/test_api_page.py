@@ -162,8 +162,9 @@ def test_the_back_end_alone_finds_the_motion_of_the_run(page: SimpleNamespace) -
     """With another form of the inertia, which so few frames do not determine."""
     assert page.initial.connected.all()
     shift_m = page.other.r_N - page.run.trajectory.r_N
-    assert 0.0 < np.abs(shift_m).max() < 1e-4
-    assert (np.abs(shift_m) < 3.0 * page.run.trajectory.sigma_r).all()
+    # Along what so few frames do not determine, the two forms differ; by much less than the sigmas there.
+    assert 0.0 < np.abs(shift_m).max()
+    assert (np.abs(shift_m) < 0.5 * page.run.trajectory.sigma_r).all()
 
 
 def test_observations_and_landmarks_are_joined_by_their_number(page: SimpleNamespace) -> None:

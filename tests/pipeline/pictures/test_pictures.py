@@ -114,7 +114,7 @@ def make(run: Any, folder: Path, config: Pictures, **changed: Any) -> set[str]:
 
 
 def first_rows(estimate: Any) -> dict[str, Any]:
-    names = ("timestamps_ns", "r_N", "v_N", "R_NP", "w_P", "covariance")
+    names = ("timestamps_ns", "r_N", "v_N", "R_NP", "w_P", "covariance", "covariance_of_marks")
     return {name: getattr(estimate, name)[:FRAMES] for name in names}
 
 
