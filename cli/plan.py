@@ -56,7 +56,8 @@ class PlanCommand:
     stand_off_m: Annotated[float, arg(metavar="M", aliases=["--stand-off"])] = 0.5
     """Distance of the inspector from the docking point along the axis [m]."""
     half_angle_deg: Annotated[float, arg(metavar="DEG")] = 10.0
-    """Half angle of the corridor's cone [deg]."""
+    """Half angle of the corridor's cone [deg]: corridor.csv says when a camera that rests where it was at the
+    last pair is in it."""
     isp_s: Annotated[float, arg(metavar="S")] = 230.0
     """Specific impulse, for the fuel that station keeping uses [s]."""
 

@@ -91,9 +91,11 @@ class RunCommand:
                 _show(result, self.data, target)
         note = f"; {result.note}" if result.note else ""
         failure, found = result.failure, _from_summary(_folder_of(result))
+        listed = _listed([each for each in found.get("warnings", ()) if each != failure])
+        what = "Report" if result.report_path.name == REPORT else "Results"
         return Answer(
-            f"{result.sentence} {result.report_path}",
-            _listed([each for each in found.get("warnings", ()) if each != failure]),
+            f"{what}: {result.report_path}",
+            "\n".join(each for each in (listed, result.sentence) if each),
             paths=(result.report_path, _folder_of(result)),
             status=result.status,
             **found,

@@ -76,9 +76,15 @@ def main() -> int:
 
 def example(run: Path, sequence: Path, folder: Path, duration_s: float) -> int:
     """Returns 0 when the flight kept what was promised."""
-    folder.mkdir(parents=True, exist_ok=True)
+    # planning takes a minute: what flying needs besides is asked for first
+    truth = read_truth(sequence)
+    if truth.mesh is None:
+        raise InputError(f"{sequence}: the truth has no mesh.ply, against which to measure the flight")
+    last_ns = read_trajectory(run).timestamps_ns[-1:]
+    truth_at(truth, last_ns)
     estimate, _ = final_estimate(run)
     surface = surface_of(run)
+    folder.mkdir(parents=True, exist_ok=True)
     found = keep_out(surface, estimate, KeepOutOptions(duration_s, 0.99))
     volume = found.instant
     motion = volume.motion
@@ -94,8 +100,6 @@ def example(run: Path, sequence: Path, folder: Path, duration_s: float) -> int:
     promised, expected = promise(volume, trajectory, surface.mesh)
     print(f"Planned: {trajectory.delta_v_m_s:.4f} m/s over {duration_s:g} s, {len(trajectory.accel_N)} steps")
     print(f"Bound at 99 %: never closer than {1e3 * promised:.1f} mm; expected {1e3 * expected:.1f} mm")
-    truth = read_truth(sequence)
-    last_ns = read_trajectory(run).timestamps_ns[-1:]
     flight = fly(trajectory, truth, last_ns, volume, folder)
     distance = separation(flight, truth)
     k = int(np.argmin(distance))

@@ -18,7 +18,16 @@ from numpy.typing import ArrayLike
 from scipy.integrate import DOP853
 from scipy.linalg import expm
 
-from polhode.lie import Array, exp_so3, hat, log_so3, make_pose, matrix_from_wxyz, wxyz_from_matrix
+from polhode.lie import (
+    Array,
+    exp_so3,
+    hat,
+    log_so3,
+    make_pose,
+    matrix_from_wxyz,
+    transform_points,
+    wxyz_from_matrix,
+)
 from polhode.progress import Advance
 from polhode.records import Ints
 from polhode.rigid_body import angular_acceleration, propagate
@@ -87,8 +96,24 @@ class PredictedMotion(Prediction):
     """(T,)"""
     undetermined: tuple[str, ...]
     """Names of the quantities that the run's motion does not determine; inf on the covariance's diagonal"""
+    R_GP: Array
+    """(3, 3) principal axes in G"""
+    com_G: Array
+    """(3,) centre of mass in G [m]"""
     ranges: tuple[str, ...] = ()
     """Where these can lie, each a description; empty: nothing bounds them"""
+
+    @property
+    def X_NG(self) -> Array:
+        """(T, 4, 4) pose of the body frame G, which map and mesh are in [m]."""
+        R_NG = self.R_NP @ self.R_GP.T
+        return make_pose(R_NG, self.r_N - R_NG @ self.com_G)
+
+    def points_N(self, p_G: ArrayLike) -> Array:
+        """Places in N [m] of points fixed to the target: (T, n, 3) of p_G (n, 3), (T, 3) of one (3,)."""
+        points = np.asarray(p_G, dtype=np.float64)
+        places = transform_points(self.X_NG, np.atleast_2d(points))
+        return places[:, 0] if points.ndim == 1 else places
 
 
 def predict(

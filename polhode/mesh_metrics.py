@@ -35,6 +35,21 @@ def distance_to_surface(mesh: trimesh.Trimesh, points: Array, seed: int = 0) -> 
     return closest_on_surface(mesh, points, seed)[1]
 
 
+def encloses(mesh: trimesh.Trimesh, point: Array) -> bool:
+    """Whether a point (3,) lies inside a mesh, which spans more than half of the full solid angle there.
+
+    This winding number (van Oosterom and Strackee 1983) needs no closed mesh.
+    """
+    a, b, c = np.moveaxis(np.asarray(mesh.triangles) - point, 1, 0)
+    la, lb, lc = (np.linalg.norm(each, axis=1) for each in (a, b, c))
+    volume = np.einsum("ni,ni->n", a, np.cross(b, c))
+    cosines = la * lb * lc + (
+        np.einsum("ni,ni->n", a, b) * lc + np.einsum("ni,ni->n", b, c) * la + np.einsum("ni,ni->n", c, a) * lb
+    )
+    solid_angle = 2.0 * np.arctan2(volume, cosines).sum()
+    return bool(abs(solid_angle) > 2.0 * np.pi)
+
+
 def closest_on_surface(mesh: trimesh.Trimesh, points: Array, seed: int = 0) -> tuple[Array, Array]:
     """The points (n, 3) of a mesh's triangles that are closest to points (n, 3), and the distances (n,) [m].
 

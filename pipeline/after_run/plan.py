@@ -8,7 +8,7 @@ import numpy as np
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.mapping.mesh_files import read_ply
-from polhode.mesh_metrics import distance_to_surface
+from polhode.mesh_metrics import distance_to_surface, encloses
 from polhode.pipeline.after_run.predict import last_body, require_horizon, undetermined_names
 from polhode.pipeline.run_directory.archives import read_measurements
 from polhode.pipeline.run_directory.intervals_in_words import describe_intervals
@@ -51,6 +51,8 @@ class Plan:
     corridor: Corridor | None
     approach: ApproachPath | None
     docking: Docking | None
+    camera_N: Array | None
+    """(3,) place of the camera at the last pair [m]; None: unknown"""
     left_out: dict[str, str]
     notes: tuple[str, ...]
     intervals: Intervals | None = None
@@ -113,25 +115,28 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
         path = corridor(
             motion, docking.point_G, docking.axis_G, docking.stand_off_m, np.deg2rad(docking.half_angle_deg)
         )
+    approach, camera_N = None, None
     try:
-        approach = _approach(run, estimate, options.horizon_s, found, docking)
+        X_NR = read_measurements(run / "measurements.npz").X_NR[-1]
+        camera_N = X_NR[:3, 3]
+        approach = _approach(X_NR, estimate, options.horizon_s, found, docking)
     except InputError as error:
-        approach, left_out["approach"] = None, str(error)
+        left_out["approach"] = str(error)
     return Plan(
-        *(options.horizon_s, options.confidence, found, speed, surface, path, approach, docking, left_out),
+        *(options.horizon_s, options.confidence, found, speed, surface, path, approach, docking, camera_N),
+        left_out=left_out,
         notes=tuple(notes),
         intervals=summary.intervals,
     )
 
 
 def _approach(
-    run: Path, estimate: FinalEstimate, horizon_s: float, found: KeepOut | None, docking: Docking | None
+    X_NR: Array, estimate: FinalEstimate, horizon_s: float, found: KeepOut | None, docking: Docking | None
 ) -> ApproachPath:
-    """The camera's path from its last pose to the docking point, or towards the centre of mass.
+    """The camera's path from its last pose X_NR (4, 4) to the docking point, or towards the centre of mass.
 
-    Raises InputError: the run has neither a surface nor a docking point, or its measurements cannot be read.
+    Raises InputError: the run has neither a surface nor a docking point.
     """
-    X_NR = read_measurements(run / "measurements.npz").X_NR[-1]
     motion = nominal_motion(estimate, np.linspace(0.0, horizon_s, POSES))
     if docking is not None:
         half_angle_rad = np.deg2rad(docking.half_angle_deg)
@@ -184,7 +189,15 @@ def _check_docking(docking: Docking, surface: SurfaceModel | None, run: Path) ->
         raise InputError(f"{distance}: give metres in G, the frame of mesh.ply")
     found = []
     if away > DOUBTFUL_DOCK_DISTANCE * size:
-        found.append(f"{distance}: the corridor belongs to a point off the target; is it in G, in metres?")
+        if surface is not None and encloses(surface.mesh, docking.point_G):
+            found.append(
+                f"--dock-point {point} is inside the body, {away:.3g} m below its surface: give a point on "
+                "the surface; is it in G, in metres?"
+            )
+        else:
+            found.append(
+                f"{distance}: the corridor belongs to a point off the target; is it in G, in metres?"
+            )
     if surface is not None:
         from polhode.mapping.visibility import Caster
 

@@ -229,6 +229,8 @@ def _show(axes: Axes, image: Array, title: str, half_m: float) -> None:
 
 
 GRAPPLES = 5
+SHOWN_TIMES = 4
+"""Of those during which the camera is in the cone, on the screen."""
 MIN_SEPARATION_SHARE = 0.15
 """Share of the body's size between two grapple points."""
 
@@ -253,7 +255,7 @@ def write_plan(plan: Plan, folder: Path) -> list[str]:
     if plan.speed is not None and plan.surface is not None:
         files["surface_speed.ply"] = speed_ply(plan.surface.mesh, plan.speed)
     if plan.corridor is not None:
-        files["corridor.csv"] = corridor_csv(plan.corridor).encode()
+        files["corridor.csv"] = corridor_csv(plan.corridor, plan.camera_N).encode()
     if plan.approach is not None:
         files["plan.txt"] = approach_text(plan.approach).encode()
     grapples = summary["surface_speed"]["grapples"] if summary["surface_speed"] else []
@@ -283,15 +285,20 @@ def speed_ply(mesh: trimesh.Trimesh, speed: SurfaceSpeed) -> bytes:
 
 
 CORRIDOR_COLUMNS = ("time_s", *(f"{name}_{a}" for name in ("tip_N", "axis_N", "place_N", "velocity_N",
-                                                            "acceleration_N") for a in "xyz"))  # fmt: skip
+                                                            "acceleration_N") for a in "xyz"),
+                    "camera_angle_deg", "camera_in_cone")  # fmt: skip
 
 
-def corridor_csv(path: Corridor) -> str:
-    """A row for each instant [s, m, m/s, m/s^2]."""
+def corridor_csv(path: Corridor, camera_N: Array | None) -> str:
+    """A row for each instant [s, m, m/s, m/s^2, deg, 0 or 1]; the last two are nan without camera_N (3,)."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(CORRIDOR_COLUMNS)
-    parts = (path.tip_N, path.axis_N, path.place_N, path.velocity_N, path.acceleration_N)
+    parts = [path.tip_N, path.axis_N, path.place_N, path.velocity_N, path.acceleration_N]
+    seen = np.full((len(path.time_s), 2), np.nan)
+    if camera_N is not None:
+        seen = np.column_stack([np.rad2deg(path.angle_rad(camera_N)), path.contains(camera_N)])
+    parts.append(seen)
     for row in np.concatenate([path.time_s[:, None], *parts], axis=1):
         rows.writerow([f"{x:.9g}" for x in row])
     return text.getvalue()
@@ -354,6 +361,7 @@ def summary_of(plan: Plan) -> dict[str, Any]:
             "delta_v_m_s": plan.corridor.delta_v_m_s,
             "isp_s": plan.docking.isp_s,
             "fuel_share": fuel_share(plan.corridor.delta_v_m_s, plan.docking.isp_s),
+            "resting_camera": None if plan.camera_N is None else _in_cone(plan.corridor, plan.camera_N),
         }
     if plan.approach is not None:
         out["approach"] = {
@@ -366,6 +374,21 @@ def summary_of(plan: Plan) -> dict[str, Any]:
             },
         }
     return out
+
+
+def _in_cone(path: Corridor, camera_N: Array) -> dict[str, Any]:
+    """When a camera that rests at camera_N (3,) is in the cone: first and last instants of each time [s]."""
+    angle_deg = np.rad2deg(path.angle_rad(camera_N))
+    inside = np.concatenate([[False], path.contains(camera_N), [False]])
+    begins, ends = (np.flatnonzero(np.diff(inside.astype(int)) == sign) for sign in (1, -1))
+    nearest = int(np.argmin(angle_deg))
+    return {
+        "least_angle_deg": float(angle_deg[nearest]),
+        "least_angle_at_s": float(path.time_s[nearest]),
+        "in_cone_s": [
+            [float(path.time_s[a]), float(path.time_s[b - 1])] for a, b in zip(begins, ends, strict=True)
+        ],
+    }
 
 
 def _grapples(surface: SurfaceModel, speed: SurfaceSpeed) -> dict[str, Any]:
@@ -425,7 +448,8 @@ def format_plan(plan: Plan) -> str:
         lines.append(
             f"The surface moves at {1e3 * speed['least_m_s']:.3g} to "
             f"{1e3 * speed['largest_m_s']:.3g} mm/s at most; "
-            "slowest points that are reachable along their normal:"
+            "the slowest points that are reachable along their normal, by their largest speed over "
+            f"{plan.horizon_s:g} s (along the normal: + outwards, now):"
         )
         for one in speed["grapples"]:
             place = " ".join(f"{x:+.3f}" for x in one["p_G"])
@@ -437,14 +461,31 @@ def format_plan(plan: Plan) -> str:
         least, largest = (1e3 * path["acceleration_m_s2"][k] for k in ("least", "largest"))
         lines.append(
             f"Corridor: {least:.3g} to {largest:.3g} mm/s^2 to stay at {path['stand_off_m']:g} m, "
-            f"{path['delta_v_m_s']:.3g} m/s over the horizon, {path['fuel_share']:.2%} of the mass "
-            f"at {path['isp_s']:g} s"
+            f"{path['delta_v_m_s']:.3g} m/s over {plan.horizon_s:g} s, {path['fuel_share']:.2%} of the mass "
+            f"at an Isp of {path['isp_s']:g} s"
         )
+        if (camera := path["resting_camera"]) is not None:
+            lines.append(_describe_cone(camera, path["half_angle_deg"], plan.horizon_s))
     if (approach := found["approach"]) is not None:
         distance = approach["distance_m"]
         lines.append(
             f"Approach (plan.txt, frame N): from {distance['start']:.3g} to {distance['end']:.3g} m from the "
-            f"{approach['looks_at']} over the horizon"
+            f"{approach['looks_at']} over {plan.horizon_s:g} s"
         )
     lines += [f"Left out: {name}: {why}" for name, why in plan.left_out.items()]
     return "\n".join([*lines, *plan.notes])
+
+
+def _describe_cone(camera: dict[str, Any], half_angle_deg: float, horizon_s: float) -> str:
+    """When a camera at rest is in the cone, as by ``_in_cone``."""
+    who = "A camera that rests where it was at the last pair is"
+    cone = f"in the cone of {half_angle_deg:g} deg"
+    times = camera["in_cone_s"]
+    if not times:
+        return (
+            f"{who} never {cone} over {horizon_s:g} s: its least angle from the axis is "
+            f"{camera['least_angle_deg']:.3g} deg, at {camera['least_angle_at_s']:.1f} s"
+        )
+    shown = ", ".join(f"from {a:.1f} to {b:.1f} s" for a, b in times[:SHOWN_TIMES])
+    more = f", and {len(times) - SHOWN_TIMES} more times" if len(times) > SHOWN_TIMES else ""
+    return f"{who} {cone} {shown}{more}"

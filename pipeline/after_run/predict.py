@@ -114,6 +114,8 @@ def _predicted(
         **found,
         timestamps_ns=timestamps_ns,
         undetermined=undetermined_names(summary),
+        R_GP=np.array(summary.R_GP),
+        com_G=np.array(summary.com_G),
         ranges=tuple(describe_intervals(summary)),
     )
 
@@ -132,6 +134,8 @@ def predict_without_covariance(run_folder: Path, horizon_s: float, step_s: float
         *(time_s, r_N, v_N, R_NG @ R_GP, w_G @ R_GP, unknown, unknown),
         timestamps_ns=timestamps_ns,
         undetermined=undetermined_names(summary),
+        R_GP=np.array(summary.R_GP),
+        com_G=np.array(summary.com_G),
         ranges=tuple(describe_intervals(summary)),
     )
 

@@ -35,11 +35,16 @@ class Corridor:
         """Change of velocity over the whole time, by the trapezoidal rule."""
         return float(np.trapezoid(np.linalg.norm(self.acceleration_N, axis=1), self.time_s))
 
-    def contains(self, p_N: Array) -> Array:
-        """(T,) whether a point (T, 3) at each instant lies in the cone."""
+    def angle_rad(self, p_N: Array) -> Array:
+        """(T,) angle from the axis to the line from the docking point to p_N (T, 3), or (3,) at rest in N."""
         offset = p_N - self.tip_N
         along = np.einsum("ti,ti->t", offset, self.axis_N)
-        return np.asarray(along >= np.cos(self.half_angle_rad) * np.linalg.norm(offset, axis=1))
+        across = np.linalg.norm(np.cross(offset, self.axis_N), axis=1)
+        return np.asarray(np.arctan2(across, along))
+
+    def contains(self, p_N: Array) -> Array:
+        """(T,) whether a point (T, 3) at each instant, or (3,) at rest in N, lies in the cone."""
+        return np.asarray(self.angle_rad(p_N) <= self.half_angle_rad)
 
 
 def corridor(

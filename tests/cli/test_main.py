@@ -304,7 +304,7 @@ def test_the_last_line_of_a_run_ends_with_the_report_however_long(
     monkeypatch.setattr(polhode.pipeline.run, "run", fake)
     arguments = run_arguments(config, tmp_path, tmp_path / "run", "--backend.inertia", "ratios_axes")
     assert main(arguments) == code
-    assert capsys.readouterr().out.splitlines()[-1].endswith(str(report))
+    assert capsys.readouterr().out.splitlines()[-2:] == ["Found it.", f"Report: {report}"]
     assert (seen[0].seed, seen[0].backend.inertia) == (1, "ratios_axes")
 
 
@@ -325,9 +325,9 @@ def test_the_warnings_of_a_run_are_listed_at_its_end(
     assert main(words) == 1
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "Warnings of this run:" and lines[-1].endswith(str(report))
-    assert lines[1:-1] == ["- 3 frames are lost", "- a line breaks"]
+    assert lines[1:-1] == ["- 3 frames are lost", "- a line breaks", "Found it."]
     assert main([*words, "--quiet"]) == 1
-    assert capsys.readouterr().out.count("\n") == 1
+    assert capsys.readouterr().out == f"Report: {report}\n"
 
 
 def test_a_failed_run_is_one_line_and_exit_1(

@@ -72,3 +72,18 @@ def test_without_mujoco_one_line_says_so(
     monkeypatch.setattr(sys, "argv", ["example", "R", "S", "-o", str(tmp_path)])
     assert inspect_tumbling.main() == 2
     assert capsys.readouterr().err == "error: this example needs MuJoCo: pip install 'mujoco>=3.2'\n"
+
+
+def test_a_sequence_without_truth_is_refused_before_the_planning(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    pytest.importorskip("mujoco")
+    planned: list[object] = []
+    monkeypatch.setattr(inspect_tumbling, "keep_out", lambda *each: planned.append(each))
+    (tmp_path / "SEQ" / "mav0").mkdir(parents=True)
+    words = ["example", str(tmp_path / "RUN"), str(tmp_path / "SEQ"), "-o", str(tmp_path / "out")]
+    monkeypatch.setattr(sys, "argv", words)
+    assert inspect_tumbling.main() == 2
+    stderr = capsys.readouterr().err
+    assert "target0 is missing" in stderr and stderr.count("\n") == 1
+    assert not planned and not (tmp_path / "out").exists()

@@ -16,11 +16,13 @@ from polhode.cli.main import main
 from polhode.config import Config
 from polhode.errors import InputError, RunFailure
 from polhode.lie import inverse_pose, transform_points
+from polhode.pipeline.after_run.plan import final_estimate
 from polhode.pipeline.after_run.predict import predict_run
 from polhode.pipeline.run_directory.archives import write_covariance, write_measurements
 from polhode.pipeline.run_directory.point_cloud_file import write_landmarks
 from polhode.pipeline.run_directory.run_card import card_html
 from polhode.pipeline.run_directory.summary_schema import CheckVerdict, Verdict
+from polhode.planning.prediction import nominal_motion
 from polhode.records import Landmarks
 from tests.pipeline.conftest import Example, write_example
 
@@ -144,6 +146,20 @@ def pose_at(run: polhode.Run, time_s: float) -> np.ndarray:
     X_NG[:3, :3] = motion.R_NP[0] @ mass.R_GP.T
     X_NG[:3, 3] = motion.r_N[0] - X_NG[:3, :3] @ mass.com_G
     return X_NG
+
+
+def test_a_prediction_has_the_pose_of_the_body_and_places_of_its_points(stored: polhode.Run) -> None:
+    motion = stored.predict([0.0, 1.0, 2.0])
+    np.testing.assert_allclose(motion.X_NG[0], stored.X_NG[-1], atol=1e-9)
+    estimate, _ = final_estimate(stored.folder)
+    np.testing.assert_allclose(motion.X_NG, nominal_motion(estimate, motion.time_s).X_NG, atol=1e-8)
+    np.testing.assert_allclose(motion.X_NG[2], pose_at(stored, 2.0), atol=1e-12)
+    np.testing.assert_allclose(motion.points_N(stored.mass.com_G), motion.r_N, atol=1e-12)
+    p_G = np.array([[0.1, 0.0, 0.0], [0.0, 0.2, -0.1]])
+    places_N = motion.points_N(p_G)
+    assert places_N.shape == (3, 2, 3)
+    np.testing.assert_allclose(places_N[:, 1], motion.points_N(p_G[1]), atol=0.0)
+    np.testing.assert_allclose(places_N[1], transform_points(pose_at(stored, 1.0), p_G), atol=1e-12)
 
 
 def test_the_keep_out_volume_contains_the_body_now(stored: polhode.Run) -> None:

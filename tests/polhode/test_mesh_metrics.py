@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.mesh_metrics import compare_surfaces, distance_to_surface, sample_surface
+from polhode.mesh_metrics import compare_surfaces, distance_to_surface, encloses, sample_surface
 
 
 @pytest.fixture(scope="module")
@@ -49,3 +49,15 @@ def test_distance_to_large_triangles_is_exact() -> None:
     points = np.array([[0.05, 0.03, 0.13], [0.13, 0.14, 0.1], [0.0, 0.0, 0.095]])
     expected = [0.03, 0.05, 0.005]
     np.testing.assert_allclose(distance_to_surface(box, points), expected, atol=1e-9)
+
+
+def test_a_point_is_inside_also_of_a_mesh_with_a_hole(sphere: trimesh.Trimesh) -> None:
+    capped = sphere.copy()
+    capped.update_faces(capped.triangles_center[:, 2] < 0.08)
+    assert not capped.is_watertight
+    turned = trimesh.Trimesh(sphere.vertices, sphere.faces[:, ::-1], process=False)
+    for mesh in (sphere, capped, turned):
+        for p in ([0.0, 0.0, 0.0], [0.0, 0.09, 0.0], [0.05, -0.03, 0.04]):
+            assert encloses(mesh, np.array(p))
+        for p in ([0.0, 0.0, 0.11], [0.0, 0.11, 0.0], [1.0, 0.0, 0.0]):
+            assert not encloses(mesh, np.array(p))

@@ -16,6 +16,7 @@ from polhode.pipeline.after_run.plan import final_estimate
 from polhode.pipeline.after_run.plan_files import CORRIDOR_COLUMNS, is_in_N
 from polhode.pipeline.run_directory.summary_schema import Intervals
 from polhode.planning.approach.approach_path import POSES
+from polhode.planning.prediction import nominal_motion
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import Example
 from tests.pipeline.stored_run import write_run
@@ -153,6 +154,55 @@ def test_a_docking_point_off_the_target_is_told_of(
     dock[1] = "100"
     assert main(["plan", str(run), "-o", str(tmp_path / "none"), *AHEAD, *dock]) == 2
     assert "give metres in G" in capsys.readouterr().err and not (tmp_path / "none").exists()
+
+
+def test_a_docking_point_inside_the_body_is_called_so(
+    example: Example, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("polhode.pipeline.after_run.plan_files.plan_pictures", lambda *_: {})
+    run = written(example, tmp_path / "run", example.surface)
+    dock = ["--dock-point", "0", "0", "0", "--dock-axis", "1", "0", "0"]
+    assert main(["plan", str(run), "-o", str(tmp_path / "out"), *AHEAD, *dock]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "--dock-point 0 0 0 is inside the body, 0.06 m below its surface" in shown
+    assert "off the target" not in shown
+
+
+@pytest.mark.parametrize("half_angle_deg", [5.0, 89.0])
+def test_the_half_angle_decides_when_the_resting_camera_is_in_the_cone(
+    half_angle_deg: float,
+    example: Example,
+    tmp_path: Path,
+    capsys: Capture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("polhode.pipeline.after_run.plan_files.plan_pictures", lambda *_: {})
+    run, out = written(example, tmp_path / "run", None), tmp_path / "out"
+    # towards the camera when half of the horizon has passed
+    estimate, _ = final_estimate(run)
+    motion = nominal_motion(estimate, np.array([1.0]))
+    point_G = np.array([0.06, 0.0, 0.0])
+    camera_N = example.tracks.X_NR[-1, :3, 3]
+    axis_G = motion.R_NG[0].T @ (camera_N - motion.p_NG[0]) - point_G
+    dock = ["--dock-point", "0.06", "0", "0", "--dock-axis", *(f"{x:.12g}" for x in axis_G)]
+    words = [*AHEAD, *dock, "--half-angle-deg", f"{half_angle_deg:g}"]
+    assert main(["plan", str(run), "-o", str(out), *words]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    table = np.genfromtxt(out / "corridor.csv", delimiter=",", names=True)
+    offset = camera_N - np.stack([table[f"tip_N_{a}"] for a in "xyz"], axis=1)
+    axis = np.stack([table[f"axis_N_{a}"] for a in "xyz"], axis=1)
+    chord = np.linalg.norm(offset / np.linalg.norm(offset, axis=1, keepdims=True) - axis, axis=1)
+    angle_deg = np.rad2deg(2.0 * np.arcsin(0.5 * chord))
+    np.testing.assert_allclose(table["camera_angle_deg"], angle_deg, atol=1e-4)
+    inside = table["camera_in_cone"] == 1.0
+    np.testing.assert_array_equal(inside, table["camera_angle_deg"] <= half_angle_deg)
+    assert inside.any()
+    found = json.loads((out / "planning.json").read_text())["corridor"]["resting_camera"]
+    assert found["least_angle_at_s"] == pytest.approx(1.0, abs=0.1)
+    ((first, last),) = found["in_cone_s"]
+    assert (first, last) == pytest.approx(tuple(table["time_s"][inside][[0, -1]]))
+    assert f"is in the cone of {half_angle_deg:g} deg from {first:.1f} to {last:.1f} s" in shown
+    assert "over 2 s" in shown and "of the mass at an Isp of 230 s" in shown
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,25 @@ def test_a_pure_spin_needs_the_centripetal_acceleration_alone() -> None:
     assert not found.contains(found.place_N + 0.5 * np.tan(np.deg2rad(10.1)) * sideways).any()
 
 
+def test_a_point_at_rest_meets_the_axis_once_a_turn() -> None:
+    motion = nominal_motion(estimate((0.0, 0.0, SPIN), (0.0, 0.0, 0.0)), TIMES)
+    half_angle_rad = np.deg2rad(10.0)
+    found = corridor(motion, np.array([0.1, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), 0.5, half_angle_rad)
+    # 2 m along the axis as it is after 6 s
+    at = 240
+    rests_N = found.tip_N[at] + 2.0 * found.axis_N[at]
+    angle_rad = found.angle_rad(rests_N)
+    assert np.argmin(angle_rad) == at and angle_rad[at] < 1e-9
+    # the axis turns by SPIN dt; seen from the docking point, which moves along, by 2.1 / 2 of that
+    near = found.time_s[found.contains(rests_N)]
+    turned_rad = SPIN * (TIMES - TIMES[at])
+    tip, rest = 0.1 * np.stack([np.cos(turned_rad), np.sin(turned_rad)], axis=1), np.array([2.1, 0.0])
+    seen_rad = np.arctan2(*(rest - tip).T[::-1]) - turned_rad
+    expected = TIMES[np.abs(np.angle(np.exp(1j * seen_rad))) <= half_angle_rad]
+    np.testing.assert_array_equal(near, expected)
+    assert 0.5 < np.ptp(near) < 1.0
+
+
 def test_a_tumble_needs_what_differences_of_the_place_say() -> None:
     motion = nominal_motion(estimate((0.1, 0.5, 0.3), (0.01, 0.0, 0.0), com_G=(0.02, 0.01, 0.0)), TIMES)
     found = corridor(motion, np.array([0.1, 0.0, 0.05]), np.array([1.0, 1.0, 0.0]), 0.3, 0.2)
