@@ -32,7 +32,7 @@ class ExportCommand:
     GROUPS: ClassVar = {
         "CAD model": ("cad", "cad_points", "cad_unit"),
         "body for simulators": ("middle_moment_kg_m2", "pieces"),
-        "predicted motion": ("animate", "horizon_s", "step_s", "epoch", "object_name", "object_id"),
+        "motion": ("poses", "animate", "horizon_s", "step_s", "epoch", "object_name", "object_id"),
     }
 
     run: Annotated[Positional[Path], arg(metavar="RUN")]

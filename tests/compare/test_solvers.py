@@ -108,13 +108,15 @@ def test_each_keeps_a_whole_point_on_its_way_or_tells_how_far_it_was_and_leaves_
 ) -> None:
     # the processor's time: on a busy machine, too, it gets as far
     monkeypatch.setattr("polhode.compare.solver.perf_counter", process_time)
-    monitor, start = SolveMonitor(0.7, process_time()), small.cold.copy()
+    monitor, start, ended = SolveMonitor(0.7, process_time()), small.cold.copy(), False
     with suppress(OutOfTime):
         entries((name,))[0].load().solve(small, start, monitor)
+        # a fast machine may come to the end
+        ended = True
     np.testing.assert_array_equal(start, small.cold)
     kept, x = monitor.kept()
     if (name in ("dynamic_isam", "gtsam_isam2") or name.startswith("window_")) and x is None:
-        assert kept == "nothing" and monitor.status.endswith("of 20 frames were in")
+        assert kept == "nothing" and (ended or monitor.status.endswith("of 20 frames were in"))
         return
     assert kept == ("last" if name in KEEP_THE_LAST else "best")
     assert x is not None and x.shape == small.cold.shape

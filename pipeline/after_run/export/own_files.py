@@ -30,7 +30,7 @@ SIGNS: dict[str, bytes] = {
     "aem": _CCSDS % b"AEM",
     "oem": _CCSDS % b"OEM",
     "tum": rb"# polhode export of the run [^\n]*\n# frame: [^\n]*\n"
-    rb"# poses of the frame in N \[m\], predicted from ",
+    rb"# poses of the frame in N \[m\], (predicted from |estimated at the frames of the run\n)",
     "json": rb'\{\n "schema": "polhode-export/1",\n "run_status": "',
 }
 """How a file of each format begins, in this and in earlier versions: what else only mentions us."""
