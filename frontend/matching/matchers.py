@@ -229,8 +229,12 @@ class SoftmaxMatcher:
         if a.R_RS is None or b.R_RS is None or a.metres_per_px is None:
             likely = probability >= self._min_confidence
             return _matches(pairs[likely], probability[likely])
-        agrees = _agreeing(a, b, a.R_RS, b.R_RS, a.metres_per_px, pairs, probability)
-        return _matches(pairs[agrees], probability[agrees])
+        modes, gate_m = _modes(a, b, a.R_RS, b.R_RS, a.metres_per_px, pairs, probability)
+        if not modes:
+            return Matches.none()
+        i, j = pairs[:PROPOSING_PAIRS].T
+        displacement_px = np.linalg.norm(a.uvd_px[i, :2] - b.uvd_px[j, :2], axis=1)
+        return _matches_of(_moving_mode(modes, displacement_px), a, b, pairs, probability, gate_m)
 
     def hypotheses(self, a: StereoFeatures, b: StereoFeatures, count: int) -> list[Matches]:
         """The matches of each of the ``count`` motions with most support, that one first."""
@@ -238,14 +242,7 @@ class SoftmaxMatcher:
             return [self(a, b)]
         pairs, probability = self._probable(a, b)
         modes, gate_m = _modes(a, b, a.R_RS, b.R_RS, a.metres_per_px, pairs, probability)
-        found = []
-        for mode in modes[:count]:
-            miss = np.linalg.norm(
-                a.p_R[pairs[:, 0]] - transform_points(mode.X_AB, b.p_R[pairs[:, 1]]), axis=1
-            )
-            agrees = miss < gate_m
-            found.append(_matches(pairs[agrees], probability[agrees]))
-        return found
+        return [_matches_of(mode, a, b, pairs, probability, gate_m) for mode in modes[:count]]
 
     def _probable(self, a: StereoFeatures, b: StereoFeatures) -> tuple[Ints, Array]:
         """The most probable pairs (m, 2), most probable first, and their probability (m,)."""
@@ -286,26 +283,13 @@ def _modes(
     return motion_modes(a.p_R[i], b.p_R[j], R_AS[i], R_BS[j], weight, gate_m[some]), gate_m
 
 
-def _agreeing(
-    a: StereoFeatures,
-    b: StereoFeatures,
-    R_AS: Array,
-    R_BS: Array,
-    metres_per_px: Array,
-    pairs: Ints,
-    probability: Array,
-) -> Bools:
-    """Whether each of the pairs (m, 2), most probable first, agrees with the motion that most pairs
-    support."""
-    i, j = pairs.T
-    modes, gate_m = _modes(a, b, R_AS, R_BS, metres_per_px, pairs, probability)
-    if not modes:
-        return np.zeros(len(pairs), dtype=bool)
-    some = slice(0, PROPOSING_PAIRS)
-    displacement_px = np.linalg.norm(a.uvd_px[i[some], :2] - b.uvd_px[j[some], :2], axis=1)
-    mode = _moving_mode(modes, displacement_px)
-    miss = np.linalg.norm(a.p_R[i] - transform_points(mode.X_AB, b.p_R[j]), axis=1)
-    return np.asarray(miss < gate_m)
+def _matches_of(
+    mode: MotionMode, a: StereoFeatures, b: StereoFeatures, pairs: Ints, probability: Array, gate_m: Array
+) -> Matches:
+    """Those of the pairs (m, 2) that agree with a motion, within the gates (m,) [m]."""
+    miss = np.linalg.norm(a.p_R[pairs[:, 0]] - transform_points(mode.X_AB, b.p_R[pairs[:, 1]]), axis=1)
+    agrees = miss < gate_m
+    return _matches(pairs[agrees], probability[agrees])
 
 
 def _moving_mode(modes: list[MotionMode], displacement_px: Array) -> MotionMode:
