@@ -77,8 +77,6 @@ def find_motion(context: RunContext, correspondences: Correspondences) -> Iterat
             both = None
         if both is not None:
             yield both
-            if first is None:
-                yield from _solve_as_predicted(context, both, correspondences, second_method)
             return
         _log.info("the second feature method brings no improvement and is not used")
     if first is None:
@@ -124,24 +122,6 @@ def _solve_with_second_method(
         (solution.tracks, solution.estimate), (first.tracks, first.estimate), connected
     )
     return None if fewer or contradicts else solution
-
-
-def _solve_as_predicted(
-    context: RunContext, found: MotionSolution, correspondences: Correspondences, second: Frontend
-) -> Iterator[MotionSolution]:
-    """The solution from the pairs of frames that see the same side by a motion that no first method confirms,
-    matched with this motion; nothing if it fits worse or connects fewer frames."""
-    again = add_second_method(context, correspondences, second, found.motion.X_RG)
-    try:
-        solution = refine(context, _last(solve_repeatedly(context, again)))
-    except RunFailure as failure:
-        _log.info("matched with the motion found: %s", failure)
-        return
-    fewer = np.sum(solution.motion.connected) < np.sum(found.motion.connected)
-    if fewer or fits_worse(solution.estimate, found.estimate):
-        _log.info("matched with the motion found, the fit is worse, and is not used")
-        return
-    yield solution
 
 
 def _last(solutions: Iterator[MotionSolution]) -> MotionSolution:
