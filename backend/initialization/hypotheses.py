@@ -15,16 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.backend.initialization.pose_graph import average_poses, connect
+from polhode.backend.initialization.pose_graph import AROUND, NEAR, average_poses, connect
 from polhode.lie import Array, exp_so3, log_so3, make_pose
 from polhode.records import Bools, Ints, RelativePoses
 
 STATIC_RAD = np.deg2rad(5.0)
 """Links of smaller rotation in N may be those of light."""
-NEAR = 3
-"""Largest number of frames between the ends of links that show the rate."""
-AROUND = 2.5
-"""Largest distance [frames] of the middles of links that should show the same rate."""
 NOISE_RAD = np.deg2rad(5.0)
 CHANGE_RAD = np.deg2rad(2.0)
 """Errors of a link's rotation, and change of the rotation from frame to frame."""
