@@ -281,7 +281,8 @@ def _as_predicted(
     """
     count = frontend.pairs.motions
     off = rotation_errors(relative_poses(matches), X_RG) > PREDICTED_RAD
-    if count == 1 or np.mean(off) < MANY_OFF or not isinstance(match_method(frontend), HypothesisMethod):
+    few_off = np.sum(off) <= MANY_OFF * len(off)
+    if count == 1 or few_off or not isinstance(match_method(frontend), HypothesisMethod):
         return first, matches
     several = _match(context, features, partners, frontend, count)
     error = rotation_errors(relative_poses(several), X_RG)
