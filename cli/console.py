@@ -27,7 +27,7 @@ from rich.progress import (
 from rich.progress import Progress as RichProgress
 from rich.text import Text
 
-from polhode.cli.time_left import TimeLeft
+from polhode.cli.time_left import StageShare, TimeLeft
 from polhode.errors import one_line, printable
 from polhode.interrupts import raise_if_received
 from polhode.progress import NOTE, Advance, LiveProgress, Progress, Show
@@ -69,6 +69,13 @@ def progress_of_run() -> Iterator[Progress]:
         lines = Lines(TimeLeft())
         with lines.never_silent():
             yield lines
+
+
+def progress_of_points() -> Progress:
+    """Bars with the time left; where there is no terminal, lines that say it now and then."""
+    if _command.quiet or sys.stdout.isatty():
+        return choose_progress()
+    return Lines(TimeLeft((StageShare("points", 0.0, 1.0),)))
 
 
 def announce(text: str) -> None:

@@ -33,6 +33,7 @@ from polhode.cli.report import ReportCommand
 from polhode.cli.run import RunCommand
 from polhode.cli.simulate import SimulateCommand
 from polhode.cli.streams import tolerant_streams
+from polhode.cli.sweep import SweepCommand
 from polhode.cli.threshold import ThresholdCommand
 from polhode.cli.train import TrainCommand
 from polhode.cli.view import ViewCommand
@@ -51,6 +52,7 @@ COMMANDS: dict[str, type[Command]] = {
     "run": RunCommand,
     "evaluate": EvaluateCommand,
     "compare": CompareCommand,
+    "sweep": SweepCommand,
     "predict": PredictCommand,
     "threshold": ThresholdCommand,
     "plan": PlanCommand,
@@ -65,7 +67,7 @@ COMMANDS: dict[str, type[Command]] = {
 }
 TOPICS = {
     "data": ("simulate", "import", "calibrate", "checkout"),
-    "estimate": ("run", "evaluate", "report", "view", "compare"),
+    "estimate": ("run", "evaluate", "report", "view", "compare", "sweep"),
     "use a run": ("predict", "plan", "observability", "export", "threshold"),
     "program": ("train", "doctor", "completion"),
 }
@@ -75,6 +77,7 @@ CONFIGURED = (SimulateCommand, RunCommand, CompareCommand, TrainCommand)
 DESCRIPTION = "Motion, mass properties and shape of a tumbling target, from a stereo camera."
 RESUMES = {
     "compare": "finished rows are kept, the same command goes on from there",
+    "sweep": "points that are done are kept, the same command goes on from there",
     "train": "finished scenes and the last checkpoint are kept, the same command goes on from there",
 }
 """What an interrupt leaves of a command, where it leaves something"""

@@ -3,6 +3,7 @@
 Rooms, from the top down; each imports only what stands below it:
 
 cli/         the program: one file per command
+studies/     many points of settings as one table, on many processes
 compare/     optimizers side by side on one problem
 pipeline/    the main job, from images to the run directory, its evaluation, report and products
 train/       training of the front end's networks on simulated scenes
@@ -55,7 +56,8 @@ threads.py         how many threads the libraries may use
 progress.py        how stages report their progress; notes to the user
 errors.py          errors that end a command, with their exit codes; text that is safe to print
 
-Above all of them is api.py, the library: ``polhode.run``, ``load``, ``simulate``, ``evaluate``, ``Run``.
+Above all of them is api.py, the library: ``polhode.run``, ``load``, ``load_study``, ``simulate``,
+``evaluate``, ``Run``.
 ``polhode.Session`` is the live estimate: pairs are pushed, each gives a state (docs/live.md).
 ``polhode.stages`` is the main job stage by stage (stages.py).
 """
@@ -65,10 +67,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from polhode import stages
-    from polhode.api import Run, evaluate, load, run, simulate
+    from polhode.api import Run, evaluate, load, load_study, run, simulate
     from polhode.pipeline.live.session import Session
 
-__all__ = ["Run", "Session", "evaluate", "load", "run", "simulate", "stages"]
+__all__ = ["Run", "Session", "evaluate", "load", "load_study", "run", "simulate", "stages"]
 
 
 def __getattr__(name: str) -> Any:

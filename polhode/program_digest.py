@@ -3,6 +3,7 @@
 import hashlib
 import os
 import platform
+from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -21,6 +22,13 @@ _CPU = Path("/proc/cpuinfo")
 def program_digest() -> str:
     """SHA-256, hexadecimal, of the code and weights of this package, the versions of its libraries, and the
     processor's name: libraries choose their loops, and so the last digits, by it."""
+    words = f"{code_digest()} {platform.machine()} {processor()}"
+    return hashlib.sha256(words.encode()).hexdigest()
+
+
+@cache
+def code_digest() -> str:
+    """The same without the processor: equal on all machines of a cluster with the same installation."""
     digest = hashlib.sha256()
     for folder, folders, files in os.walk(PACKAGE, followlinks=True):
         folders[:] = sorted(name for name in folders if not name.startswith(("_", ".")))
@@ -29,10 +37,13 @@ def program_digest() -> str:
                 file = Path(folder) / name
                 digest.update(f"{file.relative_to(PACKAGE)} {file.stat().st_size};".encode())
                 digest.update(file.read_bytes())
-    for library in LIBRARIES:
-        digest.update(f"{library} {_version(library)};".encode())
-    digest.update(f"{platform.python_version()} {platform.machine()} {_processor()}".encode())
+    digest.update(f"{versions_of(LIBRARIES)}{platform.python_version()}".encode())
     return digest.hexdigest()
+
+
+def versions_of(libraries: Iterable[str]) -> str:
+    """Names and versions of packages; of one that is not installed, its name alone."""
+    return "".join(f"{library} {_version(library)};" for library in libraries)
 
 
 def _version(library: str) -> str:
@@ -42,7 +53,8 @@ def _version(library: str) -> str:
         return ""
 
 
-def _processor() -> str:
+def processor() -> str:
+    """The processor's name."""
     try:
         lines = _CPU.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:

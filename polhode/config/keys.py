@@ -46,24 +46,25 @@ def options_of(annotation: Any) -> tuple[Any, ...]:
 
 def section_at(root: type[BaseModel], path: Sequence[Step]) -> type[BaseModel] | None:
     """The section at ``path``; None for the path of a value or a path that does not exist."""
-    section: type[BaseModel] | None = root
-    for step in path:
-        if section is None or step not in section.model_fields:
-            return None
-        section = section_of(section.model_fields[str(step)].annotation)
-    return section
+    return section_of(annotation_at(root, path))
 
 
 def annotation_at(root: type[BaseModel], path: Sequence[Step]) -> Any:
-    """The type at ``path``; None for a path that does not exist."""
-    if not path:
-        return root
-    section = section_at(root, path[:-1])
-    return (
-        section.model_fields[str(path[-1])].annotation
-        if section and path[-1] in section.model_fields
-        else None
-    )
+    """The type at ``path``; None for a path that does not exist. A mapping takes any key."""
+    annotation: Any = root
+    for step in path:
+        annotation = _below(annotation, step)
+    return annotation
+
+
+def _below(annotation: Any, step: Step) -> Any:
+    """The type of a key of a section, or of a mapping; None: there is no such key."""
+    section = section_of(annotation)
+    if section is not None:
+        field = section.model_fields.get(str(step))
+        return field.annotation if field else None
+    mappings = [option for option in options_of(annotation) if get_origin(option) is dict]
+    return get_args(mappings[0])[1] if mappings else None
 
 
 def is_structured(annotation: Any) -> bool:

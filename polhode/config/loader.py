@@ -8,7 +8,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -17,6 +17,8 @@ from polhode.config import Config
 from polhode.config import keys as config_keys
 from polhode.errors import InputError
 from polhode.yaml_files import read_yaml
+
+Model = TypeVar("Model", bound=BaseModel)
 
 _log = logging.getLogger(__name__)
 
@@ -102,9 +104,44 @@ def load_config(
         layered.merge(values, str(file))
     for key, value in (overrides or {}).items():
         layered.merge(_nested(key.split("."), value), source)
-    _drop_removed(layered)
-    _drop_empty_sections(layered.values, ())
-    return _validate(layered)
+    return _config_of(layered)
+
+
+def read_settings(path: Path) -> dict[str, Any]:
+    """What ``path`` and the files that it extends set, unchecked. Raises InputError for what is no such file."""
+    layered = _Layered()
+    for file, values in _chain(path, ()):
+        layered.merge(values, str(file))
+    return layered.values
+
+
+def config_with(
+    values: Mapping[str, Any], source: str, changes: Mapping[str, Any], source_of_changes: str
+) -> Config:
+    """The configuration of ``values`` (sections, as in a file) with ``changes`` (dotted key -> value).
+
+    A number in a dotted key names an element of a list: "scene.motion.spin_rpm.1". Raises InputError as
+    ``load_config``, with the source of what is wrong.
+    """
+    layered = _Layered()
+    layered.merge(values, source)
+    for key, value in changes.items():
+        layered.merge(_at(layered.values, key.split("."), value), source_of_changes)
+    return _config_of(layered)
+
+
+def validated(model: type[Model], values: Mapping[str, Any], source: str) -> Model:
+    """A section that stands alone in a file, from its ``values``. Raises InputError as ``load_config``."""
+    layered = _Layered()
+    layered.merge(values, source)
+    return _validate(layered, model)
+
+
+def plain_settings(config: BaseModel) -> dict[str, Any]:
+    """All settings as sections, lists and plain values, as in a file."""
+    plain = _plain(config.model_dump())
+    assert isinstance(plain, dict)
+    return plain
 
 
 def dump_config(config: Config, keys: Collection[str] | None = None) -> str:
@@ -147,6 +184,28 @@ def _read_section(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     return loaded
 
 
+def _at(values: Any, path: Sequence[str], value: Any) -> dict[str, Any]:
+    """The sections that set one value; an element of a list takes the list as it is with it."""
+    for length in range(1, len(path)):
+        values = values.get(path[length - 1]) if isinstance(values, dict) else None
+        step, rest = path[length], path[length + 1 :]
+        if isinstance(values, list) and step.isdecimal() and int(step) < len(values):
+            changed, position = list(values), int(step)
+            changed[position] = _within(changed[position], rest, value)
+            return _nested(path[:length], changed)
+    return _nested(path, value)
+
+
+def _within(element: Any, path: Sequence[str], value: Any) -> Any:
+    """An element of a list in which one value is set."""
+    if not path:
+        return value
+    layered = _Layered()
+    layered.merge({"element": element}, "")
+    layered.merge(_at(layered.values, ["element", *path], value), "")
+    return layered.values["element"]
+
+
 def _nested(path: Sequence[str], value: Any) -> dict[str, Any]:
     for step in reversed(path):
         value = {step: value}
@@ -184,32 +243,38 @@ def _drop_removed(layered: _Layered) -> None:
         _log.warning("%s: %s %s ignored; remove %s", source, ", ".join(keys), what, them)
 
 
-def _validate(layered: _Layered) -> Config:
+def _config_of(layered: _Layered) -> Config:
+    _drop_removed(layered)
+    _drop_empty_sections(layered.values, ())
+    return _validate(layered, Config)
+
+
+def _validate(layered: _Layered, model: type[Model]) -> Model:
     try:
-        config = Config.model_validate(layered.values)
+        valid = model.model_validate(layered.values)
     except ValidationError as error:
         problems = error.errors()
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        raise InputError(_one_line(layered, dict(problems[0])) + more) from None
-    _refuse_booleans_as_numbers(layered, layered.values, config, ())
-    return config
+        raise InputError(_one_line(model, layered, dict(problems[0])) + more) from None
+    _refuse_booleans_as_numbers(model, layered, layered.values, valid, ())
+    return valid
 
 
-def _one_line(layered: _Layered, problem: dict[str, Any]) -> str:
+def _one_line(model: type[BaseModel], layered: _Layered, problem: dict[str, Any]) -> str:
     """One pydantic error as: file: key 'a.b': what is wrong; what is valid."""
     path = _path_in(layered.values, problem["loc"], problem["type"])
     source, key = layered.source_of(path), config_keys.dotted(path)
     if problem["type"] == "extra_forbidden":
-        section = config_keys.section_at(Config, path[:-1]) or Config
-        valid = [*section.model_fields, *([EXTENDS] if len(path) == 1 else [])]
+        section = config_keys.section_at(model, path[:-1]) or model
+        valid = [*section.model_fields, *([EXTENDS] if len(path) == 1 and model is Config else [])]
         if not _NAME.fullmatch(str(path[-1])):
             # It may be a line of any file: a configuration of someone else can extend /etc/shadow.
             return f"{source}: a key that is not a name; valid keys: {', '.join(valid)}"
-        hint = config_keys.suggestion(str(path[-1]), valid) or config_keys.elsewhere(Config, str(path[-1]))
+        hint = config_keys.suggestion(str(path[-1]), valid) or config_keys.elsewhere(model, str(path[-1]))
         return f"{source}: unknown key '{key}';{hint} valid keys: {', '.join(valid)}"
     where = f"{source}: key '{key}'" if key else source
     if problem["type"] == "missing":
-        return f"{where}: missing; {_expected(path)}"
+        return f"{where}: missing; {_expected(model, path)}"
     got = _shown(problem["input"])
     if problem["type"] == "value_error":
         return f"{where}: {problem['msg'].removeprefix('Value error, ')}"
@@ -219,8 +284,8 @@ def _one_line(layered: _Layered, problem: dict[str, Any]) -> str:
     if problem["type"] == "too_long":
         return f"{where}: more than {problem['ctx']['max_length']} values; give fewer"
     if problem["type"] == "literal_error":
-        return f"{where}: {_expected(path)}, got {got};{_choice_hint(path, problem['input'])}".rstrip(";")
-    return f"{where}: {_expected(path)}, got {got}"
+        return f"{where}: {_expected(model, path)}, got {got};{_choice_hint(model, path, problem['input'])}".rstrip(";")
+    return f"{where}: {_expected(model, path)}, got {got}"
 
 
 def _path_in(values: Any, location: Sequence[config_keys.Step], kind: str) -> config_keys.Path:
@@ -238,17 +303,17 @@ def _path_in(values: Any, location: Sequence[config_keys.Step], kind: str) -> co
     return tuple(path)
 
 
-def _expected(path: config_keys.Path) -> str:
+def _expected(model: type[BaseModel], path: config_keys.Path) -> str:
     """Description of the valid values at ``path``; an element of a list is described by its list."""
     steps = list(path)
     while steps and not isinstance(steps[-1], str):
         steps.pop()
-    annotation = config_keys.annotation_at(Config, steps)
+    annotation = config_keys.annotation_at(model, steps)
     return f"expected {config_keys.describe(annotation)}" if annotation is not None else "not valid"
 
 
-def _choice_hint(path: config_keys.Path, value: Any) -> str:
-    words = config_keys.describe(config_keys.annotation_at(Config, path)).removeprefix("one of ").split(", ")
+def _choice_hint(model: type[BaseModel], path: config_keys.Path, value: Any) -> str:
+    words = config_keys.describe(config_keys.annotation_at(model, path)).removeprefix("one of ").split(", ")
     return config_keys.suggestion(str(value), words)
 
 
@@ -264,18 +329,20 @@ def _shown(value: Any) -> str:
     return kind + (shown if len(shown) <= 60 else shown[:57] + "...")
 
 
-def _refuse_booleans_as_numbers(layered: _Layered, raw: Any, valid: Any, path: config_keys.Path) -> None:
+def _refuse_booleans_as_numbers(
+    model: type[BaseModel], layered: _Layered, raw: Any, valid: Any, path: config_keys.Path
+) -> None:
     """Pydantic reads true as 1, but who writes true for a number has the wrong key."""
     if isinstance(raw, bool) and not isinstance(valid, bool):
         where = f"{layered.source_of(path)}: key '{config_keys.dotted(path)}'"
-        raise InputError(f"{where}: {_expected(path)}, got {_shown(raw)}")
+        raise InputError(f"{where}: {_expected(model, path)}, got {_shown(raw)}")
     if isinstance(raw, dict):
         for key, value in raw.items():
             inner = getattr(valid, key) if isinstance(valid, BaseModel) else valid[key]
-            _refuse_booleans_as_numbers(layered, value, inner, (*path, key))
+            _refuse_booleans_as_numbers(model, layered, value, inner, (*path, key))
     elif isinstance(raw, list) and isinstance(valid, list | tuple):
         for index, (value, inner) in enumerate(zip(raw, valid, strict=True)):
-            _refuse_booleans_as_numbers(layered, value, inner, (*path, index))
+            _refuse_booleans_as_numbers(model, layered, value, inner, (*path, index))
 
 
 def _plain(value: Any) -> Any:

@@ -1,5 +1,6 @@
 """A simulated sequence, from the description of a scene to the dataset on disk."""
 
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from polhode.dataset_writer import (
     write_truth,
     write_wrench,
 )
+from polhode.program_digest import versions_of
 from polhode.progress import Progress
 from polhode.range_images import RANGE_FOLDER
 from polhode.simulation.dataset.frame_renderer import render_frames
@@ -32,11 +34,14 @@ __all__ = [
     "SequencePlan",
     "plan_sequence",
     "require_free",
+    "sequence_digest",
     "simulate",
     "truth_of",
     "write_sequence",
 ]
 
+LIBRARIES = ("embreex", "numba", "numpy", "opencv-python-headless", "scipy", "trimesh")
+"""Those that the images depend on"""
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".mtl", ".png", ".jpg", ".jpeg")
 
 
@@ -84,6 +89,20 @@ def _fingerprint(plan: SequencePlan, description: str) -> str:
     return f"{description}# program: {_program_digest()}\n{_mesh_files(plan.scene.body.path)}"
 
 
+def sequence_digest(scene: Scene, seed: int) -> str:
+    """SHA-256, hexadecimal, of all that the images and the truth depend on: scene, content of its mesh file and
+    of those beside it, sources of the program, libraries."""
+    digest = sha256(f"{describe_scene(scene, seed)}{_sources_and_libraries()}".encode())
+    for file in _files_of_mesh(scene.body.path):
+        digest.update(f"{file.name} {sha256(file.read_bytes()).hexdigest()}".encode())
+    return digest.hexdigest()
+
+
+@cache
+def _sources_and_libraries() -> str:
+    return f"{_program_digest()} {versions_of(LIBRARIES)}"
+
+
 def _program_digest() -> str:
     """Digest of the sources that the images depend on."""
     home = Path(polhode.__path__[0])
@@ -96,11 +115,14 @@ def _program_digest() -> str:
 
 def _mesh_files(path: str | None) -> str:
     """The mesh file and files that may give its colours, by size and date."""
+    return "".join(f"# {f.name}: {f.stat().st_size} {f.stat().st_mtime_ns}\n" for f in _files_of_mesh(path))
+
+
+def _files_of_mesh(path: str | None) -> list[Path]:
     if path is None:
-        return ""
+        return []
     beside = Path(path).resolve().parent.iterdir()
-    files = [file for file in beside if file.suffix.lower() in MESH_SUFFIXES]
-    return "".join(f"# {f.name}: {f.stat().st_size} {f.stat().st_mtime_ns}\n" for f in sorted(files))
+    return sorted(file for file in beside if file.suffix.lower() in MESH_SUFFIXES)
 
 
 def _render(plan: SequencePlan, staged: StagedDataset, progress: Progress, workers: int) -> None:

@@ -1,0 +1,93 @@
+"""``polhode sweep``: the points of a study, one task each, and their table."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+from tyro.conf import Positional, arg
+
+from polhode.cli.answer import Answer
+from polhode.cli.console import progress_of_points
+from polhode.cli.options import Flag, require_positive
+from polhode.errors import InputError
+
+MAX_WORKERS = 1024
+REASONS = 5
+"""Reasons of failed points that are listed"""
+
+
+@dataclass(frozen=True)
+class SweepCommand:
+    """Compute a study: a row for each point of a grid or a design of settings.
+
+    A study (docs/studies.md) names a base configuration, axes, and what is done for each point: simulate, run,
+    evaluate, plan, compare. Points that are stored in DIR are not computed again: the same command goes on
+    after whatever has ended it.
+    """
+
+    EXAMPLES: ClassVar = (
+        ("polhode sweep STUDY.yaml -o DIR --dry-run", "how many points, what is rendered once, how much disk"),
+        ("polhode sweep STUDY.yaml -o DIR", "DIR/table.parquet, on all cores of this machine"),
+    )
+    GROUPS: ClassVar = {"where it is computed": ("cluster", "workers", "memory_gb")}
+
+    study: Annotated[Positional[Path], arg(metavar="STUDY")]
+    """The study, YAML."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    """Folder of the results: a new or empty one, or that of a study, which is resumed."""
+    dry_run: Flag = False
+    """Compute and write nothing: print the number of points, what is rendered once, the size of the table and
+    an estimate of the disk space."""
+    again_failed: Flag = False
+    """Compute points that have failed again, too."""
+    cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    """Scheduler of Dask that runs already (tcp://HOST:8786), whose workers see DIR under the same name. If it
+    is left out, processes of this machine compute."""
+    workers: Annotated[int, arg(metavar="N")] = 0
+    """Processes of this machine; 0: one per core."""
+    memory_gb: Annotated[float | None, arg(metavar="GB")] = None
+    """Limit of the memory of each process [GB]; one that reaches it is ended and the point tried again. If it
+    is left out, they have equal shares of the memory."""
+
+    def execute(self) -> Answer:
+        """Compute the points and write the table. Points that failed are rows; the answer counts them."""
+        self._check()
+        from polhode.studies.study import open_study
+
+        study = open_study(self.study)
+        if self.dry_run:
+            from polhode.studies.forecast import forecast, format_forecast
+
+            found = forecast(study, self.output)
+            return Answer(format_forecast(found), figures=vars(found))
+        from polhode.studies.cluster import ClusterOptions
+        from polhode.studies.sweep import sweep
+
+        options = ClusterOptions(self.cluster, self.workers, self.memory_gb)
+        swept = sweep(study, self.output, progress_of_points(), options, self.again_failed)
+        table = self.output / swept.table.name
+        reasons = [f"  {count} x {reason}" for reason, count in swept.reasons.most_common(REASONS)]
+        failed = f", {swept.failed} failed" if swept.failed else ""
+        all_failed = swept.failed == swept.points
+        return Answer(
+            f"Table: {table} ({swept.points} points{failed})",
+            "\n".join(["Points that failed, by reason:", *reasons] if reasons else []),
+            paths=(table, self.output),
+            status="degraded" if swept.failed else "ok",
+            figures={
+                "points": swept.points,
+                "stored_before": swept.stored,
+                "failed": swept.failed,
+                "reasons": dict(swept.reasons.most_common(REASONS)),
+            },
+            failure=f"no point succeeded; the reasons: {table}" if all_failed else None,
+        )
+
+    def _check(self) -> None:
+        """Raises InputError for an option that is out of its range."""
+        if not 0 <= self.workers <= MAX_WORKERS:
+            raise InputError(f"--workers {self.workers}: give 0 to {MAX_WORKERS} processes")
+        if self.memory_gb is not None:
+            require_positive(self, "memory_gb", most=1e5)
+        if self.cluster is not None and (self.workers or self.memory_gb is not None):
+            raise InputError("--workers and --memory-gb are of this machine; with --cluster, leave them out")

@@ -1,0 +1,14 @@
+"""Studies: many points of settings, computed by many processes, as one table.
+
+In: a study (YAML): base, axes, steps. Out: a folder with a record for each point and table.parquet.
+
+- sweep: the flow: what is missing, a window of tasks, the table
+- forecast: what a study will take, before it is computed
+- cluster: workers by Dask distributed, and whether those of others can compute here
+- table: records as a Parquet table and as a data frame
+- steps: what a worker does for a sequence and for a point
+- flat_metrics: results as numbers in a row
+- store: the folder: records, sequences, runs that are kept
+- study: base, points by their numbers, the address of each
+- factors: lists, ranges, draws, Latin hypercubes, Sobol's sequence
+"""

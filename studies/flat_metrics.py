@@ -1,0 +1,42 @@
+"""Results of the steps as numbers in a row: nested sections by names with dots, short vectors by position."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import BaseModel
+
+LONGEST_VECTOR = 3
+"""Longer lists, and matrices, are not columns of a table."""
+NOT_OF_A_RUN = frozenset(
+    {"schema_", "files", "data", "timing_s", "verdict", "status", "warnings", "words", "own_sha256"}
+)
+"""Keys of a summary that say nothing of the answer, or stand in columns of their own"""
+
+Metrics = dict[str, bool | int | float | str | None]
+
+
+def flattened(prefix: str, values: Mapping[str, Any], without: frozenset[str] = frozenset()) -> Metrics:
+    """Numbers, truths and short texts below ``prefix``; what is not finite is None."""
+    return dict(_leaves(prefix, {key: each for key, each in values.items() if key not in without}))
+
+
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, bool | int | float | str | None]]:
+    if isinstance(value, BaseModel):
+        value = value.model_dump()
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        for key, each in value.items():
+            yield from _leaves(f"{name}.{key}", each)
+    elif isinstance(value, list | tuple):
+        if len(value) <= LONGEST_VECTOR and not any(isinstance(each, list | tuple | Mapping) for each in value):
+            for position, each in enumerate(value):
+                if not isinstance(each, str):
+                    yield from _leaves(f"{name}.{position}", each)
+    elif value is None or isinstance(value, bool | int):
+        yield name, value
+    elif isinstance(value, float):
+        yield name, value if math.isfinite(value) else None
+    elif isinstance(value, str) and len(value) <= 40:
+        yield name, value

@@ -1,0 +1,100 @@
+"""What a study will take, before it is computed: points, sequences, rows and columns, disk space."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from polhode.foreign_files import amount
+from polhode.studies.store import RUNS, SEQUENCES
+from polhode.studies.study import OpenStudy
+
+COLUMNS = {"simulate": 0, "run": 130, "evaluate": 75, "plan": 15, "compare": 60}
+"""Of the table, by step; of a study without steps"""
+OWN_COLUMNS = 14
+CELL_BYTES = 3.0
+"""Of a column of the table, compressed"""
+RECORD_BYTES = {"simulate": 0, "run": 5000, "evaluate": 3500, "plan": 700, "compare": 3000}
+OWN_RECORD_BYTES = 1200
+PIXEL_BYTES = 0.35
+"""Of an image of a target before a dark sky, compressed"""
+SEQUENCE_BYTES = 1_500_000
+"""Of a sequence beside its images: the truth with its mesh"""
+KEPT_BYTES = {"whole": 20_000_000, "summary": 60_000, "nothing": 0}
+"""Of what is kept of a run"""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a study will take."""
+
+    points: int
+    factors: dict[str, int]
+    """Axis or design -> its values"""
+    steps: tuple[str, ...]
+    sequences: int
+    """That are rendered, each once"""
+    pairs: int
+    """Stereo pairs of all of them"""
+    rows: int
+    columns: int
+    table_bytes: int
+    disk_bytes: int
+    """Estimate of all that is in the folder at the end"""
+    measured: bool
+    """Whether sequences and runs that are there already have been measured for that"""
+
+
+def forecast(study: OpenStudy, folder: Path) -> Forecast:
+    """What a study will take. Sizes are those of what ``folder`` holds already, where it holds something."""
+    settings, steps = study.settings, study.settings.steps
+    columns = OWN_COLUMNS + len(study.columns) + sum(COLUMNS[step] for step in steps)
+    records = study.count * (OWN_RECORD_BYTES + sum(RECORD_BYTES[step] for step in steps))
+    table = int(study.count * columns * CELL_BYTES)
+    pairs, sequence_bytes = _sequence(study.base["scene"] or {}) if study.sequences else (0, 0)
+    kept = KEPT_BYTES[settings.keep] if "run" in steps or "compare" in steps else 0
+    found = {part: _mean_bytes(folder / part) for part in (SEQUENCES, RUNS)}
+    sequence_bytes, kept = found[SEQUENCES] or sequence_bytes, found[RUNS] or kept
+    stays = study.sequences if settings.keep_sequences else 0
+    return Forecast(
+        study.count,
+        {", ".join(factor.columns): len(factor) for factor in study.factors},
+        steps,
+        study.sequences,
+        study.sequences * pairs,
+        study.count,
+        columns,
+        table,
+        records + table + stays * sequence_bytes + study.count * kept,
+        any(found.values()),
+    )
+
+
+def format_forecast(found: Forecast) -> str:
+    """The same as lines for people."""
+    factors = " x ".join(f"{name} {count}" for name, count in found.factors.items()) or "the base alone"
+    lines = [
+        f"points      {found.points:,} ({factors})",
+        f"each        {', '.join(found.steps) or 'nothing: the table has the settings alone'}",
+    ]
+    if found.sequences:
+        lines.append(f"rendered    {found.sequences:,} sequences, each once; {found.pairs:,} stereo pairs")
+    basis = "from what is in the folder" if found.measured else "estimated"
+    lines += [
+        f"table       {found.rows:,} rows, about {found.columns} columns, {amount(found.table_bytes)}",
+        f"disk        {amount(found.disk_bytes)} ({basis})",
+    ]
+    return "\n".join(lines)
+
+
+def _sequence(scene: dict[str, Any]) -> tuple[int, int]:
+    """Pairs and bytes of a sequence of the base's scene."""
+    frames, rig = scene.get("frames", 0), scene.get("rig", {})
+    pixels = rig.get("width_px", 0) * rig.get("height_px", 0)
+    return frames, int(2 * frames * pixels * PIXEL_BYTES) + SEQUENCE_BYTES
+
+
+def _mean_bytes(folder: Path, most: int = 20) -> int:
+    """Of the folders in it, at most so many; 0: there are none."""
+    found = [each for each in sorted(folder.glob("*"))[:most] if each.is_dir()]
+    sizes = [sum(file.stat().st_size for file in each.rglob("*") if file.is_file()) for each in found]
+    return sum(sizes) // len(sizes) if sizes else 0

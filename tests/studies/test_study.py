@@ -1,0 +1,189 @@
+"""Studies as they are read: points, addresses, and what is refused."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from polhode.cli.main import main
+from polhode.errors import InputError
+from polhode.studies import study as study_module
+from polhode.studies.study import open_study
+from tests.studies.conftest import BASELINES, SCENE, WriteStudy
+
+Capture = pytest.CaptureFixture[str]
+GRID: dict[str, Any] = {
+    "base": {"scene": SCENE},
+    "axes": {BASELINES: [0.1, 0.2], "seed": {"range": [1, 3], "count": 3}},
+    "steps": ["simulate"],
+}
+
+
+def test_the_grid_has_every_combination_with_the_first_axis_slowest(write_study: WriteStudy) -> None:
+    study = open_study(write_study(**GRID))
+    assert study.count == 6
+    points = [study.point(number).values for number in range(6)]
+    assert points == [{BASELINES: b, "seed": s} for b in (0.1, 0.2) for s in (1, 2, 3)]
+
+
+def test_a_design_is_one_factor_of_the_grid(write_study: WriteStudy) -> None:
+    design = {"method": "sobol", "count": 4, "settings": {"scene.interval_s": {"uniform": [1, 2]}}}
+    study = open_study(write_study(**GRID, design=design))
+    assert study.count == 24 and study.columns == (BASELINES, "seed", "scene.interval_s")
+    assert len({study.point(number).values["scene.interval_s"] for number in range(24)}) == 4
+
+
+def test_settings_are_laid_over_the_base_down_to_elements_of_lists(write_study: WriteStudy) -> None:
+    axes = {"scene.motion.position_m.1": [0.5], "backend.accel_psd": [1e-3]}
+    study = open_study(write_study(base={"scene": SCENE}, axes=axes, steps=[]))
+    config = study.config(study.point(0))
+    assert config.scene is not None and config.scene.motion.position_m == (0.04, 0.5, 0.6)
+    assert config.backend.accel_psd == 1e-3 and config.scene.rig.width_px == 48
+
+
+def test_every_point_is_computed_by_one_process_with_one_thread(write_study: WriteStudy) -> None:
+    study = open_study(write_study(**{**GRID, "base": {"scene": SCENE, "runtime": {"workers": 7}}}))
+    assert study.config(study.point(0)).runtime.workers == 1
+
+
+def test_base_and_variants_can_be_files_relative_to_the_study(
+    write_study: WriteStudy, tmp_path: Path
+) -> None:
+    write_study("parent", scene=SCENE, seed=5)
+    write_study("scene", extends="parent.yaml", backend={"accel_psd": 1e-2})
+    write_study("light", scene={"light": {"earth": 0.5}})
+    variants = {"dark": {"scene.light.earth": 0.0}, "lit": "light.yaml"}
+    study = open_study(write_study(base="scene.yaml", axes={"light": {"variants": variants}}, steps=[]))
+    configs = [study.config(study.point(number)) for number in (0, 1)]
+    assert [each.seed for each in configs] == [5, 5]
+    assert [each.scene.light.earth for each in configs if each.scene] == [0.0, 0.5]
+    written = tmp_path / "elsewhere.yaml"
+    written.write_text(study.text())
+    for name in ("scene", "parent", "light"):
+        (tmp_path / f"{name}.yaml").unlink()
+    again = open_study(written)
+    assert [again.point(n).address for n in (0, 1)] == [study.point(n).address for n in (0, 1)]
+
+
+def test_an_address_depends_on_all_that_decides_the_result_and_on_nothing_else(
+    write_study: WriteStudy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def address(number: int = 0, **other: Any) -> str:
+        return open_study(write_study(**{**GRID, **other})).point(number).address
+
+    first = address()
+    same = (address(title="another"), address(base={"scene": SCENE, "runtime": {"workers": 3}}))
+    assert set(same) == {first}
+    # the same point in another grid
+    assert address(axes={BASELINES: [0.1], "seed": [4, 1]}, number=1) == first
+    others = [
+        address(number=1),
+        address(base={"scene": {**SCENE, "frames": 2}}),
+        address(steps=["simulate", "run"]),
+        address(keep="whole"),
+    ]
+    monkeypatch.setattr(study_module, "code_digest", lambda: "of a later version")
+    others.append(address())
+    assert len({first, *others}) == len(others) + 1
+
+
+def test_an_address_depends_on_the_content_of_files(write_study: WriteStudy, tmp_path: Path) -> None:
+    mesh = tmp_path / "body.obj"
+    body = {"family": "mesh", "path": str(mesh), "metres_per_unit": 1.0}
+
+    def address(content: str) -> str:
+        mesh.write_text(content)
+        study_module.file_digest.cache_clear()
+        return open_study(write_study(base={"scene": {**SCENE, "body": body}}, steps=[])).point(0).address
+
+    assert address("v 0 0 0\n") != address("v 0 0 1\n")
+
+
+def test_sequences_are_counted_once_however_many_points_use_them(write_study: WriteStudy) -> None:
+    axes = {BASELINES: [0.1, 0.2, 0.3], "backend.accel_psd": {"log_range": [1e-6, 1e-3], "count": 50}}
+    study = open_study(write_study(base={"scene": SCENE}, axes=axes, steps=["simulate", "run"]))
+    assert (study.count, study.sequences) == (150, 3)
+
+
+BAD: dict[str, tuple[dict[str, Any], str]] = {
+    "unknown key": ({"axis": {}}, "unknown key 'axis'; did you mean axes?"),
+    "unknown setting": ({"axes": {"scene.framez": [1]}}, "unknown key 'scene.framez'; did you mean frames?"),
+    "unknown section": ({"axes": {"scen.frames": [1]}}, "'scen.frames' is no setting; it begins with one of"),
+    "unknown kind of axis": ({"axes": {"seed": {"linear": [1, 2]}}}, "unknown key 'axes.seed.linear'"),
+    "two kinds of axis": ({"axes": {"seed": {"range": [1, 2], "values": [1]}}}, "give exactly one of"),
+    "empty list": ({"axes": {"seed": []}}, "values: the list is empty"),
+    "empty range": ({"axes": {"seed": {"range": [2, 2], "count": 3}}}, "the range from 2 to 2 is empty"),
+    "backwards": ({"axes": {"seed": {"uniform": [3, 2], "count": 3}}}, "the range from 3 to 2 is empty"),
+    "no count": ({"axes": {"seed": {"range": [1, 2]}}}, "count is missing"),
+    "logarithm of 0": ({"axes": {"seed": {"log_range": [0, 2], "count": 2}}}, "must be above 0"),
+    "value out of range": ({"axes": {"scene.frames": [3, -1]}}, "axes: key 'scene.frames': must be at least"),
+    "drawn out of range": (
+        {"axes": {"scene.body.contrast": {"normal": [0, 1], "count": 30}}},
+        "axes: key 'scene.body.contrast': must be at least 0",
+    ),
+    "wrong type": ({"axes": {"scene.frames": ["many"]}}, "expected a whole number"),
+    "a billion": (
+        {"axes": {"seed": {"range": [0, 9e5], "count": 10**6}, BASELINES: {"uniform": [1, 2], "count": 1000}}},
+        "1,000,000,000 points (seed 1000000 x scene.rig.baseline_m 1000) are more than 1,000,000",
+    ),
+    "not a power of two": (
+        {"design": {"method": "sobol", "count": 100, "settings": {"seed": {"uniform": [1, 2]}}}},
+        "give 64 or 128",
+    ),
+    "set twice": (
+        {"axes": {"scene.rig": [{}], BASELINES: [0.1]}},
+        "'scene.rig.baseline_m' is set by scene.rig and by scene.rig.baseline_m",
+    ),
+    "the machine": ({"axes": {"runtime.workers": [1, 2]}}, "how the machine is used does not change a result"),
+    "a column's name": ({"axes": {"status": {"variants": {"a": {"seed": 1}}}}}, "the table has a column"),
+    "no run": ({"steps": ["simulate", "evaluate"]}, "'evaluate' needs a run"),
+    "no sequence": ({"steps": ["run"]}, "a run needs a sequence"),
+    "no scene": ({"base": {}, "steps": ["simulate"]}, "no 'scene' to simulate"),
+    "steps in another order": ({"steps": ["run", "simulate"]}, "in this order"),
+    "unknown step": ({"steps": ["render"]}, "expected"),
+    "data and simulate": ({"data": "nowhere", "steps": ["simulate"]}, "remove it, or the step simulate"),
+    "data that are missing": ({"data": "nowhere", "steps": ["run"]}, "nowhere is missing"),
+    "base that is missing": ({"base": "nowhere.yaml"}, "nowhere.yaml is missing"),
+    "no file": ({}, "is missing: give an existing study"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_study_gives_one_line_before_anything_runs(
+    name: str, write_study: WriteStudy, tmp_path: Path, capsys: Capture
+) -> None:
+    content, said = BAD[name]
+    path = write_study(**{"base": {"scene": SCENE}, "steps": [], **content})
+    if not content:
+        path.unlink()
+    assert main(["sweep", str(path), "-o", str(tmp_path / "out")]) == 2
+    printed = capsys.readouterr()
+    assert printed.err.startswith("polhode: error: ") and printed.err.count("\n") == 1
+    assert said in printed.err and str(tmp_path) in printed.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_dry_run_of_many_points_prints_the_plan_and_writes_nothing(
+    write_study: WriteStudy, tmp_path: Path, capsys: Capture
+) -> None:
+    axes = {
+        BASELINES: {"range": [0.1, 0.2], "count": 10},
+        "backend.accel_psd": {"log_range": [1e-6, 1e-3], "count": 1000},
+    }
+    path = write_study(base={"scene": SCENE}, axes=axes)
+    assert main(["sweep", str(path), "-o", str(tmp_path / "out"), "--dry-run"]) == 0
+    text = capsys.readouterr().out
+    assert "points      10,000 (scene.rig.baseline_m 10 x backend.accel_psd 1000)" in text
+    assert "rendered    10 sequences, each once; 10 stereo pairs" in text
+    assert "table       10,000 rows" in text and "MB (estimated)" in text
+    assert not (tmp_path / "out").exists()
+
+
+def test_steps_of_a_point_that_contradict_each_other_are_found_when_it_is_made(
+    write_study: WriteStudy,
+) -> None:
+    axes = {"key_frames.above": [100, 600], "key_frames.number": [50, 200]}
+    study = open_study(write_study(axes=axes, steps=[]), check=False)
+    study.config(study.point(0))
+    with pytest.raises(InputError, match="200 key frames are more than above: 100"):
+        study.config(study.point(1))
