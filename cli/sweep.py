@@ -20,13 +20,16 @@ REASONS = 5
 class SweepCommand:
     """Compute a study: a row for each point of a grid or a design of settings.
 
-    A study (docs/studies.md) names a base configuration, axes, and what is done for each point: simulate, run,
-    evaluate, plan, compare. Points that are stored in DIR are not computed again: the same command goes on
-    after whatever has ended it.
+    A study (docs/studies.md) names a base configuration, axes, and what is done for each point: simulate,
+    run, evaluate, plan, compare. Points that are stored in DIR are not computed again: the same command goes
+    on after whatever has ended it.
     """
 
     EXAMPLES: ClassVar = (
-        ("polhode sweep STUDY.yaml -o DIR --dry-run", "how many points, what is rendered once, how much disk"),
+        (
+            "polhode sweep STUDY.yaml -o DIR --dry-run",
+            "how many points, what is rendered once, how much disk",
+        ),
         ("polhode sweep STUDY.yaml -o DIR", "DIR/table.parquet, on all cores of this machine"),
     )
     GROUPS: ClassVar = {"where it is computed": ("cluster", "workers", "memory_gb")}

@@ -117,8 +117,8 @@ def load(run: str | Path) -> "Run":
 def load_study(study: str | Path) -> "pd.DataFrame":
     """The table of a study of ``polhode sweep`` as a data frame: a row for each point (docs/studies.md).
 
-    Of a study that is not finished, it has the points that are. Needs pandas. Raises InputError: the folder is
-    that of no study.
+    Of a study that is not finished, it has the points that are. Needs pandas. Raises InputError: the folder
+    is that of no study.
     """
     from polhode.studies.table import load_study as load_table
 

@@ -32,7 +32,7 @@ DEATHS = 3
 CHECKED = ("polhode", "python", "numpy", "distributed")
 SETTINGS: dict[str, Any] = {
     "distributed.scheduler.allowed-failures": DEATHS,
-    # Results are small: nothing is worth a disk, and a worker that is paused for its memory would never go on.
+    # Results are small: nothing is worth a disk, and a worker that pauses for its memory would never go on.
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
@@ -67,7 +67,8 @@ class Cluster:
 def opened_cluster(options: ClusterOptions, folder: Path, inputs: Sequence[Path]) -> Iterator[Cluster]:
     """Start processes, or connect with a scheduler and check its workers, until the block ends.
 
-    ``folder``: of the study; ``inputs``: files and folders that the points read. Raises InputError: no scheduler answers, it has no workers, or they cannot compute here.
+    ``folder``: of the study; ``inputs``: files and folders that the points read. Raises InputError: no
+    scheduler answers, it has no workers, or they cannot compute the study.
     """
     if options.address is None:
         with _local(options) as cluster:
@@ -196,8 +197,8 @@ def _check_answer(worker: str, answer: Any, own: dict[str, str], folder: Path) -
 
 
 def probe(file: str, token: str, inputs: Sequence[str]) -> dict[str, Any]:
-    """On a worker: its versions, whether it sees a file of the study and can write beside it, and which of the
-    inputs it does not have."""
+    """On a worker: its versions, whether it sees a file of the study and can write beside it, and which of
+    the inputs it does not have."""
     sees = False
     with suppress(OSError):
         sees = Path(file).read_text(encoding="utf-8") == token and os.access(Path(file).parent, os.W_OK)

@@ -44,9 +44,7 @@ class Factor:
     def extremes(self) -> Iterator[int]:
         """Levels that show whether all of them are valid: every listed one, and those with the least and the
         largest number of each column."""
-        numbers = [
-            [row[k] for row in self.values] for k in range(len(self.columns)) if self._is_numeric(k)
-        ]
+        numbers = [[row[k] for row in self.values] for k in range(len(self.columns)) if self._is_numeric(k)]
         if len(numbers) < len(self.columns):
             yield from range(len(self))
             return
@@ -76,9 +74,7 @@ def factor_of_design(design: Design) -> Factor:
     """The draws of a design."""
     names = tuple(design.settings)
     shares = _unit_cube(design, len(names))
-    columns = [
-        _scaled(name, each, shares[:, k]) for k, (name, each) in enumerate(design.settings.items())
-    ]
+    columns = [_scaled(name, each, shares[:, k]) for k, (name, each) in enumerate(design.settings.items())]
     values = tuple(zip(*columns, strict=True))
     return Factor(names, values, tuple(dict(zip(names, row, strict=True)) for row in values))
 

@@ -30,7 +30,9 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, bool | int | float | s
         for key, each in value.items():
             yield from _leaves(f"{name}.{key}", each)
     elif isinstance(value, list | tuple):
-        if len(value) <= LONGEST_VECTOR and not any(isinstance(each, list | tuple | Mapping) for each in value):
+        if len(value) <= LONGEST_VECTOR and not any(
+            isinstance(each, list | tuple | Mapping) for each in value
+        ):
             for position, each in enumerate(value):
                 if not isinstance(each, str):
                     yield from _leaves(f"{name}.{position}", each)

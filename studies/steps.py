@@ -113,7 +113,7 @@ class _Work:
 
 
 def simulate_sequence(job: SequenceJob) -> SequenceOutcome:
-    """Render a sequence where it is missing; it appears when it is complete. An interrupted one is resumed."""
+    """Render a sequence where it is missing; what was begun is resumed."""
     _prepare(job.code)
     store, start = Store(job.folder), perf_counter()
     try:
@@ -196,7 +196,7 @@ def versions() -> dict[str, str]:
 def _prepare(code: str) -> None:
     """One thread, no messages on the terminal of whoever started the worker. Raises OtherCode."""
     if code_digest() != code:
-        raise OtherCode(f"{platform.node()} has another version of polhode")
+        raise OtherCode(f"a worker on {platform.node()} has other code of polhode than this program")
     _one_thread()
     root = logging.getLogger()
     if not root.handlers:
@@ -277,9 +277,7 @@ def _plan(work: _Work) -> None:
     from polhode.planning.keep_out.volumes import KeepOutOptions
 
     wanted = work.job.plan
-    options = KeepOutOptions(
-        wanted.horizon_s, wanted.confidence, members=wanted.members, cover=wanted.cover
-    )
+    options = KeepOutOptions(wanted.horizon_s, wanted.confidence, members=wanted.members, cover=wanted.cover)
     plan = plan_run(work.run, options, None)
     if work.job.keep == "whole":
         with plan_folder(work.folder / "plan") as place:

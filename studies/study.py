@@ -306,7 +306,9 @@ def _check_names(study: OpenStudy) -> None:
                 )
             owner = ", ".join(factor.columns)
             for other, of in seen.items():
-                if of != owner and (f"{setting}.".startswith(f"{other}.") or f"{other}.".startswith(f"{setting}.")):
+                if of != owner and (
+                    f"{setting}.".startswith(f"{other}.") or f"{other}.".startswith(f"{setting}.")
+                ):
                     raise InputError(
                         f"{study.source}: axes: '{setting}' is set by {of} and by {owner}; vary it in one"
                     )
@@ -319,7 +321,9 @@ def _check_steps(study: OpenStudy) -> None:
     names = set().union(*(factor.settings for factor in study.factors)) if study.factors else set()
     has_data = study.settings.data is not None or DATA in names
     if "simulate" in steps and DATA in names:
-        raise InputError(f"{source}: axes: the points simulate their own sequences; remove 'data' or the step")
+        raise InputError(
+            f"{source}: axes: the points simulate their own sequences; remove 'data' or the step"
+        )
     if "run" in steps and "simulate" not in steps and not has_data:
         raise InputError(f"{source}: a run needs a sequence: give 'data', or begin with the step 'simulate'")
     if "simulate" in steps and study.base["scene"] is None and not any(_section(n) == "scene" for n in names):

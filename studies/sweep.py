@@ -118,8 +118,8 @@ def _gathered(study: OpenStudy, store: Store, computed: int, progress: Progress)
         advance()
     if rows != study.count:
         raise RunFailure(
-            f"{store.folder}: {study.count - rows} points have no record, although all were computed; was the "
-            "folder changed meanwhile? Repeat the command"
+            f"{store.folder}: {study.count - rows} points have no record, although all were computed; was "
+            "the folder changed meanwhile? Repeat the command"
         )
     for number in range(study.count):
         record = store.read(study.point(number).address)
@@ -279,7 +279,7 @@ class _Window:
             self._store.write(failed_record(point.address, point.values, _killed(error), digest))
             return FAILED
         if isinstance(error, OtherCode):
-            raise RunFailure(f"{error}: a worker that joined later; {_KEPT}") from None
+            raise RunFailure(f"{error}; was it changed meanwhile? {_KEPT.capitalize()}") from None
         if isinstance(error, RunFailure | InputError | OSError):
             raise RunFailure(f"{one_line(str(error))}; {_KEPT}") from None
         if error is not None:

@@ -136,7 +136,8 @@ def _type(name: str, kinds: set[type]) -> pa.DataType:
 
 def _table(rows: list[Row], schema: pa.Schema) -> pa.Table:
     columns = [
-        pa.array([_cell(row.get(field.name), field.type) for row in rows], type=field.type) for field in schema
+        pa.array([_cell(row.get(field.name), field.type) for row in rows], type=field.type)
+        for field in schema
     ]
     return pa.Table.from_arrays(columns, schema=schema)
 

@@ -29,6 +29,7 @@ API = """# Python API
 
 ::: polhode.api.run
 ::: polhode.api.load
+::: polhode.api.load_study
 ::: polhode.api.simulate
 ::: polhode.api.evaluate
 ::: polhode.api.configuration

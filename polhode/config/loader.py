@@ -108,7 +108,7 @@ def load_config(
 
 
 def read_settings(path: Path) -> dict[str, Any]:
-    """What ``path`` and the files that it extends set, unchecked. Raises InputError for what is no such file."""
+    """What ``path`` and the files that it extends set, unchecked. Raises InputError."""
     layered = _Layered()
     for file, values in _chain(path, ()):
         layered.merge(values, str(file))
@@ -284,7 +284,8 @@ def _one_line(model: type[BaseModel], layered: _Layered, problem: dict[str, Any]
     if problem["type"] == "too_long":
         return f"{where}: more than {problem['ctx']['max_length']} values; give fewer"
     if problem["type"] == "literal_error":
-        return f"{where}: {_expected(model, path)}, got {got};{_choice_hint(model, path, problem['input'])}".rstrip(";")
+        hint = _choice_hint(model, path, problem["input"])
+        return f"{where}: {_expected(model, path)}, got {got};{hint}".rstrip(";")
     return f"{where}: {_expected(model, path)}, got {got}"
 
 

@@ -123,11 +123,11 @@ class Study(Section):
 
     title: str = Field("", max_length=200)
     """What the study asks, in a line."""
-    base: dict[str, Any] | str = {}
+    base: dict[str, Any] | str = Field(default_factory=dict)
     """Settings of all points: a configuration file (relative to the study's), or sections as in one."""
     data: str | None = None
     """Folder of the stereo sequence of all points, where none is simulated (relative to the study's file)."""
-    axes: dict[str, Axis] = {}
+    axes: dict[str, Axis] = Field(default_factory=dict)
     """Settings, as dotted keys of the configuration, and their values. Also "data", and "plan.horizon_s" and
     the like; an element of a list by its position: "scene.motion.spin_rpm.1"."""
     design: Design | None = None

@@ -90,8 +90,8 @@ def _fingerprint(plan: SequencePlan, description: str) -> str:
 
 
 def sequence_digest(scene: Scene, seed: int) -> str:
-    """SHA-256, hexadecimal, of all that the images and the truth depend on: scene, content of its mesh file and
-    of those beside it, sources of the program, libraries."""
+    """SHA-256, hexadecimal, of all that the images and the truth depend on: scene, content of its mesh file
+    and of those beside it, sources of the program, libraries."""
     digest = sha256(f"{describe_scene(scene, seed)}{_sources_and_libraries()}".encode())
     for file in _files_of_mesh(scene.body.path):
         digest.update(f"{file.name} {sha256(file.read_bytes()).hexdigest()}".encode())

@@ -29,7 +29,10 @@ WRITTEN, REPLACED, REFUSED, NONE = "written", "replaced", "refused", "-"
 RESUMED, STAYS, FAILED = "resumed", "replaced; theirs stays", "fails; nothing replaced"
 STAGED = ("run", "simulate", "import")
 """Those that write beside the place, and then replace it whole."""
-FOLDERS = (*STAGED[:2], "compare", "train", "calibrate", "checkout", "plan", "observability", "import")
+FOLDERS = (
+    *STAGED[:2],
+    *("compare", "sweep", "train", "calibrate", "checkout", "plan", "observability", "import"),
+)
 FILES = ("export", "export urdf", "predict", "report", "view")
 COMMANDS = (*FOLDERS, *FILES)
 
@@ -49,7 +52,13 @@ TABLE: dict[str, dict[str, str]] = {
     ),
     "such a folder, with --overwrite": row(NONE, run=REFUSED, simulate=REFUSED, import_=REFUSED),
     "its own result": row(
-        REPLACED, run=REFUSED, simulate=REFUSED, compare=RESUMED, train=RESUMED, import_=REFUSED
+        REPLACED,
+        run=REFUSED,
+        simulate=REFUSED,
+        compare=RESUMED,
+        sweep=RESUMED,
+        train=RESUMED,
+        import_=REFUSED,
     ),
     "its own result, with --overwrite": row(NONE, run=REPLACED, simulate=REPLACED, import_=REPLACED),
     "its own result and files of the user, with --overwrite where there is one": row(
@@ -60,6 +69,7 @@ TABLE: dict[str, dict[str, str]] = {
         simulate=NONE,
         import_=NONE,
         compare=NONE,
+        sweep=NONE,
         train=NONE,
         calibrate=NONE,
         checkout=NONE,
@@ -77,6 +87,7 @@ TABLE: dict[str, dict[str, str]] = {
     "the current folder, with nothing in it": row(
         REFUSED,
         compare=WRITTEN,
+        sweep=WRITTEN,
         train=WRITTEN,
         calibrate=WRITTEN,
         checkout=WRITTEN,
@@ -87,7 +98,7 @@ TABLE: dict[str, dict[str, str]] = {
     "folders of the path are missing": row(WRITTEN),
     "a file among the folders of the path": row(REFUSED),
     "a link to its own result, with --overwrite where there is one": row(
-        REPLACED, compare=RESUMED, train=RESUMED
+        REPLACED, compare=RESUMED, sweep=RESUMED, train=RESUMED
     ),
     "a link to a file or folder of the user": row(REFUSED),
     "a link to what is not there": row(WRITTEN),
@@ -97,7 +108,7 @@ TABLE: dict[str, dict[str, str]] = {
     "a place that is read-only": row(REFUSED),
     "a place that is full": row(REFUSED),
     "a place that fills during the work, its own result there": row(FAILED),
-    "what a killed process left on its way there": row(WRITTEN, compare=NONE, train=NONE),
+    "what a killed process left on its way there": row(WRITTEN, compare=NONE, sweep=NONE, train=NONE),
     "another process that is writing there": row(
         REFUSED, export=WRITTEN, predict=WRITTEN, report=WRITTEN, view=WRITTEN
     ),

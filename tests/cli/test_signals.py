@@ -23,6 +23,7 @@ WORDS: dict[str, list[str]] = {
     "run": ["C", "--data", "S", "-o", "R"],
     "evaluate": ["R", "S"],
     "compare": ["C", "-o", "D"],
+    "sweep": ["C", "-o", "D"],
     "predict": ["R", "--horizon", "60"],
     "threshold": [
         *("--radius-m", "2", "--mass-kg", "100", "--force-n", "1"),
@@ -37,7 +38,11 @@ WORDS: dict[str, list[str]] = {
     "doctor": [],
     "completion": ["bash"],
 }
-KEPT = {"compare": "finished rows are kept", "train": "finished scenes and the last checkpoint are kept"}
+KEPT = {
+    "compare": "finished rows are kept",
+    "sweep": "points that are done are kept",
+    "train": "finished scenes and the last checkpoint are kept",
+}
 
 
 @pytest.mark.parametrize("number", ENDING)

@@ -1,7 +1,8 @@
 """The commands that write, made quick: they write as always, but the work is done once or left out."""
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -22,6 +23,7 @@ import polhode.pipeline.after_run.plan_files
 import polhode.pipeline.checkout.checkout
 import polhode.pipeline.run
 import polhode.pipeline.view.show_run
+import polhode.studies.sweep
 import polhode.train.run
 from polhode.atomic import write_text
 from polhode.calibration.adjustment import adjust
@@ -40,6 +42,9 @@ from polhode.pipeline.run_directory.run_folder import atomic_run_folder
 from polhode.pipeline.run_directory.stored_run import StoredMotion
 from polhode.pipeline.view.recorder import Recorder
 from polhode.planning.keep_out.volumes import KeepOutOptions
+from polhode.studies.steps import failed_record
+from polhode.studies.store import Store
+from polhode.studies.study import OpenStudy
 from tests.calibration.synthetic_rigs import SIZE, rig, seen_corners
 from tests.pipeline.conftest import Example, write_example
 
@@ -84,6 +89,7 @@ WRITERS: Mapping[str, Writer] = {
     "simulate": Writer("simulate", "S", "scene.yaml", overwrite=True),
     "import": Writer("import", "I", "import.json", overwrite=True),
     "compare": Writer("compare", "C", "compare.json"),
+    "sweep": Writer("sweep", "W", "table.parquet"),
     "train": Writer("train", "T", "scores.json"),
     "calibrate": Writer("calibrate", "B", "calibration.json"),
     "checkout": Writer("checkout", "K", "checkout.json"),
@@ -112,6 +118,7 @@ class Stage:
             "simulate": [str(self.inputs / "scene.yaml")],
             "import": [str(self.inputs / "recording")],
             "compare": ["--run", run],
+            "sweep": [str(self.inputs / "study.yaml")],
             "train": [str(self.inputs / "train.yaml")],
             "calibrate": self._board_images(),
             "checkout": [str(self.inputs / "none")],
@@ -140,6 +147,7 @@ def make_stage(folder: Path, example: Example) -> Stage:
     folder.mkdir()
     (folder / "scene.yaml").write_text(SCENE)
     _write_recording(folder / "recording")
+    (folder / "study.yaml").write_text("axes: {seed: [1, 2]}\nsteps: []\n")
     (folder / "train.yaml").write_text(f"train: {{corpus: {{folder: {folder / 'corpus'}}}}}\n")
     run = folder / "stored"
     run.mkdir()
@@ -168,6 +176,10 @@ def make_quick(patch: pytest.MonkeyPatch, stage: Stage) -> None:
     patch.setattr(polhode.pipeline.run, "run", partial(run_of_stored_files, stage.run))
     patch.setattr(polhode.compare.comparison, "_compared", _compared)
     patch.setattr("polhode.compare.tables.format_tables", lambda comparison: "")
+    patch.setattr(
+        polhode.studies.sweep, "opened_cluster", lambda *_: nullcontext(SimpleNamespace(description=""))
+    )
+    patch.setattr(polhode.studies.sweep, "_Window", _RecordsWithoutWork)
     patch.setattr(polhode.train.run, "_trained", _trained)
     patch.setattr(polhode.pipeline.checkout.checkout, "checkout", lambda *_: _checked())
     patch.setattr(polhode.calibration.calibrate, "calibrate", lambda pairs, *_: _calibrated(pairs))
@@ -231,6 +243,20 @@ def _compared(config: Config, folder: Path, *_: object) -> Any:
     for name in polhode.compare.comparison.FILES:
         write_text(folder / name, LONG)
     return SimpleNamespace(rows=[SimpleNamespace(status="ok", model_dump=lambda **_: {})])
+
+
+class _RecordsWithoutWork:
+    """Stores a record of each point."""
+
+    def __init__(self, study: OpenStudy, store: Store, cluster: object, missing: Sequence[int]) -> None:
+        del cluster
+        self._points, self._store = [study.point(number) for number in missing], store
+
+    def outcomes(self) -> Iterator[str]:
+        """Of each point."""
+        for point in self._points:
+            self._store.write(failed_record(point.address, point.values, "") | {"status": "done"})
+            yield "done"
 
 
 def _calibrated(pairs: ImagePairs) -> CalibratedRig:

@@ -94,7 +94,7 @@ def test_variants_set_several_settings_under_one_name() -> None:
 
 
 def test_a_value_that_comes_twice_is_refused() -> None:
-    with pytest.raises(InputError, match="axes.seed: the value 3 comes twice"):
+    with pytest.raises(InputError, match="the value 3 comes twice"):
         levels("seed", values=(3, 4, 3))
     # rounded to whole numbers, these are no longer ten
     with pytest.raises(InputError, match="comes twice"):

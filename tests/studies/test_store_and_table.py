@@ -93,7 +93,9 @@ def test_columns_have_the_type_of_their_values_and_results_follow_the_settings()
         "string",
     )
     assert schema.names[:3] == ["point", "seed", "status"] and schema.names[-1] == "digest.point"
-    assert schema.names.index("run.n") < schema.names.index("evaluate.e") < schema.names.index("time.finished")
+    assert (
+        schema.names.index("run.n") < schema.names.index("evaluate.e") < schema.names.index("time.finished")
+    )
 
 
 def test_a_folder_that_is_no_study_is_refused(tmp_path: Path) -> None:

@@ -123,7 +123,12 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "wrong type": ({"axes": {"scene.frames": ["many"]}}, "expected a whole number"),
     "a billion": (
-        {"axes": {"seed": {"range": [0, 9e5], "count": 10**6}, BASELINES: {"uniform": [1, 2], "count": 1000}}},
+        {
+            "axes": {
+                "seed": {"range": [0, 9e5], "count": 10**6},
+                BASELINES: {"uniform": [1, 2], "count": 1000},
+            }
+        },
         "1,000,000,000 points (seed 1000000 x scene.rig.baseline_m 1000) are more than 1,000,000",
     ),
     "not a power of two": (
@@ -134,7 +139,10 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         {"axes": {"scene.rig": [{}], BASELINES: [0.1]}},
         "'scene.rig.baseline_m' is set by scene.rig and by scene.rig.baseline_m",
     ),
-    "the machine": ({"axes": {"runtime.workers": [1, 2]}}, "how the machine is used does not change a result"),
+    "the machine": (
+        {"axes": {"runtime.workers": [1, 2]}},
+        "how the machine is used does not change a result",
+    ),
     "a column's name": ({"axes": {"status": {"variants": {"a": {"seed": 1}}}}}, "the table has a column"),
     "no run": ({"steps": ["simulate", "evaluate"]}, "'evaluate' needs a run"),
     "no sequence": ({"steps": ["run"]}, "a run needs a sequence"),

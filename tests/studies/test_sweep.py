@@ -172,8 +172,14 @@ def test_while_points_wait_for_one_sequence_others_are_looked_at(
 @pytest.mark.parametrize(
     ("error", "said"),
     [
-        (RunFailure("x.json: cannot be written (No space left on device)"), "No space left on device); points"),
-        (work.OtherCode("node7 has another version of polhode"), "node7 has another version"),
+        (
+            RunFailure("x.json: cannot be written (No space left on device)"),
+            "No space left on device); points",
+        ),
+        (
+            work.OtherCode("node7 has other code"),
+            "node7 has other code; was it changed meanwhile? Points that",
+        ),
         (None, "the scheduler was lost; points that are done are kept"),
     ],
 )
