@@ -27,6 +27,7 @@ CODE: dict[str, tuple[str, ...]] = {
     "planning": ("planning", "simulation", "polhode"),
     "rendering": ("simulation", "polhode"),
     "robustness": (*ALL, "cli"),
+    "studies": ("studies", "polhode"),
     "trust": (*ALL, "benchmarks/robustness"),
     "mutation": (*ALL, "cli", "tests"),
 }
@@ -201,6 +202,8 @@ BENCHMARKS = (
     Benchmark("measurement_faults", "robustness.measurement_faults", "docs/checks.md", 60),
     Benchmark("verdict", "robustness.verdict", "docs/checks.md", 1, "-o runs/verdict.png", None,
               also="trust"),
+    Benchmark("study_engine", "studies.engine", "docs/studies.md", 40,
+              short="--short --record runs/study_engine_short.jsonl"),
     Benchmark("trust", "trust.trust", "docs/trust.md", 240),
     Benchmark("error_models", "trust.error_models", "docs/trust.md", 60),
     Benchmark("mutation", "mutation.catch", "docs/testing.md", 30, short=None),

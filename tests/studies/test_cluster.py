@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -118,19 +118,25 @@ def test_an_interrupted_study_ends_in_one_line_and_leaves_no_process(
     assert not any(each.is_running() for each in workers)
 
 
-@pytest.fixture(scope="module")
-def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The address of a scheduler with two workers of one thread, each a process of its own."""
-    file = tmp_path_factory.mktemp("scheduler") / "scheduler.json"
+@contextmanager
+def begun_scheduler(file: Path, workers: int) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A scheduler with workers of one thread, each a process of its own; its address, which the file has."""
     scheduler = ("-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0")
     worker = ("-m", "distributed.cli.dask_worker", "--nthreads", "1", "--no-nanny", "--no-dashboard")
-    with (
-        begun(*scheduler, "--no-dashboard", "--scheduler-file", str(file)),
-        begun(*worker, "--scheduler-file", str(file)),
-        begun(*worker, "--scheduler-file", str(file)),
-    ):
+    with ExitStack() as stack:
+        words = (*scheduler, "--no-dashboard", "--scheduler-file", str(file))
+        process = stack.enter_context(begun(*words))
+        for _ in range(workers):
+            stack.enter_context(begun(*worker, "--scheduler-file", str(file)))
         until(file.is_file)
-        yield str(json.loads(file.read_text())["address"])
+        yield process, str(json.loads(file.read_text())["address"])
+
+
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a scheduler with two workers."""
+    with begun_scheduler(tmp_path_factory.mktemp("scheduler") / "scheduler.json", 2) as (_, address):
+        yield address
 
 
 def test_a_scheduler_that_runs_already_gives_the_same_table(
@@ -140,6 +146,23 @@ def test_a_scheduler_that_runs_already_gives_the_same_table(
     assert main([*words, "--cluster", scheduler]) == 0
     assert f"workers of {scheduler}" in capsys.readouterr().out
     assert timeless(tmp_path) == timeless(undisturbed / "out")
+
+
+def test_a_study_whose_scheduler_is_killed_ends_in_one_line_and_goes_on_elsewhere(
+    scheduler: str, undisturbed: Path, tmp_path: Path
+) -> None:
+    words = ["sweep", str(undisturbed / "study.yaml"), "-o", str(tmp_path / "out")]
+    with (
+        begun_scheduler(tmp_path / "scheduler.json", 1) as (other, address),
+        begun("-m", "polhode", *words, "--cluster", address) as process,
+    ):
+        until(lambda: records(tmp_path / "out") >= 1)
+        other.kill()
+        _, errors = process.communicate(timeout=LONG_S)
+        assert process.returncode == 1 and errors.count("\n") == 1
+        assert "the scheduler was lost; points that are done are kept" in errors
+    assert main([*words, "--cluster", scheduler]) == 0
+    assert timeless(tmp_path / "out") == timeless(undisturbed / "out")
 
 
 def test_workers_that_cannot_compute_the_study_are_refused_before_anything_runs(
