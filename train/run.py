@@ -81,7 +81,9 @@ def _require_sound(train: Train) -> None:
 
 
 def _trained(config: Config, train: Train, output: Path, progress: Progress, workers: int) -> Trained:
-    render_corpus(train.corpus, progress, workers)
+    if train.task != "surface":
+        # the surface network has images of its own
+        render_corpus(train.corpus, progress, workers)
     torch.manual_seed(config.seed)
     task = make_task(train, config.seed, progress, workers)
     if train.start_from is not None:
@@ -99,7 +101,7 @@ def _trained(config: Config, train: Train, output: Path, progress: Progress, wor
 def setting_of(train: Train, seed: int) -> dict[str, Any]:
     """The settings on which the weights depend: dotted key -> value."""
     setting = {"seed": seed, **_flat(train, "")}
-    others = {"descriptor", "depth"} - {train.task}
+    others = {"descriptor", "depth", "surface"} - {train.task}
     if train.task != "descriptor":
         others |= {"light"}
     return {

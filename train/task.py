@@ -14,7 +14,11 @@ from polhode.config.train_settings import Train
 from polhode.progress import Progress
 
 Batch = dict[str, Tensor]
-TASKS = {"descriptor": "polhode.train.descriptor.task", "depth": "polhode.train.disparity.task"}
+TASKS = {
+    "descriptor": "polhode.train.descriptor.task",
+    "depth": "polhode.train.disparity.task",
+    "surface": "polhode.train.surface.task",
+}
 """Module of each ``train.task``; imported when it is used."""
 
 

@@ -25,7 +25,7 @@ from polhode.frontend.features.patch_descriptors import describe, descriptor_net
 from polhode.frontend.features.patches import cut_patches, tangent_affines
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.features.surface_features import SurfaceFeatureMethod, with_patch_size
-from polhode.frontend.matching.matchers import DUSTBIN, TEMPERATURE, root_probabilities
+from polhode.frontend.matching.matchers import DUSTBIN, TEMPERATURE, DualSoftmax
 from polhode.frontend.rectification import RectifiedPair
 from polhode.lie import Array
 from polhode.records import Bools, Ints
@@ -101,7 +101,8 @@ def values_after(a: StereoFeatures, b: StereoFeatures) -> tuple[Ints, Array]:
     apart = np.linalg.norm(uv[best][:, None] - uv[None], axis=2) > SAME_MARK_PX
     second = np.where(apart, similarity, -1.0).max(axis=1)
     descriptors = torch.from_numpy(a.descriptors), torch.from_numpy(b.descriptors)
-    probability = root_probabilities(*descriptors, TEMPERATURE, DUSTBIN).numpy()[rows, best] ** 2
+    with torch.inference_mode():
+        probability = DualSoftmax(TEMPERATURE, DUSTBIN)(*descriptors).exp().numpy()[rows, best]
     return best, np.column_stack([highest, highest - second, probability])
 
 

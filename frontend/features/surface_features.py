@@ -28,19 +28,23 @@ bodies, with equal weight for each scene. The form of the model was chosen among
 bodies, textures and light of other scenes, so a check on these is not entirely independent.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from polhode.camera import RectifiedRig
-from polhode.config.frontend_settings import Depth, Frontend
+from polhode.config.frontend_settings import Depth, Features, Frontend
 from polhode.dataset import StereoSequence
 from polhode.frontend.disparity.depth import find_disparity_range
 from polhode.frontend.disparity.measured import disparity_at
 from polhode.frontend.disparity.sgbm import Floats, cut_crop, match_checked
 from polhode.frontend.features.keypoints import FeatureCandidates, find_candidates
 from polhode.frontend.features.local_planes import local_planes
-from polhode.frontend.features.patch_descriptors import SurfaceDescriptor, make_descriptor
+from polhode.frontend.features.patch_descriptors import PatchDescriptions, SurfaceDescriptor, make_descriptor
 from polhode.frontend.features.patches import rotate_affines, surface_frames, surface_normals, tangent_affines
 from polhode.frontend.features.stereo import (
     MIN_CORRELATION,
@@ -48,9 +52,10 @@ from polhode.frontend.features.stereo import (
     refine_disparity,
     texture_sigma,
 )
-from polhode.frontend.rectification import RectifiedPair, Rectifier, rectified_pair
+from polhode.frontend.features.surface_network import SurfaceLook, surface_network
+from polhode.frontend.rectification import Image, RectifiedPair, Rectifier, rectified_pair
 from polhode.lie import Array
-from polhode.records import Ints
+from polhode.records import Bools, Ints
 
 UV_FLOOR_PX, UV_GAIN_PX = 0.293, 3.287
 """In the image [px]."""
@@ -97,19 +102,57 @@ def confidence_logit(confidence: Array) -> Array:
     return np.asarray(np.log(p / (1.0 - p)))
 
 
+class Look(Protocol):
+    """One image, of which a method has found and can describe points."""
+
+    def candidates(self, count: int) -> tuple[FeatureCandidates, Array | None]:
+        """The ``count`` best points, and the standard deviations (n,) of their places, each axis [px], where
+        they are known."""
+        ...
+
+    def describe(self, uv_px: Array, affine_px: Array) -> PatchDescriptions:
+        """The surface around points (n, 2), by maps (n, 2, 2) of their upright patches."""
+        ...
+
+
+class PatchLook:
+    """Blobs, described by their patches."""
+
+    def __init__(self, describe: SurfaceDescriptor, config: Features, image: Image, mask: Bools) -> None:
+        self._describe, self._config, self._image, self._mask = describe, config, image, mask
+
+    def candidates(self, count: int) -> tuple[FeatureCandidates, Array | None]:
+        """See ``Look``."""
+        features = self._config.model_copy(update={"max_features": count})
+        return find_candidates(self._image, self._mask, features), None
+
+    def describe(self, uv_px: Array, affine_px: Array) -> PatchDescriptions:
+        """See ``Look``."""
+        return self._describe(self._image, uv_px, affine_px)
+
+
+def make_look(config: Frontend) -> Callable[[Image, Bools], Look]:
+    """How an image and its mask are looked at. Raises InputError: weights are missing."""
+    if config.features.surface_descriptor == "surface":
+        path = config.weights.surface
+        return partial(SurfaceLook, surface_network(None if path is None else Path(path)))
+    return partial(PatchLook, make_descriptor(config), config.features)
+
+
 class SurfaceFeatureMethod:
     """``FeatureMethod``: one stereo measurement for each candidate with a known surface."""
 
     def __init__(self, config: Frontend) -> None:
         self._config = config
-        self._describe: SurfaceDescriptor = make_descriptor(config)
+        self._look = make_look(config)
 
     def __call__(self, pair: RectifiedPair, rig: RectifiedRig) -> StereoFeatures:
         """Features of the left image; none when the target is out of view."""
         config = self._config
-        candidates = find_candidates(pair.left, pair.mask_left, config.features)
+        look = self._look(pair.left, pair.mask_left)
+        candidates, sigma_px = look.candidates(config.features.max_features)
         disparity = matched_disparity(pair, rig, config.depth)
-        measured, planes = _measure(pair, candidates, disparity, rig, config)
+        measured, planes = _measure(pair, candidates, sigma_px, disparity, rig, config)
         if len(measured) == 0:
             return measured
         half_m = config.features.patch_half_m
@@ -118,7 +161,7 @@ class SurfaceFeatureMethod:
         uv = measured.uvd_px[:, :2]
         normals = surface_normals(uv, planes, rig)
         affine = tangent_affines(measured.p_R, normals, rig, np.full(len(measured), half_m))
-        described = self._describe(pair.left, uv, affine)
+        described = look.describe(uv, affine)
         frames = surface_frames(measured.p_R, normals, rotate_affines(affine, described.angle_rad), rig)
         z = measured.p_R[:, 2]
         return replace(
@@ -177,7 +220,12 @@ def _distance_m(config: Frontend, sequence: StereoSequence, rectifier: Rectifier
 
 
 def _measure(
-    pair: RectifiedPair, candidates: FeatureCandidates, disparity: Floats, rig: RectifiedRig, config: Frontend
+    pair: RectifiedPair,
+    candidates: FeatureCandidates,
+    place_sigma_px: Array | None,
+    disparity: Floats,
+    rig: RectifiedRig,
+    config: Frontend,
 ) -> tuple[StereoFeatures, Array]:
     """Candidates with a refined disparity, without descriptors, and the planes (n, 3) of their surfaces."""
     planes = local_planes(disparity, candidates.uv_px)
@@ -192,6 +240,8 @@ def _measure(
             pair.left, pair.right, uv, plane[:, 0], _REFINEMENTS, plane[:, 1:]
         )
         sigma, is_seen = feature_sigma(sigma_ls), correlation > MIN_CORRELATION
+    if place_sigma_px is not None:
+        sigma[:, :2] = place_sigma_px[known, None]
     good = (
         is_seen
         & (np.abs(refined - plane[:, 0]) < _MAX_DISPARITY_CHANGE_PX)

@@ -22,13 +22,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from polhode.compiled import compiled_fused_ieee
+from polhode.compiled import compiled_fused_ieee, compiled_reordered
 from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.methods import Matches, one_to_one
-from polhode.lie import Array, transform_points
+from polhode.lie import Array, make_pose, transform_points
 from polhode.records import Bools, Ints
-from polhode.rigid_fit import fit_rigid
 
 Floats = NDArray[np.float32]
 TEMPERATURE = 0.03
@@ -46,6 +45,8 @@ PROPOSING_PAIRS = 500
 CONSIDERED_PAIRS = 3000
 """Number of the most probable pairs, of which those that agree with the motion are kept."""
 MIN_PROBABILITY = 1e-5
+_ROWS = 128
+"""Rows of similarities that are computed together."""
 GATE_PX = 3.0
 """Largest distance in the image between a transformed point and its match [px]."""
 GATE_DISPARITY_PX = 0.35
@@ -77,17 +78,62 @@ class DualSoftmax(nn.Module):
         return 2.0 * score - along_rows[:, None] - along_columns[None, :]
 
 
-def root_probabilities(a: Tensor, b: Tensor, temperature: float, dustbin: float) -> Tensor:
-    """Square root (n, m) of the probabilities of ``DualSoftmax`` for descriptors (n, d) and (m, d) of unit
-    length.
+@dataclass(frozen=True)
+class LikelyPairs:
+    """Pairs of features that may match."""
 
-    Without a gradient, and several times as fast: one exponential per pair.
+    pairs: Ints
+    """(m, 2) in the order of the first frame"""
+    root: NDArray[np.float32]
+    """(m,) square root of their probability"""
+
+
+def likely_pairs(a: Floats, b: Floats, temperature: float, dustbin: float) -> LikelyPairs:
+    """The pairs whose probability by ``DualSoftmax`` is above ``MIN_PROBABILITY``.
+
+    a (n, d), b (m, d) of unit length. Without a gradient, and several times as fast.
     """
     with torch.inference_mode():
-        root = torch.addmm(torch.tensor(-1.0), a, b.T).div_(temperature).exp_()
-        none = math.exp((dustbin - 1.0) / temperature)
-        along_rows, along_columns = root.sum(dim=1) + none, root.sum(dim=0) + none
-        return root.mul_(along_rows.rsqrt()[:, None]).mul_(along_columns.rsqrt()[None, :])
+        first, second = torch.from_numpy(a), torch.from_numpy(b).T
+        sharpness = 1.0 / temperature
+        root = torch.empty(len(a), len(b))
+        columns = torch.full((len(b),), math.exp((dustbin - 1.0) * sharpness))
+        rows = torch.full((len(a),), float(columns[0]))
+        for start in range(0, len(a), _ROWS):
+            # A block of rows stays in the processor's cache from the product to the sums.
+            some = root[start : start + _ROWS]
+            torch.addmm(
+                torch.tensor(-sharpness), first[start : start + _ROWS], second, alpha=sharpness, out=some
+            )
+            some.exp_()
+            rows[start : start + _ROWS] += some.sum(dim=1)
+            columns += some.sum(dim=0)
+        rows, columns = rows.sqrt_(), columns.sqrt_()
+    return LikelyPairs(*_above(root.numpy(), rows.numpy(), columns.numpy(), MIN_PROBABILITY**0.5))
+
+
+@compiled_reordered
+def _above(value: Floats, rows: Floats, columns: Floats, least: float) -> tuple[Ints, Floats]:
+    """Pairs (m, 2) with value / (rows columns) above ``least``, and that quotient (m,)."""
+    n, m = value.shape
+    limit = np.float32(least) * columns
+    counts = np.empty(n, np.int64)
+    for i in range(n):
+        own, row, count = rows[i], value[i], np.int32(0)
+        for j in range(m):
+            count += np.int32(row[j] > own * limit[j])
+        counts[i] = count
+    pairs, quotient = np.empty((counts.sum(), 2), np.int64), np.empty(counts.sum(), np.float32)
+    k = 0
+    for i in range(n):
+        if counts[i] == 0:
+            continue
+        for j in range(m):
+            if value[i, j] > rows[i] * limit[j]:
+                pairs[k, 0], pairs[k, 1] = i, j
+                quotient[k] = value[i, j] / (rows[i] * columns[j])
+                k += 1
+    return pairs, quotient
 
 
 def rigid_fit(p_A: Tensor, p_B: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
@@ -205,14 +251,53 @@ def _refined(
     start: Bools, free: Bools, p_A: Array, p_B: Array, weight: Array, gate_m: Array
 ) -> MotionMode | None:
     """Fit to the agreeing matches, then repeatedly to the free matches within a shrinking gate of the fit."""
-    inlier = start
+    R, t, inlier = _fit_in_rounds(start, free, p_A, p_B, weight, gate_m)
+    if inlier.sum() < 3:
+        return None
+    return MotionMode(make_pose(R, t), inlier, float(weight[inlier].sum()))
+
+
+@compiled_fused_ieee
+def _fit_in_rounds(
+    start: Bools, free: Bools, p_A: Array, p_B: Array, weight: Array, gate_m: Array
+) -> tuple[Array, Array, Bools]:
+    """R (3, 3) and t (3,) of the last round's fit, as ``polhode.rigid_fit``, and its inliers; none of these
+    if a round has fewer than three."""
+    inlier = start.copy()
+    R, t = np.eye(3), np.zeros(3)
     for shrink in _SHRINK:
         if inlier.sum() < 3:
-            return None
-        X_AB = fit_rigid(p_A[inlier], p_B[inlier], weight[inlier] / gate_m[inlier] ** 2)
-        miss = np.linalg.norm(p_A - transform_points(X_AB, p_B), axis=1)
-        inlier = np.asarray((miss < shrink * gate_m) & free)
-    return MotionMode(X_AB, inlier, float(weight[inlier].sum())) if inlier.sum() >= 3 else None
+            return R, t, np.zeros_like(inlier)
+        total = 0.0
+        mean_A, mean_B = np.zeros(3), np.zeros(3)
+        for n in range(len(inlier)):
+            if inlier[n]:
+                w = weight[n] / gate_m[n] ** 2
+                total += w
+                for i in range(3):
+                    mean_A[i] += w * p_A[n, i]
+                    mean_B[i] += w * p_B[n, i]
+        mean_A /= total
+        mean_B /= total
+        M = np.zeros((3, 3))
+        for n in range(len(inlier)):
+            if inlier[n]:
+                w = weight[n] / gate_m[n] ** 2
+                for i in range(3):
+                    for j in range(3):
+                        M[i, j] += w * (p_A[n, i] - mean_A[i]) * (p_B[n, j] - mean_B[j])
+        U, _, Vt = np.linalg.svd(M)
+        if np.linalg.det(U @ Vt) < 0.0:
+            U[:, 2] = -U[:, 2]
+        R = U @ Vt
+        t = mean_A - R @ mean_B
+        for n in range(len(inlier)):
+            square = 0.0
+            for i in range(3):
+                off = p_A[n, i] - t[i] - R[i, 0] * p_B[n, 0] - R[i, 1] * p_B[n, 1] - R[i, 2] * p_B[n, 2]
+                square += off * off
+            inlier[n] = free[n] and square < (shrink * gate_m[n]) ** 2
+    return R, t, inlier
 
 
 class SoftmaxMatcher:
@@ -246,16 +331,13 @@ class SoftmaxMatcher:
 
     def _probable(self, a: StereoFeatures, b: StereoFeatures) -> tuple[Ints, Array]:
         """The most probable pairs (m, 2), most probable first, and their probability (m,)."""
-        descriptors = torch.from_numpy(a.descriptors), torch.from_numpy(b.descriptors)
-        root = root_probabilities(*descriptors, TEMPERATURE, DUSTBIN).numpy()
-        index = np.flatnonzero(root > np.sqrt(MIN_PROBABILITY))
-        likely = root.ravel()[index]
-        if len(index) > CONSIDERED_PAIRS:
+        found = likely_pairs(a.descriptors, b.descriptors, TEMPERATURE, DUSTBIN)
+        pairs, likely = found.pairs, found.root
+        if len(pairs) > CONSIDERED_PAIRS:
             most = np.sort(np.argpartition(-likely, CONSIDERED_PAIRS)[:CONSIDERED_PAIRS])
-            index, likely = index[most], likely[most]
+            pairs, likely = pairs[most], likely[most]
         order = np.argsort(-likely, kind="stable")
-        pairs = np.column_stack(np.divmod(index[order], root.shape[1]))
-        return pairs, likely[order].astype(np.float64) ** 2
+        return pairs[order], likely[order].astype(np.float64) ** 2
 
 
 def _matches(pairs: Ints, probability: Array) -> Matches:

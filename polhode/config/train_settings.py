@@ -159,11 +159,45 @@ class LightStudy(Section):
     """Poses of a body, ``corpus.turn_deg`` apart."""
 
 
+class SurfaceLoss(Section):
+    """Weights of the terms of the surface network's loss, beside that of its descriptors."""
+
+    score: float = Field(1.0, ge=0, le=1e6)
+    """Of the map of landmarks."""
+    place: float = Field(0.3, ge=0, le=1e6)
+    """Of the landmarks' places and their standard deviations."""
+    light: float = Field(0.2, ge=0, le=1e6)
+    """Of the kind of light."""
+    motion: float = Field(1.0, ge=0, le=1e6)
+    """Factor on the terms of matches and motion."""
+    consistency: float = Field(0.3, ge=0, le=1e6)
+    """Of the places of one landmark in two images."""
+
+
+class SurfaceTraining(Section):
+    """Bodies of the corpus from several poses, each under several Suns, for the surface network."""
+
+    bodies: int = Field(500, ge=2, le=100_000)
+    """Number of bodies: the first ones of the corpus."""
+    suns: int = Field(3, ge=2, le=100)
+    """Suns, each with an exposure and other lights of its own, under which every pose is rendered."""
+    poses: int = Field(3, ge=2, le=100)
+    """Poses of a body, ``corpus.turn_deg`` apart."""
+    pairs: int = Field(3, ge=1, le=1000)
+    """Pairs of images in a step."""
+    points: int = Field(128, ge=8, le=100_000)
+    """Largest number of landmarks of a pair."""
+    crop_px: int = Field(208, ge=32, le=4096, multiple_of=8)
+    """Largest side of an image; a part of a larger one is used."""
+    loss: SurfaceLoss = SurfaceLoss()
+
+
 class Train(Section):
     """Training of one network of the front end."""
 
-    task: Literal["descriptor", "depth"] = "descriptor"
-    """Which network: the descriptor of surface patches, or the one that refines disparities."""
+    task: Literal["descriptor", "depth", "surface"] = "descriptor"
+    """Which network: the descriptor of surface patches, the one that refines disparities, or the one that
+    finds, judges and describes points of the surface."""
     output: str = "runs/train"
     """Folder of the results: checkpoint, curves, weights, scores. A training that was begun there
     continues."""
@@ -174,3 +208,4 @@ class Train(Section):
     descriptor: DescriptorTraining = DescriptorTraining()
     depth: DepthTraining = DepthTraining()
     light: LightStudy = LightStudy()
+    surface: SurfaceTraining = SurfaceTraining()

@@ -9,11 +9,12 @@ from polhode.config.frontend_settings import Frontend, PairMatching
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.matchers import (
+    MIN_PROBABILITY,
     DualSoftmax,
     SoftmaxMatcher,
+    likely_pairs,
     motion_modes,
     rigid_fit,
-    root_probabilities,
 )
 from polhode.frontend.matching.methods import one_to_one
 from polhode.frontend.matching.pairs import match_rows
@@ -95,14 +96,20 @@ def test_the_dustbin_takes_what_has_no_partner() -> None:
     assert with_dustbin[1, 0] < 0.1
 
 
-def test_probabilities_without_a_gradient_are_the_same() -> None:
+def test_likely_pairs_are_those_of_the_dual_softmax() -> None:
     torch.manual_seed(1)
-    a, b = (torch.nn.functional.normalize(torch.randn(k, 16), dim=1) for k in (40, 30))
+    # more rows than are computed together
+    a, b = (torch.nn.functional.normalize(torch.randn(k, 16), dim=1) for k in (300, 70))
     for temperature, dustbin in ((0.03, 0.6), (0.2, 0.1)):
-        expected = DualSoftmax(temperature, dustbin)(a, b).exp()
-        torch.testing.assert_close(
-            root_probabilities(a, b, temperature, dustbin) ** 2, expected, rtol=1e-4, atol=1e-9
-        )
+        expected = DualSoftmax(temperature, dustbin)(a, b).exp().detach().numpy()
+        found = likely_pairs(a.numpy(), b.numpy(), temperature, dustbin)
+        probability = np.zeros_like(expected)
+        probability[found.pairs[:, 0], found.pairs[:, 1]] = found.root**2
+        kept = probability > 0.0
+        assert 0 < kept.sum() < kept.size
+        np.testing.assert_allclose(probability[kept], expected[kept], rtol=1e-4)
+        assert expected[~kept].max() < 1.001 * MIN_PROBABILITY
+        assert expected[kept].min() > 0.999 * MIN_PROBABILITY
 
 
 def test_the_rigid_fit_is_exact_and_has_the_right_gradient() -> None:

@@ -1,0 +1,106 @@
+"""Images of one pose show the same surface in other light; the truth of pixels fits the images."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from polhode.config.train_settings import Corpus
+from polhode.errors import InputError
+from polhode.lie import inverse_pose, transform_points
+from polhode.progress import Silent
+from polhode.train.surface.batches import KnownBody
+from polhode.train.surface.known_bodies import prepare_bodies
+from polhode.train.surface.landmarks import surface_at
+from polhode.train.surface.lit_bodies import (
+    CAST_SHADOW,
+    FACING_AWAY,
+    LIT,
+    SKY,
+    lit_body_path,
+    main,
+    on_target,
+    read_lit_body,
+    render_lit_body,
+)
+from tests.train.surface.conftest import CONFIG
+
+
+def test_images_of_one_pose_differ_in_their_light_alone(bodies: dict[int, KnownBody]) -> None:
+    body = bodies[0].body
+    assert [body.pose_of(view) for view in range(4)] == [0, 1, 0, 1]
+    assert [body.sun_of(view) for view in range(4)] == [0, 0, 1, 1]
+    mask = on_target(body, 0)
+    np.testing.assert_array_equal(body.light[0] == SKY, body.light[2] == SKY)
+    np.testing.assert_array_equal(body.light[0] != SKY, mask)
+    assert np.abs(body.grey[0].astype(float) - body.grey[2])[mask].mean() > 10.0
+
+
+def test_kinds_of_light_are_those_of_the_images(bodies: dict[int, KnownBody]) -> None:
+    grey, light = bodies[0].body.grey[0].astype(float), bodies[0].body.light[0]
+    shadow = np.isin(light, (CAST_SHADOW, FACING_AWAY))
+    assert shadow.sum() > 50
+    assert (light == LIT).sum() > 500
+    assert grey[light == LIT].mean() > 2.0 * grey[shadow].mean()
+    assert grey[light == SKY].mean() < 5.0
+
+
+def test_the_surface_of_one_pose_is_that_of_the_other(bodies: dict[int, KnownBody]) -> None:
+    body = bodies[0].body
+    v, u = np.nonzero(on_target(body, 0))
+    p_K, normal = surface_at(body, 0, np.column_stack([u, v])[::31].astype(float))
+    known = np.isfinite(p_K).all(axis=1)
+    np.testing.assert_allclose(np.linalg.norm(normal[known], axis=1), 1.0, atol=1e-3)
+    p_B = transform_points(body.X_KG[1] @ inverse_pose(body.X_KG[0]), p_K[known])
+    uv = p_B[:, :2] / p_B[:, 2:] * float(body.focal_px) + body.centre_of_part_px(1)
+    other, _ = surface_at(body, 1, uv)
+    near = np.abs(other[:, 2] - p_B[:, 2]) < 2e-3
+    # the rest is hidden in the other pose
+    assert near.mean() > 0.6
+
+
+def test_the_right_image_shows_the_target_at_the_disparity_of_its_middle(
+    bodies: dict[int, KnownBody],
+) -> None:
+    body = bodies[0].body
+    disparity = float(body.focal_px * body.baseline_m) / float(np.nanmedian(body.depth_m[0]))
+    assert abs(disparity - body.shift_px[0]) <= 0.5
+    left, right = body.grey[0].astype(float), body.right[0].astype(float)
+    own = np.corrcoef(left.ravel(), right.ravel())[0, 1]
+    beside = np.corrcoef(left[:, 8:].ravel(), right[:, :-8].ravel())[0, 1]
+    assert own > beside + 0.05
+
+
+def test_a_body_depends_on_its_number_alone(lit_body_corpus: Corpus, bodies: dict[int, KnownBody]) -> None:
+    again = render_lit_body(lit_body_corpus.model_copy(update={"scenes": 2}), CONFIG, 1)
+    np.testing.assert_array_equal(again.grey, bodies[1].body.grey)
+
+
+def test_what_is_there_is_not_rendered_again_and_damage_is_named(
+    lit_body_corpus: Corpus, tmp_path: Path
+) -> None:
+    copy = tmp_path / "bodies"
+    shutil.copytree(lit_body_corpus.folder, copy)
+    corpus = lit_body_corpus.model_copy(update={"folder": str(copy)})
+    path = lit_body_path(corpus, CONFIG, 2)
+    before = path.stat().st_mtime_ns
+    assert len(prepare_bodies(corpus, CONFIG, Silent(), 1)) == 3
+    assert path.stat().st_mtime_ns == before
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(InputError, match="remove this file, and it is made again"):
+        read_lit_body(path)
+
+
+def test_the_command_renders_what_is_missing(
+    lit_body_corpus: Corpus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "surface.yaml"
+    surface = "{bodies: 3, suns: 2, poses: 2}"
+    fields = lit_body_corpus.model_dump_json()
+    config.write_text(f"train:\n  task: surface\n  corpus: {fields}\n  surface: {surface}\n")
+    main([str(config), "--workers", "1"])
+    assert "3 bodies" in capsys.readouterr().out
+    with pytest.raises(SystemExit) as refused:
+        main([str(tmp_path / "none.yaml")])
+    assert refused.value.code == 2

@@ -1,0 +1,182 @@
+"""Batches and the loss of the surface network: targets are at the true places, terms are what they say."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from polhode.config.train_settings import Corpus, Schedule, SurfaceLoss, Train
+from polhode.errors import InputError
+from polhode.frontend.networks.surface import CHANNELS, DenseOutput, SurfaceNet
+from polhode.lie import transform_points
+from polhode.progress import Silent
+from polhode.train.surface.batches import NEAR_PX, KnownBody, batch_of, draw_example
+from polhode.train.surface.landmarks import Landmarks
+from polhode.train.surface.scores import score_trials, trials_of
+from polhode.train.surface.task import (
+    SurfaceTask,
+    consistency_loss,
+    light_loss,
+    make_task,
+    place_at,
+    place_loss,
+    score_loss,
+    student_nll,
+    surface_point,
+)
+from polhode.train.task import Batch
+from polhode.train.training_loop import TrainingLoop
+from tests.train.surface.conftest import CONFIG
+
+
+@pytest.fixture(scope="module")
+def batch(bodies: dict[int, KnownBody]) -> Batch:
+    rng = np.random.default_rng(4)
+    examples = [draw_example(bodies[k], rng, 96) for k in (0, 1)]
+    return batch_of([each for each in examples if each is not None], 40, rng)
+
+
+def ideal(batch: Batch) -> DenseOutput:
+    """What a network that knows all places would say."""
+    images, _, height, width = batch["images"].shape
+    offset = torch.zeros(images, 2, height, width)
+    image, row, column = batch["near"].T
+    offset[image, :, row, column] = batch["place"]
+    return DenseOutput(
+        score=torch.where(batch["heat"] >= 1.0, 9.0, -9.0),
+        offset_px=offset,
+        log_sigma=torch.full((images, height, width), -2.0),
+        light=9.0 * torch.nn.functional.one_hot(batch["light"].clamp(max=3), 4).permute(0, 3, 1, 2).float(),
+        channels=torch.zeros(images, CHANNELS, height, width),
+    )
+
+
+def test_places_of_the_batch_are_landmarks(batch: Batch) -> None:
+    image, row, column = batch["near"].T
+    assert torch.linalg.vector_norm(batch["place"], dim=1).max() < NEAR_PX
+    at = torch.stack([column, row], dim=1) + batch["place"]
+    for pair, uv in zip(batch["pair"][::7], batch["uv_a"][::7], strict=True):
+        own = at[image == 2 * pair]
+        assert torch.linalg.vector_norm(own - uv, dim=1).min() < 1e-2
+
+
+def test_both_images_of_a_pair_show_the_same_points(batch: Batch) -> None:
+    for k, X_AB in enumerate(batch["X_AB"]):
+        own = batch["pair"] == k
+        moved = transform_points(X_AB.numpy(), batch["p_b"][own].numpy())
+        np.testing.assert_allclose(moved, batch["p_a"][own].numpy(), atol=1e-4)
+
+
+def test_points_lie_on_their_planes_and_rays(batch: Batch) -> None:
+    on_plane = (batch["plane_a"] * batch["p_a"]).sum(dim=1)
+    torch.testing.assert_close(on_plane, torch.ones_like(on_plane), rtol=1e-4, atol=1e-4)
+    sigma = torch.zeros(len(batch["pair"]))
+    torch.testing.assert_close(
+        surface_point((batch["uv_a"], sigma), batch, "a"), batch["p_a"], rtol=1e-3, atol=1e-4
+    )
+
+
+def test_the_loss_of_what_is_known_is_small(batch: Batch) -> None:
+    known = ideal(batch)
+    blank = known._replace(
+        score=torch.zeros_like(known.score),
+        offset_px=torch.zeros_like(known.offset_px),
+        light=torch.zeros_like(known.light),
+    )
+    assert score_loss(known.score, batch["heat"], batch["weight"]) < 1e-3
+    assert score_loss(blank.score, batch["heat"], batch["weight"]) > 0.1
+    assert light_loss(known.light, batch["light"]) < 0.01
+    assert light_loss(blank.light, batch["light"]) == pytest.approx(np.log(4.0), rel=1e-3)
+    assert place_loss(known, batch) < place_loss(blank, batch) - 0.5
+    losses = []
+    for dense in (known, blank):
+        own = [place_at(dense, batch, side) for side in ("a", "b")]
+        points = [surface_point(at, batch, side) for at, side in zip(own, ("a", "b"), strict=True)]
+        losses.append(float(consistency_loss(dense, own, points, batch)))
+    assert losses[0] < losses[1] - 0.5
+
+
+def test_the_likelihood_is_best_at_the_true_scatter() -> None:
+    torch.manual_seed(1)
+    off = 0.4 * torch.randn(20000, 2) / torch.sqrt(torch.distributions.Chi2(5.0).sample((20000, 1)) / 5.0)
+    square = (off**2).sum(dim=1)
+    guesses = torch.log(torch.tensor([0.3, 0.36, 0.4, 0.44, 0.5]))
+    values = [float(student_nll(square, guess).mean()) for guess in guesses]
+    assert int(np.argmin(values)) == 2
+
+
+def test_the_gradient_of_the_likelihood_is_right() -> None:
+    square = torch.tensor([0.1, 1.0, 7.0], dtype=torch.float64, requires_grad=True)
+    log_sigma = torch.tensor([-1.0, 0.2, 0.5], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(student_nll, (square, log_sigma))
+
+
+def test_the_gradient_of_places_reaches_the_points(batch: Batch) -> None:
+    uv = batch["uv_a"].double().requires_grad_()
+    doubled = {name: value.double() if value.is_floating_point() else value for name, value in batch.items()}
+
+    def point(places: Tensor) -> Tensor:
+        return surface_point((places, places[:, 0]), doubled, "a")
+
+    assert torch.autograd.gradcheck(point, (uv,), atol=1e-4)
+
+
+def train_of(corpus: Corpus, output: Path, steps: int) -> Train:
+    schedule = Schedule(steps=steps, warmup_steps=1, validate_every=100, checkpoint_every=2, log_every=1)
+    return Train(task="surface", output=str(output), corpus=corpus, schedule=schedule, surface=CONFIG)
+
+
+def test_a_training_goes_on_where_it_was_interrupted(lit_body_corpus: Corpus, tmp_path: Path) -> None:
+    ends = []
+    for name, limits in (("whole", (None,)), ("parts", (1e-9, None))):
+        for limit in limits:
+            train = train_of(lit_body_corpus, tmp_path / name, 3)
+            schedule = train.schedule.model_copy(update={"time_limit_s": limit})
+            torch.manual_seed(7)
+            task = make_task(train, 7, Silent(), 1)
+            outcome = TrainingLoop(task, schedule, tmp_path / name, 7).run({"seed": 7}, Silent())
+        assert outcome.finished
+        ends.append(task.network.state_dict())
+    for name, value in ends[0].items():
+        assert torch.equal(value, ends[1][name]), name
+
+
+def test_held_out_bodies_are_scored_and_not_learned_from(lit_body_corpus: Corpus, tmp_path: Path) -> None:
+    task = make_task(train_of(lit_body_corpus, tmp_path, 1), 7, Silent(), 1)
+    assert task._numbers == [0, 2]
+    scores = task.validate()
+    for kind in ("light", "pose", "both"):
+        assert 0.0 <= scores[f"rank_1_{kind}"] <= 1.0
+    assert {"shadow_iou", "matcher_temperature"} <= scores.keys()
+
+
+def test_scores_of_blobs_do_not_depend_on_the_network(bodies: dict[int, KnownBody]) -> None:
+    trials = trials_of({1: bodies[1]}, 3)
+    assert {trial.kind for trial in trials} == {"light", "pose", "both"}
+    torch.manual_seed(2)
+    scores = score_trials(SurfaceNet().eval(), trials)
+    # blobs of a lit body are found again from another side
+    assert scores["found_blobs_pose"] > 0.3
+    assert scores["scatter_blobs_px_pose"] < 1.0
+
+
+def test_bodies_without_common_landmarks_cannot_be_learned_from(bodies: dict[int, KnownBody]) -> None:
+    nothing = np.zeros(0)
+    none = Landmarks(
+        np.zeros((0, 3)),
+        np.zeros((0, 3)),
+        nothing,
+        nothing.astype(bool),
+        nothing.astype(int),
+        np.zeros((0, 2)),
+        nothing.astype(int),
+    )
+    task = SurfaceTask({0: KnownBody(bodies[0].body, none)}, [], CONFIG, 1, 0)
+    with pytest.raises(InputError, match="no body has two images with common landmarks"):
+        task.batch(0)
+
+
+def test_the_weights_of_the_loss_are_settings() -> None:
+    assert SurfaceLoss(light=0.0).light == 0.0

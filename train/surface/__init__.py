@@ -1,0 +1,1 @@
+"""Training of the surface network: bodies under several Suns, their landmarks, batches, losses, scores."""

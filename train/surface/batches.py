@@ -1,0 +1,321 @@
+"""Batches of the surface network: pairs of images of one body that differ in light, in pose, or in both.
+
+A pair has the landmarks that both images show, with patches cut with the errors of a run, and distractors:
+key points of the second image that are no landmarks. Where the Sun stands still and the body turns, the
+light's own marks are among them, and look like those of the first image.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from polhode.camera import RectifiedRig
+from polhode.frontend.features.patches import rotate_affines, tangent_affines, upright_affines
+from polhode.lie import Array, inverse_pose
+from polhode.records import Ints
+from polhode.train.descriptor.batches import (
+    HALF_RANGE_PX,
+    SCALE_NOISE,
+    patch_rotation,
+    perturbed_normals,
+)
+from polhode.train.surface.landmarks import Landmarks, Seen, seen_in, surface_at
+from polhode.train.surface.lit_bodies import SKY, LitBody, on_target
+from polhode.train.task import Batch
+
+KINDS = (0.3, 0.35, 0.35)
+"""Shares of pairs that differ in light alone, in pose alone, in both."""
+MIN_COMMON = 12
+"""Landmarks that both images of a pair show, at least."""
+MAX_COSINE_TURN = np.cos(np.deg2rad(75.0))
+HEAT_PX = 0.8
+"""Standard deviation of a landmark's mark in the map of scores [px]."""
+NEAR_PX = 1.5
+"""Pixels this close to a landmark learn its place [px]."""
+DISTRACTORS = 0.3
+"""Number of distractors, over the number of landmarks."""
+NORMAL_NOISE_DEG, FRONTO_PARALLEL, PLACE_NOISE_PX = 8.0, 0.05, 0.4
+"""Errors of a run: normals, rms; share of patches cut as if the surface faced the camera; places [px]."""
+_TRIES = 12
+
+
+class Add(Protocol):
+    """Adds rows to the columns of a batch."""
+
+    def __call__(self, **values: Array) -> None: ...
+
+
+@dataclass(frozen=True)
+class KnownBody:
+    """A body's images and landmarks."""
+
+    body: LitBody
+    landmarks: Landmarks
+
+
+@dataclass(frozen=True)
+class Window:
+    """A part of a view: the views' parts may be larger than what a step looks at."""
+
+    u0: int
+    v0: int
+    side_u: int
+    side_v: int
+
+    def has(self, uv_px: Array) -> NDArray[np.bool_]:
+        """Which places (n, 2) are inside, three pixels from the border."""
+        u, v = uv_px[:, 0] - self.u0, uv_px[:, 1] - self.v0
+        return np.asarray((u > 3) & (v > 3) & (u < self.side_u - 4) & (v < self.side_v - 4))
+
+
+@dataclass(frozen=True)
+class Example:
+    """One pair of images."""
+
+    known: KnownBody
+    views: tuple[int, int]
+    windows: tuple[Window, Window]
+    common: tuple[Seen, Seen]
+    """The landmarks that both windows show, in the same order"""
+
+
+def draw_example(
+    known: KnownBody, rng: np.random.Generator, largest_px: int, kinds: Sequence[float] = KINDS
+) -> Example | None:
+    """A pair of images with enough common landmarks; None: none was found."""
+    body, landmarks = known.body, known.landmarks
+    good = np.flatnonzero(~landmarks.is_weak)
+    views, poses = len(body.grey), body.poses
+    suns = views // poses
+    for _ in range(_TRIES):
+        kind = rng.choice(3, p=np.asarray(kinds))
+        pose_a, sun_a = int(rng.integers(poses)), int(rng.integers(suns))
+        pose_b = pose_a if kind == 0 else int((pose_a + rng.integers(1, poses)) % poses)
+        sun_b = sun_a if kind == 1 else int((sun_a + rng.integers(1, suns)) % suns)
+        a, b = sun_a * poses + pose_a, sun_b * poses + pose_b
+        seen_a = seen_in(body, a, landmarks.p_G[good], landmarks.normal_G[good])
+        seen_b = seen_in(body, b, landmarks.p_G[good], landmarks.normal_G[good])
+        _, at_a, at_b = np.intersect1d(seen_a.index, seen_b.index, return_indices=True)
+        if len(at_a) < MIN_COMMON:
+            continue
+        middle = int(rng.integers(len(at_a)))
+        window_a = _window(body, pose_a, seen_a.uv_px[at_a[middle]], largest_px)
+        window_b = _window(body, pose_b, seen_b.uv_px[at_b[middle]], largest_px)
+        inside = window_a.has(seen_a.uv_px[at_a]) & window_b.has(seen_b.uv_px[at_b])
+        if inside.sum() < MIN_COMMON:
+            continue
+        common = _some(seen_a, at_a[inside]), _some(seen_b, at_b[inside])
+        return Example(known, (a, b), (window_a, window_b), common)
+    return None
+
+
+def _some(seen: Seen, index: Ints) -> Seen:
+    return Seen(seen.index[index], seen.uv_px[index], seen.p_K[index], seen.normal_K[index])
+
+
+def _window(body: LitBody, pose: int, middle_px: Array, largest_px: int) -> Window:
+    """The pose's target, or as much of it around a place as is allowed."""
+    mask = on_target(body, pose)
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    starts, sides = [], []
+    for lines, at, length in ((columns, middle_px[0], mask.shape[1]), (rows, middle_px[1], mask.shape[0])):
+        first, last = max(int(lines[0]) - 8, 0), min(int(lines[-1]) + 9, length)
+        if last - first > largest_px:
+            first = int(np.clip(round(at) - largest_px // 2, first, last - largest_px))
+            last = first + largest_px
+        starts.append(first)
+        sides.append(last - first)
+    return Window(starts[0], starts[1], sides[0], sides[1])
+
+
+def batch_of(examples: Sequence[Example], points: int, rng: np.random.Generator) -> Batch:
+    """The batch of c examples with up to ``points`` landmarks each.
+
+    Images 2 k and 2 k + 1 are those of example k. ``images`` (2 c, 1, h, w); ``light``, ``heat``, ``weight``
+    (2 c, h, w): kind of light, map of the landmarks, and whether a pixel's score counts; ``near`` (q, 3):
+    image, row and column of pixels near landmarks, and ``place`` (q, 2): the landmark's place less the
+    pixel's centre. Points (2 m + k), the first ones of m pairs, the second ones, distractors: ``owner``,
+    ``uv``, ``affine``. ``plane_...`` (m, 3): the plane of the surface n / (n . p), in its camera;
+    ``centre_...`` (c, 2) and ``focal`` (c,) of the images; ``pair``, ``distractors``, ``rotation``,
+    ``uv_...``, ``p_...``, ``X_AB`` as ``train.descriptor.batches``.
+    """
+    height = max(w.side_v for e in examples for w in e.windows)
+    width = max(w.side_u for e in examples for w in e.windows)
+    height, width = (-(-side // 8) * 8 for side in (height, width))
+    images = np.zeros((2 * len(examples), 1, height, width), np.float32)
+    light = np.full((len(images), height, width), SKY, np.int64)
+    heat = np.zeros((len(images), height, width), np.float32)
+    weight = np.zeros_like(heat)
+    near: list[Array] = []
+    place: list[Array] = []
+    rows: dict[str, list[Array]] = {}
+
+    def add(**values: Array) -> None:
+        for name, value in values.items():
+            rows.setdefault(name, []).append(value)
+
+    for k, example in enumerate(examples):
+        for side in (0, 1):
+            index = 2 * k + side
+            _fill(example, side, images[index, 0], light[index], rng)
+            cells, offsets = _targets(example, side, heat[index], weight[index])
+            near.append(np.column_stack([np.full(len(cells), index), cells]))
+            place.append(offsets)
+        _add_points(example, k, points, rng, add)
+    m = [np.concatenate(rows[name]) for name in ("uv_a", "uv_b", "uv_distractor")]
+    owners = np.concatenate([*rows["owner_a"], *rows["owner_b"], *rows["owner_distractor"]])
+    affine = np.concatenate([*rows["affine_a"], *rows["affine_b"], *rows["affine_distractor"]])
+    jitter = rng.normal(0.0, PLACE_NOISE_PX, (sum(map(len, m)), 2))
+    result = {
+        "images": torch.from_numpy(images),
+        "light": torch.from_numpy(light),
+        "heat": torch.from_numpy(heat),
+        "weight": torch.from_numpy(weight),
+        "near": torch.from_numpy(np.concatenate(near).astype(np.int64)),
+        "place": _tensor(np.concatenate(place)),
+        "owner": torch.from_numpy(owners.astype(np.int64)),
+        "uv": _tensor(np.concatenate(m) + jitter),
+        "affine": _tensor(affine),
+    }
+    for key in ("pair", "distractors"):
+        result[key] = torch.from_numpy(np.concatenate(rows[key]).astype(np.int64))
+    places = ("uv_a", "uv_b", "uv_distractor", "p_a", "p_b", "p_distractor", "plane_a", "plane_b")
+    for key in (*places, "rotation", "X_AB", "centre_a", "centre_b", "focal"):
+        result[key] = _tensor(np.concatenate(rows[key]))
+    return result
+
+
+def _fill(
+    example: Example,
+    side: int,
+    image: NDArray[np.float32],
+    light: NDArray[np.int64],
+    rng: np.random.Generator,
+) -> None:
+    """The image of one side, black beyond a mask that is a little too large, and its kinds of light."""
+    body, view, window = example.known.body, example.views[side], example.windows[side]
+    part = np.s_[window.v0 : window.v0 + window.side_v, window.u0 : window.u0 + window.side_u]
+    mask = on_target(body, body.pose_of(view)).astype(np.uint8)
+    reach = int(rng.integers(0, 4))
+    wide = cv2.dilate(mask, np.ones((3, 3), np.uint8), iterations=reach) if reach else mask
+    image[: window.side_v, : window.side_u] = np.where(wide[part] > 0, body.grey[view][part], 0)
+    light[: window.side_v, : window.side_u] = body.light[view][part]
+
+
+def _targets(
+    example: Example, side: int, heat: NDArray[np.float32], weight: NDArray[np.float32]
+) -> tuple[Ints, Array]:
+    """Fill the map of landmarks and the weights.
+
+    Returns pixels (q, 2) (row, column) near landmarks, and the landmarks' places (q, 2) (u, v) less their
+    centres.
+    """
+    body, view, window = example.known.body, example.views[side], example.windows[side]
+    landmarks = example.known.landmarks
+    part = np.s_[window.v0 : window.v0 + window.side_v, window.u0 : window.u0 + window.side_u]
+    weight[: window.side_v, : window.side_u] = on_target(body, body.pose_of(view))[part]
+    seen = seen_in(body, view, landmarks.p_G, landmarks.normal_G)
+    inside = window.has(seen.uv_px)
+    uv, weak = seen.uv_px[inside] - [window.u0, window.v0], landmarks.is_weak[seen.index[inside]]
+    best = np.full(heat.shape, np.inf, np.float32)
+    offset = np.zeros((*heat.shape, 2), np.float32)
+    base = np.round(uv).astype(int)
+    for dv in (-2, -1, 0, 1, 2):
+        for du in (-2, -1, 0, 1, 2):
+            column, row = base[:, 0] + du, base[:, 1] + dv
+            away = uv - np.column_stack([column, row])
+            square = (away**2).sum(axis=1)
+            close = weak & (square < NEAR_PX**2)
+            weight[row[close], column[close]] = 0.0
+            own = np.flatnonzero(~weak & (square < NEAR_PX**2))
+            order = own[np.argsort(-square[own])]
+            nearer = order[square[order] < best[row[order], column[order]]]
+            best[row[nearer], column[nearer]] = square[nearer]
+            offset[row[nearer], column[nearer]] = away[nearer]
+    known = np.isfinite(best)
+    heat[known] = np.exp(-best[known] / (2.0 * HEAT_PX**2))
+    good = uv[~weak]
+    middle = np.round(good).astype(int)
+    heat[middle[:, 1], middle[:, 0]] = 1.0
+    weight[known] = 1.0
+    cells = np.argwhere(known)
+    return cells, offset[known].astype(np.float64)
+
+
+def _add_points(example: Example, k: int, points: int, rng: np.random.Generator, add: Add) -> None:
+    """Landmarks of both sides and distractors of the second one."""
+    body, landmarks = example.known.body, example.known.landmarks
+    a, b = example.common
+    chosen = rng.permutation(len(a.index))[:points]
+    a, b = _some(a, chosen), _some(b, chosen)
+    poses = [body.pose_of(view) for view in example.views]
+    focal = float(body.focal_px)
+    low, high = np.log(HALF_RANGE_PX)
+    half_m = float(np.exp(rng.uniform(low, high))) * float(np.median(a.p_K[:, 2])) / focal
+    affines = [
+        _affine(seen.p_K, seen.normal_K, half_m, body, pose, rng)
+        for seen, pose in ((a, poses[0]), (b, poses[1]))
+    ]
+    R_ba = body.X_KG[poses[1], :3, :3] @ body.X_KG[poses[0], :3, :3].T
+    rotation = patch_rotation(affines[0], affines[1], a.p_K, a.normal_K, R_ba, b.p_K, _rig(body, poses[0]))
+    free = np.flatnonzero((landmarks.view == example.views[1]) & (landmarks.landmark < 0))
+    free = free[example.windows[1].has(landmarks.uv_px[free])]
+    uv_d = landmarks.uv_px[rng.permutation(free)[: round(DISTRACTORS * len(chosen))]]
+    p_d, normal_d = surface_at(body, poses[1], uv_d)
+    known = np.isfinite(p_d).all(axis=1)
+    uv_d, p_d, normal_d = uv_d[known], p_d[known], normal_d[known]
+    corner = [np.array([w.u0, w.v0], float) for w in example.windows]
+    n = len(chosen)
+    add(
+        uv_a=a.uv_px - corner[0],
+        uv_b=b.uv_px - corner[1],
+        uv_distractor=uv_d - corner[1],
+        affine_a=affines[0],
+        affine_b=affines[1],
+        affine_distractor=_affine(p_d, normal_d, half_m, body, poses[1], rng),
+        owner_a=np.full(n, 2 * k),
+        owner_b=np.full(n, 2 * k + 1),
+        owner_distractor=np.full(len(uv_d), 2 * k + 1),
+        pair=np.full(n, k),
+        distractors=np.full(len(uv_d), k),
+        rotation=rotation,
+        p_a=a.p_K,
+        p_b=b.p_K,
+        p_distractor=p_d,
+        X_AB=(body.X_KG[poses[0]] @ inverse_pose(body.X_KG[poses[1]]))[None],
+        plane_a=a.normal_K / np.einsum("nk,nk->n", a.normal_K, a.p_K)[:, None],
+        plane_b=b.normal_K / np.einsum("nk,nk->n", b.normal_K, b.p_K)[:, None],
+        centre_a=(body.centre_of_part_px(poses[0]) - corner[0])[None],
+        centre_b=(body.centre_of_part_px(poses[1]) - corner[1])[None],
+        focal=np.array([focal]),
+    )
+
+
+def _affine(
+    p_K: Array, normal_K: Array, half_m: float, body: LitBody, pose: int, rng: np.random.Generator
+) -> Array:
+    """Maps (n, 2, 2) of patches at points, with the errors of a run and random rotations."""
+    n = len(p_K)
+    half = half_m * np.exp(rng.normal(0.0, SCALE_NOISE, n))
+    normal = perturbed_normals(normal_K, np.deg2rad(NORMAL_NOISE_DEG), rng)
+    affine = tangent_affines(p_K, normal, _rig(body, pose), half)
+    flat = rng.random(n) < FRONTO_PARALLEL
+    affine[flat] = upright_affines(half[flat] * float(body.focal_px) / p_K[flat, 2])
+    return rotate_affines(affine, rng.uniform(0.0, 2.0 * np.pi, n))
+
+
+def _rig(body: LitBody, pose: int) -> RectifiedRig:
+    """The camera of a pose's part; patches need no baseline."""
+    height, width = body.depth_m.shape[1:]
+    u, v = body.centre_of_part_px(pose)
+    return RectifiedRig(float(body.focal_px), float(u), float(v), 1.0, int(width), int(height))
+
+
+def _tensor(values: Array) -> Tensor:
+    return torch.from_numpy(values.astype(np.float32))
