@@ -60,7 +60,10 @@ OPTIONAL_PARTS: tuple[OptionalPart, ...] = (
         {"RUST_LOG": "off"},
     ),
     OptionalPart("train", {"tensorboard": "tensorboard"}, "curves of polhode train, which needs it"),
-    OptionalPart("pandas", {"pandas": "pandas"}, "polhode.load(RUN).to_pandas() and polhode.load_study(DIR) in Python"),
+    OptionalPart(
+        "pandas", {"pandas": "pandas"},
+        "polhode.load(RUN).to_pandas() and polhode.load_study(DIR) in Python",
+    ),
 )  # fmt: skip
 
 

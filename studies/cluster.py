@@ -81,6 +81,7 @@ def opened_cluster(options: ClusterOptions, folder: Path, inputs: Sequence[Path]
 @contextmanager
 def _local(options: ClusterOptions) -> Iterator[Cluster]:
     workers = worker_count(options.workers)
+    memory = None if options.memory_gb is None else int(options.memory_gb * 1e9)
     with (
         tempfile.TemporaryDirectory(prefix="polhode-sweep-", ignore_cleanup_errors=True) as scratch,
         dask.config.set(SETTINGS),
@@ -89,7 +90,7 @@ def _local(options: ClusterOptions) -> Iterator[Cluster]:
         LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
-            memory_limit="auto" if options.memory_gb is None else int(options.memory_gb * 1e9),
+            memory_limit=memory or "auto",
             host="127.0.0.1",
             security=True,
             dashboard_address="127.0.0.1:0",

@@ -1,5 +1,6 @@
 """What a study will take, before it is computed: points, sequences, rows and columns, disk space."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,18 +9,20 @@ from polhode.foreign_files import amount
 from polhode.studies.store import RUNS, SEQUENCES
 from polhode.studies.study import OpenStudy
 
-COLUMNS = {"simulate": 0, "run": 130, "evaluate": 75, "plan": 15, "compare": 60}
+COLUMNS = {"simulate": 0, "run": 80, "evaluate": 55, "plan": 15, "compare": 60}
 """Of the table, by step; of a study without steps"""
 OWN_COLUMNS = 14
 CELL_BYTES = 3.0
 """Of a column of the table, compressed"""
-RECORD_BYTES = {"simulate": 0, "run": 5000, "evaluate": 3500, "plan": 700, "compare": 3000}
+RECORD_BYTES = {"simulate": 0, "run": 3000, "evaluate": 2000, "plan": 700, "compare": 3000}
 OWN_RECORD_BYTES = 1200
-PIXEL_BYTES = 0.35
+BLOCK_BYTES = 4096
+"""Of the file system, which a small file takes up wholly"""
+PIXEL_BYTES = 0.5
 """Of an image of a target before a dark sky, compressed"""
-SEQUENCE_BYTES = 1_500_000
+SEQUENCE_BYTES = 200_000
 """Of a sequence beside its images: the truth with its mesh"""
-KEPT_BYTES = {"whole": 20_000_000, "summary": 60_000, "nothing": 0}
+KEPT_BYTES = {"whole": 25_000_000, "summary": 41_000, "nothing": 0}
 """Of what is kept of a run"""
 
 
@@ -48,7 +51,8 @@ def forecast(study: OpenStudy, folder: Path) -> Forecast:
     """What a study will take. Sizes are those of what ``folder`` holds already, where it holds something."""
     settings, steps = study.settings, study.settings.steps
     columns = OWN_COLUMNS + len(study.columns) + sum(COLUMNS[step] for step in steps)
-    records = study.count * (OWN_RECORD_BYTES + sum(RECORD_BYTES[step] for step in steps))
+    record = OWN_RECORD_BYTES + sum(RECORD_BYTES[step] for step in steps)
+    records = study.count * BLOCK_BYTES * math.ceil(record / BLOCK_BYTES)
     table = int(study.count * columns * CELL_BYTES)
     pairs, sequence_bytes = _sequence(study.base["scene"] or {}) if study.sequences else (0, 0)
     kept = KEPT_BYTES[settings.keep] if "run" in steps or "compare" in steps else 0

@@ -4,10 +4,11 @@ A point is stored by the worker that computed it, so that whatever is killed los
 """
 
 import logging
+import secrets
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from polhode.errors import InputError, RunFailure, one_line
 from polhode.output.locks import occupied
 from polhode.output.marked_folder import claim, marked_place, withdrawn_if_refused
 from polhode.output.place import folder_place, unwritable
+from polhode.processes import worker_count
 from polhode.program_digest import code_digest
 from polhode.progress import NOTE, Progress
 from polhode.simulation.dataset.sequence import sequence_digest
@@ -79,7 +81,9 @@ def sweep(
                     missing.append(number)
                 advance()
         if missing:
-            with opened_cluster(cluster, store.folder, study.inputs()) as opened:
+            few = replace(cluster, workers=min(worker_count(cluster.workers), len(missing)))
+            wanted = few if cluster.address is None else cluster
+            with opened_cluster(wanted, store.folder, study.inputs()) as opened:
                 # from here on, the table of what was there before is that of another study
                 write_text(store.folder / STUDY, study.text())
                 (store.folder / TABLE).unlink(missing_ok=True)
@@ -142,6 +146,9 @@ class _Window:
         self._study, self._store, self._client = study, store, cluster.client
         self._missing = iter(missing)
         self._code = code_digest()
+        # two studies on one scheduler may have the same point, and each stores its own record
+        token = secrets.token_hex(4)
+        self._point_key, self._sequence_key = f"point-{token}-", f"{_SEQUENCE}{token}-"
         self._ready_limit = READY_PER_WORKER * cluster.workers
         self._waiting_limit = WAITING_PER_WORKER * cluster.workers
         self._completed = as_completed([], loop=cluster.client.loop)
@@ -179,7 +186,6 @@ class _Window:
             if future.key in self._points:
                 yield self._finish(future)
             else:
-                self._rendering.discard(future.key.removeprefix(_SEQUENCE))
                 self._note_render(future)
             del future
             yield from self._fill()
@@ -205,7 +211,7 @@ class _Window:
 
     def _submit(self, point: Point) -> None:
         config = self._study.config(point)
-        digest, settings = "", job_settings(config)
+        digest, settings, plan = "", job_settings(config), self._study.plan_options(point)
         if "simulate" in self._study.settings.steps:
             digest = self._sequence_of(config)
         render = self._render_of(digest, settings) if digest else None
@@ -215,13 +221,13 @@ class _Window:
             point.values,
             self._study.settings.steps,
             settings,
-            self._study.plan_options(point),
+            plan,
             self._study.settings.keep,
             self._code,
             digest,
             self._study.data(point),
         )
-        key = f"point-{point.address}"
+        key = f"{self._point_key}{point.address}"
         future = self._client.submit(compute_point, job, render, key=key, pure=False)
         self._points[key] = (point, digest)
         if digest:
@@ -242,7 +248,7 @@ class _Window:
             return None
         job = SequenceJob(self._store.folder, digest, settings, self._code)
         future = self._client.submit(
-            simulate_sequence, job, key=f"{_SEQUENCE}{digest}", pure=False, priority=1
+            simulate_sequence, job, key=f"{self._sequence_key}{digest}", pure=False, priority=1
         )
         self._renders[digest] = future
         self._rendering.add(digest)
@@ -253,13 +259,14 @@ class _Window:
         """Remember why there is no sequence, so that it is not tried again for every point."""
         from distributed.scheduler import KilledWorker
 
-        reason = ""
+        digest, reason = future.key.removeprefix(self._sequence_key), ""
+        self._rendering.discard(digest)
         if future.status == "finished":
             reason = future.result().reason
         elif future.status == "error" and isinstance(error := future.exception(), KilledWorker):
             reason = _killed(error)
         if reason:
-            self._unsimulated[future.key.removeprefix(_SEQUENCE)] = reason
+            self._unsimulated[digest] = reason
 
     def _finish(self, future: Any) -> str:
         """The status of a point that a worker has stored, or that no worker could compute."""

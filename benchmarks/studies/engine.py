@@ -4,9 +4,9 @@
 
 Studies of more and more points on two worker processes. Points without steps show what a point costs the
 engine; real ones (``run`` and ``evaluate`` of 12 pairs of 160x128 px, another seed each) its share of the
-work: what the workers' time has beside the steps, from the first task to the last record. The memory of the
-program and of the largest worker is that when a tenth, half, and all of the points are stored. What the record
-has is not measured again.
+work: what the workers' time has beside the steps, from the first record to the last. The memory of the
+program and of the largest worker is that when a tenth, half, and all of the points are stored. What the
+record has is not measured again.
 """
 
 import subprocess

@@ -28,7 +28,7 @@ QUICK = {
     "export": ("--pieces", "1", "--horizon", "4"),
 }
 """Options that are appended to a command, by its name"""
-LANGUAGES = ("sh", "python", "text", "yaml", "json", "xml", "cpp", "")
+LANGUAGES = ("sh", "python", "text", "yaml", "json", "xml", "sql", "cpp", "")
 
 
 def is_run(fence: Fence) -> bool:

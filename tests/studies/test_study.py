@@ -9,6 +9,7 @@ from polhode.cli.main import main
 from polhode.errors import InputError
 from polhode.studies import study as study_module
 from polhode.studies.study import open_study
+from tests.docs.page_code import ROOT, fences
 from tests.studies.conftest import BASELINES, SCENE, WriteStudy
 
 Capture = pytest.CaptureFixture[str]
@@ -185,6 +186,16 @@ def test_a_dry_run_of_many_points_prints_the_plan_and_writes_nothing(
     assert "rendered    10 sequences, each once; 10 stereo pairs" in text
     assert "table       10,000 rows" in text and "MB (estimated)" in text
     assert not (tmp_path / "out").exists()
+
+
+def test_the_study_of_the_page_is_one(tmp_path: Path) -> None:
+    (example,) = (fence for fence in fences("studies.md") if fence.language == "yaml")
+    (tmp_path / "studies").mkdir()
+    (tmp_path / "scenes").symlink_to(ROOT / "configs" / "scenes")
+    (tmp_path / "studies" / "study.yaml").write_text(example.body)
+    study = open_study(tmp_path / "studies" / "study.yaml")
+    assert (study.count, study.sequences) == (5 * 4 * 2 * 16, 5 * 4 * 16)
+    assert study.columns[2] == "front end"
 
 
 def test_steps_of_a_point_that_contradict_each_other_are_found_when_it_is_made(
