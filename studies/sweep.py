@@ -8,8 +8,10 @@ import secrets
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from time import monotonic, sleep
 from typing import Any
 
 from polhode.atomic import write_text
@@ -41,6 +43,9 @@ READY_PER_WORKER = 3
 """Tasks per worker that could begin at once: one that is computed, two that wait for it"""
 WAITING_PER_WORKER = 64
 """Points per worker that wait for their sequence at most"""
+
+APPEARS_S, LOOK_S = 90.0, 0.5
+"""How long a record that another machine has written may take to be seen here; between two looks"""
 
 _log = logging.getLogger(__name__)
 
@@ -257,12 +262,16 @@ class _Window:
 
     def _note_render(self, future: Any) -> None:
         """Remember why there is no sequence, so that it is not tried again for every point."""
+        from distributed import CancelledError
+        from distributed.comm import CommClosedError
         from distributed.scheduler import KilledWorker
 
         digest, reason = future.key.removeprefix(self._sequence_key), ""
         self._rendering.discard(digest)
         if future.status == "finished":
-            reason = future.result().reason
+            # points in flight have the same from their worker
+            with suppress(CommClosedError, CancelledError, TimeoutError):
+                reason = future.result().reason
         elif future.status == "error" and isinstance(error := future.exception(), KilledWorker):
             reason = _killed(error)
         if reason:
@@ -280,7 +289,8 @@ class _Window:
         from distributed.scheduler import KilledWorker
 
         if future.status == "finished":
-            return str(future.result()["status"])
+            # read, not asked for: the worker may be gone, and another would compute the point again
+            return self._appeared(point.address)
         error = future.exception() if future.status == "error" else None
         if isinstance(error, KilledWorker):
             self._store.write(failed_record(point.address, point.values, _killed(error), digest))
@@ -292,6 +302,15 @@ class _Window:
         if error is not None:
             raise error
         raise RunFailure(f"the scheduler was lost; {_KEPT}")
+
+    def _appeared(self, address: str) -> str:
+        """The status of a record that a worker has written: network file systems may show it later."""
+        deadline = monotonic() + APPEARS_S
+        while (record := self._store.read(address)) is None:
+            if monotonic() > deadline:
+                raise RunFailure(f"{self._store.record_file(address)} does not appear here; {_KEPT}")
+            sleep(LOOK_S)
+        return str(record["status"])
 
     def _release(self, digest: str) -> None:
         self._waiting[digest] -= 1

@@ -94,7 +94,8 @@ def test_a_killed_study_ends_with_the_table_of_an_undisturbed_one(
             until(lambda: not any(each.is_running() for each in workers))
         else:
             workers[0].kill()
-            assert process.wait(LONG_S) == 0
+            _, errors = process.communicate(timeout=LONG_S)
+            assert (process.returncode, errors) == (0, "")
             assert records(tmp_path) == 6
     assert main(words) == 0
     assert timeless(tmp_path) == timeless(undisturbed / "out")
