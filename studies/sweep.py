@@ -263,7 +263,7 @@ class _Window:
     def _note_render(self, future: Any) -> None:
         """Remember why there is no sequence, so that it is not tried again for every point."""
         from distributed import CancelledError
-        from distributed.comm import CommClosedError
+        from distributed.comm.core import CommClosedError
         from distributed.scheduler import KilledWorker
 
         digest, reason = future.key.removeprefix(self._sequence_key), ""
