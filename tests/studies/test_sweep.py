@@ -1,16 +1,17 @@
 """The flow of a study: what is computed, what is stored, what is computed again."""
 
 import shutil
+from array import array
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pyarrow as pa
 import pytest
 from distributed import Client
-from distributed.scheduler import KilledWorker
+from distributed.scheduler import KilledWorker, WorkerState
 
 import polhode
 import polhode.pipeline.run
@@ -143,7 +144,7 @@ def test_few_points_are_in_flight_however_many_there_are(
 ) -> None:
     study = open_study(write_study(axes={"seed": {"range": [0, 199], "count": 200}}, steps=[]))
     store, most = Store(tmp_path / "out"), []
-    window = flow._Window(study, store, Cluster(client, 2, ""), flow.array("l", range(200)))
+    window = flow._Window(study, store, Cluster(client, 2, ""), array("l", range(200)))
     for _ in window.outcomes():
         most.append(len(window._points))
     assert len(most) == 200 and max(most) <= 2 * flow.READY_PER_WORKER
@@ -151,7 +152,7 @@ def test_few_points_are_in_flight_however_many_there_are(
 
 
 def test_while_points_wait_for_one_sequence_others_are_looked_at(
-    write_study: WriteStudy, client: Client, tmp_path: Path
+    write_study: WriteStudy, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     axes = {BASELINES: [0.1, 0.2, 0.3], "backend.accel_psd": {"log_range": [1e-6, 1e-5], "count": 20}}
     study = open_study(write_study(base={"scene": SCENE}, axes=axes, steps=["simulate"]))
@@ -161,9 +162,11 @@ def test_while_points_wait_for_one_sequence_others_are_looked_at(
         submitted.append(key)
         return SimpleNamespace(key=key, status="pending")
 
-    cluster = Cluster(SimpleNamespace(submit=submit, loop=client.loop), 1, "")
-    window = flow._Window(study, Store(tmp_path), cluster, flow.array("l", range(60)))
-    window._completed = SimpleNamespace(add=lambda future: None)
+    # a client whose tasks never end
+    pending = cast(Client, SimpleNamespace(submit=submit, loop=client.loop))
+    cluster = Cluster(pending, 1, "")
+    window = flow._Window(study, Store(tmp_path), cluster, array("l", range(60)))
+    monkeypatch.setattr(window, "_completed", SimpleNamespace(add=lambda future: None))
     assert list(window._fill()) == []
     kinds = [key.partition("-")[0] for key in submitted]
     assert kinds.count("sequence") == 3 and kinds.count("point") == 41
@@ -187,7 +190,7 @@ def test_what_is_no_fault_of_a_point_ends_the_sweep(
     error: Exception | None, said: str, write_study: WriteStudy, client: Client, tmp_path: Path
 ) -> None:
     study = open_study(write_study(axes={"seed": [1]}, steps=[]))
-    window = flow._Window(study, Store(tmp_path), Cluster(client, 1, ""), flow.array("l", [0]))
+    window = flow._Window(study, Store(tmp_path), Cluster(client, 1, ""), array("l", [0]))
     future = SimpleNamespace(status="error" if error else "cancelled", exception=lambda: error)
     with pytest.raises(RunFailure) as failure:
         window._status(future, study.point(0), "")
@@ -199,8 +202,9 @@ def test_a_point_whose_workers_are_killed_again_and_again_is_a_row(
     write_study: WriteStudy, client: Client, tmp_path: Path
 ) -> None:
     study, store = open_study(write_study(axes={"seed": [1]}, steps=[])), Store(tmp_path)
-    window = flow._Window(study, store, Cluster(client, 1, ""), flow.array("l", [0]))
-    killed = KilledWorker("point-1", SimpleNamespace(address="tls://1"), 3)  # type: ignore[arg-type]
+    window = flow._Window(study, store, Cluster(client, 1, ""), array("l", [0]))
+    worker = cast(WorkerState, SimpleNamespace(address="tls://1"))
+    killed = KilledWorker("point-1", worker, 3)
     future = SimpleNamespace(status="error", exception=lambda: killed)
     assert window._status(future, study.point(0), "") == "failed"
     found = store.read(study.point(0).address)
