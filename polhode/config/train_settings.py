@@ -164,7 +164,7 @@ class SurfaceLoss(Section):
 
     score: float = Field(1.0, ge=0, le=1e6)
     """Of the map of landmarks."""
-    place: float = Field(0.3, ge=0, le=1e6)
+    place: float = Field(0.5, ge=0, le=1e6)
     """Of the landmarks' places and their standard deviations."""
     light: float = Field(0.2, ge=0, le=1e6)
     """Of the kind of light."""
