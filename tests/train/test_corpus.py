@@ -30,7 +30,7 @@ from polhode.train.corpus import (
 
 ROOT = Path(__file__).parents[2]
 FEW_FAMILIES = ("features.yaml", "depth.yaml", "light.yaml")
-SHIPPED = (*FEW_FAMILIES, "surface_first.yaml", "surface.yaml")
+SHIPPED = (*FEW_FAMILIES, "surface_first.yaml", "surface.yaml", "surface_wide.yaml")
 
 
 def test_a_scene_depends_on_the_seed_and_its_number_alone() -> None:

@@ -97,16 +97,27 @@ class Example:
 
 
 def draw_example(
-    known: KnownBody, rng: np.random.Generator, largest_px: int, kinds: Sequence[float] = KINDS
+    known: KnownBody,
+    rng: np.random.Generator,
+    largest_px: int,
+    kinds: Sequence[float] = KINDS,
+    wide: float = 0.0,
 ) -> Example | None:
-    """A pair of images with enough common landmarks; None: none was found."""
+    """A pair of images with enough common landmarks; None: none was found.
+
+    ``wide``: share of the pairs of different poses that are the first and the last one, the farthest apart.
+    """
     body, landmarks = known.body, known.landmarks
     views, poses = len(body.grey), body.poses
     suns = views // poses
     for _ in range(_TRIES):
         kind = rng.choice(3, p=np.asarray(kinds))
         pose_a, sun_a = int(rng.integers(poses)), int(rng.integers(suns))
-        pose_b = pose_a if kind == 0 else int((pose_a + rng.integers(1, poses)) % poses)
+        if kind != 0 and rng.random() < wide:
+            pose_a = (poses - 1) * int(rng.integers(2))
+            pose_b = poses - 1 - pose_a
+        else:
+            pose_b = pose_a if kind == 0 else int((pose_a + rng.integers(1, poses)) % poses)
         sun_b = sun_a if kind == 1 else int((sun_a + rng.integers(1, suns)) % suns)
         a, b = sun_a * poses + pose_a, sun_b * poses + pose_b
         seen_a, seen_b = (seen_in(body, view, landmarks.p_G, landmarks.normal_G) for view in (a, b))

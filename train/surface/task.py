@@ -80,7 +80,7 @@ class SurfaceTask:
         examples = []
         for _ in range(_TRIES * self._config.pairs):
             known = self._bodies[self._numbers[rng.integers(len(self._numbers))]]
-            example = draw_example(known, rng, self._config.crop_px)
+            example = draw_example(known, rng, self._config.crop_px, self._config.kinds, self._config.wide)
             if example is not None:
                 examples.append(example)
             if len(examples) == self._config.pairs:
