@@ -10,4 +10,5 @@ feature_noise.py    constants of the front end's noise model
 descriptor/         the descriptor of surface patches
 disparity/          the refinement of disparities
 light/              what other light does to features: bodies under several Suns
+surface/            the surface network: bodies under several Suns, their landmarks, the loss, scores
 """

@@ -2,6 +2,7 @@
 validation.
 
     python -m polhode.train.feature_noise configs/train/features.yaml [--scenes 24] [--check SEQUENCE ...]
+                                           [--surface-descriptor surface]
 
 SEQUENCE: folders of ``polhode simulate``. Neighbouring frames are matched as in a run. The matches that pass
 the geometric check are compared with the true motion.
@@ -36,7 +37,6 @@ from polhode.simulation.dataset.plan import plan_sequence
 from polhode.simulation.dataset.sequence import SCENE_FILE
 from polhode.train.corpus import scene_folder, split
 
-CONFIG = Frontend(features=Features(method="polhode"))
 MAX_MOTION_ERROR_DEG = 2.0
 """Frame pairs with a larger error of the motion are omitted: their matches are wrong, not inaccurate
 [deg]."""
@@ -52,16 +52,18 @@ class MatchResiduals:
     """(m, 3) by ``match_sigma`` with its present constants"""
     sigma_ls_px: Array
     """(m, 2) sigma of the least squares of both features"""
+    place_sigma_px: Array
+    """(m, 2) sigma of both places according to the network"""
     logit: Array
     """(m,) of the confidence"""
 
 
-def scene_residuals(folder: Path) -> MatchResiduals | None:
+def scene_residuals(folder: Path, frontend: Frontend) -> MatchResiduals | None:
     """Errors of the matches of a simulated sequence; None when no two frames are matched."""
     sequence = open_sequence(folder)
     rectifier = make_rectifier(sequence.calibration)
     X_RG = true_poses(folder, rectifier)
-    config = with_patch_size(CONFIG, sequence, rectifier)
+    config = with_patch_size(frontend, sequence, rectifier)
     method, match = SurfaceFeatureMethod(config), SoftmaxMatcher(config)
     pairs = [rectified_pair(sequence, rectifier, k) for k in range(len(sequence))]
     frames = [method(pair, rectifier.rig) for pair in pairs]
@@ -78,8 +80,11 @@ def scene_residuals(folder: Path) -> MatchResiduals | None:
             continue
         part, passed = agreed
         chosen, confidence = found.features[passed], found.confidence[passed]
-        sigma_ls = np.column_stack([_sigma_ls(a)[chosen[:, 0]], _sigma_ls(b)[chosen[:, 1]]])
-        parts.append((part, match_sigma(a, b, chosen, confidence), sigma_ls, confidence_logit(confidence)))
+        sigma_ls, place = (
+            np.column_stack([of(a)[chosen[:, 0]], of(b)[chosen[:, 1]]]) for of in (_sigma_ls, _place_sigma)
+        )
+        logit = confidence_logit(confidence)
+        parts.append((part, match_sigma(a, b, chosen, confidence), sigma_ls, place, logit))
     return MatchResiduals(*(np.concatenate(each) for each in zip(*parts, strict=True))) if parts else None
 
 
@@ -122,6 +127,12 @@ def _sigma_ls(features: StereoFeatures) -> Array:
     return features.sigma_ls_px
 
 
+def _place_sigma(features: StereoFeatures) -> Array:
+    if features.place_sigma_px is None:
+        return np.zeros(len(features))
+    return features.place_sigma_px
+
+
 @dataclass(frozen=True)
 class NoiseConstants:
     """Constants of one of the components."""
@@ -131,15 +142,21 @@ class NoiseConstants:
     confidence: tuple[float, float]
 
 
-def fit_noise(scenes: Sequence[MatchResiduals], columns: Sequence[int]) -> NoiseConstants:
-    """Maximum likelihood of zero-mean Gaussian residuals, each scene with the same weight."""
+def fit_noise(
+    scenes: Sequence[MatchResiduals], columns: Sequence[int], by_place: bool = False
+) -> NoiseConstants:
+    """Maximum likelihood of zero-mean Gaussian residuals, each scene with the same weight.
+
+    The variance of a feature is floor^2 + gain * sigma_ls, or ``by_place`` floor^2 + gain * place_sigma^2.
+    """
     square = np.concatenate([np.mean(s.residual_px[:, columns] ** 2, axis=1) for s in scenes])
     share = np.concatenate([np.full(len(s.logit), 1.0 / len(s.logit)) for s in scenes])
-    sigma_ls = np.sum(np.concatenate([s.sigma_ls_px for s in scenes]), axis=1)
+    known = [s.place_sigma_px**2 if by_place else s.sigma_ls_px for s in scenes]
+    varying = np.sum(np.concatenate(known), axis=1)
     logit = np.concatenate([s.logit for s in scenes])
 
     def features_alone(b: Array) -> Array:
-        return np.asarray(np.log(2.0 * np.exp(2.0 * b[0]) + np.exp(b[1]) * sigma_ls))
+        return np.asarray(np.log(2.0 * np.exp(2.0 * b[0]) + np.exp(b[1]) * varying))
 
     def cost(log_variance: Array) -> float:
         return float(np.sum(share * (log_variance + square * np.exp(-log_variance))))
@@ -162,30 +179,33 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("config", type=Path, metavar="CONFIG", help="configuration with the corpus, YAML")
     parser.add_argument("--scenes", type=int, default=24, help="number of training scenes")
     parser.add_argument("--check", type=Path, nargs="*", default=[], metavar="SEQUENCE")
+    parser.add_argument("--surface-descriptor", choices=("network", "surface"), default="network")
     options = parser.parse_args(arguments)
+    features = Features(method="polhode", surface_descriptor=options.surface_descriptor)
     try:
-        _execute(options.config, options.scenes, options.check)
+        _execute(options.config, options.scenes, options.check, Frontend(features=features))
     except InputError as error:
         parser.exit(error.exit_code, f"{parser.prog}: error: {error}\n")
 
 
-def _execute(config: Path, count: int, checked: Sequence[Path]) -> None:
+def _execute(config: Path, count: int, checked: Sequence[Path], frontend: Frontend) -> None:
     section = load_config(config).train
     if section is None:
         raise InputError(f"{config} has no corpus: give a configuration for polhode train")
     if count:
         training = split(section.corpus).training
         folders = [scene_folder(section.corpus, i) for i in training[:count]]
-        found = [scene_residuals(folder) for folder in folders if folder.is_dir()]
+        found = [scene_residuals(folder, frontend) for folder in folders if folder.is_dir()]
         scenes = [scene for scene in found if scene is not None]
         print(f"{len(scenes)} training scenes, {sum(len(s.logit) for s in scenes)} matches")
+        by_place = any(scene.place_sigma_px.any() for scene in scenes)
         for name, columns in (("u, v", (0, 1)), ("disparity", (2,))):
-            fitted = fit_noise(scenes, columns)
+            fitted = fit_noise(scenes, columns, by_place and columns == (0, 1))
             first, slope = fitted.confidence
             print(f"{name}: floor {fitted.floor_px:.4f} px, gain {fitted.gain_px:.3f} px", end=", ")
             print(f"confidence {first:.3f} {slope:.3f}")
         _print_normalised_variance("training", scenes)
-    named = [(folder.name, scene_residuals(folder)) for folder in checked]
+    named = [(folder.name, scene_residuals(folder, frontend)) for folder in checked]
     tested = [(name, scene) for name, scene in named if scene is not None]
     for name, scene in tested:
         _print_normalised_variance(name, [scene])

@@ -4,9 +4,10 @@
                                   [--picture docs/images/frontend_pareto.png] [--record FILE]
 
 A method is written features-zoom+matcher: ``disk-1x+lightglue`` is DISK on the crop as it is, matched by
-LightGlue; without a matcher, mutual nearest neighbours; ``polhode`` alone has its own matcher. Methods whose
-weights are missing are left out, with the reason. What was measured before is read from the record, whatever
-has become of the method since: ``--again`` measures again.
+LightGlue; without a matcher, mutual nearest neighbours; ``polhode`` alone has its own matcher, and so has
+``surface``, the same with the surface network instead of blobs and their patches. Methods whose weights are
+missing are left out, with the reason. What was measured before is read from the record, whatever has become
+of the method since: ``--again`` measures again.
 
 Frames 30 and 60 degrees of turn apart. Wrong stereo: the disparity is off by more than 1 px from every
 surface within a pixel. Correct: the two features show the same place of the body within 5 mm. Correct at
@@ -244,9 +245,12 @@ def _beats(other: tuple[float, float], place: tuple[float, float]) -> bool:
 
 RECORD = ROOT / "runs" / "frontend.jsonl"
 REFERENCE = "rootsift-2x"
+SURFACE = "surface"
+"""Method ``polhode`` with the surface network instead of blobs and the network of their patches."""
 METHODS = (
     REFERENCE,
     "polhode",
+    SURFACE,
     "disk-1x",
     "disk-1x+lightglue",
     "aliked-1x",
@@ -308,6 +312,8 @@ def settings(method: str) -> Frontend:
     if parts is None:
         raise SystemExit(f"{method}: write features, or features-2x+matcher")
     features = {"method": parts["features"]} | ({"upsample": parts["zoom"]} if parts["zoom"] else {})
+    if parts["features"] == SURFACE:
+        features |= {"method": "polhode", "surface_descriptor": "surface"}
     return Frontend.model_validate({"features": features, "pairs": {"method": parts["matcher"]}})
 
 

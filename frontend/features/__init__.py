@@ -9,6 +9,8 @@ line_search.py          nearest descriptors near the same row
 keypoints.py            detection of key points, RootSIFT
 surface_features.py     the method ``polhode``: features with surface axes from dense disparity; their noise
 local_planes.py         planes through the disparity map, for the normals
+surface_network.py      landmarks of an image, and the surface there, by the surface network
+landmark_places.py      places in the network's map of scores
 patches.py              patches in the tangent plane of the surface
 patch_descriptors.py    descriptors of patches
 """

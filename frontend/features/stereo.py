@@ -114,6 +114,8 @@ class StereoFeatures:
     """(n, 2) displacement of the point for one pixel in the image, and for one pixel of disparity [m/px]"""
     sigma_ls_px: Array | None = None
     """(n,) standard deviation of the disparity according to the least squares alone [px]"""
+    place_sigma_px: Array | None = None
+    """(n,) standard deviation of the place, each axis, according to the network that found it [px]"""
     rows: RowOffsets | None = None
     """Matches that ignore the epipolar constraint; None: the method detects in the left image alone"""
 

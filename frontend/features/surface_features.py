@@ -21,7 +21,7 @@ measure it: variance = floor^2 + gain * sigma_ls. (With the square of sigma_ls, 
 sigmas of sharp textures are too small on new bodies.) The confidence of a match adds information. The numbers
 are those that
 
-    python -m polhode.train.feature_noise configs/train/features.yaml
+    python -m polhode.train.feature_noise configs/train/features.yaml [--surface-descriptor surface]
 
 prints: maximum likelihood over the true residuals of matches that pass the geometric check, on the training
 bodies, with equal weight for each scene. The form of the model was chosen among four by their results on
@@ -61,9 +61,13 @@ UV_FLOOR_PX, UV_GAIN_PX = 0.293, 3.287
 """In the image [px]."""
 DISPARITY_FLOOR_PX, DISPARITY_GAIN_PX = 0.0, 0.189
 """Of the disparity [px]."""
+PLACE_FLOOR_PX, PLACE_GAIN = 0.309, 2.207
+"""In the image, of landmarks [px], and factor on the variance that the network gives."""
 UV_CONFIDENCE = (-0.165, -0.126)
 DISPARITY_CONFIDENCE = (-0.051, -0.049)
 """Log of a match's variance over the sum of its features': first + second * logit(confidence)."""
+PLACE_CONFIDENCE = (-0.110, -0.088)
+"""The same of u and v, of landmarks."""
 _MIN_SIGMA_LS_PX = 0.01
 _MIN_CONFIDENCE, _MAX_CONFIDENCE = 1e-4, 1.0 - 1e-4
 PATCH_HALF_PX = 12.0
@@ -85,6 +89,14 @@ def feature_sigma(sigma_ls_px: Array) -> Array:
     return np.column_stack([uv, uv, np.sqrt(DISPARITY_FLOOR_PX**2 + DISPARITY_GAIN_PX * sigma_ls)])
 
 
+def landmark_sigma(place_sigma_px: Array) -> Array:
+    """Standard deviations (n,) [px] of u and v between views, of landmarks.
+
+    place_sigma_px (n,): the same according to the surface network.
+    """
+    return np.asarray(np.sqrt(PLACE_FLOOR_PX**2 + PLACE_GAIN * place_sigma_px**2))
+
+
 def match_sigma(a: StereoFeatures, b: StereoFeatures, pairs: Ints, confidence: Array) -> Array:
     """Standard deviations (m, 3) [px] of u, v and disparity between matched features, pairs (m, 2).
 
@@ -92,7 +104,8 @@ def match_sigma(a: StereoFeatures, b: StereoFeatures, pairs: Ints, confidence: A
     """
     variance = a.sigma_px[pairs[:, 0]] ** 2 + b.sigma_px[pairs[:, 1]] ** 2
     logit = confidence_logit(confidence)
-    change = [first + slope * logit for first, slope in (UV_CONFIDENCE, UV_CONFIDENCE, DISPARITY_CONFIDENCE)]
+    in_image = UV_CONFIDENCE if a.place_sigma_px is None else PLACE_CONFIDENCE
+    change = [first + slope * logit for first, slope in (in_image, in_image, DISPARITY_CONFIDENCE)]
     return np.asarray(np.sqrt(variance * np.exp(np.stack(change, axis=1))))
 
 
@@ -241,7 +254,8 @@ def _measure(
         )
         sigma, is_seen = feature_sigma(sigma_ls), correlation > MIN_CORRELATION
     if place_sigma_px is not None:
-        sigma[:, :2] = place_sigma_px[known, None]
+        place_sigma_px = place_sigma_px[known]
+        sigma[:, :2] = landmark_sigma(place_sigma_px)[:, None]
     good = (
         is_seen
         & (np.abs(refined - plane[:, 0]) < _MAX_DISPARITY_CHANGE_PX)
@@ -258,6 +272,7 @@ def _measure(
             scale,
             np.zeros((len(uvd), 128), dtype=np.float32),
             sigma_ls_px=sigma_ls[good],
+            place_sigma_px=None if place_sigma_px is None else place_sigma_px[good],
         ),
         plane[good],
     )

@@ -1,6 +1,7 @@
-"""The networks trained here. In: tensors. Out: descriptors of patches, distributions of disparities.
+"""The networks trained here. In: tensors. Out: landmarks, descriptors, distributions of disparities.
 
 descriptor.py    the descriptor of surface patches
+surface.py       landmarks, their uncertainty and their descriptors, from one pyramid
 disparity.py     the refinement of disparities
 precision.py     the precision in which networks multiply
 weights.py       loading of weights

@@ -26,7 +26,9 @@ class Features(Section):
     """The second method is used when the median frame has fewer observations, or one frame in twenty is lost;
     a large number: always."""
     surface_descriptor: Literal["surface", "network", "rootsift"] = "network"
-    """Descriptor of surface patches (method polhode): the network trained here, or RootSIFT on the patch."""
+    """How points of the surface are found and described (method polhode). network, rootsift: blobs, and
+    descriptors of their patches, by the network of patches or by RootSIFT; surface: landmarks and descriptors
+    of the surface network, in half the time."""
     patch_half_m: float | None = Field(None, ge=1e-6, le=1e4)
     """Half the side of a surface patch [m] (method polhode); null: 12 px at the target's median distance."""
     max_features: int = Field(1500, ge=50, le=100_000)

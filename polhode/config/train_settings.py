@@ -164,7 +164,7 @@ class SurfaceLoss(Section):
 
     score: float = Field(1.0, ge=0, le=1e6)
     """Of the map of landmarks."""
-    place: float = Field(0.3, ge=0, le=1e6)
+    place: float = Field(0.5, ge=0, le=1e6)
     """Of the landmarks' places and their standard deviations."""
     light: float = Field(0.2, ge=0, le=1e6)
     """Of the kind of light."""
@@ -185,11 +185,21 @@ class SurfaceTraining(Section):
     """Poses of a body, ``corpus.turn_deg`` apart."""
     pairs: int = Field(3, ge=1, le=1000)
     """Pairs of images in a step."""
+    kinds: tuple[Share, Share, Share] = (0.3, 0.35, 0.35)
+    """Shares of the pairs that differ in light alone, in pose alone, in both."""
+    wide: Share = 0.0
+    """Share of the pairs of different poses that are the first and the last one, the farthest apart."""
     points: int = Field(128, ge=8, le=100_000)
     """Largest number of landmarks of a pair."""
     crop_px: int = Field(208, ge=32, le=4096, multiple_of=8)
     """Largest side of an image; a part of a larger one is used."""
     loss: SurfaceLoss = SurfaceLoss()
+
+    @model_validator(mode="after")
+    def _kinds_are_shares(self) -> Self:
+        if abs(sum(self.kinds) - 1.0) > 1e-6:
+            raise ValueError(f"kinds add up to {sum(self.kinds):g} instead of 1")
+        return self
 
 
 class Train(Section):

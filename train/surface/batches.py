@@ -7,21 +7,30 @@ light's own marks are among them, and look like those of the first image.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from polhode.camera import RectifiedRig
-from polhode.frontend.features.patches import rotate_affines, tangent_affines, upright_affines
+from polhode.frontend.features.patches import (
+    cut_patches,
+    rotate_affines,
+    tangent_affines,
+    upright_affines,
+)
 from polhode.lie import Array, inverse_pose
-from polhode.records import Ints
+from polhode.records import Bools, Ints
 from polhode.train.descriptor.batches import (
+    HALF_PX,
     HALF_RANGE_PX,
+    MIN_CORRELATION,
     SCALE_NOISE,
+    correlation,
     patch_rotation,
     perturbed_normals,
 )
@@ -38,6 +47,8 @@ HEAT_PX = 0.8
 """Standard deviation of a landmark's mark in the map of scores [px]."""
 NEAR_PX = 1.5
 """Pixels this close to a landmark learn its place [px]."""
+APART_PX = 4.0
+"""Smallest distance of a distractor from the second places of pairs [px]."""
 DISTRACTORS = 0.3
 """Number of distractors, over the number of landmarks."""
 NORMAL_NOISE_DEG, FRONTO_PARALLEL, PLACE_NOISE_PX = 8.0, 0.05, 0.4
@@ -48,7 +59,7 @@ _TRIES = 12
 class Add(Protocol):
     """Adds rows to the columns of a batch."""
 
-    def __call__(self, **values: Array) -> None: ...
+    def __call__(self, **values: Array | Bools) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -82,25 +93,34 @@ class Example:
     views: tuple[int, int]
     windows: tuple[Window, Window]
     common: tuple[Seen, Seen]
-    """The landmarks that both windows show, in the same order"""
+    """The landmarks, weak ones among them, that look alike in both windows, in the same order"""
 
 
 def draw_example(
-    known: KnownBody, rng: np.random.Generator, largest_px: int, kinds: Sequence[float] = KINDS
+    known: KnownBody,
+    rng: np.random.Generator,
+    largest_px: int,
+    kinds: Sequence[float] = KINDS,
+    wide: float = 0.0,
 ) -> Example | None:
-    """A pair of images with enough common landmarks; None: none was found."""
+    """A pair of images with enough common landmarks; None: none was found.
+
+    ``wide``: share of the pairs of different poses that are the first and the last one, the farthest apart.
+    """
     body, landmarks = known.body, known.landmarks
-    good = np.flatnonzero(~landmarks.is_weak)
     views, poses = len(body.grey), body.poses
     suns = views // poses
     for _ in range(_TRIES):
         kind = rng.choice(3, p=np.asarray(kinds))
         pose_a, sun_a = int(rng.integers(poses)), int(rng.integers(suns))
-        pose_b = pose_a if kind == 0 else int((pose_a + rng.integers(1, poses)) % poses)
+        if kind != 0 and rng.random() < wide:
+            pose_a = (poses - 1) * int(rng.integers(2))
+            pose_b = poses - 1 - pose_a
+        else:
+            pose_b = pose_a if kind == 0 else int((pose_a + rng.integers(1, poses)) % poses)
         sun_b = sun_a if kind == 1 else int((sun_a + rng.integers(1, suns)) % suns)
         a, b = sun_a * poses + pose_a, sun_b * poses + pose_b
-        seen_a = seen_in(body, a, landmarks.p_G[good], landmarks.normal_G[good])
-        seen_b = seen_in(body, b, landmarks.p_G[good], landmarks.normal_G[good])
+        seen_a, seen_b = (seen_in(body, view, landmarks.p_G, landmarks.normal_G) for view in (a, b))
         _, at_a, at_b = np.intersect1d(seen_a.index, seen_b.index, return_indices=True)
         if len(at_a) < MIN_COMMON:
             continue
@@ -108,11 +128,30 @@ def draw_example(
         window_a = _window(body, pose_a, seen_a.uv_px[at_a[middle]], largest_px)
         window_b = _window(body, pose_b, seen_b.uv_px[at_b[middle]], largest_px)
         inside = window_a.has(seen_a.uv_px[at_a]) & window_b.has(seen_b.uv_px[at_b])
-        if inside.sum() < MIN_COMMON:
-            continue
         common = _some(seen_a, at_a[inside]), _some(seen_b, at_b[inside])
+        alike = np.flatnonzero(_correlations(body, (a, b), common) > MIN_CORRELATION)
+        if len(alike) < MIN_COMMON:
+            continue
+        common = _some(common[0], alike), _some(common[1], alike)
         return Example(known, (a, b), (window_a, window_b), common)
     return None
+
+
+def _correlations(body: LitBody, views: tuple[int, int], common: tuple[Seen, Seen]) -> Array:
+    """Correlation (n,) of the patches of points in two views, cut by the truth in the same orientation."""
+    a, b = common
+    if len(a.index) == 0:
+        return np.zeros(0)
+    half = np.full(len(a.index), HALF_PX * float(np.median(a.p_K[:, 2])) / float(body.focal_px))
+    pose_a, pose_b = (body.pose_of(view) for view in views)
+    rig_a, rig_b = _rig(body, pose_a), _rig(body, pose_b)
+    affine_a = tangent_affines(a.p_K, a.normal_K, rig_a, half)
+    affine_b = tangent_affines(b.p_K, b.normal_K, rig_b, half)
+    R_ba = body.X_KG[pose_b, :3, :3] @ body.X_KG[pose_a, :3, :3].T
+    rotation = patch_rotation(affine_a, affine_b, a.p_K, a.normal_K, R_ba, b.p_K, rig_a)
+    patches_a = cut_patches(body.grey[views[0]], a.uv_px, affine_a)
+    patches_b = cut_patches(body.grey[views[1]], b.uv_px, rotate_affines(affine_b, rotation))
+    return correlation(patches_a, patches_b)
 
 
 def _some(seen: Seen, index: Ints) -> Seen:
@@ -142,8 +181,8 @@ def batch_of(examples: Sequence[Example], points: int, rng: np.random.Generator)
     image, row and column of pixels near landmarks, and ``place`` (q, 2): the landmark's place less the
     pixel's centre. Points (2 m + k), the first ones of m pairs, the second ones, distractors: ``owner``,
     ``uv``, ``affine``. ``plane_...`` (m, 3): the plane of the surface n / (n . p), in its camera;
-    ``centre_...`` (c, 2) and ``focal`` (c,) of the images; ``pair``, ``distractors``, ``rotation``,
-    ``uv_...``, ``p_...``, ``X_AB`` as ``train.descriptor.batches``.
+    ``centre_...`` (c, 2) and ``focal`` (c,) of the images; ``is_strict`` (m,): no weak landmark; ``pair``,
+    ``distractors``, ``rotation``, ``uv_...``, ``p_...``, ``X_AB`` as ``train.descriptor.batches``.
     """
     height = max(w.side_v for e in examples for w in e.windows)
     width = max(w.side_u for e in examples for w in e.windows)
@@ -154,9 +193,9 @@ def batch_of(examples: Sequence[Example], points: int, rng: np.random.Generator)
     weight = np.zeros_like(heat)
     near: list[Array] = []
     place: list[Array] = []
-    rows: dict[str, list[Array]] = {}
+    rows: dict[str, list[NDArray[Any]]] = {}
 
-    def add(**values: Array) -> None:
+    def add(**values: Array | Bools) -> None:
         for name, value in values.items():
             rows.setdefault(name, []).append(value)
 
@@ -183,6 +222,7 @@ def batch_of(examples: Sequence[Example], points: int, rng: np.random.Generator)
         "uv": _tensor(np.concatenate(m) + jitter),
         "affine": _tensor(affine),
     }
+    result["is_strict"] = torch.from_numpy(np.concatenate(rows["is_strict"]).astype(bool))
     for key in ("pair", "distractors"):
         result[key] = torch.from_numpy(np.concatenate(rows[key]).astype(np.int64))
     places = ("uv_a", "uv_b", "uv_distractor", "p_a", "p_b", "p_distractor", "plane_a", "plane_b")
@@ -266,6 +306,8 @@ def _add_points(example: Example, k: int, points: int, rng: np.random.Generator,
     rotation = patch_rotation(affines[0], affines[1], a.p_K, a.normal_K, R_ba, b.p_K, _rig(body, poses[0]))
     free = np.flatnonzero((landmarks.view == example.views[1]) & (landmarks.landmark < 0))
     free = free[example.windows[1].has(landmarks.uv_px[free])]
+    # not the second place of a pair
+    free = free[cKDTree(b.uv_px).query(landmarks.uv_px[free])[0] > APART_PX]
     uv_d = landmarks.uv_px[rng.permutation(free)[: round(DISTRACTORS * len(chosen))]]
     p_d, normal_d = surface_at(body, poses[1], uv_d)
     known = np.isfinite(p_d).all(axis=1)
@@ -283,6 +325,7 @@ def _add_points(example: Example, k: int, points: int, rng: np.random.Generator,
         owner_b=np.full(n, 2 * k + 1),
         owner_distractor=np.full(len(uv_d), 2 * k + 1),
         pair=np.full(n, k),
+        is_strict=~landmarks.is_weak[a.index],
         distractors=np.full(len(uv_d), k),
         rotation=rotation,
         p_a=a.p_K,

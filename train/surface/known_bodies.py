@@ -1,5 +1,14 @@
-"""The bodies of a training with their landmarks, which are found once and stored beside the images."""
+"""The bodies of a training with their landmarks, which are found once and stored beside the images.
 
+    python -m polhode.train.surface.known_bodies CONFIG [--workers N] [--chance 20]
+
+makes what is missing and prints, for each family, the median number of landmarks of a body, the share of the
+key points that show one, and the share of the landmarks that chance explains (of so many bodies).
+"""
+
+import argparse
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -7,15 +16,17 @@ import numpy as np
 
 from polhode.array_files import read_arrays, require_arrays
 from polhode.atomic import replaced
+from polhode.config.loader import load_config
 from polhode.config.train_settings import Corpus, SurfaceTraining
-from polhode.errors import InputError
+from polhode.errors import InputError, RunFailure
 from polhode.processes import in_order
-from polhode.progress import Progress
+from polhode.progress import Progress, Silent
+from polhode.train.corpus import required_train
 from polhode.train.surface.batches import KnownBody
-from polhode.train.surface.landmarks import Landmarks, find_landmarks
+from polhode.train.surface.landmarks import Landmarks, chance_share, find_landmarks
 from polhode.train.surface.lit_bodies import lit_body_path, read_lit_body, render_lit_bodies
 
-VERSION = 1
+VERSION = 2
 """Version of the files of landmarks; those of another version are not used."""
 _DIMENSIONS = {
     "p_G": ("f", 2),
@@ -74,3 +85,42 @@ def _make(work: tuple[Corpus, SurfaceTraining, int]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced(path) as partial:
         np.savez_compressed(partial, **{name: getattr(found, name) for name in _DIMENSIONS})
+
+
+def table(bodies: dict[int, KnownBody], families: Sequence[str], chance_of: int) -> str:
+    """Markdown table: a row for each family, and one of all."""
+    rows = [
+        "| family | bodies | landmarks of a body | key points that show one [%] | by chance |",
+        "|---|---|---|---|---|",
+    ]
+    groups = {name: [k for k in bodies if families[k % len(families)] == name] for name in families}
+    for name, numbers in {**groups, "all": list(bodies)}.items():
+        found = [bodies[k].landmarks for k in numbers]
+        if not found:
+            continue
+        count = np.median([np.sum(~each.is_weak) for each in found])
+        shown = np.concatenate([each.landmark >= 0 for each in found])
+        chance = chance_share([bodies[k].body for k in numbers[:: max(1, len(numbers) // chance_of)]])
+        rows.append(f"| {name} | {len(found)} | {count:.0f} | {100 * shown.mean():.0f} | {chance:.2f} |")
+    return "\n".join(rows)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Make what is missing, and print what was found."""
+    parser = argparse.ArgumentParser(
+        prog="python -m polhode.train.surface.known_bodies", description=main.__doc__
+    )
+    parser.add_argument("config", type=Path)
+    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--chance", type=int, default=20, help="bodies of a family for the share of chance")
+    options = parser.parse_args(arguments)
+    try:
+        train = required_train(load_config(options.config).train, options.config)
+        bodies = prepare_bodies(train.corpus, train.surface, Silent(), options.workers)
+    except (InputError, RunFailure) as error:
+        parser.exit(error.exit_code, f"{parser.prog}: error: {error}\n")
+    print(table(bodies, train.corpus.families, options.chance))
+
+
+if __name__ == "__main__":
+    main()

@@ -80,7 +80,7 @@ class SurfaceTask:
         examples = []
         for _ in range(_TRIES * self._config.pairs):
             known = self._bodies[self._numbers[rng.integers(len(self._numbers))]]
-            example = draw_example(known, rng, self._config.crop_px)
+            example = draw_example(known, rng, self._config.crop_px, self._config.kinds, self._config.wide)
             if example is not None:
                 examples.append(example)
             if len(examples) == self._config.pairs:
@@ -115,6 +115,11 @@ def surface_loss(
     """Loss and its terms."""
     weights = config.loss
     own = [place_at(dense, batch, side) for side in ("a", "b")]
+    # a weak landmark's place is known as the truth gives it, and not to the network
+    own = [
+        (torch.where(batch["is_strict"][:, None], uv, batch[f"uv_{side}"]), log_sigma)
+        for (uv, log_sigma), side in zip(own, ("a", "b"), strict=True)
+    ]
     points = [surface_point(place, batch, side) for place, side in zip(own, ("a", "b"), strict=True)]
     loss, terms = descriptor_loss(
         described,
@@ -188,7 +193,7 @@ def surface_point(place: tuple[Tensor, Tensor], batch: Batch, side: str) -> Tens
 def consistency_loss(
     dense: DenseOutput, own: list[tuple[Tensor, Tensor]], points: list[Tensor], batch: Batch
 ) -> Tensor:
-    """Mean over the landmarks of pairs."""
+    """Mean over the landmarks of pairs that are no weak ones."""
     pair = batch["pair"]
     X = batch["X_AB"][pair]
     p_A = torch.einsum("nij,nj->ni", X[:, :3, :3], points[1]) + X[:, :3, 3]
@@ -197,7 +202,9 @@ def consistency_loss(
     area = torch.linalg.det(batch["affine"])
     stretch = 0.5 * torch.log((area[:m] / area[m : 2 * m]).abs().clamp(0.1, 10.0))
     log_var = torch.logaddexp(2.0 * own[0][1], 2.0 * (own[1][1] + stretch))
-    return student_nll(((uv - own[0][0]) ** 2).sum(dim=1), 0.5 * log_var).mean()
+    each = student_nll(((uv - own[0][0]) ** 2).sum(dim=1), 0.5 * log_var)
+    strict = batch["is_strict"].float()
+    return (each * strict).sum() / strict.sum().clamp(min=1.0)
 
 
 def make_task(train: Train, seed: int, progress: Progress, workers: int) -> SurfaceTask:

@@ -129,7 +129,9 @@ def test_the_fit_finds_the_noise_that_was_put_in() -> None:
         variance = (0.08 + 2.0 * np.sum(sharp, axis=1)) * np.exp(-0.2 * logit)
         residual = rng.normal(size=(6000, 3)) * np.sqrt(variance)[:, None]
         scenes.append(
-            MatchResiduals(residual, np.sqrt(np.repeat(variance[:, None], 3, axis=1)), sharp, logit)
+            MatchResiduals(
+                residual, np.sqrt(np.repeat(variance[:, None], 3, axis=1)), sharp, np.zeros_like(sharp), logit
+            )
         )
     found = fit_noise(scenes, (0, 1))
     # Without the confidence its mean effect, exp(0.08), is in the gain; the confidence takes it back.
@@ -142,3 +144,15 @@ def test_the_fit_finds_the_noise_that_was_put_in() -> None:
 def test_the_logit_is_finite_everywhere() -> None:
     assert np.isfinite(confidence_logit(np.array([0.0, 0.5, 1.0]))).all()
     assert confidence_logit(np.array([0.5]))[0] == 0.0
+
+
+def test_the_gain_of_the_network_s_sigmas_is_found_again() -> None:
+    rng = np.random.default_rng(8)
+    place = rng.uniform(0.1, 0.8, size=(6000, 2))
+    variance = np.sum(0.1**2 + 1.7 * place**2, axis=1)
+    residual = rng.normal(size=(6000, 3)) * np.sqrt(variance)[:, None]
+    scene = MatchResiduals(residual, np.ones((6000, 3)), np.zeros_like(place), place, np.zeros(6000))
+    found = fit_noise([scene], (0, 1), by_place=True)
+    assert abs(found.gain_px - 1.7) < 0.1
+    assert found.floor_px < 0.2
+    assert abs(found.confidence[0]) < 0.05

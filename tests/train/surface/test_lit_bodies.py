@@ -11,6 +11,7 @@ from polhode.errors import InputError
 from polhode.lie import inverse_pose, transform_points
 from polhode.progress import Silent
 from polhode.train.surface.batches import KnownBody
+from polhode.train.surface.known_bodies import main as print_landmarks
 from polhode.train.surface.known_bodies import prepare_bodies
 from polhode.train.surface.landmarks import surface_at
 from polhode.train.surface.lit_bodies import (
@@ -101,6 +102,11 @@ def test_the_command_renders_what_is_missing(
     config.write_text(f"train:\n  task: surface\n  corpus: {fields}\n  surface: {surface}\n")
     main([str(config), "--workers", "1"])
     assert "3 bodies" in capsys.readouterr().out
+    print_landmarks([str(config), "--workers", "1", "--chance", "1"])
+    rows = [line.split("|")[1:-1] for line in capsys.readouterr().out.splitlines()[2:]]
+    assert [row[0].strip() for row in rows] == ["free_flyer", "asteroid", "all"]
+    assert [int(row[1]) for row in rows] == [2, 1, 3]
+    assert all(0.0 <= float(row[4]) <= 1.0 for row in rows)
     with pytest.raises(SystemExit) as refused:
         main([str(tmp_path / "none.yaml")])
     assert refused.value.code == 2

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from pydantic import ValidationError
 from torch import Tensor
 
-from polhode.config.train_settings import Corpus, Schedule, SurfaceLoss, Train
+from polhode.config.train_settings import Corpus, Schedule, SurfaceTraining, Train
 from polhode.errors import InputError
 from polhode.frontend.networks.surface import CHANNELS, DenseOutput, SurfaceNet
 from polhode.lie import transform_points
@@ -57,7 +58,10 @@ def test_places_of_the_batch_are_landmarks(batch: Batch) -> None:
     image, row, column = batch["near"].T
     assert torch.linalg.vector_norm(batch["place"], dim=1).max() < NEAR_PX
     at = torch.stack([column, row], dim=1) + batch["place"]
-    for pair, uv in zip(batch["pair"][::7], batch["uv_a"][::7], strict=True):
+    strict = batch["is_strict"]
+    assert strict.any()
+    assert not strict.all()
+    for pair, uv in zip(batch["pair"][strict], batch["uv_a"][strict], strict=True):
         own = at[image == 2 * pair]
         assert torch.linalg.vector_norm(own - uv, dim=1).min() < 1e-2
 
@@ -178,5 +182,20 @@ def test_bodies_without_common_landmarks_cannot_be_learned_from(bodies: dict[int
         task.batch(0)
 
 
-def test_the_weights_of_the_loss_are_settings() -> None:
-    assert SurfaceLoss(light=0.0).light == 0.0
+def test_kinds_of_pairs_are_shares() -> None:
+    assert SurfaceTraining(kinds=(0.0, 1.0, 0.0)).kinds == (0.0, 1.0, 0.0)
+    with pytest.raises(ValidationError, match=r"kinds add up to 0\.9 instead of 1"):
+        SurfaceTraining(kinds=(0.3, 0.3, 0.3))
+
+
+@pytest.mark.parametrize("kind", range(3))
+def test_a_kind_of_pair_differs_in_what_it_says(bodies: dict[int, KnownBody], kind: int) -> None:
+    rng = np.random.default_rng(9)
+    for wide in (0.0, 1.0):
+        example = draw_example(bodies[0], rng, 96, np.eye(3)[kind].tolist(), wide)
+        assert example is not None
+        poses, suns = (
+            [of(view) for view in example.views] for of in (bodies[0].body.pose_of, bodies[0].body.sun_of)
+        )
+        assert (poses[0] == poses[1]) == (kind == 0)
+        assert (suns[0] == suns[1]) == (kind == 1)
