@@ -1,10 +1,11 @@
 """Small studies, and a cluster within the process of the tests, which starts in a moment."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 import pytest
 import yaml
 from distributed import Client
@@ -13,6 +14,7 @@ from polhode.progress import Silent
 from polhode.studies import sweep as flow
 from polhode.studies.cluster import Cluster, ClusterOptions
 from polhode.studies.study import open_study
+from polhode.studies.table import TIME, read_table
 
 SCENE: dict[str, Any] = {
     "frames": 1,
@@ -27,6 +29,12 @@ BASELINES = "scene.rig.baseline_m"
 
 WriteStudy = Callable[..., Path]
 Sweep = Callable[..., flow.Swept]
+
+
+def timeless(folder: Path) -> pa.Table:
+    """The table without what differs between two computations."""
+    table = read_table(folder)
+    return table.select([name for name in table.column_names if not name.startswith(TIME)])
 
 
 @pytest.fixture
@@ -49,17 +57,23 @@ def client() -> Iterator[Client]:
         yield client
 
 
-@pytest.fixture
-def sweep_here(client: Client, monkeypatch: pytest.MonkeyPatch) -> Sweep:
-    """``polhode sweep`` whose only worker is a thread of this process."""
+def thread_of(client: Client) -> Callable[..., AbstractContextManager[Cluster]]:
+    """In place of ``opened_cluster``: the only worker is a thread of this process."""
 
     @contextmanager
     def opened(options: ClusterOptions, folder: Path, inputs: Sequence[Path]) -> Iterator[Cluster]:
         del options, folder, inputs
         yield Cluster(client, 1, "a thread")
 
+    return opened
+
+
+@pytest.fixture
+def sweep_here(client: Client, monkeypatch: pytest.MonkeyPatch) -> Sweep:
+    """``polhode sweep`` whose only worker is a thread of this process."""
+
     def run(path: Path, folder: Path, again_failed: bool = False) -> flow.Swept:
         return flow.sweep(open_study(path), folder, Silent(), ClusterOptions(), again_failed)
 
-    monkeypatch.setattr(flow, "opened_cluster", opened)
+    monkeypatch.setattr(flow, "opened_cluster", thread_of(client))
     return run

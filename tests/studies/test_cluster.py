@@ -1,4 +1,9 @@
-"""Studies on processes: of this machine, of a scheduler that runs already, and killed ones."""
+"""Studies on processes: of this machine, of a scheduler that runs already, and killed ones.
+
+Processes take seconds to start: one test has all that needs those of this machine, another all that needs a
+scheduler, and what they compute takes no time. Their points wait until the test allows them, so that whatever
+is killed is killed while it computes a point.
+"""
 
 import json
 import os
@@ -7,37 +12,51 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import dask
 import psutil
 import pytest
+from distributed import Client
 
 from polhode.cli.main import main
 from polhode.errors import InputError
 from polhode.studies import cluster as cluster_module
+from polhode.studies import sweep as flow
 from polhode.studies.cluster import probe, probed_versions
-from tests.studies.conftest import SCENE, WriteStudy
-from tests.studies.test_sweep import timeless
+from tests.studies.conftest import SCENE, WriteStudy, thread_of, timeless
 
 Capture = pytest.CaptureFixture[str]
 LONG_S = 300.0
 """After which a process that should have ended has failed"""
 STUDY: dict[str, Any] = {
     "base": {"scene": SCENE},
-    "axes": {"seed": [1, 2, 3, 4, 5, 6]},
+    "axes": {"seed": [1, 2], "backend.accel_psd": [1e-6, 1e-5, 1e-4]},
     "steps": ["simulate"],
 }
-LARGER = {"rig": {"width_px": 240, "height_px": 180, "focal_px": 175.0}}
-"""Images that take about as long as looking for the process that renders them"""
+POINTS = 6
+PATIENT = Path(__file__).with_name("patient_worker.py")
+
+
+def allow(folder: Path, points: int) -> None:
+    """Let the workers of a study compute until so many points are stored."""
+    partial = folder.parent / "allowed.partial"
+    partial.write_text(str(points))
+    partial.rename(folder.parent / "allowed")
 
 
 @contextmanager
 def begun(*words: str) -> Iterator[subprocess.Popen[str]]:
     """A process of Python; it and what it has started are ended with the block."""
     process = subprocess.Popen(
-        [sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "DASK_DISTRIBUTED__WORKER__PRELOAD": str([str(PATIENT)])},
     )
     try:
         yield process
@@ -45,6 +64,22 @@ def begun(*words: str) -> Iterator[subprocess.Popen[str]]:
         for each in [*_below(process.pid), process]:
             each.kill()
         process.communicate()
+
+
+@contextmanager
+def beside(action: Callable[[], None], finally_: Callable[[], None]) -> Iterator[None]:
+    """Do something in another thread meanwhile; whatever comes of it, the block can end."""
+
+    def done() -> None:
+        try:
+            action()
+        finally:
+            finally_()
+
+    with ThreadPoolExecutor(1) as thread:
+        future = thread.submit(done)
+        yield
+        future.result()
 
 
 def _below(pid: int) -> list[psutil.Process]:
@@ -64,59 +99,92 @@ def until(holds: Callable[[], Any]) -> Any:
     return pytest.fail("never came")
 
 
-def workers_of(process: subprocess.Popen[str]) -> list[psutil.Process]:
-    return [each for each in _below(process.pid) if "spawn_main" in " ".join(each.cmdline())]
+def workers_of(pid: int) -> list[psutil.Process]:
+    """The workers of a local cluster that this process has."""
+    found = []
+    for each in _below(pid):
+        try:
+            if "spawn_main" in " ".join(each.cmdline()):
+                found.append(each)
+        except psutil.NoSuchProcess:
+            continue
+    return found
 
 
 def records(folder: Path) -> int:
     return len(list(folder.glob("points/*/*.json")))
 
 
+def attempts(folder: Path) -> list[Path]:
+    """Points that a worker computes, or has not come to an end with."""
+    return list((folder / "work").iterdir())
+
+
+def computes_after(points: int, folder: Path) -> Callable[[], bool]:
+    """Whether so many points are stored and a worker has begun with another."""
+    return lambda: records(folder) >= points and bool(attempts(folder))
+
+
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The study on one worker of this machine: the file beside the folder of its results."""
+def undisturbed(client: Client, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The study, computed in this process: the file beside the folder of its results."""
     folder = tmp_path_factory.mktemp("undisturbed")
-    (folder / "study.yaml").write_text(json.dumps({**STUDY, "base": {"scene": {**SCENE, **LARGER}}}))
-    assert main(["sweep", str(folder / "study.yaml"), "-o", str(folder / "out"), "--workers", "1"]) == 0
+    (folder / "study.yaml").write_text(json.dumps(STUDY))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(flow, "opened_cluster", thread_of(client))
+        assert main(["sweep", str(folder / "study.yaml"), "-o", str(folder / "out")]) == 0
+    assert records(folder / "out") == POINTS
     return folder
 
 
-@pytest.mark.parametrize("killed", ["program", "worker"])
-def test_a_killed_study_ends_with_the_table_of_an_undisturbed_one(
-    killed: str, undisturbed: Path, tmp_path: Path
+def test_a_study_that_is_interrupted_and_killed_ends_with_the_table_of_an_undisturbed_one(
+    undisturbed: Path, tmp_path: Path, capfd: Capture
 ) -> None:
-    words = ["sweep", str(undisturbed / "study.yaml"), "-o", str(tmp_path), "--workers", "1"]
-    with begun("-m", "polhode", *words) as process:
-        until(lambda: records(tmp_path) >= 2)
-        workers = until(lambda: workers_of(process))
-        if killed == "program":
-            process.kill()
-            until(lambda: not any(each.is_running() for each in workers))
-        else:
-            workers[0].kill()
-            _, errors = process.communicate(timeout=LONG_S)
-            assert (process.returncode, errors) == (0, "")
-            assert records(tmp_path) == 6
-    assert main(words) == 0
-    assert timeless(tmp_path) == timeless(undisturbed / "out")
-    assert list((tmp_path / "work").iterdir()) == []
+    out = tmp_path / "out"
+    words = ["sweep", str(undisturbed / "study.yaml"), "-o", str(out), "--workers", "1"]
 
-
-def test_an_interrupted_study_ends_in_one_line_and_leaves_no_process(
-    undisturbed: Path, tmp_path: Path
-) -> None:
-    words = ["sweep", str(undisturbed / "study.yaml"), "-o", str(tmp_path), "--workers", "1"]
+    # interrupted: one line, and no process stays
+    allow(out, 1)
     with begun("-m", "polhode", *words) as process:
-        until(lambda: records(tmp_path) >= 1)
-        workers = until(lambda: workers_of(process))
+        until(computes_after(1, out))
+        workers = workers_of(process.pid)
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=LONG_S)
+        assert workers and not any(each.is_running() for each in workers)
     assert process.returncode == 128 + signal.SIGINT
     assert errors == (
         "polhode: error: sweep interrupted by SIGINT; points that are done are kept, the same command goes "
         "on from there\n"
     )
-    assert not any(each.is_running() for each in workers)
+    assert records(out) == 1
+
+    # the program is killed: its workers end by themselves
+    allow(out, 2)
+    with begun("-m", "polhode", *words) as process:
+        until(computes_after(2, out))
+        workers = workers_of(process.pid)
+        assert workers
+        process.kill()
+        until(lambda: not any(each.is_running() for each in workers))
+    assert records(out) == 2 and attempts(out)
+
+    # a worker is killed: another one computes its point, and nothing is said of it
+    def kill_a_worker() -> None:
+        until(computes_after(3, out))
+        (worker,) = workers_of(os.getpid())
+        worker.kill()
+        until(lambda: set(workers_of(os.getpid())) - {worker})
+
+    allow(out, 3)
+    capfd.readouterr()
+    with (
+        dask.config.set({"distributed.worker.preload": [str(PATIENT)]}),
+        beside(kill_a_worker, lambda: allow(out, POINTS)),
+    ):
+        assert main(words) == 0
+    assert capfd.readouterr().err == ""
+    assert timeless(out) == timeless(undisturbed / "out")
+    assert records(out) == POINTS and attempts(out) == []
 
 
 @contextmanager
@@ -133,54 +201,56 @@ def begun_scheduler(file: Path, workers: int) -> Iterator[tuple[subprocess.Popen
         yield process, str(json.loads(file.read_text())["address"])
 
 
-@pytest.fixture(scope="module")
-def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The address of a scheduler with two workers."""
-    with begun_scheduler(tmp_path_factory.mktemp("scheduler") / "scheduler.json", 2) as (_, address):
-        yield address
-
-
-def test_a_scheduler_that_runs_already_gives_the_same_table(
-    scheduler: str, undisturbed: Path, tmp_path: Path, capsys: Capture
+def test_a_scheduler_that_runs_already_gives_the_same_table_and_may_be_lost(
+    undisturbed: Path,
+    client: Client,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Capture,
 ) -> None:
-    words = ["sweep", str(undisturbed / "study.yaml"), "-o", str(tmp_path)]
-    assert main([*words, "--cluster", scheduler]) == 0
-    assert f"workers of {scheduler}" in capsys.readouterr().out
-    assert timeless(tmp_path) == timeless(undisturbed / "out")
+    study, out, lost = str(undisturbed / "study.yaml"), tmp_path / "out", tmp_path / "lost" / "out"
+    lost.parent.mkdir()
+    with begun_scheduler(tmp_path / "scheduler.json", 2) as (scheduler, address):
+        words = ["sweep", study, "-o", str(out), "--cluster", address]
+        allow(out, POINTS)
+        with Client(address, set_as_default=False) as other:
+            other.wait_for_workers(2, timeout=LONG_S)
 
+        # workers that cannot compute the study are refused before anything runs
+        own = probed_versions()
+        for version, said in (
+            ({"numpy": "1.0"}, f"has numpy {own['numpy']}, and here it is 1.0; install the same version"),
+            ({"code": "another"}, "has polhode of other code"),
+        ):
+            with monkeypatch.context() as patch:
+                patch.setattr(cluster_module, "probed_versions", lambda version=version: own | version)
+                assert main(words) == 2
+            printed = capsys.readouterr().err
+            assert printed.count("\n") == 1 and said in printed and not out.exists()
 
-def test_a_study_whose_scheduler_is_killed_ends_in_one_line_and_goes_on_elsewhere(
-    scheduler: str, undisturbed: Path, tmp_path: Path
-) -> None:
-    words = ["sweep", str(undisturbed / "study.yaml"), "-o", str(tmp_path / "out")]
-    with (
-        begun_scheduler(tmp_path / "scheduler.json", 1) as (other, address),
-        begun("-m", "polhode", *words, "--cluster", address) as process,
-    ):
-        until(lambda: records(tmp_path / "out") >= 1)
-        other.kill()
-        _, errors = process.communicate(timeout=LONG_S)
-        assert process.returncode == 1 and errors.count("\n") == 1
-        assert "the scheduler was lost; points that are done are kept" in errors
-    assert main([*words, "--cluster", scheduler]) == 0
-    assert timeless(tmp_path / "out") == timeless(undisturbed / "out")
+        assert main(words) == 0
+        assert f"2 workers of {address}" in capsys.readouterr().out
+        assert timeless(out) == timeless(undisturbed / "out")
 
+        def kill_the_scheduler() -> None:
+            until(computes_after(1, lost))
+            scheduler.kill()
 
-def test_workers_that_cannot_compute_the_study_are_refused_before_anything_runs(
-    scheduler: str, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    def refused() -> str:
-        words = ["sweep", str(undisturbed / "study.yaml"), "-o", str(tmp_path / "out")]
-        assert main([*words, "--cluster", scheduler]) == 2
+        words = ["sweep", study, "-o", str(lost)]
+        allow(lost, 1)
+        # as long as a lost scheduler is looked for, too
+        monkeypatch.setattr(cluster_module, "CONNECT_S", 4.0)
+        with beside(kill_the_scheduler, scheduler.kill):
+            assert main([*words, "--cluster", address]) == 1
         printed = capsys.readouterr().err
-        assert printed.count("\n") == 1 and not (tmp_path / "out").exists()
-        return printed
+        assert printed.count("\n") == 1
+        assert "the scheduler was lost; points that are done are kept" in printed
 
-    own = probed_versions()
-    monkeypatch.setattr(cluster_module, "probed_versions", lambda: own | {"numpy": "1.0"})
-    assert f"has numpy {own['numpy']}, and here it is 1.0; install the same version" in refused()
-    monkeypatch.setattr(cluster_module, "probed_versions", lambda: own | {"code": "another"})
-    assert "has polhode of other code" in refused()
+    # and goes on elsewhere
+    assert 1 <= records(lost) < POINTS
+    monkeypatch.setattr(flow, "opened_cluster", thread_of(client))
+    assert main(words) == 0
+    assert timeless(lost) == timeless(undisturbed / "out")
 
 
 def test_a_worker_that_does_not_see_the_folder_or_an_input_says_so(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
-import pyarrow as pa
 import pytest
 from distributed import Client
 from distributed.scheduler import KilledWorker, WorkerState
@@ -23,21 +22,14 @@ from polhode.studies import sweep as flow
 from polhode.studies.cluster import Cluster
 from polhode.studies.store import Store
 from polhode.studies.study import open_study
-from polhode.studies.table import TIME, read_table
 from tests.conftest import RENDERED_FRAMES
-from tests.studies.conftest import BASELINES, SCENE, Sweep, WriteStudy
+from tests.studies.conftest import BASELINES, SCENE, Sweep, WriteStudy, timeless
 
 SIMULATED: dict[str, Any] = {
     "base": {"scene": SCENE},
     "axes": {BASELINES: [0.1, 0.2], "backend.accel_psd": [1e-6, 1e-5, 1e-4]},
     "steps": ["simulate"],
 }
-
-
-def timeless(folder: Path) -> pa.Table:
-    """The table without what differs between two computations."""
-    table = read_table(folder)
-    return table.select([name for name in table.column_names if not name.startswith(TIME)])
 
 
 @pytest.fixture
