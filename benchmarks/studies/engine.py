@@ -4,9 +4,10 @@
 
 Studies of more and more points on two worker processes. Points without steps show what a point costs the
 engine; real ones (``run`` and ``evaluate`` of 12 pairs of 160x128 px, another seed each) its share of the
-work: what the workers' time has beside the steps, from the first record to the last. The memory of the
-program and of the largest worker is that when a tenth, half, and all of the points are stored. What the
-record has is not measured again.
+work: what the workers' time has beside the steps, from the first record to the last. That is also the time in
+which a worker has no point because the last ones are with others, so few points give a larger share. The
+memory of the program and of the largest worker is that when a tenth, half, and all of the points are stored.
+What the record has is not measured again.
 """
 
 import subprocess
@@ -23,6 +24,8 @@ import yaml
 from benchmarks.command import ROOT, Record, Short, command, simulated
 from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
+from polhode.studies.store import Store
+from polhode.studies.table import TABLE, TIME
 
 DEFAULT_RECORD = Path("runs/study_engine.jsonl")
 WORKERS = 2
@@ -83,21 +86,26 @@ def _watched(folder: Path, points: int) -> Case:
         [sys.executable, "-m", "polhode", *map(str, words)], cwd=ROOT, stdout=subprocess.DEVNULL
     )
     memory: list[tuple[float, float]] = []
-    began = ended = 0.0
     while process.poll() is None:
         time.sleep(LOOK_S)
         stored = sum(1 for _ in (folder / "out" / "points").glob("*/*.json"))
-        if stored and not began:
-            began = time.monotonic()
-        if stored < points:
-            ended = time.monotonic()
         if stored >= PARTS[min(len(memory), len(PARTS) - 1)] * points and len(memory) < len(PARTS):
             memory.append(_megabytes(process.pid))
     if process.returncode:
         raise SystemExit(f"the study ended with exit code {process.returncode}")
-    times = pq.read_table(folder / "out" / "table.parquet").to_pydict()
-    work_s = sum(sum(filter(None, times.get(f"time.{step}_s", []))) for step in ("run", "evaluate"))
-    return {"seconds": max(ended - began, LOOK_S), "work_s": work_s, "memory_mb": memory}
+    return {**_time_between_records(Store(folder / "out")), "memory_mb": memory}
+
+
+def _time_between_records(store: Store) -> dict[str, float]:
+    """From the first record to the last [s], and what the steps of all workers took of it."""
+    table = pq.read_table(store.folder / TABLE).to_pydict()
+    ends = [store.record_file(each).stat().st_mtime for each in table["digest.point"]]
+    steps = [table[name] for step in STEPS["run"] if (name := f"{TIME}{step}_s") in table]
+    works = [sum(filter(None, each)) for each in zip(*steps, strict=True)]
+    first = min(ends)
+    # of a point that was begun before the first record, what came after it
+    inside = [min(work, end - first) for end, work in zip(ends, works, strict=False)]
+    return {"seconds": max(ends) - first, "work_s": sum(inside)}
 
 
 def _megabytes(pid: int) -> tuple[float, float]:
@@ -115,7 +123,8 @@ def _row(line: Case) -> list[str]:
     beside = max(seconds * WORKERS - line["work_s"], 0.0)
     share = f"{beside / (seconds * WORKERS):.1%}" if line["work_s"] else "-"
     program, worker = (", ".join(f"{each[k]:.0f}" for each in line["memory_mb"]) for k in (0, 1))
-    each = f"{1e3 * beside / case['points']:.1f}"
+    # the first record is where the time begins
+    each = f"{1e3 * beside / (case['points'] - 1):.1f}"
     return [case["work"], str(case["points"]), f"{seconds:.1f}", each, share, program, worker]
 
 
