@@ -48,7 +48,7 @@ def configured(
 
 
 def test_every_setting_of_a_peers_weights_is_known() -> None:
-    own = {"descriptor"}
+    own = {"descriptor", "surface"}
     assert set(Weights.model_fields) - own == set(NETWORKS)
 
 
