@@ -27,7 +27,8 @@ def _waiting(job: steps.PointJob, sequence: steps.SequenceOutcome | None = None)
             (folder.parent / ALLOWED).read_text()
         ):
             time.sleep(LOOK_S)
-    return _compute_point(job, sequence)
+    record: Record = _compute_point(job, sequence)
+    return record
 
 
 steps.compute_point = _waiting

@@ -26,8 +26,8 @@ NEW, OLD = {"R/a": "1", "R/b": "2"}, {"R/a": "0", "R/c": "0"}
 def test_every_command_that_writes_is_killed_and_finds_its_disk_full() -> None:
     assert (sum(KILLS.values()), sum(FULL.values())) == (66, 25)
     assert KILLS.keys() == JOBS.keys() and FULL.keys() < JOBS.keys()
-    # `view` writes its one file at the end, by the function that writes the others' single files; `sweep`, its
-    # workers and its scheduler are killed by tests of their own (tests/studies/test_cluster.py).
+    # `view` writes its one file at the end, by the function that writes the others' single files; `sweep`,
+    # its workers and its scheduler are killed by tests of their own (tests/studies/test_cluster.py).
     printing = {"threshold", "doctor", "completion"}
     assert {job.words[0] for job in JOBS.values()} == set(COMMANDS) - printing - {"view", "sweep"}
 
