@@ -16,11 +16,11 @@ from polhode.compiled import compiled_reordered
 from polhode.frontend.features.keypoints import FeatureCandidates
 from polhode.frontend.features.landmark_places import find_places
 from polhode.frontend.features.patch_descriptors import PatchDescriptions
+from polhode.frontend.networks.descriptor import DIMENSIONS
 from polhode.frontend.networks.precision import multiplies_in_bfloat16
 from polhode.frontend.networks.surface import (
     ANGLES,
     CHANNELS,
-    DIMENSIONS,
     INNERMOST,
     OUTERMOST,
     RINGS,

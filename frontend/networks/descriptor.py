@@ -47,7 +47,7 @@ class DescriptorNet(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.register_buffer("sampler", _sampler(), persistent=False)
-        cosines, sines = _harmonics(ANGLES // 2)
+        cosines, sines = harmonics(ANGLES // 2)
         self.register_buffer("cosines", cosines, persistent=False)
         self.register_buffer("sines", sines, persistent=False)
         self.layers = nn.Sequential(
@@ -74,31 +74,37 @@ class DescriptorNet(nn.Module):
         around = self.whole(self.layers(sample_rings(seen, self.sampler)))[:, :, 0]
         with torch.autocast(patches.device.type, enabled=False):
             # Angles need full precision.
-            invariant, direction, strength = self._rotation_removed(around.float())
+            features = around.float()
+            invariant, direction, strength = rotation_removed(
+                features, self.direction(features), self.cosines, self.sines
+            )
         descriptor = functional.normalize(self.project(invariant.flatten(1)).float(), dim=1)
         summary = torch.cat([around.mean(dim=2), around.amax(dim=2), strength[:, None]], dim=1)
         return DescriptorOutput(descriptor, self.reliability(summary)[:, 0], direction)
 
-    def _rotation_removed(self, around: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Rotation-invariant harmonics (n, c, 2 h - 1) of features around the rings (n, c, a).
 
-        Also returns the direction (n, 2) of the patch and the logarithm of its strength (n,).
-        """
-        even, odd = around @ self.cosines, around @ self.sines
-        pull = self.direction(around)
-        x, y = (pull @ self.cosines[:, 1:2])[:, 0, 0], (pull @ self.sines[:, 1:2])[:, 0, 0]
-        strength = torch.sqrt(x * x + y * y + 1e-6)
-        c, s = x / strength, y / strength
-        angle_c, angle_s = [torch.ones_like(c)], [torch.zeros_like(s)]
-        for _ in range(HARMONICS - 1):
-            last_c, last_s = angle_c[-1], angle_s[-1]
-            angle_c.append(last_c * c - last_s * s)
-            angle_s.append(last_s * c + last_c * s)
-        cos_k, sin_k = torch.stack(angle_c, dim=1)[:, None], torch.stack(angle_s, dim=1)[:, None]
-        real = even * cos_k + odd * sin_k
-        imaginary = odd * cos_k - even * sin_k
-        direction = torch.stack([c, s], dim=1)
-        return torch.cat([real, imaginary[:, :, 1:]], dim=2), direction, torch.log(strength)
+def rotation_removed(
+    around: Tensor, pull: Tensor, cosines: Tensor, sines: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Rotation-invariant harmonics (n, c, 2 h - 1) of features around the rings (n, c, a).
+
+    pull (n, 1, a): how much each angle draws the direction of the patch towards it; cosines, sines (a, h): of
+    ``harmonics``. Also returns the direction (n, 2) and the logarithm of its strength (n,).
+    """
+    even, odd = around @ cosines, around @ sines
+    x, y = (pull @ cosines[:, 1:2])[:, 0, 0], (pull @ sines[:, 1:2])[:, 0, 0]
+    strength = torch.sqrt(x * x + y * y + 1e-6)
+    c, s = x / strength, y / strength
+    angle_c, angle_s = [torch.ones_like(c)], [torch.zeros_like(s)]
+    for _ in range(HARMONICS - 1):
+        last_c, last_s = angle_c[-1], angle_s[-1]
+        angle_c.append(last_c * c - last_s * s)
+        angle_s.append(last_s * c + last_c * s)
+    cos_k, sin_k = torch.stack(angle_c, dim=1)[:, None], torch.stack(angle_s, dim=1)[:, None]
+    real = even * cos_k + odd * sin_k
+    imaginary = odd * cos_k - even * sin_k
+    direction = torch.stack([c, s], dim=1)
+    return torch.cat([real, imaginary[:, :, 1:]], dim=2), direction, torch.log(strength)
 
 
 class RingConvolution(nn.Module):
@@ -163,7 +169,7 @@ def _ring_positions() -> Tensor:
     return radius[:, None, None] * torch.stack([torch.cos(angle), torch.sin(angle)], dim=1)
 
 
-def _harmonics(angles: int) -> tuple[Tensor, Tensor]:
+def harmonics(angles: int) -> tuple[Tensor, Tensor]:
     """Cosines and sines (angles, harmonics), divided by the number of angles."""
     angle = torch.arange(angles) * (2.0 * math.pi / angles)
     phase = angle[:, None] * torch.arange(HARMONICS)

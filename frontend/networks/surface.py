@@ -21,9 +21,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from polhode.frontend.networks.descriptor import DescriptorOutput, RingConvolution
+from polhode.frontend.networks.descriptor import (
+    DIMENSIONS,
+    HARMONICS,
+    DescriptorOutput,
+    RingConvolution,
+    harmonics,
+    rotation_removed,
+)
 
-DIMENSIONS = 128
 WIDTHS = (16, 32, 48, 64)
 """Channels of the levels; each has half the resolution of the one before."""
 JUDGED = 24
@@ -40,8 +46,6 @@ INNERMOST, OUTERMOST = 0.07, 0.97
 """Radii of the rings, over half a side of the patch; evenly spaced."""
 SMOOTH_FROM = 6
 """First ring that is sampled from the smoothed channels, since its samples are two pixels apart."""
-HARMONICS = 6
-"""Number of harmonics of the angle: 0 to 5."""
 LOG_SIGMA_RANGE = (-2.5, 2.0)
 """Of the places' standard deviations [log px]."""
 
@@ -92,7 +96,7 @@ class SurfaceNet(nn.Module):
         self.direction = nn.Conv1d(96, 1, 1)
         self.project = nn.Linear(96 * (2 * HARMONICS - 1), DIMENSIONS)
         self.reliability = nn.Sequential(nn.Linear(2 * 96 + 1, 48), nn.ReLU(), nn.Linear(48, 1))
-        cosines, sines = _harmonics(ANGLES // 2)
+        cosines, sines = harmonics(ANGLES // 2)
         self.register_buffer("cosines", cosines, persistent=False)
         self.register_buffer("sines", sines, persistent=False)
         # few pixels have a landmark; places scatter by half a pixel
@@ -132,31 +136,13 @@ class SurfaceNet(nn.Module):
         around = self.whole(self.rings(normalise_rings(rings)))[:, :, 0]
         with torch.autocast(rings.device.type, enabled=False):
             # Angles need full precision.
-            invariant, direction, strength = self._rotation_removed(around.float())
+            features = around.float()
+            invariant, direction, strength = rotation_removed(
+                features, self.direction(features), self.cosines, self.sines
+            )
         descriptor = functional.normalize(self.project(invariant.flatten(1)).float(), dim=1)
         summary = torch.cat([around.mean(dim=2), around.amax(dim=2), strength[:, None]], dim=1)
         return DescriptorOutput(descriptor, self.reliability(summary)[:, 0], direction)
-
-    def _rotation_removed(self, around: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Rotation-invariant harmonics (n, c, 2 h - 1) of features around the rings (n, c, a).
-
-        Also returns the direction (n, 2) of the patch and the logarithm of its strength (n,).
-        """
-        even, odd = around @ self.cosines, around @ self.sines
-        pull = self.direction(around)
-        x, y = (pull @ self.cosines[:, 1:2])[:, 0, 0], (pull @ self.sines[:, 1:2])[:, 0, 0]
-        strength = torch.sqrt(x * x + y * y + 1e-6)
-        c, s = x / strength, y / strength
-        angle_c, angle_s = [torch.ones_like(c)], [torch.zeros_like(s)]
-        for _ in range(HARMONICS - 1):
-            last_c, last_s = angle_c[-1], angle_s[-1]
-            angle_c.append(last_c * c - last_s * s)
-            angle_s.append(last_s * c + last_c * s)
-        cos_k, sin_k = torch.stack(angle_c, dim=1)[:, None], torch.stack(angle_s, dim=1)[:, None]
-        real = even * cos_k + odd * sin_k
-        imaginary = odd * cos_k - even * sin_k
-        direction = torch.stack([c, s], dim=1)
-        return torch.cat([real, imaginary[:, :, 1:]], dim=2), direction, torch.log(strength)
 
 
 def image_channels(images: Tensor) -> Tensor:
@@ -246,10 +232,3 @@ def _convolution(before: int, after: int, stride: int = 1, dilation: int = 1) ->
     return nn.Sequential(
         nn.Conv2d(before, after, 3, stride, dilation, dilation, bias=False), nn.BatchNorm2d(after), nn.ReLU()
     )
-
-
-def _harmonics(angles: int) -> tuple[Tensor, Tensor]:
-    """Cosines and sines (angles, harmonics), divided by the number of angles."""
-    angle = torch.arange(angles) * (2.0 * math.pi / angles)
-    phase = angle[:, None] * torch.arange(HARMONICS)
-    return torch.cos(phase) / angles, torch.sin(phase) / angles
