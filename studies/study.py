@@ -24,7 +24,7 @@ from polhode.studies.factors import Changes, Factor, factor_of_axis, factor_of_d
 from polhode.yaml_files import read_yaml
 
 RECORD = "polhode-study-point/1"
-"""Of the records, and part of every address: another one makes all points anew"""
+"""Of the records, and part of every address: another one computes all points again"""
 DATA, PLAN = "data", "plan"
 """Settings of a study beside those of the configuration"""
 RESERVED = frozenset({"point", "status", "reason", "verdict", "doubts"})

@@ -95,7 +95,7 @@ def find_lit_points(corpus: Corpus, study: LightStudy, index: int) -> ScenePoint
     views = [view_of(plan, k, 0) for k in range(study.poses)]
     grey, truths = list[Grey](), list[Products]()
     for sun in range(study.suns):
-        lit = _under_sun(plan, corpus, index, sun)
+        lit = under_sun(plan, corpus, index, sun)
         under = renderer.under(lit.scene.light)
         frames = FrameRenderer(lit, under)
         for k, view in enumerate(views):
@@ -105,7 +105,7 @@ def find_lit_points(corpus: Corpus, study: LightStudy, index: int) -> ScenePoint
     return points_of_frames(renderer.caster, views * study.suns, np.stack(grey), truths)
 
 
-def _under_sun(plan: SequencePlan, corpus: Corpus, index: int, sun: int) -> SequencePlan:
+def under_sun(plan: SequencePlan, corpus: Corpus, index: int, sun: int) -> SequencePlan:
     """The plan with lights and an exposure of its own."""
     rng = np.random.default_rng([corpus.seed, 0x50, index, sun])
     scene = plan.scene.model_copy(

@@ -38,8 +38,6 @@ from polhode.train.surface.landmarks import Landmarks, Seen, seen_in, surface_at
 from polhode.train.surface.lit_bodies import SKY, LitBody, on_target
 from polhode.train.task import Batch
 
-KINDS = (0.3, 0.35, 0.35)
-"""Shares of pairs that differ in light alone, in pose alone, in both."""
 MIN_COMMON = 12
 """Landmarks that both images of a pair show, at least."""
 MAX_COSINE_TURN = np.cos(np.deg2rad(75.0))
@@ -100,12 +98,13 @@ def draw_example(
     known: KnownBody,
     rng: np.random.Generator,
     largest_px: int,
-    kinds: Sequence[float] = KINDS,
+    kinds: Sequence[float],
     wide: float = 0.0,
 ) -> Example | None:
     """A pair of images with enough common landmarks; None: none was found.
 
-    ``wide``: share of the pairs of different poses that are the first and the last one, the farthest apart.
+    kinds (3,): shares of pairs that differ in light alone, in pose alone, in both; wide: share of the pairs
+    of different poses that are the first and the last one, the farthest apart.
     """
     body, landmarks = known.body, known.landmarks
     views, poses = len(body.grey), body.poses

@@ -13,7 +13,7 @@ still: there the light's own marks move over the surface as they do in a run.
 import argparse
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -41,16 +41,14 @@ from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.rendering.light import lights_in_body
 from polhode.simulation.rendering.reflection import reflected
 from polhode.simulation.rendering.render import Renderer
-from polhode.simulation.sky import Sky
 from polhode.simulation.stereo_camera import Camera
 from polhode.train.corpus import (
     begin_corpus,
-    random_light,
     random_scene,
-    random_sensor,
     required_train,
     scene_seed,
 )
+from polhode.train.light.lit_points import under_sun
 
 VERSION = 1
 """Version of the files; those of another version are not used."""
@@ -182,7 +180,7 @@ def render_lit_body(corpus: Corpus, config: SurfaceTraining, index: int) -> LitB
     shift = [round(focal_px * scene.rig.baseline_m / float(np.nanmedian(depth))) for depth in depths]
     grey, light, right = list[Grey](), list[NDArray[np.uint8]](), list[Grey]()
     for sun in range(config.suns):
-        lit = _under_sun(plan, corpus, index, sun)
+        lit = under_sun(plan, corpus, index, sun)
         under = renderer.under(lit.scene.light)
         frames = FrameRenderer(lit, under)
         for k, crop in enumerate(crops):
@@ -219,15 +217,6 @@ def _part(truth: Products) -> Crop:
         height, width = truth.mask.shape
         return Crop(width // 2 - 32, height // 2 - 32, width // 2 + 32, height // 2 + 32)
     return crop
-
-
-def _under_sun(plan: SequencePlan, corpus: Corpus, index: int, sun: int) -> SequencePlan:
-    """The plan with lights and an exposure of its own."""
-    rng = np.random.default_rng([corpus.seed, 0x50, index, sun])
-    scene = plan.scene.model_copy(
-        update={"light": random_light(corpus, rng), "sensor": random_sensor(corpus, rng)}
-    )
-    return replace(plan, scene=scene, sky=Sky(scene, plan.seed + sun), seed=plan.seed + sun)
 
 
 def _kinds_of_light(

@@ -35,7 +35,7 @@ from tests.train.surface.conftest import CONFIG
 @pytest.fixture(scope="module")
 def batch(bodies: dict[int, KnownBody]) -> Batch:
     rng = np.random.default_rng(4)
-    examples = [draw_example(bodies[k], rng, 96) for k in (0, 1)]
+    examples = [draw_example(bodies[k], rng, 96, CONFIG.kinds) for k in (0, 1)]
     return batch_of([each for each in examples if each is not None], 40, rng)
 
 
