@@ -21,7 +21,7 @@ from polhode.output.marked_folder import claim, marked_folder, withdrawn_if_refu
 from polhode.output.place import folder_place, require_writable
 from polhode.progress import Progress
 from polhode.train.checkpoint import CHECKPOINT, require_same_training
-from polhode.train.corpus import render_corpus, require_corpus, split
+from polhode.train.corpus import require_corpus, split
 from polhode.train.curves import FOLDER as CURVES
 from polhode.train.task import Task, make_task
 from polhode.train.training_loop import TrainingLoop, TrainingOutcome, device_of
@@ -81,9 +81,6 @@ def _require_sound(train: Train) -> None:
 
 
 def _trained(config: Config, train: Train, output: Path, progress: Progress, workers: int) -> Trained:
-    if train.task != "surface":
-        # the surface network has images of its own
-        render_corpus(train.corpus, progress, workers)
     torch.manual_seed(config.seed)
     task = make_task(train, config.seed, progress, workers)
     if train.start_from is not None:

@@ -20,7 +20,7 @@ from polhode.errors import InputError
 from polhode.frontend.matching.matchers import DualSoftmax, rigid_fit
 from polhode.frontend.networks.descriptor import DescriptorNet, DescriptorOutput
 from polhode.progress import Progress
-from polhode.train.corpus import split
+from polhode.train.corpus import render_corpus, split
 from polhode.train.descriptor.batches import PatchBatches
 from polhode.train.descriptor.scores import ValidationPair, describe_patches, score, validation_pairs
 from polhode.train.descriptor.surface_points import prepare_points
@@ -210,7 +210,8 @@ class DescriptorTask:
 
 
 def make_task(train: Train, seed: int, progress: Progress, workers: int) -> DescriptorTask:
-    """Find the points of the corpus. Raises InputError: there are too few."""
+    """Render the corpus and find its points. Raises InputError: there are too few."""
+    render_corpus(train.corpus, progress, workers)
     halves = split(train.corpus)
     scenes = prepare_points(train.corpus, range(train.corpus.scenes), progress, workers)
     lit = prepare_lit_points(train.corpus, train.light, progress, workers)

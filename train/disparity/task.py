@@ -21,7 +21,7 @@ from polhode.frontend.disparity.learned import RefinedDisparity, refine
 from polhode.frontend.networks.disparity import DisparityMixture, DisparityNet, mixture_from_outputs
 from polhode.processes import in_order
 from polhode.progress import Progress
-from polhode.train.corpus import scene_folder, split
+from polhode.train.corpus import render_corpus, scene_folder, split
 from polhode.train.disparity.samples import (
     DisparityBatch,
     DisparitySample,
@@ -188,7 +188,8 @@ def _samples_of(train: Train, seed: int, scene: int) -> list[Path]:
 
 
 def make_task(train: Train, seed: int, progress: Progress, workers: int) -> DisparityTask:
-    """Match every pair of the corpus once, and initialise the network."""
+    """Render the corpus, match each of its pairs once, and initialise the network."""
+    render_corpus(train.corpus, progress, workers)
     parts = split(train.corpus)
     scenes = sorted([*parts.training, *parts.validation])
     files: dict[int, list[Path]] = {}

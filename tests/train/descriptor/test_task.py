@@ -252,7 +252,7 @@ def test_changed_settings_are_refused_before_the_corpus_is_rendered(
 
     assert main(["train", str(training_file)]) == 0
     before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
-    monkeypatch.setattr("polhode.train.run.render_corpus", render)
+    monkeypatch.setattr("polhode.train.descriptor.task.render_corpus", render)
     capsys.readouterr()
     for more, expected in {
         "--train.corpus.scenes=5": "a training with another corpus.scenes: choose another train.output",
