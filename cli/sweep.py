@@ -30,7 +30,7 @@ class SweepCommand:
             "polhode sweep STUDY.yaml -o DIR --dry-run",
             "how many points, what is rendered once, how much disk",
         ),
-        ("polhode sweep STUDY.yaml -o DIR", "DIR/table.parquet, on all cores of this machine"),
+        ("polhode sweep STUDY.yaml -o DIR", "DIR/table.parquet and study.html, on all cores of this machine"),
     )
     GROUPS: ClassVar = {"where it is computed": ("cluster", "workers", "memory_gb")}
 
@@ -41,6 +41,8 @@ class SweepCommand:
     dry_run: Flag = False
     """Compute and write nothing: print the number of points, what is rendered once, the size of the table and
     an estimate of the disk space."""
+    page_only: Flag = False
+    """Compute nothing: write study.html again, of the points that are stored."""
     again_failed: Flag = False
     """Compute points that have failed again, too."""
     cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
@@ -63,19 +65,25 @@ class SweepCommand:
 
             found = forecast(study, self.output)
             return Answer(format_forecast(found), figures=vars(found))
+        if self.page_only:
+            from polhode.studies.sweep import rewrite_page
+
+            page = self.output / rewrite_page(study, self.output).name
+            return Answer(f"Page: {page}", paths=(page,))
         from polhode.studies.cluster import ClusterOptions
         from polhode.studies.sweep import sweep
+        from polhode.studies.table import PAGE
 
         options = ClusterOptions(self.cluster, self.workers, self.memory_gb)
         swept = sweep(study, self.output, progress_of_points(), options, self.again_failed)
-        table = self.output / swept.table.name
+        table, page = self.output / swept.table.name, self.output / PAGE
         reasons = [f"  {count} x {reason}" for reason, count in swept.reasons.most_common(REASONS)]
         failed = f", {swept.failed} failed" if swept.failed else ""
         all_failed = swept.failed == swept.points
         return Answer(
-            f"Table: {table} ({swept.points} points{failed})",
+            f"Table: {table} ({swept.points} points{failed}); page: {page}",
             "\n".join(["Points that failed, by reason:", *reasons] if reasons else []),
-            paths=(table, self.output),
+            paths=(table, page, self.output),
             status="degraded" if swept.failed else "ok",
             figures={
                 "points": swept.points,
@@ -88,6 +96,8 @@ class SweepCommand:
 
     def _check(self) -> None:
         """Raises InputError for an option that is out of its range."""
+        if self.dry_run and self.page_only:
+            raise InputError("--dry-run and --page-only contradict each other: give one of them")
         if not 0 <= self.workers <= MAX_WORKERS:
             raise InputError(f"--workers {self.workers}: give 0 to {MAX_WORKERS} processes")
         if self.memory_gb is not None:

@@ -116,13 +116,27 @@ def _levels(name: str, axis: Axis) -> Sequence[Any]:
 
 
 def _unit_cube(design: Design, dimension: int) -> Array:
-    """(count, dimension) draws in [0, 1)."""
+    """(points, dimension) draws in [0, 1)."""
     rng = np.random.default_rng(design.seed)
+    if design.method == "saltelli":
+        return saltelli(np.asarray(qmc.Sobol(2 * dimension, scramble=True, rng=rng).random(design.count)))
     if design.method == "random":
         return rng.uniform(size=(design.count, dimension))
     if design.method == "latin_hypercube":
         return np.asarray(qmc.LatinHypercube(dimension, rng=rng).random(design.count))
     return np.asarray(qmc.Sobol(dimension, scramble=True, rng=rng).random(design.count))
+
+
+def saltelli(draws: Array) -> Array:
+    """Pairs of draws (n, 2 d) as points (n (d + 2), d), in the order that SALib reads: of each pair the first
+    one, the first one with each of its values in turn from the second one, the second one."""
+    first, second = np.split(draws, 2, axis=1)
+    dimension = first.shape[1]
+    points = np.repeat(first[:, None], dimension + 2, axis=1)
+    each = np.arange(dimension)
+    points[:, 1 + each, each] = second
+    points[:, -1] = second
+    return points.reshape(-1, dimension)
 
 
 def _scaled(name: str, wanted: Distribution, shares: Array) -> list[Any]:

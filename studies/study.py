@@ -237,7 +237,7 @@ def _require_few(settings: Study, path: Path) -> None:
         name: axis.count or len(axis.values or axis.variants or ()) for name, axis in settings.axes.items()
     }
     if settings.design is not None:
-        counts["design"] = settings.design.count
+        counts["design"] = settings.design.points
     points = math.prod(counts.values())
     if points > MAX_POINTS:
         factors = " x ".join(f"{name} {count}" for name, count in counts.items())

@@ -24,6 +24,7 @@ from polhode.program_digest import code_digest
 from polhode.progress import NOTE, Progress
 from polhode.simulation.dataset.sequence import sequence_digest
 from polhode.studies.cluster import Cluster, ClusterOptions, opened_cluster
+from polhode.studies.page.write_page import write_page
 from polhode.studies.steps import (
     FAILED,
     OtherCode,
@@ -37,7 +38,7 @@ from polhode.studies.steps import (
 )
 from polhode.studies.store import PARTS, Store
 from polhode.studies.study import OpenStudy, Point
-from polhode.studies.table import COMMAND, FILES, STUDY, TABLE, write_table
+from polhode.studies.table import COMMAND, FILES, PAGE, STUDY, TABLE, write_table
 
 READY_PER_WORKER = 3
 """Tasks per worker that could begin at once: one that is computed, two that wait for it"""
@@ -70,7 +71,7 @@ def sweep(
     cluster: ClusterOptions,
     again_failed: bool = False,
 ) -> Swept:
-    """Compute the points of a study that ``folder`` lacks, and write its table.
+    """Compute the points of a study that ``folder`` lacks, and write its table and its page.
 
     ``again_failed``: points that have failed are computed again. Raises InputError for what is wrong with the
     folder or the cluster, before any point is computed; RunFailure when the cluster is lost.
@@ -91,7 +92,8 @@ def sweep(
             with opened_cluster(wanted, store.folder, study.inputs()) as opened:
                 # from here on, the table of what was there before is that of another study
                 write_text(store.folder / STUDY, study.text())
-                (store.folder / TABLE).unlink(missing_ok=True)
+                for name in (TABLE, PAGE):
+                    (store.folder / name).unlink(missing_ok=True)
                 _log.log(NOTE, "%s", opened.description)
                 with progress.stage("points", len(missing)) as advance:
                     for _ in _Window(study, store, opened, missing).outcomes():
@@ -135,7 +137,21 @@ def _gathered(study: OpenStudy, store: Store, computed: int, progress: Progress)
         if record is not None and record["status"] == FAILED:
             found.failed += 1
             found.reasons[str(record["reason"])] += 1
+    with progress.stage("page", 1) as advance:
+        write_page(study, store.folder)
+        advance()
     return found
+
+
+def rewrite_page(study: OpenStudy, folder: Path) -> Path:
+    """Write study.html of what is stored, and compute nothing. Returns the file.
+
+    Raises InputError: the folder is that of no study, or another process is at work there.
+    """
+    place = marked_place(folder, COMMAND, FILES.__contains__)
+    with occupied(place, folder):
+        write_page(study, place)
+    return place / PAGE
 
 
 class _Window:

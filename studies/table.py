@@ -11,12 +11,14 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from polhode.atomic import replaced
 from polhode.errors import InputError
 from polhode.output.marked_folder import read_mark
+from polhode.records import Ints
 from polhode.studies.store import Record, Store
 from polhode.studies.study import OpenStudy, open_study
 
@@ -24,8 +26,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 COMMAND = "sweep"
-TABLE, STUDY = "table.parquet", "study.yaml"
-FILES = (STUDY, TABLE)
+TABLE, STUDY, PAGE = "table.parquet", "study.yaml", "study.html"
+FILES = (STUDY, TABLE, PAGE)
 ROWS_AT_ONCE = 1000
 TIME = "time."
 """Columns that begin so differ between two computations of the same study; no others do."""
@@ -68,23 +70,44 @@ def write_table(study: OpenStudy, store: Store, path: Path) -> int:
     return count
 
 
-def read_table(folder: Path) -> pa.Table:
+def read_table(folder: Path, most: int | None = None) -> pa.Table:
     """The table of a study; of one that is not finished, the rows that are stored.
 
-    Raises InputError: the folder is that of no study.
+    ``most``: at most so many rows, chosen at random. Raises InputError: the folder is that of no study.
     """
     mark = read_mark(folder) or {}
     if COMMAND not in mark:
         raise InputError(f"{folder}: no study of polhode sweep; give the folder that -o named")
     if (folder / TABLE).is_file():
         try:
-            return pq.read_table(folder / TABLE)
+            return _rows_of(folder / TABLE, most)
         except (pa.ArrowException, OSError) as error:
             said = str(error).partition("\n")[0][:120]
             raise InputError(f"{folder / TABLE} cannot be read ({said}); repeat the sweep") from None
     study, store = open_study(folder / STUDY, check=False), Store(folder)
     rows = list(stored_rows(study, store))
-    return _table(rows, schema_of(rows))
+    return _table([rows[k] for k in chosen_rows(len(rows), most)], schema_of(rows))
+
+
+def _rows_of(path: Path, most: int | None) -> pa.Table:
+    """The rows of a table, at most ``most``: of a large one no more than that is in memory."""
+    with pq.ParquetFile(path) as file:
+        count = file.metadata.num_rows
+        if most is None or count <= most:
+            return file.read()
+        kept, start, parts = chosen_rows(count, most), 0, []
+        for batch in file.iter_batches(ROWS_AT_ONCE):
+            own = kept[(kept >= start) & (kept < start + batch.num_rows)] - start
+            parts.append(batch.take(pa.array(own)))
+            start += batch.num_rows
+        return pa.Table.from_batches(parts, file.schema_arrow)
+
+
+def chosen_rows(count: int, most: int | None) -> Ints:
+    """Indices (m,), ascending: all of ``count`` rows, or ``most`` of them at random."""
+    if most is None or count <= most:
+        return np.arange(count)
+    return np.sort(np.random.default_rng(0).choice(count, most, replace=False))
 
 
 def load_study(folder: Path) -> "pd.DataFrame":

@@ -83,10 +83,11 @@ _DRAWN = ("uniform", "log_uniform", "normal")
 class Design(Section):
     """Several settings drawn together: each draw is one point, combined with every value of the axes."""
 
-    method: Literal["random", "latin_hypercube", "sobol"] = "latin_hypercube"
-    """Independent draws, a Latin hypercube, or Sobol's sequence (scrambled), by scipy.stats.qmc."""
+    method: Literal["random", "latin_hypercube", "sobol", "saltelli"] = "latin_hypercube"
+    """Independent draws, a Latin hypercube, Sobol's sequence (scrambled), by scipy.stats.qmc; or Saltelli's
+    design for Sobol indices, which has a point more for each setting, and another one, for each draw."""
     count: int = Field(ge=1)
-    """Number of draws; for Sobol's sequence, a power of two."""
+    """Number of draws; for Sobol's sequence and Saltelli's design, a power of two."""
     seed: Seed = 0
     """Of the draws."""
     settings: dict[str, Distribution]
@@ -96,13 +97,18 @@ class Design(Section):
     def _fits_the_method(self) -> Self:
         if not self.settings:
             raise ValueError("settings: there are none; name at least one")
-        if self.method == "sobol" and self.count & (self.count - 1):
+        if self.method in ("sobol", "saltelli") and self.count & (self.count - 1):
             below = 1 << (self.count.bit_length() - 1)
             raise ValueError(
                 f"count: {self.count} draws, but Sobol's sequence is balanced for powers of two only; "
                 f"give {below} or {2 * below}"
             )
         return self
+
+    @property
+    def points(self) -> int:
+        """How many points the draws give."""
+        return self.count * (len(self.settings) + 2 if self.method == "saltelli" else 1)
 
 
 class PlanOptions(Section):
@@ -140,6 +146,9 @@ class Study(Section):
     """What stays of each run's folder: all of it, its summary and numbers, or nothing."""
     keep_sequences: bool = True
     """False: a simulated sequence is removed when no point needs it any more."""
+    metrics: tuple[str, ...] = ()
+    """Columns that study.html draws, the most important ones first; "*" stands for any letters. If there are
+    none, the errors of motion, inertia and surface."""
 
     @model_validator(mode="after")
     def _steps_follow_each_other(self) -> Self:

@@ -1,0 +1,63 @@
+"""Groups of an axis, their medians and shares, and the bands of these."""
+
+import numpy as np
+import pytest
+
+from polhode.studies.page.columns import Axis
+from polhode.studies.page.dependence import (
+    BINS,
+    MIN_ROWS,
+    groups_of,
+    mean_band,
+    median_band,
+    share_band,
+    shares,
+    spreads,
+)
+
+
+def test_few_levels_are_groups_and_many_numbers_are_binned_with_as_many_rows_each() -> None:
+    few = groups_of(Axis("a", np.array([2.0, 1.0, 2.0, 1.0, 3.0])))
+    assert [(each.at, int(each.rows.sum())) for each in few] == [(1.0, 2), (2.0, 2), (3.0, 1)]
+    many = groups_of(Axis("a", np.random.default_rng(1).exponential(size=400)))
+    assert [int(each.rows.sum()) for each in many] == [400 // BINS] * BINS
+    assert np.sum([each.rows for each in many], axis=0).tolist() == [1] * 400
+    labels = groups_of(Axis("a", np.arange(20.0), labels=tuple("abcdefghijklmnopqrst")))
+    assert len(labels) == 20
+
+
+@pytest.mark.parametrize("band", [median_band, mean_band])
+def test_the_band_holds_the_truth_in_95_of_100_cases(band: object) -> None:
+    rng = np.random.default_rng(3)
+    held = []
+    for _ in range(200):
+        low, high = band(rng.normal(5.0, 2.0, 40))  # type: ignore[operator]
+        held.append(low <= 5.0 <= high)
+    # a binomial of 200 with 0.95 has less than 0.89 in one of 1000 cases
+    assert 0.89 <= np.mean(held) <= 1.0
+
+
+def test_spreads_have_the_median_and_four_fifths_of_the_rows_and_leave_out_what_is_unknown() -> None:
+    axis = Axis("a", np.repeat([1.0, 2.0, 3.0], 50))
+    values = np.concatenate([np.linspace(0.0, 1.0, 50), np.linspace(10.0, 20.0, 50), np.full(50, np.nan)])
+    values[0] = np.nan
+    found = spreads(axis, values)
+    assert [each.median.count for each in found] == [49, 50]
+    second = found[1]
+    assert second.median.value == pytest.approx(15.0)
+    assert (second.tenth, second.nine_tenths) == pytest.approx((11.0, 19.0))
+    assert 11.0 < second.median.low < 15.0 < second.median.high < 19.0
+
+
+def test_a_group_of_few_rows_has_no_band_and_one_of_equal_rows_a_point() -> None:
+    assert np.isnan(median_band(np.arange(MIN_ROWS - 1.0))).all()
+    assert median_band(np.full(20, 3.0)) == (3.0, 3.0)
+
+
+def test_shares_have_the_band_of_wilson() -> None:
+    axis = Axis("a", np.repeat([0.0, 1.0], 10), labels=("x", "y"))
+    found = shares(axis, np.array([True] * 10 + [True, False] * 5))
+    assert [(each.value, each.count) for each in found] == [(1.0, 10), (0.5, 10)]
+    # Wilson's band for 10 of 10, by hand: n / (n + z^2)
+    assert found[0].low == pytest.approx(10 / (10 + 1.959964**2)) and found[0].high == pytest.approx(1.0)
+    assert share_band(5, 10) == (found[1].low, found[1].high)

@@ -1,0 +1,207 @@
+"""study.html: what it says of invented results, and how it looks in a browser."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from benchmarks.end_to_end.report_page import CONTRAST, OVERFLOW, browser_path, draw_all, headless
+from polhode.cli.main import main
+from polhode.studies.page.columns import axes_of, drawn, metrics_of, without_numbers
+from polhode.studies.page.consistency import consistencies
+from polhode.studies.page.drawings import front_of
+from polhode.studies.page.write_page import write_page
+from polhode.studies.steps import FAILED
+from polhode.studies.store import Store
+from polhode.studies.table import read_table
+from tests.studies.page.conftest import StoreStudy, of_metrics
+
+Capture = pytest.CaptureFixture[str]
+INTERVAL = "scene.interval_s"
+STUDY: dict[str, Any] = {
+    "title": "Frame rate <and> front end",
+    "axes": {
+        INTERVAL: {"log_range": [0.1, 2.0], "count": 4},
+        "front end": {
+            "variants": {
+                "learned": {"frontend.depth.method": "network"},
+                "classical": {"frontend.depth.method": "sgbm"},
+            }
+        },
+        "seed": {"range": [0, 7], "count": 8},
+    },
+    "steps": ["simulate", "run", "evaluate"],
+}
+
+
+def invented(number: int, values: dict[str, Any]) -> dict[str, Any]:
+    """Errors that grow with the interval; the slowest of the classical front end fail."""
+    rng = np.random.default_rng(number)
+    if values[INTERVAL] > 1.0 and values["front end"] == "classical":
+        reason = f"run: only {rng.integers(2, 9)} of 12 frames are connected"
+        return {"status": FAILED, "reason": reason, "verdict": "failed"}
+    error = 0.02 * np.exp(values[INTERVAL] + 0.4 * rng.normal())
+    found = of_metrics(
+        evaluate__attitude_error_deg__median=error,
+        evaluate__rmse_position_m=1e-3 * error * rng.uniform(0.5, 1.5),
+        evaluate__error_k1=0.01 * rng.normal(),
+        evaluate__mesh__completeness_3mm=rng.uniform(0.6, 0.9),
+        evaluate__nees__position=rng.chisquare(3),
+        evaluate__nees__attitude=4.0 * rng.chisquare(3),
+        evaluate__coverage_3sigma__position=0.998,
+    )
+    doubts = {"verdict": "degraded", "doubts": "the surface is not closed"} if number == 0 else {}
+    return (
+        found
+        | {"times": {"run.total_s": float(rng.uniform(10.0, 20.0)), "finished": "2026-01-01T00:00:00"}}
+        | doubts
+    )
+
+
+@pytest.fixture
+def page(store_study: StoreStudy) -> Path:
+    study, folder = store_study(invented, **STUDY)
+    row = Store(folder).run_folder(study.point(0).address) / "run"
+    row.mkdir(parents=True)
+    (row / "report.html").write_text("")
+    write_page(study, folder)
+    return folder / "study.html"
+
+
+def test_the_page_says_what_holds_what_matters_and_what_failed(page: Path) -> None:
+    text = page.read_text()
+    assert "Frame rate &lt;and&gt; front end" in text and "64 points: 55 ok, 1 degraded, 8 failed" in text
+    sections = re.findall(r'<details class="section" id="([a-z0-9-]+)"', text)
+    assert sections[:3] == ["outcome", "variance", "metric-0"]
+    assert sections[-5:] == ["fronts", "consistency", "reasons", "worst", "numbers"]
+    # a distribution and two axes for each metric; the seed is no axis
+    assert len(re.findall(r'data-target="plot-metric-0-', text)) == 3
+    assert "seed repeats the points" in text
+    # reasons that differ by numbers alone are one
+    assert "frames are connected" in text and "(and the same with other numbers)" in text
+    assert text.count("the surface is not closed") == 1
+    assert "First order only" in text and "evaluate.error_k1" in text
+    # nothing is loaded from elsewhere
+    assert "default-src 'none'" in text and not re.search(r'(src|href)="https?:', text)
+
+
+def test_the_worst_points_are_linked_to_their_reports_if_these_were_kept(store_study: StoreStudy) -> None:
+    study, folder = store_study(lambda number, _: of_metrics(run__e=float(number)), **STUDY | {"steps": []})
+    address = study.point(63).address
+    run = Store(folder).run_folder(address) / "run"
+    run.mkdir(parents=True)
+    (run / "report.html").write_text("")
+    write_page(study, folder)
+    text = (folder / "study.html").read_text()
+    assert f'<a href="runs/{address[:24]}/run/report.html">point 63</a>' in text
+    assert "point 62</a>" not in text
+
+
+def test_columns_are_axes_and_metrics_and_the_study_chooses_what_is_drawn(store_study: StoreStudy) -> None:
+    study, folder = store_study(invented, **STUDY, metrics=["evaluate.mesh.*", "time.run.total_s"])
+    table = read_table(folder)
+    axes, metrics = axes_of(study, table), metrics_of(table)
+    assert [(each.name, each.labels, each.is_logarithmic) for each in axes] == [
+        (INTERVAL, (), True),
+        ("front end", ("learned", "classical"), False),
+    ]
+    chosen = drawn(metrics, study.settings.metrics, 9)
+    assert [each.column for each in chosen] == ["evaluate.mesh.completeness_3mm", "time.run.total_s"]
+    assert chosen[0].more_is_better and not chosen[1].more_is_better
+    main_ones = drawn(metrics, (), 3)
+    assert [each.title for each in main_ones] == [
+        "evaluate.attitude_error_deg.median",
+        "evaluate.rmse_position_m",
+        "|evaluate.error_k1|",
+    ]
+    assert (main_ones[2].known >= 0.0).all() and main_ones[2].is_logarithmic
+    assert "evaluate.coverage_3sigma.position" not in {each.column for each in metrics}  # the same everywhere
+
+
+def test_standard_deviations_that_are_too_small_are_called_so(store_study: StoreStudy) -> None:
+    _, folder = store_study(invented, **STUDY)
+    found = {(each.group, each.name): each for each in consistencies(read_table(folder))}
+    assert {name: each.sigmas for name, each in found.items()} == {
+        ("nees", "position"): "right",
+        ("nees", "attitude"): "too small",
+        ("coverage_3sigma", "position"): "right",
+    }
+    attitude = found["nees", "attitude"]
+    assert attitude.expected_low < 3.0 < attitude.expected_high < attitude.low < 12.0 < attitude.high
+    assert attitude.inside < 0.8 < found["nees", "position"].inside
+
+
+def test_a_front_has_the_points_that_no_other_is_below() -> None:
+    rng = np.random.default_rng(2)
+    first, second = rng.integers(0, 12, (2, 60)).astype(float)
+    kept = {(first[k], second[k]) for k in front_of(first, second)}
+    best = {
+        (a, b)
+        for a, b in zip(first, second, strict=True)
+        if not ((first <= a) & (second <= b) & ((first < a) | (second < b))).any()
+    }
+    assert kept == best
+
+
+def test_reasons_are_grouped_without_their_numbers() -> None:
+    assert without_numbers("run: 3 of 12.5 frames at -1e-3") == "run: # of # frames at -#e-#"
+
+
+def test_a_study_without_results_or_axes_has_a_page_too(store_study: StoreStudy) -> None:
+    study, folder = store_study(lambda number, _: {"status": FAILED, "reason": "run: no motion"}, steps=[])
+    write_page(study, folder)
+    text = (folder / "study.html").read_text()
+    assert "1 point: 1 point without a result." in text
+    assert "run: no motion" in text
+
+
+def test_the_page_is_written_again_when_asked_and_nothing_is_computed(
+    page: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    page.unlink()
+    words = ["sweep", str(tmp_path / "study.yaml"), "-o", str(page.parent)]
+    assert main([*words, "--page-only"]) == 0
+    assert f"Page: {page}" in capsys.readouterr().out and page.is_file()
+    assert main([*words, "--page-only", "--dry-run"]) == 2
+    assert "contradict each other" in capsys.readouterr().err
+    assert main([*words[:-1], str(tmp_path / "new"), "--page-only"]) == 2
+    printed = capsys.readouterr().err
+    assert "no study of polhode sweep" in printed and printed.count("\n") == 1
+    assert not (tmp_path / "new").exists()
+
+
+def test_of_a_large_table_rows_at_random_are_read(store_study: StoreStudy) -> None:
+    _, folder = store_study(invented, **STUDY)
+    whole, few = read_table(folder), read_table(folder, 10)
+    assert few.num_rows == 10 and few.schema == whole.schema
+    numbers = few.column("point").to_pylist()
+    assert numbers == sorted(set(numbers))
+    assert few == whole.take(pa.array(numbers))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with headless() as started:
+        yield started
+
+
+@pytest.mark.skipif(browser_path() is None, reason="no Chromium; .ci/run installs it")
+def test_nothing_fails_overflows_or_is_too_faint(store_study: StoreStudy, browser: Any) -> None:
+    study, folder = store_study(invented, **STUDY, metrics=["evaluate.rmse_position_m", "evaluate.error_k1"])
+    write_page(study, folder)
+    page = folder / "study.html"
+    for width_px, scheme in ((390, "dark"), (1400, "light")):
+        context = browser.new_context(viewport={"width": width_px, "height": 900}, color_scheme=scheme)
+        opened = context.new_page()
+        errors: list[str] = []
+        opened.on("pageerror", lambda error, errors=errors: errors.append(str(error)))
+        opened.goto(page.as_uri())
+        draw_all(opened)
+        assert errors == [] and opened.evaluate(OVERFLOW) == 0
+        contrast, text = opened.evaluate(CONTRAST)
+        assert contrast >= 4.5, text
+        context.close()
