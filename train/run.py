@@ -85,7 +85,7 @@ def _trained(config: Config, train: Train, output: Path, progress: Progress, wor
     task = make_task(train, config.seed, progress, workers)
     if train.start_from is not None:
         load_weights(task.network, Path(train.start_from))
-    outcome = TrainingLoop(task, train.schedule, output, config.seed).run(
+    outcome = TrainingLoop(task, train.schedule, output, config.seed, workers).run(
         setting_of(train, config.seed), progress
     )
     weights = output / f"{task.name}.safetensors"
@@ -104,7 +104,7 @@ def setting_of(train: Train, seed: int) -> dict[str, Any]:
     return {
         key: value
         for key, value in setting.items()
-        if key not in FREE_KEYS and key.partition(".")[0] not in others
+        if not key.endswith(FREE_KEYS) and key.partition(".")[0] not in others
     }
 
 
@@ -114,6 +114,9 @@ def _flat(section: BaseModel, prefix: str) -> dict[str, Any]:
         value = getattr(section, name)
         if isinstance(value, BaseModel):
             values |= _flat(value, f"{prefix}{name}.")
+        elif isinstance(value, tuple) and any(isinstance(each, BaseModel) for each in value):
+            for k, each in enumerate(value):
+                values |= _flat(each, f"{prefix}{name}.{k}.")
         else:
             values[prefix + name] = value
     return values

@@ -7,16 +7,17 @@ refused.
 """
 
 import math
-from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import cv2
 import torch
 from torch import Tensor, nn
+from torch.utils.data import DataLoader, Dataset
 
 from polhode.config.train_settings import Schedule
 from polhode.errors import InputError, RunFailure
@@ -28,8 +29,8 @@ from polhode.train.task import Batch, Task
 WEIGHT_DECAY = 1e-2
 CLIP_NORM = 1.0
 """Largest norm of a gradient; a larger one is scaled down."""
-PREFETCHED = 4
-"""Batches that are prepared while a GPU is busy."""
+PREFETCHED = 2
+"""Batches that each process prepares while a GPU is busy."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +45,25 @@ class TrainingOutcome:
     scores: Mapping[str, float]
 
 
+class Batches(Dataset[Batch]):
+    """The batches of steps, counted from ``start``."""
+
+    def __init__(self, task: Task, start: int, stop: int) -> None:
+        self._task, self._start, self._stop = task, start, stop
+
+    def __len__(self) -> int:
+        return self._stop - self._start
+
+    def __getitem__(self, index: int) -> Batch:
+        return self._task.batch(self._start + index)
+
+
 class TrainingLoop:
     """One training in the folder ``output``."""
 
-    def __init__(self, task: Task, schedule: Schedule, output: Path, seed: int) -> None:
+    def __init__(self, task: Task, schedule: Schedule, output: Path, seed: int, workers: int = 1) -> None:
+        """``workers``: processes that prepare batches for a GPU."""
+        self._workers = workers
         self._task, self._schedule, self._output, self._seed = task, schedule, output, seed
         self._device = device_of(schedule)
         torch.set_num_threads(schedule.threads)
@@ -122,21 +138,15 @@ class TrainingLoop:
         write_checkpoint(self._output, state, self._task.model, self._optimizer)
 
     def _batches(self, start: int, stop: int) -> Iterator[Batch]:
-        """The batches of the steps; for a GPU a thread prepares them in advance."""
+        """The batches of the steps; for a GPU, which is faster than they are, processes prepare them."""
         if self._device.type != "cuda":
             yield from (self._task.batch(step) for step in range(start, stop))
             return
-        with ThreadPoolExecutor(1) as pool:
-            coming = [pool.submit(self._task.batch, s) for s in range(start, min(start + PREFETCHED, stop))]
-            try:
-                for step in range(start, stop):
-                    batch = coming.pop(0).result()
-                    if step + PREFETCHED < stop:
-                        coming.append(pool.submit(self._task.batch, step + PREFETCHED))
-                    yield batch
-            finally:
-                for each in coming:
-                    each.cancel()
+        if start == stop:
+            return
+        # The first one shows here, rather than in another process, what is wrong with the data.
+        yield self._task.batch(start)
+        yield from prepared_batches(self._task, start + 1, stop, self._workers)
 
     def _step(self, step: int, batch: Batch) -> Mapping[str, Tensor]:
         torch.manual_seed(self._seed * 1_000_003 + step)
@@ -165,6 +175,25 @@ class TrainingLoop:
         self._task.model.eval()
         with torch.no_grad():
             return {name: float(value) for name, value in self._task.validate().items()}
+
+
+def prepared_batches(task: Task, start: int, stop: int, workers: int) -> Iterable[Batch]:
+    """The batches of the steps in their order, from ``workers`` processes."""
+    pinned = torch.cuda.is_available()
+    batches = Batches(task, start, stop)
+    return DataLoader(
+        batches,
+        None,
+        num_workers=workers,
+        prefetch_factor=PREFETCHED,
+        pin_memory=pinned,
+        multiprocessing_context="fork",
+        worker_init_fn=_one_thread,
+    )
+
+
+def _one_thread(_: int) -> None:
+    cv2.setNumThreads(1)
 
 
 def learning_rate(schedule: Schedule, step: int) -> float:

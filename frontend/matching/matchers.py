@@ -45,6 +45,8 @@ PROPOSING_PAIRS = 500
 CONSIDERED_PAIRS = 3000
 """Number of the most probable pairs, of which those that agree with the motion are kept."""
 MIN_PROBABILITY = 1e-5
+EXCLUDED_SCORE = -1e4
+"""Score of an excluded pair: finite, since infinite ones have no gradient."""
 _ROWS = 128
 """Rows of similarities that are computed together."""
 GATE_PX = 3.0
@@ -61,21 +63,26 @@ _MIN_MOVING_SHARE = 0.1
 
 
 class DualSoftmax(nn.Module):
-    """Descriptors (n, d) and (m, d) of unit length -> log probability (n, m) of each match; learns both
-    constants."""
+    """Descriptors (..., n, d) and (..., m, d) of unit length -> log probability (..., n, m) of each match;
+    learns both constants."""
 
     def __init__(self, temperature: float = TEMPERATURE, dustbin: float = DUSTBIN) -> None:
         super().__init__()
         self.log_temperature = nn.Parameter(torch.tensor(temperature).log())
         self.dustbin = nn.Parameter(torch.tensor(dustbin))
 
-    def forward(self, a: Tensor, b: Tensor) -> Tensor:
-        """Logarithm of the product of the probabilities in both directions."""
-        score = (a @ b.T) * torch.exp(-self.log_temperature)
+    def forward(self, a: Tensor, b: Tensor, excluded: Tensor | None = None) -> Tensor:
+        """Logarithm of the product of the probabilities in both directions.
+
+        excluded (..., n, m): pairs that are not considered.
+        """
+        score = (a @ b.transpose(-1, -2)) * torch.exp(-self.log_temperature)
+        if excluded is not None:
+            score = score.masked_fill(excluded, EXCLUDED_SCORE)
         none = self.dustbin * torch.exp(-self.log_temperature)
-        along_rows = torch.logaddexp(torch.logsumexp(score, dim=1), none)
-        along_columns = torch.logaddexp(torch.logsumexp(score, dim=0), none)
-        return 2.0 * score - along_rows[:, None] - along_columns[None, :]
+        along_rows = torch.logaddexp(torch.logsumexp(score, dim=-1), none)
+        along_columns = torch.logaddexp(torch.logsumexp(score, dim=-2), none)
+        return 2.0 * score - along_rows[..., :, None] - along_columns[..., None, :]
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ from polhode.frontend.networks.descriptor import (
     harmonics,
     rotation_removed,
 )
+from polhode.frontend.networks.grouping import Grouping
 
 WIDTHS = (16, 32, 48, 64)
 """Channels of the levels; each has half the resolution of the one before."""
@@ -184,25 +185,20 @@ def sample_rings(channels: Tensor, owner: Tensor, uv_px: Tensor, affine_px: Tens
     """
     height, width = channels.shape[2:]
     at = uv_px[:, None, None] + torch.einsum("nij,raj->nrai", affine_px, ring_positions().to(affine_px))
-    grid = (2.0 * at + 1.0) / at.new_tensor([width, height]) - 1.0
-    out = channels.new_zeros(len(uv_px), channels.shape[1], RINGS, ANGLES)
-    smooth = smoothed_channels(channels)
-    parts = []
-    for k in range(len(channels)):
-        own = owner == k
-        inner, outer = grid[own].split([SMOOTH_FROM, RINGS - SMOOTH_FROM], dim=1)
-        parts.append(torch.cat([_sampled(channels[k], inner), _sampled(smooth[k], outer)], dim=2))
-    index = torch.cat([torch.nonzero(owner == k)[:, 0] for k in range(len(channels))])
-    return out.index_copy(0, index, torch.cat(parts))
+    images = Grouping.of(owner, len(channels))
+    grid = images.spread((2.0 * at + 1.0) / at.new_tensor([width, height]) - 1.0)
+    inner, outer = grid.split([SMOOTH_FROM, RINGS - SMOOTH_FROM], dim=2)
+    rings = [_sampled(channels, inner), _sampled(smoothed_channels(channels), outer)]
+    return torch.cat([images.gather(each) for each in rings], dim=2)
 
 
 def _sampled(channels: Tensor, grid: Tensor) -> Tensor:
-    """Samples (n, c, rings, angles) of channels (c, H, W) at grid (n, rings, angles, 2)."""
-    n, rings, angles, _ = grid.shape
+    """Samples (b, n, c, rings, angles) of channels (b, c, H, W) at grid (b, n, rings, angles, 2)."""
+    b, n, rings, angles, _ = grid.shape
     flat = functional.grid_sample(
-        channels[None], grid.reshape(1, n * rings, angles, 2), "bilinear", "border", align_corners=False
+        channels, grid.reshape(b, n * rings, angles, 2), "bilinear", "border", align_corners=False
     )
-    return flat[0].reshape(-1, n, rings, angles).transpose(0, 1)
+    return flat.reshape(b, -1, n, rings, angles).transpose(1, 2)
 
 
 def normalise_rings(rings: Tensor) -> Tensor:

@@ -174,11 +174,23 @@ class SurfaceLoss(Section):
     """Of the places of one landmark in two images."""
 
 
+class MoreBodies(Section):
+    """Bodies of another corpus."""
+
+    corpus: Corpus
+    """What they are drawn from."""
+    bodies: int = Field(ge=1, le=100_000)
+    """Number of bodies: the first ones of the corpus."""
+
+
 class SurfaceTraining(Section):
     """Bodies of the corpus from several poses, each under several Suns, for the surface network."""
 
     bodies: int = Field(500, ge=2, le=100_000)
     """Number of bodies: the first ones of the corpus."""
+    more: tuple[MoreBodies, ...] = ()
+    """Bodies of other corpora, which are learned from beside those of ``train.corpus``; those held out are
+    left out."""
     suns: int = Field(3, ge=2, le=100)
     """Suns, each with an exposure and other lights of its own, under which every pose is rendered."""
     poses: int = Field(3, ge=2, le=100)

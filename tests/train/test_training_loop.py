@@ -15,7 +15,7 @@ from polhode.progress import Silent
 from polhode.train.checkpoint import CHECKPOINT
 from polhode.train.curves import draw_curves, read_curves
 from polhode.train.task import Batch
-from polhode.train.training_loop import TrainingLoop, learning_rate
+from polhode.train.training_loop import TrainingLoop, learning_rate, prepared_batches
 
 SETTING = {"seed": 1}
 SCHEDULE = Schedule(
@@ -138,3 +138,11 @@ def test_the_learning_rate_grows_then_falls_to_nothing() -> None:
     assert max(rates) == pytest.approx(0.05)
     assert all(later <= earlier for earlier, later in pairwise(rates[5:]))
     assert rates[-1] < 1e-3 * 0.05
+
+
+def test_batches_from_processes_are_those_of_one(tmp_path: Path) -> None:
+    task = Line()
+    prepared = list(prepared_batches(task, 3, 9, workers=2))
+    assert len(prepared) == 6
+    for step, batch in enumerate(prepared, 3):
+        assert torch.equal(batch["x"], task.batch(step)["x"])

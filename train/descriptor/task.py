@@ -17,8 +17,9 @@ from torch.nn import functional
 
 from polhode.config.train_settings import Train
 from polhode.errors import InputError
-from polhode.frontend.matching.matchers import DualSoftmax, rigid_fit
+from polhode.frontend.matching.matchers import EXCLUDED_SCORE, DualSoftmax, rigid_fit
 from polhode.frontend.networks.descriptor import DescriptorNet, DescriptorOutput
+from polhode.frontend.networks.grouping import Grouping
 from polhode.progress import Progress
 from polhode.train.corpus import render_corpus, split
 from polhode.train.descriptor.batches import PatchBatches
@@ -40,6 +41,8 @@ LIT = 1_000_000
 """Added to the numbers of bodies under several Suns, beside the same bodies of the corpus."""
 MIN_POINTS = 8
 """Frame pairs with fewer points do not determine a motion."""
+MIN_FITTED = 4
+"""Matches to which a motion is fitted that is learned from, at least."""
 MAX_MOTION_LOSS = 2.0
 """Largest useful motion loss: a motion with larger errors is merely wrong and contributes no gradient."""
 
@@ -117,54 +120,74 @@ def matching_loss(described: DescriptorOutput, batch: Batch, matcher: DualSoftma
     """Loss of the assignment and loss of the motion: means over the frame pairs of a ``PatchBatches``
     batch."""
     pair, owner = batch["pair"], batch["distractors"]
-    m = len(pair)
+    m, count = len(pair), len(batch["X_AB"])
     a, b, distractor = (each.float() for each in described.descriptor.split([m, m, len(owner)]))
-    assignments, motions = [], []
-    for k, X_AB in enumerate(batch["X_AB"]):
-        own, lost = pair == k, owner == k
-        if int(own.sum()) < MIN_POINTS:
-            continue
-        columns = torch.cat([b[own], distractor[lost]])
-        log_p = matcher(a[own], columns)
-        alone = _log_without_partner(a[own], distractor[lost], matcher)
-        assignments.append(-0.5 * log_p.diagonal().mean() - (alone.mean() if len(alone) else 0.0))
-        p_B = torch.cat([batch["p_b"][own], batch["p_distractor"][lost]])
-        motion = motion_loss(log_p, batch["p_a"][own], p_B, X_AB[:3, :3], X_AB[:3, 3])
-        motions.append(
-            motion if bool(motion < MAX_MOTION_LOSS) else motion.detach().clamp(max=MAX_MOTION_LOSS)
-        )
-    nothing = a.new_zeros(())
-    if not assignments:
-        return nothing, nothing
-    return torch.stack(assignments).mean(), torch.stack(motions).mean()
+    firsts, seconds = Grouping.of(pair, count), Grouping.of(torch.cat([pair, owner]), count)
+    descriptors = firsts.spread(a), seconds.spread(torch.cat([b, distractor]))
+    known = firsts.known(), seconds.known()
+    excluded = ~(known[0][:, :, None] & known[1][:, None, :])
+    log_p = matcher(*descriptors, excluded)
+    points = known[0].sum(dim=1)
+    enough = points >= MIN_POINTS
+    # the second points of the pairs come before the distractors
+    hits = firsts.sums(log_p[pair, firsts.rank, firsts.rank]) / points.clamp(min=1)
+    lost = Grouping(owner, seconds.rank[m:], count, seconds.longest)
+    alone = _log_without_partner(*descriptors, known[0], matcher)
+    alone = lost.sums(lost.gather(alone)) / lost.sums(torch.ones_like(owner)).clamp(min=1)
+    assignment = -0.5 * hits - alone
+    motion = motion_loss(
+        log_p,
+        firsts.spread(batch["p_a"]),
+        seconds.spread(torch.cat([batch["p_b"], batch["p_distractor"]])),
+        batch["X_AB"],
+        known,
+    )
+    pairs = enough.sum().clamp(min=1)
+    return (assignment * enough).sum() / pairs, (motion * enough).sum() / pairs
 
 
 def motion_loss(
-    log_probability: Tensor, p_A: Tensor, p_B: Tensor, R_AB: Tensor, t_AB: Tensor, most: int = 256
+    log_probability: Tensor, p_A: Tensor, p_B: Tensor, X_AB: Tensor, known: tuple[Tensor, Tensor]
 ) -> Tensor:
-    """Error of the motion of the soft matches: the mean displacement of points, over their spread.
+    """Errors (c,) of the motions of the soft matches: the mean displacement of points, over their spread.
 
-    log_probability (n, m) of ``DualSoftmax``; p_A (n, 3), p_B (m, 3) [m]; R_AB, t_AB: the true motion.
-    Mutually best pairs are fitted with their probabilities as weights; the choice of pairs has no gradient.
+    log_probability (c, n, m) of ``DualSoftmax``; p_A (c, n, 3), p_B (c, m, 3) [m]; X_AB (c, 4, 4): the true
+    motions; known (c, n), (c, m): which of the points there are. Mutually best pairs are fitted with their
+    probabilities as weights; the choice of pairs has no gradient, nor has a motion that is merely wrong.
     """
-    best = log_probability.argmax(dim=1)
-    rows = torch.arange(len(best), device=best.device)
-    mutual = rows[log_probability.argmax(dim=0)[best] == rows]
-    strongest = log_probability[mutual, best[mutual]].argsort(descending=True)[:most]
-    i = mutual[strongest]
-    j = best[i]
-    R, t = rigid_fit(p_A[i], p_B[j], log_probability[i, j].exp() + 1e-6)
-    miss = torch.linalg.vector_norm(p_B @ (R - R_AB).T + t - t_AB, dim=1)
-    spread = torch.linalg.vector_norm(p_B - p_B.mean(dim=0), dim=1).mean()
-    loss: Tensor = miss.mean() / spread
-    return loss
+    best = log_probability.argmax(dim=2)
+    rows = torch.arange(log_probability.shape[1], device=best.device)
+    mutual = known[0] & known[1].gather(1, best) & (log_probability.argmax(dim=1).gather(1, best) == rows)
+    weight = (log_probability.gather(2, best[..., None])[..., 0].exp() + 1e-6) * mutual
+    partner = p_B.gather(1, best[..., None].expand(-1, -1, 3))
+    with torch.no_grad():
+        error = _motion_error(p_A, partner, weight, p_B, X_AB, known[1])
+        # Fewer points leave the rotation open, and its derivative infinite.
+        good = torch.nonzero((error < MAX_MOTION_LOSS) & (mutual.sum(dim=1) >= MIN_FITTED))[:, 0]
+    learned = _motion_error(p_A[good], partner[good], weight[good], p_B[good], X_AB[good], known[1][good])
+    return error.clamp(max=MAX_MOTION_LOSS).index_put((good,), learned)
 
 
-def _log_without_partner(a: Tensor, distractors: Tensor, matcher: DualSoftmax) -> Tensor:
-    """Log probability (k,) that distractors are assigned to the dustbin rather than to one of a."""
+def _motion_error(
+    p_A: Tensor, partner: Tensor, weight: Tensor, p_B: Tensor, X_AB: Tensor, known: Tensor
+) -> Tensor:
+    R, t = rigid_fit(p_A, partner, weight.clamp(min=1e-12))
+    off = p_B @ (R - X_AB[:, :3, :3]).transpose(1, 2) + (t - X_AB[:, :3, 3])[:, None]
+    count = known.sum(dim=1).clamp(min=1)
+    miss = (torch.linalg.vector_norm(off, dim=2) * known).sum(dim=1) / count
+    middle = (p_B * known[..., None]).sum(dim=1) / count[:, None]
+    spread = (torch.linalg.vector_norm(p_B - middle[:, None], dim=2) * known).sum(dim=1) / count
+    error: Tensor = miss / spread.clamp(min=1e-9)
+    return error
+
+
+def _log_without_partner(a: Tensor, others: Tensor, known: Tensor, matcher: DualSoftmax) -> Tensor:
+    """Log probability (c, m) that the others (c, m, d) are assigned to the dustbin rather than to one of a
+    (c, n, d), of which only the ``known`` (c, n) exist."""
     none = matcher.dustbin * torch.exp(-matcher.log_temperature)
-    score = (distractors @ a.T) * torch.exp(-matcher.log_temperature)
-    return none - torch.logaddexp(torch.logsumexp(score, dim=1), none)
+    score = (others @ a.transpose(1, 2)) * torch.exp(-matcher.log_temperature)
+    score = score.masked_fill(~known[:, None, :], EXCLUDED_SCORE)
+    return none - torch.logaddexp(torch.logsumexp(score, dim=2), none)
 
 
 class DescriptorTask:

@@ -47,7 +47,7 @@ NEAR_PX = 1.5
 """Pixels this close to a landmark learn its place [px]."""
 APART_PX = 4.0
 """Smallest distance of a distractor from the second places of pairs [px]."""
-DISTRACTORS = 0.3
+DISTRACTORS = 0.6
 """Number of distractors, over the number of landmarks."""
 NORMAL_NOISE_DEG, FRONTO_PARALLEL, PLACE_NOISE_PX = 8.0, 0.05, 0.4
 """Errors of a run: normals, rms; share of patches cut as if the surface faced the camera; places [px]."""
@@ -175,7 +175,8 @@ def _window(body: LitBody, pose: int, middle_px: Array, largest_px: int) -> Wind
 def batch_of(examples: Sequence[Example], points: int, rng: np.random.Generator) -> Batch:
     """The batch of c examples with up to ``points`` landmarks each.
 
-    Images 2 k and 2 k + 1 are those of example k. ``images`` (2 c, 1, h, w); ``light``, ``heat``, ``weight``
+    What has the images' size is stored in few bits: it travels between processes. Images 2 k and 2 k + 1 are
+    those of example k. ``images`` (2 c, 1, h, w); ``light``, ``heat``, ``weight``
     (2 c, h, w): kind of light, map of the landmarks, and whether a pixel's score counts; ``near`` (q, 3):
     image, row and column of pixels near landmarks, and ``place`` (q, 2): the landmark's place less the
     pixel's centre. Points (2 m + k), the first ones of m pairs, the second ones, distractors: ``owner``,
@@ -186,10 +187,10 @@ def batch_of(examples: Sequence[Example], points: int, rng: np.random.Generator)
     height = max(w.side_v for e in examples for w in e.windows)
     width = max(w.side_u for e in examples for w in e.windows)
     height, width = (-(-side // 8) * 8 for side in (height, width))
-    images = np.zeros((2 * len(examples), 1, height, width), np.float32)
-    light = np.full((len(images), height, width), SKY, np.int64)
+    images = np.zeros((2 * len(examples), 1, height, width), np.uint8)
+    light = np.full((len(images), height, width), SKY, np.uint8)
     heat = np.zeros((len(images), height, width), np.float32)
-    weight = np.zeros_like(heat)
+    weight = np.zeros_like(heat, bool)
     near: list[Array] = []
     place: list[Array] = []
     rows: dict[str, list[NDArray[Any]]] = {}
@@ -213,7 +214,7 @@ def batch_of(examples: Sequence[Example], points: int, rng: np.random.Generator)
     result = {
         "images": torch.from_numpy(images),
         "light": torch.from_numpy(light),
-        "heat": torch.from_numpy(heat),
+        "heat": torch.from_numpy(heat).half(),
         "weight": torch.from_numpy(weight),
         "near": torch.from_numpy(np.concatenate(near).astype(np.int64)),
         "place": _tensor(np.concatenate(place)),
@@ -233,8 +234,8 @@ def batch_of(examples: Sequence[Example], points: int, rng: np.random.Generator)
 def _fill(
     example: Example,
     side: int,
-    image: NDArray[np.float32],
-    light: NDArray[np.int64],
+    image: NDArray[np.uint8],
+    light: NDArray[np.uint8],
     rng: np.random.Generator,
 ) -> None:
     """The image of one side, black beyond a mask that is a little too large, and its kinds of light."""
@@ -247,9 +248,7 @@ def _fill(
     light[: window.side_v, : window.side_u] = body.light[view][part]
 
 
-def _targets(
-    example: Example, side: int, heat: NDArray[np.float32], weight: NDArray[np.float32]
-) -> tuple[Ints, Array]:
+def _targets(example: Example, side: int, heat: NDArray[np.float32], weight: Bools) -> tuple[Ints, Array]:
     """Fill the map of landmarks and the weights.
 
     Returns pixels (q, 2) (row, column) near landmarks, and the landmarks' places (q, 2) (u, v) less their
@@ -271,7 +270,7 @@ def _targets(
             away = uv - np.column_stack([column, row])
             square = (away**2).sum(axis=1)
             close = weak & (square < NEAR_PX**2)
-            weight[row[close], column[close]] = 0.0
+            weight[row[close], column[close]] = False
             own = np.flatnonzero(~weak & (square < NEAR_PX**2))
             order = own[np.argsort(-square[own])]
             nearer = order[square[order] < best[row[order], column[order]]]
@@ -282,7 +281,7 @@ def _targets(
     good = uv[~weak]
     middle = np.round(good).astype(int)
     heat[middle[:, 1], middle[:, 0]] = 1.0
-    weight[known] = 1.0
+    weight[known] = True
     cells = np.argwhere(known)
     return cells, offset[known].astype(np.float64)
 

@@ -39,6 +39,8 @@ LATE_FROM = 0.4
 """Share of the steps after which matches, motion and consistency are learned from."""
 MAX_OFFSET_PX, MAX_STRETCH = 2.0, 1.1
 """Bounds of the places [px] and of their depths, over the true ones, while the network knows nothing yet."""
+NEXT_CORPUS = 1_000_000
+"""Added to the numbers of bodies for each further corpus."""
 _TRIES = 20
 
 
@@ -143,6 +145,7 @@ def surface_loss(
 def score_loss(score: Tensor, heat: Tensor, weight: Tensor) -> Tensor:
     """Focal loss of logits (b, H, W): heat (b, H, W) is 1 at landmarks and falls off around them."""
     p = torch.sigmoid(score).clamp(1e-5, 1.0 - 1e-5)
+    heat = heat.float()
     at = heat >= 1.0
     hit = -((1.0 - p) ** 2) * torch.log(p) * at
     miss = -((1.0 - heat) ** 4) * p**2 * torch.log(1.0 - p) * (~at)
@@ -167,7 +170,7 @@ def place_loss(dense: DenseOutput, batch: Batch) -> Tensor:
 def light_loss(logits: Tensor, kind: Tensor) -> Tensor:
     """Cross entropy over the pixels that show the target."""
     weight = logits.new_tensor(WEIGHT_OF_LIGHT)
-    return functional.cross_entropy(logits, kind, weight, ignore_index=KINDS_OF_LIGHT)
+    return functional.cross_entropy(logits, kind.long(), weight, ignore_index=KINDS_OF_LIGHT)
 
 
 def place_at(dense: DenseOutput, batch: Batch, side: str) -> tuple[Tensor, Tensor]:
@@ -213,5 +216,12 @@ def make_task(train: Train, seed: int, progress: Progress, workers: int) -> Surf
     bodies = prepare_bodies(train.corpus, config, progress, workers)
     learned = {i: known for i, known in bodies.items() if not train.corpus.is_validation(i)}
     held_out = {i: known for i, known in bodies.items() if train.corpus.is_validation(i)}
+    for k, more in enumerate(config.more, 1):
+        others = prepare_bodies(
+            more.corpus, config.model_copy(update={"bodies": more.bodies}), progress, workers
+        )
+        learned |= {
+            k * NEXT_CORPUS + i: known for i, known in others.items() if not more.corpus.is_validation(i)
+        }
     late = round(LATE_FROM * train.schedule.steps) if train.start_from is None else 0
     return SurfaceTask(learned, trials_of(held_out, seed), config, seed, late)

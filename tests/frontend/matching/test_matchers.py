@@ -146,14 +146,16 @@ def test_the_motion_trains_descriptors() -> None:
     a, b = _frames(30, 8, seed=4)
     looks = torch.from_numpy(a.descriptors).double().requires_grad_()
     fixed = torch.from_numpy(b.descriptors).double()
-    p_A, p_B = torch.from_numpy(a.p_R), torch.from_numpy(b.p_R)
-    R, t = torch.from_numpy(X_AB[:3, :3]), torch.from_numpy(X_AB[:3, 3])
+    p_A, p_B = torch.from_numpy(a.p_R)[None], torch.from_numpy(b.p_R)[None]
+    truth = torch.from_numpy(X_AB)[None]
+    known = tuple(torch.ones(p.shape[:2], dtype=torch.bool) for p in (p_A, p_B))
     assign = DualSoftmax(temperature=0.2).double()
     optimiser = torch.optim.Adam([looks], lr=0.01)
     losses = []
     for _ in range(30):
         optimiser.zero_grad()
-        loss = motion_loss(assign(torch.nn.functional.normalize(looks, dim=1), fixed), p_A, p_B, R, t)
+        log_p = assign(torch.nn.functional.normalize(looks, dim=1), fixed)
+        loss = motion_loss(log_p[None], p_A, p_B, truth, (known[0], known[1])).sum()
         loss.backward()
         optimiser.step()
         losses.append(float(loss.detach()))

@@ -154,6 +154,34 @@ def test_the_motion_of_right_matches_is_the_true_one() -> None:
     assert float(wrong) > 0.3
 
 
+def test_frame_pairs_do_not_see_each_other() -> None:
+    """The losses of two frame pairs of different sizes are the means of those of each alone."""
+    generator = torch.Generator().manual_seed(6)
+    alone, looks = [], []
+    for m in (9, 14):
+        batch = made_up(m, 1)
+        batch["p_a"] = batch["p_a"] + 0.05 * torch.randn(m, 3, generator=generator)
+        own = [functional.normalize(torch.randn(k, 16, generator=generator), dim=1) for k in (m, m, 1)]
+        own[1] = functional.normalize(own[0] + 0.3 * own[1], dim=1)
+        alone.append(batch)
+        looks.append(own)
+    matcher = DualSoftmax(temperature=0.2)
+
+    def losses(batch: Batch, parts: list[list[torch.Tensor]]) -> list[float]:
+        whole = torch.cat([each for those in zip(*parts, strict=True) for each in those])
+        output = DescriptorOutput(whole, torch.zeros(len(whole)), torch.zeros(len(whole), 2))
+        return [float(each.detach()) for each in matching_loss(output, batch, matcher)]
+
+    both = {
+        name: torch.cat([batch[name] for batch in alone])
+        for name in ("p_a", "p_b", "p_distractor", "X_AB", "uv_a", "uv_b")
+    }
+    for name in ("pair", "distractors"):
+        both[name] = torch.cat([batch[name] + k for k, batch in enumerate(alone)])
+    single = [losses(batch, [own]) for batch, own in zip(alone, looks, strict=True)]
+    assert losses(both, looks) == pytest.approx(np.mean(single, axis=0), rel=1e-5)
+
+
 def test_the_motion_teaches_the_descriptors() -> None:
     """A step down the motion's gradient lowers the weight of a wrong match, and with it the loss."""
     batch, matcher = made_up(12, 1), DualSoftmax(temperature=0.2)

@@ -1,5 +1,6 @@
 """Batches and the loss of the surface network: targets are at the true places, terms are what they say."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -8,15 +9,17 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor
 
-from polhode.config.train_settings import Corpus, Schedule, SurfaceTraining, Train
+from polhode.config.train_settings import Corpus, MoreBodies, Schedule, SurfaceTraining, Train
 from polhode.errors import InputError
 from polhode.frontend.networks.surface import CHANNELS, DenseOutput, SurfaceNet
 from polhode.lie import transform_points
 from polhode.progress import Silent
+from polhode.train.run import setting_of
 from polhode.train.surface.batches import NEAR_PX, KnownBody, batch_of, draw_example
 from polhode.train.surface.landmarks import Landmarks
 from polhode.train.surface.scores import score_trials, trials_of
 from polhode.train.surface.task import (
+    NEXT_CORPUS,
     SurfaceTask,
     consistency_loss,
     light_loss,
@@ -49,7 +52,7 @@ def ideal(batch: Batch) -> DenseOutput:
         score=torch.where(batch["heat"] >= 1.0, 9.0, -9.0),
         offset_px=offset,
         log_sigma=torch.full((images, height, width), -2.0),
-        light=9.0 * torch.nn.functional.one_hot(batch["light"].clamp(max=3), 4).permute(0, 3, 1, 2).float(),
+        light=9.0 * torch.nn.functional.one_hot(batch["light"].long().clamp(max=3), 4).permute(0, 3, 1, 2).float(),
         channels=torch.zeros(images, CHANNELS, height, width),
     )
 
@@ -154,6 +157,15 @@ def test_held_out_bodies_are_scored_and_not_learned_from(lit_body_corpus: Corpus
     for kind in ("light", "pose", "both"):
         assert 0.0 <= scores[f"rank_1_{kind}"] <= 1.0
     assert {"shadow_iou", "matcher_temperature"} <= scores.keys()
+
+
+def test_bodies_of_another_corpus_are_learned_from_too(lit_body_corpus: Corpus, tmp_path: Path) -> None:
+    train = train_of(lit_body_corpus, tmp_path, 1)
+    more = MoreBodies(corpus=lit_body_corpus, bodies=1)
+    train = train.model_copy(update={"surface": CONFIG.model_copy(update={"more": (more,)})})
+    assert make_task(train, 7, Silent(), 1)._numbers == [0, 2, NEXT_CORPUS]
+    assert setting_of(train, 7)["surface.more.0.bodies"] == 1
+    json.dumps(setting_of(train, 7))
 
 
 def test_scores_of_blobs_do_not_depend_on_the_network(bodies: dict[int, KnownBody]) -> None:
