@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 from pydantic import BaseModel
@@ -16,7 +16,6 @@ from polhode.config import Config
 from polhode.config.loader import dump_config
 from polhode.config.train_settings import Train
 from polhode.errors import InputError
-from polhode.frontend.networks.surface import SurfaceNet, begin_with_patches
 from polhode.frontend.networks.weights import load_weights
 from polhode.output.marked_folder import claim, marked_folder, withdrawn_if_refused
 from polhode.output.place import folder_place, require_writable
@@ -86,8 +85,6 @@ def _trained(config: Config, train: Train, output: Path, progress: Progress, wor
     task = make_task(train, config.seed, progress, workers)
     if train.start_from is not None:
         load_weights(task.network, Path(train.start_from))
-    if train.task == "surface" and train.surface.descriptor_from is not None:
-        begin_with_patches(cast(SurfaceNet, task.network), Path(train.surface.descriptor_from))
     outcome = TrainingLoop(task, train.schedule, output, config.seed, workers).run(
         setting_of(train, config.seed), progress
     )

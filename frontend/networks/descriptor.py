@@ -50,7 +50,13 @@ class DescriptorNet(nn.Module):
         cosines, sines = harmonics(ANGLES // 2)
         self.register_buffer("cosines", cosines, persistent=False)
         self.register_buffer("sines", sines, persistent=False)
-        self.layers = ring_layers(2)
+        self.layers = nn.Sequential(
+            RingConvolution(2, 24, (2, 2), reach=2),
+            RingConvolution(24, 32),
+            RingConvolution(32, 64, (2, 1)),
+            RingConvolution(64, 64),
+            RingConvolution(64, 64, (2, 1)),
+        )
         self.whole = nn.Sequential(nn.Conv2d(64, 96, (2, 1), bias=False), nn.BatchNorm2d(96), nn.ReLU())
         self.direction = nn.Conv1d(96, 1, 1)
         self.project = nn.Linear(96 * (2 * HARMONICS - 1), DIMENSIONS)
@@ -116,17 +122,6 @@ class RingConvolution(nn.Module):
         closed = torch.cat([x[..., -reach:], x, x[..., :reach]], dim=3)
         convolved = self.convolve(functional.pad(closed, (0, 0, reach, reach)))
         return functional.relu(self.scale(convolved))
-
-
-def ring_layers(channels: int) -> nn.Sequential:
-    """Features (n, 64, 2, 24) of rings (n, channels, 16, 48)."""
-    return nn.Sequential(
-        RingConvolution(channels, 24, (2, 2), reach=2),
-        RingConvolution(24, 32),
-        RingConvolution(32, 64, (2, 1)),
-        RingConvolution(64, 64),
-        RingConvolution(64, 64, (2, 1)),
-    )
 
 
 def normalise_patches(patches: Tensor) -> Tensor:

@@ -15,7 +15,6 @@ learned direction that rotates with the surface removes the rotation from them.
 """
 
 import math
-from pathlib import Path
 from typing import NamedTuple
 
 import torch
@@ -23,20 +22,14 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from polhode.frontend.networks.descriptor import (
-    ANGLES,
     DIMENSIONS,
     HARMONICS,
-    INNERMOST,
-    OUTERMOST,
-    RINGS,
-    DescriptorNet,
     DescriptorOutput,
+    RingConvolution,
     harmonics,
-    ring_layers,
     rotation_removed,
 )
 from polhode.frontend.networks.grouping import Grouping
-from polhode.frontend.networks.weights import load_weights
 
 WIDTHS = (16, 32, 48, 64)
 """Channels of the levels; each has half the resolution of the one before."""
@@ -49,10 +42,11 @@ KINDS_OF_LIGHT = 4
 LEARNED_CHANNELS = 6
 CHANNELS = 2 + LEARNED_CHANNELS
 """Of the rings: two of the image, and the learned ones."""
-SMOOTH_FROM = RINGS // 2
+RINGS, ANGLES = 12, 32
+INNERMOST, OUTERMOST = 0.07, 0.97
+"""Radii of the rings, over half a side of the patch; evenly spaced."""
+SMOOTH_FROM = 6
 """First ring that is sampled from the smoothed channels, since its samples are two pixels apart."""
-LEAST_CONTRAST = (1.0 / 64.0, 0.4 / 32.0)
-"""Contrasts of ``ring_image`` that are noise."""
 LOG_SIGMA_RANGE = (-2.5, 2.0)
 """Of the places' standard deviations [log px]."""
 
@@ -94,9 +88,11 @@ class SurfaceNet(nn.Module):
         self.back = nn.ModuleList(_convolution(width, width) for width in (third, second, first))
         self.judge = _convolution(first, JUDGED)
         self.heads = nn.Conv2d(JUDGED, 4 + KINDS_OF_LIGHT + LEARNED_CHANNELS, 1)
-        self.rings = ring_layers(CHANNELS)
+        self.rings = nn.Sequential(
+            RingConvolution(CHANNELS, 32, (2, 1)), RingConvolution(32, 48, (2, 2)), RingConvolution(48, 64)
+        )
         self.whole = nn.Sequential(
-            nn.Conv2d(64, 96, (RINGS // 8, 1), bias=False), nn.BatchNorm2d(96), nn.ReLU()
+            nn.Conv2d(64, 96, (RINGS // 4, 1), bias=False), nn.BatchNorm2d(96), nn.ReLU()
         )
         self.direction = nn.Conv1d(96, 1, 1)
         self.project = nn.Linear(96 * (2 * HARMONICS - 1), DIMENSIONS)
@@ -112,31 +108,6 @@ class SurfaceNet(nn.Module):
             if weight.ndim == 4:
                 # With channels last, a CPU takes a fifth less time.
                 weight.data = weight.data.contiguous(memory_format=torch.channels_last)
-
-    @property
-    def pyramid(self) -> tuple[nn.Module, ...]:
-        """The layers of ``dense``."""
-        return (
-            self.first,
-            self.second,
-            self.third,
-            self.fourth,
-            self.lateral,
-            self.back,
-            self.judge,
-            self.heads,
-        )
-
-    @property
-    def descriptor(self) -> dict[str, nn.Module]:
-        """The layers of ``describe``, by the names that they have in the descriptor of patches."""
-        return {
-            "layers": self.rings,
-            "whole": self.whole,
-            "direction": self.direction,
-            "project": self.project,
-            "reliability": self.reliability,
-        }
 
     def dense(self, images: Tensor) -> DenseOutput:
         """Images (b, 1, H, W) of grey values 0..255, zero off the target."""
@@ -158,7 +129,7 @@ class SurfaceNet(nn.Module):
             place[:, 1:3],
             place[:, 3].clamp(*LOG_SIGMA_RANGE),
             light,
-            torch.cat([ring_image(images).float(), torch.tanh(learned)], dim=1),
+            torch.cat([seen.float(), torch.tanh(learned)], dim=1),
         )
 
     def describe(self, rings: Tensor) -> DescriptorOutput:
@@ -175,24 +146,6 @@ class SurfaceNet(nn.Module):
         return DescriptorOutput(descriptor, self.reliability(summary)[:, 0], direction)
 
 
-def begin_with_patches(network: SurfaceNet, path: Path) -> None:
-    """Begin with the descriptor of patches of a file, which sees the image and not the learned channels.
-
-    Raises InputError as ``load_weights``.
-    """
-    patches = DescriptorNet()
-    load_weights(patches, path)
-    with torch.no_grad():
-        for name, own in network.descriptor.items():
-            state = dict(getattr(patches, name).state_dict())
-            for key, value in own.state_dict().items():
-                if value.shape != state[key].shape:
-                    wider = torch.zeros_like(value)
-                    wider[:, : state[key].shape[1]] = state[key]
-                    state[key] = wider
-            own.load_state_dict(state)
-
-
 def image_channels(images: Tensor) -> Tensor:
     """Square roots relative to the brightest, where noise is uniform, and logarithms, for what is dark:
     (b, 2, H, W)."""
@@ -201,12 +154,6 @@ def image_channels(images: Tensor) -> Tensor:
     return torch.cat(
         [2.0 * root / brightest - 1.0, 0.4 * torch.log1p(images.clamp(min=0.0) / 4.0) - 0.8], dim=1
     )
-
-
-def ring_image(images: Tensor) -> Tensor:
-    """Grey values and their logarithms (b, 2, H, W), whose contrast on the rings is set to one."""
-    bright = images.clamp(min=0.0)
-    return torch.cat([bright / 64.0, 0.4 * torch.log1p(bright / 4.0)], dim=1)
 
 
 def local_contrast(channels: Tensor) -> Tensor:
@@ -265,8 +212,8 @@ def normalise_rings(rings: Tensor) -> Tensor:
     image, learned = rings.split([2, rings.shape[1] - 2], dim=1)
     mean = (image * weight).sum(dim=(2, 3), keepdim=True)
     away = image - mean
-    least = away.new_tensor(LEAST_CONTRAST)[:, None, None]
-    contrast = torch.sqrt((away * away * weight).sum(dim=(2, 3), keepdim=True) + least**2)
+    # A grey level is 0.01 to 0.1 of these units.
+    contrast = torch.sqrt((away * away * weight).sum(dim=(2, 3), keepdim=True) + 0.02**2)
     return torch.cat([torch.clamp(away / contrast, -4.0, 4.0), 2.0 * learned], dim=1)
 
 

@@ -203,11 +203,6 @@ class SurfaceTraining(Section):
     """Share of the pairs of different poses that are the first and the last one, the farthest apart."""
     points: int = Field(128, ge=8, le=100_000)
     """Largest number of landmarks of a pair."""
-    descriptor_from: str | None = None
-    """Weights of the descriptor of patches (task ``descriptor``) with which that of the rings begins; null:
-    random ones, or those of ``train.start_from``."""
-    learns: Literal["everything", "descriptor"] = "everything"
-    """What changes: all weights, or those of the descriptor alone, which takes half the time."""
     crop_px: int = Field(208, ge=32, le=4096, multiple_of=8)
     """Largest side of an image; a part of a larger one is used."""
     loss: SurfaceLoss = SurfaceLoss()

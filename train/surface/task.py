@@ -96,19 +96,11 @@ class SurfaceTask:
 
     def loss(self, batch: Batch) -> tuple[Tensor, Mapping[str, Tensor]]:
         """See the module."""
-        dense = self._dense(batch["images"])
+        dense = self._network.dense(batch["images"])
         rings = sample_rings(dense.channels, batch["owner"], batch["uv"], batch["affine"])
         described = self._network.describe(rings)
         with torch.autocast(batch["images"].device.type, enabled=False):
             return surface_loss(dense, described, batch, self._heads, self._config)
-
-    def _dense(self, images: Tensor) -> DenseOutput:
-        if self._config.learns == "everything":
-            return self._network.dense(images)
-        for layers in self._network.pyramid:
-            layers.eval()
-        with torch.no_grad():
-            return self._network.dense(images)
 
     def validate(self) -> Mapping[str, float]:
         """Scores on the held-out bodies, and the matcher's parameters."""
