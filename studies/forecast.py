@@ -3,11 +3,10 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from polhode.foreign_files import amount
 from polhode.studies.store import RUNS, SEQUENCES
-from polhode.studies.study import OpenStudy
+from polhode.studies.study import OpenStudy, setting_of
 
 COLUMNS = {"simulate": 0, "run": 80, "evaluate": 55, "plan": 15, "compare": 60}
 """Of the table, by step; of a study without steps"""
@@ -54,7 +53,7 @@ def forecast(study: OpenStudy, folder: Path) -> Forecast:
     record = OWN_RECORD_BYTES + sum(RECORD_BYTES[step] for step in steps)
     records = study.count * BLOCK_BYTES * math.ceil(record / BLOCK_BYTES)
     table = int(study.count * columns * CELL_BYTES)
-    pairs, sequence_bytes = _sequence(study.base["scene"] or {}) if study.sequences else (0, 0)
+    pairs, sequence_bytes = _sequence(study) if study.sequences else (0.0, 0)
     kept = KEPT_BYTES[settings.keep] if "run" in steps or "compare" in steps else 0
     found = {part: _mean_bytes(folder / part) for part in (SEQUENCES, RUNS)}
     sequence_bytes, kept = found[SEQUENCES] or sequence_bytes, found[RUNS] or kept
@@ -64,7 +63,7 @@ def forecast(study: OpenStudy, folder: Path) -> Forecast:
         {", ".join(factor.columns): len(factor) for factor in study.factors},
         steps,
         study.sequences,
-        study.sequences * pairs,
+        round(study.sequences * pairs),
         study.count,
         columns,
         table,
@@ -90,11 +89,20 @@ def format_forecast(found: Forecast) -> str:
     return "\n".join(lines)
 
 
-def _sequence(scene: dict[str, Any]) -> tuple[int, int]:
-    """Pairs and bytes of a sequence of the base's scene."""
-    frames, rig = scene.get("frames", 0), scene.get("rig", {})
-    pixels = rig.get("width_px", 0) * rig.get("height_px", 0)
+def _sequence(study: OpenStudy) -> tuple[float, int]:
+    """Pairs and bytes of the mean sequence."""
+    frames = _mean_of(study, "scene.frames")
+    pixels = _mean_of(study, "scene.rig.width_px", "scene.rig.height_px")
     return frames, int(2 * frames * pixels * PIXEL_BYTES) + SEQUENCE_BYTES
+
+
+def _mean_of(study: OpenStudy, *settings: str) -> float:
+    """The product of settings: the mean over the levels of the factor that sets the first of them, else that
+    of the base."""
+    base = {setting: setting_of(study.base, setting) or 0 for setting in settings}
+    factor = next((each for each in study.factors if settings[0] in each.settings), None)
+    levels = ({},) if factor is None else factor.changes
+    return sum(math.prod((base | changes)[each] for each in settings) for changes in levels) / len(levels)
 
 
 def _mean_bytes(folder: Path, most: int = 20) -> int:

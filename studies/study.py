@@ -128,7 +128,7 @@ class OpenStudy:
 
     def inputs(self) -> list[Path]:
         """Files and folders that any point reads, but for those of the installation."""
-        named = [self.settings.data, _setting_of(self.base, MESH)]
+        named = [self.settings.data, setting_of(self.base, MESH)]
         for factor in self.factors:
             named += [changes[key] for changes in factor.changes for key in (DATA, MESH) if key in changes]
         return sorted({Path(each) for each in named if each is not None})
@@ -182,7 +182,8 @@ def sequence_digest(folder: str) -> str:
     return digest.hexdigest()
 
 
-def _setting_of(values: Any, setting: str) -> Any:
+def setting_of(values: Any, setting: str) -> Any:
+    """A setting by its dotted key; None: there is none."""
     for step in setting.split("."):
         values = values.get(step) if isinstance(values, dict) else None
     return values
@@ -198,7 +199,7 @@ def open_study(path: Path, check: bool = True) -> OpenStudy:
     _require_few(settings, path)
     settings = _with_paths(settings, path)
     base = plain_settings(_base(settings.base, path))
-    if (body := _setting_of(base, "scene.body")) and body["path"] is not None:
+    if (body := setting_of(base, "scene.body")) and body["path"] is not None:
         body["path"] = str(Path(body["path"]).resolve())
     base["runtime"] |= {"workers": 1, "blas_threads": 1, "stages": "none"}
     if settings.keep != "whole" and "run" in settings.steps:

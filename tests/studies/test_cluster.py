@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import dask
@@ -232,6 +233,19 @@ def test_a_scheduler_that_runs_already_gives_the_same_table_and_may_be_lost(
             printed = capsys.readouterr().err
             assert printed.count("\n") == 1 and said in printed and not out.exists()
 
+        # so are workers that lack a file which the points read, as on a machine without that disk
+        mesh, opened = tmp_path / "mesh.ply", cluster_module.opened_cluster
+        with monkeypatch.context() as patch:
+            patch.setattr(
+                flow,
+                "opened_cluster",
+                lambda options, folder, inputs: opened(options, folder, [*inputs, mesh]),
+            )
+            assert main(words) == 2
+        printed = capsys.readouterr().err
+        assert printed.count("\n") == 1 and not out.exists()
+        assert f"does not see {mesh}; put it where all workers see it" in printed
+
         assert main(words) == 0
         assert f"2 workers of {address}" in capsys.readouterr().out
         assert timeless(out) == timeless(undisturbed / "out")
@@ -269,6 +283,38 @@ def test_a_worker_that_does_not_see_the_folder_or_an_input_says_so(tmp_path: Pat
     ):
         with pytest.raises(InputError, match=f"worker 1 {said}"):
             cluster_module._check_answer("worker 1", answer, probed_versions(), tmp_path)
+
+
+@pytest.mark.parametrize("name", cluster_module.CHECKED)
+def test_a_worker_with_another_version_is_named_with_both(name: str, tmp_path: Path) -> None:
+    own = probed_versions()
+    answer = {**own, "sees": True, "lacks": []}
+    cluster_module._check_answer("worker 1", answer, own, tmp_path)
+    said = f"worker 1 has {name} 0.0, and here it is {own[name]}; install the same version"
+    with pytest.raises(InputError) as refusal:
+        cluster_module._check_answer("worker 1", answer | {name: "0.0"}, own, tmp_path)
+    assert str(refusal.value) == said
+
+
+def test_a_scheduler_without_workers_or_with_those_of_many_threads_is_refused(tmp_path: Path) -> None:
+    def nobody(count: int, timeout: float) -> None:
+        raise TimeoutError
+
+    def some(count: int, timeout: float) -> None:
+        """Waits for nobody."""
+
+    for wait, said in (
+        (nobody, "the scheduler has no workers; start some: dask worker tcp://1:2 --nworkers 2 --nthreads 1"),
+        (
+            some,
+            "worker tcp://1:3 has 4 threads, and a point takes a whole process; start it with --nthreads 1",
+        ),
+    ):
+        client: Any = SimpleNamespace(wait_for_workers=wait, nthreads=lambda: {"tcp://1:3": 4})
+        with pytest.raises(InputError) as refusal:
+            cluster_module._checked_workers(client, "tcp://1:2", tmp_path, [])
+        assert said in str(refusal.value) and "\n" not in str(refusal.value)
+        assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 from polhode.cli.main import main
 from polhode.errors import InputError
 from polhode.studies import study as study_module
+from polhode.studies.forecast import forecast
 from polhode.studies.study import open_study
 from tests.docs.page_code import ROOT, fences
 from tests.studies.conftest import BASELINES, SCENE, WriteStudy
@@ -136,6 +137,25 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         {"design": {"method": "sobol", "count": 100, "settings": {"seed": {"uniform": [1, 2]}}}},
         "give 64 or 128",
     ),
+    "a billion of a design": (
+        {
+            "axes": {BASELINES: {"uniform": [1, 2], "count": 1000}},
+            "design": {"method": "saltelli", "count": 2**19, "settings": {"seed": {"uniform": [0, 1e9]}}},
+        },
+        "1,572,864,000 points (scene.rig.baseline_m 1000 x design 1572864) are more than 1,000,000",
+    ),
+    "not a power of two for Saltelli": (
+        {"design": {"method": "saltelli", "count": 3, "settings": {"seed": {"uniform": [1, 2]}}}},
+        "give 2 or 4",
+    ),
+    "empty range of a design": (
+        {"design": {"count": 4, "settings": {"seed": {"uniform": [2, 2]}}}},
+        "the range from 2 to 2 is empty",
+    ),
+    "unknown setting of a design": (
+        {"design": {"count": 4, "settings": {"scene.framez": {"uniform": [1, 2]}}}},
+        "unknown key 'scene.framez'; did you mean frames?",
+    ),
     "set twice": (
         {"axes": {"scene.rig": [{}], BASELINES: [0.1]}},
         "'scene.rig.baseline_m' is set by scene.rig and by scene.rig.baseline_m",
@@ -188,6 +208,14 @@ def test_a_dry_run_of_many_points_prints_the_plan_and_writes_nothing(
     assert not (tmp_path / "out").exists()
 
 
+def test_the_forecast_counts_the_pairs_of_points_with_different_numbers_of_frames(
+    write_study: WriteStudy, tmp_path: Path
+) -> None:
+    axes = {"scene.frames": [2, 10], "seed": [1, 2, 3]}
+    study = open_study(write_study(base={"scene": SCENE}, axes=axes, steps=["simulate"]))
+    assert forecast(study, tmp_path / "out").pairs == 3 * 12
+
+
 def test_the_study_of_the_page_is_one(tmp_path: Path) -> None:
     (example,) = (fence for fence in fences("studies.md") if fence.language == "yaml")
     (tmp_path / "studies").mkdir()
@@ -196,6 +224,23 @@ def test_the_study_of_the_page_is_one(tmp_path: Path) -> None:
     study = open_study(tmp_path / "studies" / "study.yaml")
     assert (study.count, study.sequences) == (5 * 4 * 2 * 16, 5 * 4 * 16)
     assert study.columns[2] == "front end"
+
+
+READY = sorted((ROOT / "configs" / "studies").glob("*.yaml"))
+
+
+def test_there_are_ready_studies_and_the_page_lists_all_of_them() -> None:
+    page = (ROOT / "docs" / "studies.md").read_text()
+    assert len(READY) == 9 and all(f"`{path.name}`" in page for path in READY)
+
+
+@pytest.mark.parametrize("path", READY, ids=lambda path: path.stem)
+def test_a_ready_study_can_be_computed_and_fits_a_night(path: Path) -> None:
+    study = open_study(path)
+    # two processes for ten hours, a point in four minutes
+    assert 100 <= study.count <= 300
+    assert study.settings.title and not (study.sequences and study.settings.keep_sequences)
+    study.config(study.point(study.count - 1))
 
 
 def test_steps_of_a_point_that_contradict_each_other_are_found_when_it_is_made(
