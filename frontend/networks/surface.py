@@ -168,7 +168,8 @@ def local_contrast(channels: Tensor) -> Tensor:
 
 def _mean_around(channels: Tensor) -> Tensor:
     """Means over the nine by nine pixels around each, of the image alone."""
-    return functional.avg_pool2d(channels, 9, 1, 4, count_include_pad=False)
+    columns = functional.avg_pool2d(channels, (9, 1), 1, (4, 0), count_include_pad=False)
+    return functional.avg_pool2d(columns, (1, 9), 1, (0, 4), count_include_pad=False)
 
 
 def smoothed_channels(channels: Tensor) -> Tensor:
