@@ -30,7 +30,8 @@ from polhode.train.corpus import (
 
 ROOT = Path(__file__).parents[2]
 FEW_FAMILIES = ("features.yaml", "depth.yaml", "light.yaml")
-SHIPPED = (*FEW_FAMILIES, "surface_first.yaml", "surface.yaml", "surface_wide.yaml")
+SURFACE = ("surface_first.yaml", "surface.yaml", "surface_wide.yaml", "surface_more.yaml", "surface_settle.yaml")
+SHIPPED = (*FEW_FAMILIES, *SURFACE)
 
 
 def test_a_scene_depends_on_the_seed_and_its_number_alone() -> None:
@@ -58,7 +59,8 @@ def test_scenes_keep_to_the_ranges() -> None:
 def test_what_ships_is_never_trained_on_what_tests_show(name: str) -> None:
     train = load_config(ROOT / "configs" / "train" / name).train
     assert train is not None
-    assert train.corpus.texture == "drawn"
+    for corpus in (train.corpus, *(more.corpus for more in train.surface.more)):
+        assert corpus.texture == "drawn"
     assert FIRST_BODY_SEED >= 1000
     if name in FEW_FAMILIES:
         assert not {"truss", "dish"} & set(train.corpus.families)

@@ -1,5 +1,9 @@
 """Scores of the surface network on bodies that it has not learned from.
 
+    python -m polhode.train.surface.scores CONFIG WEIGHTS [WEIGHTS ...]
+
+compares weights on the same pairs of the configuration's held-out bodies.
+
 Pairs of images of one body that differ in light alone, in pose alone, or in both. For each kind of pair:
 
 - ``rank_1``: share of the common landmarks whose most similar descriptor, among all points of the other
@@ -12,19 +16,28 @@ Pairs of images of one body that differ in light alone, in pose alone, or in bot
 For single images: ``shadow_iou`` and ``highlight_iou``, intersection over union of the pixels.
 """
 
-from collections.abc import Mapping
+import argparse
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
 from polhode.config.frontend_settings import Features
+from polhode.config.loader import load_config
+from polhode.errors import InputError, RunFailure
 from polhode.frontend.features.keypoints import find_candidates
 from polhode.frontend.features.landmark_places import find_places
 from polhode.frontend.networks.surface import DenseOutput, SurfaceNet, sample_rings
+from polhode.frontend.networks.weights import load_weights
 from polhode.lie import Array, inverse_pose, transform_points
+from polhode.progress import Silent
+from polhode.train.corpus import required_train
 from polhode.train.surface.batches import Example, KnownBody, batch_of, draw_example
+from polhode.train.surface.known_bodies import prepare_bodies
 from polhode.train.surface.landmarks import MIN_COSINE, near_rim, surface_at
 from polhode.train.surface.lit_bodies import CAST_SHADOW, FACING_AWAY, HIGHLIGHT
 from polhode.train.task import Batch
@@ -165,3 +178,32 @@ def _light(dense: DenseOutput, batch: Batch) -> dict[str, float]:
         union = int((a | b).sum())
         result[name] = float(int((a & b).sum()) / union) if union > 50 else float("nan")
     return result
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the scores of weights on the held-out bodies of a configuration."""
+    parser = argparse.ArgumentParser(prog="python -m polhode.train.surface.scores", description=main.__doc__)
+    parser.add_argument("config", type=Path)
+    parser.add_argument("weights", type=Path, nargs="+")
+    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    options = parser.parse_args(arguments)
+    try:
+        config = load_config(options.config)
+        train = required_train(config.train, options.config)
+        bodies = prepare_bodies(train.corpus, train.surface, Silent(), options.workers)
+        trials = trials_of(
+            {i: known for i, known in bodies.items() if train.corpus.is_validation(i)}, config.seed
+        )
+        found = []
+        for path in options.weights:
+            network = SurfaceNet()
+            load_weights(network, path)
+            found.append(score_trials(network, trials))
+    except (InputError, RunFailure) as error:
+        parser.exit(error.exit_code, f"{parser.prog}: error: {error}\n")
+    for name in found[0]:
+        print(f"{name:22} " + "  ".join(f"{scores[name]:.3f}" for scores in found))
+
+
+if __name__ == "__main__":
+    main()

@@ -6,15 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import yaml
 from pydantic import ValidationError
 from torch import Tensor
+from torch.nn.functional import one_hot
 
 from polhode.config.train_settings import Corpus, MoreBodies, Schedule, SurfaceTraining, Train
 from polhode.errors import InputError
 from polhode.frontend.networks.surface import CHANNELS, DenseOutput, SurfaceNet
+from polhode.frontend.networks.weights import shipped_path
 from polhode.lie import transform_points
 from polhode.progress import Silent
 from polhode.train.run import setting_of
+from polhode.train.surface import scores
 from polhode.train.surface.batches import NEAR_PX, KnownBody, batch_of, draw_example
 from polhode.train.surface.landmarks import Landmarks
 from polhode.train.surface.scores import score_trials, trials_of
@@ -52,7 +56,8 @@ def ideal(batch: Batch) -> DenseOutput:
         score=torch.where(batch["heat"] >= 1.0, 9.0, -9.0),
         offset_px=offset,
         log_sigma=torch.full((images, height, width), -2.0),
-        light=9.0 * torch.nn.functional.one_hot(batch["light"].long().clamp(max=3), 4).permute(0, 3, 1, 2).float(),
+        light=9.0
+        * torch.nn.functional.one_hot(batch["light"].long().clamp(max=3), 4).permute(0, 3, 1, 2).float(),
         channels=torch.zeros(images, CHANNELS, height, width),
     )
 
@@ -153,10 +158,10 @@ def test_a_training_goes_on_where_it_was_interrupted(lit_body_corpus: Corpus, tm
 def test_held_out_bodies_are_scored_and_not_learned_from(lit_body_corpus: Corpus, tmp_path: Path) -> None:
     task = make_task(train_of(lit_body_corpus, tmp_path, 1), 7, Silent(), 1)
     assert task._numbers == [0, 2]
-    scores = task.validate()
+    found = task.validate()
     for kind in ("light", "pose", "both"):
-        assert 0.0 <= scores[f"rank_1_{kind}"] <= 1.0
-    assert {"shadow_iou", "matcher_temperature"} <= scores.keys()
+        assert 0.0 <= found[f"rank_1_{kind}"] <= 1.0
+    assert {"shadow_iou", "matcher_temperature"} <= found.keys()
 
 
 def test_bodies_of_another_corpus_are_learned_from_too(lit_body_corpus: Corpus, tmp_path: Path) -> None:
@@ -172,10 +177,26 @@ def test_scores_of_blobs_do_not_depend_on_the_network(bodies: dict[int, KnownBod
     trials = trials_of({1: bodies[1]}, 3)
     assert {trial.kind for trial in trials} == {"light", "pose", "both"}
     torch.manual_seed(2)
-    scores = score_trials(SurfaceNet().eval(), trials)
+    found = score_trials(SurfaceNet().eval(), trials)
     # blobs of a lit body are found again from another side
-    assert scores["found_blobs_pose"] > 0.3
-    assert scores["scatter_blobs_px_pose"] < 1.0
+    assert found["found_blobs_pose"] > 0.3
+    assert found["scatter_blobs_px_pose"] < 1.0
+
+
+def test_weights_are_compared_on_the_same_pairs(
+    lit_body_corpus: Corpus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "config.yaml"
+    values = train_of(lit_body_corpus, tmp_path, 1).model_dump(mode="json")
+    config.write_text(yaml.safe_dump({"train": values}), encoding="utf-8")
+    weights = str(shipped_path("surface"))
+    scores.main([str(config), weights, weights, "--workers", "1"])
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert {"rank_1_both", "found_light", "shadow_iou"} <= {line[0] for line in lines}
+    assert all(len(line) == 3 and line[1] == line[2] for line in lines)
+    with pytest.raises(SystemExit) as refused:
+        scores.main([str(config), str(tmp_path / "none.safetensors")])
+    assert refused.value.code == 2
 
 
 def test_bodies_without_common_landmarks_cannot_be_learned_from(bodies: dict[int, KnownBody]) -> None:
