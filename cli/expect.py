@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from tyro.conf import arg
 
@@ -20,13 +20,6 @@ class ExpectCommand:
     A rule of thumb for the design of a mission, and no result: simulate and run the scene to know more. The
     rules are fitted to runs by python -m benchmarks.studies.rules_of_thumb (docs/expect.md).
     """
-
-    EXAMPLES: ClassVar = (
-        (
-            "polhode expect --rules RULES.yaml --size 3 --range 10 --rpm 2 --focal-px 1200 --baseline 0.3",
-            "a body of 3 m at 10 m",
-        ),
-    )
 
     rules: Annotated[Path, arg(metavar="FILE")]
     """The rules, YAML, as the fit has written them."""
