@@ -151,7 +151,7 @@ def _least_squares(A: Array, y: Array) -> tuple[Array, float, Array]:
     coefficients = np.linalg.lstsq(A, y, rcond=None)[0]
     residual = y - A @ coefficients
     sigma = math.sqrt(float(residual @ residual) / (len(y) - A.shape[1]))
-    return coefficients, sigma, np.linalg.inv(A.T @ A)
+    return np.asarray(coefficients, np.float64), sigma, np.asarray(np.linalg.inv(A.T @ A), np.float64)
 
 
 def _half_band(row: Array, sigma: float, inverse: Array, freedom: int) -> float:
