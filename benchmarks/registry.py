@@ -205,6 +205,8 @@ BENCHMARKS = (
               also="trust"),
     Benchmark("study_engine", "studies.engine", "docs/studies.md", 40,
               short="--short --record runs/study_engine_short.jsonl"),
+    Benchmark("rules_of_thumb", "studies.rules_of_thumb", "docs/expect.md", 240,
+              "runs/rules -o runs/rules_of_thumb.yaml", "runs/rules_short --short"),
     Benchmark("trust", "trust.trust", "docs/trust.md", 240),
     Benchmark("error_models", "trust.error_models", "docs/trust.md", 60),
     Benchmark("mutation", "mutation.catch", "docs/testing.md", 30, short=None),

@@ -19,6 +19,7 @@ from polhode.cli.completion import CompletionCommand
 from polhode.cli.console import is_working, show_warnings
 from polhode.cli.doctor import DoctorCommand
 from polhode.cli.evaluate import EvaluateCommand
+from polhode.cli.expect import ExpectCommand
 from polhode.cli.export import ExportCommand
 from polhode.cli.failures import explained, printable_traceback
 from polhode.cli.help import overview
@@ -55,6 +56,7 @@ COMMANDS: dict[str, type[Command]] = {
     "sweep": SweepCommand,
     "predict": PredictCommand,
     "threshold": ThresholdCommand,
+    "expect": ExpectCommand,
     "plan": PlanCommand,
     "observability": ObservabilityCommand,
     "export": ExportCommand,
@@ -68,7 +70,7 @@ COMMANDS: dict[str, type[Command]] = {
 TOPICS = {
     "data": ("simulate", "import", "calibrate", "checkout"),
     "estimate": ("run", "evaluate", "report", "view", "compare", "sweep"),
-    "use a run": ("predict", "plan", "observability", "export", "threshold"),
+    "use a run": ("predict", "plan", "observability", "export", "threshold", "expect"),
     "program": ("train", "doctor", "completion"),
 }
 """Commands in the order of the help; those that are in no topic follow at the end"""

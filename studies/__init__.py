@@ -4,6 +4,7 @@ In: a study (YAML): base, axes, steps. Out: a folder with a record for each poin
 
 - sweep: the flow: what is missing, a window of tasks, the table
 - page: what the table says, as one page: study.html
+- rules: what accuracy to expect, fitted to the runs of a study
 - forecast: what a study will take, before it is computed
 - cluster: workers by Dask distributed, and whether those of others can compute here
 - table: records as a Parquet table and as a data frame

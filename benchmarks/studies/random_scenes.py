@@ -52,8 +52,8 @@ class RandomScene:
 
 def random_scenes(count: int) -> list[RandomScene]:
     """The first ``count`` scenes of Sobol's sequence."""
-    shares = qmc.Sobol(len(RANGES), rng=np.random.default_rng(SEED)).random(count)
-    return [_scene(number, row) for number, row in enumerate(shares)]
+    draws = qmc.Sobol(len(RANGES), rng=np.random.default_rng(SEED)).random_base2((count - 1).bit_length())
+    return [_scene(number, row) for number, row in enumerate(draws[:count])]
 
 
 def _scene(number: int, shares: np.ndarray) -> RandomScene:

@@ -41,7 +41,7 @@ def completed(folder: Path, words: str) -> list[str]:
     ("words", "expected"),
     [
         ("polhode ", [*COMMANDS, "--help", "--version"]),
-        ("polhode ex", ["export"]),
+        ("polhode ex", ["expect", "export"]),
         ("polhode run --pat", ["--patience-s"]),
         ("polhode run --backend.in", ["--backend.inertia"]),
         ("polhode run --backend.inertia ", ["second_moments", "ratios_axes"]),

@@ -29,6 +29,10 @@ WORDS: dict[str, list[str]] = {
         *("--radius-m", "2", "--mass-kg", "100", "--force-n", "1"),
         *("--isp-s", "220", "--duration-s", "60", "--fuel-fraction", "0.1"),
     ],
+    "expect": [
+        *("--rules", "F", "--size", "1", "--range", "4", "--rpm", "2"),
+        *("--focal-px", "600", "--baseline", "0.1"),
+    ],
     "plan": ["R", "-o", "D"],
     "observability": ["R", "-o", "D"],
     "export": ["R", "--to", "stl", "-o", "F"],

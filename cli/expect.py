@@ -1,0 +1,82 @@
+"""``polhode expect``: what accuracy to expect of a target and a rig, by a rule of thumb."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
+
+from polhode.cli.answer import Answer
+from polhode.cli.options import require_positive
+from polhode.errors import InputError
+
+MAX_PAIRS = 100_000
+
+
+@dataclass(frozen=True)
+class ExpectCommand:
+    """Estimate the accuracy for a target and a rig from a fit to simulated runs, with a band of 90 %.
+
+    A rule of thumb for the design of a mission, and no result: simulate and run the scene to know more. The
+    rules are fitted to runs by python -m benchmarks.studies.rules_of_thumb (docs/expect.md).
+    """
+
+    rules: Annotated[Path, arg(metavar="FILE")]
+    """The rules, YAML, as the fit has written them."""
+    size_m: Annotated[float, arg(metavar="M", aliases=["--size"])]
+    """Size of the body without its panels [m]."""
+    range_m: Annotated[float, arg(metavar="M", aliases=["--range"])]
+    """Distance of the target from the camera [m]."""
+    rpm: Annotated[float, arg(metavar="RPM")]
+    """Its rate [RPM]."""
+    focal_px: Annotated[float, arg(metavar="PX")]
+    """Focal length of the cameras [px]."""
+    baseline_m: Annotated[float, arg(metavar="M", aliases=["--baseline"])]
+    """Distance between the cameras [m]."""
+    interval_s: Annotated[float, arg(metavar="S", aliases=["--interval"])] = 0.5
+    """Time between two stereo pairs [s]."""
+    pairs: Annotated[int, arg(metavar="N")] = 20
+    """Number of stereo pairs."""
+    sun_angle_deg: Annotated[float, arg(metavar="DEG", aliases=["--sun-angle"])] = 45.0
+    """Angle between the directions to the Sun and to the camera, seen from the target [deg]."""
+
+    def execute(self) -> Answer:
+        """Print the errors with their bands."""
+        require_positive(self, "size_m", "range_m", "rpm", "focal_px", "baseline_m", "interval_s")
+        if not 3 <= self.pairs <= MAX_PAIRS:
+            raise InputError(f"--pairs {self.pairs}: give 3 to {MAX_PAIRS} pairs")
+        if not 0.0 <= self.sun_angle_deg <= 180.0:
+            raise InputError(f"--sun-angle {self.sun_angle_deg:g}: give 0 to 180 degrees")
+        from polhode.studies.rules import Observation, expected, outside, read_rules
+
+        rules = read_rules(self.rules)
+        observation = Observation(
+            *(self.size_m, self.range_m, self.rpm, self.focal_px, self.baseline_m),
+            *(self.interval_s, self.pairs, self.sun_angle_deg),
+        )
+        found = expected(rules, observation)
+        beyond = outside(rules, observation)
+        lines = [f"{'error':40s} {'median':>10s} {'90 % band':>24s}"]
+        lines += [
+            f"{each.quantity:40s} {each.value:10.3g} {each.low:11.3g} to {each.high:9.3g} {each.unit}"
+            for each in found
+        ]
+        held = ", ".join(f"{rule.inside} of {rule.held_out}" for rule in rules.rules)
+        lines += [
+            *(f"Beyond the runs of the fit, where the rule says nothing: {each}." for each in beyond),
+            f"An estimate from {rules.runs} simulated runs, {rules.failed} of which had no answer. Of the "
+            f"runs that were left out of a fit, so many were inside the band: {held}.",
+        ]
+        return Answer(
+            "\n".join(lines),
+            status="degraded" if beyond else "ok",
+            figures={
+                "expected": [vars(each) for each in found],
+                "predictors": observation.predictors,
+                "outside": beyond,
+                "runs": rules.runs,
+                "failed": rules.failed,
+                "held_out": {rule.quantity: [rule.inside, rule.held_out] for rule in rules.rules},
+            },
+            warnings=tuple(f"beyond the runs of the fit: {each}" for each in beyond),
+        )

@@ -1,0 +1,139 @@
+"""Rules of thumb: a known law is found, bands hold what they promise, and what is beyond the runs is said."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from polhode.cli.main import main
+from polhode.studies.rules import PREDICTORS, Observation, Rule, Rules, expected, fit, outside
+
+Capture = pytest.CaptureFixture[str]
+LAW = np.array([-3.0, -1.0, -0.5, 0.3, -0.8, 0.4])
+WORDS = [
+    *("--size", "3", "--range", "10", "--rpm", "2", "--focal-px", "1200", "--baseline", "0.3"),
+    *("--interval", "0.5", "--pairs", "20"),
+]
+
+
+def observations(count: int, seed: int) -> list[Observation]:
+    rng = np.random.default_rng(seed)
+    found = []
+    for _ in range(count):
+        size, away = np.exp(rng.uniform(np.log(0.3), np.log(3.0))), rng.uniform(3.0, 6.0)
+        focal, share = rng.uniform(200.0, 2000.0), rng.uniform(0.02, 0.2)
+        times = rng.uniform(1.0, 20.0), rng.uniform(0.1, 2.0)
+        pairs, sun = int(rng.integers(10, 30)), rng.uniform(10.0, 100.0)
+        found.append(
+            Observation(size, away * size, times[0], focal, share * away * size, times[1], pairs, sun)
+        )
+    return found
+
+
+def errors(seen: list[Observation], scatter: float, seed: int) -> Any:
+    noise = np.random.default_rng(seed).normal(0.0, scatter, len(seen))
+    return np.exp(np.array([each.row for each in seen]) @ LAW + noise)
+
+
+def rule_of(count: int, scatter: float, **about: Any) -> Rule:
+    seen = observations(count, 1)
+    return fit(seen, errors(seen, scatter, 2), **({"quantity": "e", "unit": "deg"} | about))
+
+
+def rules_of(*found: Rule) -> Rules:
+    ranges = dict.fromkeys(PREDICTORS, (0.001, 10000.0))
+    return Rules(made_by="a test", runs=100, failed=7, ranges=ranges, rules=found)
+
+
+def test_a_law_of_powers_is_found() -> None:
+    rule = rule_of(400, 0.2)
+    assert np.abs(np.array(rule.coefficients) - LAW).max() < 0.25 and rule.explained > 0.9
+    assert rule.sigma == pytest.approx(0.2, rel=0.1) and rule.freedom == 394
+
+
+@pytest.mark.parametrize("count", [24, 120])
+def test_nine_tenths_of_new_runs_are_inside_the_band_also_of_a_fit_to_few(count: int) -> None:
+    inside = []
+    for seed in range(30):
+        seen, new = observations(count, seed), observations(30, 1000 + seed)
+        rules = rules_of(fit(seen, errors(seen, 0.5, seed), quantity="e", unit="deg"))
+        for each, error in zip(new, errors(new, 0.5, 500 + seed), strict=True):
+            (found,) = expected(rules, each)
+            inside.append(found.low <= error <= found.high)
+    # runs of one fit share its error, so that these are no 900 independent draws
+    assert 0.86 < np.mean(inside) < 0.94
+
+
+def test_runs_that_were_left_out_are_counted() -> None:
+    rule = rule_of(300, 0.4)
+    assert rule.held_out == 300 and 0.85 < rule.inside / 300 < 0.95
+
+
+def test_an_error_over_the_size_grows_with_it_and_the_same_images_have_the_same_rest() -> None:
+    rules = rules_of(rule_of(60, 0.1, over="size", factor=1000.0, unit="mm"), rule_of(60, 0.1))
+    small = Observation(1.0, 4.0, 3.0, 600.0, 0.3, 0.5, 20, 45.0)
+    large = Observation(2.0, 8.0, 3.0, 600.0, 0.6, 0.5, 20, 45.0)
+    assert small.predictors == large.predictors
+    (a, c), (b, d) = expected(rules, small), expected(rules, large)
+    assert b.value == pytest.approx(2.0 * a.value) and c == d
+    assert a.value == pytest.approx(1000.0 * c.value)
+
+
+def test_the_command_answers_with_a_band_and_says_what_is_beyond(tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "rules.yaml"
+    path.write_text(yaml.safe_dump(rules_of(rule_of(90, 0.3)).model_dump(mode="json")))
+    assert main(["expect", "--rules", str(path), *WORDS]) == 0
+    text = capsys.readouterr().out
+    assert "90 % band" in text and "100 simulated runs, 7 of which had no answer" in text
+    assert main(["--json", "expect", "--rules", str(path), *WORDS]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    (found,) = answer["figures"]["expected"]
+    assert found["low"] < found["value"] < found["high"] and answer["status"] == "ok"
+    assert answer["figures"]["predictors"] == {
+        "size_px": 360.0,
+        "disparity_px": 36.0,
+        "turn_deg": 6.0,
+        "pairs": 20.0,
+        "sun_angle_deg": 45.0,
+    }
+    narrow = rules_of(rule_of(90, 0.3)).model_copy(update={"ranges": dict.fromkeys(PREDICTORS, (1.0, 50.0))})
+    path.write_text(yaml.safe_dump(narrow.model_dump(mode="json")))
+    assert main(["expect", "--rules", str(path), *WORDS]) == 0
+    assert "size_px 360 is outside of 1 to 50" in capsys.readouterr().out
+    assert outside(narrow, Observation(1.0, 30.0, 2.0, 1200.0, 0.3, 0.5, 20, 45.0)) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (None, "is missing"),
+        ({"runs": "many"}, "runs"),
+        ({"ranges": {}}, "ranges: size_px is missing"),
+        ({"cut": True}, "is incomplete"),
+    ],
+)
+def test_rules_that_are_none_give_one_line(
+    change: dict[str, Any] | None, said: str, tmp_path: Path, capsys: Capture
+) -> None:
+    path = tmp_path / "rules.yaml"
+    if change is not None:
+        content = rules_of(rule_of(30, 0.3)).model_dump(mode="json")
+        if change.pop("cut", False):
+            content["rules"][0]["coefficients"] = [1.0]
+        path.write_text(yaml.safe_dump(content | change))
+    assert main(["expect", "--rules", str(path), *WORDS]) == 2
+    printed = capsys.readouterr().err
+    assert printed.startswith("polhode: error: ") and printed.count("\n") == 1 and said in printed
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(["--size", "0"], "--size"), (["--pairs", "1"], "give 3 to"), (["--sun-angle", "200"], "give 0 to 180")],
+)
+def test_values_out_of_range_give_one_line(words: list[str], said: str, capsys: Capture) -> None:
+    given = [word for k, word in enumerate(WORDS) if words[0] not in (WORDS[k], WORDS[k - 1])]
+    assert main(["expect", "--rules", "none.yaml", *given, *words]) == 2
+    assert said in capsys.readouterr().err
