@@ -56,8 +56,7 @@ def ideal(batch: Batch) -> DenseOutput:
         score=torch.where(batch["heat"] >= 1.0, 9.0, -9.0),
         offset_px=offset,
         log_sigma=torch.full((images, height, width), -2.0),
-        light=9.0
-        * torch.nn.functional.one_hot(batch["light"].long().clamp(max=3), 4).permute(0, 3, 1, 2).float(),
+        light=9.0 * one_hot(batch["light"].long().clamp(max=3), 4).permute(0, 3, 1, 2).float(),
         channels=torch.zeros(images, CHANNELS, height, width),
     )
 
