@@ -28,7 +28,7 @@ def test_every_command_that_writes_is_killed_and_finds_its_disk_full() -> None:
     assert KILLS.keys() == JOBS.keys() and FULL.keys() < JOBS.keys()
     # `view` writes its one file at the end, by the function that writes the others' single files; `sweep`,
     # its workers and its scheduler are killed by tests of their own (tests/studies/test_cluster.py).
-    printing = {"threshold", "doctor", "completion"}
+    printing = {"threshold", "doctor", "completion", "expect"}
     assert {job.words[0] for job in JOBS.values()} == set(COMMANDS) - printing - {"view", "sweep"}
 
 
