@@ -5,7 +5,8 @@
 
 Every training begins with the same weights (``--start``; without it, with random ones), learns from the same
 bodies, and is scored on the same held-out ones. It has a folder of its own, in which an interrupted one goes
-on; the table is of those that have ended. A cell is the mean over the seeds and their standard deviation.
+on. The first row is the mean over the seeds and their standard deviation. The pairs that are scored depend on
+the seed: the other rows are the mean of each seed's differences from the first row, and their standard deviation.
 
 - all: every term;
 - motion: without the terms of soft matches and of the motion that is fitted to them;
@@ -68,13 +69,28 @@ def main(
     whole = load_config(config)
     settings = required_train(whole.train, config)
     rows = []
+    every: list[dict[str, float]] = []
     for left_out in TERMS:
         found = [
             trained(whole, variant(settings, left_out, extent, start, output / f"{left_out}_{seed}"), seed)
             for seed in range(1, extent.seeds + 1)
         ]
-        rows.append([left_out, *(cell([scores.get(name) for scores in found]) for name in SCORES)])
+        if left_out == "all":
+            every = found
+            rows.append([left_out, *(cell([scores.get(name) for scores in found]) for name in SCORES)])
+        else:
+            rows.append([left_out, *(cell(differences(found, every, name), "+") for name in SCORES)])
     print_table(("left out", *SCORES.values()), rows)
+
+
+def differences(
+    found: list[dict[str, float]], every: list[dict[str, float]], name: str
+) -> list[float | None]:
+    """What leaving out a term changes in a score, for each seed; None where one of the two has no score."""
+    return [
+        some[name] - whole[name] if name in some and name in whole else None
+        for some, whole in zip(found, every, strict=True)
+    ]
 
 
 def variant(settings: Train, left_out: str, extent: Extent, start: Path | None, output: Path) -> Train:
@@ -108,13 +124,13 @@ def trained(config: Config, settings: Train, seed: int) -> dict[str, float]:
     return found
 
 
-def cell(values: list[float | None]) -> str:
-    """Mean and standard deviation."""
+def cell(values: list[float | None], sign: str = "") -> str:
+    """Mean and standard deviation; ``sign`` "+": the mean always has its sign."""
     known = np.array([value for value in values if value is not None], float)
     if len(known) == 0:
         return "-"
     spread = f" ± {np.std(known, ddof=1):.3f}" if len(known) > 1 else ""
-    return f"{np.mean(known):.3f}{spread}"
+    return f"{np.mean(known):{sign}.3f}{spread}"
 
 
 if __name__ == "__main__":
