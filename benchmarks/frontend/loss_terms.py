@@ -6,7 +6,8 @@
 Every training begins with the same weights (``--start``; without it, with random ones), learns from the same
 bodies, and is scored on the same held-out ones. It has a folder of its own, in which an interrupted one goes
 on. The first row is the mean over the seeds and their standard deviation. The pairs that are scored depend on
-the seed: the other rows are the mean of each seed's differences from the first row, and their standard deviation.
+the seed: the other rows are the mean of each seed's differences from the first row, and their standard
+deviation.
 
 - all: every term;
 - motion: without the terms of soft matches and of the motion that is fitted to them;
