@@ -40,7 +40,6 @@ from polhode.train.task import Batch
 
 MIN_COMMON = 12
 """Landmarks that both images of a pair show, at least."""
-MAX_COSINE_TURN = np.cos(np.deg2rad(75.0))
 HEAT_PX = 0.8
 """Standard deviation of a landmark's mark in the map of scores [px]."""
 NEAR_PX = 1.5
