@@ -4,6 +4,7 @@ The band of a median is that of the bootstrap (percentiles, by SciPy), the band 
 hold the median, or the probability, of infinitely many such points with 95 % confidence.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,7 +108,7 @@ def mean_band(values: Array) -> tuple[float, float]:
     return bootstrap_band(values, np.mean)
 
 
-def bootstrap_band(values: Array, statistic: object) -> tuple[float, float]:
+def bootstrap_band(values: Array, statistic: Callable[..., object]) -> tuple[float, float]:
     """Band of a statistic of values (n,); NaN for too few of them."""
     if len(values) < MIN_ROWS:
         return float("nan"), float("nan")
