@@ -5,8 +5,8 @@
 Bodies of the simulator and solids, cut into smaller faces where they have fewer than asked; views from all
 around. A view is: hidden lines removed, control points, their motion, C and its inverse. Process time on one
 core, the least of three rounds; the model of edges is made once. The limit is 50 ms for 10,000 faces. The
-pictures are those of the command for six views, the coloured body included; their limit is 3 s. The rough sphere
-is as photogrammetry might give it: most of its edges are sharp.
+pictures are those of the command for six views, the coloured body included; their limit is 3 s. The rough
+sphere is as photogrammetry might give it: most of its edges are sharp.
 """
 
 from time import process_time
@@ -51,7 +51,8 @@ def main(
     bodies = {name: edge_body(name).mesh for name in (list(KINDS)[:1] if short else KINDS)}
     bodies["torus"] = trimesh.creation.torus(0.5, 0.15, 120, 60)
     bodies["rough sphere"] = rough_sphere(faces)
-    head = "body | faces | edges | model [ms] | points per view | view, median [ms] | slowest [ms] | pictures [s]"
+    columns = "model [ms] | points per view | view, median [ms] | slowest [ms] | pictures [s]"
+    head = f"body | faces | edges | {columns}"
     print_table(head, (row(name, finer(mesh, faces), count) for name, mesh in bodies.items()))
 
 
@@ -94,7 +95,7 @@ def pictures_s(model: EdgeModel, X_RG: Array) -> float:
 
 def rough_sphere(faces: int) -> trimesh.Trimesh:
     """A sphere with at least so many faces and noise of its vertices."""
-    count = 2 * int(np.ceil(np.sqrt(faces / 4.0)) + 1)
+    count = int(np.ceil(np.sqrt(faces / 4.0))) + 1
     sphere = trimesh.creation.uv_sphere(0.5, count=[count, count])
     noise = np.random.default_rng(0).normal(size=sphere.vertices.shape)
     return trimesh.Trimesh(sphere.vertices + NOISE_M * noise, sphere.faces, process=False)
