@@ -147,6 +147,7 @@ BENCHMARKS = (
     Benchmark("frontend_cost", "frontend.cost", "docs/frontend.md", 2, needs=("data/ts38",)),
     Benchmark("reliability", "frontend.reliability", "docs/model_card.md", 15),
     Benchmark("disparity", "frontend.disparity", "docs/depth.md", 60),
+    Benchmark("disparity_start", "frontend.disparity_start", "docs/depth.md", 15),
     Benchmark("masks", "frontend.masks", "docs/masks.md", 3),
     _of_runs("mesh_quality", "mapping.mesh_quality", "docs/mapping.md", 20, _SURFACES),
     _of_runs("mesh_sigma", "mapping.mesh_sigma", "docs/mapping.md", 5, _WITH_TRUTH, also="trust"),
