@@ -146,6 +146,7 @@ BENCHMARKS = (
     Benchmark("loss_terms", "frontend.loss_terms", "docs/training.md", 180),
     Benchmark("frontend_cost", "frontend.cost", "docs/frontend.md", 2, needs=("data/ts38",)),
     Benchmark("reliability", "frontend.reliability", "docs/model_card.md", 15),
+    Benchmark("failures", "frontend.failures", "docs/model_card.md", 15, "-o runs/frontend_failures.png"),
     Benchmark("disparity", "frontend.disparity", "docs/depth.md", 60),
     Benchmark("masks", "frontend.masks", "docs/masks.md", 3),
     _of_runs("mesh_quality", "mapping.mesh_quality", "docs/mapping.md", 20, _SURFACES),

@@ -61,12 +61,12 @@ UV_FLOOR_PX, UV_GAIN_PX = 0.293, 3.287
 """In the image [px]."""
 DISPARITY_FLOOR_PX, DISPARITY_GAIN_PX = 0.0, 0.189
 """Of the disparity [px]."""
-PLACE_FLOOR_PX, PLACE_GAIN = 0.337, 2.172
+PLACE_FLOOR_PX, PLACE_GAIN = 0.295, 1.249
 """In the image, of landmarks [px], and factor on the variance that the network gives."""
 UV_CONFIDENCE = (-0.165, -0.126)
 DISPARITY_CONFIDENCE = (-0.051, -0.049)
 """Log of a match's variance over the sum of its features': first + second * logit(confidence)."""
-PLACE_CONFIDENCE = (-0.114, -0.107)
+PLACE_CONFIDENCE = (-0.098, -0.091)
 """The same of u and v, of landmarks."""
 _MIN_SIGMA_LS_PX = 0.01
 _MIN_CONFIDENCE, _MAX_CONFIDENCE = 1e-4, 1.0 - 1e-4

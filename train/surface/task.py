@@ -10,7 +10,8 @@ Terms of the loss:
 - *contrast*, *reliability*, *direction*, *assignment*, *motion*: of the descriptors, as
   ``train.descriptor.task``, but for the points at the places that the network itself gives;
 - *consistency*: negative log likelihood of the difference between the place in one image, transformed to the
-  other by the true motion, and the place there.
+  other by the true motion, and the place there. It teaches the places alone: what errs alike in both images is
+  not in their difference, so that the standard deviations that it asks for are too small.
 """
 
 from collections.abc import Mapping
@@ -204,7 +205,7 @@ def consistency_loss(
     m = len(pair)
     area = torch.linalg.det(batch["affine"])
     stretch = 0.5 * torch.log((area[:m] / area[m : 2 * m]).abs().clamp(0.1, 10.0))
-    log_var = torch.logaddexp(2.0 * own[0][1], 2.0 * (own[1][1] + stretch))
+    log_var = torch.logaddexp(2.0 * own[0][1], 2.0 * (own[1][1] + stretch)).detach()
     each = student_nll(((uv - own[0][0]) ** 2).sum(dim=1), 0.5 * log_var)
     strict = batch["is_strict"].float()
     return (each * strict).sum() / strict.sum().clamp(min=1.0)

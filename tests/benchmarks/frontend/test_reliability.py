@@ -3,12 +3,14 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from benchmarks.frontend.reliability import (
-    BEFORE,
-    CONFIG,
-    VALUES,
+    AFTER,
+    Descriptor,
     areas_of_pair,
+    configured,
+    value_names,
     values_after,
     values_before,
 )
@@ -41,18 +43,19 @@ def test_points_of_a_frame_are_shown_in_it_and_in_fewer_others() -> None:
     assert not scene.shown_in_light(np.full((3, 3), np.nan), 0).any()
 
 
-def test_a_match_knows_more_than_a_candidate() -> None:
+@pytest.mark.parametrize("descriptor", ["network", "surface"])
+def test_a_match_knows_more_than_a_candidate(descriptor: Descriptor) -> None:
     """Of two frames of the sample: the values are in the order of their names."""
     scene = scene_of(SAMPLE / "scene.yaml", SAMPLE)
-    config = with_patch_size(CONFIG, scene.sequence, scene.rectifier)
+    config = with_patch_size(configured(descriptor), scene.sequence, scene.rectifier)
     method = SurfaceFeatureMethod(config)
     pairs = [scene.pair(k) for k in (24, 35)]
     a, b = (method(pair, scene.rig) for pair in pairs)
-    assert config.features.patch_half_m is not None
-    before = values_before(pairs[0], a, scene, config.features.patch_half_m)
+    before = values_before(pairs[0], a, scene, config)
     best, after = values_after(a, b)
     p_G = [scene.body_points(k, frame.uvd_px)[0] for k, frame in ((24, a), (35, b))]
     right = np.linalg.norm(p_G[0] - p_G[1][best], axis=1) < 5e-3
     areas = areas_of_pair(np.column_stack([before, after]), scene.shown_in_light(p_G[0], 35), right)
-    assert len(areas) == len(VALUES)
-    assert min(areas[len(BEFORE) :]) > 0.75 > max(areas[: len(BEFORE)])
+    assert len(areas) == len(value_names(config))
+    after_from = len(areas) - len(AFTER)
+    assert min(areas[after_from:]) > 0.75 > max(areas[:after_from])
