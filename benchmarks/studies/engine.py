@@ -99,7 +99,7 @@ def begun_sweep(study: Path, out: Path, *options: object) -> "subprocess.Popen[b
 
 
 def watched_memory(process: "subprocess.Popen[bytes]", out: Path, points: int) -> list[tuple[float, float]]:
-    """Memory of a sweep and of its largest worker [MB] at each of PARTS; returns when the process has ended."""
+    """Memory of a sweep and of its largest worker [MB] at each of PARTS; returns when the sweep has ended."""
     memory: list[tuple[float, float]] = []
     while process.poll() is None:
         start = time.perf_counter()

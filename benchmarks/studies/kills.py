@@ -1,8 +1,8 @@
-"""A study that is killed three times, and one on a scheduler of others: their tables beside an undisturbed one.
+"""A study that is killed three times, or has a scheduler of its own: its tables beside an undisturbed one.
 
     python -m benchmarks.studies.kills [--short] [--record FILE]
 
-500 points, each of which simulates 12 pairs of 160x128 px, runs and evaluates them, by two workers. Three times:
+500 points, each of which simulates 12 pairs of 160x128 px, runs and evaluates them, by two workers:
 
 - undisturbed, with the memory of the program and of its largest worker when a tenth, half and all of the
   points are stored, and the engine's share of the time (see benchmarks.studies.engine)
@@ -24,7 +24,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
