@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from polhode.config import Scene
 from polhode.foreign_files import amount
 from polhode.studies.store import RUNS, SEQUENCES
 from polhode.studies.study import OpenStudy, setting_of
@@ -23,6 +24,8 @@ SEQUENCE_BYTES = 200_000
 """Of a sequence beside its images: the truth with its mesh"""
 KEPT_BYTES = {"whole": 25_000_000, "summary": 41_000, "nothing": 0}
 """Of what is kept of a run"""
+
+_FRAMES = "scene.frames"
 
 
 @dataclass(frozen=True)
@@ -91,18 +94,21 @@ def format_forecast(found: Forecast) -> str:
 
 def _sequence(study: OpenStudy) -> tuple[float, int]:
     """Pairs and bytes of the mean sequence."""
-    frames = _mean_of(study, "scene.frames")
-    pixels = _mean_of(study, "scene.rig.width_px", "scene.rig.height_px")
-    return frames, int(2 * frames * pixels * PIXEL_BYTES) + SEQUENCE_BYTES
+    pixels = _mean_product(study, _FRAMES, "scene.rig.width_px", "scene.rig.height_px")
+    return _mean_product(study, _FRAMES), int(2 * pixels * PIXEL_BYTES) + SEQUENCE_BYTES
 
 
-def _mean_of(study: OpenStudy, *settings: str) -> float:
-    """The product of settings: the mean over the levels of the factor that sets the first of them, else that
-    of the base."""
-    base = {setting: setting_of(study.base, setting) or 0 for setting in settings}
-    factor = next((each for each in study.factors if settings[0] in each.settings), None)
-    levels = ({},) if factor is None else factor.changes
-    return sum(math.prod((base | changes)[each] for each in settings) for changes in levels) / len(levels)
+def _mean_product(study: OpenStudy, *settings: str) -> float:
+    """Mean over the points of the product of settings, of which each is set by one factor at most."""
+    # the scenes of a base without one leave settings at their defaults
+    defaults = {"scene": Scene().model_dump()}
+    known = {each: setting_of(study.base, each) or setting_of(defaults, each) for each in settings}
+    mean, free = 1.0, set(settings)
+    for factor in study.factors:
+        if own := free & factor.settings:
+            products = [math.prod((known | changes)[each] for each in own) for changes in factor.changes]
+            mean, free = mean * sum(products) / len(products), free - own
+    return float(mean * math.prod(known[each] for each in free))
 
 
 def _mean_bytes(folder: Path, most: int = 20) -> int:

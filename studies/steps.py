@@ -151,6 +151,8 @@ def compute_point(job: PointJob, sequence: SequenceOutcome | None = None) -> Rec
     where = store.sequence_folder(job.sequence) if job.sequence else job.data
     with store.attempt() as folder:
         work = _Work(job, Config.model_validate(job.config), where, folder)
+        if sequence is not None:
+            work.times["simulate_s"] = sequence.seconds
         reason = _all_steps(work)
         _keep(work, store, reason)
     record = _record(job.address, job.values, DONE if not reason else FAILED, reason, job.sequence)

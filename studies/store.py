@@ -49,6 +49,10 @@ class Store:
         """Whether it is complete: the folder appears when it is."""
         return (self.sequence_folder(digest) / "mav0").is_dir()
 
+    def has_records(self) -> bool:
+        """Whether any point is stored, of whatever study."""
+        return next((self.folder / POINTS).glob("*/*.json"), None) is not None
+
     def read(self, address: str) -> Record | None:
         """The record of a point; None: there is none, or it is damaged and the point is computed again."""
         with suppress(InputError, OSError, ValueError, KeyError, TypeError, RecursionError):

@@ -80,12 +80,7 @@ def sweep(
     with occupied(place, folder), withdrawn_if_refused(place, COMMAND, FILES, PARTS):
         store = Store(_claimed(folder))
         store.clear_work()
-        with progress.stage("stored points", study.count) as advance:
-            missing = array("l")
-            for number in range(study.count):
-                if _is_missing(store, study.point(number), again_failed):
-                    missing.append(number)
-                advance()
+        missing = _missing(study, store, again_failed, progress)
         if missing:
             few = replace(cluster, workers=min(worker_count(cluster.workers), len(missing)))
             wanted = few if cluster.address is None else cluster
@@ -115,6 +110,20 @@ def _claimed(folder: Path) -> Path:
         except OSError as error:
             raise unwritable(place / part, error) from error
     return place
+
+
+def _missing(study: OpenStudy, store: Store, again_failed: bool, progress: Progress) -> "array[int]":
+    """Numbers of the points that are to be computed. Of a new study nothing is looked up or said."""
+    if not store.has_records():
+        return array("l", range(study.count))
+    missing = array("l")
+    with progress.stage("points looked up", study.count) as advance:
+        for number in range(study.count):
+            if _is_missing(store, study.point(number), again_failed):
+                missing.append(number)
+            advance()
+    _log.log(NOTE, "%d of %d points are stored already", study.count - len(missing), study.count)
+    return missing
 
 
 def _is_missing(store: Store, point: Point, again_failed: bool) -> bool:

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +25,15 @@ import yaml
 from benchmarks.command import ROOT, Record, Short, command, simulated
 from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
-from polhode.studies.store import Store
+from polhode.studies.store import POINTS, Store
+from polhode.studies.sweep import READY_PER_WORKER
 from polhode.studies.table import TABLE, TIME
 
 DEFAULT_RECORD = Path("runs/study_engine.jsonl")
 WORKERS = 2
 CASES = {"none": (100, 1000, 10_000), "run": (20, 100)}
 SHORT_CASES = {"none": (50, 200), "run": (4,)}
-STEPS = {"none": [], "run": ["run", "evaluate"]}
+STEPS: dict[str, list[str]] = {"none": [], "run": ["run", "evaluate"]}
 LOOK_S = 0.2
 """Between two looks at the memory"""
 PARTS = (0.1, 0.5, 1.0)
@@ -77,35 +79,65 @@ def measure(case: Case) -> Case:
             (folder / "scene.yaml").write_text(yaml.safe_dump(SCENE))
             study["data"] = str(simulated(folder / "scene.yaml", folder / "sequence"))
         (folder / "study.yaml").write_text(yaml.safe_dump(study))
-        return _watched(folder, case["points"])
+        return _watched(folder, case["points"], STEPS[case["work"]])
 
 
-def _watched(folder: Path, points: int) -> Case:
-    words = ["sweep", folder / "study.yaml", "-o", folder / "out", "--workers", WORKERS]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "polhode", *map(str, words)], cwd=ROOT, stdout=subprocess.DEVNULL
+def _watched(folder: Path, points: int, steps: Sequence[str]) -> Case:
+    process = begun_sweep(folder / "study.yaml", folder / "out", "--workers", WORKERS)
+    memory = watched_memory(process, folder / "out", points)
+    if process.wait():
+        raise SystemExit(f"the study ended with exit code {process.returncode}")
+    return {**time_between_records(Store(folder / "out"), steps), "memory_mb": memory}
+
+
+def begun_sweep(study: Path, out: Path, *options: object) -> "subprocess.Popen[bytes]":
+    """The command, in a group of processes of its own."""
+    words = [sys.executable, "-m", "polhode", "sweep", study, "-o", out, *options]
+    return subprocess.Popen(
+        [str(word) for word in words], cwd=ROOT, stdout=subprocess.DEVNULL, start_new_session=True
     )
+
+
+def watched_memory(process: "subprocess.Popen[bytes]", out: Path, points: int) -> list[tuple[float, float]]:
+    """Memory of a sweep and of its largest worker [MB] at each of PARTS; returns when the sweep has ended."""
     memory: list[tuple[float, float]] = []
     while process.poll() is None:
-        time.sleep(LOOK_S)
-        stored = sum(1 for _ in (folder / "out" / "points").glob("*/*.json"))
-        if stored >= PARTS[min(len(memory), len(PARTS) - 1)] * points and len(memory) < len(PARTS):
+        start = time.perf_counter()
+        if len(memory) < len(PARTS) and stored_records(out) >= PARTS[len(memory)] * points:
             memory.append(_megabytes(process.pid))
-    if process.returncode:
-        raise SystemExit(f"the study ended with exit code {process.returncode}")
-    return {**_time_between_records(Store(folder / "out")), "memory_mb": memory}
+        # counting many files would take the time of the workers
+        time.sleep(max(LOOK_S, 20.0 * (time.perf_counter() - start)))
+    return memory
 
 
-def _time_between_records(store: Store) -> dict[str, float]:
+def stored_records(out: Path) -> int:
+    """Points that the folder of a study has."""
+    return sum(1 for _ in (out / POINTS).glob("*/*.json"))
+
+
+def time_between_records(store: Store, steps: Sequence[str]) -> dict[str, float]:
     """From the first record to the last [s], and what the steps of all workers took of it."""
     table = pq.read_table(store.folder / TABLE).to_pydict()
     ends = [store.record_file(each).stat().st_mtime for each in table["digest.point"]]
-    steps = [table[name] for step in STEPS["run"] if (name := f"{TIME}{step}_s") in table]
-    works = [sum(filter(None, each)) for each in zip(*steps, strict=True)]
-    first = min(ends)
-    # of a point that was begun before the first record, what came after it
-    inside = [min(work, end - first) for end, work in zip(ends, works, strict=False)]
-    return {"seconds": max(ends) - first, "work_s": sum(inside)}
+    first, work_s = min(ends), 0.0
+    for rank, row in enumerate(sorted(range(len(ends)), key=ends.__getitem__)):
+        # the first sequences were simulated before the first record
+        ahead = rank < READY_PER_WORKER * WORKERS
+        own = [each for each in steps if each != "simulate" or not ahead]
+        work = sum(table[f"{TIME}{each}_s"][row] or 0.0 for each in own)
+        # of a point that was begun before the first record, what came after it
+        work_s += min(work, ends[row] - first)
+    return {"seconds": max(ends) - first, "work_s": work_s}
+
+
+def engine_share(line: Case) -> float:
+    """Share of the workers' time that the steps did not take."""
+    return max(1.0 - line["work_s"] / (line["seconds"] * WORKERS), 0.0)
+
+
+def memory_texts(line: Case) -> list[str]:
+    """Of the program and of its largest worker [MB], at each of PARTS."""
+    return [", ".join(f"{each[k]:.0f}" for each in line["memory_mb"]) for k in (0, 1)]
 
 
 def _megabytes(pid: int) -> tuple[float, float]:
@@ -121,11 +153,10 @@ def _megabytes(pid: int) -> tuple[float, float]:
 def _row(line: Case) -> list[str]:
     case, seconds = line["case"], line["seconds"]
     beside = max(seconds * WORKERS - line["work_s"], 0.0)
-    share = f"{beside / (seconds * WORKERS):.1%}" if line["work_s"] else "-"
-    program, worker = (", ".join(f"{each[k]:.0f}" for each in line["memory_mb"]) for k in (0, 1))
+    share = f"{engine_share(line):.1%}" if line["work_s"] else "-"
     # the first record is where the time begins
     each = f"{1e3 * beside / (case['points'] - 1):.1f}"
-    return [case["work"], str(case["points"]), f"{seconds:.1f}", each, share, program, worker]
+    return [case["work"], str(case["points"]), f"{seconds:.1f}", each, share, *memory_texts(line)]
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from distributed.scheduler import KilledWorker, WorkerState
 
 import polhode
 import polhode.pipeline.run
+from polhode.cli.main import main
 from polhode.config import Config
 from polhode.errors import RunFailure
 from polhode.progress import Progress
@@ -23,7 +24,7 @@ from polhode.studies.cluster import Cluster
 from polhode.studies.store import Store
 from polhode.studies.study import open_study
 from tests.conftest import RENDERED_FRAMES
-from tests.studies.conftest import BASELINES, SCENE, Sweep, WriteStudy, timeless
+from tests.studies.conftest import BASELINES, SCENE, Sweep, WriteStudy, thread_of, timeless
 
 SIMULATED: dict[str, Any] = {
     "base": {"scene": SCENE},
@@ -84,6 +85,27 @@ def test_the_same_command_computes_only_what_is_missing(
     assert sweep_here(write_study(**more), tmp_path / "out").stored == 3
     assert len(calls) == 3 + 1
     assert polhode.load_study(tmp_path / "out")[BASELINES].tolist() == [0.2, 0.2, 0.2, 0.3, 0.3, 0.3]
+
+
+def test_the_points_that_are_stored_are_counted_unless_the_study_is_new(
+    write_study: WriteStudy,
+    client: Client,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(flow, "opened_cluster", thread_of(client))
+    words = ["sweep", str(write_study(**SIMULATED)), "-o", str(tmp_path / "out")]
+    assert main(words) == 0
+    assert "stored" not in (said := capsys.readouterr().out) and "looked up" not in said
+    assert {"points: 6", "table: 1"} <= {line.partition(" in ")[0] for line in said.splitlines()}
+    frame = polhode.load_study(tmp_path / "out")
+    # of a sequence that was rendered once, all of its points have the time
+    assert (frame["time.simulate_s"] > 0.0).all() and frame["time.simulate_s"].nunique() == 2
+    for address in frame["digest.point"][:2]:
+        Store(tmp_path / "out").record_file(address).unlink()
+    assert main(words) == 0
+    assert "note: 4 of 6 points are stored already\n" in capsys.readouterr().out
 
 
 def test_an_unfinished_study_has_the_rows_that_are_stored(
