@@ -78,7 +78,7 @@ def row(name: str, mesh: trimesh.Trimesh, count: int) -> list[object]:
 def pictures_s(model: EdgeModel, X_RG: Array) -> float:
     """Process time of all pictures of up to six views, the least of three rounds."""
     chosen = X_RG[:VIEWS]
-    time_s, o_G = np.arange(len(chosen)) * 1.0, model.centre_G
+    time_s, o_G = np.arange(float(len(chosen))), model.centre_G
     subject = Subject("a body", model, RIG, time_s, chosen, "its centre", o_G, None, model.notes)
     assessment = assess(subject, SPACING_PX, 1.0, None, False, Silent())
     values = np.nan_to_num(assessment.edges.share).max(axis=1)

@@ -166,7 +166,7 @@ def rough(subdivisions: int) -> trimesh.Trimesh:
 
 def subject_of_mesh(mesh: trimesh.Trimesh, X_FR: Array) -> Subject:
     model, X_RG = edge_model(mesh), inverse_pose(X_FR)
-    return Subject("mesh", model, RIG, np.arange(len(X_RG)) * 1.0, X_RG, "o", np.zeros(3), None, model.notes)
+    return Subject("mesh", model, RIG, np.arange(float(len(X_RG))), X_RG, "o", np.zeros(3), None, model.notes)
 
 
 def test_pictures_of_thousands_of_edges_take_less_than_three_seconds() -> None:

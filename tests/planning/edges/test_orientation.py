@@ -5,10 +5,11 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 
-from polhode.lie import Array, exp_so3, make_pose
+from polhode.lie import exp_so3, make_pose
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.orientation import mesh_edges, winding_number
 from polhode.planning.edges.visible_edges import control_points
+from polhode.records import Bools
 from tests.planning.edges.views import RIG
 
 BOX = trimesh.creation.box((1.0, 0.6, 0.4))
@@ -21,10 +22,16 @@ SOLIDS = {
 }
 
 
-def turned(mesh: trimesh.Trimesh, which: Array) -> trimesh.Trimesh:
+def turned(mesh: trimesh.Trimesh, which: Bools) -> trimesh.Trimesh:
     faces = np.array(mesh.faces)
     faces[which] = faces[which][:, ::-1]
     return trimesh.Trimesh(mesh.vertices, faces, process=False)
+
+
+def joined(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
+    whole = trimesh.util.concatenate(meshes)
+    assert isinstance(whole, trimesh.Trimesh)
+    return whole
 
 
 def seen_px(model: EdgeModel) -> float:
@@ -50,7 +57,7 @@ def test_turned_faces_are_turned_back_and_said(name: str, share: float) -> None:
 def test_each_part_of_a_body_is_turned_by_itself() -> None:
     aside = trimesh.creation.box((0.3, 0.3, 0.3))
     aside.apply_translation([0.9, 0.0, 0.0])
-    both = trimesh.util.concatenate([BOX, turned(aside, np.ones(12, dtype=bool))])
+    both = joined(BOX, turned(aside, np.ones(12, dtype=bool)))
     found = edge_model(both)
     assert found.surface.volume == pytest.approx(BOX.volume + aside.volume)
 
@@ -111,7 +118,7 @@ def test_inside_is_within_closed_parts_alone() -> None:
     fin = trimesh.Trimesh([[0, 0, 0.3], [1, 0, 0.3], [0, 1, 0.3]], [[0, 1, 2]])
     shifted = BOX.copy()
     shifted.apply_translation([0.5, 0.0, 0.0])
-    whole = edge_model(trimesh.util.concatenate([BOX, shifted, fin]))
+    whole = edge_model(joined(BOX, shifted, fin))
     assert whole.encloses(np.zeros(3)) and whole.encloses(np.array([0.25, 0.0, 0.0]))
     assert not whole.encloses(np.array([0.25, 0.25, 0.299]))
 
