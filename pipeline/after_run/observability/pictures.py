@@ -249,6 +249,9 @@ def draw_metric(assessment: Assessment) -> bytes:
             panel.plot([], [], color="0.85", linewidth=3.0, label="not fully determined")
         if np.isfinite(sigma[:, first : first + 3]).any():
             panel.set_yscale("log")
+        else:
+            panel.text(0.5, 0.5, "not determined at any pose", transform=panel.transAxes, ha="center")
+            panel.set_yticks([])
         panel.set_ylabel(f"sigma of {quantity}")
         panel.grid(True, which="both", color="0.9", linewidth=0.6)
         panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)

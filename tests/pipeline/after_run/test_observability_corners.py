@@ -3,10 +3,13 @@
 import json
 from pathlib import Path
 from time import process_time
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+from matplotlib.axes import Axes
+from matplotlib.text import Text
 
 from polhode.camera import RectifiedRig
 from polhode.cli.main import main
@@ -182,6 +185,25 @@ def test_pictures_of_thousands_of_edges_take_less_than_three_seconds() -> None:
         assert all(picture.startswith(b"\x89PNG") for picture in pictures)
     assert len(body.faces) > 24 * len(assessment.subject.model.ends_G)
     assert min(seconds) < 3.0
+
+
+def test_pictures_of_nothing_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[str] = []
+    panel_text = Axes.text
+
+    def text(panel: Axes, x: float, y: float, words: str, **style: Any) -> Text:
+        drawn.append(words)
+        return panel_text(panel, x, y, words, **style)
+
+    monkeypatch.setattr(Axes, "text", text)
+    nothing = assess(subject_of_mesh(BOX, approach(1, 0.0)), 10.0, 1.0, None, False, Silent())
+    draw_metric(nothing)
+    draw_views(nothing)
+    assert drawn == [
+        "not determined at any pose",
+        "not determined at any pose",
+        "no visible edge:\nthe camera is inside the body",
+    ]
 
 
 def test_python_names_its_arguments() -> None:
