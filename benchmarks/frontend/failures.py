@@ -1,6 +1,6 @@
 """Where a method fails: pairs of frames that share much light and whose motion is wrong, with their matches.
 
-    python -m benchmarks.frontend.failures [--method surface] [--short] [-o docs/images/frontend_failures.png]
+    python -m benchmarks.frontend.failures [--method surface] [--short] [-o PICTURE]
 
 Scenes and methods are those of ``benchmarks.frontend.matching``. Of each scene the lit pair is drawn that
 shares the largest lit area among those whose rotation is off by more than 2 degrees, or that have none;
@@ -65,7 +65,9 @@ class Failure:
 def main(
     method: Annotated[str, arg(help="As in benchmarks.frontend.matching.")] = SURFACE,
     short: Short = False,
-    output: Annotated[Path | None, arg(aliases=["-o"], metavar="FILE", help="PNG of these pairs.")] = None,
+    output: Annotated[
+        Path | None, arg(aliases=["-o"], metavar="FILE", help="Picture of these pairs, PNG or WebP.")
+    ] = None,
 ) -> None:
     """Print the table and draw the picture."""
     found = []

@@ -10,8 +10,8 @@ Terms of the loss:
 - *contrast*, *reliability*, *direction*, *assignment*, *motion*: of the descriptors, as
   ``train.descriptor.task``, but for the points at the places that the network itself gives;
 - *consistency*: negative log likelihood of the difference between the place in one image, transformed to the
-  other by the true motion, and the place there. It teaches the places alone: what errs alike in both images is
-  not in their difference, so that the standard deviations that it asks for are too small.
+  other by the true motion, and the place there. It teaches the places alone: what errs alike in both images
+  is not in their difference, so that the standard deviations that it asks for are too small.
 """
 
 from collections.abc import Mapping
