@@ -26,7 +26,13 @@ from polhode.errors import InputError, RunFailure
 from polhode.lie import Array
 from polhode.pipeline.after_run.export.export_run import export_run
 from polhode.pipeline.after_run.export.options import ExportOptions, FrameName, Poses, Unit
-from polhode.pipeline.after_run.observability.assess import Assessment, CameraOptions, assess, subject_of
+from polhode.pipeline.after_run.observability.assess import (
+    Assessment,
+    CameraOptions,
+    assess,
+    subject_of,
+    sun_direction,
+)
 from polhode.pipeline.after_run.plan import final_estimate, keep_out_of_run, surface_of
 from polhode.pipeline.after_run.predict import predict_instants, require_instants
 from polhode.pipeline.evaluation import Metrics
@@ -416,7 +422,7 @@ class Run:
         spacing_px: between control points; sun_N: direction to the Sun; edges: also select the best of so
         many. Raises InputError for input that does not fit.
         """
-        sun = None if sun_N is None else np.asarray(sun_N, dtype=np.float64) / np.linalg.norm(sun_N)
+        sun = sun_direction(sun_N)
         path = None if trajectory is None else Path(trajectory)
         subject = subject_of(self.folder, path, frame, CameraOptions(), None, sun, CREASE_DEG, 1.0)
         return assess(subject, spacing_px, sigma_px, edges, False, Silent())

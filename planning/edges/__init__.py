@@ -2,6 +2,7 @@
 
 In: a mesh in G, a camera, poses. Out: information and covariance of the pose, per view and per edge.
 
+    orientation            faces of a mesh that agree, with normals outward; whether a point is inside
     edge_model             creases and rims as straight segments, smooth parts, occlusion by the body
     measured_edges         the edge model of a run's mesh, simplified as far as its errors allow
     visible_edges          control points on the edges that a camera sees; outlines, contrast in sunlight

@@ -17,6 +17,12 @@ from scipy.sparse.csgraph import connected_components
 
 from polhode.errors import InputError
 from polhode.lie import Array
+from polhode.planning.edges.orientation import (
+    Orientation,
+    mesh_edges,
+    outward_orientation,
+    winding_number,
+)
 from polhode.rays import RayScene
 from polhode.records import Bools, Ints
 
@@ -205,7 +211,11 @@ class EdgeModel:
     """(k, 4) edges that are not creases: two vertices of the surface, the faces on both sides"""
     faceted: bool
     """outlines follow the edges of the faces, not a smooth surface that these approximate"""
+    closed: Bools
+    """(f,) faces of closed patches: within them there is material"""
     occluder: Occluder = field(repr=False, compare=False)
+    notes: tuple[str, ...] = ()
+    """what was corrected in the mesh, and what in it is doubtful"""
 
     @property
     def size(self) -> int:
@@ -232,6 +242,13 @@ class EdgeModel:
         """Half the diagonal of the bounding box."""
         return 0.5 * float(np.linalg.norm(np.ptp(self.surface.bounds, axis=0)))
 
+    def encloses(self, p_G: Array) -> bool:
+        """Whether a point (3,) lies inside the body: within its closed parts, however these overlap."""
+        lowest, highest = self.surface.bounds
+        if not self.closed.any() or (p_G < lowest).any() or (p_G > highest).any():
+            return False
+        return winding_number(np.asarray(self.surface.triangles)[self.closed], p_G) > 0.5
+
     def only(self, features: Ints | Bools) -> "EdgeModel":
         """The model with these features (indices or mask of ``size``); the whole surface still occludes."""
         keep = np.zeros(self.size, dtype=bool)
@@ -257,7 +274,7 @@ def edge_model(
 ) -> EdgeModel:
     """Edges of a mesh in G; smooth parts whose normals differ by less than ``flat_deg`` have no outlines.
 
-    Duplicate faces are removed, and a closed mesh with inward normals is inverted.
+    Duplicate faces are removed, and faces are turned so that neighbours agree and normals point outward.
 
     Raises InputError for a mesh without faces or with numbers that are not finite.
     """
@@ -271,8 +288,12 @@ def edge_model(
     surface.remove_unreferenced_vertices()
     if len(surface.faces) == 0:
         raise InputError("all faces of the mesh are degenerate: an edge model needs a surface")
-    if _is_inside_out(surface):
-        surface.invert()
+    occluder = Occluder(surface)
+    orientation = outward_orientation(surface, occluder.shades)
+    if orientation.reverse.any():
+        faces = np.asarray(surface.faces)
+        turned = np.where(orientation.reverse[:, None], faces[:, ::-1], faces)
+        surface = trimesh.Trimesh(surface.vertices, turned, process=False)
     diameter = float(np.linalg.norm(np.ptp(surface.bounds, axis=0)))
     tolerance_m = TOLERANCE * diameter if tolerance_m is None else tolerance_m
     min_length_m = MIN_LENGTH * diameter if min_length_m is None else min_length_m
@@ -293,32 +314,59 @@ def edge_model(
         np.ones(int(curved.sum()), dtype=bool),
         soft,
         faceted,
-        Occluder(surface),
+        orientation.closed,
+        occluder,
+        _notes(orientation, kind, len(soft)),
     )
 
 
-def _is_inside_out(surface: trimesh.Trimesh) -> bool:
-    """Whether a closed surface has its normals inward, as after a reflection; an open one has no inside."""
-    return bool(surface.is_watertight and surface.is_winding_consistent and surface.volume < 0.0)
+MANY_EDGES = 2000
+"""A mesh with more edges, most of them sharp, is rough or noisy."""
+SEPARATE_FACES = 50
+"""A mesh of more faces, most of whose edges have one face, does not connect its faces."""
+
+
+def _notes(orientation: Orientation, sharp: Ints, soft: int) -> tuple[str, ...]:
+    """A sentence for each doubt about the mesh; ``sharp``: kinds of the sharp edges."""
+    notes, faces = [], len(orientation.reverse)
+    turned, one_sided = int(orientation.reverse.sum()), int(orientation.one_sided.sum())
+    if turned:
+        notes.append(
+            "faces of the mesh turned so that neighbours agree and normals point outward: "
+            f"{turned} of {faces}"
+        )
+    if one_sided:
+        notes.append(
+            f"{one_sided} of the mesh's {faces} faces form a one-sided surface, whose orientation cannot be "
+            "made consistent: edges where it changes may be false"
+        )
+    edges, rims = len(sharp) + soft, int((sharp == EdgeKind.BOUNDARY).sum())
+    if faces > SEPARATE_FACES and rims > 0.5 * edges:
+        notes.append(
+            f"{rims} of the mesh's {edges} edges belong to one face only and count as rims: if the surface "
+            "is closed, neighbouring faces do not share their vertices; merge these"
+        )
+    elif edges > MANY_EDGES and len(sharp) > 0.5 * edges:
+        notes.append(
+            f"{len(sharp)} of the mesh's {edges} edges are sharp, as on a rough or noisy surface, and all "
+            "count as edges of the body: smooth or simplify the mesh, or raise the crease angle"
+        )
+    return tuple(notes)
 
 
 def _sharp_edges(surface: trimesh.Trimesh, crease_deg: float) -> tuple[Ints, Array, Ints, Ints]:
     """Edges (m, 2), normals of their sides (m, 2, 3), kinds (m,); the others, as in ``EdgeModel.soft``."""
-    ordered = np.sort(surface.edges, axis=1)
-    unique, of_edge, count = np.unique(ordered, axis=0, return_inverse=True, return_counts=True)
-    faces = surface.edges_face[np.argsort(of_edge.reshape(-1), kind="stable")]
-    start = np.concatenate([[0], np.cumsum(count)[:-1]])
-    first, second = faces[start], faces[start + np.minimum(count, 2) - 1]
+    edges = mesh_edges(surface)
     n = np.asarray(surface.face_normals)
-    cosine = np.einsum("nk,nk->n", n[first], n[second])
-    crease = (cosine < np.cos(np.radians(crease_deg))) | (count > 2)
-    rim = count == 1
+    cosine = np.einsum("nk,nk->n", n[edges.first], n[edges.second])
+    crease = (cosine < np.cos(np.radians(crease_deg))) | (edges.count > 2)
+    rim = edges.count == 1
     sharp = crease | rim
     soft = ~sharp
-    sides = np.stack([n[first], n[second]], axis=1)
+    sides = np.stack([n[edges.first], n[edges.second]], axis=1)
     kind = np.where(rim, EdgeKind.BOUNDARY, EdgeKind.CREASE)
-    others = np.column_stack([unique[soft], first[soft], second[soft]])
-    return unique[sharp], sides[sharp], kind[sharp], others
+    others = np.column_stack([edges.vertices[soft], edges.first[soft], edges.second[soft]])
+    return edges.vertices[sharp], sides[sharp], kind[sharp], others
 
 
 def _smooth_parts(faces: int, joined: Ints) -> Ints:

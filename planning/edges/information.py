@@ -43,6 +43,7 @@ from polhode.planning.edges.visible_edges import (
     clear_points,
     control_points,
     in_sunlight,
+    why_no_edge,
 )
 from polhode.records import Ints
 
@@ -123,6 +124,14 @@ class EdgeView:
     """of all visible edges in the image"""
     o_G: Array
     """(3,) reference point of rotations and translations [m]"""
+    reason: str = ""
+    """why no edge is visible; empty where one is"""
+
+    def describe_unobservable(self) -> str:
+        """Description of the unobservable directions; empty where the whole pose is observable."""
+        if self.reason:
+            return f"no edge is visible ({self.reason}): the whole pose is unobservable"
+        return self.metric.describe_unobservable()
 
     @property
     def range_m(self) -> float:
@@ -149,11 +158,13 @@ def views_along(
     """
     for k, X in enumerate(X_RG):
         points = control_points(model, rig, X, spacing_px)
-        if sun_G is not None:
+        reason = "" if len(points) else why_no_edge(model, rig, X)
+        if sun_G is not None and len(points):
             points = in_sunlight(model, points, inverse_pose(X)[:3, 3], sun_G[k])
+            reason = "" if len(points) else "none has contrast in this sunlight"
         f = edge_motion(points, rig, X, o_G)
         metric = observability(f, points.weight, model.radius_m)
-        yield EdgeView(X, points, f, metric, spacing_px * float(points.weight.sum()), o_G)
+        yield EdgeView(X, points, f, metric, spacing_px * float(points.weight.sum()), o_G, reason)
 
 
 @dataclass(frozen=True)

@@ -144,6 +144,8 @@ class EdgeObservability:
         """Description of the unobservable directions; empty where the whole pose is observable."""
         if self.points == 0:
             return "no edge is visible: the whole pose is unobservable"
+        if len(self.unobservable) == 6:
+            return "the visible edges determine no motion: the whole pose is unobservable"
         return "; ".join(_describe(direction) for direction in self.unobservable)
 
 

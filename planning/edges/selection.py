@@ -30,6 +30,7 @@ import numpy as np
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.orientation import evenly_over_the_sphere
 from polhode.planning.edges.visible_edges import outlines
 from polhode.records import Bools, Ints
 
@@ -166,10 +167,7 @@ def improved_by_exchange(
 def edge_lengths(model: EdgeModel) -> Array:
     """(size,) [m]: lengths of segments; of smooth parts the mean length of their outlines over all views."""
     total = np.zeros(len(model.outlined))
-    k = np.arange(OUTLINE_VIEWS) + 0.5
-    # evenly over the sphere, along a spiral of the golden angle
-    z, around = 1.0 - 2.0 * k / OUTLINE_VIEWS, np.pi * (3.0 - np.sqrt(5.0)) * k
-    towards = np.column_stack([np.sqrt(1 - z**2) * np.cos(around), np.sqrt(1 - z**2) * np.sin(around), z])
+    towards = evenly_over_the_sphere(OUTLINE_VIEWS)
     if model.outlined.any():
         for eye_G in model.centre_G + 20.0 * model.radius_m * towards:
             seen = outlines(model, eye_G)

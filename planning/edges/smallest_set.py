@@ -3,10 +3,12 @@
 Sigma is the root of the mean variance over the views in which all edges determine the degree of freedom. A
 forward greedy adds the edge that most lowers the excesses over the limits, in logarithms, until none is left;
 then redundant edges are removed. A second set results from all edges by backward elimination. In the smaller
-one, two edges are exchanged for one while that is possible. Several sets of the same size may exist.
+one, two edges are exchanged for one while that is possible. Several sets of the same size may exist. Among
+more than 600 candidates, edges are added and removed a few at a time, and the set from all edges is left out.
 
 The mean variances are convex in fractions w of the edges, so the least sum of fractions within the limits
-bounds the number from below; its dual makes the bound valid although the program is solved approximately.
+bounds the number from below. Tangents of a convex function lie below it, so a linear program with some of
+them as limits has an optimum that is no larger (cutting planes: Kelley, J. SIAM 8, 1960).
 """
 
 from dataclasses import dataclass
@@ -14,7 +16,7 @@ from itertools import combinations, islice
 from math import comb
 
 import numpy as np
-from scipy.optimize import minimize, nnls
+from scipy.optimize import linprog
 
 from polhode.errors import InputError
 from polhode.lie import Array
@@ -26,6 +28,12 @@ FACTOR = 1.1
 MAX_SETS = 2_000_000
 AT_ONCE = 20_000
 MAX_EXCHANGES = 400_000
+MANY = 600
+"""Among more candidates, sets are built from several edges at a time."""
+STEPS = 200
+"""Number of such steps from none to all"""
+CUTS = 20
+"""Tangents of each limit"""
 
 
 @dataclass(frozen=True)
@@ -84,7 +92,8 @@ def smallest_set(information: FeatureInformation, factor: float = FACTOR) -> Sma
     """A small set within the factor, and a lower bound of its size."""
     limits = SigmaLimits(information, factor)
     first = _backward_elimination(limits, _forward_greedy(limits))
-    second = _backward_elimination(limits, limits.candidates.tolist())
+    many = len(limits.candidates) > MANY
+    second = first if many else _backward_elimination(limits, limits.candidates.tolist())
     best = _exchange_pairs(limits, min((second, first), key=len))
     features = np.array(sorted(best), dtype=np.int64)
     return SmallestSet(features, limits.ratio(limits.of(features)), min_number(limits))
@@ -112,39 +121,39 @@ def exact_smallest_set(information: FeatureInformation, factor: float = FACTOR) 
 
 
 def min_number(limits: SigmaLimits) -> int:
-    """Lower bound of the number of features: the least sum of fractions, by its dual, rounded up."""
-    C, n = limits.C[:, limits.candidates], len(limits.candidates)
-    limit = limits.factor**2
+    """Lower bound of the number of features: the least sum of fractions, from below, rounded up."""
+    return max(1, int(np.ceil(_least_fractions(limits) - 1e-6)))
 
-    def excess(w: Array) -> Array:
-        inverse = np.linalg.inv(np.einsum("n,tnij->tij", w, C) + 1e-9 * np.eye(6))
-        variance = np.where(limits.observable, np.diagonal(inverse, axis1=1, axis2=2), 0.0).sum(axis=0)
-        return np.asarray(variance[limits.degrees] / limits.sum[limits.degrees] - limit)
 
-    def slope(w: Array) -> Array:
-        inverse = np.linalg.inv(np.einsum("n,tnij->tij", w, C) + 1e-9 * np.eye(6))
-        each = np.einsum("tdi,tnij,tjd->tnd", inverse, C, inverse, optimize=True)
-        part = np.where(limits.observable[:, None], each, 0.0).sum(axis=0)
-        return np.asarray(-(part[:, limits.degrees] / limits.sum[limits.degrees]).T)
+def _least_fractions(limits: SigmaLimits) -> float:
+    """Lower bound of the sum of fractions of the candidates within the limits."""
+    n = len(limits.candidates)
+    # with equal fractions every variance rises by their inverse
+    w = np.full(n, limits.factor**-2)
+    rows, right, bound = [], [], 0.0
+    for _ in range(CUTS):
+        value, gradient = _excess_and_slope(limits, w)
+        rows.append(gradient)
+        right.append(gradient @ w - value)
+        found = linprog(np.ones(n), np.vstack(rows), np.concatenate(right), bounds=(0.0, 1.0), method="highs")
+        if found.x is None:
+            break
+        bound = max(bound, float(found.fun))
+        # halfway: the optima of the first programs are far from the solution
+        w = 0.5 * (np.clip(found.x, 0.0, 1.0) + w)
+    return bound
 
-    solution = minimize(
-        lambda w: float(w.sum()),
-        np.ones(n),
-        jac=lambda w: np.ones(n),
-        bounds=[(1e-6, 1.0)] * n,
-        constraints={"type": "ineq", "fun": lambda w: -excess(w), "jac": lambda w: -slope(w)},
-        method="SLSQP",
-        options={"maxiter": 100, "ftol": 1e-6},
-    )
-    w = np.clip(solution.x, 0.0, 1.0)
-    value, gradient = excess(w), slope(w)
-    # multipliers for which fractions between 0 and 1 are stationary; any are valid, these give a tight bound
-    inside = (w > 1e-3) & (w < 1.0 - 1e-3)
-    multipliers = nnls(-gradient[:, inside].T, np.ones(int(inside.sum())))[0] if inside.any() else 0.0 * value
-    reduced_cost = 1.0 + multipliers @ gradient
-    lagrangian = float(w.sum() + multipliers @ value)
-    bound = lagrangian + float(np.minimum(reduced_cost * (0.0 - w), reduced_cost * (1.0 - w)).sum())
-    return max(1, int(np.ceil(bound - 1e-6)))
+
+def _excess_and_slope(limits: SigmaLimits, w: Array) -> tuple[Array, Array]:
+    """Excess (d,) of relative variances over the limits for fractions w (n,), and its derivative (d, n)."""
+    C = limits.C[:, limits.candidates]
+    inverse = np.linalg.inv(np.einsum("n,tnij->tij", w, C) + 1e-9 * np.eye(6))
+    own = np.where(limits.observable, np.diagonal(inverse, axis1=1, axis2=2), 0.0).sum(axis=0)
+    each = np.einsum("tdi,tnij,tjd->tnd", inverse, C, inverse, optimize=True)
+    part = np.where(limits.observable[:, None], each, 0.0).sum(axis=0)
+    total = limits.sum[limits.degrees]
+    excess = own[limits.degrees] / total - limits.factor**2
+    return np.asarray(excess), np.asarray(-(part[:, limits.degrees] / total).T)
 
 
 def _forward_greedy(limits: SigmaLimits) -> list[int]:
@@ -152,11 +161,14 @@ def _forward_greedy(limits: SigmaLimits) -> list[int]:
     chosen: list[int] = []
     total = np.zeros_like(limits.C[:, 0])
     free = limits.candidates.tolist()
+    together = len(free) // STEPS if len(free) > MANY else 1
     while not bool(limits.meets(total)) and free:
         excess = limits.excess(total + np.swapaxes(limits.C[:, free], 0, 1))
-        i = free.pop(int(np.argmin(excess)))
-        chosen.append(i)
-        total = total + limits.C[:, i]
+        best = np.argsort(excess, kind="stable")[:together]
+        added = [free[at] for at in best]
+        free = np.delete(free, best).tolist()
+        chosen += added
+        total = total + limits.of(added)
     return chosen
 
 
@@ -164,14 +176,19 @@ def _backward_elimination(limits: SigmaLimits, chosen: list[int]) -> list[int]:
     """Backward elimination: remove the least important feature while the limits are met."""
     chosen = list(chosen)
     total = limits.of(chosen)
+    together = len(limits.candidates) // STEPS if len(limits.candidates) > MANY else 1
     while len(chosen) > 1:
         left = total - np.swapaxes(limits.C[:, chosen], 0, 1)
         ratio = np.nan_to_num(limits.ratio(left)[:, limits.degrees], nan=np.inf).max(axis=1)
-        weakest = int(np.argmin(ratio))
-        if ratio[weakest] > limits.factor:
+        weakest = np.argsort(ratio, kind="stable")[: min(together, len(chosen) - 1)]
+        # as many of the weakest as the limits allow, halving
+        while len(weakest) > 1 and not limits.meets(total - limits.of([chosen[at] for at in weakest])):
+            weakest = weakest[: len(weakest) // 2]
+        if ratio[weakest[0]] > limits.factor:
             break
-        total = total - limits.C[:, chosen.pop(weakest)]
-        if len(chosen) % 16 == 0:
+        total = total - limits.of([chosen[at] for at in weakest])
+        chosen = np.delete(chosen, weakest).tolist()
+        if together > 1 or len(chosen) % 16 == 0:
             total = limits.of(chosen)
     return chosen
 

@@ -141,7 +141,12 @@ class ControlPoints:
 def control_points(
     model: EdgeModel, rig: RectifiedRig, X_RG: Array, spacing_px: float = SPACING_PX
 ) -> ControlPoints:
-    """Edges of the model at X_RG (4, 4) that the rectified left camera sees, within its image."""
+    """Edges of the model at X_RG (4, 4) that the rectified left camera sees, within its image.
+
+    None from inside the body.
+    """
+    if model.encloses(inverse_pose(X_RG)[:3, 3]):
+        return _no_points()
     near_m = _NEAR * model.radius_m
     segments = _on_segments(model, rig, X_RG, spacing_px, near_m)
     turned_away = _on_outlines(model, rig, X_RG, spacing_px, near_m)
@@ -283,6 +288,25 @@ def _across(plane_R: Array) -> tuple[Array, Bools]:
     length = np.linalg.norm(plane_R[:, :2], axis=1)
     well = length > 1e-9 * np.maximum(np.linalg.norm(plane_R, axis=1), 1e-300)
     return plane_R[:, :2] / np.where(well, length, 1.0)[:, None], np.asarray(well)
+
+
+def why_no_edge(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> str:
+    """Description of the reason why a view at X_RG (4, 4) shows no edge."""
+    if model.encloses(inverse_pose(X_RG)[:3, 3]):
+        return "the camera is inside the body"
+    vertices_R = transform_points(X_RG, np.asarray(model.surface.vertices))
+    ahead = vertices_R[vertices_R[:, 2] > _NEAR * model.radius_m]
+    if len(ahead) == 0:
+        return "the body is behind the camera"
+    u, v = rig.project(ahead)[:, :2].T
+    if min(u.max(), v.max()) < -0.5 or u.min() > rig.width_px - 0.5 or v.min() > rig.height_px - 0.5:
+        return "the body is outside the image"
+    return "all edges are hidden or outside the image"
+
+
+def _no_points() -> ControlPoints:
+    none, ends = np.zeros((0, 3)), np.zeros((0, 2))
+    return ControlPoints(none, ends, ends, np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 2, 3)))
 
 
 def _join(first: ControlPoints, second: ControlPoints) -> ControlPoints:

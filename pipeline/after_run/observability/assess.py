@@ -1,5 +1,7 @@
 """The assessment: edges, camera and trajectory of a run or a mesh, metric of every view, sets of edges."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -102,7 +104,8 @@ def subject_of(
     )
     X_RG = inverse_pose(poses.X_FR)
     sun_G = None if sun is None else np.tile(sun, (len(X_RG), 1))
-    return Subject(str(path), model, _rig(camera, None), poses.time_s, X_RG, about, o_G, sun_G, ())
+    rig = _rig(camera, None)
+    return Subject(str(path), model, rig, poses.time_s, X_RG, about, o_G, sun_G, model.notes)
 
 
 def _of_run(
@@ -116,7 +119,7 @@ def _of_run(
     summary = read_summary(run)
     surface = surface_of(run)
     model = measured_edge_model(surface.mesh, surface.sigma_m)
-    notes = []
+    notes = list(model.notes)
     if surface.coverage is not None:
         seen = float((surface.views > 0).mean())
         notes.append(
@@ -184,9 +187,33 @@ def _rig(camera: CameraOptions, own: RectifiedRig | None) -> RectifiedRig:
     return RectifiedRig(focal, cx, cy, 1.0 if own is None else own.baseline_m, width, height)
 
 
+def sun_direction(sun: Sequence[float] | None) -> Array | None:
+    """Unit vector (3,) towards the Sun. Raises InputError for what is no direction."""
+    if sun is None:
+        return None
+    direction = np.asarray(sun, dtype=np.float64)
+    if direction.shape != (3,) or not np.isfinite(direction).all():
+        raise InputError("--sun: give three finite numbers")
+    # hypot does not overflow
+    length = math.hypot(*direction)
+    if not 1e-100 < length < 1e100:
+        raise InputError("--sun: give a direction whose length is neither 0 nor above 1e100")
+    return np.asarray(direction / length)
+
+
+def check_numbers(sigma_px: float, spacing_px: float, edges: int | None) -> None:
+    """Raises InputError for numbers out of their range."""
+    for name, value, least in (("sigma-px", sigma_px, 1e-6), ("spacing-px", spacing_px, 0.1)):
+        if not least <= value <= 1e6:
+            raise InputError(f"--{name} {value:g}: give a number from {least:g} to 1e6")
+    if edges is not None and not 1 <= edges <= MAX_EDGES:
+        raise InputError(f"--edges {str(edges)[:20]}: give a number from 1 to {MAX_EDGES}")
+
+
 UNIT_WITHIN = 1e-2
 """How far a quaternion's length may be from 1."""
 MAX_POSES = 100_000
+MAX_EDGES = 1_000_000
 MAX_COORDINATE_M = 1e12
 """Largest valid coordinate [m]."""
 
@@ -221,15 +248,23 @@ class Choice:
     """Sets of edges for a trajectory."""
 
     views: int
+    """number of views that the selection rests on; 0: no selection was requested"""
     smallest: SmallestSet | None
-    """with each sigma at most 10 % above that of all edges; None: not requested, or nothing is observable"""
+    """with each sigma at most 10 % above that of all edges; None: not requested, or not possible"""
     best: EdgeSelection | None
-    """of the requested number of edges; None when not requested"""
+    """of the requested number of edges, or of all that are seen; None when not requested or not possible"""
     best_ratio: Array | None
     """(6,) its sigma over that of all edges; inf where the set does not determine it, NaN where not even
     all edges do"""
     bound: float | None
     """upper bound of the value of any set of this size"""
+    wanted: int | None = None
+    """requested number of edges"""
+
+    @property
+    def impossible(self) -> bool:
+        """Whether a selection was requested, but not even all edges determine anything."""
+        return self.views > 0 and self.smallest is None and self.best is None
 
 
 @dataclass(frozen=True)
@@ -254,8 +289,9 @@ def assess(
 ) -> Assessment:
     """Evaluate all views; select the best ``few`` edges, or the smallest set.
 
-    Raises InputError when the matrices would not fit into memory.
+    Raises InputError for numbers out of their range, and when the matrices would not fit into memory.
     """
+    check_numbers(sigma_px, spacing_px, few)
     size_mib = len(subject.X_RG) * subject.model.size * 36 * 8 / 2**20
     if size_mib > MAX_MEMORY_MIB:
         fewer_edges = "" if Path(subject.source).is_dir() else ", or a larger --crease-deg"
@@ -279,21 +315,19 @@ def assess(
 
 
 def choose(information: FeatureInformation, edges: int | None, fewest: bool) -> Choice:
-    """The best set of ``edges`` and the smallest set, where requested. Raises InputError below one."""
+    """The best set of ``edges`` and the smallest set, where requested and possible."""
     if edges is None and not fewest:
         return Choice(0, None, None, None, None)
-    if edges is not None and edges < 1:
-        raise InputError(f"--edges {edges}: give a number above 0")
     count = len(information.C)
     views = np.unique(np.linspace(0, count - 1, min(count, MAX_VIEWS)).round().astype(int))
     few = FeatureInformation(information.C[views], information.radius_m)
     try:
         limits = SigmaLimits(few)
     except InputError:
-        return Choice(len(views), None, None, None, None)
+        return Choice(len(views), None, None, None, None, edges)
     smallest = smallest_set(few) if fewest else None
     if edges is None:
         return Choice(len(views), smallest, None, None, None)
     best = greedy(few.scaled, edges, "trace")
     bound = upper_bound(few.scaled, edges, "trace")
-    return Choice(len(views), smallest, best, limits.ratio(limits.of(best.features)), bound)
+    return Choice(len(views), smallest, best, limits.ratio(limits.of(best.features)), bound, edges)

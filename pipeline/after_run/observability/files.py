@@ -12,6 +12,11 @@ import numpy as np
 from polhode.output.marked_folder import marked_folder, write_files
 from polhode.pipeline.after_run.observability import pictures
 from polhode.pipeline.after_run.observability.assess import Assessment, Choice
+from polhode.pipeline.after_run.observability.notes import (
+    notes_of,
+    selection_lines,
+    unobservable_lines,
+)
 from polhode.pipeline.after_run.observability.pictures import Legend, coloured_body
 from polhode.planning.edges.edge_model import EdgeKind
 from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM
@@ -84,7 +89,7 @@ def pose_rows(assessment: Assessment) -> list[dict[str, Any]]:
             "attitude_dop_rad_per_px": view.metric.attitude_dop,
             "geometric_dop_per_px": view.metric.geometric_dop,
             "condition": view.metric.condition,
-            "not_told": view.metric.describe_unobservable(),
+            "not_told": view.describe_unobservable(),
         }
         for time, sigma, view in zip(
             assessment.subject.time_s, assessment.sigma, assessment.views, strict=True
@@ -126,6 +131,7 @@ def edge_table(assessment: Assessment) -> str:
     )
     smallest, best = assessment.choice.smallest, assessment.choice.best
     sets = [set() if each is None else set(each.features.tolist()) for each in (smallest, best)]
+    lengths_m = model.lengths_m
     kinds = [EdgeKind(kind).name.lower() for kind in model.kind] + ["outline"] * len(model.outlined)
     for k, kind in enumerate(kinds):
         if k >= len(model.ends_G) and not model.outlined[k - len(model.ends_G)]:
@@ -133,7 +139,7 @@ def edge_table(assessment: Assessment) -> str:
         segment: list[str] = [""] * 7
         if k < len(model.ends_G):
             segment = [
-                f"{model.lengths_m[k]:.6g}",
+                f"{lengths_m[k]:.6g}",
                 *(f"{value:.6g}" for value in model.ends_G[k].reshape(-1)),
             ]
         shares = (f"{value:.6g}" for value in (*edges.share[k], *edges.rise[k]))
@@ -190,7 +196,7 @@ def document(assessment: Assessment, legend: Legend | None) -> dict[str, Any]:
             },
         },
         "choice": choice_of(assessment.choice),
-        "notes": list(subject.notes),
+        "notes": list(notes_of(assessment)),
     }
 
 
@@ -267,28 +273,6 @@ def format_assessment(assessment: Assessment) -> str:
             lines.append(f"  {name:8s} {numbers}{'; ' + note if note else ''}")
         else:
             lines.append(f"  {name:8s} {'inf':>9s} {unit:3s}; undetermined at every pose")
-    descriptions = sorted({view.metric.describe_unobservable() for view in assessment.views} - {""}, key=len)
-    if descriptions:
-        lines.append(f"  {descriptions[0]}")
-    lines += _choices(assessment)
-    return "\n".join([*lines, *(f"Note: {note}" for note in assessment.subject.notes)])
-
-
-def _choices(assessment: Assessment) -> list[str]:
-    """Lines about the selected sets of edges."""
-    lines, choice = [], assessment.choice
-    if choice.smallest is not None:
-        count, least = len(choice.smallest.features), choice.smallest.at_least
-        lines.append(
-            f"{count} edges suffice: every sigma within 10 % of that with all "
-            f"({'no fewer suffice' if count == least else f'at least {least} are required'})"
-        )
-    if choice.best is not None and choice.best_ratio is not None:
-        worst = float(np.nanmax(choice.best_ratio))
-        effect = (
-            f"sigmas up to {worst:.2f} times those with all"
-            if np.isfinite(worst)
-            else "they leave the pose partly undetermined"
-        )
-        lines.append(f"The best {len(choice.best.features)} edges: {effect}; they are marked in edges.csv")
-    return lines
+    lines += unobservable_lines(assessment)
+    lines += selection_lines(assessment.choice)
+    return "\n".join([*lines, *(f"Note: {note}" for note in notes_of(assessment))])

@@ -1,14 +1,16 @@
 """Figures of the metric along a trajectory; edges in the colours of a value, in views and as tubes."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import trimesh
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import Normalize
+from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 
 from polhode.camera import RectifiedRig
@@ -17,6 +19,7 @@ from polhode.lie import Array, inverse_pose, transform_points
 from polhode.pipeline.after_run.observability.assess import Assessment
 from polhode.pipeline.pictures.body_views import png
 from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.information import EdgeView
 from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM
 from polhode.planning.edges.visible_edges import ControlPoints, control_points
 
@@ -27,6 +30,17 @@ SIDES = 6
 BODY_RGB = (200, 200, 205)
 LEGEND_STEPS = 5
 DRAWN_STEP_PX = 4.0
+LINE_PT, DENSE_LINE_PT = 2.5, 1.2
+"""Width of the lines, and where there are many"""
+DENSE_EDGES = 400
+"""More visible edges are drawn with thin lines."""
+DRAWN_FACES = 1000
+"""More faces are drawn as an image."""
+BACKDROP = "0.92"
+SUBPIXEL_BITS = 4
+SUBPIXELS = 2**SUBPIXEL_BITS
+IMAGE_PX = 700
+"""Width of such an image"""
 
 
 @dataclass(frozen=True)
@@ -67,16 +81,8 @@ def coloured_body(
         vertex_colors=_rgba(np.repeat(face_rgb, 3, axis=0)),
         process=False,
     )
-    tubes = [
-        _tube(ends, TUBE * model.radius_m, rgb[k])
-        for k, ends in enumerate(model.ends_G)
-        if np.isfinite(values[k])
-    ]
-    tubes += [
-        _tube(model.ends_G[k], 1.5 * TUBE * model.radius_m, rgb[k])
-        for k in np.flatnonzero(~np.isfinite(values[:segments]))
-    ]
-    whole = trimesh.util.concatenate([corners, *tubes])
+    radius_m = TUBE * model.radius_m * np.where(np.isfinite(values[:segments]), 1.0, 1.5)
+    whole = trimesh.util.concatenate([corners, _tubes(model.ends_G, radius_m, rgb[:segments])])
     assert isinstance(whole, trimesh.Trimesh)
     return whole, legend
 
@@ -93,20 +99,25 @@ def picture(
     """A figure with one panel for each column of values (size, k): the visible edges, coloured by value."""
     points = control_points(model, rig, X_RG, DRAWN_STEP_PX)
     pieces = _pieces(points)
-    backdrop = _faces(model, rig, X_RG)
     columns = min(3, values.shape[1])
     rows = -(-values.shape[1] // columns)
     figure = Figure(figsize=(4.4 * columns, 3.5 * rows), layout="constrained")
     low, high = points.uv_px.min(axis=0) - 20.0, points.uv_px.max(axis=0) + 20.0
+    backdrop = _backdrop(_faces(model, rig, X_RG), low, high)
+    width = _line_pt(points, LINE_PT)
     for k in range(values.shape[1]):
         panel = figure.add_subplot(rows, columns, k + 1)
         column = values[:, k]
         finite = column[np.isfinite(column)]
         top = max(float(finite.max()) if len(finite) else 1.0, 1e-12)
-        panel.add_collection(PolyCollection(list(backdrop), facecolor="0.93", edgecolor="none"))
+        backdrop(panel)
         shown = np.nan_to_num(column[points.feature], nan=0.0, posinf=top)
         norm = Normalize(0.0, top)
-        lines = LineCollection(list(pieces), array=shown, cmap=COLOURS, norm=norm, linewidths=2.5)
+        # the largest values last: among many edges they would be covered
+        order = np.argsort(shown, kind="stable")
+        lines = LineCollection(
+            list(pieces[order]), array=shown[order], cmap=COLOURS, norm=norm, linewidths=width
+        )
         panel.add_collection(lines)
         panel.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal", title=titles[k])
         panel.set(xticks=[], yticks=[])
@@ -115,21 +126,53 @@ def picture(
     return figure
 
 
-def view_panel(panel: Axes, model: EdgeModel, rig: RectifiedRig, X_RG: Array, points: ControlPoints) -> None:
+def view_panel(panel: Axes, model: EdgeModel, rig: RectifiedRig, view: EdgeView) -> None:
     """Draw the body and the visible edges at their image positions, outlines in another colour."""
+    X_RG, points = view.X_RG, view.points
     drawn = control_points(model, rig, X_RG, DRAWN_STEP_PX)
     drawn = drawn[np.isin(drawn.feature, points.feature)]
-    panel.add_collection(PolyCollection(list(_faces(model, rig, X_RG)), facecolor="0.9", edgecolor="none"))
+    low, high = np.array([-0.5, -0.5]), np.array([rig.width_px - 0.5, rig.height_px - 0.5])
+    _backdrop(_faces(model, rig, X_RG), low, high)(panel)
     outline = drawn.feature >= len(model.ends_G)
     for which, colour, name in (~outline, "C0", "edges"), (outline, "C3", "outlines"):
         if which.any():
-            panel.add_collection(LineCollection(list(_pieces(drawn[which])), colors=colour, label=name))
-    panel.set(xlim=(-0.5, rig.width_px - 0.5), ylim=(rig.height_px - 0.5, -0.5), aspect="equal")
+            width = _line_pt(drawn, 1.5)
+            # one line with gaps is drawn faster than many
+            u, v = (
+                np.pad(_pieces(drawn[which]), ((0, 0), (0, 1), (0, 0)), constant_values=np.nan)
+                .reshape(-1, 2)
+                .T
+            )
+            panel.plot(u, v, color=colour, label=name, linewidth=width)
+    panel.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal")
     panel.set(xticks=[], yticks=[])
     if len(drawn):
         panel.legend(loc="lower right", fontsize=8, frameon=False)
     else:
-        panel.text(0.5, 0.5, "no visible edge", transform=panel.transAxes, ha="center")
+        text = f"no visible edge:\n{view.reason}" if view.reason else "no visible edge"
+        panel.text(0.5, 0.5, text, transform=panel.transAxes, ha="center", va="center")
+
+
+def _line_pt(points: ControlPoints, usual: float) -> float:
+    """Width of the lines."""
+    many = len(np.unique(points.feature)) > DENSE_EDGES
+    return min(usual, DENSE_LINE_PT) if many else usual
+
+
+def _backdrop(faces_px: Array, low: Array, high: Array) -> Callable[[Axes], object]:
+    """A function that draws faces (k, 3, 2) [px] into a panel whose window extends from low to high (2,)."""
+    if len(faces_px) <= DRAWN_FACES:
+        return lambda panel: panel.add_collection(
+            PolyCollection(list(faces_px), facecolor=BACKDROP, edgecolor="none")
+        )
+    scale = IMAGE_PX / (high[0] - low[0])
+    covered = np.zeros((max(1, int(np.ceil(scale * (high[1] - low[1])))), IMAGE_PX), np.uint8)
+    corners = np.round(np.clip(SUBPIXELS * scale * (faces_px - low), -1e8, 1e8)).astype(np.int32)
+    for corner in corners:
+        cv2.fillConvexPoly(covered, corner, 1, shift=SUBPIXEL_BITS)
+    rgba = np.array([to_rgba(BACKDROP, 0.0), to_rgba(BACKDROP)])[covered]
+    bottom = low[1] + len(covered) / scale
+    return lambda panel: panel.imshow(rgba, extent=(low[0], high[0], bottom, low[1]))
 
 
 def _pieces(points: ControlPoints) -> Array:
@@ -150,10 +193,25 @@ def _faces(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> Array:
     return np.asarray(rig.project(corners[towards & before])[..., :2])
 
 
-def _tube(ends: Array, radius_m: float, rgb: Array) -> trimesh.Trimesh:
-    tube: trimesh.Trimesh = trimesh.creation.cylinder(radius_m, segment=ends, sections=SIDES)
+def _tubes(ends: Array, radius_m: Array, rgb: Array) -> trimesh.Trimesh:
+    """One mesh of tubes around segments (n, 2, 3), of radii (n,), in colours (n, 3)."""
+    unit = trimesh.creation.cylinder(1.0, 1.0, sections=SIDES)
+    around, count = np.asarray(unit.vertices), len(unit.vertices)
+    along = ends[:, 1] - ends[:, 0]
+    length_m = np.linalg.norm(along, axis=1)
+    axis = along / np.maximum(length_m, 1e-300)[:, None]
+    # perpendicular to the axis, from the coordinate axis that is farthest from it
+    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=1)])
+    first /= np.maximum(np.linalg.norm(first, axis=1), 1e-300)[:, None]
+    frame = np.stack([first, np.cross(axis, first), axis], axis=1)
+    scale = np.column_stack([radius_m, radius_m, length_m])
+    vertices = (around * scale[:, None]) @ frame + ends.mean(axis=1)[:, None]
+    faces = np.asarray(unit.faces) + count * np.arange(len(ends))[:, None, None]
     return trimesh.Trimesh(
-        tube.vertices, tube.faces, vertex_colors=_rgba(np.tile(rgb, (len(tube.vertices), 1))), process=False
+        vertices.reshape(-1, 3),
+        faces.reshape(-1, 3),
+        vertex_colors=_rgba(np.repeat(rgb, count, axis=0)),
+        process=False,
     )
 
 
@@ -221,7 +279,7 @@ def draw_views(assessment: Assessment) -> bytes:
     for number, k in enumerate(chosen, start=1):
         view = assessment.views[k]
         panel = figure.add_subplot(rows, columns, number)
-        view_panel(panel, assessment.subject.model, assessment.subject.rig, view.X_RG, view.points)
+        view_panel(panel, assessment.subject.model, assessment.subject.rig, view)
         panel.set_title(
             f"{assessment.subject.time_s[k]:g} s, {view.range_m:.2f} m, {view.expected_edges} edges",
             fontsize=10,
