@@ -10,7 +10,7 @@ at least one frame, it lies inside the image, nothing occludes it (rays cast wit
 it is not seen edge-on, and the left image is brighter there than the sky.
 """
 
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -150,6 +150,45 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
     correlation = None if summary.mesh is None else correlation_of(summary.mesh)
     metrics["mesh"] = _mesh_metrics(run_folder, sequence_folder, truth, X_NG, X_NG_true, correlation)
     return metrics
+
+
+@dataclass(frozen=True)
+class TrueBody:
+    """Points of the true surface, and how they move after the last pair."""
+
+    p_G: Array
+    """(n, 3) in the true G [m]"""
+    seen: Bools
+    """(n,) whether any frame saw the point in light"""
+    X_NG: Array
+    """(T, 4, 4) true poses"""
+    last_X_NG: Array
+    """(4, 4) true pose at the last pair"""
+    last_estimate_X_NG: Array
+    """(4, 4) of the run's G there"""
+
+
+def true_body_ahead(run_folder: Path, sequence_folder: Path, time_s: Array, count: int) -> TrueBody:
+    """Sample ``count`` points and move them; time_s (T,) after the last pair.
+
+    Raises InputError: the sequence has no truth or none that reaches so far, no mesh, or is not the run's.
+    """
+    summary, table = read_summary(run_folder), read_trajectory(run_folder)
+    if summary.com_G is None or summary.R_GP is None:
+        raise InputError(f"{run_folder}: the run has no estimate; nothing to evaluate")
+    truth = read_truth(sequence_folder)
+    require_recording(summary.data, sequence_folder)
+    if truth.mesh is None:
+        raise InputError(f"{sequence_folder}: the truth has no mesh")
+    stamps = table.timestamps_ns
+    ahead_ns = stamps[-1] + np.round(time_s * 1e9).astype(np.int64)
+    X_NG = target_poses(truth_at(truth, ahead_ns), truth.R_GP, truth.com_G)
+    X_frames = target_poses(truth_at(truth, stamps), truth.R_GP, truth.com_G)
+    estimate = States(stamps, table.r_N, table.v_N, table.R_NP, table.w_P)
+    estimated = target_poses(estimate, np.array(summary.R_GP), np.array(summary.com_G))
+    points, normals = sample_surface(truth.mesh, count)
+    seen = seen_and_lit(truth.mesh, points, normals, X_frames, open_sequence(sequence_folder))
+    return TrueBody(points, seen, X_NG, X_frames[-1], estimated[-1])
 
 
 def truth_of_frames(sequence_folder: Path, timestamps_ns: Ints) -> Truth | None:

@@ -17,7 +17,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from polhode.atomic import REFUSALS
 from polhode.config import Config
@@ -30,6 +30,9 @@ from polhode.studies.flat_metrics import NOT_OF_A_RUN, Metrics, flattened
 from polhode.studies.store import Record, Store
 from polhode.studies.study import RECORD
 from polhode.threads import limit_threads
+
+if TYPE_CHECKING:
+    from polhode.pipeline.after_run.plan import Plan
 
 DONE, FAILED = "done", "failed"
 BUSY_S = 2.0
@@ -287,6 +290,20 @@ def _plan(work: _Work) -> None:
     else:
         _write_json(work.run / "planning.json", summary_of(plan))
     work.metrics |= flattened("plan", summary_of(plan), frozenset({"schema", "notes", "left_out"}))
+    work.metrics |= flattened("plan.truth", _kept_out(work, plan))
+
+
+def _kept_out(work: _Work, plan: "Plan") -> Metrics:
+    """Whether the true body leaves the keep-out volume; nothing where there is no volume, or no truth that
+    reaches its horizon."""
+    from polhode.pipeline.after_run.keep_out_truth import keep_out_truth, truth_numbers
+
+    if plan.keep_out is None or plan.surface is None or work.sequence is None:
+        return {}
+    try:
+        return dict(truth_numbers(keep_out_truth(plan.keep_out, plan.surface, work.run, work.sequence)))
+    except InputError:
+        return {}
 
 
 def _compare(work: _Work) -> None:

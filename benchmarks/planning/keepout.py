@@ -36,27 +36,19 @@ from tyro.conf import arg
 from benchmarks.command import Record, Runs, Workers, command
 from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
-from polhode.dataset import open_sequence
-from polhode.mesh_metrics import distance_to_surface, sample_surface
-from polhode.metrics import truth_at
+from polhode.pipeline.after_run.keep_out_truth import Excess, keep_out_truth
 from polhode.pipeline.after_run.plan import final_estimate, surface_of
-from polhode.pipeline.evaluation import seen_and_lit
-from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
 from polhode.planning.keep_out.distance_fields import FAR, protrusion, protrusion_at_instants, sweep
 from polhode.planning.keep_out.measured_body import Cover, continuous_sigma, grown_body, thinned_vertices
 from polhode.planning.keep_out.volumes import KeepOutOptions, fine_times, keep_out, points_near_surface
 from polhode.planning.prediction import draw_ensemble, nominal_motion
 from polhode.records import SurfaceModel
-from polhode.truth import read_truth
 
 RECORD, TRUTH_RECORD = Path("runs/keepout.jsonl"), Path("runs/keepout_truth.jsonl")
 BARE_SIGMA_M = 1e-9
 NEEDED_DRAWS, NEEDED_CELLS = 200, 40
 POINTS_APART_M = 0.5
 """Of a cell of the volume: points of the surface that are looked at."""
-POINTS, INSTANTS = 20_000, 120
-FEW_POINTS, FEW_INSTANTS = 4_000, 20
-"""For the volume at each instant, whose distances take longer."""
 
 
 def main(
@@ -196,50 +188,21 @@ def measure_truth(case: Case) -> dict[str, Any]:
     found = keep_out(
         surface, estimate, KeepOutOptions(case["horizon_s"], case["confidence"], cover=case["cover"])
     )
-    truth, stamps = read_truth(data), read_trajectory(run).timestamps_ns
-    if truth.mesh is None:
-        raise SystemExit(f"{data}: the truth has no mesh")
-    points, normals = sample_surface(truth.mesh, POINTS)
-    X_frames = target_poses(truth_at(truth, stamps), truth.R_GP, truth.com_G)
-    seen = seen_and_lit(truth.mesh, points, normals, X_frames, open_sequence(data), 1)
-
-    motion = found.instant.motion
-    rows = np.unique(np.linspace(0, len(motion.time_s) - 1, INSTANTS).round().astype(int))
-    at = stamps[-1] + np.round(motion.time_s[rows] * 1e9).astype(np.int64)
-    X_NG = target_poses(truth_at(truth, at), truth.R_GP, truth.com_G)
-    out = np.full(len(points), -np.inf)
-    for X in X_NG:
-        out = np.maximum(out, found.swept.signed_distance(points @ X[:3, :3].T + X[:3, 3]))
-    few, few_seen = points[:: POINTS // FEW_POINTS], seen[:: POINTS // FEW_POINTS]
-    out_instant = np.full(len(few), -np.inf)
-    for i in np.unique(np.linspace(0, len(rows) - 1, FEW_INSTANTS).round().astype(int)):
-        places = few @ X_NG[i, :3, :3].T + X_NG[i, :3, 3]
-        out_instant = np.maximum(out_instant, found.instant.signed_distance(int(rows[i]), places))
-    # how far the mesh is from what comes out: a part that it lacks, or an error of the surface?
-    X_end = nominal_motion(estimate, np.array([0.0, 1.0])).X_NG[0]
-    X_last = target_poses(truth_at(truth, stamps[-1:]), truth.R_GP, truth.com_G)[0]
-    places = few @ X_last[:3, :3].T + X_last[:3, 3]
-    p_G = (places - X_end[:3, 3]) @ X_end[:3, :3]
-    came_out = out_instant > 0.0
-    least = distance_to_surface(surface.mesh, p_G[came_out]).min() if came_out.any() else None
+    truth = keep_out_truth(found, surface, run, data)
     return {
         "covers": found.body.covers,
-        "least_from_mesh_m": None if least is None else float(least),
-        "seen": float(seen.mean()),
-        **_numbers("swept", out, seen),
-        **_numbers("instant", out_instant, few_seen),
+        "least_from_mesh_m": truth.least_from_mesh_m,
+        "seen": float(truth.swept.seen.mean()),
+        **_numbers("swept", truth.swept),
+        **_numbers("instant", truth.instant),
     }
 
 
-def _numbers(name: str, out_m: np.ndarray, seen: np.ndarray) -> dict[str, Any]:
+def _numbers(name: str, excess: Excess) -> dict[str, Any]:
     """Shares inside at all instants, and the farthest that a point comes out [m]."""
-    parts = {"seen": out_m[seen], "unseen": out_m[~seen]}
     return {
-        f"{name}_{part}": {
-            "inside": float((values <= 0.0).mean()) if len(values) else None,
-            "farthest_m": float(max(values.max(), 0.0)) if len(values) else None,
-        }
-        for part, values in parts.items()
+        f"{name}_{part}": {"inside": excess.inside(chosen), "farthest_m": excess.farthest_m(chosen)}
+        for part, chosen in (("seen", excess.seen), ("unseen", ~excess.seen))
     }
 
 

@@ -252,6 +252,8 @@ def test_a_study_of_existing_data_keeps_of_each_run_what_is_asked_for(
     assert 0.0 < row["evaluate.rmse_position_m"] < 0.05 and row["time.evaluate_s"] > 0.0
     if keep == "whole":
         assert row["plan.horizon_s"] == 2.0 and row["plan.keepout.volume_m3"] > 0.0
+        left, farthest_m = (row[f"plan.truth.swept_body_{name}"] for name in ("left", "farthest_m"))
+        assert left == (farthest_m > 0.0) and 0.0 <= farthest_m < 0.1
     kept = sorted((tmp_path / "out" / "runs").glob("*/*"))
     names = {each.name for each in kept}
     wanted = {"whole": {"run", "plan"}, "summary": {"summary.json", "metrics.json", "config.yaml"}}

@@ -22,10 +22,9 @@ def invented() -> pd.DataFrame:
         for features, scale in ((BASE, 1.0), ("other", factor)):
             errors = {name: scale * 0.1 for name, _ in ERRORS.values()}
             counts = {"run.frames": 60, "run.frames_used": 58, "time.run_s": 12.0}
-            failed = np.isnan(scale)
-            verdict, status = (None, "failed") if failed else ("ok", "done")
-            names = {"scene": scene, "features": features}
-            rows.append(names | {"verdict": verdict, "status": status} | errors | counts)
+            verdict, status = (None, "failed") if np.isnan(scale) else ("ok", "done")
+            names = {"scene": scene, "features": features, "verdict": verdict, "status": status}
+            rows.append({**names, **errors, **counts})
     return pd.DataFrame(rows)
 
 
