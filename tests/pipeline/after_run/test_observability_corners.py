@@ -31,14 +31,14 @@ BOX = trimesh.creation.box((1.0, 0.6, 0.4))
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)
 
 
-def assessed(mesh: trimesh.Trimesh, X_FR: Array, folder: Path, *options: str) -> dict[str, object]:
+def assessed(mesh: trimesh.Trimesh, X_FR: Array, folder: Path, *options: str) -> dict[str, Any]:
     """What the command writes for a mesh and poses of the camera."""
     file = folder / "body.ply"
     mesh.export(file)
     poses = trajectory(folder / "poses.txt", X_FR)
     word = ["observability", str(file), "--trajectory", str(poses), "-o", str(folder / "out"), *options]
     assert main(word) == 0
-    found: dict[str, object] = json.loads((folder / "out" / "observability.json").read_text())
+    found: dict[str, Any] = json.loads((folder / "out" / "observability.json").read_text())
     return found
 
 
@@ -68,14 +68,14 @@ def test_why_no_edge_is_visible_is_said(
 ) -> None:
     found = assessed(BOX, X_FR, tmp_path, *options)
     words = f"no edge is visible ({reason}): the whole pose is unobservable"
-    assert [pose["not_told"] for pose in found["poses"]] == [words] * len(X_FR)  # type: ignore[attr-defined]
+    assert [pose["not_told"] for pose in found["poses"]] == [words] * len(X_FR)
     assert f"at every pose: {words}" in capsys.readouterr().out
 
 
 def test_a_trajectory_through_the_body_counts_its_poses(tmp_path: Path, capsys: Capture) -> None:
     found = assessed(BOX, approach(7, 3.0, -3.0), tmp_path)
     note = "the camera is inside the body at 1 of 7 poses"
-    assert note in found["notes"]  # type: ignore[operator]
+    assert note in found["notes"]
     shown = capsys.readouterr().out
     assert f"Note: {note}\n" in shown
     assert "at 3 of 7 poses: no edge is visible (the body is behind the camera)" in shown
@@ -100,7 +100,7 @@ def test_a_wrong_unit_is_suspected(size: float, words: str, tmp_path: Path, caps
     mesh.apply_scale(size)
     found = assessed(mesh, approach(2), tmp_path)
     assert words in capsys.readouterr().out
-    assert found["along"]["poses_that_tell_all"] == 0  # type: ignore[index]
+    assert found["along"]["poses_that_tell_all"] == 0
 
 
 def test_mixed_winding_gives_the_numbers_of_the_right_mesh(tmp_path: Path, capsys: Capture) -> None:
@@ -108,15 +108,15 @@ def test_mixed_winding_gives_the_numbers_of_the_right_mesh(tmp_path: Path, capsy
     faces = np.array(BOX.faces)
     faces[::2] = faces[::2, ::-1]
     mixed = assessed(trimesh.Trimesh(BOX.vertices, faces, process=False), approach(2), tmp_path)
-    for one, other in zip(right["poses"], mixed["poses"], strict=True):  # type: ignore[call-overload]
+    for one, other in zip(right["poses"], mixed["poses"], strict=True):
         assert one["sigma"] == pytest.approx(other["sigma"], rel=1e-6)
     assert "Note: faces of the mesh turned so that neighbours agree" in capsys.readouterr().out
-    assert right["notes"] == [] and len(mixed["notes"]) == 1  # type: ignore[arg-type]
+    assert right["notes"] == [] and len(mixed["notes"]) == 1
 
 
 def test_a_single_triangle_and_faces_of_many_corners_are_answered(tmp_path: Path, capsys: Capture) -> None:
     triangle = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
-    assert assessed(triangle, approach(1), tmp_path)["model"]["segments"] == 3  # type: ignore[index]
+    assert assessed(triangle, approach(1), tmp_path)["model"]["segments"] == 3
     pentagon = tmp_path / "pentagon.obj"
     pentagon.write_text("v 0 0 0\nv 1 0 0\nv 1.3 .8 0\nv .5 1.3 0\nv -.3 .8 0\nf 1 2 3 4 5\n")
     word = ["observability", str(pentagon), "--trajectory", str(tmp_path / "poses.txt"), "-o"]
@@ -149,7 +149,7 @@ def test_what_is_no_mesh_is_one_line(
 def test_selections_that_are_impossible_or_too_large_are_said(tmp_path: Path, capsys: Capture) -> None:
     found = assessed(BOX, approach(2, -4.0, -3.0), tmp_path, "--edges", "3", "--fewest")
     assert "No set of edges can be selected: not even all edges determine" in capsys.readouterr().out
-    assert found["choice"]["smallest_set"] is None  # type: ignore[index]
+    assert found["choice"]["smallest_set"] is None
     found = assessed(BOX, approach(2), tmp_path, "--edges", "100")
     shown = capsys.readouterr().out
     assert "The best 9 edges: sigmas up to 1.00 times" in shown
