@@ -6,16 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polhode.config import Config
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.pipeline.after_run import keep_out_truth as keep_out_truth_module
 from polhode.pipeline.after_run.keep_out_truth import KeepOutTruth, keep_out_truth, truth_numbers
 from polhode.pipeline.after_run.plan import keep_out_of_run
 from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions
-from tests.pipeline.conftest import BOX_M, Example
+from tests.pipeline.conftest import BOX_M, Example, write_example
 from tests.pipeline.example_sequence import write_sequence
-from tests.pipeline.stored_run import write_run
 
 SHIFT_M = 1.0
 
@@ -30,14 +28,7 @@ def few_points(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="module")
 def run(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    write_run(
-        folder,
-        config=Config(),
-        tracks=example.tracks,
-        estimate=example.estimate,
-        surface=example.surface,
-        timing_s={},
-    )
+    write_example(folder, example)
     return folder
 
 
