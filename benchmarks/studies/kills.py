@@ -170,9 +170,16 @@ def _kill_three_times(study: Path, out: Path, count: int) -> list[int]:
 
 
 def workers_of(pid: int) -> list[psutil.Process]:
-    """The workers of a program with a cluster of its own: at least one as soon as a point is stored."""
-    found = []
-    for each in psutil.Process(pid).children(recursive=True):
+    """The workers of a program with a cluster of its own: at least one as soon as a point is stored.
+
+    None once the program has ended.
+    """
+    found = list[psutil.Process]()
+    try:
+        below = psutil.Process(pid).children(recursive=True)
+    except psutil.NoSuchProcess:
+        return found
+    for each in below:
         try:
             if "spawn_main" in " ".join(each.cmdline()):
                 found.append(each)

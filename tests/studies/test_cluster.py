@@ -23,6 +23,7 @@ import psutil
 import pytest
 from distributed import Client
 
+from benchmarks.studies.kills import workers_of
 from polhode.cli.main import main
 from polhode.errors import InputError
 from polhode.studies import cluster as cluster_module
@@ -98,18 +99,6 @@ def until(holds: Callable[[], Any]) -> Any:
             return found
         time.sleep(0.02)
     return pytest.fail("never came")
-
-
-def workers_of(pid: int) -> list[psutil.Process]:
-    """The workers of a local cluster that this process has."""
-    found = []
-    for each in _below(pid):
-        try:
-            if "spawn_main" in " ".join(each.cmdline()):
-                found.append(each)
-        except psutil.NoSuchProcess:
-            continue
-    return found
 
 
 def records(folder: Path) -> int:
