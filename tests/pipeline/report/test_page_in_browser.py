@@ -33,6 +33,8 @@ pytestmark = pytest.mark.skipif(browser_path() is None, reason="no Chromium; .ci
 STORED = Path(__file__).with_name("pictures")
 WIDTHS_PX = (390, 1400, 2560)
 CELL_PX = 24
+PIXELS_OF_A_PX = 0.25
+"""Fewer pixels than a screen has, and the same layout: the stored pictures are coarser still."""
 MAX_MEAN, MAX_HIGH = 3.0, 60.0
 """Largest mean and 99.5th percentile of the differences from a stored picture [8-bit levels]."""
 FRAMES = (0, 8, 16, 23)
@@ -107,8 +109,7 @@ def same_font(run_folder: Path) -> str:
 @pytest.fixture(scope="module")
 def pages(browser: Any, same_font: str) -> Iterator[dict[str, Opened]]:
     """The page in both schemes, everything drawn."""
-    # Fewer pixels than a screen has, and the same layout: the stored pictures are coarser still.
-    found = {scheme: _opened(browser, same_font, scheme, scale=0.25) for scheme in ("light", "dark")}
+    found = {scheme: _opened(browser, same_font, scheme) for scheme in ("light", "dark")}
     for each in found.values():
         each.page.evaluate("document.fonts.ready")
         draw_all(each.page)
@@ -117,14 +118,12 @@ def pages(browser: Any, same_font: str) -> Iterator[dict[str, Opened]]:
         each.page.context.close()
 
 
-def _opened(
-    browser: Any, address: str, scheme: str = "light", script: bool = True, scale: float = 1.0
-) -> Opened:
+def _opened(browser: Any, address: str, scheme: str = "light", script: bool = True) -> Opened:
     context = browser.new_context(
         viewport={"width": WIDTHS_PX[0], "height": 900},
         color_scheme=scheme,
         java_script_enabled=script,
-        device_scale_factor=scale,
+        device_scale_factor=PIXELS_OF_A_PX,
     )
     opened = Opened(context.new_page())
     opened.page.on("pageerror", lambda error: opened.errors.append(str(error)))
