@@ -7,10 +7,12 @@ import operator
 import re
 import sys
 from collections.abc import Callable, Sequence
+from functools import cache
 from itertools import dropwhile, takewhile
 from typing import Any, cast, get_args, get_origin
 
 import tyro
+from tyro.conf import Fixed
 from tyro.constructors import (
     ConstructorRegistry,
     PrimitiveConstructorSpec,
@@ -25,6 +27,9 @@ from polhode.cli.overrides import option_names
 from polhode.config.keys import is_structured, suggestion
 from polhode.errors import InputError
 
+FIXED: Any = Fixed[str]
+"""Type of a field that is no option"""
+
 
 def parse(name: str, command: type[Command], words: Sequence[str]) -> Command:
     """The command with its options. Raises InputError for words that it does not understand.
@@ -35,7 +40,7 @@ def parse(name: str, command: type[Command], words: Sequence[str]) -> Command:
     try:
         with contextlib.redirect_stderr(stderr):
             parsed, unknown = tyro.cli(
-                cast(Any, command),
+                cast(Any, _own(command)),
                 prog=f"polhode {name}",
                 args=words,
                 return_unknown_args=True,
@@ -51,7 +56,18 @@ def parse(name: str, command: type[Command], words: Sequence[str]) -> Command:
         raise InputError(f"{message}; see polhode {name} --help") from None
     if unknown:
         raise InputError(_unknown_option(name, command, unknown[0]))
-    return cast(Command, parsed)
+    own = {each.name for each in dataclasses.fields(parsed)} - {"values"}
+    return command(**{name: getattr(parsed, name) for name in own})
+
+
+@cache
+def _own(command: type[Command]) -> type[Command]:
+    """The command without the keys of the configuration, which ``overrides`` has read: tyro would look at
+    each of them, for a quarter of a second."""
+    if not is_configured(command):
+        return command
+    body = {"__annotations__": {"values": FIXED}, "values": None}
+    return dataclasses.dataclass(type(command.__name__, (command,), body), frozen=True)
 
 
 def print_help(name: str, command: type[Command], everything: bool) -> None:

@@ -13,6 +13,8 @@ from release.distribution import build
 from release.trial import LIGHT, PAIRS, Environment, copy_first_pairs, make_environment
 
 ROOT = Path(__file__).parents[1]
+ONE_METHOD = ("--frontend.features.second", "None")
+"""Of the front end"""
 
 
 @pytest.fixture(scope="module")
@@ -65,11 +67,13 @@ def test_every_file_of_the_rooms_is_installed(installation: Environment) -> None
     assert len(rooms) >= 9 and wanted - found == set()
 
 
-def test_the_program_runs_without_configuration_from_an_empty_folder(installation: Environment) -> None:
-    copy_first_pairs(ROOT / "sample", installation.folder / "work" / "sequence", PAIRS)
+def test_the_program_runs_without_configuration_from_an_empty_folder(
+    installation: Environment, rendered_sequence: Path
+) -> None:
+    copy_first_pairs(rendered_sequence, installation.folder / "work" / "sequence", PAIRS)
     assert installation.run(installation.python, "-m", "polhode", "--version").startswith("polhode ")
     program = installation.python.with_name("polhode")
-    said = installation.run(program, "run", "--data", "sequence", "-o", "result", *LIGHT)
+    said = installation.run(program, "run", "--data", "sequence", "-o", "result", *LIGHT, *ONE_METHOD)
     result = installation.folder / "work" / "result"
     assert said.rstrip().endswith(str(Path("result") / "report.html"))
     assert (result / "trajectory.csv").read_text().count("\n") == PAIRS + 1

@@ -11,7 +11,7 @@ length is built at once.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any, Literal
 
 import casadi as ca
@@ -159,6 +159,7 @@ def prior_residual(com_G: Any, com_prior: Any, com_sigma_m: Any, second: Any) ->
     return ca.vertcat((com_G - com_prior) / com_sigma_m, ca.diag(shape), off, thin)
 
 
+@cache
 def prior_kernel(form: InertiaForm, output: Output = "quadratic") -> Any:
     """Weak prior as a function of x (8) = com_G, xi and p (13) = com_prior, com_sigma, R_ref."""
     x, p = ca.SX.sym("x", N_CONSTANTS), ca.SX.sym("p", N_PRIOR)

@@ -23,6 +23,10 @@ class InertiaForm(Protocol):
 
     name: str
 
+    def __hash__(self) -> int:
+        """A kernel is built once for each form."""
+        ...
+
     def second_moments_sx(self, xi: Any, R_ref: Any) -> Any:
         """Sigma (3, 3) as a CasADi expression of xi (5) and R_ref (3, 3)."""
         ...

@@ -4,7 +4,7 @@
 
 Chromium renders the page without a window, with every figure drawn; rows and columns are pixels of the page
 from its upper left. ``--section`` takes a whole section or figure instead, by its id in the page: ``checks``,
-``plot-inertia-ratios``.
+``plot-inertia-ratios``; then its figures alone are drawn.
 """
 
 import io
@@ -53,14 +53,16 @@ def whole_page(file: Path, width_px: int, section: str | None) -> bytes:
     with headless() as browser:
         page = browser.new_page(viewport={"width": width_px, "height": HEIGHT_PX}, color_scheme="light")
         page.goto(file.resolve().as_uri())
-        draw_all(page)
-        page.add_style_tag(content=STILL)
         if section is None:
+            draw_all(page)
+            page.add_style_tag(content=STILL)
             return page.screenshot(full_page=True)
         found = page.locator(f"[id='{section}']")
         if found.count() == 0:
             ids = page.evaluate("[...document.querySelectorAll('.section')].map(each => each.id)")
             raise SystemExit(f"{section}: no such section; there are {', '.join(ids)}")
+        page.evaluate("id => polhodeReport.drawAll(document.getElementById(id))", section)
+        page.add_style_tag(content=STILL)
         return found.screenshot()
 
 

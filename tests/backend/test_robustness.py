@@ -23,7 +23,7 @@ SCENE = SyntheticScene(
 )  # fmt: skip
 
 
-def lines_of(condition: str, frames: int = 60) -> list[Case]:
+def lines_of(condition: str, frames: int = 40) -> list[Case]:
     """What the benchmark measures, three sequences of a triaxial tumble."""
     cases = [{"condition": condition, "motion": "triaxial tumble, 7 RPM", "seed": seed} for seed in SEEDS]
     with pytest.MonkeyPatch.context() as patch:
@@ -64,7 +64,7 @@ def test_three_of_ten_observations_may_be_gross_errors() -> None:
 
 
 def test_ten_seconds_of_nothing_are_bridged_and_the_target_is_found_again() -> None:
-    lines = lines_of("gap", frames=80)
+    lines = lines_of("gap", frames=60)
     assert_consistent(lines)
     for line in lines:
         gap = line["gap"]

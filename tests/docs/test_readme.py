@@ -16,7 +16,7 @@ from benchmarks.end_to_end import against_slam, footprint, thesis
 from benchmarks.presentation import markdown_table
 from benchmarks.registry import BENCHMARKS
 from polhode.cli.main import COMMANDS, main
-from release.trial import LIGHT
+from release.trial import LIGHT, PAIRS
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -58,7 +58,9 @@ def commands(page: str) -> list[list[str]]:
 def recording(rendered_sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working folder, with the images of two cameras and their calibration as a reader has them."""
     for name, camera in (("LEFT", "cam0"), ("RIGHT", "cam1")):
-        (tmp_path / name).symlink_to(rendered_sequence / "mav0" / camera / "data")
+        (tmp_path / name).mkdir()
+        for image in sorted((rendered_sequence / "mav0" / camera / "data").iterdir())[:PAIRS]:
+            (tmp_path / name / image.name).symlink_to(image)
         (tmp_path / "RIG" / camera).mkdir(parents=True)
         sensor = rendered_sequence / "mav0" / camera / "sensor.yaml"
         (tmp_path / "RIG" / camera / "sensor.yaml").symlink_to(sensor)

@@ -14,6 +14,7 @@ import trimesh
 from polhode.camera import RectifiedRig
 from polhode.config import Config
 from polhode.lie import inverse_pose, make_pose, transform_points
+from polhode.pipeline.run import run
 from polhode.progress import Silent
 from polhode.records import (
     Identifiability,
@@ -43,6 +44,14 @@ AT_REST = {
     "rig": {"width_px": 240, "height_px": 180, "focal_px": 230.0, "baseline_m": 0.09},
     "render": {"products": []},
 }
+
+
+ONE_METHOD = {
+    "runtime": {"workers": 1},
+    "frontend": {"features": {"second": None}},
+    "pictures": {"animation": False, "views": False},
+}
+"""A run with one method of the front end and without pictures"""
 
 
 @dataclass(frozen=True)
@@ -109,6 +118,13 @@ def at_rest(make_once: MakeOnce) -> Path:
     scene = Config.model_validate({"scene": AT_REST}).scene
     assert scene is not None
     return make_once("at_rest", lambda folder: simulate(scene, 3, folder, Silent(), 1, False))
+
+
+@pytest.fixture(scope="session")
+def run_of_one_method(rendered_sequence: Path, make_once: MakeOnce) -> Path:
+    """The run of the rendered sequence, all frames at once, as ``ONE_METHOD`` says."""
+    config = Config.model_validate(ONE_METHOD)
+    return make_once("one_method", lambda folder: run(config, rendered_sequence, folder, Silent()))
 
 
 @pytest.fixture(scope="session")

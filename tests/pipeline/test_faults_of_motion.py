@@ -34,6 +34,8 @@ NO_PICTURES = ("--pictures.animation", "false", "--pictures.views", "false")
 """The sequence on disk shows nothing of the motion."""
 NO_WINDOW = ("--backend.window.enabled", "false")
 """What is asked is said of the whole sequence; one case of each goes through the window too."""
+WINDOW = ("--backend.window.solver", "gauss_newton")
+"""It ends where IPOPT does (tests/backend/window/test_ipopt.py), which fast rotations keep busy for long."""
 STOPPED_EARLY = {"summary.json", "measurements.npz", "report.html", "config.yaml", "log.txt"}
 Capture = pytest.CaptureFixture[str]
 
@@ -70,7 +72,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Capture) -> Run:
             "-o",
             str(tmp_path / "run"),
         ]
-        code = main([*words, "--runtime.workers", "1", *NO_PICTURES, *overrides])
+        code = main([*words, "--runtime.workers", "1", *NO_PICTURES, *WINDOW, *overrides])
         return MotionOutcome(code, tmp_path / "run", capfd)
 
     return execute

@@ -15,14 +15,10 @@ from polhode.pipeline.run_directory.archives import read_measurements, read_onli
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.progress import Silent
+from tests.pipeline.conftest import ONE_METHOD
 
 LIMITS = {"above": 10, "number": 9}
-CONFIG = Config.model_validate({
-    "runtime": {"workers": 1},
-    "frontend": {"features": {"second": None}},
-    "pictures": {"animation": False, "views": False},
-    "key_frames": LIMITS,
-})  # fmt: skip
+CONFIG = Config.model_validate({**ONE_METHOD, "key_frames": LIMITS})
 
 
 @pytest.fixture(scope="module")
@@ -45,12 +41,8 @@ def test_every_frame_has_its_row(long_run: Path, rendered_sequence: Path) -> Non
     assert (long_run / "mesh.ply").is_file()
 
 
-def test_the_answer_is_that_of_all_frames_at_once(
-    long_run: Path, rendered_sequence: Path, tmp_path: Path
-) -> None:
-    at_once = CONFIG.model_copy(update={"key_frames": Config().key_frames})
-    run(at_once, rendered_sequence, tmp_path / "run", Silent())
-    few, all_frames = read_trajectory(long_run), read_trajectory(tmp_path / "run")
+def test_the_answer_is_that_of_all_frames_at_once(long_run: Path, run_of_one_method: Path) -> None:
+    few, all_frames = read_trajectory(long_run), read_trajectory(run_of_one_method)
     sigma = np.hypot(few.sigma_r, all_frames.sigma_r)
     off = np.abs(few.r_N - all_frames.r_N) / sigma
     assert np.mean(off < 3.0) > 0.95

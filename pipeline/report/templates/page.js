@@ -261,8 +261,9 @@
     if (!data.shown && !figures.some(function (each) { return each.inView && !isShown(each); })) data.shown = Math.round(performance.now());
     if (figures.every(function (each) { return each.drawn; })) data.drawn = "yes";
   }
-  async function drawAll() {
-    for (const each of figures) each.near = each.asked = true;
+  /* All figures, or those of a part of the page, which may be the drawing of one. */
+  async function drawAll(part) {
+    for (const each of figures) if (!part || part.contains(each.plot) || each.plot.contains(part)) each.near = each.asked = true;
     while (wanted()) await drawNear();
     for (const each of figures) if (isOld(each)) redraw(each);
   }

@@ -9,16 +9,11 @@ import trimesh
 from polhode.config import Config
 from polhode.dataset import open_sequence
 from polhode.pipeline.live.session import Session
-from polhode.pipeline.run import run
 from polhode.processes import kill_workers
-from polhode.progress import Silent
 from polhode.records import SurfaceModel
+from tests.pipeline.conftest import ONE_METHOD
 
-CONFIG = Config.model_validate({
-    "runtime": {"workers": 2},
-    "frontend": {"features": {"second": None}},
-    "pictures": {"animation": False, "views": False},
-})  # fmt: skip
+CONFIG = Config.model_validate({**ONE_METHOD, "runtime": {"workers": 2}})
 SAME = ("trajectory.csv", "landmarks.ply", "mesh.ply")
 
 
@@ -63,20 +58,21 @@ def test_without_the_process_the_stream_goes_on(rendered_sequence: Path) -> None
 
 
 def test_the_answer_is_that_of_a_batch_run(
-    finished: tuple[Path, list[SurfaceModel], tuple[int, int], int], rendered_sequence: Path, tmp_path: Path
+    finished: tuple[Path, list[SurfaceModel], tuple[int, int], int],
+    rendered_sequence: Path,
+    run_of_one_method: Path,
 ) -> None:
     run_folder, _, (depth_maps, links), _ = finished
     n = len(open_sequence(rendered_sequence))
     assert depth_maps == n and links > 0
     # the names of the files differ, and so the recorded data; what is measured and found does not
-    run(CONFIG, rendered_sequence, tmp_path / "batch", Silent())
     found, batch = (
         np.loadtxt(each / "trajectory.csv", delimiter=",", skiprows=1)
-        for each in (run_folder, tmp_path / "batch")
+        for each in (run_folder, run_of_one_method)
     )
     np.testing.assert_array_equal(found[:, 1:], batch[:, 1:])
     for name in ("landmarks.ply", "mesh.ply"):
-        assert (run_folder / name).read_bytes() == (tmp_path / "batch" / name).read_bytes(), name
+        assert (run_folder / name).read_bytes() == (run_of_one_method / name).read_bytes(), name
 
 
 def test_the_surface_grows_towards_the_final_one(

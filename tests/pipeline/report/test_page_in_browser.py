@@ -271,6 +271,15 @@ def test_what_is_not_in_view_is_drawn_for_a_print(browser: Any, run_folder: Path
     opened.page.context.close()
 
 
+def test_the_figures_of_a_part_are_drawn_without_the_others(browser: Any, run_folder: Path) -> None:
+    opened = _opened(browser, (run_folder / "report.html").as_uri())
+    for name, part in (("plot-polhode", ""), ("plot-residual-rms", ".closest('.section')")):
+        opened.page.evaluate(f"polhodeReport.drawAll(document.getElementById('{name}'){part})")
+        assert opened.page.locator(f"#{name}.js-plotly-plot").count() == 1
+    assert opened.page.locator("#plot-mesh.js-plotly-plot").count() == 0
+    opened.page.context.close()
+
+
 def test_tables_and_pictures_need_no_script(browser: Any, run_folder: Path) -> None:
     opened = _opened(browser, (run_folder / "report.html").as_uri(), script=False)
     page = opened.page
