@@ -18,7 +18,10 @@ RECORDS = Path(__file__).with_name("records")
 
 Short = Annotated[bool, arg(help="A small version that takes seconds to minutes.")]
 Workers = Annotated[int, arg(help="Processes.")]
-Record = Annotated[Path, arg(help="File of the results; cases that it holds are not measured again.")]
+Record = Annotated[
+    Path,
+    arg(help="Folder of the results, a study; cases that it holds are not measured again.", metavar="DIR"),
+]
 Png = Annotated[Path | None, arg(aliases=["-o"], metavar="PNG", help="Draw the figure to this file.")]
 Runs = Positional[Annotated[tuple[Path, ...], arg(metavar="RUN", help="Folders of runs.")]]
 Sequences = Positional[Annotated[tuple[Path, ...], arg(metavar="SEQ", help="Folders of sequences.")]]

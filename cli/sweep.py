@@ -45,6 +45,9 @@ class SweepCommand:
     """Compute nothing: write study.html again, of the points that are stored."""
     again_failed: Flag = False
     """Compute points that have failed again, too."""
+    measure: Annotated[str | None, arg(metavar="FILE.py:FUNCTION")] = None
+    """Function of your own for the step 'measure': it is given each point, and what it returns becomes
+    columns of the table."""
     cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """Scheduler of Dask that runs already (tcp://HOST:8786), whose workers see DIR under the same name. If it
     is left out, processes of this machine compute."""
@@ -57,9 +60,11 @@ class SweepCommand:
     def execute(self) -> Answer:
         """Compute the points and write the table. Points that failed are rows; the answer counts them."""
         self._check()
+        from polhode.studies.measurement import measurement_of
         from polhode.studies.study import open_study
 
-        study = open_study(self.study)
+        measurement = None if self.measure is None else measurement_of(self.measure)
+        study = open_study(self.study, measurement=measurement)
         if self.dry_run:
             from polhode.studies.forecast import forecast, format_forecast
 

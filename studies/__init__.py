@@ -1,6 +1,6 @@
 """Studies: many points of settings, computed by many processes, as one table.
 
-In: a study (YAML): base, axes, steps. Out: a folder with a record for each point and table.parquet.
+In: a study (YAML): base, axes, steps. Out: a folder with the records of the points, table.parquet and a page.
 
 - sweep: the flow: what is missing, a window of tasks, the table
 - page: what the table says, as one page: study.html
@@ -12,5 +12,6 @@ In: a study (YAML): base, axes, steps. Out: a folder with a record for each poin
 - flat_metrics: results as numbers in a row
 - store: the folder: records, sequences, runs that are kept
 - study: base, points by their numbers, the address of each
+- measurement: a function of the user's that measures points
 - factors: lists, ranges, draws, Latin hypercubes, Sobol's sequence
 """

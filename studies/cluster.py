@@ -8,6 +8,7 @@ import logging
 import os
 import platform
 import secrets
+import signal
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -52,6 +53,8 @@ class ClusterOptions:
     """Processes of this machine; 0: one per core"""
     memory_gb: float | None = None
     """Limit of each process [1e9 bytes]; None: equal shares of the memory"""
+    own_processes: bool = False
+    """Whether points start processes of their own"""
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,7 @@ def _local(options: ClusterOptions) -> Iterator[Cluster]:
     memory = None if options.memory_gb is None else int(options.memory_gb * 1e9)
     with (
         tempfile.TemporaryDirectory(prefix="polhode-sweep-", ignore_cleanup_errors=True) as scratch,
-        dask.config.set(SETTINGS),
+        dask.config.set(SETTINGS | {"distributed.worker.daemon": not options.own_processes}),
         _no_module_from_here(),
         _silent_dask(),
         LocalCluster(
@@ -102,7 +105,21 @@ def _local(options: ClusterOptions) -> Iterator[Cluster]:
         described = f"{workers} worker{'s' if workers > 1 else ''} on this machine"
         if find_spec("bokeh"):
             described += f"; dashboard: {cluster.dashboard_link}"
-        yield Cluster(client, workers, described)
+        try:
+            yield Cluster(client, workers, described)
+        except BaseException:
+            # which would let each worker end its point, for up to half a minute
+            _kill(cluster)
+            raise
+
+
+def _kill(cluster: LocalCluster) -> None:
+    """End the workers at once: what they were computing is not stored."""
+    for nanny in cluster.workers.values():
+        nanny.auto_restart = False
+        if nanny.process is not None and nanny.process.pid:
+            with suppress(ProcessLookupError):
+                os.kill(nanny.process.pid, signal.SIGKILL)
 
 
 @contextmanager

@@ -79,6 +79,15 @@ def factor_of_design(design: Design) -> Factor:
     return Factor(names, values, tuple(dict(zip(names, row, strict=True)) for row in values))
 
 
+def factor_of_points(points: Sequence[Mapping[str, Any]], where: str) -> Factor:
+    """Points that are listed, as the levels of a factor. Raises InputError."""
+    changes = tuple(flat(each) for each in points)
+    columns = tuple(dict.fromkeys(name for each in changes for name in each))
+    if twice := _repeated(changes):
+        raise InputError(f"{where}: points: {twice[:60]} comes twice; give each once")
+    return Factor(columns, tuple(tuple(each.get(name) for name in columns) for each in changes), changes)
+
+
 def flat(settings: Mapping[str, Any], prefix: str = "") -> Changes:
     """Sections within each other as dotted settings."""
     found: Changes = {}
@@ -93,7 +102,7 @@ def flat(settings: Mapping[str, Any], prefix: str = "") -> Changes:
 def _repeated(values: Sequence[Any]) -> str | None:
     """A value that comes more than once."""
     seen: set[str] = set()
-    for text in map(json.dumps, values):
+    for text in (json.dumps(value, sort_keys=True) for value in values):
         if text in seen:
             return text
         seen.add(text)

@@ -21,6 +21,29 @@ def flattened(prefix: str, values: Mapping[str, Any], without: frozenset[str] = 
     return dict(_leaves(prefix, {key: each for key, each in values.items() if key not in without}))
 
 
+def as_json(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The same as JSON has it: arrays as lists, what is not finite as None. Raises TypeError."""
+    if not isinstance(values, Mapping):
+        raise TypeError(f"a function that measures returns a dictionary, not {type(values).__name__}")
+    return {str(key): _plain(each) for key, each in values.items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, BaseModel):
+        value = value.model_dump()
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return as_json(value)
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int):
+        return value
+    raise TypeError(f"a measured value is no number, text or list of them: {type(value).__name__}")
+
+
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, bool | int | float | str | None]]:
     if isinstance(value, BaseModel):
         value = value.model_dump()

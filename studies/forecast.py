@@ -9,12 +9,12 @@ from polhode.foreign_files import amount
 from polhode.studies.store import RUNS, SEQUENCES
 from polhode.studies.study import OpenStudy, setting_of
 
-COLUMNS = {"simulate": 0, "run": 80, "evaluate": 55, "plan": 15, "compare": 60}
+COLUMNS = {"simulate": 0, "run": 80, "evaluate": 55, "plan": 15, "compare": 60, "measure": 5}
 """Of the table, by step; of a study without steps"""
 OWN_COLUMNS = 14
 CELL_BYTES = 3.0
 """Of a column of the table, compressed"""
-RECORD_BYTES = {"simulate": 0, "run": 3000, "evaluate": 2000, "plan": 700, "compare": 3000}
+RECORD_BYTES = {"simulate": 0, "run": 3000, "evaluate": 2000, "plan": 700, "compare": 3000, "measure": 500}
 OWN_RECORD_BYTES = 1200
 BLOCK_BYTES = 4096
 """Of the file system, which a small file takes up wholly"""
@@ -44,7 +44,7 @@ class Forecast:
     columns: int
     table_bytes: int
     disk_bytes: int
-    """Estimate of all that is in the folder at the end"""
+    """Estimate of the most that is in the folder: at the end, before its records are packed"""
     measured: bool
     """Whether sequences and runs that are there already have been measured for that"""
 

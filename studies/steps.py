@@ -26,7 +26,8 @@ from polhode.config.study_settings import Keep, PlanOptions, Step
 from polhode.errors import InputError, RunFailure, one_line
 from polhode.program_digest import code_digest, processor
 from polhode.progress import Silent
-from polhode.studies.flat_metrics import NOT_OF_A_RUN, Metrics, flattened
+from polhode.studies.flat_metrics import NOT_OF_A_RUN, Metrics, as_json, flattened
+from polhode.studies.measurement import MeasuredPoint, Measurement
 from polhode.studies.store import Record, Store
 from polhode.studies.study import RECORD
 from polhode.threads import limit_threads
@@ -85,6 +86,9 @@ class PointJob:
     """Digest of the sequence that it simulates; empty: none"""
     data: Path | None = None
     """The sequence that it reads instead"""
+    measurement: Measurement | None = None
+    case: dict[str, Any] = field(default_factory=dict)
+    """Settings for the measurement alone"""
 
 
 @dataclass
@@ -102,6 +106,8 @@ class _Work:
     """Of the run, in a word"""
     doubts: str | None = None
     """Reasons for that verdict, where it is not ok"""
+    measured: dict[str, Any] | None = None
+    """What the function of the step ``measure`` found, as JSON has it"""
 
     def named(self, reason: str) -> str:
         """A reason without what differs between two attempts: the names of folders."""
@@ -161,6 +167,8 @@ def compute_point(job: PointJob, sequence: SequenceOutcome | None = None) -> Rec
     record = _record(job.address, job.values, DONE if not reason else FAILED, reason, job.sequence)
     record |= {"verdict": work.verdict, "doubts": work.doubts}
     record |= {"metrics": work.metrics, "times": _with_end(work.times)}
+    if work.measured is not None:
+        record["measured"] = work.measured
     store.write(record)
     return record
 
@@ -326,11 +334,26 @@ def _compare(work: _Work) -> None:
             work.times[f"{name}.wall_s"] = row.wall_s
 
 
+def _measure(work: _Work) -> None:
+    assert work.job.measurement is not None
+    run = work.run if "run" in work.job.steps else None
+    folder = work.folder / "measured"
+    folder.mkdir()
+    found = work.job.measurement.function(
+        MeasuredPoint(work.job.case, work.config, work.sequence, run, folder)
+    )
+    work.measured = as_json(found)
+    work.metrics |= flattened("measure", work.measured)
+    if not any(folder.iterdir()):
+        folder.rmdir()
+
+
 _STEPS: dict[str, Callable[[_Work], None]] = {
     "run": _run,
     "evaluate": _evaluate,
     "plan": _plan,
     "compare": _compare,
+    "measure": _measure,
 }
 
 
@@ -357,7 +380,7 @@ def _write_json(path: Path, values: Any) -> None:
 
 
 def _with_end(times: dict[str, float]) -> dict[str, Any]:
-    return {**times, "finished": datetime.now(UTC).isoformat(timespec="seconds")}
+    return {**times, "finished": datetime.now(UTC).isoformat(timespec="milliseconds")}
 
 
 def job_settings(config: Config) -> dict[str, Any]:

@@ -20,7 +20,15 @@ from polhode.config.loader import config_with, load_config, plain_settings, read
 from polhode.config.study_settings import MAX_POINTS, PlanOptions, Study
 from polhode.errors import InputError
 from polhode.program_digest import code_digest
-from polhode.studies.factors import Changes, Factor, factor_of_axis, factor_of_design, flat
+from polhode.studies.factors import (
+    Changes,
+    Factor,
+    factor_of_axis,
+    factor_of_design,
+    factor_of_points,
+    flat,
+)
+from polhode.studies.measurement import CASE, MEASURE, Measurement
 from polhode.yaml_files import read_yaml
 
 RECORD = "polhode-study-point/1"
@@ -58,6 +66,8 @@ class OpenStudy:
     factors: tuple[Factor, ...]
     source: str
     """The file, for messages"""
+    measurement: Measurement | None = None
+    """Of the step ``measure``"""
 
     @cached_property
     def count(self) -> int:
@@ -85,7 +95,7 @@ class OpenStudy:
             rest, level = divmod(rest, len(factor))
             values = dict(zip(factor.columns, factor.values[level], strict=True)) | values
             changes |= factor.changes[level]
-        return Point(number, values, changes, self._address(changes))
+        return Point(number, values, changes, self.address_of(changes))
 
     def config(self, point: Point) -> Config:
         """The configuration of a point: one process, one thread, nothing kept for a resumption.
@@ -99,6 +109,10 @@ class OpenStudy:
         own = {key.partition(".")[2]: value for key, value in point.changes.items() if _section(key) == PLAN}
         return validated(PlanOptions, self.settings.plan.model_dump() | own, f"{self.source}: axes")
 
+    def case(self, point: Point) -> dict[str, Any]:
+        """Settings that are for the step ``measure`` alone."""
+        return {key.partition(".")[2]: each for key, each in point.changes.items() if _section(key) == CASE}
+
     def data(self, point: Point) -> Path | None:
         """The sequence that a point reads; None: it simulates its own, or needs none."""
         found = point.changes.get(DATA, self.settings.data)
@@ -107,7 +121,8 @@ class OpenStudy:
     def _config(self, changes: Changes) -> Config:
         return config_with(self.base, f"{self.source}: base", changes, f"{self.source}: axes")
 
-    def _address(self, changes: Changes) -> str:
+    def address_of(self, changes: Changes) -> str:
+        """Of the point with these settings."""
         content = json.dumps([self._common, changes, self._inputs(changes)], sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()
 
@@ -123,12 +138,14 @@ class OpenStudy:
         base = {key: value for key, value in self.base.items() if key != "runtime"}
         own = self.settings.model_dump(include={"steps", "plan", "keep", "data"})
         files = [file_digest(each) for each in texts_in(base)]
-        content = json.dumps([RECORD, base, own, files, code_digest()], sort_keys=True)
+        measured = [] if self.measurement is None else [self.measurement.digest]
+        content = json.dumps([RECORD, base, own, files, code_digest(), *measured], sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()
 
     def inputs(self) -> list[Path]:
         """Files and folders that any point reads, but for those of the installation."""
         named = [self.settings.data, setting_of(self.base, MESH)]
+        named += [self.measurement.file] if self.measurement is not None else []
         for factor in self.factors:
             named += [changes[key] for changes in factor.changes for key in (DATA, MESH) if key in changes]
         return sorted({Path(each) for each in named if each is not None})
@@ -189,9 +206,13 @@ def setting_of(values: Any, setting: str) -> Any:
     return values
 
 
-def open_study(path: Path, check: bool = True) -> OpenStudy:
+def open_study(path: Path, check: bool = True, measurement: Measurement | None = None) -> OpenStudy:
     """Read a study. Raises InputError, one line, for whatever is wrong with it: an unknown key or setting, an
-    empty range, more than ``MAX_POINTS`` points, a value out of range."""
+    empty range, more than ``MAX_POINTS`` points, a value out of range.
+
+    ``measurement``: of the step ``measure``, if the study has it; ``check``: whether that and all values are
+    looked at.
+    """
     content = read_yaml(path, f"{path} is missing: give an existing study")
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected keys such as 'base:' and 'axes:' at the top")
@@ -207,10 +228,12 @@ def open_study(path: Path, check: bool = True) -> OpenStudy:
         base["pictures"] |= {"views": False, "animation": False}
     factors = [factor_of_axis(name, axis, str(path)) for name, axis in settings.axes.items()]
     factors += [factor_of_design(settings.design)] if settings.design else []
-    study = OpenStudy(settings, base, tuple(factors), str(path))
+    factors += [factor_of_points(settings.points, str(path))] if settings.points else []
+    study = OpenStudy(settings, base, tuple(factors), str(path), measurement)
     _check_names(study)
     _check_steps(study)
     if check:
+        _check_measurement(study)
         study.check()
     return study
 
@@ -239,6 +262,8 @@ def _require_few(settings: Study, path: Path) -> None:
     }
     if settings.design is not None:
         counts["design"] = settings.design.points
+    if settings.points:
+        counts["points"] = len(settings.points)
     points = math.prod(counts.values())
     if points > MAX_POINTS:
         factors = " x ".join(f"{name} {count}" for name, count in counts.items())
@@ -285,7 +310,7 @@ def _base(base: dict[str, Any] | str, path: Path) -> Config:
 
 def _check_names(study: OpenStudy) -> None:
     """Raise InputError for a setting that no study has, or that two axes set."""
-    seen: dict[str, str] = {}
+    seen: dict[str, Factor] = {}
     for name, axis in study.settings.axes.items():
         if axis.variants is not None and (name in RESERVED or "." in name):
             raise InputError(
@@ -294,8 +319,8 @@ def _check_names(study: OpenStudy) -> None:
             )
     for factor in study.factors:
         for setting in sorted(factor.settings):
-            if _section(setting) not in (*Config.model_fields, DATA, PLAN):
-                known = ", ".join((*Config.model_fields, DATA, PLAN))
+            if _section(setting) not in (*Config.model_fields, DATA, PLAN, CASE):
+                known = ", ".join((*Config.model_fields, DATA, PLAN, CASE))
                 raise InputError(
                     f"{study.source}: axes: '{setting}' is no setting; it begins with one of: {known}. An "
                     "axis with a name of its own has 'variants'"
@@ -305,15 +330,13 @@ def _check_names(study: OpenStudy) -> None:
                     f"{study.source}: axes: '{setting}': how the machine is used does not change a result; "
                     "remove it"
                 )
-            owner = ", ".join(factor.columns)
             for other, of in seen.items():
-                if of != owner and (
+                if of is not factor and (
                     f"{setting}.".startswith(f"{other}.") or f"{other}.".startswith(f"{setting}.")
                 ):
-                    raise InputError(
-                        f"{study.source}: axes: '{setting}' is set by {of} and by {owner}; vary it in one"
-                    )
-            seen[setting] = owner
+                    owners = " and by ".join(", ".join(each.columns) for each in (of, factor))
+                    raise InputError(f"{study.source}: axes: '{setting}' is set by {owners}; vary it in one")
+            seen[setting] = factor
 
 
 def _check_steps(study: OpenStudy) -> None:
@@ -329,6 +352,8 @@ def _check_steps(study: OpenStudy) -> None:
         raise InputError(f"{source}: a run needs a sequence: give 'data', or begin with the step 'simulate'")
     if "simulate" in steps and study.base["scene"] is None and not any(_section(n) == "scene" for n in names):
         raise InputError(f"{source}: base: no 'scene' to simulate; name a file of configs/scenes, or add one")
+    if MEASURE not in steps and any(_section(name) == CASE for name in names):
+        raise InputError(f"{source}: settings of '{CASE}' are for the step '{MEASURE}'; add it to the steps")
     for path in study.inputs():
         if not path.exists():
             raise InputError(f"{source}: {path} is missing; give an existing file or sequence")
@@ -336,12 +361,21 @@ def _check_steps(study: OpenStudy) -> None:
             raise InputError(f"{source}: data: {path} is no sequence (it has no mav0/); give an existing one")
 
 
+def _check_measurement(study: OpenStudy) -> None:
+    """Raise InputError for a step ``measure`` without a function, and for a function without the step."""
+    is_step = MEASURE in study.settings.steps
+    if is_step and study.measurement is None:
+        raise InputError(f"{study.source}: steps: '{MEASURE}' needs a function: --measure FILE.py:FUNCTION")
+    if study.measurement is not None and not is_step:
+        raise InputError(f"--measure: {study.source} has no step '{MEASURE}'; add it at the end of its steps")
+
+
 def _changes_scene(factor: Factor) -> bool:
     return any(_section(setting) in _SCENE for setting in factor.settings)
 
 
 def _of_configuration(changes: Changes) -> Changes:
-    return {key: value for key, value in changes.items() if _section(key) not in (DATA, PLAN)}
+    return {key: value for key, value in changes.items() if _section(key) not in (DATA, PLAN, CASE)}
 
 
 def _section(setting: str) -> str:

@@ -149,6 +149,7 @@ def _gathered(study: OpenStudy, store: Store, computed: int, progress: Progress)
     with progress.stage("page", 1) as advance:
         write_page(study, store.folder)
         advance()
+    store.pack(study.point(number).address for number in range(study.count))
     return found
 
 
@@ -256,6 +257,8 @@ class _Window:
             self._code,
             digest,
             self._study.data(point),
+            self._study.measurement,
+            self._study.case(point),
         )
         key = f"{self._point_key}{point.address}"
         future = self._client.submit(compute_point, job, render, key=key, pure=False)

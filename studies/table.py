@@ -8,6 +8,7 @@ of a million points takes the memory of a thousand.
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,7 @@ from polhode.atomic import replaced
 from polhode.errors import InputError
 from polhode.output.marked_folder import read_mark
 from polhode.records import Ints
-from polhode.studies.store import Record, Store
+from polhode.studies.store import PACKED, Record, Store
 from polhode.studies.study import OpenStudy, open_study
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 COMMAND = "sweep"
 TABLE, STUDY, PAGE = "table.parquet", "study.yaml", "study.html"
-FILES = (STUDY, TABLE, PAGE)
+FILES = (STUDY, TABLE, PAGE, PACKED)
 ROWS_AT_ONCE = 1000
 TIME = "time."
 """Columns that begin so differ between two computations of the same study; no others do."""
@@ -135,12 +136,13 @@ TEXTS = frozenset({"status", "reason", "verdict", "doubts", "digest.sequence"})
 """Columns of texts, even where all rows have none"""
 
 
-_RESULTS = ("run.", "evaluate.", "plan.", "compare.")
+RESULTS = ("run.", "evaluate.", "plan.", "compare.", "measure.")
+"""Beginnings of columns, one for each step"""
 _MADE_BY = (TIME, "version.", "digest.")
 
 
 def _rank(name: str) -> int:
-    for rank, prefix in enumerate((*_RESULTS, *_MADE_BY), start=1):
+    for rank, prefix in enumerate((*RESULTS, *_MADE_BY), start=1):
         if name.startswith(prefix):
             return rank
     return 0
@@ -173,11 +175,5 @@ def _cell(value: Any, kind: pa.DataType) -> Any:
 
 
 def _batches(rows: Iterator[Row]) -> Iterator[list[Row]]:
-    batch: list[Row] = []
-    for row in rows:
-        batch.append(row)
-        if len(batch) == ROWS_AT_ONCE:
-            yield batch
-            batch = []
-    if batch:
+    while batch := list(islice(rows, ROWS_AT_ONCE)):
         yield batch

@@ -1,10 +1,10 @@
 """The page of validation: every benchmark of the registry, with its command and the date of its results."""
 
-import json
 import posixpath
 import subprocess
 from pathlib import Path
 
+from benchmarks.record import lines_of
 from benchmarks.registry import BENCHMARKS, Benchmark
 
 _HEADS = {
@@ -60,7 +60,7 @@ def _page_link(page: str) -> str:
 
 def day_of(benchmark: Benchmark, root: Path) -> str:
     """Day of the last record of a benchmark, else that of the last change of its page; empty: unknown."""
-    recorded = _last_time(root / "benchmarks" / "records" / f"{record_name(benchmark)}.jsonl")
+    recorded = _last_time(root / "benchmarks" / "records" / record_name(benchmark))
     if recorded:
         return f"{recorded[:10]} (record)"
     changed = _last_change(root, benchmark.page) if benchmark.page else ""
@@ -68,16 +68,13 @@ def day_of(benchmark: Benchmark, root: Path) -> str:
 
 
 def record_name(benchmark: Benchmark) -> str:
-    """Name of the file of the record: that of the module, with one exception."""
+    """Name of the folder of the record: that of the module, with one exception."""
     module = benchmark.module.rpartition(".")[2]
     return {"disturbances": "pushes"}.get(module, module)
 
 
 def _last_time(record: Path) -> str:
-    if not record.is_file():
-        return ""
-    lines = (json.loads(line) for line in record.read_text().splitlines() if line.startswith("{"))
-    return max((str(line.get("made", {}).get("time", "")) for line in lines), default="")
+    return max((str(line.get("made", {}).get("time", "")) for line in lines_of(record)), default="")
 
 
 def _last_change(root: Path, page: str) -> str:

@@ -222,7 +222,7 @@ def _row(name: str, lines: list[Case]) -> tuple[str, ...]:
 
 def main(
     rigs: int = RIGS,
-    record: Record = RECORDS / "random_rigs.jsonl",
+    record: Record = RECORDS / "random_rigs",
     workers: Workers = 2,
     stored: Stored = False,
     short: Short = False,

@@ -25,7 +25,7 @@ from benchmarks.record import Case, complete, measured
 from polhode.pipeline.checkout.checkout import checkout
 from polhode.pipeline.checkout.sample import PLACES
 
-RECORD = RECORDS / "checkout.jsonl"
+RECORD = RECORDS / "checkout"
 SAMPLE = ROOT / "sample"
 SHORT = ("pitch", "clocks")
 UNNAMED = ("sequence", "rendered", "none")

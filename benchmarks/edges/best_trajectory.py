@@ -50,7 +50,7 @@ from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out
 from polhode.planning.prediction import FinalEstimate, FinalState, nominal_motion
 from polhode.records import SurfaceModel
 
-RECORD = Path("runs/best_trajectory.jsonl")
+RECORD = Path("runs/records/best_trajectory")
 BODIES = ("steps", "satellite")
 CONVERGED = 0.03
 DURATION_S, STEPS = 60.0, 12

@@ -51,7 +51,7 @@ from polhode.planning.edges.observability_metric import (
 )
 from polhode.planning.edges.visible_edges import SPACING_PX, clear_points
 
-RECORD = Path("runs/observability.jsonl")
+RECORD = Path("runs/records/observability")
 
 
 PLAIN = (*(name for name in SOLIDS if name != "satellite"), "free_flyer")

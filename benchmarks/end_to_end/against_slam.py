@@ -40,7 +40,7 @@ from polhode.lie import inverse_pose
 from polhode.pipeline.run_directory.stored_run import read_stored_run
 from polhode.truth import read_truth
 
-RECORD = RECORDS / "against_slam.jsonl"
+RECORD = RECORDS / "against_slam"
 HEAD = (
     "scene | method | poses | position [mm] | attitude: median, largest [deg] | scale [%] | points: number, "
     "median error [mm] | velocity, angular velocity, mass properties, sigmas | processor seconds"

@@ -53,13 +53,13 @@ MAX_FACTOR = 1.5
 def main(
     configs: Positional[Annotated[tuple[Path, ...], arg(help="Configurations of scenes.")]] = (),
     short: Short = False,
-    record: Record = RECORDS / "backgrounds.jsonl",
+    record: Record = RECORDS / "backgrounds",
 ) -> None:
     """Make what is missing and print the table."""
     chosen = configs or (SCENES[:1] if short else SCENES)
     names = [str(path.resolve().relative_to(ROOT)) for path in chosen]
     cases: list[Case] = [{"config": name, "short": short} for name in names]
-    lines = complete(record if not short else ROOT / "runs/backgrounds_short.jsonl", cases, measure, 1)
+    lines = complete(record if not short else ROOT / "runs/records/backgrounds_short", cases, measure, 1)
     print_table(HEAD, [row for line in lines for row in rows_of(line)])
     print(f"\n{verdict(lines)}")
 

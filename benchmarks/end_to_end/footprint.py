@@ -21,7 +21,7 @@ from packaging.requirements import Requirement
 from benchmarks.command import DEFAULT, RECORDS, ROOT, Record, command
 from benchmarks.record import Case, complete
 
-RECORD = RECORDS / "footprint.jsonl"
+RECORD = RECORDS / "footprint"
 CASES: tuple[Case, ...] = ({"of": "packages"}, {"of": "run on the sample"})
 LOOK_S = 0.5
 

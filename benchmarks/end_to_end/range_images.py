@@ -29,7 +29,7 @@ from polhode.simulation.dataset.frame_renderer import FrameRenderer
 from polhode.simulation.dataset.plan import load_scene, plan_sequence
 
 SCENE = ROOT / "configs/scenes/range_ts38.yaml"
-RECORD = RECORDS / "range_images.jsonl"
+RECORD = RECORDS / "range_images"
 ERRORS = (
     "noise | position [mm] (sigma) | velocity [mm/s] (sigma) | w [deg/s] (sigma) | attitude [deg] (sigma) | "
     "error k1 (sigma) | error k2 (sigma) | com [mm] (sigma) | chamfer [mm] (within 3 mm) | frames | seconds"

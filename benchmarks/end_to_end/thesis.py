@@ -21,7 +21,7 @@ from benchmarks.presentation import Row, print_table
 from benchmarks.record import Case, complete
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 
-RECORD = RECORDS / "thesis.jsonl"
+RECORD = RECORDS / "thesis"
 HEAD = "quantity | thesis | from its | polhode, simulated replica"
 CASE: Case = {"scene": "ts38"}
 

@@ -243,7 +243,7 @@ def _beats(other: tuple[float, float], place: tuple[float, float]) -> bool:
     return other != place and other[0] <= place[0] and other[1] >= place[1]
 
 
-RECORD = ROOT / "runs" / "frontend.jsonl"
+RECORD = ROOT / "runs/records/frontend"
 REFERENCE = "rootsift-2x"
 SURFACE = "surface"
 """Method ``polhode`` with the surface network instead of blobs and the network of their patches."""

@@ -104,7 +104,7 @@ SHORT = ("Kalibr and folders", "lossless video")
 
 def main(
     workers: Workers = 1,
-    record: Record = RECORDS / "same_run.jsonl",
+    record: Record = RECORDS / "same_run",
     stored: Stored = False,
     short: Short = False,
 ) -> None:

@@ -41,7 +41,7 @@ from benchmarks.live.replay import (
 from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
 
-RECORD = ROOT / "runs" / "live.jsonl"
+RECORD = ROOT / "runs/records/live"
 """Not kept in the repository: times are those of a machine."""
 
 

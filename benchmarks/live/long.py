@@ -36,7 +36,7 @@ from polhode.pipeline.run import run
 from polhode.progress import Silent
 from polhode.simulation.monte_carlo import generate
 
-RECORD = ROOT / "runs" / "long.jsonl"
+RECORD = ROOT / "runs/records/long"
 """Not kept in the repository: times are those of a machine."""
 SCENE = ROOT / "configs" / "long.yaml"
 SEED = 9

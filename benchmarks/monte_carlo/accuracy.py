@@ -38,7 +38,7 @@ from polhode.errors import RunFailure
 from polhode.lie import Array
 from polhode.simulation.monte_carlo import generate
 
-RECORD = RECORDS / "accuracy.jsonl"
+RECORD = RECORDS / "accuracy"
 """Kept in the repository: a thousand sequences take an hour, and any machine can continue."""
 MOTIONS = {
     "spin of 10 RPM near the middle axis (TS38)": SCENES["ts38"],

@@ -29,7 +29,7 @@ from polhode.lie import Array
 from polhode.records import MotionEstimate
 from polhode.simulation.monte_carlo import RPM, SyntheticScene, generate, random_scene
 
-RECORD = RECORDS / "convergence.jsonl"
+RECORD = RECORDS / "convergence"
 KINDS = (*["any"] * 8, "spin", "equal moments", "slow", "short")
 NAMES = ("com_x", "com_y", "com_z", "k1", "k2", "axes_x", "axes_y", "axes_z")
 TOLERANCE = np.array([1e-3, 1e-3, 1e-3, 0.02, 0.02, *[np.deg2rad(2.0)] * 3])

@@ -21,7 +21,7 @@ from polhode.records import MotionEstimate
 from polhode.rigid_body import HALF_TURNS
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, Vector, generate
 
-RECORD = RECORDS / "pushes.jsonl"
+RECORD = RECORDS / "pushes"
 MOMENTS = np.array([3.0e-2, 2.4e-2, 1.8e-2])
 FREE = SyntheticScene(
     frames=60, landmarks=300, detection=0.4, w_G=(0.3, 0.5, 0.35), J_G=np.diag(MOMENTS),

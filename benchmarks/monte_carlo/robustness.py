@@ -43,7 +43,7 @@ from polhode.lie import Array, inverse_pose, log_so3
 from polhode.records import MotionEstimate
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
-RECORD = RECORDS / "robustness.jsonl"
+RECORD = RECORDS / "robustness"
 """Kept in the repository, like that of the accuracy."""
 CHOSEN = (
     "spin of 10 RPM near the middle axis (TS38)",

@@ -29,7 +29,7 @@ from polhode.records import MotionEstimate
 from polhode.rigid_body import nearest_half_turn
 from polhode.simulation.monte_carlo import generate
 
-RECORD = RECORDS / "same_answer.jsonl"
+RECORD = RECORDS / "same_answer"
 N_MOTIONS = 6
 SOLVERS, FORMS = ("gauss_newton", "ipopt"), ("second_moments", "ratios_axes")
 WANTED = 1e-6

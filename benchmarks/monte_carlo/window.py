@@ -36,8 +36,8 @@ from polhode.lie import Array, log_so3
 from polhode.rigid_body import HALF_TURNS
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
-RECORD = RECORDS / "window.jsonl"
-TIMES = ROOT / "runs" / "window_times.jsonl"
+RECORD = RECORDS / "window"
+TIMES = ROOT / "runs/records/window_times"
 """Not kept in the repository: times are those of a machine."""
 SCENES = (
     "spin of 10 RPM near the middle axis (TS38)",

@@ -36,7 +36,7 @@ from benchmarks.record import Case, complete
 from polhode.lie import Array
 from polhode.planning.edges.edge_model import edge_model
 
-RECORD = Path("runs/navigation_filter.jsonl")
+RECORD = Path("runs/records/navigation_filter")
 BODY = "satellite"
 WRONG = 0.05
 """Share of images on which the fit goes to a wrong pose, or starts far off."""
@@ -74,7 +74,7 @@ def main(
         for setting in settings
         for wrong, gate in ((0.0, GATE), (WRONG, GATE), (WRONG, 1.0))
     ]
-    compared = record.with_suffix(".filters.jsonl")
+    compared = record.with_name(f"{record.name}_filters")
     lines = complete(compared, cases, FilterComparison(record), workers)
     print(errors_table(lines))
     print(wrong_table(lines))

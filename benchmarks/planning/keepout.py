@@ -44,7 +44,7 @@ from polhode.planning.keep_out.volumes import KeepOutOptions, fine_times, keep_o
 from polhode.planning.prediction import draw_ensemble, nominal_motion
 from polhode.records import SurfaceModel
 
-RECORD, TRUTH_RECORD = Path("runs/keepout.jsonl"), Path("runs/keepout_truth.jsonl")
+RECORD, TRUTH_RECORD = Path("runs/records/keepout"), Path("runs/records/keepout_truth")
 BARE_SIGMA_M = 1e-9
 NEEDED_DRAWS, NEEDED_CELLS = 200, 40
 POINTS_APART_M = 0.5

@@ -35,7 +35,7 @@ from polhode.errors import InputError, RunFailure
 from polhode.pipeline.run import run
 from polhode.progress import Silent
 
-RECORD = RECORDS / "data_faults.jsonl"
+RECORD = RECORDS / "data_faults"
 CONFIGURATION = {
     "frontend": {"features": {"max_features": 900, "second_below": 40}},
     "backend": {"window": {"enabled": False}},

@@ -61,7 +61,7 @@ def main(
         target_named(name)
     used = ("atheris" if find_spec("atheris") else "own") if engine == "automatic" else engine
     fixed = seconds or (20.0 if short else None)
-    path = record or (RUNS / "short.jsonl" if fixed else RECORDS / "fuzzing.jsonl")
+    path = record or (RUNS / "short_record" if fixed else RECORDS / "fuzzing")
     if again:
         forget(path, lambda case: case["target"] in names)
     cases = [{"target": name, "seconds": fixed or FORMAT_S * share_of(name)} for name in names]

@@ -42,7 +42,7 @@ from benchmarks.robustness.results import PARTIAL, State, names_of, size_of
 from benchmarks.robustness.stage import STAGE, Stage, prepared
 from polhode.parent_death import tied
 
-RECORD = ROOT / "runs" / "kills.jsonl"
+RECORD = ROOT / "runs/records/kills"
 KILLS = {
     "run": 6, "run --overwrite": 6, "simulate": 4, "simulate --overwrite": 4, "compare": 5, "train": 5,
     "plan": 4, "export": 4, "report": 2, "evaluate": 2, "observability": 4, "predict": 4,

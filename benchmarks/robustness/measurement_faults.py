@@ -50,7 +50,7 @@ from polhode.records import (
 )
 from polhode.simulation.monte_carlo import SyntheticSequence, generate, random_scene
 
-RECORD = RECORDS / "measurement_faults.jsonl"
+RECORD = RECORDS / "measurement_faults"
 SCENE: dict[str, Any] = {
     "frames": 40,
     "landmarks": 500,

@@ -33,7 +33,7 @@ from benchmarks.robustness.results import contents
 from benchmarks.robustness.small_data import write_sequence
 from polhode.program_digest import program_digest
 
-RECORD, STAGE = ROOT / "runs" / "resumed.jsonl", ROOT / "runs" / "resumed"
+RECORD, STAGE = ROOT / "runs/records/resumed", ROOT / "runs" / "resumed"
 POLL_S = 0.005
 ATTEMPTS = 6
 """Tries to kill a run before it ends, each at an earlier moment"""

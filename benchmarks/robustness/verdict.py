@@ -1,6 +1,6 @@
 """How well checks and verdict tell wrong runs from right ones, by the records of runs with known truth.
 
-    python -m benchmarks.robustness.verdict [--records FILE ...] [-o PNG]
+    python -m benchmarks.robustness.verdict [--records DIR ...] [-o PNG]
 
 A run is wrong if a claim is beyond five of its sigmas and a floor (``benchmarks/robustness/judge.py``), good
 if none is beyond five sigmas; what is between is left out. So is a body of revolution whose rate was not
@@ -12,8 +12,7 @@ curve is the status. A good run with a real fault in its data is rightly doubted
 that of undisturbed runs.
 """
 
-import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,13 +23,14 @@ from tyro.conf import arg
 
 from benchmarks.command import RECORDS, Png, command
 from benchmarks.presentation import print_table, save_figure, subplots
+from benchmarks.record import lines_of
 from benchmarks.robustness.data_faults import FAULTS as IMAGE_FAULTS
 from benchmarks.robustness.judge import SIGMAS, doubted
 from benchmarks.trust.judgement import FOUND_DEG_S
 from polhode.lie import Array
 from polhode.records import Bools
 
-OWN = tuple(RECORDS / f"{name}.jsonl" for name in ("measurement_faults", "data_faults", "trust"))
+OWN = tuple(RECORDS / name for name in ("measurement_faults", "data_faults", "trust"))
 UNDISTURBED = ("none", "few")
 NAMED = {"focal": IMAGE_FAULTS["focal_wrong"].named}
 """Expressions of warnings that name a fault of the measurements"""
@@ -60,7 +60,7 @@ def main(
     output: Png = None,
 ) -> None:
     """Print the tables, draw the curves."""
-    runs = judged_runs([line for path in records if path.is_file() for line in _lines(path)])
+    runs = judged_runs([line for record in records for line in lines_of(record) if line.get("checks")])
     if not runs.wrong.any() or not runs.good.any():
         raise SystemExit("no wrong run, or no good one, has checks: measure with measurement_faults first")
     print_verdict(runs)
@@ -68,14 +68,6 @@ def main(
     print_checks(runs, scores)
     if output is not None:
         draw(runs, scores, output)
-
-
-def _lines(path: Path) -> Iterator[dict[str, Any]]:
-    """Rows of the record whose runs had checks."""
-    for text in path.read_text().splitlines():
-        line = json.loads(text)
-        if line.get("checks"):
-            yield line
 
 
 def judged_runs(lines: list[dict[str, Any]]) -> Judged:

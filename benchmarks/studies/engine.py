@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +26,11 @@ import yaml
 from benchmarks.command import ROOT, Record, Short, command, simulated
 from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
-from polhode.studies.store import POINTS, Store
+from polhode.studies.store import PACKED, POINTS
 from polhode.studies.sweep import READY_PER_WORKER
 from polhode.studies.table import TABLE, TIME
 
-DEFAULT_RECORD = Path("runs/study_engine.jsonl")
+DEFAULT_RECORD = Path("runs/records/study_engine")
 WORKERS = 2
 CASES = {"none": (100, 1000, 10_000), "run": (20, 100)}
 SHORT_CASES = {"none": (50, 200), "run": (4,)}
@@ -87,7 +88,7 @@ def _watched(folder: Path, points: int, steps: Sequence[str]) -> Case:
     memory = watched_memory(process, folder / "out", points)
     if process.wait():
         raise SystemExit(f"the study ended with exit code {process.returncode}")
-    return {**time_between_records(Store(folder / "out"), steps), "memory_mb": memory}
+    return {**time_between_records(folder / "out", steps), "memory_mb": memory}
 
 
 def begun_sweep(study: Path, out: Path, *options: object) -> "subprocess.Popen[bytes]":
@@ -112,13 +113,16 @@ def watched_memory(process: "subprocess.Popen[bytes]", out: Path, points: int) -
 
 def stored_records(out: Path) -> int:
     """Points that the folder of a study has."""
-    return sum(1 for _ in (out / POINTS).glob("*/*.json"))
+    packed = out / PACKED
+    return sum(1 for _ in (out / POINTS).glob("*/*.json")) or (
+        pq.ParquetFile(packed).metadata.num_rows if packed.is_file() else 0
+    )
 
 
-def time_between_records(store: Store, steps: Sequence[str]) -> dict[str, float]:
+def time_between_records(folder: Path, steps: Sequence[str]) -> dict[str, float]:
     """From the first record to the last [s], and what the steps of all workers took of it."""
-    table = pq.read_table(store.folder / TABLE).to_pydict()
-    ends = [store.record_file(each).stat().st_mtime for each in table["digest.point"]]
+    table = pq.read_table(folder / TABLE).to_pydict()
+    ends = [datetime.fromisoformat(each).timestamp() for each in table[f"{TIME}finished"]]
     first, work_s = min(ends), 0.0
     for rank, row in enumerate(sorted(range(len(ends)), key=ends.__getitem__)):
         # the first sequences were simulated before the first record

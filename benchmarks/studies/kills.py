@@ -48,10 +48,9 @@ from benchmarks.studies.engine import (
     watched_memory,
 )
 from polhode.studies.steps import DONE
-from polhode.studies.store import Store
 from polhode.studies.table import TABLE, TIME
 
-DEFAULT_RECORD = Path("runs/study_kills.jsonl")
+DEFAULT_RECORD = Path("runs/records/study_kills")
 TABLES = ("undisturbed", "killed", "scheduler")
 POINTS, SHORT_POINTS = 500, 300
 STEPS: dict[str, list[str]] = {"run": ["simulate", "run", "evaluate"], "none": []}
@@ -108,7 +107,7 @@ def measure(case: Case) -> Case:
             process = _begun(study, out)
             more["memory_mb"] = watched_memory(process, out, count)
             _require_success(process)
-            more |= time_between_records(Store(out), STEPS[case["work"]])
+            more |= time_between_records(out, STEPS[case["work"]])
         elif case["table"] == "killed":
             more["stored_at_kills"] = _kill_three_times(study, out, count)
         else:

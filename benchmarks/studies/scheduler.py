@@ -29,7 +29,7 @@ from polhode.studies.forecast import forecast, format_forecast
 from polhode.studies.study import open_study
 from polhode.studies.sweep import READY_PER_WORKER
 
-DEFAULT_RECORD = Path("runs/study_scheduler.jsonl")
+DEFAULT_RECORD = Path("runs/records/study_scheduler")
 POINTS = 100_000
 CASES, SHORT_CASES = ((500, 2500),), ((50, 250),)
 """Points of the two studies"""

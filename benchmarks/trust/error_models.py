@@ -42,7 +42,7 @@ from polhode.progress import Silent
 from polhode.records import RelativePoses, StereoTracks
 from polhode.simulation.dataset.sequence import plan_sequence, write_sequence
 
-RECORD = RECORDS / "error_models.jsonl"
+RECORD = RECORDS / "error_models"
 MODELS: dict[str, dict[str, Any]] = {
     "none": {"correlated_errors": "none"},
     "neighbours": {"correlated_errors": "neighbours"},

@@ -36,7 +36,7 @@ from polhode.pipeline.run import run
 from polhode.progress import Silent
 from polhode.simulation.dataset.sequence import plan_sequence, write_sequence
 
-RECORD = RECORDS / "trust.jsonl"
+RECORD = RECORDS / "trust"
 Group = Literal["configs", "new", "revolution"]
 QUICK: dict[str, Any] = {
     "backend": {"window": {"enabled": False}},

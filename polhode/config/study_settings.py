@@ -9,8 +9,8 @@ from polhode.config.section import Section, Seed
 
 MAX_POINTS = 1_000_000
 """Of a study."""
-Step = Literal["simulate", "run", "evaluate", "plan", "compare"]
-STEPS: tuple[Step, ...] = ("simulate", "run", "evaluate", "plan", "compare")
+Step = Literal["simulate", "run", "evaluate", "plan", "compare", "measure"]
+STEPS: tuple[Step, ...] = ("simulate", "run", "evaluate", "plan", "compare", "measure")
 """In the order in which they follow each other"""
 Keep = Literal["whole", "summary", "nothing"]
 Number = Annotated[float, Field(ge=-1e15, le=1e15)]
@@ -135,12 +135,16 @@ class Study(Section):
     """Folder of the stereo sequence of all points, where none is simulated (relative to the study's file)."""
     axes: dict[str, Axis] = Field(default_factory=dict)
     """Settings, as dotted keys of the configuration, and their values. Also "data", and "plan.horizon_s" and
-    the like; an element of a list by its position: "scene.motion.spin_rpm.1"."""
+    the like; an element of a list by its position: "scene.motion.spin_rpm.1". What begins with "case." is for
+    the step "measure" alone."""
     design: Design | None = None
     """Settings that are drawn together."""
+    points: tuple[dict[str, Any], ...] = ()
+    """Listed points: the settings of each, as dotted keys. Like a draw of a design, each of them is combined
+    with every value of the axes."""
     steps: tuple[Step, ...] = ("simulate", "run", "evaluate")
-    """What is done for each point, in this order: simulate, run, evaluate, plan, compare. None: the table has
-    the settings alone."""
+    """What is done for each point, in this order: simulate, run, evaluate, plan, compare, measure (the
+    function that the command names). None: the table has the settings alone."""
     plan: PlanOptions = PlanOptions()
     keep: Keep = "summary"
     """What stays of each run's folder: all of it, its summary and numbers, or nothing."""
@@ -159,6 +163,8 @@ class Study(Section):
                 raise ValueError(f"steps: '{step}' needs a run; add 'run' before it")
         if "simulate" in self.steps and self.data is not None:
             raise ValueError("data: the points simulate their own sequences; remove it, or the step simulate")
+        if self.points and self.design is not None:
+            raise ValueError("points, design: both name settings of points; give one of them")
         return self
 
 

@@ -13,7 +13,7 @@ import pyarrow as pa
 from polhode.config.study_settings import Study
 from polhode.lie import Array
 from polhode.studies.study import DATA, OpenStudy
-from polhode.studies.table import TIME
+from polhode.studies.table import RESULTS, TIME
 
 MAIN = (
     "evaluate.attitude_error_deg.median",
@@ -36,7 +36,7 @@ MAIN = (
 SIGNED = ("evaluate.error_k1", "evaluate.error_k2")
 """Errors with a sign: the page shows how large they are"""
 MORE_IS_BETTER = ("*completeness*", "*coverage*", "*.within_*", "*frames_used", "*landmarks", "*observations")
-RESULTS = ("run.", "evaluate.", "plan.", "compare.", TIME)
+SHOWN = (*RESULTS, TIME)
 LOG_RATIO = 30.0
 """Positive values whose largest is so many times the least have a logarithmic scale."""
 MAX_LABEL = 26
@@ -152,7 +152,7 @@ def metrics_of(table: pa.Table) -> list[Metric]:
     found = []
     for column in table.schema:
         is_number = pa.types.is_floating(column.type) or pa.types.is_integer(column.type)
-        if not is_number or not column.name.startswith(RESULTS):
+        if not is_number or not column.name.startswith(SHOWN):
             continue
         metric = metric_of(table, column.name)
         if len(metric.known) and np.ptp(metric.known) > 0.0:

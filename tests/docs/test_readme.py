@@ -4,7 +4,6 @@ Commands of ``make`` are looked up in the Makefile, benchmarks in the registry. 
 where LEFT, RIGHT and RIG are a small recording; ``SHORTER`` says what is added so that a line takes seconds.
 """
 
-import json
 import re
 import shlex
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ import pytest
 
 from benchmarks.end_to_end import against_slam, footprint, thesis
 from benchmarks.presentation import markdown_table
+from benchmarks.record import lines_of
 from benchmarks.registry import BENCHMARKS
 from polhode.cli.main import COMMANDS, main
 from release.trial import LIGHT, PAIRS
@@ -104,10 +104,6 @@ def test_commands_of_make_and_benchmarks_exist() -> None:
 def test_commands_in_the_text_exist() -> None:
     named = set(re.findall(r"`(?:\.venv/bin/)?polhode (\w+)", README))
     assert named and named <= set(COMMANDS)
-
-
-def lines_of(record: Path) -> list[dict[str, object]]:
-    return [json.loads(line) for line in record.read_text(encoding="utf-8").splitlines()]
 
 
 def test_the_table_beside_the_thesis_is_that_of_the_record() -> None:

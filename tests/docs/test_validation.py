@@ -1,11 +1,11 @@
 """docs/validation.md: every row names a benchmark, the day of its record, and figures of its page."""
 
-import json
 import re
 from dataclasses import dataclass
 
 import pytest
 
+from benchmarks.record import lines_of
 from benchmarks.registry import BENCHMARKS, Benchmark
 from tests.docs.page_code import ROOT
 from website.benchmarks_page import record_name
@@ -54,11 +54,9 @@ def test_the_figures_stand_in_the_page_that_is_linked(row: Row) -> None:
 
 @pytest.mark.parametrize("row", rows(), ids=lambda row: row.module)
 def test_the_day_is_that_of_the_last_line_of_the_record(row: Row) -> None:
-    record = ROOT / "benchmarks" / "records" / f"{record_name(benchmark_of(row))}.jsonl"
+    record = ROOT / "benchmarks" / "records" / record_name(benchmark_of(row))
     assert re.fullmatch(r"20\d\d-\d\d-\d\d", row.day)
-    if not record.is_file():
-        return
-    lines = [json.loads(line) for line in record.read_text().splitlines() if line.startswith("{")]
+    lines = list(lines_of(record))
     if row.module == "trust.trust":
         lines = [line for line in lines if line["case"]["group"] in ("configs", "new")]
     days = {line["made"]["time"][:10] for line in lines if line.get("made", {}).get("time")}

@@ -29,6 +29,7 @@ from polhode.errors import InputError
 from polhode.studies import cluster as cluster_module
 from polhode.studies import sweep as flow
 from polhode.studies.cluster import probe, probed_versions
+from polhode.studies.store import Store
 from tests.studies.conftest import SCENE, WriteStudy, thread_of, timeless
 
 Capture = pytest.CaptureFixture[str]
@@ -102,7 +103,7 @@ def until(holds: Callable[[], Any]) -> Any:
 
 
 def records(folder: Path) -> int:
-    return len(list(folder.glob("points/*/*.json")))
+    return len(list(folder.glob("points/*/*.json"))) or len(list(Store(folder).records()))
 
 
 def attempts(folder: Path) -> list[Path]:

@@ -31,6 +31,7 @@ from benchmarks.navigation.recorded_flights import (
     fly,
     runs_of,
 )
+from benchmarks.record import add
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.observability_metric import edge_motion, moved, pose_error
 from polhode.planning.edges.visible_edges import control_points
@@ -122,8 +123,8 @@ def test_runs_take_bad_poses_by_share_and_filters_use_what_they_believe(
     ]
     usual = [pose and pose.line() for pose in found]
     bad = [pose and {**pose, "found": -1.0} for pose in usual]
-    record = tmp_path / "poses.jsonl"
-    record.write_text(json.dumps({"case": case, "poses": usual, "bad": bad}) + "\n")
+    record = tmp_path / "poses"
+    add(record, [{"case": case, "poses": usual, "bad": bad}])
     belief = PoseCalibration(TRUE_LEVELS, "residual")
 
     def shares(wrong: float) -> list[float]:
