@@ -64,7 +64,7 @@ def test_three_of_ten_observations_may_be_gross_errors() -> None:
 
 
 def test_ten_seconds_of_nothing_are_bridged_and_the_target_is_found_again() -> None:
-    lines = lines_of("gap", frames=60)
+    lines = lines_of("gap", frames=80)
     assert_consistent(lines)
     for line in lines:
         gap = line["gap"]
