@@ -10,6 +10,7 @@ import gc
 import os
 import signal
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,16 @@ def finished(rendered_sequence: Path, make_once: MakeOnce) -> Path:
 
     config = Config.model_validate({"runtime": {"workers": 1}})
     return make_once("finished", lambda folder: run(config, rendered_sequence, folder, Silent()))
+
+
+@pytest.fixture
+def coarse_keep_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep-out volumes have half the cells a side, which takes an eighth of the time."""
+    from polhode.planning.keep_out.volumes import KeepOutOptions
+
+    coarse = partial(KeepOutOptions, cells=KeepOutOptions.cells // 2)
+    for user in ("polhode.planning.keep_out.volumes", "polhode.api"):
+        monkeypatch.setattr(f"{user}.KeepOutOptions", coarse)
 
 
 @pytest.fixture

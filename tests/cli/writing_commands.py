@@ -187,7 +187,7 @@ def make_quick(patch: pytest.MonkeyPatch, stage: Stage) -> None:
     patch.setattr(polhode.pipeline.view.show_run, "show_stored_run", _one_path)
     once = _Once()
     plan, assess = polhode.pipeline.after_run.plan, polhode.pipeline.after_run.observability.assess
-    few = KeepOutOptions(2.0, 0.97, members=100)
+    few = KeepOutOptions(2.0, 0.97, members=100, cells=24)
     plan_run, real_assess, subject_of = plan.plan_run, assess.assess, assess.subject_of
     patch.setattr(plan, "plan_run", lambda run, *_: once("plan", lambda: plan_run(run, few, None)))
     patch.setattr(polhode.pipeline.after_run.plan_files, "plan_pictures", lambda *_: {})

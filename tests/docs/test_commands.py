@@ -63,6 +63,7 @@ def test_commands_in_the_text_could_be_run(page: str, monkeypatch: pytest.Monkey
         check_mention(words_of(command), monkeypatch)
 
 
+@pytest.mark.usefixtures("coarse_keep_out")
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if page not in OWN_TESTS and any(map(is_run, fences(page)))]
 )

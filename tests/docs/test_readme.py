@@ -69,6 +69,7 @@ def recording(rendered_sequence: Path, tmp_path: Path, monkeypatch: pytest.Monke
     return tmp_path
 
 
+@pytest.mark.usefixtures("coarse_keep_out")
 def test_every_command_runs_in_order(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Those of the program, then the lines of Python."""
     ours = [words[1:] for words in commands(README) if words[0] == PROGRAM]

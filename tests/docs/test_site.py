@@ -24,6 +24,11 @@ from website.source_pages import site_path, with_site_links
 
 @pytest.fixture(scope="module")
 def site(make_once: MakeOnce) -> Path:
+    """That of POLHODE_SITE, which `.ci/run` has just built in the same way, or one that is built now."""
+    built = os.environ.get("POLHODE_SITE")
+    if built is not None:
+        return Path(built)
+
     def build(folder: Path) -> None:
         words = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
         environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}

@@ -162,6 +162,7 @@ def test_a_prediction_has_the_pose_of_the_body_and_places_of_its_points(stored: 
     np.testing.assert_allclose(places_N[1], transform_points(pose_at(stored, 1.0), p_G), atol=1e-12)
 
 
+@pytest.mark.usefixtures("coarse_keep_out")
 def test_the_keep_out_volume_contains_the_body_now(stored: polhode.Run) -> None:
     swept = stored.keep_out(2.0, 0.97, members=100).swept
     now = transform_points(stored.X_NG[-1], np.asarray(stored.mesh.vertices))

@@ -20,6 +20,7 @@ from polhode.mapping.mesh_files import write_ply
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.run_directory.stages import StageStore
 from polhode.pipeline.run_directory.trajectory_file import trajectory_of, write_trajectory
+from polhode.planning.keep_out.volumes import KeepOutOptions
 from polhode.progress import Progress
 
 PAGE = Path(__file__).parents[2] / "docs" / "api.md"
@@ -57,6 +58,7 @@ def page(
         patch.setattr(RunContext, "of_frames", apart)
         # The mesh of so few frames is open; the distances from its hull would take most of the time.
         patch.setattr("polhode.planning.keep_out.measured_body.OPEN_SHARE", 1.0)
+        patch.setattr("polhode.api.KeepOutOptions", partial(KeepOutOptions, cells=36))
         names = runpy.run_path("page.py")
     # What is read later is read from another working directory.
     names["run"] = polhode.load(folder / "RUN")

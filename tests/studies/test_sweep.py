@@ -224,6 +224,7 @@ def test_a_point_whose_workers_are_killed_again_and_again_is_a_row(
     assert found["reason"] == "4 workers ended while computing it, perhaps for lack of memory"
 
 
+@pytest.mark.usefixtures("coarse_keep_out")
 @pytest.mark.parametrize("keep", ["whole", "summary", "nothing"])
 def test_a_study_of_existing_data_keeps_of_each_run_what_is_asked_for(
     keep: str,

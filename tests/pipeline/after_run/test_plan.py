@@ -21,6 +21,8 @@ from polhode.records import SurfaceModel
 from tests.pipeline.conftest import Example
 from tests.pipeline.stored_run import write_run
 
+pytestmark = pytest.mark.usefixtures("coarse_keep_out")
+
 Capture = pytest.CaptureFixture[str]
 DOCK = ["--dock-point", "0.06", "0", "0", "--dock-axis", "1", "0", "0", "--stand-off", "0.3"]
 AHEAD = ["--horizon", "2", "--confidence", "0.97", "--members", "100"]
