@@ -68,6 +68,21 @@ def sequence(J: Array, com_G: Array, push_w: Array) -> tuple[StereoTracks, Motio
     return tracks, estimate_motion(tracks, start, Backend(), Silent())
 
 
+Sequence = tuple[StereoTracks, MotionEstimate]
+
+
+@pytest.fixture(scope="module")
+def pushed() -> Sequence:
+    """Nothing but the push."""
+    return sequence(BEFORE, np.zeros(3), np.array([0.1, -0.05, 0.0]))
+
+
+@pytest.fixture(scope="module")
+def free() -> Sequence:
+    """A free tumble."""
+    return sequence(BEFORE, np.zeros(3), np.zeros(3))
+
+
 def test_a_part_that_leaves_is_named() -> None:
     tracks, estimate = sequence(AFTER, np.array([0.008, 0.0, 0.0]), np.array([0.1, -0.05, 0.0]))
     checks, unseen = mass_checks(tracks, estimate, Backend())
@@ -83,15 +98,15 @@ def test_a_part_that_moves_about_the_centre_is_named() -> None:
     assert len(said) == 1 and not unseen and "other mass properties" in said[0]
 
 
-def test_a_push_alone_is_not() -> None:
-    tracks, estimate = sequence(BEFORE, np.zeros(3), np.array([0.1, -0.05, 0.0]))
+def test_a_push_alone_is_not(pushed: Sequence) -> None:
+    tracks, estimate = pushed
     assert estimate.disturbances is not None
     checks = mass_checks(tracks, estimate, Backend())[0]
     assert reasons_of(checks) == [] and all(check.value is not None for check in checks)
 
 
-def test_what_would_not_show_is_told() -> None:
-    tracks, estimate = sequence(BEFORE, np.zeros(3), np.array([0.1, -0.05, 0.0]))
+def test_what_would_not_show_is_told(pushed: Sequence) -> None:
+    tracks, estimate = pushed
     noise = replace(estimate.noise, pixel_sigma_px=6.0, disparity_sigma_px=2.0)
     coarse = replace(estimate, noise=noise)
     checks, (told,) = mass_checks(tracks, coarse, Backend())
@@ -100,16 +115,16 @@ def test_what_would_not_show_is_told() -> None:
     assert 1.0 < moved_mm < 20.0
 
 
-def test_a_free_tumble_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    tracks, estimate = sequence(BEFORE, np.zeros(3), np.zeros(3))
+def test_a_free_tumble_costs_nothing(free: Sequence, monkeypatch: pytest.MonkeyPatch) -> None:
+    tracks, estimate = free
     if estimate.disturbances is None:
         monkeypatch.setattr("polhode.pipeline.data_checks.mass_check.estimate_motion", None)
     checks, unseen = mass_checks(tracks, estimate, Backend())
     assert reasons_of(checks) == unseen == []
 
 
-def test_a_part_of_the_measurements_keeps_its_rows() -> None:
-    tracks, _ = sequence(BEFORE, np.zeros(3), np.zeros(3))
+def test_a_part_of_the_measurements_keeps_its_rows(free: Sequence) -> None:
+    tracks, _ = free
     chosen = np.arange(FRAMES) >= 20
     part = part_of(tracks, chosen)
     assert part.n_frames == 28 and part.frame.min() == 0 and len(np.unique(part.landmark)) == part.n_landmarks

@@ -21,7 +21,8 @@ from polhode.records import MotionEstimate, SurfaceModel
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 from tests.pipeline.intervals.limits import spin_limits
 
-CONFIG = Backend(process_noise="given", accel_psd=1e-8, torque_psd=1e-8)
+CONFIG = Backend(process_noise="given", accel_psd=1e-8, torque_psd=1e-8, max_iterations=40)
+"""Along what a pure spin hides the solver would walk on without an end."""
 J_G = np.diag([1.5, 1.2, 0.9])
 COM_G = (0.01, -0.02, 0.015)
 RADIUS_M = 0.11
