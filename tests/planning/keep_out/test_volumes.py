@@ -16,9 +16,9 @@ from polhode.records import SurfaceModel
 from tests.planning.bodies import SIGMA_M, ball, box, estimate, measured
 
 
-def quick(horizon_s: float) -> KeepOutOptions:
+def quick(horizon_s: float, cells: int = 48) -> KeepOutOptions:
     """97 % needs 76 members."""
-    return KeepOutOptions(horizon_s, 0.97, members=120, cells=48)
+    return KeepOutOptions(horizon_s, 0.97, members=120, cells=cells)
 
 
 def capsule_distance(p: Array, a: Array, b: Array, radius: float) -> Array:
@@ -80,7 +80,7 @@ def test_independent_draws_stay_inside_as_often_as_promised() -> None:
 def test_less_is_known_more_is_kept_out() -> None:
     motion = (0.0, 0.3, 0.0)
     volumes = [
-        keep_out(box(), estimate(motion, size=size), quick(5.0)).swept.volume_m3 for size in (0.1, 1.0, 3.0)
+        keep_out(box(), estimate(motion, size=size), quick(5.0, 24)).swept.volume_m3 for size in (0.1, 1.0, 3.0)
     ]
     assert volumes[0] < volumes[1] < volumes[2]
 
@@ -98,7 +98,7 @@ def test_an_open_mesh_is_kept_out_of_by_its_hull_and_says_so() -> None:
 
 
 def test_the_same_seed_gives_the_same_volume() -> None:
-    runs = [keep_out(ball(), estimate((0.0, 0.3, 0.0)), quick(3.0)) for _ in range(2)]
+    runs = [keep_out(ball(), estimate((0.0, 0.3, 0.0)), quick(3.0, 24)) for _ in range(2)]
     np.testing.assert_array_equal(runs[0].swept.level.values, runs[1].swept.level.values)
 
 
@@ -123,7 +123,7 @@ def test_the_instant_volume_moves_with_the_body() -> None:
 
 
 def test_points_of_another_shape_are_refused_in_a_line() -> None:
-    found = keep_out(box(), estimate((0.0, 0.5, 0.0), size=0.01), quick(4.0))
+    found = keep_out(box(), estimate((0.0, 0.5, 0.0), size=0.01), quick(4.0, 24))
     for distances in (found.swept.signed_distance, partial(found.instant.signed_distance, 0)):
         with pytest.raises(InputError, match=r"points of shape \(3,\): give coordinates \(n, 3\) in N"):
             distances(np.zeros(3))

@@ -331,7 +331,7 @@ def test_points_of_another_scene_are_made_again(
 
 def test_the_loss_falls(training_file: Path, tmp_path: Path) -> None:
     longer = [
-        "--train.schedule.steps=40",
+        "--train.schedule.steps=30",
         "--train.schedule.warmup-steps=4",
         "--train.schedule.learning-rate=2e-3",
     ]
