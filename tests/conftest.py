@@ -29,9 +29,6 @@ settings.load_profile("same")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
-# What workers need is imported once for all tests of this process, as a run does, while they are collected.
-processes.start_server(("polhode.pipeline.run",), workers=2)
-
 WIDTH_PX, HEIGHT_PX, BASELINE_M = 64, 48, 0.09
 RENDERED_FRAMES = 14
 TIMESTAMPS_NS = 1_600_000_000_000_000_000 + 500_000_000 * np.arange(6, dtype=np.int64)
@@ -43,6 +40,15 @@ LONGEST = (
     "tests/compare/test_solver_process.py",
 )
 """Files that begin, so that at the end no process waits long for the other."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """What workers need is imported once for all tests of this process, as a run does, while they are found.
+
+    The process that only hands out the tests to others (pytest-xdist) needs it not.
+    """
+    if not config.getoption("numprocesses", None):
+        processes.start_server(("polhode.pipeline.run",), workers=2)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

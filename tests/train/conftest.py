@@ -35,7 +35,7 @@ def _corpus(folder: Path) -> Corpus:
 
 @pytest.fixture
 def training_file(tiny_corpus: Corpus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A configuration that trains the descriptor on it for a few steps, and scores it on one pair an angle."""
+    """A configuration that trains the descriptor on it for a few steps and scores it on one pair an angle."""
     monkeypatch.setattr("polhode.train.descriptor.scores.PAIRS_PER_SCENE", 1)
     path = tmp_path / "train.yaml"
     path.write_text(

@@ -80,7 +80,8 @@ def test_independent_draws_stay_inside_as_often_as_promised() -> None:
 def test_less_is_known_more_is_kept_out() -> None:
     motion = (0.0, 0.3, 0.0)
     volumes = [
-        keep_out(box(), estimate(motion, size=size), quick(5.0, 24)).swept.volume_m3 for size in (0.1, 1.0, 3.0)
+        keep_out(box(), estimate(motion, size=size), quick(5.0, 24)).swept.volume_m3
+        for size in (0.1, 1.0, 3.0)
     ]
     assert volumes[0] < volumes[1] < volumes[2]
 
