@@ -143,14 +143,18 @@ def control_points(
 ) -> ControlPoints:
     """Edges of the model at X_RG (4, 4) that the rectified left camera sees, within its image.
 
-    None from inside the body.
+    Of edges that coincide there, the longest. None from inside the body.
     """
+    return without_duplicates(every_point(model, rig, X_RG, spacing_px), spacing_px)
+
+
+def every_point(model: EdgeModel, rig: RectifiedRig, X_RG: Array, spacing_px: float) -> ControlPoints:
+    """The same, with all edges that coincide in the image."""
     if model.encloses(inverse_pose(X_RG)[:3, 3]):
         return _no_points()
     near_m = _NEAR * model.radius_m
     segments = _on_segments(model, rig, X_RG, spacing_px, near_m)
-    turned_away = _on_outlines(model, rig, X_RG, spacing_px, near_m)
-    return without_duplicates(_join(segments, turned_away), spacing_px)
+    return _join(segments, _on_outlines(model, rig, X_RG, spacing_px, near_m))
 
 
 def without_duplicates(points: ControlPoints, spacing_px: float) -> ControlPoints:

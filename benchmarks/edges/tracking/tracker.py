@@ -230,7 +230,7 @@ def _fit(
             return step, True
         residual = d[seen] - f[seen] @ step
         scale = min(_scale(residual, length[seen], wanted), max_px)
-        weight = length[seen] * _robust(residual / scale, narrow=np.isfinite(max_px))
+        weight = length[seen] * robust_weight(residual / scale, narrow=np.isfinite(max_px))
         before = step
         step = _solve(f[seen], d[seen], weight, radius_m, scale)
         if np.mean((f @ (step - before)) ** 2) < (0.1 * wanted.settled_px) ** 2:
@@ -254,7 +254,7 @@ def _scale(residual: Array, length: Array, wanted: TrackerOptions) -> float:
     return max(MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]]), wanted.min_sigma_px)
 
 
-def _robust(u: Array, narrow: bool) -> Array:
+def robust_weight(u: Array, narrow: bool) -> Array:
     """Weights of residuals in sigmas: Tukey's, which forgets what is far off; Cauchy's until near."""
     if narrow:
         return np.asarray(np.where(np.abs(u) < TUKEY, (1.0 - (u / TUKEY) ** 2) ** 2, 0.0))
@@ -288,7 +288,7 @@ def _told(
     seen = np.isfinite(d)
     robust = np.zeros(len(points))
     if seen.any():
-        robust[seen] = _robust(d[seen] / wanted.min_sigma_px, narrow=True)
+        robust[seen] = robust_weight(d[seen] / wanted.min_sigma_px, narrow=True)
     f = edge_motion(points, rig, X_RG, model.centre_G)
     information = observability(f, points.weight * robust, model.radius_m)
     if few or seen.sum() < wanted.min_found:

@@ -1,0 +1,274 @@
+"""Pose of a body from the edges of one image, where edges lie side by side: bevels, rims, thin panels.
+
+As ``tracker.py``, but each control point is measured by all edges that are known across it
+(``stripe_fit.py``), weighs as much as its profile tells, and where in its stripe the step of light lies is
+an unknown of all stripes that face alike (``planning/edges/stripes.py``).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from benchmarks.edges.tracking.edge_search import Levels, as_levels
+from benchmarks.edges.tracking.stripe_fit import displacement, searched
+from benchmarks.edges.tracking.tracker import MAD_TO_SIGMA, robust_weight, track
+from polhode.camera import RectifiedRig
+from polhode.lie import Array, transform_points
+from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.observability_metric import (
+    EdgeObservability,
+    edge_motion,
+    motion_scale,
+    moved,
+    spectrum,
+)
+from polhode.planning.edges.stripes import (
+    SAMPLED_PX,
+    StripeInformation,
+    Stripes,
+    stripe_information,
+    stripes_across,
+)
+from polhode.planning.edges.visible_edges import SPACING_PX, ControlPoints, control_points, every_point
+from polhode.records import Bools
+
+
+@dataclass(frozen=True)
+class StripeOptions:
+    """What the tracker may do."""
+
+    far_px: tuple[float, ...] = (8.0, 8.0, 4.0, 4.0, 4.0)
+    """searched on both sides from the guess, step by step"""
+    near_px: tuple[float, ...] = (3.0, 3.0)
+    """from a pose that is nearly right"""
+    steps: int = 12
+    """after those, from where the edges are"""
+    wide: int = 3
+    """of them with weights that forget nothing"""
+    half_px: float = 3.0
+    """of the profiles of those steps"""
+    floor_px: float = 0.07
+    """sigma of an edge's place however clear it is: blur, pixels, the model"""
+    most_sigma_px: float = 0.6
+    """points that are less certain do not count"""
+    most_shift_px: float = 2.5
+    settled_px: float = 0.01
+    remade_px: float = 0.5
+    """control points are recomputed when they have moved by this, root mean square"""
+    min_found: int = 12
+    restarts: int = 4
+    restart_px: float = 2.0
+    content: float = 0.8
+    """agreement from which no other start is tried"""
+
+
+@dataclass(frozen=True)
+class StripeTracking:
+    """A pose and what it rests on."""
+
+    X_RG: Array
+    """(4, 4)"""
+    points: ControlPoints
+    information: EdgeObservability
+    """Its C (6, 6) [m^-2, m^-1 rad^-1, rad^-2] is the inverse of the covariance"""
+    agreement: float
+    """Share of the information that the model expects and the image confirms to three sigmas, 0 to 1"""
+    scale: float
+    """Robust size of the residuals over their sigmas, 1 at least"""
+    converged: bool
+    reason: str
+    """Why there is no pose; empty when there is nothing to say"""
+
+    @property
+    def covariance(self) -> Array:
+        """(6, 6) [m^2, m rad, rad^2], by the residuals' own size; inf on the diagonal where unobservable."""
+        return self.information.covariance * self.scale**2
+
+
+def track_stripes(
+    model: EdgeModel,
+    rig: RectifiedRig,
+    image: ArrayLike,
+    X_RG: Array,
+    known: EdgeModel | None = None,
+    wanted: StripeOptions | None = None,
+) -> StripeTracking:
+    """Pose of the model in an image (H, W) of grey levels, from a guess X_RG (4, 4).
+
+    ``known``: the edges of the body that are known beside those of the model, if it has only some of them.
+    Never raises for what the image shows. Deterministic: restarts are drawn from a fixed seed.
+    """
+    wanted = wanted or StripeOptions()
+    grey = as_levels(image)
+    tracker = _Tracker(model, known or model, rig, grey, wanted)
+    coarse = track(model, rig, image, X_RG)
+    found = tracker.from_guess(X_RG, wanted.far_px)
+    if len(coarse.points):
+        found = _better(found, tracker.from_guess(coarse.X_RG, wanted.near_px))
+    rng = np.random.default_rng(0)
+    for _ in range(wanted.restarts):
+        if not len(found.points) or (found.converged and found.agreement >= wanted.content):
+            break
+        f = edge_motion(found.points, rig, found.X_RG, model.centre_G)
+        step = rng.standard_normal(6)
+        step *= wanted.restart_px / max(float(np.sqrt(np.mean((f @ step) ** 2))), 1e-12)
+        other = tracker.from_guess(moved(found.X_RG, step, model.centre_G), wanted.near_px)
+        found = _better(found, other)
+    return found
+
+
+def _better(one: StripeTracking, other: StripeTracking) -> StripeTracking:
+    """The one that converged, or that the image confirms more of."""
+    return max(one, other, key=lambda each: (each.converged, each.agreement))
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """The points of a pose, measured."""
+
+    points: ControlPoints
+    stripes: Stripes
+    f: Array
+    shift_px: Array
+    sigma_px: Array
+    spread_px: Array
+    counts: Bools
+    """(m,) whether the point has a measurement"""
+
+    def residual(self, place: Array) -> Array:
+        """(m,) in sigmas, with places (classes,) of the steps in their stripes."""
+        return np.asarray((self.shift_px - self.spread_px * place[self.stripes.light]) / self.sigma_px)
+
+
+@dataclass(frozen=True)
+class _Tracker:
+    model: EdgeModel
+    known: EdgeModel
+    rig: RectifiedRig
+    grey: Levels
+    wanted: StripeOptions
+
+    def from_guess(self, X_RG: Array, search_px: tuple[float, ...]) -> StripeTracking:
+        """From one guess, without restarts."""
+        o_G, wanted = self.model.centre_G, self.wanted
+        if transform_points(X_RG, o_G[None])[0, 2] <= 0.0:
+            return self._nothing(X_RG, "the target is behind the camera")
+        settled, drift_px = False, np.inf
+        place = np.zeros(0)
+        for range_px, is_wide in self._plan(search_px):
+            if drift_px > wanted.remade_px:
+                view, drift_px = self._view(X_RG), 0.0
+            seen = self._look(view, X_RG, range_px)
+            if seen.counts.sum() < wanted.min_found:
+                found, of = int(seen.counts.sum()), len(seen.counts)
+                return self._nothing(X_RG, f"edges were found at {found} of {of} control points: too few")
+            if range_px is not None or len(place) != seen.stripes.classes:
+                place = np.zeros(seen.stripes.classes)
+            told, weight, _ = self._information(seen, place, is_wide)
+            step = self._step(told)
+            if range_px is None:
+                place = told.places(step)
+            X_RG = moved(X_RG, step, o_G)
+            motion_px = float(np.sqrt(np.mean((seen.f @ step) ** 2)))
+            drift_px += motion_px
+            settled = not is_wide and motion_px < wanted.settled_px
+            if settled:
+                break
+        return self._told(X_RG, settled)
+
+    def _plan(self, search_px: tuple[float, ...]) -> Iterator[tuple[float | None, bool]]:
+        """Range that is searched, None: from where the edges are; and whether nothing is forgotten."""
+        for range_px in search_px:
+            yield range_px, True
+        for number in range(self.wanted.steps):
+            yield None, number < self.wanted.wide
+
+    def _view(self, X_RG: Array) -> tuple[ControlPoints, ControlPoints]:
+        """Control points of the model, and points of all edges that are known."""
+        points = control_points(self.model, self.rig, X_RG, SPACING_PX)
+        return points, every_point(self.known, self.rig, X_RG, SAMPLED_PX)
+
+    def _at(self, points: ControlPoints, X_RG: Array) -> ControlPoints:
+        """The same points of the body, where a pose that has hardly moved shows them."""
+        return replace(points, uv_px=self.rig.project(transform_points(X_RG, points.p_G))[:, :2])
+
+    def _look(
+        self, view: tuple[ControlPoints, ControlPoints], X_RG: Array, range_px: float | None
+    ) -> _Measured:
+        wanted = self.wanted
+        points, every = (self._at(each, X_RG) for each in view)
+        reach_px = wanted.half_px if range_px is None else range_px + 1.5
+        stripes = stripes_across(points, every, X_RG, reach_px + wanted.most_shift_px)
+        f = edge_motion(points, self.rig, X_RG, self.model.centre_G)
+        if range_px is not None:
+            shift, good = searched(self.grey, points, stripes, range_px)
+            sigma, none = np.full(len(points), wanted.most_sigma_px), np.zeros(len(points))
+            return _Measured(points, stripes, f, shift, sigma, none, good)
+        found = displacement(self.grey, points, stripes, wanted.half_px)
+        sigma = np.hypot(found.sigma_px, wanted.floor_px)
+        counts = (sigma < wanted.most_sigma_px) & (np.abs(found.shift_px) < wanted.most_shift_px)
+        sigma = np.where(np.isfinite(sigma), sigma, 1e3)
+        return _Measured(points, stripes, f, found.shift_px, sigma, stripes.side * found.spread_px, counts)
+
+    def _information(
+        self, seen: _Measured, place: Array, is_wide: bool
+    ) -> tuple[StripeInformation, Array, float]:
+        """Normal equations, the weights (m,) of the points without the scale, and the scale."""
+        residual = np.where(seen.counts, seen.residual(place), 0.0)
+        length = seen.points.weight / seen.sigma_px**2
+        scale = max(_median_size(residual[seen.counts], length[seen.counts]), 1.0)
+        robust = robust_weight(residual / scale, narrow=not is_wide) * seen.counts
+        weight = length * robust
+        told = stripe_information(
+            seen.f,
+            seen.shift_px,
+            weight / scale**2,
+            seen.spread_px,
+            seen.stripes.light,
+            seen.stripes.classes,
+        )
+        return told, weight, scale
+
+    def _step(self, told: StripeInformation) -> Array:
+        """The step of least squares in the directions that are seen; one of half a radius is a sigma too far."""
+        values, directions, seen = spectrum(told.C, self.model.radius_m)
+        unit = motion_scale(self.model.radius_m)
+        part = np.where(seen, directions.T @ (unit * told.pull) / (np.maximum(values, 0.0) + 4.0), 0.0)
+        return np.asarray(unit * (directions @ part))
+
+    def _told(self, X_RG: Array, settled: bool) -> StripeTracking:
+        """The record of the last pose, measured once more there."""
+        seen = self._look(self._view(X_RG), X_RG, None)
+        if seen.counts.sum() < self.wanted.min_found:
+            return self._nothing(X_RG, "too few edges were found at the last pose")
+        place = np.zeros(seen.stripes.classes)
+        for _ in range(3):
+            told, weight, scale = self._information(seen, place, is_wide=False)
+            place = told.places(np.zeros(6))
+        size = np.abs(seen.residual(place))
+        expected = seen.points.weight / np.maximum(
+            seen.sigma_px**2 + seen.spread_px**2, self.wanted.floor_px**2
+        )
+        confirmed = seen.counts & (size < 3.0)
+        C = stripe_information(
+            seen.f, seen.shift_px, weight, seen.spread_px, seen.stripes.light, seen.stripes.classes
+        ).C
+        information = EdgeObservability(C, self.model.radius_m, int(seen.counts.sum()))
+        reason = information.describe_unobservable() if settled else "the pose has not settled"
+        agreement = float(expected[confirmed].sum() / expected.sum())
+        return StripeTracking(X_RG, seen.points, information, agreement, scale, settled, reason)
+
+    def _nothing(self, X_RG: Array, reason: str) -> StripeTracking:
+        none = EdgeObservability(np.zeros((6, 6)), self.model.radius_m, 0)
+        points = control_points(self.model, self.rig, X_RG, SPACING_PX)[:0]
+        return StripeTracking(X_RG, points, none, 0.0, np.inf, False, reason)
+
+
+def _median_size(residual: Array, weight: Array) -> float:
+    """Sigma by the median size of residuals, each with its weight."""
+    size = np.abs(residual)
+    order = np.argsort(size)
+    reached = np.cumsum(weight[order])
+    return MAD_TO_SIGMA * float(size[order[np.searchsorted(reached, 0.5 * reached[-1])]])
