@@ -134,13 +134,13 @@ TRIANGLE = np.triu_indices(6)
 
 def measure(case: Case) -> dict[str, Any]:
     """All poses of one body; see `trend` and `wrong_starts`."""
-    views, model = _views(case["body"], case["rich"])
+    views, model = views_of(case["body"], case["rich"])
     rows = list(wrong_starts(case, views, model) if case["part"] == "wrong" else trend(case, views, model))
     return {"radius_m": model.radius_m, "edges": [m.size for m in levels(model)], "rows": rows}
 
 
 @lru_cache(maxsize=1)
-def _views(body: str, rich: bool) -> tuple[EdgeViews, EdgeModel]:
+def views_of(body: str, rich: bool) -> tuple[EdgeViews, EdgeModel]:
     target = edge_body(body, plain=not rich)
     return EdgeViews(target, RIG, 3, ViewOptions(sensor=LENS)), edge_model(target.mesh)
 
@@ -182,7 +182,7 @@ def trend(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, 
     for number, X_RG in enumerate(poses_of(case, model)):
         rng = np.random.default_rng([case["seed"], 7, number])
         suns = random_suns(case["each"], case["seed"] + 1000 * number)
-        truths = [_jittered(X_RG, o_G, rng) for _ in suns]
+        truths = [jittered(X_RG, o_G, rng) for _ in suns]
         starts = perturbed(np.array(truths), o_G, case["seed"] + 1000 * number, START_DEG, START_M)
         images = [
             views.image(X, sun, 1000 * number + k)
@@ -191,8 +191,8 @@ def trend(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, 
         for level, each in enumerate(models):
             known, parts = foreseen(each, RIG, X_RG)
             yield {
-                "pose": number, "level": level, "points": known.points, "C": _rounded(known.C[TRIANGLE]),
-                "seen": len(known.unobservable) == 0, "parts": _rounded(parts[:, *TRIANGLE]),
+                "pose": number, "level": level, "points": known.points, "C": rounded(known.C[TRIANGLE]),
+                "seen": len(known.unobservable) == 0, "parts": rounded(parts[:, *TRIANGLE]),
                 "trials": [
                     _trial(track(each, RIG, image, start), true, o_G, image)
                     for image, start, true in zip(images, starts, truths, strict=True)
@@ -211,7 +211,7 @@ def foreseen(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> tuple[EdgeObse
     return known, noise_parts(f, points.weight, points.feature, sign)
 
 
-def _jittered(X_RG: Array, o_G: Array, rng: np.random.Generator) -> Array:
+def jittered(X_RG: Array, o_G: Array, rng: np.random.Generator) -> Array:
     """Another position of the edges between the pixels."""
     step = np.zeros(6)
     step[:2] = rng.uniform(-1, 1, 2) * JITTER_PX * X_RG[2, 3] / RIG.focal_px
@@ -224,11 +224,12 @@ def _trial(tracked: TrackingResult, true: Array, o_G: Array, image: Grey) -> dic
     complete = tracked.converged and len(tracked.information.unobservable) == 0
     shown = support(tracked, image)
     return {
-        "ok": bool(complete), "error": _rounded(pose_error(tracked.X_RG, true, o_G)),
-        "off_px": _rounded(off_px(tracked, true)), "support": _rounded(shown.as_features),
-        "sigma_px": _rounded(shown.sigma_px if np.isfinite(shown.sigma_px) else 99.0),
-        "C": _rounded(tracked.C[TRIANGLE]), "metric": _rounded(_log_determinant(tracked)),
-        "parts": _rounded(parts_of(tracked).parts[0][:, *TRIANGLE]) if complete else None,
+        "ok": bool(complete), "error": rounded(pose_error(tracked.X_RG, true, o_G)),
+        "off_px": rounded(off_px(tracked.points.p_G, tracked.X_RG, true)),
+        "support": rounded(shown.as_features),
+        "sigma_px": rounded(shown.sigma_px if np.isfinite(shown.sigma_px) else 99.0),
+        "C": rounded(tracked.C[TRIANGLE]), "metric": rounded(_log_determinant(tracked)),
+        "parts": rounded(parts_of(tracked).parts[0][:, *TRIANGLE]) if complete else None,
     }  # fmt: skip
 
 
@@ -240,13 +241,12 @@ def _log_determinant(tracked: TrackingResult) -> float:
     return float(-np.log(np.maximum(np.linalg.eigvalsh(known.C), 1e-9)).sum())
 
 
-def off_px(tracked: TrackingResult, true: Array) -> float:
-    """How far the model's points are from their true places in the image, root mean square; 999 at most."""
-    p_G = tracked.points.p_G
+def off_px(p_G: Array, X_RG: Array, true: Array) -> float:
+    """Displacement in the image of points (m, 3) at an estimated pose, root mean square; 999 px at most."""
     if len(p_G) == 0:
         return 999.0
-    there = RIG.project(transform_points(true, p_G))[:, :2]
-    return float(min(np.sqrt(np.mean(np.sum((tracked.points.uv_px - there) ** 2, axis=1))), 999.0))
+    here, there = (RIG.project(transform_points(X, p_G))[:, :2] for X in (X_RG, true))
+    return float(min(np.sqrt(np.mean(np.sum((here - there) ** 2, axis=1))), 999.0))
 
 
 def wrong_starts(case: Case, views: EdgeViews, model: EdgeModel) -> Iterator[dict[str, Any]]:
@@ -285,7 +285,7 @@ def _starts(X_RG: Array, model: EdgeModel, rng: np.random.Generator) -> Iterator
         yield "turned 20", off(none, np.deg2rad(20.0) * turn / np.linalg.norm(turn))
 
 
-def _rounded(values: Any) -> Any:
+def rounded(values: Any) -> Any:
     """Numbers of seven digits for JSON; NaN and inf as null."""
     flat = np.asarray(values, dtype=np.float64)
     short = [float(f"{v:.6e}") if np.isfinite(v) else None for v in flat.reshape(-1)]

@@ -6,6 +6,7 @@ In: a mesh in G, a camera, poses. Out: information and covariance of the pose, p
     edge_model             creases and rims as straight segments, smooth parts, occlusion by the body
     measured_edges         the edge model of a run's mesh, simplified as far as its errors allow
     visible_edges          control points on the edges that a camera sees; outlines, contrast in sunlight
+    stripes                edges side by side in the image, and what it can tell of them
     observability_metric   image motion across the edges, C = sum of f f^T, C^-1, unobservable directions
     information            C along a trajectory, per view and per feature; contribution of each edge
     selection              the best edges under a budget, with an upper bound

@@ -1,9 +1,9 @@
 """Stripes: edges that lie side by side in the image, nearer to each other than it can tell apart.
 
-A bevel, or the rim of a panel, shows two or more parallel edges within a pixel or two. Where exactly the light
-changes between them depends on the light, which is not known: an image shows one step somewhere within the
-stripe. Edges that are farther apart are steps of their own, in a known distance: together with them, an edge
-is found where alone it would be mistaken for its neighbour.
+A bevel, or the rim of a panel, shows two or more parallel edges within a pixel or two. Where exactly the
+light changes between them depends on the light, which is not known: an image shows one step somewhere within
+the stripe. Edges that are farther apart are steps of their own, in a known distance: together with them, an
+edge is found where alone it would be mistaken for its neighbour.
 
 How far across a stripe the step lies is the same for all stripes whose sides face alike, as the light falls
 on them alike. It is no independent error of each control point, however many there are, but one unknown for
@@ -61,6 +61,10 @@ def stripes_across(points: ControlPoints, every: ControlPoints, X_RG: Array, rea
     ``every``: points of all edges that are known there, ``SAMPLED_PX`` apart. Each point is on a line of
     its own, whether or not that is among them.
     """
+    light, side = light_classes(points, X_RG)
+    out = np.full((3, len(points), LINES), np.nan)
+    if len(points) == 0:
+        return Stripes(out[0], out[1], out[2], light, side)
     row, offset, slope = _crossings(points, every, reach_px)
     order = np.lexsort((offset, row))
     row, offset, slope = row[order], offset[order], slope[order]
@@ -69,21 +73,19 @@ def stripes_across(points: ControlPoints, every: ControlPoints, X_RG: Array, rea
     start = np.flatnonzero(first)
     last = np.append(start[1:], len(row)) - 1
     owner, middle = row[start], 0.5 * (offset[start] + offset[last])
-    width, tilt = offset[last] - offset[start], np.maximum.reduceat(slope, start) if len(row) else slope
+    width, tilt = offset[last] - offset[start], np.maximum.reduceat(slope, start)
     order = np.lexsort((np.abs(middle), owner))
     owner, middle, width, tilt = owner[order], middle[order], width[order], tilt[order]
     place = np.arange(len(owner)) - np.searchsorted(owner, owner)
     kept = place < LINES
-    out = np.full((3, len(points), LINES), np.nan)
     out[:, owner[kept], place[kept]] = middle[kept], width[kept], tilt[kept]
-    light, side = light_classes(points, X_RG)
     return Stripes(out[0], out[1], out[2], light, side)
 
 
 def _crossings(points: ControlPoints, every: ControlPoints, reach_px: float) -> tuple[Ints, Array, Array]:
     """Point (k,), offset along its normal (k,) and slope (k,) of each sample of an edge that crosses it."""
     own = np.arange(len(points))
-    if len(points) == 0 or len(every) == 0:
+    if len(every) == 0:
         return own, np.zeros(len(own)), np.zeros(len(own))
     near = cKDTree(every.uv_px).query_ball_point(points.uv_px, np.hypot(reach_px, _ALONG_PX))
     row = np.repeat(own, [len(each) for each in near])
@@ -104,7 +106,7 @@ def _crossings(points: ControlPoints, every: ControlPoints, reach_px: float) -> 
 
 
 def light_classes(points: ControlPoints, X_RG: Array) -> tuple[Ints, Array]:
-    """Class (m,) of points whose surfaces face alike, and the direction (m,) of their normals in it, 1 or -1."""
+    """Classes (m,) of points whose surfaces face alike, and the sign (m,) of their normals within them."""
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros(0)
     facing = np.round(points.sides_G * _ALIKE).astype(np.int64)

@@ -3,6 +3,8 @@
 In: an edge model, a camera and an image; out: the pose, its residuals and its calibrated covariance.
 
     tracker                 pose from the edges of one image
+    stripe_tracker          the same where edges lie side by side: bevels, rims, thin panels
+    stripe_fit              how far an image shows the edges across a control point displaced
     edge_search             edges of the image along the normals of control points
     residual                whether the tracker converged to the right pose
     calibrated_covariance   covariance of the pose, with errors that whole edges share

@@ -1,9 +1,9 @@
 """How far an image shows the edges across a control point displaced, all of them together.
 
 Along the normal of the point the image is read as in ``edge_search.py``. The profile is modelled as a level
-and a step at each stripe (``planning/edges/stripes.py``), as wide as blur, pixel and stripe make it. Heights of
-the steps are not known, of either sign, and found by least squares; the displacement that all steps have in
-common is found by Gauss-Newton from where it is (``displacement``), or on a grid (``searched``). What a
+and a step at each stripe (``planning/edges/stripes.py``), as wide as blur, pixel and stripe make it. Heights
+of the steps are not known, of either sign, and found by least squares; the displacement that all steps have
+in common is found by Gauss-Newton from where it is (``displacement``), or on a grid (``searched``). What a
 displacement and other heights can explain alike is no information on it.
 """
 

@@ -166,7 +166,7 @@ class _Tracker:
                 return self._nothing(X_RG, f"edges were found at {found} of {of} control points: too few")
             if range_px is not None or len(place) != seen.stripes.classes:
                 place = np.zeros(seen.stripes.classes)
-            told, weight, _ = self._information(seen, place, is_wide)
+            told, _, _ = self._information(seen, place, is_wide)
             step = self._step(told)
             if range_px is None:
                 place = told.places(step)
@@ -232,7 +232,7 @@ class _Tracker:
         return told, weight, scale
 
     def _step(self, told: StripeInformation) -> Array:
-        """The step of least squares in the directions that are seen; one of half a radius is a sigma too far."""
+        """Least squares in the directions that are seen; a step of half a radius is a sigma too far."""
         values, directions, seen = spectrum(told.C, self.model.radius_m)
         unit = motion_scale(self.model.radius_m)
         part = np.where(seen, directions.T @ (unit * told.pull) / (np.maximum(values, 0.0) + 4.0), 0.0)

@@ -1,0 +1,140 @@
+"""Poses from stripes: displaced profiles, and bodies with bevels."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.stats import norm
+
+from benchmarks.edges.tracking.edge_search import Levels, as_levels
+from benchmarks.edges.tracking.stripe_fit import BLUR_PX, LEAST_NOISE, displacement, searched
+from benchmarks.edges.tracking.stripe_tracker import track_stripes
+from benchmarks.edges.tracking.tracker import track
+from polhode.lie import Array, make_pose
+from polhode.planning.edges.edge_model import EdgeModel, edge_model
+from polhode.planning.edges.observability_metric import moved, pose_error
+from polhode.planning.edges.stripes import stripes_across
+from polhode.planning.edges.visible_edges import ControlPoints
+from tests.planning.edges.pictures import BOX, POSE, RIG, drawn
+
+BEVEL_M = 0.004
+"""1.3 px at the range of POSE"""
+POINTS = 40
+
+
+def column(offset_px: float) -> ControlPoints:
+    """Points on a vertical line of an image of 100 x 60 px, at u = 50 and an offset."""
+    v = np.linspace(10.0, 50.0, POINTS)
+    uv = np.column_stack([np.full(POINTS, 50.0 + offset_px), v])
+    normal = np.tile([1.0, 0.0], (POINTS, 1))
+    none = np.zeros((POINTS, 3))
+    return ControlPoints(
+        none, uv, normal, np.zeros(POINTS, dtype=np.int64), np.ones(POINTS), np.zeros((POINTS, 2, 3))
+    )
+
+
+def pair() -> ControlPoints:
+    """Two lines, two pixels apart."""
+    lines, names = (column(0.0), column(2.0)), [each.name for each in fields(ControlPoints)]
+    return ControlPoints(*(np.concatenate([getattr(each, name) for each in lines]) for name in names))
+
+
+def stepped(steps: list[tuple[float, float]], noise: float, seed: int = 0) -> Levels:
+    """Image of vertical steps (place, height), blurred as an edge of a profile is, less the interpolation."""
+    u = np.arange(100.0)
+    sigma = np.sqrt(BLUR_PX**2 - 1.0 / 6.0)
+    row = 40.0 + sum(height * norm.cdf((u - place) / sigma) for place, height in steps)
+    return as_levels(row + noise * np.random.default_rng(seed).standard_normal((60, 100)))
+
+
+@pytest.mark.parametrize("true_px", [-0.8, -0.2, 0.0, 0.35, 0.7])
+@pytest.mark.parametrize("heights", [(100.0, 60.0), (100.0, -80.0)])
+def test_two_edges_are_found_displaced_together(true_px: float, heights: tuple[float, float]) -> None:
+    image = stepped([(50.0 + true_px, heights[0]), (52.0 + true_px, heights[1])], 0.0)
+    points = column(0.0)
+    stripes = stripes_across(points, pair(), POSE, 6.0)
+    found = displacement(image, points, stripes, 4.0)
+    assert np.abs(found.shift_px - true_px).max() < 0.02
+    assert found.spread_px.max() == 0.0
+    best, good = searched(image, points, stripes, 4.0)
+    assert good.all() and np.abs(best - true_px).max() <= 0.3
+
+
+def test_of_two_edges_of_which_one_is_dark_the_nearer_is_taken() -> None:
+    points = column(0.0)
+    stripes = stripes_across(points, pair(), POSE, 6.0)
+    for true_px in (-0.6, 0.4):
+        found = displacement(stepped([(50.0 + true_px, 90.0)], 0.0), points, stripes, 4.0)
+        assert np.abs(found.shift_px - true_px).max() < 0.02
+
+
+def test_its_sigma_is_that_of_the_noise() -> None:
+    noise, points = 4.0, column(0.0)
+    assert noise > LEAST_NOISE
+    stripes = stripes_across(points, points, POSE, 6.0)
+    shifts, sigmas = [], []
+    for seed in range(30):
+        found = displacement(stepped([(50.0, 60.0)], noise, seed), points, stripes, 4.0)
+        shifts.append(found.shift_px)
+        sigmas.append(found.sigma_px)
+    # the profile is the mean over five pixels, whose residuals its sigma is made of
+    assert np.std(shifts) == pytest.approx(np.median(sigmas), rel=0.25)
+
+
+def test_a_profile_without_a_step_tells_nothing() -> None:
+    points = column(0.0)
+    found = displacement(stepped([], 0.0), points, stripes_across(points, points, POSE, 6.0), 4.0)
+    assert found.sigma_px.min() > 50.0
+    assert not searched(stepped([], 1.0), points, stripes_across(points, points, POSE, 6.0), 4.0)[1].any()
+
+
+@pytest.fixture(scope="module")
+def bevelled() -> EdgeModel:
+    """A box whose edges are cut off at 45 degrees."""
+    corners = []
+    for axis in range(3):
+        half = 0.5 * np.array(BOX) - BEVEL_M
+        half[axis] += BEVEL_M
+        corners.append(half * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T)
+    return edge_model(trimesh.convex.convex_hull(np.vstack(corners)))
+
+
+@pytest.fixture(scope="module")
+def image(bevelled: EdgeModel) -> Array:
+    return drawn(bevelled.surface, POSE)
+
+
+def off_px(model: EdgeModel, X_RG: Array) -> float:
+    """Largest displacement of the box's corners in the image."""
+    corners = np.asarray(model.surface.vertices)
+    there, here = (RIG.project(corners @ X[:3, :3].T + X[:3, 3])[:, :2] for X in (POSE, X_RG))
+    return float(np.linalg.norm(there - here, axis=1).max())
+
+
+def test_bevels_are_tracked_better_than_by_single_edges(bevelled: EdgeModel, image: Array) -> None:
+    ours, single = [], []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        step = np.concatenate([0.01 * rng.standard_normal(3), np.deg2rad(1.0) * rng.standard_normal(3)])
+        start = moved(POSE, step, bevelled.centre_G)
+        found = track_stripes(bevelled, RIG, image, start)
+        assert found.converged and found.reason == "" and found.agreement > 0.9
+        error = pose_error(found.X_RG, POSE, bevelled.centre_G)
+        assert error @ np.linalg.solve(found.covariance, error) < 22.5  # chi-squared of six, 99.9 %
+        ours.append(off_px(bevelled, found.X_RG))
+        single.append(off_px(bevelled, track(bevelled, RIG, image, start).X_RG))
+    assert max(ours) < 0.15 and max(ours) < 0.5 * np.median(single)
+
+
+def test_the_same_image_gives_the_same_pose(bevelled: EdgeModel, image: Array) -> None:
+    start = moved(POSE, np.full(6, 0.004), bevelled.centre_G)
+    one, other = (track_stripes(bevelled, RIG, image, start) for _ in range(2))
+    assert np.array_equal(one.X_RG, other.X_RG) and np.array_equal(one.information.C, other.information.C)
+
+
+def test_what_cannot_be_tracked_says_why(bevelled: EdgeModel, image: Array) -> None:
+    behind = track_stripes(bevelled, RIG, image, make_pose(np.eye(3), [0.0, 0.0, -2.0]))
+    assert not behind.converged and behind.reason == "the target is behind the camera"
+    dark = track_stripes(bevelled, RIG, np.zeros_like(image), POSE)
+    assert not dark.converged and "too few" in dark.reason
