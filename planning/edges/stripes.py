@@ -14,9 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.special import ndtr
 
+from polhode.camera import RectifiedRig
 from polhode.lie import Array
-from polhode.planning.edges.visible_edges import ControlPoints
+from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.observability_metric import EdgeObservability, edge_motion
+from polhode.planning.edges.visible_edges import SPACING_PX, ControlPoints, control_points, every_point
 from polhode.records import Ints
 
 LINES = 6
@@ -158,3 +162,84 @@ def stripe_information(
     C = (f * weight[:, None]).T @ f - (g / own[:, None]).T @ g
     pull = f.T @ (weight * distance_px) - g.T @ (r / own)
     return StripeInformation(C, pull, g / own[:, None], r / own)
+
+
+FLOOR_PX = 0.07
+"""Sigma of an edge's place in an image however clear it is: blur, pixels, errors of the model
+(docs/observability_tracking.md: the slope of the trends)"""
+BLUR_PX = 0.95
+"""Sigma of an edge in a profile: a lens of 0.8, a pixel, and its interpolation"""
+HALF_PX, STEP_PX = 3.0, 0.5
+"""Half of a profile, and the distance of its samples"""
+NOISE = 0.005
+"""Of a profile, over the largest step of light: a grey level of 100 in each pixel, and the mean of five"""
+DRAWS = 16
+_SEED = 28
+
+
+def stripe_observability(
+    model: EdgeModel,
+    rig: RectifiedRig,
+    X_RG: Array,
+    known: EdgeModel | None = None,
+    floor_px: float = FLOOR_PX,
+) -> EdgeObservability:
+    """The metric where edges lie side by side, for edges found to ``floor_px`` where they stand alone.
+
+    C [m^-2, m^-1 rad^-1, rad^-2] is here the inverse of the covariance itself. A point weighs as much as its
+    profile will tell of a displacement when the steps of light are unknown, and the places in the stripes are
+    one unknown for each class of them (``stripe_information``). How light the surfaces are, nobody knows
+    beforehand: the information is a mean over a few draws. ``known``: the body's edges beside the model's.
+    """
+    points = control_points(model, rig, X_RG, SPACING_PX)
+    own = every_point(model, rig, X_RG, SAMPLED_PX)
+    every = own if known is None else every_point(known, rig, X_RG, SAMPLED_PX)
+    stripes = stripes_across(points, every, X_RG, HALF_PX + 2.0)
+    information, spread_px = expected_profiles(stripes, floor_px)
+    f = edge_motion(points, rig, X_RG, model.centre_G)
+    weight = points.weight * information / times_measured(points, own, X_RG)
+    told = stripe_information(
+        f, np.zeros(len(f)), weight, stripes.side * spread_px, stripes.light, stripes.classes
+    )
+    return EdgeObservability(told.C, model.radius_m, len(points))
+
+
+def times_measured(points: ControlPoints, own: ControlPoints, X_RG: Array) -> Array:
+    """(m,) how many stripes of the model a point's profile shows: points of each of them measure them all.
+
+    ``own``: points of all edges of the model, ``SAMPLED_PX`` apart.
+    """
+    across = stripes_across(points, own, X_RG, HALF_PX)
+    return np.asarray(np.isfinite(across.offset_px).sum(axis=1), dtype=np.float64)
+
+
+def expected_profiles(stripes: Stripes, floor_px: float) -> tuple[Array, Array]:
+    """Information (m,) [px^-2] on the displacement of profiles, and sigma (m,) [px] of the place within the
+    stripes that give it: means over draws of how light the surfaces between the stripes are."""
+    places = np.arange(-HALF_PX, HALF_PX + 1e-9, STEP_PX)
+    there = np.isfinite(stripes.offset_px)
+    offset, width = np.nan_to_num(stripes.offset_px), np.nan_to_num(stripes.width_px)
+    blur = np.sqrt(BLUR_PX**2 + (UNIFORM * width) ** 2)
+    z = (places[None, :, None] - offset[:, None, :]) / blur[:, None, :]
+    step = np.where(there[:, None, :], ndtr(z), 0.0)
+    slope = np.where(there[:, None, :], -np.exp(-0.5 * z**2) / (np.sqrt(2.0 * np.pi) * blur[:, None, :]), 0.0)
+    height = _heights(stripes.offset_px)
+    j = np.einsum("mnk,mdk->mdn", slope, height)
+    A = np.concatenate([np.ones((*step.shape[:2], 1)), step], axis=2)
+    N = np.einsum("mni,mnj->mij", A, A) + 1e-3 * np.eye(A.shape[2])
+    c = np.einsum("mni,mdn->mid", A, j)
+    left = np.einsum("mdn,mdn->md", j, j) - np.einsum("mid,mid->md", c, np.linalg.solve(N, c))
+    variance = NOISE**2 / STEP_PX / np.maximum(left, 1e-12)
+    information = np.mean(1.0 / (floor_px**2 + variance), axis=1)
+    square = height**2
+    share = square / np.maximum(square.sum(axis=2, keepdims=True), 1e-12)
+    spread = np.sqrt(np.mean(np.einsum("mdk,mk->md", share, (UNIFORM * width) ** 2), axis=1))
+    return information, spread
+
+
+def _heights(offset_px: Array) -> Array:
+    """(m, DRAWS, LINES) steps of light between surfaces of independent lightness, 0 to 1."""
+    order = np.argsort(np.argsort(offset_px, axis=1), axis=1)
+    light = np.random.default_rng(_SEED).uniform(size=(DRAWS, LINES + 1))
+    height = np.diff(light, axis=1)[:, order].transpose(1, 0, 2)
+    return np.where(np.isfinite(offset_px)[:, None, :], height, 0.0)

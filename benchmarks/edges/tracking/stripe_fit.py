@@ -15,12 +15,10 @@ import numpy as np
 from benchmarks.edges.tracking.edge_search import ALONG_PX, STEP_PX, Levels, levels
 from polhode.compiled import compiled_ieee
 from polhode.lie import Array
-from polhode.planning.edges.stripes import LINES, UNIFORM, Stripes
+from polhode.planning.edges.stripes import BLUR_PX, LINES, UNIFORM, Stripes
 from polhode.planning.edges.visible_edges import ControlPoints
 from polhode.records import Bools
 
-BLUR_PX = 0.95
-"""Sigma of an edge in a profile: a lens of 0.8, a pixel, and its interpolation"""
 LEAST_NOISE = 1.0
 """Grey levels: a profile is not believed to be better than that."""
 RIDGE = 1e-3

@@ -25,11 +25,13 @@ from polhode.planning.edges.observability_metric import (
     spectrum,
 )
 from polhode.planning.edges.stripes import (
+    FLOOR_PX,
     SAMPLED_PX,
     StripeInformation,
     Stripes,
     stripe_information,
     stripes_across,
+    times_measured,
 )
 from polhode.planning.edges.visible_edges import SPACING_PX, ControlPoints, control_points, every_point
 from polhode.records import Bools
@@ -49,7 +51,7 @@ class StripeOptions:
     """of them with weights that forget nothing"""
     half_px: float = 3.0
     """of the profiles of those steps"""
-    floor_px: float = 0.07
+    floor_px: float = FLOOR_PX
     """sigma of an edge's place however clear it is: blur, pixels, the model"""
     most_sigma_px: float = 0.6
     """points that are less certain do not count"""
@@ -125,6 +127,18 @@ def _better(one: StripeTracking, other: StripeTracking) -> StripeTracking:
 
 
 @dataclass(frozen=True)
+class _View:
+    """What is looked for from a pose."""
+
+    points: ControlPoints
+    """of the model"""
+    known: ControlPoints
+    """of all edges that are known, close together"""
+    length: Array
+    """(m,) see ``_Measured``"""
+
+
+@dataclass(frozen=True)
 class _Measured:
     """The points of a pose, measured."""
 
@@ -136,6 +150,8 @@ class _Measured:
     spread_px: Array
     counts: Bools
     """(m,) whether the point has a measurement"""
+    length: Array
+    """(m,) of edge that the point stands for, over the spacing, less what other points measure, too"""
 
     def residual(self, place: Array) -> Array:
         """(m,) in sigmas, with places (classes,) of the steps in their stripes."""
@@ -185,39 +201,39 @@ class _Tracker:
         for number in range(self.wanted.steps):
             yield None, number < self.wanted.wide
 
-    def _view(self, X_RG: Array) -> tuple[ControlPoints, ControlPoints]:
-        """Control points of the model, and points of all edges that are known."""
+    def _view(self, X_RG: Array) -> _View:
         points = control_points(self.model, self.rig, X_RG, SPACING_PX)
-        return points, every_point(self.known, self.rig, X_RG, SAMPLED_PX)
+        own = every_point(self.model, self.rig, X_RG, SAMPLED_PX)
+        known = own if self.known is self.model else every_point(self.known, self.rig, X_RG, SAMPLED_PX)
+        return _View(points, known, points.weight / np.maximum(times_measured(points, own, X_RG), 1.0))
 
     def _at(self, points: ControlPoints, X_RG: Array) -> ControlPoints:
         """The same points of the body, where a pose that has hardly moved shows them."""
         return replace(points, uv_px=self.rig.project(transform_points(X_RG, points.p_G))[:, :2])
 
-    def _look(
-        self, view: tuple[ControlPoints, ControlPoints], X_RG: Array, range_px: float | None
-    ) -> _Measured:
+    def _look(self, view: _View, X_RG: Array, range_px: float | None) -> _Measured:
         wanted = self.wanted
-        points, every = (self._at(each, X_RG) for each in view)
+        points, every = self._at(view.points, X_RG), self._at(view.known, X_RG)
         reach_px = wanted.half_px if range_px is None else range_px + 1.5
         stripes = stripes_across(points, every, X_RG, reach_px + wanted.most_shift_px)
         f = edge_motion(points, self.rig, X_RG, self.model.centre_G)
         if range_px is not None:
             shift, good = searched(self.grey, points, stripes, range_px)
             sigma, none = np.full(len(points), wanted.most_sigma_px), np.zeros(len(points))
-            return _Measured(points, stripes, f, shift, sigma, none, good)
+            return _Measured(points, stripes, f, shift, sigma, none, good, view.length)
         found = displacement(self.grey, points, stripes, wanted.half_px)
         sigma = np.hypot(found.sigma_px, wanted.floor_px)
         counts = (sigma < wanted.most_sigma_px) & (np.abs(found.shift_px) < wanted.most_shift_px)
         sigma = np.where(np.isfinite(sigma), sigma, 1e3)
-        return _Measured(points, stripes, f, found.shift_px, sigma, stripes.side * found.spread_px, counts)
+        spread = stripes.side * found.spread_px
+        return _Measured(points, stripes, f, found.shift_px, sigma, spread, counts, view.length)
 
     def _information(
         self, seen: _Measured, place: Array, is_wide: bool
     ) -> tuple[StripeInformation, Array, float]:
         """Normal equations, the weights (m,) of the points without the scale, and the scale."""
         residual = np.where(seen.counts, seen.residual(place), 0.0)
-        length = seen.points.weight / seen.sigma_px**2
+        length = seen.length / seen.sigma_px**2
         scale = max(_median_size(residual[seen.counts], length[seen.counts]), 1.0)
         robust = robust_weight(residual / scale, narrow=not is_wide) * seen.counts
         weight = length * robust
@@ -248,9 +264,7 @@ class _Tracker:
             told, weight, scale = self._information(seen, place, is_wide=False)
             place = told.places(np.zeros(6))
         size = np.abs(seen.residual(place))
-        expected = seen.points.weight / np.maximum(
-            seen.sigma_px**2 + seen.spread_px**2, self.wanted.floor_px**2
-        )
+        expected = seen.length / np.maximum(seen.sigma_px**2 + seen.spread_px**2, self.wanted.floor_px**2)
         confirmed = seen.counts & (size < 3.0)
         C = stripe_information(
             seen.f, seen.shift_px, weight, seen.spread_px, seen.stripes.light, seen.stripes.classes

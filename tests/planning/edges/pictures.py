@@ -46,3 +46,13 @@ def _fill(canvas: Levels, uv_px: Array, level: float) -> None:
     ]
     inside = np.all([side >= 0.0 for side in sides], axis=0) | np.all([side <= 0.0 for side in sides], axis=0)
     canvas[low[1] : high[1], low[0] : high[0]][inside] = level
+
+
+def bevelled_box(extents_m: tuple[float, float, float], bevel_m: float) -> trimesh.Trimesh:
+    """A box whose edges are cut off at 45 degrees."""
+    corners = []
+    for axis in range(3):
+        half = 0.5 * np.array(extents_m) - bevel_m
+        half[axis] += bevel_m
+        corners.append(half * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T)
+    return trimesh.convex.convex_hull(np.vstack(corners))

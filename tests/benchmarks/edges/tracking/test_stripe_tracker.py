@@ -4,19 +4,18 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.stats import norm
 
 from benchmarks.edges.tracking.edge_search import Levels, as_levels
-from benchmarks.edges.tracking.stripe_fit import BLUR_PX, LEAST_NOISE, displacement, searched
+from benchmarks.edges.tracking.stripe_fit import LEAST_NOISE, displacement, searched
 from benchmarks.edges.tracking.stripe_tracker import track_stripes
 from benchmarks.edges.tracking.tracker import track
 from polhode.lie import Array, make_pose
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.observability_metric import moved, pose_error
-from polhode.planning.edges.stripes import stripes_across
+from polhode.planning.edges.stripes import BLUR_PX, stripes_across
 from polhode.planning.edges.visible_edges import ControlPoints
-from tests.planning.edges.pictures import BOX, POSE, RIG, drawn
+from tests.planning.edges.pictures import BOX, POSE, RIG, bevelled_box, drawn
 
 BEVEL_M = 0.004
 """1.3 px at the range of POSE"""
@@ -91,13 +90,7 @@ def test_a_profile_without_a_step_tells_nothing() -> None:
 
 @pytest.fixture(scope="module")
 def bevelled() -> EdgeModel:
-    """A box whose edges are cut off at 45 degrees."""
-    corners = []
-    for axis in range(3):
-        half = 0.5 * np.array(BOX) - BEVEL_M
-        half[axis] += BEVEL_M
-        corners.append(half * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T)
-    return edge_model(trimesh.convex.convex_hull(np.vstack(corners)))
+    return edge_model(bevelled_box(BOX, BEVEL_M))
 
 
 @pytest.fixture(scope="module")
