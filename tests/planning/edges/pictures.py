@@ -55,4 +55,5 @@ def bevelled_box(extents_m: tuple[float, float, float], bevel_m: float) -> trime
         half = 0.5 * np.array(extents_m) - bevel_m
         half[axis] += bevel_m
         corners.append(half * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T)
-    return trimesh.convex.convex_hull(np.vstack(corners))
+    hull: trimesh.Trimesh = trimesh.convex.convex_hull(np.vstack(corners))
+    return hull
