@@ -2,11 +2,12 @@
 
     python -m benchmarks.frontend.leading STUDY_FOLDER [--workers 1] [--short]
 
-The study is swept in the folder, and goes on after whatever ended it. The first table has, for each scene and
-front end, the errors against the truth, as docs/scenes.md, and their ratios to those of the first front end,
-which is the default. The second has, for each front end, the geometric means of these ratios over the scenes
-in which both have an error, and in how many scenes no error is larger by more than a tenth. The short form
-prints what is stored.
+The study is swept in the folder, and goes on after whatever ended it. The first table has, for each scene,
+the errors of the default against the truth, as docs/scenes.md, and for each other front end the ratios of its
+errors to them: position, velocity, rate, attitude; then a verdict that is not ok, and the pairs that were
+used, where they are fewer. The second has the geometric means of these ratios over the scenes in which both
+have an error, and in how many scenes no error is larger by more than a tenth. The short form prints what is
+stored.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -45,7 +46,8 @@ def main(
     if not short:
         polhode("sweep", STUDY, "-o", folder, "--workers", workers, may_fail=True)
     table = program.load_study(str(folder))
-    print_table(["scene", "features", *ERRORS, "ratios", "pairs", "seconds"], rows_of_scenes(table))
+    others = [name for name in dict.fromkeys(table[FEATURES]) if name != BASE]
+    print_table(["scene", *ERRORS, *others], rows_of_scenes(table, others))
     print()
     names = ["features", "scenes", *(f"ratio, {name.split(' [')[0]}" for name in ERRORS), "all", "none worse"]
     print_table(names, rows_of_features(table), right_from=1)
@@ -61,21 +63,34 @@ def by_scene(table: pd.DataFrame) -> dict[tuple[str, str], "pd.Series[float]"]:
     return {(str(row[SCENE]), str(row[FEATURES])): row for _, row in table.iterrows()}
 
 
-def rows_of_scenes(table: pd.DataFrame) -> Iterator[list[str]]:
+def rows_of_scenes(table: pd.DataFrame, others: Sequence[str]) -> Iterator[list[str]]:
     """Cells of the first table."""
     rows = by_scene(table)
-    for (scene, features), row in rows.items():
-        errors, base = errors_of(row), rows.get((scene, BASE))
-        cells = [f"{error:.{digits}f}" for error, digits in zip(errors, DIGITS, strict=True)]
-        ratios = "-" if base is None or features == BASE else _ratios(errors / errors_of(base))
-        verdict = row["status"] if pd.isna(row["verdict"]) else row["verdict"]
-        pairs = f"{row.get('run.frames_used', np.nan):.0f} of {row.get('run.frames', np.nan):.0f}"
-        named = scene if verdict == "ok" else f"{scene} ({verdict})"
-        yield [named, features, *cells, ratios, pairs, f"{row.get('time.run_s', np.nan):.0f}"]
+    for scene in dict.fromkeys(name for name, _ in rows):
+        if (scene, BASE) not in rows:
+            continue
+        base = errors_of(rows[scene, BASE])
+        cells = [f"{error:.{digits}f}" for error, digits in zip(base, DIGITS, strict=True)]
+        ratios = [_cell(rows.get((scene, name)), base) for name in others]
+        yield [f"{scene}{_remarks(rows[scene, BASE])}", *cells, *ratios]
 
 
-def _ratios(ratios: Array) -> str:
-    return ", ".join(f"{each:.2f}" for each in ratios)
+def _cell(row: "pd.Series[float] | None", base: Array) -> str:
+    """Ratios of a front end's errors to the default's."""
+    if row is None:
+        return "-"
+    ratios = errors_of(row) / base
+    told = ", ".join(f"{each:.2f}" for each in ratios) if np.isfinite(ratios).all() else "none"
+    return f"{told}{_remarks(row)}"
+
+
+def _remarks(row: "pd.Series[float]") -> str:
+    """In brackets: a verdict that is not ok, and pairs that were not used."""
+    verdict = row["status"] if pd.isna(row["verdict"]) else row["verdict"]
+    used, of = row.get("run.frames_used", np.nan), row.get("run.frames", np.nan)
+    remarks = [] if verdict == "ok" else [str(verdict)]
+    remarks += [f"{used:.0f} of {of:.0f}"] if used < of else []
+    return f" ({', '.join(remarks)})" if remarks else ""
 
 
 def rows_of_features(table: pd.DataFrame) -> Iterator[list[str]]:

@@ -32,10 +32,13 @@ def test_ratios_are_to_the_default_of_the_same_scene() -> None:
     assert np.array_equal(ratios_of(by_scene(invented()), "other"), [[0.5] * 4, [2.0] * 4])
     (row,) = rows_of_features(invented())
     assert row == ["other", "2", *["1.00"] * 5, "1 of 2"]
-    cells = list(rows_of_scenes(invented()))
-    assert cells[0][:3] == ["calm", BASE, "100.000"] and cells[0][6] == "-"
-    assert cells[1][6] == "0.50, 0.50, 0.50, 0.50"
-    assert cells[5][0] == "dark (failed)" and cells[5][7] == "58 of 60"
+    cells = list(rows_of_scenes(invented(), ["other", "absent"]))
+    assert cells[0][:2] == ["calm (58 of 60)", "100.000"] and cells[0][6] == "-"
+    assert [row[5] for row in cells] == [
+        "0.50, 0.50, 0.50, 0.50 (58 of 60)",
+        "2.00, 2.00, 2.00, 2.00 (58 of 60)",
+        "none (failed, 58 of 60)",
+    ]
 
 
 def test_the_study_compares_the_default_with_others() -> None:
