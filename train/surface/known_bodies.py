@@ -100,7 +100,9 @@ def table(bodies: dict[int, KnownBody], families: Sequence[str], chance_of: int)
             continue
         count = np.median([np.sum(~each.is_weak) for each in found])
         shown = np.concatenate([each.landmark >= 0 for each in found])
-        chance = chance_share([bodies[k].body for k in numbers[:: max(1, len(numbers) // chance_of)]])
+        # at random: the families follow each other in a fixed order
+        chosen = np.random.default_rng(0).permutation(numbers)[:chance_of]
+        chance = chance_share([bodies[int(k)].body for k in chosen])
         rows.append(f"| {name} | {len(found)} | {count:.0f} | {100 * shown.mean():.0f} | {chance:.2f} |")
     return "\n".join(rows)
 
