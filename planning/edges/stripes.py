@@ -173,6 +173,8 @@ HALF_PX, STEP_PX = 3.0, 0.5
 """Half of a profile, and the distance of its samples"""
 NOISE = 0.005
 """Of a profile, over the largest step of light: a grey level of 100 in each pixel, and the mean of five"""
+RIDGE = 1e-3
+"""Of the normal equations of the heights of steps, so that equal columns do no harm"""
 DRAWS = 16
 _SEED = 28
 
@@ -226,7 +228,7 @@ def expected_profiles(stripes: Stripes, floor_px: float) -> tuple[Array, Array]:
     height = _heights(stripes.offset_px)
     j = np.einsum("mnk,mdk->mdn", slope, height)
     A = np.concatenate([np.ones((*step.shape[:2], 1)), step], axis=2)
-    N = np.einsum("mni,mnj->mij", A, A) + 1e-3 * np.eye(A.shape[2])
+    N = np.einsum("mni,mnj->mij", A, A) + RIDGE * np.eye(A.shape[2])
     c = np.einsum("mni,mdn->mid", A, j)
     left = np.einsum("mdn,mdn->md", j, j) - np.einsum("mid,mid->md", c, np.linalg.solve(N, c))
     variance = NOISE**2 / STEP_PX / np.maximum(left, 1e-12)

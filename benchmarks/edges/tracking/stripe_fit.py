@@ -12,17 +12,15 @@ from math import erf, exp, pi, sqrt
 
 import numpy as np
 
-from benchmarks.edges.tracking.edge_search import ALONG_PX, STEP_PX, Levels, levels
+from benchmarks.edges.tracking.edge_search import ALONG_PX, Levels, levels
 from polhode.compiled import compiled_ieee
 from polhode.lie import Array
-from polhode.planning.edges.stripes import BLUR_PX, LINES, UNIFORM, Stripes
+from polhode.planning.edges.stripes import BLUR_PX, LINES, RIDGE, STEP_PX, UNIFORM, Stripes
 from polhode.planning.edges.visible_edges import ControlPoints
 from polhode.records import Bools
 
 LEAST_NOISE = 1.0
 """Grey levels: a profile is not believed to be better than that."""
-RIDGE = 1e-3
-"""Of the normal equations of the heights, so that equal columns do no harm"""
 STEPS = 5
 EXPLAINED = 0.7
 """Share of a profile's variance that its steps must explain where they are searched"""
@@ -127,6 +125,17 @@ def _solve(L: Array, columns: int, right: Array) -> None:
 
 
 @compiled_ieee
+def _heights(A: Array, columns: int, grey: Array, L: Array, h: Array) -> None:
+    """The level and the heights of the steps (columns,) of least squares, and the factor that gave them."""
+    _factor(A, columns, L)
+    for k in range(columns):
+        h[k] = 0.0
+        for n in range(len(A)):
+            h[k] += A[n, k] * grey[n]
+    _solve(L, columns, h)
+
+
+@compiled_ieee
 def _descend(
     place: Array,
     grey: Array,
@@ -147,12 +156,7 @@ def _descend(
     for i in range(len(grey)):
         for turn in range(steps + 1):
             columns = _columns(place, offset[i], blur[i], shift[i], A, slope)
-            _factor(A, columns, L)
-            for k in range(columns):
-                h[k] = 0.0
-                for n in range(count):
-                    h[k] += A[n, k] * grey[i, n]
-            _solve(L, columns, h)
+            _heights(A, columns, grey[i], L, h)
             jj, jr, rr = 0.0, 0.0, 0.0
             c[:] = 0.0
             for n in range(count):
@@ -193,12 +197,7 @@ def _scan(
         left[i] = np.inf
         for s in range(len(shifts)):
             columns = _columns(place, offset[i], blur[i], shifts[s], A, slope)
-            _factor(A, columns, L)
-            for k in range(columns):
-                h[k] = 0.0
-                for n in range(count):
-                    h[k] += A[n, k] * grey[i, n]
-            _solve(L, columns, h)
+            _heights(A, columns, grey[i], L, h)
             total = 0.0
             for n in range(count):
                 r = grey[i, n] - h[0]

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from benchmarks.edges.tracking.edge_search import Levels, as_levels
 from benchmarks.edges.tracking.stripe_fit import displacement, searched
-from benchmarks.edges.tracking.tracker import MAD_TO_SIGMA, robust_weight, track
+from benchmarks.edges.tracking.tracker import median_scale, robust_weight, track
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, transform_points
 from polhode.planning.edges.edge_model import EdgeModel
@@ -26,6 +26,7 @@ from polhode.planning.edges.observability_metric import (
 )
 from polhode.planning.edges.stripes import (
     FLOOR_PX,
+    HALF_PX,
     SAMPLED_PX,
     StripeInformation,
     Stripes,
@@ -49,7 +50,7 @@ class StripeOptions:
     """after those, from where the edges are"""
     wide: int = 3
     """of them with weights that forget nothing"""
-    half_px: float = 3.0
+    half_px: float = HALF_PX
     """of the profiles of those steps"""
     floor_px: float = FLOOR_PX
     """sigma of an edge's place however clear it is: blur, pixels, the model"""
@@ -234,7 +235,7 @@ class _Tracker:
         """Normal equations, the weights (m,) of the points without the scale, and the scale."""
         residual = np.where(seen.counts, seen.residual(place), 0.0)
         length = seen.length / seen.sigma_px**2
-        scale = max(_median_size(residual[seen.counts], length[seen.counts]), 1.0)
+        scale = max(median_scale(residual[seen.counts], length[seen.counts]), 1.0)
         robust = robust_weight(residual / scale, narrow=not is_wide) * seen.counts
         weight = length * robust
         told = stripe_information(
@@ -255,7 +256,7 @@ class _Tracker:
         return np.asarray(unit * (directions @ part))
 
     def _told(self, X_RG: Array, settled: bool) -> StripeTracking:
-        """The record of the last pose, measured once more there."""
+        """The record of the last pose, where its points are measured a last time."""
         seen = self._look(self._view(X_RG), X_RG, None)
         if seen.counts.sum() < self.wanted.min_found:
             return self._nothing(X_RG, "too few edges were found at the last pose")
@@ -278,11 +279,3 @@ class _Tracker:
         none = EdgeObservability(np.zeros((6, 6)), self.model.radius_m, 0)
         points = control_points(self.model, self.rig, X_RG, SPACING_PX)[:0]
         return StripeTracking(X_RG, points, none, 0.0, np.inf, False, reason)
-
-
-def _median_size(residual: Array, weight: Array) -> float:
-    """Sigma by the median size of residuals, each with its weight."""
-    size = np.abs(residual)
-    order = np.argsort(size)
-    reached = np.cumsum(weight[order])
-    return MAD_TO_SIGMA * float(size[order[np.searchsorted(reached, 0.5 * reached[-1])]])

@@ -247,11 +247,16 @@ def _nearest(found: EdgeCandidates, at_px: Array) -> tuple[Array, Array]:
 
 
 def _scale(residual: Array, length: Array, wanted: TrackerOptions) -> float:
-    """Sigma of residuals from their median size; each counts with the length of edge that it stands for."""
+    """Sigma of residuals [px]; each counts with the length of edge that it stands for."""
+    return max(median_scale(residual, length), wanted.min_sigma_px)
+
+
+def median_scale(residual: Array, weight: Array) -> float:
+    """Sigma of residuals (m,) from their weighted median size, in their unit."""
     size = np.abs(residual)
     order = np.argsort(size)
-    half = int(np.searchsorted(np.cumsum(length[order]), 0.5 * float(length.sum())))
-    return max(MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]]), wanted.min_sigma_px)
+    half = int(np.searchsorted(np.cumsum(weight[order]), 0.5 * float(weight.sum())))
+    return MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]])
 
 
 def robust_weight(u: Array, narrow: bool) -> Array:
