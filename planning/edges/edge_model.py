@@ -23,7 +23,7 @@ from polhode.planning.edges.orientation import (
     outward_orientation,
     winding_number,
 )
-from polhode.rays import RayScene
+from polhode.rays import FirstHits, RayScene
 from polhode.records import Bools, Ints
 
 
@@ -47,6 +47,14 @@ class Occluder:
         skip = np.maximum(distance - 2.5 * self._radius_m, 0.0)
         start = eye_G + skip[:, None] * direction - self._middle
         return self._scene.blocked(start, direction, np.maximum(distance - skip - clearance_m, 0.0))
+
+    def first_hits(self, eye_G: Array, direction_G: Array) -> tuple[FirstHits, Array]:
+        """What rays from the eye (3,) along unit directions (n, 3) hit, and where (n, 3)."""
+        skip = max(float(np.linalg.norm(eye_G - self._middle)) - 2.5 * self._radius_m, 0.0)
+        start = eye_G - self._middle + skip * direction_G
+        hits = self._scene.first_hits(start, direction_G)
+        reach = np.where(hits.face >= 0, hits.distance, 0.0)
+        return hits, start + reach[:, None] * direction_G + self._middle
 
     def shades(self, towards_G: Array, p_G: Array, clearance_m: float) -> Bools:
         """(m,) true where the body blocks the light of a distant source towards (3,) from points (m, 3)."""
@@ -248,6 +256,24 @@ class EdgeModel:
         if not self.closed.any() or (p_G < lowest).any() or (p_G > highest).any():
             return False
         return winding_number(np.asarray(self.surface.triangles)[self.closed], p_G) > 0.5
+
+    def seen(self, eye_G: Array, direction_G: Array) -> tuple[Bools, Array, Array, Array]:
+        """Which rays from the eye (3,) along unit directions (n, 3) hit the body (n,), and what they see.
+
+        Of those h: the points (h, 3), normals of the faces (h, 3) and of the smooth surface (h, 3), on the
+        side of the eye.
+        """
+        hits, p_G = self.occluder.first_hits(eye_G, direction_G)
+        hit = hits.face >= 0
+        face, u, v = hits.face[hit], hits.u[hit], hits.v[hit]
+        weight = np.stack([1.0 - u - v, u, v], axis=1)
+        smooth_G = np.einsum("hc,hck->hk", weight, self.corner_normals_G[face])
+        smooth_G /= np.maximum(np.linalg.norm(smooth_G, axis=1, keepdims=True), 1e-12)
+        flat_G = np.asarray(self.surface.face_normals)[face]
+        # an open sheet is also seen from behind
+        behind = np.einsum("hk,hk->h", flat_G, direction_G[hit]) > 0.0
+        sign = np.where(behind, -1.0, 1.0)[:, None]
+        return hit, p_G[hit], sign * flat_G, sign * smooth_G
 
     def only(self, features: Ints | Bools) -> "EdgeModel":
         """The model with these features (indices or mask of ``size``); the whole surface still occludes."""

@@ -13,15 +13,11 @@ each class of stripes (``light_classes``).
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
-from scipy.special import ndtr
 
-from polhode.camera import RectifiedRig
+from polhode.compiled import compiled_ieee
 from polhode.lie import Array
-from polhode.planning.edges.edge_model import EdgeModel
-from polhode.planning.edges.observability_metric import EdgeObservability, edge_motion
-from polhode.planning.edges.visible_edges import SPACING_PX, ControlPoints, control_points, every_point
-from polhode.records import Ints
+from polhode.planning.edges.visible_edges import ControlPoints
+from polhode.records import Bools, Ints
 
 LINES = 6
 """Stripes across a point that are kept, the nearest"""
@@ -30,12 +26,23 @@ JOINED_PX = 1.0
 SAMPLED_PX = 2.0
 """Spacing of the points of all edges that are looked for across a point"""
 _ALONG_PX = 1.3 * SAMPLED_PX
+_TURNS = 3
 _STEEPEST = 0.6
 """Cosine of the largest angle between two edges of which one is looked for across the other"""
 _ALIKE = 8.0
 """Normals that agree to one part in so many are alike."""
+HALF_PX = 3.0
+"""What lies within this of a control point, along its normal, is measured by it."""
 UNIFORM = 1.0 / np.sqrt(12.0)
 """Standard deviation of a place within a stripe of width 1"""
+FLOOR_PX = 0.05
+"""Sigma of an edge's place in an image however clear it is: blur, pixels, errors of the model
+(docs/observability_tracking.md)"""
+MOST_SIGMA_PX, MOST_SHIFT_PX = 0.6, 2.5
+"""Points that are less certain, or farther off, do not count."""
+TUKEY, CAUCHY = 4.685, 2.385
+"""Widths in sigmas: 95 % efficient for Gaussian noise (Huber and Ronchetti, Robust Statistics, 2009)"""
+MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
@@ -67,46 +74,60 @@ def stripes_across(points: ControlPoints, every: ControlPoints, X_RG: Array, rea
     """
     light, side = light_classes(points, X_RG)
     out = np.full((3, len(points), LINES), np.nan)
-    if len(points) == 0:
-        return Stripes(out[0], out[1], out[2], light, side)
-    row, offset, slope = _crossings(points, every, reach_px)
-    order = np.lexsort((offset, row))
-    row, offset, slope = row[order], offset[order], slope[order]
-    first = np.ones(len(row), dtype=bool)
-    first[1:] = (np.diff(row) != 0) | (np.diff(offset) > JOINED_PX)
-    start = np.flatnonzero(first)
-    last = np.append(start[1:], len(row)) - 1
-    owner, middle = row[start], 0.5 * (offset[start] + offset[last])
-    width, tilt = offset[last] - offset[start], np.maximum.reduceat(slope, start)
-    order = np.lexsort((np.abs(middle), owner))
-    owner, middle, width, tilt = owner[order], middle[order], width[order], tilt[order]
-    place = np.arange(len(owner)) - np.searchsorted(owner, owner)
-    kept = place < LINES
-    out[:, owner[kept], place[kept]] = middle[kept], width[kept], tilt[kept]
+    order = np.argsort(every.uv_px[:, 0])
+    uv, normal = every.uv_px[order], every.normal_px[order]
+    _gather(points.uv_px, points.normal_px, uv, normal, reach_px, out)
     return Stripes(out[0], out[1], out[2], light, side)
 
 
-def _crossings(points: ControlPoints, every: ControlPoints, reach_px: float) -> tuple[Ints, Array, Array]:
-    """Point (k,), offset along its normal (k,) and slope (k,) of each sample of an edge that crosses it."""
-    own = np.arange(len(points))
-    if len(every) == 0:
-        return own, np.zeros(len(own)), np.zeros(len(own))
-    near = cKDTree(every.uv_px).query_ball_point(points.uv_px, np.hypot(reach_px, _ALONG_PX))
-    row = np.repeat(own, [len(each) for each in near])
-    other = np.concatenate([np.asarray(each, dtype=np.int64) for each in near])
-    gap = every.uv_px[other] - points.uv_px[row]
-    normal = points.normal_px[row]
-    tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
-    across, along = np.einsum("kd,kd->k", gap, normal), np.einsum("kd,kd->k", gap, tangent)
-    cosine = np.einsum("kd,kd->k", every.normal_px[other], normal)
-    sine = np.einsum("kd,kd->k", every.normal_px[other], tangent)
-    steep = np.abs(cosine) < _STEEPEST
-    cosine = np.where(steep, 1.0, cosine)
-    offset = across + along * sine / cosine
-    kept = ~steep & (np.abs(along) < _ALONG_PX) & (np.abs(offset) <= reach_px)
-    row = np.concatenate([row[kept], own])
-    none = np.zeros(len(own))
-    return row, np.concatenate([offset[kept], none]), np.concatenate([np.abs(sine / cosine)[kept], none])
+@compiled_ieee
+def _gather(
+    uv: Array, normal: Array, every_uv: Array, every_normal: Array, reach_px: float, out: Array
+) -> None:
+    """Offset, width and slope (3, m, LINES) of the stripes across points; ``every_uv`` ascends in u."""
+    offset, slope = np.zeros(len(every_uv) + 1), np.zeros(len(every_uv) + 1)
+    middle = np.zeros(len(every_uv) + 1)
+    radius = np.hypot(reach_px, _ALONG_PX)
+    for i in range(len(uv)):
+        n0, n1 = normal[i, 0], normal[i, 1]
+        # its own line
+        offset[0], slope[0], count = 0.0, 0.0, 1
+        k = np.searchsorted(every_uv[:, 0], uv[i, 0] - radius)
+        while k < len(every_uv) and every_uv[k, 0] <= uv[i, 0] + radius:
+            du, dv = every_uv[k, 0] - uv[i, 0], every_uv[k, 1] - uv[i, 1]
+            along = n0 * dv - n1 * du
+            cosine = every_normal[k, 0] * n0 + every_normal[k, 1] * n1
+            if abs(along) < _ALONG_PX and abs(cosine) >= _STEEPEST:
+                tangent = (n0 * every_normal[k, 1] - n1 * every_normal[k, 0]) / cosine
+                there = du * n0 + dv * n1 + along * tangent
+                if abs(there) <= reach_px:
+                    # in ascending order
+                    at = count
+                    while at > 0 and offset[at - 1] > there:
+                        offset[at], slope[at] = offset[at - 1], slope[at - 1]
+                        at -= 1
+                    offset[at], slope[at] = there, abs(tangent)
+                    count += 1
+            k += 1
+        stripes, first = 0, 0
+        for at in range(1, count + 1):
+            if at == count or offset[at] - offset[at - 1] > JOINED_PX:
+                here, width = 0.5 * (offset[first] + offset[at - 1]), offset[at - 1] - offset[first]
+                steepest = slope[first]
+                for each in range(first, at):
+                    steepest = max(steepest, slope[each])
+                # the nearest ones, in ascending order of their distance
+                place = min(stripes, LINES)
+                while place > 0 and middle[place - 1] > abs(here):
+                    if place < LINES:
+                        middle[place] = middle[place - 1]
+                        out[:, i, place] = out[:, i, place - 1]
+                    place -= 1
+                if place < LINES:
+                    middle[place] = abs(here)
+                    out[0, i, place], out[1, i, place], out[2, i, place] = here, width, steepest
+                stripes += 1
+                first = at
 
 
 def light_classes(points: ControlPoints, X_RG: Array) -> tuple[Ints, Array]:
@@ -164,48 +185,6 @@ def stripe_information(
     return StripeInformation(C, pull, g / own[:, None], r / own)
 
 
-FLOOR_PX = 0.07
-"""Sigma of an edge's place in an image however clear it is: blur, pixels, errors of the model
-(docs/observability_tracking.md: the slope of the trends)"""
-BLUR_PX = 0.95
-"""Sigma of an edge in a profile: a lens of 0.8, a pixel, and its interpolation"""
-HALF_PX, STEP_PX = 3.0, 0.5
-"""Half of a profile, and the distance of its samples"""
-NOISE = 0.005
-"""Of a profile, over the largest step of light: a grey level of 100 in each pixel, and the mean of five"""
-RIDGE = 1e-3
-"""Of the normal equations of the heights of steps, so that equal columns do no harm"""
-DRAWS = 16
-_SEED = 28
-
-
-def stripe_observability(
-    model: EdgeModel,
-    rig: RectifiedRig,
-    X_RG: Array,
-    known: EdgeModel | None = None,
-    floor_px: float = FLOOR_PX,
-) -> EdgeObservability:
-    """The metric where edges lie side by side, for edges found to ``floor_px`` where they stand alone.
-
-    C [m^-2, m^-1 rad^-1, rad^-2] is here the inverse of the covariance itself. A point weighs as much as its
-    profile will tell of a displacement when the steps of light are unknown, and the places in the stripes are
-    one unknown for each class of them (``stripe_information``). How light the surfaces are, nobody knows
-    beforehand: the information is a mean over a few draws. ``known``: the body's edges beside the model's.
-    """
-    points = control_points(model, rig, X_RG, SPACING_PX)
-    own = every_point(model, rig, X_RG, SAMPLED_PX)
-    every = own if known is None else every_point(known, rig, X_RG, SAMPLED_PX)
-    stripes = stripes_across(points, every, X_RG, HALF_PX + 2.0)
-    information, spread_px = expected_profiles(stripes, floor_px)
-    f = edge_motion(points, rig, X_RG, model.centre_G)
-    weight = points.weight * information / times_measured(points, own, X_RG)
-    told = stripe_information(
-        f, np.zeros(len(f)), weight, stripes.side * spread_px, stripes.light, stripes.classes
-    )
-    return EdgeObservability(told.C, model.radius_m, len(points))
-
-
 def times_measured(points: ControlPoints, own: ControlPoints, X_RG: Array) -> Array:
     """(m,) how many stripes of the model a point's profile shows: points of each of them measure them all.
 
@@ -215,33 +194,65 @@ def times_measured(points: ControlPoints, own: ControlPoints, X_RG: Array) -> Ar
     return np.asarray(np.isfinite(across.offset_px).sum(axis=1), dtype=np.float64)
 
 
-def expected_profiles(stripes: Stripes, floor_px: float) -> tuple[Array, Array]:
-    """Information (m,) [px^-2] on the displacement of profiles, and sigma (m,) [px] of the place within the
-    stripes that give it: means over draws of how light the surfaces between the stripes are."""
-    places = np.arange(-HALF_PX, HALF_PX + 1e-9, STEP_PX)
-    there = np.isfinite(stripes.offset_px)
-    offset, width = np.nan_to_num(stripes.offset_px), np.nan_to_num(stripes.width_px)
-    blur = np.sqrt(BLUR_PX**2 + (UNIFORM * width) ** 2)
-    z = (places[None, :, None] - offset[:, None, :]) / blur[:, None, :]
-    step = np.where(there[:, None, :], ndtr(z), 0.0)
-    slope = np.where(there[:, None, :], -np.exp(-0.5 * z**2) / (np.sqrt(2.0 * np.pi) * blur[:, None, :]), 0.0)
-    height = _heights(stripes.offset_px)
-    j = np.einsum("mnk,mdk->mdn", slope, height)
-    A = np.concatenate([np.ones((*step.shape[:2], 1)), step], axis=2)
-    N = np.einsum("mni,mnj->mij", A, A) + RIDGE * np.eye(A.shape[2])
-    c = np.einsum("mni,mdn->mid", A, j)
-    left = np.einsum("mdn,mdn->md", j, j) - np.einsum("mid,mid->md", c, np.linalg.solve(N, c))
-    variance = NOISE**2 / STEP_PX / np.maximum(left, 1e-12)
-    information = np.mean(1.0 / (floor_px**2 + variance), axis=1)
-    square = height**2
-    share = square / np.maximum(square.sum(axis=2, keepdims=True), 1e-12)
-    spread = np.sqrt(np.mean(np.einsum("mdk,mk->md", share, (UNIFORM * width) ** 2), axis=1))
-    return information, spread
+def median_scale(residual: Array, weight: Array) -> float:
+    """Sigma of residuals (m,) from their weighted median size, in their unit."""
+    size = np.abs(residual)
+    order = np.argsort(size)
+    half = int(np.searchsorted(np.cumsum(weight[order]), 0.5 * float(weight.sum())))
+    return MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]])
 
 
-def _heights(offset_px: Array) -> Array:
-    """(m, DRAWS, LINES) steps of light between surfaces of independent lightness, 0 to 1."""
-    order = np.argsort(np.argsort(offset_px, axis=1), axis=1)
-    light = np.random.default_rng(_SEED).uniform(size=(DRAWS, LINES + 1))
-    height = np.diff(light, axis=1)[:, order].transpose(1, 0, 2)
-    return np.where(np.isfinite(offset_px)[:, None, :], height, 0.0)
+def robust_weight(u: Array, narrow: bool) -> Array:
+    """Weights of residuals in sigmas: Tukey's, which forgets what is far off; Cauchy's until near."""
+    if narrow:
+        return np.asarray(np.where(np.abs(u) < TUKEY, (1.0 - (u / TUKEY) ** 2) ** 2, 0.0))
+    return np.asarray(1.0 / (1.0 + (u / CAUCHY) ** 2))
+
+
+@dataclass(frozen=True)
+class MeasuredStripes:
+    """The stripes across m control points, measured."""
+
+    stripes: Stripes
+    f: Array
+    """(m, 6) motion across the edges"""
+    shift_px: Array
+    """(m,) from the model to the image"""
+    sigma_px: Array
+    """(m,)"""
+    spread_px: Array
+    """(m,) sigma of the place within the stripe, with the sign of ``Stripes.side``"""
+    counts: Bools
+    """(m,) whether the point has a measurement"""
+    length: Array
+    """(m,) of edge that the point stands for, over the spacing, less what other points measure, too"""
+
+    def residual(self, place: Array) -> Array:
+        """(m,) in sigmas, with places (classes,) of the steps in their stripes."""
+        return np.asarray((self.shift_px - self.spread_px * place[self.stripes.light]) / self.sigma_px)
+
+    def told(self, place: Array, narrow: bool) -> tuple[StripeInformation, Array, float]:
+        """Normal equations, robust weights (m,) of the points without the scale, and the scale.
+
+        ``place`` (classes,): of the steps in their stripes, for the weights.
+        """
+        residual = np.where(self.counts, self.residual(place), 0.0)
+        length = self.length / self.sigma_px**2
+        scale = max(median_scale(residual[self.counts], length[self.counts]), 1.0)
+        weight = length * robust_weight(residual / scale, narrow) * self.counts
+        return self.weighted(weight / scale**2), weight, scale
+
+    def weighted(self, weight: Array) -> StripeInformation:
+        """Normal equations with given weights (m,) [px^-2]."""
+        stripes = self.stripes
+        return stripe_information(
+            self.f, self.shift_px, weight, self.spread_px, stripes.light, stripes.classes
+        )
+
+    def settled_places(self) -> Array:
+        """(classes,) of the steps in their stripes at the pose itself, found by turns with the weights."""
+        place = np.zeros(self.stripes.classes)
+        for _ in range(_TURNS):
+            told, _, _ = self.told(place, narrow=True)
+            place = told.places(np.zeros(6))
+        return place

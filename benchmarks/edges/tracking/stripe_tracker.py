@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from benchmarks.edges.tracking.edge_search import Levels, as_levels
 from benchmarks.edges.tracking.stripe_fit import displacement, searched
-from benchmarks.edges.tracking.tracker import median_scale, robust_weight, track
+from benchmarks.edges.tracking.tracker import track
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, transform_points
 from polhode.planning.edges.edge_model import EdgeModel
@@ -27,15 +27,15 @@ from polhode.planning.edges.observability_metric import (
 from polhode.planning.edges.stripes import (
     FLOOR_PX,
     HALF_PX,
+    MOST_SHIFT_PX,
+    MOST_SIGMA_PX,
     SAMPLED_PX,
+    MeasuredStripes,
     StripeInformation,
-    Stripes,
-    stripe_information,
     stripes_across,
     times_measured,
 )
 from polhode.planning.edges.visible_edges import SPACING_PX, ControlPoints, control_points, every_point
-from polhode.records import Bools
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,6 @@ class StripeOptions:
     """of the profiles of those steps"""
     floor_px: float = FLOOR_PX
     """sigma of an edge's place however clear it is: blur, pixels, the model"""
-    most_sigma_px: float = 0.6
-    """points that are less certain do not count"""
-    most_shift_px: float = 2.5
     settled_px: float = 0.01
     remade_px: float = 0.5
     """control points are recomputed when they have moved by this, root mean square"""
@@ -136,27 +133,7 @@ class _View:
     known: ControlPoints
     """of all edges that are known, close together"""
     length: Array
-    """(m,) see ``_Measured``"""
-
-
-@dataclass(frozen=True)
-class _Measured:
-    """The points of a pose, measured."""
-
-    points: ControlPoints
-    stripes: Stripes
-    f: Array
-    shift_px: Array
-    sigma_px: Array
-    spread_px: Array
-    counts: Bools
-    """(m,) whether the point has a measurement"""
-    length: Array
-    """(m,) of edge that the point stands for, over the spacing, less what other points measure, too"""
-
-    def residual(self, place: Array) -> Array:
-        """(m,) in sigmas, with places (classes,) of the steps in their stripes."""
-        return np.asarray((self.shift_px - self.spread_px * place[self.stripes.light]) / self.sigma_px)
+    """(m,) see ``MeasuredStripes``"""
 
 
 @dataclass(frozen=True)
@@ -177,13 +154,13 @@ class _Tracker:
         for range_px, is_wide in self._plan(search_px):
             if drift_px > wanted.remade_px:
                 view, drift_px = self._view(X_RG), 0.0
-            seen = self._look(view, X_RG, range_px)
+            _, seen = self._look(view, X_RG, range_px)
             if seen.counts.sum() < wanted.min_found:
                 found, of = int(seen.counts.sum()), len(seen.counts)
                 return self._nothing(X_RG, f"edges were found at {found} of {of} control points: too few")
             if range_px is not None or len(place) != seen.stripes.classes:
                 place = np.zeros(seen.stripes.classes)
-            told, _, _ = self._information(seen, place, is_wide)
+            told, _, _ = seen.told(place, narrow=not is_wide)
             step = self._step(told)
             if range_px is None:
                 place = told.places(step)
@@ -212,41 +189,20 @@ class _Tracker:
         """The same points of the body, where a pose that has hardly moved shows them."""
         return replace(points, uv_px=self.rig.project(transform_points(X_RG, points.p_G))[:, :2])
 
-    def _look(self, view: _View, X_RG: Array, range_px: float | None) -> _Measured:
+    def _look(
+        self, view: _View, X_RG: Array, range_px: float | None
+    ) -> tuple[ControlPoints, MeasuredStripes]:
         wanted = self.wanted
         points, every = self._at(view.points, X_RG), self._at(view.known, X_RG)
         reach_px = wanted.half_px if range_px is None else range_px + 1.5
-        stripes = stripes_across(points, every, X_RG, reach_px + wanted.most_shift_px)
+        stripes = stripes_across(points, every, X_RG, reach_px + MOST_SHIFT_PX)
         f = edge_motion(points, self.rig, X_RG, self.model.centre_G)
-        if range_px is not None:
-            shift, good = searched(self.grey, points, stripes, range_px)
-            sigma, none = np.full(len(points), wanted.most_sigma_px), np.zeros(len(points))
-            return _Measured(points, stripes, f, shift, sigma, none, good, view.length)
-        found = displacement(self.grey, points, stripes, wanted.half_px)
-        sigma = np.hypot(found.sigma_px, wanted.floor_px)
-        counts = (sigma < wanted.most_sigma_px) & (np.abs(found.shift_px) < wanted.most_shift_px)
-        sigma = np.where(np.isfinite(sigma), sigma, 1e3)
-        spread = stripes.side * found.spread_px
-        return _Measured(points, stripes, f, found.shift_px, sigma, spread, counts, view.length)
-
-    def _information(
-        self, seen: _Measured, place: Array, is_wide: bool
-    ) -> tuple[StripeInformation, Array, float]:
-        """Normal equations, the weights (m,) of the points without the scale, and the scale."""
-        residual = np.where(seen.counts, seen.residual(place), 0.0)
-        length = seen.length / seen.sigma_px**2
-        scale = max(median_scale(residual[seen.counts], length[seen.counts]), 1.0)
-        robust = robust_weight(residual / scale, narrow=not is_wide) * seen.counts
-        weight = length * robust
-        told = stripe_information(
-            seen.f,
-            seen.shift_px,
-            weight / scale**2,
-            seen.spread_px,
-            seen.stripes.light,
-            seen.stripes.classes,
-        )
-        return told, weight, scale
+        if range_px is None:
+            found = displacement(self.grey, points, stripes, wanted.half_px)
+            return points, found.of(stripes, f, view.length, wanted.floor_px)
+        shift, good = searched(self.grey, points, stripes, range_px)
+        sigma, none = np.full(len(points), MOST_SIGMA_PX), np.zeros(len(points))
+        return points, MeasuredStripes(stripes, f, shift, sigma, none, good, view.length)
 
     def _step(self, told: StripeInformation) -> Array:
         """Least squares in the directions that are seen; a step of half a radius is a sigma too far."""
@@ -257,25 +213,21 @@ class _Tracker:
 
     def _told(self, X_RG: Array, settled: bool) -> StripeTracking:
         """The record of the last pose, where its points are measured a last time."""
-        seen = self._look(self._view(X_RG), X_RG, None)
+        points, seen = self._look(self._view(X_RG), X_RG, None)
         if seen.counts.sum() < self.wanted.min_found:
             return self._nothing(X_RG, "too few edges were found at the last pose")
-        place = np.zeros(seen.stripes.classes)
-        for _ in range(3):
-            told, weight, scale = self._information(seen, place, is_wide=False)
-            place = told.places(np.zeros(6))
+        place = seen.settled_places()
+        _, weight, scale = seen.told(place, narrow=True)
         size = np.abs(seen.residual(place))
         expected = seen.length / np.maximum(seen.sigma_px**2 + seen.spread_px**2, self.wanted.floor_px**2)
         confirmed = seen.counts & (size < 3.0)
-        C = stripe_information(
-            seen.f, seen.shift_px, weight, seen.spread_px, seen.stripes.light, seen.stripes.classes
-        ).C
+        C = seen.weighted(weight).C
         information = EdgeObservability(C, self.model.radius_m, int(seen.counts.sum()))
         reason = information.describe_unobservable() if settled else "the pose has not settled"
         agreement = float(expected[confirmed].sum() / expected.sum())
-        return StripeTracking(X_RG, seen.points, information, agreement, scale, settled, reason)
+        return StripeTracking(X_RG, points, information, agreement, scale, settled, reason)
 
     def _nothing(self, X_RG: Array, reason: str) -> StripeTracking:
         none = EdgeObservability(np.zeros((6, 6)), self.model.radius_m, 0)
-        points = control_points(self.model, self.rig, X_RG, SPACING_PX)[:0]
+        points = control_points(self.model, self.rig, X_RG, SPACING_PX)[np.zeros(0, dtype=np.int64)]
         return StripeTracking(X_RG, points, none, 0.0, np.inf, False, reason)

@@ -23,13 +23,10 @@ from polhode.planning.edges.observability_metric import (
     observability,
     spectrum,
 )
+from polhode.planning.edges.stripes import median_scale, robust_weight
 from polhode.planning.edges.visible_edges import SEPARATION_PX, SPACING_PX, ControlPoints, clear_points
 from polhode.records import Bools, Ints
 
-TUKEY = 4.685
-"""Width in sigmas: 95 % efficient for Gaussian noise (Huber and Ronchetti, Robust Statistics, 2009)."""
-CAUCHY = 2.385
-MAD_TO_SIGMA = 1.4826
 BESIDE_PX = 3.0
 """How far from the edge either side is looked at."""
 
@@ -249,21 +246,6 @@ def _nearest(found: EdgeCandidates, at_px: Array) -> tuple[Array, Array]:
 def _scale(residual: Array, length: Array, wanted: TrackerOptions) -> float:
     """Sigma of residuals [px]; each counts with the length of edge that it stands for."""
     return max(median_scale(residual, length), wanted.min_sigma_px)
-
-
-def median_scale(residual: Array, weight: Array) -> float:
-    """Sigma of residuals (m,) from their weighted median size, in their unit."""
-    size = np.abs(residual)
-    order = np.argsort(size)
-    half = int(np.searchsorted(np.cumsum(weight[order]), 0.5 * float(weight.sum())))
-    return MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]])
-
-
-def robust_weight(u: Array, narrow: bool) -> Array:
-    """Weights of residuals in sigmas: Tukey's, which forgets what is far off; Cauchy's until near."""
-    if narrow:
-        return np.asarray(np.where(np.abs(u) < TUKEY, (1.0 - (u / TUKEY) ** 2) ** 2, 0.0))
-    return np.asarray(1.0 / (1.0 + (u / CAUCHY) ** 2))
 
 
 def _solve(f: Array, d: Array, weight: Array, radius_m: float, scale: float) -> Array:

@@ -4,23 +4,19 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.lie import Array, make_pose
+from polhode.lie import Array
 from polhode.planning.edges.edge_model import edge_model
-from polhode.planning.edges.observability_metric import edge_motion, observability
 from polhode.planning.edges.stripes import (
-    FLOOR_PX,
     LINES,
     SAMPLED_PX,
     UNIFORM,
     Stripes,
-    expected_profiles,
     stripe_information,
-    stripe_observability,
     stripes_across,
     times_measured,
 )
 from polhode.planning.edges.visible_edges import SPACING_PX, ControlPoints, control_points, every_point
-from tests.planning.edges.pictures import POSE, RIG, bevelled_box
+from tests.planning.edges.pictures import POSE, RIG
 
 
 def line(
@@ -159,57 +155,7 @@ def test_points_along_a_stripe_do_not_count_as_often_as_there_are() -> None:
     assert 1.0 / told.C[0, 0] == pytest.approx(width_px**2 / 12.0, rel=1e-3)
 
 
-def profile(offsets: list[float], widths: list[float]) -> Stripes:
-    found, empty = len(offsets), LINES - len(offsets)
-    offset, width = (np.array([[*each, *(empty * [np.nan])]]) for each in (offsets, widths))
-    slope = np.array([[*(found * [0.0]), *(empty * [np.nan])]])
-    return Stripes(offset, width, slope, np.zeros(1, dtype=np.int64), np.ones(1))
-
-
-def test_an_edge_that_stands_alone_is_found_to_the_floor_where_it_has_contrast() -> None:
-    information, spread = expected_profiles(profile([0.0], [0.0]), FLOOR_PX)
-    assert 0.6 < FLOOR_PX**2 * information[0] < 1.0 and spread[0] == 0.0
-
-
-def test_neighbours_take_information_and_the_nearer_the_more() -> None:
-    told = [expected_profiles(profile([0.0, gap], [0.0, 0.0]), FLOOR_PX)[0][0] for gap in (1.1, 1.6, 2.4)]
-    alone = expected_profiles(profile([0.0], [0.0]), FLOOR_PX)[0][0]
-    assert told[0] < told[1] < told[2] < 1.5 * alone
-    crowd = expected_profiles(profile([0.0, 1.1, -1.1, 2.2, -2.2], 5 * [0.0]), FLOOR_PX)[0][0]
-    assert crowd < told[0]
-
-
-def test_the_place_in_a_wide_stripe_is_as_uncertain_as_it_is_wide() -> None:
-    _, spread = expected_profiles(profile([0.0], [0.8]), FLOOR_PX)
-    assert spread[0] == pytest.approx(0.8 * UNIFORM)
-
-
-def test_of_a_plain_box_it_is_the_metric_for_edges_as_clear_as_one() -> None:
-    model = edge_model(trimesh.creation.box((0.8, 0.55, 0.35)))
-    points = control_points(model, RIG, POSE, SPACING_PX)
-    plain = observability(edge_motion(points, RIG, POSE, model.centre_G), points.weight, model.radius_m)
-    alone = expected_profiles(profile([0.0], [0.0]), FLOOR_PX)[0][0]
-    assert np.allclose(stripe_observability(model, RIG, POSE).sigma, plain.sigma / np.sqrt(alone), rtol=0.05)
-
-
 def test_edges_two_pixels_apart_are_measured_twice_and_count_once() -> None:
     lines = joined(line(0.0, feature=0), line(2.2, feature=1), line(9.0, feature=2))
     times = times_measured(lines, lines, POSE)
     assert times.tolist() == 21 * [2.0] + 21 * [2.0] + 21 * [1.0]
-
-
-def test_a_bevel_costs_accuracy_and_edges_that_are_not_used_disturb() -> None:
-    box = edge_model(trimesh.creation.box((0.8, 0.55, 0.35)))
-    bevelled = edge_model(bevelled_box((0.8, 0.55, 0.35), 0.004))
-    assert (
-        stripe_observability(bevelled, RIG, POSE).sigma > stripe_observability(box, RIG, POSE).sigma
-    ).all()
-    one_each = bevelled.only(np.arange(0, len(bevelled.ends_G), 2))
-    alone, disturbed = (stripe_observability(one_each, RIG, POSE, known=each) for each in (None, bevelled))
-    assert (disturbed.sigma > alone.sigma).all()
-
-
-def test_no_edges_tell_nothing() -> None:
-    box = edge_model(trimesh.creation.box((0.8, 0.55, 0.35)))
-    away = make_pose(np.eye(3), [50.0, 0.0, 3.0])
-    assert "no edge is visible" in stripe_observability(box, RIG, away).describe_unobservable()

@@ -7,13 +7,14 @@ import pytest
 from scipy.stats import norm
 
 from benchmarks.edges.tracking.edge_search import Levels, as_levels
-from benchmarks.edges.tracking.stripe_fit import LEAST_NOISE, displacement, searched
+from benchmarks.edges.tracking.stripe_fit import displacement, searched
 from benchmarks.edges.tracking.stripe_tracker import track_stripes
 from benchmarks.edges.tracking.tracker import track
 from polhode.lie import Array, make_pose
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.observability_metric import moved, pose_error
-from polhode.planning.edges.stripes import BLUR_PX, stripes_across
+from polhode.planning.edges.stripe_profiles import BLUR_PX, LEAST_NOISE
+from polhode.planning.edges.stripes import stripes_across
 from polhode.planning.edges.visible_edges import ControlPoints
 from tests.planning.edges.pictures import BOX, POSE, RIG, bevelled_box, drawn
 
