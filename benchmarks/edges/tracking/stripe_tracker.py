@@ -74,7 +74,7 @@ class StripeTracking:
     information: EdgeObservability
     """Its C (6, 6) [m^-2, m^-1 rad^-1, rad^-2] is the inverse of the covariance"""
     agreement: float
-    """Share of the information that the model expects and the image confirms to three sigmas, 0 to 1"""
+    """Share of the information of all known edges that the image confirms to three sigmas, 0 to 1"""
     scale: float
     """Robust size of the residuals over their sigmas, 1 at least"""
     converged: bool
@@ -108,13 +108,15 @@ def track_stripes(
     if len(coarse.points):
         found = _better(found, tracker.from_guess(coarse.X_RG, wanted.near_px))
     rng = np.random.default_rng(0)
-    for _ in range(wanted.restarts):
+    for number in range(wanted.restarts):
         if not len(found.points) or (found.converged and found.agreement >= wanted.content):
             break
-        f = edge_motion(found.points, rig, found.X_RG, model.centre_G)
+        # by turns from the best pose and from the guess, which it may have left for good
+        near = (X_RG, found.X_RG)[number % 2]
+        f = edge_motion(found.points, rig, near, model.centre_G)
         step = rng.standard_normal(6)
         step *= wanted.restart_px / max(float(np.sqrt(np.mean((f @ step) ** 2))), 1e-12)
-        other = tracker.from_guess(moved(found.X_RG, step, model.centre_G), wanted.near_px)
+        other = tracker.from_guess(moved(near, step, model.centre_G), wanted.near_px)
         found = _better(found, other)
     return found
 
@@ -213,19 +215,27 @@ class _Tracker:
 
     def _told(self, X_RG: Array, settled: bool) -> StripeTracking:
         """The record of the last pose, where its points are measured a last time."""
-        points, seen = self._look(self._view(X_RG), X_RG, None)
+        points, seen = self._at_last(X_RG)
         if seen.counts.sum() < self.wanted.min_found:
             return self._nothing(X_RG, "too few edges were found at the last pose")
-        place = seen.settled_places()
-        _, weight, scale = seen.told(place, narrow=True)
-        size = np.abs(seen.residual(place))
-        expected = seen.length / np.maximum(seen.sigma_px**2 + seen.spread_px**2, self.wanted.floor_px**2)
-        confirmed = seen.counts & (size < 3.0)
+        _, weight, scale = seen.told(seen.settled_places(), narrow=True)
         C = seen.weighted(weight).C
         information = EdgeObservability(C, self.model.radius_m, int(seen.counts.sum()))
         reason = information.describe_unobservable() if settled else "the pose has not settled"
-        agreement = float(expected[confirmed].sum() / expected.sum())
-        return StripeTracking(X_RG, points, information, agreement, scale, settled, reason)
+        if self.known is not self.model:
+            # edges that are known without being used say whether the pose is right
+            _, seen = replace(self, model=self.known)._at_last(X_RG)
+        return StripeTracking(X_RG, points, information, self._agreement(seen), scale, settled, reason)
+
+    def _at_last(self, X_RG: Array) -> tuple[ControlPoints, MeasuredStripes]:
+        """The points of a pose, measured."""
+        return self._look(self._view(X_RG), X_RG, None)
+
+    def _agreement(self, seen: MeasuredStripes) -> float:
+        """Share of the information that is expected and that the image confirms to three sigmas."""
+        size = np.abs(seen.residual(seen.settled_places()))
+        expected = seen.length / np.maximum(seen.sigma_px**2 + seen.spread_px**2, self.wanted.floor_px**2)
+        return float(expected[seen.counts & (size < 3.0)].sum() / expected.sum())
 
     def _nothing(self, X_RG: Array, reason: str) -> StripeTracking:
         none = EdgeObservability(np.zeros((6, 6)), self.model.radius_m, 0)

@@ -1,0 +1,302 @@
+"""Errors of the tracker of stripes against those that were expected before there was an image.
+
+    python -m benchmarks.edges.expected_errors [--short] [--stored] [--workers 1] [--record DIR] [-o PNG]
+
+Bodies, models, poses, lights and starts are those of ``benchmarks.edges.observability``: all bodies, all
+edges or the longest that make up three quarters and half of their length, 20 poses from 4 m to 2 m and 10 at
+3 m, 30 images of each pose. What is expected (``planning/edges/expected_tracking.py``) knows model and pose,
+neither the Sun nor the image. Of each pair of a model and a pose the root mean square of the errors of its
+trials is compared with the expected standard deviation, for each degree of freedom. "NEES, stated": squared
+error of the confirmed trials over the covariance that the tracker states, per degree of freedom; "and
+expected": with the covariance of the expected displacement besides.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from tyro.conf import arg
+
+from benchmarks.command import Png, Record, Short, Workers, command
+from benchmarks.edges.observability import (
+    CLUTTERED,
+    FIXED_M,
+    PLAIN,
+    RIG,
+    START_DEG,
+    START_M,
+    foreseen,
+    jittered,
+    levels,
+    off_px,
+    poses_of,
+    rounded,
+    views_of,
+)
+from benchmarks.edges.tracking.stripe_tracker import track_stripes
+from benchmarks.edges.views import NAMES, perturbed, random_suns
+from benchmarks.presentation import print_table
+from benchmarks.record import Case, complete, measured
+from polhode.lie import Array
+from polhode.planning.edges.expected_tracking import expected_tracking
+from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM, pose_error
+from polhode.planning.edges.visible_edges import SPACING_PX, control_points
+from polhode.records import Bools
+
+RECORD = Path("runs/records/expected_errors")
+IMAGES, POSES, POSES_AT_FIXED_RANGE = 30, 20, 10
+SHORT_IMAGES, SHORT_POSES = 4, 3
+MODELS = ("all edges", "three quarters", "half")
+CONFIRMED = 0.8
+"""Least agreement of a trial that a user would keep"""
+
+
+def cases(short: bool) -> list[Case]:
+    """A case is a pose of a body; those of all bodies come by turns."""
+    images, poses = (SHORT_IMAGES, SHORT_POSES) if short else (IMAGES, POSES)
+    at = {
+        "2 to 4 m": {"near_m": 2.0, "far_m": 4.0, "seed": 1, "poses": poses},
+        f"{FIXED_M:g} m": {
+            "near_m": FIXED_M,
+            "far_m": FIXED_M,
+            "seed": 2,
+            "poses": min(poses, POSES_AT_FIXED_RANGE),
+        },
+    }
+    return [
+        {
+            "part": "pairs",
+            "range": name,
+            "body": body,
+            "pose": pose,
+            "images": images,
+            "rich": False,
+            **common,
+        }
+        for name, common in at.items()
+        for pose in range(common["poses"])
+        for body in NAMES
+    ]
+
+
+def main(
+    short: Short = False,
+    workers: Workers = 1,
+    record: Record = RECORD,
+    stored: Annotated[bool, arg(help="Only print what was measured before.")] = False,
+    output: Png = None,
+) -> None:
+    """Measure what the record lacks; print the tables; draw the pairs."""
+    wanted = cases(short)
+    lines = measured(record, wanted) if stored else complete(record, wanted, measure, workers)
+    pairs = [pair for line in lines for pair in _pairs(line)]
+    at = {
+        name: [pair for pair in pairs if pair.range == name] for name in dict.fromkeys(p.range for p in pairs)
+    }
+    groups = {
+        f"{title}, {name}": [pair for pair in group if pair.body in bodies]
+        for name, group in at.items()
+        for title, bodies in (("plain", PLAIN), ("crowded", CLUTTERED), ("all", NAMES))
+    }
+    columns = ["pairs and trials", "kept", "value", *DEGREES_OF_FREEDOM]
+    print_table(" | ".join(columns), _rows(groups), right_from=3)
+    print()
+    columns = [
+        "error over expected, median (5 % to 95 %)",
+        "NEES, stated",
+        "and expected",
+        "settled",
+        "confirmed",
+    ]
+    print_table(" | ".join(["body", "pairs", *columns]), _bodies(pairs))
+    if output:
+        draw(pairs, output)
+
+
+def measure(case: Case) -> dict[str, Any]:
+    """All trials of one pose of one body."""
+    views, whole = views_of(case["body"], case["rich"])
+    number, o_G = case["pose"], whole.centre_G
+    X_RG = poses_of(case, whole)[number]
+    rng = np.random.default_rng([case["seed"], 7, number])
+    seed = case["seed"] + 1000 * number
+    suns = random_suns(case["images"], seed)
+    truths = np.array([jittered(X_RG, o_G, rng) for _ in suns])
+    starts = perturbed(truths, o_G, seed, START_DEG, START_M)
+    chosen = levels(whole)
+    models = [
+        {
+            "expected": rounded(expected.covariance),
+            "displacement": rounded(
+                expected.displacement.T @ expected.displacement / len(expected.displacement)
+            ),
+            "plain": rounded(foreseen(each, RIG, X_RG)[0].sigma),
+            "trials": [],
+        }
+        for each, expected in ((each, expected_tracking(each, RIG, X_RG, known=whole)) for each in chosen)
+    ]
+    for k, (true, sun, start) in enumerate(zip(truths, suns, starts, strict=True)):
+        image = views.image(true, sun, 1000 * number + k)
+        p_G = control_points(whole, RIG, true, SPACING_PX).p_G
+        for model, told in zip(chosen, models, strict=True):
+            found = track_stripes(model, RIG, image, start, known=whole)
+            error = pose_error(found.X_RG, true, o_G)
+            told["trials"].append(
+                {
+                    "error": rounded(error),
+                    "off_px": rounded(off_px(p_G, found.X_RG, true)),
+                    "settled": bool(found.converged),
+                    "agreement": rounded(found.agreement),
+                    "covariance": rounded(found.covariance[np.triu_indices(6)]),
+                }
+            )
+    return {"models": models}
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Trials of one model at one pose."""
+
+    body: str
+    model: str
+    range: str
+    expected: Array
+    """(6,) [m, rad]"""
+    displacement: Array
+    """(6, 6) the part of the expected covariance that comes from what the model lacks"""
+    plain: Array
+    """(6,) of the metric, for one pixel"""
+    errors: Array
+    """(n, 6) [m, rad]"""
+    covariance: Array
+    """(n, 6, 6) that the tracker states; NaN where it states none"""
+    settled: Bools
+    agreement: Array
+
+    @property
+    def confirmed(self) -> Bools:
+        """(n,) trials that a user would keep, who does not know the truth."""
+        return self.settled & (self.agreement >= CONFIRMED)
+
+    def nees(self, with_displacement: bool) -> Array:
+        """(n,) of the confirmed trials, over six, by the stated covariance or with the displacement, too."""
+        covariance = self.covariance[self.confirmed]
+        errors = self.errors[self.confirmed]
+        stated = np.isfinite(covariance).all(axis=(1, 2))
+        P = covariance[stated] + (self.displacement if with_displacement else 0.0)
+        scaled = np.linalg.solve(P, errors[stated][..., None])[..., 0]
+        return np.asarray(np.einsum("nk,nk->n", errors[stated], scaled) / 6.0)
+
+
+def _pairs(line: Case) -> Iterator[Pair]:
+    """Those of which something is expected, with less than the error of the start."""
+    case = line["case"]
+    limit = np.array([START_M] * 3 + [np.deg2rad(START_DEG)] * 3)
+    for name, told in zip(MODELS, line["models"], strict=True):
+        expected, displacement, plain = (
+            np.array(told[key], dtype=np.float64) for key in ("expected", "displacement", "plain")
+        )
+        sigma = np.sqrt(np.diagonal(expected.reshape(6, 6)))
+        if not np.isfinite(sigma).all() or not (sigma < limit).all():
+            continue
+        errors, settled, agreement, upper = (
+            np.array([trial[key] for trial in told["trials"]], dtype=kind)
+            for key, kind in (
+                ("error", float),
+                ("settled", bool),
+                ("agreement", float),
+                ("covariance", float),
+            )
+        )
+        covariance = np.empty((len(errors), 6, 6))
+        rows, columns = np.triu_indices(6)
+        covariance[:, rows, columns] = covariance[:, columns, rows] = upper
+        yield Pair(
+            case["body"],
+            name,
+            case["range"],
+            sigma,
+            displacement.reshape(6, 6),
+            plain,
+            errors,
+            covariance,
+            settled,
+            agreement,
+        )
+
+
+def _rms(pairs: Sequence[Pair], all_trials: bool) -> tuple[Array, Array, Array]:
+    """Root mean squares (p, 6), expected (p, 6) and plain (p, 6), of pairs with three trials at least."""
+    rows = []
+    for pair in pairs:
+        errors = pair.errors if all_trials else pair.errors[pair.confirmed]
+        if len(errors) >= 3:
+            rows.append((np.sqrt(np.mean(errors**2, axis=0)), pair.expected, pair.plain))
+    return tuple(np.array(column) for column in zip(*rows, strict=True)) if rows else (np.zeros((0, 6)),) * 3  # type: ignore[return-value]
+
+
+def _rows(groups: dict[str, list[Pair]]) -> Iterator[list[str]]:
+    for name, pairs in groups.items():
+        for all_trials in (False, True):
+            rms, expected, plain = _rms(pairs, all_trials)
+            if len(rms) < 3:
+                continue
+            lost = 1.0 - np.mean(np.concatenate([pair.confirmed for pair in pairs]))
+            kept = "every trial" if all_trials else f"confirmed, {lost:.1%} lost"
+            ratio = rms / expected
+            values = {
+                "r": [np.corrcoef(rms[:, k], expected[:, k])[0, 1] for k in range(6)],
+                "r of logarithms": _log_r(rms, expected),
+                "the same, plain metric": _log_r(rms, plain),
+                "error over expected": np.exp(np.mean(np.log(ratio), axis=0)),
+            }
+            for value, numbers in values.items():
+                yield [f"{name}, {len(rms)}", kept, value, *(f"{each:.2f}" for each in numbers)]
+            low, high = np.quantile(ratio, [0.05, 0.95], axis=0)
+            band = (f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True))
+            yield [f"{name}, {len(rms)}", kept, "5 % to 95 %", *band]
+
+
+def _log_r(a: Array, b: Array) -> list[float]:
+    return [float(np.corrcoef(np.log(a[:, k]), np.log(b[:, k]))[0, 1]) for k in range(6)]
+
+
+def _bodies(pairs: Sequence[Pair]) -> Iterator[list[str]]:
+    for body in dict.fromkeys(pair.body for pair in pairs):
+        own = [pair for pair in pairs if pair.body == body]
+        ratio = np.concatenate([(np.sqrt(np.mean(p.errors**2, axis=0)) / p.expected) for p in own])
+        nees = [
+            np.concatenate([p.nees(with_displacement) for p in own]) for with_displacement in (False, True)
+        ]
+        low, middle, high = np.quantile(ratio, [0.05, 0.5, 0.95])
+        shares = [np.mean(np.concatenate([getattr(p, key) for p in own])) for key in ("settled", "confirmed")]
+        yield [
+            body,
+            str(len(own)),
+            f"{middle:.2f} ({low:.2f} to {high:.2f})",
+            *(f"{np.mean(each):.2f}" if len(each) else "-" for each in nees),
+            *(f"{share:.0%}" for share in shares),
+        ]
+
+
+def draw(pairs: Sequence[Pair], output: Path) -> None:
+    """Errors over what was expected, for each degree of freedom."""
+    figure, axes = plt.subplots(2, 3, figsize=(11.0, 7.0), constrained_layout=True)
+    unit = np.array([1e3] * 3 + [180.0 / np.pi] * 3)
+    for k, (axis, name) in enumerate(zip(axes.ravel(), DEGREES_OF_FREEDOM, strict=True)):
+        for title, bodies, colour in (("plain", PLAIN, "tab:blue"), ("crowded", CLUTTERED, "tab:orange")):
+            rms, expected, _ = _rms([pair for pair in pairs if pair.body in bodies], all_trials=False)
+            axis.loglog(unit[k] * expected[:, k], unit[k] * rms[:, k], ".", ms=4, color=colour, label=title)
+        ends = np.array(axis.get_xlim())
+        axis.loglog(ends, ends, "k-", lw=0.8)
+        axis.set(xlabel=f"expected, {name} [{'mm' if k < 3 else 'deg'}]", ylabel="error, root mean square")
+    axes[0, 0].legend(frameon=False)
+    figure.savefig(output, dpi=110)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    command(main)
