@@ -190,6 +190,7 @@ BENCHMARKS = (
               "steps satellite --pictures runs/best_trajectory", "steps --short"),
     Benchmark("observability", "edges.observability", "docs/observability_tracking.md", 240,
               "-o runs/observability_trends.png"),
+    Benchmark("expected_errors", "edges.expected_errors", "docs/observability_tracking.md", 400),
     Benchmark("thin_parts", "edges.thin_parts", "docs/observability_tracking.md", 12),
     Benchmark("visp_tracker", "edges.visp_tracker", "docs/observability_tracking.md", 20, "--views 20",
               "block --views 2", _VISP),

@@ -5,6 +5,7 @@ In: bodies, rendered views. Out: correlations, calibrated covariances, chosen ed
     observability             the metric against the errors of the tracker
     observability_tables      its tables and figure
     thin_parts                edges side by side: both trackers on the same images
+    expected_errors           errors of the tracker of stripes against those that were expected
     observability_of_run      the metric from a run's mesh and from the true one
     observability_speed       seconds per view
     selection                 sets of edges and their bounds

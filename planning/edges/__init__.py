@@ -7,6 +7,8 @@ In: a mesh in G, a camera, poses. Out: information and covariance of the pose, p
     measured_edges         the edge model of a run's mesh, simplified as far as its errors allow
     visible_edges          control points on the edges that a camera sees; outlines, contrast in sunlight
     stripes                edges side by side in the image, and what it can tell of them
+    stripe_profiles        how far the edges across a control point are displaced in a profile of grey levels
+    expected_tracking      what a tracker will find at a view, and how accurate its pose will be
     observability_metric   image motion across the edges, C = sum of f f^T, C^-1, unobservable directions
     information            C along a trajectory, per view and per feature; contribution of each edge
     selection              the best edges under a budget, with an upper bound

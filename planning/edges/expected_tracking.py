@@ -109,19 +109,22 @@ def expected_tracking(
     X_RG: Array,
     light: ExpectedLight | None = None,
     known: EdgeModel | None = None,
+    about_G: Array | None = None,
     floor_px: float = FLOOR_PX,
 ) -> ExpectedTracking:
     """Of a tracker of the model's edges at X_RG (4, 4).
 
     ``light``: a few Suns around the camera unless given. ``known``: all edges of the body, where the model
-    has only some of them. ``floor_px``: sigma of an edge's place however clear it is.
+    has only some of them. ``about_G`` (3,): reference point of the motions, unless the model's centre.
+    ``floor_px``: sigma of an edge's place however clear it is.
     """
     light = light or around_camera()
+    o_G = model.centre_G if about_G is None else about_G
     points = control_points(model, rig, X_RG, SPACING_PX)
     own = every_point(model, rig, X_RG, SAMPLED_PX)
     every = own if known is None or known is model else every_point(known, rig, X_RG, SAMPLED_PX)
     stripes = stripes_across(points, every, X_RG, HALF_PX + MOST_SHIFT_PX)
-    f = edge_motion(points, rig, X_RG, model.centre_G)
+    f = edge_motion(points, rig, X_RG, o_G)
     length = points.weight / np.maximum(times_measured(points, own, X_RG), 1.0)
     C, displacement = [], []
     place = places(HALF_PX)

@@ -4,7 +4,7 @@ In: an edge model, a camera and an image; out: the pose, its residuals and its c
 
     tracker                 pose from the edges of one image
     stripe_tracker          the same where edges lie side by side: bevels, rims, thin panels
-    stripe_fit              how far an image shows the edges across a control point displaced
+    stripe_fit              profiles of grey levels across control points
     edge_search             edges of the image along the normals of control points
     residual                whether the tracker converged to the right pose
     calibrated_covariance   covariance of the pose, with errors that whole edges share

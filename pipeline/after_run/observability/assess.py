@@ -17,6 +17,7 @@ from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
 from polhode.planning.edges.edge_model import CREASE_DEG, EdgeModel, edge_model
+from polhode.planning.edges.expected_tracking import ExpectedTracking, expected_tracking, lit_from
 from polhode.planning.edges.information import (
     Contributions,
     EdgeView,
@@ -273,6 +274,8 @@ class Assessment:
 
     subject: Subject
     views: list[EdgeView]
+    expected: list[ExpectedTracking]
+    """of a tracker of these edges, at each view"""
     edges: Contributions
     choice: Choice
     spacing_px: float
@@ -282,6 +285,11 @@ class Assessment:
     def sigma(self) -> Array:
         """(k, 6) standard deviations [m, rad], inf where a view does not determine them."""
         return self.sigma_px * np.stack([view.metric.sigma for view in self.views])
+
+    @property
+    def expected_sigma(self) -> Array:
+        """(k, 6) standard deviations [m, rad] that a tracker should have; inf as ``sigma``."""
+        return np.stack([each.sigma for each in self.expected])
 
 
 def assess(
@@ -299,19 +307,26 @@ def assess(
             f"{len(subject.X_RG)} poses of {subject.model.size} edges take {size_mib:.0f} MiB: "
             f"give fewer poses{fewer_edges}"
         )
-    views, C = [], []
+    views, expected, C = [], [], []
     with progress.stage("evaluating views", len(subject.X_RG)) as advance:
         for view in views_along(
             subject.model, subject.rig, subject.X_RG, subject.o_G, spacing_px, subject.sun_G
         ):
             views.append(view)
             C.append(by_feature(view.points, view.f, subject.model.size))
+            expected.append(_expected_at(subject, view.X_RG, len(expected)))
             advance()
     information = FeatureInformation(np.stack(C), subject.model.radius_m)
     with progress.stage("selecting edges", 1) as advance:
         choice = choose(information, few, fewest)
         advance()
-    return Assessment(subject, views, contributions(information), choice, spacing_px, sigma_px)
+    return Assessment(subject, views, expected, contributions(information), choice, spacing_px, sigma_px)
+
+
+def _expected_at(subject: Subject, X_RG: Array, pose: int) -> ExpectedTracking:
+    """Under the Sun that the user gives, or under some around the camera."""
+    light = None if subject.sun_G is None else lit_from(X_RG[:3, :3] @ subject.sun_G[pose])
+    return expected_tracking(subject.model, subject.rig, X_RG, light, about_G=subject.o_G)
 
 
 def choose(information: FeatureInformation, edges: int | None, fewest: bool) -> Choice:

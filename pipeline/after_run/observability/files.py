@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from polhode.lie import Array
 from polhode.output.marked_folder import marked_folder, write_files
 from polhode.pipeline.after_run.observability import pictures
 from polhode.pipeline.after_run.observability.assess import Assessment, Choice
@@ -75,7 +76,7 @@ def write_assessment(assessment: Assessment, folder: Path) -> list[str]:
 def pose_rows(assessment: Assessment) -> list[dict[str, Any]]:
     """Numbers of each view: the columns of observability.csv and, with matrices, the poses of the JSON file.
 
-    sigma (6,) is inf where the visible edges do not determine it.
+    sigma (6,) and expected_sigma (6,) are inf where the visible edges do not determine them.
     """
     return [
         {
@@ -85,14 +86,19 @@ def pose_rows(assessment: Assessment) -> list[dict[str, Any]]:
             "points": len(view.points),
             "edge_length_px": view.length_px,
             "sigma": sigma,
+            "expected_sigma": expected,
             "position_dop_m_per_px": view.metric.position_dop,
             "attitude_dop_rad_per_px": view.metric.attitude_dop,
             "geometric_dop_per_px": view.metric.geometric_dop,
             "condition": view.metric.condition,
             "not_told": view.describe_unobservable(),
         }
-        for time, sigma, view in zip(
-            assessment.subject.time_s, assessment.sigma, assessment.views, strict=True
+        for time, sigma, expected, view in zip(
+            assessment.subject.time_s,
+            assessment.sigma,
+            assessment.expected_sigma,
+            assessment.views,
+            strict=True,
         )
     ]
 
@@ -104,8 +110,8 @@ def table(assessment: Assessment) -> str:
     for number, row in enumerate(pose_rows(assessment)):
         cells = {"time_s": f"{row['time_s']:.9f}"}
         for name, value in row.items():
-            if name == "sigma":
-                cells |= {f"sigma_{each}": f"{part:.6g}" for each, part in zip(NAMES, value, strict=True)}
+            if isinstance(value, np.ndarray):
+                cells |= {f"{name}_{each}": f"{part:.6g}" for each, part in zip(NAMES, value, strict=True)}
             elif name not in cells:
                 cells[name] = f"{value:.6g}" if isinstance(value, float) else str(value)
         if number == 0:
@@ -170,7 +176,8 @@ def document(assessment: Assessment, legend: Legend | None) -> dict[str, Any]:
             "names": list(DEGREES_OF_FREEDOM),
             "words": "translations of o along the camera's axes (right, down, forward) [m], rotations about "
             "them through o [rad]; C, in pixels squared per unit, is the information of the edges for one "
-            "pixel of noise; sigma is the root of the diagonal of sigma_px^2 C^-1",
+            "pixel of noise; sigma is the root of the diagonal of sigma_px^2 C^-1; expected_sigma is that of "
+            "a tracker, with light, shadows and edges side by side considered",
         },
         "sigma_px": assessment.sigma_px,
         "spacing_px": assessment.spacing_px,
@@ -262,8 +269,19 @@ def format_assessment(assessment: Assessment) -> str:
         f"for {assessment.sigma_px:g} px of noise normal to the edges every {assessment.spacing_px:g} px, "
         f"about {assessment.subject.about}:"
     )
+    lines += _of_each_freedom(assessment.sigma)
+    light = "in this sunlight" if assessment.subject.sun_G is not None else "wherever the Sun stands"
+    lines.append(f"Expected of a tracker {light}, with shadows and edges side by side considered:")
+    lines += _of_each_freedom(assessment.expected_sigma)
+    lines += unobservable_lines(assessment)
+    lines += selection_lines(assessment.choice)
+    return "\n".join([*lines, *(f"Note: {note}" for note in notes_of(assessment))])
+
+
+def _of_each_freedom(sigma: Array) -> list[str]:
+    """Median and range of standard deviations (k, 6) [m, rad] over the poses, a line for each."""
+    lines, determined = [], np.isfinite(sigma)
     units = (("mm", 1e3),) * 3 + (("deg", np.degrees(1.0)),) * 3
-    sigma, determined = assessment.sigma, np.isfinite(assessment.sigma)
     for k, (name, (unit, scale)) in enumerate(zip(DEGREES_OF_FREEDOM, units, strict=True)):
         own = scale * sigma[determined[:, k], k]
         lost = len(sigma) - len(own)
@@ -273,6 +291,4 @@ def format_assessment(assessment: Assessment) -> str:
             lines.append(f"  {name:8s} {numbers}{'; ' + note if note else ''}")
         else:
             lines.append(f"  {name:8s} {'inf':>9s} {unit:3s}; undetermined at every pose")
-    lines += unobservable_lines(assessment)
-    lines += selection_lines(assessment.choice)
-    return "\n".join([*lines, *(f"Note: {note}" for note in notes_of(assessment))])
+    return lines

@@ -233,7 +233,7 @@ def draw_metric(assessment: Assessment) -> bytes:
     """A PNG: sigmas of translations and rotations, length of visible edges and range, over time."""
     figure = Figure(figsize=(9.0, 8.0), layout="constrained")
     panels = figure.subplots(3, 1, sharex=True)
-    time, sigma = assessment.subject.time_s, assessment.sigma
+    time, sigma, expected = assessment.subject.time_s, assessment.sigma, assessment.expected_sigma
     for panel, first, scale, quantity in (
         (panels[0], 0, 1e3, "translation [mm]"),
         (panels[1], 3, np.degrees(1.0), "rotation [deg]"),
@@ -242,6 +242,9 @@ def draw_metric(assessment: Assessment) -> bytes:
             values = np.where(np.isfinite(sigma[:, first + k]), scale * sigma[:, first + k], np.nan)
             name = DEGREES_OF_FREEDOM[first + k]
             panel.plot(time, values, ".-", color=_COLOURS[k], label=name, linewidth=1.2, markersize=4)
+            of_tracker = np.where(np.isfinite(expected[:, first + k]), scale * expected[:, first + k], np.nan)
+            panel.plot(time, of_tracker, ":", color=_COLOURS[k], linewidth=1.2)
+        panel.plot([], [], ":", color="0.3", label="expected of a\ntracker")
         lost = ~np.isfinite(sigma[:, first : first + 3]).all(axis=1)
         for at in time[lost]:
             panel.axvline(at, color="0.85", linewidth=3.0, zorder=0)
