@@ -261,7 +261,9 @@ def _rows(groups: dict[str, list[Pair]]) -> Iterator[list[str]]:
 
 
 def _log_r(a: Array, b: Array) -> list[float]:
-    return [float(np.corrcoef(np.log(a[:, k]), np.log(b[:, k]))[0, 1]) for k in range(6)]
+    """Of the pairs of which both are known."""
+    known = np.isfinite(b).all(axis=1)
+    return [float(np.corrcoef(np.log(a[known, k]), np.log(b[known, k]))[0, 1]) for k in range(6)]
 
 
 def _bodies(pairs: Sequence[Pair]) -> Iterator[list[str]]:
