@@ -111,16 +111,18 @@ def expected_tracking(
     known: EdgeModel | None = None,
     about_G: Array | None = None,
     floor_px: float = FLOOR_PX,
+    points: ControlPoints | None = None,
 ) -> ExpectedTracking:
     """Of a tracker of the model's edges at X_RG (4, 4).
 
     ``light``: a few Suns around the camera unless given. ``known``: all edges of the body, where the model
     has only some of them. ``about_G`` (3,): reference point of the motions, unless the model's centre.
-    ``floor_px``: sigma of an edge's place however clear it is.
+    ``floor_px``: sigma of an edge's place however clear it is. ``points``: the model's control points there,
+    if they are known.
     """
     light = light or around_camera()
     o_G = model.centre_G if about_G is None else about_G
-    points = control_points(model, rig, X_RG, SPACING_PX)
+    points = control_points(model, rig, X_RG, SPACING_PX) if points is None else points
     own = every_point(model, rig, X_RG, SAMPLED_PX)
     every = own if known is None or known is model else every_point(known, rig, X_RG, SAMPLED_PX)
     stripes = stripes_across(points, every, X_RG, HALF_PX + MOST_SHIFT_PX)

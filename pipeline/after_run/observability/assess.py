@@ -29,6 +29,7 @@ from polhode.planning.edges.information import (
 from polhode.planning.edges.measured_edges import measured_edge_model
 from polhode.planning.edges.selection import EdgeSelection, greedy, upper_bound
 from polhode.planning.edges.smallest_set import SigmaLimits, SmallestSet, smallest_set
+from polhode.planning.edges.visible_edges import SPACING_PX
 from polhode.planning.prediction import nominal_motion
 from polhode.progress import Progress
 from polhode.tables import number_rows
@@ -314,7 +315,7 @@ def assess(
         ):
             views.append(view)
             C.append(by_feature(view.points, view.f, subject.model.size))
-            expected.append(_expected_at(subject, view.X_RG, len(expected)))
+            expected.append(_expected_at(subject, view, len(expected), spacing_px))
             advance()
     information = FeatureInformation(np.stack(C), subject.model.radius_m)
     with progress.stage("selecting edges", 1) as advance:
@@ -323,10 +324,14 @@ def assess(
     return Assessment(subject, views, expected, contributions(information), choice, spacing_px, sigma_px)
 
 
-def _expected_at(subject: Subject, X_RG: Array, pose: int) -> ExpectedTracking:
+def _expected_at(subject: Subject, view: EdgeView, pose: int, spacing_px: float) -> ExpectedTracking:
     """Under the Sun that the user gives, or under some around the camera."""
-    light = None if subject.sun_G is None else lit_from(X_RG[:3, :3] @ subject.sun_G[pose])
-    return expected_tracking(subject.model, subject.rig, X_RG, light, about_G=subject.o_G)
+    light = points = None
+    if subject.sun_G is not None:
+        light = lit_from(view.X_RG[:3, :3] @ subject.sun_G[pose])
+    elif spacing_px == SPACING_PX:
+        points = view.points
+    return expected_tracking(subject.model, subject.rig, view.X_RG, light, about_G=subject.o_G, points=points)
 
 
 def choose(information: FeatureInformation, edges: int | None, fewest: bool) -> Choice:
