@@ -77,19 +77,31 @@ def random_scene(corpus: Corpus, index: int) -> Scene:
 
 
 def _body(corpus: Corpus, index: int, rng: np.random.Generator) -> TargetBody:
-    family = corpus.families[index % len(corpus.families)]
-    choices = MATERIALS.get(family, ANY_MATERIAL)
-    other = choices[rng.integers(len(choices))] if rng.random() < corpus.other_material else "automatic"
+    material = _material(corpus, index, rng)
     return TargetBody.model_validate(
         {
-            "family": family,
+            "family": _family(corpus, index),
             "size_m": _uniform(rng, corpus.size_m),
             "seed": FIRST_BODY_SEED + index,
-            "material": other,
+            "material": material,
             "texture": corpus.texture,
             "contrast": _logarithmic(rng, corpus.contrast),
         }
     )
+
+
+def random_skin(corpus: Corpus, index: int, rng: np.random.Generator) -> dict[str, Any]:
+    """Material and contrast of the body of scene ``index``: settings of ``scene.body``."""
+    return {"material": _material(corpus, index, rng), "contrast": _logarithmic(rng, corpus.contrast)}
+
+
+def _family(corpus: Corpus, index: int) -> str:
+    return corpus.families[index % len(corpus.families)]
+
+
+def _material(corpus: Corpus, index: int, rng: np.random.Generator) -> str:
+    choices = MATERIALS.get(_family(corpus, index), ANY_MATERIAL)
+    return choices[rng.integers(len(choices))] if rng.random() < corpus.other_material else "automatic"
 
 
 def _radius_m(body: TargetBody) -> float:

@@ -1,13 +1,15 @@
 """Training curves in TensorBoard's format, which ``tensorboard --logdir OUTPUT`` shows.
 
-    python -m polhode.train.curves OUTPUT... -o FILE.png
+    python -m polhode.train.curves OUTPUT... -o FILE.png [--parts] [--only NAME ...]
 
-plots them from the event files.
+plots them from the event files; with ``--parts`` the trainings continue one another, and their steps are
+counted on.
 """
 
 import argparse
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -67,23 +69,59 @@ def read_curves(output: Path) -> dict[str, Array]:
     return {name: np.array([(point.step, point.value) for point in events.Scalars(name)]) for name in names}
 
 
-@default_style
-def draw_curves(outputs: Sequence[Path], path: Path) -> None:
-    """One row of plots for each training: the losses, and the scores on held-out bodies."""
-    figure = Figure(figsize=(12, 4.0 * len(outputs)), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(len(outputs), 2, squeeze=False)
-    for row, output in zip(axes, outputs, strict=True):
+@dataclass(frozen=True)
+class Row:
+    """Curves of one training, or of several that continue one another."""
+
+    title: str
+    curves: Mapping[str, Array]
+    """Name -> (n, 2) steps and values"""
+    joints: tuple[float, ...] = ()
+    """Steps at which a training ended and the next one began"""
+
+
+def joined(outputs: Sequence[Path]) -> Row:
+    """The curves of trainings that continue one another, with their steps counted on.
+
+    Raises InputError: a training has no curves.
+    """
+    parts: dict[str, list[Array]] = {}
+    ends = [0.0]
+    for output in outputs:
         curves = read_curves(output)
+        for name, curve in curves.items():
+            parts.setdefault(name, []).append(curve + np.array([ends[-1], 0.0]))
+        ends.append(ends[-1] + max(curve[-1, 0] for curve in curves.values()))
+    curves = {name: np.concatenate(those) for name, those in parts.items()}
+    title = f"{outputs[0].name} to {outputs[-1].name}" if len(outputs) > 1 else outputs[0].name
+    return Row(title, curves, tuple(ends[1:-1]))
+
+
+@default_style
+def draw_curves(rows: Sequence[Row], path: Path, only: Sequence[str] = ()) -> None:
+    """One row of plots for each training: the losses, and the scores on held-out bodies.
+
+    only: names that are drawn, all if there are none.
+    """
+    figure = Figure(figsize=(12, 4.0 * len(rows)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(rows), 2, squeeze=False)
+    for own, row in zip(axes, rows, strict=True):
+        curves = {
+            name: curve for name, curve in row.curves.items() if not only or name.partition("/")[2] in only
+        }
         losses = {
             name: curve
             for name, curve in curves.items()
             if name.startswith("train/") and name not in ("train/gradient", "train/learning_rate")
         }
-        _draw(row[0], losses, smooth=15)
-        _draw(row[1], {name: curve for name, curve in curves.items() if name.startswith("validation/")})
-        row[0].set_title(f"{output.name}: training, means over 15 points")
-        row[1].set_title("held-out bodies")
+        _draw(own[0], losses, smooth=15)
+        _draw(own[1], {name: curve for name, curve in curves.items() if name.startswith("validation/")})
+        own[0].set_title(f"{row.title}: training, means over 15 points")
+        own[1].set_title("held-out bodies")
+        for each in own:
+            for step in row.joints:
+                each.axvline(step, color="grey", linewidth=0.8, linestyle=":")
     figure.savefig(path, dpi=110)
 
 
@@ -103,9 +141,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m polhode.train.curves", description=main.__doc__)
     parser.add_argument("outputs", type=Path, nargs="+", metavar="OUTPUT")
     parser.add_argument("-o", "--picture", type=Path, required=True)
+    parser.add_argument(
+        "--parts", action="store_true", help="one row: each training continues the one before"
+    )
+    parser.add_argument("--only", nargs="+", default=(), metavar="NAME", help="losses and scores to draw")
     options = parser.parse_args(arguments)
     try:
-        draw_curves(options.outputs, options.picture)
+        outputs = [options.outputs] if options.parts else [[each] for each in options.outputs]
+        rows = [joined(each) for each in outputs]
+        if unknown := set(options.only) - {name.partition("/")[2] for row in rows for name in row.curves}:
+            raise InputError(f"--only: no curve is called {', '.join(sorted(unknown))}")
+        draw_curves(rows, options.picture, options.only)
     except InputError as error:
         parser.error(str(error))
     print(options.picture)

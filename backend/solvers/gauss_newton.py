@@ -151,13 +151,20 @@ class GaussNewton:
     def solve(
         self, fixed: LinearizationPoint, x: Array, max_iterations: int, max_seconds: float = np.inf
     ) -> Solution:
-        """Minimize from x; each iteration takes one damped step."""
+        """Minimize from x; each iteration takes one damped step.
+
+        Raises LinAlgError where no damping makes the normal equations positive definite.
+        """
         begin = perf_counter()
         damping = Damping()
         system = self.normal_equations(fixed, x)
         converged, iteration, stalled = False, 0, 0
         for iteration in range(1, max_iterations + 1):
-            found = self._descend(fixed, x, system, damping)
+            try:
+                found = self._descend(fixed, x, system, damping)
+            except LinAlgError:
+                system = self._convex_equations(fixed, x)
+                found = self._descend(fixed, x, system, damping)
             if found is None:
                 return Solution(x, system.cost, iteration, True, "no further decrease")
             x, cost, damping = found
@@ -292,6 +299,12 @@ class GaussNewton:
         H[untouched, untouched] = 1.0
         return total
 
+    def _convex_equations(self, fixed: LinearizationPoint, x: Array) -> NormalEquations:
+        """Without the curvature of the kernel, which far from a solution can outweigh all else."""
+        r, _ = self.residuals(fixed, x)
+        weight = robust_weight(np.sum(r**2, axis=1), self.data.robust_scale)
+        return self.normal_equations(fixed, x, weight)
+
     def reduced(self, system: NormalEquations, damping: float = 0.0) -> tuple[Array, Array, Array]:
         """Eliminate the landmarks: S (n, n) lower, gradient (n,), C^-1 (L, 3, 3)."""
         C_inv = self._inverse_landmarks(system, damping)
@@ -306,7 +319,11 @@ class GaussNewton:
         return np.asarray(np.linalg.inv(C))
 
     def step(self, system: NormalEquations, damped: Damping) -> Array:
-        """The damped step of all unknowns."""
+        """The damped step of all unknowns.
+
+        Raises LinAlgError where no damping makes the system positive definite: where an element of the
+        diagonal is negative.
+        """
         d, damping = self.data, damped.of_all
         while True:
             try:
@@ -320,6 +337,8 @@ class GaussNewton:
                 break
             except LinAlgError:
                 damping = max(damping, 1e-8) * 10.0
+                if damping > MAX_DAMPING:
+                    raise
         marks = back_substitute(step, d.frame, d.start, system.E, C_inv, -system.h, system.n_state)
         return np.concatenate([step, marks.ravel()])
 

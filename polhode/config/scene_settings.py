@@ -47,6 +47,9 @@ class TargetBody(Section):
     diameter of the dish (dish), or of the sphere of the same volume (asteroid) [m]; not for mesh."""
     seed: Seed | None = None
     """Seed of shape and surface; the config's own seed when absent."""
+    texture_seed: Seed | None = None
+    """Seed of what is drawn on the surface and of its materials' grain and relief; that of the shape when
+    absent. Bodies that differ in it alone have one shape and several albedos."""
     path: str | None = None
     """Mesh file (OBJ, STL, PLY, GLB), for family mesh."""
     metres_per_unit: float | None = Field(None, ge=1e-9, le=1e9)

@@ -10,7 +10,7 @@ part.py       parts, their mass, and the body that they are assembled to
 solids.py     boxes, solids of revolution, bars; plane and smooth regions of a mesh
 """
 
-from polhode.simulation.bodies.build import build_body
+from polhode.simulation.bodies.build import build_body, texture_seed
 from polhode.simulation.bodies.part import Body, PartMass, describe
 
-__all__ = ["Body", "PartMass", "build_body", "describe"]
+__all__ = ["Body", "PartMass", "build_body", "describe", "texture_seed"]

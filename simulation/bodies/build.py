@@ -33,7 +33,8 @@ MESH_GRAIN_M = 0.25
 def build_body(body: config.TargetBody, seed: int) -> Body:
     """Build the target; ``seed`` is used if the description has none. Raises InputError (mesh files)."""
     own = seed if body.seed is None else body.seed
-    rng, texture_rng = np.random.default_rng([0xB0D1, own]), np.random.default_rng([0x1A4C, own])
+    rng = np.random.default_rng([0xB0D1, own])
+    texture_rng = np.random.default_rng([0x1A4C, texture_seed(body, seed)])
     builder = PartBuilder(
         texture_generator(body.texture), rng, texture_rng, body.size_m / TEXELS.get(body.family, 440.0)
     )
@@ -51,6 +52,12 @@ def build_body(body: config.TargetBody, seed: int) -> Body:
     if body.material != "automatic":
         parts = override_material(parts, body.material, builder)
     return assemble(parts, grain)
+
+
+def texture_seed(body: config.TargetBody, seed: int) -> int:
+    """Seed of textures and materials; ``seed`` is used if the description has none."""
+    own = seed if body.seed is None else body.seed
+    return own if body.texture_seed is None else body.texture_seed
 
 
 FAMILIES: dict[str, Callable[[float, PartBuilder], list[Part]]] = {

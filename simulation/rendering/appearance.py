@@ -9,7 +9,7 @@ from polhode.compiled import compiled
 from polhode.config import scene_settings as config
 from polhode.lie import Array
 from polhode.records import Ints
-from polhode.simulation.bodies import Body
+from polhode.simulation.bodies import Body, texture_seed
 from polhode.simulation.bodies.part import SLOPE_STEP, Chart, packed_images
 from polhode.simulation.rendering.raycast import Hits
 from polhode.simulation.surface.materials import MaterialTable, Surface
@@ -97,10 +97,9 @@ class SurfaceAppearance:
         """``seed`` is used if the description has none."""
         self._body = body
         self._atlas = chart_atlas(body.charts)
-        surface_seed = seed if description.seed is None else description.seed
         self._materials = MaterialTable(
             body.materials,
-            surface_seed,
+            texture_seed(description, seed),
             description.contrast,
             body.texture_scale,
             description.texture == "collage",

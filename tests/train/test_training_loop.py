@@ -13,7 +13,7 @@ from polhode.config.train_settings import Schedule
 from polhode.errors import InputError, RunFailure
 from polhode.progress import Silent
 from polhode.train.checkpoint import CHECKPOINT
-from polhode.train.curves import draw_curves, read_curves
+from polhode.train.curves import draw_curves, joined, main, read_curves
 from polhode.train.task import Batch
 from polhode.train.training_loop import TrainingLoop, learning_rate, prepared_batches
 
@@ -89,8 +89,30 @@ def test_curves_of_a_resumed_training_have_each_step_once(tmp_path: Path) -> Non
     curves = read_curves(tmp_path)
     assert curves["train/loss"][:, 0].tolist() == list(range(1, 61))
     assert curves["validation/error"][:, 0].tolist() == [20, 40, 60]
-    draw_curves([tmp_path], tmp_path / "curves.png")
+    draw_curves([joined([tmp_path])], tmp_path / "curves.png")
     assert (tmp_path / "curves.png").stat().st_size > 5000
+
+
+def test_curves_of_trainings_that_continue_one_another_are_counted_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("first", "second"):
+        TrainingLoop(Line(), SCHEDULE, tmp_path / name, 1).run(SETTING, Silent())
+    parts = [tmp_path / "first", tmp_path / "second"]
+    row = joined(parts)
+    steps = row.curves["train/loss"][:, 0]
+    assert steps.tolist() == list(range(1, 121))
+    assert row.joints == (60.0,)
+    np.testing.assert_array_equal(
+        row.curves["validation/error"][3:, 1], read_curves(parts[1])["validation/error"][:, 1]
+    )
+    picture = tmp_path / "curves.png"
+    main([*map(str, parts), "-o", str(picture), "--parts", "--only", "loss", "error"])
+    assert picture.stat().st_size > 5000
+    with pytest.raises(SystemExit) as refused:
+        main([str(parts[0]), "-o", str(picture), "--only", "lose"])
+    assert refused.value.code == 2
+    assert "no curve is called lose" in capsys.readouterr().err
 
 
 def test_a_finished_training_is_not_done_again(tmp_path: Path) -> None:

@@ -3,9 +3,13 @@
 A pair has the landmarks that both images show, with patches cut with the errors of a run, and distractors:
 key points of the second image that are no landmarks. Where the Sun stands still and the body turns, the
 light's own marks are among them, and look like those of the first image.
+
+On request there are further images, which have no targets of their own: a third one of the body, for the
+places of one landmark in three images; and, of a shape with several albedos, the second one under another
+albedo, where the same places, in the same light, should be described otherwise.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -40,6 +44,8 @@ from polhode.train.task import Batch
 
 MIN_COMMON = 12
 """Landmarks that both images of a pair show, at least."""
+MIN_THIRD = 8
+"""Of these, landmarks that a third image shows, at least."""
 HEAT_PX = 0.8
 """Standard deviation of a landmark's mark in the map of scores [px]."""
 NEAR_PX = 1.5
@@ -61,10 +67,12 @@ class Add(Protocol):
 
 @dataclass(frozen=True)
 class KnownBody:
-    """A body's images and landmarks."""
+    """A body's images and landmarks, with one albedo."""
 
     body: LitBody
     landmarks: Landmarks
+    others: tuple[LitBody, ...] = ()
+    """The same shape with other albedos"""
 
 
 @dataclass(frozen=True)
@@ -76,10 +84,33 @@ class Window:
     side_u: int
     side_v: int
 
+    @property
+    def part(self) -> tuple[slice, slice]:
+        """Its rows and columns."""
+        return np.s_[self.v0 : self.v0 + self.side_v, self.u0 : self.u0 + self.side_u]
+
+    @property
+    def corner_px(self) -> Array:
+        """(2,) its first pixel (u, v)."""
+        return np.array([self.u0, self.v0], float)
+
     def has(self, uv_px: Array) -> NDArray[np.bool_]:
         """Which places (n, 2) are inside, three pixels from the border."""
         u, v = uv_px[:, 0] - self.u0, uv_px[:, 1] - self.v0
         return np.asarray((u > 3) & (v > 3) & (u < self.side_u - 4) & (v < self.side_v - 4))
+
+
+@dataclass(frozen=True)
+class Further:
+    """An image beside a pair, and those of the pair's landmarks that it shows."""
+
+    body: LitBody
+    view: int
+    window: Window
+    rows: Ints
+    """(n,) among the pair's"""
+    seen: Seen
+    """n points"""
 
 
 @dataclass(frozen=True)
@@ -91,6 +122,10 @@ class Example:
     windows: tuple[Window, Window]
     common: tuple[Seen, Seen]
     """The landmarks, weak ones among them, that look alike in both windows, in the same order"""
+    third: Further | None = None
+    """Another image of the body"""
+    other_albedo: Further | None = None
+    """The second image under another albedo"""
 
 
 def draw_example(
@@ -99,11 +134,13 @@ def draw_example(
     largest_px: int,
     kinds: Sequence[float],
     wide: float = 0.0,
+    with_third: bool = False,
 ) -> Example | None:
     """A pair of images with enough common landmarks; None: none was found.
 
     kinds (3,): shares of pairs that differ in light alone, in pose alone, in both; wide: share of the pairs
-    of different poses that are the first and the last one, the farthest apart.
+    of different poses that are the first and the last one, the farthest apart; with_third: with another image
+    of the body, if one shows enough of the landmarks. A body that has other albedos gives one of them.
     """
     body, landmarks = known.body, known.landmarks
     views, poses = len(body.grey), body.poses
@@ -131,8 +168,47 @@ def draw_example(
         if len(alike) < MIN_COMMON:
             continue
         common = _some(common[0], alike), _some(common[1], alike)
-        return Example(known, (a, b), (window_a, window_b), common)
+        return Example(
+            known,
+            (a, b),
+            (window_a, window_b),
+            common,
+            _third(known, (a, b), common[0].index, largest_px, rng) if with_third else None,
+            _other_albedo(known, b, window_b, common[1], rng) if known.others else None,
+        )
     return None
+
+
+def _third(
+    known: KnownBody, pair: tuple[int, int], index: Ints, largest_px: int, rng: np.random.Generator
+) -> Further | None:
+    """An image beside the pair that shows enough of its landmarks ``index`` which are no weak ones."""
+    body, landmarks = known.body, known.landmarks
+    strict = np.flatnonzero(~landmarks.is_weak[index])
+    p_G, normal_G = landmarks.p_G[index[strict]], landmarks.normal_G[index[strict]]
+    for view in rng.permutation([v for v in range(len(body.grey)) if v not in pair]):
+        seen = seen_in(body, int(view), p_G, normal_G)
+        if len(seen.index) < MIN_THIRD:
+            continue
+        middle = seen.uv_px[int(rng.integers(len(seen.index)))]
+        window = _window(body, body.pose_of(int(view)), middle, largest_px)
+        inside = np.flatnonzero(window.has(seen.uv_px))
+        if len(inside) >= MIN_THIRD:
+            return Further(body, int(view), window, strict[seen.index[inside]], _some(seen, inside))
+    return None
+
+
+def _other_albedo(
+    known: KnownBody, view: int, window: Window, seen: Seen, rng: np.random.Generator
+) -> Further | None:
+    """The image ``view`` under another albedo, with the same points."""
+    other = known.others[int(rng.integers(len(known.others)))]
+    pose = other.pose_of(view)
+    # A silhouette may round to other pixels where parts were joined otherwise.
+    same = np.array_equal(other.corner_px[pose], known.body.corner_px[pose])
+    height, width = other.grey.shape[1:]
+    fits = window.u0 + window.side_u <= width and window.v0 + window.side_v <= height
+    return Further(other, view, window, np.arange(len(seen.index)), seen) if same and fits else None
 
 
 def _correlations(body: LitBody, views: tuple[int, int], common: tuple[Seen, Seen]) -> Array:
@@ -182,11 +258,17 @@ def batch_of(examples: Sequence[Example], points: int, rng: np.random.Generator)
     ``uv``, ``affine``. ``plane_...`` (m, 3): the plane of the surface n / (n . p), in its camera;
     ``centre_...`` (c, 2) and ``focal`` (c,) of the images; ``is_strict`` (m,): no weak landmark; ``pair``,
     ``distractors``, ``rotation``, ``uv_...``, ``p_...``, ``X_AB`` as ``train.descriptor.batches``.
+
+    Further images come after those of the pairs. Where there are third ones: ``third`` (t,): the pair's row
+    of each point that they show, ``image_third`` (t,), ``uv_third`` (t, 2), ``p_third`` and ``plane_third``
+    (t, 3), ``centre_third`` (t, 2), ``X_A_third`` (t, 4, 4). Where there are other albedos: ``other`` (o,):
+    the pair's row of each point; the points come after the distractors.
     """
-    height = max(w.side_v for e in examples for w in e.windows)
-    width = max(w.side_u for e in examples for w in e.windows)
+    further = [each for e in examples for each in (e.third, e.other_albedo) if each is not None]
+    windows = [w for e in examples for w in e.windows] + [each.window for each in further]
+    height, width = max(w.side_v for w in windows), max(w.side_u for w in windows)
     height, width = (-(-side // 8) * 8 for side in (height, width))
-    images = np.zeros((2 * len(examples), 1, height, width), np.uint8)
+    images = np.zeros((2 * len(examples) + len(further), 1, height, width), np.uint8)
     light = np.full((len(images), height, width), SKY, np.uint8)
     heat = np.zeros((len(images), height, width), np.float32)
     weight = np.zeros_like(heat, bool)
@@ -198,17 +280,25 @@ def batch_of(examples: Sequence[Example], points: int, rng: np.random.Generator)
         for name, value in values.items():
             rows.setdefault(name, []).append(value)
 
+    image_of = {id(each): 2 * len(examples) + k for k, each in enumerate(further)}
+    before = 0
     for k, example in enumerate(examples):
         for side in (0, 1):
             index = 2 * k + side
-            _fill(example, side, images[index, 0], light[index], rng)
+            body, view, window = example.known.body, example.views[side], example.windows[side]
+            _fill(body, view, window, images[index, 0], rng)
+            light[index, : window.side_v, : window.side_u] = body.light[view][window.part]
             cells, offsets = _targets(example, side, heat[index], weight[index])
             near.append(np.column_stack([np.full(len(cells), index), cells]))
             place.append(offsets)
-        _add_points(example, k, points, rng, add)
-    m = [np.concatenate(rows[name]) for name in ("uv_a", "uv_b", "uv_distractor")]
-    owners = np.concatenate([*rows["owner_a"], *rows["owner_b"], *rows["owner_distractor"]])
-    affine = np.concatenate([*rows["affine_a"], *rows["affine_b"], *rows["affine_distractor"]])
+        _add_points(example, k, points, image_of, before, rng, add)
+        before += len(rows["uv_a"][-1])
+    for each in further:
+        _fill(each.body, each.view, each.window, images[image_of[id(each)], 0], rng)
+    described = [name for name in ("a", "b", "distractor", "other") if f"uv_{name}" in rows]
+    m = [np.concatenate(rows[f"uv_{name}"]) for name in described]
+    owners = np.concatenate([each for name in described for each in rows[f"owner_{name}"]])
+    affine = np.concatenate([each for name in described for each in rows[f"affine_{name}"]])
     jitter = rng.normal(0.0, PLACE_NOISE_PX, (sum(map(len, m)), 2))
     result = {
         "images": torch.from_numpy(images),
@@ -222,29 +312,26 @@ def batch_of(examples: Sequence[Example], points: int, rng: np.random.Generator)
         "affine": _tensor(affine),
     }
     result["is_strict"] = torch.from_numpy(np.concatenate(rows["is_strict"]).astype(bool))
-    for key in ("pair", "distractors"):
-        result[key] = torch.from_numpy(np.concatenate(rows[key]).astype(np.int64))
+    for key in ("pair", "distractors", "third", "image_third", "other"):
+        if key in rows:
+            result[key] = torch.from_numpy(np.concatenate(rows[key]).astype(np.int64))
     places = ("uv_a", "uv_b", "uv_distractor", "p_a", "p_b", "p_distractor", "plane_a", "plane_b")
-    for key in (*places, "rotation", "X_AB", "centre_a", "centre_b", "focal"):
-        result[key] = _tensor(np.concatenate(rows[key]))
+    third = ("uv_third", "p_third", "plane_third", "centre_third", "X_A_third")
+    for key in (*places, "rotation", "X_AB", "centre_a", "centre_b", "focal", *third):
+        if key in rows:
+            result[key] = _tensor(np.concatenate(rows[key]))
     return result
 
 
 def _fill(
-    example: Example,
-    side: int,
-    image: NDArray[np.uint8],
-    light: NDArray[np.uint8],
-    rng: np.random.Generator,
+    body: LitBody, view: int, window: Window, image: NDArray[np.uint8], rng: np.random.Generator
 ) -> None:
-    """The image of one side, black beyond a mask that is a little too large, and its kinds of light."""
-    body, view, window = example.known.body, example.views[side], example.windows[side]
-    part = np.s_[window.v0 : window.v0 + window.side_v, window.u0 : window.u0 + window.side_u]
+    """The image in a window, black beyond a mask that is a little too large."""
     mask = on_target(body, body.pose_of(view)).astype(np.uint8)
     reach = int(rng.integers(0, 4))
     wide = cv2.dilate(mask, np.ones((3, 3), np.uint8), iterations=reach) if reach else mask
-    image[: window.side_v, : window.side_u] = np.where(wide[part] > 0, body.grey[view][part], 0)
-    light[: window.side_v, : window.side_u] = body.light[view][part]
+    seen = np.where(wide[window.part] > 0, body.grey[view][window.part], 0)
+    image[: window.side_v, : window.side_u] = seen
 
 
 def _targets(example: Example, side: int, heat: NDArray[np.float32], weight: Bools) -> tuple[Ints, Array]:
@@ -255,8 +342,7 @@ def _targets(example: Example, side: int, heat: NDArray[np.float32], weight: Boo
     """
     body, view, window = example.known.body, example.views[side], example.windows[side]
     landmarks = example.known.landmarks
-    part = np.s_[window.v0 : window.v0 + window.side_v, window.u0 : window.u0 + window.side_u]
-    weight[: window.side_v, : window.side_u] = on_target(body, body.pose_of(view))[part]
+    weight[: window.side_v, : window.side_u] = on_target(body, body.pose_of(view))[window.part]
     seen = seen_in(body, view, landmarks.p_G, landmarks.normal_G)
     inside = window.has(seen.uv_px)
     uv, weak = seen.uv_px[inside] - [window.u0, window.v0], landmarks.is_weak[seen.index[inside]]
@@ -285,8 +371,19 @@ def _targets(example: Example, side: int, heat: NDArray[np.float32], weight: Boo
     return cells, offset[known].astype(np.float64)
 
 
-def _add_points(example: Example, k: int, points: int, rng: np.random.Generator, add: Add) -> None:
-    """Landmarks of both sides and distractors of the second one."""
+def _add_points(
+    example: Example,
+    k: int,
+    points: int,
+    image_of: Mapping[int, int],
+    before: int,
+    rng: np.random.Generator,
+    add: Add,
+) -> None:
+    """Landmarks of both sides, distractors of the second one, and what further images show.
+
+    before: number of landmarks of the examples before.
+    """
     body, landmarks = example.known.body, example.known.landmarks
     a, b = example.common
     chosen = rng.permutation(len(a.index))[:points]
@@ -309,7 +406,7 @@ def _add_points(example: Example, k: int, points: int, rng: np.random.Generator,
     p_d, normal_d = surface_at(body, poses[1], uv_d)
     known = np.isfinite(p_d).all(axis=1)
     uv_d, p_d, normal_d = uv_d[known], p_d[known], normal_d[known]
-    corner = [np.array([w.u0, w.v0], float) for w in example.windows]
+    corner = [window.corner_px for window in example.windows]
     n = len(chosen)
     add(
         uv_a=a.uv_px - corner[0],
@@ -335,6 +432,29 @@ def _add_points(example: Example, k: int, points: int, rng: np.random.Generator,
         centre_b=(body.centre_of_part_px(poses[1]) - corner[1])[None],
         focal=np.array([focal]),
     )
+    row = np.full(len(example.common[0].index), -1)
+    row[chosen] = np.arange(n)
+    for further in (example.third, example.other_albedo):
+        if further is None:
+            continue
+        own = row[further.rows] >= 0
+        rows, seen = before + row[further.rows[own]], _some(further.seen, np.flatnonzero(own))
+        pose, image = body.pose_of(further.view), np.full(len(rows), image_of[id(further)])
+        uv = seen.uv_px - further.window.corner_px
+        if further is example.other_albedo:
+            affine = _affine(seen.p_K, seen.normal_K, half_m, further.body, pose, rng)
+            add(uv_other=uv, owner_other=image, affine_other=affine, other=rows)
+            continue
+        X_A = body.X_KG[poses[0]] @ inverse_pose(body.X_KG[pose])
+        add(
+            third=rows,
+            image_third=image,
+            uv_third=uv,
+            p_third=seen.p_K,
+            plane_third=seen.normal_K / np.einsum("nk,nk->n", seen.normal_K, seen.p_K)[:, None],
+            centre_third=np.tile(body.centre_of_part_px(pose) - further.window.corner_px, (len(rows), 1)),
+            X_A_third=np.tile(X_A, (len(rows), 1, 1)),
+        )
 
 
 def _affine(

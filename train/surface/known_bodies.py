@@ -28,6 +28,8 @@ from polhode.train.surface.lit_bodies import lit_body_path, read_lit_body, rende
 
 VERSION = 2
 """Version of the files of landmarks; those of another version are not used."""
+NEXT_ALBEDO = 100_000
+"""Added to the numbers of bodies for each further albedo of their shapes."""
 _DIMENSIONS = {
     "p_G": ("f", 2),
     "normal_G": ("f", 2),
@@ -45,26 +47,33 @@ def prepare_bodies(
 ) -> dict[int, KnownBody]:
     """The bodies by their numbers; what is missing is rendered, found, and stored.
 
+    The bodies of the first albedo have their numbers in the corpus, those of the next one ``NEXT_ALBEDO``
+    more.
+
     Raises InputError: a folder belongs to another corpus, or a file is damaged.
     """
     numbers = range(config.bodies)
     render_lit_bodies(corpus, config, progress, workers, numbers)
-    missing = [i for i in numbers if not landmarks_path(corpus, config, i).is_file()]
+    albedos = range(config.albedos)
+    wanted = [(i, albedo) for i in numbers for albedo in albedos]
+    missing = [each for each in wanted if not landmarks_path(corpus, config, *each).is_file()]
     if missing:
         with progress.stage("finding landmarks", len(missing)) as advance:
-            for _ in in_order(_make, [(corpus, config, i) for i in missing], workers):
+            for _ in in_order(_make, [(corpus, config, *each) for each in missing], workers):
                 advance()
-    return {
-        i: KnownBody(
-            read_lit_body(lit_body_path(corpus, config, i)), read_landmarks(landmarks_path(corpus, config, i))
-        )
-        for i in numbers
-    }
+    known: dict[int, KnownBody] = {}
+    for i in numbers:
+        bodies = [read_lit_body(lit_body_path(corpus, config, i, albedo)) for albedo in albedos]
+        for albedo, body in enumerate(bodies):
+            landmarks = read_landmarks(landmarks_path(corpus, config, i, albedo))
+            others = tuple(bodies[:albedo] + bodies[albedo + 1 :])
+            known[i + albedo * NEXT_ALBEDO] = KnownBody(body, landmarks, others)
+    return known
 
 
-def landmarks_path(corpus: Corpus, config: SurfaceTraining, index: int) -> Path:
-    """File of one body's landmarks."""
-    own = lit_body_path(corpus, config, index)
+def landmarks_path(corpus: Corpus, config: SurfaceTraining, index: int, albedo: int = 0) -> Path:
+    """File of the landmarks of one body with one albedo."""
+    own = lit_body_path(corpus, config, index, albedo)
     return own.parent.parent / "landmarks" / f"{own.stem}-v{VERSION}.npz"
 
 
@@ -78,10 +87,9 @@ def read_landmarks(path: Path) -> Landmarks:
     return Landmarks(**{name: arrays[name] for name in _DIMENSIONS})
 
 
-def _make(work: tuple[Corpus, SurfaceTraining, int]) -> None:
-    corpus, config, index = work
-    found = find_landmarks(read_lit_body(lit_body_path(corpus, config, index)))
-    path = landmarks_path(corpus, config, index)
+def _make(work: tuple[Corpus, SurfaceTraining, int, int]) -> None:
+    found = find_landmarks(read_lit_body(lit_body_path(*work)))
+    path = landmarks_path(*work)
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced(path) as partial:
         np.savez_compressed(partial, **{name: getattr(found, name) for name in _DIMENSIONS})
@@ -93,7 +101,8 @@ def table(bodies: dict[int, KnownBody], families: Sequence[str], chance_of: int)
         "| family | bodies | landmarks of a body | key points that show one [%] | by chance |",
         "|---|---|---|---|---|",
     ]
-    groups = {name: [k for k in bodies if families[k % len(families)] == name] for name in families}
+    family = {k: families[k % NEXT_ALBEDO % len(families)] for k in bodies}
+    groups = {name: [k for k in bodies if family[k] == name] for name in families}
     for name, numbers in {**groups, "all": list(bodies)}.items():
         found = [bodies[k].landmarks for k in numbers]
         if not found:

@@ -8,12 +8,16 @@ renders those of ``train.surface.bodies`` bodies that are missing, in the folder
 Images come pose by pose under the first Sun, then under the second, and so on. Two images of one pose differ
 in their light, exposure and noise alone. Two images under one Sun show a body that turns while the Sun stands
 still: there the light's own marks move over the surface as they do in a run.
+
+With ``train.surface.albedos`` each shape is rendered with several albedos, from the same poses under the same
+Suns: textures, contrast and material differ. The first albedo is that of the corpus, and its files do not
+depend on how many there are.
 """
 
 import argparse
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +37,7 @@ from polhode.output.single_file import remove_all_partials
 from polhode.processes import in_order
 from polhode.progress import Progress, Silent
 from polhode.records import Bools, Ints
+from polhode.simulation.bodies import build_body
 from polhode.simulation.dataset.correspondence import view_of
 from polhode.simulation.dataset.frame_renderer import CAST_SHADOW as CAST_SHADOW
 from polhode.simulation.dataset.frame_renderer import FACING_AWAY as FACING_AWAY
@@ -43,8 +48,10 @@ from polhode.simulation.rendering.reflection import reflected
 from polhode.simulation.rendering.render import Renderer
 from polhode.simulation.stereo_camera import Camera
 from polhode.train.corpus import (
+    FIRST_BODY_SEED,
     begin_corpus,
     random_scene,
+    random_skin,
     required_train,
     scene_seed,
 )
@@ -57,6 +64,8 @@ LIT, HIGHLIGHT, SKY = 0, 3, 4
 scattered; no target."""
 MARGIN_PX = 16
 """Width of the sky around the target that is kept [px]."""
+NEXT_NOISE = 10**15
+"""Added to the seed of the noise for each further albedo."""
 _PRODUCTS: tuple[Product, ...] = ("depth", "normals", "mask", "shadow")
 
 
@@ -124,23 +133,25 @@ _DIMENSIONS = {
 def render_lit_bodies(
     corpus: Corpus, config: SurfaceTraining, progress: Progress, workers: int, bodies: Sequence[int]
 ) -> None:
-    """Render those of the bodies, by their numbers in the corpus, that are missing.
+    """Render those of the bodies, by their numbers in the corpus, that are missing, with all their albedos.
 
     Raises InputError as ``begin_corpus``; RunFailure: a process was killed.
     """
     begin_corpus(corpus)
     remove_all_partials(lit_body_path(corpus, config, 0).parent)
-    missing = [i for i in bodies if not lit_body_path(corpus, config, i).is_file()]
+    wanted = [(i, albedo) for i in bodies for albedo in range(config.albedos)]
+    missing = [each for each in wanted if not lit_body_path(corpus, config, *each).is_file()]
     if missing:
-        title = f"rendering bodies under several Suns ({len(bodies) - len(missing)} were there)"
+        title = f"rendering bodies under several Suns ({len(wanted) - len(missing)} were there)"
         with progress.stage(title, len(missing)) as advance:
-            for _ in in_order(_make, [(corpus, config, i) for i in missing], workers):
+            for _ in in_order(_make, [(corpus, config, *each) for each in missing], workers):
                 advance()
 
 
-def lit_body_path(corpus: Corpus, config: SurfaceTraining, index: int) -> Path:
-    """File of one body: its name contains what ``corpus.yaml`` does not state."""
-    name = f"{index:04d}-v{VERSION}-{config.poses}x{config.suns}.npz"
+def lit_body_path(corpus: Corpus, config: SurfaceTraining, index: int, albedo: int = 0) -> Path:
+    """File of one body with one albedo: its name contains what ``corpus.yaml`` does not state."""
+    further = f"-a{albedo}" if albedo else ""
+    name = f"{index:04d}-v{VERSION}-{config.poses}x{config.suns}{further}.npz"
     return Path(corpus.folder) / "lit_bodies" / name
 
 
@@ -162,15 +173,15 @@ def write_lit_body(path: Path, body: LitBody) -> None:
         np.savez_compressed(partial, **arrays)
 
 
-def _make(work: tuple[Corpus, SurfaceTraining, int]) -> None:
-    corpus, config, index = work
-    write_lit_body(lit_body_path(corpus, config, index), render_lit_body(corpus, config, index))
+def _make(work: tuple[Corpus, SurfaceTraining, int, int]) -> None:
+    path = lit_body_path(*work)
+    write_lit_body(path, render_lit_body(*work))
 
 
-def render_lit_body(corpus: Corpus, config: SurfaceTraining, index: int) -> LitBody:
-    """All images of body ``index``, which depend on the settings and the index alone."""
+def render_lit_body(corpus: Corpus, config: SurfaceTraining, index: int, albedo: int = 0) -> LitBody:
+    """All images of body ``index`` with one albedo, which depend on the settings and the numbers alone."""
     scene = random_scene(corpus.model_copy(update={"frames": max(config.poses, 3)}), index)
-    plan = plan_sequence(scene, scene_seed(corpus, index))
+    plan = _with_albedo(plan_sequence(scene, scene_seed(corpus, index)), corpus, index, albedo)
     renderer = Renderer(plan.body, plan.scene, plan.seed)
     left = plan.cameras[0]
     truths = [_truth(renderer, left, plan, k) for k in range(config.poses)]
@@ -201,6 +212,28 @@ def render_lit_body(corpus: Corpus, config: SurfaceTraining, index: int) -> LitB
         focal_px=np.array(focal_px),
         centre_px=np.asarray(left.K[:2, 2], np.float64),
         baseline_m=np.array(scene.rig.baseline_m),
+    )
+
+
+def _with_albedo(plan: SequencePlan, corpus: Corpus, index: int, albedo: int) -> SequencePlan:
+    """The plan with another albedo of its body: textures, contrast and material, and noise of its own.
+
+    Poses stay, also where the other material would move the centre of mass.
+    """
+    if albedo == 0:
+        return plan
+    rng = np.random.default_rng([corpus.seed, 0xA1BED0, index, albedo])
+    body = plan.scene.body.model_copy(
+        update={
+            "texture_seed": FIRST_BODY_SEED + int(rng.integers(10**9)),
+            **random_skin(corpus, index, rng),
+        }
+    )
+    return replace(
+        plan,
+        body=build_body(body, plan.seed),
+        scene=plan.scene.model_copy(update={"body": body}),
+        seed=plan.seed + albedo * NEXT_NOISE,
     )
 
 

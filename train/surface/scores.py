@@ -8,6 +8,8 @@ Pairs of images of one body that differ in light alone, in pose alone, or in bot
 
 - ``rank_1``: share of the common landmarks whose most similar descriptor, among all points of the other
   image, belongs to the right place;
+- ``own_albedo``, of shapes with several albedos: share of the landmarks that are more similar to themselves
+  in the other image than to the same place there under another albedo;
 - ``found``: share of the places that the network finds in the first image, on surface that the second one
   shows, near which it finds one there too; ``found_blobs``: the same of as many blobs;
 - ``scatter_px``: median distance of the two, transformed by the true motion; ``scatter_blobs_px``;
@@ -38,7 +40,7 @@ from polhode.lie import Array, inverse_pose, transform_points
 from polhode.progress import Silent
 from polhode.train.corpus import required_train
 from polhode.train.surface.batches import Example, KnownBody, batch_of, draw_example
-from polhode.train.surface.known_bodies import prepare_bodies
+from polhode.train.surface.known_bodies import NEXT_ALBEDO, prepare_bodies
 from polhode.train.surface.landmarks import MIN_COSINE, near_rim, surface_at
 from polhode.train.surface.lit_bodies import CAST_SHADOW, FACING_AWAY, HIGHLIGHT
 from polhode.train.task import Batch
@@ -87,7 +89,7 @@ def score_trials(network: SurfaceNet, trials: list[Trial]) -> dict[str, float]:
         for trial in trials:
             batch = {name: value.to(device) for name, value in trial.batch.items()}
             dense = network.dense(batch["images"])
-            values = {"rank_1": _rank_1(network, dense, batch)} | _repeated(dense, trial)
+            values = _told_apart(network, dense, batch) | _repeated(dense, trial)
             for name, value in values.items():
                 if np.isfinite(value):
                     found.setdefault(f"{name}_{trial.kind}", []).append(value)
@@ -97,14 +99,20 @@ def score_trials(network: SurfaceNet, trials: list[Trial]) -> dict[str, float]:
     return {name: float(np.mean(values)) for name, values in sorted(found.items())}
 
 
-def _rank_1(network: SurfaceNet, dense: DenseOutput, batch: Batch) -> float:
+def _told_apart(network: SurfaceNet, dense: DenseOutput, batch: Batch) -> dict[str, float]:
+    """How descriptors tell points apart."""
     rings = sample_rings(dense.channels, batch["owner"], batch["uv"], batch["affine"])
     described = network.describe(rings).descriptor
     m = len(batch["pair"])
-    best = (described[:m] @ described[m:].T).argmax(dim=1)
     uv = torch.cat([batch["uv_b"], batch["uv_distractor"]])
+    best = (described[:m] @ described[m : m + len(uv)].T).argmax(dim=1)
     off = torch.linalg.vector_norm(uv[best] - batch["uv_b"], dim=1)
-    return float((off < MAX_ERROR_PX).float().mean())
+    found = {"rank_1": float((off < MAX_ERROR_PX).float().mean())}
+    if "other" in batch:
+        first, second = described[batch["other"]], described[m + batch["other"]]
+        nearer = (first * second).sum(dim=1) > (first * described[m + len(uv) :]).sum(dim=1)
+        found["own_albedo"] = float(nearer.float().mean())
+    return found
 
 
 def _repeated(dense: DenseOutput, trial: Trial) -> dict[str, float]:
@@ -194,7 +202,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         train = required_train(config.train, options.config)
         bodies = prepare_bodies(train.corpus, train.surface, Silent(), options.workers)
         trials = trials_of(
-            {i: known for i, known in bodies.items() if train.corpus.is_validation(i)}, config.seed
+            {i: known for i, known in bodies.items() if train.corpus.is_validation(i % NEXT_ALBEDO)},
+            config.seed,
         )
         found = []
         for path in options.weights:

@@ -1,6 +1,64 @@
-"""The order in which steps are made shorter, and how that is taken back."""
+"""The order in which steps are made shorter, and how that is taken back; equations that no damping helps."""
 
-from polhode.backend.solvers.gauss_newton import Damping
+from dataclasses import replace
+
+import pytest
+from scipy.linalg import LinAlgError
+
+from polhode.backend import initialize_motion
+from polhode.backend.initialization.multistart import initial_guesses
+from polhode.backend.problem.motion_data import MotionData, motion_data
+from polhode.backend.solvers.gauss_newton import Damping, GaussNewton, NormalEquations
+from polhode.backend.solvers.linearization_point import LinearizationPoint, linearization_point
+from polhode.config.backend_settings import Backend
+from polhode.lie import Array
+from polhode.simulation.monte_carlo import SyntheticScene, generate
+
+SCENE = SyntheticScene(frames=16, landmarks=120, detection=0.5, w_G=(0.3, 0.5, 0.35))
+
+
+@pytest.fixture(scope="module")
+def started() -> tuple[MotionData, LinearizationPoint, Array]:
+    """A problem, and where it begins."""
+    sequence = generate(SCENE, seed=3)
+    data = motion_data(sequence.tracks, Backend())
+    initial = initialize_motion(sequence.tracks, sequence.relative, Backend())
+    iterate = initial_guesses(sequence.tracks, initial, data)[0].iterate
+    return data, linearization_point(data, iterate), iterate.vector()
+
+
+class WithKernelCurvature(GaussNewton):
+    """The curvature of the kernel makes an element of the diagonal negative, as far from a solution."""
+
+    def normal_equations(
+        self, fixed: LinearizationPoint, x: Array, weight: Array | None = None, prior: bool = True
+    ) -> NormalEquations:
+        system = super().normal_equations(fixed, x, weight, prior)
+        if weight is None:
+            H = system.H.copy()
+            H[0, 0] = -abs(H[0, 0])
+            return replace(system, H=H)
+        return system
+
+
+def test_where_no_damping_helps_a_step_ends_with_an_error(
+    started: tuple[MotionData, LinearizationPoint, Array],
+) -> None:
+    data, fixed, x = started
+    solver = GaussNewton(data)
+    system = solver.normal_equations(fixed, x)
+    system.H[0, 0] = -1.0
+    with pytest.raises(LinAlgError):
+        solver.step(system, Damping())
+
+
+def test_where_the_curvature_of_the_kernel_does_harm_the_solver_goes_on_without_it(
+    started: tuple[MotionData, LinearizationPoint, Array],
+) -> None:
+    data, fixed, x = started
+    usual = GaussNewton(data).solve(fixed, x, 20)
+    found = WithKernelCurvature(data).solve(fixed, x, 20)
+    assert found.cost == pytest.approx(usual.cost, rel=1e-6)
 
 
 def test_both_ways_grow_apart_and_end() -> None:

@@ -11,8 +11,9 @@ from polhode.errors import InputError
 from polhode.simulation.bodies import Body, build_body
 from polhode.simulation.bodies.part import Part, assemble
 from polhode.simulation.bodies.solids import flat_facets, smooth_corner_normals
-from polhode.simulation.rendering.appearance import chart_atlas, look_up
-from polhode.simulation.surface.materials import PAINT_GREY, PAINT_WHITE
+from polhode.simulation.rendering.appearance import SurfaceAppearance, chart_atlas, look_up
+from polhode.simulation.rendering.raycast import RayCaster
+from polhode.simulation.surface.materials import PAINT_GREY, PAINT_WHITE, Surface
 
 FAMILIES = ["free_flyer", "bus", "asteroid"]
 
@@ -40,6 +41,41 @@ def test_the_same_seed_gives_the_same_body_and_another_seed_another(family: str)
 def test_the_bodys_own_seed_stands_above_the_configs() -> None:
     own = config.TargetBody(family="bus", seed=9)
     np.testing.assert_array_equal(build_body(own, 1).mesh.vertices, build_body(own, 2).mesh.vertices)
+
+
+def _seen(texture_seed: int | None) -> tuple[Body, Surface]:
+    """A body, and its surface where rays along z meet it."""
+    described = config.TargetBody(family="bus", seed=5, texture_seed=texture_seed)
+    body = build_body(described, 1)
+    middle, reach = body.mesh.vertices.mean(axis=0), 3.0 * body.radius_m
+    across = np.linspace(-0.2, 0.2, 12) * body.radius_m
+    start = middle + np.stack([*np.meshgrid(across, across), np.full((12, 12), -reach)], axis=2).reshape(
+        -1, 3
+    )
+    hits = [RayCaster(body).first_hits(each, np.array([[0.0, 0.0, 1.0]])) for each in start]
+    table = SurfaceAppearance(body, described, 1)
+    surfaces = [table.at(each) for each in hits]
+    return body, Surface(
+        *(
+            np.concatenate([getattr(each, name) for each in surfaces])
+            for name in ("albedo", "specular", "roughness", "normal_G")
+        )
+    )
+
+
+def test_a_texture_seed_changes_the_surface_and_not_the_shape() -> None:
+    (body, surface), (same, same_surface), (other, other_surface) = _seen(None), _seen(5), _seen(6)
+    for each in (same, other):
+        np.testing.assert_array_equal(each.mesh.vertices, body.mesh.vertices)
+        np.testing.assert_array_equal(each.mesh.faces, body.mesh.faces)
+    np.testing.assert_array_equal(same_surface.albedo, surface.albedo)
+    np.testing.assert_array_equal(same_surface.normal_G, surface.normal_G)
+    assert len(surface.albedo) > 50
+    assert np.mean(other_surface.albedo != surface.albedo) > 0.5
+    drawings = [[chart.image for chart in each.charts] for each in (body, same, other)]
+    assert all((a == b).all() for a, b in zip(drawings[0], drawings[1], strict=True))
+    assert [a.shape for a in drawings[0]] == [c.shape for c in drawings[2]]
+    assert any((a != c).any() for a, c in zip(drawings[0], drawings[2], strict=True))
 
 
 def test_the_free_flyers_shell_has_18_faces_and_its_size() -> None:

@@ -5,14 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from polhode.config.train_settings import Corpus
 from polhode.errors import InputError
 from polhode.lie import inverse_pose, transform_points
 from polhode.progress import Silent
 from polhode.train.surface.batches import KnownBody
+from polhode.train.surface.known_bodies import NEXT_ALBEDO, prepare_bodies
 from polhode.train.surface.known_bodies import main as print_landmarks
-from polhode.train.surface.known_bodies import prepare_bodies
 from polhode.train.surface.landmarks import surface_at
 from polhode.train.surface.lit_bodies import (
     CAST_SHADOW,
@@ -76,6 +77,28 @@ def test_the_right_image_shows_the_target_at_the_disparity_of_its_middle(
 def test_a_body_depends_on_its_number_alone(lit_body_corpus: Corpus, bodies: dict[int, KnownBody]) -> None:
     again = render_lit_body(lit_body_corpus.model_copy(update={"scenes": 2}), CONFIG, 1)
     np.testing.assert_array_equal(again.grey, bodies[1].body.grey)
+
+
+def test_albedos_of_one_shape_have_its_poses_and_light_and_other_marks(
+    two_albedos: dict[int, KnownBody], bodies: dict[int, KnownBody]
+) -> None:
+    assert sorted(two_albedos) == [0, NEXT_ALBEDO]
+    first, second = (two_albedos[k].body for k in (0, NEXT_ALBEDO))
+    np.testing.assert_array_equal(first.grey, bodies[0].body.grey)
+    assert two_albedos[0].others == (second,)
+    assert two_albedos[NEXT_ALBEDO].others == (first,)
+    np.testing.assert_array_equal(first.X_KG, second.X_KG)
+    np.testing.assert_allclose(first.depth_m, second.depth_m, atol=1e-5)
+    for view in range(len(first.grey)):
+        mask = on_target(first, first.pose_of(view))
+        np.testing.assert_array_equal(first.light[view] == CAST_SHADOW, second.light[view] == CAST_SHADOW)
+        assert np.abs(first.grey[view].astype(float) - second.grey[view])[mask].mean() > 5.0
+    # what landmarks are is found for each albedo: few are at the same place
+    places = [each.landmarks.p_G[~each.landmarks.is_weak] for each in two_albedos.values()]
+    px_m = float(np.nanmedian(first.depth_m)) / float(first.focal_px)
+    nearest, _ = cKDTree(places[1]).query(places[0])
+    assert min(map(len, places)) > 30
+    assert np.mean(nearest < 0.5 * px_m) < 0.25
 
 
 def test_what_is_there_is_not_rendered_again_and_damage_is_named(
