@@ -343,15 +343,17 @@ def make_task(train: Train, seed: int, progress: Progress, workers: int) -> Surf
     is_held_out = {i: train.corpus.is_validation(i % NEXT_ALBEDO) for i in bodies}
     learned = {i: known for i, known in bodies.items() if not is_held_out[i]}
     held_out = {i: known for i, known in bodies.items() if is_held_out[i]}
-    for k, more in enumerate(config.more, 1):
+    corpora = 0
+    for more in config.more:
         others = prepare_bodies(
             more.corpus,
             config.model_copy(update={"bodies": more.bodies, "albedos": more.albedos}),
             progress,
             workers,
         )
-        for i, known in others.items():
-            if not more.corpus.is_validation(i % NEXT_ALBEDO):
-                learned[k * NEXT_CORPUS + i] = known
+        own = {i: known for i, known in others.items() if not more.corpus.is_validation(i % NEXT_ALBEDO)}
+        for _ in range(more.weight):
+            corpora += 1
+            learned |= {corpora * NEXT_CORPUS + i: known for i, known in own.items()}
     late = round(LATE_FROM * train.schedule.steps) if train.start_from is None else 0
     return SurfaceTask(learned, trials_of(held_out, seed), config, seed, late)

@@ -316,6 +316,9 @@ def test_bodies_of_another_corpus_are_learned_from_too(lit_body_corpus: Corpus, 
     more = MoreBodies(corpus=lit_body_corpus, bodies=1)
     train = train.model_copy(update={"surface": CONFIG.model_copy(update={"more": (more,)})})
     assert make_task(train, 7, Silent(), 1)._numbers == [0, 2, NEXT_CORPUS]
+    twice = CONFIG.model_copy(update={"more": (more.model_copy(update={"weight": 2}),)})
+    numbers = make_task(train.model_copy(update={"surface": twice}), 7, Silent(), 1)._numbers
+    assert numbers == [0, 2, NEXT_CORPUS, 2 * NEXT_CORPUS]
     assert setting_of(train, 7)["surface.more.0.bodies"] == 1
     json.dumps(setting_of(train, 7))
 
