@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from polhode.array_files import read_arrays, require_arrays
 from polhode.atomic import replaced
@@ -23,7 +24,7 @@ from polhode.processes import in_order
 from polhode.progress import Progress, Silent
 from polhode.train.corpus import required_train
 from polhode.train.surface.batches import KnownBody
-from polhode.train.surface.landmarks import Landmarks, chance_share, find_landmarks
+from polhode.train.surface.landmarks import GATHER_PX, Landmarks, chance_share, find_landmarks
 from polhode.train.surface.lit_bodies import lit_body_path, read_lit_body, render_lit_bodies
 
 VERSION = 2
@@ -96,11 +97,15 @@ def _make(work: tuple[Corpus, SurfaceTraining, int, int]) -> None:
 
 
 def table(bodies: dict[int, KnownBody], families: Sequence[str], chance_of: int) -> str:
-    """Markdown table: a row for each family, and one of all."""
-    rows = [
-        "| family | bodies | landmarks of a body | key points that show one [%] | by chance |",
-        "|---|---|---|---|---|",
-    ]
+    """Markdown table: a row for each family, and one of all.
+
+    Bodies are counted with each of their albedos; if they have several, a column says how many landmarks of
+    the first one are landmarks under another one, too.
+    """
+    several = max(bodies) >= NEXT_ALBEDO
+    columns = ["family", "bodies", "landmarks of a body", "key points that show one [%]", "by chance"]
+    columns += ["under another albedo too [%]"] * several
+    rows = ["| " + " | ".join(columns) + " |", "|---" * len(columns) + "|"]
     family = {k: families[k % NEXT_ALBEDO % len(families)] for k in bodies}
     groups = {name: [k for k in bodies if family[k] == name] for name in families}
     for name, numbers in {**groups, "all": list(bodies)}.items():
@@ -112,8 +117,34 @@ def table(bodies: dict[int, KnownBody], families: Sequence[str], chance_of: int)
         # at random: the families follow each other in a fixed order
         chosen = np.random.default_rng(0).permutation(numbers)[:chance_of]
         chance = chance_share([bodies[int(k)].body for k in chosen])
-        rows.append(f"| {name} | {len(found)} | {count:.0f} | {100 * shown.mean():.0f} | {chance:.2f} |")
+        row = f"| {name} | {len(found)} | {count:.0f} | {100 * shown.mean():.0f} | {chance:.2f} |"
+        if several:
+            row += f" {100 * share_of_shape(bodies, numbers):.0f} |"
+        rows.append(row)
     return "\n".join(rows)
+
+
+def share_of_shape(bodies: dict[int, KnownBody], numbers: Sequence[int]) -> float:
+    """Share of the landmarks of first albedos that are landmarks under another albedo of the shape, too.
+
+    Those belong to the shape and its shading, or coincide by chance.
+    """
+    both, count = 0, 0
+    for k in numbers:
+        if k >= NEXT_ALBEDO:
+            continue
+        first, *others = (
+            bodies[each].landmarks.p_G[~bodies[each].landmarks.is_weak]
+            for each in range(k, max(bodies) + 1, NEXT_ALBEDO)
+            if each in bodies
+        )
+        body = bodies[k].body
+        px_m = float(np.nanmedian(body.depth_m)) / float(body.focal_px)
+        there = np.concatenate(others)
+        count += len(first)
+        if len(there):
+            both += int(np.sum(cKDTree(there).query(first)[0] < GATHER_PX * px_m))
+    return both / max(count, 1)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
