@@ -1,9 +1,10 @@
 """The bodies of a training with their landmarks, which are found once and stored beside the images.
 
-    python -m polhode.train.surface.known_bodies CONFIG [--workers N] [--chance 20]
+    python -m polhode.train.surface.known_bodies CONFIG [--more K] [--workers N] [--chance 20]
 
 makes what is missing and prints, for each family, the median number of landmarks of a body, the share of the
-key points that show one, and the share of the landmarks that chance explains (of so many bodies).
+key points that show one, and the share of the landmarks that chance explains (of so many bodies). ``--more``
+takes the K-th further corpus of the configuration.
 """
 
 import argparse
@@ -18,7 +19,7 @@ from scipy.spatial import cKDTree
 from polhode.array_files import read_arrays, require_arrays
 from polhode.atomic import replaced
 from polhode.config.loader import load_config
-from polhode.config.train_settings import Corpus, SurfaceTraining
+from polhode.config.train_settings import Corpus, SurfaceTraining, Train
 from polhode.errors import InputError, RunFailure
 from polhode.processes import in_order
 from polhode.progress import Progress, Silent
@@ -70,6 +71,20 @@ def prepare_bodies(
             others = tuple(bodies[:albedo] + bodies[albedo + 1 :])
             known[i + albedo * NEXT_ALBEDO] = KnownBody(body, landmarks, others)
     return known
+
+
+def corpus_of(train: Train, more: int) -> tuple[Corpus, SurfaceTraining]:
+    """The corpus of a training (0), or one of its further ones, counted from 1, and what is made of it.
+
+    Raises InputError: there is no such corpus.
+    """
+    config = train.surface
+    if more == 0:
+        return train.corpus, config
+    if not 1 <= more <= len(config.more):
+        raise InputError(f"train.surface.more has {len(config.more)} entries, and no number {more}")
+    entry = config.more[more - 1]
+    return entry.corpus, config.model_copy(update={"bodies": entry.bodies, "albedos": entry.albedos})
 
 
 def landmarks_path(corpus: Corpus, config: SurfaceTraining, index: int, albedo: int = 0) -> Path:
@@ -155,13 +170,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("config", type=Path)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--chance", type=int, default=20, help="bodies of a family for the share of chance")
+    parser.add_argument("--more", type=int, default=0, metavar="K", help="of the K-th entry of surface.more")
     options = parser.parse_args(arguments)
     try:
         train = required_train(load_config(options.config).train, options.config)
-        bodies = prepare_bodies(train.corpus, train.surface, Silent(), options.workers)
+        corpus, config = corpus_of(train, options.more)
+        bodies = prepare_bodies(corpus, config, Silent(), options.workers)
     except (InputError, RunFailure) as error:
         parser.exit(error.exit_code, f"{parser.prog}: error: {error}\n")
-    print(table(bodies, train.corpus.families, options.chance))
+    print(table(bodies, corpus.families, options.chance))
 
 
 if __name__ == "__main__":
