@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from polhode.api import load_study
 from polhode.cli.main import COMMANDS
 from polhode.config import Config
 from polhode.config.keys import leaves
@@ -102,3 +103,17 @@ def test_links_to_files_lead_to_pages_of_the_site() -> None:
 def test_addresses_end_where_the_text_goes_on(tmp_path: Path) -> None:
     (tmp_path / "a.md").write_text("See [it](https://a.b/c), https://d.e/f. And <https://g.h>")
     assert set(addresses([tmp_path / "a.md"])) == {"https://a.b/c", "https://d.e/f", "https://g.h"}
+
+
+STUDIES = sorted((ROOT / "docs" / "studies").glob("*/"))
+
+
+def test_studies_have_their_pages_beside_their_tables(site: Path) -> None:
+    assert STUDIES
+    linked = (site / "studies.html").read_text()
+    for folder in STUDIES:
+        place = site / "studies" / folder.name
+        assert (place / "table.parquet").read_bytes() == (folder / "table.parquet").read_bytes()
+        table = load_study(folder)
+        assert f"{len(table)} points" in (place / "study.html").read_text()
+        assert f"studies/{folder.name}/study.html" in linked
