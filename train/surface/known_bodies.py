@@ -1,10 +1,10 @@
 """The bodies of a training with their landmarks, which are found once and stored beside the images.
 
-    python -m polhode.train.surface.known_bodies CONFIG [--more K] [--workers N] [--chance 20]
+    python -m polhode.train.surface.known_bodies CONFIG [--more K] [--workers N] [--chance 20 | --each]
 
 makes what is missing and prints, for each family, the median number of landmarks of a body, the share of the
 key points that show one, and the share of the landmarks that chance explains (of so many bodies). ``--more``
-takes the K-th further corpus of the configuration.
+takes the K-th further corpus of the configuration, ``--each`` prints a row for each body instead.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from polhode.progress import Progress, Silent
 from polhode.train.corpus import required_train
 from polhode.train.surface.batches import KnownBody
 from polhode.train.surface.landmarks import GATHER_PX, Landmarks, chance_share, find_landmarks
-from polhode.train.surface.lit_bodies import lit_body_path, read_lit_body, render_lit_bodies
+from polhode.train.surface.lit_bodies import lit_body_path, on_target, read_lit_body, render_lit_bodies
 
 VERSION = 2
 """Version of the files of landmarks; those of another version are not used."""
@@ -139,6 +139,23 @@ def table(bodies: dict[int, KnownBody], families: Sequence[str], chance_of: int)
     return "\n".join(rows)
 
 
+def rows_of(bodies: dict[int, KnownBody], families: Sequence[str]) -> str:
+    """Markdown table: a row for each body and albedo, the smallest ones first."""
+    rows = []
+    for k, known in bodies.items():
+        mask = on_target(known.body, 0)
+        across = max(int(np.sum(mask.any(axis=axis))) for axis in (0, 1))
+        number, albedo = k % NEXT_ALBEDO, k // NEXT_ALBEDO
+        count, weak = int(np.sum(~known.landmarks.is_weak)), int(np.sum(known.landmarks.is_weak))
+        rows.append((across, number, albedo, families[number % len(families)], count, weak))
+    lines = [
+        f"| {number} | {albedo} | {family} | {across} | {count} | {weak} |"
+        for across, number, albedo, family, count, weak in sorted(rows)
+    ]
+    head = "| body | albedo | family | across in the first image [px] | landmarks | weak ones |"
+    return "\n".join([head, "|---|---|---|---|---|---|", *lines])
+
+
 def share_of_shape(bodies: dict[int, KnownBody], numbers: Sequence[int]) -> float:
     """Share of the landmarks of first albedos that are landmarks under another albedo of the shape, too.
 
@@ -171,6 +188,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--chance", type=int, default=20, help="bodies of a family for the share of chance")
     parser.add_argument("--more", type=int, default=0, metavar="K", help="of the K-th entry of surface.more")
+    parser.add_argument("--each", action="store_true", help="a row for each body")
     options = parser.parse_args(arguments)
     try:
         train = required_train(load_config(options.config).train, options.config)
@@ -178,7 +196,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         bodies = prepare_bodies(corpus, config, Silent(), options.workers)
     except (InputError, RunFailure) as error:
         parser.exit(error.exit_code, f"{parser.prog}: error: {error}\n")
-    print(table(bodies, corpus.families, options.chance))
+    print(
+        rows_of(bodies, corpus.families) if options.each else table(bodies, corpus.families, options.chance)
+    )
 
 
 if __name__ == "__main__":

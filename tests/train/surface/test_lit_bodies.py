@@ -134,6 +134,12 @@ def test_the_command_renders_what_is_missing(
     assert [row[0].strip() for row in rows] == ["free_flyer", "asteroid", "all"]
     assert [int(row[1]) for row in rows] == [2, 1, 3]
     assert all(0.0 <= float(row[4]) <= 1.0 for row in rows)
+    print_landmarks([str(config), "--workers", "1", "--each"])
+    rows = [line.split("|")[1:-1] for line in capsys.readouterr().out.splitlines()[2:]]
+    assert sorted(int(row[0]) for row in rows) == [0, 1, 2]
+    across = [int(row[3]) for row in rows]
+    assert across == sorted(across)
+    assert all(60 < each < 160 for each in across)
     with pytest.raises(SystemExit) as refused:
         main([str(tmp_path / "none.yaml")])
     assert refused.value.code == 2
