@@ -143,6 +143,7 @@ BENCHMARKS = (
               "data/turntable data/turntable/matrices.mat -o runs/turntable", None, ("data/turntable",)),
     Benchmark("backgrounds", "end_to_end.backgrounds", "docs/masks.md", 60),
     Benchmark("matching", "frontend.matching", "docs/frontend.md", 120),
+    Benchmark("votes", "frontend.votes", "docs/frontend.md", 8),
     Benchmark("loss_terms", "frontend.loss_terms", "docs/training.md", 180),
     Benchmark("frontend_cost", "frontend.cost", "docs/frontend.md", 2, needs=("data/ts38",)),
     Benchmark("reliability", "frontend.reliability", "docs/model_card.md", 15),

@@ -48,6 +48,11 @@ class RectifiedRig:
         y = (uvd[..., 1] - self.cy_px) * z / self.focal_px
         return np.stack([x, y, z], axis=-1)
 
+    def metres_per_px(self, depth_m: Array) -> Array:
+        """Displacement (n, 2) [m/px] of points at depths (n,) by a pixel in the image, and of disparity."""
+        along = depth_m**2 / (self.focal_px * self.baseline_m)
+        return np.column_stack([depth_m / self.focal_px, along])
+
     def triangulation_jacobian(self, p_R: ArrayLike) -> Array:
         """d p_R / d uvd (..., 3, 3) [m/px] at points (..., 3) [m]: carries pixel noise into metres."""
         p = np.asarray(p_R, dtype=np.float64)

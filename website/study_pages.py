@@ -1,4 +1,4 @@
-"""The pages of the studies whose tables are in docs/studies, as `polhode sweep` would write them."""
+"""The pages of the studies whose tables are in docs/study_results, as `polhode sweep` would write them."""
 
 from pathlib import Path
 
@@ -10,8 +10,8 @@ from polhode.studies.table import PAGE, read_table
 def study_pages(root: Path) -> dict[str, str]:
     """Path in the site -> HTML; root: the checkout."""
     return {
-        f"studies/{folder.name}/{PAGE}": render(
+        f"study_results/{folder.name}/{PAGE}": render(
             open_study(folder / "study.yaml", check=False), read_table(folder, MAX_ROWS), folder
         )
-        for folder in sorted((root / "docs" / "studies").glob("*/"))
+        for folder in sorted((root / "docs" / "study_results").glob("*/"))
     }

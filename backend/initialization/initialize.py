@@ -36,10 +36,7 @@ def initialize_motion(tracks: StereoTracks, relative: RelativePoses, config: Bac
     Raises RunFailure if fewer than three frames can be connected.
     """
     X_RG, connected, _ = connect(relative, tracks.time_s, tracks.X_NR[:, :3, :3])
-    if connected.sum() < MIN_CONNECTED:
-        raise RunFailure(
-            f"no consistent motion: only {connected.sum()} of {tracks.n_frames} frames could be connected"
-        )
+    _require_connected(connected)
     p_G, known = robust_landmarks(tracks, X_RG, connected)
     # Bundle adjustment would carry a frame whose landmarks are all elsewhere far away from the target, and
     # landmarks with it; where it then ends is decided by rounding.
@@ -59,9 +56,18 @@ def initialize_motion(tracks: StereoTracks, relative: RelativePoses, config: Bac
     X_RG, connected = relocalize(tracks, X_RG, connected, p_G, known)
     odd = jumping_frames(tracks.time_s, (tracks.X_NR @ X_RG)[:, :3, :3], connected)
     connected = connected & ~odd
+    _require_connected(connected)
     X_RG[connected] = X_RG[connected] @ make_pose(np.eye(3), np.median(p_G[known], axis=0))
     X_NG = bridge(tracks.time_s, tracks.X_NR @ X_RG, connected)
     return InitialMotion(inverse_pose(tracks.X_NR) @ X_NG, connected)
+
+
+def _require_connected(connected: Bools) -> None:
+    """Raises RunFailure if these are too few frames for a motion."""
+    if connected.sum() < MIN_CONNECTED:
+        raise RunFailure(
+            f"no consistent motion: only {connected.sum()} of {len(connected)} frames could be connected"
+        )
 
 
 def consistent_links(relative: RelativePoses, time_s: Array, R_NR: Array) -> Bools:

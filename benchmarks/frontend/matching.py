@@ -5,9 +5,9 @@
 
 A method is written features-zoom+matcher: ``disk-1x+lightglue`` is DISK on the crop as it is, matched by
 LightGlue; without a matcher, mutual nearest neighbours; ``polhode`` alone has its own matcher, and so has
-``surface``, the same with the surface network instead of blobs and their patches. Methods whose weights are
-missing are left out, with the reason. What was measured before is read from the record, whatever has become
-of the method since: ``--again`` measures again.
+``surface``, the same with the surface network instead of blobs and their patches; ``rootsift-2x+polhode`` is
+RootSIFT with that matcher. Methods whose weights are missing are left out, with the reason. What was measured
+before is read from the record, whatever has become of the method since: ``--again`` measures again.
 
 Frames 30 and 60 degrees of turn apart. Wrong stereo: the disparity is off by more than 1 px from every
 surface within a pixel. Correct: the two features show the same place of the body within 5 mm. Correct at
@@ -249,6 +249,7 @@ SURFACE = "surface"
 """Method ``polhode`` with the surface network instead of blobs and the network of their patches."""
 METHODS = (
     REFERENCE,
+    "rootsift-2x+polhode",
     "polhode",
     SURFACE,
     "disk-1x",

@@ -5,7 +5,7 @@ affine disparity (a slanted surface) are estimated too; the columns of the key p
 several times more. Lucas and Kanade 1981; Gruen, "Adaptive least squares correlation", 1985.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -18,6 +18,8 @@ from polhode.config.frontend_settings import Frontend
 from polhode.frontend.disparity.measured import disparity_at
 from polhode.frontend.features.keypoints import Descriptors, KeyPoints, detect, no_key_points
 from polhode.frontend.features.line_search import mutual_nearest
+from polhode.frontend.features.local_planes import local_planes
+from polhode.frontend.features.patches import rotate_affines, surface_frames, surface_normals
 from polhode.frontend.features.row_offsets import RowOffsets, row_offsets
 from polhode.frontend.features.window_fit import MAX_SLOPE, WINDOW_PX, fit_windows
 from polhode.frontend.rectification import Image, MeasuredDisparity, RectifiedPair, target_crop
@@ -110,6 +112,9 @@ class StereoFeatures:
     R_RS: Array | None = None
     """(n, 3, 3) axes of the surface at the feature, as columns in the left camera: z is its normal, x a
     direction given by its texture; NaN where unknown"""
+    rough_R_RS: Array | None = None
+    """(n, 3, 3) the same by the few pixels that the disparity is from, and the orientation of the key point:
+    near enough to propose motions, too rough to cut patches"""
     metres_per_px: Array | None = None
     """(n, 2) displacement of the point for one pixel in the image, and for one pixel of disparity [m/px]"""
     sigma_ls_px: Array | None = None
@@ -129,6 +134,11 @@ class StereoFeatures:
         return CoarseDescriptors.of(self.descriptors)
 
     @property
+    def proposing_R_RS(self) -> Array | None:
+        """Axes (n, 3, 3) by which a match proposes a motion: ``R_RS``, or else the rough ones"""
+        return self.rough_R_RS if self.R_RS is None else self.R_RS
+
+    @property
     def on_surface(self) -> Bools:
         """(n,) whether the axes of the surface are known"""
         if self.R_RS is None:
@@ -137,7 +147,9 @@ class StereoFeatures:
 
 
 class RootSift:
-    """``FeatureMethod``: RootSIFT key points in both images, matched along the rows; the classical method."""
+    """``FeatureMethod``: RootSIFT key points in both images, matched along the rows; the classical method.
+
+    The slopes of the disparity and the orientations of the key points give rough axes of the surface."""
 
     def __init__(self, config: Frontend) -> None:
         self._config = config
@@ -146,9 +158,12 @@ class RootSift:
         """Stereo measurements of one rectified pair; none when the target is out of view."""
         left = self._key_points(pair.left, pair.mask_left)
         if pair.measured is not None:
-            return with_ranges(pair.measured, left, rig)
+            found = with_ranges(pair.measured, left, rig)
+            planes = local_planes(pair.measured.disparity_px, found.uvd_px[:, :2])
+            return with_rough_axes(found, np.nan_to_num(planes[:, 1:]), rig)
         right = self._key_points(pair.right, pair.mask_right)
-        return match_stereo(pair.left, pair.right, left, right, rig)
+        found, slopes = _matched(pair.left, pair.right, left, right, rig)
+        return with_rough_axes(found, slopes, rig)
 
     def _key_points(self, image: Image, mask: Bools) -> KeyPoints:
         crop = target_crop(mask)
@@ -163,15 +178,22 @@ def match_stereo(
     rig: RectifiedRig,
 ) -> StereoFeatures:
     """Stereo measurements of one rectified pair."""
+    return _matched(left, right, points_left, points_right, rig)[0]
+
+
+def _matched(
+    left: Image, right: Image, points_left: KeyPoints, points_right: KeyPoints, rig: RectifiedRig
+) -> tuple[StereoFeatures, Array]:
+    """Stereo measurements of one rectified pair, and the slopes (n, 2) of their disparities along u and v."""
     index_left, disparity = _match_on_lines(points_left, points_right, rig)
     uv = points_left.uv_px[index_left]
-    refined, sigma_d, correlation = refine_disparity(left, right, uv, disparity)
+    refined, slopes, sigma_d, correlation = _refine_planes(left, right, uv, disparity)
     depth_positive = refined - rig.disparity_offset_px > MIN_DISPARITY_PX
     near_start = np.abs(refined - disparity) < 1.5
     good = (correlation > MIN_CORRELATION) & near_start & depth_positive
     uvd = np.column_stack([uv[good], refined[good]])
     sigma_uv = np.full(len(uvd), SIGMA_UV_PX)
-    return StereoFeatures(
+    features = StereoFeatures(
         uvd,
         np.column_stack([sigma_uv, sigma_uv, np.maximum(sigma_d[good], MIN_SIGMA_DISPARITY_PX)]),
         rig.triangulate(uvd),
@@ -179,6 +201,22 @@ def match_stereo(
         points_left.descriptors[index_left][good],
         points_left.angle_rad[index_left][good],
         rows=row_offsets(points_left, points_right, rig.width_px),
+    )
+    return features, slopes[good]
+
+
+def with_rough_axes(features: StereoFeatures, slopes: Array, rig: RectifiedRig) -> StereoFeatures:
+    """Features with orientation, and their rough axes by slopes (n, 2) of the disparity along u and v."""
+    # a method of which this is asked knows the orientations
+    assert features.angle_rad is not None
+    planes = np.column_stack([features.uvd_px[:, 2], slopes])
+    normals = surface_normals(features.uvd_px[:, :2], planes, rig)
+    upright = np.broadcast_to(np.eye(2), (len(features), 2, 2))
+    affine = rotate_affines(upright, features.angle_rad)
+    return replace(
+        features,
+        rough_R_RS=surface_frames(features.p_R, normals, affine, rig),
+        metres_per_px=rig.metres_per_px(features.p_R[:, 2]),
     )
 
 
@@ -249,8 +287,21 @@ def refine_disparity(
     Model: left(u + x, v + y) = gain * right(u + x - d - a x - b y, v + y) + offset over a square window.
     Returns disparity (n,) [px], its sigma from the residuals (n,) [px], normalised correlation (n,).
     """
+    refined, _, sigma, correlation = _refine_planes(left, right, uv_px, disparity_px, iterations, slope)
+    return refined, sigma, correlation
+
+
+def _refine_planes(
+    left: Image,
+    right: Image,
+    uv_px: Array,
+    disparity_px: Array,
+    iterations: int = 8,
+    slope: Array | None = None,
+) -> tuple[Array, Array, Array, Array]:
+    """As ``refine_disparity``, with the refined slopes (n, 2) after the disparity."""
     if len(uv_px) == 0:
-        return np.zeros(0), np.zeros(0), np.zeros(0)
+        return np.zeros(0), np.zeros((0, 2)), np.zeros(0), np.zeros(0)
     centre, spline, row = _row_spline(right, uv_px)
     warp = np.column_stack([disparity_px, np.zeros((len(uv_px), 2))])
     if slope is not None:
@@ -260,7 +311,7 @@ def refine_disparity(
     at = centre - np.array([0, row])
     spread, scatter, correlation = fit_windows(left[row:][: len(spline)], spline, at, arm, warp, iterations)
     # The whole-pixel centre is up to half a pixel from the key point: extrapolate along the slope.
-    return warp[:, 0] + np.sum(warp[:, 1:] * arm, axis=1), scatter * spread, correlation
+    return warp[:, 0] + np.sum(warp[:, 1:] * arm, axis=1), warp[:, 1:], scatter * spread, correlation
 
 
 def _row_spline(image: Image, uv_px: Array) -> tuple[Ints, Array, int]:

@@ -176,12 +176,11 @@ class SurfaceFeatureMethod:
         affine = tangent_affines(measured.p_R, normals, rig, np.full(len(measured), half_m))
         described = look.describe(uv, affine)
         frames = surface_frames(measured.p_R, normals, rotate_affines(affine, described.angle_rad), rig)
-        z = measured.p_R[:, 2]
         return replace(
             measured,
             descriptors=described.descriptors,
             R_RS=frames,
-            metres_per_px=np.column_stack([z / rig.focal_px, z**2 / (rig.focal_px * rig.baseline_m)]),
+            metres_per_px=rig.metres_per_px(measured.p_R[:, 2]),
         )
 
 

@@ -11,7 +11,9 @@ The common motion: every correct match of two surface features determines the mo
 approximately: the surface axes give the rotation, the points the translation. Correct matches propose similar
 motions, while wrong ones scatter over all rotations, so a handful of correct matches among hundreds is found
 (voting in pose space, as in Ballard, "Generalizing the Hough transform to detect arbitrary shapes", 1981).
-Distances between points, which are invariant to the motion, are compared as well.
+Axes of RootSIFT's key points are rougher, by the slopes of the disparity that the least squares estimate
+beside it and the orientation of the key point, and serve the vote as well. Distances between
+points, which are invariant to the motion, are compared too.
 """
 
 import math
@@ -34,12 +36,16 @@ TEMPERATURE = 0.03
 """Divisor of the similarities."""
 DUSTBIN = 0.6
 """Similarity to the dustbin."""
+ROOTSIFT_TEMPERATURE, ROOTSIFT_DUSTBIN = 0.015, 0.8
+"""The same of RootSIFT's descriptors, none of whose coordinates are negative: all are more alike."""
 AXES_DEG = 25.0
 """Largest rotation between two proposals that agree [deg]; the axes have errors of 5 to 15 degrees."""
 SEEDS = 12
 """Number of proposals, those with the largest support, that are refined."""
 _SHRINK = (3.0, 2.0, 1.5, 1.0, 1.0)
 """Gates of the rounds of refinement, relative to the last one."""
+MAX_LISTED = 2_000_000
+"""Sum of the squared numbers of agreeing proposals up to which the pairs among them are gone through."""
 PROPOSING_PAIRS = 500
 """Number of the most probable pairs, which propose motions."""
 CONSIDERED_PAIRS = 3000
@@ -212,10 +218,32 @@ def _proposal_support(
     R = np.einsum("nij,nkj->nik", R_AS, R_BS).astype(np.float32)
     flat = R.reshape(len(R), 9)
     agrees = _agreement(a, b, R, flat @ flat.T, gate_m.astype(np.float32))
-    pull = agrees.astype(np.float32) * weight.astype(np.float32)
     # Supporters are counted by their own support within the group, which chance agreements lack.
+    if np.sum(agrees.sum(axis=1) ** 2) < MAX_LISTED:
+        return agrees, _listed_support(agrees, weight)
+    pull = agrees.astype(np.float32) * weight.astype(np.float32)
     total = np.einsum("nk,nk->n", pull @ agrees.astype(np.float32), pull)
     return agrees, total.astype(np.float64)
+
+
+@compiled_fused_ieee
+def _listed_support(agrees: Bools, weight: Array) -> Array:
+    """Support (m,) as a sum over pairs among those that agree with each: where few agree, less work."""
+    m = len(agrees)
+    total, supporters = np.zeros(m), np.empty(m, np.int64)
+    for n in range(m):
+        count = 0
+        for k in range(m):
+            if agrees[n, k]:
+                supporters[count] = k
+                count += 1
+        for a in range(count):
+            row, own = agrees[supporters[a]], weight[supporters[a]]
+            for b in range(a):
+                if row[supporters[b]]:
+                    total[n] += 2.0 * own * weight[supporters[b]]
+            total[n] += own * own
+    return total
 
 
 @compiled_fused_ieee
@@ -311,34 +339,46 @@ class SoftmaxMatcher:
     """``MatchMethod`` for features with known surface axes; others are matched by descriptors alone."""
 
     def __init__(self, config: Frontend) -> None:
+        is_rootsift = config.features.method == "rootsift"
         self._min_confidence = config.pairs.min_confidence
+        # Places of RootSIFT's unsure matches scatter by 1 px, of sure ones by 0.4, and no patch aligns them.
+        self._least = self._min_confidence if is_rootsift else 0.0
+        self._temperature = ROOTSIFT_TEMPERATURE if is_rootsift else TEMPERATURE
+        self._dustbin = ROOTSIFT_DUSTBIN if is_rootsift else DUSTBIN
 
     def __call__(self, a: StereoFeatures, b: StereoFeatures) -> Matches:
         """Matches, at most one per feature; confidence: probability of the dual softmax."""
         if min(len(a), len(b)) < 2:
             return Matches.none()
         pairs, probability = self._probable(a, b)
-        if a.R_RS is None or b.R_RS is None or a.metres_per_px is None:
+        R_AS, R_BS = a.proposing_R_RS, b.proposing_R_RS
+        if R_AS is None or R_BS is None or a.metres_per_px is None:
             likely = probability >= self._min_confidence
             return _matches(pairs[likely], probability[likely])
-        modes, gate_m = _modes(a, b, a.R_RS, b.R_RS, a.metres_per_px, pairs, probability)
+        modes, gate_m = _modes(a, b, R_AS, R_BS, a.metres_per_px, pairs, probability)
         if not modes:
             return Matches.none()
         i, j = pairs[:PROPOSING_PAIRS].T
         displacement_px = np.linalg.norm(a.uvd_px[i, :2] - b.uvd_px[j, :2], axis=1)
-        return _matches_of(_moving_mode(modes, displacement_px), a, b, pairs, probability, gate_m)
+        sure = probability >= self._least
+        mode = _moving_mode(modes, displacement_px)
+        return _matches_of(mode, a, b, pairs[sure], probability[sure], gate_m[sure])
 
     def hypotheses(self, a: StereoFeatures, b: StereoFeatures, count: int) -> list[Matches]:
-        """The matches of each of the ``count`` motions with most support, that one first."""
-        if a.R_RS is None or b.R_RS is None or a.metres_per_px is None or min(len(a), len(b)) < 2:
+        """The matches of each of the ``count`` motions with most support, that one first.
+
+        Improbable ones too: equal parts of a body share the probability.
+        """
+        R_AS, R_BS = a.proposing_R_RS, b.proposing_R_RS
+        if R_AS is None or R_BS is None or a.metres_per_px is None or min(len(a), len(b)) < 2:
             return [self(a, b)]
         pairs, probability = self._probable(a, b)
-        modes, gate_m = _modes(a, b, a.R_RS, b.R_RS, a.metres_per_px, pairs, probability)
+        modes, gate_m = _modes(a, b, R_AS, R_BS, a.metres_per_px, pairs, probability)
         return [_matches_of(mode, a, b, pairs, probability, gate_m) for mode in modes[:count]]
 
     def _probable(self, a: StereoFeatures, b: StereoFeatures) -> tuple[Ints, Array]:
         """The most probable pairs (m, 2), most probable first, and their probability (m,)."""
-        found = likely_pairs(a.descriptors, b.descriptors, TEMPERATURE, DUSTBIN)
+        found = likely_pairs(a.descriptors, b.descriptors, self._temperature, self._dustbin)
         pairs, likely = found.pairs, found.root
         if len(pairs) > CONSIDERED_PAIRS:
             most = np.sort(np.argpartition(-likely, CONSIDERED_PAIRS)[:CONSIDERED_PAIRS])

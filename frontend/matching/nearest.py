@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from polhode.compiled import compiled_reordered
 from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.stereo import COARSE_ROWS, CoarseDescriptors, StereoFeatures
+from polhode.frontend.matching.matchers import SoftmaxMatcher
 from polhode.frontend.matching.methods import Matches
 from polhode.lie import Array
 from polhode.records import Ints
@@ -28,6 +29,7 @@ class MutualNearest:
 
     def __init__(self, config: Frontend) -> None:
         self._ratio = config.pairs.ratio
+        self._voting = SoftmaxMatcher(config)
 
     def __call__(self, a: StereoFeatures, b: StereoFeatures) -> Matches:
         """Matches; confidence: one minus the distance ratio, 0 where best and second best are the same."""
@@ -43,6 +45,13 @@ class MutualNearest:
         mutual = back[position] == rows
         worst = np.maximum(ratio[rows], ratio_back[position])[mutual]
         return Matches(np.column_stack([rows, nearest[rows]])[mutual], 1.0 - worst)
+
+    def hypotheses(self, a: StereoFeatures, b: StereoFeatures, count: int) -> list[Matches]:
+        """The matches of each of the ``count`` motions with most support, that one first: by the vote of all
+        that may match (matchers.py). Without axes of the surface there is one motion."""
+        if a.proposing_R_RS is None or b.proposing_R_RS is None:
+            return [self(a, b)]
+        return self._voting.hypotheses(a, b, count)
 
 
 def _nearest(of: CoarseDescriptors, among: CoarseDescriptors, ratio: float) -> tuple[Ints, Array]:

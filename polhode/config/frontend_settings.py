@@ -51,7 +51,8 @@ class PairMatching(Section):
     ratio: float = Field(0.92, ge=0.01, le=1)
     """Distance ratio of mutual nearest neighbours; for method nearest."""
     min_confidence: float = Field(0.1, ge=0, le=1)
-    """Smallest confidence of a match; for all methods except nearest."""
+    """Smallest confidence of a match; for all methods except nearest, and not for features of method polhode,
+    where all matches that agree on the motion count."""
     exhaustive_frames: int = Field(130, ge=3, le=10_000)
     """Sequences of up to this number of frames are matched all against all; longer ones as follows."""
     neighbours: int = Field(20, ge=1, le=10_000)
@@ -59,9 +60,9 @@ class PairMatching(Section):
     retrieved: int = Field(30, ge=0, le=10_000)
     """Number of most similar frames elsewhere with which it is also matched, to close loops."""
     motions: int = Field(6, ge=1, le=12)
-    """Number of motions of two frames that are kept until the whole sequence decides (method polhode), where
-    frames that show the same side match hardly better than others: light that stands still hides the motion
-    of the body. 1: only the motion with most support."""
+    """Number of motions of two frames that are kept until the whole sequence decides (method polhode, and
+    nearest for RootSIFT), where frames that show the same side match hardly better than others: light that
+    stands still hides the motion of the body, or parts are alike. 1: only the motion with most support."""
 
 
 class GuidedMatching(Section):

@@ -188,6 +188,8 @@ class MoreBodies(Section):
     """Number of bodies: the first ones of the corpus."""
     albedos: int = Field(1, ge=1, le=100)
     """Albedos of each shape."""
+    weight: int = Field(1, ge=1, le=100)
+    """How many times as often as the others these bodies are drawn."""
 
 
 class SurfaceTraining(Section):

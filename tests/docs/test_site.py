@@ -105,15 +105,15 @@ def test_addresses_end_where_the_text_goes_on(tmp_path: Path) -> None:
     assert set(addresses([tmp_path / "a.md"])) == {"https://a.b/c", "https://d.e/f", "https://g.h"}
 
 
-STUDIES = sorted((ROOT / "docs" / "studies").glob("*/"))
+STUDIES = sorted((ROOT / "docs" / "study_results").glob("*/"))
 
 
 def test_studies_have_their_pages_beside_their_tables(site: Path) -> None:
     assert STUDIES
     linked = (site / "studies.html").read_text()
     for folder in STUDIES:
-        place = site / "studies" / folder.name
+        place = site / "study_results" / folder.name
         assert (place / "table.parquet").read_bytes() == (folder / "table.parquet").read_bytes()
         table = load_study(folder)
         assert f"{len(table)} points" in (place / "study.html").read_text()
-        assert f"studies/{folder.name}/study.html" in linked
+        assert f"study_results/{folder.name}/study.html" in linked

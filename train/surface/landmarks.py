@@ -7,7 +7,7 @@ drifts that the light gives to single detections averaged out (as homographic ad
 DeTone, Malisiewicz, Rabinovich, "SuperPoint", 2018). What gathers nowhere belongs to the light or the noise.
 
 Key points are dense, so some gather by chance: of key points that are displaced at random in each image, half
-as many gather in three of nine images within a pixel. The bounds below leave 0.16 (``chance_share``).
+as many gather in three of nine images within a pixel. The bounds below leave 0.18 (``chance_share``).
 """
 
 from collections.abc import Sequence

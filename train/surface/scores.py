@@ -1,8 +1,9 @@
 """Scores of the surface network on bodies that it has not learned from.
 
-    python -m polhode.train.surface.scores CONFIG WEIGHTS [WEIGHTS ...]
+    python -m polhode.train.surface.scores CONFIG WEIGHTS [WEIGHTS ...] [--more K]
 
-compares weights on the same pairs of the configuration's held-out bodies.
+compares weights on the same pairs of the configuration's held-out bodies, or of those of its K-th further
+corpus.
 
 Pairs of images of one body that differ in light alone, in pose alone, or in both. For each kind of pair:
 
@@ -40,7 +41,7 @@ from polhode.lie import Array, inverse_pose, transform_points
 from polhode.progress import Silent
 from polhode.train.corpus import required_train
 from polhode.train.surface.batches import Example, KnownBody, batch_of, draw_example
-from polhode.train.surface.known_bodies import NEXT_ALBEDO, prepare_bodies
+from polhode.train.surface.known_bodies import NEXT_ALBEDO, corpus_of, prepare_bodies
 from polhode.train.surface.landmarks import MIN_COSINE, near_rim, surface_at
 from polhode.train.surface.lit_bodies import CAST_SHADOW, FACING_AWAY, HIGHLIGHT
 from polhode.train.task import Batch
@@ -196,14 +197,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("config", type=Path)
     parser.add_argument("weights", type=Path, nargs="+")
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--more", type=int, default=0, metavar="K", help="of the K-th entry of surface.more")
     options = parser.parse_args(arguments)
     try:
         config = load_config(options.config)
         train = required_train(config.train, options.config)
-        bodies = prepare_bodies(train.corpus, train.surface, Silent(), options.workers)
+        corpus, surface = corpus_of(train, options.more)
+        bodies = prepare_bodies(corpus, surface, Silent(), options.workers)
         trials = trials_of(
-            {i: known for i, known in bodies.items() if train.corpus.is_validation(i % NEXT_ALBEDO)},
-            config.seed,
+            {i: known for i, known in bodies.items() if corpus.is_validation(i % NEXT_ALBEDO)}, config.seed
         )
         found = []
         for path in options.weights:

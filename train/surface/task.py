@@ -33,7 +33,7 @@ from polhode.frontend.networks.surface import KINDS_OF_LIGHT, DenseOutput, Surfa
 from polhode.progress import Progress
 from polhode.train.descriptor.task import Heads, descriptor_loss
 from polhode.train.surface.batches import KnownBody, batch_of, draw_example
-from polhode.train.surface.known_bodies import NEXT_ALBEDO, prepare_bodies
+from polhode.train.surface.known_bodies import NEXT_ALBEDO, corpus_of, prepare_bodies
 from polhode.train.surface.scores import Trial, score_trials, trials_of
 from polhode.train.task import Batch
 
@@ -343,15 +343,12 @@ def make_task(train: Train, seed: int, progress: Progress, workers: int) -> Surf
     is_held_out = {i: train.corpus.is_validation(i % NEXT_ALBEDO) for i in bodies}
     learned = {i: known for i, known in bodies.items() if not is_held_out[i]}
     held_out = {i: known for i, known in bodies.items() if is_held_out[i]}
+    corpora = 0
     for k, more in enumerate(config.more, 1):
-        others = prepare_bodies(
-            more.corpus,
-            config.model_copy(update={"bodies": more.bodies, "albedos": more.albedos}),
-            progress,
-            workers,
-        )
-        for i, known in others.items():
-            if not more.corpus.is_validation(i % NEXT_ALBEDO):
-                learned[k * NEXT_CORPUS + i] = known
+        others = prepare_bodies(*corpus_of(train, k), progress, workers)
+        own = {i: known for i, known in others.items() if not more.corpus.is_validation(i % NEXT_ALBEDO)}
+        for _ in range(more.weight):
+            corpora += 1
+            learned |= {corpora * NEXT_CORPUS + i: known for i, known in own.items()}
     late = round(LATE_FROM * train.schedule.steps) if train.start_from is None else 0
     return SurfaceTask(learned, trials_of(held_out, seed), config, seed, late)

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from polhode.backend.initialization import initialize
 from polhode.backend.initialization.initialize import bridge, initialize_motion, nearest_branch
 from polhode.config.backend_settings import Backend
 from polhode.errors import RunFailure
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
-from polhode.records import RelativePoses
+from polhode.records import Bools, RelativePoses
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 SCENE = SyntheticScene(frames=30, landmarks=400, detection=0.4, sigma_uv_px=0.3, sigma_d_px=0.2)
@@ -75,3 +76,14 @@ def test_unconnected_frames_are_a_failed_run() -> None:
     none = np.zeros(0, dtype=np.int64)
     with pytest.raises(RunFailure, match="no consistent motion"):
         initialize_motion(sequence.tracks, RelativePoses(none, none, np.zeros((0, 4, 4)), none), Backend())
+
+
+def test_frames_that_the_map_does_not_confirm_are_a_failed_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    sequence = generate(SCENE, seed=1)
+
+    def all_but_one_lost(tracks: object, X_RG: Array, connected: Bools, *_: object) -> tuple[Array, Bools]:
+        return X_RG, np.arange(len(connected)) == 3
+
+    monkeypatch.setattr(initialize, "relocalize", all_but_one_lost)
+    with pytest.raises(RunFailure, match="only 1 of"):
+        initialize_motion(sequence.tracks, sequence.relative, Backend())

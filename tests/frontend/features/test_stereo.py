@@ -9,11 +9,14 @@ import pytest
 from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Features
 from polhode.frontend.features.keypoints import KeyPoints, detect
+from polhode.frontend.features.patches import image_jacobian, surface_normals
 from polhode.frontend.features.stereo import (
     _match_on_lines,
+    _matched,
     match_stereo,
     refine_disparity,
     texture_sigma,
+    with_rough_axes,
 )
 from polhode.frontend.rectification import Image, target_crop
 from polhode.lie import Array
@@ -143,3 +146,34 @@ def test_an_empty_image_gives_no_features() -> None:
     points = detect(black, mask, crop, Features())
     assert len(points) == 0
     assert len(match_stereo(black, black, points, points, RIG)) == 0
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.15])
+def test_key_points_know_roughly_how_their_surface_lies(slope: float) -> None:
+    left, right, disparity = stereo_pair(7, slope)
+    mask = np.ones(left.shape, dtype=bool)
+    crop = target_crop(mask)
+    assert crop is not None
+    points = [detect(image, mask, crop, Features()) for image in (left, right)]
+    measured, slopes = _matched(left, right, points[0], points[1], RIG)
+    features = with_rough_axes(measured, slopes, RIG)
+    assert len(features) > 100
+    assert not features.on_surface.any()
+    R_RS, angle = features.proposing_R_RS, features.angle_rad
+    assert R_RS is not None and angle is not None
+    np.testing.assert_allclose(
+        np.swapaxes(R_RS, 1, 2) @ R_RS, np.tile(np.eye(3), (len(R_RS), 1, 1)), atol=1e-9
+    )
+    uv = features.uvd_px[:, :2]
+    at = np.round(uv).astype(int)
+    plane = np.column_stack([disparity[at[:, 1], at[:, 0]], np.tile([slope, 0.05], (len(uv), 1))])
+    cosine = np.sum(R_RS[:, :, 2] * surface_normals(uv, plane, RIG), axis=1)
+    assert np.median(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))) < 12.0
+    # x of the surface is seen along the key point's orientation
+    seen = np.einsum("nij,nj->ni", image_jacobian(features.p_R, RIG), R_RS[:, :, 0])
+    seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+    np.testing.assert_allclose(seen, np.column_stack([np.cos(angle), np.sin(angle)]), atol=1e-9)
+    per_px = features.metres_per_px
+    assert per_px is not None
+    jacobian = RIG.triangulation_jacobian(features.p_R)
+    np.testing.assert_allclose(per_px, np.abs(jacobian[:, [0, 2], [0, 2]]))

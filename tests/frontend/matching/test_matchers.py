@@ -1,28 +1,34 @@
 """Matching: soft assignment can be differentiated; few right matches among many wrong ones are found."""
 
+from dataclasses import replace
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
+import pytest
 import torch
 
-from polhode.config.frontend_settings import Frontend, PairMatching
+from polhode.config.frontend_settings import Features, Frontend, PairMatching
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.matchers import (
     MIN_PROBABILITY,
     DualSoftmax,
     SoftmaxMatcher,
+    _listed_support,
     likely_pairs,
     motion_modes,
     rigid_fit,
 )
 from polhode.frontend.matching.methods import one_to_one
+from polhode.frontend.matching.nearest import MutualNearest
 from polhode.frontend.matching.pairs import match_rows
 from polhode.lie import Array, exp_so3, make_pose, transform_points
 from polhode.rigid_fit import fit_rigid
 from polhode.train.descriptor.task import motion_loss
 from tests.frontend.feature_world import RIG
 
+FEATURES: tuple[Literal["rootsift", "polhode"], ...] = ("rootsift", "polhode")
 X_AB = make_pose(exp_so3([0.3, -0.7, 0.2]), [0.05, 0.02, -0.03])
 """The motion between the frames of these tests."""
 
@@ -187,6 +193,99 @@ def test_features_without_axes_are_matched_by_looks() -> None:
             ).features
         )
         == 0
+    )
+
+
+def test_rough_axes_propose_motions_as_well() -> None:
+    a, b = _frames(12, 200)
+    rough = [replace(frame, R_RS=None, rough_R_RS=frame.R_RS) for frame in (a, b)]
+    matches = SoftmaxMatcher(Frontend())(*rough)
+    assert set(matches.features[matches.features[:, 0] < 12, 1]) == set(range(12))
+    assert not rough[0].on_surface.any()
+
+
+def _symmetric_frames(
+    fold: int, per_part: int, clutter: int, sigma_px: float, seed: int = 3
+) -> tuple[StereoFeatures, StereoFeatures]:
+    """Two frames of a body of ``fold`` equal parts around an axis, with noise of ``sigma_px`` in u, v and a
+    third of it in disparity. The points of all parts look alike; those of the clutter are elsewhere."""
+    rng = np.random.default_rng(seed)
+    turns = [exp_so3([0.0, 0.0, 2.0 * np.pi * k / fold]) for k in range(fold)]
+    part, axes, looks = (
+        rng.uniform([0.03, -0.03, -0.05], [0.1, 0.03, 0.05], (per_part, 3)),
+        _axes(rng, per_part),
+        _unit(rng.normal(size=(per_part, 128))),
+    )
+    p_G = np.concatenate([part @ turn.T for turn in turns])
+    R_GS = np.concatenate([turn @ axes for turn in turns])
+    looks = np.tile(looks, (fold, 1))
+    elsewhere = _unit(rng.normal(size=(clutter, 128)))
+    frames = []
+    for X_RG in (make_pose(np.eye(3), [0.0, 0.0, 0.6]), make_pose(X_AB[:3, :3].T, [0.01, 0.02, 0.62])):
+        p_R = np.concatenate(
+            [transform_points(X_RG, p_G), rng.uniform([-0.1, -0.1, 0.5], [0.1, 0.1, 0.7], (clutter, 3))]
+        )
+        uvd = RIG.project(p_R) + rng.normal(size=(len(p_R), 3)) * sigma_px * [1.0, 1.0, 1.0 / 3.0]
+        described = np.concatenate([looks, elsewhere])
+        described = _unit(described + 0.03 * rng.normal(size=described.shape))
+        R_RS = np.concatenate([X_RG[:3, :3] @ R_GS, _axes(rng, clutter)])
+        frames.append(_features(RIG.triangulate(uvd), R_RS, described))
+    return frames[0], frames[1]
+
+
+@pytest.mark.parametrize("method", ["nearest", "polhode"])
+@pytest.mark.parametrize("fold", [2, 3, 4, 6])
+@pytest.mark.parametrize(("clutter", "sigma_px"), [(5, 0.0), (100, 0.3)])
+def test_of_a_body_with_equal_parts_every_motion_is_found(
+    method: Literal["nearest", "polhode"], fold: int, clutter: int, sigma_px: float
+) -> None:
+    a, b = _symmetric_frames(fold, 12, clutter, sigma_px)
+    config = Frontend(pairs=PairMatching(method=method))
+    (found,) = match_rows([a, b], [np.array([1])], RIG, config, 0, 1, [0], fold)
+    assert len(found) == fold
+    X_AG, X_BG = make_pose(np.eye(3), [0.0, 0.0, 0.6]), make_pose(X_AB[:3, :3].T, [0.01, 0.02, 0.62])
+    missed = set(range(fold))
+    for match in found:
+        turns = [
+            X_AG[:3, :3] @ exp_so3([0.0, 0.0, 2.0 * np.pi * k / fold]) @ X_BG[:3, :3].T for k in range(fold)
+        ]
+        errors = [np.linalg.norm(turn - match.X_RiRj[:3, :3]) for turn in turns]
+        assert min(errors) < np.deg2rad(1.0)
+        missed.discard(int(np.argmin(errors)))
+        # the strongest motions of a body of equal parts have all its points
+        assert len(match) > 0.8 * 12 * fold
+    assert not missed
+
+
+def test_nearest_neighbours_without_axes_know_one_motion() -> None:
+    a, b = _frames(40, 0)
+    plain = [_features(frame.p_R, None, frame.descriptors) for frame in (a, b)]
+    matcher = MutualNearest(Frontend())
+    (only,) = matcher.hypotheses(plain[0], plain[1], 6)
+    assert np.array_equal(only.features, matcher(a, b).features)
+
+
+def test_unsure_matches_of_rootsift_do_not_count_unless_all_motions_are_kept() -> None:
+    a, b = _symmetric_frames(4, 12, 5, 0.0)
+    of_rootsift, of_network = (
+        SoftmaxMatcher(Frontend(features=Features(method=method))) for method in FEATURES
+    )
+    # of four equal parts each has a quarter of the probability, in both directions
+    sure = of_rootsift(a, b)
+    assert len(sure.features) < 24
+    assert (sure.confidence >= PairMatching().min_confidence).all()
+    assert len(of_network(a, b).features) == 48
+    assert len(of_rootsift.hypotheses(a, b, 4)[3].features) == 48
+
+
+def test_support_is_the_same_by_lists_and_by_products() -> None:
+    rng = np.random.default_rng(2)
+    agrees = rng.uniform(size=(60, 60)) < 0.2
+    agrees = agrees | agrees.T | np.eye(60, dtype=bool)
+    weight = rng.uniform(size=60)
+    pull = agrees * weight
+    np.testing.assert_allclose(
+        _listed_support(agrees, weight), np.einsum("nk,nk->n", pull @ agrees, pull), rtol=1e-12
     )
 
 

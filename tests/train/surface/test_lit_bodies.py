@@ -12,9 +12,9 @@ from polhode.errors import InputError
 from polhode.lie import inverse_pose, transform_points
 from polhode.progress import Silent
 from polhode.train.surface.batches import KnownBody
-from polhode.train.surface.known_bodies import NEXT_ALBEDO, prepare_bodies
+from polhode.train.surface.known_bodies import NEXT_ALBEDO, prepare_bodies, share_of_shape, table
 from polhode.train.surface.known_bodies import main as print_landmarks
-from polhode.train.surface.landmarks import surface_at
+from polhode.train.surface.landmarks import GATHER_PX, surface_at
 from polhode.train.surface.lit_bodies import (
     CAST_SHADOW,
     FACING_AWAY,
@@ -99,6 +99,10 @@ def test_albedos_of_one_shape_have_its_poses_and_light_and_other_marks(
     nearest, _ = cKDTree(places[1]).query(places[0])
     assert min(map(len, places)) > 30
     assert np.mean(nearest < 0.5 * px_m) < 0.25
+    assert share_of_shape(two_albedos, [0, NEXT_ALBEDO]) == np.mean(nearest < GATHER_PX * px_m)
+    rows = [line.split("|")[1:-1] for line in table(two_albedos, ("free_flyer",), 1).splitlines()]
+    assert rows[0][-1].strip() == "under another albedo too [%]"
+    assert [len(row) for row in rows] == [6] * 4
 
 
 def test_what_is_there_is_not_rendered_again_and_damage_is_named(
@@ -130,6 +134,12 @@ def test_the_command_renders_what_is_missing(
     assert [row[0].strip() for row in rows] == ["free_flyer", "asteroid", "all"]
     assert [int(row[1]) for row in rows] == [2, 1, 3]
     assert all(0.0 <= float(row[4]) <= 1.0 for row in rows)
+    print_landmarks([str(config), "--workers", "1", "--each"])
+    rows = [line.split("|")[1:-1] for line in capsys.readouterr().out.splitlines()[2:]]
+    assert sorted(int(row[0]) for row in rows) == [0, 1, 2]
+    across = [int(row[3]) for row in rows]
+    assert across == sorted(across)
+    assert all(60 < each < 160 for each in across)
     with pytest.raises(SystemExit) as refused:
         main([str(tmp_path / "none.yaml")])
     assert refused.value.code == 2

@@ -20,7 +20,7 @@ from polhode.progress import Silent
 from polhode.train.run import setting_of
 from polhode.train.surface import scores
 from polhode.train.surface.batches import NEAR_PX, KnownBody, batch_of, draw_example
-from polhode.train.surface.known_bodies import NEXT_ALBEDO
+from polhode.train.surface.known_bodies import NEXT_ALBEDO, corpus_of
 from polhode.train.surface.landmarks import Landmarks
 from polhode.train.surface.scores import score_trials, trials_of
 from polhode.train.surface.task import (
@@ -316,6 +316,9 @@ def test_bodies_of_another_corpus_are_learned_from_too(lit_body_corpus: Corpus, 
     more = MoreBodies(corpus=lit_body_corpus, bodies=1)
     train = train.model_copy(update={"surface": CONFIG.model_copy(update={"more": (more,)})})
     assert make_task(train, 7, Silent(), 1)._numbers == [0, 2, NEXT_CORPUS]
+    twice = CONFIG.model_copy(update={"more": (more.model_copy(update={"weight": 2}),)})
+    numbers = make_task(train.model_copy(update={"surface": twice}), 7, Silent(), 1)._numbers
+    assert numbers == [0, 2, NEXT_CORPUS, 2 * NEXT_CORPUS]
     assert setting_of(train, 7)["surface.more.0.bodies"] == 1
     json.dumps(setting_of(train, 7))
 
@@ -344,6 +347,23 @@ def test_weights_are_compared_on_the_same_pairs(
     with pytest.raises(SystemExit) as refused:
         scores.main([str(config), str(tmp_path / "none.safetensors")])
     assert refused.value.code == 2
+    with pytest.raises(SystemExit) as refused:
+        scores.main([str(config), weights, "--more", "1"])
+    assert refused.value.code == 2
+    assert "train.surface.more has 0 entries, and no number 1" in capsys.readouterr().err
+
+
+def test_scores_of_a_further_corpus_are_of_its_held_out_bodies(
+    lit_body_corpus: Corpus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    more = MoreBodies(corpus=lit_body_corpus, bodies=2)
+    train = train_of(lit_body_corpus, tmp_path, 1)
+    train = train.model_copy(update={"surface": CONFIG.model_copy(update={"more": (more,)})})
+    assert corpus_of(train, 1)[1].bodies == 2
+    config = tmp_path / "config.yaml"
+    config.write_text(yaml.safe_dump({"train": train.model_dump(mode="json")}), encoding="utf-8")
+    scores.main([str(config), str(shipped_path("surface")), "--more", "1", "--workers", "1"])
+    assert "rank_1_both" in capsys.readouterr().out
 
 
 def test_bodies_without_common_landmarks_cannot_be_learned_from(bodies: dict[int, KnownBody]) -> None:
