@@ -114,7 +114,7 @@ def _step(z: float, table: Array) -> float:
     if at >= len(table) - 1:
         return 1.0
     below = int(at)
-    return table[below] + (at - below) * (table[below + 1] - table[below])
+    return float(table[below] + (at - below) * (table[below + 1] - table[below]))
 
 
 @compiled_ieee

@@ -308,7 +308,8 @@ def assess(
             f"{len(subject.X_RG)} poses of {subject.model.size} edges take {size_mib:.0f} MiB: "
             f"give fewer poses{fewer_edges}"
         )
-    views, expected, C = [], [], []
+    views, C = [], []
+    expected: list[ExpectedTracking] = []
     with progress.stage("evaluating views", len(subject.X_RG)) as advance:
         for view in views_along(
             subject.model, subject.rig, subject.X_RG, subject.o_G, spacing_px, subject.sun_G

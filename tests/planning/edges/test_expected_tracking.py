@@ -19,6 +19,7 @@ from polhode.planning.edges.expected_tracking import (
 from polhode.planning.edges.observability_metric import edge_motion, observability
 from polhode.planning.edges.stripes import FLOOR_PX
 from polhode.planning.edges.visible_edges import SPACING_PX, control_points
+from polhode.simulation.bodies.part import join
 from tests.planning.edges.pictures import BOX, POSE, RIG, bevelled_box
 
 
@@ -79,7 +80,9 @@ def test_an_edge_between_faces_that_are_equally_light_tells_nothing(box: EdgeMod
     # the bisector of the three faces that are seen: their common edges have no contrast, outlines have
     facing = np.sign((POSE[:3, :3] @ np.diag([1.0, 1.0, 1.0]))[2])
     sun = -(POSE[:3, :3] @ facing)
-    even, uneven = (expected_tracking(box, RIG, POSE, lit_from(each)) for each in (sun, [0.5, -0.2, -1.0]))
+    even, uneven = (
+        expected_tracking(box, RIG, POSE, lit_from(each)) for each in (sun, np.array([0.5, -0.2, -1.0]))
+    )
     assert (even.sigma[3:] > 1.1 * uneven.sigma[3:]).all()
 
 
@@ -100,7 +103,7 @@ def test_what_the_model_lacks_displaces_the_pose(box: EdgeModel) -> None:
     # a ridge along an edge of the box, which the model does not have, casts its shadow beside it
     ridge = trimesh.creation.box((0.9 * BOX[0], 0.012, 0.03))
     ridge.apply_translation([0.0, 0.5 * BOX[1] - 0.03, -0.5 * BOX[2]])
-    whole = edge_model(trimesh.util.concatenate([trimesh.creation.box(BOX), ridge]))
+    whole = edge_model(join([trimesh.creation.box(BOX), ridge]))
     blind = replace(
         box, surface=whole.surface, occluder=whole.occluder, corner_normals_G=whole.corner_normals_G
     )
