@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from polhode.backend.initialization.pose_graph import connect
-from polhode.backend.initialization.rates import interval_rates, jumping_frames
+from polhode.backend.initialization.rates import FAST_HINT, interval_rates, jumping_frames
 from polhode.backend.problem.inertia import FORMS
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import motion_data
@@ -36,7 +36,10 @@ def initialize_motion(tracks: StereoTracks, relative: RelativePoses, config: Bac
     Raises RunFailure if fewer than three frames can be connected.
     """
     X_RG, connected, _ = connect(relative, tracks.time_s, tracks.X_NR[:, :3, :3])
-    _require_connected(connected)
+    if connected.sum() < MIN_CONNECTED:
+        raise RunFailure(
+            f"no consistent motion: only {connected.sum()} of {tracks.n_frames} frames could be connected"
+        )
     p_G, known = robust_landmarks(tracks, X_RG, connected)
     # Bundle adjustment would carry a frame whose landmarks are all elsewhere far away from the target, and
     # landmarks with it; where it then ends is decided by rounding.
@@ -56,18 +59,14 @@ def initialize_motion(tracks: StereoTracks, relative: RelativePoses, config: Bac
     X_RG, connected = relocalize(tracks, X_RG, connected, p_G, known)
     odd = jumping_frames(tracks.time_s, (tracks.X_NR @ X_RG)[:, :3, :3], connected)
     connected = connected & ~odd
-    _require_connected(connected)
+    if connected.sum() < MIN_CONNECTED:
+        raise RunFailure(
+            f"no consistent motion: only {connected.sum()} of {tracks.n_frames} frames agree with the map of "
+            f"the landmarks ({FAST_HINT})"
+        )
     X_RG[connected] = X_RG[connected] @ make_pose(np.eye(3), np.median(p_G[known], axis=0))
     X_NG = bridge(tracks.time_s, tracks.X_NR @ X_RG, connected)
     return InitialMotion(inverse_pose(tracks.X_NR) @ X_NG, connected)
-
-
-def _require_connected(connected: Bools) -> None:
-    """Raises RunFailure if these are too few frames for a motion."""
-    if connected.sum() < MIN_CONNECTED:
-        raise RunFailure(
-            f"no consistent motion: only {connected.sum()} of {len(connected)} frames could be connected"
-        )
 
 
 def consistent_links(relative: RelativePoses, time_s: Array, R_NR: Array) -> Bools:

@@ -85,5 +85,5 @@ def test_frames_that_the_map_does_not_confirm_are_a_failed_run(monkeypatch: pyte
         return X_RG, np.arange(len(connected)) == 3
 
     monkeypatch.setattr(initialize, "relocalize", all_but_one_lost)
-    with pytest.raises(RunFailure, match="only 1 of"):
+    with pytest.raises(RunFailure, match="only 1 of 30 frames agree"):
         initialize_motion(sequence.tracks, sequence.relative, Backend())
