@@ -52,7 +52,8 @@ def _seen(texture_seed: int | None) -> tuple[Body, Surface]:
     start = middle + np.stack([*np.meshgrid(across, across), np.full((12, 12), -reach)], axis=2).reshape(
         -1, 3
     )
-    hits = [RayCaster(body).first_hits(each, np.array([[0.0, 0.0, 1.0]])) for each in start]
+    caster = RayCaster(body)
+    hits = [caster.first_hits(each, np.array([[0.0, 0.0, 1.0]])) for each in start]
     table = SurfaceAppearance(body, described, 1)
     surfaces = [table.at(each) for each in hits]
     return body, Surface(
