@@ -1,4 +1,4 @@
-"""The pages that are made from the code, by their paths in the site."""
+"""The pages that are made from the code and from tables of studies, by their paths in the site."""
 
 from pathlib import Path
 
@@ -6,11 +6,12 @@ from website.benchmarks_page import benchmarks_page
 from website.commands_page import commands_page
 from website.configuration_page import configuration_page
 from website.source_pages import source_pages
+from website.study_pages import study_pages
 from website.summary_page import summary_page
 
 
 def generated_pages(root: Path) -> dict[str, str]:
-    """Path in the site -> Markdown; root: the checkout."""
+    """Path in the site -> Markdown, or HTML where the path says so; root: the checkout."""
     return {
         "reference/commands.md": commands_page(),
         "reference/configuration.md": configuration_page(),
@@ -18,6 +19,7 @@ def generated_pages(root: Path) -> dict[str, str]:
         "reference/api.md": API,
         "reference/benchmarks.md": benchmarks_page(root),
         **dict(source_pages(root)),
+        **study_pages(root),
     }
 
 

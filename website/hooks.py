@@ -15,7 +15,6 @@ sys.path.insert(0, str(ROOT))
 from website.generated import generated_pages  # noqa: E402
 from website.mathematics import with_mathml  # noqa: E402
 from website.source_pages import with_site_links  # noqa: E402
-from website.study_pages import study_pages  # noqa: E402
 
 OTHER_PAGES = "How-to guides"
 """Section of the navigation that receives the pages which mkdocs.yml does not name."""
@@ -30,8 +29,8 @@ def on_config(config: MkDocsConfig) -> None:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages that are made from the code, and those of the studies."""
-    for path, text in {**generated_pages(ROOT), **study_pages(ROOT)}.items():
+    """Add the pages that are made from the code and from tables of studies."""
+    for path, text in generated_pages(ROOT).items():
         files.append(File.generated(config, path, content=text))
     return files
 
