@@ -50,6 +50,8 @@ RECORD = Path("runs/records/expected_errors")
 IMAGES, POSES, POSES_AT_FIXED_RANGE = 30, 20, 10
 SHORT_IMAGES, SHORT_POSES = 4, 3
 MODELS = ("all edges", "three quarters", "half")
+MIN_TRIALS, MIN_PAIRS = 3, 3
+"""Of a root mean square, and of a row of the table"""
 CONFIRMED = 0.8
 """Least agreement of a trial that a user would keep"""
 
@@ -230,19 +232,22 @@ def _pairs(line: Case) -> Iterator[Pair]:
 
 def _rms(pairs: Sequence[Pair], all_trials: bool) -> tuple[Array, Array, Array]:
     """Root mean squares (p, 6), expected (p, 6) and plain (p, 6), of pairs with three trials at least."""
-    rows = []
+    rms, expected, plain = [], [], []
     for pair in pairs:
         errors = pair.errors if all_trials else pair.errors[pair.confirmed]
-        if len(errors) >= 3:
-            rows.append((np.sqrt(np.mean(errors**2, axis=0)), pair.expected, pair.plain))
-    return tuple(np.array(column) for column in zip(*rows, strict=True)) if rows else (np.zeros((0, 6)),) * 3  # type: ignore[return-value]
+        if len(errors) >= MIN_TRIALS:
+            rms.append(np.sqrt(np.mean(errors**2, axis=0)))
+            expected.append(pair.expected)
+            plain.append(pair.plain)
+    shape = (len(rms), 6)
+    return np.reshape(rms, shape), np.reshape(expected, shape), np.reshape(plain, shape)
 
 
 def _rows(groups: dict[str, list[Pair]]) -> Iterator[list[str]]:
     for name, pairs in groups.items():
         for all_trials in (False, True):
             rms, expected, plain = _rms(pairs, all_trials)
-            if len(rms) < 3:
+            if len(rms) < MIN_PAIRS:
                 continue
             lost = 1.0 - np.mean(np.concatenate([pair.confirmed for pair in pairs]))
             kept = "every trial" if all_trials else f"confirmed, {lost:.1%} lost"

@@ -33,7 +33,7 @@ ALONG_PX = 2
 """Pixels on both sides of a point, along the edge, over which its profile is a mean"""
 _RIDGE = 1e-3
 """Of the normal equations of the heights of steps, so that equal columns do no harm"""
-_STEPS = 5
+_ITERATIONS = 5
 _LONGEST_PX, _SETTLED_PX = 0.5, 1e-4
 """Of steps of Gauss-Newton"""
 _NO_SIGMA_PX = 1e3
@@ -81,7 +81,9 @@ def fitted(place: Array, grey: Array, stripes: Stripes) -> Displacements:
     shift = np.zeros(len(grey))
     told = np.zeros((len(grey), 2))
     height = np.zeros(stripes.offset_px.shape)
-    _descend(place, grey, stripes.offset_px, blur_of(stripes), _STEPS, _STEP, shift, told, height)
+    _descend(
+        place, grey, stripes.offset_px, blur_of(stripes), _ITERATIONS, _BLURRED_STEP, shift, told, height
+    )
     noise = np.maximum(told[:, 1], LEAST_NOISE**2)
     # samples are half a pixel apart, and the noise of two of them is that of one pixel
     sigma = np.sqrt(noise / STEP_PX / np.maximum(told[:, 0], 1e-12))
@@ -95,18 +97,18 @@ def searched(place: Array, grey: Array, stripes: Stripes, range_px: float) -> tu
     """The displacement (m,) within a range that explains a profile best, and whether it explains it (m,)."""
     shifts = int(range_px / STEP_PX + 1e-9)
     best, left = np.zeros(len(grey)), np.zeros(len(grey))
-    _scan(place, grey, stripes.offset_px, blur_of(stripes), shifts, _STEP, best, left)
+    _scan(place, grey, stripes.offset_px, blur_of(stripes), shifts, _BLURRED_STEP, best, left)
     spread = np.sum((grey - grey.mean(axis=1, keepdims=True)) ** 2, axis=1)
     return best, np.asarray(left < (1.0 - _EXPLAINED) * spread)
 
 
 _PER_SIGMA, _SIGMAS = 200, 6
-_STEP = ndtr(np.arange(-_PER_SIGMA * _SIGMAS, _PER_SIGMA * _SIGMAS + 2) / _PER_SIGMA)
+_BLURRED_STEP = ndtr(np.arange(-_PER_SIGMA * _SIGMAS, _PER_SIGMA * _SIGMAS + 2) / _PER_SIGMA)
 """A blurred step of light of height 1, tabulated: linear in between, it errs by less than 1e-6"""
 
 
 @compiled_ieee
-def _step(z: float, table: Array) -> float:
+def _blurred_step(z: float, table: Array) -> float:
     """A blurred step of light of height 1, z sigmas from it."""
     at = (z + _SIGMAS) * _PER_SIGMA
     if at <= 0.0:
@@ -129,7 +131,7 @@ def _columns(
         lines += 1
         for n in range(len(place)):
             z = (place[n] - offset[k] - shift) / blur[k]
-            A[n, 1 + k] = _step(z, table)
+            A[n, 1 + k] = _blurred_step(z, table)
             slope[n, k] = -exp(-0.5 * z * z) / (sqrt(2.0 * pi) * blur[k])
     return 1 + lines
 
@@ -256,7 +258,7 @@ def _scan(
             columns += 1
             for n in range(longer):
                 z = (place[0] + (n - shifts) * STEP_PX - offset[i, k]) / blur[i, k]
-                A[n, 1 + k] = _step(z, table)
+                A[n, 1 + k] = _blurred_step(z, table)
         for p in range(columns):
             for q in range(p + 1):
                 for n in range(longer):

@@ -20,6 +20,7 @@ from polhode.pipeline.after_run.observability.notes import (
 )
 from polhode.pipeline.after_run.observability.pictures import Legend, coloured_body
 from polhode.planning.edges.edge_model import EdgeKind
+from polhode.planning.edges.expected_tracking import AT_DEG
 from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM
 
 SCHEMA = "polhode-observability/1"
@@ -270,8 +271,9 @@ def format_assessment(assessment: Assessment) -> str:
         f"about {assessment.subject.about}:"
     )
     lines += _of_each_freedom(assessment.sigma)
-    light = "in this sunlight" if assessment.subject.sun_G is not None else "wherever the Sun stands"
-    lines.append(f"Expected of a tracker {light}, with shadows and edges side by side considered:")
+    lit = assessment.subject.sun_G is not None
+    light = "in this sunlight" if lit else f"with the Sun {AT_DEG:.0f} degrees from the camera, on all sides"
+    lines.append(f"Expected of a tracker {light}; shadows and edges side by side are considered:")
     lines += _of_each_freedom(assessment.expected_sigma)
     lines += unobservable_lines(assessment)
     lines += selection_lines(assessment.choice)
