@@ -121,7 +121,11 @@ def _of_run(
     summary = read_summary(run)
     surface = surface_of(run)
     model = measured_edge_model(surface.mesh, surface.sigma_m)
-    notes = list(model.notes)
+    notes = [
+        *model.notes,
+        "what is expected of a tracker takes the edges of the mesh as exact; those of a measured mesh are "
+        "not, and the errors of a tracker that uses them are larger, possibly by far",
+    ]
     if surface.coverage is not None:
         seen = float((surface.views > 0).mean())
         notes.append(
