@@ -149,6 +149,9 @@ class _Packer:
 
 def _value(kind: Any, tree: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
     """The value of a type, which annotations state, from its tree."""
+    # NumPy 2.5 has NDArray as an alias (PEP 695), which stands for its type without being it.
+    while (meant := getattr(kind, "__value__", None)) is not None:
+        kind = meant
     origin, inner = get_origin(kind) or kind, get_args(kind)
     if origin in (Union, types.UnionType):
         return _of_union(inner, tree, arrays)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pydantic import BaseModel
+from typing_extensions import TypeAliasType
 
 from polhode.record_files import UnfitRecord, digest_of, normal, pack, read_record, unpack, write_record
 
@@ -68,6 +69,25 @@ def test_a_record_is_the_same_bit_for_bit_after_a_file(tmp_path: Path) -> None:
     assert isinstance(found.many, tuple) and list(found.found) == ["b", "a"]
     assert found.many[1].flags is None and found.masks == {7: (b"left", b"")}
     assert found.pixels.flags.c_contiguous and found.pixels.flags.writeable
+
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+ArrayOf = TypeAliasType("ArrayOf", np.ndarray[Any, np.dtype[Scalar]], type_params=(Scalar,))
+
+
+@dataclass(frozen=True)
+class Aliased:
+    """As of NumPy 2.5, whose NDArray is an alias by PEP 695."""
+
+    values: ArrayOf[np.float64]
+    maybe: ArrayOf[np.float64] | None = None
+
+
+def test_arrays_may_be_annotated_by_an_alias(tmp_path: Path) -> None:
+    write_record(tmp_path / "r.npz", KEY, Aliased(np.arange(3.0), np.ones(2)))
+    found = read_record(tmp_path / "r.npz", KEY, Aliased)
+    assert found is not None and found.maybe is not None
+    assert found.values.tolist() == [0.0, 1.0, 2.0] and found.maybe.tolist() == [1.0, 1.0]
 
 
 def test_the_same_record_gives_the_same_bytes(tmp_path: Path) -> None:
