@@ -189,6 +189,7 @@ BENCHMARKS = (
               short="block --views 3 --budget 6"),
     Benchmark("best_trajectory", "edges.best_trajectory", "docs/observability_planning.md", 120,
               "steps satellite --pictures runs/best_trajectory", "steps --short"),
+    Benchmark("planned_approaches", "edges.planned_approaches", "docs/observability_planning.md", 60),
     Benchmark("observability", "edges.observability", "docs/observability_tracking.md", 240,
               "-o runs/observability_trends.png"),
     Benchmark("expected_errors", "edges.expected_errors", "docs/observability_tracking.md", 400),

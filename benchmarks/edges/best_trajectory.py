@@ -46,7 +46,7 @@ from polhode.planning.edges.information import contributions, feature_informatio
 from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM, pose_error
 from polhode.planning.edges.selection import edge_lengths, greedy, improved_by_exchange
 from polhode.planning.edges.smallest_set import smallest_set
-from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out
+from polhode.planning.keep_out.volumes import InstantKeepOut, KeepOutOptions, keep_out
 from polhode.planning.prediction import FinalEstimate, FinalState, nominal_motion
 from polhode.records import SurfaceModel
 
@@ -91,7 +91,8 @@ def measure(case: Case) -> dict[str, Any]:
 
     target, rig = edge_body(case["body"]), edge_rig()
     model = edge_model(target.mesh)
-    estimate, volume = tumbling(target.mesh)
+    estimate = tumbling(target.mesh)
+    volume = volume_of(target.mesh, estimate)
     ranges_m = (min_range(model, rig) + 0.02, 4.3)
     task = CameraPathTask(START_N, DURATION_S, STEPS, 0.01, ranges_m, 0.15, 0.1, sun_N=SUN_N)
     table = table_for(model, rig, estimate, task)
@@ -125,24 +126,29 @@ def measure(case: Case) -> dict[str, Any]:
     return out
 
 
-def tumbling(mesh: Any) -> tuple[Any, Any]:
-    """The motion of a body with small covariances about its centre, and its keep-out volume."""
+def tumbling(mesh: Any, rate_G: Any = RATE_G, R_NG: Any = None) -> FinalEstimate:
+    """The motion of a body with small covariances about its centre.
+
+    ``rate_G`` (3,): of rotation at the start [rad/s]. ``R_NG`` (3, 3): attitude there; None: aligned with N.
+    """
 
     basis = np.zeros((5, 3, 3))
     for n, (i, j) in enumerate([(0, 0), (1, 1), (0, 1), (0, 2), (1, 2)]):
         basis[n, i, j] = basis[n, j, i] = 1.0
     sigma = np.concatenate([np.repeat([1e-3, 1e-4, 5e-3, 2e-4], 3), np.full(5, 1e-3), np.full(3, 5e-4)])
     last = FinalState(
-        np.zeros(3), np.zeros(3), np.eye(3), RATE_G, np.diag([1.3, 1.0, 0.8]), np.eye(3), basis,
-        np.diag(sigma**2),
+        np.zeros(3), np.zeros(3), np.eye(3) if R_NG is None else R_NG, rate_G, np.diag([1.3, 1.0, 0.8]),
+        np.eye(3), basis, np.diag(sigma**2),
     )  # fmt: skip
-    estimate = FinalEstimate(last, np.mean(mesh.bounds, axis=0), 0.0, 0.0)
+    return FinalEstimate(last, np.mean(mesh.bounds, axis=0), 0.0, 0.0)
+
+
+def volume_of(mesh: Any, estimate: FinalEstimate) -> InstantKeepOut:
+    """The keep-out volume of a tumbling body at each instant of the approach."""
     fine = mesh.subdivide_to_size(0.05)
     count = len(fine.vertices)
     surface = SurfaceModel(fine, np.full(count, 1e-3), np.full(count, 5, dtype=np.int64))
-    return estimate, keep_out(
-        surface, estimate, KeepOutOptions(DURATION_S, 0.97, members=120, cells=32)
-    ).instant
+    return keep_out(surface, estimate, KeepOutOptions(DURATION_S, 0.97, members=120, cells=32)).instant
 
 
 class Trial:
@@ -241,7 +247,7 @@ def draw_pictures(line: Case, folder: Path) -> None:
     """BODY_ways.png, BODY_contributions.png, and a coloured mesh for each degree of freedom."""
     name = line["case"]["body"]
     mesh, rig = edge_body(name).mesh, edge_rig()
-    model, estimate = edge_model(mesh), tumbling(mesh)[0]
+    model, estimate = edge_model(mesh), tumbling(mesh)
     places = {path: np.asarray(p) for path, p in line["places_N"].items()}
     time = np.linspace(0.0, DURATION_S, len(places["straight"]))
     motion = nominal_motion(estimate, time)
