@@ -186,7 +186,7 @@ def known_of(inspected: Inspection) -> tuple[Known, EdgeModel]:
 def planned(known: Known, model: EdgeModel, sun_N: Array, seed: int) -> Way:
     """The best of the ways that a seed's start offers."""
     rng = np.random.default_rng([seed, 0xA99])
-    time_s = rng.uniform(2.0, LONGEST_WAIT_S) + STEP_S * np.arange(IMAGES)
+    time_s: Array = rng.uniform(2.0, LONGEST_WAIT_S) + STEP_S * np.arange(IMAGES, dtype=np.float64)
     X_NG = nominal_motion(known.estimate, time_s).X_NG
     o_N = X_NG[:, :3, :3] @ model.centre_G + X_NG[:, :3, 3]
     back = -o_N[0] / np.linalg.norm(o_N[0])
@@ -286,7 +286,9 @@ def flown(inspected: Inspection, seed: int) -> Flight:
 def _sun(inspected: Inspection, seed: int) -> Array:
     """(3,) of the inspection, turned by up to 30 degrees."""
     rng = np.random.default_rng([seed, 0x5A4])
-    sun_N = np.array(load_config(inspected.sequence / "scene.yaml").scene.light.sun_direction_N)
+    scene = load_config(inspected.sequence / "scene.yaml").scene
+    assert scene is not None
+    sun_N = np.array(scene.light.sun_direction_N)
     axis = rng.normal(size=3)
     return np.asarray(exp_so3(np.deg2rad(30.0) * rng.uniform() * axis / np.linalg.norm(axis)) @ sun_N)
 
@@ -295,6 +297,7 @@ def _truth(inspected: Inspection, known: Known, way: Way) -> Truth:
     summary = polhode.load(inspected.run).summary
     truth, table = read_truth(inspected.sequence), read_trajectory(inspected.run)
     config = load_config(inspected.sequence / "scene.yaml")
+    assert config.scene is not None
     at_pairs = truth_at(truth, table.timestamps_ns)
     X_NG = target_poses(table, np.array(summary.R_GP), np.array(summary.com_G))
     X_NB = target_poses(at_pairs, truth.R_GP, truth.com_G)

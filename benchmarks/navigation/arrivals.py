@@ -1,9 +1,9 @@
 """Filters on the recorded poses of approaches: sizes of errors from other bodies, and errors on arrival.
 
-The metric's filter knows three sizes: how much noisier poses are than stated, and how far single edges and the
-whole surface are off, over the mesh's sigma. For the flights to one body they are those with which the poses
-of the flights to all other bodies are most probable. The filter with fixed weights has one covariance for all
-poses: that of the errors of those other flights, without the worst twentieth, times the factor of
+The metric's filter knows three sizes: how much noisier poses are than stated, and how far single edges and
+the whole surface are off, over the mesh's sigma. For the flights to one body they are those with which the
+poses of the flights to all other bodies are most probable. The filter with fixed weights has one covariance
+for all poses: that of the errors of those other flights, without the worst twentieth, times the factor of
 ``FACTORS`` that gives the least errors there.
 """
 
@@ -116,26 +116,21 @@ def fitted_sizes(flights: Sequence[Flight], expected: bool) -> Weights:
 
 def _parts(flight: Flight, expected: bool) -> tuple[Array, Array, Array]:
     """Covariances (n, 6, 6) of the poses that are shown, for sizes of one."""
-    errors = [
-        each
-        for each, shown in zip(flight.way.expected if expected else flight.found, flight.shown, strict=True)
-        if shown
-    ]
-    sizes = [sized(each, Weights(1.0, 1.0, 1.0), flight.known.sigma_m) for each in errors]
-    outward = [flight.known.sigma_m**2 * np.outer(each.outward, each.outward) for each in errors]
-    return tuple(
-        np.reshape(each, (-1, 6, 6)) for each in ([s[0] for s in sizes], [s[1] for s in sizes], outward)
-    )  # type: ignore[return-value]
+    every = flight.way.expected if expected else flight.found
+    errors = [each for each, shown in zip(every, flight.shown, strict=True) if shown]
+    sigma_m = flight.known.sigma_m
+    sizes = [sized(each, Weights(1.0, 1.0, 1.0), sigma_m) for each in errors]
+    noise, edges = ([size[k] for size in sizes] for k in range(2))
+    outward = [sigma_m**2 * np.outer(each.outward, each.outward) for each in errors]
+    return np.reshape(noise, (-1, 6, 6)), np.reshape(edges, (-1, 6, 6)), np.reshape(outward, (-1, 6, 6))
 
 
 def fixed_covariance(flights: Sequence[Flight]) -> Array:
     """(6, 6) of the errors of all poses, without the worst twentieth."""
     off = np.concatenate([errors_of_poses(each)[each.shown] for each in flights])
-    for _ in range(_TURNS):
-        covariance = off.T @ off / len(off)
-        square = np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off.T).T)
-        off = off[square <= np.quantile(square, WITHOUT_WORST)] if _ == 0 else off
-    return np.asarray(covariance)
+    square = np.einsum("ni,ni->n", off, np.linalg.solve(off.T @ off / len(off), off.T).T)
+    off = off[square <= np.quantile(square, WITHOUT_WORST)]
+    return np.asarray(off.T @ off / len(off))
 
 
 def with_fixed_weights(flight: Flight, covariance: Array) -> Arrival:

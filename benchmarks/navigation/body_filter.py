@@ -159,8 +159,8 @@ def pose_jacobian(state: BodyState, X_NR: Array, o_G: Array) -> Array:
     for column in range(20):
         nudge = np.zeros(SIZE)
         nudge[column] = _NUDGE
-        ends = (X_RN @ state.plus(sign * nudge).X_NG for sign in (1.0, -1.0))
-        H[:, column] = pose_error(*ends, o_G) / (2.0 * _NUDGE)
+        after, before = (X_RN @ state.plus(sign * nudge).X_NG for sign in (1.0, -1.0))
+        H[:, column] = pose_error(after, before, o_G) / (2.0 * _NUDGE)
     return H
 
 

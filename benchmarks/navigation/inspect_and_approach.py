@@ -1,6 +1,6 @@
 """The whole loop on images: inspect, make the edge model from the run's own mesh, approach, track, arrive.
 
-    python -m benchmarks.navigation.inspect_and_approach [--short] [--stored] [--record DIR] [--bodies BODY ...]
+    python -m benchmarks.navigation.inspect_and_approach [--short] [--stored] [--record DIR]
 
 An inspector watches a tumbling body (``polhode.run`` on rendered pairs). The edges of the run's mesh are its
 model, the end of the run its first state. It plans an approach with the metric, and a filter promises a

@@ -22,6 +22,8 @@ from polhode.planning.edges.visible_edges import ControlPoints
 
 CELL = 0.2
 """Size of a cell within which edges are displaced alike, as a share of the body's radius"""
+LEAST_OPENING = 0.5
+"""Of 1 + cos between the faces' normals: sharper edges do not recede without bound."""
 UNSEEN = 0.5
 """Sigma of a direction that a view does not determine: radii of the body, or radians"""
 
@@ -58,9 +60,10 @@ def pose_errors(
     f = edge_motion(points, rig, X_RG, model.centre_G)
     inverse = covariance_of((f * weight[:, None]).T @ f, model.radius_m)
     along_G = f[:, :3] @ X_RG[:3, :3]
-    normal_G = points.sides_G.sum(axis=1)
-    normal_G /= np.maximum(np.linalg.norm(normal_G, axis=1, keepdims=True), 1e-12)
-    lifted = f.T @ (weight * np.einsum("mk,mk->m", along_G, normal_G))
+    # where both faces beside an edge lie outside by one metre, the edge is off by more than that
+    both = np.einsum("mk,mk->m", points.sides_G[:, 0], points.sides_G[:, 1])
+    off_G = points.sides_G.sum(axis=1) / np.maximum(1.0 + both, LEAST_OPENING)[:, None]
+    lifted = f.T @ (weight * np.einsum("mk,mk->m", along_G, off_G))
     cell = np.floor((points.p_G - model.centre_G) / (CELL * model.radius_m)).astype(np.int64)
     kinds, which = np.unique(cell, axis=0, return_inverse=True)
     pull = np.zeros((len(kinds), 6, 3))
