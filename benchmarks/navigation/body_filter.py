@@ -7,7 +7,7 @@ the true surface [m]. Edges of the mesh are displaced, each in its own way, and 
 that it shows: the bias is a Gauss-Markov process in the angle by which the view turns. A surface that is too
 large everywhere displaces all poses for good, away from the camera: this is one constant.
 
-Derivatives are central differences: nothing here is fast, and all of it is short.
+Derivatives of the motion are central differences.
 """
 
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import chi2
 
-from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
+from polhode.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose
 from polhode.planning.edges.observability_metric import pose_error
 from polhode.planning.prediction import FinalEstimate
 
@@ -155,12 +155,10 @@ def predict(state: BodyState, estimate: FinalEstimate, dt_s: float, bias: Array,
 
 def pose_jacobian(state: BodyState, X_NR: Array, o_G: Array) -> Array:
     """Derivative (6, 27) of the pose in the camera, in the sense of ``pose_error``, by the state's error."""
-    X_RN, H = inverse_pose(X_NR), np.zeros((6, SIZE))
-    for column in range(20):
-        nudge = np.zeros(SIZE)
-        nudge[column] = _NUDGE
-        after, before = (X_RN @ state.plus(sign * nudge).X_NG for sign in (1.0, -1.0))
-        H[:, column] = pose_error(after, before, o_G) / (2.0 * _NUDGE)
+    R_RN, H = X_NR[:3, :3].T, np.zeros((6, SIZE))
+    R_RG = R_RN @ state.R_NG
+    H[:3, R], H[:3, COM] = R_RN, -R_RG
+    H[:3, THETA], H[3:, THETA] = -R_RG @ hat(o_G - state.com_G), R_RG
     return H
 
 
