@@ -108,7 +108,9 @@ def fitted_sizes(flights: Sequence[Flight], expected: bool) -> Weights:
         return float(0.5 * np.sum((square / remaining + np.linalg.slogdet(P)[1])[kept]) + prior)
 
     for _ in range(_TURNS):
-        size = minimize(improbability, size, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.1}).x
+        simplex = size + np.vstack([np.zeros(3), 0.5 * np.eye(3)])
+        options = {"xatol": 0.01, "fatol": 0.01, "initial_simplex": simplex}
+        size = minimize(improbability, size, method="Nelder-Mead", options=options).x
         square, _ = distances(size)
         kept = square <= np.quantile(square, KEPT)
     return Weights(*(float(each) for each in np.exp(size)))
