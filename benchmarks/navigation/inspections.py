@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import polhode
-from polhode.errors import InputError, RunFailure
+from polhode.errors import RunFailure
 
 FAMILIES = ("free_flyer", "bus", "cubesat", "upper_stage", "truss", "dish")
 SIZE_M, RANGE_M = 0.8, 2.2
@@ -78,7 +78,7 @@ def inspection(folder: Path, family: str, number: int) -> Inspection:
         reason = ""
         try:
             polhode.run(sequence, run, OPTIONS, overwrite=True, progress=False)
-        except (InputError, RunFailure) as failure:
+        except RunFailure as failure:
             reason = str(failure)
         error.write_text(reason)
     return Inspection(sequence, run, error.read_text())
