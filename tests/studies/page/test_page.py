@@ -155,7 +155,7 @@ def test_the_worst_points_are_told_with_their_seeds(page: Path) -> None:
     ("labels", "lines", "angle"),
     [
         (("rootsift and patches", "alone"), ["rootsift and patches", "alone"], 0),
-        (("rootsift and patches", "surface alone", "a", "b"), ["rootsift and<br>patches", "surface alone"], 0),
+        (("root and patches", "surface alone", "a", "b"), ["root and<br>patches", "surface alone"], 0),
         (("rootsiftandpatches", "a b", "c", "d"), ["rootsiftandpatches", "a b"], 90),
         (tuple("abcdefgh"), ["a", "b"], 90),
     ],
