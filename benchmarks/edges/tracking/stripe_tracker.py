@@ -227,7 +227,9 @@ class _Tracker:
         if self.known is not self.model:
             # edges that are known without being used say whether the pose is right
             _, seen = replace(self, model=self.known)._at_last(X_RG)
-        return StripeTracking(X_RG, points, weight, information, self._agreement(seen), scale, settled, reason)
+        return StripeTracking(
+            X_RG, points, weight, information, self._agreement(seen), scale, settled, reason
+        )
 
     def _at_last(self, X_RG: Array) -> tuple[ControlPoints, MeasuredStripes]:
         """The points of a pose, measured."""

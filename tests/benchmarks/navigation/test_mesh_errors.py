@@ -10,6 +10,7 @@ from polhode.lie import Array, exp_so3, make_pose, transform_points
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.observability_metric import edge_motion, moved, pose_error
 from polhode.planning.edges.visible_edges import control_points
+from polhode.records import Ints
 
 RIG = edge_rig(500.0, 400, 400)
 EXTENTS = np.array([0.5, 0.4, 0.3])
@@ -20,7 +21,7 @@ def box(extents: Array) -> EdgeModel:
     return edge_model(trimesh.creation.box(extents))
 
 
-def fitted_pose(ends_G: Array, true_ends_G: Array, feature: Array, p_G: Array, weight: Array) -> Array:
+def fitted_pose(ends_G: Array, true_ends_G: Array, feature: Ints, p_G: Array, weight: Array) -> Array:
     """Step (6,) that moves points of displaced edges onto the images of the true ones."""
     start, end = (RIG.project(transform_points(X_RG, true_ends_G[feature, k]))[:, :2] for k in (0, 1))
     along = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
@@ -54,7 +55,7 @@ def test_edges_that_are_displaced_together_displace_the_pose() -> None:
     # as all in one cell: the whole body is displaced, and the pose with it
     one = pose_errors(model, RIG, X_RG, points[np.zeros(40, dtype=np.int64)], np.ones(40))
     few = pose_errors(model, RIG, X_RG, points[np.zeros(10, dtype=np.int64)], np.ones(10))
-    f = edge_motion(points[[0]], RIG, X_RG, model.centre_G)[0]
+    f = edge_motion(points[np.zeros(1, dtype=np.int64)], RIG, X_RG, model.centre_G)[0]
     for each in (one, few):
         # of the only direction that the points see, the variance is that of the place itself
         assert np.isclose(f @ each.edges @ f, f[:3] @ f[:3], rtol=1e-2)
