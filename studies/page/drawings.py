@@ -1,6 +1,8 @@
 """The drawings of the page: distributions, dependence on axes, shares that hold, trade-offs, consistency."""
 
+import re
 from collections.abc import Sequence
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -38,6 +40,13 @@ MANY_DECADES = 2.5
 """From which on a logarithmic scale has one number for each"""
 HALF_BAR = 0.22
 """Half the width of a bar over a label; over one, they are 1 apart"""
+MAX_UPRIGHT = 6
+"""Labels that can stand side by side, broken into lines; more are turned by a right angle"""
+CHARACTERS_ACROSS = 52
+"""That have room below a drawing"""
+CHARACTER_PX, LINE_PX = 6.5, 15
+MAX_TITLE = 28
+"""Characters of a title that have room beside a drawing; a longer one has two lines"""
 QUANTITIES = {"com": "centre of mass", "axes": "principal axes", "angular_velocity": "angular velocity"}
 """Names of quantities with a NEES, where the key is no word"""
 
@@ -103,9 +112,9 @@ def dependence(metric: Metric, along: Axis, key: str) -> Figure:
         along, middles, [each.low for each in middles], [each.high for each in middles],
         BAND, translucent(ACCENT, 0.33),
     )  # fmt: skip
-    drawing = layout(xaxis=_axis_along(along), yaxis=_axis_of(metric))
-    data = [points, *wide, _middle(along, middles, "median"), *narrow]
-    return Figure(key, f"Against {along.name}", _caption(metric, found), data, drawing, HEIGHT_PX, wide=False)
+    drawing = layout(xaxis=_axis_along(along), yaxis=_axis_of(metric, beside=True))
+    data, height = [points, *wide, _middle(along, middles, "median"), *narrow], HEIGHT_PX + _labels_px(along)
+    return Figure(key, f"Against {along.name}", _caption(metric, found), data, drawing, height, wide=False)
 
 
 def _caption(metric: Metric, found: Sequence[Spread]) -> str:
@@ -142,7 +151,8 @@ def share_drawing(along: Axis, holds: Bools, what: str, key: str) -> Figure:
         f"to {least.high:.0%})."
     )
     data = [*band, _middle(along, found, what)]
-    return Figure(key, f"Against {along.name}", caption, data, drawing, 270, wide=False)
+    height = 270 + _labels_px(along)
+    return Figure(key, f"Against {along.name}", caption, data, drawing, height, wide=False)
 
 
 def _place(along: Axis, at: float) -> str:
@@ -172,7 +182,7 @@ def trade_off(first: Metric, second: Metric, words: Sequence[str], key: str) -> 
             "line": {"color": SECOND, "width": 1.4, "dash": "dot"},
         },
     ]
-    drawing = layout(xaxis=_axis_of(first), yaxis=_axis_of(second))
+    drawing = layout(xaxis=_axis_of(first), yaxis=_axis_of(second, beside=True))
     title = f"{second.title} against {first.title}"
     return Figure(key, title, caption, data, drawing, 360, wide=False)
 
@@ -236,9 +246,9 @@ def consistency_drawing(found: Sequence[Consistency], group: str, key: str) -> F
     }
     ticks = {"tickvals": place.tolist(), "ticktext": names, "range": [-0.6, len(found) - 0.4]}
     across = (
-        axis("mean NEES over its number of components", type="log", dtick="D2")
+        axis("mean NEES over its number of components", **_by_ratio(_finite([*value, *low, *high, 1.0])))
         if group == NEES
-        else axis("share of the components within three standard deviations", tickformat=".1%")
+        else axis("share within three standard deviations", tickformat=".1%")
     )
     drawing = layout(
         xaxis=across, yaxis=axis("", **ticks), shapes=[_upright(1.0 if group == NEES else found[0].expected)]
@@ -274,16 +284,64 @@ def _upright(at: float) -> Layout:
     }
 
 
-def _axis_of(metric: Metric) -> Layout:
-    return axis(metric.title, **(_by_ratio(metric.known) if metric.is_logarithmic else {}))
+def _finite(values: Sequence[float]) -> Array:
+    """The finite ones above 0 (n,)."""
+    known = np.array(values)
+    return np.asarray(known[np.isfinite(known) & (known > 0.0)])
+
+
+def _axis_of(metric: Metric, beside: bool = False) -> Layout:
+    """Below a drawing, or beside it, where its title has less room."""
+    title = _in_two_lines(metric.title) if beside else metric.title
+    return axis(title, **(_by_ratio(metric.known) if metric.is_logarithmic else {}))
+
+
+def _in_two_lines(title: str) -> str:
+    """A long name of a column, broken between its words."""
+    ends = [match.end() for match in re.finditer(r"[._ ]", title)]
+    if len(title) <= MAX_TITLE or not ends:
+        return title
+    at = min(ends, key=lambda end: abs(end - len(title) / 2))
+    return f"{title[:at]}<br>{title[at:]}"
 
 
 def _axis_along(along: Axis) -> Layout:
     if along.labels:
-        places = list(range(len(along.labels)))
-        ticks = {"tickvals": places, "ticktext": list(along.labels), "range": [-0.6, len(places) - 0.4]}
-        return axis(along.name, **ticks)
+        places, lines = list(range(len(along.labels))), _lines_of_labels(along)
+        return axis(
+            along.name,
+            tickvals=places,
+            ticktext=["<br>".join(each) for each in lines],
+            tickangle=0 if _is_upright(lines) else 90,
+            # without this, plotly.js leaves out a label that reaches beyond the drawing
+            ticklabeloverflow="allow",
+            range=[-0.6, len(places) - 0.4],
+        )
     return axis(along.name, **(_by_ratio(along.values) if along.is_logarithmic else {}))
+
+
+def _lines_of_labels(along: Axis) -> list[list[str]]:
+    """The lines of each label: several where few labels stand side by side, and their words have room."""
+    room = CHARACTERS_ACROSS // len(along.labels)
+    longest = max(len(word) for label in along.labels for word in label.split() or [""])
+    if len(along.labels) > MAX_UPRIGHT or longest > room:
+        return [[label] for label in along.labels]
+    return [wrap(label, room) or [""] for label in along.labels]
+
+
+def _is_upright(lines: Sequence[Sequence[str]]) -> bool:
+    room = CHARACTERS_ACROSS // len(lines)
+    return len(lines) <= MAX_UPRIGHT and all(len(line) <= room for label in lines for line in label)
+
+
+def _labels_px(along: Axis) -> int:
+    """Height that its labels take beyond a single line."""
+    if not along.labels:
+        return 0
+    lines = _lines_of_labels(along)
+    if _is_upright(lines):
+        return LINE_PX * (max(map(len, lines)) - 1)
+    return round(CHARACTER_PX * max(map(len, along.labels)))
 
 
 def _by_ratio(values: Array) -> Layout:

@@ -210,15 +210,15 @@ def _worst_run(metric: Metric, row: int, table: pa.Table, words: Sequence[str], 
     return WorstRun(number, f"{metric.values[row]:.4g}", said, verdict, link)
 
 
-def words_of_points(table: pa.Table, axes: Sequence[Axis]) -> list[str]:
-    """Number and settings of each point in a line."""
-    columns = [(axis, axis.values) for axis in axes]
-    numbers = table.column("point").to_pylist()
-    return [
-        f"point {number}: "
-        + ", ".join(f"{axis.name} {_setting(axis, values[row])}" for axis, values in columns)
-        for row, number in enumerate(numbers)
-    ]
+def words_of_points(table: pa.Table, axes: Sequence[Axis], seeds: Sequence[str] = ()) -> list[str]:
+    """Number, settings and seeds (names of columns) of each point in a line."""
+    drawn = {name: table.column(name).to_pylist() for name in seeds if name in table.column_names}
+    words = []
+    for row, number in enumerate(table.column("point").to_pylist()):
+        settings = [f"{axis.name} {_setting(axis, axis.values[row])}" for axis in axes]
+        settings += [f"{name} {values[row]}" for name, values in drawn.items()]
+        words.append(f"point {number}: {', '.join(settings)}")
+    return words
 
 
 def _setting(axis: Axis, value: float) -> str:

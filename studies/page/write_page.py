@@ -41,7 +41,8 @@ def render(study: OpenStudy, table: pa.Table, folder: Path) -> str:
     store, axes, every = Store(folder), axes_of(study, table), metrics_of(table)
     most = min(max(MAX_FIGURES // (1 + len(axes)), MIN_METRICS), MAX_METRICS)
     metrics = drawn(every, study.settings.metrics, most)
-    words = sections.words_of_points(table, axes)
+    repeated = [name for name in study.columns if is_seed(name)]
+    words = sections.words_of_points(table, axes, repeated)
     shared = [variance_shares(study, axes, metric) for metric in metrics[:SHARED_METRICS]] if axes else []
     agreement = consistencies(table)
     failed, doubtful = sections.reasons(table)
@@ -50,7 +51,7 @@ def render(study: OpenStudy, table: pa.Table, folder: Path) -> str:
         title=printable(study.settings.title or folder.resolve().name),
         finding=_finding(study, table),
         facts=_facts(study, table),
-        repeated=[name for name in study.columns if is_seed(name)],
+        repeated=repeated,
         outcomes=sections.outcome_figures(table, axes),
         shared=shared,
         share_rows=sections.share_rows(shared, axes),
