@@ -197,6 +197,8 @@ BENCHMARKS = (
               "block --views 2", _VISP),
     Benchmark("navigation", "navigation.compare_filters", "docs/observability_navigation.md", 240,
               "--plot runs/navigation_filter.png"),
+    Benchmark("inspect_and_approach", "navigation.inspect_and_approach", "docs/observability_navigation.md",
+              60, short="--short --record runs/records/inspect_and_approach_short"),
     Benchmark("against_mitsuba", "rendering.against_mitsuba", "docs/simulation.md", 20, "-o runs/mitsuba.png",
               "--width 64 --samples 64", ("mitsuba",)),
     Benchmark("rendering_time", "rendering.rendering_time", "docs/simulation.md", 20),

@@ -71,6 +71,8 @@ class StripeTracking:
     X_RG: Array
     """(4, 4)"""
     points: ControlPoints
+    weight: Array
+    """(m,) of the points in the last step [px^-2]; 0: not found, or far off"""
     information: EdgeObservability
     """Its C (6, 6) [m^-2, m^-1 rad^-1, rad^-2] is the inverse of the covariance"""
     agreement: float
@@ -225,7 +227,9 @@ class _Tracker:
         if self.known is not self.model:
             # edges that are known without being used say whether the pose is right
             _, seen = replace(self, model=self.known)._at_last(X_RG)
-        return StripeTracking(X_RG, points, information, self._agreement(seen), scale, settled, reason)
+        return StripeTracking(
+            X_RG, points, weight, information, self._agreement(seen), scale, settled, reason
+        )
 
     def _at_last(self, X_RG: Array) -> tuple[ControlPoints, MeasuredStripes]:
         """The points of a pose, measured."""
@@ -240,4 +244,4 @@ class _Tracker:
     def _nothing(self, X_RG: Array, reason: str) -> StripeTracking:
         none = EdgeObservability(np.zeros((6, 6)), self.model.radius_m, 0)
         points = control_points(self.model, self.rig, X_RG, SPACING_PX)[np.zeros(0, dtype=np.int64)]
-        return StripeTracking(X_RG, points, none, 0.0, np.inf, False, reason)
+        return StripeTracking(X_RG, points, np.zeros(0), none, 0.0, np.inf, False, reason)

@@ -1,0 +1,141 @@
+"""Filters on the recorded poses of approaches: sizes of errors from other bodies, and errors on arrival.
+
+The metric's filter knows three sizes: how much noisier poses are than stated, and how far single edges and
+the whole surface are off, over the mesh's sigma. For the flights to one body they are those with which the
+poses of the flights to all other bodies are most probable. The filter with fixed weights has one covariance
+for all poses: that of the errors of those other flights, without the worst twentieth, times the factor of
+``FACTORS`` that gives the least errors there.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import chi2
+
+from benchmarks.navigation.approach_flights import (
+    GATE,
+    Flight,
+    Weights,
+    next_state,
+    promised,
+    sized,
+    started,
+)
+from benchmarks.navigation.body_filter import MeasuredPose, arrival_covariance, update
+from benchmarks.navigation.mesh_errors import PoseErrors
+from polhode.lie import Array, inverse_pose
+from polhode.planning.edges.observability_metric import pose_error
+from polhode.planning.prediction import nominal_motion
+
+KEPT, WITHOUT_WORST = 0.9, 0.95
+"""Shares of the poses from which sizes and the fixed covariance are estimated"""
+FACTORS = (1.0, 4.0, 16.0)
+POSITION, ATTITUDE, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+_TURNS = 3
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """The end of a flight."""
+
+    error: Array
+    """(12,) of the pose in the camera (``pose_error``), v_N, w_G"""
+    covariance: Array
+    """(12, 12) by the filter itself"""
+    taken: int
+    """poses that passed the gate"""
+
+    @property
+    def sizes(self) -> Array:
+        """(3,) of the errors of position [m], attitude [rad], rate [rad/s]."""
+        return np.array([np.linalg.norm(self.error[part]) for part in (POSITION, ATTITUDE, RATE)])
+
+
+def errors_of_poses(flight: Flight) -> Array:
+    """(T, 6) of the tracked poses."""
+    pairs = zip(flight.X_RG, flight.true_X_RG, strict=True)
+    return np.array([pose_error(found, true, flight.known.centre_G) for found, true in pairs])
+
+
+def arrival(flight: Flight, errors: Sequence[PoseErrors], weights: Weights) -> Arrival:
+    """Of a filter that gives the poses these errors."""
+    known, way = flight.known, flight.way
+    X_NG = nominal_motion(known.estimate, way.time_s).X_NG
+    sizes = [sized(each, weights, known.sigma_m) for each in errors]
+    bias = tuple(size[1] for size in sizes)
+    state, taken = started(known, way, bias[0], weights.outward * known.sigma_m), 0
+    for k, camera in enumerate(way.X_NR):
+        if k:
+            state = next_state(state, known, way, k, bias, X_NG)
+        if flight.shown[k]:
+            pose = MeasuredPose(flight.X_RG[k], sizes[k][0], errors[k].outward)
+            after = update(state, camera, pose, known.centre_G, GATE)
+            state, taken = after.state, taken + after.taken
+    pose_off = pose_error(inverse_pose(way.X_NR[-1]) @ state.X_NG, flight.true_X_RG[-1], known.centre_G)
+    error = np.concatenate([pose_off, state.v_N - flight.true_v_N, state.w_G - flight.true_w_G])
+    return Arrival(error, arrival_covariance(state, way.X_NR[-1], known.centre_G), taken)
+
+
+def promise(flight: Flight, weights: Weights) -> Array:
+    """Covariance (12, 12) on arrival, before there was an image."""
+    X_NG = nominal_motion(flight.known.estimate, flight.way.time_s).X_NG
+    return promised(flight.known, flight.way, weights, X_NG)
+
+
+def fitted_sizes(flights: Sequence[Flight], expected: bool) -> Weights:
+    """Sizes with which the poses are most probable, without the worst tenth.
+
+    ``expected``: of the errors that were expected before the flight, not those of the found points.
+    """
+    off = np.concatenate([errors_of_poses(each)[each.shown] for each in flights])
+    parts = [_parts(each, expected) for each in flights]
+    noise, edges, outward = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    # of the squares, what remains without the worst ones of a normal distribution
+    remaining = chi2.cdf(chi2.ppf(KEPT, 6), 8) / KEPT
+    size = np.zeros(3)
+    kept = np.ones(len(off), dtype=bool)
+
+    def distances(size: Array) -> tuple[Array, Array]:
+        n, e, o = np.exp(2.0 * size)
+        P = n * noise + e * edges + o * outward
+        return np.einsum("ni,ni->n", off, np.linalg.solve(P, off[..., None])[..., 0]), P
+
+    def improbability(size: Array) -> float:
+        square, P = distances(size)
+        prior = 0.5 * np.sum((size / 3.0) ** 2)
+        return float(0.5 * np.sum((square / remaining + np.linalg.slogdet(P)[1])[kept]) + prior)
+
+    for _ in range(_TURNS):
+        simplex = size + np.vstack([np.zeros(3), 0.5 * np.eye(3)])
+        options = {"xatol": 0.01, "fatol": 0.01, "initial_simplex": simplex}
+        size = minimize(improbability, size, method="Nelder-Mead", options=options).x
+        square, _ = distances(size)
+        kept = square <= np.quantile(square, KEPT)
+    return Weights(*(float(each) for each in np.exp(size)))
+
+
+def _parts(flight: Flight, expected: bool) -> tuple[Array, Array, Array]:
+    """Covariances (n, 6, 6) of the poses that are shown, for sizes of one."""
+    every = flight.way.expected if expected else flight.found
+    errors = [each for each, shown in zip(every, flight.shown, strict=True) if shown]
+    sigma_m = flight.known.sigma_m
+    sizes = [sized(each, Weights(1.0, 1.0, 1.0), sigma_m) for each in errors]
+    noise, edges = ([size[k] for size in sizes] for k in range(2))
+    outward = [sigma_m**2 * np.outer(each.outward, each.outward) for each in errors]
+    return np.reshape(noise, (-1, 6, 6)), np.reshape(edges, (-1, 6, 6)), np.reshape(outward, (-1, 6, 6))
+
+
+def fixed_covariance(flights: Sequence[Flight]) -> Array:
+    """(6, 6) of the errors of all poses, without the worst twentieth."""
+    off = np.concatenate([errors_of_poses(each)[each.shown] for each in flights])
+    square = np.einsum("ni,ni->n", off, np.linalg.solve(off.T @ off / len(off), off.T).T)
+    off = off[square <= np.quantile(square, WITHOUT_WORST)]
+    return np.asarray(off.T @ off / len(off))
+
+
+def with_fixed_weights(flight: Flight, covariance: Array) -> Arrival:
+    """Of a filter that gives all poses one covariance (6, 6), and knows of no errors of the mesh."""
+    alike = PoseErrors(covariance, np.zeros((6, 6)), np.zeros(6))
+    return arrival(flight, [alike] * len(flight.X_RG), Weights(1.0, 0.0, 0.0))

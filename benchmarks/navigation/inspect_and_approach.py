@@ -1,0 +1,217 @@
+"""The whole loop on images: inspect, make the edge model from the run's own mesh, approach, track, arrive.
+
+    python -m benchmarks.navigation.inspect_and_approach [--short] [--stored] [--record DIR]
+
+An inspector watches a tumbling body (``polhode.run`` on rendered pairs). The edges of the run's mesh are its
+model, the end of the run its first state. It plans an approach with the metric, and a filter promises a
+covariance on arrival before there is an image. Then it flies: images of the true body are rendered, tracked
+from the filter's own prediction, and filtered. The errors on arrival are compared with what was promised, and
+with those of a filter that gives all poses one covariance.
+
+Flights of a body share its inspection. Sizes of the mesh's errors come from the flights to the other bodies:
+at least two are needed.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from scipy.stats import beta, chi2
+from tyro.conf import arg
+
+from benchmarks.command import Record, Short, Workers, command
+from benchmarks.navigation.approach_flights import IMAGES, Flight, FlightMeasurement, Weights, from_line
+from benchmarks.navigation.arrivals import (
+    ATTITUDE,
+    FACTORS,
+    POSITION,
+    RATE,
+    Arrival,
+    arrival,
+    fitted_sizes,
+    fixed_covariance,
+    promise,
+    with_fixed_weights,
+)
+from benchmarks.navigation.inspections import FAMILIES
+from benchmarks.presentation import print_table
+from benchmarks.record import Case, complete, measured
+from polhode.errors import InputError
+from polhode.lie import Array
+
+RECORD = Path("runs/records/inspect_and_approach")
+SEEDS, SHORT_SEEDS, SHORT_BODIES = 20, 3, 2
+CONFIDENCE = 0.95
+RESAMPLED = 2000
+TUNED_ON = 30
+"""Flights, at most about, on which the factor of the fixed covariance is chosen"""
+LOST_POSES = 3
+"""A flight with fewer poses that passed the gate is named in the list of failures."""
+PARTS = {"position": POSITION, "attitude": ATTITUDE, "rate": RATE}
+
+
+def cases(bodies: Sequence[str], seeds: int) -> list[Case]:
+    """A flight each; those of all bodies come by turns."""
+    return [{"body": body, "inspection": 1, "seed": seed} for seed in range(1, seeds + 1) for body in bodies]
+
+
+def main(
+    short: Short = False,
+    workers: Workers = 1,
+    record: Record = RECORD,
+    stored: Annotated[bool, arg(help="Only print what was measured before.")] = False,
+    bodies: Annotated[tuple[str, ...], arg(help="Families of bodies.")] = FAMILIES,
+    seeds: Annotated[int, arg(help="Flights to each body.")] = SEEDS,
+) -> None:
+    """Fly what the record lacks; print the tables. The inspections are kept beside the record."""
+    unknown = sorted(set(bodies) - set(FAMILIES))
+    if unknown:
+        raise InputError(f"{', '.join(unknown)}: no such body; choose from {', '.join(FAMILIES)}")
+    wanted = cases(bodies[:SHORT_BODIES], SHORT_SEEDS) if short else cases(bodies, seeds)
+    fly = FlightMeasurement(record.with_name(f"{record.name}_inspections"))
+    lines = measured(record, wanted) if stored else complete(record, wanted, fly, workers)
+    judged = _judged({body: [line for line in lines if line["case"]["body"] == body] for body in bodies})
+    if not judged:
+        raise InputError("the record has flights to fewer than two bodies: one body's sizes come from others")
+    _print(judged, lines)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A flight, what was promised, and how two filters arrived."""
+
+    body: str
+    seed: int
+    weights: Weights
+    """from the flights to other bodies"""
+    promised: Array
+    """(12, 12)"""
+    metric: Arrival
+    fixed: Arrival
+
+    def nees(self, part: slice, covariance: Array) -> float:
+        """Squared error of a part over its covariance, per degree of freedom."""
+        error = self.metric.error[part]
+        return float(error @ np.linalg.solve(covariance[part, part], error)) / len(error)
+
+    def inside(self, part: slice, covariance: Array) -> bool:
+        """Whether the error lies within the 95 % region."""
+        freedom = len(self.metric.error[part])
+        return bool(self.nees(part, covariance) * freedom <= chi2.ppf(CONFIDENCE, freedom))
+
+
+def _judged(lines: dict[str, list[Case]]) -> list[Judged]:
+    flights = {
+        body: {line["case"]["seed"]: from_line(line) for line in group if "no_flight" not in line}
+        for body, group in lines.items()
+    }
+    flights = {body: group for body, group in flights.items() if group}
+    if len(flights) < 2:
+        return []
+    out = []
+    for body, group in flights.items():
+        others = [flight for name, each in flights.items() if name != body for flight in each.values()]
+        found, expected = fitted_sizes(others, expected=False), fitted_sizes(others, expected=True)
+        constant = _best_constant(others)
+        for seed, flight in group.items():
+            out.append(
+                Judged(
+                    body,
+                    seed,
+                    found,
+                    promise(flight, expected),
+                    arrival(flight, flight.found, found),
+                    with_fixed_weights(flight, constant),
+                )
+            )
+    return out
+
+
+def _best_constant(flights: Sequence[Flight]) -> Array:
+    """The covariance of all poses, times the factor with the least product of the three errors."""
+    one = fixed_covariance(flights)
+    some = flights[:: 1 + len(flights) // TUNED_ON]
+
+    def product(factor: float) -> float:
+        sizes = np.array([with_fixed_weights(flight, factor * one).sizes for flight in some])
+        return float(np.sum(np.log(np.mean(sizes**2, axis=0))))
+
+    return min(FACTORS, key=product) * one
+
+
+def _print(judged: Sequence[Judged], lines: Sequence[Case]) -> None:
+    groups = {body: [each for each in judged if each.body == body] for body in {j.body: 0 for j in judged}}
+    groups["all"] = list(judged)
+    print("Errors on arrival within the promised 95 % region: share, interval of 95 %\n")
+    columns = [f"{part}: {what}" for part in PARTS for what in ("inside", "NEES")]
+    rows = ([name, str(len(group)), *_shares(group)] for name, group in groups.items())
+    print_table(" | ".join(["body", "flights", *columns, "all twelve: inside"]), rows, right_from=1)
+    print("\nMedian errors, beside the promised and the filter's own sigma\n")
+    columns = ["position [mm]", "promised, own", "attitude [deg]", "promised, own", "rate [deg/s]"]
+    columns += ["promised, own", f"poses taken of {IMAGES}", "sizes: noise, edges, outward"]
+    rows = ([name, str(len(group)), *_sizes(group)] for name, group in groups.items())
+    print_table(" | ".join(["body", "flights", *columns]), rows, right_from=1)
+    print("\nRoot mean squares of the errors over those of the filter with fixed weights (bootstrap, 95 %)\n")
+    rows = ([name, str(len(group)), *_ratios(group)] for name, group in groups.items())
+    print_table(" | ".join(["body", "flights", *PARTS]), rows, right_from=1)
+    print()
+    for line in lines:
+        if "no_flight" in line:
+            print(f"{line['case']['body']} {line['case']['seed']}: no flight, {line['no_flight']}")
+    for each in judged:
+        if each.metric.taken < LOST_POSES:
+            print(f"{each.body} {each.seed}: only {each.metric.taken} poses passed the gate")
+        outside = [name for name, part in PARTS.items() if not each.inside(part, each.promised)]
+        if outside:
+            nees = ", ".join(f"{name} {each.nees(PARTS[name], each.promised):.1f}" for name in outside)
+            print(f"{each.body} {each.seed}: outside of the promised region, NEES: {nees}")
+
+
+def _shares(group: Sequence[Judged]) -> Iterator[str]:
+    for part in PARTS.values():
+        yield _share([each.inside(part, each.promised) for each in group])
+        yield f"{np.mean([each.nees(part, each.promised) for each in group]):.2f}"
+    yield _share([each.inside(slice(0, 12), each.promised) for each in group])
+
+
+def _share(inside: Sequence[bool]) -> str:
+    """With the interval of Clopper and Pearson."""
+    count, of = sum(inside), len(inside)
+    low = 0.0 if count == 0 else float(beta.ppf(0.025, count, of - count + 1))
+    high = 1.0 if count == of else float(beta.ppf(0.975, count + 1, of - count))
+    return f"{count / of:.0%} ({low:.0%} to {high:.0%})"
+
+
+def _sizes(group: Sequence[Judged]) -> Iterator[str]:
+    unit = {"position": 1e3, "attitude": 180.0 / np.pi, "rate": 180.0 / np.pi}
+    for name, part in PARTS.items():
+        error = [np.linalg.norm(each.metric.error[part]) for each in group]
+        yield f"{unit[name] * float(np.median(error)):.3g}"
+        sigmas = (
+            [np.sqrt(np.trace(covariance[part, part])) for covariance in both]
+            for both in zip(*((each.promised, each.metric.covariance) for each in group), strict=True)
+        )
+        yield ", ".join(f"{unit[name] * float(np.median(sigma)):.3g}" for sigma in sigmas)
+    yield f"{np.mean([each.metric.taken for each in group]):.1f}"
+    weights = {each.weights for each in group}
+    yield ", ".join(f"{each:.1f}" for each in vars(weights.pop()).values()) if len(weights) == 1 else ""
+
+
+def _ratios(group: Sequence[Judged]) -> Iterator[str]:
+    squares = np.array([[each.metric.sizes**2, each.fixed.sizes**2] for each in group])
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(len(group), size=(RESAMPLED, len(group)))
+
+    def ratio(squares: Array) -> Array:
+        metric, fixed = np.moveaxis(squares.mean(axis=-3), -2, 0)
+        return np.asarray(np.sqrt(metric / fixed))
+
+    low, high = np.quantile(ratio(squares[drawn]), [0.025, 0.975], axis=0)
+    for middle, a, b in zip(ratio(squares), low, high, strict=True):
+        yield f"{middle:.2f} ({a:.2f} to {b:.2f})"
+
+
+if __name__ == "__main__":
+    command(main)
