@@ -21,8 +21,6 @@ class ExpectCommand:
     rules are fitted to runs by python -m benchmarks.studies.rules_of_thumb (docs/expect.md).
     """
 
-    rules: Annotated[Path, arg(metavar="FILE")]
-    """The rules, YAML, as the fit has written them."""
     size_m: Annotated[float, arg(metavar="M", aliases=["--size"])]
     """Size of the body without its panels [m]."""
     range_m: Annotated[float, arg(metavar="M", aliases=["--range"])]
@@ -39,6 +37,8 @@ class ExpectCommand:
     """Number of stereo pairs."""
     sun_angle_deg: Annotated[float, arg(metavar="DEG", aliases=["--sun-angle"])] = 45.0
     """Angle between the directions to the Sun and to the camera, seen from the target [deg]."""
+    rules: Annotated[Path | None, arg(metavar="FILE")] = None
+    """The rules, YAML, as a fit has written them. Default: those of this version, if it has any."""
 
     def execute(self) -> Answer:
         """Print the errors with their bands."""
@@ -62,10 +62,12 @@ class ExpectCommand:
             for each in found
         ]
         held = ", ".join(f"{rule.inside} of {rule.held_out}" for rule in rules.rules)
+        new = ", ".join(f"{rule.new_inside} of {rule.new}" for rule in rules.rules if rule.new)
         lines += [
             *(f"Beyond the runs of the fit, where the rule says nothing: {each}." for each in beyond),
             f"An estimate from {rules.runs} simulated runs, {rules.failed} of which had no answer. Of the "
             f"runs that were left out of a fit, so many were inside the band: {held}.",
+            *([f"Of new runs, which no part of the fit has seen: {new}."] if new else []),
         ]
         return Answer(
             "\n".join(lines),
@@ -77,6 +79,7 @@ class ExpectCommand:
                 "runs": rules.runs,
                 "failed": rules.failed,
                 "held_out": {rule.quantity: [rule.inside, rule.held_out] for rule in rules.rules},
+                "new": {rule.quantity: [rule.new_inside, rule.new] for rule in rules.rules},
             },
             warnings=tuple(f"beyond the runs of the fit: {each}" for each in beyond),
         )

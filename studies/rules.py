@@ -25,6 +25,8 @@ CONFIDENCE = 0.9
 FOLDS = 3
 """Each third of the runs is left out once, and predicted by the others"""
 PREDICTORS = ("size_px", "disparity_px", "turn_deg", "pairs", "sun_angle_deg")
+SHIPPED = Path(__file__).with_name("rules_of_thumb.yaml")
+"""Those of this version, if it has any"""
 UNIFORM = frozenset({"sun_angle_deg"})
 """Predictors that are taken as they are, over 90 degrees; of the others, the logarithm"""
 
@@ -91,6 +93,10 @@ class Rule(Section):
     held_out: int
     """Runs that were predicted by a fit without them"""
     inside: int
+    """Those of them inside their band"""
+    new: int = 0
+    """Runs that were held back: this fit, and every choice about it, was made without them"""
+    new_inside: int = 0
     """Those of them inside their band"""
 
 
@@ -160,16 +166,30 @@ def _half_band(row: Array, sigma: float, inverse: Array, freedom: int) -> float:
     return wide * sigma * math.sqrt(1.0 + float(row @ inverse @ row))
 
 
+def _predicted(rule: Rule, row: Array) -> tuple[float, float]:
+    """Logarithm of the median, and half the band about it."""
+    half = _half_band(row, rule.sigma, np.array(rule.inverse), rule.freedom)
+    return float(row @ np.array(rule.coefficients)), half
+
+
 def expected(rules: Rules, observation: Observation) -> list[Expected]:
     """The errors that are to be expected, with their bands."""
-    found, row = [], observation.row
+    found = []
     for rule in rules.rules:
-        middle = float(row @ np.array(rule.coefficients))
-        half = _half_band(row, rule.sigma, np.array(rule.inverse), rule.freedom)
+        middle, half = _predicted(rule, observation.row)
         unit = observation.scale(rule.over) * rule.factor
         low, value, high = (unit * math.exp(middle + way * half) for way in (-1.0, 0.0, 1.0))
         found.append(Expected(rule.quantity, rule.unit, value, low, high))
     return found
+
+
+def checked(rule: Rule, observations: Sequence[Observation], errors: Array) -> Rule:
+    """The same rule with how many new runs are inside its band; errors (n,) above 0, over their scale."""
+    inside = 0
+    for each, error in zip(observations, errors, strict=True):
+        middle, half = _predicted(rule, each.row)
+        inside += abs(math.log(error) - middle) <= half
+    return rule.model_copy(update={"new": len(errors), "new_inside": inside})
 
 
 def outside(rules: Rules, observation: Observation) -> list[str]:
@@ -182,8 +202,15 @@ def outside(rules: Rules, observation: Observation) -> list[str]:
     return found
 
 
-def read_rules(path: Path) -> Rules:
-    """Rules that a fit has written. Raises InputError."""
+def read_rules(path: Path | None = None) -> Rules:
+    """Rules that a fit has written; None: those that come with this version. Raises InputError."""
+    if path is None:
+        if not SHIPPED.is_file():
+            raise InputError(
+                "no rules of thumb come with this version: give with --rules the file of python -m "
+                "benchmarks.studies.rules_of_thumb (docs/expect.md)"
+            )
+        path = SHIPPED
     content = read_yaml(
         path, f"{path} is missing: give the file of python -m benchmarks.studies.rules_of_thumb"
     )

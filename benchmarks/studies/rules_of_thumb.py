@@ -1,14 +1,18 @@
 """Rules of thumb for mission designers: random scenes are simulated and run, and their errors fitted.
 
-    python -m benchmarks.studies.rules_of_thumb STUDY_FOLDER [-o RULES.yaml] [--scenes 128] [--short]
+    python -m benchmarks.studies.rules_of_thumb STUDY_FOLDER [-o RULES.yaml] [--scenes 128] [--held-back 30]
+        [--stored] [--short]
 
-The scenes are a study of ``polhode sweep`` in the folder: the same command goes on after whatever ended it.
-Printed are, for each error, how much of its variance the fit explains, the factor from the median to the end
-of the band of 90 %, and how many of the runs are inside the band of a fit that leaves out their third of the
-runs. The rules are written only if there are enough runs, and if that coverage does not contradict 90 %.
+The scenes are a study of ``polhode sweep`` in the folder: the same command goes on after whatever ended it,
+and ``--stored`` computes nothing. Printed are, for each error, how much of its variance the fit explains, the
+factor from the median to the end of the band of 90 %, and how many of the runs are inside the band of a fit
+that leaves out their third of the runs. The last ``--held-back`` runs with an answer are in no fit: how many
+of them are inside the band is printed with the interval of Clopper and Pearson. The rules are written only if
+there are enough runs, and if no coverage contradicts 90 %; ``-o studies/rules_of_thumb.yaml`` gives them
+to ``polhode expect``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,9 +24,11 @@ from tyro.conf import Positional, arg
 
 from benchmarks.command import Short, Workers, command, polhode
 from benchmarks.presentation import print_table
+from benchmarks.studies.confidence import share_text
 from benchmarks.studies.random_scenes import RandomScene, random_scenes, settings_of
 from polhode.atomic import write_text
-from polhode.studies.rules import CONFIDENCE, PREDICTORS, Observation, Rule, Rules, fit
+from polhode.lie import Array
+from polhode.studies.rules import CONFIDENCE, PREDICTORS, Observation, Rule, Rules, checked, fit
 from polhode.studies.steps import DONE
 from polhode.studies.table import read_table
 
@@ -44,16 +50,21 @@ def main(
     folder: Positional[Annotated[Path, arg(metavar="STUDY_FOLDER", help="Of the study.")]],
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="FILE", help="The rules, YAML.")] = None,
     scenes: Annotated[int, arg(help="Number of random scenes.")] = SCENES,
+    held_back: Annotated[int, arg(help="Last runs with an answer that only check the fit.")] = 0,
+    stored: Annotated[bool, arg(help="Use the runs that are there; compute none.")] = False,
     short: Short = False,
     workers: Workers = 1,
 ) -> None:
     """Run what is missing, fit, print, and write the rules if they are worth it."""
+    if held_back < 0:
+        raise SystemExit(f"--held-back {held_back}: give 0 or more runs")
     chosen = random_scenes(SHORT_SCENES if short else scenes)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    study = folder.parent / f"{folder.name}.yaml"
-    study.write_text(yaml.safe_dump(study_of(chosen), sort_keys=False))
-    polhode("sweep", study, "-o", folder, "--workers", workers, may_fail=True)
-    report(chosen, read_table(folder), output)
+    if not stored:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        study = folder.parent / f"{folder.name}.yaml"
+        study.write_text(yaml.safe_dump(study_of(chosen), sort_keys=False))
+        polhode("sweep", study, "-o", folder, "--workers", workers, may_fail=True)
+    report(chosen, read_table(folder), output, held_back)
 
 
 def study_of(scenes: Sequence[RandomScene]) -> dict[str, Any]:
@@ -67,16 +78,21 @@ def study_of(scenes: Sequence[RandomScene]) -> dict[str, Any]:
     }
 
 
-def report(scenes: Sequence[RandomScene], table: pa.Table, output: Path | None) -> None:
+def report(scenes: Sequence[RandomScene], table: pa.Table, output: Path | None, held_back: int = 0) -> None:
     """Print the fit, and write it if it is worth it."""
     with_answer = sum(each == DONE for each in table.column("status").to_pylist())
-    print(f"{table.num_rows} scenes, {with_answer} of them with an answer")
-    if with_answer <= 3 * (1 + len(PREDICTORS)):
+    print(f"{table.num_rows} scenes, {with_answer} of them with an answer, {held_back} of these held back")
+    if with_answer - held_back <= 3 * (1 + len(PREDICTORS)):
         print("too few for any fit: nothing is printed or written")
         return
-    found = rules_of(scenes, table)
+    found = rules_of(scenes, table, held_back)
     columns = "error | runs | variance explained | band: median times or over | inside, left out"
-    print_table(columns, [_row(rule) for rule in found.rules], right_from=1)
+    print_table(f"{columns} | inside, held back", [_row(rule) for rule in found.rules], right_from=1)
+    if held_back:
+        inside, new = (
+            sum(values) for values in zip(*((r.new_inside, r.new) for r in found.rules), strict=True)
+        )
+        print(f"all errors of the runs that were held back: {share_text(inside, new)}; those of a run depend")
     if refusal := refused(found):
         print(f"no rules are written: {refusal}")
     elif output is not None:
@@ -85,19 +101,20 @@ def report(scenes: Sequence[RandomScene], table: pa.Table, output: Path | None) 
         print(f"rules: {output}")
 
 
-def rules_of(scenes: Sequence[RandomScene], table: pa.Table) -> Rules:
-    """The fit to all runs that have an answer."""
+def rules_of(scenes: Sequence[RandomScene], table: pa.Table, held_back: int = 0) -> Rules:
+    """The fit to all runs that have an answer but the last ``held_back`` of these, which check it."""
     by_name = {each.name: observation_of(each) for each in scenes}
     names, status = (table.column(name).to_pylist() for name in (AXIS, "status"))
-    used = [k for k, each in enumerate(status) if each == DONE]
-    observations = [by_name[names[k]] for k in used]
-    predictors = [each.predictors for each in observations]
+    seen = {k: by_name[names[k]] for k, each in enumerate(status) if each == DONE}
+    rows = list(seen)
+    used, new = rows[: len(rows) - held_back], rows[len(rows) - held_back :]
+    predictors = [seen[k].predictors for k in used]
     return Rules(
         made_by="python -m benchmarks.studies.rules_of_thumb",
-        runs=len(names),
-        failed=len(names) - len(used),
+        runs=len(names) - len(new),
+        failed=len(names) - len(rows),
         ranges={name: _range([each[name] for each in predictors]) for name in PREDICTORS},
-        rules=tuple(_rule(observations, table, used, about) for about in ERRORS),
+        rules=tuple(_rule(seen, table, used, new, about) for about in ERRORS),
     )
 
 
@@ -120,13 +137,21 @@ def observation_of(scene: RandomScene) -> Observation:
 
 
 def _rule(
-    observations: Sequence[Observation], table: pa.Table, used: Sequence[int], about: dict[str, Any]
+    seen: Mapping[int, Observation],
+    table: pa.Table,
+    used: Sequence[int],
+    new: Sequence[int],
+    about: dict[str, Any],
 ) -> Rule:
+    """Of one error: the fit to the rows that are used, checked by new ones."""
     column = table.column(about["quantity"]).to_pylist()
-    known = [(each, column[k]) for each, k in zip(observations, used, strict=True) if column[k]]
-    own = [each for each, _ in known]
-    scale = np.array([each.scale(about.get("over", "nothing")) for each in own])
-    return fit(own, np.array([value for _, value in known]) / scale, **about)
+
+    def known(rows: Sequence[int]) -> tuple[list[Observation], Array]:
+        own = [k for k in rows if column[k]]
+        scale = [seen[k].scale(about.get("over", "nothing")) for k in own]
+        return [seen[k] for k in own], np.array([column[k] for k in own]) / np.array(scale)
+
+    return checked(fit(*known(used), **about), *known(new))
 
 
 def refused(rules: Rules) -> str:
@@ -136,13 +161,16 @@ def refused(rules: Rules) -> str:
             return f"{rule.quantity} has {rule.held_out} runs, and {MIN_RUNS} are needed"
         if stats.binom.cdf(rule.inside, rule.held_out, CONFIDENCE) < CONTRADICTS:
             return f"{rule.inside} of {rule.held_out} runs that were left out are inside for {rule.quantity}"
+        if rule.new and stats.binom.cdf(rule.new_inside, rule.new, CONFIDENCE) < CONTRADICTS:
+            return f"{rule.new_inside} of {rule.new} runs that were held back are inside for {rule.quantity}"
     return ""
 
 
 def _row(rule: Rule) -> list[str]:
     half = stats.t.ppf(0.5 * (1.0 + CONFIDENCE), rule.freedom) * rule.sigma
     inside = f"{rule.inside} of {rule.held_out}"
-    return [rule.quantity, str(rule.held_out), f"{rule.explained:.0%}", f"{np.exp(half):.1f}", inside]
+    new = share_text(rule.new_inside, rule.new) if rule.new else "-"
+    return [rule.quantity, str(rule.held_out), f"{rule.explained:.0%}", f"{np.exp(half):.1f}", inside, new]
 
 
 if __name__ == "__main__":

@@ -9,7 +9,19 @@ import pytest
 import yaml
 
 from polhode.cli.main import main
-from polhode.studies.rules import PREDICTORS, Observation, Rule, Rules, expected, fit, outside
+from polhode.errors import InputError
+from polhode.studies.rules import (
+    PREDICTORS,
+    SHIPPED,
+    Observation,
+    Rule,
+    Rules,
+    checked,
+    expected,
+    fit,
+    outside,
+    read_rules,
+)
 
 Capture = pytest.CaptureFixture[str]
 LAW = np.array([-3.0, -1.0, -0.5, 0.3, -0.8, 0.4])
@@ -70,6 +82,41 @@ def test_nine_tenths_of_new_runs_are_inside_the_band_also_of_a_fit_to_few(count:
 def test_runs_that_were_left_out_are_counted() -> None:
     rule = rule_of(300, 0.4)
     assert rule.held_out == 300 and 0.85 < rule.inside / 300 < 0.95
+
+
+def test_new_runs_are_counted_by_the_same_band() -> None:
+    rule, new = rule_of(90, 0.4), observations(40, 7)
+    measured = errors(new, 0.4, 8)
+    found = checked(rule, new, measured)
+    bands = [expected(rules_of(rule), each)[0] for each in new]
+    inside = sum(b.low <= error <= b.high for b, error in zip(bands, measured, strict=True))
+    assert (found.new, found.new_inside) == (40, inside) and 30 < inside <= 40
+    assert found.model_copy(update={"new": 0, "new_inside": 0}) == rule
+
+
+def test_rules_of_this_version_are_used_if_it_has_any(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = tmp_path / "rules_of_thumb.yaml"
+    monkeypatch.setattr("polhode.studies.rules.SHIPPED", shipped)
+    assert main(["expect", *WORDS]) == 2
+    printed = capsys.readouterr().err
+    assert (
+        "no rules of thumb come with this version: give with --rules" in printed and printed.count("\n") == 1
+    )
+    rule = rule_of(90, 0.3).model_copy(update={"new": 30, "new_inside": 28})
+    shipped.write_text(yaml.safe_dump(rules_of(rule).model_dump(mode="json")))
+    assert main(["expect", *WORDS]) == 0
+    assert "Of new runs, which no part of the fit has seen: 28 of 30." in capsys.readouterr().out
+
+
+def test_rules_that_come_with_this_version_can_be_read() -> None:
+    if SHIPPED.is_file():
+        found = read_rules()
+        assert found.rules and all(rule.new > 0 for rule in found.rules)
+    else:
+        with pytest.raises(InputError, match="no rules of thumb come with this version"):
+            read_rules()
 
 
 def test_an_error_over_the_size_grows_with_it_and_the_same_images_have_the_same_rest() -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import yaml
 
@@ -12,12 +13,16 @@ from benchmarks.studies.rules_of_thumb import (
     AXIS,
     ERRORS,
     MIN_RUNS,
+    main,
     observation_of,
     report,
+    rules_of,
     study_of,
 )
-from polhode.studies.rules import read_rules
+from polhode.output.marked_folder import claim
+from polhode.studies.rules import CONFIDENCE, expected, read_rules
 from polhode.studies.study import open_study
+from polhode.studies.table import COMMAND, FILES, TABLE
 
 Capture = pytest.CaptureFixture[str]
 
@@ -66,4 +71,50 @@ def test_enough_runs_give_rules_and_few_do_not(tmp_path: Path, capsys: Capture) 
     assert "rules: " in capsys.readouterr().out
     found = read_rules(output)
     assert (found.runs, found.failed, len(found.rules)) == (96, 9, len(ERRORS))
+    assert {rule.new for rule in found.rules} == {0}
     assert found.rules[0].coefficients[1] == pytest.approx(-1.0, abs=0.3)
+
+
+def test_runs_that_are_held_back_are_in_no_fit_and_are_counted(tmp_path: Path, capsys: Capture) -> None:
+    scenes, table, output = random_scenes(128), table_of(128, 0.3), tmp_path / "rules.yaml"
+    report(scenes, table, output, held_back=30)
+    found, printed = read_rules(output), capsys.readouterr().out
+    assert "128 scenes, 116 of them with an answer, 30 of these held back" in printed
+    assert (found.runs, found.failed) == (98, 12)
+    # the same fit without them
+    answered = [k for k, each in enumerate(table.column("status").to_pylist()) if each == "done"]
+    without = rules_of(scenes, table.take([k for k in range(128) if k not in answered[-30:]]))
+    for rule, other, about in zip(found.rules, without.rules, ERRORS, strict=True):
+        assert rule.coefficients == other.coefficients and (rule.new, other.new) == (30, 0)
+        column = table.column(about["quantity"]).to_pylist()
+        inside = 0
+        for k in answered[-30:]:
+            (band,) = (e for e in expected(found, observation_of(scenes[k])) if e.quantity == rule.quantity)
+            inside += band.low <= column[k] <= band.high
+        assert rule.new_inside == inside
+        assert f"{inside} of 30 (" in printed
+    # of 120 independent errors, a band of 90 % holds 98 to 116 with a probability of 99.9 %
+    assert 98 <= sum(rule.new_inside for rule in found.rules) <= 116
+    assert CONFIDENCE == 0.9
+
+
+def test_rules_that_new_runs_contradict_are_not_written(tmp_path: Path, capsys: Capture) -> None:
+    table, output = table_of(128, 0.1), tmp_path / "rules.yaml"
+    name = ERRORS[0]["quantity"]
+    # the last of them are much worse than the fit can know
+    worse = [each * (9.0 if k > 110 else 1.0) for k, each in enumerate(table.column(name).to_pylist())]
+    place = table.column_names.index(name)
+    report(random_scenes(128), table.set_column(place, name, pa.array(worse)), output, held_back=30)
+    said = f"of 30 runs that were held back are inside for {name}"
+    assert said in capsys.readouterr().out and not output.exists()
+
+
+def test_stored_runs_are_fitted_without_a_sweep(tmp_path: Path, capsys: Capture) -> None:
+    folder, output = tmp_path / "rules", tmp_path / "rules.yaml"
+    claim(folder, COMMAND, FILES)
+    pq.write_table(table_of(96, 0.3), folder / TABLE)
+    main(folder, output, stored=True)
+    assert "96 scenes, 87 of them with an answer, 0 of these held back" in capsys.readouterr().out
+    assert read_rules(output).runs == 96
+    with pytest.raises(SystemExit, match="--held-back -1: give 0 or more runs"):
+        main(folder, output, held_back=-1, stored=True)
