@@ -13,7 +13,18 @@ from benchmarks.studies.confidence import (
     share_text,
     significant,
 )
-from benchmarks.studies.study_results import Error, Part, Results, by_level, level_names
+from benchmarks.studies.study_results import (
+    ATTITUDE,
+    COMPLETION,
+    POSITION,
+    RATE,
+    SURFACE,
+    Error,
+    Part,
+    Results,
+    by_level,
+    level_names,
+)
 from polhode.lie import Array
 from polhode.metrics import NEES
 from polhode.records import Bools
@@ -23,6 +34,7 @@ from polhode.studies.page.drawings import QUANTITIES
 from polhode.studies.page.sections import reasons
 from polhode.studies.page.variance_shares import variance_shares
 
+IMAGE_ERRORS = (ATTITUDE, RATE, POSITION, SURFACE, COMPLETION)
 MAX_REASON = 150
 """Characters of a reason in a table"""
 
@@ -170,3 +182,19 @@ def determined(results: Results) -> Part:
         "truth in the interval that is given instead"
     )
     return Part("What a run says that it has determined", columns, rows)
+
+
+def of_images(results: Results) -> list[Part]:
+    """What each setting does to the errors, by itself."""
+    by = numeric_axes(results)
+    labels = results.settings.drop(columns=list(by)).astype(str).agg(tuple, axis=1)
+    parts = [
+        outcomes(results),
+        *levels(results, IMAGE_ERRORS),
+        *ratios(results, IMAGE_ERRORS),
+        variances(results, results.axes, IMAGE_ERRORS),
+    ]
+    if by:
+        errors = [(error, np.where(results.ok, results.errors(error), np.nan)) for error in IMAGE_ERRORS]
+        parts.append(exponents("Exponents, of runs that are ok", errors, by, labels.tolist()))
+    return [*parts, determined(results), sigmas(results), doubts(results)]

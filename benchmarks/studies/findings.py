@@ -3,8 +3,8 @@
     python -m benchmarks.studies.findings [NAME ...] [--folder DIR] [--page FILE]
 
 Without a name, of every study that is there. ``--folder``: where the folders of the studies are. A finding
-may need two studies. The page docs/study_findings.md quotes what is printed; ``--page`` writes its tables
-anew, each below its title, in the section that shows the command of the finding.
+may need two studies. The page docs/study_findings.md quotes what is printed; ``--page`` replaces its
+tables, each below its title, in the section that shows the command of the finding.
 """
 
 import re
@@ -16,7 +16,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from benchmarks.command import ROOT, command
-from benchmarks.studies.image_findings import of_images
+from benchmarks.studies.effects import of_images
 from benchmarks.studies.mission_findings import one_mission
 from benchmarks.studies.motion_findings import (
     frame_rate_against_spin,
