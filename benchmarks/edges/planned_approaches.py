@@ -54,7 +54,8 @@ from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.expected_tracking import expected_tracking, lit_from
-from polhode.planning.edges.observability_metric import pose_error
+from polhode.planning.edges.observability_metric import motion_scale, pose_error
+from polhode.studies.page.dependence import bootstrap_band
 
 RECORD = Path("runs/records/planned_approaches")
 BODIES = ("house", "steps", "ell", "satellite", "bus", "cubesat", "truss", "dish")
@@ -106,7 +107,9 @@ def main(
         ],
         right_from=1,
     )
-    promised, found = (np.log([getattr(each, name) for each in flights]) for name in ("promised", "median"))
+    promised, found = (
+        np.log([getattr(each, name) for each in flights]) for name in ("promised", "ratio_of_medians")
+    )
     if len(flights) > 2:
         told = stats.spearmanr(promised, found)
         print(f"\nranks of promised and measured ratios correlate by {told.statistic:.2f}")
@@ -152,7 +155,7 @@ def approach(
     X_RG, sun_R = seen.X_RG[rows], seen.sun_R[rows]
     images = EdgeViews(target, rig, 3 + case["seed"], ViewOptions(earth=0.0)).images(X_RG, sun_R)
     starts = perturbed(X_RG, model.centre_G, 4 + case["seed"])
-    scale = np.array([model.radius_m] * 3 + [1.0] * 3)
+    scale = motion_scale(model.radius_m)
     error, expected, agreement = [], [], []
     for image, true, start, sun in zip(images, X_RG, starts, sun_R, strict=True):
         found = track_stripes(model, rig, image, start)
@@ -186,9 +189,8 @@ class Flight:
     straight: tuple[float, float]
     """Median and mean of the errors"""
     planned: tuple[float, float]
-    median: float
-    """Ratio of the medians"""
-    mean: float
+    ratio_of_medians: float
+    ratio_of_means: float
     promised: float
     delta_v_m_s: tuple[float, float]
 
@@ -239,20 +241,19 @@ def _mean(ratios: Array) -> float:
 
 def _ratios(flights: Sequence[Flight]) -> list[str]:
     """Geometric means of both ratios, with their bands."""
-    return [_with_band(np.array([getattr(each, name) for each in flights])) for name in ("median", "mean")]
+    return [
+        _with_band(np.array([getattr(each, name) for each in flights]))
+        for name in ("ratio_of_medians", "ratio_of_means")
+    ]
 
 
 def _with_band(ratios: Array) -> str:
-    if len(ratios) < 3:
-        return f"{_mean(ratios):.2f}"
-    band = stats.bootstrap(
-        (np.log(ratios),), np.mean, method="percentile", rng=np.random.default_rng(0)
-    ).confidence_interval
-    return f"{_mean(ratios):.2f} ({np.exp(band.low):.2f} to {np.exp(band.high):.2f})"
+    low, high = np.exp(bootstrap_band(np.log(ratios), np.mean))
+    return f"{_mean(ratios):.2f}" + (f" ({low:.2f} to {high:.2f})" if np.isfinite(low) else "")
 
 
 def _better(flights: Sequence[Flight]) -> str:
-    return f"{sum(each.median < 1.0 for each in flights)} of {len(flights)}"
+    return f"{sum(each.ratio_of_medians < 1.0 for each in flights)} of {len(flights)}"
 
 
 def draw(flights: Sequence[Flight], output: Path) -> None:
@@ -260,7 +261,9 @@ def draw(flights: Sequence[Flight], output: Path) -> None:
     figure, axes = subplots(1, 1, (5.6, 4.8), layout="constrained")
     for body in dict.fromkeys(each.body for each in flights):
         of_body = [each for each in flights if each.body == body]
-        axes.loglog([each.promised for each in of_body], [each.median for each in of_body], "o", label=body)
+        axes.loglog(
+            [each.promised for each in of_body], [each.ratio_of_medians for each in of_body], "o", label=body
+        )
     ends = np.array([min(each.promised for each in flights), 1.5])
     axes.loglog(ends, ends, color="0.6", lw=1, label="as promised")
     axes.axhline(1.0, color="0.6", ls=":")
