@@ -43,7 +43,7 @@ from benchmarks.record import Case, complete
 from polhode.pipeline.after_run.observability.pictures import coloured_body, picture
 from polhode.planning.edges.edge_model import edge_model
 from polhode.planning.edges.information import contributions, feature_information
-from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM, pose_error
+from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM, motion_scale, pose_error
 from polhode.planning.edges.selection import edge_lengths, greedy, improved_by_exchange
 from polhode.planning.edges.smallest_set import smallest_set
 from polhode.planning.keep_out.volumes import InstantKeepOut, KeepOutOptions, keep_out
@@ -167,7 +167,7 @@ class Trial:
 
         start = perturbed(self.X_RG, model.centre_G, seed=4)
         e, converged = np.zeros((len(start), 6)), np.zeros(len(start), dtype=bool)
-        scale = np.array([model.radius_m] * 3 + [1.0] * 3)
+        scale = motion_scale(model.radius_m)
         for k, (image, guess) in enumerate(zip(self.images, start, strict=True)):
             found = track(model, self.rig, np.asarray(image, dtype=np.float64), guess)
             e[k] = pose_error(found.X_RG, self.X_RG[k], model.centre_G)
@@ -217,7 +217,7 @@ def edge_sets(model: Any, rig: Any, seen: Any, trial: Trial) -> list[dict[str, A
 
 def metric(C: Any, radius_m: float) -> dict[str, float]:
     """Root mean square and median over views (F, 6, 6)."""
-    scale = np.array([radius_m] * 3 + [1.0] * 3)
+    scale = motion_scale(radius_m)
     trace = trace_of_inverse(C * np.outer(scale, scale))
     return {"metric": float(np.sqrt(trace.mean())), "metric_median": float(np.sqrt(np.median(trace)))}
 

@@ -21,7 +21,7 @@ from polhode.camera import RectifiedRig
 from polhode.errors import InputError
 from polhode.lie import Array, make_pose
 from polhode.planning.edges.edge_model import EdgeModel
-from polhode.planning.edges.observability_metric import edge_motion
+from polhode.planning.edges.observability_metric import edge_motion, motion_scale
 from polhode.planning.edges.visible_edges import SPACING_PX, contrast, contrast_weight, control_points
 
 RANGES = 4
@@ -90,7 +90,7 @@ def view_table(
     ranges = np.exp(np.log(low) + step * np.arange(-1, RANGES + 1))
     T = 1 if sun_G is None else len(sun_G)
     log_trace = np.empty((T, len(towards), len(ranges)))
-    scale = np.array([model.radius_m] * 3 + [1.0] * 3)
+    scale = motion_scale(model.radius_m)
     for d, towards_G in enumerate(towards):
         R_RG = camera_attitude(-towards_G, np.array([0.31, 0.52, 0.79]))
         for q, r in enumerate(ranges):

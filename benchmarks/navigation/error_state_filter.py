@@ -27,7 +27,7 @@ from polhode.lie import (
     matrix_from_wxyz,
     right_jacobian_so3,
 )
-from polhode.planning.edges.observability_metric import pose_error
+from polhode.planning.edges.observability_metric import motion_scale, pose_error
 
 MAX_STEP_ANGLE_RAD = 0.03
 """Of the body in one step of the integration."""
@@ -201,7 +201,7 @@ def measurement_jacobian(state: State, target: Target, R_NR: Array) -> Array:
 
 def observable_directions(information: Array, radius_m: float) -> tuple[Array, Array]:
     """Observable directions D (k, 6) of information (6, 6), and variances (k,) of D @ error, uncorrelated."""
-    scale = np.array([radius_m] * 3 + [1.0] * 3)
+    scale = motion_scale(radius_m)
     values, directions = np.linalg.eigh(information * np.outer(scale, scale))
     observable = values > max(UNOBSERVABLE_SHARE * float(values[-1]), 0.0)
     # scaled information V L V^T: V^T (error / scale) has variances 1 / L

@@ -27,7 +27,12 @@ from polhode.dataset_writer import write_png
 from polhode.images import Grey, read_raw
 from polhode.lie import Array, inverse_pose
 from polhode.planning.edges.edge_model import EdgeModel
-from polhode.planning.edges.observability_metric import edge_motion, moved, observable_covariance
+from polhode.planning.edges.observability_metric import (
+    edge_motion,
+    motion_scale,
+    moved,
+    observable_covariance,
+)
 from polhode.planning.edges.visible_edges import contrast, control_points
 from polhode.records import Bools, Ints
 
@@ -62,7 +67,7 @@ class FoundPose:
 
     def tracked(self, levels: EdgeNoise, doubt: str, radius_m: float) -> TrackedPose:
         """With the covariance of these levels, and one of the statistics."""
-        scale = np.array([radius_m] * 3 + [1.0] * 3)
+        scale = motion_scale(radius_m)
         covariance = levels.covariance(self.noise)[0] / np.outer(scale, scale)
         values, directions = np.linalg.eigh(covariance)
         observable = values > OBSERVABLE * values[-1]
@@ -181,7 +186,7 @@ def _caught(
 ) -> tuple[Bools, Array]:
     """Which points (m,) agree on a wrong pose, and how far away it takes them [px]."""
     share, size_px = rng.uniform(0.5, 0.9), rng.uniform(3.0, 12.0)
-    away = f @ (rng.standard_normal(6) * np.array([radius_m] * 3 + [1.0] * 3))
+    away = f @ (rng.standard_normal(6) * motion_scale(radius_m))
     away *= size_px / np.sqrt((weight * away**2).sum() / weight.sum())
     order = rng.permutation(of_edge.max() + 1)
     mass = np.bincount(of_edge, weight)[order]

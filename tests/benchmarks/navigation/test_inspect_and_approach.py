@@ -25,7 +25,7 @@ from benchmarks.navigation.arrivals import errors_of_poses, fitted_sizes
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, inverse_pose
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
-from polhode.planning.edges.observability_metric import moved
+from polhode.planning.edges.observability_metric import motion_scale, moved
 from polhode.planning.prediction import FinalEstimate, FinalState, nominal_motion
 from polhode.studies.flat_metrics import as_json
 
@@ -97,7 +97,7 @@ def test_the_plan_is_the_way_that_promises_least() -> None:
     known, model = known_and_model()
     best = planned(known, model, np.array([0.3, -0.2, -1.0]), 1)
     X_NG = nominal_motion(known.estimate, best.time_s).X_NG
-    size = np.array([model.radius_m] * 3 + [1.0] * 3)
+    size = motion_scale(model.radius_m)
 
     def trace(covariance: Array) -> float:
         return float(np.sum(np.diagonal(covariance)[:6] / size**2))
