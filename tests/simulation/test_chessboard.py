@@ -23,7 +23,7 @@ RIG = config.Rig(
     principal_offset_px=(4.0, -3.0),
     distortion=(-0.22, 0.06, 1.2e-3, -8e-4),
 )
-POSES, MARGIN_PX = 28, 8.0
+POSES, MARGIN_PX = 16, 8.0
 
 
 @cache
