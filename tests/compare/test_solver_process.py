@@ -53,12 +53,6 @@ def test_a_process_that_ends_without_an_answer_is_a_failed_row(small_file: Path)
     assert "ended with 3" in found.message
 
 
-def test_an_exception_is_told_in_a_line(small_file: Path) -> None:
-    found = row(small_file, "raises")
-    assert found.status == "failed"
-    assert found.message == "ValueError: no such luck"
-
-
 def test_convergence_that_the_common_cost_does_not_confirm_is_a_failure(small_file: Path) -> None:
     found = row(small_file, "lies")
     assert found.status == "failed"
@@ -82,14 +76,15 @@ def test_numbers_that_are_not_finite_are_none_in_a_row(small_file: Path) -> None
     assert storable(nested) == {**nested, "cost": None, "errors": {"k1": None, "k2": 1.0}}
 
 
-def test_the_child_takes_our_packages_wherever_it_is_started(
+def test_an_exception_is_told_in_a_line_and_the_child_takes_our_packages_wherever_it_is_started(
     small_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A foreign package of our name in the working directory is not taken for ours."""
     (tmp_path / "backend").mkdir()
     (tmp_path / "backend" / "__init__.py").write_text("raise RuntimeError('foreign')")
     monkeypatch.chdir(tmp_path)
-    assert row(small_file, "raises").message == "ValueError: no such luck"
+    found = row(small_file, "raises")
+    assert (found.status, found.message) == ("failed", "ValueError: no such luck")
 
 
 def test_a_missing_package_is_a_row_that_names_it(small_file: Path) -> None:
