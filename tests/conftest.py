@@ -9,9 +9,10 @@ import fcntl
 import gc
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -19,6 +20,9 @@ from hypothesis import settings
 
 from polhode import processes
 from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
+
+if TYPE_CHECKING:
+    from tests.front_end_results import SharedFrontEnd
 
 # The same examples in every run, on a machine of any speed, and nothing is kept between runs.
 settings.register_profile("same", derandomize=True, database=None, deadline=None, max_examples=20)
@@ -62,18 +66,31 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def nothing_waits_for_the_disk() -> Iterator[None]:
+    """No test loses power: that new content is on the disk before an old one is given up needs no wait."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda handle: None)
+        yield
+
+
 MakeOnce = Callable[[str, Callable[[Path], object]], Path]
 
 
 @pytest.fixture(scope="session")
-def make_once(tmp_path_factory: pytest.TempPathFactory) -> MakeOnce:
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A temporary folder of all processes of the suite."""
+    base = tmp_path_factory.getbasetemp()
+    # with pytest-xdist every process has a folder of its own in one that they share
+    return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+
+@pytest.fixture(scope="session")
+def make_once(shared: Path) -> MakeOnce:
     """A folder by its name, filled by the first process of the suite that asks for it; the others wait.
 
     Tests that change files take a copy of it.
     """
-    base = tmp_path_factory.getbasetemp()
-    # with pytest-xdist every process has a folder of its own in one that they share
-    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
 
     def folder(name: str, fill: Callable[[Path], object]) -> Path:
         path, complete = shared / name, shared / f"{name}.complete"
@@ -109,14 +126,23 @@ def rendered_sequence(make_once: MakeOnce) -> Path:
 
 
 @pytest.fixture(scope="session")
-def finished(rendered_sequence: Path, make_once: MakeOnce) -> Path:
+def front_end_once(shared: Path) -> "SharedFrontEnd":
+    """In its context, runs take what the front end made of the same pairs in another run of the suite."""
+    from tests.front_end_results import shared_front_end
+
+    return partial(shared_front_end, shared / "front_end")
+
+
+@pytest.fixture(scope="session")
+def finished(rendered_sequence: Path, make_once: MakeOnce, front_end_once: "SharedFrontEnd") -> Path:
     """The directory of a run of the rendered sequence with the default configuration."""
     from polhode.config import Config
     from polhode.pipeline.run import run
     from polhode.progress import Silent
 
     config = Config.model_validate({"runtime": {"workers": 1}})
-    return make_once("finished", lambda folder: run(config, rendered_sequence, folder, Silent()))
+    with front_end_once():
+        return make_once("finished", lambda folder: run(config, rendered_sequence, folder, Silent()))
 
 
 @pytest.fixture

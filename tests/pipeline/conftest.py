@@ -6,6 +6,7 @@ And images of a target at rest, for runs that go wrong on purpose.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ from polhode.records import (
 from polhode.rigid_body import propagate
 from polhode.simulation import simulate
 from tests.conftest import MakeOnce
+from tests.front_end_results import SharedFrontEnd
 from tests.pipeline.stored_run import write_run
 
 BOX_M = np.array([0.12, 0.20, 0.24])
@@ -46,12 +48,18 @@ AT_REST = {
 }
 
 
-ONE_METHOD = {
+ONE_METHOD: dict[str, Any] = {
     "runtime": {"workers": 1},
     "frontend": {"features": {"second": None}},
+    "mapping": {"voxel_mm": 6.0},
     "pictures": {"animation": False, "views": False},
 }
-"""A run with one method of the front end and without pictures"""
+"""A run with one method of the front end, without pictures, and with a surface of few voxels"""
+WITHOUT_NETWORKS: dict[str, Any] = {
+    **ONE_METHOD,
+    "frontend": {"features": {"second": None}, "depth": {"method": "sgbm"}},
+}
+"""The same with depth maps that take little time, for what does not depend on them"""
 
 
 @dataclass(frozen=True)
@@ -121,10 +129,11 @@ def at_rest(make_once: MakeOnce) -> Path:
 
 
 @pytest.fixture(scope="session")
-def run_of_one_method(rendered_sequence: Path, make_once: MakeOnce) -> Path:
+def run_of_one_method(rendered_sequence: Path, make_once: MakeOnce, front_end_once: SharedFrontEnd) -> Path:
     """The run of the rendered sequence, all frames at once, as ``ONE_METHOD`` says."""
     config = Config.model_validate(ONE_METHOD)
-    return make_once("one_method", lambda folder: run(config, rendered_sequence, folder, Silent()))
+    with front_end_once():
+        return make_once("one_method", lambda folder: run(config, rendered_sequence, folder, Silent()))
 
 
 @pytest.fixture(scope="session")

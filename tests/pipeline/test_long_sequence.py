@@ -1,5 +1,6 @@
 """A sequence above the number of frames that are solved at once: key frames, then all states."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -7,49 +8,69 @@ import pytest
 
 from polhode.config import Config
 from polhode.config.loader import load_config
+from polhode.dataset import open_sequence
 from polhode.errors import InputError
-from polhode.pipeline.context import open_context
+from polhode.pipeline.context import RunContext
 from polhode.pipeline.long_sequence import stream_sequence
 from polhode.pipeline.run import run
 from polhode.pipeline.run_directory.archives import read_measurements, read_online
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
+from polhode.pipeline.streamed import Streamed
 from polhode.progress import Silent
-from tests.pipeline.conftest import ONE_METHOD
+from tests.front_end_results import SharedFrontEnd
+from tests.pipeline.conftest import WITHOUT_NETWORKS
 
 LIMITS = {"above": 10, "number": 9}
-CONFIG = Config.model_validate({**ONE_METHOD, "key_frames": LIMITS})
+CONFIG = Config.model_validate({**WITHOUT_NETWORKS, "key_frames": LIMITS})
+
+
+@dataclass(frozen=True)
+class LongRun:
+    """A run, and what it kept of the frames while they passed by."""
+
+    folder: Path
+    streamed: Streamed
 
 
 @pytest.fixture(scope="module")
-def long_run(rendered_sequence: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("long") / "run"
-    run(CONFIG, rendered_sequence, folder, Silent())
-    return folder
+def long_run(
+    rendered_sequence: Path, front_end_once: SharedFrontEnd, tmp_path_factory: pytest.TempPathFactory
+) -> LongRun:
+    folder, kept = tmp_path_factory.mktemp("long") / "run", list[Streamed]()
+
+    def noted(context: RunContext) -> Streamed:
+        kept.append(stream_sequence(context))
+        return kept[-1]
+
+    with front_end_once(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr("polhode.pipeline.long_sequence.stream_sequence", noted)
+        run(CONFIG, rendered_sequence, folder, Silent())
+    return LongRun(folder, kept[0])
 
 
-def test_every_frame_has_its_row(long_run: Path, rendered_sequence: Path) -> None:
-    context = open_context(rendered_sequence, CONFIG, Silent())
-    times_ns = context.sequence.timestamps_ns
-    np.testing.assert_array_equal(read_trajectory(long_run).timestamps_ns, times_ns)
-    online = read_online(long_run)
+def test_every_frame_has_its_row(long_run: LongRun, rendered_sequence: Path) -> None:
+    folder = long_run.folder
+    times_ns = open_sequence(rendered_sequence).timestamps_ns
+    np.testing.assert_array_equal(read_trajectory(folder).timestamps_ns, times_ns)
+    online = read_online(folder)
     assert online is not None
     np.testing.assert_array_equal(online.timestamps_ns, times_ns)
-    assert read_measurements(long_run).n_frames == len(times_ns)
-    summary = read_summary(long_run)
+    assert read_measurements(folder).n_frames == len(times_ns)
+    summary = read_summary(folder)
     assert summary.frames == len(times_ns)
-    assert (long_run / "mesh.ply").is_file()
+    assert (folder / "mesh.ply").is_file()
 
 
-def test_the_answer_is_that_of_all_frames_at_once(long_run: Path, run_of_one_method: Path) -> None:
-    few, all_frames = read_trajectory(long_run), read_trajectory(run_of_one_method)
+def test_the_answer_is_that_of_all_frames_at_once(long_run: LongRun, run_of_one_method: Path) -> None:
+    few, all_frames = read_trajectory(long_run.folder), read_trajectory(run_of_one_method)
     sigma = np.hypot(few.sigma_r, all_frames.sigma_r)
     off = np.abs(few.r_N - all_frames.r_N) / sigma
     assert np.mean(off < 3.0) > 0.95
 
 
-def test_only_key_frames_keep_their_features(rendered_sequence: Path) -> None:
-    streamed = stream_sequence(open_context(rendered_sequence, CONFIG, Silent()))
+def test_only_key_frames_keep_their_features(long_run: LongRun) -> None:
+    streamed = long_run.streamed
     assert len(streamed.features) == len(streamed.key_frames) < len(streamed.timestamps_ns)
     assert len(streamed.observations) == len(streamed.timestamps_ns)
     assert not streamed.tried

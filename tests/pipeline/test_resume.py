@@ -18,7 +18,11 @@ from polhode.record_files import write_record
 from tests.conftest import MakeOnce
 
 Capture = pytest.CaptureFixture[str]
-FAST = ("--pictures.animation", "false", "--pictures.views", "false", "--runtime.workers", "1")
+FAST = (
+    *("--pictures.animation", "false", "--pictures.views", "false", "--runtime.workers", "1"),
+    *("--frontend.depth.method", "sgbm", "--mapping.voxel-mm", "6"),
+)
+"""Depth maps and voxels are stages whose results take as many files, however long they take."""
 INTERRUPTED_BY_SIGINT = 130
 
 

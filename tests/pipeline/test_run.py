@@ -20,6 +20,7 @@ from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.progress import Silent
 from tests.conftest import RENDERED_FRAMES
+from tests.front_end_results import SharedFrontEnd
 
 CONFIG = Config.model_validate({"runtime": {"workers": 1}})
 NO_PICTURES = {"animation": False, "views": False}
@@ -72,8 +73,8 @@ def test_the_estimates_are_the_same_bytes_without_the_truth(
         assert (tmp_path / "run" / name).read_bytes() == (finished / name).read_bytes(), name
 
 
-def test_a_frame_that_shows_nothing_is_bridged_with_a_larger_sigma(
-    rendered_sequence: Path, tmp_path: Path
+def test_frames_that_show_nothing_are_bridged_with_a_warning_and_a_larger_sigma(
+    rendered_sequence: Path, front_end_once: SharedFrontEnd, tmp_path: Path
 ) -> None:
     dark = tmp_path / "dark"
     shutil.copytree(rendered_sequence, dark)
@@ -87,11 +88,16 @@ def test_a_frame_that_shows_nothing_is_bridged_with_a_larger_sigma(
         {
             "backend": {"process_noise": "given"},
             "frontend": {"features": {"second": None}, "depth": {"method": "sgbm"}},
+            "mapping": {"voxel_mm": 6.0},
             "pictures": NO_PICTURES,
             "runtime": {"workers": 1},
         }
     )
-    run(disturbed, dark, tmp_path / "run", Silent())
+    with front_end_once():
+        run(disturbed, dark, tmp_path / "run", Silent())
+    summary = read_summary(tmp_path / "run")
+    assert any("2 frames without measurements were bridged" in warning for warning in summary.warnings)
+    assert (summary.frames, summary.frames_used) == (RENDERED_FRAMES, RENDERED_FRAMES - 2)
     trajectory = read_trajectory(tmp_path / "run" / "trajectory.csv")
     assert len(trajectory.timestamps_ns) == RENDERED_FRAMES
     observations = np.bincount(

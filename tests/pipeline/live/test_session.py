@@ -17,9 +17,9 @@ from polhode.pipeline.run_directory.archives import read_online
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.records import OnlineEstimate
-from tests.pipeline.conftest import ONE_METHOD
+from tests.pipeline.conftest import WITHOUT_NETWORKS
 
-CONFIG = Config.model_validate(ONE_METHOD)
+CONFIG = Config.model_validate(WITHOUT_NETWORKS)
 FIRST = 8
 
 
