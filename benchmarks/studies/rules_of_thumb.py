@@ -80,6 +80,8 @@ def study_of(scenes: Sequence[RandomScene]) -> dict[str, Any]:
 
 def report(scenes: Sequence[RandomScene], table: pa.Table, output: Path | None, held_back: int = 0) -> None:
     """Print the fit, and write it if it is worth it."""
+    if not table.num_rows:
+        raise SystemExit("no run is stored that this code has computed; repeat the command without --stored")
     with_answer = sum(each == DONE for each in table.column("status").to_pylist())
     print(f"{table.num_rows} scenes, {with_answer} of them with an answer, {held_back} of these held back")
     if with_answer - held_back <= 3 * (1 + len(PREDICTORS)):

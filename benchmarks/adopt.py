@@ -1,11 +1,11 @@
 """Let a study count points that another machine computed, with other versions of libraries.
 
-    python -m benchmarks.studies.adopt STUDY.yaml OTHER [OTHER ...] -o DIR
+    python -m benchmarks.adopt STUDY.yaml OTHER [OTHER ...] -o DIR
 
-``polhode sweep`` computes a point again wherever the code or a library is another one. Where that would cost
-hours, this command stores the points of OTHER, a folder of the same study, as those of DIR. Then
-``polhode sweep STUDY.yaml -o DIR`` computes what is missing, and writes table and page. What each row was made with
-stays in its columns ``version.*`` and ``digest.code``.
+``polhode sweep`` computes a point again wherever the code or a library is another one. Where that would
+cost hours, this command stores the points of OTHER, a folder of the same study, as those of DIR. Then
+``polhode sweep STUDY.yaml -o DIR`` computes what is missing, and writes table and page. What each row was
+made with stays in its columns ``version.*`` and ``digest.code``.
 """
 
 import json

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from benchmarks.studies import adopt
+from benchmarks import adopt
 from polhode.progress import Silent
 from polhode.studies import sweep as flow
 from polhode.studies.cluster import ClusterOptions
