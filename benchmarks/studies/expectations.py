@@ -2,11 +2,12 @@
 
     python -m benchmarks.studies.expectations [STUDY_FOLDER ...] [--rules RULES.yaml]
 
-Without folders, of every study in docs/study_results. Counted are the runs with an answer whose size in the
-image, disparity, turn, pairs and Sun are within the ranges of the rules, and that have no lamp, of which
-the rules know nothing: how many of their errors are inside the band of 90 %, with the interval of Clopper
-and Pearson, and the median of the error over the one that is expected. Runs of one study share bodies and
-motions, so that the interval is rather too narrow.
+Without folders, of every study in docs/study_results but that of the fit. Counted are the runs with an
+answer whose size in the image, disparity, turn, pairs and Sun are within the ranges of the rules, and that
+have nothing of which the rules know nothing: a lamp, another contrast of the texture, a body of revolution.
+Printed is how many of their errors are inside the band of 90 %, with the interval of Clopper and Pearson,
+and the median of the error over the one that is expected. Runs of one study share bodies and motions, so
+that the interval is rather too narrow.
 """
 
 from pathlib import Path
@@ -18,18 +19,17 @@ from tyro.conf import Positional, arg
 from benchmarks.command import ROOT, command
 from benchmarks.presentation import Row, print_table
 from benchmarks.studies.confidence import median, share_text
+from benchmarks.studies.random_scenes import FAMILIES
 from benchmarks.studies.study_results import Results, read_results
 from polhode.config import Config
-from polhode.studies.rules import Observation, Rules, expected, outside, read_rules
+from polhode.config.scene_settings import TargetBody
+from polhode.studies.rules import WORDS, Observation, Rules, expected, outside, read_rules
 from polhode.studies.table import TABLE
 
 RESULTS = ROOT / "docs" / "study_results"
-WORDS = {
-    "evaluate.attitude_error_deg.median": "attitude",
-    "evaluate.rmse_angular_velocity_deg_s": "angular velocity",
-    "evaluate.rmse_position_m": "position",
-    "evaluate.mesh.accuracy_mm": "surface",
-}
+USUAL_CONTRAST = TargetBody().contrast
+FITTED = "random_scenes"
+"""The study that the rules are fitted to"""
 
 
 def main(
@@ -40,10 +40,15 @@ def main(
 ) -> None:
     """Print a row for each study and error."""
     known, rows = read_rules(rules), []
-    for folder in folders or sorted(file.parent for file in RESULTS.glob(f"*/{TABLE}")):
+    for folder in folders or other_studies():
         rows += compared(known, read_results(folder))
     columns = "study | runs | error | inside the band | error over expected"
     print_table(columns, rows, right_from=3)
+
+
+def other_studies() -> list[Path]:
+    """Folders of docs/study_results but for that of the fit."""
+    return sorted(file.parent for file in RESULTS.glob(f"*/{TABLE}") if file.parent.name != FITTED)
 
 
 def compared(rules: Rules, results: Results) -> list[Row]:
@@ -72,6 +77,8 @@ def observation_of(config: Config) -> Observation | None:
     """What a designer would know of a scene; None: there is none, or it has what the rules do not know."""
     scene = config.scene
     if scene is None or scene.light.lamp > 0.0 or scene.body.path is not None:
+        return None
+    if scene.body.family not in FAMILIES or scene.body.contrast != USUAL_CONTRAST:
         return None
     away = np.array(scene.motion.position_m) - [0.5 * scene.rig.baseline_m, 0.0, 0.0]
     sun = np.array(scene.light.sun_direction_N)
