@@ -221,6 +221,7 @@ BENCHMARKS = (
     Benchmark("study_findings", "studies.findings", "docs/study_findings.md", 1, short=""),
     Benchmark("rules_of_thumb", "studies.rules_of_thumb", "docs/expect.md", 240,
               "runs/rules -o runs/rules_of_thumb.yaml --held-back 30", "runs/rules_short --short"),
+    Benchmark("expectations", "studies.expectations", "docs/expect.md", 1, short=""),
     Benchmark("trust", "trust.trust", "docs/trust.md", 240),
     Benchmark("error_models", "trust.error_models", "docs/trust.md", 60),
     Benchmark("mutation", "mutation.catch", "docs/testing.md", 30, short=None),

@@ -47,7 +47,7 @@ class ExpectCommand:
             raise InputError(f"--pairs {self.pairs}: give 3 to {MAX_PAIRS} pairs")
         if not 0.0 <= self.sun_angle_deg <= 180.0:
             raise InputError(f"--sun-angle {self.sun_angle_deg:g}: give 0 to 180 degrees")
-        from polhode.studies.rules import Observation, expected, outside, read_rules
+        from polhode.studies.rules import WORDS, Observation, expected, outside, read_rules
 
         rules = read_rules(self.rules)
         observation = Observation(
@@ -56,9 +56,10 @@ class ExpectCommand:
         )
         found = expected(rules, observation)
         beyond = outside(rules, observation)
-        lines = [f"{'error':40s} {'median':>10s} {'90 % band':>24s}"]
+        lines = [f"{'error':24s} {'median':>10s} {'90 % band':>24s}"]
         lines += [
-            f"{each.quantity:40s} {each.value:10.3g} {each.low:11.3g} to {each.high:9.3g} {each.unit}"
+            f"{WORDS.get(each.quantity, each.quantity):24s} {each.value:10.3g} "
+            f"{each.low:11.3g} to {each.high:9.3g} {each.unit}"
             for each in found
         ]
         held = ", ".join(f"{rule.inside} of {rule.held_out}" for rule in rules.rules)

@@ -9,7 +9,7 @@ from trimesh.visual import ColorVisuals
 
 from polhode.atomic import write_bytes
 from polhode.errors import InputError
-from polhode.foreign_meshes import open_mesh
+from polhode.foreign_meshes import OF_A_RUN, open_mesh
 from polhode.ply import surface_ply
 from polhode.records import SurfaceModel
 
@@ -46,7 +46,7 @@ def read_ply(path: Path) -> SurfaceModel:
 
     Raises InputError for anything else.
     """
-    mesh = open_mesh(path).mesh(process=False)
+    mesh = open_mesh(path, OF_A_RUN).mesh(process=False)
     if not isinstance(mesh, trimesh.Trimesh):
         raise InputError(f"{path}: not a triangle mesh; give the mesh.ply of a run")
     raw = mesh.metadata.get("_ply_raw", {})

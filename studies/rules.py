@@ -27,6 +27,13 @@ FOLDS = 3
 PREDICTORS = ("size_px", "disparity_px", "turn_deg", "pairs", "sun_angle_deg")
 SHIPPED = Path(__file__).with_name("rules_of_thumb.yaml")
 """Those of this version, if it has any"""
+WORDS = {
+    "evaluate.attitude_error_deg.median": "attitude, median",
+    "evaluate.rmse_angular_velocity_deg_s": "angular velocity, RMS",
+    "evaluate.rmse_position_m": "position, RMS",
+    "evaluate.mesh.accuracy_mm": "surface, mean distance",
+}
+"""Names of quantities for people"""
 UNIFORM = frozenset({"sun_angle_deg"})
 """Predictors that are taken as they are, over 90 degrees; of the others, the logarithm"""
 

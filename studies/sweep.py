@@ -35,6 +35,7 @@ from polhode.studies.steps import (
     failed_record,
     job_settings,
     simulate_sequence,
+    versions,
 )
 from polhode.studies.store import PARTS, Store
 from polhode.studies.study import OpenStudy, Point
@@ -80,6 +81,8 @@ def sweep(
     with occupied(place, folder), withdrawn_if_refused(place, COMMAND, FILES, PARTS):
         store = Store(_claimed(folder))
         store.clear_work()
+        # every record names them: an installation that cannot is found before anything is computed
+        versions()
         missing = _missing(study, store, again_failed, progress)
         if missing:
             few = replace(cluster, workers=min(worker_count(cluster.workers), len(missing)))

@@ -17,6 +17,12 @@ from tyro.conf import Positional, arg
 
 from benchmarks.command import ROOT, command
 from benchmarks.studies.effects import of_images
+from benchmarks.studies.image_findings import (
+    light,
+    noise_and_resolution,
+    rig_for_target,
+    share_of_texture,
+)
 from benchmarks.studies.mission_findings import one_mission
 from benchmarks.studies.motion_findings import (
     frame_rate_against_spin,
@@ -64,10 +70,10 @@ FINDINGS: dict[str, Finding] = {
     "revolutions_or_pairs": Finding(
         revolutions_or_pairs, ("frame_rate_against_spin", "revolutions_and_inertia")
     ),
-    "rig_for_target": Finding(of_images),
-    "noise_and_resolution": Finding(of_images),
-    "share_of_texture": Finding(of_images),
-    "light": Finding(of_images),
+    "rig_for_target": Finding(rig_for_target),
+    "noise_and_resolution": Finding(noise_and_resolution),
+    "share_of_texture": Finding(share_of_texture),
+    "light": Finding(light),
     "front_ends": Finding(of_images),
     "front_ends_of_scenes": Finding(of_images),
     "optimizers_over_bodies": Finding(optimizers_over_bodies),

@@ -1,6 +1,6 @@
 """Rules of thumb for mission designers: random scenes are simulated and run, and their errors fitted.
 
-    python -m benchmarks.studies.rules_of_thumb STUDY_FOLDER [-o RULES.yaml] [--scenes 128] [--held-back 30]
+    python -m benchmarks.studies.rules_of_thumb STUDY_FOLDER [-o RULES.yaml] [--scenes 96] [--held-back 30]
         [--stored] [--short]
 
 The scenes are a study of ``polhode sweep`` in the folder: the same command goes on after whatever ended it,
@@ -24,19 +24,21 @@ from tyro.conf import Positional, arg
 
 from benchmarks.command import Short, Workers, command, polhode
 from benchmarks.presentation import print_table
-from benchmarks.studies.confidence import share_text
+from benchmarks.studies.confidence import share_text, significant
 from benchmarks.studies.random_scenes import RandomScene, random_scenes, settings_of
 from polhode.atomic import write_text
 from polhode.lie import Array
-from polhode.studies.rules import CONFIDENCE, PREDICTORS, Observation, Rule, Rules, checked, fit
+from polhode.studies.rules import CONFIDENCE, PREDICTORS, WORDS, Observation, Rule, Rules, checked, fit
 from polhode.studies.steps import DONE
 from polhode.studies.table import read_table
 
-SCENES, SHORT_SCENES = 128, 8
+SCENES, SHORT_SCENES = 96, 8
 MIN_RUNS = 60
 """With answers; a fit of six coefficients to fewer is no rule"""
 CONTRADICTS = 0.025
 """Probability of a coverage as low as the one found, below which it contradicts that of the band"""
+FACTORS = ("constant", *PREDICTORS[:-1], "Sun, a factor per 90 degrees")
+"""Of the formula: a constant, exponents, and what the angle of the Sun does"""
 AXIS = "random scene"
 ERRORS: tuple[dict[str, Any], ...] = (
     {"quantity": "evaluate.attitude_error_deg.median", "unit": "deg"},
@@ -80,6 +82,8 @@ def study_of(scenes: Sequence[RandomScene]) -> dict[str, Any]:
 
 def report(scenes: Sequence[RandomScene], table: pa.Table, output: Path | None, held_back: int = 0) -> None:
     """Print the fit, and write it if it is worth it."""
+    if not table.num_rows:
+        raise SystemExit("no run is stored that this code has computed; repeat the command without --stored")
     with_answer = sum(each == DONE for each in table.column("status").to_pylist())
     print(f"{table.num_rows} scenes, {with_answer} of them with an answer, {held_back} of these held back")
     if with_answer - held_back <= 3 * (1 + len(PREDICTORS)):
@@ -88,6 +92,13 @@ def report(scenes: Sequence[RandomScene], table: pa.Table, output: Path | None, 
     found = rules_of(scenes, table, held_back)
     columns = "error | runs | variance explained | band: median times or over | inside, left out"
     print_table(f"{columns} | inside, held back", [_row(rule) for rule in found.rules], right_from=1)
+    print("\nConstant and exponents:\n")
+    print_table(f"error | unit | {' | '.join(FACTORS)}", [_formula(rule) for rule in found.rules])
+    print("\nRanges of the runs:\n")
+    print_table(
+        "quantity | from | to", [[name, *map(significant, ends)] for name, ends in found.ranges.items()]
+    )
+    print()
     if held_back:
         inside, new = (
             sum(values) for values in zip(*((r.new_inside, r.new) for r in found.rules), strict=True)
@@ -170,7 +181,23 @@ def _row(rule: Rule) -> list[str]:
     half = stats.t.ppf(0.5 * (1.0 + CONFIDENCE), rule.freedom) * rule.sigma
     inside = f"{rule.inside} of {rule.held_out}"
     new = share_text(rule.new_inside, rule.new) if rule.new else "-"
-    return [rule.quantity, str(rule.held_out), f"{rule.explained:.0%}", f"{np.exp(half):.1f}", inside, new]
+    return [_name(rule), str(rule.held_out), f"{rule.explained:.0%}", f"{np.exp(half):.1f}", inside, new]
+
+
+def _formula(rule: Rule) -> list[str]:
+    """Constant, exponents with their standard deviations, and the factor of the Sun."""
+    sigma = rule.sigma * np.sqrt(np.diag(rule.inverse))
+    powers = [f"{value:+.2f} ± {each:.2f}" for value, each in zip(rule.coefficients, sigma, strict=True)][
+        1:-1
+    ]
+    ends = np.exp(rule.coefficients[-1] + np.array([0.0, -1.0, 1.0]) * sigma[-1])
+    sun = f"{ends[0]:.2f} ({ends[1]:.2f} to {ends[2]:.2f})"
+    unit = {"size": f"{rule.unit} per m of size", "rate": "of the rate"}.get(rule.over, rule.unit)
+    return [_name(rule), unit, significant(float(np.exp(rule.coefficients[0])), 3), *powers, sun]
+
+
+def _name(rule: Rule) -> str:
+    return WORDS.get(rule.quantity, rule.quantity)
 
 
 if __name__ == "__main__":

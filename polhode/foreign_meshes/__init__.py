@@ -9,9 +9,10 @@ stl.py         solids of an STL
 obj.py         lines of an OBJ; the files beside it
 glb.py         chunks, views, accessors and nodes of a binary glTF
 textures.py    images of materials, decoded once
-unsound.py     the reason why a file is not read
+unsound.py     the reason why a file is not read, and how large one may be
 """
 
 from polhode.foreign_meshes.mesh_file import MeshFile, open_mesh
+from polhode.foreign_meshes.unsound import OF_A_RUN
 
-__all__ = ["MeshFile", "open_mesh"]
+__all__ = ["OF_A_RUN", "MeshFile", "open_mesh"]

@@ -4,7 +4,7 @@ import json
 import struct
 from typing import Any
 
-from polhode.foreign_meshes.unsound import MAX_FACES, Unsound, require_pieces
+from polhode.foreign_meshes.unsound import FOREIGN, Unsound, require_pieces
 
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _JSON_BYTES = 8 << 20
@@ -113,8 +113,8 @@ def _require_few(document: dict[str, Any], counts: list[int]) -> None:
     nodes = document.get("nodes", [])
     used = [_count(node["mesh"]) for node in nodes if "mesh" in node]
     require_pieces(max(sum(pieces), sum(pieces[index] for index in used)))
-    if max(sum(faces), sum(faces[index] for index in used)) > MAX_FACES:
-        raise Unsound(f"more than {MAX_FACES} triangles")
+    if max(sum(faces), sum(faces[index] for index in used)) > FOREIGN.faces:
+        raise Unsound(f"more than {FOREIGN.faces} triangles")
     if max(sum(vertices), sum(vertices[index] for index in used)) > _MAX_VERTICES:
         raise Unsound(f"more than {_MAX_VERTICES} vertices")
     _require_trees([[_count(child) for child in node.get("children", [])] for node in nodes])

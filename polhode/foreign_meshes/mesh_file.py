@@ -17,14 +17,13 @@ from polhode.foreign_meshes.glb import require_sound_glb
 from polhode.foreign_meshes.obj import FilesBeside, plain, require_sound_obj
 from polhode.foreign_meshes.ply import require_sound_ply
 from polhode.foreign_meshes.stl import is_binary_stl, require_sound_stl
-from polhode.foreign_meshes.unsound import MAX_FACES, Unsound
+from polhode.foreign_meshes.unsound import FOREIGN, MeshLimits, Unsound
 
 # It logs what it cannot make use of, such as colours; here a mesh is read or refused in one line.
 logging.getLogger("trimesh").setLevel(logging.CRITICAL)
 
-BINARY_BYTES = 64 * MIB
 TEXT_BYTES = 16 * MIB
-"""trimesh needs some thirty times as much memory to read a text; with these limits it stays below 1 GiB."""
+"""trimesh needs some thirty times as much memory to read a text; with this limit it stays below 1 GiB."""
 MAX_COORDINATE = 1e12
 """In units of the file, whatever they are."""
 KINDS: Mapping[str, Callable[[bytes], None]] = {
@@ -45,6 +44,7 @@ class MeshFile:
     """ply, stl, obj or glb"""
     content: bytes
     resolver: Resolver
+    limits: MeshLimits
 
     def scene(self, **options: Any) -> trimesh.Scene:
         """All geometries in their scene; ``options`` go to trimesh. Raises InputError."""
@@ -84,13 +84,13 @@ class MeshFile:
             loaded = load(BytesIO(self.content), file_type=self.kind, resolver=self.resolver, **options)
             meshes = loaded.geometry.values() if isinstance(loaded, trimesh.Scene) else [loaded]
             for mesh in meshes:
-                _require_sound(mesh)
+                _require_sound(mesh, self.limits.faces)
             return loaded
         except Exception as error:  # noqa: BLE001  readers of many formats raise many things
             raise unreadable(self.path, error) from None
 
 
-def open_mesh(path: Path) -> MeshFile:
+def open_mesh(path: Path, limits: MeshLimits = FOREIGN) -> MeshFile:
     """Read the file and check its structure.
 
     Raises InputError: not one of the formats, no regular file, too large, or another structure than stated.
@@ -98,16 +98,19 @@ def open_mesh(path: Path) -> MeshFile:
     kind = path.suffix.lower().lstrip(".")
     if kind not in KINDS:
         raise unreadable(path, Unsound("its name ends with none of .ply, .stl, .obj, .glb"))
-    content = read_bytes(path, BINARY_BYTES, "a mesh")
+    content = read_bytes(path, limits.binary_bytes, "a mesh")
     try:
         if _is_text(kind, content):
             if len(content) > TEXT_BYTES:
                 raise Unsound(f"a text of {amount(len(content))}, where {amount(TEXT_BYTES)} are allowed")
             content = plain(content)
-        KINDS[kind](content)
+        if kind == "ply":
+            require_sound_ply(content, limits.rows)
+        else:
+            KINDS[kind](content)
     except Exception as error:  # noqa: BLE001  a document of another structure
         raise unreadable(path, error) from None
-    return MeshFile(path, kind, content, FilesBeside(path))
+    return MeshFile(path, kind, content, FilesBeside(path), limits)
 
 
 def _is_text(kind: str, content: bytes) -> bool:
@@ -116,7 +119,7 @@ def _is_text(kind: str, content: bytes) -> bool:
     return kind == "obj" or (kind == "ply" and b"format ascii" in content[:200])
 
 
-def _require_sound(mesh: Any) -> None:
+def _require_sound(mesh: Any, most_faces: int) -> None:
     """Raises Unsound for faces of vertices that do not exist, and for too many. Clouds of points may pass."""
     if not isinstance(mesh, trimesh.Trimesh):
         return
@@ -124,8 +127,8 @@ def _require_sound(mesh: Any) -> None:
     faces = np.asarray(mesh.faces)
     if np.shape(mesh.vertices)[1:] != (3,) or faces.shape[1:] != (3,):
         raise Unsound("vertices without three coordinates, or faces without three corners")
-    if len(faces) > MAX_FACES:
-        raise Unsound(f"{len(faces)} triangles, where {MAX_FACES} are allowed")
+    if len(faces) > most_faces:
+        raise Unsound(f"{len(faces)} triangles, where {most_faces} are allowed")
     if len(faces) and (faces.min() < 0 or faces.max() >= len(mesh.vertices)):
         raise Unsound("faces refer to vertices that do not exist")
 

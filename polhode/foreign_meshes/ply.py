@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from polhode.foreign_meshes.unsound import Unsound
+from polhode.foreign_meshes.unsound import FOREIGN, Unsound
 
 _SIZES = {
     "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
@@ -11,7 +11,7 @@ _SIZES = {
 }  # fmt: skip
 """Bytes of each type of a property."""
 _FORMATS = ("ascii", "binary_little_endian", "binary_big_endian")
-_ROWS, _TEXT_ROWS = 4_000_000, 400_000
+_TEXT_ROWS = 400_000
 _HEADER_BYTES, _HEADER_LINES, _ELEMENTS = 1 << 18, 2_000, 20
 _INTEGERS = tuple(name for name in _SIZES if "int" in name or "char" in name or "short" in name)
 
@@ -25,12 +25,12 @@ class _Element:
     """Of one row, with the counts of its lists and without their items"""
 
 
-def require_sound_ply(content: bytes) -> None:
-    """Raises Unsound: no PLY, an unknown type, or more rows than the file has bytes or lines for."""
+def require_sound_ply(content: bytes, most_rows: int = FOREIGN.rows) -> None:
+    """Raises Unsound: no PLY, an unknown type, or more rows than are allowed or fit the file."""
     ascii_body, elements, body = _header(content)
     rows = sum(element.count for element in elements)
-    if rows > (_TEXT_ROWS if ascii_body else _ROWS):
-        raise Unsound(f"{rows} rows, where {_ROWS} are allowed, and {_TEXT_ROWS} as text")
+    if rows > (_TEXT_ROWS if ascii_body else most_rows):
+        raise Unsound(f"{rows} rows, where {most_rows} are allowed, and {_TEXT_ROWS} as text")
     if ascii_body:
         lines = content.count(b"\n", body) + 1
         if not rows <= lines <= rows + 1_000:

@@ -11,7 +11,7 @@ from trimesh.visual import ColorVisuals
 
 from polhode.errors import InputError
 from polhode.mapping.fusion.surface_extraction import empty_surface
-from polhode.mapping.mesh_files import read_ply, write_glb, write_ply
+from polhode.mapping.mesh_files import read_mesh, read_ply, write_glb, write_ply
 from polhode.records import SurfaceModel
 
 
@@ -90,6 +90,23 @@ def test_glb_opens_with_colours_and_metres(surface: SurfaceModel, tmp_path: Path
 def test_an_empty_surface_is_written(tmp_path: Path) -> None:
     write_ply(empty_surface(), tmp_path / "mesh.ply")
     assert (tmp_path / "mesh.ply").read_bytes().startswith(b"ply\n")
+
+
+def test_a_run_reads_its_own_mesh_where_one_of_others_would_be_too_large(tmp_path: Path) -> None:
+    side = 1002
+    x, y = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
+    corner = (x * side + y)[:-1, :-1].ravel()
+    faces = np.concatenate(
+        [corner[:, None] + np.array(steps) for steps in ([0, side, 1], [1, side, side + 1])]
+    )
+    vertices = np.column_stack([x.ravel(), y.ravel(), np.zeros(side**2)]) * 1e-3
+    mesh = trimesh.Trimesh(
+        vertices, faces, vertex_normals=np.tile([0.0, 0.0, 1.0], (side**2, 1)), process=False
+    )
+    write_ply(SurfaceModel(mesh, np.full(side**2, 1e-3), np.ones(side**2, int)), tmp_path / "mesh.ply")
+    with pytest.raises(InputError, match="2004002 triangles, where 2000000 are allowed"):
+        read_mesh(tmp_path / "mesh.ply", 1.0)
+    assert np.array_equal(read_ply(tmp_path / "mesh.ply").mesh.faces, faces)
 
 
 def test_a_foreign_file_is_refused_in_one_line(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import shutil
 from array import array
 from collections.abc import Callable
 from functools import wraps
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -208,6 +209,23 @@ def test_what_is_no_fault_of_a_point_ends_the_sweep(
         window._status(future, study.point(0), "")
     assert said in str(failure.value)
     assert Store(tmp_path).read(study.point(0).address) is None
+
+
+def test_an_installation_whose_versions_are_unknown_is_found_before_anything_is_computed(
+    write_study: WriteStudy,
+    sweep_here: Sweep,
+    calls: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    def unknown(name: str) -> str:
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr(work, "version", unknown)
+    work.versions.cache_clear()
+    with pytest.raises(PackageNotFoundError, match="polhode"):
+        sweep_here(write_study(**SIMULATED), tmp_path / "out")
+    assert not calls
 
 
 def test_a_point_whose_workers_are_killed_again_and_again_is_a_row(

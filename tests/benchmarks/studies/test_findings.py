@@ -126,6 +126,27 @@ def test_of_a_rig_the_exponents_are_found() -> None:
     assert float(cells["scene.motion.position_m.2"].split()[0]) == pytest.approx(0.0, abs=0.1)
 
 
+def test_of_a_rig_runs_are_grouped_by_the_pixels_across_the_target() -> None:
+    # an image of 60 px needs a metre of baseline
+    def outcome(values: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+        pixels = values["scene.rig.focal_px"] / values["scene.motion.position_m.2"]
+        ok = pixels > 80.0 or (pixels > 40.0 and values["scene.rig.baseline_m"] == 1.0)
+        return {"verdict": "ok" if ok else "degraded", "evaluate.attitude_error_deg.median": 3.0 / pixels}
+
+    parts = FINDINGS["rig_for_target"].parts(invented("rig_for_target", outcome))
+    assert [row[0] for row in part(parts, "By pixels across").values()][1:] == [
+        share_text(0, 9),
+        share_text(4, 12),
+        share_text(6, 6),
+        share_text(6, 6),
+        share_text(3, 3),
+    ]
+    crossed = part(parts, "Runs that are ok")
+    assert crossed[""] == ["0.1 m", "0.3162 m", "1 m"]
+    assert [cell.partition(";")[0] for cell in crossed["40 to 80"]] == ["0 of 4", "0 of 4", "4 of 4"]
+    assert crossed["200 to 400"][0] == "1 of 1; 0.01"
+
+
 def test_of_light_a_lamp_is_compared_with_the_same_scene_without() -> None:
     law = of_images(lamp=lambda lamp: 0.5 if lamp > 0.0 else 1.0)
     parts = FINDINGS["light"].parts(invented("light", law))
@@ -133,6 +154,7 @@ def test_of_light_a_lamp_is_compared_with_the_same_scene_without() -> None:
     assert found["0.2"][0] == "20" and found["0.2"][1].startswith("0.5")
     shares = part(parts, "Share of the variance")
     assert shares[""] == ["Sun to camera [deg]", "scene.light.earth", "scene.light.lamp"]
+    assert part(parts, "Runs that are ok")[""] == ["0", "0.2"]
 
 
 @pytest.mark.parametrize("name", ["share_of_texture", "noise_and_resolution", "front_ends"])
@@ -186,13 +208,13 @@ def test_of_solvers_claims_above_the_least_cost_are_named() -> None:
         }
 
     parts = FINDINGS["optimizers_over_bodies"].parts(invented("optimizers_over_bodies", outcome))
-    assert part(parts, "Solved")["rash"] == [share_text(36, 40), "7 (7 to 7)"]
+    assert part(parts, "Solved")["rash"] == [share_text(18, 20), "7 (7 to 7)"]
     claims = part(parts, "Convergence claimed")
-    assert claims["rash"] == ["cold", share_text(4, 40), "5.0% to 5.0%"] and "good" not in claims
+    assert claims["rash"] == ["cold", share_text(2, 20), "5.0% to 5.0%"] and "good" not in claims
     assert part(parts, "Time over")["rash"][:3] == [
-        share_text(0, 40),
-        share_text(0, 40),
-        share_text(36, 40),
+        share_text(0, 20),
+        share_text(0, 20),
+        share_text(18, 20),
     ]
     assert part(parts, "Errors of baselines")["plain"][2].startswith("4 ")
 

@@ -8,6 +8,8 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
+from benchmarks.studies import expectations
+from benchmarks.studies.expectations import FITTED, RESULTS
 from benchmarks.studies.random_scenes import RANGES, random_scenes
 from benchmarks.studies.rules_of_thumb import (
     AXIS,
@@ -20,9 +22,10 @@ from benchmarks.studies.rules_of_thumb import (
     study_of,
 )
 from polhode.output.marked_folder import claim
-from polhode.studies.rules import CONFIDENCE, expected, read_rules
+from polhode.studies.rules import CONFIDENCE, SHIPPED, expected, read_rules
 from polhode.studies.study import open_study
 from polhode.studies.table import COMMAND, FILES, TABLE
+from tests.docs.page_code import ROOT
 
 Capture = pytest.CaptureFixture[str]
 
@@ -118,3 +121,17 @@ def test_stored_runs_are_fitted_without_a_sweep(tmp_path: Path, capsys: Capture)
     assert read_rules(output).runs == 96
     with pytest.raises(SystemExit, match="--held-back -1: give 0 or more runs"):
         main(folder, output, held_back=-1, stored=True)
+
+
+def test_the_page_has_the_tables_and_the_rules_of_this_version_are_theirs(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    page = (ROOT / "docs" / "expect.md").read_text()
+    main(RESULTS / FITTED, tmp_path / "rules.yaml", held_back=30, stored=True)
+    printed = capsys.readouterr().out
+    expectations.main()
+    printed += capsys.readouterr().out
+    rows = {line for line in printed.splitlines() if line.startswith("|")}
+    assert rows <= set(page.splitlines()) and "112 of 120 are inside (87% to 97%)" in page
+    assert "112 of 120 (87% to 97%)" in printed
+    assert (tmp_path / "rules.yaml").read_text() == SHIPPED.read_text()
