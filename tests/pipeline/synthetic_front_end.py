@@ -1,7 +1,7 @@
 """Measurements without images for the whole command: a sequence on disk, its features from a simulation.
 
-The pictures on disk show nothing of the motion; features, matches and surface take the place of what front
-end and mapping make. All else, from the command line to the report, is the program's own.
+The pictures on disk show nothing of the motion, and are not judged; features, matches and surface take the
+place of what front end and mapping make. All else, from the command line to the report, is the program's own.
 """
 
 from pathlib import Path
@@ -56,6 +56,8 @@ def put_in_place(
     patch.setattr("polhode.pipeline.correspondences.extract_features", found)
     patch.setattr("polhode.pipeline.correspondences.match_rows", matched)
     patch.setattr("polhode.pipeline.run.build_surface", built)
+    # of the pictures on disk
+    patch.setattr("polhode.pipeline.run.warn_before_run", lambda *_: None)
 
 
 def _write(sequence: SyntheticSequence, folder: Path) -> None:

@@ -29,8 +29,8 @@ OTHER = replace(SCENE, landmarks=150)
 
 NO_PICTURES = ("--pictures.animation", "false", "--pictures.views", "false")
 """The sequence on disk shows nothing of the motion."""
-NO_WINDOW = ("--backend.window.enabled", "false")
-"""It follows when the methods have been chosen."""
+NOTHING_AFTER = ("--backend.window.enabled", "false", "--backend.bounds.intervals", "false")
+"""Window and intervals follow when the methods have been chosen."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
         put_in_place(generate(first, 1), tmp_path / "sequence", monkeypatch, other)
         folder = tmp_path / f"run{len(list(tmp_path.iterdir()))}"
         words = ["run", "configs/default.yaml", "--data", str(tmp_path / "sequence"), "-o", str(folder)]
-        code = main([*words, "--runtime.workers", "1", *NO_PICTURES, *NO_WINDOW])
+        code = main([*words, "--runtime.workers", "1", *NO_PICTURES, *NOTHING_AFTER])
         return Outcome(
             code,
             json.loads((folder / "summary.json").read_text()),

@@ -3,7 +3,7 @@
 import html
 import json
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from tests.pipeline.conftest import REST_FRAMES
 
 QUICK = {
     "frontend.depth.method": "sgbm",
+    "mapping.voxel-mm": "6",
     "backend.window.enabled": "false",
     "pictures.animation": "false",
     "pictures.views": "false",
@@ -41,7 +42,7 @@ class Defect:
     """What becomes of the pose of frame k on the way to the fusion"""
     covariance_of: int | None = None
     """The frame whose pose has a covariance with NaN"""
-    options: tuple[str, ...] = ()
+    options: dict[str, str] = field(default_factory=dict)
     has_mesh: bool = True
 
 
@@ -61,7 +62,7 @@ DEFECTS = {
     "doubtful pose": Defect("1 of 6 frames have a pose of unknown precision", covariance_of=4),
     "full": Defect(
         "the field of 3 MiB is full and parts of the surface are missing",
-        options=("--mapping.memory-mib", "3", "--mapping.voxel-mm", "1.5"),
+        options={"mapping.memory-mib": "3", "mapping.voxel-mm": "1.5"},
     ),
 }
 
@@ -114,10 +115,10 @@ def test_what_is_wrong_with_depth_and_poses_reaches_the_user(
         monkeypatch.setattr(f"polhode.pipeline.run.{name}", once(name, work))
     monkeypatch.setattr("polhode.pipeline.depth_maps.extract_depth", maps)
     monkeypatch.setattr("polhode.pipeline.build_surface.fuse", fused)
-    options = [word for name, value in QUICK.items() for word in (f"--{name}", value)]
+    options = [word for name, value in (QUICK | defect.options).items() for word in (f"--{name}", value)]
     folder = tmp_path / "run"
     command = ["run", "configs/default.yaml", "--data", str(at_rest), "-o", str(folder)]
-    assert main([*command, "--runtime.workers", "1", *options, *defect.options]) == 0
+    assert main([*command, "--runtime.workers", "1", *options]) == 0
 
     summary = json.loads((folder / "summary.json").read_text())
     line = [text for text in summary["warnings"] if text.startswith(defect.message)]
