@@ -15,6 +15,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from benchmarks.command import command
+from polhode.errors import InputError
 from polhode.output.marked_folder import claim
 from polhode.studies.store import Store
 from polhode.studies.study import OpenStudy, open_study
@@ -27,7 +28,13 @@ def main(
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR", help="The folder that lacks points.")],
 ) -> None:
     """Store the points of the other folders that DIR lacks, and say how many are still missing."""
-    wanted = open_study(study)
+    try:
+        wanted, theirs = open_study(study), [opened(each) for each in others]
+    except InputError as error:
+        raise SystemExit(str(error)) from None
+    for other, own in zip(others, theirs, strict=True):
+        if own.base != wanted.base or own.settings.steps != wanted.settings.steps:
+            raise SystemExit(f"{other}: its study has another base or other steps than {study}")
     output.mkdir(parents=True, exist_ok=True)
     claim(output, COMMAND, FILES)
     for other in others:
@@ -36,14 +43,13 @@ def main(
     print(f"{missing} of {wanted.count} points are missing")
 
 
-def adopted(study: OpenStudy, other: Path, store: Store) -> int:
-    """Store the points of a folder that ``store`` lacks. Returns their number.
+def opened(folder: Path) -> OpenStudy:
+    """The study of a folder. Raises InputError."""
+    return open_study(folder / STUDY, check=False)
 
-    Raises SystemExit: the folder is that of a study with other steps or another base.
-    """
-    theirs = open_study(other / STUDY, check=False)
-    if theirs.base != study.base or theirs.settings.steps != study.settings.steps:
-        raise SystemExit(f"{other}: its study has another base or other steps than {study.source}")
+
+def adopted(study: OpenStudy, other: Path, store: Store) -> int:
+    """Store the points of a folder that ``store`` lacks. Returns their number."""
     points = {_key(point.values): point for point in map(study.point, range(study.count))}
     count = 0
     for record in Store(other).records():

@@ -11,6 +11,7 @@ from polhode.cli.options import require_positive
 from polhode.errors import InputError
 
 MAX_PAIRS = 100_000
+HALF_TURN_DEG = 180.0
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class ExpectCommand:
     """
 
     size_m: Annotated[float, arg(metavar="M", aliases=["--size"])]
-    """Size of the body without its panels [m]."""
+    """Size of the body without its panels, as scene.body.size_m of the configuration [m]."""
     range_m: Annotated[float, arg(metavar="M", aliases=["--range"])]
     """Distance of the target from the camera [m]."""
     rpm: Annotated[float, arg(metavar="RPM")]
@@ -38,7 +39,7 @@ class ExpectCommand:
     sun_angle_deg: Annotated[float, arg(metavar="DEG", aliases=["--sun-angle"])] = 45.0
     """Angle between the directions to the Sun and to the camera, seen from the target [deg]."""
     rules: Annotated[Path | None, arg(metavar="FILE")] = None
-    """The rules, YAML, as a fit has written them. Default: those of this version, if it has any."""
+    """The rules, YAML, as a fit has written them. Without it, those that come with polhode."""
 
     def execute(self) -> Answer:
         """Print the errors with their bands."""
@@ -54,21 +55,29 @@ class ExpectCommand:
             *(self.size_m, self.range_m, self.rpm, self.focal_px, self.baseline_m),
             *(self.interval_s, self.pairs, self.sun_angle_deg),
         )
+        if self.range_m <= 0.5 * self.size_m:
+            raise InputError(f"--range {self.range_m:g}: the camera would be inside the target; give more")
+        if (turn_deg := observation.predictors["turn_deg"]) >= HALF_TURN_DEG:
+            raise InputError(
+                f"--interval {self.interval_s:g}: the target would turn by {turn_deg:.3g} deg between two "
+                "pairs, which images do not tell from a turn the other way; give a shorter one"
+            )
         found = expected(rules, observation)
         beyond = outside(rules, observation)
-        lines = [f"{'error':24s} {'median':>10s} {'90 % band':>24s}"]
+        lines = [f"Beyond the runs of the fit, where this is no estimate: {each}." for each in beyond]
         lines += [
-            f"{WORDS.get(each.quantity, each.quantity):24s} {each.value:10.3g} "
-            f"{each.low:11.3g} to {each.high:9.3g} {each.unit}"
-            for each in found
+            f"{'error':24s} {'median':>10s} {'90 % band':>24s} {'':5s} {'left out':>10s} {'held back':>10s}"
         ]
-        held = ", ".join(f"{rule.inside} of {rule.held_out}" for rule in rules.rules)
-        new = ", ".join(f"{rule.new_inside} of {rule.new}" for rule in rules.rules if rule.new)
+        for each, rule in zip(found, rules.rules, strict=True):
+            name = WORDS.get(each.quantity, each.quantity)
+            checks = f"{rule.inside} of {rule.held_out}", f"{rule.new_inside} of {rule.new}"
+            lines += [
+                f"{name:24s} {each.value:10.3g} {each.low:11.3g} to {each.high:9.3g} {each.unit:5s} "
+                f"{checks[0]:>10s} {checks[1]:>10s}"
+            ]
         lines += [
-            *(f"Beyond the runs of the fit, where the rule says nothing: {each}." for each in beyond),
-            f"An estimate from {rules.runs} simulated runs, {rules.failed} of which had no answer. Of the "
-            f"runs that were left out of a fit, so many were inside the band: {held}.",
-            *([f"Of new runs, which no part of the fit has seen: {new}."] if new else []),
+            f"An estimate from {rules.runs} simulated runs, {rules.failed} of which had no answer. "
+            "Inside their band were so many of the runs left out of a fit, and of those that no fit has seen."
         ]
         return Answer(
             "\n".join(lines),

@@ -25,6 +25,8 @@ CONFIDENCE = 0.9
 FOLDS = 3
 """Each third of the runs is left out once, and predicted by the others"""
 PREDICTORS = ("size_px", "disparity_px", "turn_deg", "pairs", "sun_angle_deg")
+RATIOS = ("range_over_size", "baseline_over_range")
+"""Not in the formula; beyond those of the runs, it is no estimate either"""
 SHIPPED = Path(__file__).with_name("rules_of_thumb.yaml")
 """Those of this version, if it has any"""
 WORDS = {
@@ -63,6 +65,12 @@ class Observation:
             "pairs": float(self.pairs),
             "sun_angle_deg": self.sun_angle_deg,
         }
+
+    @property
+    def described(self) -> dict[str, float]:
+        """The predictors, and the ratios that are not in the formula."""
+        ratios = (self.range_m / self.size_m, self.baseline_m / self.range_m)
+        return self.predictors | dict(zip(RATIOS, ratios, strict=True))
 
     @property
     def row(self) -> Array:
@@ -117,7 +125,7 @@ class Rules(Section):
     failed: int
     """Those without an answer"""
     ranges: dict[str, tuple[float, float]]
-    """Of the predictors of the runs: beyond, a rule says nothing"""
+    """Of the predictors and ratios of the runs: beyond, a rule is no estimate"""
     rules: tuple[Rule, ...]
 
 
@@ -200,10 +208,10 @@ def checked(rule: Rule, observations: Sequence[Observation], errors: Array) -> R
 
 
 def outside(rules: Rules, observation: Observation) -> list[str]:
-    """Predictors that are beyond those of the runs, each in words."""
+    """Predictors and ratios that are beyond those of the runs, each in words."""
     found = []
-    for name, value in observation.predictors.items():
-        low, high = rules.ranges[name]
+    for name, value in observation.described.items():
+        low, high = rules.ranges.get(name, (-math.inf, math.inf))
         if not low <= value <= high:
             found.append(f"{name} {value:.3g} is outside of {low:.3g} to {high:.3g}")
     return found
@@ -221,7 +229,7 @@ def read_rules(path: Path | None = None) -> Rules:
     content = read_yaml(
         path, f"{path} is missing: give the file of python -m benchmarks.studies.rules_of_thumb"
     )
-    if not isinstance(content, dict):
+    if not isinstance(content, dict) or "made_by" not in content:
         raise InputError(f"{path}: no rules of thumb; give the file that the fit wrote")
     rules = validated(Rules, content, str(path))
     size = 1 + len(PREDICTORS)

@@ -4,7 +4,8 @@
 
 Without folders, of every study in docs/study_results but that of the fit. Counted are the runs with an
 answer whose size in the image, disparity, turn, pairs and Sun are within the ranges of the rules, and that
-have nothing of which the rules know nothing: a lamp, another contrast of the texture, a body of revolution.
+have nothing of which the rules know nothing: a lamp, another contrast of the texture, stronger noise, a body
+of revolution.
 Printed is how many of their errors are inside the band of 90 %, with the interval of Clopper and Pearson,
 and the median of the error over the one that is expected. Runs of one study share bodies and motions, so
 that the interval is rather too narrow.
@@ -22,12 +23,14 @@ from benchmarks.studies.confidence import median, share_text
 from benchmarks.studies.random_scenes import FAMILIES
 from benchmarks.studies.study_results import Results, read_results
 from polhode.config import Config
-from polhode.config.scene_settings import TargetBody
+from polhode.config.scene_settings import Sensor, TargetBody
 from polhode.studies.rules import WORDS, Observation, Rules, expected, outside, read_rules
 from polhode.studies.table import TABLE
 
 RESULTS = ROOT / "docs" / "study_results"
-USUAL_CONTRAST = TargetBody().contrast
+USUAL_CONTRAST, USUAL_NOISE_DN = TargetBody().contrast, Sensor().read_noise_dn
+SAME_NOISE = 2.0
+"""A noise within this factor of the usual one counts as usual"""
 FITTED = "random_scenes"
 """The study that the rules are fitted to"""
 
@@ -79,6 +82,8 @@ def observation_of(config: Config) -> Observation | None:
     if scene is None or scene.light.lamp > 0.0 or scene.body.path is not None:
         return None
     if scene.body.family not in FAMILIES or scene.body.contrast != USUAL_CONTRAST:
+        return None
+    if not 1.0 / SAME_NOISE <= scene.sensor.read_noise_dn / USUAL_NOISE_DN <= SAME_NOISE:
         return None
     away = np.array(scene.motion.position_m) - [0.5 * scene.rig.baseline_m, 0.0, 0.0]
     sun = np.array(scene.light.sun_direction_N)

@@ -28,7 +28,17 @@ from benchmarks.studies.confidence import share_text, significant
 from benchmarks.studies.random_scenes import RandomScene, random_scenes, settings_of
 from polhode.atomic import write_text
 from polhode.lie import Array
-from polhode.studies.rules import CONFIDENCE, PREDICTORS, WORDS, Observation, Rule, Rules, checked, fit
+from polhode.studies.rules import (
+    CONFIDENCE,
+    PREDICTORS,
+    RATIOS,
+    WORDS,
+    Observation,
+    Rule,
+    Rules,
+    checked,
+    fit,
+)
 from polhode.studies.steps import DONE
 from polhode.studies.table import read_table
 
@@ -119,12 +129,12 @@ def rules_of(scenes: Sequence[RandomScene], table: pa.Table, held_back: int = 0)
     seen = {k: by_name[names[k]] for k, each in enumerate(status) if each == DONE}
     rows = list(seen)
     used, new = rows[: len(rows) - held_back], rows[len(rows) - held_back :]
-    predictors = [seen[k].predictors for k in used]
+    described = [seen[k].described for k in used]
     return Rules(
         made_by="python -m benchmarks.studies.rules_of_thumb",
         runs=len(names) - len(new),
         failed=len(names) - len(rows),
-        ranges={name: _range([each[name] for each in predictors]) for name in PREDICTORS},
+        ranges={name: _range([each[name] for each in described]) for name in (*PREDICTORS, *RATIOS)},
         rules=tuple(_rule(seen, table, used, new, about) for about in ERRORS),
     )
 

@@ -45,3 +45,6 @@ def test_a_study_of_other_settings_is_refused(tmp_path: Path) -> None:
     flow.sweep(other, tmp_path / "other", Silent(), ClusterOptions())
     with pytest.raises(SystemExit, match="another base"):
         adopt.main(write(tmp_path / "study.yaml", [1]), (tmp_path / "other",), tmp_path / "whole")
+    with pytest.raises(SystemExit, match=r"study\.yaml is missing"):
+        adopt.main(write(tmp_path / "study.yaml", [1]), (tmp_path / "none",), tmp_path / "whole")
+    assert not (tmp_path / "whole").exists()

@@ -107,7 +107,7 @@ def test_rules_of_this_version_are_used_if_it_has_any(
     rule = rule_of(90, 0.3).model_copy(update={"new": 30, "new_inside": 28})
     shipped.write_text(yaml.safe_dump(rules_of(rule).model_dump(mode="json")))
     assert main(["expect", *WORDS]) == 0
-    assert "Of new runs, which no part of the fit has seen: 28 of 30." in capsys.readouterr().out
+    assert "28 of 30\n" in capsys.readouterr().out
 
 
 def test_rules_that_come_with_this_version_can_be_read() -> None:
@@ -149,8 +149,28 @@ def test_the_command_answers_with_a_band_and_says_what_is_beyond(tmp_path: Path,
     narrow = rules_of(rule_of(90, 0.3)).model_copy(update={"ranges": dict.fromkeys(PREDICTORS, (1.0, 50.0))})
     path.write_text(yaml.safe_dump(narrow.model_dump(mode="json")))
     assert main(["expect", "--rules", str(path), *WORDS]) == 0
-    assert "size_px 360 is outside of 1 to 50" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert said.startswith("Beyond the runs of the fit, where this is no estimate: size_px 360 is outside")
     assert outside(narrow, Observation(1.0, 30.0, 2.0, 1200.0, 0.3, 0.5, 20, 45.0)) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--range", "1.4"], "--range 1.4: the camera would be inside the target"),
+        (["--interval", "20"], "--interval 20: the target would turn by 240 deg between two pairs"),
+        (["--pairs", "2"], "--pairs 2: give 3 to"),
+        (["--sun-angle", "400"], "--sun-angle 400: give 0 to 180 degrees"),
+    ],
+)
+def test_what_no_rule_can_answer_gives_one_line(
+    words: list[str], said: str, tmp_path: Path, capsys: Capture
+) -> None:
+    path = tmp_path / "rules.yaml"
+    path.write_text(yaml.safe_dump(rules_of(rule_of(90, 0.3)).model_dump(mode="json")))
+    assert main(["expect", "--rules", str(path), *WORDS, *words]) == 2
+    printed = capsys.readouterr().err
+    assert said in printed and printed.count("\n") == 1
 
 
 @pytest.mark.parametrize(
