@@ -208,13 +208,13 @@ def test_of_solvers_claims_above_the_least_cost_are_named() -> None:
         }
 
     parts = FINDINGS["optimizers_over_bodies"].parts(invented("optimizers_over_bodies", outcome))
-    assert part(parts, "Solved")["rash"] == [share_text(18, 20), "7 (7 to 7)"]
+    assert part(parts, "Solved")["rash"] == [share_text(16, 20), "7 (7 to 7)"]
     claims = part(parts, "Convergence claimed")
-    assert claims["rash"] == ["cold", share_text(2, 20), "5.0% to 5.0%"] and "good" not in claims
+    assert claims["rash"] == ["cold", share_text(4, 20), "5.0% to 5.0%"] and "good" not in claims
     assert part(parts, "Time over")["rash"][:3] == [
         share_text(0, 20),
         share_text(0, 20),
-        share_text(18, 20),
+        share_text(16, 20),
     ]
     assert part(parts, "Errors of baselines")["plain"][2].startswith("4 ")
 
