@@ -159,7 +159,9 @@ class OpenStudy:
             for level in factor.extremes():
                 changes = others | factor.changes[level]
                 self._config(_of_configuration(changes))
-                self.plan_options(Point(0, {}, changes, ""))
+                plan = self.plan_options(Point(0, {}, changes, ""))
+                if PLAN in self.settings.steps:
+                    _check_members(plan, self.source)
 
     def text(self) -> str:
         """The study with its base and its variants written out: the same points, from any folder."""
@@ -359,6 +361,18 @@ def _check_steps(study: OpenStudy) -> None:
             raise InputError(f"{source}: {path} is missing; give an existing file or sequence")
         if path.is_dir() and not (path / "mav0").is_dir():
             raise InputError(f"{source}: data: {path} is no sequence (it has no mav0/); give an existing one")
+
+
+def _check_members(plan: PlanOptions, source: str) -> None:
+    """Raise InputError for fewer members than the confidence of a keep-out volume needs."""
+    from polhode.planning.keep_out.volumes import KeepOutOptions
+
+    options = KeepOutOptions(plan.horizon_s, plan.confidence, members=plan.members)
+    if plan.members < options.members_needed:
+        raise InputError(
+            f"{source}: plan: members: a confidence of {plan.confidence:g} needs {options.members_needed}, "
+            f"not {plan.members}"
+        )
 
 
 def _check_measurement(study: OpenStudy) -> None:

@@ -81,6 +81,11 @@ class KeepOutOptions:
         """Allowed probability that the pose leaves the volume."""
         return (1.0 - self.confidence) * (1.0 - SURFACE_SHARE)
 
+    @property
+    def members_needed(self) -> int:
+        """Least number of members for the confidence."""
+        return 2 * (int(np.ceil(1.0 / self.pose_miss)) + 1)
+
 
 @dataclass(frozen=True)
 class SweptKeepOut:
@@ -197,9 +202,8 @@ def _points(p_N: Array) -> Array:
 def keep_out(surface: SurfaceModel, estimate: FinalEstimate, options: KeepOutOptions) -> KeepOut:
     """Both volumes. Raises ValueError without a surface, or with too few members for the confidence."""
     half = options.members // 2
-    needed = int(np.ceil(1.0 / options.pose_miss)) + 1
-    if half < needed:
-        raise ValueError(f"a confidence of {options.confidence:g} needs {2 * needed} members")
+    if half < options.members_needed // 2:
+        raise ValueError(f"a confidence of {options.confidence:g} needs {options.members_needed} members")
     body = grown_body(surface, (1.0 - options.confidence) * SURFACE_SHARE, cover=options.cover)
     times = member_times(estimate, options.horizon_s)
     members = draw_ensemble(estimate, times, options.members, options.seed)
