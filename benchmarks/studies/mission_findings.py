@@ -5,7 +5,14 @@ import re
 import numpy as np
 from pandas.api.types import is_numeric_dtype
 
-from benchmarks.studies.confidence import CONFIDENCE, median, quantile, rank_correlation, share_text
+from benchmarks.studies.confidence import (
+    CONFIDENCE,
+    median,
+    quantile,
+    rank_correlation,
+    share_text,
+    significant,
+)
 from benchmarks.studies.effects import determined, doubts, outcomes, sigmas
 from benchmarks.studies.study_results import ATTITUDE, RATE, SURFACE, Error, Part, Results, prediction
 
@@ -20,6 +27,7 @@ def one_mission(results: Results) -> list[Part]:
         outcomes(results),
         _distribution(results, _errors(results)),
         _broken(results),
+        _farthest(results),
         _what_decides(results, _errors(results)),
         determined(results),
         sigmas(results),
@@ -60,6 +68,24 @@ def _broken(results: Results) -> Part:
             rows.append([*where, among, share, said])
     columns = "volume | what leaves it | runs | missions | farthest [mm]"
     return Part("Keep-out volumes that the true body left", columns, rows, right_from=3)
+
+
+def _farthest(results: Results) -> Part:
+    """Of each mission whose body left a volume of an instant: can the error of the motion explain how far?"""
+    left, farthest = (results.column(f"plan.truth.instant_body_{name}") for name in ("left", "farthest_m"))
+    errors = (prediction(30), Error("position, 30 s [mm]", "evaluate.prediction_error_m.30", 1e3))
+    rows = [
+        [
+            k,
+            results.verdict[k],
+            *(significant(float(results.errors(e)[k])) for e in errors),
+            f"{1e3 * far:.0f}",
+        ]
+        for k, far in enumerate(farthest)
+        if left[k] == 1.0
+    ]
+    columns = f"mission | run | {' | '.join(error.title for error in errors)} | farthest [mm]"
+    return Part("Missions whose body left the volume of an instant", columns, rows, right_from=2)
 
 
 def _what_decides(results: Results, errors: list[Error]) -> Part:

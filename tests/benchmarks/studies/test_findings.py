@@ -174,6 +174,8 @@ def test_of_a_mission_broken_volumes_are_counted_with_clopper_and_pearson() -> N
             "evaluate.prediction_error_deg.30": values["scene.motion.position_m.2"] ** 3,
             "plan.truth.swept_body_left": far,
             "plan.truth.swept_body_farthest_m": 0.002 if far else 0.0,
+            "plan.truth.instant_body_left": far,
+            "plan.truth.instant_body_farthest_m": 0.003 if far else 0.0,
             "evaluate.attitude_error_deg.median": float(rng.uniform(0.1, 0.2)),
         }
 
@@ -182,8 +184,10 @@ def test_of_a_mission_broken_volumes_are_counted_with_clopper_and_pearson() -> N
     parts = FINDINGS["one_mission"].parts(results)
     (title,) = (each for each in parts if each.title.startswith("Keep-out volumes"))
     rows = [list(map(str, row)) for row in title.rows]
-    assert rows[0][2:] == ["all", share_text(far, 32), "2.0"]
-    assert rows[1][2:] == ["ok", share_text(0, 32 - far), "-"]
+    assert rows[0][2:] == ["all", share_text(far, 16), "2.0"]
+    assert rows[1][2:] == ["ok", share_text(0, 16 - far), "-"]
+    assert len(left := part(parts, "Missions whose body left")) == far + 1
+    assert {row[-1] for row in left.values()} == {"farthest [mm]", "3"}
     unknowns = part(parts, "Rank correlations")
     assert unknowns["scene.motion.position_m.2"][0].startswith("1.00")
 
@@ -235,7 +239,7 @@ SECTIONS = {
 """Of the page, by the finding whose command it shows"""
 
 
-def test_tables_of_a_page_are_written_anew_where_they_stand() -> None:
+def test_tables_of_a_page_are_replaced_where_they_stand() -> None:
     stands = "| a |\n|---|\n| 1 |\n"
     section = f"## A\n\npython -m benchmarks.studies.findings light\n\nOne:\n\n{stands}\nAnd so on.\n"
     other = section.replace("## A", "## B").replace("light", "rig_for_target")
