@@ -201,9 +201,9 @@ def _points(p_N: Array) -> Array:
 
 def keep_out(surface: SurfaceModel, estimate: FinalEstimate, options: KeepOutOptions) -> KeepOut:
     """Both volumes. Raises ValueError without a surface, or with too few members for the confidence."""
-    half = options.members // 2
-    if half < options.members_needed // 2:
+    if options.members < options.members_needed:
         raise ValueError(f"a confidence of {options.confidence:g} needs {options.members_needed} members")
+    half = options.members // 2
     body = grown_body(surface, (1.0 - options.confidence) * SURFACE_SHARE, cover=options.cover)
     times = member_times(estimate, options.horizon_s)
     members = draw_ensemble(estimate, times, options.members, options.seed)

@@ -4,7 +4,7 @@ import json
 import struct
 from typing import Any
 
-from polhode.foreign_meshes.unsound import FOREIGN, Unsound, require_pieces
+from polhode.foreign_meshes.unsound import Unsound, require_pieces
 
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _JSON_BYTES = 8 << 20
@@ -23,7 +23,7 @@ _EXTENSIONS = (
 """Beginnings of the names of those that a file may require."""
 
 
-def require_sound_glb(content: bytes) -> None:
+def require_sound_glb(content: bytes, most_faces: int) -> None:
     """Raises Unsound, or KeyError, TypeError and the like for a document that is not glTF at all."""
     document, binary = _chunks(content)
     for name in document.get("extensionsRequired", []):
@@ -34,7 +34,7 @@ def require_sound_glb(content: bytes) -> None:
             raise Unsound("data in other files or in addresses: embed them")
     views = _views(document, binary)
     counts = _accessors(document, views)
-    _require_few(document, counts)
+    _require_few(document, counts, most_faces)
 
 
 def _chunks(content: bytes) -> tuple[dict[str, Any], int]:
@@ -98,7 +98,7 @@ def _accessors(document: dict[str, Any], views: list[int]) -> list[int]:
     return counts
 
 
-def _require_few(document: dict[str, Any], counts: list[int]) -> None:
+def _require_few(document: dict[str, Any], counts: list[int], most_faces: int) -> None:
     """Meshes, their instances and the depth of the nodes are limited."""
     vertices, faces, pieces = [], [], []
     for mesh in document.get("meshes", []):
@@ -113,8 +113,8 @@ def _require_few(document: dict[str, Any], counts: list[int]) -> None:
     nodes = document.get("nodes", [])
     used = [_count(node["mesh"]) for node in nodes if "mesh" in node]
     require_pieces(max(sum(pieces), sum(pieces[index] for index in used)))
-    if max(sum(faces), sum(faces[index] for index in used)) > FOREIGN.faces:
-        raise Unsound(f"more than {FOREIGN.faces} triangles")
+    if max(sum(faces), sum(faces[index] for index in used)) > most_faces:
+        raise Unsound(f"more than {most_faces} triangles")
     if max(sum(vertices), sum(vertices[index] for index in used)) > _MAX_VERTICES:
         raise Unsound(f"more than {_MAX_VERTICES} vertices")
     _require_trees([[_count(child) for child in node.get("children", [])] for node in nodes])

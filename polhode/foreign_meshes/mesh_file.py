@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -26,13 +27,7 @@ TEXT_BYTES = 16 * MIB
 """trimesh needs some thirty times as much memory to read a text; with this limit it stays below 1 GiB."""
 MAX_COORDINATE = 1e12
 """In units of the file, whatever they are."""
-KINDS: Mapping[str, Callable[[bytes], None]] = {
-    "ply": require_sound_ply,
-    "stl": require_sound_stl,
-    "obj": require_sound_obj,
-    "glb": require_sound_glb,
-}
-"""The structure that each kind must have."""
+KINDS = ("ply", "stl", "obj", "glb")
 
 
 @dataclass(frozen=True)
@@ -104,13 +99,20 @@ def open_mesh(path: Path, limits: MeshLimits = FOREIGN) -> MeshFile:
             if len(content) > TEXT_BYTES:
                 raise Unsound(f"a text of {amount(len(content))}, where {amount(TEXT_BYTES)} are allowed")
             content = plain(content)
-        if kind == "ply":
-            require_sound_ply(content, limits.rows)
-        else:
-            KINDS[kind](content)
+        _structure(limits)[kind](content)
     except Exception as error:  # noqa: BLE001  a document of another structure
         raise unreadable(path, error) from None
     return MeshFile(path, kind, content, FilesBeside(path), limits)
+
+
+def _structure(limits: MeshLimits) -> Mapping[str, Callable[[bytes], None]]:
+    """The structure that each kind must have."""
+    return {
+        "ply": partial(require_sound_ply, most_rows=limits.rows),
+        "stl": require_sound_stl,
+        "obj": require_sound_obj,
+        "glb": partial(require_sound_glb, most_faces=limits.faces),
+    }
 
 
 def _is_text(kind: str, content: bytes) -> bool:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from polhode.foreign_meshes.unsound import FOREIGN, Unsound
+from polhode.foreign_meshes.unsound import Unsound
 
 _SIZES = {
     "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
@@ -25,7 +25,7 @@ class _Element:
     """Of one row, with the counts of its lists and without their items"""
 
 
-def require_sound_ply(content: bytes, most_rows: int = FOREIGN.rows) -> None:
+def require_sound_ply(content: bytes, most_rows: int) -> None:
     """Raises Unsound: no PLY, an unknown type, or more rows than are allowed or fit the file."""
     ascii_body, elements, body = _header(content)
     rows = sum(element.count for element in elements)
