@@ -14,11 +14,6 @@ from benchmarks.studies.confidence import (
     significant,
 )
 from benchmarks.studies.study_results import (
-    ATTITUDE,
-    COMPLETION,
-    POSITION,
-    RATE,
-    SURFACE,
     Error,
     Part,
     Results,
@@ -34,7 +29,6 @@ from polhode.studies.page.drawings import QUANTITIES
 from polhode.studies.page.sections import reasons
 from polhode.studies.page.variance_shares import variance_shares
 
-IMAGE_ERRORS = (ATTITUDE, RATE, POSITION, SURFACE, COMPLETION)
 MAX_REASON = 150
 """Characters of a reason in a table"""
 
@@ -102,7 +96,7 @@ def ratios(results: Results, errors: Sequence[Error]) -> list[Part]:
         if rows:
             titles = " | ".join(error.title for error in errors)
             title = f"Errors over those at {axis.name} {first}, all else being equal"
-            parts.append(Part(title, f"{axis.name} | pairs | {titles}", rows))
+            parts.append(Part(title, f"{axis.name} | runs compared | {titles}", rows))
     return parts
 
 
@@ -182,19 +176,3 @@ def determined(results: Results) -> Part:
         "truth in the interval that is given instead"
     )
     return Part("What a run says that it has determined", columns, rows)
-
-
-def of_images(results: Results) -> list[Part]:
-    """What each setting does to the errors, by itself."""
-    by = numeric_axes(results)
-    labels = results.settings.drop(columns=list(by)).astype(str).agg(tuple, axis=1)
-    parts = [
-        outcomes(results),
-        *levels(results, IMAGE_ERRORS),
-        *ratios(results, IMAGE_ERRORS),
-        variances(results, results.axes, IMAGE_ERRORS),
-    ]
-    if by:
-        errors = [(error, np.where(results.ok, results.errors(error), np.nan)) for error in IMAGE_ERRORS]
-        parts.append(exponents("Exponents, of runs that are ok", errors, by, labels.tolist()))
-    return [*parts, determined(results), sigmas(results), doubts(results)]

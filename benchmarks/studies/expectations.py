@@ -59,7 +59,7 @@ def compared(rules: Rules, results: Results) -> list[Row]:
     seen = {
         k: about
         for k, each in enumerate(results.configurations)
-        if results.done[k] and (about := observation_of(each)) is not None and not outside(rules, about)
+        if results.done[k] and (about := observation_of_scene(each)) is not None and not outside(rules, about)
     }
     rows: list[Row] = []
     for number, rule in enumerate(rules.rules):
@@ -76,7 +76,7 @@ def compared(rules: Rules, results: Results) -> list[Row]:
     return rows
 
 
-def observation_of(config: Config) -> Observation | None:
+def observation_of_scene(config: Config) -> Observation | None:
     """What a designer would know of a scene; None: there is none, or it has what the rules do not know."""
     scene = config.scene
     if scene is None or scene.light.lamp > 0.0 or scene.body.path is not None:

@@ -16,10 +16,10 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from benchmarks.command import ROOT, command
-from benchmarks.studies.effects import of_images
 from benchmarks.studies.image_findings import (
     light,
     noise_and_resolution,
+    of_images,
     rig_for_target,
     share_of_texture,
 )

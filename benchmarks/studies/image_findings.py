@@ -1,4 +1,4 @@
-"""Findings on what images must show: pixels on the target and baseline, light, texture, noise."""
+"""Findings on images: pixels on the target and baseline, light, texture, noise and resolution, front end."""
 
 from collections.abc import Mapping
 from itertools import pairwise
@@ -6,11 +6,31 @@ from itertools import pairwise
 import numpy as np
 
 from benchmarks.studies.confidence import median, share_text, significant
-from benchmarks.studies.effects import of_images
-from benchmarks.studies.study_results import ATTITUDE, POSITION, RATE, Part, Results, by_level
+from benchmarks.studies.effects import (
+    determined,
+    doubts,
+    exponents,
+    levels,
+    numeric_axes,
+    outcomes,
+    ratios,
+    sigmas,
+    variances,
+)
+from benchmarks.studies.study_results import (
+    ATTITUDE,
+    COMPLETION,
+    POSITION,
+    RATE,
+    SURFACE,
+    Part,
+    Results,
+    by_level,
+)
 from polhode.lie import Array
 from polhode.records import Bools
 
+ERRORS = (ATTITUDE, RATE, POSITION, SURFACE, COMPLETION)
 PIXELS = (0.0, 40.0, 80.0, 120.0, 200.0, 400.0)
 """Ends of the groups of pixels across the target"""
 BASELINE, SUN, LAMP = "scene.rig.baseline_m", "Sun to camera [deg]", "scene.light.lamp"
@@ -50,6 +70,22 @@ def share_of_texture(results: Results) -> list[Part]:
 def noise_and_resolution(results: Results) -> list[Part]:
     """What do pixels give, and what does noise take?"""
     return [_crossed(results, RESOLUTION, by_level(results, RESOLUTION), NOISE, "DN"), *of_images(results)]
+
+
+def of_images(results: Results) -> list[Part]:
+    """What each setting does to the errors, by itself."""
+    by = numeric_axes(results)
+    labels = results.settings.drop(columns=list(by)).astype(str).agg(tuple, axis=1)
+    parts = [
+        outcomes(results),
+        *levels(results, ERRORS),
+        *ratios(results, ERRORS),
+        variances(results, results.axes, ERRORS),
+    ]
+    if by:
+        errors = [(error, np.where(results.ok, results.errors(error), np.nan)) for error in ERRORS]
+        parts.append(exponents("Exponents, of runs that are ok", errors, by, labels.tolist()))
+    return [*parts, determined(results), sigmas(results), doubts(results)]
 
 
 def _by_group(results: Results, name: str, groups: Mapping[str, Bools]) -> Part:

@@ -29,7 +29,6 @@ from polhode.studies.page.columns import Axis, axes_of
 
 TURNS_DEG = (0.0, 9.0, 18.0, 36.0, 72.0, 180.0, 360.0)
 """Ends of the groups of turns between two pairs"""
-HALF_TURN_DEG = 180.0
 CLEAR_DEG = 100.0
 """Below it every point of the study of frame rates has an answer"""
 HORIZON_S = 10

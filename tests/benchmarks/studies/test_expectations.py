@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.studies.expectations import compared, observation_of
+from benchmarks.studies.expectations import compared, observation_of_scene
 from benchmarks.studies.random_scenes import random_scenes
 from benchmarks.studies.rules_of_thumb import ERRORS, rules_of
 from polhode.studies.study import open_study
@@ -32,7 +32,7 @@ def follows(factor: float) -> Any:
 
 def test_bands_hold_for_runs_that_follow_the_rules_and_not_for_others() -> None:
     study = open_study(ROOT / "configs" / "studies" / "light.yaml")
-    within = [observation_of(study.config(study.point(k))) for k in range(study.count)]
+    within = [observation_of_scene(study.config(study.point(k))) for k in range(study.count)]
     # half of the points have a lamp, and of the others 8 a Sun 105 and 8 one 135 degrees from the camera
     assert sum(each is not None for each in within) == 20
     assert within[0] is not None and within[0].sun_angle_deg == pytest.approx(17.5, abs=3.0)
