@@ -79,8 +79,9 @@ def _least_from_mesh(surface: SurfaceModel, body: TrueBody, p_G: Array) -> float
 
 
 def truth_numbers(found: KeepOutTruth) -> dict[str, bool | float | None]:
-    """As a study's table has them: whether the body left each volume, and how far."""
-    numbers: dict[str, bool | float | None] = {}
+    """As a study's table has them: whether the body left each volume, how far, and the distance from the
+    mesh of what left that of an instant."""
+    numbers: dict[str, bool | float | None] = {"least_from_mesh_m": found.least_from_mesh_m}
     for name, excess in (("swept", found.swept), ("instant", found.instant)):
         whole = np.ones(len(excess.seen), dtype=bool)
         for part, chosen in (("body", whole), ("seen", excess.seen)):
