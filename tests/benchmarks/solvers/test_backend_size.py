@@ -22,9 +22,9 @@ def test_both_solvers_are_timed_on_the_way_to_the_same_cost() -> None:
     times = measure(SMALL)
     assert times.frames == 10 and times.landmarks <= 150
     assert times.costs[0] == pytest.approx(times.costs[1], rel=1e-7)
-    assert min(times.gauss_newton_s, times.ipopt_s, times.build_s, times.covariance_s) > 0.0
+    assert min(times.gauss_newton_s, times.ipopt_s, times.build_s, times.answer_s, times.covariance_s) > 0.0
     assert 1 < times.gauss_newton_iterations < 60 and 1 < times.ipopt_iterations < 60
-    assert times.answer_s > times.build_s and 1 <= times.answer_iterations <= 6
+    assert 1 <= times.answer_iterations <= 6
 
 
 def test_the_growth_is_drawn(tmp_path: Path) -> None:
