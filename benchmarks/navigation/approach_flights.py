@@ -11,6 +11,7 @@ Truth and estimate have frames G of their own; what all pairs of the inspection 
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,28 +19,38 @@ import numpy as np
 
 import polhode
 from benchmarks.edges.observability import LENS
-from benchmarks.edges.tracking.stripe_tracker import StripeOptions, track_stripes
+from benchmarks.edges.tracking.edge_search import as_levels
+from benchmarks.edges.tracking.stripe_tracker import (
+    PosePrior,
+    StripeOptions,
+    StripeTracking,
+    track_stripes,
+)
 from benchmarks.edges.views import EdgeBody, EdgeViews, ViewOptions, edge_rig
 from benchmarks.navigation.body_filter import (
     BodyState,
     MeasuredPose,
     arrival_covariance,
     first_state,
+    measured_jacobian,
     predict,
     update,
 )
+from benchmarks.navigation.edge_refinement import RefinedEdges, Sight, refined
 from benchmarks.navigation.inspections import Inspection, inspection
 from benchmarks.navigation.mesh_errors import PoseErrors, covariance_of, pose_errors
 from benchmarks.record import Case
 from polhode.config.loader import load_config
+from polhode.dataset import open_sequence
 from polhode.errors import InputError
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.images import Grey
+from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.metrics import truth_at
 from polhode.pipeline.after_run.plan import final_estimate, surface_of
 from polhode.pipeline.evaluation import between_target_frames
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
-from polhode.planning.edges.edge_model import EdgeModel
 from polhode.planning.edges.measured_edges import measured_edge_model
+from polhode.planning.edges.observability_metric import moved, pose_error
 from polhode.planning.edges.visible_edges import SPACING_PX, control_points, in_sunlight
 from polhode.planning.prediction import FinalEstimate, FinalState, nominal_motion
 from polhode.records import Bools
@@ -54,12 +65,19 @@ WAYS, WITHIN_DEG = 6, 50.0
 STEP_S, IMAGES = 4.0, 8
 LONGEST_WAIT_S = 24.0
 RIG = edge_rig(500.0, 400, 400)
-FLOOR_PX = 0.4
-"""Sigma of a measured mesh's edge in the image however clear it is"""
+FLOOR_PX = 0.15
+"""Sigma of an edge in the image however clear it is and however well its place on the body is known"""
 TURN_OF_BIAS_RAD = 0.5
 """Turn of the view after which the common error of the poses is forgotten to 1 / e"""
 GATE = 0.999
-LEAST_AGREEMENT = 0.15
+OVERSTATED = 3.0
+"""How much better a pose is, by the tracker's information, than it turns out, as edges share errors: the
+prediction weighs so much more in the tracker. Filters get the pose without it (``Flight.beyond``)"""
+LEAST_EDGES = 12
+"""Of a model that is flown to"""
+DRAWN_STARTS, CONTENT = 5, 0.6
+"""Starts besides the predicted pose, until the image confirms so much of the edges"""
+LEAST_AGREEMENT = 0.35
 """Of a tracked pose that is shown to the filter: the mesh lacks edges, and has others"""
 
 
@@ -69,9 +87,9 @@ class Weights:
 
     noise: float = 1.0
     """of the image's, over what is stated"""
-    edges: float = 2.5
-    """of the displacements of single edges, over the mesh's sigma"""
-    outward: float = 1.0
+    edges: float = 3.0
+    """of the displacements of single edges, over what is stated"""
+    outward: float = 0.1
     """of the displacement of the whole surface, over the mesh's sigma"""
 
 
@@ -106,6 +124,8 @@ class Flight:
     way: Way
     X_RG: Array
     """(T, 4, 4) tracked"""
+    beyond: Array
+    """(T, 6) steps from there to what the edges would give without the filter's prediction"""
     found: tuple[PoseErrors, ...]
     """(T,) of the tracked poses, by the points that were found"""
     agreement: Array
@@ -155,36 +175,56 @@ def started(known: Known, way: Way, bias: Array, outward_m: float) -> BodyState:
     return predict(state, known.estimate, float(way.time_s[0]), bias, 1.0)
 
 
-def sized(errors: PoseErrors, weights: Weights, sigma_m: float) -> tuple[Array, Array]:
+def sized(errors: PoseErrors, weights: Weights) -> tuple[Array, Array]:
     """Covariances (6, 6) of what is new in an image, and of what nearby views have in common."""
-    return weights.noise**2 * errors.noise, (weights.edges * sigma_m) ** 2 * errors.edges
+    return weights.noise**2 * errors.noise, weights.edges**2 * errors.edges
 
 
 def promised(known: Known, way: Way, weights: Weights, X_NG: Array) -> Array:
     """Covariance (12, 12) on arrival, before there is an image: every pose is found, where it is expected."""
-    sizes = [sized(each, weights, known.sigma_m) for each in way.expected]
+    sizes = [sized(each, weights) for each in way.expected]
     bias = tuple(size[1] for size in sizes)
     state = started(known, way, bias[0], weights.outward * known.sigma_m)
     for k, (camera, errors) in enumerate(zip(way.X_NR, way.expected, strict=True)):
         if k:
             state = next_state(state, known, way, k, bias, X_NG)
-        pose = MeasuredPose(inverse_pose(camera) @ state.X_NG, sizes[k][0], errors.outward)
+        pose = MeasuredPose(inverse_pose(camera) @ state.X_NG, sizes[k][0], errors.outward, np.zeros(6))
         state = update(state, camera, pose, known.centre_G).state
     return arrival_covariance(state, way.X_NR[-1], known.centre_G)
 
 
-def known_of(inspected: Inspection) -> tuple[Known, EdgeModel]:
-    """The end of a run, and the edges of its mesh."""
+@lru_cache(maxsize=6)
+def known_of(inspected: Inspection) -> tuple[Known, RefinedEdges]:
+    """The end of a run, and the edges of its mesh, where the images have them.
+
+    Raises InputError where the images confirm too few.
+    """
     estimate, _ = final_estimate(inspected.run)
     surface = surface_of(inspected.run)
     model = measured_edge_model(surface.mesh, surface.sigma_m)
     sigma = surface.sigma_m[np.isfinite(surface.sigma_m)]
     sigma_m = float(np.hypot(np.median(sigma), 0.5 * model.tolerance_m))
-    return Known(estimate, model.centre_G, sigma_m), model
+    edges = refined(model, surface.mesh, surface.sigma_m, RIG, _sights(inspected))
+    if edges.model.size < LEAST_EDGES:
+        raise InputError(f"the images confirm {edges.model.size} of {model.size} edges of the mesh")
+    return Known(estimate, model.centre_G, sigma_m), edges
 
 
-def planned(known: Known, model: EdgeModel, sun_N: Array, seed: int) -> Way:
+def _sights(inspected: Inspection) -> list[Sight]:
+    """The left images of the inspection, with the poses of its run."""
+    images, table = open_sequence(inspected.sequence), read_trajectory(inspected.run)
+    summary = polhode.load(inspected.run).summary
+    frames = np.searchsorted(images.timestamps_ns, table.timestamps_ns)
+    X_CG = target_poses(table, np.array(summary.R_GP), np.array(summary.com_G))
+    return [
+        Sight(as_levels(images.read_left(int(frame))[0]), pose)
+        for frame, pose in zip(frames, X_CG, strict=True)
+    ]
+
+
+def planned(known: Known, edges: RefinedEdges, sun_N: Array, seed: int) -> Way:
     """The best of the ways that a seed's start offers."""
+    model = edges.model
     rng = np.random.default_rng([seed, 0xA99])
     time_s: Array = rng.uniform(2.0, LONGEST_WAIT_S) + STEP_S * np.arange(IMAGES, dtype=np.float64)
     X_NG = nominal_motion(known.estimate, time_s).X_NG
@@ -194,7 +234,7 @@ def planned(known: Known, model: EdgeModel, sun_N: Array, seed: int) -> Way:
     best, least = None, np.inf
     for X_NR in _ways(start, o_N):
         expected = tuple(
-            _expected(model, inverse_pose(camera) @ pose, sun_N, camera)
+            _expected(edges, inverse_pose(camera) @ pose, sun_N, camera)
             for camera, pose in zip(X_NR, X_NG, strict=True)
         )
         way = Way(time_s, X_NR, expected)
@@ -206,12 +246,15 @@ def planned(known: Known, model: EdgeModel, sun_N: Array, seed: int) -> Way:
     return best
 
 
-def _expected(model: EdgeModel, X_RG: Array, sun_N: Array, X_NR: Array) -> PoseErrors:
+def _expected(edges: RefinedEdges, X_RG: Array, sun_N: Array, X_NR: Array) -> PoseErrors:
     """Of a view of the predicted body, with the edges that have contrast in sunlight."""
+    model = edges.model
     points = control_points(model, RIG, X_RG, SPACING_PX)
     X_GR = inverse_pose(X_RG)
     points = in_sunlight(model, points, X_GR[:3, 3], X_GR[:3, :3] @ X_NR[:3, :3].T @ sun_N)
-    return pose_errors(model, RIG, X_RG, points, points.weight / FLOOR_PX**2)
+    z = transform_points(X_RG, points.p_G)[:, 2]
+    sigma_px = np.hypot(FLOOR_PX, RIG.focal_px * edges.sigma_m[points.feature] / z)
+    return pose_errors(edges, RIG, X_RG, points, points.weight / sigma_px**2)
 
 
 def _ways(start: Array, o_N: Array) -> Iterator[Array]:
@@ -241,46 +284,81 @@ def _aside(direction: Array, angle_rad: float, around_rad: float) -> Array:
 
 def flown(inspected: Inspection, seed: int) -> Flight:
     """One flight."""
-    known, model = known_of(inspected)
+    known, edges = known_of(inspected)
+    model = edges.model
     sun_N = _sun(inspected, seed)
-    way = planned(known, model, sun_N, seed)
+    way = planned(known, edges, sun_N, seed)
     truth = _truth(inspected, known, way)
     views = EdgeViews(truth.body, RIG, seed, ViewOptions(earth=0.2, sensor=LENS))
-    options = StripeOptions(far_px=(4.0, 4.0), restarts=1, floor_px=FLOOR_PX)
     X_NG = nominal_motion(known.estimate, way.time_s).X_NG
     weights = Weights()
-    found, poses, agreement = [], [], []
+    found, poses, beyond, agreement = [], [], [], []
     state, bias = None, list[Array]()
     for k, (camera, expected) in enumerate(zip(way.X_NR, way.expected, strict=True)):
-        bias.append(sized(expected, weights, known.sigma_m)[1])
+        bias.append(sized(expected, weights)[1])
         if state is None:
             state = started(known, way, bias[0], weights.outward * known.sigma_m)
         else:
             state = next_state(state, known, way, k, tuple(bias), X_NG)
         X_RB = inverse_pose(camera) @ truth.X_NB[k]
         image = views.image(X_RB, camera[:3, :3].T @ sun_N, k)
-        tracked = track_stripes(model, RIG, image, inverse_pose(camera) @ state.X_NG, wanted=options)
+        prior = _prior(state, camera, known, expected.outward)
+        tracked = _tracked(edges, image, prior, np.random.default_rng([seed, k]))
         poses.append(tracked.X_RG)
+        beyond.append(np.zeros(6))
         agreement.append(tracked.agreement if tracked.converged else 0.0)
         errors = expected
         if tracked.converged:
             noise = covariance_of(tracked.information.C / tracked.scale**2, model.radius_m)
-            errors = pose_errors(model, RIG, tracked.X_RG, tracked.points, tracked.weight, noise)
+            errors = pose_errors(edges, RIG, tracked.X_RG, tracked.points, tracked.weight, noise)
+            beyond[k] = noise @ prior.information @ pose_error(tracked.X_RG, prior.X_RG, known.centre_G)
         found.append(errors)
         if agreement[-1] >= LEAST_AGREEMENT:
-            own, bias[k] = sized(errors, weights, known.sigma_m)
-            pose = MeasuredPose(tracked.X_RG, own, errors.outward)
+            own, bias[k] = sized(errors, weights)
+            pose = MeasuredPose(tracked.X_RG, own, errors.outward, beyond[k])
             state = update(state, camera, pose, known.centre_G, GATE).state
     return Flight(
         known,
         way,
         np.array(poses),
+        np.array(beyond),
         tuple(found),
         np.array(agreement),
         np.array([inverse_pose(a) @ b @ truth.X_BG for a, b in zip(way.X_NR, truth.X_NB, strict=True)]),
         truth.v_N,
         truth.w_G,
     )
+
+
+def _prior(state: BodyState, X_NR: Array, known: Known, outward: Array) -> PosePrior:
+    """Of the pose that a tracker finds, by the filter's prediction."""
+    H = measured_jacobian(state, X_NR, known.centre_G, outward)
+    off = state.bias + outward * state.outward
+    X_RG = moved(inverse_pose(X_NR) @ state.X_NG, off, known.centre_G)
+    return PosePrior(X_RG, OVERSTATED**2 * np.linalg.inv(H @ state.covariance @ H.T))
+
+
+def _tracked(edges: RefinedEdges, image: Grey, prior: PosePrior, rng: np.random.Generator) -> StripeTracking:
+    """The pose from the predicted one if the image confirms it, else the best of others as probable."""
+    covariance = OVERSTATED**2 * np.linalg.inv(prior.information)
+    starts = rng.multivariate_normal(np.zeros(6), covariance, size=DRAWN_STARTS)
+    best = None
+    for step in (np.zeros(6), *starts):
+        options = StripeOptions(
+            far_px=(4.0, 4.0),
+            restarts=int(best is None),
+            floor_px=FLOOR_PX,
+            sigma_m=edges.sigma_m,
+            prior=prior,
+        )
+        start = moved(prior.X_RG, step, edges.model.centre_G)
+        found = track_stripes(edges.model, RIG, image, start, wanted=options)
+        if best is None or (found.converged, found.agreement) > (best.converged, best.agreement):
+            best = found
+        if best.converged and best.agreement >= CONTENT:
+            break
+    assert best is not None
+    return best
 
 
 def _sun(inspected: Inspection, seed: int) -> Array:
@@ -337,6 +415,7 @@ def as_line(flight: Flight) -> dict[str, Any]:
         "X_NR": flight.way.X_NR,
         "expected": _packed(flight.way.expected),
         "X_RG": flight.X_RG,
+        "beyond": flight.beyond,
         "found": _packed(flight.found),
         "agreement": flight.agreement,
         "true_X_RG": flight.true_X_RG,
@@ -357,6 +436,7 @@ def from_line(line: dict[str, Any]) -> Flight:
         Known(estimate, np.array(line["centre_G"]), line["sigma_m"]),
         Way(np.array(line["time_s"]), np.array(line["X_NR"]), _unpacked(line["expected"])),
         np.array(line["X_RG"]),
+        np.array(line["beyond"]),
         _unpacked(line["found"]),
         np.array(line["agreement"]),
         np.array(line["true_X_RG"]),

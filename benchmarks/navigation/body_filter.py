@@ -162,6 +162,13 @@ def pose_jacobian(state: BodyState, X_NR: Array, o_G: Array) -> Array:
     return H
 
 
+def measured_jacobian(state: BodyState, X_NR: Array, o_G: Array, outward: Array) -> Array:
+    """Derivative (6, 27) of a measured pose, with the errors of the mesh."""
+    H = pose_jacobian(state, X_NR, o_G)
+    H[:, BIAS], H[:, OUTWARD] = np.eye(6), outward[:, None]
+    return H
+
+
 @dataclass(frozen=True)
 class Updated:
     """A state after a measurement."""
@@ -183,16 +190,18 @@ class MeasuredPose:
     """(6, 6) covariance of what is new in this image"""
     outward: Array
     """(6,) error of the pose for a mesh that is too large by a metre on all sides"""
+    beyond: Array
+    """(6,) step from the pose to that which the edges would give without the tracker's prior"""
 
 
 def update(
     state: BodyState, X_NR: Array, measured: MeasuredPose, o_G: Array, gate: float | None = None
 ) -> Updated:
     """After a measured pose; with a gate, none whose innovation is beyond that quantile."""
-    H = pose_jacobian(state, X_NR, o_G)
-    H[:, BIAS], H[:, OUTWARD] = np.eye(6), measured.outward[:, None]
+    H = measured_jacobian(state, X_NR, o_G, measured.outward)
     expected = state.bias + measured.outward * state.outward
-    innovation = pose_error(measured.X_RG, inverse_pose(X_NR) @ state.X_NG, o_G) - expected
+    off = pose_error(measured.X_RG, inverse_pose(X_NR) @ state.X_NG, o_G) + measured.beyond
+    innovation = off - expected
     S = cho_factor(H @ state.covariance @ H.T + measured.noise)
     nis = float(innovation @ cho_solve(S, innovation))
     if gate is not None and nis > float(chi2.ppf(gate, 6)):

@@ -16,7 +16,7 @@ from polhode.errors import RunFailure
 
 FAMILIES = ("free_flyer", "bus", "cubesat", "upper_stage", "truss", "dish")
 SIZE_M, RANGE_M = 0.8, 2.2
-PAIRS, INTERVAL_S = 24, 1.0
+PAIRS, INTERVAL_S = 48, 1.0
 HORIZON_S = 60.0
 """Of the truth after the last pair"""
 _ERROR = "error.txt"

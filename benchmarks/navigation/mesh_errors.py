@@ -6,22 +6,20 @@ least squares turn their displacements into an error of the pose, the same way i
     pose error = -C^-1 sum_i w_i f_i (f_i,G . d_i)        d_i: of the model's point from the true one, in G
 
 Two kinds of displacements: those of the whole surface outward, a length that is the same everywhere, and
-those of each place by itself, alike within a cell of the mesh and independent from cell to cell. Directions
-that a view does not determine have a large, finite variance.
+those of each segment by itself, by the covariance of its ends (``edge_refinement.py``). Directions that a
+view does not determine have a large, finite variance.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.navigation.edge_refinement import RefinedEdges
 from polhode.camera import RectifiedRig
 from polhode.lie import Array
-from polhode.planning.edges.edge_model import EdgeModel
 from polhode.planning.edges.observability_metric import edge_motion, motion_scale
 from polhode.planning.edges.visible_edges import ControlPoints
 
-CELL = 0.2
-"""Size of a cell within which edges are displaced alike, as a share of the body's radius"""
 LEAST_OPENING = 0.5
 """Of 1 + cos between the faces' normals: sharper edges do not recede without bound."""
 UNSEEN = 0.5
@@ -35,7 +33,7 @@ class PoseErrors:
     noise: Array
     """(6, 6) covariance by the image [m^2, m rad, rad^2]"""
     edges: Array
-    """(6, 6) covariance for edges that are displaced by one metre (sigma, along each axis)"""
+    """(6, 6) covariance by the displacements of single edges"""
     outward: Array
     """(6,) for a surface that is too large by one metre"""
 
@@ -46,17 +44,18 @@ def covariance_of(C: Array, radius_m: float) -> Array:
 
 
 def pose_errors(
-    model: EdgeModel,
+    edges: RefinedEdges,
     rig: RectifiedRig,
     X_RG: Array,
     points: ControlPoints,
     weight: Array,
     noise: Array | None = None,
 ) -> PoseErrors:
-    """Of a pose that rests on points (m,) with weights (m,) [px^-2].
+    """Of a pose that rests on points (m,) of segments with weights (m,) [px^-2].
 
     ``noise`` (6, 6) as in ``PoseErrors``; None: that of the weights.
     """
+    model = edges.model
     f = edge_motion(points, rig, X_RG, model.centre_G)
     inverse = covariance_of((f * weight[:, None]).T @ f, model.radius_m)
     along_G = f[:, :3] @ X_RG[:3, :3]
@@ -64,11 +63,10 @@ def pose_errors(
     both = np.einsum("mk,mk->m", points.sides_G[:, 0], points.sides_G[:, 1])
     off_G = points.sides_G.sum(axis=1) / np.maximum(1.0 + both, LEAST_OPENING)[:, None]
     lifted = f.T @ (weight * np.einsum("mk,mk->m", along_G, off_G))
-    cell = np.floor((points.p_G - model.centre_G) / (CELL * model.radius_m)).astype(np.int64)
-    kinds, which = np.unique(cell, axis=0, return_inverse=True)
-    pull = np.zeros((len(kinds), 6, 3))
-    np.add.at(pull, which.reshape(-1), weight[:, None, None] * f[:, :, None] * along_G[:, None, :])
-    scatter = np.einsum("cik,cjk->ij", pull, pull)
+    by_ends = np.einsum("mi,mij->mj", along_G, edges.at(points))
+    pull = np.zeros((len(edges.covariance), 6, 6))
+    np.add.at(pull, points.feature, weight[:, None, None] * f[:, :, None] * by_ends[:, None, :])
+    scatter = np.einsum("nik,nkl,njl->ij", pull, edges.covariance, pull)
     return PoseErrors(
         inverse if noise is None else noise, np.asarray(inverse @ scatter @ inverse), -inverse @ lifted
     )

@@ -22,6 +22,7 @@ from polhode.planning.edges.observability_metric import (
     edge_motion,
     motion_scale,
     moved,
+    pose_error,
     spectrum,
 )
 from polhode.planning.edges.stripes import (
@@ -54,6 +55,10 @@ class StripeOptions:
     """of the profiles of those steps"""
     floor_px: float = FLOOR_PX
     """sigma of an edge's place however clear it is: blur, pixels, the model"""
+    sigma_m: Array | None = None
+    """(n,) of the places of the model's segments, across them; None: exact"""
+    prior: "PosePrior | None" = None
+    """Holds what the edges do not determine"""
     settled_px: float = 0.01
     remade_px: float = 0.5
     """control points are recomputed when they have moved by this, root mean square"""
@@ -62,6 +67,16 @@ class StripeOptions:
     restart_px: float = 2.0
     content: float = 0.8
     """agreement from which no other start is tried"""
+
+
+@dataclass(frozen=True)
+class PosePrior:
+    """What is known of the pose before the image."""
+
+    X_RG: Array
+    """(4, 4)"""
+    information: Array
+    """(6, 6) inverse of the covariance of ``pose_error`` about the model's centre"""
 
 
 @dataclass(frozen=True)
@@ -74,7 +89,7 @@ class StripeTracking:
     weight: Array
     """(m,) of the points in the last step [px^-2]; 0: not found, or far off"""
     information: EdgeObservability
-    """Its C (6, 6) [m^-2, m^-1 rad^-1, rad^-2] is the inverse of the covariance"""
+    """Its C (6, 6) [m^-2, m^-1 rad^-1, rad^-2], of the edges alone, is the inverse of the covariance"""
     agreement: float
     """Share of the information of all known edges that the image confirms to three sigmas, 0 to 1"""
     scale: float
@@ -165,7 +180,7 @@ class _Tracker:
             if range_px is not None or len(place) != seen.stripes.classes:
                 place = np.zeros(seen.stripes.classes)
             told, _, _ = seen.told(place, narrow=not is_wide)
-            step = self._step(told)
+            step = self._step(told, self._pull_of_prior(X_RG))
             if range_px is None:
                 place = told.places(step)
             X_RG = moved(X_RG, step, o_G)
@@ -203,16 +218,34 @@ class _Tracker:
         f = edge_motion(points, self.rig, X_RG, self.model.centre_G)
         if range_px is None:
             found = displacement(self.grey, points, stripes, wanted.half_px)
-            return points, found.of(stripes, f, view.length, wanted.floor_px)
+            return points, found.of(stripes, f, view.length, self._floor_px(points, X_RG))
         shift, good = searched(self.grey, points, stripes, range_px)
         sigma, none = np.full(len(points), MOST_SIGMA_PX), np.zeros(len(points))
         return points, MeasuredStripes(stripes, f, shift, sigma, none, good, view.length)
 
-    def _step(self, told: StripeInformation) -> Array:
+    def _floor_px(self, points: ControlPoints, X_RG: Array) -> Array | float:
+        """Sigma of the edges' places in the image, with that of the model's segments (m,)."""
+        sigma_m = self.wanted.sigma_m
+        # edges that are known without being used have no sigma of their own
+        if sigma_m is None or len(sigma_m) != self.model.size:
+            return self.wanted.floor_px
+        z = transform_points(X_RG, points.p_G)[:, 2]
+        return np.asarray(np.hypot(self.wanted.floor_px, self.rig.focal_px * sigma_m[points.feature] / z))
+
+    def _pull_of_prior(self, X_RG: Array) -> Array:
+        """(6,) the prior's information times the step back to its pose."""
+        prior = self.wanted.prior
+        if prior is None:
+            return np.zeros(6)
+        return -np.asarray(prior.information @ pose_error(X_RG, prior.X_RG, self.model.centre_G))
+
+    def _step(self, told: StripeInformation, pull_of_prior: Array) -> Array:
         """Least squares in the directions that are seen; a step of half a radius is a sigma too far."""
-        values, directions, seen = spectrum(told.C, self.model.radius_m)
+        prior = self.wanted.prior
+        C, pull = told.C + (0.0 if prior is None else prior.information), told.pull + pull_of_prior
+        values, directions, seen = spectrum(C, self.model.radius_m)
         unit = motion_scale(self.model.radius_m)
-        part = np.where(seen, directions.T @ (unit * told.pull) / (np.maximum(values, 0.0) + 4.0), 0.0)
+        part = np.where(seen, directions.T @ (unit * pull) / (np.maximum(values, 0.0) + 4.0), 0.0)
         return np.asarray(unit * (directions @ part))
 
     def _told(self, X_RG: Array, settled: bool) -> StripeTracking:

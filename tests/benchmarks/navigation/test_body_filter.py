@@ -19,6 +19,7 @@ from benchmarks.navigation.body_filter import (
     W,
     arrival_covariance,
     first_state,
+    measured_jacobian,
     pose_jacobian,
     predict,
     turned,
@@ -125,7 +126,7 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
             state = predict(state, QUIET, 4.0, BIAS_COVARIANCE, 0.5)
             error = true.bias + outward * true.outward + np.linalg.cholesky(noise) @ rng.normal(size=6)
             X_RG = moved(inverse_pose(CAMERA) @ true.X_NG, error, O_G)
-            after = update(state, CAMERA, MeasuredPose(X_RG, noise, outward), O_G)
+            after = update(state, CAMERA, MeasuredPose(X_RG, noise, outward, np.zeros(6)), O_G)
             state = after.state
             nis.append(after.nis)
         error = difference(state, true)
@@ -144,7 +145,26 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
 def test_a_pose_beyond_the_gate_changes_nothing() -> None:
     state = first()
     far = moved(inverse_pose(CAMERA) @ state.X_NG, np.array([0.0, 0.0, 0.1, 0.0, 0.2, 0.0]), O_G)
-    measured = MeasuredPose(far, 1e-6 * np.eye(6), np.zeros(6))
+    measured = MeasuredPose(far, 1e-6 * np.eye(6), np.zeros(6), np.zeros(6))
     refused = update(state, CAMERA, measured, O_G, gate=0.999)
     assert not refused.taken and refused.state is state
     assert update(state, CAMERA, measured, O_G).taken
+
+
+def test_a_pose_that_the_prediction_has_drawn_towards_it_tells_the_same() -> None:
+    state, outward = first(), np.zeros(6)
+    noise = np.diag([1e-3, 1e-3, 8e-3, 2e-3, 2e-3, 5e-2]) ** 2
+    H = measured_jacobian(state, CAMERA, O_G, outward)
+    information = np.linalg.inv(H @ state.covariance @ H.T)
+    predicted = inverse_pose(CAMERA) @ state.X_NG
+    edges_alone = np.array([1e-3, -2e-3, 5e-3, 1e-3, 2e-3, 3e-2])
+    # where the pull of both is the same: least squares of the edges and of the prediction
+    both = np.linalg.solve(np.linalg.inv(noise) + information, np.linalg.solve(noise, edges_alone))
+    drawn = moved(predicted, both, O_G)
+    beyond = noise @ information @ pose_error(drawn, predicted, O_G)
+    assert np.abs(both + beyond - edges_alone).max() < 1e-6
+    poses = (moved(predicted, edges_alone, O_G), np.zeros(6)), (drawn, beyond)
+    one, other = (update(state, CAMERA, MeasuredPose(X, noise, outward, off), O_G) for X, off in poses)
+    assert np.isclose(one.nis, other.nis, rtol=1e-3)
+    assert np.abs(difference(one.state, other.state)).max() < 1e-5
+    assert np.allclose(one.state.covariance, other.state.covariance)

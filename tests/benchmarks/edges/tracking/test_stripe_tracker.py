@@ -4,11 +4,12 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.stats import norm
 
 from benchmarks.edges.tracking.edge_search import Levels, as_levels
 from benchmarks.edges.tracking.stripe_fit import displacement, searched
-from benchmarks.edges.tracking.stripe_tracker import track_stripes
+from benchmarks.edges.tracking.stripe_tracker import PosePrior, StripeOptions, track_stripes
 from benchmarks.edges.tracking.tracker import track
 from polhode.lie import Array, make_pose
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
@@ -99,6 +100,11 @@ def image(bevelled: EdgeModel) -> Array:
     return drawn(bevelled.surface, POSE)
 
 
+@pytest.fixture(scope="module")
+def block() -> EdgeModel:
+    return edge_model(trimesh.creation.box(BOX))
+
+
 def off_px(model: EdgeModel, X_RG: Array) -> float:
     """Largest displacement of the box's corners in the image."""
     corners = np.asarray(model.surface.vertices)
@@ -132,3 +138,29 @@ def test_what_cannot_be_tracked_says_why(bevelled: EdgeModel, image: Array) -> N
     assert not behind.converged and behind.reason == "the target is behind the camera"
     dark = track_stripes(bevelled, RIG, np.zeros_like(image), POSE)
     assert not dark.converged and "too few" in dark.reason
+
+
+def test_a_prior_holds_what_the_edges_do_not_determine(block: EdgeModel) -> None:
+    # parallel edges leave the translation along them open
+    along = np.abs(block.ends_G[:, 1] - block.ends_G[:, 0])
+    parallel = block.only(np.flatnonzero(along[:, 0] > 0.9 * block.lengths_m))
+    drawing, o_G = drawn(block.surface, POSE), block.centre_G
+    off_G = np.array([0.01, 0.006, 0.0])
+    start = moved(POSE, np.concatenate([POSE[:3, :3] @ off_G, np.zeros(3)]), o_G)
+    prior = PosePrior(start, np.repeat([0.01, 0.01], 3) ** -2.0 * np.eye(6))
+    found = track_stripes(parallel, RIG, drawing, start, wanted=StripeOptions(prior=prior))
+    error_G = POSE[:3, :3].T @ pose_error(found.X_RG, POSE, o_G)[:3]
+    assert found.converged and found.information.describe_unobservable()
+    assert np.isclose(error_G[0], off_G[0], atol=5e-4) and abs(error_G[1]) < 1e-3
+    strong = PosePrior(POSE, 1e12 * np.eye(6))
+    held = track_stripes(block, RIG, drawing, start, wanted=StripeOptions(prior=strong))
+    assert np.abs(pose_error(held.X_RG, POSE, o_G)).max() < 1e-4
+
+
+def test_segments_that_are_poorly_known_weigh_less(block: EdgeModel) -> None:
+    drawing = drawn(block.surface, POSE)
+    exact = track_stripes(block, RIG, drawing, POSE)
+    sigma = StripeOptions(sigma_m=np.full(block.size, 1e-3))
+    rough = track_stripes(block, RIG, drawing, POSE, wanted=sigma)
+    assert rough.converged
+    assert np.trace(rough.information.C) < 0.5 * np.trace(exact.information.C)

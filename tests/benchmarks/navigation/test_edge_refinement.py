@@ -1,0 +1,104 @@
+"""Edges of a wrong mesh are moved to where images have them, and those that do not exist are left out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from benchmarks.edges.tracking.edge_search import as_levels
+from benchmarks.edges.views import EdgeViews, edge_body, edge_rig, random_poses, random_suns
+from benchmarks.navigation.edge_refinement import RefinedEdges, Sight, refined
+from polhode.lie import Array, make_pose
+from polhode.planning.edges.edge_model import EdgeModel, edge_model
+from polhode.planning.edges.visible_edges import control_points
+
+RIG = edge_rig(500.0, 400, 400)
+SIGMA_M = 4e-3
+PHANTOMS = 4
+
+
+@pytest.fixture(scope="module")
+def sights() -> list[Sight]:
+    """A block under as many Suns as there are images."""
+    target = edge_body("block")
+    poses, suns = random_poses(target.mesh, RIG, 16, seed=3), random_suns(16, seed=4)
+    views = EdgeViews(target, RIG, seed=5)
+    return [Sight(as_levels(each), X_CG) for each, X_CG in zip(views.images(poses, suns), poses, strict=True)]
+
+
+def wrong_model() -> tuple[EdgeModel, EdgeModel]:
+    """The true edges; and the same, displaced, with some across the faces that are none."""
+    true = edge_model(edge_body("block").mesh)
+    rng = np.random.default_rng(0)
+    ends = true.ends_G + SIGMA_M * rng.normal(size=true.ends_G.shape)
+    middles = true.ends_G.mean(axis=1)
+    # from one edge's middle to that of another one of the same face
+    pairs = [(0, 3), (1, 4), (2, 5), (3, 6)]
+    phantom = np.array([[middles[a], middles[b]] for a, b in pairs])
+    along = phantom[:, 1] - phantom[:, 0]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    wrong = replace(
+        true,
+        ends_G=np.concatenate([ends, phantom]),
+        tangents_G=np.concatenate([true.tangents_G, np.stack([along, along], axis=1)]),
+        sides_G=np.concatenate([true.sides_G, true.sides_G[:PHANTOMS]]),
+        kind=np.concatenate([true.kind, true.kind[:PHANTOMS]]),
+    )
+    return true, wrong
+
+
+@pytest.fixture(scope="module")
+def result(sights: list[Sight]) -> tuple[EdgeModel, EdgeModel, RefinedEdges]:
+    true, wrong = wrong_model()
+    mesh = trimesh.Trimesh(true.surface.vertices, true.surface.faces, process=False)
+    return true, wrong, refined(wrong, mesh, np.full(len(mesh.vertices), SIGMA_M), RIG, sights)
+
+
+def across(ends_G: Array, true: EdgeModel) -> tuple[Array, Array]:
+    """(n, 2) distances of both ends from the line of the nearest true edge, and which that is (n,)."""
+    out = np.empty((len(ends_G), len(true.ends_G), 2))
+    for k, (a, b) in enumerate(true.ends_G):
+        along = (b - a) / np.linalg.norm(b - a)
+        away = ends_G - a
+        out[:, k] = np.linalg.norm(away - (away @ along)[..., None] * along, axis=2)
+    nearest = np.argmin(out.sum(axis=2), axis=1)
+    return out[np.arange(len(ends_G)), nearest], nearest
+
+
+def test_edges_come_to_where_the_images_have_them(result: tuple[EdgeModel, EdgeModel, RefinedEdges]) -> None:
+    true, wrong, edges = result
+    before, _ = across(wrong.ends_G[:-PHANTOMS], true)
+    after, nearest = across(edges.model.ends_G, true)
+    assert np.median(after) < 0.15 * np.median(before)
+    assert after.max() < SIGMA_M
+    # nearly all of them are found, each once
+    assert len(set(nearest.tolist())) >= len(true.ends_G) - 3 and len(nearest) <= len(true.ends_G) + 1
+
+
+def test_errors_are_as_large_as_the_covariance_says(
+    result: tuple[EdgeModel, EdgeModel, RefinedEdges],
+) -> None:
+    true, _, edges = result
+    after, _ = across(edges.model.ends_G, true)
+    ratio = np.sqrt(np.mean(after**2, axis=1) / 2.0) / edges.sigma_m
+    assert 0.1 < np.median(ratio) < 1.5 and np.all(ratio < 4.0)
+    assert np.all(np.linalg.eigvalsh(edges.covariance)[:, -4:] > 0.0)
+
+
+def test_places_depend_on_the_ends_as_the_derivative_says(
+    result: tuple[EdgeModel, EdgeModel, RefinedEdges], sights: list[Sight]
+) -> None:
+    edges = result[2]
+    points = control_points(edges.model, RIG, sights[0].X_CG)
+    points = points[points.feature < len(edges.model.ends_G)]
+    ends = edges.model.ends_G[points.feature].reshape(-1, 6)
+    # linear in the ends: they are moved to the point itself
+    assert np.allclose(np.einsum("mij,mj->mi", edges.at(points), ends), points.p_G, atol=1e-6)
+
+
+def test_what_no_image_shows_is_left_out(result: tuple[EdgeModel, EdgeModel, RefinedEdges]) -> None:
+    _, wrong, _ = result
+    mesh = trimesh.Trimesh(wrong.surface.vertices, wrong.surface.faces, process=False)
+    black = [Sight(as_levels(np.zeros((400, 400))), make_pose(np.eye(3), [0.0, 0.0, 3.0]))]
+    assert refined(wrong, mesh, np.full(len(mesh.vertices), SIGMA_M), RIG, black).model.size == 0
