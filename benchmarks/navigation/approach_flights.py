@@ -17,9 +17,7 @@ from typing import Any
 
 import numpy as np
 
-import polhode
 from benchmarks.edges.observability import LENS
-from benchmarks.edges.tracking.edge_search import as_levels
 from benchmarks.edges.tracking.stripe_tracker import (
     PosePrior,
     StripeOptions,
@@ -36,20 +34,24 @@ from benchmarks.navigation.body_filter import (
     predict,
     update,
 )
-from benchmarks.navigation.edge_refinement import RefinedEdges, Sight, refined
-from benchmarks.navigation.inspections import Inspection, inspection
+from benchmarks.navigation.edge_refinement import RefinedEdges, refined
+from benchmarks.navigation.inspections import (
+    Inspection,
+    inspection,
+    mesh_edges_of,
+    poses_of_run,
+    sights_of,
+    true_frame,
+)
 from benchmarks.navigation.mesh_errors import PoseErrors, covariance_of, pose_errors
 from benchmarks.record import Case
 from polhode.config.loader import load_config
-from polhode.dataset import open_sequence
 from polhode.errors import InputError
 from polhode.images import Grey
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.metrics import truth_at
-from polhode.pipeline.after_run.plan import final_estimate, surface_of
-from polhode.pipeline.evaluation import between_target_frames
-from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
-from polhode.planning.edges.measured_edges import measured_edge_model
+from polhode.pipeline.after_run.plan import final_estimate
+from polhode.pipeline.run_directory.trajectory_file import target_poses
 from polhode.planning.edges.observability_metric import moved, pose_error
 from polhode.planning.edges.visible_edges import SPACING_PX, control_points, in_sunlight
 from polhode.planning.prediction import FinalEstimate, FinalState, nominal_motion
@@ -200,26 +202,13 @@ def known_of(inspected: Inspection) -> tuple[Known, RefinedEdges]:
     Raises InputError where the images confirm too few.
     """
     estimate, _ = final_estimate(inspected.run)
-    surface = surface_of(inspected.run)
-    model = measured_edge_model(surface.mesh, surface.sigma_m)
+    surface, model = mesh_edges_of(inspected)
     sigma = surface.sigma_m[np.isfinite(surface.sigma_m)]
     sigma_m = float(np.hypot(np.median(sigma), 0.5 * model.tolerance_m))
-    edges = refined(model, surface.mesh, surface.sigma_m, RIG, _sights(inspected))
+    edges = refined(model, surface.mesh, surface.sigma_m, RIG, sights_of(inspected))
     if edges.model.size < LEAST_EDGES:
         raise InputError(f"the images confirm {edges.model.size} of {model.size} edges of the mesh")
     return Known(estimate, model.centre_G, sigma_m), edges
-
-
-def _sights(inspected: Inspection) -> list[Sight]:
-    """The left images of the inspection, with the poses of its run."""
-    images, table = open_sequence(inspected.sequence), read_trajectory(inspected.run)
-    summary = polhode.load(inspected.run).summary
-    frames = np.searchsorted(images.timestamps_ns, table.timestamps_ns)
-    X_CG = target_poses(table, np.array(summary.R_GP), np.array(summary.com_G))
-    return [
-        Sight(as_levels(images.read_left(int(frame))[0]), pose)
-        for frame, pose in zip(frames, X_CG, strict=True)
-    ]
 
 
 def planned(known: Known, edges: RefinedEdges, sun_N: Array, seed: int) -> Way:
@@ -372,15 +361,11 @@ def _sun(inspected: Inspection, seed: int) -> Array:
 
 
 def _truth(inspected: Inspection, known: Known, way: Way) -> Truth:
-    summary = polhode.load(inspected.run).summary
-    truth, table = read_truth(inspected.sequence), read_trajectory(inspected.run)
+    truth, (timestamps_ns, _) = read_truth(inspected.sequence), poses_of_run(inspected)
     config = load_config(inspected.sequence / "scene.yaml")
     assert config.scene is not None
-    at_pairs = truth_at(truth, table.timestamps_ns)
-    X_NG = target_poses(table, np.array(summary.R_GP), np.array(summary.com_G))
-    X_NB = target_poses(at_pairs, truth.R_GP, truth.com_G)
-    X_BG = between_target_frames(X_NG, X_NB, known.centre_G)
-    ahead = truth_at(truth, table.timestamps_ns[-1] + np.round(1e9 * way.time_s).astype(np.int64))
+    X_BG = true_frame(inspected, known.centre_G)
+    ahead = truth_at(truth, timestamps_ns[-1] + np.round(1e9 * way.time_s).astype(np.int64))
     return Truth(
         EdgeBody("true", build_body(config.scene.body, config.seed), config.scene.body),
         target_poses(ahead, truth.R_GP, truth.com_G),

@@ -56,6 +56,11 @@ LOST_POSES = 3
 PARTS = {"position": POSITION, "attitude": ATTITUDE, "rate": RATE}
 
 
+def inspections_beside(record: Path) -> Path:
+    """Folder of the inspections of a record."""
+    return record.with_name(f"{record.name}_inspections")
+
+
 def cases(bodies: Sequence[str], seeds: int) -> list[Case]:
     """A flight each; those of all bodies come by turns, ``FLIGHTS`` after each inspection."""
     return [
@@ -78,7 +83,7 @@ def main(
     if unknown:
         raise InputError(f"{', '.join(unknown)}: no such body; choose from {', '.join(FAMILIES)}")
     wanted = cases(bodies[:SHORT_BODIES], SHORT_SEEDS) if short else cases(bodies, seeds)
-    fly = FlightMeasurement(record.with_name(f"{record.name}_inspections"))
+    fly = FlightMeasurement(inspections_beside(record))
     lines = measured(record, wanted) if stored else complete(record, wanted, fly, workers)
     judged = _judged({body: [line for line in lines if line["case"]["body"] == body] for body in bodies})
     if not judged:

@@ -12,7 +12,19 @@ from typing import Any
 import numpy as np
 
 import polhode
+from benchmarks.edges.tracking.edge_search import as_levels
+from benchmarks.navigation.edge_refinement import Sight
+from polhode.dataset import open_sequence
 from polhode.errors import RunFailure
+from polhode.lie import Array
+from polhode.metrics import truth_at
+from polhode.pipeline.after_run.plan import surface_of
+from polhode.pipeline.evaluation import between_target_frames
+from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
+from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.measured_edges import measured_edge_model
+from polhode.records import Ints, SurfaceModel
+from polhode.truth import read_truth
 
 FAMILIES = ("free_flyer", "bus", "cubesat", "upper_stage", "truss", "dish")
 SIZE_M, RANGE_M = 0.8, 2.2
@@ -82,3 +94,32 @@ def inspection(folder: Path, family: str, number: int) -> Inspection:
             reason = str(failure)
         error.write_text(reason)
     return Inspection(sequence, run, error.read_text())
+
+
+def mesh_edges_of(inspected: Inspection) -> tuple[SurfaceModel, EdgeModel]:
+    """The run's mesh and its edges, in G."""
+    surface = surface_of(inspected.run)
+    return surface, measured_edge_model(surface.mesh, surface.sigma_m)
+
+
+def poses_of_run(inspected: Inspection) -> tuple[Ints, Array]:
+    """Timestamps (F,) [ns] of the run's pairs, and its poses X_NG (F, 4, 4); the inspector is at rest in N."""
+    table, summary = read_trajectory(inspected.run), polhode.load(inspected.run).summary
+    return table.timestamps_ns, target_poses(table, np.array(summary.R_GP), np.array(summary.com_G))
+
+
+def sights_of(inspected: Inspection) -> list[Sight]:
+    """The left images of the run's pairs, with its poses."""
+    images, (timestamps_ns, X_NG) = open_sequence(inspected.sequence), poses_of_run(inspected)
+    frames = np.searchsorted(images.timestamps_ns, timestamps_ns)
+    return [
+        Sight(as_levels(images.read_left(int(frame))[0]), pose)
+        for frame, pose in zip(frames, X_NG, strict=True)
+    ]
+
+
+def true_frame(inspected: Inspection, centre_G: Array) -> Array:
+    """X_BG (4, 4): the run's G in the body's own frame, by what all pairs have in common."""
+    truth, (timestamps_ns, X_NG) = read_truth(inspected.sequence), poses_of_run(inspected)
+    X_NB = target_poses(truth_at(truth, timestamps_ns), truth.R_GP, truth.com_G)
+    return between_target_frames(X_NG, X_NB, centre_G)

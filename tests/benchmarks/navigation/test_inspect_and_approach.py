@@ -64,8 +64,7 @@ def flight(seed: int) -> Flight:
     true = np.array([inverse_pose(a) @ b for a, b in zip(way.X_NR, motion.X_NG, strict=True)])
     found = []
     for X_RG, errors in zip(true, way.expected, strict=True):
-        noise, edges = sized(errors, SIZES)
-        step = np.linalg.cholesky(noise + edges) @ rng.normal(size=6) + errors.outward * outward_m
+        step = np.linalg.cholesky(sum(sized(errors, SIZES))) @ rng.normal(size=6) + errors.outward * outward_m
         found.append(moved(X_RG, step, known.centre_G))
     agreement = np.full(len(true), 0.8)
     w_G = np.einsum("ji,j->i", motion.R_NG[-1], motion.w_N[-1])
