@@ -103,7 +103,7 @@ def mesh_edges_of(inspected: Inspection) -> tuple[SurfaceModel, EdgeModel]:
 
 
 def poses_of_run(inspected: Inspection) -> tuple[Ints, Array]:
-    """Timestamps (F,) [ns] of the run's pairs, and its poses X_NG (F, 4, 4); the inspector is at rest in N."""
+    """Timestamps (F,) [ns] of the run's pairs, and its poses X_NG (F, 4, 4)."""
     table, summary = read_trajectory(inspected.run), polhode.load(inspected.run).summary
     return table.timestamps_ns, target_poses(table, np.array(summary.R_GP), np.array(summary.com_G))
 
