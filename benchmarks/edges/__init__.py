@@ -6,6 +6,8 @@ In: bodies, rendered views. Out: correlations, calibrated covariances, chosen ed
     observability_tables      its tables and figure
     thin_parts                edges side by side: both trackers on the same images
     expected_errors           errors of the tracker of stripes against those that were expected
+    lit_errors                what the Sun and the body's own surface do to the errors of the tracker
+    planned_approaches        planned against straight approaches: errors on images
     observability_of_run      the metric from a run's mesh and from the true one
     observability_speed       seconds per view
     selection                 sets of edges and their bounds

@@ -17,5 +17,7 @@ With what an inspection of rendered pairs gives, its motion and its mesh:
     approach_flights      plan, images, tracked poses
     arrivals              sizes of errors from other bodies; filters on recorded poses
     body_filter           the filter: motion, inertia, centre of mass and errors of the mesh
-    mesh_errors           what errors of the mesh do to a pose
+    edge_refinement       edges of the mesh, moved to where the images have them
+    refined_edges         how far they are from the true ones, before and after
+    mesh_errors           what errors of the edges do to a pose
 """

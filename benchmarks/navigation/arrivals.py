@@ -11,7 +11,7 @@ all poses: that of the errors of those other flights, without the worst twentiet
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
@@ -27,13 +27,17 @@ from benchmarks.navigation.approach_flights import (
     started,
 )
 from benchmarks.navigation.body_filter import MeasuredPose, arrival_covariance, update
-from benchmarks.navigation.mesh_errors import PoseErrors
+from benchmarks.navigation.inspections import SIZE_M
+from benchmarks.navigation.mesh_errors import UNSEEN, PoseErrors
 from polhode.lie import Array, inverse_pose
-from polhode.planning.edges.observability_metric import pose_error
+from polhode.planning.edges.observability_metric import motion_scale, pose_error
 from polhode.planning.prediction import nominal_motion
 
 KEPT, WITHOUT_WORST = 0.9, 0.95
 """Shares of the poses from which sizes and the fixed covariance are estimated"""
+LEFT_OPEN = 5e-3
+"""[half sizes of the body, rad] Directions that the image's noise leaves so uncertain are not used: a turn of
+a body of revolution about its axis brings edges to where others were, and the tracker settles anywhere"""
 CONFIDENCE = 0.95
 """Of the region that is promised"""
 FACTORS = (1.0, 4.0, 16.0)
@@ -63,6 +67,19 @@ def errors_of_poses(flight: Flight) -> Array:
     pairs = zip(flight.X_RG, flight.true_X_RG, strict=True)
     off = np.array([pose_error(found, true, flight.known.centre_G) for found, true in pairs])
     return np.asarray(off + flight.beyond)
+
+
+def leaving_open(flight: Flight) -> Flight:
+    """The flight, its poses without the directions that their edges hardly determine."""
+    way = replace(flight.way, expected=tuple(map(_usable, flight.way.expected)))
+    return replace(flight, way=way, found=tuple(map(_usable, flight.found)))
+
+
+def _usable(errors: PoseErrors) -> PoseErrors:
+    unit = motion_scale(0.5 * SIZE_M)
+    variances, directions = np.linalg.eigh(errors.noise / np.outer(unit, unit))
+    weak = unit[:, None] * directions[:, variances > LEFT_OPEN**2]
+    return replace(errors, noise=errors.noise + UNSEEN**2 * weak @ weak.T)
 
 
 def arrival(flight: Flight, errors: Sequence[PoseErrors], weights: Weights) -> Arrival:

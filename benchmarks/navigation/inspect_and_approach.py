@@ -33,6 +33,7 @@ from benchmarks.navigation.arrivals import (
     arrival,
     fitted_sizes,
     fixed_covariance,
+    leaving_open,
     promise,
     squared_distance,
     stretch,
@@ -120,7 +121,7 @@ class Judged:
 def _judged(lines: dict[str, list[Case]]) -> list[Judged]:
     flights = {
         body: {
-            (line["case"]["inspection"], line["case"]["seed"]): from_line(line)
+            (line["case"]["inspection"], line["case"]["seed"]): leaving_open(from_line(line))
             for line in group
             if "no_flight" not in line
         }
@@ -169,7 +170,9 @@ def _print(judged: Sequence[Judged], lines: Sequence[Case]) -> None:
     groups["all"] = list(judged)
     print("Errors on arrival within the promised 95 % region: share, interval of 95 %\n")
     columns = [f"{part}: {what}" for part in PARTS for what in ("inside", "NEES")]
-    rows = ([name, str(len(group)), *_shares(group)] for name, group in groups.items())
+    numbers = sorted({each.inspection for each in judged})
+    by_number = {f"inspection {n}": [each for each in judged if each.inspection == n] for n in numbers}
+    rows = ([name, str(len(group)), *_shares(group)] for name, group in (groups | by_number).items())
     print_table(" | ".join(["body", "flights", *columns, "all twelve: inside"]), rows, right_from=1)
     print("\nMedian errors, beside the promised and the filter's own sigma\n")
     columns = ["position [mm]", "promised, own", "attitude [deg]", "promised, own", "rate [deg/s]"]

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from scipy.stats import chi2
 
 from benchmarks.navigation import approach_flights, inspect_and_approach
 from benchmarks.navigation.approach_flights import (
@@ -21,7 +22,20 @@ from benchmarks.navigation.approach_flights import (
     promised,
     sized,
 )
-from benchmarks.navigation.arrivals import errors_of_poses, fitted_sizes
+from benchmarks.navigation.arrivals import (
+    ATTITUDE,
+    CONFIDENCE,
+    POSITION,
+    RATE,
+    VELOCITY,
+    arrival,
+    errors_of_poses,
+    fitted_sizes,
+    leaving_open,
+    promise,
+    squared_distance,
+    stretch,
+)
 from benchmarks.navigation.edge_refinement import RefinedEdges
 from polhode.errors import InputError
 from polhode.lie import Array, exp_so3, inverse_pose
@@ -151,9 +165,31 @@ def test_tables_say_how_many_arrived_within_the_promise(
     inspect_and_approach._print(judged, lines)
     printed = capsys.readouterr().out
     assert "| all | 10 |" in printed and "dish 9: no flight, no mesh" in printed
-    inside = [each.inside(slice(0, 12), each.promised) for each in judged]
-    assert sum(inside) >= 8
+    for part in inspect_and_approach.PARTS.values():
+        assert sum(each.inside(part, each.promised) for each in judged) >= 8
     assert np.mean([each.metric.taken for each in judged]) > 6.0
+
+
+def test_directions_that_edges_hardly_determine_are_left_open(flights: list[Flight]) -> None:
+    weak = np.array([0.0, 0.0, 0.0, 0.0, 0.6, 0.8])
+    noise = np.diag(np.repeat([1e-4, 1e-3], 3) ** 2) + 0.02**2 * np.outer(weak, weak)
+    one = replace(flights[0], found=tuple(replace(each, noise=noise) for each in flights[0].found))
+    opened = leaving_open(one).found[3]
+    assert weak @ opened.noise @ weak > 0.2
+    across = np.array([0.0, 0.0, 0.0, 0.0, 0.8, -0.6])
+    assert np.isclose(across @ opened.noise @ across, across @ noise @ across, rtol=1e-3)
+    assert np.allclose(opened.noise[:3, :3], noise[:3, :3]) and opened.edges is one.found[3].edges
+
+
+def test_a_promise_is_stretched_until_enough_flights_arrive_within(flights: list[Flight]) -> None:
+    arrivals = [arrival(each, each.found, SIZES) for each in flights]
+    promises = [0.01 * promise(each, SIZES) for each in flights]
+    factor = stretch(arrivals, promises)
+    assert factor.shape == (12,) and len(set(factor.tolist())) == 4 and factor.min() > 1.0
+    for part in (POSITION, ATTITUDE, VELOCITY, RATE):
+        wide = [np.outer(factor, factor) * each for each in promises]
+        squares = [squared_distance(a.error, b, part) for a, b in zip(arrivals, wide, strict=True)]
+        assert np.isclose(max(squares), chi2.ppf(CONFIDENCE, 3))
 
 
 def test_unknown_bodies_are_refused() -> None:
