@@ -16,6 +16,7 @@ from typing import Annotated, Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import NullFormatter
 from tyro.conf import arg
 
 from benchmarks.command import Png, Record, Short, Workers, command
@@ -247,6 +248,7 @@ def draw(lit: Sequence[Lit], output: Path) -> None:
             )
         ends = np.array(axis.get_xlim())
         axis.loglog(ends, ends, "k-", lw=0.8)
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.set(xlabel=f"expected, {name} [{'mm' if k < 3 else 'deg'}]", ylabel="error, root mean square")
     axes[0, 0].legend(title="surface", frameon=False)
     figure.savefig(output, dpi=110)
