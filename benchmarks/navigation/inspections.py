@@ -1,6 +1,6 @@
 """Inspections before an approach: rendered pairs of a tumbling body, and the run that they gave.
 
-An inspection is the costly part of a flight; flights of one body share it, and a folder keeps it. The body
+An inspection is the costly part of a flight; several flights share it, and a folder keeps it. The body
 has its own materials, with paint and cells.
 """
 
