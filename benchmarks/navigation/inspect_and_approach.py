@@ -4,9 +4,9 @@
 
 An inspector watches a tumbling body (``polhode.run`` on rendered pairs). The edges of the run's mesh, moved
 to where the images have them, are its model, the end of the run its first state. It plans an approach with
-the metric, and a filter promises a covariance on arrival before there is an image. Then it flies: images of the
-true body are rendered, tracked from the filter's own prediction, and filtered. The errors on arrival are
-compared with what was promised, and with those of a filter that gives all poses one covariance.
+the metric, and a filter promises a covariance on arrival before there is an image. Then it flies: images of
+the true body are rendered, tracked from the filter's own prediction, and filtered. The errors on arrival
+are compared with what was promised, and with those of a filter that gives all poses one covariance.
 
 There are three inspections of each body and seven flights after each. Sizes of the edges' errors, and what
 stretches the promise, come from the flights to the other bodies: at least two are needed.
