@@ -226,8 +226,7 @@ class _Tracker:
     def _floor_px(self, points: ControlPoints, X_RG: Array) -> Array | float:
         """Sigma of the edges' places in the image, with that of the model's segments (m,)."""
         sigma_m = self.wanted.sigma_m
-        # edges that are known without being used have no sigma of their own
-        if sigma_m is None or len(sigma_m) != self.model.size:
+        if sigma_m is None:
             return self.wanted.floor_px
         z = transform_points(X_RG, points.p_G)[:, 2]
         return np.asarray(np.hypot(self.wanted.floor_px, self.rig.focal_px * sigma_m[points.feature] / z))
@@ -259,7 +258,8 @@ class _Tracker:
         reason = information.describe_unobservable() if settled else "the pose has not settled"
         if self.known is not self.model:
             # edges that are known without being used say whether the pose is right
-            _, seen = replace(self, model=self.known)._at_last(X_RG)
+            every = replace(self, model=self.known, wanted=replace(self.wanted, sigma_m=None))
+            _, seen = every._at_last(X_RG)
         return StripeTracking(
             X_RG, points, weight, information, self._agreement(seen), scale, settled, reason
         )
