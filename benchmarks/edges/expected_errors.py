@@ -18,6 +18,7 @@ from typing import Annotated, Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import NullFormatter
 from tyro.conf import arg
 
 from benchmarks.command import Png, Record, Short, Workers, command
@@ -254,8 +255,8 @@ def _rows(groups: dict[str, list[Pair]]) -> Iterator[list[str]]:
             ratio = rms / expected
             values = {
                 "r": [np.corrcoef(rms[:, k], expected[:, k])[0, 1] for k in range(6)],
-                "r of logarithms": _log_r(rms, expected),
-                "the same, plain metric": _log_r(rms, plain),
+                "r of logarithms": log_correlation(rms, expected),
+                "the same, plain metric": log_correlation(rms, plain),
                 "error over expected": np.exp(np.mean(np.log(ratio), axis=0)),
             }
             for value, numbers in values.items():
@@ -265,7 +266,7 @@ def _rows(groups: dict[str, list[Pair]]) -> Iterator[list[str]]:
             yield [f"{name}, {len(rms)}", kept, "5 % to 95 %", *band]
 
 
-def _log_r(a: Array, b: Array) -> list[float]:
+def log_correlation(a: Array, b: Array) -> list[float]:
     """Of the pairs of which both are known."""
     known = np.isfinite(b).all(axis=1)
     return [float(np.corrcoef(np.log(a[known, k]), np.log(b[known, k]))[0, 1]) for k in range(6)]
@@ -290,15 +291,24 @@ def _bodies(pairs: Sequence[Pair]) -> Iterator[list[str]]:
 
 
 def draw(pairs: Sequence[Pair], output: Path) -> None:
-    """Errors over what was expected, for each degree of freedom."""
+    """The confirmed trials of plain and of crowded bodies."""
+    groups = {}
+    for title, bodies in (("plain", PLAIN), ("crowded", CLUTTERED)):
+        rms, expected, _ = _rms([pair for pair in pairs if pair.body in bodies], all_trials=False)
+        groups[title] = expected, rms
+    draw_errors(groups, output)
+
+
+def draw_errors(groups: dict[str, tuple[Array, Array]], output: Path) -> None:
+    """Root mean squares (n, 6) over what was expected (n, 6) [m, rad], for each degree of freedom."""
     figure, axes = plt.subplots(2, 3, figsize=(11.0, 7.0), constrained_layout=True)
     unit = np.array([1e3] * 3 + [180.0 / np.pi] * 3)
     for k, (axis, name) in enumerate(zip(axes.ravel(), DEGREES_OF_FREEDOM, strict=True)):
-        for title, bodies, colour in (("plain", PLAIN, "tab:blue"), ("crowded", CLUTTERED, "tab:orange")):
-            rms, expected, _ = _rms([pair for pair in pairs if pair.body in bodies], all_trials=False)
-            axis.loglog(unit[k] * expected[:, k], unit[k] * rms[:, k], ".", ms=4, color=colour, label=title)
+        for title, (expected, rms) in groups.items():
+            axis.loglog(unit[k] * expected[:, k], unit[k] * rms[:, k], ".", ms=4, label=title)
         ends = np.array(axis.get_xlim())
         axis.loglog(ends, ends, "k-", lw=0.8)
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.set(xlabel=f"expected, {name} [{'mm' if k < 3 else 'deg'}]", ylabel="error, root mean square")
     axes[0, 0].legend(frameon=False)
     figure.savefig(output, dpi=110)

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.ticker import NullFormatter
 from tyro.conf import arg
 
 from benchmarks.command import Png, Record, Short, Workers, command
+from benchmarks.edges.expected_errors import CONFIRMED, MIN_TRIALS, draw_errors, log_correlation
 from benchmarks.edges.observability import LENS, RIG, START_DEG, START_M, foreseen, jittered, off_px, rounded
 from benchmarks.edges.tracking.stripe_tracker import track_stripes
 from benchmarks.edges.views import (
@@ -50,7 +49,6 @@ LIT_DEG = 60.0
 """Suns nearer to the camera light most of what it sees."""
 SURFACES = {"matte": False, "own": True}
 PREDICTIONS = ("metric", "any Sun", "this Sun")
-CONFIRMED, MIN_TRIALS = 0.8, 3
 RIGHT_PX = 1.0
 """A pose whose edges are off by less is right"""
 
@@ -106,19 +104,21 @@ def main(
 def measure(case: Case) -> dict[str, Any]:
     """One pose of one body."""
     number, seed = case["pose"], 1000 * case["seed"] + case["pose"]
+    model = edge_model(edge_body(case["body"]).mesh)
+    o_G = model.centre_G
+    X_RG = random_poses(model.surface, RIG, number + 1, case["seed"], RANGE_M)[number]
+    suns_R = random_suns(case["suns"], seed, SUN_DEG)
+    # what is predicted knows the shape, not the surface
+    any_sun, metric = expected_tracking(model, RIG, X_RG), foreseen(model, RIG, X_RG)[0].sigma
+    each_sun = [expected_tracking(model, RIG, X_RG, lit_from(sun_R[None], EARTH)) for sun_R in suns_R]
     out: list[dict[str, Any]] = []
     for surface, rich in SURFACES.items():
         target = edge_body(case["body"], plain=not rich)
-        model = edge_model(target.mesh)
         views = EdgeViews(target, RIG, case["seed"], ViewOptions(earth=EARTH, sensor=LENS))
-        o_G = model.centre_G
-        X_RG = random_poses(model.surface, RIG, number + 1, case["seed"], RANGE_M)[number]
-        any_sun, metric = expected_tracking(model, RIG, X_RG), foreseen(model, RIG, X_RG)[0].sigma
-        for k, sun_R in enumerate(random_suns(case["suns"], seed, SUN_DEG)):
+        for k, (sun_R, this_sun) in enumerate(zip(suns_R, each_sun, strict=True)):
             rng = np.random.default_rng([seed, 7, k])
             truths = np.array([jittered(X_RG, o_G, rng) for _ in range(case["images"])])
             starts = perturbed(truths, o_G, 100 * seed + k, START_DEG, START_M)
-            this_sun = expected_tracking(model, RIG, X_RG, lit_from(sun_R[None], EARTH))
             out.append(
                 {
                     "surface": surface,
@@ -213,7 +213,7 @@ def _rows(groups: dict[str, list[Lit]]) -> Iterator[list[str]]:
         share = np.mean(np.concatenate([each.confirmed for each in group]))
         for prediction in PREDICTIONS:
             told = np.array([each.predicted[prediction] for each in used])
-            r = [np.corrcoef(np.log(rms[:, k]), np.log(told[:, k]))[0, 1] for k in range(6)]
+            r = log_correlation(rms, told)
             yield [name, str(len(used)), f"{share:.0%}", prediction, *(f"{each:.2f}" for each in r)]
 
 
@@ -236,23 +236,14 @@ def _bodies(lit: Sequence[Lit]) -> Iterator[list[str]]:
 
 
 def draw(lit: Sequence[Lit], output: Path) -> None:
-    """Errors over what is expected under the Sun of their images, for each degree of freedom."""
-    figure, axes = plt.subplots(2, 3, figsize=(11.0, 7.0), constrained_layout=True)
-    unit = np.array([1e3] * 3 + [180.0 / np.pi] * 3)
-    for k, (axis, name) in enumerate(zip(axes.ravel(), DEGREES_OF_FREEDOM, strict=True)):
-        for surface, colour in (("matte", "tab:blue"), ("own", "tab:orange")):
-            used = _compared([each for each in lit if each.surface == surface])
-            told = [unit[k] * each.predicted["this Sun"][k] for each in used]
-            axis.loglog(
-                told, [unit[k] * each.rms[k] for each in used], ".", ms=4, color=colour, label=surface
-            )
-        ends = np.array(axis.get_xlim())
-        axis.loglog(ends, ends, "k-", lw=0.8)
-        axis.xaxis.set_minor_formatter(NullFormatter())
-        axis.set(xlabel=f"expected, {name} [{'mm' if k < 3 else 'deg'}]", ylabel="error, root mean square")
-    axes[0, 0].legend(title="surface", frameon=False)
-    figure.savefig(output, dpi=110)
-    plt.close(figure)
+    """Errors over what is expected under the Sun of their images."""
+    groups = {}
+    for surface in SURFACES:
+        used = _compared([each for each in lit if each.surface == surface])
+        told = [[each.predicted["this Sun"], each.rms] for each in used]
+        expected, rms = np.reshape(told, (-1, 2, 6)).swapaxes(0, 1)
+        groups[f"{surface} surface"] = expected, rms
+    draw_errors(groups, output)
 
 
 if __name__ == "__main__":
