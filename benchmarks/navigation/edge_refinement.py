@@ -3,7 +3,7 @@
 A mesh is made from depth, which is poor at edges: some are off by several times what an image resolves, and
 others do not exist. The run knows the poses of its images, so that each edge is a straight line seen from
 many places. Its two ends are moved across it by least squares over all images, with the mesh's sigma as
-prior; of the extrema of the gradient across a control point, the one nearest to the line counts, in a range
+prior of the first turn and a narrower one of each later turn; of the extrema of the gradient across a control point, the one nearest to the line counts, in a range
 that narrows. An edge that too few images show is left out. What remains are edges of shape or of paint that
 turn with the body; borders of shadows do not.
 """
@@ -28,12 +28,14 @@ RANGES_PX = (4.0, 3.0, 2.0, 1.5)
 """searched on both sides, turn by turn"""
 SIGMAS_PX = (1.5, 1.0, 0.6, 0.4)
 """of an edge's place in an image, turn by turn: errors of the poses, the light, and what is no edge"""
+KEPT_OF_PRIOR = 0.25
+"""Of the sigma before a turn, besides that which the turn finds"""
 LEAST_CONTRAST = 4.0
 """[grey levels]"""
 AGREES_PX = 0.8
 LEAST_SHARE, LEAST_VIEWS = 0.5, 3
 """Of the control points of an edge that agree with the images, and of images that show it"""
-LARGEST = 0.01
+MOST_SIGMA = 0.01
 """Sigma of an edge across it that is worth tracking, over the body's radius"""
 _NEIGHBOURS = 6
 """Vertices of the mesh whose median sigma is that of an end"""
@@ -76,11 +78,12 @@ def refined(
     prior_m = _sigma_of_ends(model, mesh, sigma_m)
     axes = _across(model.ends_G)
     for range_px, sigma_px in zip(RANGES_PX, SIGMAS_PX, strict=True):
-        # The displacement is from the first mesh: its sigma is the prior of the whole, not of each turn.
         every = [_measured(model, rig, sight, range_px) for sight in sights]
         told = _solved(model, axes, prior_m, every, sigma_px)
         model = replace(model, ends_G=model.ends_G + told.step_G)
-        prior_m = np.hypot(told.sigma_m, 0.25 * prior_m)
+        # Each turn starts from the last one's places, so that all turns use the images: the covariance is
+        # too small, which the factor of the edges' errors makes up for (``arrivals.py``).
+        prior_m = np.hypot(told.sigma_m, KEPT_OF_PRIOR * prior_m)
     return _confirmed(model, axes, prior_m, [_measured(model, rig, s, RANGES_PX[-1]) for s in sights])
 
 
@@ -206,5 +209,5 @@ def _confirmed(model: EdgeModel, axes: Array, prior_m: Array, every: Sequence[_M
     A[:, :3, :2] = A[:, 3:, 2:] = axes
     ends = np.einsum("nij,njk,nlk->nil", A, C, A)
     sigma_m = np.sqrt(np.einsum("nii->n", C) / 4.0)
-    kept: Bools = (share >= LEAST_SHARE) & (views >= LEAST_VIEWS) & (sigma_m < LARGEST * model.radius_m)
+    kept: Bools = (share >= LEAST_SHARE) & (views >= LEAST_VIEWS) & (sigma_m < MOST_SIGMA * model.radius_m)
     return RefinedEdges(model.only(np.flatnonzero(kept)), ends[kept])
