@@ -3,9 +3,9 @@
 A mesh is made from depth, which is poor at edges: some are off by several times what an image resolves, and
 others do not exist. The run knows the poses of its images, so that each edge is a straight line seen from
 many places. Its two ends are moved across it by least squares over all images, with the mesh's sigma as
-prior of the first turn and a narrower one of each later turn; of the extrema of the gradient across a control point, the one nearest to the line counts, in a range
-that narrows. An edge that too few images show is left out. What remains are edges of shape or of paint that
-turn with the body; borders of shadows do not.
+prior of the first turn and a narrower one of each later turn; of the extrema of the gradient across a
+control point, the one nearest to the line counts, in a range that narrows. An edge that too few images show
+is left out. What remains are edges of shape or of paint that turn with the body; borders of shadows do not.
 """
 
 from collections.abc import Sequence
