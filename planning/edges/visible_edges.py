@@ -23,6 +23,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from polhode.camera import RectifiedRig
+from polhode.compiled import compiled_ieee
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.planning.edges.edge_model import EdgeKind, EdgeModel
 from polhode.records import Bools, Ints
@@ -63,11 +64,11 @@ def _of_facets(model: EdgeModel, eye_G: Array) -> Outlines:
 
 def _of_smooth_surface(model: EdgeModel, eye_G: Array) -> Outlines:
     faces = np.flatnonzero(model.outlined_faces)
-    normals = model.corner_normals_G[faces]
-    corners = np.asarray(model.surface.triangles)[faces]
-    facing = np.einsum("fck,fck->fc", normals, corners - eye_G) > 0.0
-    turning = facing.any(axis=1) & ~facing.all(axis=1)
-    faces, normals, corners, facing = faces[turning], normals[turning], corners[turning], facing[turning]
+    triangles = np.asarray(model.surface.triangles)
+    facing = np.empty((len(faces), 3), dtype=np.bool_)
+    turning = _turning(faces, triangles, model.corner_normals_G, eye_G, facing)
+    faces, facing = faces[turning], facing[turning]
+    normals, corners = model.corner_normals_G[faces], triangles[faces]
     # The corner that is alone on its side: the outline crosses its two edges.
     alone = np.where(facing.sum(axis=1) == 1, np.argmax(facing, axis=1), np.argmax(~facing, axis=1))
     row = np.arange(len(faces))
@@ -84,6 +85,22 @@ def _of_smooth_surface(model: EdgeModel, eye_G: Array) -> Outlines:
     chord, turn = corners - np.roll(corners, 1, axis=1), normals - np.roll(normals, 1, axis=1)
     bulge = np.abs(np.einsum("fck,fck->fc", chord, turn)).max(axis=1) / 8.0
     return Outlines(ends, end_normals, np.asarray(model.part[faces]), bulge)
+
+
+@compiled_ieee
+def _turning(faces: Ints, corners_G: Array, normals_G: Array, eye_G: Array, facing: Bools) -> Bools:
+    """(k,) faces whose corners do not all face alike; sets ``facing`` (k, 3): corners turned away."""
+    turning = np.empty(len(faces), dtype=np.bool_)
+    for k in range(len(faces)):
+        count = 0
+        for c in range(3):
+            along = 0.0
+            for axis in range(3):
+                along += normals_G[faces[k], c, axis] * (corners_G[faces[k], c, axis] - eye_G[axis])
+            facing[k, c] = along > 0.0
+            count += facing[k, c]
+        turning[k] = 0 < count < 3
+    return turning
 
 
 def _crossing(a: Array, b: Array, normal_a: Array, normal_b: Array, eye_G: Array) -> Array:
@@ -161,21 +178,38 @@ def without_duplicates(points: ControlPoints, spacing_px: float) -> ControlPoint
     """The points without those of an edge that coincides in the image with another, longer one."""
     if len(points) < 2:
         return points
-    tree = cKDTree(points.uv_px)
-    pairs = tree.query_pairs(np.hypot(MERGED_PX, 0.75 * spacing_px), output_type="ndarray")
-    a, b = pairs[points.feature[pairs[:, 0]] != points.feature[pairs[:, 1]]].T
-    gap = points.uv_px[b] - points.uv_px[a]
-    across = np.abs(np.einsum("pk,pk->p", gap, points.normal_px[a]))
-    along = np.sqrt(np.maximum(np.einsum("pk,pk->p", gap, gap) - across**2, 0.0))
-    parallel = np.abs(np.einsum("pk,pk->p", points.normal_px[a], points.normal_px[b])) > PARALLEL
-    same = (across < MERGED_PX) & (along < 0.75 * spacing_px) & parallel
-    a, b = a[same], b[same]
     seen = np.bincount(points.feature, points.weight)
-    seen_a, seen_b = seen[points.feature[a]], seen[points.feature[b]]
-    a_wins = (seen_a > seen_b) | ((seen_a == seen_b) & (points.feature[a] < points.feature[b]))
+    order = np.argsort(points.uv_px[:, 0], kind="stable")
     keep = np.ones(len(points), dtype=bool)
-    keep[np.where(a_wins, b, a)] = False
+    _drop_shorter(
+        order, points.uv_px, points.normal_px, points.feature, seen[points.feature], 0.75 * spacing_px, keep
+    )
     return points[keep]
+
+
+@compiled_ieee
+def _drop_shorter(
+    order: Ints, uv: Array, normal: Array, feature: Ints, seen_length: Array, reach_px: float, keep: Bools
+) -> None:
+    """Unset ``keep`` (m,) of points beside one of a longer edge; ``order`` (m,) of ascending u."""
+    widest = np.hypot(MERGED_PX, reach_px)
+    for first in range(len(order)):
+        for second in range(first + 1, len(order)):
+            a, b = min(order[first], order[second]), max(order[first], order[second])
+            if uv[order[second], 0] - uv[order[first], 0] > widest:
+                break
+            du, dv = uv[b, 0] - uv[a, 0], uv[b, 1] - uv[a, 1]
+            if feature[a] == feature[b] or abs(dv) > widest:
+                continue
+            across = abs(du * normal[a, 0] + dv * normal[a, 1])
+            along = np.sqrt(max(du * du + dv * dv - across * across, 0.0))
+            cosine = abs(normal[a, 0] * normal[b, 0] + normal[a, 1] * normal[b, 1])
+            if across < MERGED_PX and along < reach_px and cosine > PARALLEL:
+                a_is_longer = seen_length[a] > seen_length[b]
+                if a_is_longer or (seen_length[a] == seen_length[b] and feature[a] < feature[b]):
+                    keep[b] = False
+                else:
+                    keep[a] = False
 
 
 def _on_segments(
