@@ -58,7 +58,7 @@ CONFIRMED = 0.8
 
 
 def cases(short: bool) -> list[Case]:
-    """A case is a pose of a body; those of all bodies come by turns."""
+    """A case is a pose of a body; bodies and ranges come by turns, so that a part of them represents all."""
     images, poses = (SHORT_IMAGES, SHORT_POSES) if short else (IMAGES, POSES)
     at = {
         "2 to 4 m": {"near_m": 2.0, "far_m": 4.0, "seed": 1, "poses": poses},
@@ -69,7 +69,7 @@ def cases(short: bool) -> list[Case]:
             "poses": min(poses, POSES_AT_FIXED_RANGE),
         },
     }
-    return [
+    found = [
         {
             "part": "pairs",
             "range": name,
@@ -83,6 +83,7 @@ def cases(short: bool) -> list[Case]:
         for pose in range(common["poses"])
         for body in NAMES
     ]
+    return sorted(found, key=lambda case: (case["pose"] + 1) / case["poses"])
 
 
 def main(

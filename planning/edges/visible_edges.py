@@ -178,7 +178,7 @@ def without_duplicates(points: ControlPoints, spacing_px: float) -> ControlPoint
     """The points without those of an edge that coincides in the image with another, longer one."""
     if len(points) < 2:
         return points
-    seen = np.bincount(points.feature, points.weight)
+    seen = np.asarray(np.bincount(points.feature, points.weight), dtype=np.float64)
     order = np.argsort(points.uv_px[:, 0], kind="stable")
     keep = np.ones(len(points), dtype=bool)
     _drop_shorter(

@@ -5,15 +5,15 @@ As ``tracker.py``, but each control point is measured by all edges that are know
 an unknown of all stripes that face alike (``planning/edges/stripes.py``).
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from benchmarks.edges.tracking.edge_search import Levels, as_levels
 from benchmarks.edges.tracking.stripe_fit import displacement, searched
-from benchmarks.edges.tracking.tracker import track
+from benchmarks.edges.tracking.tracker import TrackerOptions, track
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, transform_points
 from polhode.planning.edges.edge_model import EdgeModel
@@ -47,7 +47,7 @@ class StripeOptions:
     """searched on both sides from the guess, step by step"""
     near_px: tuple[float, ...] = (3.0, 3.0)
     """from a pose that is nearly right"""
-    steps: int = 12
+    steps: int = 20
     """after those, from where the edges are"""
     wide: int = 3
     """of them with weights that forget nothing"""
@@ -65,8 +65,10 @@ class StripeOptions:
     min_found: int = 12
     restarts: int = 4
     restart_px: float = 2.0
-    content: float = 0.8
-    """agreement from which no other start is tried"""
+    same_px: float = 0.2
+    """A search that ends so near a known pose has found it again"""
+    content: float = 0.95
+    """agreement from which no other start is tried: wrong poses reach 0.9"""
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,8 @@ class StripeTracking:
     """Its C (6, 6) [m^-2, m^-1 rad^-1, rad^-2], of the edges alone, is the inverse of the covariance"""
     agreement: float
     """Share of the information of all known edges that the image confirms to three sigmas, 0 to 1"""
+    confirmed: float
+    """That information itself [px^-2]: a wrong pose that shows few edges has little of it"""
     scale: float
     """Robust size of the residuals over their sigmas, 1 at least"""
     converged: bool
@@ -120,27 +124,27 @@ def track_stripes(
     wanted = wanted or StripeOptions()
     grey = as_levels(image)
     tracker = _Tracker(model, known or model, rig, grey, wanted)
-    coarse = track(model, rig, image, X_RG)
-    found = tracker.from_guess(X_RG, wanted.far_px)
+    coarse = track(model, rig, image, X_RG, TrackerOptions(restarts=0))
+    found = [tracker.from_guess(X_RG)]
     if len(coarse.points):
-        found = _better(found, tracker.from_guess(coarse.X_RG, wanted.near_px))
+        found += tracker.from_another(coarse.X_RG, found)
     rng = np.random.default_rng(0)
     for number in range(wanted.restarts):
-        if not len(found.points) or (found.converged and found.agreement >= wanted.content):
+        best = _best(found)
+        if not len(best.points) or (best.converged and best.agreement >= wanted.content):
             break
         # by turns from the best pose and from the guess, which it may have left for good
-        near = (X_RG, found.X_RG)[number % 2]
-        f = edge_motion(found.points, rig, near, model.centre_G)
+        near = (X_RG, best.X_RG)[number % 2]
+        f = edge_motion(best.points, rig, near, model.centre_G)
         step = rng.standard_normal(6)
         step *= wanted.restart_px / max(float(np.sqrt(np.mean((f @ step) ** 2))), 1e-12)
-        other = tracker.from_guess(moved(near, step, model.centre_G), wanted.near_px)
-        found = _better(found, other)
-    return found
+        found += tracker.from_another(moved(near, step, model.centre_G), found)
+    return _best(found)
 
 
-def _better(one: StripeTracking, other: StripeTracking) -> StripeTracking:
-    """The one that converged, or that the image confirms more of."""
-    return max(one, other, key=lambda each: (each.converged, each.agreement))
+def _best(found: Sequence[StripeTracking]) -> StripeTracking:
+    """The one that converged and that the image confirms most of: of edges, not of its own expectation."""
+    return max(found, key=lambda each: (each.converged, each.confirmed))
 
 
 @dataclass(frozen=True)
@@ -156,6 +160,23 @@ class _View:
 
 
 @dataclass(frozen=True)
+class _Walk:
+    """A pose on its way."""
+
+    X_RG: Array
+    view: _View | None = None
+    """what it was last looked for with"""
+    drift_px: float = np.inf
+    """moved since, root mean square"""
+    motion_px: float = np.inf
+    """of the last step"""
+    place: Array = field(default_factory=lambda: np.zeros(0))
+    """(classes,) of the steps of light in their stripes"""
+    lost: str = ""
+    """Why it goes no further"""
+
+
+@dataclass(frozen=True)
 class _Tracker:
     model: EdgeModel
     known: EdgeModel
@@ -163,45 +184,73 @@ class _Tracker:
     grey: Levels
     wanted: StripeOptions
 
-    def from_guess(self, X_RG: Array, search_px: tuple[float, ...]) -> StripeTracking:
-        """From one guess, without restarts."""
-        o_G, wanted = self.model.centre_G, self.wanted
-        if transform_points(X_RG, o_G[None])[0, 2] <= 0.0:
+    def from_guess(self, X_RG: Array) -> StripeTracking:
+        """From where the pose is thought to be."""
+        if transform_points(X_RG, self.model.centre_G[None])[0, 2] <= 0.0:
             return self._nothing(X_RG, "the target is behind the camera")
-        settled, drift_px = False, np.inf
-        place = np.zeros(0)
-        for range_px, is_wide in self._plan(search_px):
-            if drift_px > wanted.remade_px:
-                view, drift_px = self._view(X_RG), 0.0
-            _, seen = self._look(view, X_RG, range_px)
-            if seen.counts.sum() < wanted.min_found:
-                found, of = int(seen.counts.sum()), len(seen.counts)
-                return self._nothing(X_RG, f"edges were found at {found} of {of} control points: too few")
-            if range_px is not None or len(place) != seen.stripes.classes:
-                place = np.zeros(seen.stripes.classes)
-            told, _, _ = seen.told(place, narrow=not is_wide)
-            step = self._step(told, self._pull_of_prior(X_RG))
-            if range_px is None:
-                place = told.places(step)
-            X_RG = moved(X_RG, step, o_G)
-            motion_px = float(np.sqrt(np.mean((seen.f @ step) ** 2)))
-            drift_px += motion_px
-            settled = not is_wide and motion_px < wanted.settled_px
-            if settled:
-                break
-        return self._told(X_RG, settled)
+        return self._settled(self._searched(X_RG, self.wanted.far_px))
 
-    def _plan(self, search_px: tuple[float, ...]) -> Iterator[tuple[float | None, bool]]:
-        """Range that is searched, None: from where the edges are; and whether nothing is forgotten."""
+    def from_another(self, X_RG: Array, found: Sequence[StripeTracking]) -> list[StripeTracking]:
+        """From a start beside it; nothing where the search ends at a pose that has been found."""
+        ended = self._searched(X_RG, self.wanted.near_px)
+        if not ended.lost and any(self._apart_px(each, ended.X_RG) < self.wanted.same_px for each in found):
+            return []
+        return [self._settled(ended)]
+
+    def _apart_px(self, found: StripeTracking, X_RG: Array) -> float:
+        """Between a pose that was found and another one: root mean square across the edges."""
+        if not len(found.points):
+            return np.inf
+        f = edge_motion(found.points, self.rig, found.X_RG, self.model.centre_G)
+        return float(np.sqrt(np.mean((f @ pose_error(X_RG, found.X_RG, self.model.centre_G)) ** 2)))
+
+    def _searched(self, X_RG: Array, search_px: tuple[float, ...]) -> "_Walk":
+        """Each point takes the displacement within a range that explains its profile best."""
+        walk = _Walk(X_RG)
         for range_px in search_px:
-            yield range_px, True
-        for number in range(self.wanted.steps):
-            yield None, number < self.wanted.wide
+            walk = self._stepped(walk, range_px, True)
+            if walk.lost:
+                break
+        return walk
 
-    def _view(self, X_RG: Array) -> _View:
+    def _settled(self, walk: "_Walk") -> StripeTracking:
+        """On from where the edges are."""
+        for number in range(self.wanted.steps):
+            if walk.lost:
+                return self._nothing(walk.X_RG, walk.lost)
+            is_wide = number < self.wanted.wide
+            walk = self._stepped(walk, None, is_wide)
+            if not is_wide and walk.motion_px < self.wanted.settled_px:
+                return self._told(walk.X_RG, True)
+        return self._told(walk.X_RG, False)
+
+    def _stepped(self, walk: "_Walk", range_px: float | None, is_wide: bool) -> "_Walk":
+        """One step of the pose; ``is_wide``: by weights that forget nothing."""
+        view, drift_px = walk.view, walk.drift_px
+        if view is None or drift_px > self.wanted.remade_px:
+            view, drift_px = self._view(walk.X_RG), 0.0
+        _, seen = self._look(view, walk.X_RG, range_px)
+        if seen.counts.sum() < self.wanted.min_found:
+            found, of = int(seen.counts.sum()), len(seen.counts)
+            lost = f"edges were found at {found} of {of} control points: too few"
+            return replace(walk, lost=lost)
+        place = walk.place
+        if range_px is not None or len(place) != seen.stripes.classes:
+            place = np.zeros(seen.stripes.classes)
+        told, _, _ = seen.told(place, narrow=not is_wide)
+        step = self._step(told, self._pull_of_prior(walk.X_RG))
+        if range_px is None:
+            place = told.places(step)
+        motion_px = float(np.sqrt(np.mean((seen.f @ step) ** 2)))
+        X_RG = moved(walk.X_RG, step, self.model.centre_G)
+        return _Walk(X_RG, view, drift_px + motion_px, motion_px, place)
+
+    def _view(self, X_RG: Array, known: ControlPoints | None = None) -> _View:
+        """``known``: the points of all edges that are known there, if they are at hand."""
         points = control_points(self.model, self.rig, X_RG, SPACING_PX)
-        own = every_point(self.model, self.rig, X_RG, SAMPLED_PX)
-        known = own if self.known is self.model else every_point(self.known, self.rig, X_RG, SAMPLED_PX)
+        if known is None:
+            known = every_point(self.known, self.rig, X_RG, SAMPLED_PX)
+        own = known if self.known is self.model else every_point(self.model, self.rig, X_RG, SAMPLED_PX)
         return _View(points, known, points.weight / np.maximum(times_measured(points, own, X_RG), 1.0))
 
     def _at(self, points: ControlPoints, X_RG: Array) -> ControlPoints:
@@ -249,7 +298,8 @@ class _Tracker:
 
     def _told(self, X_RG: Array, settled: bool) -> StripeTracking:
         """The record of the last pose, where its points are measured a last time."""
-        points, seen = self._at_last(X_RG)
+        view = self._view(X_RG)
+        points, seen = self._look(view, X_RG, None)
         if seen.counts.sum() < self.wanted.min_found:
             return self._nothing(X_RG, "too few edges were found at the last pose")
         _, weight, scale = seen.told(seen.settled_places(), narrow=True)
@@ -259,22 +309,18 @@ class _Tracker:
         if self.known is not self.model:
             # edges that are known without being used say whether the pose is right
             every = replace(self, model=self.known, wanted=replace(self.wanted, sigma_m=None))
-            _, seen = every._at_last(X_RG)
-        return StripeTracking(
-            X_RG, points, weight, information, self._agreement(seen), scale, settled, reason
-        )
+            _, seen = every._look(every._view(X_RG, view.known), X_RG, None)
+        confirmed, share = self._confirmed(seen)
+        return StripeTracking(X_RG, points, weight, information, share, confirmed, scale, settled, reason)
 
-    def _at_last(self, X_RG: Array) -> tuple[ControlPoints, MeasuredStripes]:
-        """The points of a pose, measured."""
-        return self._look(self._view(X_RG), X_RG, None)
-
-    def _agreement(self, seen: MeasuredStripes) -> float:
-        """Share of the information that is expected and that the image confirms to three sigmas."""
+    def _confirmed(self, seen: MeasuredStripes) -> tuple[float, float]:
+        """Information that the image confirms to three sigmas [px^-2], and its share of what is expected."""
         size = np.abs(seen.residual(seen.settled_places()))
         expected = seen.length / np.maximum(seen.sigma_px**2 + seen.spread_px**2, self.wanted.floor_px**2)
-        return float(expected[seen.counts & (size < 3.0)].sum() / expected.sum())
+        confirmed = float(expected[seen.counts & (size < 3.0)].sum())
+        return confirmed, confirmed / float(expected.sum())
 
     def _nothing(self, X_RG: Array, reason: str) -> StripeTracking:
         none = EdgeObservability(np.zeros((6, 6)), self.model.radius_m, 0)
         points = control_points(self.model, self.rig, X_RG, SPACING_PX)[np.zeros(0, dtype=np.int64)]
-        return StripeTracking(X_RG, points, np.zeros(0), none, 0.0, np.inf, False, reason)
+        return StripeTracking(X_RG, points, np.zeros(0), none, 0.0, 0.0, np.inf, False, reason)
