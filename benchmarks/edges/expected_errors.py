@@ -37,11 +37,13 @@ from benchmarks.edges.observability import (
     rounded,
     views_of,
 )
-from benchmarks.edges.tracking.stripe_tracker import track_stripes
-from benchmarks.edges.views import NAMES, perturbed, random_suns
+from benchmarks.edges.tracking.stripe_tracker import StripeTracking, track_stripes
+from benchmarks.edges.views import NAMES, EdgeViews, perturbed, random_suns
 from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete, measured
+from polhode.images import Grey
 from polhode.lie import Array
+from polhode.planning.edges.edge_model import EdgeModel
 from polhode.planning.edges.expected_tracking import expected_tracking
 from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM, pose_error
 from polhode.planning.edges.visible_edges import SPACING_PX, control_points
@@ -120,8 +122,35 @@ def main(
         draw(pairs, output)
 
 
-def measure(case: Case) -> dict[str, Any]:
-    """All trials of one pose of one body."""
+@dataclass(frozen=True)
+class Trials:
+    """Images of a body near one pose, and the starts of the tracker."""
+
+    views: EdgeViews
+    whole: EdgeModel
+    X_RG: Array
+    """(4, 4) that something is expected of"""
+    truths: Array
+    """(n, 4, 4)"""
+    suns: Array
+    """(n, 3) in the camera's frame"""
+    starts: Array
+    """(n, 4, 4)"""
+    first: int
+    """Number of the first image"""
+
+    def image(self, k: int) -> Grey:
+        """The k-th."""
+        return self.views.image(self.truths[k], self.suns[k], self.first + k)
+
+    def tracked(self, image: Grey, model: EdgeModel, k: int) -> StripeTracking:
+        """From the k-th start, by the edges of ``model``; all the others are known."""
+        known = None if model.size == self.whole.size else self.whole
+        return track_stripes(model, RIG, image, self.starts[k], known=known)
+
+
+def trials_of(case: Case) -> Trials:
+    """Of one pose of one body."""
     views, whole = views_of(case["body"], case["rich"])
     number, o_G = case["pose"], whole.centre_G
     X_RG = poses_of(case, whole)[number]
@@ -130,6 +159,13 @@ def measure(case: Case) -> dict[str, Any]:
     suns = random_suns(case["images"], seed)
     truths = np.array([jittered(X_RG, o_G, rng) for _ in suns])
     starts = perturbed(truths, o_G, seed, START_DEG, START_M)
+    return Trials(views, whole, X_RG, truths, suns, starts, 1000 * number)
+
+
+def measure(case: Case) -> dict[str, Any]:
+    """All trials of one pose of one body."""
+    trials = trials_of(case)
+    whole, X_RG = trials.whole, trials.X_RG
     chosen = levels(whole)
     models = [
         {
@@ -142,12 +178,12 @@ def measure(case: Case) -> dict[str, Any]:
         }
         for each, expected in ((each, expected_tracking(each, RIG, X_RG, known=whole)) for each in chosen)
     ]
-    for k, (true, sun, start) in enumerate(zip(truths, suns, starts, strict=True)):
-        image = views.image(true, sun, 1000 * number + k)
+    for k, true in enumerate(trials.truths):
+        image = trials.image(k)
         p_G = control_points(whole, RIG, true, SPACING_PX).p_G
         for model, told in zip(chosen, models, strict=True):
-            found = track_stripes(model, RIG, image, start, known=None if model.size == whole.size else whole)
-            error = pose_error(found.X_RG, true, o_G)
+            found = trials.tracked(image, model, k)
+            error = pose_error(found.X_RG, true, whole.centre_G)
             told["trials"].append(
                 {
                     "error": rounded(error),

@@ -1,0 +1,27 @@
+"""Trials of the tracker of stripes that are hard: another pose explains more of its own edges."""
+
+import pytest
+
+from benchmarks.edges.expected_errors import MODELS, cases, trials_of
+from benchmarks.edges.observability import RIG, levels, off_px
+from polhode.planning.edges.visible_edges import SPACING_PX, control_points
+
+
+@pytest.mark.parametrize(
+    ("body", "pose", "model", "image"),
+    [
+        ("house", 6, "half", 7),
+        ("wedge", 1, "half", 23),
+        ("steps", 2, "half", 5),
+        ("block", 5, "three quarters", 17),
+    ],
+)
+def test_the_pose_that_explains_most_edges_is_taken(body: str, pose: int, model: str, image: int) -> None:
+    # poses 6 to 20 px off have a larger share of the few edges that would be in sight there
+    which = {"range": "2 to 4 m", "body": body, "pose": pose}
+    case = next(case for case in cases(short=False) if which.items() <= case.items())
+    trials = trials_of(case)
+    chosen = levels(trials.whole)[MODELS.index(model)]
+    found = trials.tracked(trials.image(image), chosen, image)
+    p_G = control_points(trials.whole, RIG, trials.truths[image], SPACING_PX).p_G
+    assert found.converged and off_px(p_G, found.X_RG, trials.truths[image]) < 0.5
