@@ -8,7 +8,9 @@ edges or the longest that make up three quarters and half of their length, 20 po
 neither the Sun nor the image. Of each pair of a model and a pose the root mean square of the errors of its
 trials is compared with the expected standard deviation, for each degree of freedom. "NEES, stated": squared
 error of the confirmed trials over the covariance that the tracker states, per degree of freedom; "and
-expected": with the covariance of the expected displacement besides.
+expected": with the covariance of the expected displacement besides; "held out": with the covariance of
+``tracking/stripe_covariance.py`` fitted to all other bodies, its median over that of chi-squared, and the
+share of trials within its ellipsoid of 95 %.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,6 +21,7 @@ from typing import Annotated, Any
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import NullFormatter
+from scipy.stats import chi2
 from tyro.conf import arg
 
 from benchmarks.command import Png, Record, Short, Workers, command
@@ -37,6 +40,8 @@ from benchmarks.edges.observability import (
     rounded,
     views_of,
 )
+from benchmarks.edges.tracking.calibrated_covariance import nees
+from benchmarks.edges.tracking.stripe_covariance import StripeErrors, fitted_covariance, joined
 from benchmarks.edges.tracking.stripe_tracker import StripeTracking, track_stripes
 from benchmarks.edges.views import NAMES, EdgeViews, perturbed, random_suns
 from benchmarks.presentation import print_table
@@ -114,6 +119,9 @@ def main(
         "error over expected, median (5 % to 95 %)",
         "NEES, stated",
         "and expected",
+        "held out",
+        "median",
+        "within 95 %",
         "settled",
         "confirmed",
     ]
@@ -221,14 +229,12 @@ class Pair:
         """(n,) trials that a user would keep, who does not know the truth."""
         return self.settled & (self.agreement >= CONFIRMED)
 
-    def nees(self, with_displacement: bool) -> Array:
-        """(n,) of the confirmed trials, over six, by the stated covariance or with the displacement, too."""
-        covariance = self.covariance[self.confirmed]
-        errors = self.errors[self.confirmed]
-        stated = np.isfinite(covariance).all(axis=(1, 2))
-        P = covariance[stated] + (self.displacement if with_displacement else 0.0)
-        scaled = np.linalg.solve(P, errors[stated][..., None])[..., 0]
-        return np.asarray(np.einsum("nk,nk->n", errors[stated], scaled) / 6.0)
+    @property
+    def known(self) -> StripeErrors:
+        """Of the confirmed trials whose covariance the tracker states."""
+        which = self.confirmed & np.isfinite(self.covariance).all(axis=(1, 2))
+        displacement = np.broadcast_to(self.displacement, (int(which.sum()), 6, 6))
+        return StripeErrors(self.errors[which], self.covariance[which], displacement, self.agreement[which])
 
 
 def _pairs(line: Case) -> Iterator[Pair]:
@@ -310,21 +316,43 @@ def log_correlation(a: Array, b: Array) -> list[float]:
 
 
 def _bodies(pairs: Sequence[Pair]) -> Iterator[list[str]]:
-    for body in dict.fromkeys(pair.body for pair in pairs):
-        own = [pair for pair in pairs if pair.body == body]
+    """A row for each body, and for the groups of them."""
+    names = list(dict.fromkeys(pair.body for pair in pairs))
+    held_out = dict(zip(names, _held_out(names, pairs), strict=True))
+    groups = {"plain": PLAIN, "crowded": CLUTTERED, "all": NAMES}
+    for title, bodies in {**{name: (name,) for name in names}, **groups}.items():
+        own = [pair for pair in pairs if pair.body in bodies]
+        if not own:
+            continue
         ratio = np.concatenate([(np.sqrt(np.mean(p.errors**2, axis=0)) / p.expected) for p in own])
-        nees = [
-            np.concatenate([p.nees(with_displacement) for p in own]) for with_displacement in (False, True)
-        ]
         low, middle, high = np.quantile(ratio, [0.05, 0.5, 0.95])
+        known = joined([pair.known for pair in own])
+        calibrated = np.concatenate([held_out[name] for name in names if name in bodies])
         shares = [np.mean(np.concatenate([getattr(p, key) for p in own])) for key in ("settled", "confirmed")]
         yield [
-            body,
+            title,
             str(len(own)),
             f"{middle:.2f} ({low:.2f} to {high:.2f})",
-            *(f"{np.mean(each):.2f}" if len(each) else "-" for each in nees),
+            *(
+                f"{np.mean(each) / 6.0:.2f}" if len(each) else "-"
+                for each in (
+                    nees(known.error, known.stated),
+                    nees(known.error, known.stated + known.displacement),
+                    calibrated,
+                )
+            ),
+            f"{np.median(calibrated) / chi2.median(6):.2f}",
+            f"{np.mean(calibrated < chi2.ppf(0.95, 6)):.1%}",
             *(f"{share:.0%}" for share in shares),
         ]
+
+
+def _held_out(names: Sequence[str], pairs: Sequence[Pair]) -> Iterator[Array]:
+    """Squared errors (n,) of each body over the covariance that is fitted to all others."""
+    known = {name: joined([pair.known for pair in pairs if pair.body == name]) for name in names}
+    for name in names:
+        covariance = fitted_covariance([known[other] for other in names if other != name])
+        yield nees(known[name].error, covariance.of(known[name]))
 
 
 def draw(pairs: Sequence[Pair], output: Path) -> None:
