@@ -7,6 +7,7 @@ an unknown of all stripes that face alike (``planning/edges/stripes.py``).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +38,7 @@ from polhode.planning.edges.stripes import (
     times_measured,
 )
 from polhode.planning.edges.visible_edges import SPACING_PX, ControlPoints, control_points, every_point
+from polhode.records import Bools
 
 
 @dataclass(frozen=True)
@@ -47,10 +49,10 @@ class StripeOptions:
     """searched on both sides from the guess, step by step"""
     near_px: tuple[float, ...] = (3.0, 3.0)
     """from a pose that is nearly right"""
-    steps: int = 20
-    """after those, from where the edges are"""
     wide: int = 3
-    """of them with weights that forget nothing"""
+    """steps after those, from where the edges are, with weights that forget nothing"""
+    steps: int = 17
+    """at most, after those"""
     half_px: float = HALF_PX
     """of the profiles of those steps"""
     floor_px: float = FLOOR_PX
@@ -66,7 +68,7 @@ class StripeOptions:
     restarts: int = 4
     restart_px: float = 2.0
     same_px: float = 0.2
-    """A search that ends so near a known pose has found it again"""
+    """Another start that comes so near a pose that was found leads there"""
     content: float = 0.95
     """agreement from which no other start is tried: wrong poses reach 0.9"""
 
@@ -118,7 +120,7 @@ def track_stripes(
 ) -> StripeTracking:
     """Pose of the model in an image (H, W) of grey levels, from a guess X_RG (4, 4).
 
-    ``known``: the edges of the body that are known beside those of the model, if it has only some of them.
+    ``known``: all edges of the body that are known, if the model has only some of them.
     Never raises for what the image shows. Deterministic: restarts are drawn from a fixed seed.
     """
     wanted = wanted or StripeOptions()
@@ -168,10 +170,9 @@ class _Walk:
     """what it was last looked for with"""
     drift_px: float = np.inf
     """moved since, root mean square"""
-    motion_px: float = np.inf
-    """of the last step"""
     place: Array = field(default_factory=lambda: np.zeros(0))
     """(classes,) of the steps of light in their stripes"""
+    settled: bool = False
     lost: str = ""
     """Why it goes no further"""
 
@@ -184,18 +185,27 @@ class _Tracker:
     grey: Levels
     wanted: StripeOptions
 
+    @cached_property
+    def of_model(self) -> Bools:
+        """(features of the known model,) which of them the tracked model has."""
+        own = {ends.tobytes() for ends in self.model.ends_G}
+        segments = [ends.tobytes() in own for ends in self.known.ends_G]
+        return np.append(np.array(segments, dtype=bool), self.model.outlined)
+
     def from_guess(self, X_RG: Array) -> StripeTracking:
         """From where the pose is thought to be."""
         if transform_points(X_RG, self.model.centre_G[None])[0, 2] <= 0.0:
             return self._nothing(X_RG, "the target is behind the camera")
-        return self._settled(self._searched(X_RG, self.wanted.far_px))
+        return self._ended(self._settled(self._near(self._searched(X_RG, self.wanted.far_px))))
 
     def from_another(self, X_RG: Array, found: Sequence[StripeTracking]) -> list[StripeTracking]:
-        """From a start beside it; nothing where the search ends at a pose that has been found."""
-        ended = self._searched(X_RG, self.wanted.near_px)
-        if not ended.lost and any(self._apart_px(each, ended.X_RG) < self.wanted.same_px for each in found):
-            return []
-        return [self._settled(ended)]
+        """From a start beside it; nothing where it leads to a pose that has been found."""
+        walk = self._searched(X_RG, self.wanted.near_px)
+        for onward in self._near, self._settled:
+            if not walk.lost and any(self._apart_px(each, walk.X_RG) < self.wanted.same_px for each in found):
+                return []
+            walk = onward(walk)
+        return [self._ended(walk)]
 
     def _apart_px(self, found: StripeTracking, X_RG: Array) -> float:
         """Between a pose that was found and another one: root mean square across the edges."""
@@ -213,19 +223,25 @@ class _Tracker:
                 break
         return walk
 
-    def _settled(self, walk: "_Walk") -> StripeTracking:
-        """On from where the edges are."""
-        for number in range(self.wanted.steps):
-            if walk.lost:
-                return self._nothing(walk.X_RG, walk.lost)
-            is_wide = number < self.wanted.wide
-            walk = self._stepped(walk, None, is_wide)
-            if not is_wide and walk.motion_px < self.wanted.settled_px:
-                return self._told(walk.X_RG, True)
-        return self._told(walk.X_RG, False)
+    def _near(self, walk: "_Walk") -> "_Walk":
+        """On from where the edges are, by weights that forget nothing."""
+        for _ in range(self.wanted.wide):
+            walk = walk if walk.lost else self._stepped(walk, None, True)
+        return walk
 
-    def _stepped(self, walk: "_Walk", range_px: float | None, is_wide: bool) -> "_Walk":
-        """One step of the pose; ``is_wide``: by weights that forget nothing."""
+    def _settled(self, walk: "_Walk") -> "_Walk":
+        """To the end, without what is far off; at last by half steps, as poses may go to and fro."""
+        for number in range(self.wanted.steps):
+            if walk.lost or walk.settled:
+                break
+            walk = self._stepped(walk, None, False, 1.0 if 2 * number < self.wanted.steps else 0.5)
+        return walk
+
+    def _ended(self, walk: "_Walk") -> StripeTracking:
+        return self._nothing(walk.X_RG, walk.lost) if walk.lost else self._told(walk.X_RG, walk.settled)
+
+    def _stepped(self, walk: "_Walk", range_px: float | None, is_wide: bool, share: float = 1.0) -> "_Walk":
+        """A share of one step of the pose; ``is_wide``: by weights that forget nothing."""
         view, drift_px = walk.view, walk.drift_px
         if view is None or drift_px > self.wanted.remade_px:
             view, drift_px = self._view(walk.X_RG), 0.0
@@ -238,19 +254,20 @@ class _Tracker:
         if range_px is not None or len(place) != seen.stripes.classes:
             place = np.zeros(seen.stripes.classes)
         told, _, _ = seen.told(place, narrow=not is_wide)
-        step = self._step(told, self._pull_of_prior(walk.X_RG))
+        step = share * self._step(told, self._pull_of_prior(walk.X_RG))
         if range_px is None:
             place = told.places(step)
         motion_px = float(np.sqrt(np.mean((seen.f @ step) ** 2)))
         X_RG = moved(walk.X_RG, step, self.model.centre_G)
-        return _Walk(X_RG, view, drift_px + motion_px, motion_px, place)
+        settled = not is_wide and motion_px < self.wanted.settled_px
+        return _Walk(X_RG, view, drift_px + motion_px, place, settled)
 
     def _view(self, X_RG: Array, known: ControlPoints | None = None) -> _View:
         """``known``: the points of all edges that are known there, if they are at hand."""
         points = control_points(self.model, self.rig, X_RG, SPACING_PX)
         if known is None:
             known = every_point(self.known, self.rig, X_RG, SAMPLED_PX)
-        own = known if self.known is self.model else every_point(self.model, self.rig, X_RG, SAMPLED_PX)
+        own = known if self.known is self.model else known[self.of_model[known.feature]]
         return _View(points, known, points.weight / np.maximum(times_measured(points, own, X_RG), 1.0))
 
     def _at(self, points: ControlPoints, X_RG: Array) -> ControlPoints:
