@@ -4,6 +4,10 @@ A profile is modelled as a level and a step at each stripe (``stripes.py``), as 
 make it. Heights of the steps are not known, of either sign, and found by least squares; the displacement that
 all steps have in common is found by Gauss-Newton from where it is (``fitted``), or on a grid (``searched``).
 What a displacement and other heights can explain alike is no information on it.
+
+Behind the outline of a curved surface the light is not constant: the normal turns away from the line of sight as
+the root of the distance, and the light with it, whatever the radius. That root has a height of its own, without
+which an outline seems to lie where the surface is bright, half a pixel off under light along it.
 """
 
 from dataclasses import dataclass
@@ -82,7 +86,17 @@ def fitted(place: Array, grey: Array, stripes: Stripes) -> Displacements:
     told = np.zeros((len(grey), 2))
     height = np.zeros(stripes.offset_px.shape)
     _descend(
-        place, grey, stripes.offset_px, blur_of(stripes), _ITERATIONS, _BLURRED_STEP, shift, told, height
+        place,
+        grey,
+        stripes.offset_px,
+        blur_of(stripes),
+        stripes.curved,
+        _ITERATIONS,
+        _BLURRED_STEP,
+        _BLURRED_ROOT,
+        shift,
+        told,
+        height,
     )
     noise = np.maximum(told[:, 1], LEAST_NOISE**2)
     # samples are half a pixel apart, and the noise of two of them is that of one pixel
@@ -107,6 +121,22 @@ _BLURRED_STEP = ndtr(np.arange(-_PER_SIGMA * _SIGMAS, _PER_SIGMA * _SIGMAS + 2) 
 """A blurred step of light of height 1, tabulated: linear in between, it errs by less than 1e-6"""
 
 
+_ROOT_FROM, _ROOT_TO = -16, 6
+_ROOT_AT = np.arange(_ROOT_FROM * _PER_SIGMA, _ROOT_TO * _PER_SIGMA + 2) / _PER_SIGMA
+_NODE, _WEIGHT = np.polynomial.hermite_e.hermegauss(101)
+_BLURRED_ROOT = np.sqrt(np.maximum(_NODE - _ROOT_AT[:, None], 0.0)) @ _WEIGHT / _WEIGHT.sum()
+"""The light of a curved surface grows as the root of the distance from its outline: blurred, tabulated"""
+
+
+@compiled_ieee
+def _blurred_root(z: float, table: Array) -> tuple[float, float]:
+    """Root of the distance behind an outline, z sigmas before it, blurred; and its derivative."""
+    at = (z - _ROOT_FROM) * _PER_SIGMA
+    below = min(max(int(at), 0), len(table) - 2)
+    slope = table[below + 1] - table[below]
+    return float(table[below] + (at - below) * slope), float(slope * _PER_SIGMA)
+
+
 @compiled_ieee
 def _blurred_step(z: float, table: Array) -> float:
     """A blurred step of light of height 1, z sigmas from it."""
@@ -121,9 +151,17 @@ def _blurred_step(z: float, table: Array) -> float:
 
 @compiled_ieee
 def _columns(
-    place: Array, offset: Array, blur: Array, shift: float, table: Array, A: Array, slope: Array
+    place: Array,
+    offset: Array,
+    blur: Array,
+    curved: bool,
+    shift: float,
+    table: Array,
+    root_table: Array,
+    A: Array,
+    slope: Array,
 ) -> int:
-    """Columns of the model (n, 1 + LINES) and their derivatives by the shift; returns how many there are."""
+    """Columns of the model (n, 2 + LINES) and their derivatives by the shift; returns how many there are."""
     lines = 0
     for k in range(len(offset)):
         if offset[k] != offset[k]:
@@ -133,7 +171,13 @@ def _columns(
             z = (place[n] - offset[k] - shift) / blur[k]
             A[n, 1 + k] = _blurred_step(z, table)
             slope[n, k] = -exp(-0.5 * z * z) / (sqrt(2.0 * pi) * blur[k])
-    return 1 + lines
+    if not curved:
+        return 1 + lines
+    for n in range(len(place)):
+        z = (place[n] - shift) / BLUR_PX
+        A[n, 1 + lines], along = _blurred_root(z, root_table)
+        slope[n, lines] = -along / BLUR_PX
+    return 2 + lines
 
 
 @compiled_ieee
@@ -179,22 +223,24 @@ def _descend(
     grey: Array,
     offset: Array,
     blur: Array,
+    curved: Bools,
     steps: int,
     table: Array,
+    root_table: Array,
     shift: Array,
     told: Array,
     height: Array,
 ) -> None:
     """Gauss-Newton of the shift, with the heights eliminated; told: information and variance."""
     count = len(place)
-    A = np.ones((count, 1 + offset.shape[1]))
-    slope = np.zeros((count, offset.shape[1]))
+    A = np.ones((count, 2 + offset.shape[1]))
+    slope = np.zeros((count, 1 + offset.shape[1]))
     N, L = np.zeros((A.shape[1], A.shape[1])), np.zeros((A.shape[1], A.shape[1]))
     h, c = np.zeros(A.shape[1]), np.zeros(A.shape[1])
     j = np.zeros(count)
     for i in range(len(grey)):
         for turn in range(steps + 1):
-            columns = _columns(place, offset[i], blur[i], shift[i], table, A, slope)
+            columns = _columns(place, offset[i], blur[i], curved[i], shift[i], table, root_table, A, slope)
             _normal_matrix(A, columns, N)
             _factor(N, columns, L)
             for k in range(columns):
@@ -224,8 +270,9 @@ def _descend(
             if turn == steps or jj <= 1e-9 or abs(jr / jj) < _SETTLED_PX:
                 break
             shift[i] += min(max(jr / jj, -_LONGEST_PX), _LONGEST_PX)
+        lines = columns - 2 if curved[i] else columns - 1
         for k in range(height.shape[1]):
-            height[i, k] = h[1 + k] if 1 + k < columns else 0.0
+            height[i, k] = h[1 + k] if k < lines else 0.0
 
 
 @compiled_ieee

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.compiled import compiled_ieee
-from polhode.lie import Array
+from polhode.lie import Array, inverse_pose
 from polhode.planning.edges.visible_edges import ControlPoints
 from polhode.records import Bools, Ints
 
@@ -29,6 +29,8 @@ _ALONG_PX = 1.3 * SAMPLED_PX
 _TURNS = 3
 _STEEPEST = 0.6
 """Cosine of the largest angle between two edges of which one is looked for across the other"""
+_GRAZING = 0.02
+"""Sine of the angle between a surface and the line of sight below which its outline is there"""
 _ALIKE = 8.0
 """Normals that agree to one part in so many are alike."""
 HALF_PX = 3.0
@@ -59,6 +61,8 @@ class Stripes:
     """(m,) class of points whose surfaces face alike, 0 to classes - 1"""
     side: Array
     """(m,) 1 or -1: which way across the stripe the normal of the point leads, the same within a class"""
+    curved: Bools
+    """(m,) whether the point is on the outline of a curved surface, which lies behind it along its normal"""
 
     @property
     def classes(self) -> int:
@@ -77,7 +81,15 @@ def stripes_across(points: ControlPoints, every: ControlPoints, X_RG: Array, rea
     order = np.argsort(every.uv_px[:, 0])
     uv, normal = every.uv_px[order], every.normal_px[order]
     _gather(points.uv_px, points.normal_px, uv, normal, reach_px, out)
-    return Stripes(out[0], out[1], out[2], light, side)
+    return Stripes(out[0], out[1], out[2], light, side, _on_curved_surface(points, X_RG))
+
+
+def _on_curved_surface(points: ControlPoints, X_RG: Array) -> Bools:
+    """(m,) whether both sides have the same normal, perpendicular to the line of sight."""
+    alike = (points.sides_G[:, 0] == points.sides_G[:, 1]).all(axis=1)
+    ray = points.p_G - inverse_pose(X_RG)[:3, 3]
+    sine = np.einsum("mk,mk->m", points.sides_G[:, 0], ray) / np.linalg.norm(ray, axis=1)
+    return np.asarray(alike & (np.abs(sine) < _GRAZING))
 
 
 @compiled_ieee

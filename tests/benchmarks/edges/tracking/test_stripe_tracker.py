@@ -1,10 +1,11 @@
 """Poses from stripes: displaced profiles, and bodies with bevels."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 import trimesh
+from scipy.ndimage import gaussian_filter1d
 from scipy.stats import norm
 
 from benchmarks.edges.tracking.edge_search import Levels, as_levels
@@ -16,7 +17,7 @@ from polhode.planning.edges.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.observability_metric import moved, pose_error
 from polhode.planning.edges.stripe_profiles import BLUR_PX, LEAST_NOISE
 from polhode.planning.edges.stripes import stripes_across
-from polhode.planning.edges.visible_edges import ControlPoints
+from polhode.planning.edges.visible_edges import ControlPoints, every_point
 from tests.planning.edges.pictures import BOX, POSE, RIG, bevelled_box, drawn
 
 BEVEL_M = 0.004
@@ -30,9 +31,8 @@ def column(offset_px: float) -> ControlPoints:
     uv = np.column_stack([np.full(POINTS, 50.0 + offset_px), v])
     normal = np.tile([1.0, 0.0], (POINTS, 1))
     none = np.zeros((POINTS, 3))
-    return ControlPoints(
-        none, uv, normal, np.zeros(POINTS, dtype=np.int64), np.ones(POINTS), np.zeros((POINTS, 2, 3))
-    )
+    sides = np.tile(np.eye(3)[:2], (POINTS, 1, 1))
+    return ControlPoints(none, uv, normal, np.zeros(POINTS, dtype=np.int64), np.ones(POINTS), sides)
 
 
 def pair() -> ControlPoints:
@@ -164,3 +164,41 @@ def test_segments_that_are_poorly_known_weigh_less(block: EdgeModel) -> None:
     rough = track_stripes(block, RIG, drawing, POSE, wanted=sigma)
     assert rough.converged
     assert np.trace(rough.information.C) < 0.5 * np.trace(exact.information.C)
+
+
+def lit_cylinder(place: float, radius_px: float, cosine: float) -> Levels:
+    """Image of a cylinder along the columns whose right limb is at ``place``, Lambertian, before the sky.
+
+    ``cosine`` of the angle between its normals at the limb and the Sun, which is between limb and camera.
+    """
+    u = np.arange(-0.495, 99.5, 0.01)
+    out = np.clip((u - place + radius_px) / radius_px, -1.0, 1.0)
+    light = 200.0 * np.maximum(cosine * out + np.sqrt(1.0 - cosine**2) * np.sqrt(1.0 - out**2), 0.0)
+    fine = gaussian_filter1d(np.where(u < place, light, 0.0), 0.8 / 0.01)
+    return as_levels(np.tile(fine.reshape(100, 100).mean(axis=1), (60, 1)))
+
+
+@pytest.mark.parametrize("cosine", [0.3, 0.6, 0.95])
+@pytest.mark.parametrize("radius_px", [30.0, 120.0])
+def test_the_outline_of_a_cylinder_is_found_where_it_is(cosine: float, radius_px: float) -> None:
+    points, true_px = column(0.0), 0.3
+    image = lit_cylinder(50.0 + true_px, radius_px, cosine)
+    stripes = stripes_across(points, points, POSE, 6.0)
+    assert not stripes.curved.any()
+    as_step = displacement(image, points, stripes, 3.0).shift_px - true_px
+    curved = replace(stripes, curved=np.ones(POINTS, dtype=bool))
+    found = displacement(image, points, curved, 3.0)
+    assert np.abs(found.shift_px - true_px).max() < 0.04
+    if cosine < 0.5:
+        # taken as a step, the limb seems to be where the surface is bright
+        assert as_step.max() < -0.25
+
+
+def test_points_of_outlines_are_on_a_curved_surface() -> None:
+    model = edge_model(trimesh.creation.cylinder(radius=0.3, height=0.8, sections=48))
+    turned = make_pose(POSE[:3, :3], [0.0, 0.0, 3.0])
+    points = every_point(model, RIG, turned, 2.0)
+    stripes = stripes_across(points, points, turned, 6.0)
+    outline = points.feature >= len(model.ends_G)
+    assert outline.any() and not outline.all()
+    assert np.array_equal(stripes.curved, outline)
