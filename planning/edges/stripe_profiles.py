@@ -5,9 +5,9 @@ make it. Heights of the steps are not known, of either sign, and found by least 
 all steps have in common is found by Gauss-Newton from where it is (``fitted``), or on a grid (``searched``).
 What a displacement and other heights can explain alike is no information on it.
 
-Behind the outline of a curved surface the light is not constant: the normal turns away from the line of sight as
-the root of the distance, and the light with it, whatever the radius. That root has a height of its own, without
-which an outline seems to lie where the surface is bright, half a pixel off under light along it.
+Behind the outline of a curved surface the light is not constant: the normal turns away from the line of sight
+as the root of the distance, and the light with it, whatever the radius. That root has a height of its own,
+without which an outline seems to lie where the surface is bright, up to half a pixel off.
 """
 
 from dataclasses import dataclass
