@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 import trimesh
+from scipy.integrate import quad
+from scipy.stats import norm
 
 from polhode.lie import Array
 from polhode.planning.edges.edge_model import edge_model
+from polhode.planning.edges.stripe_profiles import _BLURRED_ROOT, _blurred_root
 from polhode.planning.edges.stripes import (
     LINES,
     SAMPLED_PX,
@@ -159,3 +162,16 @@ def test_edges_two_pixels_apart_are_measured_twice_and_count_once() -> None:
     lines = joined(line(0.0, feature=0), line(2.2, feature=1), line(9.0, feature=2))
     times = times_measured(lines, lines, POSE)
     assert times.tolist() == 21 * [2.0] + 21 * [2.0] + 21 * [1.0]
+
+
+@pytest.mark.parametrize("z", [-12.0, -3.2, -0.71, 0.0, 0.43, 2.5, 5.5])
+def test_the_blurred_root_is_the_integral_and_its_derivative(z: float) -> None:
+    def root(z: float) -> float:
+        # the distance is s squared, which leaves nothing singular
+        peak = np.sqrt(max(-z, 0.0))
+        value, _ = quad(lambda s: 2.0 * s * s * norm.pdf(s * s + z), 0.0, peak + 4.0, points=[peak])
+        return float(value)
+
+    value, slope = _blurred_root(z, _BLURRED_ROOT)
+    assert value == pytest.approx(root(z), abs=1e-5)
+    assert slope == pytest.approx((root(z + 1e-3) - root(z - 1e-3)) / 2e-3, abs=2e-3)
