@@ -65,8 +65,10 @@ def _of_facets(model: EdgeModel, eye_G: Array) -> Outlines:
 def _of_smooth_surface(model: EdgeModel, eye_G: Array) -> Outlines:
     faces = np.flatnonzero(model.outlined_faces)
     triangles = np.asarray(model.surface.triangles)
-    facing = np.empty((len(faces), 3), dtype=np.bool_)
-    turning = _turning(faces, triangles, model.corner_normals_G, eye_G, facing)
+    facing = _turned_away(faces, triangles, model.corner_normals_G, eye_G)
+    # several times as fast as any and all along so short an axis
+    a, b, c = facing.T
+    turning = (a | b | c) & ~(a & b & c)
     faces, facing = faces[turning], facing[turning]
     normals, corners = model.corner_normals_G[faces], triangles[faces]
     # The corner that is alone on its side: the outline crosses its two edges.
@@ -88,19 +90,16 @@ def _of_smooth_surface(model: EdgeModel, eye_G: Array) -> Outlines:
 
 
 @compiled_ieee
-def _turning(faces: Ints, corners_G: Array, normals_G: Array, eye_G: Array, facing: Bools) -> Bools:
-    """(k,) faces whose corners do not all face alike; sets ``facing`` (k, 3): corners turned away."""
-    turning = np.empty(len(faces), dtype=np.bool_)
+def _turned_away(faces: Ints, corners_G: Array, normals_G: Array, eye_G: Array) -> Bools:
+    """(k, 3) corners of the faces (k,) whose normals point away from the eye (3,)."""
+    away = np.empty((len(faces), 3), dtype=np.bool_)
     for k in range(len(faces)):
-        count = 0
         for c in range(3):
             along = 0.0
             for axis in range(3):
                 along += normals_G[faces[k], c, axis] * (corners_G[faces[k], c, axis] - eye_G[axis])
-            facing[k, c] = along > 0.0
-            count += facing[k, c]
-        turning[k] = 0 < count < 3
-    return turning
+            away[k, c] = along > 0.0
+    return away
 
 
 def _crossing(a: Array, b: Array, normal_a: Array, normal_b: Array, eye_G: Array) -> Array:
