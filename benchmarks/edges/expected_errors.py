@@ -138,23 +138,23 @@ class Trials:
     whole: EdgeModel
     X_RG: Array
     """(4, 4) that something is expected of"""
-    truths: Array
-    """(n, 4, 4)"""
-    suns: Array
-    """(n, 3) in the camera's frame"""
-    starts: Array
+    true_X_RG: Array
+    """(n, 4, 4) of the images"""
+    sun_R: Array
+    """(n, 3) unit, towards the Sun"""
+    start_X_RG: Array
     """(n, 4, 4)"""
     first: int
     """Number of the first image"""
 
     def image(self, k: int) -> Grey:
         """The k-th."""
-        return self.views.image(self.truths[k], self.suns[k], self.first + k)
+        return self.views.image(self.true_X_RG[k], self.sun_R[k], self.first + k)
 
     def tracked(self, image: Grey, model: EdgeModel, k: int) -> StripeTracking:
         """From the k-th start, by the edges of ``model``; all the others are known."""
         known = None if model.size == self.whole.size else self.whole
-        return track_stripes(model, RIG, image, self.starts[k], known=known)
+        return track_stripes(model, RIG, image, self.start_X_RG[k], known=known)
 
 
 def trials_of(case: Case) -> Trials:
@@ -164,10 +164,10 @@ def trials_of(case: Case) -> Trials:
     X_RG = poses_of(case, whole)[number]
     rng = np.random.default_rng([case["seed"], 7, number])
     seed = case["seed"] + 1000 * number
-    suns = random_suns(case["images"], seed)
-    truths = np.array([jittered(X_RG, o_G, rng) for _ in suns])
-    starts = perturbed(truths, o_G, seed, START_DEG, START_M)
-    return Trials(views, whole, X_RG, truths, suns, starts, 1000 * number)
+    sun_R = random_suns(case["images"], seed)
+    true_X_RG = np.array([jittered(X_RG, o_G, rng) for _ in sun_R])
+    start_X_RG = perturbed(true_X_RG, o_G, seed, START_DEG, START_M)
+    return Trials(views, whole, X_RG, true_X_RG, sun_R, start_X_RG, 1000 * number)
 
 
 def measure(case: Case) -> dict[str, Any]:
@@ -186,7 +186,7 @@ def measure(case: Case) -> dict[str, Any]:
         }
         for each, expected in ((each, expected_tracking(each, RIG, X_RG, known=whole)) for each in chosen)
     ]
-    for k, true in enumerate(trials.truths):
+    for k, true in enumerate(trials.true_X_RG):
         image = trials.image(k)
         p_G = control_points(whole, RIG, true, SPACING_PX).p_G
         for model, told in zip(chosen, models, strict=True):
@@ -230,7 +230,7 @@ class Pair:
         return self.settled & (self.agreement >= CONFIRMED)
 
     @property
-    def known(self) -> StripeErrors:
+    def confirmed_errors(self) -> StripeErrors:
         """Of the confirmed trials whose covariance the tracker states."""
         which = self.confirmed & np.isfinite(self.covariance).all(axis=(1, 2))
         displacement = np.broadcast_to(self.displacement, (int(which.sum()), 6, 6))
@@ -326,7 +326,7 @@ def _bodies(pairs: Sequence[Pair]) -> Iterator[list[str]]:
             continue
         ratio = np.concatenate([(np.sqrt(np.mean(p.errors**2, axis=0)) / p.expected) for p in own])
         low, middle, high = np.quantile(ratio, [0.05, 0.5, 0.95])
-        known = joined([pair.known for pair in own])
+        trials = joined([pair.confirmed_errors for pair in own])
         calibrated = np.concatenate([held_out[name] for name in names if name in bodies])
         shares = [np.mean(np.concatenate([getattr(p, key) for p in own])) for key in ("settled", "confirmed")]
         yield [
@@ -336,23 +336,23 @@ def _bodies(pairs: Sequence[Pair]) -> Iterator[list[str]]:
             *(
                 f"{np.mean(each) / 6.0:.2f}" if len(each) else "-"
                 for each in (
-                    nees(known.error, known.stated),
-                    nees(known.error, known.stated + known.displacement),
+                    nees(trials.error, trials.stated),
+                    nees(trials.error, trials.stated + trials.displacement),
                     calibrated,
                 )
             ),
-            f"{np.median(calibrated) / chi2.median(6):.2f}",
-            f"{np.mean(calibrated < chi2.ppf(0.95, 6)):.1%}",
+            f"{np.median(calibrated) / chi2.median(6):.2f}" if len(calibrated) else "-",
+            f"{np.mean(calibrated < chi2.ppf(0.95, 6)):.1%}" if len(calibrated) else "-",
             *(f"{share:.0%}" for share in shares),
         ]
 
 
 def _held_out(names: Sequence[str], pairs: Sequence[Pair]) -> Iterator[Array]:
-    """Squared errors (n,) of each body over the covariance that is fitted to all others."""
-    known = {name: joined([pair.known for pair in pairs if pair.body == name]) for name in names}
+    """Squared errors (n,) of each body over the covariance that is fitted to all others; none without any."""
+    known = {name: joined([pair.confirmed_errors for pair in pairs if pair.body == name]) for name in names}
     for name in names:
-        covariance = fitted_covariance([known[other] for other in names if other != name])
-        yield nees(known[name].error, covariance.of(known[name]))
+        others = [known[other] for other in names if other != name and len(known[other])]
+        yield nees(known[name].error, fitted_covariance(others).of(known[name])) if others else np.zeros(0)
 
 
 def draw(pairs: Sequence[Pair], output: Path) -> None:

@@ -66,8 +66,8 @@ class StripeCovariance:
 
 
 def fitted_covariance(bodies: Sequence[StripeErrors]) -> StripeCovariance:
-    """The likeliest for the errors of all bodies, one of which at least is not empty."""
-    known = [_in_sigmas(each) for each in bodies if len(each)]
+    """The likeliest for the errors of all bodies, each of which has poses."""
+    known = [_in_sigmas(each) for each in bodies]
 
     def loss(log_size: Array) -> float:
         tried = StripeCovariance(*(float(value) for value in np.exp(log_size)))

@@ -120,7 +120,7 @@ def track_stripes(
 ) -> StripeTracking:
     """Pose of the model in an image (H, W) of grey levels, from a guess X_RG (4, 4).
 
-    ``known``: all edges of the body that are known, if the model has only some of them.
+    ``known``: all edges of the body that are known, if the model has only some of them (`EdgeModel.only`).
     Never raises for what the image shows. Deterministic: restarts are drawn from a fixed seed.
     """
     wanted = wanted or StripeOptions()

@@ -22,5 +22,5 @@ def test_the_pose_that_explains_most_edges_is_taken(body: str, pose: int, model:
     trials = trials_of(case)
     chosen = levels(trials.whole)[MODELS.index(model)]
     found = trials.tracked(trials.image(image), chosen, image)
-    p_G = control_points(trials.whole, RIG, trials.truths[image], SPACING_PX).p_G
-    assert found.converged and off_px(p_G, found.X_RG, trials.truths[image]) < 0.5
+    p_G = control_points(trials.whole, RIG, trials.true_X_RG[image], SPACING_PX).p_G
+    assert found.converged and off_px(p_G, found.X_RG, trials.true_X_RG[image]) < 0.5

@@ -53,9 +53,7 @@ def test_a_pose_that_is_wrong_altogether_changes_little() -> None:
     assert 1.0 < ratio < 1.25
 
 
-def test_an_image_that_disagrees_and_a_body_without_poses() -> None:
+def test_an_image_that_disagrees_tells_less() -> None:
     few = errors_of(1, count=40)
-    none = StripeErrors(few.error[:0], few.stated[:0], few.displacement[:0], few.agreement[:0])
-    assert fitted_covariance([few, none]) == fitted_covariance([few])
     sure = StripeErrors(few.error, few.stated, few.displacement, np.ones(40))
     assert (np.trace(TRUE.of(few)[0]) > np.trace(TRUE.of(sure)[0])).all()
