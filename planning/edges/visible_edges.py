@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 from polhode.camera import RectifiedRig
 from polhode.compiled import compiled_ieee
 from polhode.lie import Array, inverse_pose, transform_points
-from polhode.planning.edges.edge_model import EdgeKind, EdgeModel
+from polhode.planning.edges.edge_model import EdgeKind, EdgeModel, lengths
 from polhode.records import Bools, Ints
 
 
@@ -151,7 +151,9 @@ class ControlPoints:
         return len(self.feature)
 
     def __getitem__(self, which: Ints | Bools) -> "ControlPoints":
-        return ControlPoints(*(getattr(self, item.name)[which] for item in fields(self)))
+        # several times as fast as a mask on each of them
+        rows = np.flatnonzero(which) if which.dtype == np.bool_ else which
+        return ControlPoints(*(getattr(self, item.name).take(rows, axis=0) for item in fields(self)))
 
 
 def control_points(
@@ -217,16 +219,16 @@ def _on_segments(
     """Points at the centres of equal steps of each segment in the image."""
     ends_R = transform_points(X_RG, model.ends_G.reshape(-1, 3)).reshape(-1, 2, 3)
     piece, share, length_px = _steps(ends_R, rig, spacing_px, near_m)
-    p_G = _between(model.ends_G[piece], share)
-    tangent_R = _between(model.tangents_G[piece], share) @ X_RG[:3, :3].T
+    p_G = _between(model.ends_G, piece, share)
+    tangent_R = _between(model.tangents_G, piece, share) @ X_RG[:3, :3].T
     p_R = transform_points(X_RG, p_G)
     normal, well = _across(np.cross(p_R, tangent_R))
     points = ControlPoints(
         p_G, rig.project(p_R)[:, :2], normal, piece, length_px / spacing_px, model.sides_G[piece]
     )[well]
     # A chord lies inside the arc that it approximates.
-    outward = points.sides_G.sum(axis=1)
-    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
+    outward = points.sides_G[:, 0] + points.sides_G[:, 1]
+    outward /= np.maximum(lengths(outward), 1e-12)[:, None]
     lift = np.where(model.kind[points.feature] == EdgeKind.BOUNDARY, 0.0, 1.5 * model.tolerance_m)
     return _unoccluded(points, model, X_RG, lift[:, None] * outward)
 
@@ -239,8 +241,8 @@ def _on_outlines(
     ends_R = transform_points(X_RG, contours.ends_G.reshape(-1, 3)).reshape(-1, 2, 3)
     piece, share, length_px = _steps(ends_R, rig, spacing_px, near_m)
     piece, share = _thinned(piece, share, length_px, spacing_px)
-    p_G, normal_G = _between(contours.ends_G[piece], share), _between(contours.normals_G[piece], share)
-    normal_G /= np.maximum(np.linalg.norm(normal_G, axis=1, keepdims=True), 1e-12)
+    p_G, normal_G = _between(contours.ends_G, piece, share), _between(contours.normals_G, piece, share)
+    normal_G /= np.maximum(lengths(normal_G), 1e-12)[:, None]
     normal, well = _across(normal_G @ X_RG[:3, :3].T)
     p_R = transform_points(X_RG, p_G)
     feature = len(model.ends_G) + contours.part[piece]
@@ -264,13 +266,14 @@ def _steps(ends_R: Array, rig: RectifiedRig, spacing_px: float, near_m: float) -
     length in the image (m,) [px].
     """
     start, end = _ahead(ends_R, near_m)
-    a_R, b_R = _between(ends_R, start), _between(ends_R, end)
+    every = np.arange(len(ends_R))
+    a_R, b_R = _between(ends_R, every, start), _between(ends_R, every, end)
     visible = (end > start) & (a_R[:, 2] > 0.0) & (b_R[:, 2] > 0.0)
     own = np.flatnonzero(visible)
     a_R, b_R, start, end = a_R[own], b_R[own], start[own], end[own]
     a, b = rig.project(a_R)[:, :2], rig.project(b_R)[:, :2]
     enter, leave = _in_image(a, b, rig)
-    length = np.linalg.norm(b - a, axis=1) * np.maximum(leave - enter, 0.0)
+    length = lengths(b - a) * np.maximum(leave - enter, 0.0)
     count = np.ceil(length / spacing_px).astype(np.int64)
     piece = np.repeat(np.arange(len(own)), count)
     number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
@@ -315,15 +318,21 @@ def _in_image(a: Array, b: Array, rig: RectifiedRig) -> tuple[Array, Array]:
     return enter, np.maximum(leave, enter)
 
 
-def _between(ends: Array, share: Array) -> Array:
-    """Points (n, 3) at fractions (n,) of segments (n, 2, 3)."""
-    return np.asarray(ends[:, 0] + share[:, None] * (ends[:, 1] - ends[:, 0]))
+@compiled_ieee
+def _between(ends: Array, piece: Ints, share: Array) -> Array:
+    """Points (m, 3) at fractions (m,) of the segments ``piece`` (m,) of (n, 2, 3)."""
+    points = np.empty((len(piece), 3))
+    for k in range(len(piece)):
+        for axis in range(3):
+            start = ends[piece[k], 0, axis]
+            points[k, axis] = start + share[k] * (ends[piece[k], 1, axis] - start)
+    return points
 
 
 def _across(plane_R: Array) -> tuple[Array, Bools]:
     """Unit normals (m, 2) in the image of planes through the camera (m, 3), and whether they exist."""
-    length = np.linalg.norm(plane_R[:, :2], axis=1)
-    well = length > 1e-9 * np.maximum(np.linalg.norm(plane_R, axis=1), 1e-300)
+    length = lengths(plane_R[:, :2])
+    well = length > 1e-9 * np.maximum(lengths(plane_R), 1e-300)
     return plane_R[:, :2] / np.where(well, length, 1.0)[:, None], np.asarray(well)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from polhode.compiled import compiled_ieee
 from polhode.lie import Array
-from polhode.records import Bools, Ints
+from polhode.records import Ints
 
 Levels = NDArray[np.float32]
 """Grey levels (H, W) of an image"""
@@ -72,15 +72,28 @@ def gradients(image: Levels, uv_px: Array) -> Array:
 
 def levels(image: Levels, uv_px: Array) -> Array:
     """Grey levels (m,) at places (m, 2), by bilinear interpolation; 0 outside of the image."""
+    out = np.empty(len(uv_px))
+    _read(image, uv_px, out)
+    return out
+
+
+@compiled_ieee
+def _read(image: Levels, uv: Array, out: Array) -> None:
+    for k in range(len(uv)):
+        out[k] = level(image, uv[k, 0], uv[k, 1])
+
+
+@compiled_ieee
+def level(image: Levels, u: float, v: float) -> float:
+    """Grey level at one place, by bilinear interpolation; 0 outside of the image."""
     height, width = image.shape
-    most = np.array([width - 1.0, height - 1.0])
-    inside: Bools = np.all((uv_px >= 0.0) & (uv_px < most), axis=1)
-    place = np.where(inside[:, None], uv_px, 0.0)
-    a, b = place.astype(np.int64).T
-    du, dv = (place - np.floor(place)).T
+    if not (0.0 <= u < width - 1.0 and 0.0 <= v < height - 1.0):
+        return 0.0
+    a, b = int(u), int(v)
+    du, dv = u - a, v - b
     upper = (1.0 - du) * image[b, a] + du * image[b, a + 1]
     lower = (1.0 - du) * image[b + 1, a] + du * image[b + 1, a + 1]
-    return np.asarray(np.where(inside, (1.0 - dv) * upper + dv * lower, 0.0))
+    return float((1.0 - dv) * upper + dv * lower)
 
 
 def _kernel() -> Array:

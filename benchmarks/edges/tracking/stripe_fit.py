@@ -5,7 +5,8 @@ Along the normal of the point the image is read as in ``edge_search.py``.
 
 import numpy as np
 
-from benchmarks.edges.tracking.edge_search import Levels, levels
+from benchmarks.edges.tracking.edge_search import Levels, level
+from polhode.compiled import compiled_ieee
 from polhode.lie import Array
 from polhode.planning.edges.stripe_profiles import ALONG_PX, Displacements, fitted, places
 from polhode.planning.edges.stripe_profiles import searched as searched_in
@@ -17,13 +18,21 @@ from polhode.records import Bools
 def profiles(image: Levels, points: ControlPoints, half_px: float) -> tuple[Array, Array]:
     """Places (n,) along the normals and grey levels (m, n) there, averaged along the edge."""
     place = places(half_px)
-    along = np.arange(-ALONG_PX, ALONG_PX + 1)
-    normal = points.normal_px
-    tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
-    uv = points.uv_px[:, None, None] + place[None, :, None, None] * normal[:, None, None]
-    uv = uv + along[None, None, :, None] * tangent[:, None, None]
-    grey = levels(image, uv.reshape(-1, 2)).reshape(len(points), len(place), len(along))
-    return place, np.asarray(grey.mean(axis=2))
+    grey = np.empty((len(points), len(place)))
+    _read(image, points.uv_px, points.normal_px, place, grey)
+    return place, grey
+
+
+@compiled_ieee
+def _read(image: Levels, uv: Array, normal: Array, place: Array, out: Array) -> None:
+    for i in range(len(uv)):
+        nu, nv = normal[i, 0], normal[i, 1]
+        for k in range(len(place)):
+            u, v = uv[i, 0] + place[k] * nu, uv[i, 1] + place[k] * nv
+            total = 0.0
+            for along in range(-ALONG_PX, ALONG_PX + 1):
+                total += level(image, u - along * nv, v + along * nu)
+            out[i, k] = total / (2 * ALONG_PX + 1)
 
 
 def displacement(image: Levels, points: ControlPoints, stripes: Stripes, half_px: float) -> Displacements:
