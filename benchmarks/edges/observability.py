@@ -139,7 +139,7 @@ def measure(case: Case) -> dict[str, Any]:
     return {"radius_m": model.radius_m, "edges": [m.size for m in levels(model)], "rows": rows}
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=len(NAMES))
 def views_of(body: str, rich: bool) -> tuple[EdgeViews, EdgeModel]:
     target = edge_body(body, plain=not rich)
     return EdgeViews(target, RIG, 3, ViewOptions(sensor=LENS)), edge_model(target.mesh)

@@ -9,9 +9,11 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -40,6 +42,31 @@ def lengths(vectors: Array) -> Array:
     return out
 
 
+@compiled_ieee
+def _aim(
+    eye: Array,
+    p: Array,
+    middle: Array,
+    before_m: float,
+    clearance_m: float,
+    start: NDArray[np.float32],
+    direction: NDArray[np.float32],
+    reach: NDArray[np.float32],
+) -> None:
+    """Rays from the eye (3,) to points (m, 3), from ``before_m`` before each on, less the clearance."""
+    for k in range(len(p)):
+        distance = 0.0
+        for axis in range(3):
+            distance += (p[k, axis] - eye[axis]) ** 2
+        distance = np.sqrt(distance)
+        skip = max(distance - before_m, 0.0)
+        for axis in range(3):
+            along = (p[k, axis] - eye[axis]) / max(distance, 1e-12)
+            direction[k, axis] = along
+            start[k, axis] = eye[axis] + skip * along - middle[axis]
+        reach[k] = max(distance - skip - clearance_m, 0.0)
+
+
 class Occluder:
     """A mesh in G that blocks rays."""
 
@@ -53,13 +80,12 @@ class Occluder:
         """(m,) true where the body blocks the ray from the eye (3,) to points (m, 3), less the clearance."""
         if len(p_G) == 0:
             return np.zeros(0, dtype=bool)
-        ray = p_G - eye_G
-        distance = lengths(ray)
-        direction = ray / np.maximum(distance, 1e-12)[:, None]
+        shape = p_G.shape
+        start, direction = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
+        reach = np.empty(len(p_G), dtype=np.float32)
         # Start near the body: single precision is then enough at any range.
-        skip = np.maximum(distance - 2.5 * self._radius_m, 0.0)
-        start = eye_G + skip[:, None] * direction - self._middle
-        return self._scene.blocked(start, direction, np.maximum(distance - skip - clearance_m, 0.0))
+        _aim(eye_G, p_G, self._middle, 2.5 * self._radius_m, clearance_m, start, direction, reach)
+        return self._scene.blocked(start, direction, reach)
 
     def first_hits(self, eye_G: Array, direction_G: Array) -> tuple[FirstHits, Array]:
         """What rays from the eye (3,) along unit directions (n, 3) hit, and where (n, 3)."""
@@ -243,7 +269,15 @@ class EdgeModel:
         """Number of features: segments, then smooth parts."""
         return len(self.ends_G) + len(self.outlined)
 
-    @property
+    @cached_property
+    def lift_G(self) -> Array:
+        """(n, 3) outwards, from a segment to the arc that it approximates: a chord lies inside."""
+        outward = self.sides_G[:, 0] + self.sides_G[:, 1]
+        outward /= np.maximum(lengths(outward), 1e-12)[:, None]
+        lift = np.where(self.kind == EdgeKind.BOUNDARY, 0.0, 1.5 * self.tolerance_m)
+        return np.asarray(lift[:, None] * outward)
+
+    @cached_property
     def outlined_faces(self) -> Bools:
         """(f,) faces of the curved parts that have outlines."""
         return np.append(self.outlined, False)[self.part]

@@ -129,7 +129,7 @@ def expected_tracking(
     every = own if known is None or known is model else every_point(known, rig, X_RG, SAMPLED_PX)
     stripes = stripes_across(points, every, X_RG, HALF_PX + MOST_SHIFT_PX)
     f = edge_motion(points, rig, X_RG, o_G)
-    length = points.weight / np.maximum(times_measured(points, own, X_RG), 1.0)
+    length = points.weight / np.maximum(times_measured(points, own), 1.0)
     C, displacement = [], []
     place = places(HALF_PX)
     for grey in expected_profiles(model, points, rig, X_RG, light):

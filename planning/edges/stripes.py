@@ -77,11 +77,16 @@ def stripes_across(points: ControlPoints, every: ControlPoints, X_RG: Array, rea
     its own, whether or not that is among them.
     """
     light, side = light_classes(points, X_RG)
+    return Stripes(*_lines_across(points, every, reach_px), light, side, _on_curved_surface(points, X_RG))
+
+
+def _lines_across(points: ControlPoints, every: ControlPoints, reach_px: float) -> Array:
+    """Offset, width and slope (3, m, LINES)."""
     out = np.full((3, len(points), LINES), np.nan)
     order = np.argsort(every.uv_px[:, 0])
     uv, normal = every.uv_px[order], every.normal_px[order]
     _gather(points.uv_px, points.normal_px, uv, normal, reach_px, out)
-    return Stripes(out[0], out[1], out[2], light, side, _on_curved_surface(points, X_RG))
+    return out
 
 
 def _on_curved_surface(points: ControlPoints, X_RG: Array) -> Bools:
@@ -197,13 +202,13 @@ def stripe_information(
     return StripeInformation(C, pull, g / own[:, None], r / own)
 
 
-def times_measured(points: ControlPoints, own: ControlPoints, X_RG: Array) -> Array:
+def times_measured(points: ControlPoints, own: ControlPoints) -> Array:
     """(m,) how many stripes of the model a point's profile shows: points of each of them measure them all.
 
     ``own``: points of all edges of the model, ``SAMPLED_PX`` apart.
     """
-    across = stripes_across(points, own, X_RG, HALF_PX)
-    return np.asarray(np.isfinite(across.offset_px).sum(axis=1), dtype=np.float64)
+    offset_px = _lines_across(points, own, HALF_PX)[0]
+    return np.asarray(np.isfinite(offset_px).sum(axis=1), dtype=np.float64)
 
 
 def median_scale(residual: Array, weight: Array) -> float:

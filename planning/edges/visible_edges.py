@@ -63,61 +63,81 @@ def _of_facets(model: EdgeModel, eye_G: Array) -> Outlines:
 
 
 def _of_smooth_surface(model: EdgeModel, eye_G: Array) -> Outlines:
+    """Where N . (p - eye) vanishes on the faces with corners on both sides of the outline."""
     faces = np.flatnonzero(model.outlined_faces)
+    most = len(faces)
+    ends, end_normals, bulge = np.empty((most, 2, 3)), np.empty((most, 2, 3)), np.empty(most)
     triangles = np.asarray(model.surface.triangles)
-    facing = _turned_away(faces, triangles, model.corner_normals_G, eye_G)
-    # several times as fast as any and all along so short an axis
-    a, b, c = facing.T
-    turning = (a | b | c) & ~(a & b & c)
-    faces, facing = faces[turning], facing[turning]
-    normals, corners = model.corner_normals_G[faces], triangles[faces]
-    # The corner that is alone on its side: the outline crosses its two edges.
-    alone = np.where(facing.sum(axis=1) == 1, np.argmax(facing, axis=1), np.argmax(~facing, axis=1))
-    row = np.arange(len(faces))
-    ends = np.zeros((len(faces), 2, 3))
-    end_normals = np.zeros((len(faces), 2, 3))
-    for side in 0, 1:
-        other = (alone + 1 + side) % 3
-        t = _crossing(
-            corners[row, alone], corners[row, other], normals[row, alone], normals[row, other], eye_G
-        )
-        ends[:, side] = corners[row, alone] + t[:, None] * (corners[row, other] - corners[row, alone])
-        n = normals[row, alone] + t[:, None] * (normals[row, other] - normals[row, alone])
-        end_normals[:, side] = n / np.linalg.norm(n, axis=1, keepdims=True)
-    chord, turn = corners - np.roll(corners, 1, axis=1), normals - np.roll(normals, 1, axis=1)
-    bulge = np.abs(np.einsum("fck,fck->fc", chord, turn)).max(axis=1) / 8.0
-    return Outlines(ends, end_normals, np.asarray(model.part[faces]), bulge)
+    crossed = _cross_faces(faces, triangles, model.corner_normals_G, eye_G, ends, end_normals, bulge)
+    k = len(crossed)
+    return Outlines(ends[:k], end_normals[:k], model.part[crossed], bulge[:k])
 
 
 @compiled_ieee
-def _turned_away(faces: Ints, corners_G: Array, normals_G: Array, eye_G: Array) -> Bools:
-    """(k, 3) corners of the faces (k,) whose normals point away from the eye (3,)."""
-    away = np.empty((len(faces), 3), dtype=np.bool_)
-    for k in range(len(faces)):
+def _cross_faces(
+    faces: Ints,
+    corners_G: Array,
+    normals_G: Array,
+    eye_G: Array,
+    ends: Array,
+    end_normals: Array,
+    bulge: Array,
+) -> Ints:
+    """The faces (k,) that an outline crosses; fills its ends on them, the normals there, and their bulges."""
+    crossed = np.empty(len(faces), dtype=np.int64)
+    away = np.empty(3, dtype=np.bool_)
+    k = 0
+    for face in faces:
+        corners, normals = corners_G[face], normals_G[face]
         for c in range(3):
             along = 0.0
             for axis in range(3):
-                along += normals_G[faces[k], c, axis] * (corners_G[faces[k], c, axis] - eye_G[axis])
-            away[k, c] = along > 0.0
-    return away
+                along += normals[c, axis] * (corners[c, axis] - eye_G[axis])
+            away[c] = along > 0.0
+        if away[0] == away[1] and away[1] == away[2]:
+            continue
+        # The corner that is alone on its side: the outline crosses its two edges.
+        alone = 2 if away[0] == away[1] else (0 if away[1] == away[2] else 1)
+        bulge[k] = 0.0
+        for side in range(2):
+            other = (alone + 1 + side) % 3
+            t = _crossing(corners[alone], corners[other], normals[alone], normals[other], eye_G)
+            square = 0.0
+            for axis in range(3):
+                ends[k, side, axis] = corners[alone, axis] + t * (corners[other, axis] - corners[alone, axis])
+                n = normals[alone, axis] + t * (normals[other, axis] - normals[alone, axis])
+                end_normals[k, side, axis] = n
+                square += n * n
+            end_normals[k, side] /= np.sqrt(square)
+        for c in range(3):
+            height = 0.0
+            for axis in range(3):
+                turn = normals[c, axis] - normals[c - 1, axis]
+                height += (corners[c, axis] - corners[c - 1, axis]) * turn
+            bulge[k] = max(bulge[k], abs(height) / 8.0)
+        crossed[k] = face
+        k += 1
+    return crossed[:k]
 
 
-def _crossing(a: Array, b: Array, normal_a: Array, normal_b: Array, eye_G: Array) -> Array:
-    """Fraction (n,) from a to b where interpolated normal and ray to the point are perpendicular.
+@compiled_ieee
+def _crossing(a: Array, b: Array, normal_a: Array, normal_b: Array, eye_G: Array) -> float:
+    """Fraction from a to b (3,) where interpolated normal and ray to the point are perpendicular.
 
     (N_a + t dN) . (a - eye + t d) is quadratic in t, with one root between ends of opposite sign.
     """
-    d, turn, from_eye = b - a, normal_b - normal_a, a - eye_G
-    two = np.einsum("nk,nk->n", turn, d)
-    one = np.einsum("nk,nk->n", turn, from_eye) + np.einsum("nk,nk->n", normal_a, d)
-    zero = np.einsum("nk,nk->n", normal_a, from_eye)
-    root = np.sqrt(np.maximum(one**2 - 4.0 * two * zero, 0.0))
+    two = one = zero = 0.0
+    for axis in range(3):
+        d, turn, from_eye = b[axis] - a[axis], normal_b[axis] - normal_a[axis], a[axis] - eye_G[axis]
+        two += turn * d
+        one += turn * from_eye + normal_a[axis] * d
+        zero += normal_a[axis] * from_eye
+    root = np.sqrt(max(one * one - 4.0 * two * zero, 0.0))
     # numerically stable form of the two roots
-    q = -0.5 * (one + np.where(one >= 0.0, root, -root))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first, second = q / two, zero / q
-    inside = (first >= 0.0) & (first <= 1.0)
-    return np.asarray(np.clip(np.nan_to_num(np.where(inside, first, second)), 0.0, 1.0))
+    q = -0.5 * (one + (root if one >= 0.0 else -root))
+    first = q / two
+    found = first if 0.0 <= first <= 1.0 else zero / q
+    return float(min(max(found, 0.0), 1.0)) if np.isfinite(found) else 0.0
 
 
 SPACING_PX = 10.0
@@ -217,72 +237,108 @@ def _on_segments(
     model: EdgeModel, rig: RectifiedRig, X_RG: Array, spacing_px: float, near_m: float
 ) -> ControlPoints:
     """Points at the centres of equal steps of each segment in the image."""
-    ends_R = transform_points(X_RG, model.ends_G.reshape(-1, 3)).reshape(-1, 2, 3)
-    piece, share, length_px = _steps(ends_R, rig, spacing_px, near_m)
-    p_G = _between(model.ends_G, piece, share)
-    tangent_R = _between(model.tangents_G, piece, share) @ X_RG[:3, :3].T
-    p_R = transform_points(X_RG, p_G)
-    normal, well = _across(np.cross(p_R, tangent_R))
-    points = ControlPoints(
-        p_G, rig.project(p_R)[:, :2], normal, piece, length_px / spacing_px, model.sides_G[piece]
-    )[well]
-    # A chord lies inside the arc that it approximates.
-    outward = points.sides_G[:, 0] + points.sides_G[:, 1]
-    outward /= np.maximum(lengths(outward), 1e-12)[:, None]
-    lift = np.where(model.kind[points.feature] == EdgeKind.BOUNDARY, 0.0, 1.5 * model.tolerance_m)
-    return _unoccluded(points, model, X_RG, lift[:, None] * outward)
+    piece, share, length_px = _steps(model.ends_G, X_RG, rig, spacing_px, near_m)
+    eye_G = inverse_pose(X_RG)[:3, 3]
+    p_G, tangent_G = _between(model.ends_G, piece, share), _between(model.tangents_G, piece, share)
+    uv, normal, well = _in_image(p_G, _crossed(p_G - eye_G, tangent_G), X_RG, rig)
+    free = well & ~model.occluder.hides(
+        eye_G, p_G + model.lift_G.take(piece, axis=0), 2.0 * model.tolerance_m
+    )
+    rows = np.flatnonzero(free)
+    feature = piece.take(rows)
+    return ControlPoints(
+        p_G.take(rows, axis=0),
+        uv.take(rows, axis=0),
+        normal.take(rows, axis=0),
+        feature,
+        length_px.take(rows) / spacing_px,
+        model.sides_G.take(feature, axis=0),
+    )
 
 
 def _on_outlines(
     model: EdgeModel, rig: RectifiedRig, X_RG: Array, spacing_px: float, near_m: float
 ) -> ControlPoints:
     """Points at equal steps along all outlines of a view, whose pieces are shorter than a step."""
-    contours = outlines(model, inverse_pose(X_RG)[:3, 3])
-    ends_R = transform_points(X_RG, contours.ends_G.reshape(-1, 3)).reshape(-1, 2, 3)
-    piece, share, length_px = _steps(ends_R, rig, spacing_px, near_m)
+    eye_G = inverse_pose(X_RG)[:3, 3]
+    contours = outlines(model, eye_G)
+    piece, share, length_px = _steps(contours.ends_G, X_RG, rig, spacing_px, near_m)
     piece, share = _thinned(piece, share, length_px, spacing_px)
     p_G, normal_G = _between(contours.ends_G, piece, share), _between(contours.normals_G, piece, share)
     normal_G /= np.maximum(lengths(normal_G), 1e-12)[:, None]
-    normal, well = _across(normal_G @ X_RG[:3, :3].T)
-    p_R = transform_points(X_RG, p_G)
+    uv, normal, well = _in_image(p_G, normal_G, X_RG, rig)
+    lift = model.tolerance_m + 2.0 * contours.bulge_m[piece]
+    free = well & ~model.occluder.hides(eye_G, p_G + lift[:, None] * normal_G, 2.0 * model.tolerance_m)
     feature = len(model.ends_G) + contours.part[piece]
-    weight = np.ones(len(piece))
     sides = np.stack([normal_G, normal_G], axis=1)
-    points = ControlPoints(p_G, rig.project(p_R)[:, :2], normal, feature, weight, sides)[well]
-    lift = model.tolerance_m + 2.0 * contours.bulge_m[piece][well]
-    return _unoccluded(points, model, X_RG, lift[:, None] * normal_G[well])
+    return ControlPoints(p_G, uv, normal, feature, np.ones(len(piece)), sides)[free]
 
 
-def _unoccluded(points: ControlPoints, model: EdgeModel, X_RG: Array, lift_G: Array) -> ControlPoints:
-    """The points that no face occludes, tested slightly above the surface."""
-    eye_G = inverse_pose(X_RG)[:3, 3]
-    return points[~model.occluder.hides(eye_G, points.p_G + lift_G, 2.0 * model.tolerance_m)]
-
-
-def _steps(ends_R: Array, rig: RectifiedRig, spacing_px: float, near_m: float) -> tuple[Ints, Array, Array]:
+def _steps(
+    ends_G: Array, X_RG: Array, rig: RectifiedRig, spacing_px: float, near_m: float
+) -> tuple[Ints, Array, Array]:
     """Equal steps in the image, at most ``spacing_px`` long, of the parts of segments in the field of view.
 
     Returns the segment (m,) of each step, the fraction (m,) along the segment in space of its centre, its
     length in the image (m,) [px].
     """
-    start, end = _ahead(ends_R, near_m)
-    every = np.arange(len(ends_R))
-    a_R, b_R = _between(ends_R, every, start), _between(ends_R, every, end)
-    visible = (end > start) & (a_R[:, 2] > 0.0) & (b_R[:, 2] > 0.0)
-    own = np.flatnonzero(visible)
-    a_R, b_R, start, end = a_R[own], b_R[own], start[own], end[own]
-    a, b = rig.project(a_R)[:, :2], rig.project(b_R)[:, :2]
-    enter, leave = _in_image(a, b, rig)
-    length = lengths(b - a) * np.maximum(leave - enter, 0.0)
-    count = np.ceil(length / spacing_px).astype(np.int64)
-    piece = np.repeat(np.arange(len(own)), count)
-    number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    in_image = enter[piece] + (number + 0.5) / count[piece] * (leave - enter)[piece]
-    # 1 / z is linear along the image of a segment.
-    za, zb = a_R[piece, 2], b_R[piece, 2]
-    in_space = in_image / zb / ((1.0 - in_image) / za + in_image / zb)
-    share = start[piece] + in_space * (end - start)[piece]
-    return own[piece], share, length[piece] / count[piece]
+    ends_R = transform_points(X_RG, ends_G.reshape(-1, 3)).reshape(-1, 2, 3)
+    count, span = np.zeros(len(ends_R), dtype=np.int64), np.empty((len(ends_R), 7))
+    _measure(ends_R, *_pinhole(rig), rig.width_px, rig.height_px, spacing_px, near_m, count, span)
+    piece = np.repeat(np.arange(len(ends_R)), count)
+    share, length_px = np.empty(len(piece)), np.empty(len(piece))
+    _cut(count, span, share, length_px)
+    return piece, share, length_px
+
+
+@compiled_ieee
+def _measure(
+    ends_R: Array,
+    focal_px: float,
+    cx_px: float,
+    cy_px: float,
+    width_px: int,
+    height_px: int,
+    spacing_px: float,
+    near_m: float,
+    count: Ints,
+    span: Array,
+) -> None:
+    """Steps (n,) of each segment, and its span (n, 7) in view.
+
+    That is where it starts and ends along the segment in space, beyond ``near_m``; where the image begins and
+    ends between these; their depths; and its length in the image.
+    """
+    for k in range(len(ends_R)):
+        start, end = _ahead(ends_R[k, 0, 2], ends_R[k, 1, 2], near_m)
+        a_R = ends_R[k, 0] + start * (ends_R[k, 1] - ends_R[k, 0])
+        b_R = ends_R[k, 0] + end * (ends_R[k, 1] - ends_R[k, 0])
+        if not (end > start and a_R[2] > 0.0 and b_R[2] > 0.0):
+            continue
+        au, av = focal_px * a_R[0] / a_R[2] + cx_px, focal_px * a_R[1] / a_R[2] + cy_px
+        bu, bv = focal_px * b_R[0] / b_R[2] + cx_px, focal_px * b_R[1] / b_R[2] + cy_px
+        enter, leave = _clipped(au, bu - au, width_px - 0.5, 0.0, 1.0)
+        enter, leave = _clipped(av, bv - av, height_px - 0.5, enter, leave)
+        length = np.hypot(bu - au, bv - av) * max(leave - enter, 0.0)
+        if length > 0.0:
+            count[k] = int(np.ceil(length / spacing_px))
+            span[k, 0], span[k, 1], span[k, 2], span[k, 3] = start, end, enter, leave
+            span[k, 4], span[k, 5], span[k, 6] = a_R[2], b_R[2], length
+
+
+@compiled_ieee
+def _cut(count: Ints, span: Array, share: Array, length_px: Array) -> None:
+    """Fill the centres (m,) of the steps along their segments and their lengths in the image (m,)."""
+    row = 0
+    for k in range(len(count)):
+        start, end, enter, leave, za, zb, length = span[k]
+        for number in range(count[k]):
+            in_image = enter + (number + 0.5) / count[k] * (leave - enter)
+            # 1 / z is linear along the image of a segment.
+            in_space = in_image / zb / ((1.0 - in_image) / za + in_image / zb)
+            share[row] = start + in_space * (end - start)
+            length_px[row] = length / count[k]
+            row += 1
 
 
 def _thinned(piece: Ints, share: Array, length_px: Array, spacing_px: float) -> tuple[Ints, Array]:
@@ -292,30 +348,28 @@ def _thinned(piece: Ints, share: Array, length_px: Array, spacing_px: float) -> 
     return piece[keep], share[keep]
 
 
-def _ahead(ends_R: Array, near_m: float) -> tuple[Array, Array]:
-    """Fractions (n,) between which segments lie beyond near_m along the optical axis."""
-    z0, z1 = ends_R[:, 0, 2], ends_R[:, 1, 2]
+@compiled_ieee
+def _ahead(z0: float, z1: float, near_m: float) -> tuple[float, float]:
+    """Fractions between which a segment lies beyond near_m along the optical axis."""
     slope = z1 - z0
-    at = (near_m - z0) / np.where(np.abs(slope) > 1e-12, slope, 1.0)
-    start = np.where(z0 < near_m, np.where(z1 < near_m, 1.0, at), 0.0)
-    end = np.where(z1 < near_m, np.where(z0 < near_m, 0.0, at), 1.0)
+    at = (near_m - z0) / (slope if abs(slope) > 1e-12 else 1.0)
+    start = 0.0 if z0 >= near_m else (1.0 if z1 < near_m else at)
+    end = 1.0 if z1 >= near_m else (0.0 if z0 < near_m else at)
     return start, end
 
 
-def _in_image(a: Array, b: Array, rig: RectifiedRig) -> tuple[Array, Array]:
-    """Fractions (n,) between which lines a to b (n, 2) [px] lie in the image (Liang and Barsky, 1984)."""
-    enter, leave = np.zeros(len(a)), np.ones(len(a))
-    for axis, size in enumerate((rig.width_px, rig.height_px)):
-        step = b[:, axis] - a[:, axis]
-        for sign, bound in (-1.0, -0.5), (1.0, size - 0.5):
-            gap = sign * (bound - a[:, axis])
-            slope = sign * step
-            with np.errstate(divide="ignore", invalid="ignore"):
-                at = gap / slope
-            enter = np.where(slope < 0.0, np.maximum(enter, at), enter)
-            leave = np.where(slope > 0.0, np.minimum(leave, at), leave)
-            leave = np.where((slope == 0.0) & (gap < 0.0), 0.0, leave)
-    return enter, np.maximum(leave, enter)
+@compiled_ieee
+def _clipped(at: float, step: float, end: float, enter: float, leave: float) -> tuple[float, float]:
+    """Fractions between which a line lies from -0.5 to ``end`` in one axis, too (Liang and Barsky, 1984)."""
+    for sign, bound in ((-1.0, -0.5), (1.0, end)):
+        gap, slope = sign * (bound - at), sign * step
+        if slope < 0.0:
+            enter = max(enter, gap / slope)
+        elif slope > 0.0:
+            leave = min(leave, gap / slope)
+        elif gap < 0.0:
+            leave = 0.0
+    return enter, max(leave, enter)
 
 
 @compiled_ieee
@@ -329,11 +383,57 @@ def _between(ends: Array, piece: Ints, share: Array) -> Array:
     return points
 
 
-def _across(plane_R: Array) -> tuple[Array, Bools]:
-    """Unit normals (m, 2) in the image of planes through the camera (m, 3), and whether they exist."""
-    length = lengths(plane_R[:, :2])
-    well = length > 1e-9 * np.maximum(lengths(plane_R), 1e-300)
-    return plane_R[:, :2] / np.where(well, length, 1.0)[:, None], np.asarray(well)
+@compiled_ieee
+def _crossed(a: Array, b: Array) -> Array:
+    """Cross products of rows (m, 3)."""
+    out = np.empty((len(a), 3))
+    for k in range(len(a)):
+        for axis in range(3):
+            i, j = (axis + 1) % 3, (axis + 2) % 3
+            out[k, axis] = a[k, i] * b[k, j] - a[k, j] * b[k, i]
+    return out
+
+
+def _in_image(p_G: Array, plane_G: Array, X_RG: Array, rig: RectifiedRig) -> tuple[Array, Array, Bools]:
+    """Places (m, 2) of points (m, 3) [px], and unit normals (m, 2) of planes (m, 3) through them and the eye.
+
+    And (m,) whether there is such a normal.
+    """
+    uv, normal = np.empty((len(p_G), 2)), np.empty((len(p_G), 2))
+    well = np.empty(len(p_G), dtype=bool)
+    _project(p_G, plane_G, np.ascontiguousarray(X_RG), *_pinhole(rig), uv, normal, well)
+    return uv, normal, well
+
+
+@compiled_ieee
+def _project(
+    p_G: Array,
+    plane_G: Array,
+    X_RG: Array,
+    focal_px: float,
+    cx_px: float,
+    cy_px: float,
+    uv: Array,
+    normal: Array,
+    well: Bools,
+) -> None:
+    p_R, plane_R = np.empty(3), np.empty(3)
+    for k in range(len(p_G)):
+        for axis in range(3):
+            p_R[axis], plane_R[axis] = X_RG[axis, 3], 0.0
+            for other in range(3):
+                p_R[axis] += X_RG[axis, other] * p_G[k, other]
+                plane_R[axis] += X_RG[axis, other] * plane_G[k, other]
+        uv[k, 0] = focal_px * p_R[0] / p_R[2] + cx_px
+        uv[k, 1] = focal_px * p_R[1] / p_R[2] + cy_px
+        length = np.hypot(plane_R[0], plane_R[1])
+        well[k] = length > 1e-9 * max(np.hypot(length, plane_R[2]), 1e-300)
+        normal[k, 0] = plane_R[0] / (length if well[k] else 1.0)
+        normal[k, 1] = plane_R[1] / (length if well[k] else 1.0)
+
+
+def _pinhole(rig: RectifiedRig) -> tuple[float, float, float]:
+    return rig.focal_px, rig.cx_px, rig.cy_px
 
 
 def why_no_edge(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> str:

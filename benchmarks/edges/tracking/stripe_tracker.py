@@ -268,7 +268,7 @@ class _Tracker:
         if known is None:
             known = every_point(self.known, self.rig, X_RG, SAMPLED_PX)
         own = known if self.known is self.model else known[self.of_model[known.feature]]
-        return _View(points, known, points.weight / np.maximum(times_measured(points, own, X_RG), 1.0))
+        return _View(points, known, points.weight / np.maximum(times_measured(points, own), 1.0))
 
     def _at(self, points: ControlPoints, X_RG: Array) -> ControlPoints:
         """The same points of the body, where a pose that has hardly moved shows them."""

@@ -160,7 +160,7 @@ def test_points_along_a_stripe_do_not_count_as_often_as_there_are() -> None:
 
 def test_edges_two_pixels_apart_are_measured_twice_and_count_once() -> None:
     lines = joined(line(0.0, feature=0), line(2.2, feature=1), line(9.0, feature=2))
-    times = times_measured(lines, lines, POSE)
+    times = times_measured(lines, lines)
     assert times.tolist() == 21 * [2.0] + 21 * [2.0] + 21 * [1.0]
 
 
