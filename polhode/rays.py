@@ -43,7 +43,7 @@ class RayScene:
         floats = (np.asarray(answer[name], dtype=np.float64) for name in ("tfar", "u", "v"))
         return FirstHits(np.asarray(answer["primID"], dtype=np.int64), *floats)
 
-    def blocked(self, start: Array, direction: Array, reach: Array | None = None) -> Bools:
+    def blocked(self, start: ArrayLike, direction: ArrayLike, reach: ArrayLike | None = None) -> Bools:
         """(n,) whether rays (n, 3) hit anything within ``reach`` (n,); None: at any distance."""
         limits = () if reach is None else (_floats(reach),)
         found = self._scene.run(_floats(start), _floats(direction), *limits, query="OCCLUDED")

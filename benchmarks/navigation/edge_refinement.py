@@ -3,9 +3,9 @@
 A mesh is made from depth, which is poor at edges: some are off by several times what an image resolves, and
 others do not exist. The run knows the poses of its images, so that each edge is a straight line seen from
 many places. Its two ends are moved across it by least squares over all images, with the mesh's sigma as
-prior of the first turn and a narrower one of each later turn; of the extrema of the gradient across a
-control point, the one nearest to the line counts, in a range that narrows. An edge that too few images show
-is left out. What remains are edges of shape or of paint that turn with the body; borders of shadows do not.
+prior about the mesh's own place; turn by turn, of the extrema of the gradient across a control point, the one
+nearest to the line counts, in a range that narrows. An edge that too few images show is left out. What
+remains are edges of shape or of paint that turn with the body; borders of shadows do not.
 """
 
 from collections.abc import Sequence
@@ -28,8 +28,6 @@ RANGES_PX = (4.0, 3.0, 2.0, 1.5)
 """searched on both sides, turn by turn"""
 SIGMAS_PX = (1.5, 1.0, 0.6, 0.4)
 """of an edge's place in an image, turn by turn: errors of the poses, the light, and what is no edge"""
-KEPT_OF_PRIOR = 0.25
-"""Of the sigma before a turn, besides that which the turn finds"""
 LEAST_CONTRAST = 4.0
 """[grey levels]"""
 AGREES_PX = 0.8
@@ -75,16 +73,14 @@ def refined(
 
     ``sigma_m`` (V,): of the mesh's vertices, inf where nothing was measured.
     """
-    prior_m = _sigma_of_ends(model, mesh, sigma_m)
-    axes = _across(model.ends_G)
+    prior_m, axes = _sigma_of_ends(model, mesh, sigma_m), _across(model.ends_G)
+    first_G, moved = model.ends_G, np.zeros((len(model.ends_G), 4))
     for range_px, sigma_px in zip(RANGES_PX, SIGMAS_PX, strict=True):
         every = [_measured(model, rig, sight, range_px) for sight in sights]
-        told = _solved(model, axes, prior_m, every, sigma_px)
-        model = replace(model, ends_G=model.ends_G + told.step_G)
-        # Each turn starts from the last one's places, so that all turns use the images: the covariance is
-        # too small, which the factor of the edges' errors makes up for (``arrivals.py``).
-        prior_m = np.hypot(told.sigma_m, KEPT_OF_PRIOR * prior_m)
-    return _confirmed(model, axes, prior_m, [_measured(model, rig, s, RANGES_PX[-1]) for s in sights])
+        moved = _solved(model, axes, prior_m, moved, every, sigma_px).moved
+        model = replace(model, ends_G=first_G + np.einsum("nij,nej->nei", axes, moved.reshape(-1, 2, 2)))
+    every = [_measured(model, rig, sight, RANGES_PX[-1]) for sight in sights]
+    return _confirmed(model, axes, _solved(model, axes, prior_m, moved, every, SIGMAS_PX[-1]), every)
 
 
 @dataclass(frozen=True)
@@ -138,12 +134,12 @@ def _by_ends(points: ControlPoints, ends_G: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Solved:
-    step_G: Array
-    """(n, 2, 3)"""
-    sigma_m: Array
-    """(n, 2) of the ends, the larger direction"""
-    covariance: Array
-    """(n, 4, 4) of the ends across the segment"""
+    moved: Array
+    """(n, 4) the ends, across the segment, from where the mesh has them"""
+    prior: Array
+    """(n, 4, 4) information of the mesh"""
+    data: Array
+    """(n, 4, 4) information of the images, as if their points were independent"""
 
 
 _TURNS = 8
@@ -169,42 +165,48 @@ def _nearest(offset_px: Array, at_px: Array) -> Array:
 
 
 def _solved(
-    model: EdgeModel, axes: Array, prior_m: Array, every: Sequence[_Measured], sigma_px: float
+    model: EdgeModel,
+    axes: Array,
+    prior_m: Array,
+    moved: Array,
+    every: Sequence[_Measured],
+    sigma_px: float,
 ) -> _Solved:
-    """Displacements of all segments, each by itself: least squares with Cauchy's weights."""
+    """Places of all segments, each by itself: least squares with Cauchy's weights.
+
+    ``moved`` (n, 4): where the model has them, from where the mesh had them, about which the prior is.
+    """
     n = len(model.ends_G)
     segment, J, offset, _ = _rows(model, axes, every)
-    step = np.zeros((n, 4))
     prior = np.zeros((n, 4, 4))
     prior[:, np.arange(4), np.arange(4)] = np.repeat(prior_m, 2, axis=1) ** -2.0
+    place = moved
     for _ in range(_TURNS):
-        at = np.einsum("mk,mk->m", J, step[segment])
+        at = np.einsum("mk,mk->m", J, (place - moved)[segment])
         left = _nearest(offset, at)
         seen = np.isfinite(left)
         weight = np.where(seen, 1.0 / (1.0 + (np.nan_to_num(left) / (CAUCHY * sigma_px)) ** 2), 0.0)
         weight /= sigma_px**2
         N, right = prior.copy(), np.zeros((n, 4))
         np.add.at(N, segment, weight[:, None, None] * J[:, :, None] * J[:, None, :])
-        np.add.at(right, segment, (weight * (at + np.nan_to_num(left)))[:, None] * J)
-        step = np.linalg.solve(N, right[..., None])[..., 0]
-    covariance = np.linalg.inv(N)
-    variance = np.diagonal(covariance, axis1=1, axis2=2).reshape(n, 2, 2).max(axis=2)
-    return _Solved(np.einsum("nij,nej->nei", axes, step.reshape(n, 2, 2)), np.sqrt(variance), covariance)
+        from_mesh = at + np.nan_to_num(left) + np.einsum("mk,mk->m", J, moved[segment])
+        np.add.at(right, segment, (weight * from_mesh)[:, None] * J)
+        place = np.linalg.solve(N, right[..., None])[..., 0]
+    return _Solved(place, prior, N - prior)
 
 
-def _confirmed(model: EdgeModel, axes: Array, prior_m: Array, every: Sequence[_Measured]) -> RefinedEdges:
+def _confirmed(model: EdgeModel, axes: Array, told: _Solved, every: Sequence[_Measured]) -> RefinedEdges:
     """The segments that most of their control points agree with, in several images."""
-    n, sigma_px = len(model.ends_G), SIGMAS_PX[-1]
+    n = len(model.ends_G)
     segment, _, offset, image = _rows(model, axes, every)
     left = _nearest(offset, np.zeros(len(segment)))
     agrees = np.abs(np.nan_to_num(left, nan=np.inf)) < AGREES_PX
     of = np.bincount(segment, minlength=n)
     share = np.bincount(segment[agrees], minlength=n) / np.maximum(of, 1)
     views = np.array([len(np.unique(image[agrees & (segment == k)])) for k in range(n)])
-    told = _solved(model, axes, prior_m, every, sigma_px)
     # residuals of one edge in one image are not independent: its images count, not its points
     points_a_view = of / np.maximum([len(np.unique(image[segment == k])) for k in range(n)], 1)
-    C = told.covariance * np.maximum(points_a_view, 1.0)[:, None, None]
+    C = np.linalg.inv(told.prior + told.data / np.maximum(points_a_view, 1.0)[:, None, None])
     A = np.zeros((n, 6, 4))
     A[:, :3, :2] = A[:, 3:, 2:] = axes
     ends = np.einsum("nij,njk,nlk->nil", A, C, A)

@@ -77,7 +77,8 @@ def stripes_across(points: ControlPoints, every: ControlPoints, X_RG: Array, rea
     its own, whether or not that is among them.
     """
     light, side = light_classes(points, X_RG)
-    return Stripes(*_lines_across(points, every, reach_px), light, side, _on_curved_surface(points, X_RG))
+    offset, width, slope = _lines_across(points, every, reach_px)
+    return Stripes(offset, width, slope, light, side, _on_curved_surface(points, X_RG))
 
 
 def _lines_across(points: ControlPoints, every: ControlPoints, reach_px: float) -> Array:

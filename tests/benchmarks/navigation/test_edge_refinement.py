@@ -8,7 +8,8 @@ import trimesh
 
 from benchmarks.edges.tracking.edge_search import as_levels
 from benchmarks.edges.views import EdgeViews, edge_body, edge_rig, random_poses, random_suns
-from benchmarks.navigation.edge_refinement import RefinedEdges, Sight, refined
+from benchmarks.navigation import edge_refinement
+from benchmarks.navigation.edge_refinement import RANGES_PX, SIGMAS_PX, RefinedEdges, Sight, refined
 from polhode.lie import Array, make_pose
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.visible_edges import control_points
@@ -84,6 +85,18 @@ def test_errors_are_as_large_as_the_covariance_says(
     ratio = np.sqrt(np.mean(after**2, axis=1) / 2.0) / edges.sigma_m
     assert 0.1 < np.median(ratio) < 1.5 and np.all(ratio < 4.0)
     assert np.all(np.linalg.eigvalsh(edges.covariance)[:, -4:] > 0.0)
+
+
+def test_more_turns_count_the_images_no_more_than_once(
+    result: tuple[EdgeModel, EdgeModel, RefinedEdges], sights: list[Sight], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, wrong, edges = result
+    monkeypatch.setattr(edge_refinement, "RANGES_PX", (*RANGES_PX, *RANGES_PX[-1:] * 4))
+    monkeypatch.setattr(edge_refinement, "SIGMAS_PX", (*SIGMAS_PX, *SIGMAS_PX[-1:] * 4))
+    mesh = trimesh.Trimesh(wrong.surface.vertices, wrong.surface.faces, process=False)
+    more = refined(wrong, mesh, np.full(len(mesh.vertices), SIGMA_M), RIG, sights)
+    assert len(more.sigma_m) == len(edges.sigma_m)
+    assert np.median(more.sigma_m / edges.sigma_m) == pytest.approx(1.0, abs=0.02)
 
 
 def test_places_depend_on_the_ends_as_the_derivative_says(
