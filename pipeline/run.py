@@ -12,6 +12,7 @@ from polhode.backend import align_online_estimate, window_warnings
 from polhode.config import Config
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.lie import Array
+from polhode.mapping.fusion.field import choose_device
 from polhode.pipeline.answer_checks.check_answer import check_surface, with_sun_check
 from polhode.pipeline.answer_checks.image_motion import ImageMotion
 from polhode.pipeline.build_surface import build_surface, finish_fused
@@ -92,6 +93,7 @@ def fill_run_folder(
 ) -> Callable[[RunFolder], RunResult]:
     """The whole run, into a folder that is open. Returns what makes its result once it is published."""
     folder = written.path
+    choose_device(config.mapping)  # a GPU that is not there is told before anything is computed
     context = open_context(sequence_folder, config, progress)
     clock = context.clock
     written.recording = recording_of(context.sequence)

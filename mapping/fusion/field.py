@@ -17,6 +17,7 @@ import trimesh
 
 from polhode.camera import RectifiedRig
 from polhode.config.mapping_settings import Mapping
+from polhode.errors import InputError
 from polhode.lie import Array, inverse_pose, make_pose, transform_points
 from polhode.mapping.fusion.block_grid import BYTES_PER_BLOCK, EDGE, BlockGrid
 from polhode.mapping.fusion.depth_frame import FrameTensors, at_pose, frame_tensors
@@ -343,10 +344,14 @@ def _common(between: Array, centre_F: Array) -> Array:
 
 
 def choose_device(config: Mapping) -> torch.device:
-    """The configured device; auto takes a GPU when there is one."""
-    if config.device != "auto":
-        return torch.device(config.device)
-    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    """The configured device; auto takes a GPU when there is one.
+
+    Raises InputError: cuda without any GPU.
+    """
+    there = torch.cuda.is_available()
+    if config.device == "cuda" and not there:
+        raise InputError("mapping.device is cuda, but torch finds no GPU: set cpu or auto")
+    return torch.device("cuda" if there and config.device != "cpu" else "cpu")
 
 
 Frame = tuple[DepthMap, Array]

@@ -22,6 +22,9 @@ SCHEDULE = Schedule(
     steps=60, learning_rate=0.05, warmup_steps=5, log_every=1, checkpoint_every=10, validate_every=20
 )
 
+IN_THIS_PROCESS = SCHEDULE.model_copy(update={"device": "cpu"})
+"""For tasks that interrupt: for a GPU, other processes prepare the batches"""
+
 
 class Line:
     """y = 2 x - 1, with dropout so that the loop's own random numbers matter."""
@@ -54,12 +57,12 @@ class Line:
 
     def validate(self) -> Mapping[str, float]:
         assert not self._model.training
-        x = torch.linspace(-1, 1, 11)[:, None]
+        x = torch.linspace(-1, 1, 11, device=next(self._model.parameters()).device)[:, None]
         return {"error": float((self._model(x) - (2 * x - 1)).abs().mean())}
 
 
 def weights(task: Line) -> Tensor:
-    return torch.cat([p.detach().flatten() for p in task.model.parameters()])
+    return torch.cat([p.detach().cpu().flatten() for p in task.model.parameters()])
 
 
 def test_it_learns(tmp_path: Path) -> None:
@@ -73,19 +76,19 @@ def test_it_learns(tmp_path: Path) -> None:
 
 def test_an_interrupted_training_ends_with_the_same_weights(tmp_path: Path) -> None:
     whole = Line()
-    TrainingLoop(whole, SCHEDULE, tmp_path / "whole", 1).run(SETTING, Silent())
+    TrainingLoop(whole, IN_THIS_PROCESS, tmp_path / "whole", 1).run(SETTING, Silent())
     (tmp_path / "parts").mkdir()
     with pytest.raises(KeyboardInterrupt, match=r"interrupted at step 37"):
-        TrainingLoop(Line(stop_at=37), SCHEDULE, tmp_path / "parts", 1).run(SETTING, Silent())
+        TrainingLoop(Line(stop_at=37), IN_THIS_PROCESS, tmp_path / "parts", 1).run(SETTING, Silent())
     taken_up = Line()
-    TrainingLoop(taken_up, SCHEDULE, tmp_path / "parts", 1).run(SETTING, Silent())
+    TrainingLoop(taken_up, IN_THIS_PROCESS, tmp_path / "parts", 1).run(SETTING, Silent())
     assert torch.equal(weights(whole), weights(taken_up))
 
 
 def test_curves_of_a_resumed_training_have_each_step_once(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        TrainingLoop(Line(stop_at=37), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
-    TrainingLoop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+        TrainingLoop(Line(stop_at=37), IN_THIS_PROCESS, tmp_path, 1).run(SETTING, Silent())
+    TrainingLoop(Line(), IN_THIS_PROCESS, tmp_path, 1).run(SETTING, Silent())
     curves = read_curves(tmp_path)
     assert curves["train/loss"][:, 0].tolist() == list(range(1, 61))
     assert curves["validation/error"][:, 0].tolist() == [20, 40, 60]

@@ -178,7 +178,8 @@ def test_an_image_without_the_target_has_no_places(network: SurfaceNet) -> None:
 def test_a_large_target_is_reduced_and_its_places_are_in_the_whole_image(eager: SurfaceNet) -> None:
     image, mask = clouds(7, 700, 960), np.ones((700, 960), bool)
     look = SurfaceLook(eager, image, mask)
-    candidates, _ = look.candidates(400)
+    # many, as those of equal scores may come in the order of their places
+    candidates, _ = look.candidates(2000)
     assert candidates.uv_px[:, 0].max() > 900
     assert (candidates.uv_px < [960, 700]).all()
     described = look.describe(candidates.uv_px[:5], np.tile(12.0 * np.eye(2), (5, 1, 1)))

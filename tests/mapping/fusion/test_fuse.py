@@ -5,10 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 
 from polhode.config.mapping_settings import Mapping
-from polhode.mapping.fusion.field import choose_voxel_m, fuse
+from polhode.errors import InputError
+from polhode.mapping.fusion.field import choose_device, choose_voxel_m, fuse
 from polhode.mapping.mesh_files import write_glb, write_ply
 from polhode.mesh_metrics import distance_to_surface, sample_surface
 from polhode.records import SurfaceModel
@@ -51,6 +53,22 @@ def test_a_noisy_box_is_found_to_a_third_of_a_voxel() -> None:
     back = distance_to_surface(surface.mesh, sample_surface(box, 3000)[0])
     assert there.mean() < VOXEL_M / 3
     assert back.mean() < VOXEL_M / 3
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no GPU")
+def test_a_gpu_finds_the_same_surface(sphere: trimesh.Trimesh, fused_sphere: SurfaceModel) -> None:
+    frames = views_of(sphere, 30, sigma_m=2e-3)
+    found = fuse(frames, RIG, CONFIG.model_copy(update={"device": "cuda"}))
+    assert len(found.mesh.vertices) == pytest.approx(len(fused_sphere.mesh.vertices), rel=1e-3)
+    between = distance_to_surface(fused_sphere.mesh, np.asarray(found.mesh.vertices))
+    assert np.percentile(between, 99) < 1e-6
+
+
+def test_a_gpu_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert choose_device(CONFIG.model_copy(update={"device": "auto"})).type == "cpu"
+    with pytest.raises(InputError, match=r"mapping.device is cuda, but torch finds no GPU: set cpu or auto"):
+        choose_device(CONFIG.model_copy(update={"device": "cuda"}))
 
 
 def test_a_thin_plate_keeps_both_sides() -> None:
