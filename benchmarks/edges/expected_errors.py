@@ -6,11 +6,13 @@ Bodies, models, poses, lights and starts are those of ``benchmarks.edges.observa
 edges or the longest that make up three quarters and half of their length, 20 poses from 4 m to 2 m and 10 at
 3 m, 30 images of each pose. What is expected (``planning/edges/expected_tracking.py``) knows model and pose,
 neither the Sun nor the image. Of each pair of a model and a pose the root mean square of the errors of its
-trials is compared with the expected standard deviation, for each degree of freedom. "NEES, stated": squared
-error of the confirmed trials over the covariance that the tracker states, per degree of freedom; "and
-expected": with the covariance of the expected displacement besides; "held out": with the covariance of
-``tracking/stripe_covariance.py`` fitted to all other bodies, its median over that of chi-squared, and the
-share of trials within its ellipsoid of 95 %.
+trials is compared with the expected standard deviation, for each degree of freedom. Pairs of which more than
+the error of the start is expected, or nothing, are left out; "all pairs" has them with the start's, as a
+tracker should not end farther off. "Lost": trials that have not settled, or of which the image confirms less
+than ``CONFIRMED``. "NEES, stated": squared error of the confirmed trials over the covariance that the tracker
+states, per degree of freedom; "and expected": with the covariance of the expected displacement besides; "held
+out": with the covariance of ``tracking/stripe_covariance.py`` fitted to all other bodies, its median over that
+of chi-squared, and the share of trials within its ellipsoid of 95 %.
 """
 
 from collections.abc import Iterator, Sequence
@@ -103,13 +105,11 @@ def main(
     """Measure what the record lacks; print the tables; draw the pairs."""
     wanted = cases(short)
     lines = measured(record, wanted) if stored else complete(record, wanted, measure, workers)
-    pairs = [pair for line in lines for pair in _pairs(line)]
-    at = {
-        name: [pair for pair in pairs if pair.range == name] for name in dict.fromkeys(p.range for p in pairs)
-    }
+    every = [pair for line in lines for pair in _pairs(line)]
+    pairs = [pair for pair in every if pair.determined]
     groups = {
-        f"{title}, {name}": [pair for pair in group if pair.body in bodies]
-        for name, group in at.items()
+        f"{title}, {name}": [pair for pair in every if pair.body in bodies and pair.range == name]
+        for name in dict.fromkeys(pair.range for pair in every)
         for title, bodies in (("plain", PLAIN), ("crowded", CLUTTERED), ("all", NAMES))
     }
     columns = ["pairs and trials", "kept", "value", *DEGREES_OF_FREEDOM]
@@ -125,7 +125,7 @@ def main(
         "settled",
         "confirmed",
     ]
-    print_table(" | ".join(["body", "pairs", *columns]), _bodies(pairs))
+    print_table(" | ".join(["body", "pairs", *columns]), _bodies(every))
     if output:
         draw(pairs, output)
 
@@ -211,8 +211,10 @@ class Pair:
     body: str
     model: str
     range: str
+    determined: bool
+    """Whether less than the error of the start is expected, for each degree of freedom"""
     expected: Array
-    """(6,) [m, rad]"""
+    """(6,) [m, rad], at most the error of the start"""
     displacement: Array
     """(6, 6) the part of the expected covariance that comes from what the model lacks"""
     plain: Array
@@ -238,7 +240,7 @@ class Pair:
 
 
 def _pairs(line: Case) -> Iterator[Pair]:
-    """Those of which something is expected, with less than the error of the start."""
+    """All models of a pose of a body."""
     case = line["case"]
     limit = np.array([START_M] * 3 + [np.deg2rad(START_DEG)] * 3)
     for name, told in zip(MODELS, line["models"], strict=True):
@@ -246,8 +248,7 @@ def _pairs(line: Case) -> Iterator[Pair]:
             np.array(told[key], dtype=np.float64) for key in ("expected", "displacement", "plain")
         )
         sigma = np.sqrt(np.diagonal(expected.reshape(6, 6)))
-        if not np.isfinite(sigma).all() or not (sigma < limit).all():
-            continue
+        determined = bool(np.isfinite(sigma).all() and (sigma < limit).all())
         errors, settled, agreement, upper = (
             np.array([trial[key] for trial in told["trials"]], dtype=kind)
             for key, kind in (
@@ -264,7 +265,8 @@ def _pairs(line: Case) -> Iterator[Pair]:
             case["body"],
             name,
             case["range"],
-            sigma,
+            determined,
+            np.minimum(np.where(np.isnan(sigma), np.inf, sigma), limit),
             displacement.reshape(6, 6),
             plain,
             errors,
@@ -288,13 +290,19 @@ def _rms(pairs: Sequence[Pair], all_trials: bool) -> tuple[Array, Array, Array]:
 
 
 def _rows(groups: dict[str, list[Pair]]) -> Iterator[list[str]]:
-    for name, pairs in groups.items():
-        for all_trials in (False, True):
-            rms, expected, plain = _rms(pairs, all_trials)
+    for name, every in groups.items():
+        pairs = [pair for pair in every if pair.determined]
+        if not pairs:
+            continue
+        lost = 1.0 - np.mean(np.concatenate([pair.confirmed for pair in pairs]))
+        for kept, group, all_trials in (
+            (f"confirmed, {lost:.1%} lost", pairs, False),
+            ("every trial", pairs, True),
+            ("every trial of all pairs", every, True),
+        ):
+            rms, expected, plain = _rms(group, all_trials)
             if len(rms) < MIN_PAIRS:
                 continue
-            lost = 1.0 - np.mean(np.concatenate([pair.confirmed for pair in pairs]))
-            kept = "every trial" if all_trials else f"confirmed, {lost:.1%} lost"
             ratio = rms / expected
             values = {
                 "r": [np.corrcoef(rms[:, k], expected[:, k])[0, 1] for k in range(6)],
@@ -315,8 +323,9 @@ def log_correlation(a: Array, b: Array) -> list[float]:
     return [float(np.corrcoef(np.log(a[known, k]), np.log(b[known, k]))[0, 1]) for k in range(6)]
 
 
-def _bodies(pairs: Sequence[Pair]) -> Iterator[list[str]]:
+def _bodies(every: Sequence[Pair]) -> Iterator[list[str]]:
     """A row for each body, and for the groups of them."""
+    pairs = [pair for pair in every if pair.determined]
     names = list(dict.fromkeys(pair.body for pair in pairs))
     held_out = dict(zip(names, _held_out(names, pairs), strict=True))
     groups = {"plain": PLAIN, "crowded": CLUTTERED, "all": NAMES}
@@ -331,7 +340,7 @@ def _bodies(pairs: Sequence[Pair]) -> Iterator[list[str]]:
         shares = [np.mean(np.concatenate([getattr(p, key) for p in own])) for key in ("settled", "confirmed")]
         yield [
             title,
-            str(len(own)),
+            f"{len(own)} of {sum(pair.body in bodies for pair in every)}",
             f"{middle:.2f} ({low:.2f} to {high:.2f})",
             *(
                 f"{np.mean(each) / 6.0:.2f}" if len(each) else "-"
