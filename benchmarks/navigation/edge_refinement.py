@@ -74,13 +74,30 @@ def refined(
     ``sigma_m`` (V,): of the mesh's vertices, inf where nothing was measured.
     """
     prior_m, axes = _sigma_of_ends(model, mesh, sigma_m), _across(model.ends_G)
-    first_G, moved = model.ends_G, np.zeros((len(model.ends_G), 4))
+    first, moved = model, np.zeros((len(model.ends_G), 4))
+    if not sights:
+        return RefinedEdges(model.only(np.zeros(0, dtype=np.int64)), np.zeros((0, 6, 6)))
     for range_px, sigma_px in zip(RANGES_PX, SIGMAS_PX, strict=True):
         every = [_measured(model, rig, sight, range_px) for sight in sights]
         moved = _solved(model, axes, prior_m, moved, every, sigma_px).moved
-        model = replace(model, ends_G=first_G + np.einsum("nij,nej->nei", axes, moved.reshape(-1, 2, 2)))
+        model = _displaced(first, np.einsum("nij,nej->nei", axes, moved.reshape(-1, 2, 2)))
     every = [_measured(model, rig, sight, RANGES_PX[-1]) for sight in sights]
     return _confirmed(model, axes, _solved(model, axes, prior_m, moved, every, SIGMAS_PX[-1]), every)
+
+
+def _displaced(model: EdgeModel, by_G: Array) -> EdgeModel:
+    """The model with its ends moved (n, 2, 3); the directions of its edges turn with them."""
+    ends = model.ends_G + by_G
+    turn = _directions(ends) - _directions(model.ends_G)
+    tangents = model.tangents_G + turn[:, None]
+    tangents /= np.maximum(np.linalg.norm(tangents, axis=2, keepdims=True), 1e-12)
+    return replace(model, ends_G=ends, tangents_G=tangents)
+
+
+def _directions(ends_G: Array) -> Array:
+    """(n, 3) unit, from one end to the other."""
+    along = ends_G[:, 1] - ends_G[:, 0]
+    return np.asarray(along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12))
 
 
 @dataclass(frozen=True)
@@ -114,8 +131,7 @@ def _sigma_of_ends(model: EdgeModel, mesh: trimesh.Trimesh, sigma_m: Array) -> A
 
 def _across(ends_G: Array) -> Array:
     """(n, 3, 2) two unit directions across each segment."""
-    along = ends_G[:, 1] - ends_G[:, 0]
-    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    along = _directions(ends_G)
     least = np.eye(3)[np.argmin(np.abs(along), axis=1)]
     one = np.cross(along, least)
     one /= np.linalg.norm(one, axis=1, keepdims=True)

@@ -37,12 +37,13 @@ def wrong_model() -> tuple[EdgeModel, EdgeModel]:
     # from one edge's middle to that of another one of the same face
     pairs = [(0, 3), (1, 4), (2, 5), (3, 6)]
     phantom = np.array([[middles[a], middles[b]] for a, b in pairs])
-    along = phantom[:, 1] - phantom[:, 0]
+    along = np.concatenate([ends, phantom])
+    along = along[:, 1] - along[:, 0]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     wrong = replace(
         true,
         ends_G=np.concatenate([ends, phantom]),
-        tangents_G=np.concatenate([true.tangents_G, np.stack([along, along], axis=1)]),
+        tangents_G=np.stack([along, along], axis=1),
         sides_G=np.concatenate([true.sides_G, true.sides_G[:PHANTOMS]]),
         kind=np.concatenate([true.kind, true.kind[:PHANTOMS]]),
     )
@@ -97,6 +98,19 @@ def test_more_turns_count_the_images_no_more_than_once(
     more = refined(wrong, mesh, np.full(len(mesh.vertices), SIGMA_M), RIG, sights)
     assert len(more.sigma_m) == len(edges.sigma_m)
     assert np.median(more.sigma_m / edges.sigma_m) == pytest.approx(1.0, abs=0.02)
+
+
+def test_directions_turn_with_the_edges(result: tuple[EdgeModel, EdgeModel, RefinedEdges]) -> None:
+    model = result[2].model
+    along = model.ends_G[:, 1] - model.ends_G[:, 0]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    np.testing.assert_allclose(model.tangents_G, np.stack([along, along], axis=1), atol=1e-12)
+
+
+def test_without_images_there_is_no_edge(result: tuple[EdgeModel, EdgeModel, RefinedEdges]) -> None:
+    _, wrong, _ = result
+    mesh = trimesh.Trimesh(wrong.surface.vertices, wrong.surface.faces, process=False)
+    assert len(refined(wrong, mesh, np.full(len(mesh.vertices), SIGMA_M), RIG, []).sigma_m) == 0
 
 
 def test_places_depend_on_the_ends_as_the_derivative_says(
