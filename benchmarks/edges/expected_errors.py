@@ -10,9 +10,9 @@ trials is compared with the expected standard deviation, for each degree of free
 the error of the start is expected, or nothing, are left out; "all pairs" has them with the start's, as a
 tracker should not end farther off. "Lost": trials that have not settled, or of which the image confirms less
 than ``CONFIRMED``. "NEES, stated": squared error of the confirmed trials over the covariance that the tracker
-states, per degree of freedom; "and expected": with that of the expected displacement besides; "held
-out": with the covariance of ``tracking/stripe_covariance.py`` fitted to all other bodies, its median over that
-of chi-squared, and the share of trials within its ellipsoid of 95 %.
+states, per degree of freedom; "and expected": with that of the expected displacement besides; "held out":
+with the covariance of ``tracking/stripe_covariance.py`` fitted to all other bodies, its median over that of
+chi-squared, and the share of trials within its ellipsoid of 95 %.
 """
 
 from collections.abc import Iterator, Sequence
