@@ -172,7 +172,6 @@ class ControlPoints:
 
     def __getitem__(self, which: Ints | Bools) -> "ControlPoints":
         # several times as fast as a mask on each of them
-        which = np.asarray(which)
         rows = np.flatnonzero(which) if which.dtype == np.bool_ else which
         return ControlPoints(*(getattr(self, item.name).take(rows, axis=0) for item in fields(self)))
 
