@@ -93,7 +93,7 @@ def fill_run_folder(
 ) -> Callable[[RunFolder], RunResult]:
     """The whole run, into a folder that is open. Returns what makes its result once it is published."""
     folder = written.path
-    choose_device(config.mapping)  # a GPU that is not there is told before anything is computed
+    choose_device(config.mapping)  # a missing GPU is an error before anything is computed
     context = open_context(sequence_folder, config, progress)
     clock = context.clock
     written.recording = recording_of(context.sequence)

@@ -64,7 +64,7 @@ def test_a_gpu_finds_the_same_surface(sphere: trimesh.Trimesh, fused_sphere: Sur
     assert np.percentile(between, 99) < 1e-6
 
 
-def test_a_gpu_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_gpu_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     assert choose_device(CONFIG.model_copy(update={"device": "auto"})).type == "cpu"
     with pytest.raises(InputError, match=r"mapping.device is cuda, but torch finds no GPU: set cpu or auto"):
