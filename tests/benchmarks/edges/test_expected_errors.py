@@ -12,6 +12,7 @@ from polhode.planning.edges.visible_edges import SPACING_PX, control_points
     ("body", "pose", "model", "image"),
     [
         ("house", 6, "half", 7),
+        ("wedge", 1, "half", 23),
         ("steps", 2, "half", 5),
         ("block", 5, "three quarters", 17),
     ],
