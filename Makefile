@@ -34,6 +34,10 @@ OPTIONS ?=
 EXTRAS ?= [dev]
 JOBS ?= 2
 
+# What pip would take for PyTorch, as JSON; a build with CUDA requires NVIDIA's packages.
+TORCH_OFFERED = $(BIN)/python -m pip install --quiet --dry-run --no-deps --ignore-installed \
+    --constraint constraints.txt --report - torch 2> /dev/null
+
 .PHONY: help setup setup-tests extras matchers fusion-peers demo example test check docs docs-links sbom release bench
 .DEFAULT_GOAL := setup
 
@@ -49,7 +53,11 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
 	    { echo "polhode: error: $(PYTHON) cannot make environments; on Debian: apt-get install python3-venv" >&2; exit 2; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	@echo "installing some 2 GB of packages into .venv, which takes one to three minutes"
+	@if $(TORCH_OFFERED) | grep -Eq '"(nvidia|cuda|triton)'; then \
+	    echo "installing some 6.4 GB of packages into .venv: the package index offers PyTorch with CUDA. With PyTorch's"; \
+	    echo "CPU build it is 2 GB: interrupt, and give pip the index of CPU builds that pytorch.org names under"; \
+	    echo "'Start locally': PIP_EXTRA_INDEX_URL=ADDRESS make setup"; \
+	else echo "installing some 2 GB of packages into .venv, with PyTorch's CPU build, in one to three minutes"; fi
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.$(EXTRAS)'
 	@echo '$(EXTRAS)' > $@
 

@@ -4,7 +4,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from time import perf_counter
 
 import pytest
 
@@ -59,10 +58,8 @@ def test_bash_offers(folder: Path, words: str, expected: list[str]) -> None:
     assert completed(folder, words) == expected
 
 
-def test_a_press_of_tab_is_quick(folder: Path) -> None:
-    start = perf_counter()
+def test_a_press_of_tab_starts_no_python(folder: Path) -> None:
     assert "--backend.solver" in completed(folder, "polhode run --")
-    assert perf_counter() - start < 1.0
     assert "python" not in (folder / "script").read_text()
 
 

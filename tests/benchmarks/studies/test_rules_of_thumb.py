@@ -48,6 +48,21 @@ def table_of(count: int, scatter: float) -> pa.Table:
     return pa.table(columns)
 
 
+def assert_same_but_for_rounding(found: object, shipped: object) -> None:
+    """Processors sum in other orders: a fit of some hundred rows keeps 10 of the 16 digits."""
+    if isinstance(found, dict) and isinstance(shipped, dict):
+        assert found.keys() == shipped.keys()
+        for key in found:
+            assert_same_but_for_rounding(found[key], shipped[key])
+    elif isinstance(found, list) and isinstance(shipped, list):
+        for one, other in zip(found, shipped, strict=True):
+            assert_same_but_for_rounding(one, other)
+    elif isinstance(found, float):
+        assert found == pytest.approx(shipped, rel=1e-10, abs=1e-12)
+    else:
+        assert found == shipped
+
+
 def test_a_scene_is_the_same_however_many_are_drawn_and_within_the_ranges() -> None:
     few, many = random_scenes(8), random_scenes(32)
     assert many[:8] == few
@@ -134,4 +149,8 @@ def test_the_page_has_the_tables_and_the_rules_of_this_version_are_theirs(
     rows = {line for line in printed.splitlines() if line.startswith("|")}
     assert rows <= set(page.splitlines())
     assert "Of all 120 errors held back, 112 are inside" in page and "112 of 120" in printed
-    assert (tmp_path / "rules.yaml").read_text() == SHIPPED.read_text()
+    main(RESULTS / FITTED, tmp_path / "again.yaml", held_back=30, stored=True)
+    assert (tmp_path / "again.yaml").read_bytes() == (tmp_path / "rules.yaml").read_bytes()
+    assert_same_but_for_rounding(
+        yaml.safe_load((tmp_path / "rules.yaml").read_text()), yaml.safe_load(SHIPPED.read_text())
+    )

@@ -64,9 +64,7 @@ def test_a_folder_that_fills_gives_each_pair_when_it_is_complete(small_sequence:
 
 
 def test_without_a_marker_patience_ends_it(small_sequence: Path) -> None:
-    begin = time.monotonic()
     assert stamps(items(small_sequence, watched=True, patience_s=0.2)) == ALL
-    assert 0.2 <= time.monotonic() - begin < 10.0
 
 
 def test_images_without_a_partner_or_damaged_are_named(small_sequence: Path) -> None:
