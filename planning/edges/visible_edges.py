@@ -1,8 +1,6 @@
 """Control points: the edges of a model that a camera sees from one pose, sampled every few pixels.
 
-``control_points`` returns all of them, each line of the image once; ``clear_points`` only those separated
-from other edges: of two adjacent parallel edges an image shows one, somewhere between them. The same occurs
-at a face seen edge-on, whose far side may be occluded at one pose and visible at the next.
+``control_points`` returns each line of the image once, ``every_point`` all edges that coincide there.
 
 Smooth parts are seen by their outlines (occluding contours), where the surface turns away from the viewer:
 the zero of N . (p - eye) with normals and positions interpolated over each face (Hertzmann and Zorin,
@@ -20,7 +18,6 @@ assumed instead.
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from polhode.camera import RectifiedRig
 from polhode.compiled import compiled_ieee
@@ -459,44 +456,6 @@ def _join(first: ControlPoints, second: ControlPoints) -> ControlPoints:
     return ControlPoints(
         *(np.concatenate([getattr(first, item.name), getattr(second, item.name)]) for item in fields(first))
     )
-
-
-SAME_PX = 0.5
-"""Edges with a smaller lateral distance are pieces of one edge."""
-EDGE_ON = 0.05
-"""Sine of the angle to a face's plane below which it is seen edge-on: half a metre is 4 px wide at 4 m."""
-SEPARATION_PX = 4.0
-
-
-def clear_points(
-    model: EdgeModel, rig: RectifiedRig, X_RG: Array, spacing_px: float, separation_px: float = SEPARATION_PX
-) -> ControlPoints:
-    """Control points of a view, without those that are ambiguous in the image."""
-    points = control_points(model, rig, X_RG, spacing_px)
-    points = points[~beside_edge_on_face(points, model, X_RG)]
-    return points[is_separated(points, separation_px)]
-
-
-def beside_edge_on_face(points: ControlPoints, model: EdgeModel, X_RG: Array) -> Bools:
-    """(m,) whether a point lies on a segment with an adjacent face seen edge-on."""
-    ray = points.p_G - inverse_pose(X_RG)[:3, 3]
-    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    sine = np.abs(np.einsum("msk,mk->ms", points.sides_G, ray)).min(axis=1)
-    return np.asarray((points.feature < len(model.ends_G)) & (sine < EDGE_ON))
-
-
-def is_separated(points: ControlPoints, min_px: float) -> Bools:
-    """(m,) false where a point of another edge lies within ``min_px`` beside this one, not along it."""
-    clear = np.ones(len(points), dtype=bool)
-    if len(points) == 0:
-        return clear
-    pairs = cKDTree(points.uv_px).query_pairs(min_px, output_type="ndarray")
-    pairs = pairs[points.feature[pairs[:, 0]] != points.feature[pairs[:, 1]]]
-    separation = points.uv_px[pairs[:, 0]] - points.uv_px[pairs[:, 1]]
-    for one in pairs.T:
-        across = np.abs(np.einsum("mk,mk->m", separation, points.normal_px[one]))
-        clear[one[across > SAME_PX]] = False
-    return clear
 
 
 HALF_CONTRAST = 0.1
