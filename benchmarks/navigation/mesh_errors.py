@@ -6,7 +6,7 @@ least squares turn their displacements into an error of the pose, the same way i
     pose error = -C^-1 sum_i w_i f_i (f_i,G . d_i)        d_i: of the model's point from the true one, in G
 
 Two kinds of displacements: those of the whole surface outward, a length that is the same everywhere, and
-those of each segment by itself, by the covariance of its ends (``edge_refinement.py``). Directions that a
+those of each segment by itself, by the covariance of its ends (``planning/edges/edge_refinement.py``). Directions that a
 view does not determine have a large, finite variance.
 """
 
@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.navigation.edge_refinement import RefinedEdges
 from polhode.camera import RectifiedRig
 from polhode.lie import Array
+from polhode.planning.edges.edge_refinement import RefinedEdges
 from polhode.planning.edges.observability_metric import edge_motion, motion_scale
 from polhode.planning.edges.visible_edges import ControlPoints
 
