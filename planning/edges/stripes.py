@@ -39,7 +39,7 @@ UNIFORM = 1.0 / np.sqrt(12.0)
 """Standard deviation of a place within a stripe of width 1"""
 FLOOR_PX = 0.05
 """Sigma of an edge's place in an image however clear it is: blur, pixels, errors of the model
-(docs/observability_tracking.md)"""
+(docs/observability.md)"""
 MOST_SIGMA_PX, MOST_SHIFT_PX = 0.6, 2.5
 """Points that are less certain, or farther off, do not count."""
 TUKEY, CAUCHY = 4.685, 2.385
