@@ -14,7 +14,7 @@ from polhode.lie import Array
 
 @dataclass(frozen=True)
 class TrackedCovariance:
-    """S = a (1 + c (1 - agreement)) P + b D; unless given, fitted to 1,400 trials of fourteen rendered bodies.
+    """S = a (1 + c (1 - agreement)) P + b D; unless given, fitted to 1,400 trials of 14 bodies.
 
     ``python -m benchmarks.edges.expected_errors`` fits them. Too small for bodies of revolution, and for thin
     parts in one plane (docs/observability.md).

@@ -22,7 +22,7 @@ import numpy as np
 from polhode.camera import RectifiedRig
 from polhode.compiled import compiled_ieee
 from polhode.lie import Array, inverse_pose, transform_points
-from polhode.planning.edges.edge_model import EdgeKind, EdgeModel, lengths
+from polhode.planning.edges.edge_model import EdgeKind, EdgeModel
 from polhode.records import Bools, Ints
 
 
@@ -237,20 +237,12 @@ def _on_segments(
     piece, share, length_px = _steps(model.ends_G, X_RG, rig, spacing_px, near_m)
     eye_G = inverse_pose(X_RG)[:3, 3]
     p_G, tangent_G = _between(model.ends_G, piece, share), _between(model.tangents_G, piece, share)
-    uv, normal, well = _in_image(p_G, _crossed(p_G - eye_G, tangent_G), X_RG, rig)
+    uv, normal, well = _in_image(p_G, np.cross(p_G - eye_G, tangent_G), X_RG, rig)
     free = well & ~model.occluder.hides(
         eye_G, p_G + model.lift_G.take(piece, axis=0), 2.0 * model.tolerance_m
     )
-    rows = np.flatnonzero(free)
-    feature = piece.take(rows)
-    return ControlPoints(
-        p_G.take(rows, axis=0),
-        uv.take(rows, axis=0),
-        normal.take(rows, axis=0),
-        feature,
-        length_px.take(rows) / spacing_px,
-        model.sides_G.take(feature, axis=0),
-    )
+    weight = length_px / spacing_px
+    return ControlPoints(p_G, uv, normal, piece, weight, model.sides_G[piece])[free]
 
 
 def _on_outlines(
@@ -262,7 +254,7 @@ def _on_outlines(
     piece, share, length_px = _steps(contours.ends_G, X_RG, rig, spacing_px, near_m)
     piece, share = _thinned(piece, share, length_px, spacing_px)
     p_G, normal_G = _between(contours.ends_G, piece, share), _between(contours.normals_G, piece, share)
-    normal_G /= np.maximum(lengths(normal_G), 1e-12)[:, None]
+    normal_G /= np.maximum(np.linalg.norm(normal_G, axis=1), 1e-12)[:, None]
     uv, normal, well = _in_image(p_G, normal_G, X_RG, rig)
     lift = model.tolerance_m + 2.0 * contours.bulge_m[piece]
     free = well & ~model.occluder.hides(eye_G, p_G + lift[:, None] * normal_G, 2.0 * model.tolerance_m)
@@ -369,26 +361,10 @@ def _clipped(at: float, step: float, end: float, enter: float, leave: float) -> 
     return enter, max(leave, enter)
 
 
-@compiled_ieee
 def _between(ends: Array, piece: Ints, share: Array) -> Array:
     """Points (m, 3) at fractions (m,) of the segments ``piece`` (m,) of (n, 2, 3)."""
-    points = np.empty((len(piece), 3))
-    for k in range(len(piece)):
-        for axis in range(3):
-            start = ends[piece[k], 0, axis]
-            points[k, axis] = start + share[k] * (ends[piece[k], 1, axis] - start)
-    return points
-
-
-@compiled_ieee
-def _crossed(a: Array, b: Array) -> Array:
-    """Cross products of rows (m, 3)."""
-    out = np.empty((len(a), 3))
-    for k in range(len(a)):
-        for axis in range(3):
-            i, j = (axis + 1) % 3, (axis + 2) % 3
-            out[k, axis] = a[k, i] * b[k, j] - a[k, j] * b[k, i]
-    return out
+    start = ends[piece, 0]
+    return np.asarray(start + share[:, None] * (ends[piece, 1] - start))
 
 
 def _in_image(p_G: Array, plane_G: Array, X_RG: Array, rig: RectifiedRig) -> tuple[Array, Array, Bools]:
