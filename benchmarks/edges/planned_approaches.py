@@ -112,8 +112,8 @@ def main(
         np.log([getattr(each, name) for each in flights]) for name in ("promised", "ratio_of_medians")
     )
     if len(flights) > 2:
-        told = stats.spearmanr(promised, found)
-        print(f"\nranks of promised and measured ratios correlate by {told.statistic:.2f}")
+        ranks = stats.spearmanr(promised, found)
+        print(f"\nranks of promised and measured ratios correlate by {ranks.statistic:.2f}")
 
 
 def measure(case: Case) -> dict[str, Any]:

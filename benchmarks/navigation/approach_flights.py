@@ -60,7 +60,7 @@ START_M, END_M, ASIDE_DEG = 2.4, 1.5, 60.0
 WAYS, WITHIN_DEG = 6, 50.0
 """Ways that are compared, and how far around the target they lead"""
 STEP_S, IMAGES = 4.0, 8
-LONGEST_WAIT_S = 24.0
+MAX_WAIT_S = 24.0
 RIG = edge_rig(500.0, 400, 400)
 FLOOR_PX = 0.15
 """Sigma of an edge in the image however clear it is and however well its place on the body is known"""
@@ -70,11 +70,11 @@ GATE = 0.999
 OVERSTATED = 3.0
 """How much better a pose is, by the tracker's information, than it turns out, as edges share errors: the
 prediction weighs so much more in the tracker. Filters get the pose without it (``Flight.beyond``)"""
-LEAST_EDGES = 12
+MIN_EDGES = 12
 """Of a model that is flown to"""
 DRAWN_STARTS, CONTENT = 5, 0.6
 """Starts besides the predicted pose, until the image confirms so much of the edges"""
-LEAST_AGREEMENT = 0.35
+MIN_AGREEMENT = 0.35
 """Of a tracked pose that is shown to the filter: the mesh lacks edges, and has others"""
 
 
@@ -137,7 +137,7 @@ class Flight:
     @property
     def shown(self) -> Bools:
         """(T,) which poses a filter gets to see."""
-        return np.asarray(self.agreement >= LEAST_AGREEMENT)
+        return np.asarray(self.agreement >= MIN_AGREEMENT)
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ def known_of(inspected: Inspection) -> tuple[Known, RefinedEdges]:
     sigma = surface.sigma_m[np.isfinite(surface.sigma_m)]
     sigma_m = float(np.hypot(np.median(sigma), 0.5 * model.tolerance_m))
     edges = refined_edges_of_run(inspected.run, inspected.sequence)
-    if edges.model.size < LEAST_EDGES:
+    if edges.model.size < MIN_EDGES:
         raise InputError(f"the images confirm {edges.model.size} of {model.size} edges of the mesh")
     return Known(estimate, model.centre_G, sigma_m), edges
 
@@ -211,7 +211,7 @@ def planned(known: Known, edges: RefinedEdges, sun_N: Array, seed: int) -> Way:
     """The best of the ways that a seed's start offers."""
     model = edges.model
     rng = np.random.default_rng([seed, 0xA99])
-    time_s: Array = rng.uniform(2.0, LONGEST_WAIT_S) + STEP_S * np.arange(IMAGES, dtype=np.float64)
+    time_s: Array = rng.uniform(2.0, MAX_WAIT_S) + STEP_S * np.arange(IMAGES, dtype=np.float64)
     X_NG = nominal_motion(known.estimate, time_s).X_NG
     o_N = X_NG[:, :3, :3] @ model.centre_G + X_NG[:, :3, 3]
     back = -o_N[0] / np.linalg.norm(o_N[0])
@@ -298,7 +298,7 @@ def flown(inspected: Inspection, seed: int) -> Flight:
             errors = pose_errors(edges, RIG, tracked.X_RG, tracked.points, tracked.weight, noise)
             beyond[k] = noise @ prior.information @ pose_error(tracked.X_RG, prior.X_RG, known.centre_G)
         found.append(errors)
-        if agreement[-1] >= LEAST_AGREEMENT:
+        if agreement[-1] >= MIN_AGREEMENT:
             own, bias[k] = sized(errors, weights)
             pose = MeasuredPose(tracked.X_RG, own, errors.outward, beyond[k])
             state = update(state, camera, pose, known.centre_G, GATE).state

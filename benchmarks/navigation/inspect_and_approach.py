@@ -46,7 +46,7 @@ RECORD = Path("runs/records/inspect_and_approach")
 SEEDS, SHORT_SEEDS, SHORT_BODIES = 21, 3, 2
 FLIGHTS = 7
 """After each inspection"""
-LOST_POSES = 3
+FEW_POSES = 3
 """A flight with fewer poses that passed the gate is named in the list of failures."""
 PARTS = {"position": POSITION, "attitude": ATTITUDE, "rate": RATE}
 
@@ -163,7 +163,7 @@ def _print(judged: Sequence[Judged], lines: Sequence[Case]) -> None:
         if "no_flight" in line:
             print(f"{line['case']['body']} {line['case']['seed']}: no flight, {line['no_flight']}")
     for each in judged:
-        if each.arrival.taken < LOST_POSES:
+        if each.arrival.taken < FEW_POSES:
             print(f"{each.body} {each.seed}: only {each.arrival.taken} poses passed the gate")
         outside = [name for name, part in PARTS.items() if not each.inside(part, each.promised)]
         if outside:

@@ -62,9 +62,9 @@ def main(
 def _rows(folder: Path, numbers: int) -> Iterator[list[str]]:
     for family in FAMILIES:
         every = [inspection(folder, family, number) for number in range(1, numbers + 1)]
-        told = [_compared(each) for each in every if not each.error]
-        before, after, sigma = (np.concatenate([each[k] for each in told]) for k in range(3))
-        segments, kept, seconds = (np.array([each[k] for each in told]) for k in range(3, 6))
+        compared = [_compared(each) for each in every if not each.error]
+        before, after, sigma = (np.concatenate([each[k] for each in compared]) for k in range(3))
+        segments, kept, seconds = (np.array([each[k] for each in compared]) for k in range(3, 6))
         yield [
             family,
             ", ".join(str(each) for each in segments),

@@ -2,7 +2,7 @@
 
 In: simulated sequences. Out: tables of what was lost, found and said.
 
-data_faults         the campaign of faults in the data: one fault at a time on fourteen bodies
+data_faults         the campaign of faults in the data: one fault at a time on twelve bodies
 measurement_faults  faults in measurements without images: hundreds of runs in an hour
 verdict             how well checks and verdict tell wrong runs from right ones, by the records of both
 bodies              the campaign's bodies

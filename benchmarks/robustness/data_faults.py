@@ -1,4 +1,4 @@
-"""Faults in the data, one at a time, on fourteen bodies: what a run finds, how far off it is, what it says.
+"""Faults in the data, one at a time, on twelve bodies: what a run finds, how far off it is, what it says.
 
     python -m benchmarks.robustness.data_faults [--bodies ...] [--faults ...] [--workers 1] [--short]
 

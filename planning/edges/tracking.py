@@ -29,8 +29,8 @@ from polhode.planning.edges.stripe_profiles import fitted, searched
 from polhode.planning.edges.stripes import (
     FLOOR_PX,
     HALF_PX,
-    MOST_SHIFT_PX,
-    MOST_SIGMA_PX,
+    MAX_SHIFT_PX,
+    MAX_SIGMA_PX,
     SAMPLED_PX,
     MeasuredStripes,
     StripeInformation,
@@ -247,7 +247,7 @@ class _Tracker:
         place = iterate.place
         if range_px is not None or len(place) != measured.stripes.classes:
             place = np.zeros(measured.stripes.classes)
-        equations, _, _ = measured.told(place, narrow=narrow)
+        equations, _, _ = measured.normal_equations(place, narrow=narrow)
         step = share * self._solve(equations, iterate.X_RG)
         if range_px is None:
             place = equations.places(step)
@@ -283,14 +283,14 @@ class _Tracker:
             for each in (view.points, view.known)
         )
         reach_px = HALF_PX if range_px is None else range_px + 1.5
-        stripes = stripes_across(points, every, X_RG, reach_px + MOST_SHIFT_PX)
+        stripes = stripes_across(points, every, X_RG, reach_px + MAX_SHIFT_PX)
         f = edge_motion(points, self.rig, X_RG, self.model.centre_G)
         place, grey = profiles(self.grey, points, reach_px)
         if range_px is None:
             displacement = fitted(place, grey, stripes)
             return points, displacement.of(stripes, f, view.length, self._floor_px(points, X_RG))
         shift, good = searched(place, grey, stripes, range_px)
-        sigma, none = np.full(len(points), MOST_SIGMA_PX), np.zeros(len(points))
+        sigma, none = np.full(len(points), MAX_SIGMA_PX), np.zeros(len(points))
         return points, MeasuredStripes(stripes, f, shift, sigma, none, good, view.length)
 
     def _floor_px(self, points: ControlPoints, X_RG: Array) -> Array | float:
@@ -311,7 +311,7 @@ class _Tracker:
         count = int(measured.counts.sum())
         if count < MIN_POINTS:
             return self._no_pose(X_RG, "too few edges were found at the last pose")
-        _, weight, scale = measured.told(measured.settled_places(), narrow=True)
+        _, weight, scale = measured.normal_equations(measured.settled_places(), narrow=True)
         information = EdgeObservability(measured.weighted(weight).C, self.model.radius_m, count)
         reason = information.describe_unobservable() if settled else "the pose has not settled"
         if self.known is not self.model:

@@ -12,7 +12,7 @@ from polhode.lie import Array, make_pose
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.image_profiles import Levels, as_levels, gradient_extrema, profiles
 from polhode.planning.edges.observability_metric import moved, pose_error
-from polhode.planning.edges.stripe_profiles import BLUR_PX, LEAST_NOISE, Displacements, fitted, searched
+from polhode.planning.edges.stripe_profiles import BLUR_PX, MIN_NOISE_DN, Displacements, fitted, searched
 from polhode.planning.edges.stripes import Stripes, stripes_across
 from polhode.planning.edges.tracking import PosePrior, TrackingOptions, track_edges
 from polhode.planning.edges.visible_edges import ControlPoints, every_point
@@ -74,7 +74,7 @@ def test_of_two_edges_of_which_one_is_dark_the_nearer_is_taken() -> None:
 
 def test_its_sigma_is_that_of_the_noise() -> None:
     noise, points = 4.0, column(0.0)
-    assert noise > LEAST_NOISE
+    assert noise > MIN_NOISE_DN
     stripes = stripes_across(points, points, POSE, 6.0)
     shifts, sigmas = [], []
     for seed in range(30):
