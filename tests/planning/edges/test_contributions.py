@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.pipeline.after_run.observability.pictures import coloured_body, colours_of, picture
+from polhode.pipeline.after_run.observability.pictures import coloured_body, colours_of
 from polhode.planning.edges.edge_model import edge_model
 from polhode.planning.edges.information import (
     FeatureInformation,
@@ -84,14 +84,6 @@ def test_painted_edges_have_the_colours_of_the_legend(tmp_path: Path) -> None:
         assert (colours == colours_of(values)[0][k].astype(int)).all(axis=1).any()
     rgb, _ = colours_of(np.array([np.nan, 0.0, 1.0, np.inf]))
     assert (rgb[0] == rgb[1]).all() and (rgb[2] == rgb[3]).all() and (rgb[1] != rgb[2]).any()
-
-
-def test_a_picture_has_a_panel_for_each_degree_of_freedom() -> None:
-    model = block()
-    found = contributions(seen(model, 1))
-    figure = picture(model, RIG, poses(1)[0], found.share)
-    titles = [panel.get_title() for panel in figure.axes if panel.get_title()]
-    assert titles == ["x", "y", "z", "about x", "about y", "about z"]
 
 
 def test_without_any_edge_nothing_is_shared() -> None:

@@ -142,14 +142,6 @@ def test_edges_that_pass_the_camera_are_cut() -> None:
     assert (points.uv_px > -0.5).all() and (points.uv_px < [639.5, 479.5]).all()
 
 
-def test_fewer_features_of_the_same_body() -> None:
-    model = edge_model(trimesh.creation.cylinder(0.4, 0.8, sections=64))
-    few = model.only(np.array([0, 5, model.size - 1]))
-    assert len(few.ends_G) == 2
-    X_RG = pose((0.9, 0.5, 0.2), (0.0, 0.0, 3.0))
-    assert len(control_points(few, RIG, X_RG)) < len(control_points(model, RIG, X_RG))
-
-
 def test_a_measured_box_gets_its_edges_back() -> None:
     noise = np.random.default_rng(3)
     fine = finely(trimesh.creation.box((1.0, 0.6, 0.4)), 0.02)

@@ -91,11 +91,6 @@ def test_the_nearest_stripes_are_kept() -> None:
     assert np.allclose(found, [0.0, *offsets[: LINES - 1]])
 
 
-def test_no_points_have_no_stripes() -> None:
-    none = stripes_across(POINT[np.zeros(0, dtype=np.int64)], line(0.0), POSE, 8.0)
-    assert none.offset_px.shape == (0, LINES) and none.classes == 0
-
-
 def test_edges_of_a_box_that_face_alike_are_of_one_class() -> None:
     model = edge_model(trimesh.creation.box((0.8, 0.55, 0.35)))
     points = control_points(model, RIG, POSE, SPACING_PX)
@@ -139,12 +134,6 @@ def test_places_in_stripes_are_eliminated_as_least_squares_would() -> None:
     step = np.asarray(np.linalg.solve(found.C, found.pull), dtype=np.float64)
     assert np.allclose(step, x[:6]) and np.allclose(found.places(step), x[6:])
     assert np.allclose(np.linalg.inv(found.C), np.linalg.inv(N)[:6, :6])
-
-
-def test_without_a_spread_it_is_the_metric() -> None:
-    f, d, weight, spread, light = random_distances(2)
-    found = stripe_information(f, d, weight, 0.0 * spread, light, 4)
-    assert np.allclose(found.C, (f * weight[:, None]).T @ f)
 
 
 def test_points_along_a_stripe_do_not_count_as_often_as_there_are() -> None:
