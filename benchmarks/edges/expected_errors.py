@@ -63,7 +63,7 @@ CONFIRMED = 0.8
 DEGREES_OF_STUDENT = 8.0
 """Of freedom of Student's distribution: between the normal one and tails without a variance"""
 LIMIT = np.array([START_M] * 3 + [np.deg2rad(START_DEG)] * 3)
-SHORT_BODIES = ("block", "cubesat")
+SHORT_BODIES = ("block", "satellite")
 
 
 def main(

@@ -18,7 +18,6 @@ the limits, the straight one is flown, and the ratio is 1.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -67,8 +66,6 @@ RATE_DEG_S = (1.5, 5.0)
 """Uniform"""
 CAPPED = 0.1
 """An error beyond it is as useless as this one"""
-CLASSES = (0.0, 0.25, 0.5, 0.8, np.inf)
-"""Of the promised ratio, in the second table"""
 
 
 def main(
@@ -94,18 +91,6 @@ def main(
         "body | seeds | no path | straight: median | mean | planned: median | mean | ratio of medians"
         " | of means | promised | better | dv [m/s]",
         table_of(flights),
-        right_from=1,
-    )
-    print()
-    classes = list(pairwise(CLASSES))
-    groups = [[each for each in flights if low <= each.promised < high] for low, high in classes]
-    print_table(
-        "promised ratio | approaches | ratio of medians | of means | better",
-        [
-            [f"{low:g} to {high:g}", str(len(group)), *_ratios(group), _better(group)]
-            for (low, high), group in zip(classes, groups, strict=True)
-            if group
-        ],
         right_from=1,
     )
     promised, found = (
