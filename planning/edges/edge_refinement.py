@@ -140,15 +140,14 @@ def _solve(rows: _Rows, prior: Array, moved: Array, sigma_px: float) -> tuple[Ar
     for _ in range(REWEIGHTINGS):
         at = np.einsum("mk,mk->m", J, (place - moved)[segment])
         left = rows.nearest(at)
-        weight = np.where(
-            np.isfinite(left), 1.0 / (1.0 + (np.nan_to_num(left) / (CAUCHY * sigma_px)) ** 2), 0.0
-        )
-        weight /= sigma_px**2
-        N, right = prior.copy(), np.zeros_like(moved)
+        robust = 1.0 / (1.0 + (np.nan_to_num(left) / (CAUCHY * sigma_px)) ** 2)
+        weight = np.asarray(np.where(np.isfinite(left), robust, 0.0) / sigma_px**2)
+        N = prior.copy()
+        right = np.zeros_like(moved)
         np.add.at(N, segment, weight[:, None, None] * J[:, :, None] * J[:, None, :])
         from_mesh = at + np.nan_to_num(left) + np.einsum("mk,mk->m", J, moved[segment])
         np.add.at(right, segment, (weight * from_mesh)[:, None] * J)
-        place = np.linalg.solve(N, right[..., None])[..., 0]
+        place = np.asarray(np.linalg.solve(N, right[..., None])[..., 0], dtype=np.float64)
     return place, N - prior
 
 
@@ -196,7 +195,7 @@ def _sigma_of_ends(model: EdgeModel, mesh: trimesh.Trimesh, sigma_m: Array) -> A
     largest = float(finite.max()) if len(finite) else model.tolerance_m
     _, near = cKDTree(mesh.vertices).query(model.ends_G.reshape(-1, 3), k=NEIGHBOURS)
     sigma = np.median(np.minimum(sigma_m[near], largest), axis=1).reshape(-1, 2)
-    return np.hypot(sigma, model.tolerance_m)
+    return np.asarray(np.hypot(sigma, model.tolerance_m))
 
 
 def _across(ends_G: Array) -> Array:

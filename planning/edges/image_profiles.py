@@ -47,7 +47,8 @@ def gradient_extrema(image: Levels, points: ControlPoints, range_px: float, min_
     kernel /= kernel[reach + 1 :].sum()
     half = int(np.ceil(range_px / STEP_PX)) + 1 + reach
     grey = np.empty((len(points), 2 * half + 1))
-    _read(image, points.uv_px, points.normal_px, STEP_PX * np.arange(-half, half + 1), np.nan, grey)
+    offset = np.asarray(STEP_PX * np.arange(-half, half + 1), dtype=np.float64)
+    _read(image, points.uv_px, points.normal_px, offset, np.nan, grey)
     place = np.full((len(points), MAX_CANDIDATES), np.nan)
     _find_extrema(grey, kernel, range_px, min_contrast, place)
     return place

@@ -57,7 +57,7 @@ class Displacements:
     spread_px: Array
     """(m,) sigma of the place of the step within the stripes that give the information"""
 
-    def of(self, stripes: Stripes, f: Array, length: Array, floor_px: float) -> MeasuredStripes:
+    def of(self, stripes: Stripes, f: Array, length: Array, floor_px: Array | float) -> MeasuredStripes:
         """As measurements of motions f (m, 6), of edges that are known to ``floor_px`` at best."""
         sigma = np.hypot(self.sigma_px, floor_px)
         counts = (sigma < MAX_SIGMA_PX) & (np.abs(self.shift_px) < MAX_SHIFT_PX)
