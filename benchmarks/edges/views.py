@@ -1,20 +1,8 @@
 """Rendered views of a body for trials of edge trackers: solids, bodies of the simulator, poses, light.
 
-What a trial needs, in this order:
-
-    target = edge_body("bus", plain=True)          # or edge_body(mesh), edge_body(Path("x.obj"))
-    rig = edge_rig()                               # 640x480 px, focal length 640 px
-    X_CG = random_poses(target.mesh, rig, 100, seed=1)
-    sun_C = random_suns(100, seed=2)
-    views = EdgeViews(target, rig, seed=3)
-    image = views.image(X_CG[k], sun_C[k], k)      # uint8 (H, W); views.images(X_CG, sun_C) for all
-    X_start = perturbed(X_CG, middle(target.mesh), seed=4)
-    error = pose_errors(X_found, X_CG, middle(target.mesh))
-
-``target.mesh`` is the mesh that the rays meet, in G. The parts of a body of the simulator overlap and are not
-joined, as in a CAD model: where two meet there is an edge in the image but none in the mesh. Faces that share
-vertices and meet at less than ``CREASE_DEG`` are shaded smoothly: only sharper edges, and outlines, are edges
-in the image.
+The parts of a body of the simulator overlap and are not joined, as in a CAD model: where two meet there is an
+edge in the image but none in the mesh. Faces that share vertices and meet at less than ``SMOOTH_BELOW_DEG``
+are shaded smoothly: only sharper edges, and outlines, are edges in the image.
 
 Camera frame C: x right, y down, z forward; pixel centres are integers, no distortion. The Sun's direction is
 given in C, from the target to the Sun. The Earth fills the shadows, from the other side of the camera.
@@ -23,7 +11,6 @@ The seeds determine everything, and the number of an image its noise: views can 
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 import trimesh
@@ -32,13 +19,11 @@ from scipy.spatial.transform import Rotation
 
 from polhode.camera import RectifiedRig
 from polhode.config import scene_settings as config
-from polhode.errors import InputError
 from polhode.images import Grey
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
-from polhode.planning.edges.observability_metric import pose_error
 from polhode.simulation.bodies import Body, build_body
 from polhode.simulation.bodies.part import Part, assemble, join
-from polhode.simulation.bodies.solids import SMOOTH_BELOW_DEG, hull, prism
+from polhode.simulation.bodies.solids import hull, prism
 from polhode.simulation.rendering.render import Renderer
 from polhode.simulation.stereo_camera import Camera, expose
 from polhode.simulation.surface.materials import Material
@@ -131,8 +116,6 @@ def _middled(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return mesh
 
 
-CREASE_DEG = SMOOTH_BELOW_DEG
-"""Faces that share vertices and meet at less than this look like one curved surface."""
 MATTE = Material(0.5, 0.0, 1.0)
 """A diffuse grey without any texture: only shape makes edges."""
 
@@ -171,43 +154,32 @@ class EdgeBody:
         return self.body.mesh
 
 
-def edge_body(source: str | Path | trimesh.Trimesh, plain: bool = True, name: str = "mesh") -> EdgeBody:
-    """A body by its name (``NAMES``), from a mesh file in metres, or from a mesh in G.
+def edge_body(name: str, plain: bool = True) -> EdgeBody:
+    """A body of ``NAMES``.
 
     plain: one matte grey without any texture, so that shape alone makes edges; else the body's own surface
-    (paint, cells, foil, stickers), which solids have not. Raises InputError (files).
+    (paint, cells, foil, stickers), which solids have not.
     """
-    described = config.TargetBody(contrast=0.0)
-    if isinstance(source, trimesh.Trimesh):
-        body = assemble([Part(source, MATTE)])
-    elif isinstance(source, str) and source in SOLIDS:
-        name, body = source, assemble([Part(SOLIDS[source](), MATTE)])
-    elif isinstance(source, str) and source in KINDS:
-        kind, name = KINDS[source], source
+    if name in SOLIDS:
+        body, described = assemble([Part(SOLIDS[name](), MATTE)]), config.TargetBody(contrast=0.0)
+    else:
+        kind = KINDS[name]
         described = config.TargetBody.model_validate(
             {"family": kind.family, "size_m": kind.size_m, "seed": kind.seed}
         )
         body = build_body(described, kind.seed)
-    elif isinstance(source, Path):
-        described, name = config.TargetBody(family="mesh", path=str(source), metres_per_unit=1.0), source.stem
-        body = build_body(described, 0)
-    else:
-        raise InputError(f"{source}: no such body; choose from {', '.join(NAMES)}, or give a mesh file")
-    return EdgeBody(name, in_matte(body) if plain else body, described)
-
-
-def in_matte(body: Body) -> Body:
-    """The same shape, of one material."""
-    faces = len(body.mesh.faces)
-    return replace(
-        body,
-        face_material=np.zeros(faces, dtype=np.int64),
-        materials=(MATTE,),
-        face_chart=np.full(faces, -1),
-        charts=(),
-        chart_layers=np.zeros((0, 0), dtype=np.int64),
-        colours=None,
-    )
+    if plain:
+        faces = len(body.mesh.faces)
+        body = replace(
+            body,
+            face_material=np.zeros(faces, dtype=np.int64),
+            materials=(MATTE,),
+            face_chart=np.full(faces, -1),
+            charts=(),
+            chart_layers=np.zeros((0, 0), dtype=np.int64),
+            colours=None,
+        )
+    return EdgeBody(name, body, described)
 
 
 NAMES = (*SOLIDS, *KINDS)
@@ -223,14 +195,8 @@ EARTH_N = (float(np.sin(np.deg2rad(SUN_TO_EARTH_DEG))), 0.0, float(np.cos(np.deg
 class ViewOptions:
     """Light and sensor of the views."""
 
-    sun: float = 1.0
     earth: float = 0.35
     """Radiance of the Earth's disc relative to a white surface in sunlight; 0: black shadows"""
-    samples: int = 4
-    """Rays a pixel: 1, 4, 9 or 16"""
-    scattered: bool = True
-    """Whether the rays of each pixel are shifted at random, as ``scene.render.scattered``"""
-    bounces: int = 0
     sensor: config.Sensor = field(default_factory=config.Sensor)
     """Blur, noise, gain; nothing moves while the shutter is open"""
 
@@ -245,15 +211,9 @@ class EdgeViews:
         chosen = options or ViewOptions()
         self.target, self.rig = target, rig
         self._seed, self._sensor = seed, chosen.sensor
-        render = config.Render.model_validate(
-            {"samples": chosen.samples, "bounces": chosen.bounces, "scattered": chosen.scattered}
-        )
-        light = config.Light(
-            sun=chosen.sun,
-            earth=chosen.earth,
-            sun_direction_N=SUN_N,
-            earth_direction_N=EARTH_N,
-        )
+        # four rays a pixel, shifted at random: on a grid, edges of some slopes are displaced as a whole
+        render = config.Render.model_validate({"samples": 4, "bounces": 0, "scattered": True})
+        light = config.Light(sun=1.0, earth=chosen.earth, sun_direction_N=SUN_N, earth_direction_N=EARTH_N)
         section = config.Rig(width_px=rig.width_px, height_px=rig.height_px, focal_px=rig.focal_px)
         scene = config.Scene(
             body=target.config, light=light, rig=section, render=render, sensor=chosen.sensor
@@ -290,11 +250,6 @@ def edge_rig(focal_px: float = 640.0, width_px: int = 640, height_px: int = 480)
     return RectifiedRig(focal_px, (width_px - 1) / 2, (height_px - 1) / 2, 0.1, width_px, height_px)
 
 
-def middle(mesh: trimesh.Trimesh) -> Array:
-    """Middle (3,) of the mesh's box along the axes of G [m]: the point that poses are turned about."""
-    return np.asarray(np.mean(mesh.bounds, axis=0), dtype=np.float64)
-
-
 def random_poses(
     mesh: trimesh.Trimesh,
     rig: RectifiedRig,
@@ -310,7 +265,7 @@ def random_poses(
     One seed gives all bodies the same attitudes and ranges.
     """
     rng = np.random.default_rng([seed, 0x905E])
-    centre_G = middle(mesh)
+    centre_G = np.asarray(np.mean(mesh.bounds, axis=0))
     radius_m = float(np.linalg.norm(np.asarray(mesh.vertices) - centre_G, axis=1).max())
     half = np.array([rig.width_px, rig.height_px]) / (2.0 * rig.focal_px)
     poses = np.empty((count, 4, 4))
@@ -348,8 +303,3 @@ def perturbed(X_CG: Array, about_G: Array, seed: int, angle_deg: float = 2.0, sh
         X[:3, :3] = turn @ X[:3, :3]
         X[:3, 3] = centre_C + shift_m * rng.standard_normal(3) - X[:3, :3] @ about_G
     return out
-
-
-def pose_errors(X_found: Array, X_CG: Array, about_G: Array) -> Array:
-    """`edge_motion.pose_error` (V, 6) [m, rad] of poses (V, 4, 4), about ``about_G`` (3,), along C's axes."""
-    return np.array([pose_error(found, true, about_G) for found, true in zip(X_found, X_CG, strict=True)])

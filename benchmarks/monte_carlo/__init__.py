@@ -1,13 +1,11 @@
-"""The back end on generated measurements with known errors: Monte Carlo.
+"""Monte Carlo on measurements without images: errors against the bound, consistency, convergence.
 
-In: scenes of the measurement generator. Out: errors against the Cramer-Rao bound, consistency, convergence.
+In: sequences of simulation/monte_carlo.py. Out: tables (docs/accuracy.md, docs/window.md, docs/forces.md).
 
-    accuracy       errors against the bound, consistency of the covariances
-    bound          the Cramer-Rao bound, and errors of an estimate
-    convergence    random bodies and spins from a cold start
-    robustness     outliers, gaps in the measurements, a moving inspector
-    disturbances   known and unknown forces and torques
-    same_answer    both solvers and both forms of the inertia
-    rounding       whether rounding decides where a cold start ends
-    window         the sliding window against full smoothing; its growth
+    bound         the Cramer-Rao bound; cold starts and their errors, which the others use
+    accuracy      errors against the bound, and consistency of the sigmas
+    convergence   random bodies and spins: does a cold start end at the truth
+    robustness    outliers, a gap, an inspector that jitters
+    disturbances  known forces, and unknown ones that are found
+    window        the sliding window against full smoothing, and its time
 """

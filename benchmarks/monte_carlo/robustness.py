@@ -20,7 +20,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import t as student
 
 from benchmarks.command import RECORDS, Record, Seeds, Short, Workers, command
 from benchmarks.monte_carlo.accuracy import MOTIONS, QUANTITIES, good, with_band
@@ -39,7 +38,7 @@ from benchmarks.presentation import numbers, print_table
 from benchmarks.record import Case, complete
 from polhode.config.backend_settings import Backend
 from polhode.errors import RunFailure
-from polhode.lie import Array, inverse_pose, log_so3
+from polhode.lie import inverse_pose, log_so3
 from polhode.records import MotionEstimate
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
@@ -61,8 +60,6 @@ CONDITIONS = (
 )  # fmt: skip
 NEEDS = (range(3), range(3), range(5, 8), range(0), range(3), range(3, 8))
 """Of each of them: which of convergence.NAMES must be determined at the truth for it to count."""
-SIGNED = (*(f"{name}_{axis}" for name in QUANTITIES[:5] for axis in "xyz"), "k1", "k2")
-"""r, v along N; attitude, w, com along the true principal axes."""
 PLACED_M, PLACED_RAD = 5e-3, float(np.deg2rad(2.0))
 """Frames behind a gap are right when the body is so near to where it is, as seen from the first frame."""
 SHORT_MOTIONS, SHORT_SEEDS = 2, 2
@@ -149,7 +146,6 @@ def measure(case: Case) -> Case:
         "sigma": stated_sigma(estimate),
         "determined_at_truth": known,
         **squares(slice(None)),
-        "signed": signed_means(sequence, estimate),
         "pixels": noise.pixel_sigma_px / NOISE_PX,
         "levels": [noise.accel_psd / PSD, noise.torque_psd / PSD],
         "seconds": round(seconds, 2),
@@ -169,15 +165,6 @@ def inside(sequence: SyntheticSequence, estimate: MotionEstimate, frames: slice)
     errors = np.abs(state_errors(sequence, estimate)[0][frames])
     sigma = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2)[frames])
     return float(np.mean((errors < 3.0 * sigma)[np.isfinite(sigma)]))
-
-
-def signed_means(sequence: SyntheticSequence, estimate: MotionEstimate) -> list[float]:
-    """Estimate minus truth, averaged over the frames, in the order of SIGNED."""
-    errors, turn = state_errors(sequence, estimate)
-    truth, mass = sequence.truth, estimate.mass
-    r, v, theta, w = np.split(-errors.mean(axis=0), 4)
-    com = sequence.truth.R_NP[0].T @ (estimate.r_N[0] - truth.r_N[0])
-    return [*r, *v, *(turn * theta), *(turn * w), *com, mass.k1 - truth.k1, mass.k2 - truth.k2]
 
 
 def sigma_about(estimate: MotionEstimate, gap: slice) -> list[list[float]]:
@@ -201,7 +188,7 @@ def placed_off(sequence: SyntheticSequence, estimate: MotionEstimate, first: int
 
 
 def print_tables(lines: list[Case]) -> None:
-    """Convergence, errors, consistency, the gap, the bias; then what went wrong."""
+    """Convergence, errors, consistency, the gap; then what went wrong."""
     rows = [(name, [line for line in lines if line["case"]["condition"] == name]) for name in CONDITIONS]
     print("\nConvergence, and the noise that was estimated over the true one (median)\n")
     _print(("", "runs", "failed", "determined at the truth", "of them converge", "falsely", "pixels",
@@ -216,8 +203,6 @@ def print_tables(lines: list[Case]) -> None:
     _print(("", *(f"{q}, {what}" for what in ("RMSE", "NEES") for q in QUANTITIES[:4]), "inside"), gaps, _gap)
     print("\nMedian sigma beside the gap and at its largest within it, and the frames behind the gap\n")
     _print(("", "r mm", "attitude deg", "w deg/s", "runs with right poses", "largest error"), gaps, _growth)
-    print("\nMean signed error over its standard error: the largest, and what chance exceeds in 5 %\n")
-    _print(("", "each motion", "all motions together", "the worst of these"), rows, _bias)
     print_failures(lines)
 
 
@@ -273,30 +258,6 @@ def _growth(lines: list[Case]) -> list[str]:
         f"{right} of {len(lines)}",
         worst,
     ]
-
-
-def bias(lines: list[Case]) -> tuple[Array, Array]:
-    """Mean signed error over its standard error: (motions, 17), and (17,) of all of them."""
-    motions = dict.fromkeys(line["case"]["motion"] for line in lines)
-    each = [np.array([line["signed"] for line in lines if line["case"]["motion"] == m]) for m in motions]
-    # each motion in its own scale
-    scaled = [values / np.sqrt(np.mean(values**2, axis=0)) for values in each]
-    return np.array([_mean_over_error(values) for values in each]), _mean_over_error(np.concatenate(scaled))
-
-
-def _mean_over_error(values: Array) -> Array:
-    return np.asarray(values.mean(axis=0) / (values.std(axis=0, ddof=1) / np.sqrt(len(values))))
-
-
-def _bias(lines: list[Case]) -> list[str]:
-    known = [line for line in good(lines) if all(line["determined_at_truth"])]
-    each, together = bias(known)
-    out = []
-    for values, count in ((each, len(known) // len(each)), (together, len(known))):
-        limit = student.ppf(1.0 - 0.025 / values.size, count - 1)
-        out.append(f"{np.abs(values).max():.1f} of {values.size} (chance: {limit:.1f})")
-    n = int(np.argmax(np.abs(together)))
-    return [*out, f"{SIGNED[n]}: {together[n]:+.1f}"]
 
 
 def _sequence(line: Case) -> tuple[str, int]:

@@ -17,13 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.edges.observability import LENS
-from benchmarks.edges.tracking.stripe_tracker import (
-    PosePrior,
-    StripeOptions,
-    StripeTracking,
-    track_stripes,
-)
+from benchmarks.edges.trials import LENS
 from benchmarks.edges.views import EdgeBody, EdgeViews, ViewOptions, edge_rig
 from benchmarks.navigation.body_filter import (
     BodyState,
@@ -34,13 +28,10 @@ from benchmarks.navigation.body_filter import (
     predict,
     update,
 )
-from benchmarks.navigation.edge_refinement import RefinedEdges, refined
 from benchmarks.navigation.inspections import (
     Inspection,
     inspection,
-    mesh_edges_of,
     poses_of_run,
-    sights_of,
     true_frame,
 )
 from benchmarks.navigation.mesh_errors import PoseErrors, covariance_of, pose_errors
@@ -50,9 +41,13 @@ from polhode.errors import InputError
 from polhode.images import Grey
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.metrics import truth_at
-from polhode.pipeline.after_run.plan import final_estimate
+from polhode.pipeline.after_run.observability.assess import refined_edges_of_run
+from polhode.pipeline.after_run.plan import final_estimate, surface_of
 from polhode.pipeline.run_directory.trajectory_file import target_poses
+from polhode.planning.edges.edge_refinement import RefinedEdges
+from polhode.planning.edges.measured_edges import measured_edge_model
 from polhode.planning.edges.observability_metric import moved, pose_error
+from polhode.planning.edges.tracking import PosePrior, TrackedPose, TrackingOptions, track_edges
 from polhode.planning.edges.visible_edges import SPACING_PX, control_points, in_sunlight
 from polhode.planning.prediction import FinalEstimate, FinalState, nominal_motion
 from polhode.records import Bools
@@ -65,7 +60,7 @@ START_M, END_M, ASIDE_DEG = 2.4, 1.5, 60.0
 WAYS, WITHIN_DEG = 6, 50.0
 """Ways that are compared, and how far around the target they lead"""
 STEP_S, IMAGES = 4.0, 8
-LONGEST_WAIT_S = 24.0
+MAX_WAIT_S = 24.0
 RIG = edge_rig(500.0, 400, 400)
 FLOOR_PX = 0.15
 """Sigma of an edge in the image however clear it is and however well its place on the body is known"""
@@ -75,11 +70,11 @@ GATE = 0.999
 OVERSTATED = 3.0
 """How much better a pose is, by the tracker's information, than it turns out, as edges share errors: the
 prediction weighs so much more in the tracker. Filters get the pose without it (``Flight.beyond``)"""
-LEAST_EDGES = 12
+MIN_EDGES = 12
 """Of a model that is flown to"""
 DRAWN_STARTS, CONTENT = 5, 0.6
 """Starts besides the predicted pose, until the image confirms so much of the edges"""
-LEAST_AGREEMENT = 0.35
+MIN_AGREEMENT = 0.35
 """Of a tracked pose that is shown to the filter: the mesh lacks edges, and has others"""
 
 
@@ -142,7 +137,7 @@ class Flight:
     @property
     def shown(self) -> Bools:
         """(T,) which poses a filter gets to see."""
-        return np.asarray(self.agreement >= LEAST_AGREEMENT)
+        return np.asarray(self.agreement >= MIN_AGREEMENT)
 
 
 @dataclass(frozen=True)
@@ -202,11 +197,12 @@ def known_of(inspected: Inspection) -> tuple[Known, RefinedEdges]:
     Raises InputError where the images confirm too few.
     """
     estimate, _ = final_estimate(inspected.run)
-    surface, model = mesh_edges_of(inspected)
+    surface = surface_of(inspected.run)
+    model = measured_edge_model(surface.mesh, surface.sigma_m)
     sigma = surface.sigma_m[np.isfinite(surface.sigma_m)]
     sigma_m = float(np.hypot(np.median(sigma), 0.5 * model.tolerance_m))
-    edges = refined(model, surface.mesh, surface.sigma_m, RIG, sights_of(inspected))
-    if edges.model.size < LEAST_EDGES:
+    edges = refined_edges_of_run(inspected.run, inspected.sequence)
+    if edges.model.size < MIN_EDGES:
         raise InputError(f"the images confirm {edges.model.size} of {model.size} edges of the mesh")
     return Known(estimate, model.centre_G, sigma_m), edges
 
@@ -215,7 +211,7 @@ def planned(known: Known, edges: RefinedEdges, sun_N: Array, seed: int) -> Way:
     """The best of the ways that a seed's start offers."""
     model = edges.model
     rng = np.random.default_rng([seed, 0xA99])
-    time_s: Array = rng.uniform(2.0, LONGEST_WAIT_S) + STEP_S * np.arange(IMAGES, dtype=np.float64)
+    time_s: Array = rng.uniform(2.0, MAX_WAIT_S) + STEP_S * np.arange(IMAGES, dtype=np.float64)
     X_NG = nominal_motion(known.estimate, time_s).X_NG
     o_N = X_NG[:, :3, :3] @ model.centre_G + X_NG[:, :3, 3]
     back = -o_N[0] / np.linalg.norm(o_N[0])
@@ -302,7 +298,7 @@ def flown(inspected: Inspection, seed: int) -> Flight:
             errors = pose_errors(edges, RIG, tracked.X_RG, tracked.points, tracked.weight, noise)
             beyond[k] = noise @ prior.information @ pose_error(tracked.X_RG, prior.X_RG, known.centre_G)
         found.append(errors)
-        if agreement[-1] >= LEAST_AGREEMENT:
+        if agreement[-1] >= MIN_AGREEMENT:
             own, bias[k] = sized(errors, weights)
             pose = MeasuredPose(tracked.X_RG, own, errors.outward, beyond[k])
             state = update(state, camera, pose, known.centre_G, GATE).state
@@ -327,21 +323,21 @@ def _prior(state: BodyState, X_NR: Array, known: Known, outward: Array) -> PoseP
     return PosePrior(X_RG, OVERSTATED**2 * np.linalg.inv(H @ state.covariance @ H.T))
 
 
-def _tracked(edges: RefinedEdges, image: Grey, prior: PosePrior, rng: np.random.Generator) -> StripeTracking:
+def _tracked(edges: RefinedEdges, image: Grey, prior: PosePrior, rng: np.random.Generator) -> TrackedPose:
     """The pose from the predicted one if the image confirms it, else the best of others as probable."""
     covariance = OVERSTATED**2 * np.linalg.inv(prior.information)
     starts = rng.multivariate_normal(np.zeros(6), covariance, size=DRAWN_STARTS)
     best = None
     for step in (np.zeros(6), *starts):
-        options = StripeOptions(
-            far_px=(4.0, 4.0),
+        options = TrackingOptions(
+            ranges_px=(4.0, 4.0),
             restarts=int(best is None),
             floor_px=FLOOR_PX,
             sigma_m=edges.sigma_m,
             prior=prior,
         )
         start = moved(prior.X_RG, step, edges.model.centre_G)
-        found = track_stripes(edges.model, RIG, image, start, wanted=options)
+        found = track_edges(edges.model, RIG, image, start, options=options)
         if best is None or (found.converged, found.agreement) > (best.converged, best.agreement):
             best = found
         if best.converged and best.agreement >= CONTENT:

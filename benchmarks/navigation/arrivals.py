@@ -1,13 +1,11 @@
-"""Filters on the recorded poses of approaches: sizes of errors from other bodies, and errors on arrival.
+"""The filter on the recorded poses of approaches: sizes of errors from other bodies, and errors on arrival.
 
-The metric's filter knows how far single edges are off, over what is stated of them, and the whole surface,
+The filter knows how far single edges are off, over what is stated of them, and the whole surface,
 over the mesh's sigma. For the flights to one body these sizes are those with which the poses of the flights
 to all other bodies are most probable. Meshes of some bodies are worse than those of others, so that the
 covariance that is promised on arrival is stretched besides, in each of its parts, by the factor with which
 95 % of the flights to the other bodies arrive within it (split conformal prediction: Vovk, Gammerman and
-Shafer, Algorithmic Learning in a Random World, 2005). The filter with fixed weights has one covariance for
-all poses: that of the errors of those other flights, without the worst twentieth, times the factor of
-``FACTORS`` that gives the least errors there.
+Shafer, Algorithmic Learning in a Random World, 2005).
 """
 
 from collections.abc import Sequence
@@ -33,16 +31,14 @@ from polhode.lie import Array, inverse_pose
 from polhode.planning.edges.observability_metric import motion_scale, pose_error
 from polhode.planning.prediction import nominal_motion
 
-KEPT, WITHOUT_WORST = 0.9, 0.95
-"""Shares of the poses from which sizes and the fixed covariance are estimated"""
-LEFT_OPEN = 5e-3
+FITTED_SHARE = 0.9
+"""Of the poses, from which sizes are estimated"""
+UNOBSERVED_SIGMA = 5e-3
 """[half sizes of the body, rad] Directions that the image's noise leaves so uncertain are not used: a turn of
 a body of revolution about its axis brings edges to where others were, and the tracker settles anywhere"""
 CONFIDENCE = 0.95
 """Of the region that is promised"""
-FACTORS = (1.0, 4.0, 16.0)
 POSITION, ATTITUDE, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
-_TURNS = 3
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,7 @@ def errors_of_poses(flight: Flight) -> Array:
     return np.asarray(off + flight.beyond)
 
 
-def leaving_open(flight: Flight) -> Flight:
+def without_unobserved(flight: Flight) -> Flight:
     """The flight, its poses without the directions that their edges hardly determine."""
     way = replace(flight.way, expected=tuple(map(_usable, flight.way.expected)))
     return replace(flight, way=way, found=tuple(map(_usable, flight.found)))
@@ -78,7 +74,7 @@ def leaving_open(flight: Flight) -> Flight:
 def _usable(errors: PoseErrors) -> PoseErrors:
     unit = motion_scale(0.5 * SIZE_M)
     variances, directions = np.linalg.eigh(errors.noise / np.outer(unit, unit))
-    weak = unit[:, None] * directions[:, variances > LEFT_OPEN**2]
+    weak = unit[:, None] * directions[:, variances > UNOBSERVED_SIGMA**2]
     return replace(errors, noise=errors.noise + UNSEEN**2 * weak @ weak.T)
 
 
@@ -135,7 +131,7 @@ def fitted_sizes(flights: Sequence[Flight], expected: bool) -> Weights:
     parts = [_parts(each, expected) for each in flights]
     noise, edges, outward = (np.concatenate([part[k] for part in parts]) for k in range(3))
     # of the squares, what remains without the worst ones of a normal distribution
-    remaining = chi2.cdf(chi2.ppf(KEPT, 6), 8) / KEPT
+    remaining = chi2.cdf(chi2.ppf(FITTED_SHARE, 6), 8) / FITTED_SHARE
     size = np.zeros(2)
     kept = np.ones(len(off), dtype=bool)
 
@@ -149,12 +145,12 @@ def fitted_sizes(flights: Sequence[Flight], expected: bool) -> Weights:
         prior = 0.5 * np.sum((size / 3.0) ** 2)
         return float(0.5 * np.sum((square / remaining + np.linalg.slogdet(P)[1])[kept]) + prior)
 
-    for _ in range(_TURNS):
+    for _ in range(3):
         simplex = size + np.vstack([np.zeros(2), 0.5 * np.eye(2)])
         options = {"xatol": 0.01, "fatol": 0.01, "initial_simplex": simplex}
         size = minimize(improbability, size, method="Nelder-Mead", options=options).x
         square, _ = distances(size)
-        kept = square <= np.quantile(square, KEPT)
+        kept = square <= np.quantile(square, FITTED_SHARE)
     return Weights(Weights.noise, *(float(each) for each in np.exp(size)))
 
 
@@ -167,17 +163,3 @@ def _parts(flight: Flight, expected: bool) -> tuple[Array, Array, Array]:
     noise, edges = ([size[k] for size in sizes] for k in range(2))
     outward = [sigma_m**2 * np.outer(each.outward, each.outward) for each in errors]
     return np.reshape(noise, (-1, 6, 6)), np.reshape(edges, (-1, 6, 6)), np.reshape(outward, (-1, 6, 6))
-
-
-def fixed_covariance(flights: Sequence[Flight]) -> Array:
-    """(6, 6) of the errors of all poses, without the worst twentieth."""
-    off = np.concatenate([errors_of_poses(each)[each.shown] for each in flights])
-    square = np.einsum("ni,ni->n", off, np.linalg.solve(off.T @ off / len(off), off.T).T)
-    off = off[square <= np.quantile(square, WITHOUT_WORST)]
-    return np.asarray(off.T @ off / len(off))
-
-
-def with_fixed_weights(flight: Flight, covariance: Array) -> Arrival:
-    """Of a filter that gives all poses one covariance (6, 6), and knows of no errors of the mesh."""
-    alike = PoseErrors(covariance, np.zeros((6, 6)), np.zeros(6))
-    return arrival(flight, [alike] * len(flight.X_RG), Weights(1.0, 0.0, 0.0))

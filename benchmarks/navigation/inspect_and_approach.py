@@ -6,7 +6,7 @@ An inspector watches a tumbling body (``polhode.run`` on rendered pairs). The ed
 to where the images have them, are its model, the end of the run its first state. It plans an approach with
 the metric, and a filter promises a covariance on arrival before there is an image. Then it flies: images of
 the true body are rendered, tracked from the filter's own prediction, and filtered. The errors on arrival
-are compared with what was promised, and with those of a filter that gives all poses one covariance.
+are compared with what was promised.
 
 There are three inspections of each body and seven flights after each. Sizes of the edges' errors, and what
 stretches the promise, come from the flights to the other bodies: at least two are needed.
@@ -22,22 +22,19 @@ from scipy.stats import beta, chi2
 from tyro.conf import arg
 
 from benchmarks.command import Record, Short, Workers, command
-from benchmarks.navigation.approach_flights import IMAGES, Flight, FlightMeasurement, Weights, from_line
+from benchmarks.navigation.approach_flights import IMAGES, FlightMeasurement, Weights, from_line
 from benchmarks.navigation.arrivals import (
     ATTITUDE,
     CONFIDENCE,
-    FACTORS,
     POSITION,
     RATE,
     Arrival,
     arrival,
     fitted_sizes,
-    fixed_covariance,
-    leaving_open,
     promise,
     squared_distance,
     stretch,
-    with_fixed_weights,
+    without_unobserved,
 )
 from benchmarks.navigation.inspections import FAMILIES
 from benchmarks.presentation import print_table
@@ -49,11 +46,6 @@ RECORD = Path("runs/records/inspect_and_approach")
 SEEDS, SHORT_SEEDS, SHORT_BODIES = 21, 3, 2
 FLIGHTS = 7
 """After each inspection"""
-RESAMPLED = 2000
-TUNED_ON = 30
-"""Flights, at most about, on which the factor of the fixed covariance is chosen"""
-LOST_POSES = 3
-"""A flight with fewer poses that passed the gate is named in the list of failures."""
 PARTS = {"position": POSITION, "attitude": ATTITUDE, "rate": RATE}
 
 
@@ -76,17 +68,12 @@ def main(
     workers: Workers = 1,
     record: Record = RECORD,
     stored: Annotated[bool, arg(help="Only print what was measured before.")] = False,
-    bodies: Annotated[tuple[str, ...], arg(help="Families of bodies.")] = FAMILIES,
-    seeds: Annotated[int, arg(help="Flights to each body.")] = SEEDS,
 ) -> None:
     """Fly what the record lacks; print the tables. The inspections are kept beside the record."""
-    unknown = sorted(set(bodies) - set(FAMILIES))
-    if unknown:
-        raise InputError(f"{', '.join(unknown)}: no such body; choose from {', '.join(FAMILIES)}")
-    wanted = cases(bodies[:SHORT_BODIES], SHORT_SEEDS) if short else cases(bodies, seeds)
+    wanted = cases(FAMILIES[:SHORT_BODIES], SHORT_SEEDS) if short else cases(FAMILIES, SEEDS)
     fly = FlightMeasurement(inspections_beside(record))
     lines = measured(record, wanted) if stored else complete(record, wanted, fly, workers)
-    judged = _judged({body: [line for line in lines if line["case"]["body"] == body] for body in bodies})
+    judged = _judged({body: [line for line in lines if line["case"]["body"] == body] for body in FAMILIES})
     if not judged:
         raise InputError("the record has flights to fewer than two bodies: one body's sizes come from others")
     _print(judged, lines)
@@ -94,7 +81,7 @@ def main(
 
 @dataclass(frozen=True)
 class Judged:
-    """A flight, what was promised, and how two filters arrived."""
+    """A flight, what was promised, and how it arrived."""
 
     body: str
     inspection: int
@@ -105,12 +92,11 @@ class Judged:
     """(12,) of the promised sigmas, from those flights, too"""
     promised: Array
     """(12, 12) with the factor"""
-    metric: Arrival
-    fixed: Arrival
+    arrival: Arrival
 
     def nees(self, part: slice, covariance: Array) -> float:
         """Squared error of a part over its covariance, per degree of freedom."""
-        return squared_distance(self.metric.error, covariance, part) / (part.stop - part.start)
+        return squared_distance(self.arrival.error, covariance, part) / (part.stop - part.start)
 
     def inside(self, part: slice, covariance: Array) -> bool:
         """Whether the error lies within the 95 % region."""
@@ -121,7 +107,7 @@ class Judged:
 def _judged(lines: dict[str, list[Case]]) -> list[Judged]:
     flights = {
         body: {
-            (line["case"]["inspection"], line["case"]["seed"]): leaving_open(from_line(line))
+            (line["case"]["inspection"], line["case"]["seed"]): without_unobserved(from_line(line))
             for line in group
             if "no_flight" not in line
         }
@@ -134,7 +120,6 @@ def _judged(lines: dict[str, list[Case]]) -> list[Judged]:
     for body, group in flights.items():
         others = [flight for name, each in flights.items() if name != body for flight in each.values()]
         found, expected = fitted_sizes(others, expected=False), fitted_sizes(others, expected=True)
-        constant = _best_constant(others)
         arrived = [arrival(each, each.found, found) for each in others]
         factor = stretch(arrived, [promise(each, expected) for each in others])
         for (inspection, seed), flight in group.items():
@@ -147,22 +132,9 @@ def _judged(lines: dict[str, list[Case]]) -> list[Judged]:
                     factor,
                     np.outer(factor, factor) * promise(flight, expected),
                     arrival(flight, flight.found, found),
-                    with_fixed_weights(flight, constant),
                 )
             )
     return out
-
-
-def _best_constant(flights: Sequence[Flight]) -> Array:
-    """The covariance of all poses, times the factor with the least product of the three errors."""
-    one = fixed_covariance(flights)
-    some = flights[:: 1 + len(flights) // TUNED_ON]
-
-    def product(factor: float) -> float:
-        sizes = np.array([with_fixed_weights(flight, factor * one).sizes for flight in some])
-        return float(np.sum(np.log(np.mean(sizes**2, axis=0))))
-
-    return min(FACTORS, key=product) * one
 
 
 def _print(judged: Sequence[Judged], lines: Sequence[Case]) -> None:
@@ -179,21 +151,10 @@ def _print(judged: Sequence[Judged], lines: Sequence[Case]) -> None:
     columns += ["promised, own", f"poses taken of {IMAGES}", "edges, outward", "promise stretched by"]
     rows = ([name, str(len(group)), *_sizes(group)] for name, group in groups.items())
     print_table(" | ".join(["body", "flights", *columns]), rows, right_from=1)
-    print("\nErrors over those of the filter with fixed weights (bootstrap over inspections, 95 %)\n")
-    columns = [f"{part}: {what}" for what in ("root mean square", "geometric mean") for part in PARTS]
-    rows = ([name, str(len(group)), *_ratios(group)] for name, group in groups.items())
-    print_table(" | ".join(["body", "flights", *columns]), rows, right_from=1)
     print()
     for line in lines:
         if "no_flight" in line:
             print(f"{line['case']['body']} {line['case']['seed']}: no flight, {line['no_flight']}")
-    for each in judged:
-        if each.metric.taken < LOST_POSES:
-            print(f"{each.body} {each.seed}: only {each.metric.taken} poses passed the gate")
-        outside = [name for name, part in PARTS.items() if not each.inside(part, each.promised)]
-        if outside:
-            nees = ", ".join(f"{name} {each.nees(PARTS[name], each.promised):.1f}" for name in outside)
-            print(f"{each.body} {each.seed}: outside of the promised region, NEES: {nees}")
 
 
 def _shares(group: Sequence[Judged]) -> Iterator[str]:
@@ -214,32 +175,17 @@ def _share(inside: Sequence[bool]) -> str:
 def _sizes(group: Sequence[Judged]) -> Iterator[str]:
     unit = {"position": 1e3, "attitude": 180.0 / np.pi, "rate": 180.0 / np.pi}
     for name, part in PARTS.items():
-        error = [np.linalg.norm(each.metric.error[part]) for each in group]
+        error = [np.linalg.norm(each.arrival.error[part]) for each in group]
         yield f"{unit[name] * float(np.median(error)):.3g}"
         sigmas = (
             [np.sqrt(np.trace(covariance[part, part])) for covariance in both]
-            for both in zip(*((each.promised, each.metric.covariance) for each in group), strict=True)
+            for both in zip(*((each.promised, each.arrival.covariance) for each in group), strict=True)
         )
         yield ", ".join(f"{unit[name] * float(np.median(sigma)):.3g}" for sigma in sigmas)
-    yield f"{np.mean([each.metric.taken for each in group]):.1f}"
+    yield f"{np.mean([each.arrival.taken for each in group]):.1f}"
     one = group[0] if len({each.body for each in group}) == 1 else None
     yield f"{one.weights.edges:.1f}, {one.weights.outward:.2f}" if one else ""
     yield ", ".join(f"{one.factor[part.start]:.1f}" for part in PARTS.values()) if one else ""
-
-
-def _ratios(group: Sequence[Judged]) -> Iterator[str]:
-    """Root mean squares, then geometric means. Inspections are drawn: flights after one share its errors."""
-    squares = np.array([[each.metric.sizes**2, each.fixed.sizes**2] for each in group])
-    _, of = np.unique([f"{each.body} {each.inspection}" for each in group], return_inverse=True)
-    rng = np.random.default_rng(0)
-    times = rng.multinomial(of.max() + 1, np.full(of.max() + 1, 1.0 / (of.max() + 1)), size=RESAMPLED)
-    weight = np.vstack([np.ones(len(group)), times[:, of]])
-    metric, fixed = np.einsum("bn,nkp->kbp", weight, squares)
-    logarithm = 0.5 * np.log(squares[:, 0] / squares[:, 1])
-    for ratio in (np.sqrt(metric / fixed), np.exp(weight @ logarithm / weight.sum(axis=1)[:, None])):
-        low, high = np.quantile(ratio[1:], [0.025, 0.975], axis=0)
-        for middle, a, b in zip(ratio[0], low, high, strict=True):
-            yield f"{middle:.2f} ({a:.2f} to {b:.2f})"
 
 
 if __name__ == "__main__":

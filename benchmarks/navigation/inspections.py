@@ -12,18 +12,12 @@ from typing import Any
 import numpy as np
 
 import polhode
-from benchmarks.edges.tracking.edge_search import as_levels
-from benchmarks.navigation.edge_refinement import Sight
-from polhode.dataset import open_sequence
 from polhode.errors import RunFailure
 from polhode.lie import Array
 from polhode.metrics import truth_at
-from polhode.pipeline.after_run.plan import surface_of
 from polhode.pipeline.evaluation import between_target_frames
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
-from polhode.planning.edges.edge_model import EdgeModel
-from polhode.planning.edges.measured_edges import measured_edge_model
-from polhode.records import Ints, SurfaceModel
+from polhode.records import Ints
 from polhode.truth import read_truth
 
 FAMILIES = ("free_flyer", "bus", "cubesat", "upper_stage", "truss", "dish")
@@ -96,26 +90,10 @@ def inspection(folder: Path, family: str, number: int) -> Inspection:
     return Inspection(sequence, run, error.read_text())
 
 
-def mesh_edges_of(inspected: Inspection) -> tuple[SurfaceModel, EdgeModel]:
-    """The run's mesh and its edges, in G."""
-    surface = surface_of(inspected.run)
-    return surface, measured_edge_model(surface.mesh, surface.sigma_m)
-
-
 def poses_of_run(inspected: Inspection) -> tuple[Ints, Array]:
     """Timestamps (F,) [ns] of the run's pairs, and its poses X_NG (F, 4, 4)."""
     table, summary = read_trajectory(inspected.run), polhode.load(inspected.run).summary
     return table.timestamps_ns, target_poses(table, np.array(summary.R_GP), np.array(summary.com_G))
-
-
-def sights_of(inspected: Inspection) -> list[Sight]:
-    """The left images of the run's pairs, with its poses."""
-    images, (timestamps_ns, X_NG) = open_sequence(inspected.sequence), poses_of_run(inspected)
-    frames = np.searchsorted(images.timestamps_ns, timestamps_ns)
-    return [
-        Sight(as_levels(images.read_left(int(frame))[0]), pose)
-        for frame, pose in zip(frames, X_NG, strict=True)
-    ]
 
 
 def true_frame(inspected: Inspection, centre_G: Array) -> Array:

@@ -6,21 +6,21 @@ least squares turn their displacements into an error of the pose, the same way i
     pose error = -C^-1 sum_i w_i f_i (f_i,G . d_i)        d_i: of the model's point from the true one, in G
 
 Two kinds of displacements: those of the whole surface outward, a length that is the same everywhere, and
-those of each segment by itself, by the covariance of its ends (``edge_refinement.py``). Directions that a
-view does not determine have a large, finite variance.
+those of each segment by itself, by the covariance of its ends (``planning/edges/edge_refinement.py``).
+Directions that a view does not determine have a large, finite variance.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.navigation.edge_refinement import RefinedEdges
 from polhode.camera import RectifiedRig
 from polhode.lie import Array
+from polhode.planning.edges.edge_refinement import RefinedEdges
 from polhode.planning.edges.observability_metric import edge_motion, motion_scale
 from polhode.planning.edges.visible_edges import ControlPoints
 
-LEAST_OPENING = 0.5
+MIN_OPENING = 0.5
 """Of 1 + cos between the faces' normals: sharper edges do not recede without bound."""
 UNSEEN = 0.5
 """Sigma of a direction that a view does not determine: radii of the body, or radians"""
@@ -61,7 +61,7 @@ def pose_errors(
     along_G = f[:, :3] @ X_RG[:3, :3]
     # where both faces beside an edge lie outside by one metre, the edge is off by more than that
     both = np.einsum("mk,mk->m", points.sides_G[:, 0], points.sides_G[:, 1])
-    off_G = points.sides_G.sum(axis=1) / np.maximum(1.0 + both, LEAST_OPENING)[:, None]
+    off_G = points.sides_G.sum(axis=1) / np.maximum(1.0 + both, MIN_OPENING)[:, None]
     lifted = f.T @ (weight * np.einsum("mk,mk->m", along_G, off_G))
     by_ends = np.einsum("mi,mij->mj", along_G, edges.at(points))
     pull = np.zeros((len(edges.covariance), 6, 6))

@@ -17,21 +17,20 @@ from scipy.spatial import cKDTree
 from tyro.conf import arg
 
 from benchmarks.command import command
-from benchmarks.navigation.approach_flights import RIG
-from benchmarks.navigation.edge_refinement import refined
 from benchmarks.navigation.inspect_and_approach import RECORD, inspections_beside
 from benchmarks.navigation.inspections import (
     FAMILIES,
     Inspection,
     inspection,
-    mesh_edges_of,
-    sights_of,
     true_frame,
 )
 from benchmarks.presentation import print_table
 from polhode.config.loader import load_config
 from polhode.lie import Array, transform_points
+from polhode.pipeline.after_run.observability.assess import refined_edges_of_run
+from polhode.pipeline.after_run.plan import surface_of
 from polhode.planning.edges.edge_model import edge_model
+from polhode.planning.edges.measured_edges import measured_edge_model
 from polhode.simulation.bodies import build_body
 
 INSPECTIONS = inspections_beside(RECORD)
@@ -63,9 +62,9 @@ def main(
 def _rows(folder: Path, numbers: int) -> Iterator[list[str]]:
     for family in FAMILIES:
         every = [inspection(folder, family, number) for number in range(1, numbers + 1)]
-        told = [_compared(each) for each in every if not each.error]
-        before, after, sigma = (np.concatenate([each[k] for each in told]) for k in range(3))
-        segments, kept, seconds = (np.array([each[k] for each in told]) for k in range(3, 6))
+        compared = [_compared(each) for each in every if not each.error]
+        before, after, sigma = (np.concatenate([each[k] for each in compared]) for k in range(3))
+        segments, kept, seconds = (np.array([each[k] for each in compared]) for k in range(3, 6))
         yield [
             family,
             ", ".join(str(each) for each in segments),
@@ -82,10 +81,10 @@ def _rows(folder: Path, numbers: int) -> Iterator[list[str]]:
 
 def _compared(inspected: Inspection) -> tuple[Array, Array, Array, int, int, float]:
     """Distances before and after [m], sigmas [m], numbers of segments before and after, and seconds."""
-    surface, model = mesh_edges_of(inspected)
-    sights = sights_of(inspected)
+    surface = surface_of(inspected.run)
+    model = measured_edge_model(surface.mesh, surface.sigma_m)
     begin = time.perf_counter()
-    edges = refined(model, surface.mesh, surface.sigma_m, RIG, sights)
+    edges = refined_edges_of_run(inspected.run, inspected.sequence)
     seconds = time.perf_counter() - begin
     config = load_config(inspected.sequence / "scene.yaml")
     assert config.scene is not None

@@ -1,4 +1,4 @@
-"""Fourteen targets of the campaign of faults: seven families, two generators of textures, motions and lights.
+"""Twelve targets of the campaign of faults: seven families, two generators of textures, motions and lights.
 
 The images are small, so that a run takes a fraction of a minute. Forces and torques that nobody knows disturb
 each target a little (``PSD``).
@@ -64,8 +64,6 @@ BODIES: dict[str, tuple[int, dict[str, Any]]] = {
                         (2.5, -7.0, 3.0), (-0.4, -0.5, -0.75), 450.0, FREE_FLYER),
     "bus": _body(103, {"family": "bus", "size_m": 0.16}, 0.75, (-35, 30, 20), (3.0, 2.5, 1.2),
                  (-0.4, -0.6, -0.7), 350.0),
-    "bus_slow": _body(104, {"family": "bus", "size_m": 0.16, "material": "paint", **_COLLAGE}, 0.7,
-                      (50, -20, 15), (0.8, 2.6, 1.2), (0.3, -0.7, -0.65), 350.0),
     "cubesat": _body(105, {"family": "cubesat", "size_m": 0.24}, 0.5, (40, 10, 25), (1.2, 4.2, 2.0),
                      (0.55, -0.5, -0.7), 600.0),
     "cubesat_side": _body(106, {"family": "cubesat", "size_m": 0.24, **_COLLAGE}, 0.5, (-70, 30, 5),
@@ -80,8 +78,6 @@ BODIES: dict[str, tuple[int, dict[str, Any]]] = {
                         (2.4, 2.8, 1.8), (-0.6, -0.4, -0.7), 500.0),
     "stage": _body(111, {"family": "upper_stage", "size_m": 0.36}, 0.62, (30, 65, 10), (1.0, 3.5, 2.4),
                    (0.4, -0.5, -0.75), 500.0),
-    "stage_over": _body(112, {"family": "upper_stage", "size_m": 0.36, **_COLLAGE}, 0.62, (20, -40, 70),
-                        (3.6, 1.4, 1.6), (0.3, -0.7, -0.6), 500.0),
     "dish": _body(113, {"family": "dish", "size_m": 0.28}, 0.62, (30, 30, 0), (1.2, 4.0, 1.8),
                   (0.4, -0.5, -0.75), 400.0),
     "dish_side": _body(114, {"family": "dish", "size_m": 0.28, **_COLLAGE}, 0.62, (-60, 20, 30),

@@ -1,4 +1,4 @@
-"""Faults in the data, one at a time, on fourteen bodies: what a run finds, how far off it is, what it says.
+"""Faults in the data, one at a time, on twelve bodies: what a run finds, how far off it is, what it says.
 
     python -m benchmarks.robustness.data_faults [--bodies ...] [--faults ...] [--workers 1] [--short]
 
@@ -80,9 +80,7 @@ FAULTS: dict[str, Fault] = {
     "focal_wrong": Fault(
         "focal length 0.5 % wrong", files.focal_wrong, named=("a focal length wrong by up to",)
     ),
-    "second_body": Fault("a second body crosses", render=scenes.second_body),
     "plume": Fault("a plume", files.plume),
-    "loose_blanket": Fault("a loose blanket swings", render=scenes.loose_blanket),
     "mass_ejected": Fault(
         "8 % of the mass ejected", render=scenes.mass_ejected, named=("left it or moved with the push",)
     ),

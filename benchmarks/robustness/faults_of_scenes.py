@@ -1,11 +1,7 @@
-"""Faults that are rendered: what else is in view, what happens to the target, when the cameras look.
-
-A companion (another body, a loose blanket, an ejected mass) is rendered by itself and put in front of or
-behind the target by depth; neither casts a shadow on the other.
-"""
+"""Faults that are rendered: what happens to the target, and when the cameras look."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -14,27 +10,20 @@ import trimesh
 
 from benchmarks.robustness.bodies import INTERVAL_S, PSD, scene_of
 from benchmarks.robustness.recording import Recording, read_recording
-from polhode.config.scene_settings import Scene, TargetBody
+from polhode.config.scene_settings import Scene
 from polhode.lie import (
     Array,
-    exp_so3,
-    inverse_pose,
-    make_pose,
     matrix_from_wxyz,
-    transform_points,
     wxyz_from_matrix,
 )
 from polhode.progress import Silent
 from polhode.rigid_body import propagate
-from polhode.simulation.bodies import Body, build_body
+from polhode.simulation.bodies import Body
 from polhode.simulation.dataset.frame_renderer import FrameRenderer
 from polhode.simulation.dataset.sequence import SequencePlan, plan_sequence, truth_of, write_sequence
 from polhode.simulation.motion.integrate import advance
 from polhode.simulation.motion.mass import MassDistribution, principal_axes
 from polhode.simulation.motion.target import poses_of_target
-from polhode.simulation.rendering.raycast import RayCaster
-from polhode.simulation.rendering.render import Renderer
-from polhode.simulation.stereo_camera import Camera, through_lens
 
 Rendered = Callable[[str, Path], Recording]
 """From the name of a body and a folder of its rendered sequences"""
@@ -89,74 +78,28 @@ def right_camera_late(name: str, folder: Path) -> Recording:
     return replace(base, right=np.stack(images).astype(np.uint8))
 
 
-def second_body(name: str, folder: Path) -> Recording:
-    """A cubesat, 0.7 times as far away, crosses in front of the target within eight seconds."""
-    base, plan = undisturbed(name, folder), _plan(name)
-    z = 0.7 * plan.scene.motion.position_m[2]
-    from_middle_s = (_times(base) - 0.5 * INTERVAL_S * plan.scene.frames)[:, None]
-    r_N = np.array([0.045, 0.0, z]) + from_middle_s * [0.14 * z, 0.01 * z, 0.0]
-    R_N = exp_so3(from_middle_s * np.array([0.5, -0.3, 0.2]))
-    body = build_body(TargetBody(family="cubesat", size_m=0.22 * z, texture="collage"), 900 + plan.seed)
-    return _with_companion(base, plan, body, make_pose(R_N, r_N))
-
-
-def loose_blanket(name: str, folder: Path) -> Recording:
-    """A sheet of foil, hinged to the target, swings by 35 degrees to either side in four seconds."""
-    base, plan = undisturbed(name, folder), _plan(name)
-    rng = np.random.default_rng([plan.seed, 0xB1A])
-    size_m = 0.55 * float(np.ptp(np.asarray(plan.body.mesh.vertices), axis=0).max())
-    hinge_G, R_GH = _hinge(plan.body, rng)
-    sheet = trimesh.creation.box((size_m, 0.6 * size_m, 0.004 * size_m))
-    sheet.apply_translation((0.5 * size_m, 0.0, 0.0))
-    file = folder / "blanket.stl"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    sheet.subdivide().subdivide().export(file)
-    foil = TargetBody(family="mesh", path=str(file), metres_per_unit=1.0, material="foil")
-    angle = np.deg2rad(35.0) * np.sin(2.0 * np.pi * _times(base) / 4.0)
-    X_GH = make_pose(R_GH @ exp_so3(angle[:, None] * np.array([0.0, 1.0, 0.0])), hinge_G)
-    return _with_companion(base, plan, build_body(foil, plan.seed), plan.target.X_NG[: len(base)] @ X_GH)
-
-
 EJECTED_SHARE, EJECTED_M_S = 0.08, 0.05
 """Share of the mass that leaves, and its speed relative to the place that it leaves"""
 
 
 def mass_ejected(name: str, folder: Path) -> Recording:
-    """Half way a cubesat of 8 % of the mass leaves the surface at 5 cm/s: other moments, axes and centre."""
-    plan = _plan(name)
-    place_G, R_GH = _hinge(plan.body, np.random.default_rng([plan.seed, 0xE7EC]))
-    after = _after_ejection(plan, place_G, R_GH[:, 0])
-    target = folder / "mass_ejected"
+    """Half way 8 % of the mass leave the surface at 5 cm/s, unseen: other moments, axes and centre."""
+    plan, target = _plan(name), folder / "mass_ejected"
+    moved, mass = _after_ejection(
+        plan, *_place_on_hull(plan.body, np.random.default_rng([plan.seed, 0xE7EC]))
+    )
     if not (target / "mav0").is_dir():
-        write_sequence(after.plan, target, Silent())
-    base = replace(read_recording(target), later=truth_of(replace(after.plan, mass=after.mass)))
-    body = build_body(TargetBody(family="cubesat", size_m=0.25 * plan.body.radius_m), 950 + plan.seed)
-    since_s = np.maximum(_times(base) - after.time_s, 0.0)[:, None]
-    X_NE = make_pose(after.R_NG @ exp_so3(since_s * after.rate_E), after.place_N + since_s * after.v_N)
-    # behind the cameras until then
-    X_NE[since_s[:, 0] == 0.0, :3, 3] = [0.0, 0.0, -1.0]
-    return _with_companion(base, after.plan, body, X_NE)
+        write_sequence(moved, target, Silent())
+    return replace(read_recording(target), later=truth_of(replace(moved, mass=mass)))
 
 
-@dataclass(frozen=True)
-class _Ejection:
-    """A plan whose target loses a mass, its mass afterwards, and where the ejected mass goes."""
+def _after_ejection(
+    plan: SequencePlan, place_G: Array, out_G: Array
+) -> tuple[SequencePlan, MassDistribution]:
+    """The plan of a target that loses a mass, and its mass afterwards.
 
-    plan: SequencePlan
-    mass: MassDistribution
-    time_s: float
-    place_N: Array
-    """(3,) of the ejection [m]"""
-    R_NG: Array
-    """(3, 3) of the target then"""
-    v_N: Array
-    """(3,) of the ejected mass [m/s]"""
-    rate_E: Array
-    """(3,) of its rotation [rad/s]"""
-
-
-def _after_ejection(plan: SequencePlan, place_G: Array, out_G: Array) -> _Ejection:
-    """Linear and angular momentum are conserved; a quarter of an interval before the frame in the middle."""
+    Linear and angular momentum are conserved; a quarter of an interval before the frame in the middle.
+    """
     target, before, k = plan.target, plan.mass, plan.scene.frames // 2
     time_s = float(target.t_s[k]) - 0.25 * INTERVAL_S
     state = np.concatenate([target.r_N[k], target.v_N[k], wxyz_from_matrix(target.R_NP[k]), target.h_P[k]])
@@ -190,10 +133,7 @@ def _after_ejection(plan: SequencePlan, place_G: Array, out_G: Array) -> _Ejecti
         w_P=np.concatenate([target.w_P[:k], w_t]),
         X_NG=np.concatenate([target.X_NG[:k], poses_of_target(r_t, R_t, mass)]),
     )
-    place_N = r_N + R_NG @ to_out
-    return _Ejection(
-        replace(plan, target=moved), mass, time_s, place_N, R_NG, v_N + v_out, 2.0 * R_NG.T @ w_N
-    )
+    return replace(plan, target=moved), mass
 
 
 def _of_unit_mass(d: Array) -> Array:
@@ -201,14 +141,11 @@ def _of_unit_mass(d: Array) -> Array:
     return np.asarray(d @ d * np.eye(3) - np.outer(d, d))
 
 
-def _hinge(body: Body, rng: np.random.Generator) -> tuple[Array, Array]:
-    """A point of the hull (3,) [m] and axes there (3, 3): x outwards."""
+def _place_on_hull(body: Body, rng: np.random.Generator) -> tuple[Array, Array]:
+    """A point of the hull (3,) [m] and the outward normal there (3,)."""
     hull = body.mesh.convex_hull
     points, faces = trimesh.sample.sample_surface(hull, 1, seed=int(rng.integers(2**31)))[:2]
-    x = np.asarray(hull.face_normals[faces[0]])
-    y = np.cross(x, [0.36, 0.48, 0.8])
-    y /= np.linalg.norm(y)
-    return np.asarray(points[0]), np.stack([x, y, np.cross(x, y)], axis=1)
+    return np.asarray(points[0]), np.asarray(hull.face_normals[faces[0]])
 
 
 @cache
@@ -216,41 +153,7 @@ def _plan(name: str) -> SequencePlan:
     return plan_sequence(*scene_of(name))
 
 
-def _times(recording: Recording) -> Array:
-    return np.asarray((recording.stamps_ns - recording.stamps_ns[0]) * 1e-9)
-
-
 def _simulated(scene: Scene, seed: int, folder: Path) -> Recording:
     if not (folder / "mav0").is_dir():
         write_sequence(plan_sequence(scene, seed), folder, Silent())
     return read_recording(folder)
-
-
-def _with_companion(base: Recording, plan: SequencePlan, body: Body, X_NA: Array) -> Recording:
-    """The recording of a plan, whose camera is at rest, with another body in view at X_NA (F, 4, 4)."""
-    scene, own, target = plan.scene, RayCaster(body), RayCaster(plan.body)
-    renderer = Renderer(body, scene.model_copy(update={"body": TargetBody()}), plan.seed + 1)
-    images = [base.left.copy(), base.right.copy()]
-    for k in range(len(base)):
-        for camera, side in zip(plan.cameras, images, strict=True):
-            corners_K = transform_points(inverse_pose(camera.X_CK) @ X_NA[k], body.mesh.bounding_box.vertices)
-            if corners_K[:, 2].min() < 0.05 or not len(camera.project_visible(corners_K, 100.0)[1]):
-                continue
-            picture = renderer.picture(camera, camera.X_CK, X_NA[k])
-            behind = _depth(own, camera, X_NA[k]) >= _depth(target, camera, plan.target.X_NG[k])
-            front = 1.0 - behind * (picture.covered > 0.0)
-            lens = scene.sensor.model_copy(update={"vignetting": 0.0})
-            light = scene.sensor.white_dn * through_lens(picture.level * front, scene.sensor)
-            side[k] = np.clip(
-                np.rint(side[k] * (1.0 - through_lens(picture.covered * front, lens)) + light), 0, 255
-            ).astype(np.uint8)
-    return replace(base, left=images[0], right=images[1])
-
-
-def _depth(caster: RayCaster, camera: Camera, X_NB: Array) -> Array:
-    """(H, W) distance along the rays through the pixels [m]; inf beside the body at X_NB (4, 4)."""
-    X_BK = inverse_pose(X_NB) @ camera.X_CK
-    hits = caster.first_hits(X_BK[:3, 3], camera.pixel_directions @ X_BK[:3, :3].T)
-    out = np.full(camera.height_px * camera.width_px, np.inf)
-    out[hits.ray] = hits.distance_m
-    return out.reshape(camera.height_px, camera.width_px)

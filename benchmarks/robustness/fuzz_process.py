@@ -17,12 +17,13 @@ from types import FunctionType
 
 from benchmarks.robustness.fuzz_check import LIMIT_BYTES, Checker, Finding
 from benchmarks.robustness.fuzz_mutation import mutated
-from benchmarks.robustness.fuzz_targets import SHARED_MODULES, Target, target_named
+from benchmarks.robustness.fuzz_targets import Target, target_named
 from polhode.threads import limit_threads
 
 MAX_INPUT_BYTES = 1 << 20
 MAX_FINDINGS = 50
-WARM_UP = "warm-up"
+INSTRUMENTED = ("polhode", "PIL", "yaml", "trimesh.exchange", "zipfile", "numpy.lib._format_impl")
+"""Modules whose branches guide the search, with those below them"""
 
 
 class _Session:
@@ -36,7 +37,7 @@ class _Session:
         self.start, self.written = time.monotonic(), 0.0
         self.inputs, self.places = 0, set[str]()
 
-    def one(self, content: bytes) -> bool:
+    def try_input(self, content: bytes) -> bool:
         """Feed one input; True when it was no finding."""
         found = self.checker(content)
         self.inputs += 1
@@ -45,18 +46,17 @@ class _Session:
         if time.monotonic() - self.written > 1.0:
             if (changed := self.checker.changed_folder()) is not None:
                 self.keep(content, changed)
-            self.note()
+            self.write_state()
         return found is None
 
     def keep(self, content: bytes, found: Finding) -> None:
         """Store the first input of each place."""
-        if found.place in self.places or len(self.places) >= MAX_FINDINGS:
-            return
-        self.places.add(found.place)
-        store_finding(self.folder, content, found)
-        self.note()
+        if found.place not in self.places and len(self.places) < MAX_FINDINGS:
+            self.places.add(found.place)
+            store_finding(self.folder, content, found)
+            self.write_state()
 
-    def note(self) -> None:
+    def write_state(self) -> None:
         """Write state.json."""
         self.written = time.monotonic()
         state = {"inputs": self.inputs, "seconds": round(self.written - self.start, 1)}
@@ -68,49 +68,30 @@ class _Session:
 def store_finding(folder: Path, content: bytes, found: Finding) -> None:
     """An input with what it led to, under a name made from the place."""
     name = "".join(letter if letter.isalnum() or letter in "._-" else "_" for letter in found.place)[:100]
-    kept = folder / "findings"
-    kept.mkdir(exist_ok=True)
-    (kept / name).write_bytes(content)
-    (kept / f"{name}.txt").write_text(
-        f"{found.place}\n\n{found.details}\n", encoding="utf-8", errors="backslashreplace"
-    )
+    findings = folder / "findings"
+    findings.mkdir(exist_ok=True)
+    (findings / name).write_bytes(content)
+    text = f"{found.place}\n\n{found.details}\n"
+    (findings / f"{name}.txt").write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
-def main(name: str, folder: Path, seconds: float, engine: str, seed: int) -> None:
-    """Run until the time is over."""
+def from_words() -> None:
+    """Run until the time is over; command line: target, folder, seconds, engine, seed."""
+    target, folder = target_named(sys.argv[1]), Path(sys.argv[2])
+    seconds, engine, seed = float(sys.argv[3]), sys.argv[4], int(sys.argv[5])
     limit_threads(1)
-    target = target_named(name)
     seeds = target.seeds()
     session = _Session(target, folder)
     for found in session.checker.warm_up(seeds):
         session.keep(b"", found)
     _limit_memory()
     session.start = time.monotonic()
-    session.note()
+    session.write_state()
     if engine == "atheris":
-        _with_atheris(session, target, seeds, seconds, seed)
+        _fuzz_with_atheris(session, target, seeds, seconds, seed)
     else:
-        _without(session, target, seeds, seconds, seed)
-    session.note()
-
-
-def _instrument(target: Target) -> None:
-    """Let Atheris see the branches of the functions that have been imported from the target's modules."""
-    import atheris
-
-    for name, module in list(sys.modules.items()):
-        if not any(
-            name == each or name.startswith(f"{each}.") for each in (*SHARED_MODULES, *target.modules)
-        ):
-            continue
-        for owner in (module, *(each for each in vars(module).values() if issubclass(type(each), type))):
-            if owner is not module and owner.__module__ != name:
-                continue
-            for value in list(vars(owner).values()):
-                function = value.__func__ if type(value) in (staticmethod, classmethod) else value
-                # Placeholders of missing packages raise at any look into them.
-                if type(function) is FunctionType and function.__module__ == name:
-                    atheris.instrument_func(function)
+        _fuzz_with_own_mutator(session, target, seeds, seconds, seed)
+    session.write_state()
 
 
 def _limit_memory() -> None:
@@ -121,10 +102,16 @@ def _limit_memory() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
-def _with_atheris(session: _Session, target: Target, seeds: list[bytes], seconds: float, seed: int) -> None:
+def _fuzz_with_atheris(
+    session: _Session, target: Target, seeds: list[bytes], seconds: float, seed: int
+) -> None:
     import atheris
 
-    _instrument(target)
+    for name, module in list(sys.modules.items()):
+        if name.startswith(INSTRUMENTED):
+            for value in list(vars(module).values()):
+                if type(value) is FunctionType and value.__module__ == name:
+                    atheris.instrument_func(value)
     corpus = session.folder / "corpus"
     corpus.mkdir(exist_ok=True)
     for number, content in enumerate(seeds):
@@ -139,20 +126,17 @@ def _with_atheris(session: _Session, target: Target, seeds: list[bytes], seconds
         *("fuzz", str(corpus), f"-max_total_time={max(1, int(seconds))}", f"-max_len={MAX_INPUT_BYTES}"),
         *(f"-seed={seed + 1}", "-timeout=100000", "-rss_limit_mb=0", "-handle_segv=0", "-handle_abrt=0"),
     ]
-    atheris.Setup(words, lambda content: session.one(content) and None, custom_mutator=mutate)
+    atheris.Setup(words, lambda content: session.try_input(content) and None, custom_mutator=mutate)
     atheris.Fuzz()
 
 
-def _without(session: _Session, target: Target, seeds: list[bytes], seconds: float, seed: int) -> None:
+def _fuzz_with_own_mutator(
+    session: _Session, target: Target, seeds: list[bytes], seconds: float, seed: int
+) -> None:
     rng = Random(seed)  # noqa: S311
     recent: deque[bytes] = deque(seeds, maxlen=200)
     while time.monotonic() - session.start < seconds:
         source = rng.choice(seeds) if rng.random() < 0.6 else rng.choice(recent)
         content = mutated(target, source, rng)[:MAX_INPUT_BYTES]
-        if session.one(content) and rng.random() < 0.1:
+        if session.try_input(content) and rng.random() < 0.1:
             recent.append(content)
-
-
-def from_words() -> None:
-    """``main`` with the words of the command line: target, folder, seconds, engine, seed."""
-    main(sys.argv[1], Path(sys.argv[2]), float(sys.argv[3]), sys.argv[4], int(sys.argv[5]))

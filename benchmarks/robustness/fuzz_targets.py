@@ -8,7 +8,7 @@ import io
 import json
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -32,9 +32,7 @@ class Target:
     read: Read
     lay_out: Callable[[Path], None] = lambda folder: None
     """Make what else the reader needs"""
-    modules: tuple[str, ...] = ()
-    """Whose branches guide the search, besides those that all targets share"""
-    words: tuple[bytes, ...] = field(default=())
+    words: tuple[bytes, ...] = ()
     """Tokens of the format"""
 
     @property
@@ -57,104 +55,35 @@ _FORMATS = {
 }
 """Of the targets whose files' suffixes do not tell"""
 
-SHARED_MODULES = ("polhode.foreign_files", "polhode.tables", "polhode.yaml_files", "polhode.errors")
 NUMBERS = (
-    *(
-        b"nan",
-        b"inf",
-        b"-inf",
-        b"1e308",
-        b"1e-320",
-        b"-0",
-        b"0",
-        b"-1",
-        b"1e400",
-        b"0x10",
-        b"1_0",
-        b"9" * 400,
-    ),
-    *(b"2147483648", b"4294967295", b"9223372036854775807", b"9223372036854775808", b"18446744073709551615"),
+    *b"nan inf -inf 1e308 1e-320 -0 0 -1 1e400 0x10 1_0 2147483648 4294967295 9223372036854775807".split(),
+    *b"9223372036854775808 18446744073709551615".split(),
+    b"9" * 400,
 )
-TEXT_WORDS = (
-    *NUMBERS,
-    b",",
-    b"\n",
-    b"\r",
-    b"\0",
-    b"\xff\xfe",
-    b"\xef\xbb\xbf",
-    b"#",
-    b"\xe2\x80\xa8",
-    b"\x1b[2J",
-)
+_CONTROL = (b"\n", b"\r", b"\0", b"\xff\xfe", b"\xef\xbb\xbf", b"\xe2\x80\xa8", b"\x1b[2J")
+TEXT_WORDS = (*NUMBERS, *_CONTROL, b",", b"#")
 YAML_WORDS = (
     *TEXT_WORDS,
-    b"&a ",
-    b"*a",
-    b"<<: ",
-    b"[",
-    b"]",
-    b"{",
-    b"}",
-    b": ",
-    b"- ",
-    b"!!python/object/apply:os.system ",
-    b"2024-99-99",
-    b"~",
-    b"null",
-    b"extends: ",
-    b"? ",
-    b"|",
-    b">",
-    b"%YAML 1.1",
-    b"---\n",
-    b"...",
-    b"!!set ",
-    b"!!binary ",
+    *b"[ ] { } ~ | > null 2024-99-99 ...".split(),
+    *(b"&a ", b"*a", b"<<: ", b": ", b"- ", b"? ", b"extends: ", b"%YAML 1.1", b"---\n"),
+    *(b"!!python/object/apply:os.system ", b"!!set ", b"!!binary "),
 )
-JSON_WORDS = (
-    *NUMBERS,
-    b"null",
-    b"true",
-    b"{",
-    b"}",
-    b"[",
-    b"]",
-    b"NaN",
-    b"Infinity",
-    b'"\\ud800"',
-    b'"',
-    b"[" * 500,
-)
+JSON_WORDS = (*NUMBERS, *b"null true { } [ ] NaN Infinity".split(), b'"\\ud800"', b'"', b"[" * 500)
 OBJ_WORDS = (
     *NUMBERS,
-    b"v ",
-    b"vt ",
-    b"vn ",
-    b"f ",
-    b"mtllib ",
-    b"usemtl ",
-    b"o ",
-    b"g ",
+    *(word + b" " for word in b"v vt vn f mtllib usemtl o g".split()),
     b"/",
     b"//",
     b"\\\n",
-    b"-1",
 )
+STL_WORDS = (*NUMBERS, b"solid ", b"endsolid", b"vertex ", b"facet normal ")
 PLY_WORDS = (
     *NUMBERS,
-    b"element ",
-    b"property list uchar int ",
-    b"property float ",
-    b"ascii",
-    b"binary_big_endian",
+    *(word + b" " for word in b"element vertex face edge double".split()),
+    *(b"property list uchar int ", b"property float ", b"ascii", b"binary_big_endian", b"end_header\n"),
     b"comment TextureFile /etc/passwd\n",
-    b"end_header\n",
-    b"vertex ",
-    b"face ",
-    b"edge ",
-    b"double ",
 )
+PATH_WORDS = (b"../", b"/dev/zero", b"/etc/passwd")
 
 
 def _call(name: str, *arguments: Any) -> Read:
@@ -518,305 +447,88 @@ def _points() -> list[bytes]:
     return [b"x,y,z,u,v,w\n0,0,0,0,0,0\n1,0,0,1000,0,0\n0,1,0,0,1000,0\n0 0 1 0 0 1000\n"]
 
 
-_TABLE = ("polhode.dataset", "polhode.rig_calibration")
-_MESH = (
-    "polhode.foreign_meshes",
-    "polhode.mapping.mesh_files",
-    "polhode.simulation.bodies.mesh_file",
-    "trimesh.exchange",
-)
-_NPZ = ("polhode.array_files", "polhode.pipeline.run_directory.archives", "zipfile", "numpy.lib._format_impl")
-_PICTURE = (
-    "polhode.images",
-    "PIL.PngImagePlugin",
-    "PIL.TiffImagePlugin",
-    "PIL.JpegImagePlugin",
-    "PIL.BmpImagePlugin",
-    "PIL.PpmImagePlugin",
-    "PIL.ImageFile",
-)
-_STORED = ("polhode.pipeline.run_directory",)
-_YAML = ("polhode.config", "yaml")
-
 _WORDS = b"--backend.inertia\nratios_axes\n--seed=4\n--scene.motion.spin_rpm\n[1,2,3]"
 _PROPERTIES = (
     b"moments: [1.2, 1.0, 0.8]\nk1: 0.18\nk2: 0.22\ncom_G: [0, 0, 0.1]\nR_GP: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n"
     b"mass_kg: 3\n"
 )
+_METRICS = b'{"rmse_position_m": 1.25e-4, "nees": {"inertia": null}}'
+_MATERIAL = b"newmtl m\nKd 1 0.5 0.2\nNs 30\nmap_Kd skin.png\n"
+
+
+def _in_sequence(name: str, file: str, words: tuple[bytes, ...], seed: bytes | None = None) -> Target:
+    """A file of a sequence that its opening reads; the seed as our writer has it unless given."""
+
+    def lay_out(folder: Path) -> None:
+        _sequence(folder)
+        if name == "inspector_sigmas":
+            _write(folder / "mav0/inspector0/data.csv", _poses(7))
+
+    seeds = _of_sequence(f"mav0/{file}") if seed is None else lambda: [seed]
+    return Target(name, f"mav0/{file}", "text", seeds, _open_sequence, lay_out, words)
+
+
+def _textured_with_library(folder: Path) -> None:
+    _textured(folder)
+    _write(folder / "a.mtl", b"newmtl m\nmap_Kd skin.png\n")
+
+
+_CONFIG_LOADER, _RUN_FILES = "polhode.config.loader", "polhode.pipeline.run_directory"
 TARGETS: tuple[Target, ...] = (
-    Target(
-        "configuration",
-        "config.yaml",
-        "text",
-        _configurations,
-        _call("polhode.config.loader:load_config"),
-        modules=_YAML,
-        words=YAML_WORDS,
-    ),
-    Target(
-        "command_line",
-        "words",
-        "text",
-        lambda: [_WORDS],
-        _read_overrides,
-        modules=("polhode.config", "polhode.cli.overrides"),
-        words=YAML_WORDS,
-    ),
-    Target(
-        "calibration",
-        "mav0/cam0/sensor.yaml",
-        "text",
-        _of_sequence("mav0/cam0/sensor.yaml"),
-        _open_sequence,
-        _sequence,
-        (*_TABLE, "yaml"),
-        YAML_WORDS,
-    ),
-    Target(
-        "camera_table",
-        "mav0/cam1/data.csv",
-        "text",
-        _of_sequence("mav0/cam1/data.csv"),
-        _open_sequence,
-        _sequence,
-        _TABLE,
-        (*TEXT_WORDS, b"../", b"/dev/zero", b"/etc/passwd", b".png"),
-    ),
-    Target(
-        "inspector_table",
-        "mav0/inspector0/data.csv",
-        "text",
-        lambda: [_poses(7)],
-        _open_sequence,
-        _sequence,
-        _TABLE,
-        TEXT_WORDS,
-    ),
-    Target(
-        "inspector_sigmas",
-        "mav0/inspector0/sensor.yaml",
-        "text",
-        lambda: [b"sigma_p_m: 0.001\nsigma_theta_rad: 1e-4\n"],
-        _open_sequence,
-        lambda folder: (_sequence(folder), _write(folder / "mav0/inspector0/data.csv", _poses(7)))[0],
-        (*_TABLE, "yaml"),
-        YAML_WORDS,
-    ),
-    Target(
-        "wrench_table",
-        "mav0/wrench0/data.csv",
-        "text",
-        lambda: [_poses(6)],
-        _open_sequence,
-        _sequence,
-        _TABLE,
-        TEXT_WORDS,
-    ),
-    Target(
-        "truth_table",
-        "mav0/target0/data.csv",
-        "text",
-        lambda: [_poses(13)],
-        _read_truth,
-        _truth,
-        ("polhode.truth",),
-        TEXT_WORDS,
-    ),
-    Target(
-        "truth_properties",
-        "mav0/target0/target.yaml",
-        "text",
-        lambda: [_PROPERTIES],
-        _read_truth,
-        _truth,
-        ("polhode.truth", "yaml"),
-        YAML_WORDS,
-    ),
-    Target(
-        "truth_mesh",
-        "mav0/target0/mesh.ply",
-        "bytes",
-        _meshes("ply"),
-        _read_truth,
-        _truth,
-        (*_MESH, "polhode.truth"),
-        PLY_WORDS,
-    ),
-    Target("image", "image.png", "png", _images, _read_image, modules=_PICTURE),
-    Target("mask", "mask.png", "png", _images, _read_mask, modules=_PICTURE),
-    Target(
-        "trajectory",
-        "trajectory.csv",
-        "text",
-        _table_of_run("trajectory.csv"),
-        _call("polhode.pipeline.run_directory.trajectory_file:read_trajectory"),
-        modules=_STORED,
-        words=TEXT_WORDS,
-    ),
-    Target(
-        "measurements",
-        "measurements.npz",
-        "zip",
-        _of_run("measurements.npz"),
-        _call("polhode.pipeline.run_directory.archives:read_measurements"),
-        modules=_NPZ,
-    ),
-    Target(
-        "residuals",
-        "measurements.npz",
-        "zip",
-        _of_run("measurements.npz"),
-        _call("polhode.pipeline.run_directory.archives:read_residuals"),
-        modules=_NPZ,
-    ),
-    Target(
-        "covariance",
-        "covariance.npz",
-        "zip",
-        _of_run("covariance.npz"),
-        _call("polhode.pipeline.run_directory.archives:read_covariance"),
-        modules=_NPZ,
-    ),
-    Target(
-        "online",
-        "online.npz",
-        "zip",
-        _causal_estimate,
-        _call("polhode.pipeline.run_directory.archives:read_online"),
-        modules=_NPZ,
-    ),
-    Target(
-        "pixel_truth",
-        "truth.npz",
-        "zip",
-        _pixel_truth,
-        _call("polhode.simulation.dataset.frame_renderer:read_products"),
-        modules=_NPZ,
-    ),
-    Target(
-        "frozen_problem",
-        "p.problem.npz",
-        "zip",
-        _frozen_problem,
-        _call("polhode.compare.problem.problem_file:read_problem"),
-        modules=(*_NPZ, "polhode.compare.problem.problem_file"),
-    ),
-    Target(
-        "summary",
-        "summary.json",
-        "text",
-        _of_run("summary.json"),
-        _call("polhode.pipeline.run_directory.summary:read_summary"),
-        modules=_STORED,
-        words=JSON_WORDS,
-    ),
-    Target(
-        "metrics",
-        "run/metrics.json",
-        "text",
-        lambda: [b'{"rmse_position_m": 1.25e-4, "nees": {"inertia": null}}'],
-        _read_run,
-        _lay_out_run,
-        _STORED,
-        JSON_WORDS,
-    ),
-    Target(
-        "captions",
-        "run/pictures/captions.json",
-        "text",
-        lambda: [b'{"00.png": "a frame"}'],
-        _read_run,
-        _lay_out_run,
-        _STORED,
-        (*JSON_WORDS, b"../", b"/etc/passwd", b"00.png"),
-    ),
-    Target(
-        "comparison",
-        "compare.json",
-        "text",
-        _comparisons,
-        _call("polhode.compare.rows:read_comparison"),
-        modules=("polhode.compare.rows",),
-        words=JSON_WORDS,
-    ),
-    Target(
-        "landmarks",
-        "landmarks.ply",
-        "bytes",
-        _of_run("landmarks.ply"),
-        _call("polhode.pipeline.run_directory.point_cloud_file:read_landmarks"),
-        modules=_STORED,
-        words=PLY_WORDS,
-    ),
-    Target(
-        "run_mesh",
-        "mesh.ply",
-        "bytes",
-        _of_run("mesh.ply"),
-        _call("polhode.mapping.mesh_files:read_ply"),
-        modules=_MESH,
-        words=PLY_WORDS,
-    ),
-    Target("mesh_ply", "mesh.ply", "bytes", _meshes("ply"), _read_mesh, modules=_MESH, words=PLY_WORDS),
-    Target(
-        "mesh_stl",
-        "mesh.stl",
-        "bytes",
-        _meshes("stl"),
-        _read_mesh,
-        modules=_MESH,
-        words=(*NUMBERS, b"solid ", b"endsolid", b"vertex ", b"facet normal "),
-    ),
-    Target("mesh_obj", "mesh.obj", "text", _meshes("obj"), _read_mesh, modules=_MESH, words=OBJ_WORDS),
-    Target("mesh_glb", "mesh.glb", "glb", _meshes("glb"), _read_mesh, modules=_MESH, words=JSON_WORDS),
-    Target(
-        "material_library",
-        "a.mtl",
-        "text",
-        lambda: [b"newmtl m\nKd 1 0.5 0.2\nNs 30\nmap_Kd skin.png\n"],
-        _read_textured,
-        _textured,
-        _MESH,
-        (*NUMBERS, b"newmtl ", b"map_Kd ", b"../", b"/dev/zero", b"Kd ", b"Ns "),
-    ),
-    Target(
-        "texture",
-        "skin.png",
-        "png",
-        _images,
-        _read_textured,
-        lambda folder: (_textured(folder), _write(folder / "a.mtl", b"newmtl m\nmap_Kd skin.png\n"))[0],
-        (*_MESH, *_PICTURE),
-    ),
-    Target(
-        "weights",
-        "w.safetensors",
-        "safetensors",
-        _tensors,
-        _read_tensors,
-        modules=("polhode.frontend.networks",),
-        words=(*JSON_WORDS, b'"F32"', b'"BF16"', b"data_offsets", b"__metadata__"),
-    ),
-    Target(
-        "poses_tum",
-        "poses.txt",
-        "text",
-        _tum,
-        _call("polhode.pipeline.after_run.observability.assess:read_poses"),
-        modules=("polhode.pipeline.after_run.observability.assess",),
-        words=TEXT_WORDS,
-    ),
-    Target(
-        "corresponding_points",
-        "points.csv",
-        "text",
-        _points,
-        _call("polhode.pipeline.after_run.export.placement:_from_points", 1e-3),
-        modules=("polhode.pipeline.after_run.export.placement",),
-        words=TEXT_WORDS,
-    ),
-)
-"""Bags and what `polhode import` will read do not exist yet."""
+    Target("configuration", "config.yaml", "text", _configurations,
+           _call(f"{_CONFIG_LOADER}:load_config"), words=YAML_WORDS),
+    Target("command_line", "words", "text", lambda: [_WORDS], _read_overrides, words=YAML_WORDS),
+    _in_sequence("calibration", "cam0/sensor.yaml", YAML_WORDS),
+    _in_sequence("camera_table", "cam1/data.csv", (*TEXT_WORDS, *PATH_WORDS, b".png")),
+    _in_sequence("inspector_table", "inspector0/data.csv", TEXT_WORDS, _poses(7)),
+    _in_sequence("inspector_sigmas", "inspector0/sensor.yaml", YAML_WORDS,
+           b"sigma_p_m: 0.001\nsigma_theta_rad: 1e-4\n"),
+    _in_sequence("wrench_table", "wrench0/data.csv", TEXT_WORDS, _poses(6)),
+    Target("truth_table", "mav0/target0/data.csv", "text", lambda: [_poses(13)], _read_truth, _truth,
+           TEXT_WORDS),
+    Target("truth_properties", "mav0/target0/target.yaml", "text", lambda: [_PROPERTIES], _read_truth,
+           _truth, YAML_WORDS),
+    Target("truth_mesh", "mav0/target0/mesh.ply", "bytes", _meshes("ply"), _read_truth, _truth, PLY_WORDS),
+    Target("image", "image.png", "png", _images, _read_image),
+    Target("mask", "mask.png", "png", _images, _read_mask),
+    Target("trajectory", "trajectory.csv", "text", _table_of_run("trajectory.csv"),
+           _call(f"{_RUN_FILES}.trajectory_file:read_trajectory"), words=TEXT_WORDS),
+    Target("measurements", "measurements.npz", "zip", _of_run("measurements.npz"),
+           _call(f"{_RUN_FILES}.archives:read_measurements")),
+    Target("residuals", "measurements.npz", "zip", _of_run("measurements.npz"),
+           _call(f"{_RUN_FILES}.archives:read_residuals")),
+    Target("covariance", "covariance.npz", "zip", _of_run("covariance.npz"),
+           _call(f"{_RUN_FILES}.archives:read_covariance")),
+    Target("online", "online.npz", "zip", _causal_estimate, _call(f"{_RUN_FILES}.archives:read_online")),
+    Target("pixel_truth", "truth.npz", "zip", _pixel_truth,
+           _call("polhode.simulation.dataset.frame_renderer:read_products")),
+    Target("frozen_problem", "p.problem.npz", "zip", _frozen_problem,
+           _call("polhode.compare.problem.problem_file:read_problem")),
+    Target("summary", "summary.json", "text", _of_run("summary.json"),
+           _call(f"{_RUN_FILES}.summary:read_summary"), words=JSON_WORDS),
+    Target("metrics", "run/metrics.json", "text", lambda: [_METRICS], _read_run, _lay_out_run, JSON_WORDS),
+    Target("captions", "run/pictures/captions.json", "text", lambda: [b'{"00.png": "a frame"}'],
+           _read_run, _lay_out_run, (*JSON_WORDS, *PATH_WORDS, b"00.png")),
+    Target("comparison", "compare.json", "text", _comparisons,
+           _call("polhode.compare.rows:read_comparison"), words=JSON_WORDS),
+    Target("landmarks", "landmarks.ply", "bytes", _of_run("landmarks.ply"),
+           _call(f"{_RUN_FILES}.point_cloud_file:read_landmarks"), words=PLY_WORDS),
+    Target("run_mesh", "mesh.ply", "bytes", _of_run("mesh.ply"),
+           _call("polhode.mapping.mesh_files:read_ply"), words=PLY_WORDS),
+    Target("mesh_ply", "mesh.ply", "bytes", _meshes("ply"), _read_mesh, words=PLY_WORDS),
+    Target("mesh_stl", "mesh.stl", "bytes", _meshes("stl"), _read_mesh, words=STL_WORDS),
+    Target("mesh_obj", "mesh.obj", "text", _meshes("obj"), _read_mesh, words=OBJ_WORDS),
+    Target("mesh_glb", "mesh.glb", "glb", _meshes("glb"), _read_mesh, words=JSON_WORDS),
+    Target("material_library", "a.mtl", "text", lambda: [_MATERIAL], _read_textured, _textured, (*NUMBERS,
+           *PATH_WORDS, b"newmtl ", b"map_Kd ", b"Kd ", b"Ns ")),
+    Target("texture", "skin.png", "png", _images, _read_textured, _textured_with_library),
+    Target("weights", "w.safetensors", "safetensors", _tensors, _read_tensors, words=(*JSON_WORDS,
+           *b'"F32" "BF16" data_offsets __metadata__'.split())),
+    Target("poses_tum", "poses.txt", "text", _tum,
+           _call("polhode.pipeline.after_run.observability.assess:read_poses"), words=TEXT_WORDS),
+    Target("corresponding_points", "points.csv", "text", _points,
+           _call("polhode.pipeline.after_run.export.placement:_from_points", 1e-3), words=TEXT_WORDS),
+)  # fmt: skip
 
 
 def share_of(name: str) -> float:

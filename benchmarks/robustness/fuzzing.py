@@ -8,8 +8,9 @@ of the content. Each format has ten minutes, which its targets divide; --seconds
 Each target runs in a process of its own. An input may take 5 s of processor time and 1 GiB of memory, may
 print nothing and may touch nothing but the files that are read. Whatever else it does is a finding: it is
 stored, with its traceback, under runs/fuzzing/TARGET/part0/findings, one input for each place in the code.
-With --short every target has 20 s. Targets of the record are not fuzzed again; --again removes them from it
-first. Atheris, which follows the coverage of branches, is used where it is installed (pip install .[fuzz]).
+With --short every reader gets its corpus and a few seeded mutations, in this process. Targets of the record
+are not fuzzed again; --again removes them from it first. Atheris, which follows the coverage of branches, is
+used where it is installed (pip install .[fuzz]).
 """
 
 import json
@@ -23,6 +24,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from random import Random
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
@@ -30,7 +33,8 @@ from tyro.conf import Positional, arg
 from benchmarks.command import RECORDS, ROOT, Record, Short, command
 from benchmarks.presentation import print_table
 from benchmarks.record import complete, forget
-from benchmarks.robustness.fuzz_check import Finding
+from benchmarks.robustness.fuzz_check import Checker, Finding
+from benchmarks.robustness.fuzz_mutation import mutated
 from benchmarks.robustness.fuzz_process import store_finding
 from benchmarks.robustness.fuzz_targets import TARGETS, share_of, target_named
 
@@ -41,6 +45,8 @@ SILENT_S = 60.0
 """After this much processor time without a sign of life a process is killed: a library in C hangs."""
 START_S = 300.0
 FORMAT_S = 600.0
+SHORT_MUTATIONS = 5
+"""Of each target"""
 
 
 def main(
@@ -59,12 +65,13 @@ def main(
     names = targets or tuple(each.name for each in TARGETS)
     for name in names:
         target_named(name)
+    if short:
+        sys.exit(_short(names))
     used = ("atheris" if find_spec("atheris") else "own") if engine == "automatic" else engine
-    fixed = seconds or (20.0 if short else None)
-    path = record or (RUNS / "short_record" if fixed else RECORDS / "fuzzing")
+    path = record or (RUNS / "short_record" if seconds else RECORDS / "fuzzing")
     if again:
         forget(path, lambda case: case["target"] in names)
-    cases = [{"target": name, "seconds": fixed or FORMAT_S * share_of(name)} for name in names]
+    cases = [{"target": name, "seconds": seconds or FORMAT_S * share_of(name)} for name in names]
     lines = complete(path, cases, Fuzz(used), workers=1)
     print_table(
         "format | target | engine | inputs | seconds | inputs/s | branches | findings",
@@ -80,6 +87,20 @@ def main(
     for line in lines:
         for place in line["findings"]:
             print(f"{line['case']['target']}: {place}")
+
+
+def _short(names: tuple[str, ...]) -> bool:
+    """Every corpus and some seeded mutations; whether anything was found."""
+    findings: list[str] = []
+    for name in names:
+        target, rng = target_named(name), Random(name)  # noqa: S311
+        with TemporaryDirectory() as folder:
+            check, seeds = Checker(target, Path(folder)), target.seeds()
+            inputs = (mutated(target, rng.choice(seeds), rng) for _ in range(SHORT_MUTATIONS))
+            found = [*check.warm_up(seeds), *map(check, inputs), check.changed_folder()]
+            findings += [f"{name}: {each.place}" for each in found if each is not None]
+    print(f"{len(names)} readers, {len(findings)} findings", *findings, sep="\n")
+    return bool(findings)
 
 
 def _row(line: dict[str, Any]) -> tuple[str, ...]:

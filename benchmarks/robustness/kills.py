@@ -37,9 +37,8 @@ from tyro.conf import Positional, arg
 from benchmarks.command import ROOT, Record, Short, Workers, command
 from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
-from benchmarks.robustness.disturbed_commands import JOBS, Job
+from benchmarks.robustness.disturbed_commands import JOBS, STAGE, Job, Stage, prepared
 from benchmarks.robustness.results import PARTIAL, State, names_of, size_of
-from benchmarks.robustness.stage import STAGE, Stage, prepared
 from polhode.parent_death import tied
 
 RECORD = ROOT / "runs/records/kills"
@@ -73,7 +72,7 @@ def main(
     stage: Annotated[Path, arg(help="Folder of the inputs and of undisturbed results.")] = STAGE,
 ) -> None:
     """Measure what the record lacks, print the tables; exit code 1 if a case does not hold."""
-    jobs = ("predict", "simulate") if short else tuple(JOBS)
+    jobs = ("simulate",) if short else tuple(JOBS)
     jobs = tuple(job for job in jobs if not commands or job in commands)
     prepared(stage.resolve(), jobs)
     wanted = [("kill", KILLS), ("full", FULL)]

@@ -30,10 +30,8 @@ from tyro.conf import Positional, arg
 
 from benchmarks.command import ROOT, Short, command
 from benchmarks.presentation import print_table
-from benchmarks.record import Case, provenance, state
-from benchmarks.registry import code_of
+from benchmarks.record import Case
 from polhode.errors import RunFailure
-from polhode.lie import Array
 
 Load = Literal["estimator", "images"]
 RUNS: dict[Load, int] = {"estimator": 10_000, "images": 300}
@@ -58,16 +56,13 @@ def main(
     """Measure, unless the record is complete; print the table and the verdict."""
     wanted = runs or (SHORT_RUNS if short else RUNS)[load]
     path = record or ROOT / "runs" / f"leaks_{load}{'_short' if short else ''}.jsonl"
-    lines = read(path)
+    lines = [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
     if not lines or lines[-1]["runs"] < wanted:
-        lines = sample(work_of(load), wanted, path)
-    print_samples(lines)
+        lines = sample(estimates() if load == "estimator" else pipelines(), wanted, path)
+    columns = ("runs", "failed", "seconds", "memory_mb", "files", "threads", "objects")
+    chosen = [lines[k] for k in ROWS if k < len(lines)]
+    print_table(columns, ([str(line[name]) for name in columns] for line in chosen), right_from=0)
     print(f"\n{verdict(lines)}")
-
-
-def work_of(load: Load) -> Iterator[Callable[[], None]]:
-    """The runs, without end."""
-    return estimates() if load == "estimator" else pipelines()
 
 
 def estimates() -> Iterator[Callable[[], None]]:
@@ -132,8 +127,6 @@ def sample(work: Iterator[Callable[[], None]], runs: int, path: Path) -> list[Ca
             if done in marks:
                 lines.append({"runs": done, "failed": failed, "seconds": round(time.perf_counter() - start)})
                 lines[-1] |= resources()
-                if done == 0:
-                    lines[-1]["made"] = provenance(code_of(__spec__.name if __spec__ else __name__))
                 stream.write(json.dumps(lines[-1]) + "\n")
                 stream.flush()
             if done < runs:
@@ -156,24 +149,13 @@ def resources() -> Case:
     }
 
 
-def read(path: Path) -> list[Case]:
-    """The samples of a record; empty if there is none."""
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
-
-
 def slope(lines: list[Case], name: str) -> tuple[float, float]:
-    """Growth of a quantity per run after the warm-up, and its standard deviation."""
-    first = WARM_UP * lines[-1]["runs"]
-    kept = [line for line in lines if line["runs"] >= first]
-    runs, values = (np.array([line[key] for line in kept], dtype=float) for key in ("runs", name))
-    return fitted(runs, values)
-
-
-def fitted(x: Array, y: Array) -> tuple[float, float]:
-    """Slope of a line and its standard deviation, with errors correlated from one point to the next.
+    """Growth of a quantity per run after the warm-up, and its standard deviation.
 
     The correlation r of successive residuals leaves (1 - r) / (1 + r) of the points' information.
     """
+    first = WARM_UP * lines[-1]["runs"]
+    x, y = (np.array([line[key] for line in lines if line["runs"] >= first], float) for key in ("runs", name))
     centred = x - x.mean()
     rate = float(centred @ y / (centred @ centred))
     residuals = y - y.mean() - rate * centred
@@ -185,37 +167,22 @@ def fitted(x: Array, y: Array) -> tuple[float, float]:
     return rate, float(np.sqrt(variance * (1.0 + r) / (1.0 - r)))
 
 
-def grows(lines: list[Case]) -> list[str]:
-    """What grows, in words; empty: nothing."""
-    found = []
-    rate, sigma = (1024.0 * value for value in slope(lines, "memory_mb"))
-    if rate - SIGMAS * sigma > 0.0 and rate > MAX_GROWTH_KB:
-        found.append(f"memory by {rate:.2f} kB a run")
-    first = next(line for line in lines if line["runs"] >= WARM_UP * lines[-1]["runs"])
-    for name in ("files", "threads"):
-        if lines[-1][name] > first[name]:
-            found.append(f"{name} from {first[name]} to {lines[-1][name]}")
-    return found
-
-
 def verdict(lines: list[Case]) -> str:
     """The slopes with their uncertainty, and the conclusion."""
     rate, sigma = (1024.0 * value for value in slope(lines, "memory_mb"))
     objects, spread = slope(lines, "objects")
-    growth = grows(lines)
-    made = state(lines[0].get("made"), code_of("benchmarks.robustness.leaks"))
+    growth = []
+    if rate - SIGMAS * sigma > 0.0 and rate > MAX_GROWTH_KB:
+        growth.append(f"memory by {rate:.2f} kB a run")
+    first = next(line for line in lines if line["runs"] >= WARM_UP * lines[-1]["runs"])
+    for name in ("files", "threads"):
+        if lines[-1][name] > first[name]:
+            growth.append(f"{name} from {first[name]} to {lines[-1][name]}")
     return (
-        f"{lines[-1]['runs']} runs, {lines[-1]['failed']} of them failed estimates ({made}). Memory: "
+        f"{lines[-1]['runs']} runs, {lines[-1]['failed']} of them failed estimates. Memory: "
         f"{rate:+.3f} +- {sigma:.3f} kB a run after the warm-up; objects: {objects:+.4f} +- {spread:.4f} a "
         f"run. {'It grows: ' + ', '.join(growth) if growth else 'No growth'}."
     )
-
-
-def print_samples(lines: list[Case]) -> None:
-    """Some of the samples."""
-    columns = ("runs", "failed", "seconds", "memory_mb", "files", "threads", "objects")
-    chosen = [lines[k] for k in ROWS if k < len(lines)]
-    print_table(columns, ([str(line[name]) for name in columns] for line in chosen), right_from=0)
 
 
 if __name__ == "__main__":

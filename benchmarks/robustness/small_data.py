@@ -16,12 +16,6 @@ runtime: {workers: 2}
 """
 
 
-def write_scene(path: Path) -> Path:
-    """The configuration of the scene."""
-    path.write_text(SCENE, encoding="utf-8")
-    return path
-
-
 def write_sequence(folder: Path) -> Path:
     """Render the scene."""
     import yaml

@@ -26,7 +26,6 @@ from benchmarks.presentation import print_table, save_figure, subplots
 from benchmarks.record import lines_of
 from benchmarks.robustness.data_faults import FAULTS as IMAGE_FAULTS
 from benchmarks.robustness.judge import SIGMAS, doubted
-from benchmarks.trust.judgement import FOUND_DEG_S
 from polhode.lie import Array
 from polhode.records import Bools
 
@@ -34,6 +33,8 @@ OWN = tuple(RECORDS / name for name in ("measurement_faults", "data_faults", "tr
 UNDISTURBED = ("none", "few")
 NAMED = {"focal": IMAGE_FAULTS["focal_wrong"].named}
 """Expressions of warnings that name a fault of the measurements"""
+FOUND_DEG_S = 0.1
+"""A rate is found within this, as vectors in N, root mean square over the frames"""
 MIN_VALUES = 5
 """Good runs, and wrong ones, of which a check has a value"""
 

@@ -1,6 +1,11 @@
-"""What the engine of ``polhode sweep`` costs.
+"""What the project's studies found, and the rules of thumb of ``polhode expect``.
 
-- engine: time per point, share of real work, memory over the number of points
-- kills: a study that is killed, and one on another scheduler, beside an undisturbed one
-- scheduler: 100,000 points on paper, and where the limit is
+In: tables of docs/study_results. Out: findings with intervals; rules, fitted and checked.
+
+    findings         tables of docs/study_findings.md
+    study_results    points, settings and errors of a study
+    confidence       numbers with intervals of 95 %
+    rules_of_thumb   random scenes, run and fitted: the rules
+    random_scenes    those scenes
+    expectations     whether the rules hold for the runs of other studies
 """

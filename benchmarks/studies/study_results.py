@@ -14,7 +14,7 @@ from benchmarks.presentation import Row, markdown_table
 from polhode.config import Config
 from polhode.lie import Array
 from polhode.records import Bools
-from polhode.studies.page.columns import Axis, axes_of, is_seed, numbers, texts
+from polhode.studies.page.columns import numbers, texts
 from polhode.studies.steps import DONE
 from polhode.studies.study import OpenStudy, open_study
 from polhode.studies.table import STUDY, read_table
@@ -74,19 +74,9 @@ class Results:
         return self.study.settings.title
 
     @cached_property
-    def axes(self) -> list[Axis]:
-        """What was varied, without seeds."""
-        return axes_of(self.study, self.table)
-
-    @cached_property
     def settings(self) -> pd.DataFrame:
         """The columns of all that was varied, seeds among them."""
         return self.table.select(list(self.study.columns)).to_pandas()
-
-    @cached_property
-    def seeds(self) -> list[str]:
-        """Columns of seeds."""
-        return [name for name in self.study.columns if is_seed(name)]
 
     @cached_property
     def configurations(self) -> list[Config]:
@@ -116,24 +106,22 @@ class Results:
         """(n,) without signs; NaN where a point has none."""
         return np.asarray(error.factor * np.abs(self.column(error.column)))
 
+    def by_level(self, name: str) -> Mapping[str, Bools]:
+        """The points of each level of a setting, in their order."""
+        names = [f"{each:.4g}" if isinstance(each, float) else str(each) for each in self.settings[name]]
+        return {level: np.array([each == level for each in names]) for level in dict.fromkeys(names)}
 
-def rate_deg_s(results: Results) -> Array:
-    """(n,) at the beginning."""
-    scenes = [each.scene for each in results.configurations]
-    return np.array([6.0 * np.linalg.norm(s.motion.spin_rpm) if s else np.nan for s in scenes])
+    def of_scenes(self, value: Any) -> Array:
+        """(n,) a number of every scene, by a function of it."""
+        scenes = [each.scene for each in self.configurations]
+        return np.array([float(value(scene)) if scene else np.nan for scene in scenes])
+
+    @cached_property
+    def rate_deg_s(self) -> Array:
+        """(n,) at the beginning."""
+        return self.of_scenes(lambda scene: 6.0 * np.linalg.norm(scene.motion.spin_rpm))
 
 
 def read_results(folder: Path) -> Results:
     """The results in the folder of a study. Raises InputError."""
     return Results(open_study(folder / STUDY, check=False), read_table(folder))
-
-
-def level_names(results: Results, name: str) -> list[str]:
-    """(n,) the setting of each point as text."""
-    return [f"{each:.4g}" if isinstance(each, float) else str(each) for each in results.settings[name]]
-
-
-def by_level(results: Results, name: str) -> Mapping[str, Bools]:
-    """The points of each level of a setting, in their order."""
-    names = level_names(results, name)
-    return {level: np.array([each == level for each in names]) for level in dict.fromkeys(names)}

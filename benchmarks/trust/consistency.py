@@ -23,7 +23,7 @@ from polhode.pipeline.run_directory.trajectory_file import read_trajectory, targ
 
 QUANTITIES = ("position", "velocity", "attitude", "rate", "inertia", "axes", "com")
 SIGMAS = 3.0
-LEAST_NEES = 0.45
+MIN_NEES = 0.45
 """Of the mean over its expectation: below, the bands are more than 1.5 times as wide as needed."""
 Entry = dict[str, Any]
 
@@ -99,5 +99,5 @@ def holds(result: Entry) -> bool:
     """Whether the pooled errors are neither too large nor too small for their sigmas."""
     if result["ratio"] is None:
         return True
-    in_band = max(result["low"], LEAST_NEES) <= result["ratio"] <= result["high"]
+    in_band = max(result["low"], MIN_NEES) <= result["ratio"] <= result["high"]
     return bool(in_band and result["coverage"] >= MIN_COVERAGE)

@@ -1,6 +1,5 @@
 """One run against its truth: what it claims, what it says of itself, what its checks cost."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,10 +21,6 @@ from polhode.pipeline.run_directory.trajectory_file import read_trajectory, targ
 from polhode.records import Ints, Truth
 from polhode.truth import read_truth
 
-FOUND_DEG_S = 0.1
-"""A rate is found within this, as vectors in N, root mean square over the frames."""
-OUTCOMES = ("found, ok", "found, but doubted", "not found, and said so", "not found, and ok")
-
 
 @dataclass(frozen=True)
 class SequenceTruth:
@@ -36,8 +31,8 @@ class SequenceTruth:
     later: Truth | None = None
 
 
-def judgement(run: Path, sequence: Path, mesh: bool) -> dict[str, Any]:
-    """A row of the record; ``mesh``: with the shares of the surface's vertices within their sigmas."""
+def judgement(run: Path, sequence: Path) -> dict[str, Any]:
+    """A row of the record."""
     summary = read_summary(run)
     row: dict[str, Any] = {
         "frames": summary.frames,
@@ -55,8 +50,7 @@ def judgement(run: Path, sequence: Path, mesh: bool) -> dict[str, Any]:
     row |= judged(run, known) | rates(run, truth)
     row["consistency"] = consistency_of(run, summary, known)
     row["intervals"] = intervals_of(run, summary, truth)
-    if mesh:
-        row["mesh"] = mesh_shares(run, sequence, summary, truth)
+    row["mesh"] = mesh_shares(run, sequence, summary, truth)
     return row
 
 
@@ -126,11 +120,3 @@ def intervals_of(run: Path, summary: Summary, truth: Truth) -> dict[str, Any]:
         for name, (pair, true) in pairs.items()
         if pair is not None
     }
-
-
-def spin_outcome(row: Mapping[str, Any]) -> str:
-    """One of OUTCOMES: whether the rate was found, and whether the run says that all is well."""
-    error = row.get("rate_error_deg_s")
-    found = row["status"] != "failed" and error is not None and error <= FOUND_DEG_S
-    confident = row["status"] == "ok"
-    return OUTCOMES[(0 if confident else 1) if found else (3 if confident else 2)]

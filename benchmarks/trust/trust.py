@@ -1,15 +1,11 @@
 """Whether runs can be trusted: sigmas, coverage, verdicts, intervals, mesh and the time of the checks.
 
-    python -m benchmarks.trust.trust [--groups configs new revolution] [--names ...] [--table] [--short]
+    python -m benchmarks.trust.trust [--groups configs new] [--names ...] [--table] [--short]
 
-Groups: the scenes of configs/ (with configs/ts38.yaml); new ones, which nothing was tuned on; bodies of
-revolution that spin about their axis of symmetry. Each scene is simulated, run with configs/default.yaml and
-judged, and is a row of the record; an interrupted benchmark goes on. Bodies of revolution are run without
-the sliding window and without pictures, and their surface is not judged.
-
-Tables: consistency of each scene and pooled (squared errors over their expectation, with the 95 % band;
-share within three sigma); verdicts, with the mesh and the cost of the checks; the bodies of revolution.
-docs/trust.md explains them.
+Groups: the scenes of configs/ (with configs/ts38.yaml); new ones, which nothing was tuned on. Each scene is
+simulated, run with configs/default.yaml and judged, and is a row of the record; an interrupted benchmark goes
+on. Tables: consistency of each scene and pooled (squared errors over their expectation, with the 95 % band;
+share within three sigma); verdicts, with the mesh and the cost of the checks. docs/trust.md explains them.
 """
 
 import shutil
@@ -21,32 +17,32 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
 
-from benchmarks.command import RECORDS, ROOT, Png, Record, Short, Workers, command
+from benchmarks.command import RECORDS, ROOT, Record, Short, Workers, command
 from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete, measured
-from benchmarks.robustness.judge import OUTCOMES as VERDICTS
-from benchmarks.robustness.judge import outcome_of
-from benchmarks.trust.cases import GROUPS, SHORT, scene_of
+from benchmarks.robustness.judge import OUTCOMES, outcome_of
 from benchmarks.trust.consistency import QUANTITIES, holds, pooled
-from benchmarks.trust.judgement import OUTCOMES, judgement, spin_outcome
-from benchmarks.trust.picture import draw_scenes
+from benchmarks.trust.judgement import judgement
+from benchmarks.trust.new_scenes import KINDS, new_scene
 from polhode.config import Config
+from polhode.config.loader import load_config
 from polhode.errors import RunFailure
 from polhode.pipeline.run import run
 from polhode.progress import Silent
 from polhode.simulation.dataset.sequence import plan_sequence, write_sequence
 
 RECORD = RECORDS / "trust"
-Group = Literal["configs", "new", "revolution"]
-QUICK: dict[str, Any] = {
-    "backend": {"window": {"enabled": False}},
-    "pictures": {"views": False, "animation": False},
+Group = Literal["configs", "new"]
+CONFIGS = {
+    path.stem: path for path in (ROOT / "configs/ts38.yaml", *sorted(ROOT.glob("configs/scenes/*.yaml")))
 }
-"""Of bodies of revolution: only the final motion is judged."""
+GROUPS: dict[str, tuple[str, ...]] = {"configs": tuple(CONFIGS), "new": tuple(KINDS)}
+"""Names of each group; those of "new" exist in any number of draws."""
+SHORT = {"configs": ("pure_spin",), "new": ()}
 
 
 def main(
-    groups: Annotated[tuple[Group, ...], arg(help="Groups of scenes.")] = ("configs", "new", "revolution"),
+    groups: Annotated[tuple[Group, ...], arg(help="Groups of scenes.")] = ("configs", "new"),
     names: Annotated[tuple[str, ...], arg(help="Only these of them.")] = (),
     draw: Annotated[int, arg(help="Which draw of the new scenes.")] = 1,
     workers: Workers = 1,
@@ -55,12 +51,8 @@ def main(
     folder: Annotated[Path, arg(help="Where sequences and runs are kept.")] = ROOT / "runs/trust",
     keep: Annotated[bool, arg(help="Keep sequences and runs, some 50 MB each.")] = False,
     table: Annotated[bool, arg(help="Only print the tables of what the record has.")] = False,
-    picture: Png = None,
 ) -> None:
-    """Measure what the record lacks, print the tables; or only draw the scenes of new ones and of bodies."""
-    if picture is not None:
-        draw_scenes(groups, draw, folder / "meshes").save(picture)
-        return
+    """Measure what the record lacks, print the tables."""
     known = {name for group in groups for name in GROUPS[group]}
     for name in names:
         if name not in known:
@@ -72,7 +64,9 @@ def main(
         if not names or name in names
     ]
     measure = Measure(folder, keep)
-    print_tables(measured(record, cases) if table else complete(record, cases, measure, workers))
+    lines = measured(record, cases) if table else complete(record, cases, measure, workers)
+    print_consistency(lines)
+    print_verdicts(lines)
 
 
 @dataclass(frozen=True)
@@ -86,31 +80,24 @@ class Measure:
         """The row of a case; a sequence or run that an interrupted one left is used."""
         group, name, draw = case["group"], case["name"], case.get("draw", 1)
         place = self.folder / group / (f"{name}_{draw}" if group == "new" else name)
-        scene, seed = scene_of(group, name, draw, self.folder / "meshes")
+        if group == "new":
+            scene, seed = new_scene(name, draw)
+        else:
+            config = load_config(CONFIGS[name])
+            assert config.scene is not None
+            scene, seed = config.scene, config.seed
         sequence, out = place / "sequence", place / "run"
         if not (sequence / "mav0").is_dir():
             write_sequence(plan_sequence(scene, seed), sequence, Silent())
         if not (out / "summary.json").is_file():
             shutil.rmtree(out, ignore_errors=True)
-            settings = {**(QUICK if group == "revolution" else {}), "runtime": {"workers": 1}}
             # summary.json says why it failed
             with suppress(RunFailure):
-                run(Config.model_validate(settings), sequence, out, Silent())
-        row = judgement(out, sequence, mesh=group != "revolution")
+                run(Config.model_validate({"runtime": {"workers": 1}}), sequence, out, Silent())
+        row = judgement(out, sequence)
         if not self.keep:
             shutil.rmtree(place)
         return row
-
-
-def print_tables(lines: Sequence[Case]) -> None:
-    """Consistency, verdicts, bodies of revolution, as far as there are rows."""
-    scenes = [line for line in lines if line["case"]["group"] != "revolution"]
-    bodies = [line for line in lines if line["case"]["group"] == "revolution"]
-    if scenes:
-        print_consistency(scenes)
-        print_verdicts(scenes)
-    if bodies:
-        print_bodies(bodies)
 
 
 def print_consistency(lines: Sequence[Case]) -> None:
@@ -170,12 +157,7 @@ def print_verdicts(lines: Sequence[Case]) -> None:
             "mesh within 1 sigma [%]", "within 3", "seconds", "of these checks [%]")  # fmt: skip
     print_table(head, rows, right_from=4)
     outcomes = [outcome_of(line) for line in lines]
-    print("\n" + ", ".join(f"{outcomes.count(name)} {name}" for name in VERDICTS))
-    print_cost(lines)
-
-
-def print_cost(lines: Sequence[Case]) -> None:
-    """The share of the checks in the time of the runs that measured it."""
+    print("\n" + ", ".join(f"{outcomes.count(name)} {name}" for name in OUTCOMES))
     timed = [line for line in lines if line["checks_seconds"]]
     if timed:
         seconds, checks = (sum(line[key] for line in timed) for key in ("seconds", "checks_seconds"))
@@ -185,25 +167,6 @@ def print_cost(lines: Sequence[Case]) -> None:
 def _mesh_cells(mesh: dict[str, Any]) -> list[str]:
     keys = ("within_1_sigma", "within_3_sigma")
     return ["-" if mesh.get(key) is None else f"{100.0 * mesh[key]:.1f}" for key in keys]
-
-
-def print_bodies(lines: Sequence[Case]) -> None:
-    """Bodies of revolution: the rate, found or not, and what the run says."""
-    print(f"\n{len(lines)} bodies of revolution\n")
-    rows = []
-    for line in lines:
-        error, sigma = line.get("rate_error_deg_s"), line.get("rate_sigma_deg_s")
-        doubts = [name for name, (_, _, beyond) in line["checks"].items() if beyond]
-        rows.append([
-            name_of(line), f"{line['rate_deg_s']:.1f}" if error is not None else "-",
-            "-" if error is None else f"{error:.3f}", "-" if sigma is None else f"{sigma:.3f}",
-            line["status"], spin_outcome(line), "; ".join(doubts) or "-",
-        ])  # fmt: skip
-    head = ("body", "rate [deg/s]", "error", "sigma", "status", "outcome", "checks that do not hold")
-    print_table(head, rows)
-    outcomes = [spin_outcome(line) for line in lines]
-    print("\n" + ", ".join(f"{outcomes.count(name)} {name}" for name in OUTCOMES))
-    print_cost(lines)
 
 
 if __name__ == "__main__":

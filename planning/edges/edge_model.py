@@ -13,11 +13,9 @@ from functools import cached_property
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from polhode.compiled import compiled_ieee
 from polhode.errors import InputError
 from polhode.lie import Array
 from polhode.planning.edges.orientation import (
@@ -28,43 +26,6 @@ from polhode.planning.edges.orientation import (
 )
 from polhode.rays import FirstHits, RayScene
 from polhode.records import Bools, Ints
-
-
-@compiled_ieee
-def lengths(vectors: Array) -> Array:
-    """(m,) of vectors (m, k): a third of the time of numpy's norm along so short an axis."""
-    out = np.empty(len(vectors))
-    for i in range(len(vectors)):
-        square = 0.0
-        for axis in range(vectors.shape[1]):
-            square += vectors[i, axis] * vectors[i, axis]
-        out[i] = np.sqrt(square)
-    return out
-
-
-@compiled_ieee
-def _aim(
-    eye: Array,
-    p: Array,
-    middle: Array,
-    before_m: float,
-    clearance_m: float,
-    start: NDArray[np.float32],
-    direction: NDArray[np.float32],
-    reach: NDArray[np.float32],
-) -> None:
-    """Rays from the eye (3,) to points (m, 3), from ``before_m`` before each on, less the clearance."""
-    for k in range(len(p)):
-        distance = 0.0
-        for axis in range(3):
-            distance += (p[k, axis] - eye[axis]) ** 2
-        distance = np.sqrt(distance)
-        skip = max(distance - before_m, 0.0)
-        for axis in range(3):
-            along = (p[k, axis] - eye[axis]) / max(distance, 1e-12)
-            direction[k, axis] = along
-            start[k, axis] = eye[axis] + skip * along - middle[axis]
-        reach[k] = max(distance - skip - clearance_m, 0.0)
 
 
 class Occluder:
@@ -80,11 +41,14 @@ class Occluder:
         """(m,) true where the body blocks the ray from the eye (3,) to points (m, 3), less the clearance."""
         if len(p_G) == 0:
             return np.zeros(0, dtype=bool)
-        shape = p_G.shape
-        start, direction = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
-        reach = np.empty(len(p_G), dtype=np.float32)
+        away = p_G - eye_G
+        distance = np.linalg.norm(away, axis=1)
+        along = away / np.maximum(distance, 1e-12)[:, None]
         # Start near the body: single precision is then enough at any range.
-        _aim(eye_G, p_G, self._middle, 2.5 * self._radius_m, clearance_m, start, direction, reach)
+        skip = np.maximum(distance - 2.5 * self._radius_m, 0.0)
+        start = eye_G + skip[:, None] * along - self._middle
+        reach = np.maximum(distance - skip - clearance_m, 0.0)
+        start, direction, reach = (each.astype(np.float32) for each in (start, along, reach))
         return self._scene.blocked(start, direction, reach)
 
     def first_hits(self, eye_G: Array, direction_G: Array) -> tuple[FirstHits, Array]:
@@ -273,7 +237,7 @@ class EdgeModel:
     def lift_G(self) -> Array:
         """(n, 3) outwards, from a segment to the arc that it approximates: a chord lies inside."""
         outward = self.sides_G[:, 0] + self.sides_G[:, 1]
-        outward /= np.maximum(lengths(outward), 1e-12)[:, None]
+        outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
         lift = np.where(self.kind == EdgeKind.BOUNDARY, 0.0, 1.5 * self.tolerance_m)
         return np.asarray(lift[:, None] * outward)
 

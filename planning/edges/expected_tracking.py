@@ -31,7 +31,7 @@ from polhode.planning.edges.stripe_profiles import BLUR_PX, STEP_PX, fitted, pla
 from polhode.planning.edges.stripes import (
     FLOOR_PX,
     HALF_PX,
-    MOST_SHIFT_PX,
+    MAX_SHIFT_PX,
     SAMPLED_PX,
     stripes_across,
     times_measured,
@@ -40,13 +40,13 @@ from polhode.planning.edges.visible_edges import SPACING_PX, ControlPoints, cont
 
 WHITE_DN = 100.0
 """Grey level of a surface in full sunlight"""
-MOST_POINTS = 300
+MAX_POINTS = 300
 """Control points that are looked at, so that a view takes the same time however many edges it has"""
 BEYOND_PX = 3.0
 """By how much rays look farther than a profile: its blur"""
-LIFT = 2e-4
+SHADOW_LIFT = 2e-4
 """Of a point above its face, in radii of the body, where its shadow is looked for"""
-AT_DEG = 45.0
+SUN_ANGLE_DEG = 45.0
 """Between the Sun and the camera, where the Sun is not known"""
 
 
@@ -62,7 +62,7 @@ class ExpectedLight:
     """level of a white surface that faces the Earth, in the shadow of the Sun"""
 
 
-def around_camera(count: int = 4, angle_deg: float = AT_DEG) -> ExpectedLight:
+def around_camera(count: int = 4, angle_deg: float = SUN_ANGLE_DEG) -> ExpectedLight:
     """Suns evenly around the camera, each with the Earth beyond the camera, 100 degrees away."""
     around = 2.0 * np.pi * (np.arange(count) + 0.5) / count
     angle = np.deg2rad(angle_deg)
@@ -127,7 +127,7 @@ def expected_tracking(
     points = _thinned(control_points(model, rig, X_RG, SPACING_PX) if points is None else points)
     own = every_point(model, rig, X_RG, SAMPLED_PX)
     every = own if known is None or known is model else every_point(known, rig, X_RG, SAMPLED_PX)
-    stripes = stripes_across(points, every, X_RG, HALF_PX + MOST_SHIFT_PX)
+    stripes = stripes_across(points, every, X_RG, HALF_PX + MAX_SHIFT_PX)
     f = edge_motion(points, rig, X_RG, o_G)
     length = points.weight / np.maximum(times_measured(points, own), 1.0)
     C, displacement = [], []
@@ -138,16 +138,16 @@ def expected_tracking(
             C.append(np.zeros((6, 6)))
             displacement.append(np.zeros(6))
             continue
-        told, _, _ = seen.told(seen.settled_places(), narrow=True)
-        C.append(told.C)
-        displacement.append(observable_covariance(told.C, model.radius_m) @ told.pull)
+        equations, _, _ = seen.normal_equations(seen.settled_places(), narrow=True)
+        C.append(equations.C)
+        displacement.append(observable_covariance(equations.C, model.radius_m) @ equations.pull)
     information = EdgeObservability(np.mean(C, axis=0), model.radius_m, len(points))
     return ExpectedTracking(information, np.array(displacement))
 
 
 def _thinned(points: ControlPoints) -> ControlPoints:
-    """At most ``MOST_POINTS``, evenly over the edges, which stand for all."""
-    step = -(-len(points) // MOST_POINTS) if len(points) else 1
+    """At most ``MAX_POINTS``, evenly over the edges, which stand for all."""
+    step = -(-len(points) // MAX_POINTS) if len(points) else 1
     chosen = points[np.arange(0, len(points), step)]
     return replace(chosen, weight=chosen.weight * (len(points) / max(len(chosen), 1)))
 
@@ -180,7 +180,7 @@ def _grey_levels(
     for level, sun_R, earth_R in zip(out, light.sun_R, light.earth_R, strict=True):
         sun_G, earth_G = R_GR @ sun_R, R_GR @ earth_R
         towards = (facing_G @ sun_G > 0.0) & (normal_G @ sun_G > 0.0)
-        lift_m = LIFT * model.radius_m
+        lift_m = SHADOW_LIFT * model.radius_m
         start_G = p_G[towards] + lift_m * facing_G[towards]
         towards[towards] = ~model.occluder.shades(sun_G, start_G, 0.5 * lift_m)
         sunlight = np.where(towards, normal_G @ sun_G, 0.0)

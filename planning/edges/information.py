@@ -1,7 +1,7 @@
 """Information about the pose along a trajectory, per view and per edge, and the contribution of each edge.
 
-``views_along`` yields the metric of each view; ``feature_information`` keeps one matrix for each feature and
-view, from which contributions and selections of edges are computed. ``contributions`` gives two numbers for
+``views_along`` yields the metric of each view; ``by_feature`` has one matrix for each feature of a view, from
+which contributions and selections of edges are computed. ``contributions`` gives two numbers for
 each edge, from P = C^-1 with C the sum of the features' C_i:
 
 share: (P C_i P)_dd / P_dd. Least squares weights the measured distances by P f; the noise that enters
@@ -40,7 +40,6 @@ from polhode.planning.edges.observability_metric import (
 from polhode.planning.edges.visible_edges import (
     SPACING_PX,
     ControlPoints,
-    clear_points,
     control_points,
     in_sunlight,
     why_no_edge,
@@ -66,30 +65,6 @@ class FeatureInformation:
     def scaled(self) -> Array:
         """(T, n, 6, 6) with translations in radii, rotations in radians."""
         return np.asarray(self.C * np.outer(motion_scale(self.radius_m), motion_scale(self.radius_m)))
-
-
-def feature_information(
-    model: EdgeModel,
-    rig: RectifiedRig,
-    X_RG: Array,
-    sun_G: Array | None = None,
-    o_G: Array | None = None,
-    spacing_px: float = SPACING_PX,
-    clear: bool = False,
-) -> FeatureInformation:
-    """Views at X_RG (T, 4, 4), hidden lines removed; with sun_G (T, 3) edges are weighted by their contrast.
-
-    About o_G (3,), by default the model's centre. ``clear``: without points that a tracker confuses with
-    adjacent edges (`visible_edges.clear_points`), as a selection of edges requires.
-    """
-    about = model.centre_G if o_G is None else o_G
-    C = np.zeros((len(X_RG), model.size, 6, 6))
-    for k, X in enumerate(X_RG):
-        points = (clear_points if clear else control_points)(model, rig, X, spacing_px)
-        if sun_G is not None:
-            points = in_sunlight(model, points, inverse_pose(X)[:3, 3], sun_G[k])
-        C[k] = by_feature(points, edge_motion(points, rig, X, about), model.size)
-    return FeatureInformation(C, model.radius_m)
 
 
 def by_feature(points: ControlPoints, f: Array, size: int) -> Array:

@@ -12,8 +12,7 @@ them as limits has an optimum that is no larger (cutting planes: Kelley, J. SIAM
 """
 
 from dataclasses import dataclass
-from itertools import combinations, islice
-from math import comb
+from itertools import combinations
 
 import numpy as np
 from scipy.optimize import linprog
@@ -25,10 +24,9 @@ from polhode.records import Bools, Ints
 
 FACTOR = 1.1
 """Largest admissible increase of sigma."""
-MAX_SETS = 2_000_000
-AT_ONCE = 20_000
 MAX_EXCHANGES = 400_000
-MANY = 600
+"""Pairs and the features that replace them, beyond which no exchange is tried"""
+MANY_CANDIDATES = 600
 """Among more candidates, sets are built from several edges at a time."""
 STEPS = 200
 """Number of such steps from none to all"""
@@ -92,32 +90,11 @@ def smallest_set(information: FeatureInformation, factor: float = FACTOR) -> Sma
     """A small set within the factor, and a lower bound of its size."""
     limits = SigmaLimits(information, factor)
     first = _backward_elimination(limits, _forward_greedy(limits))
-    many = len(limits.candidates) > MANY
+    many = len(limits.candidates) > MANY_CANDIDATES
     second = first if many else _backward_elimination(limits, limits.candidates.tolist())
     best = _exchange_pairs(limits, min((second, first), key=len))
     features = np.array(sorted(best), dtype=np.int64)
     return SmallestSet(features, limits.ratio(limits.of(features)), min_number(limits))
-
-
-def exact_smallest_set(information: FeatureInformation, factor: float = FACTOR) -> SmallestSet:
-    """Exhaustive search from the lower bound upwards. Raises InputError where the sets are too many."""
-    limits = SigmaLimits(information, factor)
-    n, tried = len(limits.candidates), 0
-    for size in range(min_number(limits), n + 1):
-        tried += comb(n, size)
-        if tried > MAX_SETS:
-            raise InputError(f"{n} edges have more than {MAX_SETS} sets to test; use `smallest_set`")
-        sets = combinations(limits.candidates.tolist(), size)
-        while some := list(islice(sets, AT_ONCE)):
-            which = np.array(some)
-            member = np.zeros((len(which), limits.C.shape[1]))
-            np.put_along_axis(member, which, 1.0, axis=1)
-            total = np.einsum("sn,tnij->stij", member, limits.C, optimize=True)
-            good = np.flatnonzero(limits.meets(total))
-            if len(good):
-                features = which[good[0]]
-                return SmallestSet(features, limits.ratio(limits.of(features)), size)
-    raise AssertionError("the set of all features meets any limit")
 
 
 def min_number(limits: SigmaLimits) -> int:
@@ -161,7 +138,7 @@ def _forward_greedy(limits: SigmaLimits) -> list[int]:
     chosen: list[int] = []
     total = np.zeros_like(limits.C[:, 0])
     free = limits.candidates.tolist()
-    together = len(free) // STEPS if len(free) > MANY else 1
+    together = len(free) // STEPS if len(free) > MANY_CANDIDATES else 1
     while not bool(limits.meets(total)) and free:
         excess = limits.excess(total + np.swapaxes(limits.C[:, free], 0, 1))
         best = np.argsort(excess, kind="stable")[:together]
@@ -176,7 +153,7 @@ def _backward_elimination(limits: SigmaLimits, chosen: list[int]) -> list[int]:
     """Backward elimination: remove the least important feature while the limits are met."""
     chosen = list(chosen)
     total = limits.of(chosen)
-    together = len(limits.candidates) // STEPS if len(limits.candidates) > MANY else 1
+    together = len(limits.candidates) // STEPS if len(limits.candidates) > MANY_CANDIDATES else 1
     while len(chosen) > 1:
         left = total - np.swapaxes(limits.C[:, chosen], 0, 1)
         ratio = np.nan_to_num(limits.ratio(left)[:, limits.degrees], nan=np.inf).max(axis=1)

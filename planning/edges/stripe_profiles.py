@@ -19,9 +19,9 @@ from scipy.special import gammaln, ndtr, pbdv
 from polhode.compiled import compiled_ieee
 from polhode.lie import Array
 from polhode.planning.edges.stripes import (
-    MOST_SHIFT_PX,
-    MOST_SIGMA_PX,
-    UNIFORM,
+    MAX_SHIFT_PX,
+    MAX_SIGMA_PX,
+    UNIFORM_SIGMA,
     MeasuredStripes,
     Stripes,
 )
@@ -31,7 +31,7 @@ BLUR_PX = 0.95
 """Sigma of an edge in a profile: a lens of 0.8, a pixel, and its interpolation"""
 STEP_PX = 0.5
 """Distance of the samples of a profile"""
-LEAST_NOISE = 1.0
+MIN_NOISE_DN = 1.0
 """Grey levels: a profile is not believed to be better than that."""
 ALONG_PX = 2
 """Pixels on both sides of a point, along the edge, over which its profile is a mean"""
@@ -57,10 +57,10 @@ class Displacements:
     spread_px: Array
     """(m,) sigma of the place of the step within the stripes that give the information"""
 
-    def of(self, stripes: Stripes, f: Array, length: Array, floor_px: float) -> MeasuredStripes:
+    def of(self, stripes: Stripes, f: Array, length: Array, floor_px: Array | float) -> MeasuredStripes:
         """As measurements of motions f (m, 6), of edges that are known to ``floor_px`` at best."""
         sigma = np.hypot(self.sigma_px, floor_px)
-        counts = (sigma < MOST_SIGMA_PX) & (np.abs(self.shift_px) < MOST_SHIFT_PX)
+        counts = (sigma < MAX_SIGMA_PX) & (np.abs(self.shift_px) < MAX_SHIFT_PX)
         sigma = np.where(np.isfinite(sigma), sigma, _NO_SIGMA_PX)
         return MeasuredStripes(
             stripes, f, self.shift_px, sigma, stripes.side * self.spread_px, counts, length
@@ -75,15 +75,15 @@ def places(half_px: float) -> Array:
 
 def blur_of(stripes: Stripes) -> Array:
     """(m, LINES) sigma of the step that each stripe makes in a profile."""
-    along = np.sqrt((2 * ALONG_PX + 1) ** 2 - 1) * UNIFORM
-    square = BLUR_PX**2 + (along * stripes.slope) ** 2 + (UNIFORM * stripes.width_px) ** 2
+    along = np.sqrt((2 * ALONG_PX + 1) ** 2 - 1) * UNIFORM_SIGMA
+    square = BLUR_PX**2 + (along * stripes.slope) ** 2 + (UNIFORM_SIGMA * stripes.width_px) ** 2
     return np.asarray(np.sqrt(square))
 
 
 def fitted(place: Array, grey: Array, stripes: Stripes) -> Displacements:
     """Of the edges nearest to where the model has them, from grey levels (m, n) at places (n,)."""
     shift = np.zeros(len(grey))
-    told = np.zeros((len(grey), 2))
+    information = np.zeros((len(grey), 2))
     height = np.zeros(stripes.offset_px.shape)
     _descend(
         place,
@@ -95,16 +95,16 @@ def fitted(place: Array, grey: Array, stripes: Stripes) -> Displacements:
         _BLURRED_STEP,
         _BLURRED_ROOT,
         shift,
-        told,
+        information,
         height,
     )
-    noise = np.maximum(told[:, 1], LEAST_NOISE**2)
+    noise = np.maximum(information[:, 1], MIN_NOISE_DN**2)
     # samples are half a pixel apart, and the noise of two of them is that of one pixel
-    sigma = np.sqrt(noise / STEP_PX / np.maximum(told[:, 0], 1e-12))
+    sigma = np.sqrt(noise / STEP_PX / np.maximum(information[:, 0], 1e-12))
     square = height**2
     share = square / np.maximum(square.sum(axis=1, keepdims=True), 1e-12)
-    spread = np.sqrt(np.nansum(share * (UNIFORM * np.nan_to_num(stripes.width_px)) ** 2, axis=1))
-    return Displacements(shift, np.where(told[:, 0] > 1e-9, sigma, np.inf), spread)
+    spread = np.sqrt(np.nansum(share * (UNIFORM_SIGMA * np.nan_to_num(stripes.width_px)) ** 2, axis=1))
+    return Displacements(shift, np.where(information[:, 0] > 1e-9, sigma, np.inf), spread)
 
 
 def searched(place: Array, grey: Array, stripes: Stripes, range_px: float) -> tuple[Array, Bools]:
@@ -228,10 +228,10 @@ def _descend(
     table: Array,
     root_table: Array,
     shift: Array,
-    told: Array,
+    information: Array,
     height: Array,
 ) -> None:
-    """Gauss-Newton of the shift, with the heights eliminated; told: information and variance."""
+    """Gauss-Newton of the shift, with the heights eliminated; information: information and variance."""
     count = len(place)
     A = np.ones((count, 2 + offset.shape[1]))
     slope = np.zeros((count, 1 + offset.shape[1]))
@@ -266,7 +266,7 @@ def _descend(
             _solve(L, columns, d)
             for k in range(columns):
                 jj -= c[k] * d[k]
-            told[i, 0], told[i, 1] = max(jj, 0.0), rr / max(count - columns - 1, 1)
+            information[i, 0], information[i, 1] = max(jj, 0.0), rr / max(count - columns - 1, 1)
             if turn == steps or jj <= 1e-9 or abs(jr / jj) < _SETTLED_PX:
                 break
             shift[i] += min(max(jr / jj, -_LONGEST_PX), _LONGEST_PX)

@@ -35,12 +35,12 @@ _ALIKE = 8.0
 """Normals that agree to one part in so many are alike."""
 HALF_PX = 3.0
 """What lies within this of a control point, along its normal, is measured by it."""
-UNIFORM = 1.0 / np.sqrt(12.0)
+UNIFORM_SIGMA = 1.0 / np.sqrt(12.0)
 """Standard deviation of a place within a stripe of width 1"""
 FLOOR_PX = 0.05
 """Sigma of an edge's place in an image however clear it is: blur, pixels, errors of the model
-(docs/observability_tracking.md)"""
-MOST_SIGMA_PX, MOST_SHIFT_PX = 0.6, 2.5
+(docs/observability.md)"""
+MAX_SIGMA_PX, MAX_SHIFT_PX = 0.6, 2.5
 """Points that are less certain, or farther off, do not count."""
 TUKEY, CAUCHY = 4.685, 2.385
 """Widths in sigmas: 95 % efficient for Gaussian noise (Huber and Ronchetti, Robust Statistics, 2009)"""
@@ -249,7 +249,7 @@ class MeasuredStripes:
         """(m,) in sigmas, with places (classes,) of the steps in their stripes."""
         return np.asarray((self.shift_px - self.spread_px * place[self.stripes.light]) / self.sigma_px)
 
-    def told(self, place: Array, narrow: bool) -> tuple[StripeInformation, Array, float]:
+    def normal_equations(self, place: Array, narrow: bool) -> tuple[StripeInformation, Array, float]:
         """Normal equations, robust weights (m,) of the points without the scale, and the scale.
 
         ``place`` (classes,): of the steps in their stripes, for the weights.
@@ -271,6 +271,6 @@ class MeasuredStripes:
         """(classes,) of the steps in their stripes at the pose itself, found by turns with the weights."""
         place = np.zeros(self.stripes.classes)
         for _ in range(_TURNS):
-            told, _, _ = self.told(place, narrow=True)
-            place = told.places(np.zeros(6))
+            equations, _, _ = self.normal_equations(place, narrow=True)
+            place = equations.places(np.zeros(6))
         return place

@@ -1,8 +1,6 @@
 """Control points: the edges of a model that a camera sees from one pose, sampled every few pixels.
 
-``control_points`` returns all of them, each line of the image once; ``clear_points`` only those separated
-from other edges: of two adjacent parallel edges an image shows one, somewhere between them. The same occurs
-at a face seen edge-on, whose far side may be occluded at one pose and visible at the next.
+``control_points`` returns each line of the image once, ``every_point`` all edges that coincide there.
 
 Smooth parts are seen by their outlines (occluding contours), where the surface turns away from the viewer:
 the zero of N . (p - eye) with normals and positions interpolated over each face (Hertzmann and Zorin,
@@ -20,12 +18,11 @@ assumed instead.
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from polhode.camera import RectifiedRig
 from polhode.compiled import compiled_ieee
 from polhode.lie import Array, inverse_pose, transform_points
-from polhode.planning.edges.edge_model import EdgeKind, EdgeModel, lengths
+from polhode.planning.edges.edge_model import EdgeKind, EdgeModel
 from polhode.records import Bools, Ints
 
 
@@ -240,20 +237,12 @@ def _on_segments(
     piece, share, length_px = _steps(model.ends_G, X_RG, rig, spacing_px, near_m)
     eye_G = inverse_pose(X_RG)[:3, 3]
     p_G, tangent_G = _between(model.ends_G, piece, share), _between(model.tangents_G, piece, share)
-    uv, normal, well = _in_image(p_G, _crossed(p_G - eye_G, tangent_G), X_RG, rig)
+    uv, normal, well = _in_image(p_G, np.cross(p_G - eye_G, tangent_G), X_RG, rig)
     free = well & ~model.occluder.hides(
         eye_G, p_G + model.lift_G.take(piece, axis=0), 2.0 * model.tolerance_m
     )
-    rows = np.flatnonzero(free)
-    feature = piece.take(rows)
-    return ControlPoints(
-        p_G.take(rows, axis=0),
-        uv.take(rows, axis=0),
-        normal.take(rows, axis=0),
-        feature,
-        length_px.take(rows) / spacing_px,
-        model.sides_G.take(feature, axis=0),
-    )
+    weight = length_px / spacing_px
+    return ControlPoints(p_G, uv, normal, piece, weight, model.sides_G[piece])[free]
 
 
 def _on_outlines(
@@ -265,7 +254,7 @@ def _on_outlines(
     piece, share, length_px = _steps(contours.ends_G, X_RG, rig, spacing_px, near_m)
     piece, share = _thinned(piece, share, length_px, spacing_px)
     p_G, normal_G = _between(contours.ends_G, piece, share), _between(contours.normals_G, piece, share)
-    normal_G /= np.maximum(lengths(normal_G), 1e-12)[:, None]
+    normal_G /= np.maximum(np.linalg.norm(normal_G, axis=1), 1e-12)[:, None]
     uv, normal, well = _in_image(p_G, normal_G, X_RG, rig)
     lift = model.tolerance_m + 2.0 * contours.bulge_m[piece]
     free = well & ~model.occluder.hides(eye_G, p_G + lift[:, None] * normal_G, 2.0 * model.tolerance_m)
@@ -372,26 +361,10 @@ def _clipped(at: float, step: float, end: float, enter: float, leave: float) -> 
     return enter, max(leave, enter)
 
 
-@compiled_ieee
 def _between(ends: Array, piece: Ints, share: Array) -> Array:
     """Points (m, 3) at fractions (m,) of the segments ``piece`` (m,) of (n, 2, 3)."""
-    points = np.empty((len(piece), 3))
-    for k in range(len(piece)):
-        for axis in range(3):
-            start = ends[piece[k], 0, axis]
-            points[k, axis] = start + share[k] * (ends[piece[k], 1, axis] - start)
-    return points
-
-
-@compiled_ieee
-def _crossed(a: Array, b: Array) -> Array:
-    """Cross products of rows (m, 3)."""
-    out = np.empty((len(a), 3))
-    for k in range(len(a)):
-        for axis in range(3):
-            i, j = (axis + 1) % 3, (axis + 2) % 3
-            out[k, axis] = a[k, i] * b[k, j] - a[k, j] * b[k, i]
-    return out
+    start = ends[piece, 0]
+    return np.asarray(start + share[:, None] * (ends[piece, 1] - start))
 
 
 def _in_image(p_G: Array, plane_G: Array, X_RG: Array, rig: RectifiedRig) -> tuple[Array, Array, Bools]:
@@ -459,44 +432,6 @@ def _join(first: ControlPoints, second: ControlPoints) -> ControlPoints:
     return ControlPoints(
         *(np.concatenate([getattr(first, item.name), getattr(second, item.name)]) for item in fields(first))
     )
-
-
-SAME_PX = 0.5
-"""Edges with a smaller lateral distance are pieces of one edge."""
-EDGE_ON = 0.05
-"""Sine of the angle to a face's plane below which it is seen edge-on: half a metre is 4 px wide at 4 m."""
-SEPARATION_PX = 4.0
-
-
-def clear_points(
-    model: EdgeModel, rig: RectifiedRig, X_RG: Array, spacing_px: float, separation_px: float = SEPARATION_PX
-) -> ControlPoints:
-    """Control points of a view, without those that are ambiguous in the image."""
-    points = control_points(model, rig, X_RG, spacing_px)
-    points = points[~beside_edge_on_face(points, model, X_RG)]
-    return points[is_separated(points, separation_px)]
-
-
-def beside_edge_on_face(points: ControlPoints, model: EdgeModel, X_RG: Array) -> Bools:
-    """(m,) whether a point lies on a segment with an adjacent face seen edge-on."""
-    ray = points.p_G - inverse_pose(X_RG)[:3, 3]
-    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    sine = np.abs(np.einsum("msk,mk->ms", points.sides_G, ray)).min(axis=1)
-    return np.asarray((points.feature < len(model.ends_G)) & (sine < EDGE_ON))
-
-
-def is_separated(points: ControlPoints, min_px: float) -> Bools:
-    """(m,) false where a point of another edge lies within ``min_px`` beside this one, not along it."""
-    clear = np.ones(len(points), dtype=bool)
-    if len(points) == 0:
-        return clear
-    pairs = cKDTree(points.uv_px).query_pairs(min_px, output_type="ndarray")
-    pairs = pairs[points.feature[pairs[:, 0]] != points.feature[pairs[:, 1]]]
-    separation = points.uv_px[pairs[:, 0]] - points.uv_px[pairs[:, 1]]
-    for one in pairs.T:
-        across = np.abs(np.einsum("mk,mk->m", separation, points.normal_px[one]))
-        clear[one[across > SAME_PX]] = False
-    return clear
 
 
 HALF_CONTRAST = 0.1

@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,7 +23,6 @@ import psutil
 import pytest
 from distributed import Client
 
-from benchmarks.studies.kills import workers_of
 from polhode.cli.main import main
 from polhode.errors import InputError
 from polhode.studies import cluster as cluster_module
@@ -42,6 +41,17 @@ STUDY: dict[str, Any] = {
 }
 POINTS = 6
 PATIENT = Path(__file__).with_name("patient_worker.py")
+
+
+def workers_of(pid: int) -> list[psutil.Process]:
+    """The workers of a program with a cluster of its own; none once the program has ended."""
+    found = list[psutil.Process]()
+    with suppress(psutil.NoSuchProcess):
+        for each in psutil.Process(pid).children(recursive=True):
+            with suppress(psutil.NoSuchProcess):
+                if "spawn_main" in " ".join(each.cmdline()):
+                    found.append(each)
+    return found
 
 
 def allow(folder: Path, points: int) -> None:

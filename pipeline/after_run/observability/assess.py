@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from polhode.camera import RectifiedRig
+from polhode.dataset import open_sequence
 from polhode.errors import InputError
+from polhode.frontend.rectification import make_rectifier
 from polhode.lie import Array, inverse_pose, make_pose, matrix_from_wxyz
 from polhode.mapping.mesh_files import read_mesh
 from polhode.pipeline.after_run.plan import final_estimate, surface_of
@@ -17,7 +19,9 @@ from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory, target_poses
 from polhode.planning.edges.edge_model import CREASE_DEG, EdgeModel, edge_model
+from polhode.planning.edges.edge_refinement import PosedImage, RefinedEdges, refined_edges
 from polhode.planning.edges.expected_tracking import ExpectedTracking, expected_tracking, lit_from
+from polhode.planning.edges.image_profiles import as_levels
 from polhode.planning.edges.information import (
     Contributions,
     EdgeView,
@@ -155,6 +159,31 @@ def _of_run(
         o_G, about = model.centre_G, "the centre of the bounding box"
     rig = _rig(camera, tracks.rig)
     return Subject(str(run), model, rig, time_s, X_RG, about, o_G, sun_G, tuple(notes))
+
+
+def refined_edges_of_run(run: Path, sequence: Path) -> RefinedEdges:
+    """The edges of the run's mesh in G, where the left images of its sequence have them.
+
+    Edges that the images do not confirm are left out. Raises InputError for a run without motion, or for
+    another sequence.
+    """
+    surface, tracks = surface_of(run), read_measurements(run / "measurements.npz")
+    _, X_RG, _ = _poses_of_run(run, read_summary(run), tracks.X_NR)
+    images = open_sequence(sequence)
+    frames = np.searchsorted(images.timestamps_ns, tracks.timestamps_ns)
+    if not np.isin(tracks.timestamps_ns, images.timestamps_ns).all():
+        raise InputError(f"{sequence}: lacks images of {run}; give the sequence that the run was made from")
+    rectifier = make_rectifier(images.calibration)
+    return refined_edges(
+        measured_edge_model(surface.mesh, surface.sigma_m),
+        surface.mesh,
+        surface.sigma_m,
+        tracks.rig,
+        [
+            PosedImage(as_levels(rectifier(images.read_left(int(frame))[0], 0)), pose)
+            for frame, pose in zip(frames, X_RG, strict=True)
+        ],
+    )
 
 
 def _poses_of_run(run: Path, summary: Summary, X_NR: Array) -> tuple[Array, Array, Array]:
@@ -353,6 +382,6 @@ def choose(information: FeatureInformation, edges: int | None, fewest: bool) -> 
     smallest = smallest_set(few) if fewest else None
     if edges is None:
         return Choice(len(views), smallest, None, None, None)
-    best = greedy(few.scaled, edges, "trace")
-    bound = upper_bound(few.scaled, edges, "trace")
+    best = greedy(few.scaled, edges)
+    bound = upper_bound(few.scaled, edges)
     return Choice(len(views), smallest, best, limits.ratio(limits.of(best.features)), bound, edges)

@@ -20,7 +20,7 @@ from polhode.pipeline.after_run.observability.notes import (
 )
 from polhode.pipeline.after_run.observability.pictures import Legend, coloured_body
 from polhode.planning.edges.edge_model import EdgeKind
-from polhode.planning.edges.expected_tracking import AT_DEG
+from polhode.planning.edges.expected_tracking import SUN_ANGLE_DEG
 from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM
 
 SCHEMA = "polhode-observability/1"
@@ -272,7 +272,11 @@ def format_assessment(assessment: Assessment) -> str:
     )
     lines += _of_each_freedom(assessment.sigma)
     lit = assessment.subject.sun_G is not None
-    light = "in this sunlight" if lit else f"with the Sun {AT_DEG:.0f} degrees from the camera, on all sides"
+    light = (
+        "in this sunlight"
+        if lit
+        else f"with the Sun {SUN_ANGLE_DEG:.0f} degrees from the camera, on all sides"
+    )
     lines.append(f"Expected of a tracker {light}; shadows and edges side by side are considered:")
     lines += _of_each_freedom(assessment.expected_sigma)
     lines += unobservable_lines(assessment)

@@ -9,7 +9,7 @@ from polhode.planning.edges.orientation import winding_number
 
 SMALL_PX = 10.0
 """A body that is smaller in the image hardly shows an edge."""
-MOST_DESCRIPTIONS = 3
+MAX_DESCRIPTIONS = 3
 
 
 def notes_of(assessment: Assessment) -> tuple[str, ...]:
@@ -56,7 +56,7 @@ def unobservable_lines(assessment: Assessment) -> list[str]:
     count = len(assessment.views)
     found = Counter(view.describe_unobservable() for view in assessment.views)
     found.pop("", None)
-    lines = [f"  at {_poses(times, count)}: {text}" for text, times in found.most_common(MOST_DESCRIPTIONS)]
+    lines = [f"  at {_poses(times, count)}: {text}" for text, times in found.most_common(MAX_DESCRIPTIONS)]
     more = len(found) - len(lines)
     return (
         [*lines, f"  and {more} further description{'' if more == 1 else 's'}, in observability.csv"]

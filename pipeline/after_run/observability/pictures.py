@@ -53,23 +53,26 @@ class Legend:
     """(5, 3) of 0 to 255"""
 
 
-def colours_of(values: Array, highest: float | None = None) -> tuple[Array, Legend]:
+def colours_of(values: Array) -> tuple[Array, Legend]:
     """Colours (n, 3) of 0 to 255 for values (n,) from 0 to the highest, and their legend.
 
     Infinite values have the highest colour, NaN the lowest.
     """
-    finite = values[np.isfinite(values)]
-    top = max(float(finite.max()) if len(finite) else 1.0, 1e-12) if highest is None else highest
+    top = _largest(values)
     steps = np.linspace(0.0, top, LEGEND_STEPS)
     shown = np.nan_to_num(values / top, nan=0.0, posinf=1.0)
     return _rgb(shown), Legend(steps, _rgb(steps / top))
 
 
-def coloured_body(
-    model: EdgeModel, values: Array, highest: float | None = None
-) -> tuple[trimesh.Trimesh, Legend]:
+def _largest(values: Array) -> float:
+    """Of the finite ones."""
+    finite = values[np.isfinite(values)]
+    return max(float(finite.max()) if len(finite) else 1.0, 1e-12)
+
+
+def coloured_body(model: EdgeModel, values: Array) -> tuple[trimesh.Trimesh, Legend]:
     """The body in grey, its edges as tubes and its smooth parts in the colours of values (size,)."""
-    rgb, legend = colours_of(values, highest)
+    rgb, legend = colours_of(values)
     segments = len(model.ends_G)
     body = model.surface.copy()
     of_parts = np.vstack([rgb[segments:], BODY_RGB])[model.part]
@@ -85,45 +88,6 @@ def coloured_body(
     whole = trimesh.util.concatenate([corners, _tubes(model.ends_G, radius_m, rgb[:segments])])
     assert isinstance(whole, trimesh.Trimesh)
     return whole, legend
-
-
-@default_style
-def picture(
-    model: EdgeModel,
-    rig: RectifiedRig,
-    X_RG: Array,
-    values: Array,
-    titles: tuple[str, ...] = DEGREES_OF_FREEDOM,
-    unit: str = "share of the variance",
-) -> Figure:
-    """A figure with one panel for each column of values (size, k): the visible edges, coloured by value."""
-    points = control_points(model, rig, X_RG, DRAWN_STEP_PX)
-    pieces = _pieces(points)
-    columns = min(3, values.shape[1])
-    rows = -(-values.shape[1] // columns)
-    figure = Figure(figsize=(4.4 * columns, 3.5 * rows), layout="constrained")
-    low, high = points.uv_px.min(axis=0) - 20.0, points.uv_px.max(axis=0) + 20.0
-    backdrop = _backdrop(_faces(model, rig, X_RG), low, high)
-    width = _line_pt(points, LINE_PT)
-    for k in range(values.shape[1]):
-        panel = figure.add_subplot(rows, columns, k + 1)
-        column = values[:, k]
-        finite = column[np.isfinite(column)]
-        top = max(float(finite.max()) if len(finite) else 1.0, 1e-12)
-        backdrop(panel)
-        shown = np.nan_to_num(column[points.feature], nan=0.0, posinf=top)
-        norm = Normalize(0.0, top)
-        # the largest values last: among many edges they would be covered
-        order = np.argsort(shown, kind="stable")
-        lines = LineCollection(
-            list(pieces[order]), array=shown[order], cmap=COLOURS, norm=norm, linewidths=width
-        )
-        panel.add_collection(lines)
-        panel.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal", title=titles[k])
-        panel.set(xticks=[], yticks=[])
-        figure.colorbar(ScalarMappable(norm, COLOURS), ax=panel, shrink=0.85)
-    figure.suptitle(unit)
-    return figure
 
 
 def view_panel(panel: Axes, model: EdgeModel, rig: RectifiedRig, view: EdgeView) -> None:
@@ -296,7 +260,26 @@ def draw_views(assessment: Assessment) -> bytes:
 @default_style
 def draw_contributions(assessment: Assessment, k: int) -> bytes:
     """A PNG: the share of each edge in the variance of each degree of freedom, seen from view k."""
-    shares = np.nan_to_num(assessment.edges.share)
-    subject = assessment.subject
-    unit = f"share of the variance along the trajectory, seen at {subject.time_s[k]:g} s"
-    return png(picture(subject.model, subject.rig, assessment.views[k].X_RG, shares, unit=unit))
+    shares, subject = np.nan_to_num(assessment.edges.share), assessment.subject
+    model, rig, X_RG = subject.model, subject.rig, assessment.views[k].X_RG
+    points = control_points(model, rig, X_RG, DRAWN_STEP_PX)
+    pieces = _pieces(points)
+    figure = Figure(figsize=(13.2, 7.0), layout="constrained")
+    low, high = points.uv_px.min(axis=0) - 20.0, points.uv_px.max(axis=0) + 20.0
+    backdrop = _backdrop(_faces(model, rig, X_RG), low, high)
+    width = _line_pt(points, LINE_PT)
+    for d, degree in enumerate(DEGREES_OF_FREEDOM):
+        panel = figure.add_subplot(2, 3, d + 1)
+        backdrop(panel)
+        shown, norm = shares[points.feature, d], Normalize(0.0, _largest(shares[:, d]))
+        # the largest values last: among many edges they would be covered
+        order = np.argsort(shown, kind="stable")
+        lines = LineCollection(
+            list(pieces[order]), array=shown[order], cmap=COLOURS, norm=norm, linewidths=width
+        )
+        panel.add_collection(lines)
+        panel.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal", title=degree)
+        panel.set(xticks=[], yticks=[])
+        figure.colorbar(ScalarMappable(norm, COLOURS), ax=panel, shrink=0.85)
+    figure.suptitle(f"share of the variance along the trajectory, seen at {subject.time_s[k]:g} s")
+    return png(figure)

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import trimesh
 
-from benchmarks.edges.tracking.edge_search import Levels
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, make_pose, transform_points
+from polhode.planning.edges.image_profiles import Levels
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)
 BOX = (0.8, 0.55, 0.35)
@@ -15,18 +15,21 @@ FINE = 4
 """Cells of a pixel along either axis"""
 
 
-def drawn(mesh: trimesh.Trimesh, X_RG: Array, seed: int = 0, noise: float = 1.0, lit: float = 160.0) -> Array:
-    """Image (H, W) of a convex mesh: each face as bright as it is turned to a light, over a black sky.
-
-    Without ``lit`` only limbs are edges, all of one contrast.
-    """
+def drawn(
+    mesh: trimesh.Trimesh,
+    X_RG: Array,
+    seed: int = 0,
+    noise: float = 1.0,
+    light: tuple[float, ...] = (0.5, -0.6, -0.62),
+) -> Array:
+    """Image (H, W) of a convex mesh: each face as bright as it is turned to a light, over a black sky."""
     canvas = np.zeros((RIG.height_px * FINE, RIG.width_px * FINE), dtype=np.float32)
     corners = transform_points(X_RG, np.asarray(mesh.triangles).reshape(-1, 3)).reshape(-1, 3, 3)
     normals = np.asarray(mesh.face_normals) @ X_RG[:3, :3].T
-    light = np.array([0.5, -0.6, -0.62])
+    towards = np.array(light) / np.linalg.norm(light)
     for triangle, normal in zip(corners, normals, strict=True):
         if normal @ triangle[0] < 0.0:
-            _fill(canvas, RIG.project(triangle)[:, :2], 200.0 - lit + lit * max(float(normal @ light), 0.0))
+            _fill(canvas, RIG.project(triangle)[:, :2], 40.0 + 160.0 * max(float(normal @ towards), 0.0))
     image = cv2.resize(canvas, (RIG.width_px, RIG.height_px), interpolation=cv2.INTER_AREA)
     image = cv2.GaussianBlur(image, (0, 0), 0.7)
     return np.asarray(image + noise * np.random.default_rng(seed).standard_normal(image.shape))

@@ -6,23 +6,22 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.pipeline.after_run.observability.pictures import coloured_body, colours_of, picture
+from polhode.pipeline.after_run.observability.pictures import coloured_body, colours_of
 from polhode.planning.edges.edge_model import edge_model
 from polhode.planning.edges.information import (
     FeatureInformation,
     contributions,
-    feature_information,
     variances,
 )
 from polhode.planning.edges.observability_metric import EdgeObservability, edge_motion, observability
 from polhode.planning.edges.visible_edges import control_points
-from tests.planning.edges.views import RIG, block, poses, seen
+from tests.planning.edges.views import RIG, block, information_at, poses, seen
 
 
 def test_features_add_up_to_the_metric() -> None:
     model = block()
     X = poses(3)
-    total = feature_information(model, RIG, X).total
+    total = information_at(model, X).total
     for k, pose in enumerate(X):
         points = control_points(model, RIG, pose)
         whole = observability(edge_motion(points, RIG, pose, model.centre_G), points.weight, model.radius_m)
@@ -32,7 +31,7 @@ def test_features_add_up_to_the_metric() -> None:
 
 def test_many_variances_at_once_are_infinite_where_the_metric_is() -> None:
     ball = edge_model(trimesh.creation.icosphere(3, 0.5))
-    information = feature_information(ball, RIG, poses(2))
+    information = information_at(ball, poses(2))
     for C, each in zip(information.total, variances(information.total, ball.radius_m), strict=True):
         np.testing.assert_allclose(np.sqrt(each), EdgeObservability(C, ball.radius_m, 1).sigma, rtol=1e-6)
         assert np.isinf(each[3:]).all()
@@ -85,14 +84,6 @@ def test_painted_edges_have_the_colours_of_the_legend(tmp_path: Path) -> None:
         assert (colours == colours_of(values)[0][k].astype(int)).all(axis=1).any()
     rgb, _ = colours_of(np.array([np.nan, 0.0, 1.0, np.inf]))
     assert (rgb[0] == rgb[1]).all() and (rgb[2] == rgb[3]).all() and (rgb[1] != rgb[2]).any()
-
-
-def test_a_picture_has_a_panel_for_each_degree_of_freedom() -> None:
-    model = block()
-    found = contributions(seen(model, 1))
-    figure = picture(model, RIG, poses(1)[0], found.share)
-    titles = [panel.get_title() for panel in figure.axes if panel.get_title()]
-    assert titles == ["x", "y", "z", "about x", "about y", "about z"]
 
 
 def test_without_any_edge_nothing_is_shared() -> None:

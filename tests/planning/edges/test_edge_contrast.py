@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.edges.view_table import camera_attitude
 from polhode.lie import Array, make_pose
 from polhode.planning.edges.edge_model import edge_model
-from polhode.planning.edges.information import feature_information
 from polhode.planning.edges.visible_edges import (
     ControlPoints,
     contrast,
@@ -15,11 +13,14 @@ from polhode.planning.edges.visible_edges import (
     control_points,
     in_sunlight,
 )
-from tests.planning.edges.views import RIG
+from tests.planning.edges.views import RIG, information_at
 
 
 def view(eye_G: Array) -> Array:
-    R = camera_attitude(-eye_G, np.array([0.1, 0.2, 1.0]))
+    z = -eye_G / np.linalg.norm(eye_G)
+    x = np.cross(z, [0.1, 0.2, 1.0])
+    x /= np.linalg.norm(x)
+    R = np.stack([x, np.cross(z, x), z])
     return make_pose(R, -R @ eye_G)
 
 
@@ -46,7 +47,7 @@ def test_behind_the_body_nothing_is_lit() -> None:
     assert len(points) > 50
     assert contrast(model, points, eye, -eye).max() == 0.0
     assert len(in_sunlight(model, points, eye, -eye)) == 0
-    information = feature_information(model, RIG, view(eye)[None], -eye[None])
+    information = information_at(model, view(eye)[None], -eye[None])
     assert not information.C.any()
 
 

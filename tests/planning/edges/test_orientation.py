@@ -121,8 +121,3 @@ def test_inside_is_within_closed_parts_alone() -> None:
     whole = edge_model(joined(BOX, shifted, fin))
     assert whole.encloses(np.zeros(3)) and whole.encloses(np.array([0.25, 0.0, 0.0]))
     assert not whole.encloses(np.array([0.25, 0.25, 0.299]))
-
-
-def test_from_inside_no_edge_is_seen() -> None:
-    for depth_m in (0.0, 0.1, 0.15):
-        assert len(control_points(edge_model(BOX), RIG, make_pose(np.eye(3), [0.0, 0.0, depth_m]))) == 0

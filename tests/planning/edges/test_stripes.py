@@ -12,7 +12,7 @@ from polhode.planning.edges.stripe_profiles import _BLURRED_ROOT, _blurred_root
 from polhode.planning.edges.stripes import (
     LINES,
     SAMPLED_PX,
-    UNIFORM,
+    UNIFORM_SIGMA,
     Stripes,
     stripe_information,
     stripes_across,
@@ -91,11 +91,6 @@ def test_the_nearest_stripes_are_kept() -> None:
     assert np.allclose(found, [0.0, *offsets[: LINES - 1]])
 
 
-def test_no_points_have_no_stripes() -> None:
-    none = stripes_across(POINT[np.zeros(0, dtype=np.int64)], line(0.0), POSE, 8.0)
-    assert none.offset_px.shape == (0, LINES) and none.classes == 0
-
-
 def test_edges_of_a_box_that_face_alike_are_of_one_class() -> None:
     model = edge_model(trimesh.creation.box((0.8, 0.55, 0.35)))
     points = control_points(model, RIG, POSE, SPACING_PX)
@@ -130,32 +125,26 @@ def random_distances(
 
 def test_places_in_stripes_are_eliminated_as_least_squares_would() -> None:
     f, d, weight, spread, light = random_distances(1)
-    told = stripe_information(f, d, weight, spread, light, 4)
+    found = stripe_information(f, d, weight, spread, light, 4)
     # unknowns: the step and the places, with a prior of one sigma for each place
     A = np.hstack([f, np.zeros((30, 4))])
     A[np.arange(30), 6 + light] = spread
     N = A.T @ (weight[:, None] * A) + np.diag([0.0] * 6 + [1.0] * 4)
     x = np.linalg.solve(N, A.T @ (weight * d))
-    step = np.asarray(np.linalg.solve(told.C, told.pull), dtype=np.float64)
-    assert np.allclose(step, x[:6]) and np.allclose(told.places(step), x[6:])
-    assert np.allclose(np.linalg.inv(told.C), np.linalg.inv(N)[:6, :6])
-
-
-def test_without_a_spread_it_is_the_metric() -> None:
-    f, d, weight, spread, light = random_distances(2)
-    told = stripe_information(f, d, weight, 0.0 * spread, light, 4)
-    assert np.allclose(told.C, (f * weight[:, None]).T @ f)
+    step = np.asarray(np.linalg.solve(found.C, found.pull), dtype=np.float64)
+    assert np.allclose(step, x[:6]) and np.allclose(found.places(step), x[6:])
+    assert np.allclose(np.linalg.inv(found.C), np.linalg.inv(N)[:6, :6])
 
 
 def test_points_along_a_stripe_do_not_count_as_often_as_there_are() -> None:
     f = np.tile([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], (1000, 1))
     width_px = 1.0
-    spread = np.full(1000, UNIFORM * width_px)
-    told = stripe_information(
+    spread = np.full(1000, UNIFORM_SIGMA * width_px)
+    found = stripe_information(
         f, np.zeros(1000), np.full(1000, 100.0), spread, np.zeros(1000, dtype=np.int64), 1
     )
     # the place in the stripe stays, however well its step is seen
-    assert 1.0 / told.C[0, 0] == pytest.approx(width_px**2 / 12.0, rel=1e-3)
+    assert 1.0 / found.C[0, 0] == pytest.approx(width_px**2 / 12.0, rel=1e-3)
 
 
 def test_edges_two_pixels_apart_are_measured_twice_and_count_once() -> None:

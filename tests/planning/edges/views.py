@@ -6,7 +6,7 @@ import trimesh
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, make_pose
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
-from polhode.planning.edges.information import FeatureInformation, feature_information
+from polhode.planning.edges.information import FeatureInformation, by_feature, views_along
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)
 
@@ -27,5 +27,12 @@ def poses(count: int, seed: int = 0, range_m: float = 3.0) -> Array:
     return np.asarray([make_pose(R, [0.05, -0.03, range_m + 0.2 * k]) for k, R in enumerate(turns)])
 
 
+def information_at(model: EdgeModel, X_RG: Array, sun_G: Array | None = None) -> FeatureInformation:
+    """About the model's centre."""
+    views = views_along(model, RIG, X_RG, model.centre_G, sun_G=sun_G)
+    C = np.stack([by_feature(view.points, view.f, model.size) for view in views])
+    return FeatureInformation(C, model.radius_m)
+
+
 def seen(model: EdgeModel, count: int = 4) -> FeatureInformation:
-    return feature_information(model, RIG, poses(count))
+    return information_at(model, poses(count))
