@@ -31,7 +31,7 @@ def configuration_page() -> str:
     text = (
         "# Settings\n\n"
         "Every key of a configuration, made from the types that check it: they are the only source of "
-        "defaults. [Configuration](../configuration.md) says how files, `extends` and the command line work "
+        "defaults. [Configuration](../command_line.md#configuration) says how files, `extends` and the command line work "
         "together. A key `backend.inertia` is the option `--backend.inertia` of `polhode run`; a range is "
         "that of every number of the value.\n"
     )

@@ -1,4 +1,4 @@
-"""The formulas of docs/derivations.md, each against the code or a computation of another kind."""
+"""The formulas of docs/mathematics.md, each against the code or a computation of another kind."""
 
 import re
 
