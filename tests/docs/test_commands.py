@@ -91,7 +91,9 @@ def run_polhode(words: list[str], runs: StoredRuns, patch: pytest.MonkeyPatch) -
         check(["polhode", *words], patch)
         shutil.copytree(stored, output, dirs_exist_ok=True)
     else:
-        succeed([*words, *QUICK.get(words[0], ())])
+        # what a page sets of a run stays; of other commands it is shortened
+        quick = QUICK.get(words[0], ())
+        succeed(["run", *quick, *words[1:]] if words[0] == "run" else [*words, *quick])
     if words[0] == "simulate" and output is not None:
         # a run needs more than two small pairs
         shutil.rmtree(output)

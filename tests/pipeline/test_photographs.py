@@ -26,7 +26,8 @@ MARGIN_PX = 12
 """Two millimetres of the object below the box, where it stands on the cloth, and the smoothing of masks."""
 
 pytestmark = pytest.mark.skipif(
-    not TEMPLE.is_dir(), reason="the photographs are not in the repository; see docs/validation.md#photographs"
+    not TEMPLE.is_dir(),
+    reason="the photographs are not in the repository; see docs/validation.md#photographs",
 )
 
 

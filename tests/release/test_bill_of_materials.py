@@ -36,7 +36,7 @@ def test_the_same_environment_gives_the_same_bytes(text: str, tmp_path: Path) ->
 
 
 def test_it_lists_what_a_run_needs_in_tested_versions_and_no_tools(bill: Bill) -> None:
-    libraries = {
+    libraries: dict[str, Bill] = {
         canonicalize_name(each["name"]): each for each in bill["components"] if each["type"] == "library"
     }
     assert {"numpy", "torch", "casadi", "numba", "llvmlite", "jinja2", "pydantic-core"} <= libraries.keys()
