@@ -1,4 +1,4 @@
-"""Range images of a sequence, beside one camera instead of a second one (docs/range_images.md).
+"""Range images of a sequence, beside one camera instead of a second one (docs/dataset.md).
 
 ``range0/`` has a data.csv and 16-bit images, pixel for pixel those of the camera; 0 is no measurement.
 ``range0/sensor.yaml`` states the metres per unit and the noise. The rest of the program measures disparities:
@@ -61,7 +61,7 @@ class RangeModel:
 def read_range_model(folder: Path) -> RangeModel:
     """The ``sensor.yaml`` of ``range0``. Raises InputError: a key is missing or cannot be true."""
     path = folder / "sensor.yaml"
-    sensor = read_mapping(path, "range images need their scale_m and sigma_m (see docs/range_images.md)")
+    sensor = read_mapping(path, "range images need their scale_m and sigma_m (see docs/dataset.md)")
     if "scale_m" not in sensor:
         raise InputError(
             f"{path} lacks the key 'scale_m': give the metres per unit of the images, 0.001 for millimetres"

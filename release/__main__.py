@@ -9,6 +9,7 @@ not the version of pyproject.toml, no section in the changelog; 1: the build or 
 """
 
 import argparse
+import hashlib
 import shutil
 import sys
 import tempfile
@@ -16,57 +17,44 @@ from pathlib import Path
 
 from polhode.atomic import write_all
 from polhode.errors import InputError, RunFailure, one_line
-from release.distribution import build, check_distribution, export_commit, sha256sums
-from release.notes import release_notes, section_of
+from release.distribution import build, check_distribution, export_commit
 from release.trial import make_environment, try_program
-from release.version import candidate, require_cited_date
+from release.version import candidate, release_notes
 
 ROOT = Path(__file__).resolve().parents[1]
-CONSTRAINTS = "constraints.txt"
-BILL = "polhode.cdx.json"
-NOTES = "RELEASE_NOTES.md"
-SUMS = "SHA256SUMS"
 
 
 def make_release(root: Path, output: Path, is_dry_run: bool, is_offline: bool) -> list[Path]:
     """All steps; returned are the files in ``output``. Raises InputError and RunFailure as their steps do."""
     chosen = candidate(root, is_dry_run)
-    changelog = (root / "CHANGELOG.md").read_text(encoding="utf-8")
-    section = section_of(changelog, chosen.version, is_dry_run)
-    if section.date is not None and not is_dry_run:
-        require_cited_date(root, section.date)
     with tempfile.TemporaryDirectory(prefix="polhode-release-") as name:
         work = Path(name)
         print(f"polhode {chosen.version} of commit {chosen.commit[:12]}", flush=True)
         source = export_commit(root, chosen.commit, work / "source")
-        (work / "archives").mkdir()
         built = build(source, work / "archives", chosen.time_s)
         check_distribution(built, source, chosen.version)
         print("sdist and wheel are built; names, metadata and files are right", flush=True)
-        constraints = None if is_offline else source / CONSTRAINTS
-        environment = make_environment(work, built.wheel, constraints)
+        constraints = source / "constraints.txt"
+        environment = make_environment(work, built.wheel, None if is_offline else constraints)
         try_program(environment, source / "sample", chosen.version)
         print("the wheel runs in an empty environment", flush=True)
-        bill = work / BILL
-        _bill_of_materials(bill)
-        files = {
-            each.name: each.read_bytes() for each in (built.sdist, built.wheel, bill, source / CONSTRAINTS)
-        }
-    files[NOTES] = release_notes(section, chosen.version, sorted(files)).encode("utf-8")
-    files[SUMS] = sha256sums(files).encode("utf-8")
+        files = {each.name: each.read_bytes() for each in (built.sdist, built.wheel, constraints)}
+    files["polhode.cdx.json"] = _bill_of_materials().encode()
+    files["RELEASE_NOTES.md"] = release_notes(chosen, sorted(files)).encode()
+    sums = (f"{hashlib.sha256(files[name]).hexdigest()}  {name}\n" for name in sorted(files))
+    files["SHA256SUMS"] = "".join(sums).encode()
     output.mkdir(parents=True, exist_ok=True)
-    placed = {output / name: content for name, content in files.items()}
-    write_all(placed)
-    return list(placed)
+    write_all({output / name: content for name, content in files.items()})
+    return [output / name for name in files]
 
 
-def _bill_of_materials(file: Path) -> None:
-    """Write the bill. Raises InputError: its library is not installed."""
+def _bill_of_materials() -> str:
+    """Its text. Raises InputError: its library is not installed."""
     try:
         from release.bill_of_materials import as_json, bill_of_materials
     except ModuleNotFoundError as missing:
         raise InputError(f"{missing.name} is not installed: make sbom installs it") from missing
-    file.write_text(as_json(bill_of_materials()), encoding="utf-8")
+    return as_json(bill_of_materials())
 
 
 def main(words: list[str] | None = None) -> int:
@@ -75,25 +63,20 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument(
         "--dry-run", action="store_true", help="no tag, changed files and no own section are fine"
     )
-    parser.add_argument(
-        "--offline",
-        action="store_true",
-        help="use the dependencies of this environment (with --dry-run only)",
-    )
+    parser.add_argument("--offline", action="store_true", help="use the dependencies of this environment")
     parser.add_argument("-o", "--output", type=Path, help="default: dist, or dist/dry-run with --dry-run")
     given = parser.parse_args(words)
-    output = given.output or ROOT / ("dist/dry-run" if given.dry_run else "dist")
     try:
         if given.offline and not given.dry_run:
             raise InputError("--offline tries the wheel in no empty environment: add --dry-run")
         if shutil.which("git") is None:
             raise InputError("git is not installed: a release is made of a commit")
+        output = given.output or ROOT / ("dist/dry-run" if given.dry_run else "dist")
         files = make_release(ROOT, output, given.dry_run, given.offline)
     except (InputError, RunFailure) as error:
         print(f"release: {one_line(str(error))}", file=sys.stderr)
         return error.exit_code
-    for file in files:
-        print(file)
+    print(*files, sep="\n")
     return 0
 
 

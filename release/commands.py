@@ -14,15 +14,15 @@ def call(folder: Path, *command: str | Path, environment: Mapping[str, str] | No
     Without an ``environment`` it gets ours, but for the variables that change which modules Python finds.
     Raises RunFailure: the program is missing or failed; the line holds the last one of its errors.
     """
-    given = environment if environment is not None else own_environment()
     words = [str(word) for word in command]
+    given = own_environment() if environment is None else dict(environment)
     try:
-        done = subprocess.run(words, cwd=folder, env=dict(given), capture_output=True, text=True, check=False)
+        done = subprocess.run(words, cwd=folder, env=given, capture_output=True, text=True, check=False)
     except OSError as error:
         raise RunFailure(f"{words[0]} cannot be started: {error.strerror}") from error
     if done.returncode != 0:
-        said = (done.stderr.strip() or done.stdout.strip() or "nothing was printed").splitlines()[-1]
-        raise RunFailure(f"'{' '.join(words)}' ended with exit code {done.returncode}: {said}")
+        last = (done.stderr.strip() or done.stdout.strip() or "nothing was printed").splitlines()[-1]
+        raise RunFailure(f"'{' '.join(words)}' ended with exit code {done.returncode}: {last}")
     return done.stdout
 
 

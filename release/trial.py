@@ -45,12 +45,8 @@ class Environment:
         work, home = self.folder / "work", self.folder / "home"
         for each in (work, home):
             each.mkdir(exist_ok=True)
-        known = {
-            "HOME": str(home),
-            "PATH": f"{self.python.parent}{os.pathsep}{os.defpath}",
-            "LANG": "C.UTF-8",
-        }
-        return call(work, *command, environment=known)
+        path = f"{self.python.parent}{os.pathsep}{os.defpath}"
+        return call(work, *command, environment={"HOME": str(home), "PATH": path, "LANG": "C.UTF-8"})
 
 
 def make_environment(folder: Path, wheel: Path, constraints: Path | None) -> Environment:
@@ -60,18 +56,18 @@ def make_environment(folder: Path, wheel: Path, constraints: Path | None) -> Env
     those of this environment are used and nothing is downloaded. Raises RunFailure: something cannot be
     installed.
     """
-    made = Environment(folder)
+    environment = Environment(folder)
     call(folder, sys.executable, "-m", "venv", "--without-pip", folder / "environment")
-    pip = (sys.executable, "-m", "pip", "--python", made.python)
-    options = ("--quiet", "--disable-pip-version-check", "--no-compile")
+    pip = (sys.executable, "-m", "pip", "--python", environment.python)
+    install = (*pip, "install", "--quiet", "--disable-pip-version-check", "--no-compile")
     if constraints is not None:
-        call(folder, *pip, "install", *options, "--constraint", constraints, wheel)
+        call(folder, *install, "--constraint", constraints, wheel)
         call(folder, *pip, "check")
     else:
-        call(folder, *pip, "install", *options, "--no-deps", "--no-index", wheel)
+        call(folder, *install, "--no-deps", "--no-index", wheel)
         # An editable installation there is not seen, because its own .pth is not read.
-        (made.packages / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    return made
+        (environment.packages / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    return environment
 
 
 def try_program(environment: Environment, sample: Path, version: str) -> None:
@@ -79,17 +75,16 @@ def try_program(environment: Environment, sample: Path, version: str) -> None:
 
     Raises RunFailure: one of them is not as it should be.
     """
-    program = environment.python.with_name("polhode")
+    program, result = environment.python.with_name("polhode"), environment.folder / "work" / "result"
     where = environment.run(environment.python, "-c", "import polhode; print(polhode.__file__)").strip()
     _require(Path(where).is_relative_to(environment.packages), f"polhode is imported from {where}")
-    said = environment.run(program, "--version").strip()
-    _require(said == f"polhode {version}", f"'polhode --version' prints '{said}' for version {version}")
+    printed = environment.run(program, "--version").strip()
+    _require(printed == f"polhode {version}", f"'polhode --version' prints '{printed}' for version {version}")
     _require("evaluate" in environment.run(program, "--help"), "'polhode --help' lists no commands")
     copy_first_pairs(sample, environment.folder / "work" / "sequence", PAIRS)
     environment.run(program, "run", "--data", "sequence", "-o", "result", *LIGHT)
-    result = environment.folder / "work" / "result"
-    summary = json.loads((result / "summary.json").read_text(encoding="utf-8"))
-    _require(summary["frames"] == PAIRS, f"the run on {PAIRS} pairs has {summary['frames']} frames")
+    frames = json.loads((result / "summary.json").read_text(encoding="utf-8"))["frames"]
+    _require(frames == PAIRS, f"the run on {PAIRS} pairs has {frames} frames")
     for name in ("report.html", "trajectory.csv", "mesh.ply"):
         _require((result / name).is_file(), f"the run wrote no {name}")
 

@@ -9,47 +9,41 @@ import sys
 import urllib.error
 import urllib.request
 from collections import defaultdict
-from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 TIMEOUT_S = 20.0
+WANTS_NO_PROGRAM = (401, 403, 405, 429)
+"""HTTP statuses of servers that are there, but refuse a program"""
 _ADDRESS = re.compile(r"https?://[^\s)>\"'`\]]+")
 
 
-def addresses(pages: Iterable[Path]) -> dict[str, list[str]]:
-    """Address -> names of the pages that contain it."""
-    found: dict[str, list[str]] = defaultdict(list)
-    for page in pages:
-        for address in _ADDRESS.findall(page.read_text()):
-            found[address.rstrip(".,;:")].append(page.name)
-    return dict(found)
-
-
-def answer(address: str) -> str:
+def fault_of(address: str) -> str:
     """What is wrong with an address; empty: it answers."""
-    request = urllib.request.Request(address, method="GET", headers={"User-Agent": "polhode docs"})  # noqa: S310
+    request = urllib.request.Request(address, headers={"User-Agent": "polhode docs"})  # noqa: S310
     try:
         with urllib.request.urlopen(request, timeout=TIMEOUT_S):  # noqa: S310
             return ""
     except urllib.error.HTTPError as error:
-        # the server is there, but wants no program to read it
-        return "" if error.code in (401, 403, 405, 429) else f"HTTP {error.code}"
-    except (urllib.error.URLError, TimeoutError, OSError) as error:
+        return "" if error.code in WANTS_NO_PROGRAM else f"HTTP {error.code}"
+    except OSError as error:
         return str(error)
 
 
 def main() -> int:
     """Check them all, a few at a time."""
-    found = addresses([*sorted((ROOT / "docs").glob("*.md")), *sorted(ROOT.glob("*.md"))])
+    pages: dict[str, set[str]] = defaultdict(set)
+    for page in (*(ROOT / "docs").glob("*.md"), *ROOT.glob("*.md")):
+        for address in _ADDRESS.findall(page.read_text()):
+            pages[address.rstrip(".,;:")].add(page.name)
     with ThreadPoolExecutor(8) as pool:
-        answers = dict(zip(found, pool.map(answer, found), strict=True))
-    for address, wrong in answers.items():
-        if wrong:
-            print(f"{address}: {wrong} ({', '.join(sorted(set(found[address])))})")
-    print(f"{sum(not wrong for wrong in answers.values())} of {len(found)} links answer")
-    return 1 if any(answers.values()) else 0
+        faults = dict(zip(pages, pool.map(fault_of, pages), strict=True))
+    for address, fault in faults.items():
+        if fault:
+            print(f"{address}: {fault} ({', '.join(sorted(pages[address]))})")
+    print(f"{sum(not fault for fault in faults.values())} of {len(faults)} links answer")
+    return 1 if any(faults.values()) else 0
 
 
 if __name__ == "__main__":

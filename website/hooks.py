@@ -2,7 +2,6 @@
 
 import sys
 from pathlib import Path
-from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -12,25 +11,33 @@ ROOT = Path(__file__).resolve().parents[1]
 # MkDocs loads this file by its path: the package, and the modules beside it, are imported from the checkout.
 sys.path.insert(0, str(ROOT))
 
-from website.generated import generated_pages  # noqa: E402
+from polhode.studies.page.write_page import MAX_ROWS, render  # noqa: E402
+from polhode.studies.study import open_study  # noqa: E402
+from polhode.studies.table import PAGE, read_table  # noqa: E402
+from website import reference_pages  # noqa: E402
 from website.mathematics import with_mathml  # noqa: E402
-from website.source_pages import with_site_links  # noqa: E402
-
-OTHER_PAGES = "How-to guides"
-"""Section of the navigation that receives the pages which mkdocs.yml does not name."""
+from website.source_pages import source_pages, with_site_links  # noqa: E402
 
 
-def on_config(config: MkDocsConfig) -> None:
-    """Put pages that the navigation does not name where a reader looks first."""
-    named = set(_paths(config.nav))
-    others = sorted({path.name for path in Path(config.docs_dir).glob("*.md")} - named)
-    section = next(entry[OTHER_PAGES] for entry in config.nav or [] if OTHER_PAGES in entry)
-    section.extend(others)
+def generated_pages() -> dict[str, str]:
+    """Path in the site -> Markdown, or HTML where the path says so."""
+    pages = {
+        "reference/commands.md": reference_pages.commands_page(),
+        "reference/configuration.md": reference_pages.settings_page(),
+        "reference/summary.md": reference_pages.summary_page(),
+        "reference/benchmarks.md": reference_pages.benchmarks_page(),
+        "reference/api.md": reference_pages.API,
+        **dict(source_pages(ROOT)),
+    }
+    for folder in sorted((ROOT / "docs" / "study_results").glob("*/")):
+        study = open_study(folder / "study.yaml", check=False)
+        pages[f"study_results/{folder.name}/{PAGE}"] = render(study, read_table(folder, MAX_ROWS), folder)
+    return pages
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are made from the code and from tables of studies."""
-    for path, text in generated_pages(ROOT).items():
+    for path, text in generated_pages().items():
         files.append(File.generated(config, path, content=text))
     return files
 
@@ -45,12 +52,3 @@ def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -
     """Write the mathematics as MathML, which browsers show without a script."""
     del config, files
     return with_mathml(html, page.file.src_uri)
-
-
-def _paths(entries: Any) -> list[str]:
-    """Paths that a part of the navigation names."""
-    if isinstance(entries, str):
-        return [entries]
-    if isinstance(entries, dict):
-        entries = list(entries.values())
-    return [path for entry in entries or [] for path in _paths(entry)]

@@ -8,6 +8,8 @@ from latex2mathml.converter import convert
 _FORMULA = re.compile(
     r'<(?P<tag>span|div) class="arithmatex">\s*\\(?:\(|\[)(?P<latex>.*?)\\(?:\)|\])\s*</(?P=tag)>', re.DOTALL
 )
+_LEFT_AS_TEXT = re.compile(r"<m\w+[^>]*>\\[a-zA-Z]+")
+"""A command of LaTeX that the converter does not know"""
 
 
 def with_mathml(html: str, page: str) -> str:
@@ -17,19 +19,13 @@ def with_mathml(html: str, page: str) -> str:
     """
 
     def converted(match: re.Match[str]) -> str:
-        latex = unescape(match["latex"]).strip()
-        display = "inline" if match["tag"] == "span" else "block"
+        latex, inline = unescape(match["latex"]).strip(), match["tag"] == "span"
         try:
-            formula = convert(latex, display=display)
+            formula = convert(latex, display="inline" if inline else "block")
+            if _LEFT_AS_TEXT.search(formula):
+                raise ValueError("an unknown command")
         except Exception as error:
             raise ValueError(f"{page}: the formula {latex!r} cannot be converted: {error!r}") from error
-        if _left_over(formula):
-            raise ValueError(f"{page}: the formula {latex!r} has a command that is not converted")
-        return formula if display == "inline" else f'<div class="formula">{formula}</div>'
+        return formula if inline else f'<div class="formula">{formula}</div>'
 
     return _FORMULA.sub(converted, html)
-
-
-def _left_over(formula: str) -> bool:
-    """Whether a command of LaTeX stands in the output as text."""
-    return re.search(r"<m\w+[^>]*>\\[a-zA-Z]+", formula) is not None

@@ -18,8 +18,6 @@ PROJECT_PAGES = {
     "CODE_OF_CONDUCT.md": "code_of_conduct.md",
 }
 """Pages at the top level of the repository, and their paths in the site."""
-SOURCE = "source"
-"""Folder of the site that holds the files of the repository"""
 
 _LINK = re.compile(r"(?P<head>\]\()(?P<target>[^)\s#]+)(?P<anchor>#[^)\s]*)?(?P<tail>\))")
 _LANGUAGES = {".py": "python", ".yaml": "yaml", ".json": "json", ".cpp": "cpp", ".md": "markdown"}
@@ -28,9 +26,10 @@ _HIDDEN_FROM_SEARCH = "---\nsearch:\n  exclude: true\nhide:\n  - toc\n---\n\n"
 
 def with_site_links(markdown: str, page: str) -> str:
     """The text of a page, by its path in the site, with links that lead to pages of the site."""
-    here = repository_path(page)
-    if page.startswith(f"{SOURCE}/"):
+    if page.startswith("source/"):
         return markdown
+    originals = {site: original for original, site in PROJECT_PAGES.items()}
+    here = originals.get(page, f"docs/{page}")
 
     def rewritten(match: re.Match[str]) -> str:
         target = match["target"]
@@ -43,17 +42,11 @@ def with_site_links(markdown: str, page: str) -> str:
     return _LINK.sub(rewritten, markdown)
 
 
-def repository_path(page: str) -> str:
-    """Path in the repository of a page of the site: ``docs/`` holds those that are no project pages."""
-    originals = {site: original for original, site in PROJECT_PAGES.items()}
-    return originals.get(page, f"docs/{page}")
-
-
 def site_path(path: str) -> str:
     """Path in the site of a file or folder of the repository."""
     if path.startswith("docs/"):
         return path.removeprefix("docs/")
-    return PROJECT_PAGES.get(path, f"{SOURCE}/{path}.md")
+    return PROJECT_PAGES.get(path, f"source/{path}.md")
 
 
 def linked_files(root: Path) -> set[str]:
@@ -65,6 +58,7 @@ def linked_files(root: Path) -> set[str]:
         for match in _LINK.finditer(file.read_text()):
             if "://" not in match["target"]:
                 found.add(posixpath.normpath(posixpath.join(posixpath.dirname(name), match["target"])))
+    found = {path for path in found if (root / path).exists()}
     return {path for path in found if not path.startswith("docs/") and path not in PROJECT_PAGES}
 
 
@@ -73,22 +67,13 @@ def source_pages(root: Path) -> Iterator[tuple[str, str]]:
     for path in sorted(linked_files(root)):
         file = root / path
         if file.is_dir():
-            yield site_path(path), _HIDDEN_FROM_SEARCH + _folder_page(path, file)
-        elif file.is_file():
-            yield site_path(path), _HIDDEN_FROM_SEARCH + _file_page(path, file)
+            package, names = file / "__init__.py", sorted(entry.name for entry in file.iterdir())
+            said = ast.get_docstring(ast.parse(package.read_text())) if package.is_file() else ""
+            listed = ", ".join(f"`{name}`" for name in names if name[0] not in "._")
+            shown = f"```text\n{said}\n```\n\nFiles: {listed}"
+        else:
+            language = _LANGUAGES.get(file.suffix, "text")
+            shown = f"``````{language}\n{file.read_text().rstrip()}\n``````"
+        yield site_path(path), f"{_HIDDEN_FROM_SEARCH}# {path}\n\n{shown}\n"
     for original, site in PROJECT_PAGES.items():
         yield site, (root / original).read_text()
-
-
-def _file_page(path: str, file: Path) -> str:
-    language = _LANGUAGES.get(file.suffix, "text")
-    return f"# {path}\n\n``````{language}\n{file.read_text().rstrip()}\n``````\n"
-
-
-def _folder_page(path: str, folder: Path) -> str:
-    text = f"# {path}/\n\n"
-    package = folder / "__init__.py"
-    if package.is_file():
-        text += f"```text\n{ast.get_docstring(ast.parse(package.read_text()))}\n```\n\n"
-    names = sorted(entry.name for entry in folder.iterdir() if entry.name[0] not in "._")
-    return text + "Files: " + ", ".join(f"`{name}`" for name in names) + "\n"

@@ -43,7 +43,7 @@ FAR_M = 2e-3
 """The box of the temple ends up to 2 mm above the cloth on which it stands."""
 SHIFT_M = 0.2e-3
 """Half of what the landmarks are displaced by against the calibration."""
-DOCS = "docs/photographs.md"
+DOCS = "docs/validation.md"
 
 
 @dataclass(frozen=True)

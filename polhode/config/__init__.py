@@ -1,4 +1,4 @@
-"""The configuration: the only place where defaults live (docs/configuration.md).
+"""The configuration: the only place where defaults live (docs/command_line.md#configuration).
 
 In: YAML files and overrides of the command line. Out: a frozen ``Config``.
 

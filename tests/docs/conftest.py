@@ -18,19 +18,12 @@ QUICK_RUN = (
 """Options that make a run short, besides the small sequence: the answer is that of any run."""
 
 
-def succeed(words: list[str]) -> str:
-    """Run a command of the program; its exit code must be 0. Returns what it printed."""
-    printed, failed = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(failed):
+def succeed(words: list[str]) -> None:
+    """Run a command of the program; its exit code must be 0."""
+    failed = io.StringIO()
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(failed):
         code = main(words)
     assert code == 0, f"polhode {' '.join(words)}: {failed.getvalue()}"
-    return printed.getvalue()
-
-
-@pytest.fixture(scope="session")
-def sequence(make_once: MakeOnce, rendered_sequence: Path) -> Path:
-    """A sequence of a few pairs."""
-    return make_once("docs_sequence", lambda folder: small_sequence(rendered_sequence, folder))
 
 
 @dataclass(frozen=True)
@@ -42,11 +35,7 @@ class StoredRuns:
 
     def plain(self) -> Path:
         """That of all pairs at once, with the default configuration."""
-        return self._made("docs_run", ["--data", str(self.sequence)])
-
-    def live(self) -> Path:
-        """That of the pairs one at a time."""
-        return self._made("docs_live", ["--live", str(self.sequence), "--rate", "0"])
+        return self._make("docs_run", ["--data", str(self.sequence)])
 
     def of(self, words: list[str]) -> Path | None:
         """The one that a command makes; None: it makes another one."""
@@ -54,17 +43,16 @@ class StoredRuns:
             case ["run", "--data", data, "-o", _] if Path(data).resolve() == self.sequence.resolve():
                 return self.plain()
             case ["run", "--live", *_]:
-                return self.live()
+                return self._make("docs_live", ["--live", str(self.sequence), "--rate", "0"])
         return None
 
-    def _made(self, name: str, words: list[str]) -> Path:
-        def fill(folder: Path) -> None:
-            succeed(["run", *words, "-o", str(folder), *QUICK_RUN])
-
-        return self.make_once(name, fill)
+    def _make(self, name: str, words: list[str]) -> Path:
+        return self.make_once(name, lambda folder: succeed(["run", *words, "-o", str(folder), *QUICK_RUN]))
 
 
 @pytest.fixture(scope="session")
-def runs(make_once: MakeOnce, sequence: Path) -> StoredRuns:
-    """Runs of that sequence."""
-    return StoredRuns(sequence, make_once)
+def runs(make_once: MakeOnce, rendered_sequence: Path) -> StoredRuns:
+    """Runs of a sequence of a few pairs."""
+    return StoredRuns(
+        make_once("docs_sequence", lambda folder: small_sequence(rendered_sequence, folder)), make_once
+    )

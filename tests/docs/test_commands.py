@@ -12,26 +12,24 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.end_to_end.report_page import browser_path
 from tests.docs.command_check import check, check_mention
 from tests.docs.conftest import QUICK_RUN, StoredRuns, succeed
 from tests.docs.page_code import LEFT_OUT, PAGES, PROGRAMS, Fence, commands_in_text, fences, words_of
 from tests.docs.world import provide
 
-OWN_TESTS = {"api.md": "tests/pipeline/test_api.py runs its code from top to bottom"}
-QUICK_SIMULATION = (
-    *("--scene.frames", "2", "--scene.truth-horizon-s", "0", "--runtime.workers", "1"),
-    *("--scene.rig.width-px", "64", "--scene.rig.height-px", "48", "--scene.rig.focal-px", "50"),
-    *("--scene.render.samples", "1", "--scene.render.bounces", "0"),
-)
+OWN_TESTS = {"api.md": "tests/pipeline/test_api_page.py runs its code from top to bottom"}
 QUICK = {
+    "run": QUICK_RUN,
     "plan": ("--horizon", "2", "--members", "100", "--confidence", "0.97"),
     "export": ("--pieces", "1", "--horizon", "4"),
+    "compare": ("--compare.solvers", "gauss_newton"),
+    "simulate": (
+        *("--scene.frames", "2", "--scene.truth-horizon-s", "0", "--runtime.workers", "1"),
+        *("--scene.rig.width-px", "64", "--scene.rig.height-px", "48", "--scene.rig.focal-px", "50"),
+        *("--scene.render.samples", "1", "--scene.render.bounces", "0"),
+    ),
 }
-"""Options that are appended to a command, by its name"""
-BROWSER_MODULES = ("benchmarks.end_to_end.report_picture", "benchmarks.end_to_end.report_page")
-"""They draw a page in a browser of the system"""
-LANGUAGES = ("sh", "python", "text", "yaml", "json", "xml", "sql", "cpp", "")
+"""Options that are added to a command, by its name"""
 
 
 def is_run(fence: Fence) -> bool:
@@ -40,30 +38,17 @@ def is_run(fence: Fence) -> bool:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_commands_stand_in_fences_of_the_shell(page: str) -> None:
-    for fence in fences(page):
-        assert fence.language in LANGUAGES, f"{page}:{fence.line}: {fence.language}"
-        assert not fence.title or fence.left_out, f"{page}:{fence.line}: a title says {LEFT_OUT!r} and why"
-        if fence.language != "sh":
-            first = [
-                line.split()[0].removeprefix(".venv/bin/") for line in fence.body.splitlines() if line.split()
-            ]
-            is_usage = "SOURCE..." in fence.body
-            assert is_usage or not set(first) & set(PROGRAMS), f"{page}:{fence.line}: commands are sh"
-
-
-@pytest.mark.parametrize("page", [page for page in PAGES if any(f.left_out for f in fences(page))])
-def test_what_is_left_out_could_be_run(page: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    for fence in fences(page):
-        if fence.left_out and fence.language == "sh":
-            for command in fence.commands():
-                check(words_of(command), monkeypatch)
-
-
-@pytest.mark.parametrize("page", [page for page in PAGES if any(commands_in_text(page))])
-def test_commands_in_the_text_could_be_run(page: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_could_be_run_as_they_stand(page: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for command in commands_in_text(page):
         check_mention(words_of(command), monkeypatch)
+    for fence in fences(page):
+        assert not fence.title or fence.left_out, f"{page}:{fence.line}: a title says {LEFT_OUT!r} and why"
+        if fence.language == "sh" and fence.left_out:
+            for command in fence.commands():
+                check(words_of(command), monkeypatch)
+        elif fence.language != "sh" and "SOURCE..." not in fence.body:
+            first = {line.split()[0].removeprefix(".venv/bin/") for line in fence.body.splitlines() if line}
+            assert not first & set(PROGRAMS), f"{page}:{fence.line}: commands stand in fences of sh"
 
 
 @pytest.mark.usefixtures("coarse_keep_out")
@@ -75,27 +60,15 @@ def test_the_page_runs_from_top_to_bottom(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs").mkdir()
-    without_browser: list[str] = []
-    for fence in fences(page):
-        if fence.left_out:
-            continue
+    for fence in filter(is_run, fences(page)):
         if fence.language == "sh":
             for command in fence.commands():
-                words = words_of(command)
-                if needs_missing_browser(words):
-                    check(words, monkeypatch)
-                    without_browser.append(command)
-                else:
-                    run_command(words, runs, monkeypatch)
-        elif fence.language == "python":
-            run_code(fence, tmp_path)
-    if without_browser:
-        pytest.skip(f"no Chromium: all else of {page} ran, not {'; '.join(without_browser)}")
-
-
-def needs_missing_browser(words: list[str]) -> bool:
-    """Whether a command draws a page in a browser, and the system has none."""
-    return words[:1] == ["python"] and words[2] in BROWSER_MODULES and browser_path() is None
+                run_command(words_of(command), runs, monkeypatch)
+        else:
+            script = tmp_path / f"line_{fence.line}.py"
+            script.write_text(fence.body)
+            runpy.run_path(str(script), run_name=script.stem)
+            script.unlink()
 
 
 def run_command(words: list[str], runs: StoredRuns, patch: pytest.MonkeyPatch) -> None:
@@ -103,35 +76,32 @@ def run_command(words: list[str], runs: StoredRuns, patch: pytest.MonkeyPatch) -
     for before, word in zip(["", *words], words, strict=False):
         if before not in ("-o", "--output"):
             provide(word, Path.cwd(), runs.sequence, runs.plain)
+    assert words[0] in ("polhode", "python"), f"{' '.join(words)}: give a title that begins with {LEFT_OUT!r}"
     if words[0] == "polhode":
         run_polhode(words[1:], runs, patch)
-    elif words[0] == "python":
-        run_python(words[1:], patch)
     else:
-        raise AssertionError(f"{' '.join(words)}: give a title that begins with {LEFT_OUT!r}")
+        run_module(words[1:], patch)
 
 
 def run_polhode(words: list[str], runs: StoredRuns, patch: pytest.MonkeyPatch) -> None:
     """Run it; what several pages show on the same pairs (``StoredRuns``) is run only once for all of them."""
+    output = Path(words[words.index("-o") + 1]) if "-o" in words else None
     stored = runs.of(words)
-    if stored is not None:
+    if stored is not None and output is not None:
         check(["polhode", *words], patch)
-        shutil.copytree(stored, words[words.index("-o") + 1], dirs_exist_ok=True)
-    elif words[0] == "run":
-        succeed(["run", *QUICK_RUN, *words[1:]])
-    elif words[0] == "simulate":
-        succeed([*words, *QUICK_SIMULATION])
-        # a run needs more than two small pairs
-        simulated = Path(words[words.index("-o") + 1])
-        shutil.rmtree(simulated)
-        simulated.symlink_to(runs.sequence)
+        shutil.copytree(stored, output, dirs_exist_ok=True)
     else:
-        succeed([*words, *QUICK.get(words[0], ())])
-    if "-o" in words:
-        assert Path(words[words.index("-o") + 1]).exists(), " ".join(words)
+        # what a page sets of a run stays; of other commands it is shortened
+        quick = QUICK.get(words[0], ())
+        succeed(["run", *quick, *words[1:]] if words[0] == "run" else [*words, *quick])
+    if words[0] == "simulate" and output is not None:
+        # a run needs more than two small pairs
+        shutil.rmtree(output)
+        output.symlink_to(runs.sequence)
+    assert output is None or output.exists(), " ".join(words)
 
 
-def run_python(words: list[str], patch: pytest.MonkeyPatch) -> None:
+def run_module(words: list[str], patch: pytest.MonkeyPatch) -> None:
     """``-m module`` with its arguments; it must end with 0."""
     assert words[0] == "-m", f"python {words[0]}: name a module"
     patch.setattr(sys, "argv", words[1:])
@@ -141,11 +111,3 @@ def run_python(words: list[str], patch: pytest.MonkeyPatch) -> None:
     except SystemExit as stop:
         code = int(stop.code or 0)
     assert code == 0, f"{' '.join(words)}: exit code {code}"
-
-
-def run_code(fence: Fence, folder: Path) -> None:
-    """The code of a fence, as a script of its own."""
-    script = folder / f"{fence.page}_{fence.line}.py"
-    script.write_text(fence.body)
-    runpy.run_path(str(script), run_name=f"docs_{fence.line}")
-    script.unlink()

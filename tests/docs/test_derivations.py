@@ -1,10 +1,9 @@
-"""The formulas of docs/derivations.md, each against the code or a computation of another kind."""
+"""The formulas of docs/mathematics.md, each against the code or a computation of another kind."""
 
 import re
 
 import numpy as np
 import pytest
-import sympy
 from scipy.integrate import solve_ivp
 
 from polhode.backend.dynamics.process_noise import rotation_covariance_scaled, translation_covariance
@@ -23,6 +22,8 @@ from tests.docs.page_code import ROOT
 
 J = np.array([[1.3, 0.1, -0.05], [0.1, 1.0, 0.08], [-0.05, 0.08, 0.8]])
 W = np.array([0.3, 0.9, -0.4])
+ALGEBRA = {"D10", "D12"}
+"""Identities of matrices that no code of their own computes"""
 
 
 def moved(J_A: Array, w: Array, times: Array) -> tuple[Array, Array]:
@@ -31,14 +32,11 @@ def moved(J_A: Array, w: Array, times: Array) -> tuple[Array, Array]:
     return R, rates
 
 
-def test_every_section_names_its_test() -> None:
-    page = (ROOT / "docs" / "derivations.md").read_text()
-    sections = re.split(r"^## ", page, flags=re.MULTILINE)[1:]
-    named = [re.findall(r"Test: `(test_\w+)`", section) for section in sections]
-    assert [len(each) for each in named] == [1] * len(sections)
-    own = [name for name in globals() if re.match(r"test_d\d", name)]
-    assert [each[0] for each in named] == own
-    assert [section.split()[0].lower() for section in sections] == [name.split("_")[1] for name in own]
+def test_every_derivation_has_its_test() -> None:
+    page = (ROOT / "docs" / "mathematics.md").read_text()
+    sections = re.findall(r"^### (D\d+) ", page, flags=re.MULTILINE)
+    own = {match[1].upper() for name in globals() if (match := re.match(r"test_(d\d+)_", name))}
+    assert sections and set(sections) == own | ALGEBRA
 
 
 def test_d1_right_jacobian() -> None:
@@ -76,11 +74,6 @@ def test_d4_triangle_inequality() -> None:
     np.testing.assert_allclose(
         second_moments_from_inertia(by_integral, floor=0.0), unit_determinant(second), rtol=1e-9
     )
-    for _ in range(200):
-        moments = np.sort(random.uniform(0.05, 1.0, 3))[::-1]
-        k1, k2 = np.log(moments[:2] / moments[1:])
-        possible = bool((0.5 * moments.sum() - moments > 0.0).all())
-        assert possible == (k1 < np.log1p(np.exp(-k2)))
 
 
 @pytest.mark.parametrize("name", FORMS)
@@ -119,26 +112,12 @@ def test_d7_robust_kernel() -> None:
         # whole while the limit does not act: the exact second derivative of the cost in the residual
         kappa = float(kernel_curvature(np.array([s]), c)[0])
         assert 2.0 * kappa - kappa**2 * s == pytest.approx(min(2.0 * weight / c**2, 0.6 / s), rel=1e-6)
-    e, B = np.array([0.6, -0.3, 0.5]), sympy.symbols("x y z")
-    cost = sympy.Rational(9, 2) * sympy.log(1 + sum(x**2 for x in B) / 9)
-    exact = np.array(sympy.hessian(cost, B).subs(dict(zip(B, e, strict=True))), dtype=float)
-    squared = np.array([e @ e])
-    kappa, weight = float(kernel_curvature(squared, c)[0]), float(robust_weight(squared, c)[0])
-    root = np.eye(3) - kappa * np.outer(e, e)
-    np.testing.assert_allclose(weight * root.T @ root, exact, atol=1e-9)
 
 
 def test_d8_white_acceleration() -> None:
-    t, tau = sympy.symbols("t tau", positive=True)
-    impulse = sympy.Matrix([t - tau, 1])
-    integral = (impulse * impulse.T).applyfunc(lambda each: sympy.integrate(each, (tau, 0, t)))
-    expected = np.array(integral.subs(t, 1.7), dtype=float)
-    np.testing.assert_allclose(translation_covariance(np.array([1.7]), 2.0)[0], 2.0 * expected)
-    # the prediction: r + t v of a start with covariance P, and noise
-    P = np.array([[4.0, 0.5], [0.5, 0.3]])
-    F = np.array([[1.0, 1.7], [0.0, 1.0]])
-    stated = P[0, 0] + 1.7 * 2.0 * P[0, 1] + 1.7**2 * P[1, 1] + 2.0 * 1.7**3 / 3.0
-    assert (F @ P @ F.T + 2.0 * expected)[0, 0] == pytest.approx(stated)
+    t, density = 1.7, 2.0
+    stated = density * np.array([[t**3 / 3.0, t**2 / 2.0], [t**2 / 2.0, t]])
+    np.testing.assert_allclose(translation_covariance(np.array([t]), density)[0], stated)
 
 
 def test_d9_white_torque() -> None:
@@ -166,17 +145,6 @@ def test_d9_white_torque() -> None:
     np.testing.assert_allclose(at_rest[3:, 3:], S * inverse_square * t, rtol=1e-6)
 
 
-def test_d10_schur_complement() -> None:
-    random = np.random.default_rng(2)
-    root = random.normal(size=(7, 5))
-    information, g = root.T @ root, random.normal(size=5)
-    A, E, C = information[:2, :2], information[:2, 2:], information[2:, 2:]
-    reduced = A - E @ np.linalg.solve(C, E.T)
-    np.testing.assert_allclose(np.linalg.inv(reduced), np.linalg.inv(information)[:2, :2], rtol=1e-9)
-    x = np.linalg.solve(reduced, g[:2] - E @ np.linalg.solve(C, g[2:]))
-    np.testing.assert_allclose(x, np.linalg.solve(information, g)[:2], rtol=1e-9)
-
-
 def test_d11_axes_and_ratios() -> None:
     random = np.random.default_rng(3)
     dJ = random.normal(size=(3, 3))
@@ -192,19 +160,6 @@ def test_d11_axes_and_ratios() -> None:
     np.testing.assert_allclose(log_so3(R.T @ R_after), turn, rtol=1e-4)
 
 
-def test_d12_sandwich() -> None:
-    random = np.random.default_rng(4)
-    design, root = random.normal(size=(6, 2)), random.normal(size=(6, 6))
-    noise = root @ root.T
-    H = design.T @ design
-    S = design.T @ noise @ design
-    estimator = np.linalg.solve(H, design.T)
-    np.testing.assert_allclose(
-        estimator @ noise @ estimator.T, np.linalg.inv(H) @ S @ np.linalg.inv(H), rtol=1e-9
-    )
-    np.testing.assert_allclose(design.T @ np.eye(6) @ design, H)
-
-
 def test_d13_pure_spin() -> None:
     times, spin = np.linspace(0.0, 10.0, 6), np.array([0.0, 0.0, 0.7])
     one, other = np.diag([1.3, 1.0, 0.8]), np.diag([0.6, 1.0, 0.9])
@@ -212,12 +167,6 @@ def test_d13_pure_spin() -> None:
     R_other, w_other = moved(other, spin, times)
     np.testing.assert_allclose(R, R_other, atol=1e-9)
     np.testing.assert_allclose(w, w_other, atol=1e-9)
-    # the centre of mass shifted along the axis: the same poses of G, again on a straight line
-    com, shift = np.array([0.1, 0.2, -0.1]), np.array([0.0, 0.0, 0.05])
-    r = np.outer(times, [0.01, 0.0, 0.02])
-    p_NG = r - R @ com
-    r_other = p_NG + R @ (com + shift)
-    np.testing.assert_allclose(np.diff(r_other, axis=0), np.diff(r, axis=0), atol=1e-9)
 
 
 @pytest.mark.parametrize("moments", [(0.8, 1.0, 1.3), (1.3, 1.0, 0.8)])

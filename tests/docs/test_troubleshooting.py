@@ -17,21 +17,20 @@ SYMPTOMS = re.findall(r"^### `(.*)`$", PAGE, re.MULTILINE)
 @cache
 def messages() -> tuple[str, ...]:
     """Texts of the program, with … in the place of values."""
-    return tuple(text for path in modules() for text in texts(ast.parse(path.read_text())))
+    trees = (ast.parse(path.read_text()) for path in modules())
+    return tuple(text for tree in trees for text in map(literal, nodes_of(tree)) if text)
 
 
-def texts(tree: ast.Module) -> Iterator[str]:
-    """Literals of a module, its docstrings left out; neighbouring parts of an addition are joined."""
+def nodes_of(tree: ast.Module) -> Iterator[ast.expr]:
+    """Literals of a module, its docstrings left out."""
     docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
         if id(node) not in docstrings and isinstance(node, ast.Constant | ast.JoinedStr | ast.BinOp):
-            text = literal(node)
-            if text:
-                yield text
+            yield node
 
 
 def literal(node: ast.expr) -> str:
-    """The text of an expression; what is no literal is …"""
+    """The text of an expression, neighbouring parts of an addition joined; what is no literal is …"""
     match node:
         case ast.Constant(value=str(text)):
             return re.sub(r"%(?:s|d|\.\d[fg])|\{[^}]*\}", "…", text)
@@ -42,20 +41,9 @@ def literal(node: ast.expr) -> str:
     return ""
 
 
-def test_the_page_has_symptoms() -> None:
-    assert len(SYMPTOMS) > 30 and len(set(SYMPTOMS)) == len(SYMPTOMS)
-    assert PAGE.count("\n### ") == len(SYMPTOMS)
-
-
 @pytest.mark.parametrize("symptom", SYMPTOMS)
 def test_the_program_has_this_message(symptom: str) -> None:
     pattern = re.compile(".*".join(re.escape(part) for part in symptom.split("…")), re.DOTALL)
     assert any(pattern.search(message) for message in messages()), symptom
     # what is left out is values, not the message
     assert len(symptom.replace("…", "")) > 12, symptom
-
-
-@pytest.mark.parametrize("symptom", SYMPTOMS)
-def test_each_symptom_is_explained(symptom: str) -> None:
-    explanation = PAGE.partition(f"### `{symptom}`\n")[2].partition("\n#")[0].strip()
-    assert len(explanation.split()) >= 3

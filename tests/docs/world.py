@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 
 from benchmarks.calibration.board_images import BoardCamera, printed
-from benchmarks.importers.recordings import original, write_folders, write_ros1, write_side_by_side
+from benchmarks.importers.recordings import original, write_folders
 from polhode.calibration.boards import make_board
 from polhode.calibration.lenses import Lens
 from polhode.dataset_writer import write_png
@@ -58,7 +58,7 @@ def _rig(place: Path, sequence: Path) -> None:
         shutil.copy(sequence / "mav0" / camera / "sensor.yaml", place / camera)
 
 
-def _filled_folder(place: Path, sequence: Path) -> None:
+def _finished_folder(place: Path, sequence: Path) -> None:
     """A folder that a recorder has filled to its end."""
     shutil.copytree(sequence, place)
     (place / "mav0" / "end").touch()
@@ -80,23 +80,22 @@ def _boards(place: Path, sequence: Path) -> None:
             write_png(place / side / f"{number:02d}.png", image)
 
 
-def _half_of_the_boards(side: str) -> Callable[[Path, Path], None]:
-    """left/ or right/ of the boards, for pages that name them without a folder above."""
+def _part_of(make: Callable[[Path, Path], None], part: str) -> Callable[[Path, Path], None]:
+    """A folder of what ``make`` makes, for pages that name it without the folder above."""
 
-    def make(place: Path, sequence: Path) -> None:
-        _boards(place.parent / "boards", sequence)
-        (place.parent / "boards" / side).rename(place)
-        shutil.rmtree(place.parent / "boards")
+    def make_part(place: Path, sequence: Path) -> None:
+        whole = place.parent / f"whole_{part}"
+        make(whole, sequence)
+        (whole / part).rename(place)
+        shutil.rmtree(whole)
 
-    return make
+    return make_part
 
 
 def _cad_model(place: Path, sequence: Path) -> None:
     """Another program's model of the body, in millimetres."""
     mesh = trimesh.load_mesh(sequence / "mav0" / "target0" / "mesh.ply")
-    mesh = mesh.simplify_quadric_decimation(face_count=CAD_FACES)
-    mesh.apply_scale(1000.0)
-    mesh.export(place)
+    mesh.simplify_quadric_decimation(face_count=CAD_FACES).apply_scale(1000.0).export(place)
 
 
 def _model(place: Path, sequence: Path) -> None:
@@ -105,28 +104,16 @@ def _model(place: Path, sequence: Path) -> None:
     trimesh.creation.box((0.3, 0.2, 0.1)).export(place)
 
 
-def _body(place: Path, sequence: Path) -> None:
-    del sequence
-    trimesh.creation.box((300.0, 200.0, 100.0)).export(place)
-
-
 def _scene(place: Path, sequence: Path) -> None:
-    """The configuration that docs/simulation.md shows, and the mesh that it names."""
+    """The configuration that docs/simulation.md shows, and the mesh in millimetres that it names."""
+    del sequence
     page = (ROOT / "docs" / "simulation.md").read_text()
     place.write_text(page.split("```yaml\n")[1].split("```")[0])
-    _body(place.with_suffix(".obj"), sequence)
+    trimesh.creation.box((300.0, 200.0, 100.0)).export(place.with_suffix(".obj"))
 
 
 def _recording(place: Path, sequence: Path) -> None:
     write_folders(original(sequence), place)
-
-
-def _bag(place: Path, sequence: Path) -> None:
-    write_ros1(original(sequence), place)
-
-
-def _video(place: Path, sequence: Path) -> None:
-    write_side_by_side(original(sequence), place)
 
 
 def _poses(place: Path, sequence: Path) -> None:
@@ -137,13 +124,13 @@ def _poses(place: Path, sequence: Path) -> None:
 LINKED = ("configs", "examples")
 MADE: Mapping[str, Callable[[Path, Path], None]] = {
     "RIG": _rig,
-    "SOURCE": _filled_folder,
+    "SOURCE": _finished_folder,
     "board": _boards,
-    "left": _half_of_the_boards("left"),
-    "right": _half_of_the_boards("right"),
+    "left": _part_of(_boards, "left"),
+    "right": _part_of(_boards, "right"),
     "recording": _recording,
-    "flight.bag": _bag,
-    "both.mp4": _video,
+    "LEFT": _part_of(_recording, "left"),
+    "RIGHT": _part_of(_recording, "right"),
     "model.stl": _cad_model,
     "model.ply": _model,
     "my_satellite.yaml": _scene,

@@ -1,4 +1,4 @@
-"""Real photographs: the temple of docs/photographs.md, where they are beside the repository."""
+"""Real photographs: the temple of docs/validation.md#photographs, where they are beside the repository."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -26,7 +26,8 @@ MARGIN_PX = 12
 """Two millimetres of the object below the box, where it stands on the cloth, and the smoothing of masks."""
 
 pytestmark = pytest.mark.skipif(
-    not TEMPLE.is_dir(), reason="the photographs are not in the repository; see docs/photographs.md"
+    not TEMPLE.is_dir(),
+    reason="the photographs are not in the repository; see docs/validation.md#photographs",
 )
 
 
