@@ -13,17 +13,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polhode.camera import stereo_jacobian
 from polhode.lie import Array, hat, inverse_pose
+from polhode.pipeline.run_directory.check_table import CHECK_TABLE, make_check
 from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import Ints, MotionEstimate, StereoTracks
 
 MIN_OBSERVATIONS = 100
 MAX_FRAMES = 120
 """Longer sequences are thinned out to this number."""
-MAX_FOCAL, CLEAR_STRETCH = 0.002, 6.0
-"""Of the focal length that fits best, relative to the stated one, and in standard deviations: features that
-follow the light pretend 0.5 % at 4 sigma."""
-SCATTER = 2.2
+CLEAR_SIGMAS = 6.0
+"""Standard deviations from which on a focal length is another one"""
+SIGMA_SCATTER = 2.2
 """Of the focal lengths that fit best over undisturbed bodies, in their sigmas, which know of no errors that
 observations have in common (rms of 17 sequences)"""
 MATTERS_SIGMAS = 5.0
@@ -60,14 +61,7 @@ def best_correction(tracks: StereoTracks, estimate: MotionEstimate) -> Correctio
     scale = np.array([estimate.noise.pixel_sigma_px] * 2 + [estimate.noise.disparity_sigma_px])
     root = np.sqrt(estimate.inlier_weight[used])[:, None] / np.maximum(scale, 1e-6)
     rig = tracks.rig
-    z, f, fB = p_R[:, 2], rig.focal_px, rig.focal_px * rig.baseline_m
-    zero = np.zeros_like(z)
-    J_p = np.stack([
-        np.stack([f / z, zero, -f * p_R[:, 0] / z**2], 1),
-        np.stack([zero, f / z, -f * p_R[:, 1] / z**2], 1),
-        np.stack([zero, zero, -fB / z**2], 1),
-    ], 1)  # fmt: skip
-    J_p = root[:, :, None] * J_p
+    J_p = root[:, :, None] * stereo_jacobian(p_R, rig.focal_px, rig.baseline_m)
     # pose: p_R + t + a x p_R
     J_pose = np.concatenate([J_p, -J_p @ hat(p_R)], axis=2)
     J_landmark = J_p @ X_RG[frame, :3, :3]
@@ -83,34 +77,31 @@ def focal_check(found: Correction | None, has_ranges: bool = False) -> Check:
 
     A wrong one stretches what range images measure as well, but not along the line of sight.
     """
-    check = Check(
-        name="focal length that fits best, against the calibration", limit=100.0 * MAX_FOCAL, unit="%"
-    )
     if found is None:
-        return check
-    size, longer = 100.0 * abs(found.focal), "longer" if found.focal > 0 else "shorter"
-    better = f"a focal length {size:.2f} % {longer} than calibrated (sigma {100.0 * found.sigma_focal:.2f} %)"
+        return make_check("focal length", None)
+    other, parts = f"disparities {found.disparity_px:+.2f} px different", "; distances are"
     if has_ranges:
-        better += (
-            ", or ranges with another offset, would fit the rotating target better: check the calibration of "
-            "the camera and of the ranges; shape and motion are wrong accordingly"
-        )
-    else:
-        better += (
-            f", or disparities {found.disparity_px:+.2f} px different, would fit the rotating target better: "
-            "check the calibration; distances are wrong accordingly"
-        )
-    return check.judged(
-        size,
-        better,
-        100.0 * max(MAX_FOCAL, CLEAR_STRETCH * found.sigma_focal),
+        other, parts = "ranges with another offset", " of the camera and of the ranges; shape and motion are"
+    return make_check(
+        "focal length",
+        100.0 * abs(found.focal),
+        100.0 * _clear_error(found),
+        longer="longer" if found.focal > 0 else "shorter",
+        sigma=100.0 * found.sigma_focal,
+        other=other,
+        parts=f"{parts} wrong accordingly",
     )
+
+
+def _clear_error(found: Correction) -> float:
+    """Relative error of the focal length from which on it is doubted."""
+    return max(0.01 * (CHECK_TABLE["focal length"].limit or 0.0), CLEAR_SIGMAS * found.sigma_focal)
 
 
 def unseen_focal_error(found: Correction) -> float:
     """Relative error of the focal length that these images may hide: one that stays below the limits of
     ``focal_check`` with a probability above 1 %."""
-    return max(MAX_FOCAL, CLEAR_STRETCH * found.sigma_focal) + 2.33 * SCATTER * found.sigma_focal
+    return _clear_error(found) + 2.33 * SIGMA_SCATTER * found.sigma_focal
 
 
 def calibration_limits(found: Correction | None, tracks: StereoTracks, estimate: MotionEstimate) -> list[str]:

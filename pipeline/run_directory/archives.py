@@ -38,7 +38,6 @@ POSE_ORDER: tuple[str, ...] = tuple(f"{name}_G_{axis}" for name in ("shift", "tu
 """Rows and columns of the 6x6 covariance of X_NG."""
 
 _KINDS = {"fiu": "numbers", "iu": "whole numbers", "b": "booleans", "U": "a text"}
-_TRACKS = tuple(f.name for f in fields(StereoTracks) if f.name not in ("rig", "wrench"))
 
 
 @dataclass(frozen=True)
@@ -77,8 +76,9 @@ class Archive:
     arrays: Arrays
     remedy: str = REMEDY
 
-    def __contains__(self, name: str) -> bool:
-        return name in self.arrays
+    def optional(self, name: str, *shape: int | None, infinite: bool = False) -> Array | None:
+        """As ``numbers``; None: the file does not have it."""
+        return self.numbers(name, *shape, infinite=infinite) if name in self.arrays else None
 
     def numbers(self, name: str, *shape: int | None, infinite: bool = False) -> Array:
         """An array of floats, all finite, or with ``infinite`` none NaN. A shape of None is any length."""
@@ -172,19 +172,13 @@ def read_covariance(path: Path) -> Covariance:
     archive = load_archive(path, "covariance.npz")
     timestamps_ns = archive.times("timestamps_ns")
     count, n, m, k = len(timestamps_ns), len(STATE_ORDER), len(JOINT_ORDER), len(POSE_ORDER)
-    of_poses = None
-    if "covariance_X_NG" in archive:
-        of_poses = archive.numbers("covariance_X_NG", count, k, k, infinite=True)
-    of_marks = None
-    if "covariance_of_marks" in archive:
-        of_marks = archive.numbers("covariance_of_marks", count, n, n)
     return Covariance(
         timestamps_ns,
         archive.numbers("covariance", count, n, n, infinite=True),
         archive.numbers("last_joint", m, m, infinite=True),
-        archive.numbers("last_body", m, m) if "last_body" in archive else None,
-        of_poses,
-        of_marks,
+        archive.optional("last_body", m, m),
+        archive.optional("covariance_X_NG", count, k, k, infinite=True),
+        archive.optional("covariance_of_marks", count, n, n),
     )
 
 
@@ -199,12 +193,12 @@ def write_measurements(
     Keys: the fields of StereoTracks; ``rig_<field>``; ``wrench_<field>``; ``relative_<field>``; residuals_px,
     inlier_weight.
     """
-    arrays: Arrays = {name: np.asarray(getattr(tracks, name)) for name in _TRACKS}
-    if tracks.wrench is not None:
-        arrays |= {f"wrench_{f.name}": np.asarray(getattr(tracks.wrench, f.name)) for f in fields(Wrench)}
-    arrays |= {f"rig_{f.name}": np.asarray(getattr(tracks.rig, f.name)) for f in fields(tracks.rig)}
-    if relative is not None:
-        arrays |= {f"relative_{f.name}": np.asarray(getattr(relative, f.name)) for f in fields(relative)}
+    arrays: Arrays = {
+        f.name: np.asarray(getattr(tracks, f.name)) for f in fields(tracks) if f.name not in ("rig", "wrench")
+    }
+    for prefix, record in (("wrench", tracks.wrench), ("rig", tracks.rig), ("relative", relative)):
+        if record is not None:
+            arrays |= {f"{prefix}_{f.name}": np.asarray(getattr(record, f.name)) for f in fields(record)}
     if estimate is not None:
         arrays |= {"residuals_px": estimate.residuals_px, "inlier_weight": estimate.inlier_weight}
     write_arrays(path, arrays)
@@ -235,15 +229,14 @@ def read_measurements(path: Path) -> StereoTracks:
 
 
 def _rig(archive: Archive) -> RectifiedRig:
-    rig = RectifiedRig(
-        focal_px=archive.number("rig_focal_px"),
-        cx_px=archive.number("rig_cx_px"),
-        cy_px=archive.number("rig_cy_px"),
-        baseline_m=archive.number("rig_baseline_m"),
-        width_px=int(archive.whole("rig_width_px")),
-        height_px=int(archive.whole("rig_height_px")),
-        disparity_offset_px=archive.number("rig_disparity_offset_px"),
-    )
+    names = [f.name for f in fields(RectifiedRig)]
+    found: dict[str, Any] = {
+        name: int(archive.whole(f"rig_{name}"))
+        if name in ("width_px", "height_px")
+        else archive.number(f"rig_{name}")
+        for name in names
+    }
+    rig = RectifiedRig(**found)
     for name in ("focal_px", "baseline_m", "width_px", "height_px"):
         if not getattr(rig, name) > 0:
             raise archive.wrong(f"rig_{name} is not positive")
@@ -251,7 +244,7 @@ def _rig(archive: Archive) -> RectifiedRig:
 
 
 def _wrench(archive: Archive) -> Wrench | None:
-    if "wrench_time_ns" not in archive:
+    if "wrench_time_ns" not in archive.arrays:
         return None
     time_ns = archive.times("wrench_time_ns")
     return Wrench(
@@ -264,7 +257,7 @@ def _wrench(archive: Archive) -> Wrench | None:
 def read_relative_poses(path: Path) -> RelativePoses | None:
     """The relative poses of measurements.npz; None when the run stopped before them."""
     archive = load_archive(path, "measurements.npz")
-    if "relative_i" not in archive:
+    if "relative_i" not in archive.arrays:
         return None
     n_frames = len(archive.times("timestamps_ns"))
     i = archive.whole("relative_i", None, below=n_frames)
@@ -279,7 +272,7 @@ def read_relative_poses(path: Path) -> RelativePoses | None:
 def read_residuals(path: Path) -> MeasurementResiduals | None:
     """The back end's residuals in measurements.npz; None when the run stopped before them."""
     archive = load_archive(path, "measurements.npz")
-    if "residuals_px" not in archive:
+    if "residuals_px" not in archive.arrays:
         return None
     count = len(archive.whole("frame", None))
     return MeasurementResiduals(

@@ -31,6 +31,7 @@ from polhode.pipeline.run_directory.own_results import changed_results
 from polhode.pipeline.run_directory.stages import KeptStages, StageStore
 from polhode.pipeline.run_directory.summary import build_summary, read_summary, with_files, write_summary
 from polhode.pipeline.run_directory.summary_schema import Recording
+from polhode.pipeline.run_directory.verdict import lower_status
 
 REPORT = "report.html"
 CONFIG_SIGN, PAGE_SIGN = "# Resolved configuration", "polhode</title>"
@@ -323,7 +324,7 @@ class _LogFile(logging.FileHandler):
 def record_failure(folder: Path, message: str, recording: Recording | None = None) -> None:
     """Turn the files in the folder into a failed run, whose summary.json says why."""
     if (folder / SUMMARY).exists():
-        summary = read_summary(folder / SUMMARY).fallen_to("failed", message, first=True)
+        summary = lower_status(read_summary(folder / SUMMARY), "failed", message, first=True)
     else:
         tracks = read_measurements(folder) if (folder / "measurements.npz").exists() else None
         summary = build_summary(tracks, None, None, {}, failure=message)

@@ -12,4 +12,7 @@ def test_an_undisturbed_body_is_right_and_not_doubted() -> None:
     assert runs.good.all() and runs.undisturbed.all() and not runs.said.any()
     # checks of the answer and of the data are both made
     names = set(row["checks"])
-    assert {"halves of the landmarks, solved apart", "time of a turn, against the stamps"} <= names
+    assert {
+        "difference between the solutions of two random halves of the landmarks",
+        "period of rotation from the images over that from the timestamps: deviation from 1",
+    } <= names

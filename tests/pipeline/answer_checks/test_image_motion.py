@@ -55,7 +55,7 @@ def turning(textured: bool = True) -> list[DepthMap]:
 def test_the_true_motion_leaves_no_flow() -> None:
     images = watched(STEP_DEG, turning())
     assert len(images.shares) == FRAMES - 1 and max(images.shares) < 0.1
-    check = images.check()
+    check = images.checks(0.5)[0]
     assert check.reason == "" and check.value is not None and check.value < 10.0
 
 
@@ -63,17 +63,17 @@ def test_a_still_outline_around_a_turning_skin_is_no_motion() -> None:
     images = watched(0.0, turning())
     # 9 degrees displace by more than 2 px what is more than 13 px from the axis
     assert np.median(images.shares) > 0.8
-    reason = images.check().reason
+    reason = images.checks(0.5)[0].reason
     assert "the images do not move as the motion found" in reason
 
 
 def test_a_motion_in_the_opposite_direction_is_noticed() -> None:
-    assert watched(-STEP_DEG, turning()).check().reason
+    assert watched(-STEP_DEG, turning()).checks(0.5)[0].reason
 
 
 def test_surfaces_without_texture_say_nothing() -> None:
     images = watched(0.0, turning(textured=False))
-    assert images.shares == [] and images.check().value is None
+    assert images.shares == [] and images.checks(0.5)[0].value is None
 
 
 @pytest.mark.parametrize("steps_deg", [50.0, 90.0])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polhode.pipeline.answer_checks.mesh_check import mesh_check
+from polhode.pipeline.answer_checks.estimate_checks import mesh_check
 from polhode.pipeline.run_directory.summary_schema import Physics
 
 

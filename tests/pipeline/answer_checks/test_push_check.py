@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polhode.pipeline.answer_checks.push_check import push_check
+from polhode.pipeline.answer_checks.estimate_checks import push_check
 from polhode.records import Disturbances, Impulse, MotionEstimate
 
 

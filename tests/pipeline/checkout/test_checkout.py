@@ -22,8 +22,8 @@ from polhode.pipeline.run_directory.summary_schema import json_schema, json_text
 from polhode.records import Ints
 
 Capture = pytest.CaptureFixture[str]
-FEW_MATCHES = ("matches of the median successive pair", "successive pairs that match")
-WITHOUT_IMAGES = {"stamps of the right camera against the left", "images without a partner"}
+FEW_MATCHES = ("median number of matches between successive pairs", "successive pairs that match")
+WITHOUT_IMAGES = {"clock offset of the right camera", "unpaired images"}
 
 
 @pytest.fixture(scope="module")
@@ -43,12 +43,12 @@ def test_a_sound_sequence_passes_but_for_its_large_turns(done: Checkout) -> None
     assert set(beyond) <= set(FEW_MATCHES) and set(beyond.values()) == {"WARN"} and result.status == "WARN"
     unmeasured = {check.name for check in result.checks if check.value is None}
     assert unmeasured <= {
-        "images with masks, where some have one",
+        "images with a mask, where some have one",
         "distance from an image to the nearest inspector pose",
         "delay between the cameras",
     }
     # 9.7 RPM, twice a second
-    assert result.named("turn between successive frames").value == pytest.approx(29.1, abs=0.5)
+    assert result.named("rotation between successive frames").value == pytest.approx(29.1, abs=0.5)
     # a free flyer of 0.22 m, 0.5 m away
     assert " their median 0.4" in result.named("smallest disparity").finding
     assert result.named("vertical disparity").value < 0.1  # type: ignore[operator]
@@ -111,8 +111,8 @@ def test_another_rig_is_checked_against_the_images(rendered_sequence: Path, tmp_
     assert (result.rig, result.status, pitch.status) == ("given", "FAIL", "FAIL")
     assert pitch.value == pytest.approx(0.3, abs=0.03) and "deg down" in pitch.finding
     # rows are levelled for the other checks
-    assert result.named("turn between successive frames").status == "PASS"
-    assert result.named("stereo features of the median pair").value > 100  # type: ignore[operator]
+    assert result.named("rotation between successive frames").status == "PASS"
+    assert result.named("median number of stereo features per pair").value > 100  # type: ignore[operator]
 
 
 def shifted(source: Path, folder: Path, offset_ns: int) -> Path:
@@ -129,7 +129,7 @@ def shifted(source: Path, folder: Path, offset_ns: int) -> Path:
 def test_clocks_that_differ_are_a_warning_with_the_offset(rendered_sequence: Path, tmp_path: Path) -> None:
     sequence = shifted(rendered_sequence, tmp_path / "apart", 4_000)
     result = checkout(sequence, workers=1, count=1).result
-    check = result.named("stamps of the right camera against the left")
+    check = result.named("clock offset of the right camera")
     assert (check.value, check.status, result.pairs) == (4.0, "WARN", 14)
 
 
@@ -138,7 +138,7 @@ def test_clocks_without_a_common_time_fail_instead_of_being_bad_input(
 ) -> None:
     sequence = shifted(small_sequence, tmp_path / "apart", 3_600_000_000_000)
     assert main(["checkout", str(sequence), "-o", str(tmp_path / "out")]) == 0
-    assert "FAIL  images without a partner: 100 % (at most 60 %)" in capsys.readouterr().out
+    assert "FAIL  unpaired images: 100 % (at most 60 %)" in capsys.readouterr().out
     content = json.loads((tmp_path / "out" / "checkout.json").read_text())
     assert (content["status"], content["pairs"]) == ("FAIL", 0)
     assert {check["name"] for check in content["checks"]} == WITHOUT_IMAGES

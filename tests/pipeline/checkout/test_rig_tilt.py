@@ -101,7 +101,7 @@ def test_a_part_of_the_image_that_differs_is_named() -> None:
     assert fit is not None
     median, count = regions(fit, RIG, fit.offset_px)
     assert median[0, 0] == pytest.approx(0.6, abs=0.15) and abs(median[2, 2]) < 0.15 and count.sum() > 300
-    assert checks(data)["vertical disparity beside the tilt, worst part of the image"].status == "WARN"
+    assert checks(data)["residual vertical disparity of the worst region of the image"].status == "WARN"
 
 
 def test_exchanged_images_fail() -> None:

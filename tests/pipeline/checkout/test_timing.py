@@ -1,4 +1,4 @@
-"""Stamps of both cameras: offset of the clocks, images without a partner."""
+"""Stamps of both cameras: offset of the clocks, unpaired images."""
 
 import numpy as np
 import pytest

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from polhode.lie import Array
-from polhode.pipeline.data_checks.clock_check import clock_check
-from polhode.pipeline.run_directory.summary_schema import reasons_of
+from polhode.pipeline.data_checks.pose_checks import clock_check
+from polhode.pipeline.run_directory.verdict import reasons_of
 from polhode.rigid_body import propagate
 
 Floats = NDArray[np.floating[Any]]

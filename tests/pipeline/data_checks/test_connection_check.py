@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polhode.pipeline.data_checks.connection_check import MIN_LANDMARKS, connection_check
-from polhode.pipeline.run_directory.summary_schema import reasons_of
+from polhode.pipeline.data_checks.pose_checks import connection_check
+from polhode.pipeline.run_directory.verdict import reasons_of
 from polhode.records import StereoTracks
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 FRAMES, PLACE = 20, 9
+MIN_LANDMARKS = 6
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
-from polhode.pipeline.data_checks.inspector_check import inspector_check
-from polhode.pipeline.run_directory.summary_schema import reasons_of
+from polhode.pipeline.data_checks.pose_checks import inspector_check
+from polhode.pipeline.run_directory.verdict import reasons_of
 from polhode.rigid_body import propagate
 
 F = 40

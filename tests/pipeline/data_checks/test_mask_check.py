@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from polhode.frontend.found_masks import FoundMasks, MaskQuality
-from polhode.pipeline.data_checks.mask_check import MAX_DOUBTFUL, mask_checks
+from polhode.pipeline.data_checks.check_data import mask_checks
 from polhode.pipeline.found_background import doubts_of_masks
 
 GOOD = MaskQuality(area=0.1, agreement=0.98, contradicted=0.02, far_share=0.95)
@@ -20,7 +20,7 @@ def test_where_no_masks_were_found_there_is_no_check() -> None:
 
 def test_sound_masks_hold_without_a_warning() -> None:
     (check,) = mask_checks(found(0))
-    assert (check.value, check.limit, check.reason) == (0.0, MAX_DOUBTFUL, "")
+    assert (check.value, check.limit, check.reason) == (0.0, 20.0, "")
     assert doubts_of_masks(found(0)) == ""
 
 

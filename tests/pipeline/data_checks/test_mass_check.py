@@ -11,7 +11,7 @@ from polhode.camera import RectifiedRig
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, make_pose, transform_points
 from polhode.pipeline.data_checks.mass_check import mass_checks, part_of
-from polhode.pipeline.run_directory.summary_schema import reasons_of
+from polhode.pipeline.run_directory.verdict import reasons_of
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
 from polhode.rigid_body import propagate

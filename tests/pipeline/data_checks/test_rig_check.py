@@ -13,6 +13,7 @@ from polhode.frontend.features.row_offsets import RowOffsets
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.lie import Array
 from polhode.pipeline.data_checks.rig_check import (
+    RowSpeeds,
     camera_delay,
     delay_by_rows,
     largest_step,
@@ -24,7 +25,7 @@ from polhode.pipeline.data_checks.self_calibration import (
     focal_check,
     unseen_focal_error,
 )
-from polhode.pipeline.run_directory.summary_schema import reasons_of
+from polhode.pipeline.run_directory.verdict import reasons_of
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate, StereoTracks
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
@@ -126,8 +127,8 @@ def test_cameras_that_look_at_different_times_are_named_with_the_time(
     rows_px_s = tracks.rig.focal_px * (v_R[:, 1] - v_R[:, 2] * p_R[:, 1] / p_R[:, 2]) / p_R[:, 2]
     seen = features(tracks, -0.020 * rows_px_s)
     context: Any = Context(tracks)
-    found = camera_delay(context, seen, estimate)
-    assert found is not None and found[0] == pytest.approx(0.020, abs=0.002)
+    found = camera_delay(context, [each.rows for each in seen], estimate)
+    assert found is not None and found.seconds == pytest.approx(0.020, abs=0.002)
     said = reasons(sequence, estimate, seen)
     assert len(said) == 1 and "the right camera's images are" in said[0] and "ms late" in said[0]
 
@@ -148,7 +149,9 @@ def test_a_delay_that_hardly_displaces_the_rows_is_not_named() -> None:
     uvd = rng.uniform(0.0, 100.0, size=(n, 3))
     speed, frame = 0.06 * rng.normal(size=n), np.arange(n) // 100
     slight, clear = (
-        delay_by_rows(factor * speed, -0.3 * factor * speed + 0.01 * rng.normal(size=n), frame, uvd)
+        delay_by_rows(
+            [RowSpeeds(factor * speed, -0.3 * factor * speed + 0.01 * rng.normal(size=n), frame, uvd)]
+        )
         for factor in (1.0, 3.0)
     )
     assert slight is not None and clear is not None
