@@ -85,8 +85,8 @@ CHECK_TABLE = {
     "saturated": CheckRow("images", "saturated part of the target", "%", 10.0, 40.0,
         "Expose for a shorter time: saturated surface has no texture, and depth there is guessed.", "WARN"),
     # below 8 features are not detected
-    "brightness": CheckRow("images", "99.5th percentile of the grey levels of the target", "grey levels", 60.0,
-        15.0,
+    "brightness": CheckRow("images", "99.5th percentile of the grey levels of the target", "grey levels",
+        60.0, 15.0,
         "Expose longer or use more gain; for 16-bit images state 'bits' in sensor.yaml.", "FAIL", True),
     # sharp images have 0.6 to 0.8; a Gaussian of 1 px makes it 1.0 to 1.2, one of 2 px 1.7 to 1.9
     "edges": CheckRow("images", "width of edges", "px", 1.2, 3.0,

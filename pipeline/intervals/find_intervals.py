@@ -12,9 +12,8 @@ from polhode.backend.problem.inertia import FORMS, inertia_by_parameters
 from polhode.config.backend_settings import Backend, Bounds
 from polhode.lie import Array
 from polhode.pipeline.intervals.body_hull import BodyHull, body_hull
-from polhode.pipeline.intervals.centre_of_mass import com_extremes
 from polhode.pipeline.intervals.inertia_ratios import RatioIntervals, ratio_intervals
-from polhode.pipeline.intervals.motion_limits import MotionLimits, motion_limits
+from polhode.pipeline.intervals.motion_limits import MotionLimits, com_extremes, motion_limits
 from polhode.pipeline.run_directory.summary_schema import Coverage, Intervals
 from polhode.records import Bools, Identifiability, MotionEstimate, SurfaceModel
 

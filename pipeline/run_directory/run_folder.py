@@ -171,46 +171,36 @@ def own_files(folder: Path) -> IsOwn | None:
 
 
 def _require_usable(place: Path, shown: Path, overwrite: bool) -> None:
+    """Raise InputError unless the place is empty, or holds a run that may be replaced."""
     if not _is_not_empty(place):
         return
-    is_own = own_files(place)
+    is_own, remedy = own_files(place), "choose another folder"
     if is_own is None:
         names = [name for name, is_folder in entries(place) if not is_folder] or [place.name]
         example = printable(min(names, key=lambda name: (is_run_file(name), name)))
         raise InputError(
-            f"{shown}: contains files that are not a run and are never deleted ({example}); "
-            "choose another folder"
+            f"{shown}: contains files that are not a run and are never deleted ({example}); {remedy}"
         )
     if not overwrite:
-        raise InputError(
-            f"{shown}: already contains a run; choose another folder, or replace it with --overwrite"
-        )
+        raise InputError(f"{shown}: already contains a run; {remedy}, or replace it with --overwrite")
     try:
         others = foreign(place, is_own)
     except OSError as error:
-        raise InputError(
-            f"{error.filename}: cannot be read ({error.strerror}), so that it could not stay in {shown}; "
-            "choose another folder"
-        ) from error
+        why = f"cannot be read ({error.strerror}), so that it could not stay in {shown}"
+        raise InputError(f"{error.filename}: {why}; {remedy}") from error
     changed = changed_results(place, read_summary(place / SUMMARY).sha256)
     for name in others:
         if name in changed:
+            why = "was changed since the run wrote it, so it stays"
             # without a file that is needed the folder would be no run
-            move = "" if name in NEEDED else "move it, or "
-            raise InputError(
-                f"{shown}: {name} was changed since the run wrote it, so it stays; "
-                f"{move}choose another folder"
-            )
-        if (place / name).lstat().st_dev != place.stat().st_dev:
-            raise InputError(
-                f"{shown}: {printable(name)} is on another file system, and could not stay there; "
-                "choose another folder"
-            )
-        if is_run_file(name) or is_run_file(name.split("/")[0]) or name == PICTURES:
-            raise InputError(
-                f"{shown}: {printable(name)} is not of the run there, but has the name of a result; "
-                "move it, or choose another folder"
-            )
+            remedy = remedy if name in NEEDED else f"move it, or {remedy}"
+        elif (place / name).lstat().st_dev != place.stat().st_dev:
+            why = "is on another file system, and could not stay there"
+        elif is_run_file(name) or is_run_file(name.split("/")[0]) or name == PICTURES:
+            why, remedy = "is not of the run there, but has the name of a result", f"move it, or {remedy}"
+        else:
+            continue
+        raise InputError(f"{shown}: {printable(name)} {why}; {remedy}")
 
 
 def _publish(run: RunFolder, staged: StagedFolder, path: Path, overwrite: bool, even_if_failed: bool) -> None:

@@ -1,4 +1,4 @@
-"""All checks together: what a frozen recorder and a check that fails lead to."""
+"""All checks together: a frozen recorder, a check that fails, masks that were found."""
 
 from contextlib import nullcontext
 from dataclasses import replace
@@ -10,8 +10,10 @@ import pytest
 
 from polhode.backend import estimate_motion
 from polhode.config.backend_settings import Backend
+from polhode.frontend.found_masks import FoundMasks, MaskQuality
 from polhode.pipeline.data_checks import check_data as module
-from polhode.pipeline.data_checks.check_data import check_data
+from polhode.pipeline.data_checks.check_data import check_data, mask_checks
+from polhode.pipeline.found_background import doubts_of_masks
 from polhode.pipeline.run_directory.check_table import make_check
 from polhode.pipeline.run_directory.verdict import reasons_of
 from polhode.progress import Silent
@@ -76,3 +78,19 @@ def test_parts_that_no_landmark_connects_are_a_reason(
     landmark = np.unique(parted, return_inverse=True)[1]
     (reason,) = reasons(context(sequence), replace(tracks, landmark=landmark), estimate)
     assert "share no landmarks and are connected by the dynamics alone" in reason
+
+
+@pytest.mark.parametrize("bad", [0, 2, 5])
+def test_many_doubtful_masks_are_a_doubt_of_the_answer_and_a_few_a_warning(bad: int) -> None:
+    good = MaskQuality(area=0.1, agreement=0.98, contradicted=0.02, far_share=0.95)
+    found = FoundMasks({}, dict(enumerate([replace(good, agreement=0.4)] * bad + [good] * (20 - bad))))
+    (check,) = mask_checks(found)
+    assert (check.value, check.limit) == (5.0 * bad, 20.0)
+    named = {0: "", 2: "(frames 0, 1):", 5: "(frames 0, 1, 2, ...):"}[bad]
+    doubts = doubts_of_masks(found)
+    assert named in doubts and bool(doubts) == (bad > 0) and ("give masks" in doubts) == (bad > 0)
+    assert check.reason == (doubts if bad == 5 else "")
+
+
+def test_where_no_masks_were_found_there_is_no_check_of_them() -> None:
+    assert mask_checks(None) == []

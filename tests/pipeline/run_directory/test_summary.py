@@ -22,24 +22,9 @@ from polhode.pipeline.run_directory.summary_schema import (
 from polhode.pipeline.run_directory.verdict import lower_status
 
 CONTRACT_KEYS = {
-    "schema",
-    "status",
-    "warnings",
-    "frames",
-    "frames_used",
-    "landmarks",
-    "observations",
-    "duration_s",
-    "timing_s",
-    "inertia",
-    "identifiable",
-    "identifiable_detail",
-    "com_G",
-    "cov_com_G",
-    "R_GP",
-    "cov_R_GP",
-    "solver",
-    "noise",
+    *("schema", "status", "warnings", "frames", "frames_used", "landmarks", "observations", "duration_s"),
+    *("timing_s", "inertia", "identifiable", "identifiable_detail", "com_G", "cov_com_G", "R_GP", "cov_R_GP"),
+    *("solver", "noise"),
 }
 
 
