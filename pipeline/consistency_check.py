@@ -84,7 +84,7 @@ def _scatter_of_shared(
 ) -> float:
     """Median image residual of the shared observations, relative to the first solution's; 1 if none is
     shared."""
-    rows, first_rows = _shared(tracks, first_tracks)
+    rows, first_rows = _match_rows(tracks, first_tracks)
     if len(rows) == 0:
         return 1.0
     after, before = (
@@ -94,7 +94,7 @@ def _scatter_of_shared(
     return after / max(before, 1e-9)
 
 
-def _shared(a: StereoTracks, b: StereoTracks) -> tuple[list[int], list[int]]:
+def _match_rows(a: StereoTracks, b: StereoTracks) -> tuple[list[int], list[int]]:
     """Rows of a and of b with the same observation: its coordinates are equal to the last bit."""
     row_of = {
         (frame, *uvd): row

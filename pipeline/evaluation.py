@@ -86,13 +86,13 @@ def seen_and_lit(
         left = sequence.read_left(int(k))[0]
         # Points seen often enough need no further test.
         candidate = np.flatnonzero(found < min_frames)
-        lit = candidate[_bright(left, transform_points(X_CG, p_G[candidate]), sequence)]
+        lit = candidate[_is_bright(left, transform_points(X_CG, p_G[candidate]), sequence)]
         eye_G = inverse_pose(X_CG)[:3, 3]
         found[lit[caster.sees(eye_G, p_G[lit], normal_G[lit], CLEARANCE * mesh.scale)]] += 1
     return np.asarray(found >= min_frames)
 
 
-def _bright(left: NDArray[np.uint8], p_C: Array, sequence: StereoSequence) -> Bools:
+def _is_bright(left: NDArray[np.uint8], p_C: Array, sequence: StereoSequence) -> Bools:
     """(n,) true where a point projects onto a pixel of the recorded image that is brighter than the sky."""
     rig = sequence.calibration
     front = p_C[:, 2] > 1e-6
@@ -360,9 +360,9 @@ def format_table(metrics: Metrics) -> str:
         if isinstance(value, dict):
             for name, part in value.items():
                 label = f"{key} {name}" + (f"\n  {ALIGNED[key]}" if key in ALIGNED else "")
-                table.add_row(label, _shown(part), _unit(key, name), _expected(key, name))
+                table.add_row(label, _format_value(part), _unit(key, name), _expected_text(key, name))
         else:
-            table.add_row(key, _shown(value), _unit(key), "")
+            table.add_row(key, _format_value(value), _unit(key), "")
     console = Console(width=100, file=StringIO(), force_terminal=False)
     with console.capture() as capture:
         console.print(table)
@@ -379,14 +379,14 @@ def _unit(key: str, name: str = "") -> str:
     return next(found, "")
 
 
-def _expected(group: str, name: str) -> str:
+def _expected_text(group: str, name: str) -> str:
     if group == IN_INTERVAL:
         return "True"
     found = expected_range(group, name)
     return "" if found is None else f"{found[0]:.2g} to {found[1]:.3g}"
 
 
-def _shown(value: object) -> str:
+def _format_value(value: object) -> str:
     if value is None:
         return "not available"
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -57,7 +57,7 @@ def assumed_properties(
         "density_kg_m3": density,
         "mass_kg": kilograms,
         "inertia_kg_m2": inertia,
-        "com_G": None if known.com else _completed_com(mass, solid),
+        "com_G": None if known.com else _complete_com(mass, solid),
         "k1": None if known.k1 else float(np.log(moments[0] / moments[1])),
         "k2": None if known.k2 else float(np.log(moments[1] / moments[2])),
         "R_GP": None if known.axes else R_GP,
@@ -65,7 +65,7 @@ def assumed_properties(
     return Assumed.model_validate(found), []
 
 
-def _completed_com(mass: MassProperties, solid: Solid) -> Array:
+def _complete_com(mass: MassProperties, solid: Solid) -> Array:
     """The estimate, its undetermined components along the principal axes taken from the solid."""
     lost = mass.R_GP[:, ~mass.identifiable.com_P]
     return np.asarray(mass.com_G + lost @ (lost.T @ (solid.com_G - mass.com_G)))
@@ -103,7 +103,7 @@ def check_physics(
         return None
     _, R_GP = principal_axes(solid.inertia)
     k, known = _ratios(solid), mass.identifiable
-    other = solid if mesh.is_volume else _lidded(mesh)
+    other = solid if mesh.is_volume else _close_openings(mesh)
     words = [f"compared with uniform density in the {solid.words}"]
     clear = other.volume_m3 > MIN_LIDDED_SHARE * solid.volume_m3
     offset_G = _com_offset(mass, solid.com_G) if clear and known.com_P.any() else None
@@ -149,7 +149,7 @@ def check_physics(
     )
 
 
-def _lidded(mesh: trimesh.Trimesh) -> Solid:
+def _close_openings(mesh: trimesh.Trimesh) -> Solid:
     """The mesh with every opening closed by a fan from its middle: another estimate of the volume."""
     vertices, faces = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)]
     count = len(mesh.vertices)

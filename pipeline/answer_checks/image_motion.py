@@ -94,10 +94,10 @@ def residual_displacement(first: DepthMap, second: DepthMap, X: Array, rig: Rect
 
     X (4, 4) moves points of the first frame's camera to the second's.
     """
-    back, known = moved_back(first, second, X, rig)
+    back, known = warp_back(first, second, X, rig)
     picture = first.intensity.copy()
     back = np.where(known, back, picture)
-    inside = eroded(known, 2 * BORDER_PX + 1)
+    inside = erode(known, 2 * BORDER_PX + 1)
     textured = inside & (_contrast(picture, known) > MIN_CONTRAST) & (_contrast(back, known) > MIN_CONTRAST)
     return displacements_px(picture, back)[textured]
 
@@ -110,12 +110,12 @@ def displacements_px(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> Arr
     return np.asarray(np.linalg.norm(flow, axis=2), dtype=np.float64)
 
 
-def eroded(where: Bools, size_px: int) -> Bools:
+def erode(where: Bools, size_px: int) -> Bools:
     """The pixels (H, W) whose whole square neighbourhood belongs to ``where``, or lies beyond the border."""
     return np.asarray(cv2.erode(where.astype(np.uint8), np.ones((size_px, size_px), dtype=np.uint8)) > 0)
 
 
-def moved_back(
+def warp_back(
     first: DepthMap, second: DepthMap, X: Array, rig: RectifiedRig
 ) -> tuple[NDArray[np.uint8], Bools]:
     """The second image (H, W) as seen from the first frame, by its depth; where it is known (H, W)."""

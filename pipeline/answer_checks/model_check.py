@@ -20,7 +20,7 @@ from polhode.pipeline.answer_checks.image_motion import (
     CONTRAST_SCALE_PX,
     MIN_CONTRAST,
     displacements_px,
-    eroded,
+    erode,
 )
 from polhode.pipeline.pictures.model_comparison import FrameComparison, chosen_frames, compare_frames
 from polhode.pipeline.run_directory.check_table import make_check
@@ -61,8 +61,8 @@ def model_check(
 def displaced_share(comparison: FrameComparison) -> float | None:
     """Of the texture of one frame, whose picture is at most 256 pixels wide; None: too little texture."""
     image = comparison.image
-    lit = eroded(comparison.seen & comparison.modelled, EDGE_PX + 1) & (image > LIT_GREY)
-    textured = eroded(lit, EDGE_PX + 1) & (_contrast(image, lit) > MIN_CONTRAST)
+    lit = erode(comparison.seen & comparison.modelled, EDGE_PX + 1) & (image > LIT_GREY)
+    textured = erode(lit, EDGE_PX + 1) & (_contrast(image, lit) > MIN_CONTRAST)
     if textured.sum() < MIN_PIXELS:
         return None
     model = (comparison.gain * comparison.model + comparison.offset).clip(0.0, 255.0)

@@ -45,7 +45,7 @@ POINTS = 2500
 MIN_POINTS, MIN_PAIRS = 300, 3
 LOCAL_PX = 3.0
 """Scale of the local mean of the grey values."""
-TRIMMED = 0.1
+TRIMMED_SHARE = 0.1
 """Share of the surface that may differ: struts, antennas."""
 MIN_COSINE = 0.25
 """Between normal and line of sight"""
@@ -160,7 +160,7 @@ def slippable_axis(p_G: Array, normal_G: Array) -> Axis:
         w = vectors[:, 0]
         v = best @ w
         along = np.abs(rows @ np.concatenate([w, v]))
-        kept = along <= np.quantile(along, 1.0 - TRIMMED)
+        kept = along <= np.quantile(along, 1.0 - TRIMMED_SHARE)
     point = centre + size * np.cross(w, v)
     radius = np.linalg.norm(np.cross(p_G - point, w), axis=1)
     return Axis(point, w, float(np.sqrt(max(values[0], 0.0))), float(np.sqrt(np.mean(radius**2))))
@@ -253,7 +253,7 @@ def _surface_points(frame: DepthMap, picture: Picture, rig: RectifiedRig) -> tup
     normal = np.cross(down, ahead)
     length = np.linalg.norm(normal, axis=2)
     smooth = np.abs(ahead[..., 2]) + np.abs(down[..., 2]) < 0.06 * z
-    fit = _eroded(known, 2 * step + 3) & smooth & (length > 0.0)
+    fit = _erode(known, 2 * step + 3) & smooth & (length > 0.0)
     at = np.flatnonzero(fit)
     # the same points in every run
     at = at[np.linspace(0, len(at) - 1, min(POINTS, len(at))).astype(np.int64)]
@@ -261,5 +261,5 @@ def _surface_points(frame: DepthMap, picture: Picture, rig: RectifiedRig) -> tup
     return np.asarray(p_R.reshape(-1, 3)[at]), np.asarray(normals, dtype=np.float64)
 
 
-def _eroded(mask: Bools, size: int) -> Bools:
+def _erode(mask: Bools, size: int) -> Bools:
     return np.asarray(cv2.erode(mask.astype(np.uint8), np.ones((size, size), np.uint8), borderValue=0) > 0)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from polhode.dataset import MAX_LOSS
 from polhode.frontend.features.stereo import MAX_SHIFT_SHARE
 from polhode.frontend.matching.pairs import MIN_INLIERS
-from polhode.pipeline.checkout.result import CheckoutCheck, Group, Verdict, judged
+from polhode.pipeline.checkout.result import CheckoutCheck, Group, Verdict, judge
 
 
 class CheckRow(NamedTuple):
@@ -168,7 +168,7 @@ def make_check(
     instead of the row's."""
     row = CHECK_TABLE[key]
     limit, fail_limit = limits or (row.limit, row.fail_limit)
-    return judged(
+    return judge(
         row.group,
         name or row.name,
         value,

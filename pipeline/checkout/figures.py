@@ -240,8 +240,8 @@ def draw_pair(pair: RectifiedPair, rows: RowOffsets) -> NDArray[np.uint8]:
     As the astronauts' second screen (thesis figure 5-25): the lines must be as level as the guides.
     """
     if pair.measured is not None:
-        return _with_ranges(pair.left, pair.measured)
-    both = np.hstack([_stretched(pair.left), _stretched(pair.right)])
+        return _draw_ranges(pair.left, pair.measured)
+    both = np.hstack([_stretch_contrast(pair.left), _stretch_contrast(pair.right)])
     picture = np.repeat(both[..., None], 3, axis=2)
     height, width = pair.left.shape
     for row in np.linspace(0, height, GUIDES + 2)[1:-1].astype(int).tolist():
@@ -259,18 +259,18 @@ def draw_pair(pair: RectifiedPair, rows: RowOffsets) -> NDArray[np.uint8]:
     return np.asarray(picture, dtype=np.uint8)
 
 
-def _with_ranges(left: Image, measured: MeasuredDisparity) -> NDArray[np.uint8]:
+def _draw_ranges(left: Image, measured: MeasuredDisparity) -> NDArray[np.uint8]:
     """The image beside its range image (H, 2 W, 3): near is bright, black is not measured."""
     d = measured.disparity_px
     known = np.isfinite(d)
     low, high = np.percentile(d[known], [1.0, 99.0]) if known.any() else (0.0, 1.0)
     level = np.clip((np.where(known, d, low) - low) / max(high - low, 1e-6), 0.0, 1.0)
     colours = cv2.applyColorMap((255.0 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1]
-    grey = np.repeat(_stretched(left)[..., None], 3, axis=2)
+    grey = np.repeat(_stretch_contrast(left)[..., None], 3, axis=2)
     return np.hstack([grey, np.where(known[..., None], colours, 0).astype(np.uint8)])
 
 
-def _stretched(image: Image) -> Image:
+def _stretch_contrast(image: Image) -> Image:
     high = max(float(np.percentile(image, 99.7)), 16.0)
     bright: Array = np.clip(image.astype(np.float64) * (235.0 / high), 0.0, 255.0)
     return np.asarray(bright, dtype=np.uint8)

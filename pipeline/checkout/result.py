@@ -67,7 +67,7 @@ class CheckoutResult(StrictModel):
         raise KeyError(name)
 
 
-def judged(
+def judge(
     group: Group,
     name: str,
     value: float | None,

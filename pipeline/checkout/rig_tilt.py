@@ -30,7 +30,7 @@ REGIONS = 3
 """Across and down the image."""
 MIN_IN_REGION = 15
 MIN_SCATTER_PX = 0.05
-CLEAR = 5.0
+CLEAR_SIGMAS = 5.0
 """A tilt that is smaller than so many of its standard deviations is no finding."""
 TOO_FEW = "Check that both cameras show the target in focus and that their images belong together."
 
@@ -157,7 +157,7 @@ def _rows_checks(sample: Sample, rig: RectifiedRig, fit: RowFit | None) -> list[
     checks = []
     for (key, (limit, fail)), (value, sigma, finding) in zip(limits.items(), _values(fit, rig), strict=True):
         # limits are raised where the standard deviation would let chance cross them
-        least = 0.0 if sigma is None else CLEAR * sigma
+        least = 0.0 if sigma is None else CLEAR_SIGMAS * sigma
         raised = tuple(None if each is None else max(each, least) for each in (limit, fail))
         checks.append(make_check(key, value, finding, limits=(raised[0], raised[1]), sigma=sigma))
     return checks

@@ -165,7 +165,7 @@ def examine(sequence: StereoSequence, rectifier: Rectifier, config: Frontend, k:
     )
     most_px = rig.focal_px * np.deg2rad(MAX_ROWS_DEG)
     rows = row_offsets(left, right, rig.width_px, most_px)
-    image, right = _levelled(pair.right, right, rows)
+    image, right = _level_rows(pair.right, right, rows)
     features = match_stereo(pair.left, image, left, right, rig)
     uv, d = features.uvd_px[:, :2], features.uvd_px[:, 2]
     return ExaminedPair(
@@ -193,7 +193,7 @@ def _key_points(image: Image, mask: Bools, config: Frontend) -> KeyPoints:
     return no_key_points() if crop is None else detect(image, mask, crop, config.features)
 
 
-def _levelled(image: Image, points: KeyPoints, rows: RowOffsets) -> tuple[Image, KeyPoints]:
+def _level_rows(image: Image, points: KeyPoints, rows: RowOffsets) -> tuple[Image, KeyPoints]:
     """The right image and its key points, moved so that their rows are those of the left image."""
     if len(rows.offset_px) < MIN_ROWS:
         return image, points

@@ -24,7 +24,7 @@ MAX_FRAMES = 120
 """Longer sequences are thinned out to this number."""
 ACCEL_PSD = 10.0 ** np.arange(-12.0, -1.5)
 """Of the random accelerations [m^2/s^3]: the likeliest is taken."""
-_PRIOR = 1e-6
+PRIOR = 1e-6
 """Of the information on each unknown: their sigmas stay below 1 km"""
 
 
@@ -149,7 +149,7 @@ def _least_squares(A: Array, y: Array, covariance: Array) -> tuple[Array, Array,
     """Unknowns, their covariance, and the cost of the covariance of y, scaled up to what is found."""
     L = np.linalg.cholesky(covariance)
     A, y = solve_triangular(L, A, lower=True), solve_triangular(L, y, lower=True)
-    information = A.T @ A + _PRIOR * np.eye(A.shape[1])
+    information = A.T @ A + PRIOR * np.eye(A.shape[1])
     inverse = np.linalg.inv(information)
     x = inverse @ (A.T @ y)
     squares, freedom = float(np.sum((y - A @ x) ** 2)), len(y) - A.shape[1]

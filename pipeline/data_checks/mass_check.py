@@ -25,9 +25,9 @@ from polhode.rigid_body import HALF_TURNS
 
 MIN_FRAMES = 8
 """On either side of the push."""
-CLEAR = 5.0
+CLEAR_SIGMAS = 5.0
 """Standard deviations above which a difference is significant"""
-MATTERS_M, MATTERS_K, MATTERS_RAD = 1e-3, 0.01, float(np.deg2rad(1.0))
+MIN_CHANGE_M, MIN_CHANGE_K, MIN_CHANGE_RAD = 1e-3, 0.01, float(np.deg2rad(1.0))
 """Sizes below which a change does not matter: of the centre of mass, a ratio, an axis"""
 
 _log = logging.getLogger(__name__)
@@ -52,14 +52,14 @@ def mass_checks(
         size_m = float(np.linalg.norm(clearest.change_G))
         facts = {"from_s": tracks.time_s[clearest.first_after], "change_mm": 1e3 * size_m}
         centre = make_check("centre before and after", clearest.sigmas, **facts)
-        if size_m <= MATTERS_M:
+        if size_m <= MIN_CHANGE_M:
             centre = centre.model_copy(update={"reason": ""})
         if centre.reason:
             return [centre, halves], []
     strongest = max(impulses, key=_strength)
     start_s, end_s = ((at - int(stamps[0])) * 1e-9 for at in (strongest.start_ns, strongest.end_ns))
     before, after = (
-        _solved(tracks, estimate, config, frames)
+        _solve_part(tracks, estimate, config, frames)
         for frames in (stamps <= strongest.start_ns, stamps >= strongest.end_ns)
     )
     if before is not None and after is not None:
@@ -87,7 +87,7 @@ def _hidden_change(estimate: MotionEstimate, change: CentreChange | None) -> str
     clear = CHECK_TABLE["centre before and after"].limit or 0.0
     hidden_m = clear * np.sqrt(np.diagonal(mass.R_GP.T @ change.cov_G @ mass.R_GP))[claimed].max()
     stated_m = np.sqrt(np.diagonal(mass.R_GP.T @ np.nan_to_num(mass.cov_com_G, posinf=0.0) @ mass.R_GP))
-    if hidden_m < max(CLEAR * float(stated_m[claimed].max()), MATTERS_M):
+    if hidden_m < max(CLEAR_SIGMAS * float(stated_m[claimed].max()), MIN_CHANGE_M):
         return ""
     return f"a centre of mass that moved by up to {1e3 * hidden_m:.2g} mm"
 
@@ -98,7 +98,7 @@ def _strength(push: Impulse) -> float:
     return float(np.max(np.abs(change) / np.concatenate([push.sigma_delta_v_N, push.sigma_delta_w_P])))
 
 
-def _solved(
+def _solve_part(
     tracks: StereoTracks, estimate: MotionEstimate, config: Backend, frames: Bools
 ) -> MotionEstimate | None:
     """The estimate of some frames (F,) alone, its G moved onto that of the whole; None: too few, or none."""
@@ -149,17 +149,17 @@ def _differences(before: MotionEstimate, after: MotionEstimate) -> list[str]:
         if getattr(a.identifiable, name) and getattr(b.identifiable, name):
             change = getattr(b, name) - getattr(a, name)
             sigma = float(np.sqrt(a.cov_k[n, n] + b.cov_k[n, n]))
-            if abs(change) > max(CLEAR * sigma, MATTERS_K):
+            if abs(change) > max(CLEAR_SIGMAS * sigma, MIN_CHANGE_K):
                 out.append(f"{name} by {change:+.3f}, sigma {sigma:.3f}")
     if a.identifiable.com and b.identifiable.com:
         size, sigma = _size_and_sigma(b.com_G - a.com_G, a.cov_com_G + b.cov_com_G)
-        if size > max(CLEAR * sigma, MATTERS_M):
+        if size > max(CLEAR_SIGMAS * sigma, MIN_CHANGE_M):
             out.append(f"centre of mass by {1e3 * size:.1f} mm, sigma {1e3 * sigma:.1f} mm")
     if a.identifiable.axes and b.identifiable.axes:
         between = a.R_GP.T @ b.R_GP
         turn = log_so3(between * HALF_TURNS[int(np.argmax(HALF_TURNS @ np.diag(between)))])
         size, sigma = _size_and_sigma(turn, a.cov_R_GP + b.cov_R_GP)
-        if size > max(CLEAR * sigma, MATTERS_RAD):
+        if size > max(CLEAR_SIGMAS * sigma, MIN_CHANGE_RAD):
             out.append(f"principal axes by {np.rad2deg(size):.1f} deg, sigma {np.rad2deg(sigma):.1f} deg")
     return out
 

@@ -30,16 +30,16 @@ MIN_MATCHES = 8
 """A frame with fewer matches does not count."""
 MIN_FRAMES = 4
 """Frames on either side of a step."""
-CLEAR = 5.0
+CLEAR_SIGMAS = 5.0
 """A step or a delay is significant above this number of standard deviations;"""
-CLEAR_ROLL = 4.0
+CLEAR_ROLL_SIGMAS = 4.0
 """and a roll of the rows, which is 2.4 at most on undisturbed sequences, above this one."""
 MIN_SCATTER_PX = 0.02
 """Of the rows' offsets within a frame"""
 MIN_DELAY_PX = 0.03
 """What a delay must displace rows by, in the root mean square, beside what a calibration can explain; less is
 within the accuracy of a feature, and any slowly turning target makes a delay of it."""
-MAX_YAW_RAD, CLEAR_YAW = 2e-3, 5.5
+MAX_YAW_RAD, CLEAR_YAW_SIGMAS = 2e-3, 5.5
 """Of the angle between the cameras, and in standard deviations: undisturbed sequences show 0.1 degrees at 4.6
 sigma at most."""
 EXCHANGED_SHARE = 0.7
@@ -73,8 +73,8 @@ def rig_checks(
     middle_px, slope, sigma_middle_px, sigma_slope = row_lines(matches)
     return [
         _exchange_check(matches, rig, time_s),
-        _row_check("step of rows", largest_step(middle_px, sigma_middle_px), CLEAR, time_s, rig),
-        _row_check("step of roll", largest_step(slope, sigma_slope), CLEAR_ROLL, time_s, rig),
+        _row_check("step of rows", largest_step(middle_px, sigma_middle_px), CLEAR_SIGMAS, time_s, rig),
+        _row_check("step of roll", largest_step(slope, sigma_slope), CLEAR_ROLL_SIGMAS, time_s, rig),
         _delay_check(camera_delay(context, matches, estimate)),
         _yaw_check(context, tracks, estimate),
     ]
@@ -177,7 +177,7 @@ class CameraDelay:
     def limit_s(self) -> float:
         """A delay beyond it is a fault."""
         trigger_s = 1e-3 * (CHECK_TABLE["camera delay"].limit or 0.0)
-        return max(trigger_s, CLEAR * self.sigma_s, MIN_DELAY_PX / max(self.speed_px_s, 1e-9))
+        return max(trigger_s, CLEAR_SIGMAS * self.sigma_s, MIN_DELAY_PX / max(self.speed_px_s, 1e-9))
 
 
 @dataclass(frozen=True)
@@ -265,7 +265,7 @@ def _yaw_check(context: RunContext, tracks: StereoTracks, estimate: MotionEstima
         return make_check(key, None, MAX_YAW_RAD * focal_px)
     noise = estimate.noise
     step_px, sigma_px = disparity_steps(tracks, (noise.pixel_sigma_px, noise.disparity_sigma_px))
-    limit_px = np.maximum(MAX_YAW_RAD * focal_px, CLEAR_YAW * sigma_px)
+    limit_px = np.maximum(MAX_YAW_RAD * focal_px, CLEAR_YAW_SIGMAS * sigma_px)
     excess = np.abs(step_px) / limit_px
     if not np.isfinite(excess).any():
         return make_check(key, None, MAX_YAW_RAD * focal_px)

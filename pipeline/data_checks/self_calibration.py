@@ -27,11 +27,11 @@ CLEAR_SIGMAS = 6.0
 SIGMA_SCATTER = 2.2
 """Of the focal lengths that fit best over undisturbed bodies, in their sigmas, which know of no errors that
 observations have in common (rms of 17 sequences)"""
-MATTERS_SIGMAS = 5.0
+MIN_SHIFT_SIGMAS = 5.0
 """A shift of the target that an unseen error may cause is worth a warning above so many of its sigmas."""
 LANDMARKS_AT_ONCE = 500
 """Are eliminated together: bounds the memory."""
-_PRIOR = 1e-6
+PRIOR = 1e-6
 """Of each unknown's diagonal"""
 
 
@@ -69,7 +69,7 @@ def best_correction(tracks: StereoTracks, estimate: MotionEstimate) -> Correctio
     offset = np.broadcast_to(np.array([0.0, 0.0, 1.0]), along.shape)
     J_rig = root[:, :, None] * np.stack([along, offset], axis=2)
     residual = root * estimate.residuals_px[used]
-    return _solved(frame, landmark, J_pose, J_landmark, J_rig, residual)
+    return _solve_correction(frame, landmark, J_pose, J_landmark, J_rig, residual)
 
 
 def focal_check(found: Correction | None, has_ranges: bool = False) -> Check:
@@ -114,7 +114,7 @@ def calibration_limits(found: Correction | None, tracks: StereoTracks, estimate:
     covariance = np.nan_to_num(estimate.covariance[:, :3, :3], posinf=1e12)
     sigma_m = np.sqrt(np.einsum("ni,nij,nj->n", along, covariance, along))
     error, distance = unseen_focal_error(found), float(np.median(distance_m))
-    if error * distance < MATTERS_SIGMAS * float(np.median(sigma_m)):
+    if error * distance < MIN_SHIFT_SIGMAS * float(np.median(sigma_m)):
         return []
     return [
         f"the sigmas take the calibration as right: a focal length wrong by up to {100.0 * error:.1f} % "
@@ -123,7 +123,7 @@ def calibration_limits(found: Correction | None, tracks: StereoTracks, estimate:
     ]
 
 
-def _solved(
+def _solve_correction(
     frame: Ints, landmark: Ints, J_pose: Array, J_landmark: Array, J_rig: Array, residual: Array
 ) -> Correction:
     """The correction from n whitened observations: frame, landmark (n,); J (n, 3, ...)."""
@@ -131,7 +131,7 @@ def _solved(
     n = 6 * F + k
     B = np.zeros((L, 3, 3))
     np.add.at(B, landmark, np.einsum("nai,naj->nij", J_landmark, J_landmark))
-    B += (_PRIOR * np.trace(B, axis1=1, axis2=2)[:, None, None] + 1e-12) * np.eye(3)
+    B += (PRIOR * np.trace(B, axis1=1, axis2=2)[:, None, None] + 1e-12) * np.eye(3)
     g_l = np.zeros((L, 3))
     np.add.at(g_l, landmark, np.einsum("nai,na->ni", J_landmark, residual))
     A, g = np.zeros((n, n)), np.zeros(n)
@@ -167,7 +167,7 @@ def _solved(
         kept = [*range(6 * F), 6 * F + j]
         own = A[np.ix_(kept, kept)]
         scale = 1.0 / np.sqrt(np.maximum(np.diagonal(own), 1e-300))
-        inverse = np.linalg.inv(own * scale[:, None] * scale + _PRIOR * np.eye(len(kept)))
+        inverse = np.linalg.inv(own * scale[:, None] * scale + PRIOR * np.eye(len(kept)))
         step = float(inverse[-1] @ (g[kept] * scale)) * scale[-1]
         found += [step, float(np.sqrt(chi2 * inverse[-1, -1])) * scale[-1]]
     return Correction(*found)

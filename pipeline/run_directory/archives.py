@@ -82,7 +82,7 @@ class Archive:
 
     def numbers(self, name: str, *shape: int | None, infinite: bool = False) -> Array:
         """An array of floats, all finite, or with ``infinite`` none NaN. A shape of None is any length."""
-        values = self._shaped(name, shape, "fiu").astype(np.float64)
+        values = self._take(name, shape, "fiu").astype(np.float64)
         bad = np.isnan(values) if infinite else ~np.isfinite(values)
         if bad.any():
             row = f" in row {np.argwhere(bad)[0][0]}" if shape else ""
@@ -91,7 +91,7 @@ class Archive:
 
     def whole(self, name: str, *shape: int | None, below: int | None = None) -> Ints:
         """An array of integers; with ``below`` they are indices, 0 <= i < below."""
-        values = self._shaped(name, shape, "iu").astype(np.int64)
+        values = self._take(name, shape, "iu").astype(np.int64)
         if below is not None and values.size and (values.min() < 0 or values.max() >= below):
             raise self.wrong(f"{name} points outside the run")
         return values
@@ -102,11 +102,11 @@ class Archive:
 
     def flags(self, name: str, *shape: int | None) -> Bools:
         """An array of booleans."""
-        return self._shaped(name, shape, "b").astype(np.bool_)
+        return self._take(name, shape, "b").astype(np.bool_)
 
     def text(self, name: str) -> str:
         """A single text."""
-        return str(self._shaped(name, (), "U"))
+        return str(self._take(name, (), "U"))
 
     def times(self, name: str, count: int | None = None) -> Ints:
         """(n,) strictly increasing [ns]"""
@@ -120,7 +120,7 @@ class Archive:
         """The error to raise."""
         return InputError(f"{self.file}: {what}; {self.remedy}")
 
-    def _shaped(self, name: str, shape: tuple[int | None, ...], kinds: str) -> NDArray[np.generic]:
+    def _take(self, name: str, shape: tuple[int | None, ...], kinds: str) -> NDArray[np.generic]:
         if name not in self.arrays:
             raise self.wrong(f"the array {name} is missing")
         values = self.arrays[name]

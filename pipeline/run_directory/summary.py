@@ -62,7 +62,7 @@ def build_summary(
         checks = [*checks, *estimate_checks(tracks, estimate, surface)]
     verdict = decide_verdict(failure, estimate, checks)
     own = estimate.warnings if estimate is not None else ()
-    reported = [*verdict.reasons, *_undetermined(estimate)]
+    reported = [*verdict.reasons, *_undetermined_warning(estimate)]
     # A warning of the back end that begins with the same text is more detailed.
     reported = [text for text in reported if not any(more.startswith(text) for more in own)]
     shape = shape or ShapeFindings()
@@ -92,12 +92,12 @@ def build_summary(
             "physics": shape.physics,
             "intervals": intervals,
             "identifiable_detail": dict(estimate.mass.identifiable.detail) if estimate else {},
-            **(dict.fromkeys(ESTIMATE_PARTS) if estimate is None else _found(estimate)),
+            **(dict.fromkeys(ESTIMATE_PARTS) if estimate is None else _estimate_parts(estimate)),
         }
     )
 
 
-def _undetermined(estimate: MotionEstimate | None) -> list[str]:
+def _undetermined_warning(estimate: MotionEstimate | None) -> list[str]:
     """What the motion does not determine, as one warning."""
     if estimate is None:
         return []
@@ -183,7 +183,7 @@ def _is_rotation(R: Array) -> bool:
     return bool(np.abs(R).max() < 2.0 and np.abs(R @ R.T - np.eye(3)).max() < 1e-6 and np.linalg.det(R) > 0.0)
 
 
-def _found(estimate: MotionEstimate) -> dict[str, Any]:
+def _estimate_parts(estimate: MotionEstimate) -> dict[str, Any]:
     """The parts of the summary that take an estimate."""
     mass, known, solver = estimate.mass, estimate.mass.identifiable, estimate.solver
     first_ns = int(estimate.timestamps_ns[0])

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, make_pose
-from polhode.pipeline.answer_checks.image_motion import ImageMotion, moved_back, residual_displacement
+from polhode.pipeline.answer_checks.image_motion import ImageMotion, residual_displacement, warp_back
 from polhode.records import DepthMap
 
 RIG = RectifiedRig(200.0, 79.5, 79.5, 0.1, 160, 160)
@@ -94,7 +94,7 @@ def test_frames_without_measurements_or_depth_are_left_out() -> None:
 def test_the_second_image_is_moved_back_where_depth_is_known() -> None:
     first, second = depth(picture(0.0)), depth(picture(STEP_DEG))
     X = poses(STEP_DEG)[1] @ np.linalg.inv(poses(STEP_DEG)[0])
-    back, known = moved_back(first, second, X, RIG)
+    back, known = warp_back(first, second, X, RIG)
     assert known.sum() == first.target.sum()
     inner = np.hypot(*(np.mgrid[0:160, 0:160] - 79.5)) < 50.0
     error = np.abs(back.astype(float) - first.intensity)[inner]
@@ -103,4 +103,4 @@ def test_the_second_image_is_moved_back_where_depth_is_known() -> None:
     assert np.median(residual_displacement(first, second, X, RIG)) < 0.3
     # behind the camera nothing is known
     behind = make_pose(np.eye(3), np.array([0.0, 0.0, -2.0]))
-    assert not moved_back(first, second, behind, RIG)[1].any()
+    assert not warp_back(first, second, behind, RIG)[1].any()

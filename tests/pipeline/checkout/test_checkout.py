@@ -3,17 +3,20 @@
 import json
 import logging
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import jsonschema
 import numpy as np
 import pytest
+import yaml
 
 from polhode.cli.main import main
 from polhode.dataset import open_sequence
-from polhode.dataset_writer import image_path, write_camera_csv
+from polhode.dataset_writer import image_path, write_camera_csv, write_png
 from polhode.frontend.rectification import make_rectifier
+from polhode.lie import Array, exp_so3, make_pose
 from polhode.pipeline.checkout.checkout import Checkout, checkout, warn_before_run
 from polhode.pipeline.checkout.page import render
 from polhode.pipeline.checkout.result import SCHEMA_FILE, CheckoutResult
@@ -90,6 +93,11 @@ def test_the_command_writes_both_files_and_says_what_does_not_pass(
     assert json.loads((tmp_path / "out" / "checkout.json").read_text()) == text_of(done)
 
 
+def tilted(X_BC: Array) -> Array:
+    """The pose of a camera that looks 0.3 deg up."""
+    return X_BC @ make_pose(exp_so3([np.deg2rad(0.3), 0.0, 0.0]), np.zeros(3))
+
+
 def test_another_rig_is_checked_against_the_images(rendered_sequence: Path, tmp_path: Path) -> None:
     rig = tmp_path / "rig"
     for camera in ("cam0", "cam1"):
@@ -98,13 +106,8 @@ def test_another_rig_is_checked_against_the_images(rendered_sequence: Path, tmp_
         )
     # the right camera is stated to look 0.3 deg up
     sensor = rig / "cam1" / "sensor.yaml"
-    import yaml
-
     content = yaml.safe_load(sensor.read_text())
-    X = np.array(content["T_BS"]["data"]).reshape(4, 4)
-    c, s = np.cos(np.deg2rad(0.3)), np.sin(np.deg2rad(0.3))
-    X[:3, :3] = X[:3, :3] @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-    content["T_BS"]["data"] = X.ravel().tolist()
+    content["T_BS"]["data"] = tilted(np.array(content["T_BS"]["data"]).reshape(4, 4)).ravel().tolist()
     sensor.write_text(yaml.safe_dump(content))
     result = checkout(rendered_sequence, rig, workers=1, count=3).result
     pitch = result.named("pitch of the right camera")
@@ -169,8 +172,6 @@ def test_bad_input_is_one_line_and_nothing_is_written(
     elif change == "no camera":
         shutil.rmtree(mav0 / "cam1")
     elif change == "black":
-        from polhode.dataset_writer import write_png
-
         for file in mav0.rglob("*.png"):
             write_png(file, np.zeros((48, 64), dtype=np.uint8))
     elif change == "no rig":
@@ -192,18 +193,13 @@ def test_bad_input_is_one_line_and_nothing_is_written(
 def test_a_run_warns_of_a_tilted_rig_and_not_of_a_sound_one(
     rendered_sequence: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    from dataclasses import replace
-
     sequence = open_sequence(rendered_sequence)
     with caplog.at_level(logging.WARNING):
         warn_before_run(sequence, make_rectifier(sequence.calibration))
     assert caplog.messages == []
-    X = sequence.calibration.X_BC1.copy()
-    c, s = np.cos(np.deg2rad(0.3)), np.sin(np.deg2rad(0.3))
-    X[:3, :3] = X[:3, :3] @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-    tilted = replace(sequence, calibration=replace(sequence.calibration, X_BC1=X))
+    calibration = replace(sequence.calibration, X_BC1=tilted(sequence.calibration.X_BC1))
     with caplog.at_level(logging.WARNING):
-        warn_before_run(tilted, make_rectifier(tilted.calibration))
+        warn_before_run(replace(sequence, calibration=calibration), make_rectifier(calibration))
     assert any(line.startswith("checkout: FAIL: pitch of the right camera") for line in caplog.messages)
 
 
