@@ -21,8 +21,6 @@ from polhode.records import SEEN_LIT, SEEN_UNLIT, UNSEEN, Bools, SurfaceModel
 Classes = NDArray[np.uint8]
 
 SAMPLES = 6000
-MIN_WARNED_SHARE = 0.15
-"""Share that was never seen, or never lit, above which there is a warning."""
 MIN_ONE_SIDED = 0.6
 """A part faces one direction if its mean normal is at least this long, relative to a spherical cap."""
 
@@ -78,7 +76,7 @@ def coverage_of(mesh: trimesh.Trimesh, views: Sequence[FrameView], rig: Rectifie
 
 def warnings_of(coverage: Coverage) -> list[str]:
     """One, where much of the body was never seen or never lit."""
-    return [coverage.words] if max(coverage.unseen, coverage.seen_unlit) > MIN_WARNED_SHARE else []
+    return [coverage.words] if max(coverage.unseen, coverage.seen_unlit) > 0.15 else []
 
 
 def _common_direction(normals: Array, part: Bools) -> list[float] | None:

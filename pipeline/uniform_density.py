@@ -79,8 +79,6 @@ MESH_SHARE, MESH_DEG, MESH_K = 0.005, 2.0, 0.02
 """How well a closed mesh determines its centre of volume (share of its size), axes and inertia ratios."""
 MIN_LIDDED_SHARE = 0.3
 """The volume of an open mesh is unknown if, its openings closed flat, it is a smaller share of its hull."""
-MAX_DEG = 20.0
-"""Accuracy of the axes beyond which nothing is said of them"""
 
 
 @dataclass(frozen=True)
@@ -223,7 +221,7 @@ def _between(R_GP: Array, R_GP_other: Array, about: Bools) -> _Axes | None:
 def _axes_words(axes: _Axes, sigma_rad: float, volume_deg: float) -> list[str]:
     angle_deg, sigma_deg = np.rad2deg(axes.angle_rad), np.rad2deg(sigma_rad)
     least, many = max(CLEAR_SIGMAS * sigma_deg, volume_deg), axes.words == "axes"
-    if least > MAX_DEG:
+    if least > 20.0:
         return []
     if angle_deg <= least:
         verb = "agree" if many else "agrees"

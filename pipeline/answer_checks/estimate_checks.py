@@ -27,15 +27,13 @@ from polhode.pipeline.run_directory.check_table import make_check
 from polhode.pipeline.run_directory.summary_schema import SAME_MINIMUM, Check, Physics
 from polhode.records import Impulse, MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks
 
-MIN_LINKS = 20
-
 
 def link_check(links: RelativePoses, X_RG: Array) -> Check:
     """Share of the links that contradict the motion; X_RG (F, 4, 4): the target in the camera, as found.
 
     Below 5 deg, few inliers on one side of the body explain a difference.
     """
-    if len(links.i) < MIN_LINKS:
+    if len(links.i) < 20:
         return make_check("links", None)
     moved = X_RG[links.i] @ inverse_pose(X_RG[links.j])
     difference_deg = angle_deg(np.swapaxes(moved[:, :3, :3], 1, 2) @ links.X_RiRj[:, :3, :3])

@@ -31,8 +31,6 @@ MIN_PIXELS, MIN_PAIRS = 400, 3
 """Textured pixels of a pair that counts, and number of such pairs."""
 CONTRAST_SCALE_PX, MIN_CONTRAST = 6.0, 5.0
 """Scale, and least standard deviation of the grey values over it, of a surface with texture."""
-BORDER_PX = 4
-"""Pixels at the edge of the depth are left out."""
 
 
 @dataclass
@@ -97,7 +95,7 @@ def residual_displacement(first: DepthMap, second: DepthMap, X: Array, rig: Rect
     back, known = warp_back(first, second, X, rig)
     picture = first.intensity.copy()
     back = np.where(known, back, picture)
-    inside = erode(known, 2 * BORDER_PX + 1)
+    inside = erode(known, 9)
     textured = inside & (_contrast(picture, known) > MIN_CONTRAST) & (_contrast(back, known) > MIN_CONTRAST)
     return displacements_px(picture, back)[textured]
 

@@ -29,9 +29,6 @@ from polhode.records import Bools, MotionEstimate, StereoTracks
 
 MAX_FRAMES, MIN_FRAMES = 10, 3
 """Frames that are compared, chosen evenly among those with measurements."""
-MIN_PIXELS = 300
-"""Textured pixels of a frame"""
-LIT_GREY = 25
 EDGE_PX = 4
 """Pixels at the outline and at the border of the light that are left out."""
 
@@ -61,9 +58,9 @@ def model_check(
 def displaced_share(comparison: FrameComparison) -> float | None:
     """Of the texture of one frame, whose picture is at most 256 pixels wide; None: too little texture."""
     image = comparison.image
-    lit = erode(comparison.seen & comparison.modelled, EDGE_PX + 1) & (image > LIT_GREY)
+    lit = erode(comparison.seen & comparison.modelled, EDGE_PX + 1) & (image > 25)
     textured = erode(lit, EDGE_PX + 1) & (_contrast(image, lit) > MIN_CONTRAST)
-    if textured.sum() < MIN_PIXELS:
+    if textured.sum() < 300:
         return None
     model = (comparison.gain * comparison.model + comparison.offset).clip(0.0, 255.0)
     ours, theirs = (np.where(lit, each, 0).astype(np.uint8) for each in (model, image))

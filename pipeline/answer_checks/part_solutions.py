@@ -26,16 +26,9 @@ from scipy.spatial import ConvexHull, QhullError
 from polhode.backend.part import estimate_part
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, log_so3
-from polhode.pipeline.run_directory.check_table import make_check
+from polhode.pipeline.run_directory.check_table import frame_step, make_check
 from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import Bools, Ints, MotionEstimate, StereoTracks
-
-FIRST_PART = 0.7
-"""Of the observations, in time"""
-MAX_FRAMES = 120
-"""Longer sequences are thinned out to this number."""
-MIN_HULL = 8
-"""Landmarks of a frame whose outline counts"""
 
 
 @dataclass(frozen=True)
@@ -49,7 +42,7 @@ class Disagreement:
 
 def part_checks(tracks: StereoTracks, estimate: MotionEstimate, config: Backend) -> list[Check]:
     """Forward prediction, halves, outline and interior."""
-    frames = np.arange(0, tracks.n_frames, -(-tracks.n_frames // MAX_FRAMES))
+    frames = np.arange(0, tracks.n_frames, frame_step(tracks.n_frames))
 
     def solve(rows: Bools) -> MotionEstimate | None:
         """The estimate of some observations (M,), with states in ``frames``; None: there is none."""
@@ -62,7 +55,7 @@ def part_checks(tracks: StereoTracks, estimate: MotionEstimate, config: Backend)
             return make_check(key, None)
         return make_check(key, found.sigmas, quantity=found.quantity, **facts)
 
-    until = int(np.quantile(tracks.frame, FIRST_PART)) if len(tracks.frame) else 0
+    until = int(np.quantile(tracks.frame, 0.7)) if len(tracks.frame) else 0
     early, every = tracks.frame <= until, tracks.frame <= tracks.n_frames
     half = (np.random.default_rng(0).permutation(tracks.n_landmarks) % 2 == 0)[tracks.landmark]
     outer, inner = outline_and_interior(tracks, estimate)
@@ -87,7 +80,7 @@ def outline_and_interior(tracks: StereoTracks, estimate: MotionEstimate) -> tupl
     for k in range(tracks.n_frames):
         own = order[bounds[k] : bounds[k + 1]]
         own = own[good[own]]
-        if len(own) < MIN_HULL:
+        if len(own) < 8:
             continue
         uv = tracks.uvd_px[own, :2]
         try:

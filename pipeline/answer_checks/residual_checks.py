@@ -29,8 +29,6 @@ FULL_WEIGHT = 0.1
 """Observations with less weight contradict the motion, and are counted elsewhere."""
 MIN_STEP_FRAMES = 3
 """Frames on either side of a step."""
-NORMAL_MEDIAN = 0.455
-"""Of the square of a standard normal deviate."""
 MIN_SUN_LANDMARKS = 30
 """Seen at least twice, for the slide with the Sun"""
 
@@ -125,7 +123,8 @@ def step_check(found: Residuals) -> Check:
     line, _ = np.linalg.qr(root[:, None] * np.stack([np.ones(len(frames)), frames], axis=1))
     step = root[:, None] * np.tri(len(frames), dtype=np.float64)[:, MIN_STEP_FRAMES:-MIN_STEP_FRAMES]
     left, step = root * mean - line @ (line.T @ (root * mean)), step - line @ (line.T @ step)
-    scatter = max(1.0, float(np.median(left**2)) / NORMAL_MEDIAN)
+    # 0.455: the median of the square of a standard normal deviate
+    scatter = max(1.0, float(np.median(left**2)) / 0.455)
     size = np.abs(step.T @ left) / np.maximum(np.linalg.norm(step, axis=0), 1e-9) / np.sqrt(scatter)
     at = int(np.argmax(size))
     return make_check("step of residuals", float(size[at]), frame=frames[at + MIN_STEP_FRAMES])

@@ -47,8 +47,6 @@ LOCAL_PX = 3.0
 """Scale of the local mean of the grey values."""
 TRIMMED_SHARE = 0.1
 """Share of the surface that may differ: struts, antennas."""
-MIN_COSINE = 0.25
-"""Between normal and line of sight"""
 
 
 @dataclass(frozen=True)
@@ -190,7 +188,7 @@ def _marks_along_circles(view: PairView, picture: Picture, X_GG: Array, rig: Rec
     out = np.full((len(view.p_G), len(X_GG)), np.nan)
     for j, X in enumerate(picture.X_RG @ X_GG):
         p_R, normal_R = transform_points(X, view.p_G), view.normal_G @ X[:3, :3].T
-        facing = -np.sum(p_R * normal_R, axis=1) > MIN_COSINE * np.linalg.norm(p_R, axis=1)
+        facing = -np.sum(p_R * normal_R, axis=1) > 0.25 * np.linalg.norm(p_R, axis=1)
         seen = np.flatnonzero(facing & (p_R[:, 2] > 1e-6))
         u, v = ((rig.project(p_R[seen])[:, :2] - picture.first_px) / picture.stride).T
         inside = map_coordinates(picture.inside, [v, u], order=1, mode="constant") > 0.99

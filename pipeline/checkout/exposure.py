@@ -12,10 +12,6 @@ from polhode.pipeline.checkout.sample import Sample
 
 STRETCHED_TO = 230.0
 """Grey level to which feature detection stretches the brightest parts"""
-MIN_POINTS = 10
-"""Whose brightness is compared"""
-DARK_LEVEL = 5.0
-"""Mean of a patch below which its brightness is not compared."""
 NOT_SEEN = "No examined image shows the target."
 
 
@@ -110,8 +106,8 @@ def _motion_blur(images: list[ImageQuality]) -> CheckoutCheck:
 
 def _log_gain(before: Array, after: Array) -> float | None:
     """Logarithm of the ratio of the grey levels (n,) of the same points; None: too few are bright enough."""
-    clear = np.minimum(before, after) > DARK_LEVEL
-    return float(np.median(np.log(after[clear] / before[clear]))) if clear.sum() >= MIN_POINTS else None
+    clear = np.minimum(before, after) > 5.0
+    return float(np.median(np.log(after[clear] / before[clear]))) if clear.sum() >= 10 else None
 
 
 def _gain(sample: Sample) -> CheckoutCheck:

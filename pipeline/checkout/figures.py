@@ -35,13 +35,8 @@ from polhode.pipeline.report.plot_style import (
 )
 
 DIVERGING = [[0.0, "#0072b2"], [0.5, "#e8ecf0"], [1.0, "#d55e00"]]
-GUIDES = 9
-"""Lines along the rows over the height of the pair."""
 LEVEL_PX = 3.0 * limit_of("rows")
 """Rows of a match that differ by more are drawn in another colour."""
-MAX_SHOWN = 40
-"""Matches that are drawn."""
-GREEN, BLUE, RED = (0, 158, 115), (86, 180, 233), (213, 94, 0)
 LEFT, RIGHT = AXIS_COLORS[2], AXIS_COLORS[0]
 
 
@@ -244,15 +239,15 @@ def draw_pair(pair: RectifiedPair, rows: RowOffsets) -> NDArray[np.uint8]:
     both = np.hstack([_stretch_contrast(pair.left), _stretch_contrast(pair.right)])
     picture = np.repeat(both[..., None], 3, axis=2)
     height, width = pair.left.shape
-    for row in np.linspace(0, height, GUIDES + 2)[1:-1].astype(int).tolist():
-        cv2.line(picture, (0, row), (2 * width, row), GREEN, 1)
+    for row in np.linspace(0, height, 9 + 2)[1:-1].astype(int).tolist():
+        cv2.line(picture, (0, row), (2 * width, row), (0, 158, 115), 1)
     order = np.argsort(rows.uv_px[:, 1], kind="stable")
-    some = order[np.unique(np.linspace(0, len(order) - 1, MAX_SHOWN).astype(int))] if len(order) else order
+    some = order[np.unique(np.linspace(0, len(order) - 1, 40).astype(int))] if len(order) else order
     for k in some.tolist():
         u, v = rows.uv_px[k]
         ends = np.array([[u, v], [u - rows.disparity_px[k] + width, v - rows.offset_px[k]]])
         a, b = np.round(16 * ends).astype(int).tolist()
-        color = BLUE if abs(rows.offset_px[k]) <= LEVEL_PX else RED
+        color = (86, 180, 233) if abs(rows.offset_px[k]) <= LEVEL_PX else (213, 94, 0)
         cv2.line(picture, a, b, color, 1, cv2.LINE_AA, shift=4)
         for end in (a, b):
             cv2.circle(picture, end, 3 * 16, color, 1, cv2.LINE_AA, shift=4)

@@ -16,18 +16,13 @@ SATURATED = 254
 """Grey levels of 8 bits from which on a pixel is taken as saturated."""
 REBLUR_PX = 1.0
 """Standard deviation of the Gaussian that the image is blurred with once more."""
-MIN_EDGES = 40
-"""Edge pixels below which the width of edges is not stated."""
 CLEAR_EDGE = 12.0
 """Least gradient of an edge that counts, in standard deviations of the gradient of noise."""
 DIRECTIONS = 4
-NOISE_BLOCK_PX = 8
 NOISE_OF_GRADIENT = float(np.sqrt(12.0) / 8.0)
 """Of Sobel's derivative along one axis, for noise of one grey level."""
 NO_PLANE = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0])
 """A mask that annuls planes; its squares add up to 36 (Immerkaer, "Fast noise variance estimation", 1996)."""
-MIN_WINDOWS = 50
-"""Of nine measured pixels each, for the scatter of ranges to be stated."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +102,7 @@ def noise_level(image: Image, inside: Bools) -> float:
     least. NaN: the target is too small, or saturated.
     """
     response = np.abs(np.asarray(cv2.filter2D(image.astype(np.float32), -1, NO_PLANE)))
-    n = NOISE_BLOCK_PX
+    n = 8
     rows, columns = (size // n for size in image.shape)
     if min(rows, columns) == 0:
         return float("nan")
@@ -145,7 +140,7 @@ def edge_widths(image: Image, inside: Bools, noise: float) -> tuple[float, tuple
 
 
 def _median(width: NDArray[Any]) -> float:
-    return float(np.median(width)) if len(width) >= MIN_EDGES else float("nan")
+    return float(np.median(width)) if len(width) >= 40 else float("nan")
 
 
 def _gradient(values: Floats) -> tuple[Floats, Floats]:
@@ -189,7 +184,7 @@ def range_quality(measured: MeasuredDisparity, target: Bools) -> RangeQuality:
     response = cv2.filter2D(np.where(known, measured.disparity_px, 0.0).astype(np.float64), -1, NO_PLANE)
     whole = cv2.erode(known.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     ratio = float("nan")
-    if whole.sum() >= MIN_WINDOWS:
+    if whole.sum() >= 50:
         scatter = np.abs(np.asarray(response)[whole]) / 6.0 / measured.sigma_px[whole]
         # half of a normal law is within 0.6745 sigmas
         ratio = float(np.median(scatter)) / 0.6745

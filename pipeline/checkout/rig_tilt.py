@@ -24,15 +24,11 @@ from polhode.pipeline.checkout.sample import Sample
 from polhode.pipeline.data_checks.rig_check import EXCHANGED_SHARE, MIN_MATCHES
 from polhode.records import Bools, Ints
 
-MIN_ROWS, MIN_PAIRS = 40, 3
-"""Matches of all examined pairs together, and such pairs, below which nothing is stated."""
 REGIONS = 3
 """Across and down the image."""
 MIN_IN_REGION = 15
-MIN_SCATTER_PX = 0.05
 CLEAR_SIGMAS = 5.0
 """A tilt that is smaller than so many of its standard deviations is no finding."""
-TOO_FEW = "Check that both cameras show the target in focus and that their images belong together."
 
 
 @dataclass(frozen=True)
@@ -71,7 +67,7 @@ def fit_rows(sample: Sample, rig: RectifiedRig) -> RowFit | None:
     Each pair is one observation in the standard deviations: the errors of its matches have causes in common.
     """
     rows = [(k, pair.rows) for k, pair in enumerate(sample.pairs) if len(pair.rows.offset_px) >= MIN_MATCHES]
-    if len(rows) < MIN_PAIRS or sum(len(each.offset_px) for _, each in rows) < MIN_ROWS:
+    if len(rows) < 3 or sum(len(each.offset_px) for _, each in rows) < 40:
         return None
     uv, d, y = (
         np.concatenate([getattr(each, name) for _, each in rows])
@@ -82,7 +78,7 @@ def fit_rows(sample: Sample, rig: RectifiedRig) -> RowFit | None:
     solution, good = np.array([0.0, 0.0, 0.0]), np.ones(len(y), dtype=np.bool_)
     residual = y - np.median(y)
     for _ in range(5):
-        good = np.abs(residual) <= 3.0 * max(1.4826 * float(np.median(np.abs(residual))), MIN_SCATTER_PX)
+        good = np.abs(residual) <= 3.0 * max(1.4826 * float(np.median(np.abs(residual))), 0.05)
         solution = np.linalg.lstsq(A[good, :3], y[good])[0]
         residual = y - A[:, :3] @ solution
     sigma = _sigma(A[good, :3], residual[good], pair[good])
@@ -153,7 +149,8 @@ def _rows_checks(sample: Sample, rig: RectifiedRig, fit: RowFit | None) -> list[
     if fit is None:
         count = sum(len(pair.rows.offset_px) for pair in sample.pairs)
         why = f"Left and right image have {count} matches in {len(sample.pairs)} pairs, too few to judge."
-        return [make_check(key, None, why, limits=each, advice=TOO_FEW) for key, each in limits.items()]
+        advice = "Check that both cameras show the target in focus and that their images belong together."
+        return [make_check(key, None, why, limits=each, advice=advice) for key, each in limits.items()]
     checks = []
     for (key, (limit, fail)), (value, sigma, finding) in zip(limits.items(), _values(fit, rig), strict=True):
         # limits are raised where the standard deviation would let chance cross them

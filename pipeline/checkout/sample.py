@@ -30,13 +30,10 @@ from polhode.processes import in_order
 from polhode.progress import Progress
 from polhode.records import Bools, Ints
 
-SEED = 0
 PLACES = 10
 """In the sequence; at each one two successive pairs are examined."""
 MAX_STEP = 1.5
 """Of the usual interval, for two frames to be successive."""
-MAX_ROWS_DEG = 1.0
-"""Tilt of one camera up to which its rows are found."""
 MIN_ROWS, LEVELLED_PX = 12, 0.3
 """With so many matches whose rows differ by more, they are levelled before stereo matching, so that the other
 checks still work."""
@@ -134,7 +131,7 @@ def take_sample(
     successive = np.stack([first, first + 1], axis=1)
     features = [pair.features for pair in pairs]
     partners = [successive[successive[:, 0] == k, 1] for k in range(len(pairs))]
-    matches = match_pairs(features, partners, rectifier.rig, config, SEED, 1, lambda: None)
+    matches = match_pairs(features, partners, rectifier.rig, config, 0, 1, lambda: None)
     known = {(match.i, match.j): match for match in matches}
     links = tuple(known.get((int(i), int(j))) for i, j in successive)
     found = rectifier.found
@@ -163,7 +160,7 @@ def examine(sequence: StereoSequence, rectifier: Rectifier, config: Frontend, k:
         _key_points(image, mask, config)
         for image, mask in ((pair.left, pair.mask_left), (pair.right, pair.mask_right))
     )
-    most_px = rig.focal_px * np.deg2rad(MAX_ROWS_DEG)
+    most_px = rig.focal_px * np.deg2rad(1.0)
     rows = row_offsets(left, right, rig.width_px, most_px)
     image, right = _level_rows(pair.right, right, rows)
     features = match_stereo(pair.left, image, left, right, rig)

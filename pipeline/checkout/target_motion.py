@@ -13,8 +13,6 @@ from polhode.pipeline.checkout.result import CheckoutCheck
 from polhode.pipeline.checkout.sample import Sample
 from polhode.pipeline.data_checks.rig_check import MIN_MATCHES, CameraDelay, delay_by_rows, row_speeds
 
-DELAY_MATCHES, DELAY_LINKS = 20, 3
-"""Matches of a successive pair, and number of such, from which a delay is stated."""
 CLEAR_DELAY = 8.0
 """In its standard deviations, which few pairs underestimate: 6.4 at most without a delay."""
 
@@ -125,11 +123,12 @@ def _delay(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) -> Check
 def camera_delay(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) -> CameraDelay | None:
     """Time of the right camera minus that of the left one, as ``rig_check`` finds it.
 
-    The velocities of the points follow from the relative poses of successive pairs.
+    The velocities of the points follow from the relative poses of successive pairs, at least three with 20
+    matches.
     """
     parts, links = [], 0
     for (i, j), link in zip(sample.successive, sample.links, strict=True):
-        if link is None or len(link.features) < DELAY_MATCHES:
+        if link is None or len(link.features) < 20:
             continue
         links += 1
         start_ns, end_ns = sequence.timestamps_ns[[sample.pairs[k].frame for k in (i, j)]]
@@ -138,7 +137,7 @@ def camera_delay(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) ->
             of_pair = row_speeds(sample.pairs[k].rows, rig, k, lambda p, w=w, v=v: np.cross(w, p) + v)
             if len(of_pair.offset_px) >= MIN_MATCHES:
                 parts.append(of_pair)
-    return None if links < DELAY_LINKS else delay_by_rows(parts)
+    return None if links < 3 else delay_by_rows(parts)
 
 
 def twist(X: Array, seconds: float) -> tuple[Array, Array]:

@@ -9,13 +9,10 @@ from polhode.pipeline.checkout.check_table import SEE_IMAGES, make_check
 from polhode.pipeline.checkout.result import CheckoutCheck
 from polhode.pipeline.checkout.sample import Sample
 
-MIN_FEATURES = 8
-"""Of a pair, for its range to count."""
-
 
 def ranges_m(sample: Sample) -> Array:
     """(n,) ranges of all features of all pairs [m]."""
-    found = [pair.features.p_R[:, 2] for pair in sample.pairs if len(pair.features) >= MIN_FEATURES]
+    found = [pair.features.p_R[:, 2] for pair in sample.pairs if len(pair.features) >= 8]
     return np.concatenate(found) if found else np.zeros(0)
 
 

@@ -20,22 +20,13 @@ from polhode.backend.outliers_and_noise.inspector_swing import find_swing
 from polhode.backend.part import solved_again
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, inverse_pose, log_so3
-from polhode.pipeline.run_directory.check_table import CHECK_TABLE, make_check
+from polhode.pipeline.run_directory.check_table import CHECK_TABLE, frame_step, make_check
 from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import Bools, MotionEstimate, StereoTracks
 
-MAX_RATE_CHANGE = 0.2
-"""Of the rate over a step, relative, for its mean to be that of the step."""
-MIN_TURN_DEG, MAX_TURN_DEG = 3.0, 120.0
-"""Of a step; over a longer turn, the rates before and after it say little."""
-MAX_OTHER_AXIS = 0.15
-"""Share of a turn that may be about another axis than the rates, for the turn to be the same rotation."""
 ROUGHNESS_PER_SIGMA = float(np.sqrt(15.0))
 """Root mean square of the roughness over the standard deviation of a pose's attitude about each axis: the
 coefficients of four successive poses are -1/2, 3/2, -3/2, 1/2."""
-MIN_STEPS = 8
-MAX_FRAMES = 120
-"""Longer sequences are thinned out to this number."""
 MIN_FRAMES = 2
 """With observations, on either side of an instant: a single frame contributes little."""
 
@@ -76,13 +67,14 @@ def needed_s(time_s: Array, R_NG: Array, seen: Bools) -> Array:
         rate = 0.5 * (before + after)
         speed, angle = float(np.linalg.norm(rate)), float(np.linalg.norm(turn))
         longest = max(angle, speed * dt_s[k], float(np.linalg.norm(turns[[k - 1, k + 1]], axis=1).max()))
-        if longest > np.deg2rad(MAX_TURN_DEG) or angle < np.deg2rad(MIN_TURN_DEG):
+        # over a longer turn, the rates before and after it say little
+        if longest > np.deg2rad(120.0) or angle < np.deg2rad(3.0):
             continue
         along = float(turn @ rate) / speed**2
-        # where the rates differ, a step beside this one is the odd one
+        # where the rates differ, a step beside this one is the odd one; where the axis does, it is another turn
         fastest = max(np.linalg.norm(before), np.linalg.norm(after))
-        steady = np.linalg.norm(before - after) < MAX_RATE_CHANGE * fastest
-        if steady and np.linalg.norm(turn - along * rate) < MAX_OTHER_AXIS * angle:
+        steady = np.linalg.norm(before - after) < 0.2 * fastest
+        if steady and np.linalg.norm(turn - along * rate) < 0.15 * angle:
             out[k] = along
     return out
 
@@ -98,7 +90,7 @@ def inspector_check(X_NR: Array, X_NG: Array, seen: Bools, sigma_theta_rad: floa
         return make_check("inspector attitude", None)
     X_RG = inverse_pose(X_NR) @ X_NG
     in_N, in_camera = roughness(X_NG[:, :3, :3], seen), roughness(X_RG[:, :3, :3], seen)
-    if min(len(in_N), len(in_camera)) < MIN_STEPS:
+    if min(len(in_N), len(in_camera)) < 8:
         return make_check("inspector attitude", None)
     error_deg, camera_deg = (
         float(np.rad2deg(np.sqrt(np.mean(each**2)))) / ROUGHNESS_PER_SIGMA for each in (in_N, in_camera)
@@ -118,7 +110,7 @@ def roughness(R: Array, seen: Bools) -> Array:
 
 def swing_check(tracks: StereoTracks, estimate: MotionEstimate, config: Backend) -> Check:
     """How much better a swing explains the motion than forces and torques do; not possible with few data."""
-    frames = np.arange(0, tracks.n_frames, -(-tracks.n_frames // MAX_FRAMES))
+    frames = np.arange(0, tracks.n_frames, frame_step(tracks.n_frames))
     problem = solved_again(tracks, estimate, config, frames)
     swing = None if problem is None else find_swing(*problem)
     if swing is None:

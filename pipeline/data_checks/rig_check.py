@@ -32,8 +32,6 @@ MIN_FRAMES = 4
 """Frames on either side of a step."""
 CLEAR_SIGMAS = 5.0
 """A step or a delay is significant above this number of standard deviations;"""
-CLEAR_ROLL_SIGMAS = 4.0
-"""and a roll of the rows, which is 2.4 at most on undisturbed sequences, above this one."""
 MIN_SCATTER_PX = 0.02
 """Of the rows' offsets within a frame"""
 MIN_DELAY_PX = 0.03
@@ -74,7 +72,7 @@ def rig_checks(
     return [
         _exchange_check(matches, rig, time_s),
         _row_check("step of rows", largest_step(middle_px, sigma_middle_px), CLEAR_SIGMAS, time_s, rig),
-        _row_check("step of roll", largest_step(slope, sigma_slope), CLEAR_ROLL_SIGMAS, time_s, rig),
+        _row_check("step of roll", largest_step(slope, sigma_slope), 4.0, time_s, rig),
         _delay_check(camera_delay(context, matches, estimate)),
         _yaw_check(context, tracks, estimate),
     ]

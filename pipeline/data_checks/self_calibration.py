@@ -15,13 +15,11 @@ import numpy as np
 
 from polhode.camera import stereo_jacobian
 from polhode.lie import Array, hat, inverse_pose
-from polhode.pipeline.run_directory.check_table import CHECK_TABLE, make_check
+from polhode.pipeline.run_directory.check_table import CHECK_TABLE, frame_step, make_check
 from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import Ints, MotionEstimate, StereoTracks
 
 MIN_OBSERVATIONS = 100
-MAX_FRAMES = 120
-"""Longer sequences are thinned out to this number."""
 CLEAR_SIGMAS = 6.0
 """Standard deviations from which on a focal length is another one"""
 SIGMA_SCATTER = 2.2
@@ -49,7 +47,7 @@ class Correction:
 
 def best_correction(tracks: StereoTracks, estimate: MotionEstimate) -> Correction | None:
     """From the measurements that agree with the estimate, at least a hundred; None: there are fewer."""
-    step = -(-tracks.n_frames // MAX_FRAMES)
+    step = frame_step(tracks.n_frames)
     used = np.flatnonzero((estimate.inlier_weight > 0.0) & (tracks.frame % step == 0))
     if len(used) < MIN_OBSERVATIONS:
         return None

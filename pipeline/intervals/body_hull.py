@@ -19,13 +19,10 @@ from polhode.lie import Array
 from polhode.pipeline.run_directory.summary_schema import Coverage
 from polhode.records import Landmarks, SurfaceModel
 
-SIGMAS = 3.0
 SHARE_OF_CAP = 1.0 / 3.0
 MAX_EXTENSION = 0.5
 """Of the body's smaller width across, or of its depth where that is larger: a body of which one side was seen
 is taken to be no deeper."""
-MIN_OBSERVATIONS = 3
-"""Frames of a landmark that counts as a point of the body."""
 DRAWN_POINTS = 16384
 """Points drawn in the box around the hull, of which those inside are kept."""
 
@@ -77,8 +74,8 @@ def body_hull(
     points = np.asarray(surface.mesh.vertices, dtype=np.float64)
     sigma_m = surface.sigma_m[np.isfinite(surface.sigma_m)]
     if landmarks is not None:
-        points = np.concatenate([points, landmarks.p_G[landmarks.observations >= MIN_OBSERVATIONS]])
-    growth_m = SIGMAS * float(np.median(sigma_m)) if len(sigma_m) else 0.0
+        points = np.concatenate([points, landmarks.p_G[landmarks.observations >= 3]])
+    growth_m = 3.0 * float(np.median(sigma_m)) if len(sigma_m) else 0.0
     unseen, direction = 0.0, None
     if coverage is not None:
         unseen = coverage.unseen

@@ -21,8 +21,6 @@ _log = logging.getLogger(__name__)
 
 POINTS = 400
 """That fill the hull. The largest k2, that of a needle of few points, is good to about 5 %."""
-INNER_SHARE = 0.5
-"""Share of the way from the middle to the farthest centres of mass at which the ratios are sought, too."""
 
 
 def find_intervals(
@@ -106,7 +104,7 @@ def _centers(extremes: Array, limits: MotionLimits, known: Identifiability) -> A
     middle = extremes.reshape(-1, 3).mean(axis=0)
     # of several free directions the first suffices: a needle or a disc finds room about any of them
     free = extremes[3:][~known.com_P][:1].reshape(-1, 3)
-    return np.concatenate([middle[None], middle + INNER_SHARE * (free - middle)])
+    return np.concatenate([middle[None], middle + 0.5 * (free - middle)])
 
 
 def _ratio_interval(

@@ -206,6 +206,11 @@ def make_check(key: str, value: float | None, limit: float | None = None, **fact
     return check.model_copy(update={"value": float(value), "reason": reason})
 
 
+def frame_step(n_frames: int) -> int:
+    """Every how many frames costly checks take, so that a long sequence is thinned out to 120 frames."""
+    return -(-n_frames // 120)
+
+
 def attempt_checks(step: Callable[[], list[Check]]) -> list[Check]:
     """The checks of a step, their reasons logged. An error does not cost the run, which is doubted for it."""
     try:

@@ -22,7 +22,6 @@ TableName = Literal["trajectory", "online", "landmarks", "observations", "checks
 its position in G [m]. observations: a row for each measurement, with its residual; the column ``landmark``
 joins it with the landmarks. checks: a row for each check of the verdict."""
 Columns = dict[str, NDArray[Any] | Sequence[Any]]
-UVD = ("u_px", "v_px", "disparity_px")
 
 
 def columns_of(table: TableName, folder: Path, summary: Summary) -> Columns:
@@ -93,7 +92,9 @@ def _observations(folder: Path) -> Columns:
     if residuals is not None:
         groups["residual_"] = residuals.residuals_px
     for prefix, values in groups.items():
-        columns |= {f"{prefix}{name}": values[:, i] for i, name in enumerate(UVD)}
+        columns |= {
+            f"{prefix}{name}": values[:, i] for i, name in enumerate(("u_px", "v_px", "disparity_px"))
+        }
     if residuals is not None:
         columns["inlier_weight"] = residuals.inlier_weight
     return columns

@@ -33,8 +33,6 @@ NUMBERS: dict[str, tuple[Callable[[Path], object], ...]] = {
 """By name: the files whose numbers are used together, and their readers."""
 EDITABLE: tuple[str, ...] = (CONFIG, "landmarks.ply", "mesh.ply")
 """Files that users may change on purpose: a mesh is cleaned, a configuration is run again."""
-MAX_BYTES = GIB
-"""Of a file that is compared with its digest; no reader takes a larger one."""
 METRICS = "metrics.json"
 OF_SUMMARY = "summary_sha256"
 """In metrics.json: the digest of the summary.json of the run that was evaluated."""
@@ -120,4 +118,4 @@ def _is_sound(file: Path, read: Callable[[Path], object]) -> bool:
 
 
 def _digest(file: Path) -> str:
-    return sha256_of(file, MAX_BYTES, "a file of a run")
+    return sha256_of(file, GIB, "a file of a run")
