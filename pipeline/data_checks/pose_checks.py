@@ -71,7 +71,7 @@ def needed_s(time_s: Array, R_NG: Array, seen: Bools) -> Array:
         if longest > np.deg2rad(120.0) or angle < np.deg2rad(3.0):
             continue
         along = float(turn @ rate) / speed**2
-        # where the rates differ, a step beside this one is the odd one; where the axis does, it is another turn
+        # where the rates differ, a step beside this one is the odd one; with another axis, it is another turn
         fastest = max(np.linalg.norm(before), np.linalg.norm(after))
         steady = np.linalg.norm(before - after) < 0.2 * fastest
         if steady and np.linalg.norm(turn - along * rate) < 0.15 * angle:
