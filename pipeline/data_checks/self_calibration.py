@@ -77,17 +77,13 @@ def focal_check(found: Correction | None, has_ranges: bool = False) -> Check:
     """
     if found is None:
         return make_check("focal length", None)
-    other, parts = f"disparities {found.disparity_px:+.2f} px different", "; distances are"
-    if has_ranges:
-        other, parts = "ranges with another offset", " of the camera and of the ranges; shape and motion are"
     return make_check(
-        "focal length",
+        "focal length of ranges" if has_ranges else "focal length",
         100.0 * abs(found.focal),
         100.0 * _clear_error(found),
         longer="longer" if found.focal > 0 else "shorter",
         sigma=100.0 * found.sigma_focal,
-        other=other,
-        parts=f"{parts} wrong accordingly",
+        disparity_px=found.disparity_px,
     )
 
 

@@ -179,10 +179,13 @@ def _require_usable(place: Path, shown: Path, overwrite: bool) -> None:
         names = [name for name, is_folder in entries(place) if not is_folder] or [place.name]
         example = printable(min(names, key=lambda name: (is_run_file(name), name)))
         raise InputError(
-            f"{shown}: contains files that are not a run and are never deleted ({example}); {remedy}"
+            f"{shown}: contains files that are not a run and are never deleted ({example}); "
+            "choose another folder"
         )
     if not overwrite:
-        raise InputError(f"{shown}: already contains a run; {remedy}, or replace it with --overwrite")
+        raise InputError(
+            f"{shown}: already contains a run; choose another folder, or replace it with --overwrite"
+        )
     try:
         others = foreign(place, is_own)
     except OSError as error:

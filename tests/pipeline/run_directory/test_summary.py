@@ -11,7 +11,7 @@ import pytest
 from jsonschema import Draft202012Validator, ValidationError
 
 from polhode.errors import InputError
-from polhode.pipeline.run_directory.check_table import CHECK_TABLE, make_check
+from polhode.pipeline.run_directory.check_table import make_check
 from polhode.pipeline.run_directory.summary import build_summary, read_summary, write_summary
 from polhode.pipeline.run_directory.summary_schema import (
     ESTIMATE_PARTS,
@@ -242,11 +242,6 @@ def test_the_verdict_has_status_reasons_and_every_check_with_its_range(example: 
         (None, (0.0, 15.0), None),
     ]
     assert [each.name for each in verdict.checks[:4]] == [each.name for each in checks]
-
-
-def test_checks_have_names_of_their_own() -> None:
-    names = [row.name for row in CHECK_TABLE.values()]
-    assert len(set(names)) == len(names)
 
 
 def test_a_status_that_falls_later_takes_the_verdict_along(example: Any) -> None:
