@@ -62,12 +62,18 @@ def _map(fit: RowFit, rig: RectifiedRig) -> Figure:
     offset_px, uv_px = fit.offset_px[fit.good], fit.uv_px[fit.good]
     limit = max(limit_of("rows"), float(np.percentile(np.abs(offset_px), 98.0)))
     median, count = regions(fit, rig, fit.offset_px)
-    marker = {"color": packed(offset_px), "colorscale": DIVERGING, "cmin": -limit, "cmax": limit, "size": 5}
+    marker: Layout = {
+        "color": packed(offset_px),
+        "colorscale": DIVERGING,
+        "cmin": -limit,
+        "cmax": limit,
+        "size": 5,
+    }
     marker |= {"line": {"color": FAINT, "width": 0.3}, "colorbar": color_bar("px")}
     points: Trace = {"type": "scatter", "mode": "markers", "x": packed(uv_px[:, 0]), "y": packed(uv_px[:, 1])}
     points |= {"marker": marker, "showlegend": False, **on(1)}
     width, height = rig.width_px, rig.height_px
-    style = {
+    style: Layout = {
         "xref": "x",
         "yref": "y",
         "bgcolor": "rgba(255,255,255,0.75)",

@@ -11,7 +11,13 @@ from polhode.lie import Array, hat, inverse_pose, log_so3
 from polhode.pipeline.checkout.check_table import limit_of, make_check
 from polhode.pipeline.checkout.result import CheckoutCheck
 from polhode.pipeline.checkout.sample import Sample
-from polhode.pipeline.data_checks.rig_check import MIN_MATCHES, CameraDelay, delay_by_rows, row_speeds
+from polhode.pipeline.data_checks.rig_check import (
+    MIN_MATCHES,
+    CameraDelay,
+    RowSpeeds,
+    delay_by_rows,
+    row_speeds,
+)
 
 CLEAR_DELAY = 8.0
 """In its standard deviations, which few pairs underestimate: 6.4 at most without a delay."""
@@ -126,15 +132,20 @@ def camera_delay(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) ->
     The velocities of the points follow from the relative poses of successive pairs, at least three with 20
     matches.
     """
-    parts, links = [], 0
+    parts: list[RowSpeeds] = []
+    links = 0
     for (i, j), link in zip(sample.successive, sample.links, strict=True):
         if link is None or len(link.features) < 20:
             continue
         links += 1
         start_ns, end_ns = sequence.timestamps_ns[[sample.pairs[k].frame for k in (i, j)]]
         w, v = twist(inverse_pose(link.X_RiRj), 1e-9 * float(end_ns - start_ns))
+
+        def velocity(p_R: Array, w: Array = w, v: Array = v) -> Array:
+            return np.asarray(np.cross(w, p_R) + v)
+
         for k in (int(i), int(j)):
-            of_pair = row_speeds(sample.pairs[k].rows, rig, k, lambda p, w=w, v=v: np.cross(w, p) + v)
+            of_pair = row_speeds(sample.pairs[k].rows, rig, k, velocity)
             if len(of_pair.offset_px) >= MIN_MATCHES:
                 parts.append(of_pair)
     return None if links < 3 else delay_by_rows(parts)

@@ -1,6 +1,6 @@
 """All checks of the data, one after the other."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,17 +58,18 @@ def check_data(
         return found
 
     X_NR, X_NG = tracks.X_NR, estimate.X_NG
+    steps: tuple[Callable[[], list[Check]], ...] = (
+        lambda: rig_checks(context, features, tracks, estimate),
+        calibration,
+        lambda: [clock_check(tracks.time_s, X_NG[:, :3, :3], seen)],
+        lambda: [inspector_check(X_NR, X_NG, seen, tracks.sigma_camera_theta_rad)],
+        lambda: [swing_check(tracks, estimate, config)],
+        mass,
+        lambda: [connection_check(tracks, estimate)],
+        lambda: mask_checks(context.rectifier.found),
+    )
     with context.clock("checks"):
-        for step in (
-            lambda: rig_checks(context, features, tracks, estimate),
-            calibration,
-            lambda: [clock_check(tracks.time_s, X_NG[:, :3, :3], seen)],
-            lambda: [inspector_check(X_NR, X_NG, seen, tracks.sigma_camera_theta_rad)],
-            lambda: [swing_check(tracks, estimate, config)],
-            mass,
-            lambda: [connection_check(tracks, estimate)],
-            lambda: mask_checks(context.rectifier.found),
-        ):
+        for step in steps:
             checks.extend(attempt_checks(step))
     return Findings(checks, limits)
 

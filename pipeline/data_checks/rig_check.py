@@ -198,7 +198,8 @@ def camera_delay(context: RunContext, matches: Matches, estimate: MotionEstimate
 
     The velocities of the points follow from the estimated motion.
     """
-    X_NR, time_s, found = context.X_NR, context.time_s, []
+    X_NR, time_s = context.X_NR, context.time_s
+    found: list[RowSpeeds] = []
     for k, rows in enumerate(matches):
         if rows is None:
             continue

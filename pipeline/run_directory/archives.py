@@ -196,7 +196,8 @@ def write_measurements(
     arrays: Arrays = {
         f.name: np.asarray(getattr(tracks, f.name)) for f in fields(tracks) if f.name not in ("rig", "wrench")
     }
-    for prefix, record in (("wrench", tracks.wrench), ("rig", tracks.rig), ("relative", relative)):
+    records: dict[str, Any] = {"wrench": tracks.wrench, "rig": tracks.rig, "relative": relative}
+    for prefix, record in records.items():
         if record is not None:
             arrays |= {f"{prefix}_{f.name}": np.asarray(getattr(record, f.name)) for f in fields(record)}
     if estimate is not None:
