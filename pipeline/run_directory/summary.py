@@ -47,6 +47,7 @@ def build_summary(
     surface: SurfaceModel | None,
     timing_s: Mapping[str, float],
     warnings: Sequence[str] = (),
+    *,
     failure: str | None = None,
     shape: ShapeFindings | None = None,
     checks: Sequence[Check] = (),
