@@ -137,7 +137,7 @@ def test_a_check_that_does_not_hold_makes_the_run_degraded(example: Any) -> None
     assert none.value is None and none.reason == good.reason == "" and bad.limit == 4.0
     assert bad.reason.startswith("the causal estimate ends 4.0 sigma away")
     assert make_check("window", 4.01, 5.0).reason == ""
-    few = {"start_s": 1.0, "end_s": 2.0, "count": "5 landmarks", "others": ""}
+    few: dict[str, Any] = {"start_s": 1.0, "end_s": 2.0, "count": "5 landmarks", "others": ""}
     assert (
         make_check("connection", 6).reason == ""
         and "5 landmarks" in make_check("connection", 5, **few).reason
