@@ -19,6 +19,7 @@ than it is.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -48,7 +49,7 @@ def part_checks(tracks: StereoTracks, estimate: MotionEstimate, config: Backend)
         """The estimate of some observations (M,), with states in ``frames``; None: there is none."""
         return estimate_part(tracks, estimate, config, rows, frames)
 
-    def compare(key: str, first: Bools, second: Bools, at: Ints, contained: bool, **facts: object) -> Check:
+    def compare(key: str, first: Bools, second: Bools, at: Ints, contained: bool, **facts: Any) -> Check:
         a, b = solve(first), solve(second)
         found = None if a is None or b is None else largest(disagreements(a, b, at, contained))
         if found is None:

@@ -76,9 +76,12 @@ class Archive:
     arrays: Arrays
     remedy: str = REMEDY
 
+    def __contains__(self, name: str) -> bool:
+        return name in self.arrays
+
     def optional(self, name: str, *shape: int | None, infinite: bool = False) -> Array | None:
         """As ``numbers``; None: the file does not have it."""
-        return self.numbers(name, *shape, infinite=infinite) if name in self.arrays else None
+        return self.numbers(name, *shape, infinite=infinite) if name in self else None
 
     def numbers(self, name: str, *shape: int | None, infinite: bool = False) -> Array:
         """An array of floats, all finite, or with ``infinite`` none NaN. A shape of None is any length."""
@@ -245,7 +248,7 @@ def _rig(archive: Archive) -> RectifiedRig:
 
 
 def _wrench(archive: Archive) -> Wrench | None:
-    if "wrench_time_ns" not in archive.arrays:
+    if "wrench_time_ns" not in archive:
         return None
     time_ns = archive.times("wrench_time_ns")
     return Wrench(
@@ -258,7 +261,7 @@ def _wrench(archive: Archive) -> Wrench | None:
 def read_relative_poses(path: Path) -> RelativePoses | None:
     """The relative poses of measurements.npz; None when the run stopped before them."""
     archive = load_archive(path, "measurements.npz")
-    if "relative_i" not in archive.arrays:
+    if "relative_i" not in archive:
         return None
     n_frames = len(archive.times("timestamps_ns"))
     i = archive.whole("relative_i", None, below=n_frames)
@@ -273,7 +276,7 @@ def read_relative_poses(path: Path) -> RelativePoses | None:
 def read_residuals(path: Path) -> MeasurementResiduals | None:
     """The back end's residuals in measurements.npz; None when the run stopped before them."""
     archive = load_archive(path, "measurements.npz")
-    if "residuals_px" not in archive.arrays:
+    if "residuals_px" not in archive:
         return None
     count = len(archive.whole("frame", None))
     return MeasurementResiduals(
