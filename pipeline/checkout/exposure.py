@@ -68,7 +68,7 @@ def exposure_checks(sample: Sample) -> list[CheckoutCheck]:
 def _known(images: list[ImageQuality], of: Callable[[ImageQuality], float]) -> Array:
     """Values of the images that show it."""
     values = np.array([of(image) for image in images])
-    return values[np.isfinite(values)]
+    return np.asarray(values[np.isfinite(values)])
 
 
 def _median(values: Array) -> float | None:
