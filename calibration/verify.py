@@ -33,7 +33,7 @@ from polhode.errors import InputError
 from polhode.importers.calibrations.read_rig import read_rig
 from polhode.importers.calibrations.rig import EQUIDISTANT, Camera, Rig, require_usable
 from polhode.lie import Array, inverse_pose, log_so3
-from polhode.pipeline.checkout.result import CheckoutCheck, Verdict, judged, worst
+from polhode.pipeline.checkout.result import CheckoutCheck, Verdict, judge, worst
 from polhode.pipeline.run_directory.summary_schema import StrictModel
 from polhode.progress import Progress
 from polhode.records import Ints
@@ -181,7 +181,7 @@ def _checks(views: Views, held: Adjusted, data: tuple[CornerData, CornerData]) -
     error = epipolar_px(state, data[0].uv_px[left], data[1].uv_px[right])
     epipolar = float(np.sqrt(np.nanmean(error**2)))
     checks = [
-        judged(
+        judge(
             "rig",
             "reprojection error",
             rms_px(np.concatenate(residuals)),
@@ -192,7 +192,7 @@ def _checks(views: Views, held: Adjusted, data: tuple[CornerData, CornerData]) -
             "boards that fit both images best.",
             advice=RECALIBRATE,
         ),
-        judged(
+        judge(
             "rig",
             "epipolar error",
             epipolar,
@@ -228,7 +228,7 @@ def _worst_part(
                         f"In the {SIDES[camera]} image, part {column + 1} of {PARTS} from the left and "
                         f"{row + 1} of {PARTS} from the top: {mean[0]:+.2f}, {mean[1]:+.2f} px in the median."
                     )
-    return judged(
+    return judge(
         "rig",
         "residual of the worst part of an image",
         most,
@@ -258,7 +258,7 @@ def _lengths(state: RigState, data: tuple[CornerData, CornerData], left: Ints, r
         ratios.append(float(np.median(seen / true)))
     off = 100.0 * (float(np.median(ratios)) - 1.0) if ratios else float("nan")
     sigma = 125.0 * float(np.std(ratios)) / np.sqrt(len(ratios)) if len(ratios) > 2 else None
-    return judged(
+    return judge(
         "rig",
         "error of lengths",
         abs(off),
@@ -300,7 +300,7 @@ def _turned(held: Adjusted, data: tuple[CornerData, CornerData]) -> list[Checkou
         # a roll moves what is a quarter of the focal length from the axis by a quarter as much
         limit, fail = (_rounded(np.degrees(share * px / focal)) for px in (MAX_EPIPOLAR_PX, FAIL_EPIPOLAR_PX))
         out.append(
-            judged(
+            judge(
                 "rig",
                 f"{name} of the right camera",
                 abs(value),
@@ -336,7 +336,7 @@ def _focal_lengths(held: Adjusted, data: tuple[CornerData, CornerData]) -> list[
         own = found.covariance[start : start + 2, start : start + 2]
         sigma = 100.0 * float(np.sqrt(own.sum()) / 2.0 / before.mean())
         out.append(
-            judged(
+            judge(
                 "rig",
                 f"focal length of the {SIDES[camera]} camera",
                 abs(change),

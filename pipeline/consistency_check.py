@@ -16,8 +16,6 @@ from polhode.rigid_fit import mean_rotation
 OUTLIER_SIGMAS = 4.5
 """An observation is an outlier if its residual exceeds so many standard deviations of the earlier
 estimate."""
-MAX_OUTLIER_GROWTH = 0.03
-"""Largest accepted growth of the share of outliers."""
 MAX_NOISE_GROWTH = 1.08
 """Largest accepted growth of the pixel scatter: merged landmarks of TS38 scatter 4 % more and help, those of
 a shaded asteroid 14 % more and harm."""
@@ -38,7 +36,7 @@ def fits_worse(later: MotionEstimate, earlier: MotionEstimate) -> bool:
         return True
     noise = later.noise.pixel_sigma_px / max(earlier.noise.pixel_sigma_px, 1e-9)
     growth = outlier_share(later, earlier) - outlier_share(earlier, earlier)
-    return growth > MAX_OUTLIER_GROWTH or noise > MAX_NOISE_GROWTH
+    return growth > 0.03 or noise > MAX_NOISE_GROWTH
 
 
 def outlier_share(estimate: MotionEstimate, reference: MotionEstimate) -> float:
@@ -84,7 +82,7 @@ def _scatter_of_shared(
 ) -> float:
     """Median image residual of the shared observations, relative to the first solution's; 1 if none is
     shared."""
-    rows, first_rows = _shared(tracks, first_tracks)
+    rows, first_rows = _match_rows(tracks, first_tracks)
     if len(rows) == 0:
         return 1.0
     after, before = (
@@ -94,7 +92,7 @@ def _scatter_of_shared(
     return after / max(before, 1e-9)
 
 
-def _shared(a: StereoTracks, b: StereoTracks) -> tuple[list[int], list[int]]:
+def _match_rows(a: StereoTracks, b: StereoTracks) -> tuple[list[int], list[int]]:
     """Rows of a and of b with the same observation: its coordinates are equal to the last bit."""
     row_of = {
         (frame, *uvd): row

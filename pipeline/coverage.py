@@ -21,9 +21,7 @@ from polhode.records import SEEN_LIT, SEEN_UNLIT, UNSEEN, Bools, SurfaceModel
 Classes = NDArray[np.uint8]
 
 SAMPLES = 6000
-MIN_WARNED_SHARE = 0.15
-"""Share that was never seen, or never lit, above which there is a warning."""
-_ONE_SIDE = 0.6
+MIN_ONE_SIDED = 0.6
 """A part faces one direction if its mean normal is at least this long, relative to a spherical cap."""
 
 
@@ -65,23 +63,23 @@ def coverage_of(mesh: trimesh.Trimesh, views: Sequence[FrameView], rig: Rectifie
     p_G, normal_G = sample_surface(body, SAMPLES)
     classes = classes_of(p_G, normal_G, Caster(body), views, rig)
     share = [float(np.mean(classes == kind)) for kind in (SEEN_LIT, SEEN_UNLIT, UNSEEN)]
-    around = _one_way(normal_G, classes == UNSEEN)
+    around = _common_direction(normal_G, classes == UNSEEN)
     return Coverage(
         seen=share[0],
         seen_unlit=share[1],
         unseen=share[2],
         of="mesh" if closed else "hull",
         unseen_direction_G=None if around is None else (around[0], around[1], around[2]),
-        words=_words(share, around, _one_way(normal_G, classes == SEEN_UNLIT), closed),
+        words=_words(share, around, _common_direction(normal_G, classes == SEEN_UNLIT), closed),
     )
 
 
 def warnings_of(coverage: Coverage) -> list[str]:
     """One, where much of the body was never seen or never lit."""
-    return [coverage.words] if max(coverage.unseen, coverage.seen_unlit) > MIN_WARNED_SHARE else []
+    return [coverage.words] if max(coverage.unseen, coverage.seen_unlit) > 0.15 else []
 
 
-def _one_way(normals: Array, part: Bools) -> list[float] | None:
+def _common_direction(normals: Array, part: Bools) -> list[float] | None:
     """The unit vector around which a part of the points (n,) faces, or None: it faces all around."""
     if not part.any():
         return None
@@ -89,7 +87,7 @@ def _one_way(normals: Array, part: Bools) -> list[float] | None:
     length = float(np.linalg.norm(mean))
     return (
         None
-        if length < max(_ONE_SIDE * (1.0 - float(np.mean(part))), 1e-9)
+        if length < max(MIN_ONE_SIDED * (1.0 - float(np.mean(part))), 1e-9)
         else [float(part) for part in mean / length]
     )
 
@@ -108,12 +106,12 @@ def _words(
     return "; ".join(parts) if parts else f"all of the {of} was seen in light"
 
 
-_PART = 0.5
+MIN_AXIS_SHARE = 0.5
 """Share of its length that a direction must have along an axis for the axis to be named."""
 
 
 def describe_direction(direction: Array) -> str:
     """``+x``, or ``+x and -z`` where the direction (3,) lies between axes; the largest part first."""
     unit = np.asarray(direction) / max(float(np.linalg.norm(direction)), 1e-300)
-    named = [k for k in np.argsort(-np.abs(unit), kind="stable") if abs(unit[k]) >= _PART]
+    named = [k for k in np.argsort(-np.abs(unit), kind="stable") if abs(unit[k]) >= MIN_AXIS_SHARE]
     return " and ".join(f"{'+' if unit[k] > 0 else '-'}{'xyz'[k]}" for k in named)

@@ -61,6 +61,8 @@ from polhode.surface_errors import sigma_shares
 from polhode.truth import read_truth
 
 MAX_FRAMES = 60
+HORIZONS_S = (10, 30, 60)
+Metrics = dict[str, Any]
 
 
 def seen_and_lit(
@@ -84,13 +86,13 @@ def seen_and_lit(
         left = sequence.read_left(int(k))[0]
         # Points seen often enough need no further test.
         candidate = np.flatnonzero(found < min_frames)
-        lit = candidate[_bright(left, transform_points(X_CG, p_G[candidate]), sequence)]
+        lit = candidate[_is_bright(left, transform_points(X_CG, p_G[candidate]), sequence)]
         eye_G = inverse_pose(X_CG)[:3, 3]
         found[lit[caster.sees(eye_G, p_G[lit], normal_G[lit], CLEARANCE * mesh.scale)]] += 1
     return np.asarray(found >= min_frames)
 
 
-def _bright(left: NDArray[np.uint8], p_C: Array, sequence: StereoSequence) -> Bools:
+def _is_bright(left: NDArray[np.uint8], p_C: Array, sequence: StereoSequence) -> Bools:
     """(n,) true where a point projects onto a pixel of the recorded image that is brighter than the sky."""
     rig = sequence.calibration
     front = p_C[:, 2] > 1e-6
@@ -101,17 +103,11 @@ def _bright(left: NDArray[np.uint8], p_C: Array, sequence: StereoSequence) -> Bo
         projected, _ = cv2.projectPoints(p_C[front], np.zeros(3), np.zeros(3), rig.K0, rig.dist0)
         uv[front] = projected.reshape(-1, 2)
     smooth = cv2.blur(left.astype(np.float32), (3, 3))
-    level = light_level(left)
     column, row = np.round(np.nan_to_num(uv, nan=-1.0)).clip(-1, 1e6).astype(np.int64).T
     inside = front & (column >= 0) & (column < rig.width_px) & (row >= 0) & (row < rig.height_px)
-    bright = np.zeros(len(p_C), dtype=bool)
-    bright[inside] = smooth[row[inside], column[inside]] > level
+    bright = np.zeros(len(p_C), dtype=np.bool_)
+    bright[inside] = smooth[row[inside], column[inside]] > light_level(left)
     return bright
-
-
-HORIZONS_S = (10, 30, 60)
-
-Metrics = dict[str, Any]
 
 
 def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
@@ -132,20 +128,18 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
     true_states = truth_at(truth, estimate.timestamps_ns)
     X_NG = target_poses(estimate, np.array(summary.R_GP), np.array(summary.com_G))
     X_NG_true = target_poses(true_states, truth.R_GP, truth.com_G)
-    config = load_config(run_folder / "config.yaml")
+    form = FORMS[load_config(run_folder / "config.yaml").backend.inertia]
+    # the estimate's G is fixed at the first frame: the truth in G follows from the true state there
+    com_true_G = (inverse_pose(X_NG[0]) @ np.append(true_states.r_N[0], 1.0))[:3]
+    R_GP_true = X_NG[0, :3, :3].T @ true_states.R_NP[0]
     metrics = _motion_metrics(estimate, true_states, covariance)
     metrics["error_k1"] = summary.inertia.k1 - truth.k1
     metrics["error_k2"] = summary.inertia.k2 - truth.k2
-    of_mass = _mass_metrics(summary, truth, true_states, X_NG[0], FORMS[config.backend.inertia])
+    of_mass = _mass_metrics(summary, truth.moments, R_GP_true, com_true_G, form)
     metrics[NEES] |= of_mass[0]
     metrics[COVERAGE_CONSTANTS] = of_mass[1]
     if summary.intervals is not None:
-        metrics[IN_INTERVAL] = _truth_in_intervals(
-            summary,
-            summary.intervals,
-            truth,
-            (inverse_pose(X_NG[0]) @ np.append(true_states.r_N[0], 1.0))[:3],
-        )
+        metrics[IN_INTERVAL] = _truth_in_intervals(summary, summary.intervals, truth, com_true_G)
     metrics |= _prediction_errors(estimate, true_states, truth, summary)
     correlation = None if summary.mesh is None else correlation_of(summary.mesh)
     metrics["mesh"] = _mesh_metrics(run_folder, sequence_folder, truth, X_NG, X_NG_true, correlation)
@@ -227,32 +221,25 @@ def _motion_metrics(estimate: States, truth: States, covariance: Covariance) -> 
 
 
 def _mass_metrics(
-    summary: Summary, truth: Truth, true_states: States, X_NG_first: Array, form: InertiaForm
+    summary: Summary, moments: Array, R_GP_true: Array, com_true_G: Array, form: InertiaForm
 ) -> tuple[dict[str, float | None], dict[str, float | None]]:
-    """NEES, and coverage, of the five inertia parameters, the centre of mass and the principal axes.
-
-    The estimate's G is fixed at the first frame, so the truth is expressed in G through the true state there.
-    """
+    """NEES, and coverage, of the five inertia parameters, the centre of mass and the principal axes; of the
+    truth moments (3,), R_GP (3, 3) and com_G (3,), in the run's G."""
     assert summary.inertia is not None and summary.R_GP is not None
-    R_GN, R_GP = X_NG_first[:3, :3].T, np.array(summary.R_GP)
-    R_GP_true = R_GN @ true_states.R_NP[0]
-    J_true = R_GP_true @ np.diag(truth.moments) @ R_GP_true.T
-    com_true = (inverse_pose(X_NG_first) @ np.append(true_states.r_N[0], 1.0))[:3]
-    between = R_GP.T @ R_GP_true
+    J_true = R_GP_true @ np.diag(moments) @ R_GP_true.T
+    between = np.array(summary.R_GP).T @ R_GP_true
     half_turn = HALF_TURNS[int(np.argmax(HALF_TURNS @ np.diag(between)))]
-    errors = {
-        "inertia": inertia_parameter_error(np.array(summary.inertia.J_G), J_true, form),
-        "com": np.array(summary.com_G) - com_true,
-        "axes": -log_so3(between * half_turn),
-    }
-    covariances = {
-        "inertia": np.array(summary.inertia.cov_J, dtype=np.float64),
-        "com": np.array(summary.cov_com_G, dtype=np.float64),
-        "axes": np.array(summary.cov_R_GP, dtype=np.float64),
+    found = {
+        "inertia": (
+            inertia_parameter_error(np.array(summary.inertia.J_G), J_true, form),
+            np.array(summary.inertia.cov_J, dtype=np.float64),
+        ),
+        "com": (np.array(summary.com_G) - com_true_G, np.array(summary.cov_com_G, dtype=np.float64)),
+        "axes": (-log_so3(between * half_turn), np.array(summary.cov_R_GP, dtype=np.float64)),
     }
     return (
-        {name: nees(error[None], covariances[name][None]) for name, error in errors.items()},
-        {name: coverage(error, covariances[name]) for name, error in errors.items()},
+        {name: nees(error[None], covariance[None]) for name, (error, covariance) in found.items()},
+        {name: coverage(error, covariance) for name, (error, covariance) in found.items()},
     )
 
 
@@ -301,18 +288,12 @@ def _prediction_errors(estimate: States, true_states: States, truth: Truth, summ
     end_ns = int(estimate.timestamps_ns[-1])
     reach_s = (int(truth.timestamps_ns[-1]) - end_ns) * 1e-9
     horizons = [h for h in HORIZONS_S if h <= reach_s + 1e-6]
-    degrees: dict[str, float | None] = {str(h): None for h in HORIZONS_S}
-    metres: dict[str, float | None] = {str(h): None for h in HORIZONS_S}
+    degrees: dict[str, float | None] = dict.fromkeys(map(str, HORIZONS_S))
+    metres = dict(degrees)
     if horizons:
         at = truth_at(truth, end_ns + np.array(horizons, dtype=np.int64) * 1_000_000_000)
-        r_N, v_N, R_NP, w_P = propagate(
-            [0.0, *horizons],
-            estimate.r_N[-1],
-            estimate.v_N[-1],
-            estimate.R_NP[-1],
-            estimate.w_P[-1],
-            np.diag(summary.inertia.moments),
-        )
+        last = estimate.r_N[-1], estimate.v_N[-1], estimate.R_NP[-1], estimate.w_P[-1]
+        r_N, v_N, R_NP, w_P = propagate([0.0, *horizons], *last, np.diag(summary.inertia.moments))
         predicted = with_half_turn(States(at.timestamps_ns, r_N[1:], v_N[1:], R_NP[1:], w_P[1:]), half_turn)
         angles = angle_deg(np.swapaxes(predicted.R_NP @ R_fit, -1, -2) @ at.R_NP)
         distances = np.linalg.norm(predicted.r_N - at.r_N, axis=1)
@@ -330,10 +311,9 @@ def _mesh_metrics(
     correlation: tuple[ErrorCorrelation, ...] | None,
 ) -> dict[str, float | None] | None:
     """Distances between the surfaces, and how many of the vertices' errors their sigmas hold."""
-    file = run_folder / "mesh.ply"
-    if truth.mesh is None or not file.is_file():
+    if truth.mesh is None or not (run_folder / "mesh.ply").is_file():
         return None
-    surface = read_ply(file)
+    surface = read_ply(run_folder / "mesh.ply")
     mesh = surface.mesh
     if len(mesh.faces) == 0:
         return None
@@ -380,41 +360,33 @@ def format_table(metrics: Metrics) -> str:
         if isinstance(value, dict):
             for name, part in value.items():
                 label = f"{key} {name}" + (f"\n  {ALIGNED[key]}" if key in ALIGNED else "")
-                table.add_row(label, _shown(part), _unit(key, name), _expected(key, name))
+                table.add_row(label, _format_value(part), _unit(key, name), _expected_text(key, name))
         else:
-            table.add_row(key, _shown(value), _unit(key), "")
+            table.add_row(key, _format_value(value), _unit(key), "")
     console = Console(width=100, file=StringIO(), force_terminal=False)
     with console.capture() as capture:
         console.print(table)
     return capture.get()
 
 
-_UNITS = {
-    "_deg_s": "deg/s",
-    "_m_s": "m/s",
-    "_deg": "deg",
-    "_mm": "mm",
-    "_m": "m",
-    "_px": "px",
-    "_s": "s",
-}
+UNITS = {"_deg_s": "deg/s", "_m_s": "m/s", "_deg": "deg", "_mm": "mm", "_m": "m", "_px": "px", "_s": "s"}
 """By the end of a name, the longer ones first"""
 
 
 def _unit(key: str, name: str = "") -> str:
     """Of a number of metrics.json, as its own name or that of its group ends; empty: it has none."""
-    found = (unit for text in (name, key) for end, unit in _UNITS.items() if text.endswith(end))
+    found = (unit for text in (name, key) for end, unit in UNITS.items() if text.endswith(end))
     return next(found, "")
 
 
-def _expected(group: str, name: str) -> str:
+def _expected_text(group: str, name: str) -> str:
     if group == IN_INTERVAL:
         return "True"
     found = expected_range(group, name)
     return "" if found is None else f"{found[0]:.2g} to {found[1]:.3g}"
 
 
-def _shown(value: object) -> str:
+def _format_value(value: object) -> str:
     if value is None:
         return "not available"
     return f"{value:.4g}" if isinstance(value, float) else str(value)

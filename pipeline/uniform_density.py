@@ -57,7 +57,7 @@ def assumed_properties(
         "density_kg_m3": density,
         "mass_kg": kilograms,
         "inertia_kg_m2": inertia,
-        "com_G": None if known.com else _completed_com(mass, solid),
+        "com_G": None if known.com else _complete_com(mass, solid),
         "k1": None if known.k1 else float(np.log(moments[0] / moments[1])),
         "k2": None if known.k2 else float(np.log(moments[1] / moments[2])),
         "R_GP": None if known.axes else R_GP,
@@ -65,7 +65,7 @@ def assumed_properties(
     return Assumed.model_validate(found), []
 
 
-def _completed_com(mass: MassProperties, solid: Solid) -> Array:
+def _complete_com(mass: MassProperties, solid: Solid) -> Array:
     """The estimate, its undetermined components along the principal axes taken from the solid."""
     lost = mass.R_GP[:, ~mass.identifiable.com_P]
     return np.asarray(mass.com_G + lost @ (lost.T @ (solid.com_G - mass.com_G)))
@@ -75,13 +75,10 @@ CLEAR_SIGMAS = 3.0
 """A difference is significant above this number of standard deviations."""
 MIN_LOG_RATIO = 0.03
 """Logarithm of the ratio of two moments of the mesh below which their axes are not distinguishable."""
-_MIN_SHARE, _MIN_DEG, _MIN_K = 0.005, 2.0, 0.02
+MESH_SHARE, MESH_DEG, MESH_K = 0.005, 2.0, 0.02
 """How well a closed mesh determines its centre of volume (share of its size), axes and inertia ratios."""
-_MIN_LIDDED_SHARE = 0.3
+MIN_LIDDED_SHARE = 0.3
 """The volume of an open mesh is unknown if, its openings closed flat, it is a smaller share of its hull."""
-_MAX_DEG = 20.0
-_CAUSE = "mass is not spread evenly"
-_CAUSE_OPEN = "mass is not spread evenly, or the hull is not the body"
 
 
 @dataclass(frozen=True)
@@ -104,9 +101,9 @@ def check_physics(
         return None
     _, R_GP = principal_axes(solid.inertia)
     k, known = _ratios(solid), mass.identifiable
-    other = solid if mesh.is_volume else _lidded(mesh)
+    other = solid if mesh.is_volume else _close_openings(mesh)
     words = [f"compared with uniform density in the {solid.words}"]
-    clear = other.volume_m3 > _MIN_LIDDED_SHARE * solid.volume_m3
+    clear = other.volume_m3 > MIN_LIDDED_SHARE * solid.volume_m3
     offset_G = _com_offset(mass, solid.com_G) if clear and known.com_P.any() else None
     about = known.axes_P & np.array([k[1] > MIN_LOG_RATIO, k[0] + k[1] > MIN_LOG_RATIO, k[0] > MIN_LOG_RATIO])
     axes = _between(mass.R_GP, R_GP, about) if clear else None
@@ -120,17 +117,17 @@ def check_physics(
     if offset_G is not None:
         com_sigma_m = _com_sigma_m(mass, offset_G)
         least_m = max(
-            _MIN_SHARE * float(np.linalg.norm(mesh.extents)),
+            MESH_SHARE * float(np.linalg.norm(mesh.extents)),
             float(np.linalg.norm(solid.com_G - other.com_G)),
         )
         words.append(_com_words(mass, offset_G, com_sigma_m, least_m, bool(mesh.is_volume)))
     if axes is not None:
         axes_sigma_rad = _sigma_along(mass.cov_R_GP, axes.about_P)
         closing = _between(R_GP, principal_axes(other.inertia)[1], about)
-        least_deg = max(_MIN_DEG, float(np.rad2deg(closing.angle_rad)) if closing is not None else np.inf)
+        least_deg = max(MESH_DEG, float(np.rad2deg(closing.angle_rad)) if closing is not None else np.inf)
         words += _axes_words(axes, axes_sigma_rad, least_deg)
     words += _ratio_words(
-        mass, differences, k, max(_MIN_K, float(np.abs(np.subtract(k, _ratios(other))).max()))
+        mass, differences, k, max(MESH_K, float(np.abs(np.subtract(k, _ratios(other))).max()))
     )
     return Physics.model_validate(
         {
@@ -150,7 +147,7 @@ def check_physics(
     )
 
 
-def _lidded(mesh: trimesh.Trimesh) -> Solid:
+def _close_openings(mesh: trimesh.Trimesh) -> Solid:
     """The mesh with every opening closed by a fan from its middle: another estimate of the volume."""
     vertices, faces = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)]
     count = len(mesh.vertices)
@@ -199,7 +196,7 @@ def _com_words(mass: MassProperties, offset_G: Array, sigma_m: float, volume_m: 
         f"the centre of mass is {_mm(length)} off the volume's centre "
         f"along {describe_direction(offset_G)} of G "
         f"(sigma {_mm(sigma_m)}; the volume's centre is known to about {_mm(volume_m)}): "
-        f"{_CAUSE if closed else _CAUSE_OPEN}{undetermined}"
+        f"mass is not spread evenly{'' if closed else ', or the hull is not the body'}{undetermined}"
     )
 
 
@@ -224,7 +221,7 @@ def _between(R_GP: Array, R_GP_other: Array, about: Bools) -> _Axes | None:
 def _axes_words(axes: _Axes, sigma_rad: float, volume_deg: float) -> list[str]:
     angle_deg, sigma_deg = np.rad2deg(axes.angle_rad), np.rad2deg(sigma_rad)
     least, many = max(CLEAR_SIGMAS * sigma_deg, volume_deg), axes.words == "axes"
-    if least > _MAX_DEG:
+    if least > 20.0:
         return []
     if angle_deg <= least:
         verb = "agree" if many else "agrees"

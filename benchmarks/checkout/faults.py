@@ -135,23 +135,23 @@ FAULTS: Mapping[str, Fault] = {
     "roll": Fault("right camera turned by 0.4 deg", tilted((0.0, 0.0, 1.0), 0.4), "roll of the right camera"),
     "yaw": Fault("right camera 0.2 deg sideways", tilted((0.0, 1.0, 0.0), 0.2), ""),
     "exchanged": Fault("left and right exchanged", exchanged, "pairs with left and right exchanged"),
-    "clocks": Fault(
-        "stamps 4 us apart", unchanged, "stamps of the right camera against the left", lambda t: t + 4_000
-    ),
-    "few_frames": Fault("every second frame", every(2), "turn between successive frames"),
+    "clocks": Fault("stamps 4 us apart", unchanged, "clock offset of the right camera", lambda t: t + 4_000),
+    "few_frames": Fault("every second frame", every(2), "rotation between successive frames"),
     "gap": Fault("4 s lost", files.burst(4.0), "longest gap"),
     "blur": Fault("2 px of blur", files.blur, "width of edges"),
     "right_blur": Fault(
-        "the right camera out of focus", right_out_of_focus, "width of edges, one camera against the other"
+        "the right camera out of focus",
+        right_out_of_focus,
+        "ratio of the widths of edges between the cameras",
     ),
-    "smeared": Fault("7 px of motion blur", smeared(7), "width of edges, widest against sharpest direction"),
+    "smeared": Fault("7 px of motion blur", smeared(7), "ratio of the widths of edges between directions"),
     "saturation": Fault("exposed four times too long", files.saturation, "saturated part of the target"),
-    "dark": Fault("a tenth of the light", darker(0.1), "brightest parts of the target"),
+    "dark": Fault("a tenth of the light", darker(0.1), "99.5th percentile of the grey levels of the target"),
     "right_dark": Fault(
-        "right camera with half the light", right_darker, "brightness of the right image against the left"
+        "right camera with half the light", right_darker, "difference of brightness between the cameras"
     ),
     "noise": Fault("noise of 12 grey levels", noisy(12.0), "noise after the contrast is stretched"),
-    "wall": Fault("a wall behind the target", before_a_wall, "border of the image that is not dark"),
+    "wall": Fault("a wall behind the target", before_a_wall, "bright part of the border of the image"),
 }
 """No check finds a yaw: rows do not show it."""
 

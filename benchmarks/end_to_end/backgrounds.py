@@ -45,7 +45,7 @@ NO_BACKGROUND = (
     *("--scene.background.wall.distance-m", "0"),
 )
 QUICK = ("--scene.frames", "8", "--scene.render.samples", "1", "--scene.render.bounces", "0")
-DOUBTFUL = "pairs whose masks, found in the images, are doubtful"
+DOUBTFUL = "pairs with doubtful segmentation masks"
 MAX_FACTOR = 1.5
 """Between the errors before a background and before a dark sky, by which the scenes are judged."""
 

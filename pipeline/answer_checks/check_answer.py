@@ -1,28 +1,25 @@
 """All checks of the answer by its measurements, one after the other (docs/checks.md)."""
 
-import logging
-from collections.abc import Callable, Iterable
-
-import numpy as np
 import trimesh
 
 from polhode.config.backend_settings import Backend
 from polhode.dataset import StereoSequence
 from polhode.frontend.rectification import Rectifier
 from polhode.lie import Array, inverse_pose
-from polhode.pipeline.answer_checks.links_check import links_check
-from polhode.pipeline.answer_checks.mesh_check import mesh_check
+from polhode.pipeline.answer_checks.estimate_checks import (
+    link_check,
+    mesh_check,
+    mirror_check,
+    push_check,
+    runner_up_check,
+    window_check,
+)
 from polhode.pipeline.answer_checks.model_check import model_check
-from polhode.pipeline.answer_checks.parts_check import parts_checks
-from polhode.pipeline.answer_checks.push_check import push_check
-from polhode.pipeline.answer_checks.residual_check import residual_checks
-from polhode.pipeline.answer_checks.sun_check import SUN_CHECK, sun_check
-from polhode.pipeline.answer_checks.twins_check import twins_checks
-from polhode.pipeline.answer_checks.window_check import window_check
-from polhode.pipeline.run_directory.summary_schema import Check, Physics, not_made
+from polhode.pipeline.answer_checks.part_solutions import part_checks
+from polhode.pipeline.answer_checks.residual_checks import residual_checks, sun_check
+from polhode.pipeline.run_directory.check_table import CHECK_TABLE, attempt_checks
+from polhode.pipeline.run_directory.summary_schema import Check, Physics
 from polhode.records import MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks
-
-_log = logging.getLogger(__name__)
 
 
 def check_answer(
@@ -36,19 +33,18 @@ def check_answer(
     """Doubts about the motion found, from its measurements alone.
 
     ``online``: the causal estimate, None: there is none; sun_N (3,): unit vector towards the Sun, None:
-    unknown. An error in a check does not cost the run, which is doubted for it.
+    unknown.
     """
     X_RG = inverse_pose(tracks.X_NR) @ estimate.X_NG
-    steps: tuple[Callable[[], list[Check]], ...] = (
-        lambda: parts_checks(tracks, estimate, config),
-        lambda: residual_checks(tracks, estimate),
-        lambda: [sun_check(tracks, estimate, sun_N)],
-        lambda: [links_check(links, X_RG)],
-        lambda: twins_checks(tracks, estimate),
-        lambda: [push_check(estimate)],
-        lambda: [window_check(online, estimate)],
-    )
-    return _made(steps)
+    return [
+        *attempt_checks(lambda: part_checks(tracks, estimate, config)),
+        *attempt_checks(lambda: residual_checks(tracks, estimate)),
+        *attempt_checks(lambda: [sun_check(tracks, estimate, sun_N)]),
+        *attempt_checks(lambda: [link_check(links, X_RG)]),
+        *attempt_checks(lambda: [mirror_check(tracks, estimate), runner_up_check(estimate)]),
+        *attempt_checks(lambda: [push_check(estimate)]),
+        *attempt_checks(lambda: [window_check(online, estimate)]),
+    ]
 
 
 def with_sun_check(
@@ -57,8 +53,8 @@ def with_sun_check(
     """The doubts with the check against the Sun made again, now that its direction is known."""
     if sun_N is None:
         return doubts
-    made = _made((lambda: [sun_check(tracks, estimate, sun_N)],))
-    return [made[0] if each.name == SUN_CHECK else each for each in doubts]
+    (check,) = attempt_checks(lambda: [sun_check(tracks, estimate, sun_N)])
+    return [check if each.name == CHECK_TABLE["sun"].name else each for each in doubts]
 
 
 def check_surface(
@@ -71,22 +67,7 @@ def check_surface(
     sun_N: Array | None,
 ) -> list[Check]:
     """Doubts about the motion found, from the surface that it gives; as ``check_answer``."""
-    return _made((
-        lambda: [mesh_check(physics)],
-        lambda: [model_check(sequence, rectifier, tracks, estimate, mesh, sun_N)],
-    ))  # fmt: skip
-
-
-def _made(steps: Iterable[Callable[[], list[Check]]]) -> list[Check]:
-    found: list[Check] = []
-    for step in steps:
-        try:
-            with np.errstate(invalid="ignore", divide="ignore"):
-                found.extend(step())
-        except (ArithmeticError, LookupError, ValueError, MemoryError) as error:
-            _log.debug("a check of the answer ended with an error", exc_info=True)
-            found.append(not_made(error))
-    for check in found:
-        if check.reason:
-            _log.warning(check.reason)
-    return found
+    return [
+        *attempt_checks(lambda: [mesh_check(physics)]),
+        *attempt_checks(lambda: [model_check(sequence, rectifier, tracks, estimate, mesh, sun_N)]),
+    ]

@@ -7,8 +7,6 @@ moves what is left of them. It uses no landmark, and all frames at once, where `
 successive pairs.
 """
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 import trimesh
@@ -18,24 +16,21 @@ from polhode.dataset import StereoSequence
 from polhode.frontend.rectification import Rectifier
 from polhode.lie import Array
 from polhode.mapping.visibility import MeshViewer
+from polhode.pipeline.answer_checks.image_motion import (
+    CONTRAST_SCALE_PX,
+    MIN_CONTRAST,
+    displacements_px,
+    erode,
+)
 from polhode.pipeline.pictures.model_comparison import FrameComparison, chosen_frames, compare_frames
+from polhode.pipeline.run_directory.check_table import make_check
 from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import Bools, MotionEstimate, StereoTracks
 
-MAX_FRAMES = 10
+MAX_FRAMES, MIN_FRAMES = 10, 3
 """Frames that are compared, chosen evenly among those with measurements."""
-MIN_FRAMES = 3
-DISPLACED_PX = 1.5
-"""Of the compared square, at most 256 pixels wide"""
-MAX_SHARE = 0.1
-"""Of the textured pixels, displaced; sound runs have at most 0.04"""
-MIN_PIXELS = 300
-"""Textured pixels of a frame"""
-LIT_GREY = 25
 EDGE_PX = 4
 """Pixels at the outline and at the border of the light that are left out."""
-CONTRAST_SCALE_PX, MIN_CONTRAST = 6.0, 5.0
-"""Scale, and least standard deviation of the grey values over it, of a surface with texture."""
 
 
 def model_check(
@@ -47,53 +42,29 @@ def model_check(
     sun_N: Array | None,
 ) -> Check:
     """Median share of the texture that is displaced; sun_N (3,) unit vector, None: unknown."""
-    check = Check(
-        name=f"texture displaced against the model's picture by more than {DISPLACED_PX} px",
-        limit=100.0 * MAX_SHARE,
-        unit="%",
-    )
     measured = np.unique(tracks.frame)
     if not len(mesh.faces) or len(measured) < MIN_FRAMES:
-        return check
+        return make_check("rendered model", None)
     frames = measured[chosen_frames(len(measured), MAX_FRAMES)].tolist()
     compared = compare_frames(
         *(sequence, rectifier, tracks, estimate, mesh, MeshViewer(mesh), frames), sun_N=sun_N
     )
-    return judged_shares([displaced_share(each) for each in compared], check)
-
-
-def judged_shares(found: Sequence[float | None], check: Check) -> Check:
-    """The check, from the share of each frame; None: too little texture is seen in it."""
-    known = [value for value in found if value is not None]
-    if len(known) < MIN_FRAMES:
-        return check
-    share = 100.0 * float(np.median(known))
-    return check.judged(
-        share,
-        f"the surface, moved by the motion found, does not look like the images: {share:.0f}% of their "
-        f"texture is displaced by more than {DISPLACED_PX} px against its pictures (usual: below 4%); the "
-        "motion may not be that of the surface",
+    shares = [share for each in compared if (share := displaced_share(each)) is not None]
+    return make_check(
+        "rendered model", 100.0 * float(np.median(shares)) if len(shares) >= MIN_FRAMES else None
     )
 
 
 def displaced_share(comparison: FrameComparison) -> float | None:
-    """Of one frame; None: too little texture."""
+    """Of the texture of one frame, whose picture is at most 256 pixels wide; None: too little texture."""
     image = comparison.image
-    lit = _eroded(comparison.seen & comparison.modelled) & (image > LIT_GREY)
-    textured = _eroded(lit) & (_contrast(image, lit) > MIN_CONTRAST)
-    if textured.sum() < MIN_PIXELS:
+    lit = erode(comparison.seen & comparison.modelled, EDGE_PX + 1) & (image > 25)
+    textured = erode(lit, EDGE_PX + 1) & (_contrast(image, lit) > MIN_CONTRAST)
+    if textured.sum() < 300:
         return None
     model = (comparison.gain * comparison.model + comparison.offset).clip(0.0, 255.0)
     ours, theirs = (np.where(lit, each, 0).astype(np.uint8) for each in (model, image))
-    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(
-        theirs, ours, np.zeros((*image.shape, 2), dtype=np.float32)
-    )
-    return float(np.mean(np.linalg.norm(flow[textured], axis=1) > DISPLACED_PX))
-
-
-def _eroded(where: Bools) -> Bools:
-    size = EDGE_PX + 1
-    return np.asarray(cv2.erode(where.astype(np.uint8), np.ones((size, size), dtype=np.uint8)) > 0)
+    return float(np.mean(displacements_px(theirs, ours)[textured] > 1.5))
 
 
 def _contrast(image: NDArray[np.uint8], known: Bools) -> NDArray[np.float32]:

@@ -10,7 +10,9 @@ with itself at the wrong rate, and no residual shows it.
 2. The marks: the grey values, less their local mean, less their median along the circles around the axis.
 3. The turn: points of one frame are moved to the next by the motion found and a further turn about the axis,
    and the marks of both are correlated. The motion found must fit better than any other turn that moves the
-   surface by more than ``APART_PX``.
+   surface by more than ``APART_PX``. For a target that, as found, does not turn about its axis, what it is
+   better by counts in proportion to the share of the surface with marks: the edges of shadows and reflections
+   would stand still at any rate.
 """
 
 from collections.abc import Sequence
@@ -23,17 +25,13 @@ from scipy.ndimage import map_coordinates
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
+from polhode.pipeline.run_directory.check_table import make_check
 from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import Bools, DepthMap
 
 MAX_SLIP = 0.1
 """Velocity along the normals over that of the points, root mean square, of a body of revolution. Measured
 ones have 0.04 to 0.09, other bodies at least 0.12."""
-MIN_LEAD = 0.15
-"""Of the correlation of the motion found before that of any other turn: right rates have at least 0.2, and
-mostly 0.4 to 0.95, those of a still outline at most 0.04 (benchmarks/trust). For a target that, as found,
-does not turn about its axis, times the share of the surface with marks: the edges of shadows and reflections
-would stand still at any rate."""
 MIN_MARK_DN, MAX_MARK_DN = 5.0, 40.0
 """Contrast of a mark; a reflection counts no more than the second."""
 APART_PX, STEP_PX = 6.0, 1.5
@@ -47,10 +45,8 @@ POINTS = 2500
 MIN_POINTS, MIN_PAIRS = 300, 3
 LOCAL_PX = 3.0
 """Scale of the local mean of the grey values."""
-TRIMMED = 0.1
+TRIMMED_SHARE = 0.1
 """Share of the surface that may differ: struts, antennas."""
-MIN_COSINE = 0.25
-"""Between normal and line of sight"""
 
 
 @dataclass(frozen=True)
@@ -112,46 +108,39 @@ def pair_view(
     )
 
 
-def turn_check(views: Sequence[PairView], rig: RectifiedRig, interval_s: float) -> Check:
-    """Whether the turn about the axis of symmetry shows; without a value where there is no such axis."""
-    check = Check(name="lead of the turn about the axis of symmetry", limit=MIN_LEAD, at_least=True)
+def rotation_check(views: Sequence[PairView], rig: RectifiedRig, interval_s: float) -> Check:
+    """Whether the rotation about the axis of symmetry shows; without a value where there is no such axis."""
+    key = "symmetry rotation"
     if len(views) < MIN_PAIRS:
-        return check
+        return make_check(key, None)
     axis = slippable_axis(
         np.concatenate([view.p_G for view in views]), np.concatenate([view.normal_G for view in views])
     )
     if axis.slip > MAX_SLIP:
-        return check
-    turns_rad, apart_rad = tried_turns(views, axis)
+        return make_check(key, None)
+    per_rad_px = axis.radius_m * float(np.median([view.radius_px for view in views]))
+    step_rad, apart_rad = max(STEP_PX / per_rad_px, MAX_TURN_RAD / MAX_STEPS), APART_PX / per_rad_px
+    count = max(int(MAX_TURN_RAD / step_rad), 1)
+    turns_rad = step_rad * np.arange(-count, count + 1)
     fit, marked = turn_agreement(views, axis, rig, turns_rad)
-    still = abs(found_turn(views, axis)) < 0.5 * apart_rad
+    found_rad = [
+        log_so3(view.pictures[0].X_RG[:3, :3].T @ view.pictures[1].X_RG[:3, :3]) @ axis.direction_G
+        for view in views
+    ]
+    still = abs(float(np.median(found_rad))) < 0.5 * apart_rad
     other = np.where(np.abs(turns_rad) >= apart_rad, fit, -np.inf)
     best = int(np.argmax(other))
     own = float(fit[len(fit) // 2])
     if not np.isfinite(own) or not np.isfinite(other[best]):
-        return check
-    lead = (own - float(other[best])) * (marked if still else 1.0)
-    rate = float(np.rad2deg(turns_rad[best])) / interval_s
-    numbers = f"correlation {own:.2f} and {other[best]:.2f}, usual: 0.5 and 0"
+        return make_check(key, None)
+    contrast = (own - float(other[best])) * (marked if still else 1.0)
     doubt = (
         "its surface shows too little of it: the images fit"
-        if lead >= -0.05
+        if contrast >= -0.05
         else "the images contradict it: they fit better"
     )
-    return check.judged(
-        lead,
-        f"the target is a body of revolution, and the turn found about its axis is doubtful, since {doubt} "
-        f"one that differs by {abs(rate):.1f} deg/s ({numbers})",
-    )
-
-
-def found_turn(views: Sequence[PairView], axis: Axis) -> float:
-    """Turn about the axis from one frame of a pair to the next, as found [rad]: the median."""
-    turns = [
-        log_so3(view.pictures[0].X_RG[:3, :3].T @ view.pictures[1].X_RG[:3, :3]) @ axis.direction_G
-        for view in views
-    ]
-    return float(np.median(turns))
+    rate_deg_s = abs(float(np.rad2deg(turns_rad[best])) / interval_s)
+    return make_check(key, contrast, doubt=doubt, rate_deg_s=rate_deg_s, own=own, other=other[best])
 
 
 def slippable_axis(p_G: Array, normal_G: Array) -> Axis:
@@ -169,18 +158,10 @@ def slippable_axis(p_G: Array, normal_G: Array) -> Axis:
         w = vectors[:, 0]
         v = best @ w
         along = np.abs(rows @ np.concatenate([w, v]))
-        kept = along <= np.quantile(along, 1.0 - TRIMMED)
+        kept = along <= np.quantile(along, 1.0 - TRIMMED_SHARE)
     point = centre + size * np.cross(w, v)
     radius = np.linalg.norm(np.cross(p_G - point, w), axis=1)
     return Axis(point, w, float(np.sqrt(max(values[0], 0.0))), float(np.sqrt(np.mean(radius**2))))
-
-
-def tried_turns(views: Sequence[PairView], axis: Axis) -> tuple[Array, float]:
-    """Further turns (n,) about the axis, zero in the middle, and from where on one is another [rad]."""
-    per_rad_px = axis.radius_m * float(np.median([view.radius_px for view in views]))
-    step = max(STEP_PX / per_rad_px, MAX_TURN_RAD / MAX_STEPS)
-    count = max(int(MAX_TURN_RAD / step), 1)
-    return step * np.arange(-count, count + 1), APART_PX / per_rad_px
 
 
 def turn_agreement(
@@ -207,7 +188,7 @@ def _marks_along_circles(view: PairView, picture: Picture, X_GG: Array, rig: Rec
     out = np.full((len(view.p_G), len(X_GG)), np.nan)
     for j, X in enumerate(picture.X_RG @ X_GG):
         p_R, normal_R = transform_points(X, view.p_G), view.normal_G @ X[:3, :3].T
-        facing = -np.sum(p_R * normal_R, axis=1) > MIN_COSINE * np.linalg.norm(p_R, axis=1)
+        facing = -np.sum(p_R * normal_R, axis=1) > 0.25 * np.linalg.norm(p_R, axis=1)
         seen = np.flatnonzero(facing & (p_R[:, 2] > 1e-6))
         u, v = ((rig.project(p_R[seen])[:, :2] - picture.first_px) / picture.stride).T
         inside = map_coordinates(picture.inside, [v, u], order=1, mode="constant") > 0.99
@@ -270,7 +251,7 @@ def _surface_points(frame: DepthMap, picture: Picture, rig: RectifiedRig) -> tup
     normal = np.cross(down, ahead)
     length = np.linalg.norm(normal, axis=2)
     smooth = np.abs(ahead[..., 2]) + np.abs(down[..., 2]) < 0.06 * z
-    fit = _eroded(known, 2 * step + 3) & smooth & (length > 0.0)
+    fit = _erode(known, 2 * step + 3) & smooth & (length > 0.0)
     at = np.flatnonzero(fit)
     # the same points in every run
     at = at[np.linspace(0, len(at) - 1, min(POINTS, len(at))).astype(np.int64)]
@@ -278,5 +259,5 @@ def _surface_points(frame: DepthMap, picture: Picture, rig: RectifiedRig) -> tup
     return np.asarray(p_R.reshape(-1, 3)[at]), np.asarray(normals, dtype=np.float64)
 
 
-def _eroded(mask: Bools, size: int) -> Bools:
+def _erode(mask: Bools, size: int) -> Bools:
     return np.asarray(cv2.erode(mask.astype(np.uint8), np.ones((size, size), np.uint8), borderValue=0) > 0)

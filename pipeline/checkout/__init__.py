@@ -5,14 +5,13 @@ checkout.json and the page checkout.html. Nothing of the back end is needed.
 
 - checkout: all checks, and the few that a run makes before its work
 - sample: the pairs that are examined, spread over the sequence
-- image_quality: one image: exposure, sharpness, noise, surroundings
+- check_table: name, limits and advice of every check
+- image_quality: one image: exposure, sharpness, noise, surroundings; one range image
 - rig_tilt: rows of left and right image: pitch, roll and focal length of the right camera
-- target_range: distance, size and disparity of the target, resolution of its depth
-- range_images: how much of the target range images measure, and their noise
-- target_motion: turn between frames, matches, delay between the cameras
-- exposure: exposure, focus and noise over the sample, and between the cameras
+- target_range: distance, size and disparity of the target, resolution of its depth, range images
+- target_motion: rotation between frames, matches, delay between the cameras
+- exposure: exposure, focus and noise over the sample, and between the cameras; what surrounds the target
 - timing: stamps, gaps, lost frames, poses of the inspector
-- background: what surrounds the target; masks
 - run_cost: time and memory of a run, estimated
 - result: the content of checkout.json
 - page, figures: checkout.html

@@ -13,8 +13,8 @@ from polhode.config.frontend_settings import Frontend
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.errors import InputError
 from polhode.frontend.rectification import RectifiedPair, Rectifier, rectified_pair
-from polhode.pipeline.checkout.background import background_checks
-from polhode.pipeline.checkout.exposure import exposure_checks
+from polhode.pipeline.checkout.check_table import CHECK_TABLE
+from polhode.pipeline.checkout.exposure import background_checks, exposure_checks
 from polhode.pipeline.checkout.result import CheckoutCheck, CheckoutResult, Group, worst
 from polhode.pipeline.checkout.rig_tilt import RowFit, fit_rows, tilt_checks
 from polhode.pipeline.checkout.run_cost import RunSize, cost_checks
@@ -35,11 +35,8 @@ from polhode.rig_calibration import (
 )
 from polhode.threads import single_threaded
 
-SEED = 0
 WARNING_PLACES = 3
 """Places at which a run looks before its work."""
-WARNED_OF_ALREADY = ("unreadable images", "repeated images")
-"""By the reader of the sequence."""
 
 _log = logging.getLogger(__name__)
 
@@ -84,24 +81,31 @@ def checkout(
     anything else that ``polhode run`` refuses.
     """
     rig: Literal["sequence", "given"] = "given" if rig_folder is not None else "sequence"
-    given = None
-    if rig_folder is not None:
-        given = (
-            read_range_calibration(rig_folder)
-            if _has_ranges(sequence_folder)
-            else read_calibration(rig_folder)
-        )
+    given = None if rig_folder is None else _read_rig(rig_folder, sequence_folder)
     try:
         sequence = open_sequence(sequence_folder)
     except InputError as error:
-        return Checkout(_without_pairs(sequence_folder, error, rig), read_stamps(sequence_folder), None)
+        # the checks of the stamps alone, where these are why the sequence cannot be opened
+        try:
+            stamps = read_stamps(sequence_folder)
+        except InputError:
+            raise error from None
+        checks = stamp_checks(stamps)
+        if worst(checks) != "FAIL":
+            raise
+        nothing = CheckoutResult(status="FAIL", pairs=0, pairs_examined=0, rig=rig, checks=tuple(checks))
+        return Checkout(nothing, stamps, None)
     stamps = read_stamps(sequence_folder)
     if given is not None:
         sequence = _with_calibration(sequence, given)
-    frames, shown = places(sequence.timestamps_ns, count), progress or Silent()
+    frames, shown, processes = (
+        places(sequence.timestamps_ns, count),
+        progress or Silent(),
+        worker_count(workers),
+    )
     rectifier = rectifier_of(sequence)
-    rectifier = with_found_masks(sequence, rectifier, frames.tolist(), worker_count(workers), shown)
-    findings = find(sequence, rectifier, frames, worker_count(workers), shown)
+    rectifier = with_found_masks(sequence, rectifier, frames.tolist(), processes, shown)
+    findings = find(sequence, rectifier, frames, processes, shown)
     checks = [
         *image_checks(findings),
         *stamp_checks(stamps),
@@ -116,37 +120,32 @@ def checkout(
     return Checkout(result, stamps, findings)
 
 
-def _without_pairs(folder: Path, error: InputError, rig: Literal["sequence", "given"]) -> CheckoutResult:
-    """The checks of the stamps alone, where these are why the sequence cannot be opened; else the error."""
+def _read_rig(folder: Path, sequence_folder: Path) -> StereoCalibration:
+    """Of two cameras, or of one with range images where the sequence has these. Raises InputError."""
     try:
-        checks = tuple(stamp_checks(read_stamps(folder)))
+        has_ranges = find_cameras(sequence_folder / "mav0").has_ranges
     except InputError:
-        raise error from None
-    if worst(checks) != "FAIL":
-        raise error
-    return CheckoutResult(status="FAIL", pairs=0, pairs_examined=0, rig=rig, checks=checks)
+        has_ranges = False
+    return read_range_calibration(folder) if has_ranges else read_calibration(folder)
 
 
 def warn_before_run(sequence: StereoSequence, rectifier: Rectifier) -> None:
     """Log what does not pass at a few places of the sequence, a line each, in a second or two.
 
-    Frames are not matched with each other, so nothing is said of the motion, nor of the cost. A check that
-    fails does not cost the run.
+    Frames are not matched with each other, so nothing is said of the motion, nor of the cost; the reader of
+    the sequence has warned of unreadable and repeated images. A check that fails does not cost the run.
     """
+    said = [CHECK_TABLE[key].name for key in ("unreadable", "repeated")]
     try:
-        for check in _quick_checks(sequence, rectifier):
-            if check.status != "PASS" and check.value is not None and check.name not in WARNED_OF_ALREADY:
+        frames = places(sequence.timestamps_ns, WARNING_PLACES)
+        frames = frames[:: 2 if len(frames) == 2 * WARNING_PLACES else 1]
+        checks = image_checks(find(sequence, rectifier, frames, 1, Silent()))
+        checks = [each for each in checks if each.group not in ("motion", "time")]
+        for check in (*checks, *frame_checks(sequence), *inspector_checks(sequence)):
+            if check.status != "PASS" and check.value is not None and check.name not in said:
                 _log.warning("checkout: %s: %s", check.status, in_a_line(check))
     except (ArithmeticError, LookupError, ValueError, MemoryError):
         _log.exception("the checks before the run failed")
-
-
-def _quick_checks(sequence: StereoSequence, rectifier: Rectifier) -> list[CheckoutCheck]:
-    frames = places(sequence.timestamps_ns, WARNING_PLACES)
-    frames = frames[:: 2 if len(frames) == 2 * WARNING_PLACES else 1]
-    findings = find(sequence, rectifier, frames, 1, Silent())
-    checks = [each for each in image_checks(findings) if each.group not in ("motion", "time")]
-    return [*checks, *frame_checks(sequence), *inspector_checks(sequence)]
 
 
 def in_a_line(check: CheckoutCheck) -> str:
@@ -162,8 +161,8 @@ def find(
     sequence: StereoSequence, rectifier: Rectifier, frames: Ints, workers: int, progress: Progress
 ) -> Findings:
     """Examine the pairs of these indices."""
-    rig, config = rectifier.rig, Frontend()
-    sample = take_sample(sequence, rectifier, config, frames, workers, progress, SEED)
+    rig = rectifier.rig
+    sample = take_sample(sequence, rectifier, Frontend(), frames, workers, progress)
     shown = len(frames) // 2
     return Findings(
         sequence,
@@ -201,14 +200,6 @@ def _with_calibration(sequence: StereoSequence, given: StereoCalibration) -> Ste
     if sequence.has_ranges:
         given = with_baseline(given, float(np.linalg.norm((own.X_BC1 - own.X_BC0)[:3, 3])))
     return replace(sequence, calibration=given)
-
-
-def _has_ranges(folder: Path) -> bool:
-    """Whether a sequence has range images in the place of a second camera, as far as its folders say."""
-    try:
-        return find_cameras(folder / "mav0").has_ranges
-    except InputError:
-        return False
 
 
 def _run_size(findings: Findings) -> RunSize:

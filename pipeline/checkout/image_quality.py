@@ -1,4 +1,4 @@
-"""What one image shows of exposure, focus, noise, and of what surrounds the target."""
+"""What one image shows of exposure, focus, noise, and of what surrounds the target; what its ranges show."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.frontend.rectification import Image, target_crop
+from polhode.frontend.rectification import Image, MeasuredDisparity, target_crop
 from polhode.frontend.segmentation import border_of, sky_level, target_mask
 from polhode.records import Bools
 
@@ -16,14 +16,13 @@ SATURATED = 254
 """Grey levels of 8 bits from which on a pixel is taken as saturated."""
 REBLUR_PX = 1.0
 """Standard deviation of the Gaussian that the image is blurred with once more."""
-MIN_EDGES = 40
-"""Edge pixels below which the width of edges is not stated."""
 CLEAR_EDGE = 12.0
 """Least gradient of an edge that counts, in standard deviations of the gradient of noise."""
 DIRECTIONS = 4
-NOISE_BLOCK_PX = 8
-_NOISE_OF_GRADIENT = np.sqrt(12.0) / 8.0
+NOISE_OF_GRADIENT = float(np.sqrt(12.0) / 8.0)
 """Of Sobel's derivative along one axis, for noise of one grey level."""
+NO_PLANE = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0])
+"""A mask that annuls planes; its squares add up to 36 (Immerkaer, "Fast noise variance estimation", 1996)."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class ImageQuality:
     saturated: float
     """Share of the target's pixels"""
     bright_level: float
-    """99.5th percentile of the target's grey levels: what feature detection stretches to full scale"""
+    """99.5th percentile of the grey levels of the target: what feature detection stretches to full scale"""
     noise: float
     """Standard deviation of the noise on the target [grey levels]"""
     edge_px: float
@@ -99,13 +98,11 @@ def image_quality(image: Image, given: Bools | None, surroundings: bool = False)
 def noise_level(image: Image, inside: Bools) -> float:
     """Standard deviation of the noise [grey levels], by the flattest blocks of the target (H, W).
 
-    In each block the mean magnitude of a mask that annuls planes (Immerkaer, "Fast noise variance
-    estimation", 1996); of the blocks the lowest decile, where texture adds least. NaN: the target is too
-    small, or saturated.
+    In each block the mean magnitude of what is no plane; of the blocks the lowest decile, where texture adds
+    least. NaN: the target is too small, or saturated.
     """
-    kernel = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
-    response = np.abs(np.asarray(cv2.filter2D(image.astype(np.float32), -1, kernel)))
-    n = NOISE_BLOCK_PX
+    response = np.abs(np.asarray(cv2.filter2D(image.astype(np.float32), -1, NO_PLANE)))
+    n = 8
     rows, columns = (size // n for size in image.shape)
     if min(rows, columns) == 0:
         return float("nan")
@@ -132,7 +129,7 @@ def edge_widths(image: Image, inside: Bools, noise: float) -> tuple[float, tuple
     gx, gy = _gradient(values)
     size = np.hypot(gx, gy)
     size_again = np.hypot(*_gradient(np.asarray(cv2.GaussianBlur(values, (0, 0), REBLUR_PX), np.float32)))
-    clear = max(CLEAR_EDGE * (noise if np.isfinite(noise) else 1.0) * float(_NOISE_OF_GRADIENT), 2.0)
+    clear = max(CLEAR_EDGE * (noise if np.isfinite(noise) else 1.0) * NOISE_OF_GRADIENT, 2.0)
     saturated = cv2.dilate((image >= SATURATED).astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
     edge = _ridge(size, gx, gy) & (size > clear) & inside & ~saturated
     ratio = size[edge] / np.maximum(size_again[edge], 1e-6)
@@ -143,7 +140,7 @@ def edge_widths(image: Image, inside: Bools, noise: float) -> tuple[float, tuple
 
 
 def _median(width: NDArray[Any]) -> float:
-    return float(np.median(width)) if len(width) >= MIN_EDGES else float("nan")
+    return float(np.median(width)) if len(width) >= 40 else float("nan")
 
 
 def _gradient(values: Floats) -> tuple[Floats, Floats]:
@@ -166,3 +163,29 @@ def _ridge(size: Floats, gx: Floats, gy: Floats) -> Bools:
         )
         out &= size >= beside
     return out
+
+
+@dataclass(frozen=True)
+class RangeQuality:
+    """Of the range image of one frame, instead of a second camera."""
+
+    missing: float
+    """Share of the target's pixels without a measurement; NaN: there is no target"""
+    noise_ratio: float
+    """Scatter of single pixels about planes, over what is stated; NaN: too few"""
+
+
+def range_quality(measured: MeasuredDisparity, target: Bools) -> RangeQuality:
+    """What the ranges of one frame show on the target (H, W); the scatter is a median, which edges do not
+    move."""
+    if not target.any():
+        return RangeQuality(float("nan"), float("nan"))
+    known = target & np.isfinite(measured.disparity_px)
+    response = cv2.filter2D(np.where(known, measured.disparity_px, 0.0).astype(np.float64), -1, NO_PLANE)
+    whole = cv2.erode(known.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    ratio = float("nan")
+    if whole.sum() >= 50:
+        scatter = np.abs(np.asarray(response)[whole]) / 6.0 / measured.sigma_px[whole]
+        # half of a normal law is within 0.6745 sigmas
+        ratio = float(np.median(scatter)) / 0.6745
+    return RangeQuality(float(1.0 - known.sum() / target.sum()), ratio)

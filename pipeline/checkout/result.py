@@ -18,7 +18,6 @@ from polhode.pipeline.run_directory.summary_schema import Finite, StrictModel, V
 SCHEMA_FILE = Path(__file__).with_name("checkout.schema.json")
 Verdict = Literal["PASS", "WARN", "FAIL"]
 Group = Literal["rig", "range", "motion", "images", "time", "background", "inspector", "cost"]
-NOTHING_TO_DO = "Nothing to do."
 _ORDER: tuple[Verdict, ...] = ("PASS", "WARN", "FAIL")
 
 
@@ -67,7 +66,7 @@ class CheckoutResult(StrictModel):
         raise KeyError(name)
 
 
-def judged(
+def judge(
     group: Group,
     name: str,
     value: float | None,
@@ -105,7 +104,7 @@ def judged(
         sigma=None if sigma is None or value is None else _rounded(sigma),
         status=status,
         finding=finding,
-        advice=NOTHING_TO_DO if status == "PASS" else advice,
+        advice="Nothing to do." if status == "PASS" else advice,
     )
 
 

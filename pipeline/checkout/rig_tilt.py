@@ -18,26 +18,17 @@ import numpy as np
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array
-from polhode.pipeline.checkout.result import CheckoutCheck, judged
+from polhode.pipeline.checkout.check_table import Limits, limit_of, make_check
+from polhode.pipeline.checkout.result import CheckoutCheck
 from polhode.pipeline.checkout.sample import Sample
 from polhode.pipeline.data_checks.rig_check import EXCHANGED_SHARE, MIN_MATCHES
 from polhode.records import Bools, Ints
 
-MIN_ROWS = 40
-"""Matches of all examined pairs together below which nothing is stated."""
-MIN_PAIRS = 3
 REGIONS = 3
 """Across and down the image."""
 MIN_IN_REGION = 15
-LEAST_SCATTER_PX = 0.05
-MAX_ROW_PX, FAIL_ROW_PX = 0.3, 0.8
-"""Root mean square of the rows' common offset: sound sequences have 0.06 at most, matching accepts 0.8."""
-MAX_REGION_PX = 0.3
-MAX_STRETCH = 0.003
-"""Relative difference of the focal lengths."""
-CLEAR = 5.0
+CLEAR_SIGMAS = 5.0
 """A tilt that is smaller than so many of its standard deviations is no finding."""
-CALIBRATE = "Calibrate the rig again, or give the right calibration with --rig."
 
 
 @dataclass(frozen=True)
@@ -76,7 +67,7 @@ def fit_rows(sample: Sample, rig: RectifiedRig) -> RowFit | None:
     Each pair is one observation in the standard deviations: the errors of its matches have causes in common.
     """
     rows = [(k, pair.rows) for k, pair in enumerate(sample.pairs) if len(pair.rows.offset_px) >= MIN_MATCHES]
-    if len(rows) < MIN_PAIRS or sum(len(each.offset_px) for _, each in rows) < MIN_ROWS:
+    if len(rows) < 3 or sum(len(each.offset_px) for _, each in rows) < 40:
         return None
     uv, d, y = (
         np.concatenate([getattr(each, name) for _, each in rows])
@@ -87,7 +78,7 @@ def fit_rows(sample: Sample, rig: RectifiedRig) -> RowFit | None:
     solution, good = np.array([0.0, 0.0, 0.0]), np.ones(len(y), dtype=np.bool_)
     residual = y - np.median(y)
     for _ in range(5):
-        good = np.abs(residual) <= 3.0 * max(1.4826 * float(np.median(np.abs(residual))), LEAST_SCATTER_PX)
+        good = np.abs(residual) <= 3.0 * max(1.4826 * float(np.median(np.abs(residual))), 0.05)
         solution = np.linalg.lstsq(A[good, :3], y[good])[0]
         residual = y - A[:, :3] @ solution
     sigma = _sigma(A[good, :3], residual[good], pair[good])
@@ -137,69 +128,36 @@ def tilt_checks(sample: Sample, rig: RectifiedRig, fit: RowFit | None) -> list[C
 def _exchanged(sample: Sample, rig: RectifiedRig) -> CheckoutCheck:
     counted = [pair.rows.disparity_px for pair in sample.pairs if len(pair.rows.disparity_px) >= MIN_MATCHES]
     negative = [float(np.mean(d < rig.disparity_offset_px)) > EXCHANGED_SHARE for d in counted]
-    share = 100.0 * float(np.mean(negative)) if counted else None
-    return judged(
-        "rig",
-        "pairs with left and right exchanged",
-        share,
-        "%",
-        0.0,
-        fail_limit=0.0,
-        not_possible="WARN",
-        finding=f"In {sum(negative)} of {len(counted)} pairs most points would be behind the cameras."
+    return make_check(
+        "exchanged",
+        100.0 * float(np.mean(negative)) if counted else None,
+        f"In {sum(negative)} of {len(counted)} pairs most points would be behind the cameras."
         if counted
         else "Left and right image have too little in common to say.",
-        advice="Exchange cam0 and cam1, or correct T_BS in their sensor.yaml, if it is all pairs; else "
-        "correct data.csv.",
     )
 
 
 def _rows_checks(sample: Sample, rig: RectifiedRig, fit: RowFit | None) -> list[CheckoutCheck]:
-    names = (
-        ("vertical disparity", "px", MAX_ROW_PX, FAIL_ROW_PX),
-        ("pitch of the right camera", "deg", _tilt_limit(rig, MAX_ROW_PX), _tilt_limit(rig, FAIL_ROW_PX)),
-        ("roll of the right camera", "deg", _tilt_limit(rig, MAX_ROW_PX, 4.0), None),
-        ("difference of the focal lengths", "%", 100.0 * MAX_STRETCH, None),
-        ("vertical disparity beside the tilt, worst part of the image", "px", MAX_REGION_PX, None),
-    )
+    warn_px, fail_px = limit_of("rows"), 0.8
+    limits: dict[str, Limits] = {
+        "rows": (warn_px, fail_px),
+        "pitch": (_tilt_limit(rig, warn_px), _tilt_limit(rig, fail_px)),
+        "roll": (_tilt_limit(rig, warn_px, 4.0), None),
+        "focal lengths": (limit_of("focal lengths"), None),
+        "region": (limit_of("region"), None),
+    }
     if fit is None:
-        found = sum(len(pair.rows.offset_px) for pair in sample.pairs)
-        why = f"Left and right image have {found} matches in {len(sample.pairs)} pairs, too few to judge."
+        count = sum(len(pair.rows.offset_px) for pair in sample.pairs)
+        why = f"Left and right image have {count} matches in {len(sample.pairs)} pairs, too few to judge."
         advice = "Check that both cameras show the target in focus and that their images belong together."
-        return [
-            judged(
-                "rig",
-                name,
-                None,
-                unit,
-                limit,
-                fail_limit=fail,
-                finding=why,
-                advice=advice,
-                not_possible="WARN",
-            )
-            for name, unit, limit, fail in names
-        ]
-    values = _values(fit, rig)
-    return [
-        judged(
-            "rig",
-            name,
-            value,
-            unit,
-            _clear(limit, sigma),
-            fail_limit=_clear(fail, sigma),
-            sigma=sigma,
-            finding=finding,
-            advice=advice,
-        )
-        for (name, unit, limit, fail), (value, sigma, finding, advice) in zip(names, values, strict=True)
-    ]
-
-
-def _clear(limit: float | None, sigma: float | None) -> float | None:
-    """A limit, raised where the standard deviation would let chance cross it."""
-    return limit if limit is None or sigma is None else max(limit, CLEAR * sigma)
+        return [make_check(key, None, why, limits=each, advice=advice) for key, each in limits.items()]
+    checks = []
+    for (key, (limit, fail)), (value, sigma, finding) in zip(limits.items(), _values(fit, rig), strict=True):
+        # limits are raised where the standard deviation would let chance cross them
+        least = 0.0 if sigma is None else CLEAR_SIGMAS * sigma
+        raised = tuple(None if each is None else max(each, least) for each in (limit, fail))
+        checks.append(make_check(key, value, finding, limits=(raised[0], raised[1]), sigma=sigma))
+    return checks
 
 
 def _tilt_limit(rig: RectifiedRig, px: float, arm: float = 1.0) -> float:
@@ -207,8 +165,8 @@ def _tilt_limit(rig: RectifiedRig, px: float, arm: float = 1.0) -> float:
     return float(f"{np.rad2deg(arm * px / rig.focal_px):.3g}")
 
 
-def _values(fit: RowFit, rig: RectifiedRig) -> list[tuple[float, float | None, str, str]]:
-    """Value, sigma, finding and advice of each check."""
+def _values(fit: RowFit, rig: RectifiedRig) -> list[tuple[float, float | None, str]]:
+    """Value, sigma and finding of each check."""
     pitch, roll = np.rad2deg([fit.pitch_rad, fit.roll_rad])
     sigma_pitch, sigma_roll = np.rad2deg(fit.sigma[:2])
     n, offset = int(fit.good.sum()), fit.offset_px[fit.good]
@@ -216,11 +174,10 @@ def _values(fit: RowFit, rig: RectifiedRig) -> list[tuple[float, float | None, s
     scatter = 1.4826 * float(np.median(np.abs(fit.residual_px[fit.good])))
     common = float(np.sqrt(np.mean((offset - fit.residual_px[fit.good]) ** 2)))
     range_m = _range_m(fit, rig)
-    vertical_mm, yaw_mm = (
-        1e3 * abs(fit.pitch_rad) * range_m,
-        1e3 * np.deg2rad(0.1) * range_m**2 / rig.baseline_m,
-    )
-    yaw_deg = float(np.rad2deg(fit.sigma_yaw_rad))
+    vertical_mm = 1e3 * abs(fit.pitch_rad) * range_m
+    yaw_mm, yaw_deg = 1e3 * np.deg2rad(0.1) * range_m**2 / rig.baseline_m, np.rad2deg(fit.sigma_yaw_rad)
+    up, clockwise = "up" if pitch > 0 else "down", "clockwise" if roll > 0 else "anticlockwise"
+    longer = "longer" if fit.stretch > 0 else "shorter"
     median, count = regions(fit, rig, fit.residual_px)
     enough = count >= MIN_IN_REGION
     worst = float(np.nanmax(np.abs(median[enough]))) if enough.any() else float("nan")
@@ -230,43 +187,33 @@ def _values(fit: RowFit, rig: RectifiedRig) -> list[tuple[float, float | None, s
             None,
             f"Rows of left and right image differ by {middle:+.2f} px (median of {n} matches), and by "
             f"{common:.2f} px (root mean square) as a tilt explains it; the rest scatters by {scatter:.2f} "
-            "px.",
-            CALIBRATE,
+            f"px.",
         ),
         (
             abs(float(pitch)),
             float(sigma_pitch),
-            f"The right camera looks {abs(pitch):.3f} deg {'up' if pitch > 0 else 'down'} against its "
-            "calibration "
-            f"(sigma {sigma_pitch:.3f} deg), or lies {vertical_mm:.2g} mm off vertically. A yaw would not "
-            "show: "
+            f"The right camera looks {abs(pitch):.3f} deg {up} against its calibration (sigma "
+            f"{sigma_pitch:.3f} deg), or lies {vertical_mm:.2g} mm off vertically. A yaw would not show: "
             f"these rows leave it open to {3 * yaw_deg:.2g} deg, and 0.1 deg of it shifts the range by "
             f"{yaw_mm:.2g} mm.",
-            CALIBRATE,
         ),
         (
             abs(float(roll)),
             float(sigma_roll),
-            f"The right camera is turned {abs(roll):.3f} deg "
-            f"{'clockwise' if roll > 0 else 'anticlockwise'} about "
-            f"its viewing direction (sigma {sigma_roll:.3f} deg).",
-            CALIBRATE,
+            f"The right camera is turned {abs(roll):.3f} deg {clockwise} about its viewing direction (sigma "
+            f"{sigma_roll:.3f} deg).",
         ),
         (
             100.0 * abs(fit.stretch),
             100.0 * float(fit.sigma[2]),
-            f"The right focal length is {100 * abs(fit.stretch):.2f} % "
-            f"{'longer' if fit.stretch > 0 else 'shorter'} "
-            f"against the left one than calibrated (sigma {100 * fit.sigma[2]:.2f} %).",
-            CALIBRATE,
+            f"The right focal length is {100 * abs(fit.stretch):.2f} % {longer} against the left one than "
+            f"calibrated (sigma {100 * fit.sigma[2]:.2f} %).",
         ),
         (
             worst,
             None,
-            f"{int(enough.sum())} of {REGIONS * REGIONS} parts of the image have {MIN_IN_REGION} matches "
-            "or more; the largest median of what the tilt leaves there.",
-            "Look at the map in checkout.html, and calibrate again with the board in all parts of the image: "
-            "the distortion does not fit.",
+            f"{int(enough.sum())} of {REGIONS * REGIONS} parts of the image have {MIN_IN_REGION} matches or "
+            "more; the largest median of what the tilt leaves there.",
         ),
     ]
 

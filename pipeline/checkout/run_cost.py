@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.config.frontend_settings import PairMatching
-from polhode.pipeline.checkout.result import CheckoutCheck, judged
+from polhode.pipeline.checkout.check_table import make_check
+from polhode.pipeline.checkout.result import CheckoutCheck
 
 S_PER_FRAME = 1.2
 """[s]"""
@@ -22,8 +23,6 @@ SPREAD = 2.0
 """Nine of ten runs take between the estimate divided by this and multiplied by it."""
 GIB_BASE, GIB_PER_FRAME, GIB_PER_MPX = 2.0, 0.005, 0.2
 """Of all processes together [GiB], per frame, per million pixels of an image."""
-MAX_MINUTES = 120.0
-MAX_GIB = 8.0
 
 
 @dataclass(frozen=True)
@@ -61,24 +60,11 @@ def cost_checks(size: RunSize) -> list[CheckoutCheck]:
     """Estimates, each with a limit from which on a user may want to know."""
     minutes, memory = seconds(size) / 60.0, gibibytes(size)
     return [
-        judged(
-            "cost",
-            "time of the run",
+        make_check(
+            "run time",
             float(np.round(minutes, 1)),
-            "min",
-            MAX_MINUTES,
-            finding=f"An estimate for two cores: {size.frames} {size.noun}, {size.matched_pairs} pairs of "
-            f"frames to match; nine of ten runs take {minutes / SPREAD:.2g} to {minutes * SPREAD:.2g} min.",
-            advice="Use a machine with more cores, or every second frame as long as the turn between "
-            "frames allows.",
+            f"An estimate for two cores: {size.frames} {size.noun}, {size.matched_pairs} pairs of frames to "
+            f"match; nine of ten runs take {minutes / SPREAD:.2g} to {minutes * SPREAD:.2g} min.",
         ),
-        judged(
-            "cost",
-            "memory of the run",
-            float(np.round(memory, 1)),
-            "GiB",
-            MAX_GIB,
-            finding="An estimate for two worker processes.",
-            advice="Make sure that the machine has this memory, or set runtime.workers to 1.",
-        ),
+        make_check("memory", float(np.round(memory, 1)), "An estimate for two worker processes."),
     ]

@@ -1,15 +1,13 @@
 """The sample of pairs that checkout examines: successive frames at places spread over the sequence."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
 import numpy as np
 
-from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Frontend
-from polhode.dataset import StereoImages, StereoSequence
+from polhode.dataset import StereoSequence
 from polhode.frontend.background.find_masks import doubtful_frames
 from polhode.frontend.features.keypoints import KeyPoints, detect, no_key_points
 from polhode.frontend.features.row_offsets import RowOffsets, row_offsets
@@ -17,15 +15,17 @@ from polhode.frontend.features.stereo import StereoFeatures, match_stereo, with_
 from polhode.frontend.matching.pairs import PairMatch, match_pairs
 from polhode.frontend.rectification import (
     Image,
-    MeasuredDisparity,
-    RectifiedPair,
     Rectifier,
     rectified_pair,
     target_crop,
 )
 from polhode.lie import Array
-from polhode.pipeline.checkout.image_quality import ImageQuality, image_quality
-from polhode.pipeline.checkout.range_images import RangeQuality, range_quality
+from polhode.pipeline.checkout.image_quality import (
+    ImageQuality,
+    RangeQuality,
+    image_quality,
+    range_quality,
+)
 from polhode.processes import in_order
 from polhode.progress import Progress
 from polhode.records import Bools, Ints
@@ -34,12 +34,9 @@ PLACES = 10
 """In the sequence; at each one two successive pairs are examined."""
 MAX_STEP = 1.5
 """Of the usual interval, for two frames to be successive."""
-MAX_ROWS_DEG = 1.0
-"""Tilt of one camera up to which its rows are found."""
-LEVELLED_PX = 0.3
-"""Rows that differ by more are levelled before stereo matching, so that the other checks still work."""
-MIN_ROWS = 12
-"""Matches from which on a pair's rows are levelled."""
+MIN_ROWS, LEVELLED_PX = 12, 0.3
+"""With so many matches whose rows differ by more, they are levelled before stereo matching, so that the other
+checks still work."""
 PRELOADED = ("polhode.pipeline.checkout.sample",)
 """Modules that the processes import."""
 PATCH_PX = 7
@@ -120,7 +117,6 @@ def take_sample(
     frames: Ints,
     workers: int,
     progress: Progress,
-    seed: int,
 ) -> Sample:
     """Examine the pairs of these indices, and match those that are successive."""
     pairs = []
@@ -133,19 +129,14 @@ def take_sample(
     step, usual = np.diff(sequence.timestamps_ns[frames]), np.median(np.diff(sequence.timestamps_ns))
     first = np.flatnonzero((np.diff(frames) == 1) & (step <= MAX_STEP * usual)).astype(np.int64)
     successive = np.stack([first, first + 1], axis=1)
-    links = _links([pair.features for pair in pairs], successive, rectifier.rig, config, seed)
+    features = [pair.features for pair in pairs]
+    partners = [successive[successive[:, 0] == k, 1] for k in range(len(pairs))]
+    matches = match_pairs(features, partners, rectifier.rig, config, 0, 1, lambda: None)
+    known = {(match.i, match.j): match for match in matches}
+    links = tuple(known.get((int(i), int(j))) for i, j in successive)
     found = rectifier.found
     doubtful = None if found is None else (len(doubtful_frames(found)), len(found.quality))
     return Sample(tuple(pairs), successive, links, rectifier.surroundings, doubtful)
-
-
-def _links(
-    features: Sequence[StereoFeatures], successive: Ints, rig: RectifiedRig, config: Frontend, seed: int
-) -> tuple[PairMatch | None, ...]:
-    partners = [successive[successive[:, 0] == k, 1] for k in range(len(features))]
-    found = match_pairs(features, partners, rig, config, seed, 1, lambda: None)
-    known = {(match.i, match.j): match for match in found}
-    return tuple(known.get((int(i), int(j))) for i, j in successive)
 
 
 def examine(sequence: StereoSequence, rectifier: Rectifier, config: Frontend, k: int) -> ExaminedPair:
@@ -153,14 +144,25 @@ def examine(sequence: StereoSequence, rectifier: Rectifier, config: Frontend, k:
     raw, pair = sequence.read_pair(k), rectified_pair(sequence, rectifier, k)
     rig = rectifier.rig
     if pair.measured is not None:
-        return _examine_ranges(k, raw, pair, pair.measured, rectifier, config)
+        features = with_ranges(pair.measured, _key_points(pair.left, pair.mask_left, config), rig)
+        return ExaminedPair(
+            frame=k,
+            features=features,
+            rows=RowOffsets(np.zeros((0, 2)), np.zeros(0), np.zeros(0)),
+            level_left=_levels(pair.left, features.uvd_px[:, :2]),
+            level_right=np.zeros(len(features)),
+            left=_quality(rectifier, k, 0, raw.left, raw.mask_left),
+            right=None,
+            has_masks=(raw.mask_left is not None,),
+            ranges=range_quality(pair.measured, pair.mask_left),
+        )
     left, right = (
         _key_points(image, mask, config)
         for image, mask in ((pair.left, pair.mask_left), (pair.right, pair.mask_right))
     )
-    most_px = rig.focal_px * np.deg2rad(MAX_ROWS_DEG)
+    most_px = rig.focal_px * np.deg2rad(1.0)
     rows = row_offsets(left, right, rig.width_px, most_px)
-    image, right = _levelled(pair.right, right, rows)
+    image, right = _level_rows(pair.right, right, rows)
     features = match_stereo(pair.left, image, left, right, rig)
     uv, d = features.uvd_px[:, :2], features.uvd_px[:, 2]
     return ExaminedPair(
@@ -183,40 +185,25 @@ def _quality(rectifier: Rectifier, k: int, side: int, raw: Image, given: Bools |
     return image_quality(raw, given, rectifier.surroundings)
 
 
-def _examine_ranges(
-    k: int,
-    raw: StereoImages,
-    pair: RectifiedPair,
-    measured: MeasuredDisparity,
-    rectifier: Rectifier,
-    config: Frontend,
-) -> ExaminedPair:
-    """The same where the disparities of the pair are measured: there is no second image to compare."""
-    features = with_ranges(measured, _key_points(pair.left, pair.mask_left, config), rectifier.rig)
-    return ExaminedPair(
-        frame=k,
-        features=features,
-        rows=RowOffsets(np.zeros((0, 2)), np.zeros(0), np.zeros(0)),
-        level_left=_levels(pair.left, features.uvd_px[:, :2]),
-        level_right=np.zeros(len(features)),
-        left=_quality(rectifier, k, 0, raw.left, raw.mask_left),
-        right=None,
-        has_masks=(raw.mask_left is not None,),
-        ranges=range_quality(measured, pair.mask_left),
-    )
-
-
 def _key_points(image: Image, mask: Bools, config: Frontend) -> KeyPoints:
     crop = target_crop(mask)
     return no_key_points() if crop is None else detect(image, mask, crop, config.features)
 
 
-def _levelled(image: Image, points: KeyPoints, rows: RowOffsets) -> tuple[Image, KeyPoints]:
+def _level_rows(image: Image, points: KeyPoints, rows: RowOffsets) -> tuple[Image, KeyPoints]:
     """The right image and its key points, moved so that their rows are those of the left image."""
     if len(rows.offset_px) < MIN_ROWS:
         return image, points
-    u = rows.uv_px[:, 0] - rows.disparity_px
-    slope, offset = _robust_line(u, rows.offset_px)
+    # by least squares, repeated without outliers
+    u, y = rows.uv_px[:, 0] - rows.disparity_px, rows.offset_px
+    line, A = np.array([0.0, float(np.median(y))]), np.column_stack([u, np.ones(len(u))])
+    for _ in range(4):
+        residual = np.abs(y - A @ line)
+        good = residual <= 3.0 * max(1.4826 * float(np.median(residual)), 0.05)
+        if np.ptp(u[good]) < MIN_ROWS:
+            break
+        line = np.linalg.lstsq(A[good], y[good])[0]
+    slope, offset = map(float, line)
     if np.abs(slope * u + offset).max() < LEVELLED_PX:
         return image, points
     # the row that shows what belongs into row v is v - offset - slope u
@@ -225,18 +212,6 @@ def _levelled(image: Image, points: KeyPoints, rows: RowOffsets) -> tuple[Image,
     moved = np.asarray(cv2.warpAffine(image, M, image.shape[::-1], flags=flags), dtype=np.uint8)
     uv = points.uv_px + np.column_stack([np.zeros(len(points)), slope * points.uv_px[:, 0] + offset])
     return moved, replace(points, uv_px=uv)
-
-
-def _robust_line(x: Array, y: Array) -> tuple[float, float]:
-    """Slope and offset by least squares, repeated without outliers."""
-    line, A = np.array([0.0, float(np.median(y))]), np.column_stack([x, np.ones(len(x))])
-    for _ in range(4):
-        residual = np.abs(y - A @ line)
-        good = residual <= 3.0 * max(1.4826 * float(np.median(residual)), 0.05)
-        if np.ptp(x[good]) < MIN_ROWS:
-            break
-        line = np.linalg.lstsq(A[good], y[good])[0]
-    return float(line[0]), float(line[1])
 
 
 def _levels(image: Image, uv_px: Array) -> Array:

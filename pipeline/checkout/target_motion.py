@@ -1,4 +1,4 @@
-"""How far the target turns between frames, and whether its features are found again."""
+"""How far the target rotates between frames, whether its features are found again, delay of the cameras."""
 
 from dataclasses import dataclass
 
@@ -7,29 +7,18 @@ import numpy as np
 from polhode.camera import RectifiedRig
 from polhode.dataset import StereoSequence
 from polhode.frontend.matching.pairs import MIN_INLIERS
-from polhode.lie import Array, inverse_pose, log_so3
-from polhode.pipeline.checkout.result import CheckoutCheck, judged
+from polhode.lie import Array, hat, inverse_pose, log_so3
+from polhode.pipeline.checkout.check_table import limit_of, make_check
+from polhode.pipeline.checkout.result import CheckoutCheck
 from polhode.pipeline.checkout.sample import Sample
 from polhode.pipeline.data_checks.rig_check import (
-    MAX_DELAY_S,
     MIN_MATCHES,
     CameraDelay,
+    RowSpeeds,
     delay_by_rows,
+    row_speeds,
 )
 
-MAX_TURN_DEG, FAIL_TURN_DEG = 35.0, 60.0
-"""Between successive frames. At 30 degrees RootSIFT finds the motion of four fifths of the lit pairs of
-frames, at 60 degrees of three tenths, the features trained here of three quarters
-(docs/frontend.md#results)."""
-MIN_MATCHED, FAIL_MATCHED = 50.0, 20.0
-"""Share of the successive pairs that match [%]."""
-MIN_FEATURES, FAIL_FEATURES = 100.0, float(MIN_INLIERS)
-"""Stereo features of the median pair."""
-MIN_LINK = 20.0
-"""Matches of the median successive pair, with RootSIFT: runs that were not solved had 6 and 8. Where there
-are fewer, a run uses the features trained here as well, which match five times as many."""
-DELAY_MATCHES, DELAY_LINKS = 20, 3
-"""Matches of a successive pair, and number of such, from which a delay is stated."""
 CLEAR_DELAY = 8.0
 """In its standard deviations, which few pairs underestimate: 6.4 at most without a delay."""
 
@@ -69,157 +58,97 @@ def turns_of(sequence: StereoSequence, sample: Sample) -> Turns:
 def motion_checks(
     sequence: StereoSequence, sample: Sample, rig: RectifiedRig, turns: Turns
 ) -> list[CheckoutCheck]:
-    """Number of features, turn between frames, matches, share that matches; of two cameras the delay between
-    them."""
-    noun = "images" if sequence.has_ranges else "pairs"
-    delay = [] if sequence.has_ranges else [_delay(sequence, sample, rig)]
-    return [_features(sample), _turn(turns), _matches(turns, noun), _matched(turns, noun), *delay]
+    """Number of features, rotation between frames, matches, share that matches; of two cameras the delay
+    between them."""
+    features = np.array([len(pair.features) for pair in sample.pairs])
+    few, matches, matched = int(np.sum(features < MIN_INLIERS)), turns.matches, np.isfinite(turns.turn_deg)
+    ranges = sequence.has_ranges
+    return [
+        make_check(
+            "features",
+            float(np.median(features)),
+            f"{few} of {len(features)} examined {sample.noun} have fewer than {MIN_INLIERS}; from "
+            f"{features.min()} to {features.max()}.",
+            name="median number of features with a range per image" if sample.has_ranges else "",
+        ),
+        _rotation(turns),
+        make_check(
+            "matches",
+            float(np.median(matches)) if len(matches) else None,
+            f"From {matches.min():.0f} to {matches.max():.0f} matches agree with a rigid motion."
+            if len(matches)
+            else f"No two examined {sample.noun} are successive.",
+            name="median number of matches between successive images" if ranges else "",
+        ),
+        make_check(
+            "matched",
+            100.0 * float(matched.mean()) if len(matched) else None,
+            f"{int(matched.sum())} of {len(matched)} examined pairs of successive frames match.",
+            name=f"successive {sample.noun} that match",
+        ),
+        *([] if ranges else [_delay(sequence, sample, rig)]),
+    ]
 
 
-def _features(sample: Sample) -> CheckoutCheck:
-    count = np.array([len(pair.features) for pair in sample.pairs])
-    few = int(np.sum(count < MIN_INLIERS))
-    return judged(
-        "motion",
-        "features with a range, of the median image"
-        if sample.has_ranges
-        else "stereo features of the median pair",
-        float(np.median(count)),
-        "",
-        MIN_FEATURES,
-        fail_limit=FAIL_FEATURES,
-        at_least=True,
-        finding=f"{few} of {len(count)} examined {sample.noun} have fewer than {MIN_INLIERS}; from "
-        f"{count.min()} to {count.max()}.",
-        advice="Improve light, focus or distance; where the surface has no texture, the features trained "
-        "here "
-        "(frontend.features.method polhode) find more.",
-    )
-
-
-def _turn(turns: Turns) -> CheckoutCheck:
-    name, known = "turn between successive frames", np.isfinite(turns.turn_deg)
+def _rotation(turns: Turns) -> CheckoutCheck:
+    known = np.isfinite(turns.turn_deg)
     if not known.any():
-        return judged(
-            "motion",
-            name,
-            None,
-            "deg",
-            MAX_TURN_DEG,
-            fail_limit=FAIL_TURN_DEG,
-            not_possible="FAIL",
-            finding="No two successive frames match.",
-            advice="Record at a higher frame rate; if the target turns slowly, see the checks of the images.",
-        )
+        advice = "Record at a higher frame rate; if the target turns slowly, see the checks of the images."
+        return make_check("rotation", None, "No two successive frames match.", advice=advice)
     turn, rate = turns.turn_deg[known], turns.turn_deg[known] / turns.interval_s[known]
-    factor = float(np.median(turn)) / MAX_TURN_DEG
-    return judged(
-        "motion",
-        name,
+    factor = float(np.median(turn)) / limit_of("rotation")
+    return make_check(
+        "rotation",
         float(np.median(turn)),
-        "deg",
-        MAX_TURN_DEG,
-        fail_limit=FAIL_TURN_DEG,
-        finding=f"The target turns by {turn.min():.2g} to {turn.max():.2g} deg as the camera sees it, "
+        f"The target turns by {turn.min():.2g} to {turn.max():.2g} deg as the camera sees it, "
         f"{float(np.median(rate)):.3g} deg/s; its features move by {np.nanmedian(turns.moved_px):.0f} px.",
         advice=f"Record at a frame rate {max(factor, 1.0):.1f} times as high, or use every frame if some "
         "were left out.",
     )
 
 
-def _matches(turns: Turns, noun: str) -> CheckoutCheck:
-    count = turns.matches
-    return judged(
-        "motion",
-        "matches of successive images, median"
-        if noun == "images"
-        else "matches of the median successive pair",
-        float(np.median(count)) if len(count) else None,
-        "",
-        MIN_LINK,
-        at_least=True,
-        not_possible="WARN",
-        finding=f"From {count.min():.0f} to {count.max():.0f} matches agree with a rigid motion."
-        if len(count)
-        else f"No two examined {noun} are successive.",
-        advice="Record at a higher frame rate, or with softer light: shadows that move over the surface "
-        "and large "
-        "turns lose matches.",
-    )
-
-
-def _matched(turns: Turns, noun: str) -> CheckoutCheck:
-    matched = np.isfinite(turns.turn_deg)
-    return judged(
-        "motion",
-        f"successive {noun} that match",
-        100.0 * float(matched.mean()) if len(matched) else None,
-        "%",
-        MIN_MATCHED,
-        fail_limit=FAIL_MATCHED,
-        at_least=True,
-        not_possible="WARN",
-        finding=f"{int(matched.sum())} of {len(matched)} examined pairs of successive frames match.",
-        advice="Look at when they do not (checkout.html): in darkness and out of view nothing helps, else "
-        "a higher "
-        "frame rate or softer light.",
-    )
-
-
 def _delay(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) -> CheckoutCheck:
-    name = "delay between the cameras"
     found = camera_delay(sequence, sample, rig)
     if found is None:
-        return judged(
-            "time",
-            name,
-            None,
-            "ms",
-            1e3 * MAX_DELAY_S,
-            advice="",
-            finding="The motion does not show it: too few matches, or none that moves across the rows.",
-        )
-    size, late = 1e3 * abs(found[0]), "late" if found[0] > 0.0 else "early"
-    return judged(
-        "time",
-        name,
+        finding = "The motion does not show it: too few matches, or none that moves across the rows."
+        return make_check("delay", None, finding)
+    size, late, sigma_ms = (
+        1e3 * abs(found.seconds),
+        "late" if found.seconds > 0.0 else "early",
+        1e3 * found.sigma_s,
+    )
+    return make_check(
+        "delay",
         size,
-        "ms",
-        1e3 * max(CLEAR_DELAY * found.sigma_s, found.limit_s),
-        sigma=1e3 * found[1],
-        finding=f"By the rows of moving points the right image is {size:.2g} ms {late} (sigma "
-        f"{1e3 * found[1]:.2g} ms).",
-        advice="Trigger both cameras by one signal; distances are wrong where the target moves.",
+        f"By the rows of moving points the right image is {size:.2g} ms {late} (sigma {sigma_ms:.2g} ms).",
+        limits=(1e3 * max(CLEAR_DELAY * found.sigma_s, found.limit_s), None),
+        sigma=sigma_ms,
     )
 
 
 def camera_delay(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) -> CameraDelay | None:
     """Time of the right camera minus that of the left one, as ``rig_check`` finds it.
 
-    The velocities of the points follow from the relative poses of successive pairs.
+    The velocities of the points follow from the relative poses of successive pairs, at least three with 20
+    matches.
     """
-    parts: list[tuple[Array, Array, Array, Array]] = []
+    parts: list[RowSpeeds] = []
     links = 0
     for (i, j), link in zip(sample.successive, sample.links, strict=True):
-        if link is None or len(link.features) < DELAY_MATCHES:
+        if link is None or len(link.features) < 20:
             continue
         links += 1
         start_ns, end_ns = sequence.timestamps_ns[[sample.pairs[k].frame for k in (i, j)]]
         w, v = twist(inverse_pose(link.X_RiRj), 1e-9 * float(end_ns - start_ns))
+
+        def velocity(p_R: Array, w: Array = w, v: Array = v) -> Array:
+            return np.asarray(np.cross(w, p_R) + v)
+
         for k in (int(i), int(j)):
-            rows = sample.pairs[k].rows
-            ahead = rows.disparity_px - rig.disparity_offset_px > 1.0
-            if ahead.sum() < MIN_MATCHES:
-                continue
-            uvd = np.column_stack([rows.uv_px, rows.disparity_px])[ahead]
-            p = rig.triangulate(uvd)
-            v_R = np.cross(w, p) + v
-            speed = rig.focal_px * (v_R[:, 1] - v_R[:, 2] * p[:, 1] / p[:, 2]) / p[:, 2]
-            parts.append((speed, rows.offset_px[ahead], np.full(len(uvd), k), uvd))
-    if links < DELAY_LINKS or not parts:
-        return None
-    speed, offset, pair, uvd = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return delay_by_rows(speed, offset, pair, uvd)
+            of_pair = row_speeds(sample.pairs[k].rows, rig, k, velocity)
+            if len(of_pair.offset_px) >= MIN_MATCHES:
+                parts.append(of_pair)
+    return None if links < 3 else delay_by_rows(parts)
 
 
 def twist(X: Array, seconds: float) -> tuple[Array, Array]:
@@ -229,8 +158,6 @@ def twist(X: Array, seconds: float) -> tuple[Array, Array]:
     w = theta / seconds
     if angle < 1e-9:
         return w, X[:3, 3] / seconds
-    n = theta / angle
-    K = np.array([[0.0, -n[2], n[1]], [n[2], 0.0, -n[0]], [-n[1], n[0], 0.0]])
-    half = 0.5 * angle
+    K, half = hat(theta / angle), 0.5 * angle
     V_inverse = np.eye(3) - half * K + (1.0 - half / np.tan(half)) * (K @ K)
     return w, V_inverse @ X[:3, 3] / seconds

@@ -14,17 +14,14 @@ from scipy.linalg import solve_triangular
 
 from polhode.lie import Array, hat, inverse_pose, transform_points
 from polhode.pipeline.data_checks.disparity_steps import fit_view
+from polhode.pipeline.run_directory.check_table import frame_step
 from polhode.records import Bools, Ints, MotionEstimate, StereoTracks
 
-MIN_LANDMARKS = 8
-"""In a frame whose pose counts."""
 MIN_FRAMES = 8
 """On either side of the instant."""
-MAX_FRAMES = 120
-"""Longer sequences are thinned out to this number."""
 ACCEL_PSD = 10.0 ** np.arange(-12.0, -1.5)
 """Of the random accelerations [m^2/s^3]: the likeliest is taken."""
-_PRIOR = 1e-6
+PRIOR = 1e-6
 """Of the information on each unknown: their sigmas stay below 1 km"""
 
 
@@ -85,7 +82,7 @@ class CentreChange:
 
 def seen_path(tracks: StereoTracks, estimate: MotionEstimate) -> SeenPath:
     """Each frame's pose by itself: least squares over the landmarks where the estimate has them."""
-    step = -(-tracks.n_frames // MAX_FRAMES)
+    step = frame_step(tracks.n_frames)
     p_G, known = _landmarks(tracks, estimate)
     noise = estimate.noise
     sigma_px = np.maximum([noise.pixel_sigma_px, noise.pixel_sigma_px, noise.disparity_sigma_px], 1e-6)
@@ -93,7 +90,7 @@ def seen_path(tracks: StereoTracks, estimate: MotionEstimate) -> SeenPath:
     found = []
     for k in range(0, tracks.n_frames, step):
         rows = np.flatnonzero((tracks.frame == k) & known[tracks.landmark])
-        if len(rows) < MIN_LANDMARKS:
+        if len(rows) < 8:
             continue
         landmarks_G, uvd_px = p_G[tracks.landmark[rows]], tracks.uvd_px[rows]
         fitted = fit_view(tracks.rig, X_RG[k], landmarks_G, uvd_px, sigma_px, with_offset=False)
@@ -149,7 +146,7 @@ def _least_squares(A: Array, y: Array, covariance: Array) -> tuple[Array, Array,
     """Unknowns, their covariance, and the cost of the covariance of y, scaled up to what is found."""
     L = np.linalg.cholesky(covariance)
     A, y = solve_triangular(L, A, lower=True), solve_triangular(L, y, lower=True)
-    information = A.T @ A + _PRIOR * np.eye(A.shape[1])
+    information = A.T @ A + PRIOR * np.eye(A.shape[1])
     inverse = np.linalg.inv(information)
     x = inverse @ (A.T @ y)
     squares, freedom = float(np.sum((y - A @ x) ** 2)), len(y) - A.shape[1]

@@ -16,13 +16,8 @@ from polhode.lie import Array, exp_so3, hat, transform_points
 from polhode.records import StereoTracks
 from polhode.rigid_fit import fit_rigid
 
-MIN_SHARED = 12
-"""Landmarks that a pair of frames shares."""
 MAX_PAIRS, MAX_SPAN = 6, 40
 """Pairs across each place, the nearest ones, and the largest number of frames between the two of a pair."""
-INDEPENDENT = 3
-"""Pairs across one place share their frames: together they count as so many at most."""
-ITERATIONS = 12
 OUTLIER_SIGMAS = 3.0
 """Where the weight of a landmark has fallen to one half."""
 
@@ -52,7 +47,7 @@ def disparity_steps(tracks: StereoTracks, sigma_px: tuple[float, float]) -> tupl
 def _median(values: Array, sigma: Array) -> tuple[float, float]:
     """Weighted median and its sigma."""
     weight = float(np.sum(1.0 / sigma**2))
-    return weighted_median(values, sigma), float(np.sqrt(min(len(values), INDEPENDENT) / weight))
+    return weighted_median(values, sigma), float(np.sqrt(min(len(values), 3) / weight))
 
 
 def weighted_median(values: Array, sigma: Array) -> float:
@@ -83,7 +78,7 @@ def _pairs(tracks: StereoTracks) -> list[tuple[int, int]]:
         shape=(tracks.n_frames, tracks.n_landmarks),
     )
     shared = (seen @ seen.T).tocoo()
-    enough = (shared.data >= MIN_SHARED) & (shared.row < shared.col)
+    enough = (shared.data >= 12) & (shared.row < shared.col)
     enough &= shared.col - shared.row <= MAX_SPAN
     first, last = shared.row[enough], shared.col[enough]
     order = np.lexsort((first, last - first))
@@ -127,7 +122,7 @@ def fit_view(
     Gauss-Newton with Cauchy weights, from a first pose. None: it is not determined.
     """
     offset_px, inv_sigma, unknowns = 0.0, 1.0 / sigma_px, 7 if with_offset else 6
-    for _ in range(ITERATIONS):
+    for _ in range(12):
         residual = inv_sigma * offset_residual(rig, X_BA, offset_px, p_A, uvd_B_px)
         J = inv_sigma[:, None] * offset_jacobian(rig, X_BA, p_A)[:, :, :unknowns]
         weight = 1.0 / (1.0 + np.sum(residual**2, axis=1) / OUTLIER_SIGMAS**2)

@@ -16,7 +16,8 @@ from polhode.backend import estimate_motion
 from polhode.config.backend_settings import Backend
 from polhode.errors import RunFailure
 from polhode.lie import Array, inverse_pose, log_so3, transform_points
-from polhode.pipeline.data_checks.centre_check import CentreChange, SeenPath, centre_change, seen_path
+from polhode.pipeline.data_checks.centre_check import CentreChange, centre_change, seen_path
+from polhode.pipeline.run_directory.check_table import CHECK_TABLE, make_check
 from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.progress import Silent
 from polhode.records import Bools, Impulse, InitialMotion, MotionEstimate, StereoTracks
@@ -24,13 +25,10 @@ from polhode.rigid_body import HALF_TURNS
 
 MIN_FRAMES = 8
 """On either side of the push."""
-CLEAR = 5.0
-"""A difference is significant above this number of standard deviations;"""
-CLEAR_CENTRE = 7.0
-"""The same of the centre of mass by poses alone, whose errors have more in common than their sigmas know:
-undisturbed sequences show 6.1 at the worst of all instants."""
-MATTERS_M, MATTERS_K, MATTERS_RAD = 1e-3, 0.01, float(np.deg2rad(1.0))
-"""and above this size: of the centre of mass, a ratio, an axis."""
+CLEAR_SIGMAS = 5.0
+"""Standard deviations above which a difference is significant"""
+MIN_CHANGE_M, MIN_CHANGE_K, MIN_CHANGE_RAD = 1e-3, 0.01, float(np.deg2rad(1.0))
+"""Sizes below which a change does not matter: of the centre of mass, a ratio, an axis"""
 
 _log = logging.getLogger(__name__)
 
@@ -42,85 +40,56 @@ def mass_checks(
 
     At no cost where no push was found.
     """
-    centre = Check(name="centre of mass before and after a push", limit=CLEAR_CENTRE, unit="sigma")
-    halves = Check(name="mass properties that differ before and after a push", limit=0.0)
+    centre, halves = make_check("centre before and after", None), make_check("mass before and after", None)
     impulses = estimate.disturbances.impulses if estimate.disturbances is not None else ()
     if not impulses:
         return [centre, halves], []
-    path = seen_path(tracks, estimate)
-    changes = [_change_at(path, tracks, push) for push in impulses]
-    known = [change for change in changes if change is not None]
-    clearest = max(known, key=lambda change: change.sigmas, default=None)
+    path, stamps = seen_path(tracks, estimate), tracks.timestamps_ns
+    ends = [[int(np.searchsorted(stamps, at)) for at in (push.start_ns, push.end_ns)] for push in impulses]
+    changes = [centre_change(path, *each) for each in ends]
+    clearest = max((each for each in changes if each is not None), key=lambda each: each.sigmas, default=None)
     if clearest is not None:
-        reason = _moved_centre(clearest, tracks.time_s) if _moved(clearest) else ""
-        centre = centre.model_copy(update={"value": clearest.sigmas, "reason": reason})
-        if reason:
+        size_m = float(np.linalg.norm(clearest.change_G))
+        facts = {"from_s": tracks.time_s[clearest.first_after], "change_mm": 1e3 * size_m}
+        centre = make_check("centre before and after", clearest.sigmas, **facts)
+        if size_m <= MIN_CHANGE_M:
+            centre = centre.model_copy(update={"reason": ""})
+        if centre.reason:
             return [centre, halves], []
     strongest = max(impulses, key=_strength)
-    found = _different_halves(tracks, estimate, config, strongest)
-    if found is not None:
-        words = _other_properties(found, strongest, int(tracks.timestamps_ns[0]))
-        halves = halves.judged(len(found), words)
-    change = changes[impulses.index(strongest)]
-    return [centre, halves], [] if halves.reason else _unseen_change(estimate, strongest, change)
-
-
-def _change_at(path: SeenPath, tracks: StereoTracks, push: Impulse) -> CentreChange | None:
-    first, last = (int(np.searchsorted(tracks.timestamps_ns, at)) for at in (push.start_ns, push.end_ns))
-    return centre_change(path, first, last)
-
-
-def _moved(change: CentreChange) -> bool:
-    return change.sigmas > CLEAR_CENTRE and float(np.linalg.norm(change.change_G)) > MATTERS_M
-
-
-def _moved_centre(change: CentreChange, time_s: Array) -> str:
-    size_m = float(np.linalg.norm(change.change_G))
-    return (
-        f"from {time_s[change.first_after]:.1f} s on the centre of mass is another point of the target than "
-        f"before (by {1e3 * size_m:.1f} mm, {change.sigmas:.0f} sigma): a part may have left it, or moved; "
-        "what is stated of mass, axes and motion for the whole sequence is true of neither"
+    start_s, end_s = ((at - int(stamps[0])) * 1e-9 for at in (strongest.start_ns, strongest.end_ns))
+    before, after = (
+        _solve_part(tracks, estimate, config, frames)
+        for frames in (stamps <= strongest.start_ns, stamps >= strongest.end_ns)
     )
-
-
-def _unseen_change(estimate: MotionEstimate, push: Impulse, change: CentreChange | None) -> list[str]:
-    """How far the centre of mass may have moved at the push without a sign, where that matters."""
-    first_ns, mass = int(estimate.timestamps_ns[0]), estimate.mass
-    start_s, end_s = ((at - first_ns) * 1e-9 for at in (push.start_ns, push.end_ns))
-    claimed = np.array(mass.identifiable.com_P)
-    if not claimed.any():
-        return []
-    said = "any change" if change is None else ""
-    if change is not None:
-        hidden_m = CLEAR_CENTRE * np.sqrt(np.diagonal(mass.R_GP.T @ change.cov_G @ mass.R_GP))[claimed].max()
-        stated_m = np.sqrt(np.diagonal(mass.R_GP.T @ np.nan_to_num(mass.cov_com_G, posinf=0.0) @ mass.R_GP))
-        if hidden_m < max(CLEAR * float(stated_m[claimed].max()), MATTERS_M):
-            return []
-        said = f"a centre of mass that moved by up to {1e3 * hidden_m:.2g} mm"
-    return [
+    if before is not None and after is not None:
+        found = _differences(before, after)
+        halves = make_check(
+            "mass before and after", len(found), start_s=start_s, end_s=end_s, changes="; ".join(found)
+        )
+    hidden = "" if halves.reason else _hidden_change(estimate, changes[impulses.index(strongest)])
+    if not hidden:
+        return [centre, halves], []
+    return [centre, halves], [
         "the mass properties are taken as those of one body throughout: if a part left it or moved with the "
-        f"push between {start_s:.1f} s and {end_s:.1f} s, {said} would not show in these images"
+        f"push between {start_s:.1f} s and {end_s:.1f} s, {hidden} would not show in these images"
     ]
 
 
-def _different_halves(
-    tracks: StereoTracks, estimate: MotionEstimate, config: Backend, push: Impulse
-) -> list[str] | None:
-    """What differs between the frames before and after the push, solved apart; None: not possible."""
-    before, after = tracks.timestamps_ns <= push.start_ns, tracks.timestamps_ns >= push.end_ns
-    halves = [_solved(tracks, estimate, config, frames) for frames in (before, after)]
-    if halves[0] is None or halves[1] is None:
-        return None
-    return _differences(halves[0], halves[1])
-
-
-def _other_properties(found: list[str], push: Impulse, first_ns: int) -> str:
-    start_s, end_s = ((at - first_ns) * 1e-9 for at in (push.start_ns, push.end_ns))
-    return (
-        f"after {end_s:.1f} s the target has other mass properties than before {start_s:.1f} s "
-        f"({'; '.join(found)}): a part may have left it, or moved; what is stated for the whole sequence is "
-        "true of neither"
-    )
+def _hidden_change(estimate: MotionEstimate, change: CentreChange | None) -> str:
+    """How far the centre of mass may have moved at a push without a sign; empty: that does not matter."""
+    mass = estimate.mass
+    claimed = np.array(mass.identifiable.com_P)
+    if not claimed.any():
+        return ""
+    if change is None:
+        return "any change"
+    clear = CHECK_TABLE["centre before and after"].limit or 0.0
+    hidden_m = clear * np.sqrt(np.diagonal(mass.R_GP.T @ change.cov_G @ mass.R_GP))[claimed].max()
+    stated_m = np.sqrt(np.diagonal(mass.R_GP.T @ np.nan_to_num(mass.cov_com_G, posinf=0.0) @ mass.R_GP))
+    if hidden_m < max(CLEAR_SIGMAS * float(stated_m[claimed].max()), MIN_CHANGE_M):
+        return ""
+    return f"a centre of mass that moved by up to {1e3 * hidden_m:.2g} mm"
 
 
 def _strength(push: Impulse) -> float:
@@ -129,7 +98,7 @@ def _strength(push: Impulse) -> float:
     return float(np.max(np.abs(change) / np.concatenate([push.sigma_delta_v_N, push.sigma_delta_w_P])))
 
 
-def _solved(
+def _solve_part(
     tracks: StereoTracks, estimate: MotionEstimate, config: Backend, frames: Bools
 ) -> MotionEstimate | None:
     """The estimate of some frames (F,) alone, its G moved onto that of the whole; None: too few, or none."""
@@ -180,30 +149,23 @@ def _differences(before: MotionEstimate, after: MotionEstimate) -> list[str]:
         if getattr(a.identifiable, name) and getattr(b.identifiable, name):
             change = getattr(b, name) - getattr(a, name)
             sigma = float(np.sqrt(a.cov_k[n, n] + b.cov_k[n, n]))
-            if _clear(change, sigma, MATTERS_K):
+            if abs(change) > max(CLEAR_SIGMAS * sigma, MIN_CHANGE_K):
                 out.append(f"{name} by {change:+.3f}, sigma {sigma:.3f}")
     if a.identifiable.com and b.identifiable.com:
-        change_m = b.com_G - a.com_G
-        size = float(np.linalg.norm(change_m))
-        along = change_m / max(size, 1e-12)
-        sigma = float(np.sqrt(along @ (a.cov_com_G + b.cov_com_G) @ along))
-        if _clear(size, sigma, MATTERS_M):
+        size, sigma = _size_and_sigma(b.com_G - a.com_G, a.cov_com_G + b.cov_com_G)
+        if size > max(CLEAR_SIGMAS * sigma, MIN_CHANGE_M):
             out.append(f"centre of mass by {1e3 * size:.1f} mm, sigma {1e3 * sigma:.1f} mm")
     if a.identifiable.axes and b.identifiable.axes:
-        turn = _between_axes(a.R_GP, b.R_GP)
-        size = float(np.linalg.norm(turn))
-        along = turn / max(size, 1e-12)
-        sigma = float(np.sqrt(along @ (a.cov_R_GP + b.cov_R_GP) @ along))
-        if _clear(size, sigma, MATTERS_RAD):
+        between = a.R_GP.T @ b.R_GP
+        turn = log_so3(between * HALF_TURNS[int(np.argmax(HALF_TURNS @ np.diag(between)))])
+        size, sigma = _size_and_sigma(turn, a.cov_R_GP + b.cov_R_GP)
+        if size > max(CLEAR_SIGMAS * sigma, MIN_CHANGE_RAD):
             out.append(f"principal axes by {np.rad2deg(size):.1f} deg, sigma {np.rad2deg(sigma):.1f} deg")
     return out
 
 
-def _clear(change: float, sigma: float, matters: float) -> bool:
-    return abs(change) > max(CLEAR * sigma, matters)
-
-
-def _between_axes(R_a: Array, R_b: Array) -> Array:
-    """Rotation vector (3,) from one triad to the other, up to half-turns."""
-    between = R_a.T @ R_b
-    return np.asarray(log_so3(between * HALF_TURNS[int(np.argmax(HALF_TURNS @ np.diag(between)))]))
+def _size_and_sigma(change: Array, covariance: Array) -> tuple[float, float]:
+    """Length of a vector (3,), and its standard deviation along itself."""
+    size = float(np.linalg.norm(change))
+    along = change / max(size, 1e-12)
+    return size, float(np.sqrt(along @ covariance @ along))

@@ -11,16 +11,18 @@ from some time on: what frames before and after it share does not fit together (
 What no image can show is in docs/robustness.md.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
+from polhode.camera import RectifiedRig
+from polhode.frontend.features.row_offsets import RowOffsets
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.lie import Array, inverse_pose, log_so3, transform_points
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.data_checks.disparity_steps import disparity_steps, weighted_median
+from polhode.pipeline.run_directory.check_table import CHECK_TABLE, make_check
 from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import Ints, MotionEstimate, StereoTracks
 
@@ -28,24 +30,17 @@ MIN_MATCHES = 8
 """A frame with fewer matches does not count."""
 MIN_FRAMES = 4
 """Frames on either side of a step."""
-CLEAR = 5.0
-"""A step or a delay is significant above this number of standard deviations;"""
-CLEAR_TURN = 4.0
-"""and a turn of the rows, which is 2.4 at most on undisturbed sequences, above this one."""
-LEAST_SCATTER_PX = 0.02
+CLEAR_SIGMAS = 5.0
+"""A step of the rows or a delay is significant above this number of standard deviations; a step of the roll,
+which is 2.4 at most on undisturbed sequences, above four."""
+MIN_SCATTER_PX = 0.02
 """Of the rows' offsets within a frame"""
-MAX_STEP_PX = 0.3
-"""Of the median row: several times what a frame's median scatters."""
-MAX_TURN = 1e-3
-"""Of the rows' inclination [rad]: 0.06 degrees."""
-MAX_DELAY_S = 4e-3
-"""Between the cameras; far above the jitter of a trigger."""
 MIN_DELAY_PX = 0.03
 """What a delay must displace rows by, in the root mean square, beside what a calibration can explain; less is
 within the accuracy of a feature, and any slowly turning target makes a delay of it."""
-MAX_SIDEWAYS, CLEAR_SIDEWAYS = 2e-3, 5.5
-"""Of the angle between the cameras [rad], and in standard deviations: undisturbed sequences show 0.1 degrees
-at 4.6 sigma at most."""
+MAX_YAW_RAD, CLEAR_YAW_SIGMAS = 2e-3, 5.5
+"""Of the angle between the cameras, and in standard deviations: undisturbed sequences show 0.1 degrees at 4.6
+sigma at most."""
 EXCHANGED_SHARE = 0.7
 """Share of negative disparities in a pair whose images are exchanged."""
 
@@ -69,95 +64,70 @@ def rig_checks(
     features: those of the first method, one a frame. Where range images take the place of a second camera,
     none of the checks is possible: its rows are missing, and its disparities are no angles.
     """
-    lines = row_lines(features)
+    matches = [
+        each.rows if each.rows is not None and len(each.rows.offset_px) >= MIN_MATCHES else None
+        for each in features
+    ]
+    rig, time_s = context.rig, context.time_s
+    middle_px, slope, sigma_middle_px, sigma_slope = row_lines(matches)
     return [
-        _exchanged(context, features),
-        _row_step(context, lines),
-        _row_turn(context, lines),
-        _late(context, features, estimate),
-        _knocked_sideways(context, tracks, estimate),
+        _exchange_check(matches, rig, time_s),
+        _row_check("step of rows", largest_step(middle_px, sigma_middle_px), CLEAR_SIGMAS, time_s, rig),
+        _row_check("step of roll", largest_step(slope, sigma_slope), 4.0, time_s, rig),
+        _delay_check(camera_delay(context, matches, estimate)),
+        _yaw_check(context, tracks, estimate),
     ]
 
 
-def _exchanged(context: RunContext, features: Sequence[StereoFeatures]) -> Check:
-    check = Check(name="pairs with negative disparities", limit=0.0, unit="pairs")
-    limit = context.rig.disparity_offset_px
-    judged = [
-        (k, float(np.mean(each.rows.disparity_px < limit)))
-        for k, each in enumerate(features)
-        if each.rows is not None and len(each.rows.offset_px) >= MIN_MATCHES
-    ]
-    if not judged:
-        return check
-    negative = [k for k, share in judged if share > EXCHANGED_SHARE]
-    first_s = context.time_s[negative[0]] if negative else 0.0
-    return check.judged(
-        len(negative),
-        f"the images of {len(negative)} of {len(features)} pairs are exchanged, left for right (first at "
-        f"{first_s:g} s): points would be behind the cameras; correct data.csv",
-    )
+Matches = Sequence[RowOffsets | None]
+"""Matches across rows of each frame; None: too few"""
 
 
-@dataclass(frozen=True)
-class RowLines:
-    """How much lower the right image is in each frame, as a line along the rows."""
+def _exchange_check(matches: Matches, rig: RectifiedRig, time_s: Array) -> Check:
+    share = np.array([
+        np.nan if rows is None else np.mean(rows.disparity_px < rig.disparity_offset_px) for rows in matches
+    ])  # fmt: skip
+    if np.isnan(share).all():
+        return make_check("exchanged images", None)
+    negative = np.flatnonzero(share > EXCHANGED_SHARE)
+    first_s = time_s[negative[0]] if len(negative) else 0.0
+    return make_check("exchanged images", len(negative), pairs=len(matches), first_s=first_s)
 
-    middle_px: Array
-    """(F,) at the middle of the frame's matches; NaN with too few"""
-    slope: Array
-    """(F,)"""
-    sigma_middle_px: Array
-    sigma_slope: Array
 
+def row_lines(matches: Matches) -> Array:
+    """(4, F) how much lower the right image is in each frame, as a line along the rows: offset [px] at the
+    middle of the frame's matches and slope, and the sigmas of both; NaN with too few.
 
-def row_lines(features: Sequence[StereoFeatures]) -> RowLines:
-    """By least squares, twice more without outliers."""
-    out = np.full((4, len(features)), np.nan)
-    for k, each in enumerate(features):
-        if each.rows is None or len(each.rows.offset_px) < MIN_MATCHES:
+    By least squares, twice more without outliers.
+    """
+    out = np.full((4, len(matches)), np.nan)
+    for k, rows in enumerate(matches):
+        if rows is None:
             continue
-        y, x = each.rows.offset_px, each.rows.uv_px[:, 0] - np.mean(each.rows.uv_px[:, 0])
+        y, x = rows.offset_px, rows.uv_px[:, 0] - np.mean(rows.uv_px[:, 0])
         A, line = np.column_stack([np.ones(len(x)), x]), np.array([np.median(y), 0.0])
         used = np.ones(len(x), dtype=np.bool_)
         for _ in range(3):
             residual = np.abs(y - A @ line)
-            good = residual <= 3.0 * max(1.4826 * float(np.median(residual)), LEAST_SCATTER_PX)
+            good = residual <= 3.0 * max(1.4826 * float(np.median(residual)), MIN_SCATTER_PX)
             if good.sum() < MIN_MATCHES or np.ptp(x[good]) < MIN_MATCHES:
                 break
             used, line = good, np.linalg.lstsq(A[good], y[good])[0]
-        scatter = max(float(np.std((y - A @ line)[used])), LEAST_SCATTER_PX)
+        scatter = max(float(np.std((y - A @ line)[used])), MIN_SCATTER_PX)
         out[:2, k] = line
         out[2:, k] = scatter * np.sqrt(np.diagonal(np.linalg.pinv(A[used].T @ A[used])))
-    return RowLines(*out)
+    return out
 
 
-def _row_step(context: RunContext, lines: RowLines) -> Check:
-    check = Check(name="rows of left and right image: step", limit=MAX_STEP_PX, unit="px")
-    step = largest_step(lines.middle_px, lines.sigma_middle_px)
+def _row_check(key: str, step: Step | None, clear: float, time_s: Array, rig: RectifiedRig) -> Check:
+    """Of a step of the rows [px], or of their inclination [rad] in degrees."""
     if step is None:
-        return check
-    degrees = np.rad2deg(abs(step.size) / context.rig.focal_px)
-    return check.judged(
-        abs(step.size),
-        f"the rows of the two images differ by {step.size:+.2f} px more from {context.time_s[step.place]:g} "
-        f"s on, as if one camera had turned by {degrees:.2f} deg: the calibration does not hold throughout",
-        max(MAX_STEP_PX, CLEAR * step.sigma),
-    )
-
-
-def _row_turn(context: RunContext, lines: RowLines) -> Check:
-    check = Check(name="rows of left and right image: turn", limit=np.rad2deg(MAX_TURN), unit="deg")
-    turn = largest_step(lines.slope, lines.sigma_slope)
-    if turn is None:
-        return check
-    size, limit = np.rad2deg([abs(turn.size), max(MAX_TURN, CLEAR_TURN * turn.sigma)])
-    return check.judged(
-        size,
-        f"the rows of the two images are inclined by {size:.2f} deg more from "
-        f"{context.time_s[turn.place]:g} s on, as if one camera had turned about its axis: the calibration "
-        "does not hold throughout",
-        limit,
-    )
+        return make_check(key, None)
+    unit = np.rad2deg(1.0) if key == "step of roll" else 1.0
+    limit = max(CHECK_TABLE[key].limit or 0.0, unit * (clear * step.sigma))
+    degrees = np.rad2deg(abs(step.size) / rig.focal_px)
+    facts = {"step_px": step.size, "from_s": time_s[step.place], "degrees": degrees}
+    return make_check(key, unit * abs(step.size), limit, **facts)
 
 
 def largest_step(values: Array, sigma: Array) -> Step | None:
@@ -186,21 +156,15 @@ def _sigma_of_median(residuals: Array, sigma: Array, all_residuals: Array) -> fl
     return 1.25 * scatter / float(np.sqrt(np.sum(1.0 / sigma**2)))
 
 
-def _late(context: RunContext, features: Sequence[StereoFeatures], estimate: MotionEstimate) -> Check:
-    check = Check(name="delay between the cameras", limit=1e3 * MAX_DELAY_S, unit="ms")
-    found = camera_delay(context, features, estimate)
+def _delay_check(found: "CameraDelay | None") -> Check:
     if found is None:
-        return check
-    size, late = 1e3 * abs(found[0]), "late" if found[0] > 0 else "early"
-    return check.judged(
-        size,
-        f"the right camera's images are {size:.0f} ms {late} (sigma {1e3 * found[1]:.1f} ms): the rows of "
-        "the two images differ where the target moves, and distances and shape are wrong accordingly",
-        1e3 * found.limit_s,
-    )
+        return make_check("camera delay", None)
+    facts = {"late": "late" if found.seconds > 0 else "early", "sigma_ms": 1e3 * found.sigma_s}
+    return make_check("camera delay", 1e3 * abs(found.seconds), 1e3 * found.limit_s, **facts)
 
 
-class CameraDelay(NamedTuple):
+@dataclass(frozen=True)
+class CameraDelay:
     """Time of the right camera minus that of the left one."""
 
     seconds: float
@@ -211,44 +175,74 @@ class CameraDelay(NamedTuple):
     @property
     def limit_s(self) -> float:
         """A delay beyond it is a fault."""
-        least_s = MIN_DELAY_PX / max(self.speed_px_s, 1e-9)
-        return max(MAX_DELAY_S, CLEAR * self.sigma_s, least_s)
+        trigger_s = 1e-3 * (CHECK_TABLE["camera delay"].limit or 0.0)
+        return max(trigger_s, CLEAR_SIGMAS * self.sigma_s, MIN_DELAY_PX / max(self.speed_px_s, 1e-9))
 
 
-def camera_delay(
-    context: RunContext, features: Sequence[StereoFeatures], estimate: MotionEstimate
-) -> CameraDelay | None:
+@dataclass(frozen=True)
+class RowSpeeds:
+    """Row offsets of n points whose images move."""
+
+    speed_px_s: Array
+    """(n,) velocity along the rows' order in the left image"""
+    offset_px: Array
+    """(n,)"""
+    frame: Ints
+    """(n,) what each is from"""
+    uvd_px: Array
+    """(n, 3) where it is"""
+
+
+def camera_delay(context: RunContext, matches: Matches, estimate: MotionEstimate) -> CameraDelay | None:
     """Time of the right camera minus that of the left one; None: nothing shows it.
 
-    Least squares of the row offsets on the rows' velocities, which follow from the estimated motion. What an
-    imperfect calibration explains is left out: offsets that depend on the place in the image, to second
-    order, and on the disparity. The sigma treats each frame as one observation.
+    The velocities of the points follow from the estimated motion.
     """
-    speed, offset, frame, place = [], [], [], []
-    for k, each in enumerate(features):
-        rows = each.rows
-        if rows is None or len(rows.offset_px) < MIN_MATCHES:
+    X_NR, time_s = context.X_NR, context.time_s
+    found: list[RowSpeeds] = []
+    for k, rows in enumerate(matches):
+        if rows is None:
             continue
-        ahead = rows.disparity_px - context.rig.disparity_offset_px > 1.0
-        uvd = np.column_stack([rows.uv_px, rows.disparity_px])[ahead]
-        speed.append(_row_velocity(context, context.rig.triangulate(uvd), estimate, k))
-        offset.append(rows.offset_px[ahead])
-        frame.append(np.full(int(ahead.sum()), k))
-        place.append(uvd)
-    if not speed:
-        return None
-    return delay_by_rows(
-        np.concatenate(speed), np.concatenate(offset), np.concatenate(frame), np.concatenate(place)
-    )
+
+        def velocity(p_R: Array, k: int = k) -> Array:
+            """Of points (n, 3) of the target, relative to the camera, along its axes [m/s]."""
+            p_N = transform_points(X_NR[k], p_R)
+            v_N = estimate.v_N[k] + np.cross(estimate.R_NP[k] @ estimate.w_P[k], p_N - estimate.r_N[k])
+            a, b = max(k - 1, 0), min(k + 1, len(X_NR) - 1)
+            between, seconds = inverse_pose(X_NR[a]) @ X_NR[b], time_s[b] - time_s[a]
+            camera_w, camera_v = log_so3(between[:3, :3]) / seconds, between[:3, 3] / seconds
+            return np.asarray(v_N @ X_NR[k][:3, :3] - camera_v - np.cross(camera_w, p_R))
+
+        found.append(row_speeds(rows, context.rig, k, velocity))
+    return delay_by_rows(found)
 
 
-def delay_by_rows(speed: Array, offset_px: Array, frame: Ints, uvd_px: Array) -> CameraDelay | None:
-    """The delay, by offsets (n,) of rows and velocities (n,) along their order [px/s].
+def row_speeds(
+    rows: RowOffsets, rig: RectifiedRig, frame: int, velocity: Callable[[Array], Array]
+) -> RowSpeeds:
+    """Of the matches in front of the camera; ``velocity`` (n, 3) of points (n, 3) in the camera [m/s]."""
+    ahead = rows.disparity_px - rig.disparity_offset_px > 1.0
+    uvd = np.column_stack([rows.uv_px, rows.disparity_px])[ahead]
+    p = rig.triangulate(uvd)
+    v = velocity(p)
+    speed = rig.focal_px * (v[:, 1] - v[:, 2] * p[:, 1] / p[:, 2]) / p[:, 2]
+    return RowSpeeds(np.asarray(speed), rows.offset_px[ahead], np.full(len(uvd), frame), uvd)
 
-    frame (n,): what each is from; uvd_px (n, 3): where it is. None: too few, or the velocities hide it.
+
+def delay_by_rows(parts: Sequence[RowSpeeds]) -> CameraDelay | None:
+    """The delay, by least squares of row offsets on velocities; None: too few, or these hide it.
+
+    What an imperfect calibration explains is left out: offsets that depend on the place in the image, to
+    second order, and on the disparity. The sigma treats each frame as one observation.
     """
-    x, y, of = speed, offset_px, frame
-    known = _calibration_terms(uvd_px)
+    if not parts:
+        return None
+    x, y, frame, uvd_px = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("speed_px_s", "offset_px", "frame", "uvd_px")
+    )
+    u, v, d = ((uvd_px - uvd_px.mean(axis=0)) / np.maximum(uvd_px.std(axis=0), 1e-9)).T
+    known = np.column_stack([np.ones(len(u)), u, v, d, u * u, u * v, v * v])
     good = np.ones(len(x), dtype=np.bool_)
     for _ in range(4):
         if good.sum() < 10 * MIN_MATCHES:
@@ -260,46 +254,22 @@ def delay_by_rows(speed: Array, offset_px: Array, frame: Ints, uvd_px: Array) ->
         residual = y0 - slope * x0
         spread = 1.4826 * float(np.median(np.abs(residual[good])))
         good = np.abs(residual) < 3.0 * max(spread, 0.02)
-    by_frame = np.bincount(of[good], x0[good] * residual[good])
+    by_frame = np.bincount(frame[good], x0[good] * residual[good])
     sigma_s = float(np.sqrt(np.sum(by_frame**2)) / np.sum(x0[good] ** 2))
     return CameraDelay(-slope, sigma_s, float(np.std(x0[good])))
 
 
-def _calibration_terms(uvd_px: Array) -> Array:
-    """Terms (n, 7) of the row offset that a wrong calibration causes at points (n, 3)."""
-    scaled = (uvd_px - uvd_px.mean(axis=0)) / np.maximum(uvd_px.std(axis=0), 1e-9)
-    u, v, d = scaled.T
-    return np.column_stack([np.ones(len(u)), u, v, d, u * u, u * v, v * v])
-
-
-def _row_velocity(context: RunContext, p_R: Array, estimate: MotionEstimate, k: int) -> Array:
-    """Velocity (n,) along the rows' order [px/s] of points (n, 3) of the target, in the left image."""
-    X_NR = context.X_NR
-    p_N = transform_points(X_NR[k], p_R)
-    v_N = estimate.v_N[k] + np.cross(estimate.R_NP[k] @ estimate.w_P[k], p_N - estimate.r_N[k])
-    a, b = max(k - 1, 0), min(k + 1, len(X_NR) - 1)
-    between, seconds = inverse_pose(X_NR[a]) @ X_NR[b], context.time_s[b] - context.time_s[a]
-    camera_w, camera_v = log_so3(between[:3, :3]) / seconds, between[:3, 3] / seconds
-    v_R = v_N @ X_NR[k][:3, :3] - camera_v - np.cross(camera_w, p_R)
-    return np.asarray(context.rig.focal_px * (v_R[:, 1] - v_R[:, 2] * p_R[:, 1] / p_R[:, 2]) / p_R[:, 2])
-
-
-def _knocked_sideways(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> Check:
-    check = Check(name="disparities: step", limit=MAX_SIDEWAYS * context.rig.focal_px, unit="px")
+def _yaw_check(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> Check:
+    focal_px, key = context.rig.focal_px, "step of disparities"
     if context.sequence.has_ranges:
-        return check
+        return make_check(key, None, MAX_YAW_RAD * focal_px)
     noise = estimate.noise
     step_px, sigma_px = disparity_steps(tracks, (noise.pixel_sigma_px, noise.disparity_sigma_px))
-    limit_px = np.maximum(MAX_SIDEWAYS * context.rig.focal_px, CLEAR_SIDEWAYS * sigma_px)
+    limit_px = np.maximum(MAX_YAW_RAD * focal_px, CLEAR_YAW_SIGMAS * sigma_px)
     excess = np.abs(step_px) / limit_px
     if not np.isfinite(excess).any():
-        return check
+        return make_check(key, None, MAX_YAW_RAD * focal_px)
     place = int(np.nanargmax(excess))
-    degrees = np.rad2deg(abs(step_px[place]) / context.rig.focal_px)
-    return check.judged(
-        abs(step_px[place]),
-        f"from {context.time_s[place + 1]:g} s on all disparities are {step_px[place]:+.2f} px different, "
-        f"as if one camera had turned sideways by {degrees:.2f} deg: the calibration does not hold "
-        "throughout",
-        limit_px[place],
-    )
+    degrees = np.rad2deg(abs(step_px[place]) / focal_px)
+    facts = {"step_px": step_px[place], "from_s": context.time_s[place + 1], "degrees": degrees}
+    return make_check(key, abs(step_px[place]), limit_px[place], **facts)

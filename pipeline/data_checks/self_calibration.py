@@ -13,24 +13,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polhode.camera import stereo_jacobian
 from polhode.lie import Array, hat, inverse_pose
+from polhode.pipeline.run_directory.check_table import CHECK_TABLE, frame_step, make_check
 from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import Ints, MotionEstimate, StereoTracks
 
 MIN_OBSERVATIONS = 100
-MAX_FRAMES = 120
-"""Longer sequences are thinned out to this number."""
-MAX_FOCAL, CLEAR_STRETCH = 0.002, 6.0
-"""Of the focal length that fits best, relative to the stated one, and in standard deviations: features that
-follow the light pretend 0.5 % at 4 sigma."""
-SCATTER = 2.2
+CLEAR_SIGMAS = 6.0
+"""Standard deviations from which on a focal length is another one"""
+SIGMA_SCATTER = 2.2
 """Of the focal lengths that fit best over undisturbed bodies, in their sigmas, which know of no errors that
 observations have in common (rms of 17 sequences)"""
-MATTERS_SIGMAS = 5.0
+MIN_SHIFT_SIGMAS = 5.0
 """A shift of the target that an unseen error may cause is worth a warning above so many of its sigmas."""
 LANDMARKS_AT_ONCE = 500
 """Are eliminated together: bounds the memory."""
-_PRIOR = 1e-6
+PRIOR = 1e-6
 """Of each unknown's diagonal"""
 
 
@@ -48,7 +47,7 @@ class Correction:
 
 def best_correction(tracks: StereoTracks, estimate: MotionEstimate) -> Correction | None:
     """From the measurements that agree with the estimate, at least a hundred; None: there are fewer."""
-    step = -(-tracks.n_frames // MAX_FRAMES)
+    step = frame_step(tracks.n_frames)
     used = np.flatnonzero((estimate.inlier_weight > 0.0) & (tracks.frame % step == 0))
     if len(used) < MIN_OBSERVATIONS:
         return None
@@ -60,14 +59,7 @@ def best_correction(tracks: StereoTracks, estimate: MotionEstimate) -> Correctio
     scale = np.array([estimate.noise.pixel_sigma_px] * 2 + [estimate.noise.disparity_sigma_px])
     root = np.sqrt(estimate.inlier_weight[used])[:, None] / np.maximum(scale, 1e-6)
     rig = tracks.rig
-    z, f, fB = p_R[:, 2], rig.focal_px, rig.focal_px * rig.baseline_m
-    zero = np.zeros_like(z)
-    J_p = np.stack([
-        np.stack([f / z, zero, -f * p_R[:, 0] / z**2], 1),
-        np.stack([zero, f / z, -f * p_R[:, 1] / z**2], 1),
-        np.stack([zero, zero, -fB / z**2], 1),
-    ], 1)  # fmt: skip
-    J_p = root[:, :, None] * J_p
+    J_p = root[:, :, None] * stereo_jacobian(p_R, rig.focal_px, rig.baseline_m)
     # pose: p_R + t + a x p_R
     J_pose = np.concatenate([J_p, -J_p @ hat(p_R)], axis=2)
     J_landmark = J_p @ X_RG[frame, :3, :3]
@@ -75,7 +67,7 @@ def best_correction(tracks: StereoTracks, estimate: MotionEstimate) -> Correctio
     offset = np.broadcast_to(np.array([0.0, 0.0, 1.0]), along.shape)
     J_rig = root[:, :, None] * np.stack([along, offset], axis=2)
     residual = root * estimate.residuals_px[used]
-    return _solved(frame, landmark, J_pose, J_landmark, J_rig, residual)
+    return _solve_correction(frame, landmark, J_pose, J_landmark, J_rig, residual)
 
 
 def focal_check(found: Correction | None, has_ranges: bool = False) -> Check:
@@ -83,34 +75,27 @@ def focal_check(found: Correction | None, has_ranges: bool = False) -> Check:
 
     A wrong one stretches what range images measure as well, but not along the line of sight.
     """
-    check = Check(
-        name="focal length that fits best, against the calibration", limit=100.0 * MAX_FOCAL, unit="%"
-    )
     if found is None:
-        return check
-    size, longer = 100.0 * abs(found.focal), "longer" if found.focal > 0 else "shorter"
-    better = f"a focal length {size:.2f} % {longer} than calibrated (sigma {100.0 * found.sigma_focal:.2f} %)"
-    if has_ranges:
-        better += (
-            ", or ranges with another offset, would fit the rotating target better: check the calibration of "
-            "the camera and of the ranges; shape and motion are wrong accordingly"
-        )
-    else:
-        better += (
-            f", or disparities {found.disparity_px:+.2f} px different, would fit the rotating target better: "
-            "check the calibration; distances are wrong accordingly"
-        )
-    return check.judged(
-        size,
-        better,
-        100.0 * max(MAX_FOCAL, CLEAR_STRETCH * found.sigma_focal),
+        return make_check("focal length", None)
+    return make_check(
+        "focal length of ranges" if has_ranges else "focal length",
+        100.0 * abs(found.focal),
+        100.0 * _clear_error(found),
+        longer="longer" if found.focal > 0 else "shorter",
+        sigma=100.0 * found.sigma_focal,
+        disparity_px=found.disparity_px,
     )
+
+
+def _clear_error(found: Correction) -> float:
+    """Relative error of the focal length from which on it is doubted."""
+    return max(0.01 * (CHECK_TABLE["focal length"].limit or 0.0), CLEAR_SIGMAS * found.sigma_focal)
 
 
 def unseen_focal_error(found: Correction) -> float:
     """Relative error of the focal length that these images may hide: one that stays below the limits of
     ``focal_check`` with a probability above 1 %."""
-    return max(MAX_FOCAL, CLEAR_STRETCH * found.sigma_focal) + 2.33 * SCATTER * found.sigma_focal
+    return _clear_error(found) + 2.33 * SIGMA_SCATTER * found.sigma_focal
 
 
 def calibration_limits(found: Correction | None, tracks: StereoTracks, estimate: MotionEstimate) -> list[str]:
@@ -123,7 +108,7 @@ def calibration_limits(found: Correction | None, tracks: StereoTracks, estimate:
     covariance = np.nan_to_num(estimate.covariance[:, :3, :3], posinf=1e12)
     sigma_m = np.sqrt(np.einsum("ni,nij,nj->n", along, covariance, along))
     error, distance = unseen_focal_error(found), float(np.median(distance_m))
-    if error * distance < MATTERS_SIGMAS * float(np.median(sigma_m)):
+    if error * distance < MIN_SHIFT_SIGMAS * float(np.median(sigma_m)):
         return []
     return [
         f"the sigmas take the calibration as right: a focal length wrong by up to {100.0 * error:.1f} % "
@@ -132,7 +117,7 @@ def calibration_limits(found: Correction | None, tracks: StereoTracks, estimate:
     ]
 
 
-def _solved(
+def _solve_correction(
     frame: Ints, landmark: Ints, J_pose: Array, J_landmark: Array, J_rig: Array, residual: Array
 ) -> Correction:
     """The correction from n whitened observations: frame, landmark (n,); J (n, 3, ...)."""
@@ -140,7 +125,7 @@ def _solved(
     n = 6 * F + k
     B = np.zeros((L, 3, 3))
     np.add.at(B, landmark, np.einsum("nai,naj->nij", J_landmark, J_landmark))
-    B += (_PRIOR * np.trace(B, axis1=1, axis2=2)[:, None, None] + 1e-12) * np.eye(3)
+    B += (PRIOR * np.trace(B, axis1=1, axis2=2)[:, None, None] + 1e-12) * np.eye(3)
     g_l = np.zeros((L, 3))
     np.add.at(g_l, landmark, np.einsum("nai,na->ni", J_landmark, residual))
     A, g = np.zeros((n, n)), np.zeros(n)
@@ -176,7 +161,7 @@ def _solved(
         kept = [*range(6 * F), 6 * F + j]
         own = A[np.ix_(kept, kept)]
         scale = 1.0 / np.sqrt(np.maximum(np.diagonal(own), 1e-300))
-        inverse = np.linalg.inv(own * scale[:, None] * scale + _PRIOR * np.eye(len(kept)))
+        inverse = np.linalg.inv(own * scale[:, None] * scale + PRIOR * np.eye(len(kept)))
         step = float(inverse[-1] @ (g[kept] * scale)) * scale[-1]
         found += [step, float(np.sqrt(chi2 * inverse[-1, -1])) * scale[-1]]
     return Correction(*found)

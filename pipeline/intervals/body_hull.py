@@ -19,14 +19,11 @@ from polhode.lie import Array
 from polhode.pipeline.run_directory.summary_schema import Coverage
 from polhode.records import Landmarks, SurfaceModel
 
-SIGMAS = 3.0
-_SHARE_OF_CAP = 1.0 / 3.0
-_MAX_EXTENSION = 0.5
+SHARE_OF_CAP = 1.0 / 3.0
+MAX_EXTENSION = 0.5
 """Of the body's smaller width across, or of its depth where that is larger: a body of which one side was seen
 is taken to be no deeper."""
-_MIN_OBSERVATIONS = 3
-"""Frames of a landmark that counts as a point of the body."""
-_DRAWN = 16384
+DRAWN_POINTS = 16384
 """Points drawn in the box around the hull, of which those inside are kept."""
 
 
@@ -65,7 +62,7 @@ class BodyHull:
         axes = np.linalg.svd(self.vertices - middle, full_matrices=False)[2]
         along = (self.vertices - middle) @ axes.T
         low, high = along.min(axis=0), along.max(axis=0)
-        drawn = middle + (low + (high - low) * qmc.Sobol(3, seed=0).random(_DRAWN)) @ axes
+        drawn = middle + (low + (high - low) * qmc.Sobol(3, seed=0).random(DRAWN_POINTS)) @ axes
         inside = (drawn @ self.normals.T <= self.offsets).all(axis=1)
         return np.asarray(drawn[inside][:count])
 
@@ -77,8 +74,8 @@ def body_hull(
     points = np.asarray(surface.mesh.vertices, dtype=np.float64)
     sigma_m = surface.sigma_m[np.isfinite(surface.sigma_m)]
     if landmarks is not None:
-        points = np.concatenate([points, landmarks.p_G[landmarks.observations >= _MIN_OBSERVATIONS]])
-    growth_m = SIGMAS * float(np.median(sigma_m)) if len(sigma_m) else 0.0
+        points = np.concatenate([points, landmarks.p_G[landmarks.observations >= 3]])
+    growth_m = 3.0 * float(np.median(sigma_m)) if len(sigma_m) else 0.0
     unseen, direction = 0.0, None
     if coverage is not None:
         unseen = coverage.unseen
@@ -98,7 +95,7 @@ def hull_around(
         seen = ConvexHull(points)
         corners = points[seen.vertices]
         if unseen > 0.0:
-            corners = _extended(corners, unseen * float(seen.area), direction_G)
+            corners = _extend_corners(corners, unseen * float(seen.area), direction_G)
         hull = ConvexHull(corners)
     except (QhullError, ValueError):
         return None
@@ -111,17 +108,17 @@ def hull_around(
     return BodyHull(rows[:, :3], growth_m - rows[:, 3], corners + growth_m * outwards)
 
 
-def _extended(corners: Array, area_m2: float, direction_G: Array | None) -> Array:
+def _extend_corners(corners: Array, area_m2: float, direction_G: Array | None) -> Array:
     """Corners of the hull, extended behind a part of that area which was not seen."""
-    cap = _SHARE_OF_CAP * area_m2 / np.pi
+    cap = SHARE_OF_CAP * area_m2 / np.pi
     if direction_G is None:
         # all around: half of it on either side
         middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
         width = float(np.ptp(corners, axis=0).min())
-        return np.asarray(middle + (1.0 + min(cap / width**2, _MAX_EXTENSION)) * (corners - middle))
+        return np.asarray(middle + (1.0 + min(cap / width**2, MAX_EXTENSION)) * (corners - middle))
     depth = float(np.ptp(corners @ direction_G))
     across = corners - corners.mean(axis=0)
     across = across - np.outer(across @ direction_G, direction_G)
     narrow = float(np.ptp(across @ np.linalg.svd(across, full_matrices=False)[2][1]))
-    length = min(cap / max(depth, 1e-12), _MAX_EXTENSION * max(depth, narrow))
+    length = min(cap / max(depth, 1e-12), MAX_EXTENSION * max(depth, narrow))
     return np.concatenate([corners, corners + length * direction_G])

@@ -12,9 +12,8 @@ from polhode.backend.problem.inertia import FORMS, inertia_by_parameters
 from polhode.config.backend_settings import Backend, Bounds
 from polhode.lie import Array
 from polhode.pipeline.intervals.body_hull import BodyHull, body_hull
-from polhode.pipeline.intervals.centre_of_mass import com_extremes
 from polhode.pipeline.intervals.inertia_ratios import RatioIntervals, ratio_intervals
-from polhode.pipeline.intervals.motion_limits import MotionLimits, motion_limits
+from polhode.pipeline.intervals.motion_limits import MotionLimits, com_extremes, motion_limits
 from polhode.pipeline.run_directory.summary_schema import Coverage, Intervals
 from polhode.records import Bools, Identifiability, MotionEstimate, SurfaceModel
 
@@ -22,8 +21,6 @@ _log = logging.getLogger(__name__)
 
 POINTS = 400
 """That fill the hull. The largest k2, that of a needle of few points, is good to about 5 %."""
-_INNER = 0.5
-"""Share of the way from the middle to the farthest centres of mass at which the ratios are sought, too."""
 
 
 def find_intervals(
@@ -84,9 +81,9 @@ def intervals_in(
         bounds.append(f"the {given.equal_moments} moments are equal (backend.bounds.equal_moments)")
     found = {
         "com_G": None if known.com else (along[:3, 0], along[:3, 1]),
-        "com_shift_P": None if known.com else _unless(known.com_P, shift),
-        "k1": _pair(ratios, 0, known.k1),
-        "k2": _pair(ratios, 1, known.k2),
+        "com_shift_P": None if known.com else _where_unknown(known.com_P, shift),
+        "k1": _ratio_interval(ratios, 0, known.k1),
+        "k2": _ratio_interval(ratios, 1, known.k2),
         "bounds": bounds,
     }
     doubts = []
@@ -98,7 +95,7 @@ def intervals_in(
     return Intervals.model_validate(found), doubts
 
 
-def _unless(known: Bools, parts: Array) -> list[Array | None]:
+def _where_unknown(known: Bools, parts: Array) -> list[Array | None]:
     return [None if flag else part for flag, part in zip(known, parts, strict=True)]
 
 
@@ -107,10 +104,12 @@ def _centers(extremes: Array, limits: MotionLimits, known: Identifiability) -> A
     middle = extremes.reshape(-1, 3).mean(axis=0)
     # of several free directions the first suffices: a needle or a disc finds room about any of them
     free = extremes[3:][~known.com_P][:1].reshape(-1, 3)
-    return np.concatenate([middle[None], middle + _INNER * (free - middle)])
+    return np.concatenate([middle[None], middle + 0.5 * (free - middle)])
 
 
-def _pair(ratios: RatioIntervals | None, which: int, determined: bool) -> tuple[float, float] | None:
+def _ratio_interval(
+    ratios: RatioIntervals | None, which: int, determined: bool
+) -> tuple[float, float] | None:
     if ratios is None or determined:
         return None
     return max(float(ratios.low[which]), 0.0), float(ratios.high[which])

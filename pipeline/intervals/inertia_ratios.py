@@ -20,15 +20,17 @@ from polhode.lie import Array
 from polhode.pipeline.intervals.motion_limits import PAIRS, MotionLimits
 
 MAX_STEPS = 8
-_GAIN = 2e-3
+MIN_GAIN = 2e-3
 """Of k1 or k2: a step that brings less is the last one."""
-_RESOLUTION = 0.02
+RESOLUTION = 0.02
 """Of the search and of the filling by points: by so much the ends are moved outwards. A third of the standard
 deviation from which on a ratio counts as undetermined."""
-_AROUND = np.stack([np.cos(np.pi / 8 * np.arange(8)), np.sin(np.pi / 8 * np.arange(8))])
+AXES_ACROSS = np.stack([np.cos(np.pi / 8 * np.arange(8)), np.sin(np.pi / 8 * np.arange(8))])
 """Axes across another one, (2, 8): every 22.5 deg of half a turn."""
-_CUBE = np.array([[x, y, z] for x in (0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)][5:], dtype=np.float64)
-_DIRECTIONS = _CUBE.T / np.linalg.norm(_CUBE, axis=1)
+CUBE_DIRECTIONS = np.array(
+    [[x, y, z] for x in (0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)][5:], dtype=np.float64
+)
+DIRECTIONS = CUBE_DIRECTIONS.T / np.linalg.norm(CUBE_DIRECTIONS, axis=1)
 """(3, 13) through the corners, edges and faces of a cube: nothing is farther than 28 deg from one."""
 
 
@@ -56,7 +58,7 @@ def ratio_intervals(
         return None
     # k1 of a thin disc is ln 2, the largest of all bodies
     return RatioIntervals(
-        np.maximum(low - _RESOLUTION, 0.0), np.minimum(high + _RESOLUTION, [np.log(2.0), np.inf])
+        np.maximum(low - RESOLUTION, 0.0), np.minimum(high + RESOLUTION, [np.log(2.0), np.inf])
     )
 
 
@@ -91,7 +93,7 @@ class _Bodies:
         step of Dinkelbach's method for a quotient of linear functions. None: no body exceeds it.
         """
         sign = 1.0 if which == 0 else -1.0
-        about = [_components(np.outer(axis, axis)) for axis in (axes[:, 1:] @ _AROUND).T]
+        about = [_components(np.outer(axis, axis)) for axis in (axes[:, 1:] @ AXES_ACROSS).T]
         rows = sign * np.stack(about) @ self.J / self.unit
         below = np.concatenate(
             [
@@ -102,7 +104,7 @@ class _Bodies:
         single = _components(np.outer(axes[:, 0], axes[:, 0])) @ self.J / self.unit
         # k1: the single moment less ratio times the middle one; k2: the middle one less ratio times it
         cost = np.append(-single, ratio) if which == 0 else np.append(ratio * single, -1.0)
-        return self._solve(cost, below, np.zeros(len(below)), exceed=_GAIN)
+        return self._solve(cost, below, np.zeros(len(below)), exceed=MIN_GAIN)
 
     def most_equal(self, axes: Array, sign: float) -> Array | None:
         """The J (3, 3) that is closest to isotropic in the plane of the first two axes (3, 3).
@@ -158,10 +160,10 @@ def _least(bodies: _Bodies, best: float, R_GP: Array, which: int) -> float:
             found = axes[:, [third - 2, third - 1, third]]
             last = np.inf
             for _ in range(MAX_STEPS):
-                if best < _RESOLUTION:
+                if best < RESOLUTION:
                     return 0.0
                 J = bodies.most_equal(found, -1.0 if which == 0 else 1.0)
-                if J is None or _ratios(J)[which] > last - _GAIN:
+                if J is None or _ratios(J)[which] > last - MIN_GAIN:
                     break
                 last = float(_ratios(J)[which])
                 best = min(best, last)
@@ -172,11 +174,11 @@ def _least(bodies: _Bodies, best: float, R_GP: Array, which: int) -> float:
 
 def _largest(bodies: _Bodies, best: float, R_GP: Array, which: int) -> float:
     """The largest value of k1 (which 0) or k2 (1), if it is above ``best``."""
-    for single in (*(R_GP @ _DIRECTIONS).T, *bodies.axes.T):
+    for single in (*(R_GP @ DIRECTIONS).T, *bodies.axes.T):
         axes = np.column_stack([single, *np.linalg.svd(single[None])[2][1:]])
         for _ in range(MAX_STEPS):
             J = bodies.most_different(axes, which, float(np.exp(best)))
-            if J is None or _ratios(J)[which] < best + _GAIN:
+            if J is None or _ratios(J)[which] < best + MIN_GAIN:
                 break
             best = float(_ratios(J)[which])
             ascending = np.linalg.eigh(J)[1]

@@ -1,5 +1,9 @@
 """What the motion determines of centre of mass and inertia, as linear inequalities.
 
+The centre of mass of any mass that is nowhere negative lies in the convex hull of the body. Where the motion
+determines all but a shift along the axis of rotation, what remains is the piece of that axis inside the hull,
+whose ends linear programs find.
+
 Linear in J, and not in the solver's parameters: Euler's equations are linear in J, so what a motion leaves
 free is a cone of J. A steady spin about u, for example, demands that u is a principal axis, which is two
 linear equations, however far the other moments are from the estimate.
@@ -8,8 +12,10 @@ linear equations, however far the other moments are from the estimate.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import linprog
 
 from polhode.lie import Array
+from polhode.pipeline.intervals.body_hull import BodyHull
 
 SIGMAS = 5.0
 """A determined combination of components lies within that many of its standard deviations."""
@@ -72,3 +78,29 @@ def _inertia_rows(J_G: Array, J_jacobian: Array, covariance: Array) -> Array:
     sigma = np.sqrt(np.maximum(variance, 0.0))
     bound = (SIGMAS * np.where(sigma < LINEAR_BELOW, 1.0, 2.0) * sigma)[:, None] * scale
     return np.concatenate([change - bound, -change - bound])
+
+
+def farthest_com(hull: BodyHull, limits: MotionLimits, direction_G: Array) -> Array | None:
+    """The admitted centre of mass (3,) that is farthest along a direction (3,) of G; None: there is none."""
+    axes = limits.com_axes
+    offset = axes.T @ limits.center_G
+    found = linprog(
+        -direction_G,
+        A_ub=np.concatenate([hull.normals, axes.T, -axes.T]),
+        b_ub=np.concatenate([hull.offsets, offset + limits.com_margin_m, limits.com_margin_m - offset]),
+        bounds=(None, None),
+        method="highs",
+    )
+    return np.asarray(found.x) if found.status == 0 else None
+
+
+def com_extremes(hull: BodyHull, limits: MotionLimits, directions_G: Array) -> Array | None:
+    """Admitted centres of mass (n, 2, 3) [m] that are farthest back and forth along directions (n, 3)."""
+    out = np.empty((len(directions_G), 2, 3))
+    for n, direction in enumerate(directions_G):
+        for side, sign in enumerate((-1.0, 1.0)):
+            found = farthest_com(hull, limits, sign * direction)
+            if found is None:
+                return None
+            out[n, side] = found
+    return out

@@ -33,6 +33,7 @@ from polhode.pipeline.run_directory.run_folder import require_run_folder
 from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
 from polhode.pipeline.run_directory.summary import with_files, write_summary
 from polhode.pipeline.run_directory.summary_schema import Summary
+from polhode.pipeline.run_directory.verdict import lower_status
 
 _log = logging.getLogger(__name__)
 
@@ -113,7 +114,7 @@ def finish_run(folder: Path, summary: Summary) -> Summary:
         # The results stand even without their page, which is made from them; but something in them is odd.
         _log.warning("no report: %s", error)
         status = "degraded" if summary.status == "ok" else summary.status
-        summary = summary.fallen_to(status, f"no report: {error}")
+        summary = lower_status(summary, status, f"no report: {error}")
     seconds = perf_counter() - start
     times = summary.timing_s
     timing = times.model_copy(update={"report": times.report + seconds, "total": times.total + seconds})

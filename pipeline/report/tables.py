@@ -421,8 +421,8 @@ def _median_row(name: str, sigma: Array, unit: str) -> TableRow:
 def _outcome(cost: float | None) -> str:
     """Where another start of the inertia ended, by its excess cost over the chosen one.
 
-    Not a judgement: right and wrong runs do not differ by it (``answer_checks/twins_check``). An ambiguity
-    that matters is in the sigmas and the warnings.
+    Not a judgement: right and wrong runs do not differ by it (``answer_checks/estimate_checks``). An
+    ambiguity that matters is in the sigmas and the warnings.
     """
     if cost is None:
         return "did not converge"

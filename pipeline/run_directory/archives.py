@@ -38,7 +38,6 @@ POSE_ORDER: tuple[str, ...] = tuple(f"{name}_G_{axis}" for name in ("shift", "tu
 """Rows and columns of the 6x6 covariance of X_NG."""
 
 _KINDS = {"fiu": "numbers", "iu": "whole numbers", "b": "booleans", "U": "a text"}
-_TRACKS = tuple(f.name for f in fields(StereoTracks) if f.name not in ("rig", "wrench"))
 
 
 @dataclass(frozen=True)
@@ -80,9 +79,13 @@ class Archive:
     def __contains__(self, name: str) -> bool:
         return name in self.arrays
 
+    def optional(self, name: str, *shape: int | None, infinite: bool = False) -> Array | None:
+        """As ``numbers``; None: the file does not have it."""
+        return self.numbers(name, *shape, infinite=infinite) if name in self else None
+
     def numbers(self, name: str, *shape: int | None, infinite: bool = False) -> Array:
         """An array of floats, all finite, or with ``infinite`` none NaN. A shape of None is any length."""
-        values = self._shaped(name, shape, "fiu").astype(np.float64)
+        values = self._take(name, shape, "fiu").astype(np.float64)
         bad = np.isnan(values) if infinite else ~np.isfinite(values)
         if bad.any():
             row = f" in row {np.argwhere(bad)[0][0]}" if shape else ""
@@ -91,7 +94,7 @@ class Archive:
 
     def whole(self, name: str, *shape: int | None, below: int | None = None) -> Ints:
         """An array of integers; with ``below`` they are indices, 0 <= i < below."""
-        values = self._shaped(name, shape, "iu").astype(np.int64)
+        values = self._take(name, shape, "iu").astype(np.int64)
         if below is not None and values.size and (values.min() < 0 or values.max() >= below):
             raise self.wrong(f"{name} points outside the run")
         return values
@@ -102,11 +105,11 @@ class Archive:
 
     def flags(self, name: str, *shape: int | None) -> Bools:
         """An array of booleans."""
-        return self._shaped(name, shape, "b").astype(np.bool_)
+        return self._take(name, shape, "b").astype(np.bool_)
 
     def text(self, name: str) -> str:
         """A single text."""
-        return str(self._shaped(name, (), "U"))
+        return str(self._take(name, (), "U"))
 
     def times(self, name: str, count: int | None = None) -> Ints:
         """(n,) strictly increasing [ns]"""
@@ -120,7 +123,7 @@ class Archive:
         """The error to raise."""
         return InputError(f"{self.file}: {what}; {self.remedy}")
 
-    def _shaped(self, name: str, shape: tuple[int | None, ...], kinds: str) -> NDArray[np.generic]:
+    def _take(self, name: str, shape: tuple[int | None, ...], kinds: str) -> NDArray[np.generic]:
         if name not in self.arrays:
             raise self.wrong(f"the array {name} is missing")
         values = self.arrays[name]
@@ -172,19 +175,13 @@ def read_covariance(path: Path) -> Covariance:
     archive = load_archive(path, "covariance.npz")
     timestamps_ns = archive.times("timestamps_ns")
     count, n, m, k = len(timestamps_ns), len(STATE_ORDER), len(JOINT_ORDER), len(POSE_ORDER)
-    of_poses = None
-    if "covariance_X_NG" in archive:
-        of_poses = archive.numbers("covariance_X_NG", count, k, k, infinite=True)
-    of_marks = None
-    if "covariance_of_marks" in archive:
-        of_marks = archive.numbers("covariance_of_marks", count, n, n)
     return Covariance(
         timestamps_ns,
         archive.numbers("covariance", count, n, n, infinite=True),
         archive.numbers("last_joint", m, m, infinite=True),
-        archive.numbers("last_body", m, m) if "last_body" in archive else None,
-        of_poses,
-        of_marks,
+        archive.optional("last_body", m, m),
+        archive.optional("covariance_X_NG", count, k, k, infinite=True),
+        archive.optional("covariance_of_marks", count, n, n),
     )
 
 
@@ -199,12 +196,13 @@ def write_measurements(
     Keys: the fields of StereoTracks; ``rig_<field>``; ``wrench_<field>``; ``relative_<field>``; residuals_px,
     inlier_weight.
     """
-    arrays: Arrays = {name: np.asarray(getattr(tracks, name)) for name in _TRACKS}
-    if tracks.wrench is not None:
-        arrays |= {f"wrench_{f.name}": np.asarray(getattr(tracks.wrench, f.name)) for f in fields(Wrench)}
-    arrays |= {f"rig_{f.name}": np.asarray(getattr(tracks.rig, f.name)) for f in fields(tracks.rig)}
-    if relative is not None:
-        arrays |= {f"relative_{f.name}": np.asarray(getattr(relative, f.name)) for f in fields(relative)}
+    arrays: Arrays = {
+        f.name: np.asarray(getattr(tracks, f.name)) for f in fields(tracks) if f.name not in ("rig", "wrench")
+    }
+    records: dict[str, Any] = {"wrench": tracks.wrench, "rig": tracks.rig, "relative": relative}
+    for prefix, record in records.items():
+        if record is not None:
+            arrays |= {f"{prefix}_{f.name}": np.asarray(getattr(record, f.name)) for f in fields(record)}
     if estimate is not None:
         arrays |= {"residuals_px": estimate.residuals_px, "inlier_weight": estimate.inlier_weight}
     write_arrays(path, arrays)
@@ -235,15 +233,14 @@ def read_measurements(path: Path) -> StereoTracks:
 
 
 def _rig(archive: Archive) -> RectifiedRig:
-    rig = RectifiedRig(
-        focal_px=archive.number("rig_focal_px"),
-        cx_px=archive.number("rig_cx_px"),
-        cy_px=archive.number("rig_cy_px"),
-        baseline_m=archive.number("rig_baseline_m"),
-        width_px=int(archive.whole("rig_width_px")),
-        height_px=int(archive.whole("rig_height_px")),
-        disparity_offset_px=archive.number("rig_disparity_offset_px"),
-    )
+    names = [f.name for f in fields(RectifiedRig)]
+    found: dict[str, Any] = {
+        name: int(archive.whole(f"rig_{name}"))
+        if name in ("width_px", "height_px")
+        else archive.number(f"rig_{name}")
+        for name in names
+    }
+    rig = RectifiedRig(**found)
     for name in ("focal_px", "baseline_m", "width_px", "height_px"):
         if not getattr(rig, name) > 0:
             raise archive.wrong(f"rig_{name} is not positive")

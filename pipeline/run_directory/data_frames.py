@@ -3,8 +3,7 @@
 Units and frames are those of docs/run_directory.md; a quantity that is undetermined has a sigma of ``inf``.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import fields
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -23,7 +22,6 @@ TableName = Literal["trajectory", "online", "landmarks", "observations", "checks
 its position in G [m]. observations: a row for each measurement, with its residual; the column ``landmark``
 joins it with the landmarks. checks: a row for each check of the verdict."""
 Columns = dict[str, NDArray[Any] | Sequence[Any]]
-UVD = ("u_px", "v_px", "disparity_px")
 
 
 def columns_of(table: TableName, folder: Path, summary: Summary) -> Columns:
@@ -32,30 +30,34 @@ def columns_of(table: TableName, folder: Path, summary: Summary) -> Columns:
     Raises:
         InputError: there is no table of this name, or the run has no such file.
     """
-    if table == "trajectory":
-        return _states(folder / "trajectory.csv")
-    if table == "online":
-        return _states(folder / "trajectory_online.csv")
+    if table in ("trajectory", "online"):
+        file = "trajectory.csv" if table == "trajectory" else "trajectory_online.csv"
+        found = read_trajectory(folder / file)
+        values = np.hstack([array for name, array in vars(found).items() if name != "timestamps_ns"])
+        names = TRAJECTORY_COLUMNS[1:]
+        return {"timestamp_ns": found.timestamps_ns, **dict(zip(names, values.T, strict=True))}
     if table == "landmarks":
-        return _landmarks(folder)
+        landmarks = read_landmarks(folder)
+        return {
+            "landmark": kept_landmarks(folder),
+            **dict(zip("xyz", landmarks.p_G.T, strict=True)),
+            "sigma_m": landmarks.sigma_m,
+            "observations": landmarks.observations,
+        }
     if table == "observations":
         return _observations(folder)
     if table == "checks":
-        return _checks(folder, summary)
+        if summary.verdict is None:
+            raise InputError(f"{folder}: this run is of a version without a verdict; {REMEDY}")
+        checks = summary.verdict.checks
+        # None becomes NaN
+        numbers = np.array([[check.value, *check.expected] for check in checks], np.float64).reshape(-1, 3)
+        return {
+            "name": [check.name for check in checks],
+            **dict(zip(("value", "lowest", "highest"), numbers.T, strict=True)),
+            "holds": [check.holds for check in checks],
+        }
     raise InputError(f"there is no table '{table}'; there are {', '.join(get_args(TableName))}")
-
-
-def _states(file: Path) -> Columns:
-    found = read_trajectory(file)
-    arrays = [getattr(found, field.name) for field in fields(found) if field.name != "timestamps_ns"]
-    names, values = TRAJECTORY_COLUMNS[1:], np.hstack(arrays)
-    return {"timestamp_ns": found.timestamps_ns, **dict(zip(names, values.T, strict=True))}
-
-
-def _landmarks(folder: Path) -> Columns:
-    found, numbers = read_landmarks(folder), kept_landmarks(folder)
-    position = dict(zip("xyz", found.p_G.T, strict=True))
-    return {"landmark": numbers, **position, "sigma_m": found.sigma_m, "observations": found.observations}
 
 
 def kept_landmarks(folder: Path) -> Ints:
@@ -90,25 +92,9 @@ def _observations(folder: Path) -> Columns:
     if residuals is not None:
         groups["residual_"] = residuals.residuals_px
     for prefix, values in groups.items():
-        columns |= {f"{prefix}{name}": values[:, i] for i, name in enumerate(UVD)}
+        columns |= {
+            f"{prefix}{name}": values[:, i] for i, name in enumerate(("u_px", "v_px", "disparity_px"))
+        }
     if residuals is not None:
         columns["inlier_weight"] = residuals.inlier_weight
     return columns
-
-
-def _checks(folder: Path, summary: Summary) -> Columns:
-    if summary.verdict is None:
-        raise InputError(f"{folder}: this run is of a version without a verdict; {REMEDY}")
-    checks = summary.verdict.checks
-    return {
-        "name": [check.name for check in checks],
-        "value": _numbers(check.value for check in checks),
-        "lowest": _numbers(check.expected[0] for check in checks),
-        "highest": _numbers(check.expected[1] for check in checks),
-        "holds": [check.holds for check in checks],
-    }
-
-
-def _numbers(values: Iterable[float | None]) -> NDArray[np.float64]:
-    """NaN where there is none."""
-    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

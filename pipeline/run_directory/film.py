@@ -17,7 +17,6 @@ PANEL_PX, GAP_PX, HEAD_PX, FOOT_PX = 320, 8, 30, 54
 """A picture of the film: three square panels in a row, space between them, titles above, numbers below."""
 GIF_SCALE = 0.75
 """Of the GIF's pictures"""
-MAX_FILM_BYTES, MAX_TABLE_BYTES = 16 * MIB, 4 * MIB
 
 
 @dataclass(frozen=True)
@@ -33,8 +32,8 @@ class StoredFilm:
 def read_film(folder: Path) -> StoredFilm | None:
     """The film in RUN/pictures; None: there is none, or it is damaged, of which a warning tells."""
     try:
-        gif = read_bytes(folder / FILM, MAX_FILM_BYTES, "a film")
-        table = read_text(folder / FRAMES, MAX_TABLE_BYTES, "a table of the film's frames")
+        gif = read_bytes(folder / FILM, 16 * MIB, "a film")
+        table = read_text(folder / FRAMES, 4 * MIB, "a table of the film's frames")
         rows = list(csv.DictReader(StringIO(table)))
         frames = tuple(int(row["frame"]) for row in rows)
     except MissingFile:

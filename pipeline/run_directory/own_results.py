@@ -24,23 +24,15 @@ from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 CONFIG = "config.yaml"
 
 
-def _read_all_measurements(path: Path) -> None:
-    read_measurements(path)
-    read_relative_poses(path)
-    read_residuals(path)
-
-
-NUMBERS: dict[str, Callable[[Path], object]] = {
-    "trajectory.csv": read_trajectory,
-    "covariance.npz": read_covariance,
-    "measurements.npz": _read_all_measurements,
-    "online.npz": read_online,
+NUMBERS: dict[str, tuple[Callable[[Path], object], ...]] = {
+    "trajectory.csv": (read_trajectory,),
+    "covariance.npz": (read_covariance,),
+    "measurements.npz": (read_measurements, read_relative_poses, read_residuals),
+    "online.npz": (read_online,),
 }
 """By name: the files whose numbers are used together, and their readers."""
 EDITABLE: tuple[str, ...] = (CONFIG, "landmarks.ply", "mesh.ply")
 """Files that users may change on purpose: a mesh is cleaned, a configuration is run again."""
-MAX_BYTES = GIB
-"""Of a file that is compared with its digest; no reader takes a larger one."""
 METRICS = "metrics.json"
 OF_SUMMARY = "summary_sha256"
 """In metrics.json: the digest of the summary.json of the run that was evaluated."""
@@ -62,8 +54,9 @@ def require_own_results(folder: Path, recorded: Mapping[str, str] | None) -> Non
     """
     if recorded is None:
         return
-    for name, read in NUMBERS.items():
-        if (wrong := _difference(folder / name, recorded)) and _is_sound(folder / name, read):
+    for name, readers in NUMBERS.items():
+        wrong = _difference(folder / name, recorded)
+        if wrong and all(_is_sound(folder / name, read) for read in readers):
             raise InputError(f"{wrong}; take all files of one run")
     for name in EDITABLE:
         if wrong := _difference(folder / name, recorded):
@@ -75,7 +68,7 @@ def changed_results(folder: Path, recorded: Mapping[str, str] | None) -> set[str
     return {
         name
         for name, digest in (recorded or {}).items()
-        if is_run_file(name) and (folder / name).is_file() and not _has_digest(folder / name, digest)
+        if is_run_file(name) and (folder / name).is_file() and _readable_digest(folder / name) != digest
     }
 
 
@@ -101,23 +94,19 @@ def own_metrics(folder: Path, metrics: dict[str, Any]) -> dict[str, Any]:
 
 def _difference(file: Path, recorded: Mapping[str, str]) -> str:
     """How the file differs from that of the run; empty: it is the same, or there is none to compare."""
-    if not file.is_file():
-        return ""
-    try:
-        found = _digest(file)
-    except InputError:
-        return ""
-    if found == recorded.get(file.name):
+    found = _readable_digest(file) if file.is_file() else None
+    if found is None or found == recorded.get(file.name):
         return ""
     why = "has another digest" if file.name in recorded else "has no digest of it"
     return f"{file}: not the file that this run wrote (summary.json {why})"
 
 
-def _has_digest(file: Path, digest: str) -> bool:
+def _readable_digest(file: Path) -> str | None:
+    """None: it cannot be read, or is too large."""
     try:
-        return _digest(file) == digest
+        return _digest(file)
     except InputError:
-        return False
+        return None
 
 
 def _is_sound(file: Path, read: Callable[[Path], object]) -> bool:
@@ -129,4 +118,4 @@ def _is_sound(file: Path, read: Callable[[Path], object]) -> bool:
 
 
 def _digest(file: Path) -> str:
-    return sha256_of(file, MAX_BYTES, "a file of a run")
+    return sha256_of(file, GIB, "a file of a run")

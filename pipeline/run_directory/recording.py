@@ -18,8 +18,6 @@ from polhode.images import UnreadableImage, read_raw
 from polhode.pipeline.run_directory.summary_schema import RecordedImage, Recording
 from polhode.tables import read_listing
 
-MAX_IMAGE_BYTES = 1024 * MIB
-
 _log = logging.getLogger(__name__)
 
 
@@ -85,7 +83,7 @@ def _other(folder: Path, why: str, remedy: str) -> InputError:
 
 
 def _file(file: Path) -> str:
-    return sha256_of(file, MAX_IMAGE_BYTES, "an image")
+    return sha256_of(file, 1024 * MIB, "an image")
 
 
 def _pixels(file: Path, width_px: int, height_px: int) -> str:

@@ -31,6 +31,7 @@ from polhode.pipeline.run_directory.own_results import changed_results
 from polhode.pipeline.run_directory.stages import KeptStages, StageStore
 from polhode.pipeline.run_directory.summary import build_summary, read_summary, with_files, write_summary
 from polhode.pipeline.run_directory.summary_schema import Recording
+from polhode.pipeline.run_directory.verdict import lower_status
 
 REPORT = "report.html"
 CONFIG_SIGN, PAGE_SIGN = "# Resolved configuration", "polhode</title>"
@@ -170,9 +171,10 @@ def own_files(folder: Path) -> IsOwn | None:
 
 
 def _require_usable(place: Path, shown: Path, overwrite: bool) -> None:
+    """Raise InputError unless the place is empty, or holds a run that may be replaced."""
     if not _is_not_empty(place):
         return
-    is_own = own_files(place)
+    is_own, remedy = own_files(place), "choose another folder"
     if is_own is None:
         names = [name for name, is_folder in entries(place) if not is_folder] or [place.name]
         example = printable(min(names, key=lambda name: (is_run_file(name), name)))
@@ -187,29 +189,21 @@ def _require_usable(place: Path, shown: Path, overwrite: bool) -> None:
     try:
         others = foreign(place, is_own)
     except OSError as error:
-        raise InputError(
-            f"{error.filename}: cannot be read ({error.strerror}), so that it could not stay in {shown}; "
-            "choose another folder"
-        ) from error
+        why = f"cannot be read ({error.strerror}), so that it could not stay in {shown}"
+        raise InputError(f"{error.filename}: {why}; {remedy}") from error
     changed = changed_results(place, read_summary(place / SUMMARY).sha256)
     for name in others:
         if name in changed:
+            why = "was changed since the run wrote it, so it stays"
             # without a file that is needed the folder would be no run
-            move = "" if name in NEEDED else "move it, or "
-            raise InputError(
-                f"{shown}: {name} was changed since the run wrote it, so it stays; "
-                f"{move}choose another folder"
-            )
-        if (place / name).lstat().st_dev != place.stat().st_dev:
-            raise InputError(
-                f"{shown}: {printable(name)} is on another file system, and could not stay there; "
-                "choose another folder"
-            )
-        if is_run_file(name) or is_run_file(name.split("/")[0]) or name == PICTURES:
-            raise InputError(
-                f"{shown}: {printable(name)} is not of the run there, but has the name of a result; "
-                "move it, or choose another folder"
-            )
+            remedy = remedy if name in NEEDED else f"move it, or {remedy}"
+        elif (place / name).lstat().st_dev != place.stat().st_dev:
+            why = "is on another file system, and could not stay there"
+        elif is_run_file(name) or is_run_file(name.split("/")[0]) or name == PICTURES:
+            why, remedy = "is not of the run there, but has the name of a result", f"move it, or {remedy}"
+        else:
+            continue
+        raise InputError(f"{shown}: {printable(name)} {why}; {remedy}")
 
 
 def _publish(run: RunFolder, staged: StagedFolder, path: Path, overwrite: bool, even_if_failed: bool) -> None:
@@ -323,7 +317,7 @@ class _LogFile(logging.FileHandler):
 def record_failure(folder: Path, message: str, recording: Recording | None = None) -> None:
     """Turn the files in the folder into a failed run, whose summary.json says why."""
     if (folder / SUMMARY).exists():
-        summary = read_summary(folder / SUMMARY).fallen_to("failed", message, first=True)
+        summary = lower_status(read_summary(folder / SUMMARY), "failed", message, first=True)
     else:
         tracks = read_measurements(folder) if (folder / "measurements.npz").exists() else None
         summary = build_summary(tracks, None, None, {}, failure=message)

@@ -36,8 +36,6 @@ from polhode.records import Landmarks, OnlineEstimate, StereoTracks, SurfaceMode
 
 _log = logging.getLogger(__name__)
 
-MAX_PICTURE_BYTES = 32 * MIB
-
 
 @dataclass(frozen=True)
 class StoredMotion:
@@ -144,7 +142,7 @@ def _content(folder: Path, name: str) -> bytes:
     """A picture in the folder itself: captions cannot name other files of the machine. Empty: it is none."""
     if Path(name).name != name:
         raise InputError(f"{folder / 'captions.json'}: '{name}' is no file beside it; {REMEDY}")
-    content = read_bytes(folder / name, MAX_PICTURE_BYTES, "a picture")
+    content = read_bytes(folder / name, 32 * MIB, "a picture")
     if content.startswith((b"\x89PNG\r\n", b"\xff\xd8\xff")):
         return content
     _log.warning("%s is neither PNG nor JPEG and is left out", folder / name)

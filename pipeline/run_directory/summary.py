@@ -27,29 +27,18 @@ from polhode.pipeline.run_directory.summary_schema import (
     IpoptSummary,
     Noise,
     ShapeFindings,
-    Status,
+    StageTimes,
     Summary,
     content_digest,
     json_text,
-    reasons_of,
-    verdict_of,
 )
+from polhode.pipeline.run_directory.verdict import decide_verdict, estimate_checks
 from polhode.records import MotionEstimate, StereoTracks, SurfaceModel
 
-STAGES: tuple[str, ...] = (
-    *("frontend", "initialization", "backend", "depth", "fusion", "checks", "report", "total"),
-)
 NOT_OURS = "not a summary that polhode wrote"
 MAX_LOG_RATIO = 60.0
 MAX_SIZE = 1e12
 """Of a moment over the middle one, and of com_G [m]."""
-MIN_USED = 0.5
-"""Share of the frames with measurements, for a complete answer."""
-MAX_DISTURBANCES = 30.0
-"""Times those stated (power): stronger ones make an answer doubtful, because frames may contradict one
-another."""
-MANY_CONTRADICTED = 0.4
-"""Share of the observations without weight that makes an answer doubtful."""
 
 
 def build_summary(
@@ -58,44 +47,37 @@ def build_summary(
     surface: SurfaceModel | None,
     timing_s: Mapping[str, float],
     warnings: Sequence[str] = (),
-    degraded: Sequence[str] = (),
+    *,
     failure: str | None = None,
     shape: ShapeFindings | None = None,
     checks: Sequence[Check] = (),
     intervals: Intervals | None = None,
 ) -> Summary:
-    """The summary of a run.
+    """The summary of a run, its status as ``decide_verdict`` finds it.
 
-    ``warnings`` do not change the status (a dropped frame, what the motion does not determine); ``degraded``
-    are the caller's reasons to look closely, beside those of ``checks``. The status is ``failed`` with a
-    ``failure``, without an estimate, or when the solver did not converge; ``degraded`` with a reason of the
-    caller, of a check, or one of ``estimate_checks``; else ``ok``. Every reason stands among the warnings,
-    once, that of a failure first. Seconds that ``timing_s`` does not name are 0; ``total`` is their sum
-    unless it is given.
+    ``warnings`` do not change the status (a dropped frame, what the motion does not determine). Every reason
+    stands among the warnings, once, that of a failure first. Seconds that ``timing_s`` does not name are 0;
+    ``total`` is their sum unless it is given.
     """
-    if failure is None and estimate is not None and not estimate.solver.converged:
-        failure = "the solver stopped before convergence"
     if estimate is not None:
         checks = [*checks, *estimate_checks(tracks, estimate, surface)]
-    reasons = [*degraded, *reasons_of(checks)]
-    status: Status = "degraded" if reasons else "ok"
-    if failure is not None or estimate is None:
-        status = "failed"
+    verdict = decide_verdict(failure, estimate, checks)
     own = estimate.warnings if estimate is not None else ()
-    reported = [*([failure] if failure else []), *reasons, *_undetermined(estimate)]
+    reported = [*verdict.reasons, *_undetermined_warning(estimate)]
     # A warning of the back end that begins with the same text is more detailed.
     reported = [text for text in reported if not any(more.startswith(text) for more in own)]
     shape = shape or ShapeFindings()
     texts = [*reported, *own, *warnings, *shape.warnings]
-    if failure is not None:
-        texts.sort(key=lambda text: not text.startswith(failure))
-    times = {stage: float(timing_s.get(stage, 0.0)) for stage in STAGES}
+    if verdict.status == "failed" and verdict.reasons:
+        texts.sort(key=lambda text: not text.startswith(verdict.reasons[0]))
+    times = {stage: float(timing_s.get(stage, 0.0)) for stage in StageTimes.model_fields}
     times["total"] = times["total"] or sum(times.values())
+    times["ipopt"] = 0.0
     if estimate is not None and estimate.solver.ipopt is not None:
         times["ipopt"] = estimate.solver.ipopt.seconds
     return Summary.model_validate(
         {
-            "status": status,
+            "status": verdict.status,
             "warnings": list(dict.fromkeys(texts)),
             "frames": tracks.n_frames if tracks else 0,
             "frames_used": len(np.unique(tracks.frame)) if tracks else 0,
@@ -104,60 +86,26 @@ def build_summary(
             "duration_s": float(tracks.time_s[-1]) if tracks and tracks.n_frames else 0.0,
             "timing_s": times,
             "checks": tuple(checks),
-            "verdict": verdict_of(status, [*([failure] if failure else []), *reasons], checks),
+            "verdict": verdict,
             "assumed": shape.assumed,
             "mesh": shape.mesh,
             "coverage": shape.coverage,
             "physics": shape.physics,
             "intervals": intervals,
             "identifiable_detail": dict(estimate.mass.identifiable.detail) if estimate else {},
-            **(dict.fromkeys(ESTIMATE_PARTS) if estimate is None else _found(estimate)),
+            **(dict.fromkeys(ESTIMATE_PARTS) if estimate is None else _estimate_parts(estimate)),
         }
     )
 
 
-def estimate_checks(
-    tracks: StereoTracks | None, estimate: MotionEstimate, surface: SurfaceModel | None
-) -> list[Check]:
-    """Whether the estimate is complete, and fits its measurements.
-
-    What is unobservable is no doubt: a spin about one axis, measured well, is a complete answer.
-    """
-    used = 1.0 if tracks is None else len(np.unique(tracks.frame)) / max(tracks.n_frames, 1)
-    contradicted = float(np.mean(estimate.inlier_weight == 0.0)) if len(estimate.inlier_weight) else 0.0
-    stronger = estimate.noise.times_stated
-    disturbances = Check(name="disturbances, times those stated (power)", limit=MAX_DISTURBANCES)
-    if stronger is not None:
-        disturbances = disturbances.judged(
-            stronger,
-            f"the disturbances appear {stronger:.0f} times as strong as stated (power): an unknown force or "
-            "wrong associations may be the cause; the standard deviations are large accordingly",
-        )
-    return [
-        Check(name="frames with measurements", limit=100.0 * MIN_USED, unit="%", at_least=True).judged(
-            100.0 * used,
-            "fewer than half of the frames have measurements; the others are bridged by the dynamics",
-        ),
-        Check(
-            name="observations that contradict the motion", limit=100.0 * MANY_CONTRADICTED, unit="%"
-        ).judged(100.0 * contradicted, f"{contradicted:.0%} of the observations contradict the motion"),
-        disturbances,
-        Check(name="faces of the surface", limit=1.0, at_least=True).judged(
-            0 if surface is None else len(surface.mesh.faces),
-            "there is no surface: the depth maps gave none, or the run ended before them",
-        ),
-    ]
-
-
-def _undetermined(estimate: MotionEstimate | None) -> list[str]:
+def _undetermined_warning(estimate: MotionEstimate | None) -> list[str]:
     """What the motion does not determine, as one warning."""
     if estimate is None:
         return []
     known = estimate.mass.identifiable
-    flags = {f"com_{axis}": flag for axis, flag in zip("xyz", known.com_P, strict=True)}
-    flags |= {"k1": known.k1, "k2": known.k2}
-    flags |= {f"axes_{axis}": flag for axis, flag in zip("xyz", known.axes_P, strict=True)}
-    names = [name for name, flag in flags.items() if not flag]
+    names = [f"com_{axis}" for axis, flag in zip("xyz", known.com_P, strict=True) if not flag]
+    names += [name for name in ("k1", "k2") if not getattr(known, name)]
+    names += [f"axes_{axis}" for axis, flag in zip("xyz", known.axes_P, strict=True) if not flag]
     return [f"the motion does not determine: {', '.join(names)}"] if names else []
 
 
@@ -208,20 +156,22 @@ def read_summary(path: Path) -> Summary:
 
 def _require_sound(file: Path, summary: Summary) -> None:
     """Raise InputError for numbers that no run finds, and that no later step could use."""
-    R_GP, com_G, inertia = summary.R_GP, summary.com_G, summary.inertia
+    R_GP, com_G, inertia, noise = summary.R_GP, summary.com_G, summary.inertia, summary.noise
+    wrong = ""
     if R_GP is not None and not _is_rotation(np.array(R_GP)):
-        raise InputError(f"{file}: R_GP: not a rotation; {NOT_OURS}")
-    if com_G is not None and np.abs(com_G).max() > MAX_SIZE:
-        raise InputError(f"{file}: com_G: above {MAX_SIZE:g} m; {NOT_OURS}")
-    if inertia is not None and not all(1.0 / MAX_SIZE <= moment <= MAX_SIZE for moment in inertia.moments):
-        raise InputError(f"{file}: inertia.moments: not three positive moments about 1; {NOT_OURS}")
-    if inertia is not None and not _is_inertia(np.array(inertia.J_G)):
-        raise InputError(f"{file}: inertia.J_G: not symmetric and positive definite; {NOT_OURS}")
-    if inertia is not None and max(abs(inertia.k1), abs(inertia.k2)) > MAX_LOG_RATIO:
-        raise InputError(f"{file}: inertia: k1 and k2 beyond {MAX_LOG_RATIO:g}; {NOT_OURS}")
-    noise = summary.noise
-    if noise is not None and not all(0.0 <= psd <= MAX_SIZE for psd in (noise.accel_psd, noise.torque_psd)):
-        raise InputError(f"{file}: noise: accel_psd or torque_psd is not from 0 to {MAX_SIZE:g}; {NOT_OURS}")
+        wrong = "R_GP: not a rotation"
+    elif com_G is not None and np.abs(com_G).max() > MAX_SIZE:
+        wrong = f"com_G: above {MAX_SIZE:g} m"
+    elif inertia is not None and not all(1.0 / MAX_SIZE <= each <= MAX_SIZE for each in inertia.moments):
+        wrong = "inertia.moments: not three positive moments about 1"
+    elif inertia is not None and not _is_inertia(np.array(inertia.J_G)):
+        wrong = "inertia.J_G: not symmetric and positive definite"
+    elif inertia is not None and max(abs(inertia.k1), abs(inertia.k2)) > MAX_LOG_RATIO:
+        wrong = f"inertia: k1 and k2 beyond {MAX_LOG_RATIO:g}"
+    elif noise is not None and not all(0.0 <= psd <= MAX_SIZE for psd in (noise.accel_psd, noise.torque_psd)):
+        wrong = f"noise: accel_psd or torque_psd is not from 0 to {MAX_SIZE:g}"
+    if wrong:
+        raise InputError(f"{file}: {wrong}; {NOT_OURS}")
 
 
 def _is_inertia(J: Array) -> bool:
@@ -234,7 +184,7 @@ def _is_rotation(R: Array) -> bool:
     return bool(np.abs(R).max() < 2.0 and np.abs(R @ R.T - np.eye(3)).max() < 1e-6 and np.linalg.det(R) > 0.0)
 
 
-def _found(estimate: MotionEstimate) -> dict[str, Any]:
+def _estimate_parts(estimate: MotionEstimate) -> dict[str, Any]:
     """The parts of the summary that take an estimate."""
     mass, known, solver = estimate.mass, estimate.mass.identifiable, estimate.solver
     first_ns = int(estimate.timestamps_ns[0])

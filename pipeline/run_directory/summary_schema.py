@@ -7,7 +7,6 @@ of undetermined quantities are ``null``; there is no NaN or infinity.
 
 import json
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -211,30 +210,6 @@ class Check(StrictModel):
     reason: str = ""
     """Empty: it holds, or was not possible; else what does not hold, a sentence."""
 
-    def judged(self, value: float, reason: str, limit: float | None = None) -> "Check":
-        """The check with a value; the reason stays if the value is beyond the limit."""
-        limit = self.limit if limit is None else float(limit)
-        beyond = limit is not None and (value < limit if self.at_least else value > limit)
-        return self.model_copy(
-            update={"value": float(value), "limit": limit, "reason": reason if beyond else ""}
-        )
-
-
-def not_made(error: Exception) -> Check:
-    """In place of checks that ended with an error: the run is doubted, since what they find is not known."""
-    kind = type(error).__name__
-    return Check(
-        name=f"checks that ended with an error ({kind})",
-        value=1.0,
-        limit=0.0,
-        reason=f"a check ended with an error ({kind}: {error}): what it finds is not known; see log.txt",
-    )
-
-
-def reasons_of(checks: Iterable[Check]) -> list[str]:
-    """Of the checks that do not hold."""
-    return [check.reason for check in checks if check.reason]
-
 
 class CheckVerdict(StrictModel):
     """A check as the verdict has it."""
@@ -269,22 +244,6 @@ class Verdict(StrictModel):
         return "\n".join(lines)
 
     __str__ = __repr__
-
-
-def verdict_of(status: Status, reasons: Iterable[str], checks: Iterable[Check]) -> Verdict:
-    """The verdict of a run with these checks. No value of a check is negative."""
-    found = []
-    for check in checks:
-        judged = check.value is not None and check.limit is not None
-        found.append(
-            CheckVerdict(
-                name=check.name,
-                value=check.value,
-                expected=(check.limit, None) if check.at_least else (0.0, check.limit),
-                holds=not check.reason if judged else None,
-            )
-        )
-    return Verdict(status=status, reasons=tuple(dict.fromkeys(reasons)), checks=tuple(found))
 
 
 class MeshLevel(StrictModel):
@@ -496,19 +455,6 @@ class Summary(StrictModel):
     own_sha256: Digest | None = None
     """Of all other entries of the file (``content_digest``), while it is one; null: an earlier version
     wrote none."""
-
-    def fallen_to(self, status: Status, reason: str, first: bool = False) -> "Summary":
-        """With a worse status, and the reason among the warnings and in the verdict, last or first."""
-
-        def with_reason(texts: Iterable[str]) -> list[str]:
-            return list(dict.fromkeys([reason, *texts] if first else [*texts, reason]))
-
-        verdict = self.verdict
-        if verdict is not None:
-            reasons = tuple(with_reason(verdict.reasons))
-            verdict = verdict.model_copy(update={"status": status, "reasons": reasons})
-        changes = {"status": status, "warnings": with_reason(self.warnings), "verdict": verdict}
-        return self.model_copy(update=changes)
 
     @model_validator(mode="after")
     def _estimate_is_whole(self) -> Self:

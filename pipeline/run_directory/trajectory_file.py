@@ -27,7 +27,6 @@ TRAJECTORY_COLUMNS: tuple[str, ...] = (
 )
 """The header line. SI units; sigma_r and sigma_v along N, sigma_theta and sigma_w in P."""
 
-DOCS = "docs/run_directory.md"
 MAX_RATE = 300.0
 """[rad/s]: 3000 revolutions in a minute, which no images follow."""
 MAX_SIGMA = 1e100
@@ -139,7 +138,7 @@ def read_trajectory(path: Path) -> Trajectory:
         raise InputError(
             f"{file}: line 1 is not the header of a trajectory; it must begin with timestamp_ns,r_N_x"
         )
-    table = read_table(file, len(TRAJECTORY_COLUMNS) - 1, finite=False, docs=DOCS)
+    table = read_table(file, len(TRAJECTORY_COLUMNS) - 1, finite=False, docs="docs/run_directory.md")
     _require_sound(table)
     parts = np.split(table.values, [3, 6, 10, 13, 16, 19, 22], axis=1)
     return Trajectory(table.timestamps_ns, *parts)

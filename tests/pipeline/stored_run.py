@@ -21,7 +21,6 @@ def write_run(
     timing_s: Mapping[str, float],
     relative: RelativePoses | None = None,
     warnings: Sequence[str] = (),
-    degraded: Sequence[str] = (),
     pictures: Mapping[str, bytes] | None = None,
     intervals: Intervals | None = None,
 ) -> Summary:
@@ -33,5 +32,5 @@ def write_run(
     for number, (caption, content) in enumerate((pictures or {}).items()):
         suffix = ".png" if content.startswith(b"\x89PNG") else ".jpg"
         write_picture(folder, f"{number:02d}{suffix}", content, caption)
-    summary = build_summary(tracks, estimate, surface, timing_s, warnings, degraded, intervals=intervals)
+    summary = build_summary(tracks, estimate, surface, timing_s, warnings, intervals=intervals)
     return finish_run(folder, summary)

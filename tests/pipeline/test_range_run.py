@@ -74,10 +74,10 @@ def test_checks_that_compare_two_cameras_are_not_made(finished: Path) -> None:
     checks = {check["name"]: check for check in content["verdict"]["checks"]}
     for name in (
         "pairs with negative disparities",
-        "rows of left and right image: step",
-        "rows of left and right image: turn",
+        "step of the vertical disparity in time",
+        "step of the roll between the cameras in time",
         "delay between the cameras",
-        "disparities: step",
+        "step of all disparities in time",
     ):
         assert checks[name]["value"] is None and checks[name]["holds"] is None
     report = (finished / "report.html").read_text(encoding="utf-8")
@@ -100,12 +100,12 @@ def test_features_with_ranges_lie_on_the_surface(ranged: Path) -> None:
 
 def test_the_checkout_judges_ranges_instead_of_a_second_camera(done: Checkout) -> None:
     names = {check.name for check in done.result.checks}
-    assert done.result.named("noise of the ranges, over what is stated").value == pytest.approx(1.0, abs=0.1)
-    missing = done.result.named("target without a range").value
+    assert done.result.named("noise of the ranges over that stated").value == pytest.approx(1.0, abs=0.1)
+    missing = done.result.named("target pixels without a range").value
     assert missing is not None and missing < 15.0
     assert not any(check.status == "FAIL" for check in done.result.checks)
-    assert "stamps of the range images against the camera" in names
-    assert names > {"features with a range, of the median image", "successive images that match"}
+    assert "clock offset of the range images" in names
+    assert names > {"median number of features with a range per image", "successive images that match"}
     said = [f"{check.name} {check.finding} {check.advice}" for check in done.result.checks]
     said.append(format_checkout(done))
     assert not [each for each in said if re.search(OF_TWO_CAMERAS, each)]
@@ -113,7 +113,7 @@ def test_the_checkout_judges_ranges_instead_of_a_second_camera(done: Checkout) -
         "vertical disparity",
         "delay between the cameras",
         "smallest disparity",
-        "brightness of the right image against the left",
+        "difference of brightness between the cameras",
     ):
         assert of_two not in names
     page = render(done, "ranges")
@@ -123,7 +123,7 @@ def test_the_checkout_judges_ranges_instead_of_a_second_camera(done: Checkout) -
 def test_the_checkout_names_a_noise_that_is_stated_wrong(ranged: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(ranged, tmp_path / "S"))
     write_range_sensor(folder / "mav0" / "range0", RangeSensor().scale_m, 0.0005)
-    check = checkout(folder, workers=1, count=1).result.named("noise of the ranges, over what is stated")
+    check = checkout(folder, workers=1, count=1).result.named("noise of the ranges over that stated")
     assert check.status == "WARN" and check.value == pytest.approx(4.0, rel=0.1)
     assert "sigma_m" in check.advice and "scale_m" in check.advice
 

@@ -54,11 +54,8 @@ def frame(marks: Array, turn_deg: float, box: bool = False) -> DepthMap:
         marks.astype(np.float32), ((2.0 * angle) % 720.0).astype(np.float32), row.astype(np.float32),
         cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP,
     )  # fmt: skip
-    grey = (
-        grey
-        * (0.6 + 0.4 * np.cos(np.deg2rad(angle + turn_deg)))
-        * np.where(np.abs(y * z - 0.04) < 0.006, 0.5, 1.0)
-    )
+    ring = np.where(np.abs(y * z - 0.04) < 0.006, 0.5, 1.0)
+    grey = grey * (0.6 + 0.4 * np.cos(np.deg2rad(angle + turn_deg))) * ring
     grey = np.where(x * z > 0.05, 0.8 * grey, grey) + rng.normal(0.0, 1.5, grey.shape)
     image = np.where(known, np.clip(grey, 0.0, 255.0), 0.0).astype(np.uint8)
     depth = np.where(known, z, np.nan).astype(np.float32)

@@ -3,17 +3,20 @@
 import json
 import logging
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import jsonschema
 import numpy as np
 import pytest
+import yaml
 
 from polhode.cli.main import main
 from polhode.dataset import open_sequence
-from polhode.dataset_writer import image_path, write_camera_csv
+from polhode.dataset_writer import image_path, write_camera_csv, write_png
 from polhode.frontend.rectification import make_rectifier
+from polhode.lie import Array, exp_so3, make_pose
 from polhode.pipeline.checkout.checkout import Checkout, checkout, warn_before_run
 from polhode.pipeline.checkout.page import render
 from polhode.pipeline.checkout.result import SCHEMA_FILE, CheckoutResult
@@ -22,8 +25,8 @@ from polhode.pipeline.run_directory.summary_schema import json_schema, json_text
 from polhode.records import Ints
 
 Capture = pytest.CaptureFixture[str]
-FEW_MATCHES = ("matches of the median successive pair", "successive pairs that match")
-WITHOUT_IMAGES = {"stamps of the right camera against the left", "images without a partner"}
+FEW_MATCHES = ("median number of matches between successive pairs", "successive pairs that match")
+WITHOUT_IMAGES = {"clock offset of the right camera", "unpaired images"}
 
 
 @pytest.fixture(scope="module")
@@ -43,12 +46,12 @@ def test_a_sound_sequence_passes_but_for_its_large_turns(done: Checkout) -> None
     assert set(beyond) <= set(FEW_MATCHES) and set(beyond.values()) == {"WARN"} and result.status == "WARN"
     unmeasured = {check.name for check in result.checks if check.value is None}
     assert unmeasured <= {
-        "images with masks, where some have one",
+        "images with a mask, where some have one",
         "distance from an image to the nearest inspector pose",
         "delay between the cameras",
     }
     # 9.7 RPM, twice a second
-    assert result.named("turn between successive frames").value == pytest.approx(29.1, abs=0.5)
+    assert result.named("rotation between successive frames").value == pytest.approx(29.1, abs=0.5)
     # a free flyer of 0.22 m, 0.5 m away
     assert " their median 0.4" in result.named("smallest disparity").finding
     assert result.named("vertical disparity").value < 0.1  # type: ignore[operator]
@@ -90,6 +93,11 @@ def test_the_command_writes_both_files_and_says_what_does_not_pass(
     assert json.loads((tmp_path / "out" / "checkout.json").read_text()) == text_of(done)
 
 
+def tilted(X_BC: Array) -> Array:
+    """The pose of a camera that looks 0.3 deg up."""
+    return X_BC @ make_pose(exp_so3([np.deg2rad(0.3), 0.0, 0.0]), np.zeros(3))
+
+
 def test_another_rig_is_checked_against_the_images(rendered_sequence: Path, tmp_path: Path) -> None:
     rig = tmp_path / "rig"
     for camera in ("cam0", "cam1"):
@@ -98,21 +106,16 @@ def test_another_rig_is_checked_against_the_images(rendered_sequence: Path, tmp_
         )
     # the right camera is stated to look 0.3 deg up
     sensor = rig / "cam1" / "sensor.yaml"
-    import yaml
-
     content = yaml.safe_load(sensor.read_text())
-    X = np.array(content["T_BS"]["data"]).reshape(4, 4)
-    c, s = np.cos(np.deg2rad(0.3)), np.sin(np.deg2rad(0.3))
-    X[:3, :3] = X[:3, :3] @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-    content["T_BS"]["data"] = X.ravel().tolist()
+    content["T_BS"]["data"] = tilted(np.array(content["T_BS"]["data"]).reshape(4, 4)).ravel().tolist()
     sensor.write_text(yaml.safe_dump(content))
     result = checkout(rendered_sequence, rig, workers=1, count=3).result
     pitch = result.named("pitch of the right camera")
     assert (result.rig, result.status, pitch.status) == ("given", "FAIL", "FAIL")
     assert pitch.value == pytest.approx(0.3, abs=0.03) and "deg down" in pitch.finding
     # rows are levelled for the other checks
-    assert result.named("turn between successive frames").status == "PASS"
-    assert result.named("stereo features of the median pair").value > 100  # type: ignore[operator]
+    assert result.named("rotation between successive frames").status == "PASS"
+    assert result.named("median number of stereo features per pair").value > 100  # type: ignore[operator]
 
 
 def shifted(source: Path, folder: Path, offset_ns: int) -> Path:
@@ -129,7 +132,7 @@ def shifted(source: Path, folder: Path, offset_ns: int) -> Path:
 def test_clocks_that_differ_are_a_warning_with_the_offset(rendered_sequence: Path, tmp_path: Path) -> None:
     sequence = shifted(rendered_sequence, tmp_path / "apart", 4_000)
     result = checkout(sequence, workers=1, count=1).result
-    check = result.named("stamps of the right camera against the left")
+    check = result.named("clock offset of the right camera")
     assert (check.value, check.status, result.pairs) == (4.0, "WARN", 14)
 
 
@@ -138,7 +141,7 @@ def test_clocks_without_a_common_time_fail_instead_of_being_bad_input(
 ) -> None:
     sequence = shifted(small_sequence, tmp_path / "apart", 3_600_000_000_000)
     assert main(["checkout", str(sequence), "-o", str(tmp_path / "out")]) == 0
-    assert "FAIL  images without a partner: 100 % (at most 60 %)" in capsys.readouterr().out
+    assert "FAIL  unpaired images: 100 % (at most 60 %)" in capsys.readouterr().out
     content = json.loads((tmp_path / "out" / "checkout.json").read_text())
     assert (content["status"], content["pairs"]) == ("FAIL", 0)
     assert {check["name"] for check in content["checks"]} == WITHOUT_IMAGES
@@ -169,8 +172,6 @@ def test_bad_input_is_one_line_and_nothing_is_written(
     elif change == "no camera":
         shutil.rmtree(mav0 / "cam1")
     elif change == "black":
-        from polhode.dataset_writer import write_png
-
         for file in mav0.rglob("*.png"):
             write_png(file, np.zeros((48, 64), dtype=np.uint8))
     elif change == "no rig":
@@ -192,18 +193,13 @@ def test_bad_input_is_one_line_and_nothing_is_written(
 def test_a_run_warns_of_a_tilted_rig_and_not_of_a_sound_one(
     rendered_sequence: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    from dataclasses import replace
-
     sequence = open_sequence(rendered_sequence)
     with caplog.at_level(logging.WARNING):
         warn_before_run(sequence, make_rectifier(sequence.calibration))
     assert caplog.messages == []
-    X = sequence.calibration.X_BC1.copy()
-    c, s = np.cos(np.deg2rad(0.3)), np.sin(np.deg2rad(0.3))
-    X[:3, :3] = X[:3, :3] @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-    tilted = replace(sequence, calibration=replace(sequence.calibration, X_BC1=X))
+    calibration = replace(sequence.calibration, X_BC1=tilted(sequence.calibration.X_BC1))
     with caplog.at_level(logging.WARNING):
-        warn_before_run(tilted, make_rectifier(tilted.calibration))
+        warn_before_run(replace(sequence, calibration=calibration), make_rectifier(calibration))
     assert any(line.startswith("checkout: FAIL: pitch of the right camera") for line in caplog.messages)
 
 

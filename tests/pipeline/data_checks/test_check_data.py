@@ -1,4 +1,4 @@
-"""All checks together: what a frozen recorder and a check that fails lead to."""
+"""All checks together: a frozen recorder, a check that fails, masks that were found."""
 
 from contextlib import nullcontext
 from dataclasses import replace
@@ -10,9 +10,12 @@ import pytest
 
 from polhode.backend import estimate_motion
 from polhode.config.backend_settings import Backend
+from polhode.frontend.found_masks import FoundMasks, MaskQuality
 from polhode.pipeline.data_checks import check_data as module
-from polhode.pipeline.data_checks.check_data import FROZEN, check_data
-from polhode.pipeline.run_directory.summary_schema import Check
+from polhode.pipeline.data_checks.check_data import check_data, mask_checks
+from polhode.pipeline.found_background import doubts_of_masks
+from polhode.pipeline.run_directory.check_table import make_check
+from polhode.pipeline.run_directory.verdict import reasons_of
 from polhode.progress import Silent
 from polhode.records import InitialMotion, MotionEstimate
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
@@ -39,10 +42,15 @@ def context(sequence: SyntheticSequence, frozen: bool = False) -> Any:
     )
 
 
+def reasons(given: Any, *case: Any) -> list[str]:
+    return reasons_of(check_data(given, [], *case).checks)
+
+
 def test_images_that_are_all_the_same_are_a_reason(solved: tuple[SyntheticSequence, MotionEstimate]) -> None:
     sequence, estimate = solved
-    assert check_data(context(sequence), [], sequence.tracks, estimate).reasons == []
-    assert check_data(context(sequence, frozen=True), [], sequence.tracks, estimate).reasons == [FROZEN]
+    assert reasons(context(sequence), sequence.tracks, estimate) == []
+    (reason,) = reasons(context(sequence, frozen=True), sequence.tracks, estimate)
+    assert "the same, bit for bit" in reason
 
 
 def test_a_check_that_ends_with_an_error_costs_only_itself_and_is_a_reason(
@@ -53,11 +61,11 @@ def test_a_check_that_ends_with_an_error_costs_only_itself_and_is_a_reason(
     def fail(*words: object) -> list[str]:
         raise ZeroDivisionError
 
-    jumped = Check(name="stamps", limit=8.0).judged(20.0, "the clock jumped")
+    jumped = make_check("clock", 20.0, from_s=5.5, stated_s=1.0, needed_s=0.5)
     monkeypatch.setattr(module, "rig_checks", fail)
     monkeypatch.setattr(module, "clock_check", lambda *words: jumped)
-    failed, other = check_data(context(sequence), [], sequence.tracks, estimate).reasons
-    assert "a check ended with an error (ZeroDivisionError" in failed and other == "the clock jumped"
+    failed, other = reasons(context(sequence), sequence.tracks, estimate)
+    assert "a check ended with an error (ZeroDivisionError" in failed and "the clock may have jumped" in other
 
 
 def test_parts_that_no_landmark_connects_are_a_reason(
@@ -68,5 +76,21 @@ def test_parts_that_no_landmark_connects_are_a_reason(
     # landmarks get other numbers from the tenth frame on
     parted = np.where(tracks.frame < 9, tracks.landmark, tracks.landmark + tracks.n_landmarks)
     landmark = np.unique(parted, return_inverse=True)[1]
-    (reason,) = check_data(context(sequence), [], replace(tracks, landmark=landmark), estimate).reasons
+    (reason,) = reasons(context(sequence), replace(tracks, landmark=landmark), estimate)
     assert "share no landmarks and are connected by the dynamics alone" in reason
+
+
+@pytest.mark.parametrize("bad", [0, 2, 5])
+def test_many_doubtful_masks_are_a_doubt_of_the_answer_and_a_few_a_warning(bad: int) -> None:
+    good = MaskQuality(area=0.1, agreement=0.98, contradicted=0.02, far_share=0.95)
+    found = FoundMasks({}, dict(enumerate([replace(good, agreement=0.4)] * bad + [good] * (20 - bad))))
+    (check,) = mask_checks(found)
+    assert (check.value, check.limit) == (5.0 * bad, 20.0)
+    named = {0: "", 2: "(frames 0, 1):", 5: "(frames 0, 1, 2, ...):"}[bad]
+    doubts = doubts_of_masks(found)
+    assert named in doubts and bool(doubts) == (bad > 0) and ("give masks" in doubts) == (bad > 0)
+    assert check.reason == (doubts if bad == 5 else "")
+
+
+def test_where_no_masks_were_found_there_is_no_check_of_them() -> None:
+    assert mask_checks(None) == []

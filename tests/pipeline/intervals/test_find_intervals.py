@@ -11,15 +11,13 @@ from polhode.backend.problem.inertia import FORMS, inertia_by_parameters
 from polhode.config.backend_settings import Backend, Bounds
 from polhode.lie import exp_so3
 from polhode.pipeline.intervals import find_intervals as module
-from polhode.pipeline.intervals.body_hull import hull_around
 from polhode.pipeline.intervals.find_intervals import find_intervals, intervals_in
 from polhode.pipeline.intervals.motion_limits import PAIRS, motion_limits
 from polhode.pipeline.run_directory.summary import build_summary
-from polhode.pipeline.run_directory.summary_schema import Intervals
 from polhode.progress import Silent
 from polhode.records import MotionEstimate, SurfaceModel
 from polhode.simulation.monte_carlo import SyntheticScene, generate
-from tests.pipeline.intervals.limits import spin_limits
+from tests.pipeline.intervals.test_hull_and_limits import BOX, no_limits
 
 CONFIG = Backend(process_noise="given", accel_psd=1e-8, torque_psd=1e-8, max_iterations=40)
 """Along what a pure spin hides the solver would walk on without an end."""
@@ -85,14 +83,15 @@ def test_a_pure_spin_has_the_truth_inside_every_interval(spin: tuple[MotionEstim
     assert len(found.bounds) == 2
 
 
-def test_intervals_are_part_of_the_summary(spin: tuple[MotionEstimate, np.ndarray]) -> None:
+def test_they_are_part_of_the_summary_and_can_be_switched_off(
+    spin: tuple[MotionEstimate, np.ndarray],
+) -> None:
     estimate, _ = spin
     found, _ = find_intervals(estimate, sphere_around(estimate), None, CONFIG)
+    assert found is not None and "convex hull" in found.bounds[0] and "8 times" in found.bounds[1]
+    for part in (found.k1, found.k2, *(found.com_shift_P or ())):
+        assert part is None or part[0] < part[1]
     assert build_summary(None, estimate, None, {}, intervals=found).intervals == found
-
-
-def test_they_can_be_switched_off(spin: tuple[MotionEstimate, np.ndarray]) -> None:
-    estimate, _ = spin
     off = CONFIG.model_copy(update={"bounds": Bounds(intervals=False)})
     assert find_intervals(estimate, sphere_around(estimate), None, off) == (None, [])
 
@@ -149,14 +148,6 @@ def test_a_spin_admits_every_inertia_with_that_principal_axis(
             assert np.any(limits.inertia_rows @ [scale * tilted[pair] for pair in PAIRS] > 0.0)
 
 
-def test_bounds_are_named_and_ordered(spin: tuple[MotionEstimate, np.ndarray]) -> None:
-    estimate, _ = spin
-    hull = find_intervals(estimate, sphere_around(estimate), None, CONFIG)[0]
-    assert isinstance(hull, Intervals) and "convex hull" in hull.bounds[0] and "8 times" in hull.bounds[1]
-    for part in (hull.k1, hull.k2, *(hull.com_shift_P or ())):
-        assert part is None or part[0] < part[1]
-
-
 def test_a_given_box_and_equal_moments_narrow_them(spin: tuple[MotionEstimate, np.ndarray]) -> None:
     estimate, _ = spin
     free, _ = find_intervals(estimate, sphere_around(estimate), None, CONFIG)
@@ -176,11 +167,8 @@ def test_a_given_box_and_equal_moments_narrow_them(spin: tuple[MotionEstimate, n
 def test_limits_of_a_motion_that_no_mass_in_the_hull_fits_leave_the_ratios_open(
     spin: tuple[MotionEstimate, np.ndarray],
 ) -> None:
-    hull = hull_around(trimesh.creation.box((0.3, 0.4, 0.6)).vertices)
-    assert hull is not None
-    limits = spin_limits(2)
     # a body whose moment about z is larger than the others together
-    impossible = replace(limits, inertia_rows=np.array([[1.1, 1.1, -1.0, 0.0, 0.0, 0.0]]))
-    found, doubts = intervals_in(hull, impossible, spin[0].mass.identifiable, Bounds())
+    impossible = replace(no_limits(), inertia_rows=np.array([[1.1, 1.1, -1.0, 0.0, 0.0, 0.0]]))
+    found, doubts = intervals_in(BOX, impossible, spin[0].mass.identifiable, Bounds())
     assert found is not None and found.k1 is None and found.com_G is not None
     assert "no mass inside the hull" in doubts[0]

@@ -17,7 +17,6 @@ from polhode.pipeline.run_directory.archives import (
     read_measurements,
     read_relative_poses,
     read_residuals,
-    undetermined_as_inf,
     write_covariance,
     write_measurements,
 )
@@ -41,21 +40,16 @@ def test_measurements_come_back_equal_with_their_rig(example: Any, tmp_path: Pat
     np.testing.assert_array_equal(residuals.inlier_weight, example.estimate.inlier_weight)
 
 
-def test_a_known_wrench_comes_back_equal(example: Any, tmp_path: Path) -> None:
+def test_a_known_wrench_comes_back_equal_and_what_a_run_did_not_reach_is_none(
+    example: Any, tmp_path: Path
+) -> None:
     wrench = Wrench(np.array([5, 9], dtype=np.int64), np.eye(2, 3), -np.eye(2, 3))
     write_measurements(replace(example.tracks, wrench=wrench), tmp_path / "measurements.npz")
     again = read_measurements(tmp_path).wrench
     assert again is not None
     for field in fields(Wrench):
         np.testing.assert_array_equal(getattr(again, field.name), getattr(wrench, field.name))
-
-
-def test_measurements_of_a_run_that_stopped_early_have_neither_links_nor_residuals(
-    example: Any, tmp_path: Path
-) -> None:
-    write_measurements(example.tracks, tmp_path / "measurements.npz")
-    assert read_relative_poses(tmp_path) is None
-    assert read_residuals(tmp_path) is None
+    assert read_relative_poses(tmp_path) is None and read_residuals(tmp_path) is None
 
 
 def test_covariances_come_back_with_the_order_of_their_rows(example: Any, tmp_path: Path) -> None:
@@ -101,25 +95,22 @@ def test_the_inertia_of_the_joint_covariance_is_what_the_page_describes() -> Non
     assert d[0] < d[1] < d[2]
 
 
-def test_covariances_of_the_poses_come_back(example: Any, tmp_path: Path) -> None:
-    write_covariance(example.estimate, tmp_path / "covariance.npz")
+def test_covariances_of_the_poses_come_back_and_those_that_are_unknown_stay_so(
+    example: Any, tmp_path: Path
+) -> None:
+    file = tmp_path / "covariance.npz"
+    write_covariance(example.estimate, file)
     assert read_covariance(tmp_path).covariance_X_NG is None
     root = np.random.default_rng(0).normal(size=(len(example.estimate.timestamps_ns), 6, 6))
     given = root @ root.transpose(0, 2, 1)
-    write_covariance(replace(example.estimate, covariance_X_NG=given), tmp_path / "covariance.npz")
-    np.testing.assert_array_equal(read_covariance(tmp_path).covariance_X_NG, given)
-    with np.load(tmp_path / "covariance.npz") as archive:
-        assert archive["covariance_X_NG_order"].tolist()[2:4] == ["shift_G_z", "turn_G_x"]
-
-
-def test_a_pose_without_a_covariance_stays_unknown_in_the_archive(example: Any, tmp_path: Path) -> None:
-    given = np.tile(np.eye(6), (len(example.estimate.timestamps_ns), 1, 1))
     given[3] = np.nan
-    write_covariance(replace(example.estimate, covariance_X_NG=given), tmp_path / "covariance.npz")
+    write_covariance(replace(example.estimate, covariance_X_NG=given), file)
     again = read_covariance(tmp_path).covariance_X_NG
     assert again is not None
     np.testing.assert_array_equal(again[3], np.diag([np.inf] * 6))
     np.testing.assert_array_equal(np.delete(again, 3, axis=0), np.delete(given, 3, axis=0))
+    with np.load(file) as archive:
+        assert archive["covariance_X_NG_order"].tolist()[2:4] == ["shift_G_z", "turn_G_x"]
 
 
 def test_no_nan_enters_the_archive(undetermined: Any, tmp_path: Path) -> None:
@@ -129,11 +120,6 @@ def test_no_nan_enters_the_archive(undetermined: Any, tmp_path: Path) -> None:
     np.testing.assert_array_equal(covariance[:, 7, 7], np.inf)
     np.testing.assert_array_equal(covariance[:, 7, :7], 0.0)
     np.testing.assert_array_equal(covariance[:, 6, 6], undetermined.estimate.covariance[:, 6, 6])
-
-
-def test_a_determined_covariance_is_not_touched() -> None:
-    covariance = np.array([[2.0, 0.5], [0.5, 1.0]])
-    np.testing.assert_array_equal(undetermined_as_inf(covariance), covariance)
 
 
 def test_trimesh_opens_the_landmarks_with_their_properties(example: Any, tmp_path: Path) -> None:

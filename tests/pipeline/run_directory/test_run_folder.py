@@ -39,29 +39,21 @@ def _leftovers(parent: Path) -> list[str]:
     return [entry.name for entry in parent.iterdir() if entry.name.startswith(".")]
 
 
-def test_the_folder_appears_only_when_it_is_complete(example: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("empty", [False, True])
+def test_the_folder_appears_only_when_it_is_complete(empty: bool, example: Any, tmp_path: Path) -> None:
     target = tmp_path / "deep" / "run"
+    if empty:
+        target.mkdir(parents=True)
     with _writing(target) as folder:
-        assert folder.parent == target.parent and not target.exists()
+        assert folder.parent == target.parent and target.exists() == empty
         _finish(folder, example)
-        assert not target.exists()
+        assert not (target / "summary.json").exists()
     assert read_summary(target).status == "ok"
     assert (target / "report.html").is_file() and (target / "log.txt").is_file()
     assert _leftovers(target.parent) == []
-
-
-def test_an_empty_folder_may_be_filled(example: Any, tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir()
-    with _writing(tmp_path / "run") as folder:
-        _finish(folder, example)
-    assert read_summary(tmp_path / "run").status == "ok"
-
-
-def test_the_run_is_as_readable_as_any_folder_of_the_user(example: Any, tmp_path: Path) -> None:
+    # as readable as any folder of the user
     (tmp_path / "plain").mkdir()
-    with _writing(tmp_path / "run") as folder:
-        _finish(folder, example)
-    assert (tmp_path / "run").stat().st_mode == (tmp_path / "plain").stat().st_mode
+    assert target.stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
 @pytest.mark.parametrize(
@@ -162,19 +154,23 @@ def _run(
         raise error
 
 
-def test_a_failed_run_leaves_what_it_found_and_says_why(example: Any, tmp_path: Path) -> None:
-    def measure(folder: Path) -> None:
-        write_config(folder, Config())
-        write_measurements(example.tracks, folder / "measurements.npz")
+def _measure(folder: Path, example: Any) -> None:
+    write_config(folder, Config())
+    write_measurements(example.tracks, folder / "measurements.npz")
 
+
+def test_a_failed_run_leaves_what_it_found_and_says_why(example: Any, tmp_path: Path) -> None:
     with pytest.raises(RunFailure):
-        _run(tmp_path / "run", measure, RunFailure("the frames fall into two pieces;\n give masks"))
+        _run(
+            tmp_path / "run",
+            lambda folder: _measure(folder, example),
+            RunFailure("the frames fall into two pieces;\n give masks"),
+        )
     summary = read_summary(tmp_path / "run")
-    assert summary.status == "failed" and summary.inertia is None
+    assert summary.status == "failed" and summary.inertia is None and summary.frames == 24
     assert summary.warnings == ["the frames fall into two pieces; give masks"]
-    assert summary.frames == 24
-    assert "two pieces" in (tmp_path / "run" / "report.html").read_text()
-    assert "two pieces" in (tmp_path / "run" / "log.txt").read_text()
+    for name in ("report.html", "log.txt"):
+        assert "two pieces" in (tmp_path / "run" / name).read_text()
     assert _leftovers(tmp_path) == []
 
 
@@ -192,31 +188,22 @@ def test_a_failure_after_the_estimate_keeps_its_numbers(example: Any, tmp_path: 
 
 
 def test_a_failed_run_with_nothing_found_does_not_cost_the_old_one(example: Any, tmp_path: Path) -> None:
-    target = tmp_path / "run"
-    with _writing(target) as folder:
-        _finish(folder, example, "the first")
-    with pytest.raises(RunFailure):
-        _run(target, lambda folder: write_config(folder, Config()), RunFailure("black"), overwrite=True)
-    assert read_summary(target).warnings == ["the first"]
-
-    def measure(folder: Path) -> None:
-        write_config(folder, Config())
-        write_measurements(example.tracks, folder / "measurements.npz")
-
-    with pytest.raises(RunFailure, match=r"run.failed/report.html; .*run still holds the run before"):
-        _run(target, measure, RunFailure("broken chain"), overwrite=True)
-    assert read_summary(target).warnings == ["the first"]
-    assert read_summary(tmp_path / "run.failed").status == "failed"
-    assert _leftovers(tmp_path) == []
+    _good(tmp_path / "run", example, "the first")
+    with pytest.raises(RunFailure, match=r"nothing was found; .*run still holds the run before"):
+        _run(
+            tmp_path / "run",
+            lambda folder: write_config(folder, Config()),
+            RunFailure("black"),
+            overwrite=True,
+        )
+    assert read_summary(tmp_path / "run").warnings == ["the first"]
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
 @pytest.mark.parametrize("error", [InputError("no images"), KeyboardInterrupt()])
 def test_bad_input_and_an_interrupt_leave_nothing(error: BaseException, example: Any, tmp_path: Path) -> None:
-    def measure(folder: Path) -> None:
-        write_measurements(example.tracks, folder / "measurements.npz")
-
     with pytest.raises(type(error)):
-        _run(tmp_path / "run", measure, error)
+        _run(tmp_path / "run", lambda folder: _measure(folder, example), error)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -235,14 +222,10 @@ def test_a_report_that_breaks_does_not_cost_what_was_found(example: Any, tmp_pat
 
 def test_a_run_that_came_meanwhile_is_not_touched(example: Any, tmp_path: Path) -> None:
     target = tmp_path / "run"
-
-    def race() -> None:
-        with _writing(target) as folder:
-            _finish(folder, example, "mine")
-            target.mkdir()
-            _finish(target, example, "theirs")
-
-    race()
+    with _writing(target) as folder:
+        _finish(folder, example, "mine")
+        target.mkdir()
+        _finish(target, example, "theirs")
     assert read_summary(target).warnings == ["theirs"]
     assert read_summary(tmp_path / "run.new").warnings == ["mine"]
     assert _leftovers(tmp_path) == []
@@ -271,12 +254,8 @@ def test_the_log_holds_our_messages_and_the_loggers_are_left_as_they_were(
 def _failing(target: Path, example: Any, **more: Any) -> str:
     """A run that fails after the measurements; returns its line."""
 
-    def measure(folder: Path) -> None:
-        write_config(folder, Config())
-        write_measurements(example.tracks, folder / "measurements.npz")
-
     with pytest.raises(RunFailure) as caught:
-        _run(target, measure, RunFailure("broken chain"), overwrite=True, **more)
+        _run(target, lambda folder: _measure(folder, example), RunFailure("broken chain"), True, **more)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -334,8 +313,7 @@ def test_a_full_disk_leaves_the_old_run_and_names_what_was_found(
         raise OSError(28, "No space left on device", str(tmp_path / "there"))
 
     def measure(folder: Path) -> None:
-        write_config(folder, Config())
-        write_measurements(example.tracks, folder / "measurements.npz")
+        _measure(folder, example)
         monkeypatch.setattr(Path, "write_bytes", full)
         write_config(folder, Config())
 
@@ -382,17 +360,12 @@ def test_a_summary_that_lies_removes_nothing_but_files_of_a_run(example: Any, tm
     # what the list lacks is taken for the user's: with the name of a result it must be moved
     with pytest.raises(InputError, match=r"covariance.npz is not of the run there"):
         _good(run, example)
-    everything = (*listed, *read_names(example, tmp_path))
+    _good(tmp_path / "other", example)
+    everything = (*listed, *(read_summary(tmp_path / "other").files or ()))
     write_summary(read_summary(run).model_copy(update={"files": everything}), run / "summary.json")
     _good(run, example, "new")
     assert read_summary(run).warnings == ["new"] and outside.read_text() == "mine"
     assert (run / "notes.txt").read_text() == (run / "mine" / "mesh.ply").read_text() == "mine"
-
-
-def read_names(example: Any, folder: Path) -> tuple[str, ...]:
-    """The files that a run lists."""
-    _good(folder / "other", example)
-    return read_summary(folder / "other").files or ()
 
 
 def test_links_and_folders_with_the_names_of_results_are_refused(example: Any, tmp_path: Path) -> None:

@@ -1,11 +1,17 @@
-"""Sharpness, noise and surroundings of one image."""
+"""Parts of checkout by themselves: one image, the stamps, the motion behind a relative pose."""
 
 import cv2
 import numpy as np
 import pytest
 
 from polhode.frontend.rectification import Image
+from polhode.lie import Array, exp_so3, make_pose
 from polhode.pipeline.checkout.image_quality import image_quality
+from polhode.pipeline.checkout.target_motion import twist
+from polhode.pipeline.checkout.timing import Stamps, stamp_checks
+from polhode.records import Ints
+
+LEFT = 1_600_000_000_000_000_000 + 500_000_000 * np.arange(20, dtype=np.int64)
 
 
 def picture(blur_px: float = 0.0, noise: float = 1.0, smear_px: int = 1, level: float = 160.0) -> Image:
@@ -65,3 +71,47 @@ def test_an_image_without_a_target_has_no_numbers() -> None:
     quality = image_quality(np.zeros((48, 64), dtype=np.uint8), None)
     assert quality.extent_px == (0.0, 0.0) and quality.target_share == 0.0
     assert np.isnan([quality.edge_px, quality.noise, quality.saturated, quality.bright_level]).all()
+
+
+@pytest.mark.parametrize("w", [(0.0, 0.0, 0.0), (0.1, -0.3, 0.2), (0.0, 2.0, 0.0)])
+def test_twist_moves_points_as_the_pose_does(w: tuple[float, float, float]) -> None:
+    rate, velocity, seconds = np.array(w), np.array([0.2, -0.1, 0.05]), 0.5
+    steps = 20_000
+    X: Array = np.eye(4)
+    small = make_pose(exp_so3(rate * seconds / steps), velocity * seconds / steps)
+    for _ in range(steps):
+        X = small @ X
+    found_w, found_v = twist(X, seconds)
+    np.testing.assert_allclose(found_w, rate, atol=1e-6)
+    np.testing.assert_allclose(found_v, velocity, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("offset_ns", "microseconds", "words"),
+    [(4_000, 4.0, "4 us"), (-4_000, 4.0, "before"), (200_000_000, 200_000.0, "(0.4 frames) after")],
+)
+def test_an_offset_of_the_clocks_is_stated(offset_ns: int, microseconds: float, words: str) -> None:
+    offset, partners = stamp_checks(Stamps(LEFT, LEFT + offset_ns))
+    assert (offset.value, offset.status, offset.unit) == (microseconds, "WARN", "us")
+    assert words in offset.finding and partners.status == "PASS"
+
+
+@pytest.mark.parametrize(
+    ("right", "found"),
+    [
+        (LEFT, [(0.0, "PASS"), (0.0, "PASS")]),
+        (LEFT[:-1], [(0.0, "PASS"), (5.0, "PASS")]),
+        (LEFT[::2], [(0.0, "PASS"), (50.0, "WARN")]),
+        (LEFT[::4], [(0.0, "PASS"), (75.0, "FAIL")]),
+        (LEFT + 10**15, [(None, "FAIL"), (100.0, "FAIL")]),
+    ],
+)
+def test_unpaired_images_are_counted(right: Ints, found: list[tuple[float | None, str]]) -> None:
+    assert [(check.value, check.status) for check in stamp_checks(Stamps(LEFT, right))] == found
+
+
+def test_stamps_that_scatter_too_much_have_no_partner() -> None:
+    late = np.where(np.arange(20) % 2, 100_000_000, 0)
+    offset, partners = stamp_checks(Stamps(LEFT, LEFT + late))
+    assert partners.value is not None and partners.value > 50.0 and partners.status != "PASS"
+    assert "5 ms are allowed" in offset.finding

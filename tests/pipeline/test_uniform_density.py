@@ -1,0 +1,201 @@
+"""Uniform density of a box whose centre, axes and ratios are known: assumed, or compared with the motion."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from polhode.config.backend_settings import Backend
+from polhode.lie import exp_so3
+from polhode.mapping.uniform_solid import coverage, solid_of
+from polhode.mapping.visibility import Caster
+from polhode.pipeline.run_directory.summary_schema import Physics
+from polhode.pipeline.uniform_density import assumed_properties, check_physics
+from polhode.records import MassProperties, SurfaceModel
+
+BOX_M = (0.12, 0.20, 0.24)
+BOX = trimesh.creation.box(BOX_M).subdivide().subdivide().subdivide()
+GIVEN = Backend(mass_kg=4.5)
+
+
+def surface_of(mesh: trimesh.Trimesh) -> SurfaceModel:
+    n = len(mesh.vertices)
+    return SurfaceModel(mesh, np.full(n, 1e-3), np.full(n, 5, dtype=np.int64))
+
+
+def moments_of_a_box(mass_kg: float) -> np.ndarray:
+    x, y, z = BOX_M
+    return mass_kg / 12.0 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
+
+
+def partly_known(mass: MassProperties, **flags: Any) -> MassProperties:
+    return replace(mass, identifiable=replace(mass.identifiable, **flags))
+
+
+def compared(mass: MassProperties, mesh: trimesh.Trimesh = BOX) -> Physics:
+    found = check_physics(mass, surface_of(mesh))
+    assert found is not None
+    return found
+
+
+def sentence(found: Physics, start: str) -> str:
+    return next(text for text in found.words if text.startswith(start))
+
+
+def test_a_given_mass_scales_the_inertia_that_the_motion_determines(example: Any) -> None:
+    found, warnings = assumed_properties(example.estimate.mass, example.surface, GIVEN)
+    assert found is not None and warnings == []
+    assert found.mass_kg == 4.5 and found.volume_m3 == pytest.approx(np.prod(BOX_M), rel=1e-9)
+    np.testing.assert_allclose(np.diag(found.inertia_kg_m2), moments_of_a_box(4.5), rtol=1e-9)
+    # what the motion determines stays its own
+    assert (found.k1, found.k2, found.com_G, found.R_GP) == (None, None, None, None)
+    assert "as given" in found.words[1]
+
+
+def test_the_estimated_ratios_are_kept_where_the_mass_is_not_uniform(example: Any) -> None:
+    other = np.diag([1.4, 1.0, 0.7])
+    found, _ = assumed_properties(replace(example.estimate.mass, J_G=other), example.surface, GIVEN)
+    assert found is not None
+    inertia = np.array(found.inertia_kg_m2)
+    np.testing.assert_allclose(inertia / inertia[1, 1], other, atol=1e-12)
+    assert np.trace(inertia) == pytest.approx(moments_of_a_box(4.5).sum(), rel=1e-9)
+
+
+def test_a_density_tells_mass_and_all_that_the_motion_does_not(example: Any) -> None:
+    mass = partly_known(
+        example.estimate.mass, k1=False, axes=False, com=False, com_P=np.array([True, False, True])
+    )
+    found, _ = assumed_properties(mass, example.surface, Backend(density_kg_m3=1000.0))
+    assert found is not None
+    assert found.mass_kg == pytest.approx(1000.0 * np.prod(BOX_M), rel=1e-9)
+    moments = moments_of_a_box(1.0)
+    assert found.k1 == pytest.approx(np.log(moments[0] / moments[1])) and found.k2 is None
+    assert found.R_GP is not None and np.abs(np.array(found.R_GP)).max(axis=0) == pytest.approx(np.ones(3))
+    # along the lost axis the box's own middle, along the others the estimate
+    assert found.com_G == pytest.approx((0.003, 0.0, 0.002))
+    assert {text.split(":")[0] for text in found.words} >= {"k1", "axes", "com", "inertia"}
+
+
+def test_an_open_mesh_is_taken_as_its_hull_and_said_to_be(example: Any) -> None:
+    box = trimesh.creation.box(BOX_M).subdivide().subdivide()
+    opened = trimesh.Trimesh(box.vertices, box.faces[20:], process=False)
+    solid, _ = solid_of(opened)
+    assert solid is not None and "convex hull" in solid.words and "open" in solid.words
+    assert solid.volume_m3 == pytest.approx(np.prod(BOX_M), rel=0.02)
+
+
+def test_a_surface_seen_from_one_side_has_no_volume(example: Any) -> None:
+    box = trimesh.creation.box(BOX_M).subdivide().subdivide()
+    seen = (box.triangles_center[:, 2] > 0.119) | (box.triangles_center[:, 0] > 0.059)
+    bowl = trimesh.Trimesh(box.vertices, box.faces[seen], process=False)
+    found, warnings = assumed_properties(example.estimate.mass, surface_of(bowl), GIVEN)
+    assert found is None and len(warnings) == 1 and "covers only" in warnings[0]
+    nothing, why = assumed_properties(example.estimate.mass, surface_of(trimesh.Trimesh()), GIVEN)
+    assert nothing is None and "no surface" in why[0]
+
+
+def test_coverage_is_the_share_of_directions() -> None:
+    ball = trimesh.creation.icosphere(3)
+    assert coverage(Caster(ball), np.zeros(3)) == 1.0
+    half = trimesh.Trimesh(ball.vertices, ball.faces[ball.triangles_center[:, 2] > 0.0], process=False)
+    assert coverage(Caster(half), np.zeros(3)) == pytest.approx(0.5, abs=0.03)
+
+
+def test_nothing_is_assumed_unless_the_user_gives_a_mass_or_a_density(example: Any) -> None:
+    assert assumed_properties(example.estimate.mass, example.surface, Backend()) == (None, [])
+
+
+def test_an_offset_centre_of_mass_is_told_in_words(example: Any) -> None:
+    mass = replace(example.estimate.mass, com_G=np.array([0.009, 0.0, 0.0]), cov_com_G=np.eye(3) * 1.6e-7)
+    found = compared(mass)
+    assert found.com_uniform_G == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    assert found.com_offset_G == pytest.approx((0.009, 0.0, 0.0), abs=1e-9)
+    assert found.com_offset_sigma_m == pytest.approx(4e-4)
+    text = sentence(found, "the centre of mass")
+    assert text.startswith("the centre of mass is 9 mm off the volume's centre along +x of G (sigma 0.4 mm")
+    assert text.endswith("mass is not spread evenly")
+
+
+def test_uniform_density_agrees(example: Any) -> None:
+    mass = replace(example.estimate.mass, com_G=np.zeros(3))
+    found = compared(mass)
+    assert found.volume_m3 == pytest.approx(np.prod(BOX_M))
+    assert found.axes_angle_deg == pytest.approx(0.0, abs=1e-6)
+    assert found.k1_difference == pytest.approx(0.0, abs=1e-9) == found.k2_difference
+    assert "agrees with the volume's centre within" in sentence(found, "the centre of mass")
+    assert "axes agree" in sentence(found, "the principal axes")
+    assert all("agrees" in sentence(found, name) for name in ("k1", "k2"))
+
+
+def test_turned_axes_are_told_and_half_turns_are_none(example: Any) -> None:
+    mass = example.estimate.mass
+    for half_turn in ((1.0, 1.0, 1.0), (-1.0, -1.0, 1.0)):
+        turned = replace(mass, R_GP=exp_so3([0.0, 0.0, np.deg2rad(10.0)]) * np.array(half_turn))
+        found = compared(turned)
+        assert found.axes_angle_deg == pytest.approx(10.0, abs=1e-6)
+        assert "axes are rotated by 10 deg" in sentence(found, "the principal axes")
+
+
+def test_ratios_that_differ_are_told(example: Any) -> None:
+    mass = replace(example.estimate.mass, k1=example.estimate.mass.k1 + 0.2)
+    found = compared(mass)
+    assert found.k1_difference == pytest.approx(0.2)
+    assert "k1 is 0.200 larger than the volume's" in sentence(found, "k1")
+
+
+def test_nothing_is_said_of_what_the_motion_does_not_determine(example: Any) -> None:
+    mass = example.estimate.mass
+    none = np.zeros(3, dtype=bool)
+    lost = replace(
+        partly_known(mass, k1=False, k2=False, com=False, axes=False, com_P=none, axes_P=none),
+        cov_k=np.diag([np.inf, np.inf]),
+    )
+    found = compared(lost)
+    assert len(found.words) == 1
+    assert found.com_offset_G is None and found.axes_angle_deg is None
+    assert found.k1_difference is None and found.k2_difference is None
+
+
+def test_one_lost_component_is_left_out(example: Any) -> None:
+    mass = example.estimate.mass
+    x_lost = np.array([False, True, True])
+    partly = replace(
+        mass,
+        com_G=np.array([0.05, 0.01, 0.0]),
+        cov_com_G=np.diag([np.inf, np.inf, np.inf]),
+        identifiable=replace(
+            mass.identifiable,
+            com=False,
+            axes=False,
+            com_P=x_lost,
+            axes_P=np.array([True, True, False]),
+            sigma=np.full(8, 1e-4),
+        ),
+    )
+    found = compared(partly)
+    assert found.com_offset_G == pytest.approx((0.0, 0.01, 0.0), abs=1e-9)
+    assert found.com_offset_sigma_m == pytest.approx(1e-4)
+    text = sentence(found, "the centre of mass")
+    assert "10 mm" in text and "+y of G" in text
+    assert text.endswith("along x of P is not determined by the motion")
+    # the turn about z is lost, so z is the only axis that both tell
+    assert sentence(found, "the principal axis z agrees")
+
+
+def test_an_open_mesh_is_compared_by_its_hull_as_well_as_that_tells(example: Any) -> None:
+    mass = replace(example.estimate.mass, com_G=np.array([0.0, 0.0, 0.02]))
+    opened = trimesh.Trimesh(BOX.vertices, BOX.faces[40:], process=False)
+    found = compared(mass, opened)
+    assert "convex hull" in found.words[0]
+    assert sentence(found, "the centre of mass").endswith("or the hull is not the body")
+    # two plates: their hull is a box, they themselves enclose nothing
+    sides = np.abs(BOX.triangles_center[:, 0]) > 0.059
+    plates = trimesh.Trimesh(BOX.vertices, BOX.faces[sides], process=False)
+    result = check_physics(mass, surface_of(plates))
+    assert result is None or result.com_offset_G is None or "hull" in result.words[0]
+
+
+def test_no_surface_has_no_volume(example: Any) -> None:
+    assert check_physics(example.estimate.mass, surface_of(trimesh.Trimesh())) is None
