@@ -12,7 +12,7 @@ from jinja2 import DictLoader, Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from polhode.pipeline.report.plot_style import DARK, Figure
+from polhode.pipeline.report.plot_style import DARK, Figure, packed
 from polhode.pipeline.report.terms import explained
 
 _FILES = {
@@ -87,7 +87,7 @@ def figure_text(figure: Figure) -> Markup:
         "narrow": figure.narrow,
         "clock": figure.clock,
     }
-    return deflated(json.dumps(content, separators=(",", ":"), allow_nan=False))
+    return deflated(json.dumps(content, separators=(",", ":"), allow_nan=False, default=packed))
 
 
 @cache

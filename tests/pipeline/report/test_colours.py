@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from skimage.color import rgb2lab
 
-from polhode.compare.page import COLORS as SOLVER_COLORS
 from polhode.pipeline.report.comparison import RUN_COLORS
-from polhode.pipeline.report.plot_style import AXIS_COLORS, DARK, INK, PAPER, translucent
+from polhode.pipeline.report.plot_style import AXIS_COLORS, DARK, INK, PAPER
 
 SEEN_BY = {
     "everyone": np.eye(3),
@@ -67,13 +66,3 @@ def test_curves_stand_out_from_the_ground(palette: tuple[str, ...]) -> None:
     for color in palette:
         assert contrast(color, PAPER) >= MIN_CONTRAST, color
         assert contrast(DARK[color], DARK[PAPER]) >= MIN_CONTRAST, color
-
-
-def test_no_palette_sets_red_against_green() -> None:
-    for color in (*AXIS_COLORS, *RUN_COLORS, *SOLVER_COLORS, *DARK.values()):
-        red, green, blue = (int(color[k : k + 2], 16) for k in (1, 3, 5))
-        assert not (green > 1.3 * red and green > 1.2 * blue), f"{color} is green"
-
-
-def test_a_translucent_colour_follows_the_scheme() -> None:
-    assert translucent("#0072b2", 0.2) == "#0072b233"

@@ -10,16 +10,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from polhode.config import Config
-from polhode.pipeline.report.film import MAX_BYTES, MAX_FRAMES, film_frames
-from polhode.pipeline.report.page import data_date
+from polhode.pipeline.report.page import camera_views, data_date, timeline
+from polhode.pipeline.report.page_pictures import MAX_FILM_BYTES, MAX_FILM_FRAMES, film_frames
 from polhode.pipeline.report.plot_style import panels, stacked
 from polhode.pipeline.report.template import css_text, deflated, inflated
 from polhode.pipeline.report.terms import TERMS, explained
-from polhode.pipeline.report.timeline import camera_views, timeline
 from polhode.pipeline.run_directory.film import StoredFilm, read_film
 from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
-from tests.pipeline.stored_run import write_run
+from tests.pipeline.stored_run import stored
 
 
 def gif(count: int) -> bytes:
@@ -44,13 +42,16 @@ def test_frames_of_the_film_are_those_of_the_table(caplog: pytest.LogCaptureFixt
 
 def test_a_long_film_is_thinned() -> None:
     content = io.BytesIO()
-    pictures = [Image.new("P", (732, 303), k) for k in range(2 * MAX_FRAMES)]
+    pictures = [Image.new("P", (732, 303), k) for k in range(2 * MAX_FILM_FRAMES)]
     for k, each in enumerate(pictures):
         each.putpixel((k, 50), 255)
     pictures[0].save(content, "GIF", save_all=True, append_images=pictures[1:])
-    frames = film_frames(StoredFilm(content.getvalue(), tuple(range(2 * MAX_FRAMES))))
-    assert len(frames) == MAX_FRAMES and (frames[0].frame, frames[-1].frame) == (0, 2 * MAX_FRAMES - 1)
-    assert sum(len(each.uri) for each in frames) < 1.4 * MAX_BYTES
+    frames = film_frames(StoredFilm(content.getvalue(), tuple(range(2 * MAX_FILM_FRAMES))))
+    assert len(frames) == MAX_FILM_FRAMES and (frames[0].frame, frames[-1].frame) == (
+        0,
+        2 * MAX_FILM_FRAMES - 1,
+    )
+    assert sum(len(each.uri) for each in frames) < 1.4 * MAX_FILM_BYTES
 
 
 def test_a_damaged_film_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -65,11 +66,7 @@ def test_a_damaged_film_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFix
 
 @pytest.fixture(scope="module")
 def content(example: Any, tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
-    folder = tmp_path_factory.mktemp("timeline") / "run"
-    folder.mkdir()
-    write_run(
-        folder, config=Config(), tracks=example.tracks, estimate=example.estimate, surface=None, timing_s={}
-    )
+    folder = stored(tmp_path_factory.mktemp("timeline") / "run", example)
     return read_stored_run(folder, "run")
 
 

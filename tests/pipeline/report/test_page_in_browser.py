@@ -21,12 +21,10 @@ import pytest
 from PIL import Image
 
 from benchmarks.end_to_end.report_page import CONTRAST, OVERFLOW, browser_path, draw_all, headless
-from polhode.config import Config
 from polhode.pipeline.report import write_comparison, write_report
 from polhode.pipeline.run_directory.film import GAP_PX, GIF_SCALE, HEAD_PX, PANEL_PX
-from polhode.pipeline.run_directory.outputs import write_online_estimate
 from tests.pipeline.report.test_convergence import online_of
-from tests.pipeline.stored_run import write_run
+from tests.pipeline.stored_run import stored
 
 pytestmark = pytest.mark.skipif(browser_path() is None, reason="no Chromium; .ci/run installs it")
 
@@ -60,11 +58,9 @@ def browser() -> Iterator[Any]:
 def run_folder(example: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run with everything that a report shows but masks."""
     folder = tmp_path_factory.mktemp("browser") / "tumbler"
-    folder.mkdir()
-    write_online_estimate(folder, online_of(example.estimate))
     _write_film(folder / "pictures")
-    write_run(
-        folder, config=Config(), tracks=example.tracks, estimate=example.estimate, surface=example.surface,
+    stored(
+        folder, example, example.surface, online_of(example.estimate),
         timing_s={"frontend": 12.0}, warnings=["the calibration was taken as right"],
         pictures={"frame 0: 150 inliers (blue)": _png(np.full((90, 90), 70, dtype=np.uint8))},
     )  # fmt: skip
@@ -75,7 +71,7 @@ def run_folder(example: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _write_film(folder: Path) -> None:
     """A film in which a bright square moves to the right, one picture for each of ``FRAMES``."""
-    folder.mkdir()
+    folder.mkdir(parents=True)
     width = round(GIF_SCALE * (3 * PANEL_PX + 2 * GAP_PX))
     pictures = []
     for k in range(len(FRAMES)):
