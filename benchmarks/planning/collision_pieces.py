@@ -31,7 +31,7 @@ from polhode.planning.exports.convex_pieces import (
     decompose,
     outside,
 )
-from polhode.planning.exports.records import ExportShape, frame_G, shape_of_surface
+from polhode.planning.exports.records import ExportShape, Placement, shape_of_surface
 
 SAMPLES = 50_000
 
@@ -51,7 +51,7 @@ def main(
         "|---|---|---|---|---|---|---|---|---|---|---|"
     )
     for run in runs:
-        shape = shape_of_surface(surface_of(run), frame_G())
+        shape = shape_of_surface(surface_of(run), Placement("G", np.eye(4), ""))
         reach = OutwardDistance(shape.mesh())
         corners = shape.mesh().convex_hull.vertices
         diameter = float(max(np.linalg.norm(corners - each, axis=1).max() for each in corners))

@@ -16,7 +16,6 @@ from trimesh.visual import ColorVisuals
 
 import polhode
 from polhode.cli.main import main
-from polhode.config import Config
 from polhode.errors import InputError
 from polhode.lie import exp_so3, log_so3, make_pose, matrix_from_wxyz, transform_points
 from polhode.mapping.mesh_files import read_ply
@@ -25,36 +24,22 @@ from polhode.pipeline.after_run.export.json_document import SCHEMA_FILE, Documen
 from polhode.pipeline.after_run.export.options import FrameName
 from polhode.pipeline.run_directory.summary import read_summary, write_summary
 from polhode.pipeline.run_directory.summary_schema import Intervals, json_schema
-from polhode.records import SurfaceModel
 from tests.pipeline.conftest import BOX_M, Example
-from tests.pipeline.stored_run import write_run
+from tests.pipeline.stored_run import stored
 
 Capture = pytest.CaptureFixture[str]
-
-
-def write_example(example: Example, folder: Path, surface: SurfaceModel | None) -> Path:
-    folder.mkdir()
-    write_run(
-        folder,
-        config=Config(),
-        tracks=example.tracks,
-        estimate=example.estimate,
-        surface=surface,
-        timing_s={},
-    )
-    return folder
 
 
 @pytest.fixture(scope="module")
 def run(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A box with a closed mesh."""
-    return write_example(example, tmp_path_factory.mktemp("runs") / "box", example.surface)
+    return stored(tmp_path_factory.mktemp("runs") / "box", example, example.surface)
 
 
 @pytest.fixture(scope="module")
 def bare(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same without a mesh."""
-    return write_example(example, tmp_path_factory.mktemp("runs") / "bare", None)
+    return stored(tmp_path_factory.mktemp("runs") / "bare", example)
 
 
 @pytest.fixture(scope="module")
@@ -204,7 +189,7 @@ def test_a_run_without_a_mesh_exports_what_it_can(bare: Path, tmp_path: Path, ca
 def test_an_undetermined_inertia_is_exported_as_such(
     undetermined: Example, tmp_path: Path, capsys: Capture
 ) -> None:
-    run = write_example(undetermined, tmp_path / "spin", undetermined.surface)
+    run = stored(tmp_path / "spin", undetermined, undetermined.surface)
     text = export(run, "urdf", tmp_path / "spin.urdf").read_text()
     assert "not determined by the motion: k1, k2, the principal axes, the centre of mass" in text
     content = document(run, tmp_path, "--horizon", "2")
@@ -219,7 +204,7 @@ def test_an_undetermined_inertia_is_exported_as_such(
 def test_intervals_are_exported_and_hold_the_centre_of_mass(
     undetermined: Example, tmp_path: Path, capsys: Capture
 ) -> None:
-    run = write_example(undetermined, tmp_path / "spin", undetermined.surface)
+    run = stored(tmp_path / "spin", undetermined, undetermined.surface)
     summary = read_summary(run)
     intervals = Intervals(com_shift_P=(None, (0.02, 0.05), None), k1=(0.0, 0.6), bounds=("inside the hull",))
     write_summary(summary.model_copy(update={"intervals": intervals}), run / "summary.json")
@@ -263,7 +248,7 @@ def test_a_run_without_covariances_exports_the_motion_and_says_so(
     archive: bytes | None, run: Path, example: Example, tmp_path: Path, capsys: Capture
 ) -> None:
     whole = document(run, tmp_path, "--horizon", "5")
-    bare = write_example(example, tmp_path / "run", example.surface)
+    bare = stored(tmp_path / "run", example, example.surface)
     (bare / "covariance.npz").unlink()
     if archive is not None:
         (bare / "covariance.npz").write_bytes(archive)
@@ -487,7 +472,7 @@ def test_an_epoch_beside_timestamps_that_are_utc_already_is_a_warning(
         tracks=replace(example.tracks, timestamps_ns=example.tracks.timestamps_ns + start_ns),
         estimate=replace(example.estimate, timestamps_ns=example.estimate.timestamps_ns + start_ns),
     )
-    run = write_example(later, tmp_path / "later", None)
+    run = stored(tmp_path / "later", later)
     for to in ("oem", "aem", "json"):
         for epoch, warned in (("2026-11-23", True), ("1970-01-01", False)):
             export(run, to, tmp_path / f"x.{to}", "--horizon", "2", "--epoch", epoch)
@@ -505,7 +490,7 @@ def test_known_torques_set_the_scale_whatever_the_mass(example: Example, tmp_pat
         sigma_inertia_scale_kg_m2=0.01,
     )
     torqued = replace(example, estimate=replace(example.estimate, mass=mass))
-    run = write_example(torqued, tmp_path / "torqued", example.surface)
+    run = stored(tmp_path / "torqued", torqued, example.surface)
     inertial = document(run, tmp_path, "--horizon", "1")["inertial"]
     assert (inertial["mass_is"], inertial["scale_is"], inertial["mass_kg"]) == (
         "determined",

@@ -22,8 +22,9 @@ from polhode.planning.exports import convex_pieces
 from polhode.planning.exports.convex_pieces import clip, outside
 from polhode.planning.exports.records import Placement, shape_of_surface
 from polhode.records import SurfaceModel
-from tests.pipeline.after_run.test_export import document, export, run, write_example
+from tests.pipeline.after_run.test_export import document, export, run
 from tests.pipeline.conftest import Example
+from tests.pipeline.stored_run import stored
 
 __all__ = ["run"]
 ROOT = Path(__file__).parents[3]
@@ -54,7 +55,7 @@ def cross() -> SurfaceModel:
 @pytest.fixture(scope="module")
 def cross_run(example: Example, cross: SurfaceModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The motion of the box with this surface."""
-    return write_example(example, tmp_path_factory.mktemp("runs") / "cross", cross)
+    return stored(tmp_path_factory.mktemp("runs") / "cross", example, cross)
 
 
 def pieces_of(folder: Path) -> list[trimesh.Trimesh]:
@@ -288,7 +289,7 @@ def test_drake_accepts_sdf_and_urdf_with_their_meshes(
 @pytest.fixture(params=["still", "animated", "millimetres", "points"])
 def a_glb(request: pytest.FixtureRequest, cross_run: Path, example: Example, tmp_path: Path) -> Path:
     kind = request.param
-    source = cross_run if kind != "points" else write_example(example, tmp_path / "bare", None)
+    source = cross_run if kind != "points" else stored(tmp_path / "bare", example)
     more = {"animated": ["--animate", "--horizon", "30"], "millimetres": ["--unit", "mm"]}.get(kind, [])
     return export(source, "glb", tmp_path / f"{kind}.glb", *more)
 
