@@ -18,11 +18,11 @@ import polhode
 from polhode.cli.main import main
 from polhode.errors import InputError
 from polhode.lie import exp_so3, log_so3, make_pose, matrix_from_wxyz, transform_points
-from polhode.mapping.mesh_files import read_ply
+from polhode.mapping.mesh_files import read_ply, write_ply
 from polhode.mesh_metrics import distance_to_surface
 from polhode.pipeline.after_run.export.json_document import SCHEMA_FILE, Document
 from polhode.pipeline.after_run.export.options import FrameName
-from polhode.pipeline.run_directory.summary import read_summary, write_summary
+from polhode.pipeline.run_directory.summary import build_summary, read_summary, write_summary
 from polhode.pipeline.run_directory.summary_schema import Intervals, json_schema
 from tests.pipeline.conftest import BOX_M, Example
 from tests.pipeline.stored_run import stored
@@ -45,8 +45,6 @@ def bare(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def failed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run that found nothing."""
-    from polhode.pipeline.run_directory.summary import build_summary, write_summary
-
     folder = tmp_path_factory.mktemp("failed")
     write_summary(build_summary(None, None, None, {}, failure="no motion fits"), folder / "summary.json")
     return folder
@@ -87,9 +85,7 @@ def test_json_has_states_with_covariances_and_mass_properties(
 
 @pytest.mark.parametrize("frame", ["G", "P"])
 @pytest.mark.parametrize("to", ["mjcf", "urdf"])
-def test_mujoco_simulates_what_we_predict(
-    to: str, frame: str, run: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_mujoco_simulates_what_we_predict(to: str, frame: str, run: Path, tmp_path: Path) -> None:
     options = ("--frame", frame, "--mass-kg", "4.5")
     content = document(run, tmp_path, *options)
     file = export(run, to, tmp_path / f"box.{to}", *options)
@@ -119,8 +115,6 @@ def test_mujoco_simulates_what_we_predict(
         worst_deg = max(worst_deg, float(np.rad2deg(np.linalg.norm(turn))))
         worst_m = max(worst_m, float(np.abs(data.qpos[:3] - row["p_NF"]).max()))
     assert content["prediction"][-1]["time_s"] == pytest.approx(60.0)
-    with capsys.disabled():
-        print(f"\n  {to}, frame {frame}: within {worst_deg:.1e} deg and {worst_m:.1e} m over 60 s", end="")
     assert worst_deg < 0.1 and worst_m < 1e-4
 
 
@@ -234,8 +228,6 @@ def test_a_failed_run_exports_what_it_found(
             assert "before it had a motion (no motion fits)" in stderr and "--frame" not in stderr
     assert not (tmp_path / "x").exists()
     # a mesh without a motion: what is assumed is said
-    from polhode.mapping.mesh_files import write_ply
-
     write_ply(example.surface, failed / "mesh.ply")
     text = export(failed, "mjcf", tmp_path / "shape.xml", "--mass-kg", "4.5").read_text()
     shown = capsys.readouterr().out

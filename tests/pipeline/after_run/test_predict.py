@@ -198,21 +198,6 @@ def test_mistakes_are_one_line(
     assert words in stderr and stderr.count("\n") == 1
 
 
-def test_a_file_of_a_run_is_not_its_folder(example: Example, tmp_path: Path, capsys: Capture) -> None:
-    run = stored(tmp_path / "run", example)
-    for path, what in ((run / "summary.json", "a file"), (tmp_path / "none", "no such folder")):
-        for command in (
-            ["predict", str(path), "--horizon", "10"],
-            ["report", str(path), "-o", str(tmp_path / "page.html")],
-            ["report", str(run), str(path), "-o", str(tmp_path / "page.html")],
-            ["evaluate", str(path), str(tmp_path)],
-            ["export", str(path), "--to", "stl", "-o", str(tmp_path / "target.stl")],
-        ):
-            assert main(command) == 2
-            stderr = capsys.readouterr().err
-            assert f"{path}: {what}; give the folder of a run" in stderr and stderr.count("\n") == 1
-
-
 def test_a_prediction_of_many_rows_shows_its_progress(
     example: Example, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -242,8 +227,8 @@ def test_times_reach_the_horizon_and_no_step_is_nearly_nothing() -> None:
     for step_s, horizon_s in ((0.5, 1.0000000004), (1e-9, 1e-6), (1.5e-9, 1e-6), (1e-9, 9.9995e-6)):
         stamps = np.round(prediction_times(horizon_s, step_s) * 1e9)
         assert np.all(np.diff(stamps, prepend=0.0) >= 1.0)
-    with pytest.raises(InputError, match="a number above 0"):
-        prediction_times(float("inf"), 0.5)
+    with pytest.raises(InputError, match="more than 100000 rows"):
+        prediction_times(1e6, 0.5)
 
 
 @pytest.mark.parametrize("name", FORMS)

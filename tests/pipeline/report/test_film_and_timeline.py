@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from polhode.pipeline.report.page import camera_views, data_date, timeline
+from polhode.pipeline.report.page import camera_views, timeline
 from polhode.pipeline.report.page_pictures import MAX_FILM_BYTES, MAX_FILM_FRAMES, film_frames
 from polhode.pipeline.report.plot_style import panels, stacked
 from polhode.pipeline.report.template import css_text, deflated, inflated
@@ -89,10 +89,6 @@ def test_each_stop_shows_the_nearest_picture(content: StoredRun) -> None:
     assert line["picture"] == [0] * 6 + [1] * 11 + [2] * 7
     assert line["time"][1] == 0.5 and len(line["rate"]) == line["frames"] == 24
     assert "picture" not in (timeline(content, []) or {"picture": 0})
-
-
-def test_timestamps_from_zero_are_no_date(content: StoredRun) -> None:
-    assert data_date(content) == ""
 
 
 def test_terms_are_explained_where_they_occur_and_only_there() -> None:

@@ -12,7 +12,7 @@ import trimesh
 from PIL import Image
 
 from polhode.pipeline.report.page import render
-from polhode.pipeline.report.page_pictures import embedded, film_frames
+from polhode.pipeline.report.page_pictures import embedded
 from polhode.pipeline.report.page_size import (
     CLOUD,
     FEWER,
@@ -119,14 +119,6 @@ def test_pictures_become_smaller_and_then_fewer(long_run: StoredRun) -> None:
     assert sizes[0] == len(long_run.pictures) and sizes[1] > sizes[2] > sizes[3] == 0
     for most in (150_000, 20_000):
         assert sum(len(each.uri) for each in embedded(long_run.pictures, most)) <= most
-
-
-def test_a_film_becomes_smaller_and_then_shorter(long_run: StoredRun) -> None:
-    film = long_run.film
-    frames = film_frames(film, 300_000)
-    assert 0 < len(frames) < len(film_frames(film, 10**9)) == 6
-    assert frames[0].frame == 0 and sum(len(each.uri) for each in frames) <= 300_000
-    assert film_frames(film, 0) == []
 
 
 def test_a_curve_keeps_its_ends_its_peaks_and_its_gaps() -> None:

@@ -25,7 +25,7 @@ from polhode.pipeline.report.polhode_and_inertia_figures import (
     torque_free_path,
 )
 from polhode.pipeline.report.residual_figures import rms_per_frame, sigma_found
-from polhode.pipeline.report.shape_figures import MAX_FACES, cameras_in_target, thinned
+from polhode.pipeline.report.shape_figures import thinned
 from polhode.pipeline.report.tables import (
     check_panel,
     inertia_rows,
@@ -41,7 +41,6 @@ from polhode.pipeline.run_directory.stored_run import read_stored_run
 from polhode.pipeline.run_directory.summary import build_summary, read_summary
 from polhode.pipeline.run_directory.summary_schema import Check, Intervals
 from polhode.pipeline.run_directory.trajectory_file import trajectory_of
-from polhode.records import SurfaceModel
 from tests.pipeline.stored_run import stored
 
 FIGURES = [
@@ -104,16 +103,6 @@ def test_the_page_loads_nothing_from_anywhere(run_folder: Path) -> None:
     assert all(re.match(r"(a #|img data:image/)", load) for load in page.loads), page.loads
     assert not re.search(r"(src|href)\s*=\s*[\"'`\\]*https?://|@import|url\(\s*[\"']?http", text)
     assert "default-src 'none'" in text
-
-
-def test_a_dense_mesh_is_thinned_for_the_page(example: Any, tmp_path: Path) -> None:
-    sphere = trimesh.creation.icosphere(subdivisions=7, radius=0.1)
-    assert len(sphere.faces) > 4 * MAX_FACES
-    count = len(sphere.vertices)
-    surface = SurfaceModel(sphere, np.full(count, 1e-3), np.ones(count, dtype=np.int64))
-    folder = stored(tmp_path / "run", example, surface)
-    assert (folder / "report.html").stat().st_size < 2.6e6
-    assert f"of {len(sphere.faces)} triangles" in _page(folder).words
 
 
 def test_thinning_keeps_the_shape() -> None:
@@ -389,14 +378,6 @@ def test_rms_counts_inliers_only_and_bridged_frames_are_gaps(run_folder: Path, e
     here = (example.tracks.frame == 4) & (example.estimate.inlier_weight >= 0.5)
     np.testing.assert_allclose(rms[4], np.sqrt(np.mean(example.estimate.residuals_px[here] ** 2, axis=0)))
     assert np.all(np.isnan(rms[11]))
-
-
-def test_cameras_stand_where_the_target_sees_them(run_folder: Path, example: Any) -> None:
-    positions = cameras_in_target(read_stored_run(run_folder, "tumbler"))
-    assert positions is not None
-    X_NG = example.estimate.X_NG
-    expected = -np.einsum("fji,fj->fi", X_NG[:, :3, :3], X_NG[:, :3, 3])
-    np.testing.assert_allclose(positions[:, :3, 3], expected, atol=1e-12)
 
 
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
