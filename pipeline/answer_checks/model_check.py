@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from polhode.dataset import StereoSequence
 from polhode.frontend.rectification import Rectifier
 from polhode.lie import Array
-from polhode.mapping.visibility import MeshViewer
 from polhode.pipeline.pictures.model_comparison import FrameComparison, chosen_frames, compare_frames
 from polhode.pipeline.run_directory.summary_schema import Check
 from polhode.records import Bools, MotionEstimate, StereoTracks
@@ -56,9 +55,7 @@ def model_check(
     if not len(mesh.faces) or len(measured) < MIN_FRAMES:
         return check
     frames = measured[chosen_frames(len(measured), MAX_FRAMES)].tolist()
-    compared = compare_frames(
-        *(sequence, rectifier, tracks, estimate, mesh, MeshViewer(mesh), frames), sun_N=sun_N
-    )
+    compared = compare_frames(sequence, rectifier, tracks, estimate, mesh, frames, sun_N)
     return judged_shares([displaced_share(each) for each in compared], check)
 
 

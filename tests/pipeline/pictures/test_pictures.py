@@ -107,14 +107,8 @@ def make(run: Any, folder: Path, config: Pictures, **changed: Any) -> set[str]:
 
 
 def comparisons(run: Any) -> list[FrameComparison]:
-    viewer = MeshViewer(run.surface.mesh)
-    frames = list(range(FRAMES))
-    return list(
-        compare_frames(
-            *(run.sequence, run.rectifier, run.tracks, run.estimate),
-            *(run.surface.mesh, viewer, frames),
-        )
-    )
+    given = (run.sequence, run.rectifier, run.tracks, run.estimate, run.surface.mesh)
+    return list(compare_frames(*given, list(range(FRAMES))))
 
 
 def test_the_same_image_leaves_no_difference(run: Any) -> None:
@@ -137,10 +131,10 @@ def test_the_body_casts_its_shadow_on_itself(run: Any) -> None:
     faces = np.vstack([box.faces, plate.faces + len(box.vertices)])
     grey = np.tile(np.array([200, 200, 200, 255], dtype=np.uint8), (len(corners), 1))
     body = trimesh.Trimesh(corners, faces, vertex_colors=grey, process=False)
-    given = (run.sequence, run.rectifier, run.tracks, run.estimate, body, MeshViewer(body), [0])
+    given = (run.sequence, run.rectifier, run.tracks, run.estimate, body, [0])
     # From beside the camera, so that the shadow lies beside the plate.
     sun_N = np.array([-0.5, 0.0, -1.0]) / np.linalg.norm([-0.5, 0.0, -1.0])
-    plain, shaded = (next(compare_frames(*given, sun_N=sun_N, shadows=each)) for each in (None, Caster(body)))
+    plain, shaded = (next(compare_frames(*given, sun_N=sun_N, caster=each)) for each in (None, Caster(body)))
     darker = plain.modelled & (shaded.model < 0.1 * plain.model)
     share = darker.sum() / plain.modelled.sum()
     assert 0.02 < share < 0.3
