@@ -22,8 +22,8 @@ from polhode.lie import Array
 from polhode.pipeline.after_run.plan import surface_of
 from polhode.planning.exports.convex_pieces import (
     CUT_FACES,
-    ROUNDING,
-    WITHIN,
+    MAX_PROTRUSION_SHARE,
+    ROUNDING_SHARE,
     OutwardDistance,
     _beyond,
     _grown_pieces,
@@ -47,7 +47,7 @@ def main(
         methods |= {"CoACD": _coacd, "CoACD, grown": _coacd_grown}
     print(
         "| run | method | at most | pieces | 95 % of the area within [mm] | farthest [mm] | of the diameter "
-        f"| area beyond {WITHIN:.0%} | mesh outside | farthest [mm] | CPU [s] |\n"
+        f"| area beyond {MAX_PROTRUSION_SHARE:.0%} | mesh outside | farthest [mm] | CPU [s] |\n"
         "|---|---|---|---|---|---|---|---|---|---|---|"
     )
     for run in runs:
@@ -65,7 +65,7 @@ def main(
                 print(
                     f"| {run.name} | {name} | {most} | {len(found)} | {1e3 * np.quantile(beyond, 0.95):.2f} "
                     f"| {1e3 * beyond.max():.2f} | {beyond.max() / diameter:.2%} "
-                    f"| {np.mean(beyond > WITHIN * diameter):.3%} "
+                    f"| {np.mean(beyond > MAX_PROTRUSION_SHARE * diameter):.3%} "
                     f"| {np.mean(lost > 1e-6 * diameter):.2%} | {1e3 * lost.max():.2f} | {spent:.0f} |",
                     flush=True,
                 )
@@ -89,7 +89,9 @@ def _coacd(shape: ExportShape, most: int) -> Sequence[trimesh.Trimesh]:
 def _coacd_grown(shape: ExportShape, most: int) -> Sequence[trimesh.Trimesh]:
     reach = OutwardDistance(shape.mesh())
     seeds = [np.asarray(piece.vertices) for piece in _coacd(shape, most)]
-    return [_hull(piece.corners, ROUNDING * reach.size_m) for piece in _grown_pieces(shape, seeds, reach)]
+    return [
+        _hull(piece.corners, ROUNDING_SHARE * reach.size_m) for piece in _grown_pieces(shape, seeds, reach)
+    ]
 
 
 def _outside_all(shape: ExportShape, pieces: Sequence[trimesh.Trimesh]) -> Array:

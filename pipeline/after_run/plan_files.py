@@ -101,13 +101,13 @@ def draw_keepout(keep: KeepOut, surface: SurfaceModel, horizon_s: float, confide
         for k, colour in ((0, NOW), (-1, END)):
             R, p = motion.R_NG[k], motion.p_NG[k]
             view = body.orthographic(R.T @ (middle - p), R.T @ side.right, R.T @ side.up, half, SIDE_PX)
-            layers.append((view, _shaded(view, normal_G @ R.T, side, colour)))
-        image = _veiled(outer, _shaded(outer, normal_N, side, VOLUME), layers)
+            layers.append((view, _shade(view, normal_G @ R.T, side, colour)))
+        image = _draw_through_volume(outer, _shade(outer, normal_N, side, VOLUME), layers)
         _show(axes, image, f"from {side.name} of N", half)
     return png(figure)
 
 
-def _veiled(outer: MeshView, blue: Array, layers: list[tuple[MeshView, Array]]) -> Array:
+def _draw_through_volume(outer: MeshView, blue: Array, layers: list[tuple[MeshView, Array]]) -> Array:
     """The nearer body, seen through the volume."""
     image = np.where(outer.hit[..., None], blue, GROUND)
     nearest = np.full(outer.hit.shape, np.inf)
@@ -205,7 +205,7 @@ def draw_corridor(plan: Plan) -> bytes:
     return png(figure)
 
 
-def _shaded(view: MeshView, normals: Array, side: Direction, colour: Array) -> Array:
+def _shade(view: MeshView, normals: Array, side: Direction, colour: Array) -> Array:
     """(H, W, 3)"""
     return np.asarray(colour * (0.5 + 0.5 * np.abs(cosine_to_light(view, normals, side)))[..., None])
 

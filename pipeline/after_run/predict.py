@@ -75,7 +75,7 @@ def predict_run(
     """
     last, summary = last_body(run_folder)
     time_s, timestamps_ns = prediction_instants(run_folder, horizon_s, step_s, from_last)
-    return _predicted(run_folder, last, summary, time_s, timestamps_ns, progress)
+    return _predict_motion(run_folder, last, summary, time_s, timestamps_ns, progress)
 
 
 def predict_instants(run_folder: Path, time_s: Array) -> PredictedMotion:
@@ -83,10 +83,10 @@ def predict_instants(run_folder: Path, time_s: Array) -> PredictedMotion:
     last, summary = last_body(run_folder)
     require_instants(time_s, last)
     stamps = read_trajectory(run_folder).timestamps_ns[-1] + np.round(time_s * 1e9).astype(np.int64)
-    return _predicted(run_folder, last, summary, time_s, stamps, None)
+    return _predict_motion(run_folder, last, summary, time_s, stamps, None)
 
 
-def _predicted(
+def _predict_motion(
     run_folder: Path,
     last: FinalState,
     summary: Summary,

@@ -16,7 +16,7 @@ from polhode.drawing_style import default_style
 from polhode.lie import Array
 from polhode.mapping.visibility import MeshView, MeshViewer
 from polhode.pipeline.report.plot_style import AXIS_COLORS, FAINT, GRID, INK, SIGMA_SCALE
-from polhode.pipeline.report.shape_figures import stretched, vertex_rgb
+from polhode.pipeline.report.shape_figures import stretch_contrast, vertex_rgb
 from polhode.records import Bools, Landmarks, MassProperties, SurfaceModel
 
 DPI = 100
@@ -264,7 +264,7 @@ def _quantities(surface: SurfaceModel) -> tuple[_Quantity, ...]:
     known = np.isfinite(sigma_mm)
     top_mm = max(float(np.quantile(sigma_mm[known], 0.95)) if known.any() else 1.0, 1e-6)
     most = max(float(np.quantile(surface.views, 0.99)), 2.0)
-    brightness = stretched(vertex_rgb(surface.mesh)) / 255.0
+    brightness = stretch_contrast(vertex_rgb(surface.mesh)) / 255.0
     return (
         _Quantity("colours of the vertices, shaded; pink: inner side, seen through holes", brightness, 0.45),
         _Quantity(

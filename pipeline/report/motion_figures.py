@@ -11,9 +11,9 @@ from polhode.pipeline.report.plot_style import (
     TIME_TITLE,
     Figure,
     Trace,
-    banded,
     gap_shapes,
     line,
+    line_with_band,
     panels,
 )
 from polhode.pipeline.run_directory.stored_run import StoredRun
@@ -35,7 +35,9 @@ def motion_figures(content: StoredRun) -> list[Figure]:
     data: list[Trace] = []
     for k, name in enumerate("xyz"):
         for column, (value, sigma) in enumerate(columns):
-            data += banded(path.time_s, value[:, k], sigma[:, k], name, AXIS_COLORS[k], 3 * k + column + 1)
+            data += line_with_band(
+                path.time_s, value[:, k], sigma[:, k], name, AXIS_COLORS[k], 3 * k + column + 1
+            )
     titles = [(f"r<sub>{a}</sub> [m]", f"Δr<sub>{a}</sub> [mm]", f"v<sub>{a}</sub> [mm/s]") for a in "xyz"]
     above = ("position in N", "position minus a straight line", "velocity in N")
     centre_of_mass = figure(
@@ -54,7 +56,7 @@ def motion_figures(content: StoredRun) -> list[Figure]:
     w_deg_s, sigma_w_deg_s = np.rad2deg(path.w_P), np.rad2deg(path.sigma_w)
     data = []
     for k, name in enumerate("xyz"):
-        data += banded(path.time_s, w_deg_s[:, k], sigma_w_deg_s[:, k], name, AXIS_COLORS[k], k + 1)
+        data += line_with_band(path.time_s, w_deg_s[:, k], sigma_w_deg_s[:, k], name, AXIS_COLORS[k], k + 1)
     angular_velocity = figure(
         "angular-velocity",
         "Angular velocity",

@@ -28,7 +28,7 @@ from polhode.pipeline.report.page_pictures import (
     SHEETS,
     EmbeddedPicture,
     FilmFrame,
-    embedded,
+    embed_pictures,
     film_frames,
 )
 from polhode.pipeline.report.page_size import PAGE_BYTES, figures_within
@@ -193,7 +193,7 @@ def render(content: StoredRun) -> str:
     film = film_frames(content.film, min(MAX_FILM_BYTES, round(FILM_SHARE * left)))
     left -= sum(len(each.uri) for each in [*film, *film[:1]])
     while True:
-        whole = page(film, embedded(content.pictures, left))
+        whole = page(film, embed_pictures(content.pictures, left))
         excess = len(whole.encode()) - PAGE_BYTES
         if excess <= 0 or left <= 0:
             return whole

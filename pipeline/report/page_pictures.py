@@ -49,7 +49,7 @@ class FilmFrame:
     uri: str
 
 
-def embedded(pictures: Sequence[StoredPicture], most_bytes: int) -> list[EmbeddedPicture]:
+def embed_pictures(pictures: Sequence[StoredPicture], most_bytes: int) -> list[EmbeddedPicture]:
     """The pictures, together within ``most_bytes`` of the page; of too many, evenly chosen ones."""
 
     def embed(picture: StoredPicture, sharpness: tuple[int, int, int]) -> EmbeddedPicture:

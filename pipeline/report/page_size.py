@@ -20,11 +20,11 @@ FIGURE_BYTES = 430_000
 """Of all figures; the library takes 1.96 MB, and what these and the words leave is for the pictures."""
 POINTS_PER_CURVE = (1200, 800, 560, 400, 280, 200, 140, 100, 70)
 """The first number with which the figures are small enough, else the last one."""
-CLOUD = 8
+CLOUD_FACTOR = 8
 """Points of a cloud for each point of a curve"""
 MIN_POINTS_OF_PATH = 900
 """A path in space is not thinned further: the wires of an ellipsoid have fewer points."""
-FEWER = " Drawn with fewer points than there are, with every peak; the files of the run have all."
+THINNED_NOTE = " Drawn with fewer points than there are, with every peak; the files of the run have all."
 
 
 def figures_within(
@@ -40,11 +40,11 @@ def figures_within(
 
 
 def with_fewer_points(figure: Figure, most: int) -> Figure:
-    """At most ``most`` points on a curve, and ``CLOUD`` times as many in a cloud; meshes stay as they are."""
-    data = [_thinned(trace, most) for trace in figure.data]
+    """At most ``most`` points on a curve, ``CLOUD_FACTOR`` times as many in a cloud; meshes stay as they are."""
+    data = [_thin_trace(trace, most) for trace in figure.data]
     if all(a is b for a, b in zip(data, figure.data, strict=True)):
         return figure
-    return replace(figure, data=data, caption=figure.caption + FEWER)
+    return replace(figure, data=data, caption=figure.caption + THINNED_NOTE)
 
 
 def extremes(values: Array, most: int) -> Ints:
@@ -63,20 +63,20 @@ def extremes(values: Array, most: int) -> Ints:
     return np.unique(chosen)
 
 
-def _thinned(trace: Trace, most: int) -> Trace:
+def _thin_trace(trace: Trace, most: int) -> Trace:
     kind, y = trace["type"], trace.get("y")
     is_band = trace.get("name") == BAND
     if not isinstance(y, np.ndarray) or kind == "mesh3d" or ("fill" in trace and not is_band):
         return trace
     if kind == "heatmap":
-        return _thinned_columns(trace, most)
+        return _thin_heatmap(trace, most)
     if is_band:
         # its outline goes there along the upper edge and back along the lower one
         half = len(y) // 2
         there, back = extremes(y[:half], most), len(y) - 1 - extremes(y[half:][::-1], most)
         chosen = np.concatenate([there, back[::-1]])
     elif kind == "scatter3d":
-        drawn = CLOUD * most if trace["mode"] == "markers" else max(2 * most, MIN_POINTS_OF_PATH)
+        drawn = CLOUD_FACTOR * most if trace["mode"] == "markers" else max(2 * most, MIN_POINTS_OF_PATH)
         chosen = np.unique(np.linspace(0, len(y) - 1, min(drawn, len(y))).round().astype(int))
     else:
         chosen = extremes(y, most)
@@ -94,7 +94,7 @@ def _thinned(trace: Trace, most: int) -> Trace:
     return thinned | ({"width": trace["width"] * len(y) / len(chosen)} if "width" in trace else {})
 
 
-def _thinned_columns(trace: Trace, most: int) -> Trace:
+def _thin_heatmap(trace: Trace, most: int) -> Trace:
     """A heat map of marks (0, 1): a column of the new one has the marks of all those that it stands for."""
     if len(trace["x"]) <= most:
         return trace

@@ -91,7 +91,7 @@ class Figure:
     @property
     def narrow(self) -> Layout:
         """What differs in the layout on a phone: the panels one below the other; empty for a single one."""
-        return stacked(self.layout)
+        return stack_panels(self.layout)
 
     @property
     def words(self) -> str:
@@ -180,7 +180,7 @@ def outline(x: Array, y: Array, name: str, panel: int = 1, **more: Any) -> Trace
     return {**style, "x": x, "y": y, **on(panel), **more}
 
 
-def banded(
+def line_with_band(
     x: ArrayLike, y: ArrayLike, sigma: ArrayLike, name: str, color: str, panel: int = 1
 ) -> list[Trace]:
     """A line and its band of three standard deviations."""
@@ -261,7 +261,7 @@ def panels(
     return out
 
 
-def stacked(wide: Layout) -> Layout:
+def stack_panels(wide: Layout) -> Layout:
     """Domains that put the panels of a layout one below the other, column by column; empty for one panel.
 
     Titles of columns stay above the first panel of theirs; strips over all panels are drawn once.

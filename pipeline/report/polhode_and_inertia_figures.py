@@ -19,12 +19,12 @@ from polhode.pipeline.report.plot_style import (
     Figure,
     Trace,
     axis,
-    banded,
     color_bar,
     columns,
     dashed,
     layout,
     line,
+    line_with_band,
     note,
     outline,
     panels,
@@ -316,7 +316,7 @@ def _conserved(motion: StoredMotion) -> Figure:
     data = []
     for panel, (value, sigma, mean) in enumerate(curves, start=1):
         data.append(dashed(path.time_s[[0, -1]], [mean, mean], "mean", panel))
-        data += banded(path.time_s, value, sigma, "estimate", ACCENT, panel)
+        data += line_with_band(path.time_s, value, sigma, "estimate", ACCENT, panel)
     data.append(line(path.time_s, np.rad2deg(tilt), "estimate", ACCENT, 4))
     figure["yaxis4"]["rangemode"] = "tozero"
     return Figure(

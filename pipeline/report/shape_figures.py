@@ -38,7 +38,7 @@ def shape_figures(content: StoredRun) -> list[Figure]:
     return figures
 
 
-def thinned(mesh: trimesh.Trimesh, max_faces: int) -> tuple[Array, Ints, Ints]:
+def thin_mesh(mesh: trimesh.Trimesh, max_faces: int) -> tuple[Array, Ints, Ints]:
     """At most ``max_faces`` triangles: the vertices of each cell of a grid merge (Rossignac, Borrel 1993).
 
     Returns vertices (V, 3) in the mesh's unit, faces (T, 3) and, for each new vertex, one old vertex (V,)
@@ -86,7 +86,7 @@ def _map(content: StoredRun, landmarks: Landmarks) -> Figure:
     top = float(np.quantile(sigma_mm[known], 0.95)) if np.any(known) else 1.0
     data: list[Trace] = [
         points3d(
-            binary_rounded(p_mm),
+            round_to_binary(p_mm),
             "landmarks",
             marker={
                 "size": 2.6 if len(p_mm) < 3000 else 1.7,
@@ -115,13 +115,13 @@ def _map(content: StoredRun, landmarks: Landmarks) -> Figure:
 
 
 def _mesh(content: StoredRun, mesh: trimesh.Trimesh) -> Figure:
-    vertices, faces, source = thinned(mesh, MAX_FACES)
+    vertices, faces, source = thin_mesh(mesh, MAX_FACES)
     p_mm = 1e3 * vertices
-    rgb = stretched(vertex_rgb(mesh))[source]
+    rgb = stretch_contrast(vertex_rgb(mesh))[source]
     data: list[Trace] = [
         {
             "type": "mesh3d",
-            **columns("xyz", binary_rounded(p_mm)),
+            **columns("xyz", round_to_binary(p_mm)),
             **columns("ijk", faces.astype(np.uint16)),
             "intensity": rgb.mean(axis=1).round().astype(np.uint8),
             "colorscale": [[0, "#000000"], [1, "#fefefe"]],
@@ -156,7 +156,7 @@ def _mesh(content: StoredRun, mesh: trimesh.Trimesh) -> Figure:
     )
 
 
-def binary_rounded(points: Array) -> Array:
+def round_to_binary(points: Array) -> Array:
     """Points (n, 3) to a power of two below 1/4000 of their extent: their last digits are zeros."""
     extent = float(np.max(np.ptp(points, axis=0), initial=0.0))
     step = 2.0 ** np.floor(np.log2(extent / 4000.0)) if extent > 0.0 else 1.0
@@ -170,7 +170,7 @@ def vertex_rgb(mesh: trimesh.Trimesh) -> NDArray[np.uint8]:
     return np.asarray(mesh.visual.vertex_colors, dtype=np.uint8)[:, :3]
 
 
-def stretched(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def stretch_contrast(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The colours (V, 3) with their 1st and 99th percentiles moved to black and white, and a gamma of 1.4."""
     low, high = np.percentile(rgb, (1, 99))
     share = ((rgb - low) / max(float(high - low), 1.0)).clip(0.0, 1.0)

@@ -86,6 +86,6 @@ TERMS: tuple[Term, ...] = (
 )
 
 
-def explained(text: str) -> list[Term]:
+def find_terms(text: str) -> list[Term]:
     """The terms that occur in a text, in the order of ``TERMS``."""
     return [term for term in TERMS if re.search(term.pattern, text)]

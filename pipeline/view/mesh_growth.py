@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.mapping.visibility import Caster
-from polhode.pipeline.report.shape_figures import thinned, vertex_rgb
+from polhode.pipeline.report.shape_figures import thin_mesh, vertex_rgb
 from polhode.records import Bools, Ints, SurfaceModel
 
 MAX_STEPS = 20
@@ -18,9 +18,9 @@ MAX_FRAMES = 300
 """Frames, evenly spread, in which visibility is computed."""
 
 
-def coloured(surface: SurfaceModel, max_faces: int) -> tuple[Array, NDArray[np.uint8], Ints]:
+def coloured_mesh(surface: SurfaceModel, max_faces: int) -> tuple[Array, NDArray[np.uint8], Ints]:
     """Vertices (V, 3) [m], colours (V, 3) and faces (T, 3) of a surface, thinned where it has more."""
-    vertices, faces, of_old = thinned(surface.mesh, max_faces)
+    vertices, faces, of_old = thin_mesh(surface.mesh, max_faces)
     return vertices, vertex_rgb(surface.mesh)[of_old], faces
 
 

@@ -140,7 +140,7 @@ class Recorder:
 
     def _log_image(self, side: int, image: Image, mask: Bools | None) -> None:
         path, factor = f"N/camera/{('left', 'right')[side]}", self._shrink[side]
-        picture = cv2.imencode(".jpg", _shrunk(image, factor), [cv2.IMWRITE_JPEG_QUALITY, 85])[1]
+        picture = cv2.imencode(".jpg", _shrink_image(image, factor), [cv2.IMWRITE_JPEG_QUALITY, 85])[1]
         self._log(path, rr.EncodedImage(contents=bytes(picture), media_type="image/jpeg"))
         outlines = [] if mask is None else _outlines(mask, factor)
         self._log(f"{path}/mask", rr.LineStrips2D(outlines, colors=YELLOW, radii=-0.75))
@@ -275,7 +275,7 @@ def _in_view(uv_px: Array, factor: int) -> Array:
     return np.asarray((uv_px + 0.5) / factor)
 
 
-def _shrunk(image: Image, factor: int) -> Image:
+def _shrink_image(image: Image, factor: int) -> Image:
     if factor == 1:
         return image
     height, width = (side // factor for side in image.shape)

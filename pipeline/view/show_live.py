@@ -16,7 +16,7 @@ from polhode.errors import one_line
 from polhode.frontend.rectification import rectified_images
 from polhode.pipeline.live.run_live import Watch, WatchedPair
 from polhode.pipeline.view.blueprint import Eyes, arrangement, beside_camera
-from polhode.pipeline.view.mesh_growth import coloured
+from polhode.pipeline.view.mesh_growth import coloured_mesh
 from polhode.pipeline.view.recorder import Recorder
 from polhode.pipeline.view.shown_frame import ShownFeatures, ShownFrame, ShownMotion, ShownRig, known_ratios
 from polhode.pipeline.view.target import ViewTarget
@@ -105,7 +105,7 @@ class _LiveViewer:
                 self._restarts = pair.state.restarts
                 recorder.remove_surface()
             if surface is not None:
-                recorder.log_surface(*coloured(surface, MAX_FACES))
+                recorder.log_surface(*coloured_mesh(surface, MAX_FACES))
 
     def _complete(self) -> None:
         with self._warning_of_failure():

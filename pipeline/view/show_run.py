@@ -17,7 +17,7 @@ from polhode.pipeline.report.residual_figures import INLIER_WEIGHT, rms_per_fram
 from polhode.pipeline.run_directory.recording import require_recording
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun, read_stored_run
 from polhode.pipeline.view.blueprint import Eyes, arrangement, before_polhode, beside_camera
-from polhode.pipeline.view.mesh_growth import coloured, growth
+from polhode.pipeline.view.mesh_growth import coloured_mesh, growth
 from polhode.pipeline.view.recorder import Recorder
 from polhode.pipeline.view.shown_frame import ShownFeatures, ShownFrame, ShownMotion, ShownRig, known_ratios
 from polhode.pipeline.view.target import ViewTarget
@@ -101,7 +101,7 @@ def show_stored_run(
 def _growing_mesh(
     surface: SurfaceModel, motion: StoredMotion, tracks: StereoTracks, recorder: Recorder
 ) -> Iterator[tuple[int, Ints]]:
-    vertices, rgb, faces = coloured(surface, MAX_FACES)
+    vertices, rgb, faces = coloured_mesh(surface, MAX_FACES)
     recorder.log_vertices(vertices, rgb)
     light = trimesh.Trimesh(vertices, faces, process=False)
     return growth(light, inverse_pose(tracks.X_NR) @ motion.X_NG, tracks.rig)

@@ -26,7 +26,7 @@ from polhode.pipeline.after_run.export.own_files import (
     write_export,
 )
 from polhode.planning.exports import ccsds, glb, mesh_files, robot_xml
-from polhode.planning.exports.convex_pieces import WITHIN, decompose
+from polhode.planning.exports.convex_pieces import MAX_PROTRUSION_SHARE, decompose
 from polhode.planning.exports.formats import MESHES, MOTIONS, ROBOTS
 from polhode.planning.exports.records import ExportShape, Inertial, shape_of_landmarks, shape_of_surface
 from polhode.progress import Progress, Silent
@@ -57,10 +57,10 @@ def export_run(run: Path, options: ExportOptions, progress: Progress | None = No
     """
     check(options)
     with export_place(options) as place:
-        return _exported(run, replace(options, output=place), progress or Silent())
+        return _export_files(run, replace(options, output=place), progress or Silent())
 
 
-def _exported(run: Path, options: ExportOptions, progress: Progress) -> Export:
+def _export_files(run: Path, options: ExportOptions, progress: Progress) -> Export:
     job = open_job(run, options, progress)
     if job.summary.status == "failed":
         job.leave_out(f"this run failed ({failure_of(job.summary)}): what it had found by then is exported")
@@ -166,9 +166,10 @@ def _robot(job: ExportJob) -> Files:
             comments.append(f"{cut.description}; {cut.describe_protrusion()}")
             _log.info("%s", comments[-1])
             if cut.far_share > FAR_SHARE:
+                more = "" if without else ": more --pieces protrude less"
                 job.leave_out(
                     f"{cut.far_share:.1%} of the collision geometry protrudes from the surface by more than "
-                    f"{WITHIN:.0%} of its diameter{'' if without else ': more --pieces protrude less'}"
+                    f"{MAX_PROTRUSION_SHARE:.0%} of its diameter{more}"
                 )
             for number, piece in enumerate(cut.pieces):
                 collision.append(piece_file(number))

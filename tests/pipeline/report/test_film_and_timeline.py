@@ -12,9 +12,9 @@ from PIL import Image
 
 from polhode.pipeline.report.page import camera_views, timeline
 from polhode.pipeline.report.page_pictures import MAX_FILM_BYTES, MAX_FILM_FRAMES, film_frames
-from polhode.pipeline.report.plot_style import panels, stacked
+from polhode.pipeline.report.plot_style import panels, stack_panels
 from polhode.pipeline.report.template import css_text, deflated, inflated
-from polhode.pipeline.report.terms import TERMS, explained
+from polhode.pipeline.report.terms import TERMS, find_terms
 from polhode.pipeline.run_directory.film import StoredFilm, read_film
 from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
 from tests.pipeline.stored_run import stored
@@ -92,21 +92,21 @@ def test_each_stop_shows_the_nearest_picture(content: StoredRun) -> None:
 
 
 def test_terms_are_explained_where_they_occur_and_only_there() -> None:
-    names = [each.name for each in explained("mesh: chamfer [mm] | RMSE position | k1 = ln(Jxx / Jyy)")]
+    names = [each.name for each in find_terms("mesh: chamfer [mm] | RMSE position | k1 = ln(Jxx / Jyy)")]
     assert names == ["k1", "Jxx, Jyy, Jzz", "RMSE", "chamfer"]
-    assert [each.name for each in explained("position in N | velocity in N")] == ["N"]
-    assert explained("known force [N m], frames, landmarks; GPS, PNG") == []
+    assert [each.name for each in find_terms("position in N | velocity in N")] == ["N"]
+    assert find_terms("known force [N m], frames, landmarks; GPS, PNG") == []
     assert len({each.name for each in TERMS}) == len(TERMS)
 
 
 def test_panels_stand_one_below_the_other_on_a_phone() -> None:
     wide = panels([("a", "b"), ("c", "d")], "time", ("left", "right"))
-    narrow = stacked(wide)
+    narrow = stack_panels(wide)
     tops = [narrow[name]["domain"][1] for name in ("yaxis", "yaxis3", "yaxis2", "yaxis4")]
     assert tops == sorted(tops, reverse=True), "column by column"
     assert all(narrow[name]["domain"] == [0, 1] for name in ("xaxis", "xaxis2", "xaxis3", "xaxis4"))
     assert [each["y"] for each in narrow["annotations"]] == pytest.approx([tops[0], tops[2]])
-    assert stacked(panels([("a",), ("b",)], "time")) == {}
+    assert stack_panels(panels([("a",), ("b",)], "time")) == {}
 
 
 def test_texts_survive_the_page() -> None:

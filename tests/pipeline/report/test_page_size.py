@@ -12,12 +12,12 @@ import trimesh
 from PIL import Image
 
 from polhode.pipeline.report.page import render
-from polhode.pipeline.report.page_pictures import embedded
+from polhode.pipeline.report.page_pictures import embed_pictures
 from polhode.pipeline.report.page_size import (
-    CLOUD,
-    FEWER,
+    CLOUD_FACTOR,
     FIGURE_BYTES,
     PAGE_BYTES,
+    THINNED_NOTE,
     extremes,
     figures_within,
     with_fewer_points,
@@ -102,7 +102,7 @@ def long_run(example: Any, tmp_path_factory: pytest.TempPathFactory) -> StoredRu
 def test_a_run_of_thousands_of_frames_stays_within_the_size(long_run: StoredRun) -> None:
     page = render(long_run)
     assert 0.9 * PAGE_BYTES < len(page.encode()) <= PAGE_BYTES
-    assert FEWER.strip() in page
+    assert THINNED_NOTE.strip() in page
     assert page.count("data:image/webp") > 8 and "Model beside the images" in page
 
 
@@ -115,10 +115,10 @@ def test_long_words_take_the_place_of_pictures(long_run: StoredRun) -> None:
 
 
 def test_pictures_become_smaller_and_then_fewer(long_run: StoredRun) -> None:
-    sizes = [len(embedded(long_run.pictures, most)) for most in (10**9, 150_000, 20_000, 0)]
+    sizes = [len(embed_pictures(long_run.pictures, most)) for most in (10**9, 150_000, 20_000, 0)]
     assert sizes[0] == len(long_run.pictures) and sizes[1] > sizes[2] > sizes[3] == 0
     for most in (150_000, 20_000):
-        assert sum(len(each.uri) for each in embedded(long_run.pictures, most)) <= most
+        assert sum(len(each.uri) for each in embed_pictures(long_run.pictures, most)) <= most
 
 
 def test_a_curve_keeps_its_ends_its_peaks_and_its_gaps() -> None:
@@ -146,7 +146,7 @@ def test_a_band_keeps_its_shape_and_a_cloud_its_colours() -> None:
     assert len(edge_x) <= 200 and edge_x[0] == edge_x[-1] == 0.0 and edge_x.max() == 2999.0
     assert {30.0, -30.0} <= set(edge_y.tolist())
     assert len(curve["y"]) <= 100
-    assert len(points["x"]) == 100 * CLOUD
+    assert len(points["x"]) == 100 * CLOUD_FACTOR
     np.testing.assert_array_equal(points["marker"]["color"], points["x"])
 
 

@@ -25,7 +25,7 @@ from polhode.pipeline.report.polhode_and_inertia_figures import (
     torque_free_path,
 )
 from polhode.pipeline.report.residual_figures import rms_per_frame, sigma_found
-from polhode.pipeline.report.shape_figures import thinned
+from polhode.pipeline.report.shape_figures import thin_mesh
 from polhode.pipeline.report.tables import (
     check_panel,
     inertia_rows,
@@ -107,7 +107,7 @@ def test_the_page_loads_nothing_from_anywhere(run_folder: Path) -> None:
 
 def test_thinning_keeps_the_shape() -> None:
     sphere = trimesh.creation.icosphere(subdivisions=5, radius=0.1)
-    vertices, faces, source = thinned(sphere, 5000)
+    vertices, faces, source = thin_mesh(sphere, 5000)
     assert 1500 < len(faces) <= 5000
     small = trimesh.Trimesh(vertices, faces, process=False)
     assert small.area == pytest.approx(sphere.area, rel=0.02)
