@@ -40,7 +40,7 @@ def figures_within(
 
 
 def with_fewer_points(figure: Figure, most: int) -> Figure:
-    """At most ``most`` points on a curve, ``CLOUD_FACTOR`` times as many in a cloud; meshes stay as they are."""
+    """At most ``most`` points on a curve, ``CLOUD_FACTOR`` times that in a cloud; meshes stay as they are."""
     data = [_thin_trace(trace, most) for trace in figure.data]
     if all(a is b for a, b in zip(data, figure.data, strict=True)):
         return figure

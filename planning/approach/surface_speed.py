@@ -1,4 +1,4 @@
-"""Speed of the surface past an inspector at rest, and the points where a grapple would meet it most slowly."""
+"""Speed of the surface past an inspector at rest, and the points that a grapple would meet most slowly."""
 
 from dataclasses import dataclass
 
