@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from polhode.pipeline.report.page import camera_views, timeline
-from polhode.pipeline.report.page_pictures import MAX_FILM_BYTES, MAX_FILM_FRAMES, film_frames
+from polhode.pipeline.report.page_pictures import film_frames
 from polhode.pipeline.report.plot_style import panels, stack_panels
 from polhode.pipeline.report.template import css_text, deflated, inflated
 from polhode.pipeline.report.terms import TERMS, find_terms
@@ -38,20 +38,6 @@ def test_frames_of_the_film_are_those_of_the_table(caplog: pytest.LogCaptureFixt
         assert picture.format == "WEBP" and picture.size == (732, 240)
     assert film_frames(StoredFilm(gif(3), (10, 11))) == [] and "3 pictures" in caplog.text
     assert film_frames(StoredFilm(b"GIF89a, cut off", (1, 2))) == [] and film_frames(None) == []
-
-
-def test_a_long_film_is_thinned() -> None:
-    content = io.BytesIO()
-    pictures = [Image.new("P", (732, 303), k) for k in range(2 * MAX_FILM_FRAMES)]
-    for k, each in enumerate(pictures):
-        each.putpixel((k, 50), 255)
-    pictures[0].save(content, "GIF", save_all=True, append_images=pictures[1:])
-    frames = film_frames(StoredFilm(content.getvalue(), tuple(range(2 * MAX_FILM_FRAMES))))
-    assert len(frames) == MAX_FILM_FRAMES and (frames[0].frame, frames[-1].frame) == (
-        0,
-        2 * MAX_FILM_FRAMES - 1,
-    )
-    assert sum(len(each.uri) for each in frames) < 1.4 * MAX_FILM_BYTES
 
 
 def test_a_damaged_film_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

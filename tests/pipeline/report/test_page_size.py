@@ -12,7 +12,7 @@ import trimesh
 from PIL import Image
 
 from polhode.pipeline.report.page import render
-from polhode.pipeline.report.page_pictures import embed_pictures
+from polhode.pipeline.report.page_pictures import MAX_FILM_FRAMES, embed_pictures, film_frames
 from polhode.pipeline.report.page_size import (
     CLOUD_FACTOR,
     FIGURE_BYTES,
@@ -119,6 +119,14 @@ def test_pictures_become_smaller_and_then_fewer(long_run: StoredRun) -> None:
     assert sizes[0] == len(long_run.pictures) and sizes[1] > sizes[2] > sizes[3] == 0
     for most in (150_000, 20_000):
         assert sum(len(each.uri) for each in embed_pictures(long_run.pictures, most)) <= most
+    film = long_run.film
+    frames = film_frames(film, 300_000)
+    assert 0 < len(frames) < len(film_frames(film, 10**9)) == 6 and film_frames(film, 0) == []
+    assert frames[0].frame == 0 and sum(len(each.uri) for each in frames) <= 300_000
+    assert film is not None
+    long = StoredFilm(gif(2 * MAX_FILM_FRAMES), tuple(range(2 * MAX_FILM_FRAMES)))
+    chosen = [each.frame for each in film_frames(long, 10**9)]
+    assert len(chosen) == MAX_FILM_FRAMES and (chosen[0], chosen[-1]) == (0, 2 * MAX_FILM_FRAMES - 1)
 
 
 def test_a_curve_keeps_its_ends_its_peaks_and_its_gaps() -> None:
