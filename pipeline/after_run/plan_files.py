@@ -246,7 +246,9 @@ def write_plan(plan: Plan, folder: Path) -> list[str]:
     summary = summary_of(plan)
     if plan.keep_out is not None:
         for kind in ("ply", "glb"):
-            files[f"keepout.{kind}"] = plan.keep_out.swept.mesh.export(file_type=kind)
+            content = plan.keep_out.swept.mesh.export(file_type=kind)
+            assert isinstance(content, bytes)
+            files[f"keepout.{kind}"] = content
     if plan.speed is not None and plan.surface is not None:
         files["surface_speed.ply"] = speed_ply(plan.surface.mesh, plan.speed)
     if plan.corridor is not None:

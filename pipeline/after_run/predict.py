@@ -221,7 +221,8 @@ def last_body(run_folder: Path) -> tuple[FinalState, Summary]:
     require_same_frames(run_folder, table, stored.timestamps_ns, "covariance.npz")
     form = FORMS[load_config(run_folder / "config.yaml").backend.inertia]
     J, by_parameters = inertia_by_parameters(np.array(summary.inertia.J_G), form)
-    known, past = summary.identifiable, ()
+    known = summary.identifiable
+    past: tuple[Array, ...] = ()
     if known is not None and not (known.k1 and known.k2 and known.axes):
         # twenty frames bound an inertia that is not determined
         before = np.unique(np.linspace(0, len(table.time_s) - 2, 20).astype(int))[::-1]

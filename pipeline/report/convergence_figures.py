@@ -1,5 +1,7 @@
 """Figures of the causal estimate: what was known of mass and state as the frames came (thesis 6.7)."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from polhode.lie import Array, log_so3, transform_points
@@ -141,7 +143,7 @@ def _state_panels(before: str, n_frames: int) -> Layout:
 
 
 def _history(
-    layout: Layout, panel: int, value: Array, sigma: Array, names: str | tuple[str, ...], final: float
+    layout: Layout, panel: int, value: Array, sigma: Array, names: Sequence[str], final: float
 ) -> list[Trace]:
     """Columns of value (F, n) with the bands of sigma (F, n), gaps where that is infinite, and a final value.
 

@@ -277,8 +277,8 @@ def possible_bodies(panel: int) -> list[Trace]:
 
 
 def _area(corners: Array, name: str, color: str, panel: int, alpha: float) -> Trace:
-    style = {"line": {"color": color, "width": 1.6}, "fillcolor": translucent(color, alpha)}
-    return outline(*corners.T, name, panel, **style)
+    style: dict[str, Any] = {"line": {"color": color, "width": 1.6}, "fillcolor": translucent(color, alpha)}
+    return outline(corners[:, 0], corners[:, 1], name, panel, **style)
 
 
 def _corner(x: float, y: float, text: str) -> dict[str, Any]:
