@@ -60,7 +60,7 @@ def finding(summary: Summary, trajectory: Trajectory | None) -> str:
             sigma = _root(inertia.cov[k][k])
             ratios.append(f"{name} = {with_sigma(getattr(inertia, name), sigma)}")
         else:
-            possible = "" if interval is None else f" ({_between(*interval, form='{:.2f}')} is possible)"
+            possible = "" if interval is None else f" ({_between('{:.2f}', *interval)} is possible)"
             unknown.append(f"{name}{possible}")
     ratios_found = f"its inertia ratios are {' and '.join(ratios)}" if ratios else ""
     undetermined = f"this motion does not determine {' and '.join(unknown)}" if unknown else ""
@@ -131,7 +131,7 @@ def inertia_rows(summary: Summary) -> list[TableRow]:
     for k, (name, ratio) in enumerate((("k1", "Jxx / Jyy"), ("k2", "Jyy / Jzz"))):
         value, interval = with_sigma(getattr(inertia, name), _root(inertia.cov[k][k])), getattr(bounded, name)
         if interval is not None:
-            value = _between(*interval, form="{:.2f}")
+            value = _between("{:.2f}", *interval)
         rows.append(_row(f"{name} = ln({ratio})", value, "", getattr(known, name), detail.get(name, "")))
     moments = " : ".join(map(with_sigma, inertia.moments, inertia.sigma_moments))
     rows.append(_row("moments Jxx : Jyy : Jzz", moments, "middle one 1", known.k1 and known.k2))
@@ -139,14 +139,14 @@ def inertia_rows(summary: Summary) -> list[TableRow]:
         sigma = None if summary.cov_com_G is None else _root(summary.cov_com_G[k][k])
         value = with_sigma(1e3 * summary.com_G[k], None if sigma is None else 1e3 * sigma)
         if sigma is None and bounded.com_G is not None:
-            value = _between(*(1e3 * end[k] for end in bounded.com_G), form="{:.1f}")
+            value = _between("{:.1f}", *(1e3 * end[k] for end in bounded.com_G))
         rows.append(_row(f"centre of mass, {name} in G", value, "mm", sigma is not None))
     for k, name in enumerate("xyz"):
         if not parts.com_P[k]:
             shift = None if bounded.com_shift_P is None else bounded.com_shift_P[k]
             value, unit = "no bound", ""
             if shift is not None:
-                value, unit = _between(*(1e3 * end for end in shift), form="{:+.1f}"), "mm from com_G"
+                value, unit = _between("{:+.1f}", *(1e3 * end for end in shift)), "mm from com_G"
             words = detail.get(f"com_{name}", "")
             rows.append(_row(f"centre of mass, along the principal axis {name}", value, unit, False, words))
     for k, name in enumerate("xyz"):
@@ -165,7 +165,7 @@ def intervals_rest_on(summary: Summary) -> str:
     return f"A range is where a quantity can lie that the motion does not determine: {bounds}."
 
 
-def _between(low: float, high: float, form: str) -> str:
+def _between(form: str, low: float, high: float) -> str:
     return f"from {form.format(low)} to {form.format(high)}"
 
 

@@ -201,8 +201,8 @@ def _motion(job: ExportJob) -> Files:
     if options.poses == "estimated":
         table = job.trajectory()
         origin = "poses of the frame in N [m], estimated at the frames of the run"
-        sigma = "standard deviations of the estimate: trajectory.csv and covariance.npz of the run"
-        text = ccsds.tum(table.timestamps_ns, job.poses(table), [*job.comments, origin, sigma])
+        note = "standard deviations of the estimate: trajectory.csv and covariance.npz of the run"
+        text = ccsds.tum(table.timestamps_ns, job.poses(table), [*job.comments, origin, note])
         return {options.output: text.encode("ascii", "replace")}
     motion = job.motion(options.step_s)
     if motion.undetermined:
