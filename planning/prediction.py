@@ -174,24 +174,21 @@ def draw_deviations(last: FinalState, normal: Array | None = None) -> tuple[Arra
     deviation = normal @ root.T
     # linear in the parameters, so that directions without variance, such as off a spin axis, stay without
     change = np.einsum("nk,kij->nij", deviation[:, 12:17], last.J_jacobian)
-    share = _largest_share(last.J_G, change)
-    deviation[:, 12:17] *= share[:, None]
-    change *= share[:, None, None]
-    if last.past_s is not None and last.past_R_NG is not None:
-        share = _share_consistent_with_past(last, deviation, change, last.past_s, last.past_R_NG)
+    for share_of in (_largest_share, _share_consistent_with_past):
+        share = share_of(last, deviation, change)
         deviation[:, 12:17] *= share[:, None]
         change *= share[:, None, None]
     return deviation, last.J_G + change
 
 
-def _largest_share(J: Array, change: Array) -> Array:
+def _largest_share(last: FinalState, deviation: Array, change: Array) -> Array:
     """Shares (N,) of the changes (N, 3, 3), halved until J + share change is a possible body."""
+    del deviation
     share = np.ones(len(change))
     for _ in range(12):
-        moved = J + share[:, None, None] * change
-        values = np.linalg.eigvalsh(
-            0.5 * np.trace(moved, axis1=1, axis2=2)[:, None, None] * np.eye(3) - moved
-        )
+        moved = last.J_G + share[:, None, None] * change
+        half_trace = 0.5 * np.trace(moved, axis1=1, axis2=2)[:, None, None]
+        values = np.linalg.eigvalsh(half_trace * np.eye(3) - moved)
         bad = values[:, 0] < MIN_SECOND_MOMENT * values[:, 2]
         if not bad.any():
             break
@@ -199,14 +196,16 @@ def _largest_share(J: Array, change: Array) -> Array:
     return share
 
 
-def _share_consistent_with_past(
-    last: FinalState, deviation: Array, change: Array, past_s: Array, past_R_NG: Array
-) -> Array:
+def _share_consistent_with_past(last: FinalState, deviation: Array, change: Array) -> Array:
     """Shares (N,) of the changes of J, halved until the member's past agrees with the observed one.
 
     A linear covariance admits bodies whose spin would have flipped long ago. The past may differ from the
     observed one by twice the estimate's own difference and three standard deviations of attitude and rate.
     """
+    share = np.ones(len(change))
+    if last.past_s is None or last.past_R_NG is None:
+        return share
+    past_s, past_R_NG = last.past_s, last.past_R_NG
 
     def past(members: Array, J: Array) -> Array:
         R, _ = propagate_members(last, members, J, past_s)
@@ -216,7 +215,6 @@ def _share_consistent_with_past(
     variance = np.diag(last.covariance)
     free = variance[6:9].sum() + variance[9:12].sum() * past_s**2
     limit = np.sqrt(4.0 * own**2 + 9.0 * free)
-    share = np.ones(len(change))
     for factor in (1.0, 0.5, 0.25, 0.125, 0.0625):
         open_ = np.flatnonzero(share == factor)
         if len(open_) == 0:
@@ -352,8 +350,7 @@ def _integrate(
 
 
 MEMBERS_AT_ONCE = 250
-MAX_DRAWS = 30
-"""Times that a member is drawn at most; one that is out of the range still is put to its end."""
+"""Members of an ensemble that are propagated together"""
 
 
 @dataclass(frozen=True)
@@ -416,15 +413,8 @@ def nominal_motion(estimate: FinalEstimate, time_s: Array) -> BodyMotion:
     states = propagate(grid, last.r_N, last.v_N, last.R_NG, last.w_G, last.J_G, rtol=1e-10)
     r_N, v_N, R_NG, w_G = (each[len(grid) - len(time_s) :] for each in states)
     w_dot_G = angular_acceleration(last.J_G, w_G)
-    return BodyMotion(
-        time_s,
-        R_NG,
-        r_N - R_NG @ estimate.com_G,
-        r_N,
-        v_N,
-        np.einsum("tij,tj->ti", R_NG, w_G),
-        np.einsum("tij,tj->ti", R_NG, w_dot_G),
-    )
+    w_N, w_dot_N = (np.einsum("tij,tj->ti", R_NG, each) for each in (w_G, w_dot_G))
+    return BodyMotion(time_s, R_NG, r_N - R_NG @ estimate.com_G, r_N, v_N, w_N, w_dot_N)
 
 
 def draw_ensemble(estimate: FinalEstimate, time_s: Array, count: int, seed: int) -> Ensemble:
@@ -448,14 +438,14 @@ def draw_ensemble(estimate: FinalEstimate, time_s: Array, count: int, seed: int)
 
 
 def _draw_in_range(estimate: FinalEstimate, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """As ``draw_deviations``; members with a centre of mass out of its range are drawn again, and after
-    ``MAX_DRAWS`` put to its end.
+    """As ``draw_deviations``; members with a centre of mass out of its range are drawn again, and put to its
+    end where that does not help in 30 draws.
     """
     deviation, J = draw_deviations(estimate.last, rng.normal(size=(count, 20)))
     if estimate.com_range_G is None:
         return deviation, J
     low, high = (end - estimate.com_G for end in estimate.com_range_G)
-    for _ in range(MAX_DRAWS):
+    for _ in range(30):
         outside = np.flatnonzero(((deviation[:, 17:20] < low) | (deviation[:, 17:20] > high)).any(axis=1))
         if len(outside) == 0:
             break
@@ -475,15 +465,9 @@ class DisturbancePaths:
         moments = np.diag(last.R_GP.T @ last.J_G @ last.R_GP)
         moments = moments / moments[1]
         middle = time_s - 0.5 * self.step_s
-        states = propagate(
-            np.concatenate([[0.0], middle]),
-            np.zeros(3),
-            np.zeros(3),
-            last.R_NG,
-            last.w_G,
-            last.J_G,
-            rtol=1e-8,
-        )
+        at_rest = np.zeros(3), np.zeros(3)
+        times = np.concatenate([[0.0], middle])
+        states = propagate(times, *at_rest, last.R_NG, last.w_G, last.J_G, rtol=1e-8)
         w = states[3][1:] @ last.R_GP
         # at the rate in the middle of each step
         A = _attitude_error_dynamics(w, moments)

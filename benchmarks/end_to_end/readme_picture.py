@@ -28,7 +28,7 @@ from polhode.frontend.rectification import Crop, make_rectifier, rectified_pair,
 from polhode.lie import Array, exp_so3, inverse_pose, transform_points
 from polhode.pipeline.report.plot_style import TIME_SCALE
 from polhode.pipeline.report.polhode_and_inertia_figures import look_at, torque_free_path
-from polhode.pipeline.report.shape_figures import stretched, vertex_rgb
+from polhode.pipeline.report.shape_figures import stretch_contrast, vertex_rgb
 from polhode.pipeline.report.tables import finding
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun, read_stored_run
 from polhode.records import Bools
@@ -168,7 +168,7 @@ def surface_panel(
     face, index, hit = caster.intersects_id(eye_G, ray_G, multiple_hits=False, return_locations=True)
     corners = np.clip(points_to_barycentric(mesh.triangles[face], hit), 0.0, 1.0)
     corners /= corners.sum(axis=1, keepdims=True)
-    rgb = stretched(vertex_rgb(mesh)) / 255.0
+    rgb = stretch_contrast(vertex_rgb(mesh)) / 255.0
     color = np.einsum("nc,nck->nk", corners, rgb[mesh.faces[face]])
     normal = np.einsum("nc,nck->nk", corners, mesh.vertex_normals[mesh.faces[face]])
     facing = np.abs(np.sum(normal * ray_G[index], axis=1)) / np.linalg.norm(normal, axis=1)

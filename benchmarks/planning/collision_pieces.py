@@ -22,8 +22,8 @@ from polhode.lie import Array
 from polhode.pipeline.after_run.plan import surface_of
 from polhode.planning.exports.convex_pieces import (
     CUT_FACES,
-    ROUNDING,
-    WITHIN,
+    MAX_PROTRUSION_SHARE,
+    ROUNDING_SHARE,
     OutwardDistance,
     _beyond,
     _grown_pieces,
@@ -31,7 +31,7 @@ from polhode.planning.exports.convex_pieces import (
     decompose,
     outside,
 )
-from polhode.planning.exports.records import ExportShape, frame_G, shape_of_surface
+from polhode.planning.exports.records import ExportShape, Placement, shape_of_surface
 
 SAMPLES = 50_000
 
@@ -47,11 +47,11 @@ def main(
         methods |= {"CoACD": _coacd, "CoACD, grown": _coacd_grown}
     print(
         "| run | method | at most | pieces | 95 % of the area within [mm] | farthest [mm] | of the diameter "
-        f"| area beyond {WITHIN:.0%} | mesh outside | farthest [mm] | CPU [s] |\n"
+        f"| area beyond {MAX_PROTRUSION_SHARE:.0%} | mesh outside | farthest [mm] | CPU [s] |\n"
         "|---|---|---|---|---|---|---|---|---|---|---|"
     )
     for run in runs:
-        shape = shape_of_surface(surface_of(run), frame_G())
+        shape = shape_of_surface(surface_of(run), Placement("G", np.eye(4), ""))
         reach = OutwardDistance(shape.mesh())
         corners = shape.mesh().convex_hull.vertices
         diameter = float(max(np.linalg.norm(corners - each, axis=1).max() for each in corners))
@@ -65,7 +65,7 @@ def main(
                 print(
                     f"| {run.name} | {name} | {most} | {len(found)} | {1e3 * np.quantile(beyond, 0.95):.2f} "
                     f"| {1e3 * beyond.max():.2f} | {beyond.max() / diameter:.2%} "
-                    f"| {np.mean(beyond > WITHIN * diameter):.3%} "
+                    f"| {np.mean(beyond > MAX_PROTRUSION_SHARE * diameter):.3%} "
                     f"| {np.mean(lost > 1e-6 * diameter):.2%} | {1e3 * lost.max():.2f} | {spent:.0f} |",
                     flush=True,
                 )
@@ -89,7 +89,9 @@ def _coacd(shape: ExportShape, most: int) -> Sequence[trimesh.Trimesh]:
 def _coacd_grown(shape: ExportShape, most: int) -> Sequence[trimesh.Trimesh]:
     reach = OutwardDistance(shape.mesh())
     seeds = [np.asarray(piece.vertices) for piece in _coacd(shape, most)]
-    return [_hull(piece.corners, ROUNDING * reach.size_m) for piece in _grown_pieces(shape, seeds, reach)]
+    return [
+        _hull(piece.corners, ROUNDING_SHARE * reach.size_m) for piece in _grown_pieces(shape, seeds, reach)
+    ]
 
 
 def _outside_all(shape: ExportShape, pieces: Sequence[trimesh.Trimesh]) -> Array:

@@ -3,8 +3,6 @@
 No picture is a result: if one cannot be made, there is a warning.
 """
 
-import csv
-import io
 import json
 import logging
 from collections.abc import Callable, Sequence
@@ -103,13 +101,13 @@ def draw_keepout(keep: KeepOut, surface: SurfaceModel, horizon_s: float, confide
         for k, colour in ((0, NOW), (-1, END)):
             R, p = motion.R_NG[k], motion.p_NG[k]
             view = body.orthographic(R.T @ (middle - p), R.T @ side.right, R.T @ side.up, half, SIDE_PX)
-            layers.append((view, _shaded(view, normal_G @ R.T, side, colour)))
-        image = _veiled(outer, _shaded(outer, normal_N, side, VOLUME), layers)
+            layers.append((view, _shade(view, normal_G @ R.T, side, colour)))
+        image = _draw_through_volume(outer, _shade(outer, normal_N, side, VOLUME), layers)
         _show(axes, image, f"from {side.name} of N", half)
     return png(figure)
 
 
-def _veiled(outer: MeshView, blue: Array, layers: list[tuple[MeshView, Array]]) -> Array:
+def _draw_through_volume(outer: MeshView, blue: Array, layers: list[tuple[MeshView, Array]]) -> Array:
     """The nearer body, seen through the volume."""
     image = np.where(outer.hit[..., None], blue, GROUND)
     nearest = np.full(outer.hit.shape, np.inf)
@@ -207,7 +205,7 @@ def draw_corridor(plan: Plan) -> bytes:
     return png(figure)
 
 
-def _shaded(view: MeshView, normals: Array, side: Direction, colour: Array) -> Array:
+def _shade(view: MeshView, normals: Array, side: Direction, colour: Array) -> Array:
     """(H, W, 3)"""
     return np.asarray(colour * (0.5 + 0.5 * np.abs(cosine_to_light(view, normals, side)))[..., None])
 
@@ -229,8 +227,6 @@ def _show(axes: Axes, image: Array, title: str, half_m: float) -> None:
 
 
 GRAPPLES = 5
-SHOWN_TIMES = 4
-"""Of those during which the camera is in the cone, on the screen."""
 MIN_SEPARATION_SHARE = 0.15
 """Share of the body's size between two grapple points."""
 
@@ -249,9 +245,10 @@ def write_plan(plan: Plan, folder: Path) -> list[str]:
     files: dict[str, bytes] = {}
     summary = summary_of(plan)
     if plan.keep_out is not None:
-        mesh = plan.keep_out.swept.mesh
-        for name in ("keepout.ply", "keepout.glb"):
-            files[name] = _bytes(mesh, name)
+        for kind in ("ply", "glb"):
+            content = plan.keep_out.swept.mesh.export(file_type=kind)
+            assert isinstance(content, bytes)
+            files[f"keepout.{kind}"] = content
     if plan.speed is not None and plan.surface is not None:
         files["surface_speed.ply"] = speed_ply(plan.surface.mesh, plan.speed)
     if plan.corridor is not None:
@@ -263,11 +260,6 @@ def write_plan(plan: Plan, folder: Path) -> list[str]:
     files["planning.json"] = (json.dumps(summary, indent=1) + "\n").encode()
     write_files(folder, COMMAND, files, FILES.__contains__)
     return list(files)
-
-
-def _bytes(mesh: trimesh.Trimesh, name: str) -> bytes:
-    content = mesh.export(file_type=name.rpartition(".")[2])
-    return content if isinstance(content, bytes) else str(content).encode()
 
 
 def speed_ply(mesh: trimesh.Trimesh, speed: SurfaceSpeed) -> bytes:
@@ -284,24 +276,20 @@ def speed_ply(mesh: trimesh.Trimesh, speed: SurfaceSpeed) -> bytes:
     return binary_ply(vertices, ["frame G, metres, speeds relative to N in m/s"], faces)
 
 
-CORRIDOR_COLUMNS = ("time_s", *(f"{name}_{a}" for name in ("tip_N", "axis_N", "place_N", "velocity_N",
-                                                            "acceleration_N") for a in "xyz"),
-                    "camera_angle_deg", "camera_in_cone")  # fmt: skip
+VECTORS = ("tip_N", "axis_N", "place_N", "velocity_N", "acceleration_N")
+CORRIDOR_COLUMNS = (
+    "time_s", *(f"{name}_{a}" for name in VECTORS for a in "xyz"), "camera_angle_deg", "camera_in_cone",
+)  # fmt: skip
 
 
 def corridor_csv(path: Corridor, camera_N: Array | None) -> str:
     """A row for each instant [s, m, m/s, m/s^2, deg, 0 or 1]; the last two are nan without camera_N (3,)."""
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(CORRIDOR_COLUMNS)
-    parts = [path.tip_N, path.axis_N, path.place_N, path.velocity_N, path.acceleration_N]
     seen = np.full((len(path.time_s), 2), np.nan)
     if camera_N is not None:
         seen = np.column_stack([np.rad2deg(path.angle_rad(camera_N)), path.contains(camera_N)])
-    parts.append(seen)
-    for row in np.concatenate([path.time_s[:, None], *parts], axis=1):
-        rows.writerow([f"{x:.9g}" for x in row])
-    return text.getvalue()
+    rows = np.column_stack([path.time_s, *(getattr(path, name) for name in VECTORS), seen])
+    lines = [",".join(f"{x:.9g}" for x in row) for row in rows]
+    return "\n".join([",".join(CORRIDOR_COLUMNS), *lines]) + "\n"
 
 
 def approach_text(path: ApproachPath) -> str:
@@ -345,10 +333,7 @@ def summary_of(plan: Plan) -> dict[str, Any]:
             "sigmas_of_surface": found.body.sigmas,
             "covers": found.body.covers,
             "open_share": found.body.open_share,
-            "body_margin_m": {
-                "start": float(found.instant.margin_m()[0]),
-                "end": float(found.instant.margin_m()[-1]),
-            },
+            "body_margin_m": _ends(found.instant.margin_m()),
         }
     if plan.speed is not None and plan.surface is not None:
         out["surface_speed"] = _grapples(plan.surface, plan.speed)
@@ -368,12 +353,13 @@ def summary_of(plan: Plan) -> dict[str, Any]:
             "frame": "N",
             "looks_at": "docking point" if plan.docking is not None else "centre of mass",
             "poses": len(plan.approach.time_s),
-            "distance_m": {
-                "start": float(plan.approach.distance_m[0]),
-                "end": float(plan.approach.distance_m[-1]),
-            },
+            "distance_m": _ends(plan.approach.distance_m),
         }
     return out
+
+
+def _ends(values: Array) -> dict[str, float]:
+    return {"start": float(values[0]), "end": float(values[-1])}
 
 
 def _in_cone(path: Corridor, camera_N: Array) -> dict[str, Any]:
@@ -398,6 +384,7 @@ def _grapples(surface: SurfaceModel, speed: SurfaceSpeed) -> dict[str, Any]:
     size = float(np.linalg.norm(mesh.extents))
     order = np.argsort(speed.largest_m_s, kind="stable")
     order = order[(surface.views > 0)[order]]
+    names = ("now_m_s", "largest_m_s", "normal_m_s", "sigma_m_s")
     chosen: list[int] = []
     for start in range(0, len(order), 4000):
         part = order[start : start + 4000]
@@ -414,14 +401,8 @@ def _grapples(surface: SurfaceModel, speed: SurfaceSpeed) -> dict[str, Any]:
         "least_m_s": float(speed.largest_m_s.min()),
         "largest_m_s": float(speed.largest_m_s.max()),
         "grapples": [
-            {
-                "p_G": p[n].tolist(),
-                "normal_G": normal[n].tolist(),
-                "now_m_s": float(speed.now_m_s[n]),
-                "largest_m_s": float(speed.largest_m_s[n]),
-                "normal_m_s": float(speed.normal_m_s[n]),
-                "sigma_m_s": float(speed.sigma_m_s[n]),
-            }
+            {"p_G": p[n].tolist(), "normal_G": normal[n].tolist()}
+            | {name: float(getattr(speed, name)[n]) for name in names}
             for n in chosen
         ],
     }
@@ -486,6 +467,6 @@ def _describe_cone(camera: dict[str, Any], half_angle_deg: float, horizon_s: flo
             f"{who} never {cone} over {horizon_s:g} s: its least angle from the axis is "
             f"{camera['least_angle_deg']:.3g} deg, at {camera['least_angle_at_s']:.1f} s"
         )
-    shown = ", ".join(f"from {a:.1f} to {b:.1f} s" for a, b in times[:SHOWN_TIMES])
-    more = f", and {len(times) - SHOWN_TIMES} more times" if len(times) > SHOWN_TIMES else ""
+    shown = ", ".join(f"from {a:.1f} to {b:.1f} s" for a, b in times[:4])
+    more = f", and {len(times) - 4} more times" if len(times) > 4 else ""
     return f"{who} {cone} {shown}{more}"

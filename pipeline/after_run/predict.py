@@ -50,10 +50,6 @@ ARRAYS = (
     "timestamps_ns", "r_N", "v_N", "q_NP_wxyz", "w_P", "covariance", "covariance_of_marks", "order",
 )  # fmt: skip
 """Names in the archive of a prediction."""
-SHOWN_ROWS = 6
-"""Of the printed tables, about so many."""
-SEEN_FRAMES = 20
-"""Past frames that bound an undetermined inertia."""
 MIN_POSITION_SHARE = 0.1
 """A component of the position is undetermined when at least this share of it lies along one that is."""
 MIN_RATE_SHARE = 0.002
@@ -79,7 +75,7 @@ def predict_run(
     """
     last, summary = last_body(run_folder)
     time_s, timestamps_ns = prediction_instants(run_folder, horizon_s, step_s, from_last)
-    return _predicted(run_folder, last, summary, time_s, timestamps_ns, progress)
+    return _predict_motion(run_folder, last, summary, time_s, timestamps_ns, progress)
 
 
 def predict_instants(run_folder: Path, time_s: Array) -> PredictedMotion:
@@ -87,10 +83,10 @@ def predict_instants(run_folder: Path, time_s: Array) -> PredictedMotion:
     last, summary = last_body(run_folder)
     require_instants(time_s, last)
     stamps = read_trajectory(run_folder).timestamps_ns[-1] + np.round(time_s * 1e9).astype(np.int64)
-    return _predicted(run_folder, last, summary, time_s, stamps, None)
+    return _predict_motion(run_folder, last, summary, time_s, stamps, None)
 
 
-def _predicted(
+def _predict_motion(
     run_folder: Path,
     last: FinalState,
     summary: Summary,
@@ -109,9 +105,12 @@ def _predicted(
     covariance[:, np.arange(12), np.arange(12)] = np.where(lost, np.inf, np.diagonal(covariance, 0, 1, 2))
     for rows in np.array_split(np.arange(len(time_s)), math.ceil(len(time_s) / LONG_ROWS)):
         covariance[rows] = undetermined_as_inf(covariance[rows])
-    found = vars(states) | {"covariance": covariance}
+    return _motion_of(states, summary, timestamps_ns)
+
+
+def _motion_of(states: Prediction, summary: Summary, timestamps_ns: Ints) -> PredictedMotion:
     return PredictedMotion(
-        **found,
+        **vars(states),
         timestamps_ns=timestamps_ns,
         undetermined=undetermined_names(summary),
         R_GP=np.array(summary.R_GP),
@@ -130,14 +129,8 @@ def predict_without_covariance(run_folder: Path, horizon_s: float, step_s: float
         time_s, table.r_N[-1], table.v_N[-1], table.R_NP[-1] @ R_GP.T, R_GP @ table.w_P[-1], J_G
     )
     unknown = np.full((len(time_s), 12, 12), np.inf)
-    return PredictedMotion(
-        *(time_s, r_N, v_N, R_NG @ R_GP, w_G @ R_GP, unknown, unknown),
-        timestamps_ns=timestamps_ns,
-        undetermined=undetermined_names(summary),
-        R_GP=np.array(summary.R_GP),
-        com_G=np.array(summary.com_G),
-        ranges=tuple(describe_intervals(summary)),
-    )
+    states = Prediction(time_s, r_N, v_N, R_NG @ R_GP, w_G @ R_GP, unknown, unknown)
+    return _motion_of(states, summary, timestamps_ns)
 
 
 def prediction_instants(
@@ -185,9 +178,7 @@ def require_horizon(horizon_s: float, rate_rad_s: float) -> None:
 
 
 def prediction_times(horizon_s: float, step_s: float) -> Array:
-    """Seconds after the last pair: multiples of the step, and the horizon. Raises InputError."""
-    if not (np.isfinite(horizon_s) and horizon_s > 0.0):
-        raise InputError(f"--horizon {horizon_s:g}: give the seconds to look ahead, a number above 0")
+    """Seconds after the last pair: multiples of the step, and the horizon > 0. Raises InputError."""
     require_step(step_s)
     if horizon_s / step_s > MAX_ROWS:
         raise InputError(
@@ -231,23 +222,13 @@ def last_body(run_folder: Path) -> tuple[FinalState, Summary]:
     form = FORMS[load_config(run_folder / "config.yaml").backend.inertia]
     J, by_parameters = inertia_by_parameters(np.array(summary.inertia.J_G), form)
     known = summary.identifiable
-    past_s = past_R_NG = None
+    past: tuple[Array, ...] = ()
     if known is not None and not (known.k1 and known.k2 and known.axes):
-        before = np.unique(np.linspace(0, len(table.time_s) - 2, SEEN_FRAMES).astype(int))[::-1]
-        past_s, past_R_NG = table.time_s[before] - table.time_s[-1], table.R_NP[before] @ R_GP.T
-    body = FinalState(
-        r_N=table.r_N[-1],
-        v_N=table.v_N[-1],
-        R_NG=table.R_NP[-1] @ R_GP.T,
-        w_G=R_GP @ table.w_P[-1],
-        J_G=J,
-        R_GP=R_GP,
-        J_jacobian=by_parameters,
-        covariance=covariance,
-        past_s=past_s,
-        past_R_NG=past_R_NG,
-    )
-    return body, summary
+        # twenty frames bound an inertia that is not determined
+        before = np.unique(np.linspace(0, len(table.time_s) - 2, 20).astype(int))[::-1]
+        past = table.time_s[before] - table.time_s[-1], table.R_NP[before] @ R_GP.T
+    r_N, v_N, R_NG, w_G = table.r_N[-1], table.v_N[-1], table.R_NP[-1] @ R_GP.T, R_GP @ table.w_P[-1]
+    return FinalState(r_N, v_N, R_NG, w_G, J, R_GP, by_parameters, covariance, *past), summary
 
 
 def undetermined_components(last: Array, com_lost: Bools, axes_lost: Bools, states: Prediction) -> Bools:
@@ -340,29 +321,19 @@ def format_prediction(prediction: PredictedMotion, is_written: bool, marks: bool
     ``is_written``: there is a file as well; ``marks``: the standard deviations are those of the body itself,
     as they are in the file.
     """
-    rows = shown_rows(prediction.time_s)
     sigma = standard_deviations(prediction.covariance_of_marks if marks else prediction.covariance)
     q = continuous_wxyz(wxyz_from_matrix(prediction.R_NP))
-    w_deg_s = np.rad2deg(prediction.w_P)
     sigmas_of = "the body itself (--marks)" if marks else "the centre of mass and the principal axes"
     centre = _table("Centre of mass", "time [s]", "r_N x y z [m]", "± [mm]", "v_N x y z [mm/s]", "± [mm/s]")
     turn = _table("Rotation", "time [s]", "q_NP w x y z", "± [deg]", "w_P x y z [deg/s]", "± [deg/s]")
-    for k in rows:
-        time = f"{prediction.time_s[k]:.6g}"
-        centre.add_row(
-            time,
-            _numbers(prediction.r_N[k], 4),
-            _worst(1e3 * sigma[k, 0:3]),
-            _numbers(1e3 * prediction.v_N[k], 3),
-            _worst(1e3 * sigma[k, 3:6]),
-        )
-        turn.add_row(
-            time,
-            _numbers(q[k], 4),
-            _worst(np.rad2deg(sigma[k, 6:9])),
-            _numbers(w_deg_s[k], 3),
-            _worst(np.rad2deg(sigma[k, 9:12])),
-        )
+    for table, first, second, scale, rates, start in (
+        (centre, prediction.r_N, 1e3 * prediction.v_N, 1e3, slice(3, 6), slice(0, 3)),
+        (turn, q, np.rad2deg(prediction.w_P), np.rad2deg(1.0), slice(9, 12), slice(6, 9)),
+    ):
+        for k in shown_rows(prediction.time_s):
+            worst = [f"{(scale * sigma[k, part]).max():.2g}" for part in (start, rates)]
+            cells = (_numbers(first[k], 4), worst[0], _numbers(second[k], 3), worst[1])
+            table.add_row(f"{prediction.time_s[k]:.6g}", *cells)
     console = Console(width=120, file=StringIO(), force_terminal=False)
     with console.capture() as capture:
         console.print(centre)
@@ -380,14 +351,13 @@ def format_prediction(prediction: PredictedMotion, is_written: bool, marks: bool
 
 
 def shown_rows(time_s: Array) -> Ints:
-    """Which of the rows (T,) are printed: about ``SHOWN_ROWS`` at even steps, the last one at the horizon.
+    """Which of the rows (T,) are printed: about six at even steps, the last one at the horizon.
 
     The steps are even where a number of rows from 4 to 8 divides T. Elsewhere the last one is shorter.
     """
     count = len(time_s)
     fitting = [shown for shown in range(4, 9) if count % shown == 0]
-    shown = min(fitting, key=lambda each: abs(each - SHOWN_ROWS), default=SHOWN_ROWS)
-    step = -(-count // shown)
+    step = -(-count // min(fitting, key=lambda shown: abs(shown - 6), default=6))
     return np.unique(np.append(np.arange(step - 1, count, step), count - 1)).astype(np.int64)
 
 
@@ -400,7 +370,3 @@ def _table(title: str, *columns: str) -> Table:
 
 def _numbers(values: Array, digits: int) -> str:
     return " ".join(f"{x:.{digits}f}" for x in values)
-
-
-def _worst(sigma: Array) -> str:
-    return f"{sigma.max():.2g}"

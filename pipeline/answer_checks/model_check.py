@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from polhode.dataset import StereoSequence
 from polhode.frontend.rectification import Rectifier
 from polhode.lie import Array
-from polhode.mapping.visibility import MeshViewer
 from polhode.pipeline.answer_checks.image_motion import (
     CONTRAST_SCALE_PX,
     MIN_CONTRAST,
@@ -46,9 +45,7 @@ def model_check(
     if not len(mesh.faces) or len(measured) < MIN_FRAMES:
         return make_check("rendered model", None)
     frames = measured[chosen_frames(len(measured), MAX_FRAMES)].tolist()
-    compared = compare_frames(
-        *(sequence, rectifier, tracks, estimate, mesh, MeshViewer(mesh), frames), sun_N=sun_N
-    )
+    compared = compare_frames(sequence, rectifier, tracks, estimate, mesh, frames, sun_N)
     shares = [share for each in compared if (share := displaced_share(each)) is not None]
     return make_check(
         "rendered model", 100.0 * float(np.median(shares)) if len(shares) >= MIN_FRAMES else None

@@ -16,12 +16,10 @@ from polhode.drawing_style import default_style
 from polhode.lie import Array
 from polhode.mapping.visibility import MeshView, MeshViewer
 from polhode.pipeline.report.plot_style import AXIS_COLORS, FAINT, GRID, INK, SIGMA_SCALE
-from polhode.pipeline.report.shape_figures import stretched, vertex_rgb
+from polhode.pipeline.report.shape_figures import stretch_contrast, vertex_rgb
 from polhode.records import Bools, Landmarks, MassProperties, SurfaceModel
 
 DPI = 100
-KEPT_SHARE = 0.995
-"""Share of the landmarks that the drawing contains, with a margin: one far away shrinks nothing."""
 SIGMA_MAP = LinearSegmentedColormap.from_list(
     "sigma", [(float(str(place)), str(colour)) for place, colour in SIGMA_SCALE]
 )
@@ -73,25 +71,21 @@ def body_frame(mass: MassProperties) -> BodyFrame:
     return BodyFrame("G", description, np.eye(3), mass.com_G)
 
 
-def _direction(name: str, right: tuple[float, ...], up: tuple[float, ...]) -> Direction:
-    x, y = (np.array(each) / np.linalg.norm(each) for each in (right, up))
-    return Direction(name, x, y)
-
-
-ALONG_AXES: tuple[Direction, ...] = (
-    _direction("+x", (0, 1, 0), (0, 0, 1)),
-    _direction("+y", (-1, 0, 0), (0, 0, 1)),
-    _direction("+z", (1, 0, 0), (0, 1, 0)),
-    _direction("\u2212x", (0, -1, 0), (0, 0, 1)),
-    _direction("\u2212y", (1, 0, 0), (0, 0, 1)),
-    _direction("\u2212z", (-1, 0, 0), (0, 1, 0)),
+DIRECTIONS: tuple[Direction, ...] = tuple(
+    Direction(name, *(np.array(each) / np.linalg.norm(each) for each in (right, up)))
+    for name, right, up in (
+        ("+x", (0, 1, 0), (0, 0, 1)),
+        ("+y", (-1, 0, 0), (0, 0, 1)),
+        ("+z", (1, 0, 0), (0, 1, 0)),
+        ("\u2212x", (0, -1, 0), (0, 0, 1)),
+        ("\u2212y", (1, 0, 0), (0, 0, 1)),
+        ("\u2212z", (-1, 0, 0), (0, 1, 0)),
+        ("+x +y +z", (-1, 1, 0), (-1, -1, 2)),
+        ("\u2212x \u2212y \u2212z", (1, -1, 0), (-1, -1, 2)),
+    )
 )
-"""From the six sides; the first three face the last three."""
-OBLIQUE: tuple[Direction, ...] = (
-    _direction("+x +y +z", (-1, 1, 0), (-1, -1, 2)),
-    _direction("\u2212x \u2212y \u2212z", (1, -1, 0), (-1, -1, 2)),
-)
-"""From two opposite corners, between the axes."""
+ALONG_AXES, OBLIQUE = DIRECTIONS[:6], DIRECTIONS[6:]
+"""From the six sides, of which the first three face the last three, and from two opposite corners."""
 
 
 def round_length_mm(size_mm: float) -> float:
@@ -132,7 +126,8 @@ def draw_landmarks(landmarks: Landmarks, frame: BodyFrame) -> bytes:
     sigma_mm = 1e3 * landmarks.sigma_m
     known = np.isfinite(sigma_mm)
     low, top = np.quantile(sigma_mm[known], (0.05, 0.95)) if known.any() else (0.0, 1.0)
-    half_mm = 1.12 * max(float(np.quantile(np.abs(p_mm).max(axis=1), KEPT_SHARE)), 1e-3)
+    # a landmark that is far away shrinks nothing
+    half_mm = 1.12 * max(float(np.quantile(np.abs(p_mm).max(axis=1), 0.995)), 1e-3)
     figure = Figure(figsize=(12.0, 8.3), dpi=DPI, facecolor="white")
     grid = figure.add_gridspec(2, 3, left=0.055, right=0.895, bottom=0.08, top=0.89, wspace=0.22, hspace=0.24)
     norm = Normalize(float(low), float(max(top, 1.001 * low, 1e-6)))
@@ -217,7 +212,7 @@ class _Quantity:
 @default_style
 def draw_mesh(surface: SurfaceModel, viewer: MeshViewer, frame: BodyFrame) -> bytes:
     """A PNG: a column for each direction, a row for each quantity. ``viewer`` looks at the mesh."""
-    mesh, directions = surface.mesh, ALONG_AXES + OBLIQUE
+    mesh, directions = surface.mesh, DIRECTIONS
     p_A, normal_A = frame.points(np.asarray(mesh.vertices)), np.asarray(mesh.vertex_normals) @ frame.R_GA
     middle_A = 0.5 * (p_A.min(axis=0) + p_A.max(axis=0))
     middle_G, screens = frame.com_G + frame.R_GA @ middle_A, [(each.right, each.up) for each in directions]
@@ -269,7 +264,7 @@ def _quantities(surface: SurfaceModel) -> tuple[_Quantity, ...]:
     known = np.isfinite(sigma_mm)
     top_mm = max(float(np.quantile(sigma_mm[known], 0.95)) if known.any() else 1.0, 1e-6)
     most = max(float(np.quantile(surface.views, 0.99)), 2.0)
-    brightness = stretched(vertex_rgb(surface.mesh)) / 255.0
+    brightness = stretch_contrast(vertex_rgb(surface.mesh)) / 255.0
     return (
         _Quantity("colours of the vertices, shaded; pink: inner side, seen through holes", brightness, 0.45),
         _Quantity(

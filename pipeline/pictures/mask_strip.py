@@ -36,8 +36,12 @@ def mask_strip(sequence: StereoSequence, rectifier: Rectifier) -> tuple[bytes, s
         "Masks that were found, since the background is not dark: "
         f"{len(tiles)} of {len(rectifier.found.quality)} frames. Doubtful (red): {len(doubtful)}."
     )
-    encoded = cv2.imencode(".jpg", _sheet(tiles), [cv2.IMWRITE_JPEG_QUALITY, 88])[1]
-    return encoded.tobytes(), words
+    return jpeg(_sheet(tiles)), words
+
+
+def jpeg(picture: Bgr) -> bytes:
+    """The file; the same bytes for the same picture (H, W, 3)."""
+    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes()
 
 
 def frames_to_show(frames: list[int], doubtful: set[int]) -> list[int]:
@@ -70,13 +74,8 @@ def draw_outline(image: Image, mask: Bools, words: str, doubtful: bool) -> Bgr:
 
 def _sheet(tiles: list[Bgr]) -> Bgr:
     """Tiles (h, w, 3) in rows."""
-    height, width = tiles[0].shape[:2]
     columns = min(COLUMNS, len(tiles))
-    rows = -(-len(tiles) // columns)
-    sheet = np.full(
-        (rows * (height + GAP_PX) - GAP_PX, columns * (width + GAP_PX) - GAP_PX, 3), 255, dtype=np.uint8
-    )
-    for n, tile in enumerate(tiles):
-        v, u = n // columns * (height + GAP_PX), n % columns * (width + GAP_PX)
-        sheet[v : v + height, u : u + width] = tile
-    return sheet
+    framed = [np.pad(each, ((0, GAP_PX), (0, GAP_PX), (0, 0)), constant_values=255) for each in tiles]
+    framed += [np.full_like(framed[0], 255)] * (-len(framed) % columns)
+    rows = [np.hstack(framed[k : k + columns]) for k in range(0, len(framed), columns)]
+    return np.asarray(np.vstack(rows)[:-GAP_PX, :-GAP_PX])

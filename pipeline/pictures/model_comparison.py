@@ -33,7 +33,6 @@ MAX_PIXELS = 256
 """Edge of the square that is compared; of a larger window, fewer rays are cast."""
 MARGIN = 1.12
 """Edge of the window over what the model needs in any frame."""
-_MAX_VERTICES = 3000
 OTHER_LIGHT = 0.03
 """Light that reaches the target from elsewhere, over the Sun's."""
 
@@ -87,10 +86,8 @@ def _share(part: Bools, whole: Bools) -> float:
 
 def chosen_frames(n_frames: int, most: int) -> list[int]:
     """At most ``most`` frames, spread evenly, first and last among them."""
-    frames: list[int] = np.unique(
-        np.linspace(0, n_frames - 1, min(n_frames, most)).round().astype(int)
-    ).tolist()
-    return frames
+    frames = np.linspace(0, n_frames - 1, min(n_frames, most)).round().astype(int)
+    return [int(k) for k in np.unique(frames)]
 
 
 def compare_frames(
@@ -99,24 +96,24 @@ def compare_frames(
     tracks: StereoTracks,
     estimate: MotionEstimate,
     mesh: trimesh.Trimesh,
-    viewer: MeshViewer,
     frames: list[int],
     sun_N: Array | None = None,
-    shadows: Caster | None = None,
+    caster: Caster | None = None,
 ) -> Iterator[FrameComparison]:
-    """The model beside the image, frame by frame. ``viewer`` looks at ``mesh``, which has faces.
+    """The model beside the image, frame by frame. The mesh has faces.
 
     With sun_N (3,), the unit vector towards the Sun, the brightness of the mesh is taken as its albedo and
-    shaded by Lambert's law; ``shadows``, which knows the mesh, adds those that it casts on itself, and its
-    normals are then those by which its albedo was found.
+    shaded by Lambert's law; ``caster``, which knows the mesh, adds the shadows that it casts on itself, and
+    its normals are then those by which its albedo was found.
     """
-    rig = rectifier.rig
+    rig, viewer = rectifier.rig, MeshViewer(mesh, caster)
     brightness = vertex_rgb(mesh).astype(np.float64).mean(axis=1)
     X_RG = inverse_pose(tracks.X_NR) @ estimate.X_NG
     corners, side = _window(np.asarray(mesh.vertices), rig, X_RG[frames])
     measured = np.bincount(tracks.frame, minlength=tracks.n_frames) > 0
     vertices_G = np.asarray(mesh.vertices, dtype=np.float64)
-    normals = np.asarray(mesh.vertex_normals) if shadows is None else smooth_normals(mesh)
+    has_shadows = caster is not None and sun_N is not None
+    normals = smooth_normals(mesh) if has_shadows else np.asarray(mesh.vertex_normals)
     for k, corner in zip(frames, corners, strict=True):
         left, mask = rectified_left(sequence, rectifier, k)
         u, v, image, seen = _cut(left, mask, corner, side)
@@ -127,8 +124,8 @@ def compare_frames(
         if sun_N is not None:
             sun_G = estimate.X_NG[k, :3, :3].T @ sun_N
             light = (view.values(normals) @ sun_G).clip(0.0, 1.0)
-            if shadows is not None:
-                light[view.hit] *= shadows.lit_by(sun_G, view.values(vertices_G)[view.hit])
+            if caster is not None:
+                light[view.hit] *= caster.lit_by(sun_G, view.values(vertices_G)[view.hit])
             model *= OTHER_LIGHT + light
         fit = fit_brightness(image[seen & modelled], model[seen & modelled])
         time_s = float(tracks.time_s[k])
@@ -151,7 +148,7 @@ def _window(vertices: Array, rig: RectifiedRig, X_RG: Array) -> tuple[Ints, int]
 
     Frames without the model's middle in view follow, but do not count for the size.
     """
-    some = vertices[:: max(1, len(vertices) // _MAX_VERTICES)]
+    some = vertices[:: max(1, len(vertices) // 3000)]
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     size = np.array([rig.width_px, rig.height_px])
     most = int(size.max())
@@ -209,16 +206,17 @@ SUNLIT = "model in the estimated sunlight"
 
 def draw_frame(comparison: FrameComparison, n_frames: int, sunlit: bool = False) -> Rgb:
     """(H, W, 3) of ``SIZE_PX``. ``sunlit``: whether the Sun that was estimated lights the model."""
-    width, height = SIZE_PX
-    canvas = np.empty((height, width, 3), dtype=np.uint8)
-    canvas[:] = GROUND
+    canvas = np.full((*SIZE_PX[::-1], 3), GROUND, dtype=np.uint8)
     grey = (comparison.image, np.round(comparison.model).astype(np.uint8))
-    panels = [*(np.repeat(_enlarged(each)[..., None], 3, axis=2) for each in grey)]
-    panels.append(_enlarged(signed_colours(comparison.difference, comparison.seen | comparison.modelled)))
-    for column, panel in enumerate(panels):
+    colours = signed_colours(comparison.difference, comparison.seen | comparison.modelled)
+    for column, panel in enumerate([*(np.repeat(each[..., None], 3, axis=2) for each in grey), colours]):
         left = column * (PANEL_PX + GAP_PX)
-        canvas[HEAD_PX : HEAD_PX + PANEL_PX, left : left + PANEL_PX] = panel
-    _draw_bar(canvas)
+        larger = cv2.resize(panel, (PANEL_PX, PANEL_PX), interpolation=cv2.INTER_LINEAR)
+        canvas[HEAD_PX : HEAD_PX + PANEL_PX, left : left + PANEL_PX] = larger
+    # the scale of the difference below its panel
+    left, top = _left(2) + BAR_INSET_PX, _LINES[0] - 4
+    scale = signed_colours(np.linspace(-SPAN_GREY, SPAN_GREY, BAR_PX), np.ones(BAR_PX, dtype=bool))
+    canvas[top : top + 9, left : left + BAR_PX] = scale
     page = Image.fromarray(canvas)
     _write(ImageDraw.Draw(page), comparison, n_frames, sunlit)
     return np.asarray(page, dtype=np.uint8)
@@ -272,18 +270,6 @@ def _scale() -> Rgb:
     return np.vstack([np.round(mixed), np.array(GROUND)]).astype(np.uint8)
 
 
-def _draw_bar(canvas: Rgb) -> None:
-    """The scale of the difference below its panel."""
-    left, top = _left(2) + BAR_INSET_PX, _LINES[0] - 4
-    colours = signed_colours(np.linspace(-SPAN_GREY, SPAN_GREY, BAR_PX), np.ones(BAR_PX, dtype=bool))
-    canvas[top : top + 9, left : left + BAR_PX] = colours
-
-
-def _enlarged(picture: Rgb) -> Rgb:
-    larger = cv2.resize(picture, (PANEL_PX, PANEL_PX), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(larger, dtype=np.uint8)
-
-
 def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else "none"
 
@@ -335,15 +321,8 @@ def _gif(images: Sequence[Image.Image]) -> bytes:
     step = 1
     while True:
         content, kept = io.BytesIO(), images[::step]
-        kept[0].save(
-            content,
-            "GIF",
-            save_all=True,
-            append_images=kept[1:],
-            duration=step * 1000 // RATE_HZ,
-            loop=0,
-            optimize=False,
-        )
+        style = {"duration": step * 1000 // RATE_HZ, "loop": 0, "optimize": False}
+        kept[0].save(content, "GIF", save_all=True, append_images=kept[1:], **style)
         if content.tell() <= MAX_GIF_BYTES or len(kept) <= MIN_GIF_FRAMES:
             return content.getvalue()
         step *= 2

@@ -20,7 +20,7 @@ from polhode.lie import Array
 from polhode.mapping.visibility import Caster, MeshViewer
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.pictures.body_views import body_frame, draw_landmarks, draw_mesh
-from polhode.pipeline.pictures.mask_strip import mask_strip
+from polhode.pipeline.pictures.mask_strip import jpeg, mask_strip
 from polhode.pipeline.pictures.model_comparison import (
     FrameComparison,
     Rgb,
@@ -37,18 +37,8 @@ from polhode.threads import single_threaded
 
 STILLS = 4
 """Frames of the animation that the report shows."""
-MODEL_COLUMNS = (
-    "frame",
-    "timestamp_ns",
-    "measured",
-    "iou",
-    "covered",
-    "rms_grey",
-    "gain",
-    "offset_grey",
-    "sunlit",
-)
-"""Header line of model.csv; a missing value is nan."""
+MODEL_HEADER = "frame,timestamp_ns,measured,iou,covered,rms_grey,gain,offset_grey,sunlit"
+"""Of model.csv; a missing value is nan."""
 
 INLIER_BGR = (233, 180, 86)
 OUTLIER_BGR = (0, 94, 213)
@@ -91,12 +81,11 @@ def make_pictures(
     With sun_N (3,), the film shows the model in that light, with the shadows that it casts on itself.
     """
     sequence, rectifier, config = context.sequence, context.rectifier, context.config.pictures
-    viewer = caster = None
+    caster = None
     with _optional("the mesh"):
         if len(surface.mesh.faces):
             caster = Caster(surface.mesh)
-            viewer = MeshViewer(surface.mesh, caster)
-    frames = chosen_frames(tracks.n_frames, config.frames) if config.animation and viewer else []
+    frames = chosen_frames(tracks.n_frames, config.frames) if config.animation and caster else []
     with context.progress.stage("pictures", 1 + 2 * config.views + len(frames)) as advance:
         with _optional("tracks on the images"):
             drawn = track_pictures(sequence, rectifier, tracks, estimate)
@@ -115,17 +104,15 @@ def make_pictures(
                     write_picture(folder, "landmarks.png", draw_landmarks(estimate.landmarks, frame), words)
             advance()
             with _optional("mesh.png"):
-                if viewer is not None:
+                if caster is not None:
                     words = f"Mesh from eight sides. {frame.description}"
-                    write_picture(folder, "mesh.png", draw_mesh(surface, viewer, frame), words)
+                    content = draw_mesh(surface, MeshViewer(surface.mesh, caster), frame)
+                    write_picture(folder, "mesh.png", content, words)
             advance()
-        if viewer is not None and frames:
+        if frames:
             with _optional("model.mp4"):
-                compared = compare_frames(
-                    *(sequence, rectifier, tracks, estimate, surface.mesh, viewer, frames),
-                    sun_N=sun_N,
-                    shadows=caster if sun_N is not None else None,
-                )
+                shown = (sequence, rectifier, tracks, estimate, surface.mesh, frames)
+                compared = compare_frames(*shown, sun_N, caster)
                 _animate(folder, compared, tracks, len(frames), sun_N is not None, advance)
 
 
@@ -153,15 +140,14 @@ def _animate(
             advance()
     write_text(target / "model.csv", _table(rows, tracks, sunlit))
     for name, (picture, words) in stills.items():
-        encoded = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1]
-        write_picture(folder, name, encoded.tobytes(), words)
+        write_picture(folder, name, jpeg(picture[..., ::-1]), words)
     overlap = [each.overlap for each in rows if np.isfinite(each.overlap)]
     if overlap:
         _log.info("silhouettes of model and image overlap by %.2f (median)", float(np.median(overlap)))
 
 
 def _table(rows: Sequence[FrameComparison], tracks: StereoTracks, sunlit: bool) -> str:
-    lines = [",".join(MODEL_COLUMNS)]
+    lines = [MODEL_HEADER]
     for each in rows:
         numbers = (each.overlap, each.covered, each.rms_grey, each.gain, each.offset)
         start = f"{each.frame},{tracks.timestamps_ns[each.frame]},{int(each.measured)}"
@@ -191,11 +177,9 @@ def track_pictures(
         crop = target_crop(mask, margin_px=16) or Crop(0, 0, left.shape[1], left.shape[0])
         here = tracks.frame == k
         inlier = estimate.inlier_weight[here] > 0.5
-        picture = _draw(left, crop, tracks.uvd_px[here, :2], inlier)
-        seconds = float(tracks.time_s[k])
         counts = f"{int(inlier.sum())} inliers (blue), {int((~inlier).sum())} outliers (orange)"
-        caption = f"frame {k}, {seconds:.1f} s: {counts}"
-        pictures[caption] = picture
+        words = f"frame {k}, {float(tracks.time_s[k]):.1f} s: {counts}"
+        pictures[words] = _draw(left, crop, tracks.uvd_px[here, :2], inlier)
     return pictures
 
 
@@ -207,4 +191,4 @@ def _draw(image: np.ndarray, crop: Crop, uv_px: Array, inlier: np.ndarray) -> by
     places = ((uv_px - [crop.u0, crop.v0] + 0.5) * zoom).round().astype(int)
     for place, good in zip(places.tolist(), inlier.tolist(), strict=True):
         cv2.circle(canvas, place, 2, INLIER_BGR if good else OUTLIER_BGR, -1, cv2.LINE_AA)
-    return cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes()
+    return jpeg(canvas)

@@ -14,8 +14,7 @@ In: a run directory. Out: report.html.
 - residual_figures: residuals against their noise, observations per frame and landmark
 - shape_figures: sparse map and surface
 - plot_style: axes, traces and colours that the figures share
-- film: frames of camera beside model; timeline: what the slider moves over
-- embedded_pictures: pictures of the run inside the page
+- page_pictures: pictures and film of the run inside the page
 - page_size: the size of the page, and fewer points for the figures of a long run
 - templates/: the pages (Jinja), their style (page.css) and script (page.js)
 """

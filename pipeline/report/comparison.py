@@ -20,8 +20,6 @@ RUN_COLORS: tuple[str, ...] = ("#0072b2", "#d55e00", "#cc79a7", "#22303c", "#56b
 SYMBOLS: tuple[str, ...] = ("circle", "square", "diamond", "triangle-up", "cross", "star", "hexagon")
 """Colours and marks of the runs, used cyclically; their numbers differ, so that pairs repeat late."""
 NO_VALUE = "\u2013"
-OWN_FRAME = "centre of mass, "
-"""Rows in the frame G of one run are not comparable with another's."""
 
 
 def write_comparison(folders: Sequence[Path], path: Path) -> None:
@@ -58,15 +56,16 @@ def side_by_side(contents: Sequence[StoredRun]) -> list[tuple[str, list[str]]]:
 
 
 def _cells(content: StoredRun) -> dict[str, str]:
-    inertia = [row for row in tables.inertia_rows(content.summary) if not row.name.startswith(OWN_FRAME)]
-    rows = [*inertia, *tables.motion_rows(content.motion), *tables.run_rows(content)]
+    # The frame G is each run's own: places in it cannot be compared.
+    inertia = tables.inertia_rows(content.summary)
+    comparable = [row for row in inertia if not row.name.startswith("centre of mass, ")]
+    rows = [*comparable, *tables.motion_rows(content.motion), *tables.run_rows(content)]
     cells = {row.name: f"{row.value} {row.unit}".strip() for row in rows}
-    cells |= {
-        f"time, {stage}": f"{seconds:.1f} s" for stage, seconds, _ in tables.timing_rows(content.summary)
-    }
-    return cells | {
-        f"against the truth: {row.name}": row.value for row in tables.metric_rows(content.metrics)
-    }
+    for stage, seconds, _ in tables.timing_rows(content.summary):
+        cells[f"time, {stage}"] = f"{seconds:.1f} s"
+    for row in tables.metric_rows(content.metrics):
+        cells[f"against the truth: {row.name}"] = row.value
+    return cells
 
 
 def _color(k: int) -> str:
@@ -87,7 +86,7 @@ def _ratios(contents: Sequence[StoredRun]) -> list[Figure]:
         return []
     low, high = np.concatenate(points).min(axis=0), np.concatenate(points).max(axis=0)
     pad = np.maximum(0.15 * (high - low), 0.01)
-    ranges = [[float(a), float(b)] for a, b in zip(low - pad, high + pad, strict=True)]
+    ranges = np.stack([low - pad, high + pad], axis=1).tolist()
     figure = layout(
         xaxis=axis("k<sub>1</sub> = ln(Jxx / Jyy)", range=ranges[0]),
         yaxis=axis("k<sub>2</sub> = ln(Jyy / Jzz)", range=ranges[1]),
@@ -96,9 +95,8 @@ def _ratios(contents: Sequence[StoredRun]) -> list[Figure]:
         "Dots: estimates; ellipses: three standard deviations; an open dot has none, because the motion of "
         "that run does not determine the ratios. Grey: where rigid bodies can lie."
     )
-    return [
-        Figure("ratios", "Inertia ratios", caption, [*possible_bodies(1), *data], figure, 460, wide=False)
-    ]
+    data = [*possible_bodies(1), *data]
+    return [Figure("ratios", "Inertia ratios", caption, data, figure, height_px=460, wide=False)]
 
 
 def _rates(contents: Sequence[StoredRun]) -> list[Figure]:

@@ -1,5 +1,7 @@
 """Figures of the motion: centre of mass, attitude, angular velocity."""
 
+from functools import partial
+
 import numpy as np
 
 from polhode.lie import Array
@@ -8,25 +10,84 @@ from polhode.pipeline.report.plot_style import (
     INK,
     TIME_TITLE,
     Figure,
-    Layout,
-    band,
+    Trace,
     gap_shapes,
     line,
+    line_with_band,
     panels,
 )
-from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun
+from polhode.pipeline.run_directory.stored_run import StoredRun
 
 
 def motion_figures(content: StoredRun) -> list[Figure]:
     """Position and velocity, attitude, angular velocity; nothing without an estimate."""
     if content.motion is None:
         return []
-    shapes = _bridged(content)
-    return [
-        _centre_of_mass(content.motion, _bridged(content, columns=3)),
-        _angular_velocity(content.motion, shapes),
-        _attitude(content.motion, shapes),
-    ]
+    path, seen = content.motion.trajectory, None
+    if content.tracks is not None:
+        seen = np.isin(np.arange(content.tracks.n_frames), content.tracks.frame)
+    shapes = partial(gap_shapes, path.time_s, np.ones(len(path.time_s), dtype=bool) if seen is None else seen)
+    grey = " Grey: frames without measurements, bridged by the dynamics." if shapes() else ""
+    figure = partial(Figure, clock="time")
+    off_line_mm = 1e3 * straight_line_residual(path.time_s, path.r_N, path.sigma_r)
+    sigma_r_mm, sigma_v_mm_s = 1e3 * path.sigma_r, 1e3 * path.sigma_v
+    columns = ((path.r_N, path.sigma_r), (off_line_mm, sigma_r_mm), (1e3 * path.v_N, sigma_v_mm_s))
+    data: list[Trace] = []
+    for k, name in enumerate("xyz"):
+        for column, (value, sigma) in enumerate(columns):
+            data += line_with_band(
+                path.time_s, value[:, k], sigma[:, k], name, AXIS_COLORS[k], 3 * k + column + 1
+            )
+    titles = [(f"r<sub>{a}</sub> [m]", f"Δr<sub>{a}</sub> [mm]", f"v<sub>{a}</sub> [mm/s]") for a in "xyz"]
+    above = ("position in N", "position minus a straight line", "velocity in N")
+    centre_of_mass = figure(
+        "centre-of-mass",
+        "Centre of mass",
+        "Position and velocity in the inertial frame N, with bands of three standard deviations. The "
+        "middle column takes away the straight line at constant speed that fits best: what is left shows "
+        "disturbances and errors at the scale of the bands. "
+        f"{_median_sigma(sigma_r_mm, 'position', 'mm')} "
+        f"{_median_sigma(sigma_v_mm_s, 'velocity', 'mm/s')}{grey}",
+        data,
+        panels(titles, TIME_TITLE, above, shapes=shapes(columns=3)),
+        height_px=560,
+    )
+
+    w_deg_s, sigma_w_deg_s = np.rad2deg(path.w_P), np.rad2deg(path.sigma_w)
+    data = []
+    for k, name in enumerate("xyz"):
+        data += line_with_band(path.time_s, w_deg_s[:, k], sigma_w_deg_s[:, k], name, AXIS_COLORS[k], k + 1)
+    angular_velocity = figure(
+        "angular-velocity",
+        "Angular velocity",
+        "Of the target relative to N, along its principal axes x, y, z (largest, middle and smallest "
+        "moment), with bands of three standard deviations. "
+        f"{_median_sigma(sigma_w_deg_s, 'angular velocity', 'deg/s')}{grey}",
+        data,
+        panels([(f"ω<sub>{a}</sub> [deg/s]",) for a in "xyz"], TIME_TITLE, shapes=shapes()),
+        height_px=520,
+        wide=False,
+    )
+
+    sigma_deg = np.rad2deg(path.sigma_theta)
+    colors = (INK, *AXIS_COLORS)
+    data = [line(path.time_s, path.q_NP_wxyz[:, k], name, colors[k]) for k, name in enumerate("wxyz")]
+    for k, name in enumerate("xyz"):
+        data.append(line(path.time_s, 3 * sigma_deg[:, k], name, AXIS_COLORS[k], 2, mode="lines"))
+    layout = panels([("quaternion q<sub>NP</sub>",), ("3σ of attitude [deg]",)], TIME_TITLE, shapes=shapes())
+    layout["yaxis2"]["rangemode"] = "tozero"
+    attitude = figure(
+        "attitude",
+        "Attitude",
+        "Above: the attitude of the principal axes, Hamilton quaternion, scalar first. Below: three standard "
+        "deviations of the attitude error about each principal axis. "
+        f"{_median_sigma(sigma_deg, 'attitude', 'deg')}{grey}",
+        data,
+        layout,
+        height_px=520,
+        wide=False,
+    )
+    return [centre_of_mass, angular_velocity, attitude]
 
 
 def straight_line_residual(time_s: Array, p: Array, sigma: Array) -> Array:
@@ -41,116 +102,10 @@ def straight_line_residual(time_s: Array, p: Array, sigma: Array) -> Array:
     return out
 
 
-def _bridged(content: StoredRun, columns: int = 1) -> list[Layout]:
-    if content.tracks is None or content.motion is None:
-        return []
-    seen = np.zeros(content.tracks.n_frames, dtype=np.bool_)
-    seen[content.tracks.frame] = True
-    return gap_shapes(content.motion.trajectory.time_s, seen, columns)
-
-
-def _centre_of_mass(motion: StoredMotion, shapes: list[Layout]) -> Figure:
-    path = motion.trajectory
-    line_off_mm = 1e3 * straight_line_residual(path.time_s, path.r_N, path.sigma_r)
-    columns = (
-        (path.r_N, path.sigma_r),
-        (line_off_mm, 1e3 * path.sigma_r),
-        (1e3 * path.v_N, 1e3 * path.sigma_v),
-    )
-    titles = [(f"r<sub>{a}</sub> [m]", f"Δr<sub>{a}</sub> [mm]", f"v<sub>{a}</sub> [mm/s]") for a in "xyz"]
-    figure = panels(
-        titles,
-        TIME_TITLE,
-        ("position in N", "position minus a straight line", "velocity in N"),
-        shapes=shapes,
-    )
-    data = []
-    for row, name in enumerate("xyz"):
-        for column, (value, sigma) in enumerate(columns):
-            panel, color = 3 * row + column + 1, AXIS_COLORS[row]
-            data += band(path.time_s, value[:, row], 3 * sigma[:, row], color, panel)
-            data.append(line(path.time_s, value[:, row], name, color, panel))
-    return Figure(
-        "centre-of-mass",
-        "Centre of mass",
-        "Position and velocity in the inertial frame N, with bands of three standard deviations. The "
-        "middle column takes away the straight line at constant speed that fits best: what is left shows "
-        "disturbances and errors at the scale of the bands. "
-        f"{_median_sigma(1e3 * path.sigma_r, 'position', 'mm')} "
-        f"{_median_sigma(1e3 * path.sigma_v, 'velocity', 'mm/s')}{_grey(shapes)}",
-        data,
-        figure,
-        height_px=560,
-        clock="time",
-    )
-
-
-def _angular_velocity(motion: StoredMotion, shapes: list[Layout]) -> Figure:
-    path = motion.trajectory
-    w_deg_s, sigma_deg_s = np.rad2deg(path.w_P), np.rad2deg(path.sigma_w)
-    figure = panels(
-        [(f"ω<sub>{a}</sub> [deg/s]",) for a in "xyz"],
-        TIME_TITLE,
-        shapes=shapes,
-    )
-    data = []
-    for k, name in enumerate("xyz"):
-        data += band(path.time_s, w_deg_s[:, k], 3 * sigma_deg_s[:, k], AXIS_COLORS[k], k + 1)
-        data.append(line(path.time_s, w_deg_s[:, k], name, AXIS_COLORS[k], k + 1))
-    return Figure(
-        "angular-velocity",
-        "Angular velocity",
-        "Of the target relative to N, along its principal axes x, y, z (largest, middle and smallest "
-        "moment), with bands of three standard deviations. "
-        f"{_median_sigma(sigma_deg_s, 'angular velocity', 'deg/s')}{_grey(shapes)}",
-        data,
-        figure,
-        height_px=520,
-        wide=False,
-        clock="time",
-    )
-
-
-def _attitude(motion: StoredMotion, shapes: list[Layout]) -> Figure:
-    path = motion.trajectory
-    sigma_deg = np.rad2deg(path.sigma_theta)
-    figure = panels(
-        [("quaternion q<sub>NP</sub>",), ("3σ of attitude [deg]",)],
-        TIME_TITLE,
-        shapes=shapes,
-    )
-    colors = (INK, *AXIS_COLORS)
-    data = [
-        line(path.time_s, path.q_NP_wxyz[:, k], name, colors[k], 1)
-        for k, name in enumerate(("w", "x", "y", "z"))
-    ]
-    for k, name in enumerate("xyz"):
-        data.append(line(path.time_s, 3 * sigma_deg[:, k], name, AXIS_COLORS[k], 2, mode="lines"))
-    figure["yaxis2"]["rangemode"] = "tozero"
-    return Figure(
-        "attitude",
-        "Attitude",
-        "Above: the attitude of the principal axes, Hamilton quaternion, scalar first. Below: three standard "
-        "deviations of the attitude error about each principal axis. "
-        f"{_median_sigma(sigma_deg, 'attitude', 'deg')}{_grey(shapes)}",
-        data,
-        figure,
-        height_px=520,
-        wide=False,
-        clock="time",
-    )
-
-
 def _median_sigma(sigma: Array, what: str, unit: str) -> str:
     known = np.isfinite(sigma)
-    if not np.all(np.any(known, axis=0)):
-        axes = ", ".join(
-            name for name, any_known in zip("xyz", np.any(known, axis=0), strict=True) if not any_known
-        )
-        return f"The {what} along {axes} is not determined by the data: no band is drawn."
+    lost = [name for k, name in enumerate("xyz") if not known[:, k].any()]
+    if lost:
+        return f"The {what} along {', '.join(lost)} is not determined by the data: no band is drawn."
     values = ", ".join(f"{np.median(sigma[known[:, k], k]):.2g}" for k in range(3))
     return f"Median standard deviation of the {what}: {values} {unit} (x, y, z)."
-
-
-def _grey(shapes: list[Layout]) -> str:
-    return " Grey: frames without measurements, bridged by the dynamics." if shapes else ""

@@ -10,8 +10,11 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import numpy as np
+
 from polhode.atomic import write_all, write_text
 from polhode.errors import InputError, printable
+from polhode.lie import Array
 from polhode.output.locks import at_work
 from polhode.output.place import begins_with, require_writable
 from polhode.output.run_files import SUMMARY
@@ -19,15 +22,20 @@ from polhode.output.single_file import make_parent, output_file, remove_all_part
 from polhode.pipeline.evaluation import Metrics, evaluate
 from polhode.pipeline.report import tables
 from polhode.pipeline.report.convergence_figures import convergence_figures
-from polhode.pipeline.report.embedded_pictures import MASKS, SHEETS, EmbeddedPicture, embedded
-from polhode.pipeline.report.film import MAX_BYTES, FilmFrame, film_frames
 from polhode.pipeline.report.motion_figures import motion_figures
+from polhode.pipeline.report.page_pictures import (
+    MAX_FILM_BYTES,
+    SHEETS,
+    EmbeddedPicture,
+    FilmFrame,
+    embed_pictures,
+    film_frames,
+)
 from polhode.pipeline.report.page_size import PAGE_BYTES, figures_within
 from polhode.pipeline.report.polhode_and_inertia_figures import rotation_figures
 from polhode.pipeline.report.residual_figures import measurement_figures
-from polhode.pipeline.report.shape_figures import shape_figures
+from polhode.pipeline.report.shape_figures import cameras_in_target, shape_figures
 from polhode.pipeline.report.template import deflated, figure_text, fill, json_text
-from polhode.pipeline.report.timeline import timeline
 from polhode.pipeline.run_directory.own_results import METRICS, OF_SUMMARY, summary_digest
 from polhode.pipeline.run_directory.run_folder import require_run_folder
 from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
@@ -46,6 +54,8 @@ WORDS_OF_PICTURES_BYTES = 8_000
 """Headings and captions of film and pictures; with longer captions the pictures are made again, smaller."""
 FIRST_DATE_NS = 946_684_800 * 10**9
 """Timestamps before the year 2000 count from something else, and are no dates."""
+MAX_STOPS = 600
+"""Frames of a long run at which the slider stops, evenly spread"""
 
 
 def page_file(path: Path, folders: Sequence[Path]) -> Path:
@@ -127,13 +137,10 @@ def finish_run(folder: Path, summary: Summary) -> Summary:
 def render(content: StoredRun) -> str:
     """The whole page, of at most ``PAGE_BYTES``: what figures and words leave is for the pictures."""
     summary, motion = content.summary, content.motion
+    no_estimate = "The run did not reach an estimate of the"
     parts = [
-        ("Motion", motion_figures(content), "The run did not reach an estimate of the motion."),
-        (
-            "Rotation and inertia",
-            rotation_figures(content),
-            "The run did not reach an estimate of the inertia.",
-        ),
+        ("Motion", motion_figures(content), f"{no_estimate} motion."),
+        ("Rotation and inertia", rotation_figures(content), f"{no_estimate} inertia."),
         ("Convergence", convergence_figures(content), "The run has no causal estimate."),
         ("Measurements", measurement_figures(content), "The run did not reach measurements."),
         ("Shape", shape_figures(content), "The run has neither a map nor a surface."),
@@ -178,20 +185,57 @@ def render(content: StoredRun) -> str:
             has_surface=content.surface is not None,
             sheets=[each for each in pictures if each.name in SHEETS],
             stills=[each for each in pictures if each.name.startswith("model")],
-            masks=[each for each in pictures if each.name == MASKS],
+            masks=[each for each in pictures if each.name == "masks.jpg"],
             pictures=[each for each in pictures if each.name[0].isdigit()],
             config_text=content.config_text,
         )
 
     left = PAGE_BYTES - WORDS_OF_PICTURES_BYTES - len(page([], []).encode())
-    film = film_frames(content.film, min(MAX_BYTES, round(FILM_SHARE * left)))
+    film = film_frames(content.film, min(MAX_FILM_BYTES, round(FILM_SHARE * left)))
     left -= sum(len(each.uri) for each in [*film, *film[:1]])
     while True:
-        whole = page(film, embedded(content.pictures, left))
+        whole = page(film, embed_pictures(content.pictures, left))
         excess = len(whole.encode()) - PAGE_BYTES
         if excess <= 0 or left <= 0:
             return whole
         left -= excess
+
+
+def timeline(content: StoredRun, film: Sequence[FilmFrame]) -> dict[str, Any] | None:
+    """Stops of the page's slider, as plain data; None without an estimate of at least two frames.
+
+    time [s] since the first frame and frame number of each stop; picture: index of the nearest in time in
+    ``film``; rate: angular velocity along P [deg/s]; eye and up: direction from the body to the left camera
+    and direction that is up in its image, unit vectors in G (absent without measurements).
+    """
+    if content.motion is None or len(content.motion.trajectory.time_s) < 2:
+        return None
+    path = content.motion.trajectory
+    count = len(path.time_s)
+    stops = np.unique(np.linspace(0, count - 1, min(count, MAX_STOPS)).round().astype(int))
+    out: dict[str, Any] = {
+        "time": path.time_s[stops].round(3).tolist(),
+        "frame": stops.tolist(),
+        "frames": count,
+        "rate": np.rad2deg(path.w_P[stops]).round(3).tolist(),
+    }
+    shown = np.array([each.frame for each in film if each.frame < count], dtype=np.int64)
+    if len(shown):
+        out["picture"] = np.abs(path.time_s[stops][:, None] - path.time_s[shown]).argmin(axis=1).tolist()
+    views = camera_views(content)
+    if views is not None:
+        out["eye"], out["up"] = (each[stops].round(4).tolist() for each in views)
+    return out
+
+
+def camera_views(content: StoredRun) -> tuple[Array, Array] | None:
+    """Directions (F, 3) in G: from the centre of mass to the left camera, and up in its image."""
+    X_GR = cameras_in_target(content)
+    if X_GR is None or content.motion is None:
+        return None
+    away = X_GR[:, :3, 3] - content.motion.com_G
+    # Rows of an image count downwards.
+    return away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12), -X_GR[:, :3, 1]
 
 
 def data_date(content: StoredRun) -> str:

@@ -91,7 +91,7 @@ class Figure:
     @property
     def narrow(self) -> Layout:
         """What differs in the layout on a phone: the panels one below the other; empty for a single one."""
-        return stacked(self.layout)
+        return stack_panels(self.layout)
 
     @property
     def words(self) -> str:
@@ -103,12 +103,18 @@ class Figure:
         return re.sub("<[^>]*>", "", " | ".join([self.title, self.caption, *titles, *names]))
 
 
-def packed(values: ArrayLike, dtype: str = "f4") -> dict[str, str]:
-    """An array as plotly.js reads it fastest and shortest: base64 of its bytes. Infinities become gaps."""
+def packed(values: ArrayLike, dtype: str = "") -> dict[str, str]:
+    """An array as plotly.js reads it fastest and shortest: base64 of its bytes. Infinities become gaps.
+
+    dtype: single precision and ``i4`` unless given; ``u1`` and ``u2`` stay.
+    """
     array = np.asarray(values)
+    dtype = dtype or {"u1": "u1", "u2": "u2"}.get(
+        array.dtype.str[1:], "f4" if array.dtype.kind == "f" else "i4"
+    )
     if dtype.startswith("f"):
         array = np.where(np.isfinite(array), array, np.nan)
-    array = np.ascontiguousarray(array.astype("<" + dtype if dtype != "u1" else dtype))
+    array = np.ascontiguousarray(array, dtype="<" + dtype)
     out = {"dtype": dtype, "bdata": base64.b64encode(array.tobytes()).decode("ascii")}
     if array.ndim > 1:
         out["shape"] = ", ".join(map(str, array.shape))
@@ -124,9 +130,9 @@ def line(x: ArrayLike, y: ArrayLike, name: str, color: str, panel: int = 1, **mo
     """A line through the points, on the axes of one panel."""
     return {
         "type": "scatter",
-        "mode": more.pop("mode", "lines+markers"),
-        "x": packed(x),
-        "y": packed(y),
+        "mode": "lines+markers",
+        "x": np.asarray(x, dtype=np.float64),
+        "y": np.asarray(y, dtype=np.float64),
         "name": name,
         "line": {"color": color, "width": 1.6},
         "marker": {"color": color, "size": 3.5},
@@ -143,8 +149,12 @@ def dashed(x: ArrayLike, y: ArrayLike, name: str, panel: int = 1) -> Trace:
 
 def points3d(points: ArrayLike, name: str, **more: Any) -> Trace:
     """Points (n, 3) of a scene, markers unless ``mode`` says otherwise."""
-    xyz = {key: packed(column) for key, column in zip("xyz", np.asarray(points).T, strict=True)}
-    return {"type": "scatter3d", "mode": "markers", **xyz, "name": name, **more}
+    return {"type": "scatter3d", "mode": "markers", **columns("xyz", points), "name": name, **more}
+
+
+def columns(names: str, rows: ArrayLike) -> dict[str, Array]:
+    """The columns of an array (n, k) by names of a letter each."""
+    return dict(zip(names, np.asarray(rows).T, strict=True))
 
 
 def band(x: ArrayLike, y: ArrayLike, half: ArrayLike, color: str, panel: int = 1, **more: Any) -> list[Trace]:
@@ -153,21 +163,28 @@ def band(x: ArrayLike, y: ArrayLike, half: ArrayLike, color: str, panel: int = 1
     x, known = np.asarray(x, dtype=np.float64), np.isfinite(half)
     # A fill across a gap goes astray: each stretch without gaps is an outline of its own.
     stretches = np.split(np.arange(len(x)), np.flatnonzero(np.diff(known)) + 1)
-    outlines = []
-    for stretch in stretches:
-        if len(stretch) and known[stretch[0]]:
-            there, back = stretch, stretch[::-1]
-            edge_x = np.concatenate([x[there], x[back]])
-            outlines.append((edge_x, np.concatenate([(y + half)[there], (y - half)[back]])))
-    style = {
-        "type": "scatter",
-        "mode": "lines",
-        "line": {"width": 0},
-        "hoverinfo": "skip",
-        "name": BAND,
-    }
-    fill = {"fill": "toself", "fillcolor": translucent(color, 0.22)}
-    return [{**style, **fill, "x": packed(a), "y": packed(b), **on(panel), **more} for a, b in outlines]
+    style = {"line": {"width": 0}, "fillcolor": translucent(color, 0.22), **more}
+    return [
+        outline(
+            np.concatenate([x[k], x[k][::-1]]), np.concatenate([(y + half)[k], (y - half)[k][::-1]]), BAND,
+            panel, **style,
+        )
+        for k in stretches
+        if len(k) and known[k[0]]
+    ]  # fmt: skip
+
+
+def outline(x: Array, y: Array, name: str, panel: int = 1, **more: Any) -> Trace:
+    """A filled area."""
+    style = {"type": "scatter", "mode": "lines", "fill": "toself", "hoverinfo": "skip", "name": name}
+    return {**style, "x": x, "y": y, **on(panel), **more}
+
+
+def line_with_band(
+    x: ArrayLike, y: ArrayLike, sigma: ArrayLike, name: str, color: str, panel: int = 1
+) -> list[Trace]:
+    """A line and its band of three standard deviations."""
+    return [*band(x, y, 3 * np.asarray(sigma), color, panel), line(x, y, name, color, panel)]
 
 
 def on(panel: int) -> dict[str, str]:
@@ -244,36 +261,28 @@ def panels(
     return out
 
 
-def stacked(wide: Layout) -> Layout:
+def stack_panels(wide: Layout) -> Layout:
     """Domains that put the panels of a layout one below the other, column by column; empty for one panel.
 
     Titles of columns stay above the first panel of theirs; strips over all panels are drawn once.
     """
-    names = sorted((key for key in wide if key.startswith("xaxis")), key=_panel_number)
-    if len(names) < 2:
+    names = [key for key in wide if key.startswith("xaxis")]
+    left = {name: wide[name].get("domain", [0])[0] for name in names}
+    starts = sorted(set(left.values()))
+    if len(starts) < 2:
         return {}
-    left = {name: wide[name]["domain"][0] for name in names}
-    columns = sorted(set(left.values()))
-    if len(columns) < 2:
-        return {}
-    order = sorted(names, key=lambda name: (left[name], _panel_number(name)))
-    out: Layout = {"height": NARROW_PANEL_PX * len(order) + 90, "legend": {"y": 1.0}}
-    height, notes = 1.0 / len(order), list(wide.get("annotations", []))
-    for row, name in enumerate(order):
-        top = 1.0 - (row + 0.2) * height
-        column = columns.index(left[name])
-        if column < len(notes) and (row == 0 or left[order[row - 1]] != left[name]):
+    height, notes = 1.0 / len(names), list(wide.get("annotations", []))
+    out: Layout = {"height": NARROW_PANEL_PX * len(names) + 90, "legend": {"y": 1.0}, "annotations": notes}
+    # Sorting is stable: the panels of a column stay in their order, from the top.
+    for row, name in enumerate(sorted(names, key=left.__getitem__)):
+        top, column = 1.0 - (row + 0.2) * height, starts.index(left[name])
+        if column < len(notes) and notes[column].get("y") == 1.0:
             notes[column] = notes[column] | {"x": 0.5, "y": top}
         out[name] = {"domain": [0, 1], "showticklabels": True}
         out[name.replace("x", "y", 1)] = {"domain": [top - 0.58 * height, top]}
-    out["annotations"] = notes
     if wide.get("shapes"):
         out["shapes"] = [each for each in wide["shapes"] if each.get("xref") == "x"]
     return out
-
-
-def _panel_number(axis_name: str) -> int:
-    return int(axis_name.removeprefix("xaxis") or 1)
 
 
 def note(text: str, x: float, y: float, **more: Any) -> Layout:

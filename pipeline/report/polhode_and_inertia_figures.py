@@ -19,14 +19,14 @@ from polhode.pipeline.report.plot_style import (
     Figure,
     Trace,
     axis,
-    band,
     color_bar,
+    columns,
     dashed,
     layout,
     line,
+    line_with_band,
     note,
-    on,
-    packed,
+    outline,
     panels,
     points3d,
     scene_layout,
@@ -92,16 +92,16 @@ def _polhode(motion: StoredMotion) -> Figure:
     dense = np.rad2deg(torque_free_path(path.time_s, path.w_P, moments))
     data = [
         _ellipsoid(np.rad2deg(np.sqrt(2.0 * energy / moments)), "energy ellipsoid"),
-        _wires(np.rad2deg(momentum / moments), "momentum ellipsoid"),
-        points3d(
-            *(dense, "path between frames"), mode="lines", line={"color": INK, "width": 4}, hoverinfo="skip"
+        _curve(
+            _grid_of_sphere() * np.rad2deg(momentum / moments), "momentum ellipsoid", color=WIRE, width=1.5
         ),
+        _curve(dense, "path between frames", color=INK, width=4),
         points3d(
             np.rad2deg(path.w_P),
             "ω at the frames",
             marker={
                 "size": 3.5,
-                "color": packed(path.time_s),
+                "color": path.time_s,
                 "colorscale": TIME_SCALE,
                 "colorbar": color_bar("time [s]"),
             },
@@ -143,8 +143,8 @@ def _ellipsoid(semi_axes: Array, name: str) -> Trace:
     sphere = trimesh.creation.icosphere(subdivisions=3)
     return {
         "type": "mesh3d",
-        **{key: packed(column) for key, column in zip("xyz", (sphere.vertices * semi_axes).T, strict=True)},
-        **{key: packed(column, "u2") for key, column in zip("ijk", sphere.faces.T, strict=True)},
+        **columns("xyz", sphere.vertices * semi_axes),
+        **columns("ijk", sphere.faces.astype(np.uint16)),
         "color": SHEET,
         "opacity": 0.35,
         "lighting": {"ambient": 0.75, "diffuse": 0.5, "specular": 0.05},
@@ -154,24 +154,20 @@ def _ellipsoid(semi_axes: Array, name: str) -> Trace:
     }
 
 
-def _wires(semi_axes: Array, name: str) -> Trace:
-    points = _grid_of_sphere() * semi_axes
-    return points3d(points, name, mode="lines", line={"color": WIRE, "width": 1.5}, hoverinfo="skip")
+def _curve(points: Array, name: str, **style: Any) -> Trace:
+    return points3d(points, name, mode="lines", line=style, hoverinfo="skip")
 
 
-def _grid_of_sphere(meridians: int = 8, parallels: int = 7, steps: int = 48) -> Array:
-    """Points (n, 3) of one line along all meridians and parallels of the unit sphere, without a gap.
+def _grid_of_sphere() -> Array:
+    """Points (n, 3) of one line along 8 meridians and 7 parallels of the unit sphere, without a gap.
 
     A gap would be drawn as a point at the origin.
     """
-    turn = np.linspace(0.0, 2.0 * np.pi, steps + 1)
-    angles = [
-        np.stack([turn, np.full_like(turn, azimuth)]) for azimuth in np.arange(meridians) * np.pi / meridians
-    ]
+    turn = np.linspace(0.0, 2.0 * np.pi, 49)
+    angles = [np.stack([turn, np.full_like(turn, azimuth)]) for azimuth in np.arange(8) * np.pi / 8]
     # Down the first meridian, once around at each parallel.
-    levels = np.arange(1, parallels + 1) * np.pi / (parallels + 1)
-    for above, level in zip([0.0, *levels[:-1]], levels, strict=True):
-        down = np.linspace(above, level, 1 + steps // 12)
+    for level in np.arange(1, 8) * np.pi / 8:
+        down = np.linspace(level - np.pi / 8, level, 5)
         angles.append(np.stack([down, np.zeros_like(down)]))
         angles.append(np.stack([np.full_like(turn, level), turn]))
     polar, azimuth = np.concatenate(angles, axis=1)
@@ -186,7 +182,7 @@ def _ratios(content: StoredRun) -> Figure:
     ellipse = ratio_ellipse(inertia)
     truth = _truth(content.metrics, mean)
     figure = layout(
-        legend={"orientation": "h", "y": 1.08, "yanchor": "bottom", "x": 0, "xanchor": "left"},
+        legend=layout()["legend"] | {"y": 1.08},
         xaxis=axis("k<sub>1</sub> = ln(Jxx / Jyy)", domain=[0, 0.45], range=[0, 0.78], anchor="y"),
         yaxis=axis("k<sub>2</sub> = ln(Jyy / Jzz)", range=[0, max(2.0, 1.3 * mean[1])], anchor="x"),
         xaxis2=axis("k<sub>1</sub>", domain=[0.57, 1], anchor="y2"),
@@ -202,20 +198,17 @@ def _ratios(content: StoredRun) -> Figure:
     if box is not None:
         zoom = box
         figure["yaxis"]["range"] = [0, max(2.0, 1.1 * float(box[:, 1].max()))]
-    for name, values in (("xaxis2", zoom[:, 0]), ("yaxis2", zoom[:, 1])):
-        low, high = float(values.min()), float(values.max())
-        if truth is not None:
-            column = 0 if name == "xaxis2" else 1
-            low, high = min(low, truth[column]), max(high, truth[column])
-        pad = 0.25 * max(high - low, 1e-6)
-        figure[name]["range"] = [low - pad, high + pad]
+    shown = zoom if truth is None else np.vstack([zoom, truth])
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    pad = 0.25 * np.maximum(high - low, 1e-6)
+    for k, name in enumerate(("xaxis2", "yaxis2")):
+        figure[name]["range"] = [float(low[k] - pad[k]), float(high[k] + pad[k])]
     data = []
     for panel in (1, 2):
         data += possible_bodies(panel)
         data += ratio_traces(inertia, "estimate", ACCENT, panel)
         if box is not None:
-            fill: dict[str, Any] = {"fill": "toself", "fillcolor": translucent(ACCENT, 0.12)}
-            data.append(line(box[:, 0], box[:, 1], "possible range", ACCENT, panel, mode="lines", **fill))
+            data.append(_area(box, "possible range", ACCENT, panel, 0.12))
         if truth is not None:
             marker = {"color": INK, "size": 11, "symbol": "x-thin", "line": {"width": 2, "color": INK}}
             data.append(line(truth[:1], truth[1:], "truth", INK, panel, mode="markers", marker=marker))
@@ -270,8 +263,7 @@ def ratio_traces(inertia: Inertia, name: str, color: str, panel: int = 1) -> lis
     ellipse = ratio_ellipse(inertia)
     data: list[Trace] = []
     if ellipse is not None:
-        fill: dict[str, Any] = {"fill": "toself", "fillcolor": translucent(color, 0.2), "mode": "lines"}
-        data.append(line(ellipse[:, 0], ellipse[:, 1], "3σ", color, panel, **fill))
+        data.append(_area(ellipse, "3σ", color, panel, 0.2))
     marker = {"color": color, "size": 9, "symbol": "circle" if ellipse is not None else "circle-open"}
     data.append(line([inertia.k1], [inertia.k2], name, color, panel, mode="markers", marker=marker))
     return data
@@ -280,10 +272,13 @@ def ratio_traces(inertia: Inertia, name: str, color: str, panel: int = 1) -> lis
 def possible_bodies(panel: int) -> list[Trace]:
     """The region of the ratios that the triangle inequality leaves to rigid bodies."""
     k2 = np.linspace(0, 8, 200)
-    x, y = np.concatenate([[0], largest_k1(k2), [0]]), np.concatenate([[0], k2, [8]])
-    style = {"type": "scatter", "mode": "lines", "hoverinfo": "skip", **on(panel)}
-    fill, edge = {"fill": "toself", "fillcolor": translucent(REGION, 0.1)}, {"color": REGION, "width": 1.2}
-    return [style | fill | {"x": packed(x), "y": packed(y), "line": edge, "name": "possible bodies"}]
+    corners = np.stack([np.concatenate([[0], largest_k1(k2), [0]]), np.concatenate([[0], k2, [8]])], axis=1)
+    return [_area(corners, "possible bodies", REGION, panel, 0.1)]
+
+
+def _area(corners: Array, name: str, color: str, panel: int, alpha: float) -> Trace:
+    style: dict[str, Any] = {"line": {"color": color, "width": 1.6}, "fillcolor": translucent(color, alpha)}
+    return outline(corners[:, 0], corners[:, 1], name, panel, **style)
 
 
 def _corner(x: float, y: float, text: str) -> dict[str, Any]:
@@ -316,18 +311,12 @@ def _conserved(motion: StoredMotion) -> Figure:
             (translation, 1e6 * _sigma(path.v_N, cov_v), float(np.mean(translation))),
             (100 * (momentum / momentum.mean() - 1), 100 * _sigma(slope_h, cov_w) / momentum.mean(), 0.0),
         )
-    figure = panels(
-        [
-            ("rotation [%]", "½ v² [mm²/s²]"),
-            ("momentum [%]", "direction [deg]"),
-        ],
-        TIME_TITLE,
-    )
+    titles = [("rotation [%]", "½ v² [mm²/s²]"), ("momentum [%]", "direction [deg]")]
+    figure = panels(titles, TIME_TITLE)
     data = []
     for panel, (value, sigma, mean) in enumerate(curves, start=1):
-        data += band(path.time_s, value, 3 * sigma, ACCENT, panel)
         data.append(dashed(path.time_s[[0, -1]], [mean, mean], "mean", panel))
-        data.append(line(path.time_s, value, "estimate", ACCENT, panel))
+        data += line_with_band(path.time_s, value, sigma, "estimate", ACCENT, panel)
     data.append(line(path.time_s, np.rad2deg(tilt), "estimate", ACCENT, 4))
     figure["yaxis4"]["rangemode"] = "tozero"
     return Figure(

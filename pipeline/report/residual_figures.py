@@ -16,7 +16,6 @@ from polhode.pipeline.report.plot_style import (
     layout,
     line,
     on,
-    packed,
     panels,
 )
 from polhode.pipeline.run_directory.archives import MeasurementResiduals
@@ -45,16 +44,14 @@ def measurement_figures(content: StoredRun) -> list[Figure]:
     return [*figures, _observations(content.tracks), _landmarks_over_time(content.tracks)]
 
 
-def rms_per_frame(
-    tracks: StereoTracks, residuals: MeasurementResiduals
-) -> "np.ndarray[tuple[int, int], np.dtype[np.float64]]":
+def rms_per_frame(tracks: StereoTracks, residuals: MeasurementResiduals) -> Array:
     """Root mean square of the inliers' residuals (F, 3) [px]; NaN for a frame without inliers."""
     inlier = residuals.inlier_weight >= INLIER_WEIGHT
     frame, squared = tracks.frame[inlier], residuals.residuals_px[inlier] ** 2
     count = np.bincount(frame, minlength=tracks.n_frames).astype(np.float64)
     sums = [np.bincount(frame, weights=squared[:, k], minlength=tracks.n_frames) for k in range(3)]
     with np.errstate(invalid="ignore"):
-        return np.stack([np.sqrt(s / np.where(count > 0, count, np.nan)) for s in sums], axis=1)
+        return np.sqrt(np.stack(sums, axis=1) / np.where(count > 0, count, np.nan)[:, None])
 
 
 def sigma_found(tracks: StereoTracks, noise: Noise | None) -> Array:
@@ -81,30 +78,23 @@ def _histogram(content: StoredRun, tracks: StereoTracks, residuals: MeasurementR
     data: list[Trace] = []
     for k, name in enumerate(NAMES):
         density = np.histogram(normalised[:, k], edges)[0] / (len(normalised) * width)
-        data.append(line(centres, density, name, AXIS_COLORS[k], mode="lines", line=_steps(AXIS_COLORS[k])))
+        style = {"color": AXIS_COLORS[k], "width": 1.6, "shape": "hvh"}
+        data.append(line(centres, density, name, AXIS_COLORS[k], mode="lines", line=style))
     gauss = np.exp(-0.5 * centres**2) / np.sqrt(2 * np.pi)
-    data.append(
-        line(centres, gauss, "Gaussian", INK, mode="lines", line={"color": INK, "width": 1.5, "dash": "dot"})
-    )
+    style = {"color": INK, "width": 1.5, "dash": "dot"}
+    data.append(line(centres, gauss, "Gaussian", INK, mode="lines", line=style))
     beyond = float(np.mean(np.any(np.abs(normalised) > 5, axis=1)))
     outliers = float(np.mean(residuals.inlier_weight < INLIER_WEIGHT))
     solver = content.summary.solver
-    chi2 = (
-        f" Reduced chi-squared, which counts the unknowns, is {solver.reduced_chi2:.3g}."
-        if solver and solver.reduced_chi2 is not None
-        else ""
-    )
-    levels = (
-        f" ({noise.pixel_sigma_px:.3f} px of u and v, {noise.disparity_sigma_px:.3f} px of the disparity)"
-        if noise
-        else ""
-    )
+    chi2 = solver.reduced_chi2 if solver else None
+    counted = "" if chi2 is None else f" Reduced chi-squared, which counts the unknowns, is {chi2:.3g}."
+    levels = f" ({_describe(noise)})" if noise else ""
     core = _core(normalised[residuals.inlier_weight > 0.0], tracks)
     return Figure(
         "residual-histogram",
         "Residuals against their noise",
         f"Measured minus predicted, over the noise that the estimate found{levels}; dotted: a "
-        f"Gaussian of that noise. {core}{chi2} {100 * outliers:.1f} % of the "
+        f"Gaussian of that noise. {core}{counted} {100 * outliers:.1f} % of the "
         " measurements have less than half their weight in the robust kernel; "
         f"{100 * beyond:.1f} % lie outside the drawing.",
         data,
@@ -112,6 +102,10 @@ def _histogram(content: StoredRun, tracks: StereoTracks, residuals: MeasurementR
         height_px=380,
         wide=False,
     )
+
+
+def _describe(noise: Noise) -> str:
+    return f"{noise.pixel_sigma_px:.3f} px of u and v, {noise.disparity_sigma_px:.3f} px of the disparity"
 
 
 def _core(kept: Array, tracks: StereoTracks) -> str:
@@ -141,8 +135,7 @@ def _rms_per_frame(tracks: StereoTracks, residuals: MeasurementResiduals, noise:
     )
     data = [line(tracks.time_s, rms[:, k], name, AXIS_COLORS[k]) for k, name in enumerate(NAMES)]
     larger = (
-        f" They are smaller than the noise ({noise.pixel_sigma_px:.3f} px of u and v, "
-        f"{noise.disparity_sigma_px:.3f} px of the disparity), which is corrected for what the fit follows "
+        f" They are smaller than the noise ({_describe(noise)}), which is corrected for what the fit follows "
         "and counts larger residuals too."
         if noise
         else ""
@@ -164,26 +157,16 @@ def _observations(tracks: StereoTracks) -> Figure:
     count = np.bincount(tracks.frame, minlength=tracks.n_frames)
     length = np.bincount(tracks.landmark, minlength=tracks.n_landmarks)
     lengths = np.bincount(length)[1:]
-    figure = panels(
-        [
-            ("landmarks seen",),
-        ],
-        TIME_TITLE,
-    )
+    figure = panels([("landmarks seen",)], TIME_TITLE)
     figure["xaxis"] |= {"domain": [0, 0.52]}
     figure["xaxis2"] = axis("observations of a landmark", domain=[0.69, 1], anchor="y2")
     figure["yaxis2"] = axis("landmarks", anchor="x2")
-    bars = {"type": "bar", "marker": {"color": ACCENT}, "width": 0.8 * _spacing(tracks)}
+    spacing_s = float(np.median(np.diff(tracks.time_s))) if tracks.n_frames > 1 else 1.0
+    per_frame = {"name": "per frame", "x": tracks.time_s, "y": count, "width": 0.8 * spacing_s}
+    by_number = {"name": "by number of observations", "x": np.arange(1, len(lengths) + 1), "y": lengths}
     data: list[Trace] = [
-        bars | {"x": packed(tracks.time_s), "y": packed(count, "i4"), "name": "per frame", **on(1)},
-        {
-            "name": "by number of observations",
-            "type": "bar",
-            "marker": {"color": FAINT},
-            "x": packed(np.arange(1, len(lengths) + 1), "i4"),
-            "y": packed(lengths, "i4"),
-            **on(2),
-        },
+        {"type": "bar", "marker": {"color": ACCENT}, **per_frame, **on(1)},
+        {"type": "bar", "marker": {"color": FAINT}, **by_number, **on(2)},
     ]
     unseen = int(np.sum(count == 0))
     return Figure(
@@ -213,27 +196,13 @@ def _landmarks_over_time(tracks: StereoTracks) -> Figure:
         xaxis=axis(TIME_TITLE, showgrid=False),
         yaxis=axis("landmarks, by first observation", showgrid=False, autorange="reversed"),
     )
+    marks = {"x": tracks.time_s, "y": (np.arange(rows) + 0.5) * tracks.n_landmarks / rows, "z": seen}
+    style = {"colorscale": [[0, PAPER], [1, ACCENT]], "showscale": False, "hoverinfo": "skip"}
+    # A heat map has no entry of its own in a legend: that of a trace without points.
+    entry = {"name": "seen in this frame", "marker": {"symbol": "square", "color": ACCENT}}
     data: list[Trace] = [
-        {
-            "type": "heatmap",
-            "x": packed(tracks.time_s),
-            "y": packed((np.arange(rows) + 0.5) * tracks.n_landmarks / rows),
-            "z": packed(seen, "u1"),
-            "colorscale": [[0, PAPER], [1, ACCENT]],
-            "showscale": False,
-            "hoverinfo": "skip",
-            **on(1),
-        },
-        # A heat map has no entry of its own in a legend.
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "x": [None],
-            "y": [None],
-            "name": "seen in this frame",
-            "marker": {"symbol": "square", "color": ACCENT},
-            **on(1),
-        },
+        {"type": "heatmap", **marks, **style, **on(1)},
+        {"type": "scatter", "mode": "markers", "x": [None], "y": [None], **entry, **on(1)},
     ]
     return Figure(
         "landmarks-over-time",
@@ -247,11 +216,3 @@ def _landmarks_over_time(tracks: StereoTracks) -> Figure:
         wide=False,
         clock="time",
     )
-
-
-def _spacing(tracks: StereoTracks) -> float:
-    return float(np.median(np.diff(tracks.time_s))) if tracks.n_frames > 1 else 1.0
-
-
-def _steps(color: str) -> dict[str, object]:
-    return {"color": color, "width": 1.6, "shape": "hvh"}

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 from trimesh.visual.color import ColorVisuals
 
 from polhode.lie import Array, inverse_pose
@@ -16,7 +17,7 @@ from polhode.pipeline.report.plot_style import (
     Trace,
     axis_arrows,
     color_bar,
-    packed,
+    columns,
     points3d,
     scene_layout,
 )
@@ -37,7 +38,7 @@ def shape_figures(content: StoredRun) -> list[Figure]:
     return figures
 
 
-def thinned(mesh: trimesh.Trimesh, max_faces: int) -> tuple[Array, Ints, Ints]:
+def thin_mesh(mesh: trimesh.Trimesh, max_faces: int) -> tuple[Array, Ints, Ints]:
     """At most ``max_faces`` triangles: the vertices of each cell of a grid merge (Rossignac, Borrel 1993).
 
     Returns vertices (V, 3) in the mesh's unit, faces (T, 3) and, for each new vertex, one old vertex (V,)
@@ -50,14 +51,11 @@ def thinned(mesh: trimesh.Trimesh, max_faces: int) -> tuple[Array, Ints, Ints]:
     # A surface has about two triangles a cell that it crosses.
     cell = float(np.sqrt(mesh.area / max_faces))
     while True:
-        keys = _packed(np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64))
+        keys = _numbers_of(np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64))
         _, first, group = np.unique(keys, return_index=True, return_inverse=True)
         merged = group[faces]
-        distinct = (
-            (merged[:, 0] != merged[:, 1]) & (merged[:, 1] != merged[:, 2]) & (merged[:, 2] != merged[:, 0])
-        )
-        merged = merged[distinct]
-        _, keep = np.unique(_packed(np.sort(merged, axis=1)), return_index=True)
+        merged = merged[(merged != np.roll(merged, 1, axis=1)).all(axis=1)]
+        _, keep = np.unique(_numbers_of(np.sort(merged, axis=1)), return_index=True)
         if len(keep) <= max_faces:
             break
         cell *= 1.15
@@ -66,7 +64,7 @@ def thinned(mesh: trimesh.Trimesh, max_faces: int) -> tuple[Array, Ints, Ints]:
     return centres, merged[np.sort(keep)], first
 
 
-def _packed(rows: Ints) -> Ints:
+def _numbers_of(rows: Ints) -> Ints:
     """(n,) numbers in the order of rows (n, 3) of whole numbers >= 0, whose ranges' product is below 2^63.
 
     NumPy sorts numbers ten times faster than rows.
@@ -76,11 +74,10 @@ def _packed(rows: Ints) -> Ints:
 
 
 def cameras_in_target(content: StoredRun) -> Array | None:
-    """Positions of the left camera in G (F, 3) [m], one per frame."""
+    """Poses X_GR (F, 4, 4) of the rectified left camera, one per frame."""
     if content.motion is None or content.tracks is None:
         return None
-    X_GN = inverse_pose(content.motion.X_NG)
-    return np.asarray((X_GN @ content.tracks.X_NR)[:, :3, 3])
+    return np.asarray(inverse_pose(content.motion.X_NG) @ content.tracks.X_NR)
 
 
 def _map(content: StoredRun, landmarks: Landmarks) -> Figure:
@@ -89,11 +86,11 @@ def _map(content: StoredRun, landmarks: Landmarks) -> Figure:
     top = float(np.quantile(sigma_mm[known], 0.95)) if np.any(known) else 1.0
     data: list[Trace] = [
         points3d(
-            binary_rounded(p_mm),
+            round_to_binary(p_mm),
             "landmarks",
             marker={
                 "size": 2.6 if len(p_mm) < 3000 else 1.7,
-                "color": packed(np.where(known, np.minimum(sigma_mm, top), top)),
+                "color": np.where(known, np.minimum(sigma_mm, top), top),
                 "colorscale": SIGMA_SCALE,
                 "cmin": 0,
                 "cmax": top,
@@ -118,15 +115,15 @@ def _map(content: StoredRun, landmarks: Landmarks) -> Figure:
 
 
 def _mesh(content: StoredRun, mesh: trimesh.Trimesh) -> Figure:
-    vertices, faces, source = thinned(mesh, MAX_FACES)
+    vertices, faces, source = thin_mesh(mesh, MAX_FACES)
     p_mm = 1e3 * vertices
-    rgb = stretched(vertex_rgb(mesh))[source]
+    rgb = stretch_contrast(vertex_rgb(mesh))[source]
     data: list[Trace] = [
         {
             "type": "mesh3d",
-            **{name: packed(column) for name, column in zip("xyz", binary_rounded(p_mm).T, strict=True)},
-            **{name: packed(faces[:, k], "u2") for k, name in enumerate("ijk")},
-            "intensity": packed(rgb.mean(axis=1).round(), "u1"),
+            **columns("xyz", round_to_binary(p_mm)),
+            **columns("ijk", faces.astype(np.uint16)),
+            "intensity": rgb.mean(axis=1).round().astype(np.uint8),
             "colorscale": [[0, "#000000"], [1, "#fefefe"]],
             "cmin": 0,
             "cmax": 255,
@@ -159,21 +156,21 @@ def _mesh(content: StoredRun, mesh: trimesh.Trimesh) -> Figure:
     )
 
 
-def binary_rounded(points: Array) -> Array:
+def round_to_binary(points: Array) -> Array:
     """Points (n, 3) to a power of two below 1/4000 of their extent: their last digits are zeros."""
     extent = float(np.max(np.ptp(points, axis=0), initial=0.0))
     step = 2.0 ** np.floor(np.log2(extent / 4000.0)) if extent > 0.0 else 1.0
     return np.asarray(np.round(points / step) * step)
 
 
-def vertex_rgb(mesh: trimesh.Trimesh) -> "np.ndarray[Any, np.dtype[np.uint8]]":
+def vertex_rgb(mesh: trimesh.Trimesh) -> NDArray[np.uint8]:
     """(V, 3); grey where the mesh has no vertex colours."""
     if not isinstance(mesh.visual, ColorVisuals):
         return np.full((len(mesh.vertices), 3), 160, dtype=np.uint8)
     return np.asarray(mesh.visual.vertex_colors, dtype=np.uint8)[:, :3]
 
 
-def stretched(rgb: "np.ndarray[Any, np.dtype[np.uint8]]") -> "np.ndarray[Any, np.dtype[np.uint8]]":
+def stretch_contrast(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The colours (V, 3) with their 1st and 99th percentiles moved to black and white, and a gamma of 1.4."""
     low, high = np.percentile(rgb, (1, 99))
     share = ((rgb - low) / max(float(high - low), 1.0)).clip(0.0, 1.0)
@@ -205,25 +202,24 @@ def _com_ranges(content: StoredRun, com_mm: Array) -> list[Trace]:
 
 
 def _cameras(content: StoredRun, p_mm: Array) -> list[Trace]:
-    positions = cameras_in_target(content)
-    if positions is None or content.motion is None:
+    X_GR = cameras_in_target(content)
+    if X_GR is None or content.motion is None:
         return []
-    com_mm = 1e3 * content.motion.com_G
-    away = 1e3 * positions - com_mm
+    com_mm, positions_mm = 1e3 * content.motion.com_G, 1e3 * X_GR[:, :3, 3]
+    away = positions_mm - com_mm
     distance = np.linalg.norm(away, axis=1, keepdims=True)
     reach = 1.35 * float(np.max(np.linalg.norm(p_mm - com_mm, axis=1)))
     close = com_mm + away / np.maximum(distance, 1e-9) * np.minimum(distance, reach)
-    time = packed(content.motion.trajectory.time_s)
-    bar = color_bar("time [s]")
-    marker = {"size": 3, "color": time, "colorscale": TIME_SCALE}
+    marker = {"size": 3, "color": content.motion.trajectory.time_s, "colorscale": TIME_SCALE}
+    with_bar = marker | {"colorbar": color_bar("time [s]")}
     return [
-        points3d(close, "camera direction", marker=marker | {"colorbar": bar}, visible="legendonly"),
-        points3d(1e3 * positions, "camera position", marker=marker, visible="legendonly"),
+        points3d(close, "camera direction", marker=with_bar, visible="legendonly"),
+        points3d(positions_mm, "camera position", marker=marker, visible="legendonly"),
     ]
 
 
 def _body_layout(content: StoredRun) -> dict[str, Any]:
     """Seen from where the left camera stood at the first frame, so that a side that was seen is in front."""
-    positions = cameras_in_target(content)
-    away = positions[0] - content.motion.com_G if positions is not None and content.motion else np.zeros(3)
+    X_GR = cameras_in_target(content)
+    away = X_GR[0, :3, 3] - content.motion.com_G if X_GR is not None and content.motion else np.zeros(3)
     return scene_layout(unit="mm", **({"eye": away} if np.any(away) else {}))

@@ -1,7 +1,7 @@
 """The text and tables of the report: the finding in a sentence, values with their standard deviations."""
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -52,20 +52,16 @@ def finding(summary: Summary, trajectory: Trajectory | None) -> str:
     rotation = f"The target rotates at {rate * 30 / np.pi:.2f} RPM {_about(trajectory.w_P)}"
     motion = f"{rotation} and drifts at {speed_mm_s:.1f} mm/s"
     inertia, known = summary.inertia, summary.identifiable
-    ratios = [
-        f"{name} = {with_sigma(value, _root(variance))}"
-        for name, value, variance, determined in (
-            ("k1", inertia.k1, inertia.cov[0][0], known.k1),
-            ("k2", inertia.k2, inertia.cov[1][1], known.k2),
-        )
-        if determined
-    ]
     bounded = summary.intervals or Intervals()
-    unknown = [
-        name if interval is None else f"{name} ({_between(*interval, '{:.2f}')} is possible)"
-        for name, flag, interval in (("k1", known.k1, bounded.k1), ("k2", known.k2, bounded.k2))
-        if not flag
-    ]
+    ratios, unknown = [], []
+    for k, name in enumerate(("k1", "k2")):
+        interval = getattr(bounded, name)
+        if getattr(known, name):
+            sigma = _root(inertia.cov[k][k])
+            ratios.append(f"{name} = {with_sigma(getattr(inertia, name), sigma)}")
+        else:
+            possible = "" if interval is None else f" ({_between('{:.2f}', *interval)} is possible)"
+            unknown.append(f"{name}{possible}")
     ratios_found = f"its inertia ratios are {' and '.join(ratios)}" if ratios else ""
     undetermined = f"this motion does not determine {' and '.join(unknown)}" if unknown else ""
     return f"{motion}; {', '.join(part for part in (ratios_found, undetermined) if part)}."
@@ -105,21 +101,18 @@ def check_panel(summary: Summary) -> CheckPanel | None:
 
 def check_rows(summary: Summary) -> list[CheckRow]:
     """The checks of data and answer, those that do not hold first; nothing for runs of earlier versions."""
+    verdicts = {"information": "no doubt", "impossible": "not possible with these data"}
     rows = []
     for check in summary.checks:
         unit = f" {check.unit}" if check.unit else ""
-        bound = "" if check.limit is None else f"{_short(check.limit)}{unit}"
-        expected = f"{'at least' if check.at_least else 'at most'} {bound}" if bound else "information"
-        if check.value is None:
-            rows.append(CheckRow(check.name, "", expected, "not possible with these data", "impossible"))
-            continue
-        if check.limit is None:
-            rows.append(
-                CheckRow(check.name, f"{_short(check.value)}{unit}", expected, "no doubt", "information")
-            )
-            continue
-        verdict, kind = ("doubt", "doubt") if check.reason else ("holds", "holds")
-        rows.append(CheckRow(check.name, f"{_short(check.value)}{unit}", expected, verdict, kind))
+        expected = "information"
+        if check.limit is not None:
+            expected = f"{'at least' if check.at_least else 'at most'} {_short(check.limit)}{unit}"
+        kind = "doubt" if check.reason else "holds"
+        if check.value is None or check.limit is None:
+            kind = "impossible" if check.value is None else "information"
+        value = "" if check.value is None else f"{_short(check.value)}{unit}"
+        rows.append(CheckRow(check.name, value, expected, verdicts.get(kind, kind), kind))
     return sorted(rows, key=lambda row: ("doubt", "holds", "information", "impossible").index(row.kind))
 
 
@@ -134,43 +127,33 @@ def inertia_rows(summary: Summary) -> list[TableRow]:
     if inertia is None or known is None or parts is None or summary.com_G is None or summary.R_GP is None:
         return []
     detail, bounded = summary.identifiable_detail, summary.intervals or Intervals()
-    rows = [
-        _row("k1 = ln(Jxx / Jyy)", inertia.k1, _root(inertia.cov[0][0]), "", known.k1, detail.get("k1", "")),
-        _row("k2 = ln(Jyy / Jzz)", inertia.k2, _root(inertia.cov[1][1]), "", known.k2, detail.get("k2", "")),
-    ]
-    for n, interval in enumerate((bounded.k1, bounded.k2)):
+    rows = []
+    for k, (name, ratio) in enumerate((("k1", "Jxx / Jyy"), ("k2", "Jyy / Jzz"))):
+        value, interval = with_sigma(getattr(inertia, name), _root(inertia.cov[k][k])), getattr(bounded, name)
         if interval is not None:
-            rows[n] = replace(rows[n], value=_between(*interval, "{:.2f}"))
-    rows += [
-        TableRow(
-            "moments Jxx : Jyy : Jzz",
-            " : ".join(map(with_sigma, inertia.moments, inertia.sigma_moments)),
-            "middle one 1",
-            _verdict(known.k1 and known.k2, ""),
-            known.k1 and known.k2,
-        ),
-    ]
+            value = _between("{:.2f}", *interval)
+        rows.append(_row(f"{name} = ln({ratio})", value, "", getattr(known, name), detail.get(name, "")))
+    moments = " : ".join(map(with_sigma, inertia.moments, inertia.sigma_moments))
+    rows.append(_row("moments Jxx : Jyy : Jzz", moments, "middle one 1", known.k1 and known.k2))
     for k, name in enumerate("xyz"):
-        sigma = _diagonal_mm(summary.cov_com_G, k)
-        row = _row(f"centre of mass, {name} in G", 1e3 * summary.com_G[k], sigma, "mm", sigma is not None, "")
+        sigma = None if summary.cov_com_G is None else _root(summary.cov_com_G[k][k])
+        value = with_sigma(1e3 * summary.com_G[k], None if sigma is None else 1e3 * sigma)
         if sigma is None and bounded.com_G is not None:
-            low, high = (1e3 * end[k] for end in bounded.com_G)
-            row = replace(row, value=_between(low, high, "{:.1f}"))
-        rows.append(row)
+            value = _between("{:.1f}", *(1e3 * end[k] for end in bounded.com_G))
+        rows.append(_row(f"centre of mass, {name} in G", value, "mm", sigma is not None))
     for k, name in enumerate("xyz"):
         if not parts.com_P[k]:
-            verdict = _verdict(False, detail.get(f"com_{name}", ""))
             shift = None if bounded.com_shift_P is None else bounded.com_shift_P[k]
-            value, unit = ("no bound", "") if shift is None else (_shift_mm(*shift), "mm from com_G")
-            rows.append(
-                TableRow(f"centre of mass, along the principal axis {name}", value, unit, verdict, False)
-            )
+            value, unit = "no bound", ""
+            if shift is not None:
+                value, unit = _between("{:+.1f}", *(1e3 * end for end in shift)), "mm from com_G"
+            words = detail.get(f"com_{name}", "")
+            rows.append(_row(f"centre of mass, along the principal axis {name}", value, unit, False, words))
     for k, name in enumerate("xyz"):
         root = None if summary.cov_R_GP is None else _root(summary.cov_R_GP[k][k])
         value, unit = ("no bound", "") if root is None else (f"± {np.rad2deg(root):.2g}", "deg")
-        known_axis = parts.axes_P[k]
-        verdict = _verdict(known_axis, detail.get(f"axes_{name}", ""))
-        rows.append(TableRow(f"principal axes, rotated about {name}", value, unit, verdict, known_axis))
+        words = detail.get(f"axes_{name}", "")
+        rows.append(_row(f"principal axes, rotated about {name}", value, unit, parts.axes_P[k], words))
     return rows
 
 
@@ -182,12 +165,8 @@ def intervals_rest_on(summary: Summary) -> str:
     return f"A range is where a quantity can lie that the motion does not determine: {bounds}."
 
 
-def _between(low: float, high: float, form: str) -> str:
+def _between(form: str, low: float, high: float) -> str:
     return f"from {form.format(low)} to {form.format(high)}"
-
-
-def _shift_mm(low_m: float, high_m: float) -> str:
-    return _between(1e3 * low_m, 1e3 * high_m, "{:+.1f}")
 
 
 def absolute_rows(summary: Summary) -> list[TableRow]:
@@ -201,7 +180,8 @@ def absolute_rows(summary: Summary) -> list[TableRow]:
         ("middle moment Jyy", inertia.scale_kg_m2, inertia.sigma_scale_kg_m2, "kg m²", "inertia_scale"),
     ):
         if value is not None:
-            rows.append(_row(name, value, sigma, unit, sigma is not None, detail.get(key, "")))
+            known = sigma is not None
+            rows.append(_row(name, with_sigma(value, sigma), unit, known, detail.get(key, "")))
     return rows
 
 
@@ -210,15 +190,10 @@ def disturbance_rows(summary: Summary) -> list[TableRow]:
     rows = []
     for impulse in summary.unknown_pushes:
         when = f"from {impulse.start_s:.1f} s to {impulse.end_s:.1f} s"
+        velocity, rate = "change of velocity, along N", "change of rate, along P"
         for name, change, sigma, scale, unit in (
-            ("change of velocity, along N", impulse.delta_v_N, impulse.sigma_delta_v_N, 1e3, "mm/s"),
-            (
-                "change of rate, along P",
-                impulse.delta_w_P,
-                impulse.sigma_delta_w_P,
-                float(np.rad2deg(1.0)),
-                "deg/s",
-            ),
+            (velocity, impulse.delta_v_N, impulse.sigma_delta_v_N, 1e3, "mm/s"),
+            (rate, impulse.delta_w_P, impulse.sigma_delta_w_P, float(np.rad2deg(1.0)), "deg/s"),
         ):
             parts = [
                 with_sigma(scale * value, None if s is None else scale * s)
@@ -239,15 +214,11 @@ def assumed_rows(assumed: Assumed | None) -> list[TableRow]:
         TableRow("mass", f"{assumed.mass_kg:.4g}", "kg"),
         TableRow("moments Jxx, Jyy, Jzz", ", ".join(f"{moment:.4g}" for moment in moments), "kg m²"),
     ]
-    rows += [
-        TableRow(name, f"{value:.3f}")
-        for name, value in (("k1", assumed.k1), ("k2", assumed.k2))
-        if value is not None
-    ]
+    ratios = (("k1", assumed.k1), ("k2", assumed.k2))
+    rows += [TableRow(name, f"{value:.3f}") for name, value in ratios if value is not None]
     if assumed.com_G is not None:
-        rows.append(
-            TableRow("centre of mass in G", ", ".join(f"{1e3 * part:.1f}" for part in assumed.com_G), "mm")
-        )
+        com_mm = ", ".join(f"{1e3 * part:.1f}" for part in assumed.com_G)
+        rows.append(TableRow("centre of mass in G", com_mm, "mm"))
     return rows
 
 
@@ -266,11 +237,10 @@ def run_rows(content: StoredRun) -> list[TableRow]:
         rows += [
             TableRow("noise of u, v", f"{noise.pixel_sigma_px:.3f}", "px"),
             TableRow("noise of the disparity", f"{noise.disparity_sigma_px:.3f}", "px"),
-            *(
-                []
-                if noise.drift_px is None
-                else [TableRow("features slide with light and view", f"{noise.drift_px:.3f}", "px")]
-            ),
+        ]
+        if noise.drift_px is not None:
+            rows.append(TableRow("features slide with light and view", f"{noise.drift_px:.3f}", "px"))
+        rows += [
             TableRow("disturbance acceleration", f"{np.sqrt(noise.accel_psd):.2g}", "m/s² /√Hz"),
             TableRow("disturbance torque / Jyy", f"{np.sqrt(noise.torque_psd):.2g}", "rad/s² /√Hz"),
         ]
@@ -304,14 +274,25 @@ def motion_rows(motion: StoredMotion | None) -> list[TableRow]:
         return []
     path = motion.trajectory
     rate = np.linalg.norm(path.w_P, axis=1)
-    return [
+    rows = [
         TableRow("angular velocity, median", f"{np.rad2deg(np.median(rate)):.2f}", "deg/s"),
         TableRow("distance from the origin of N", f"{np.median(np.linalg.norm(path.r_N, axis=1)):.4f}", "m"),
-        _median_row("σ position, worst axis", 1e3 * path.sigma_r, "mm"),
-        _median_row("σ velocity, worst axis", 1e3 * path.sigma_v, "mm/s"),
-        _median_row("σ attitude, worst axis", np.rad2deg(path.sigma_theta), "deg"),
-        _median_row("σ angular velocity, worst axis", np.rad2deg(path.sigma_w), "deg/s"),
     ]
+    for name, _, sigma, unit in _sigmas(path):
+        worst = np.max(np.median(sigma, axis=0))
+        found = (f"{worst:.2g}", unit) if np.isfinite(worst) else ("not determined",)
+        rows.append(TableRow(f"σ {name}, worst axis", *found))
+    return rows
+
+
+def _sigmas(path: Trajectory) -> tuple[tuple[str, str, Array, str], ...]:
+    """(quantity, its axes, standard deviations (F, 3) as shown, unit) of the states."""
+    return (
+        ("position", "along N", 1e3 * path.sigma_r, "mm"),
+        ("velocity", "along N", 1e3 * path.sigma_v, "mm/s"),
+        ("attitude", "about P", np.rad2deg(path.sigma_theta), "deg"),
+        ("angular velocity", "along P", np.rad2deg(path.sigma_w), "deg/s"),
+    )
 
 
 def timing_rows(summary: Summary) -> list[tuple[str, float, float]]:
@@ -342,17 +323,13 @@ def metric_rows(metrics: dict[str, Any]) -> list[TableRow]:
                 aligned = f", {ALIGNED[key]}" if key in ALIGNED else ""
                 name = f"{_plain(key)}: {_member(row.name)}{aligned}"
                 rows.append(TableRow(name, row.value, words, determined=holds))
-        elif isinstance(value, bool | str) or value is None:
-            rows.append(TableRow(_plain(key), "–" if value is None else str(value)))
-        elif isinstance(value, int | float):
-            scale = 1e3 if key.endswith(("_m", "_m_s")) else 1.0
-            rows.append(TableRow(_plain(key), f"{scale * value:.4g}"))
+            continue
+        text = "–" if value is None else str(value)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            text = f"{(1e3 if key.endswith(('_m', '_m_s')) else 1.0) * value:.4g}"
         elif isinstance(value, list):
-            rows.append(
-                TableRow(
-                    _plain(key), ", ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in value)
-                )
-            )
+            text = ", ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in value)
+        rows.append(TableRow(_plain(key), text))
     return rows
 
 
@@ -362,12 +339,11 @@ def nees_sentences(metrics: dict[str, Any]) -> list[str]:
     for name, value in (metrics.get(NEES) or {}).items():
         expected = expected_range(NEES, name)
         if expected is not None and isinstance(value, int | float):
-            low, high = expected
-            words = f"{name.replace('_', ' ')} ({value:.2g}, at least {low:.2g} is expected)"
+            (low, high), words = expected, name.replace("_", " ")
             if value < low:
-                below.append(words)
+                below.append(f"{words} ({value:.2g}, at least {low:.2g} is expected)")
             elif value > high:
-                above.append(words.replace(f"at least {low:.2g}", f"at most {high:.3g}"))
+                above.append(f"{words} ({value:.2g}, at most {high:.3g} is expected)")
     sentences = []
     if below:
         sentences.append(
@@ -396,26 +372,13 @@ def _about(w_P: Array) -> str:
     return "about an axis that moves through the body"
 
 
-def _row(name: str, value: float, sigma: float | None, unit: str, determined: bool, reason: str) -> TableRow:
-    return TableRow(name, with_sigma(value, sigma), unit, _verdict(determined, reason), determined)
-
-
-def _verdict(determined: bool, reason: str) -> str:
-    return "determined" if determined else reason or "not determined by this motion"
-
-
-def _diagonal_mm(covariance: Any, k: int) -> float | None:
-    sigma = None if covariance is None else _root(covariance[k][k])
-    return None if sigma is None else 1e3 * sigma
+def _row(name: str, value: str, unit: str, determined: bool, reason: str = "") -> TableRow:
+    verdict = "determined" if determined else reason or "not determined by this motion"
+    return TableRow(name, value, unit, verdict, determined)
 
 
 def _root(variance: float | None) -> float | None:
     return None if variance is None else float(np.sqrt(max(variance, 0.0)))
-
-
-def _median_row(name: str, sigma: Array, unit: str) -> TableRow:
-    worst = np.max(np.median(sigma, axis=0))
-    return TableRow(name, f"{worst:.2g}", unit) if np.isfinite(worst) else TableRow(name, "not determined")
 
 
 def _outcome(cost: float | None) -> str:
@@ -439,14 +402,8 @@ def _member(name: str) -> str:
 def _plain(key: str) -> str:
     """rmse_angular_velocity_deg_s -> RMSE angular velocity [deg/s]; completeness_3mm stays a share."""
     key = re.sub(r"^(rmse|nees)(?=_|$)", lambda word: word[0].upper(), key)
-    for suffix, unit in (
-        ("_deg_s", "deg/s"),
-        ("_m_s", "mm/s"),
-        ("_deg", "deg"),
-        ("_mm", "mm"),
-        ("_m", "mm"),
-        ("_s", "s"),
-    ):
+    units = {"_deg_s": "deg/s", "_m_s": "mm/s", "_deg": "deg", "_mm": "mm", "_m": "mm", "_s": "s"}
+    for suffix, unit in units.items():
         if key.endswith(suffix):
             return f"{key.removesuffix(suffix).replace('_', ' ')} [{unit}]"
     return key.replace("_", " ")
@@ -456,19 +413,18 @@ def mesh_rows(summary: Summary) -> list[TableRow]:
     """Empty where there is no mesh."""
     rows = []
     if (mesh := summary.mesh) is not None:
+        is_albedo = mesh.colour == "albedo"
         invented = f"{mesh.invented_faces} ({mesh.invented_share:.2%} of the area)"
         rows += [
             TableRow("faces", f"{mesh.faces}, {'closed' if mesh.closed else 'open'}"),
             TableRow("small holes closed, left open", f"{mesh.holes_closed}, {mesh.holes_left_open}"),
             TableRow("faces invented for them", invented),
-            TableRow(
-                "colours", "the Sun's shading divided out" if mesh.colour == "albedo" else "as the images"
-            ),
+            TableRow("colours", "the Sun's shading divided out" if is_albedo else "as the images"),
         ]
         if (sun := mesh.sun) is not None:
             direction = ", ".join(f"{part:.3f}" for part in sun.direction_N)
             spread = "" if sun.sigma_deg is None else f" ± {sun.sigma_deg:.1f} deg"
-            used = "" if mesh.colour == "albedo" else ", not used"
+            used = "" if is_albedo else ", not used"
             rows.append(TableRow("direction of the Sun in N", f"{direction}{spread}"))
             rows.append(TableRow("changes of brightness it explains", f"{sun.explained:.0%}{used}"))
         for level in mesh.levels:
@@ -477,12 +433,9 @@ def mesh_rows(summary: Summary) -> list[TableRow]:
             rows.append(TableRow(level.file, f"{level.faces} faces, {away}"))
     if (coverage := summary.coverage) is not None:
         of = "surface" if coverage.of == "mesh" else "convex hull"
-        rows.append(
-            TableRow(
-                f"share of the {of} seen lit, seen unlit, unseen",
-                ", ".join(f"{part:.1%}" for part in (coverage.seen, coverage.seen_unlit, coverage.unseen)),
-            )
-        )
+        shares = (coverage.seen, coverage.seen_unlit, coverage.unseen)
+        name = f"share of the {of} seen lit, seen unlit, unseen"
+        rows.append(TableRow(name, ", ".join(f"{part:.1%}" for part in shares)))
     return rows
 
 
@@ -511,27 +464,19 @@ def sigma_rows(content: StoredRun) -> list[SigmaRow]:
     motion, summary = content.motion, content.summary
     if motion is None or summary.inertia is None:
         return []
-    path, deg = motion.trajectory, np.rad2deg(1.0)
-    cov_com = np.array(summary.cov_com_G, dtype=np.float64)
-    cov_axes = np.array(summary.cov_R_GP, dtype=np.float64)
-    ratios = np.array(summary.inertia.cov, dtype=np.float64)
-    return [
-        SigmaRow("position, along N, mean over the frames", "mm", _cells(1e3 * path.sigma_r.mean(axis=0))),
-        SigmaRow("velocity, along N, mean", "mm/s", _cells(1e3 * path.sigma_v.mean(axis=0))),
-        SigmaRow("attitude, about P, mean", "deg", _cells(deg * path.sigma_theta.mean(axis=0))),
-        SigmaRow("angular velocity, along P, mean", "deg/s", _cells(deg * path.sigma_w.mean(axis=0))),
-        SigmaRow("centre of mass, along G", "mm", _cells(1e3 * _roots(cov_com))),
-        SigmaRow("principal axes, about P", "deg", _cells(deg * _roots(cov_axes))),
-        *(
-            SigmaRow(f"inertia ratio {name}", "", (cell,))
-            for name, cell in zip(("k1", "k2"), _cells(_roots(ratios)), strict=True)
-        ),
+    rows = [
+        SigmaRow(f"{name}, {along}, mean over the frames", unit, _cells(sigma.mean(axis=0)))
+        for name, along, sigma, unit in _sigmas(motion.trajectory)
     ]
+    com, axes, ratios = map(_roots, (summary.cov_com_G, summary.cov_R_GP, summary.inertia.cov))
+    rows.append(SigmaRow("centre of mass, along G", "mm", _cells(1e3 * com)))
+    rows.append(SigmaRow("principal axes, about P", "deg", _cells(np.rad2deg(axes))))
+    return rows + [SigmaRow(f"inertia ratio k{k + 1}", "", (cell,)) for k, cell in enumerate(_cells(ratios))]
 
 
-def _roots(covariance: Array) -> Array:
-    """Standard deviations; infinite where a variance is not a number (null in summary.json)."""
-    variance = np.diag(covariance)
+def _roots(covariance: Any) -> Array:
+    """Standard deviations; infinite where a variance is null in summary.json."""
+    variance = np.diag(np.array(covariance, dtype=np.float64))
     return np.where(np.isfinite(variance), np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), np.inf)
 
 

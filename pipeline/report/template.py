@@ -12,8 +12,8 @@ from jinja2 import DictLoader, Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from polhode.pipeline.report.plot_style import DARK, Figure
-from polhode.pipeline.report.terms import explained
+from polhode.pipeline.report.plot_style import DARK, Figure, packed
+from polhode.pipeline.report.terms import find_terms
 
 _FILES = {
     path.name: path.read_text(encoding="utf-8")
@@ -75,7 +75,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     # Macros see globals only.
-    environment.globals["explained"] = explained
+    environment.globals["find_terms"] = find_terms
     return environment
 
 
@@ -87,7 +87,7 @@ def figure_text(figure: Figure) -> Markup:
         "narrow": figure.narrow,
         "clock": figure.clock,
     }
-    return deflated(json.dumps(content, separators=(",", ":"), allow_nan=False))
+    return deflated(json.dumps(content, separators=(",", ":"), allow_nan=False, default=packed))
 
 
 @cache

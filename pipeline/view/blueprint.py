@@ -62,8 +62,10 @@ def arrangement(
     has_motion: False for a bare sequence, which has cameras only; landmarks_add_up: each frame
     logs those that it is the first to observe, not all of them; has_right: whether there are right images.
     """
-    names = ("left", "right")[: 1 + has_right]
-    images = [_image_view(name) for name in names]
+    images = [
+        rrb.Spatial2DView(name=f"{side.capitalize()} image", origin=f"N/camera/{side}")
+        for side in ("left", "right")[: 1 + has_right]
+    ]
     paths = [*PATHS, *(["N/target/landmarks"] if landmarks_add_up else [])]
     scene = rrb.Spatial3DView(
         name="Target and camera (N)",
@@ -74,8 +76,9 @@ def arrangement(
         eye_controls=eyes.scene,
     )
     left = rrb.Vertical(scene, rrb.Horizontal(*images), row_shares=[3, 2])
+    time = rrb.TimePanel(timeline="time", state="collapsed")
     if not has_motion:
-        return rrb.Blueprint(left, rrb.TimePanel(timeline="time", state="collapsed"), collapse_panels=True)
+        return rrb.Blueprint(left, time, collapse_panels=True)
     polhode = rrb.Spatial3DView(
         name="Polhode [deg/s] (P)",
         origin="P",
@@ -83,31 +86,14 @@ def arrangement(
         line_grid=False,
         eye_controls=eyes.polhode,
     )
-    plots = [rrb.Tabs(*(_plot(*each) for each in place)) for place in PLOTS]
+    plots = [
+        rrb.Tabs(*(rrb.TimeSeriesView(name=title, origin=entity) for title, entity in place))
+        for place in PLOTS
+    ]
     right = rrb.Vertical(polhode, *plots, row_shares=[4, 3, 3, 3])
-    return rrb.Blueprint(
-        rrb.Horizontal(left, right, column_shares=[3, 2]),
-        rrb.TimePanel(timeline="time", state="collapsed"),
-        collapse_panels=True,
-    )
-
-
-def _plot(title: str, entity: str) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(name=title, origin=entity)
-
-
-def _image_view(name: str) -> rrb.Spatial2DView:
-    return rrb.Spatial2DView(name=f"{name.capitalize()} image", origin=f"N/camera/{name}")
+    return rrb.Blueprint(rrb.Horizontal(left, right, column_shares=[3, 2]), time, collapse_panels=True)
 
 
 def _up_to_now() -> rrb.VisibleTimeRanges:
-    return rrb.VisibleTimeRanges(
-        [
-            rrb.VisibleTimeRange(
-                timeline,
-                start=rrb.TimeRangeBoundary.infinite(),
-                end=rrb.TimeRangeBoundary.cursor_relative(),
-            )
-            for timeline in ("frame", "time")
-        ]
-    )
+    ends = {"start": rrb.TimeRangeBoundary.infinite(), "end": rrb.TimeRangeBoundary.cursor_relative()}
+    return rrb.VisibleTimeRanges([rrb.VisibleTimeRange(name, **ends) for name in ("frame", "time")])

@@ -5,29 +5,23 @@ from collections.abc import Iterator
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from trimesh.visual import ColorVisuals
 
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, inverse_pose, transform_points
 from polhode.mapping.visibility import Caster
-from polhode.pipeline.report.shape_figures import thinned
+from polhode.pipeline.report.shape_figures import thin_mesh, vertex_rgb
 from polhode.records import Bools, Ints, SurfaceModel
 
 MAX_STEPS = 20
 """Times at which the shown mesh grows: each of them holds all faces up to then."""
 MAX_FRAMES = 300
 """Frames, evenly spread, in which visibility is computed."""
-GREY = 160
-"""Of a mesh without colours."""
 
 
-def coloured(surface: SurfaceModel, max_faces: int) -> tuple[Array, NDArray[np.uint8], Ints]:
+def coloured_mesh(surface: SurfaceModel, max_faces: int) -> tuple[Array, NDArray[np.uint8], Ints]:
     """Vertices (V, 3) [m], colours (V, 3) and faces (T, 3) of a surface, thinned where it has more."""
-    vertices, faces, of_old = thinned(surface.mesh, max_faces)
-    visual = surface.mesh.visual
-    if not isinstance(visual, ColorVisuals):
-        return vertices, np.full((len(vertices), 3), GREY, dtype=np.uint8), faces
-    return vertices, np.asarray(visual.vertex_colors, dtype=np.uint8)[of_old, :3], faces
+    vertices, faces, of_old = thin_mesh(surface.mesh, max_faces)
+    return vertices, vertex_rgb(surface.mesh)[of_old], faces
 
 
 def growth(mesh: trimesh.Trimesh, X_RG: Array, rig: RectifiedRig) -> Iterator[tuple[int, Ints]]:

@@ -29,7 +29,6 @@ TRACK_FRAMES = 5
 """Frames over which a track is drawn behind its feature."""
 MAX_SIDE_PX = 1280
 """Larger images are shown at a half, a third, ... of their size."""
-JPEG_QUALITY = 85
 N_SIGMA = 3.0
 PLANE_SHARE = 0.3
 """Distance of the image from its camera in 3D, over the distance of the target."""
@@ -88,7 +87,7 @@ class Recorder:
         if frame.motion is not None:
             self._log_motion(frame.motion, frame.X_NL)
         if frame.ratios is not None:
-            self._plot("plots/k", frame.ratios.k, frame.ratios.sigma)
+            self._plot("plots/k", *frame.ratios)
         if frame.residual_rms_px is not None:
             self._plot("plots/residual_rms_px", frame.residual_rms_px)
 
@@ -141,8 +140,8 @@ class Recorder:
 
     def _log_image(self, side: int, image: Image, mask: Bools | None) -> None:
         path, factor = f"N/camera/{('left', 'right')[side]}", self._shrink[side]
-        picture = _jpeg(_shrunk(image, factor))
-        self._log(path, rr.EncodedImage(contents=picture, media_type="image/jpeg"))
+        picture = cv2.imencode(".jpg", _shrink_image(image, factor), [cv2.IMWRITE_JPEG_QUALITY, 85])[1]
+        self._log(path, rr.EncodedImage(contents=bytes(picture), media_type="image/jpeg"))
         outlines = [] if mask is None else _outlines(mask, factor)
         self._log(f"{path}/mask", rr.LineStrips2D(outlines, colors=YELLOW, radii=-0.75))
 
@@ -196,7 +195,7 @@ class Recorder:
         ellipsoid = rr.Ellipsoids3D(
             centers=[motion.r_N],
             half_sizes=[self._enlarged * half_m],
-            quaternions=[_xyzw(R)],
+            quaternions=[rr.Quaternion(xyzw=wxyz_from_matrix(R)[[1, 2, 3, 0]])],
             colors=ORANGE,
             labels=f"3σ{times}: {1e3 * half_m.max():.2g} mm",
         )
@@ -260,11 +259,6 @@ def _arrows(
     return rr.Arrows3D(vectors=vectors, origins=origins, colors=colors, labels=labels, radii=-1.5)
 
 
-def _xyzw(R: Array) -> rr.Quaternion:
-    w, x, y, z = wxyz_from_matrix(R)
-    return rr.Quaternion(xyzw=[x, y, z, w])
-
-
 def _finite(values: Array) -> Array:
     """NaN, which leaves a gap in a plot, instead of infinity."""
     return np.where(np.isfinite(values), values, np.nan)
@@ -281,17 +275,13 @@ def _in_view(uv_px: Array, factor: int) -> Array:
     return np.asarray((uv_px + 0.5) / factor)
 
 
-def _shrunk(image: Image, factor: int) -> Image:
+def _shrink_image(image: Image, factor: int) -> Image:
     if factor == 1:
         return image
     height, width = (side // factor for side in image.shape)
     # what is left over by the division is cut off, as in the resolution of the pinhole
     whole = image[: height * factor, : width * factor]
     return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
-
-
-def _jpeg(image: Image) -> bytes:
-    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
 
 
 def _outlines(mask: Bools, factor: int) -> list[Array]:

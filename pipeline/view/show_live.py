@@ -8,19 +8,17 @@ import logging
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from polhode.errors import one_line
 from polhode.frontend.rectification import rectified_images
-from polhode.pipeline.live.live_state import LiveState
 from polhode.pipeline.live.run_live import Watch, WatchedPair
 from polhode.pipeline.view.blueprint import Eyes, arrangement, beside_camera
-from polhode.pipeline.view.mesh_growth import coloured
+from polhode.pipeline.view.mesh_growth import coloured_mesh
 from polhode.pipeline.view.recorder import Recorder
-from polhode.pipeline.view.shown_frame import ShownFeatures, ShownFrame, ShownMotion, ShownRatios, ShownRig
+from polhode.pipeline.view.shown_frame import ShownFeatures, ShownFrame, ShownMotion, ShownRig, known_ratios
 from polhode.pipeline.view.target import ViewTarget
 from polhode.records import SurfaceModel
 
@@ -53,41 +51,37 @@ def watching(target: ViewTarget, name: str) -> Iterator[Watch]:
     viewer.close()
 
 
-@dataclass(frozen=True)
-class _Requested:
-    """A surface that another process makes."""
-
-    future: "Future[Any]"
-    restarts: int
-    """Frames G before the one that it is in"""
-
-
 class _LiveViewer:
-    """Passes pairs on to the thread that shows them."""
+    """Passes pairs on to a thread that shows them; what goes wrong there ends the showing with a warning."""
 
     def __init__(self, target: ViewTarget, name: str) -> None:
-        self._show = _PairShow(target, name)
+        self._target, self._name = target, name
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="polhode-view")
         self._waiting: list[Future[None]] = []
-        self._requested: _Requested | None = None
+        self._requested: tuple[Future[Any], int] | None = None
+        """A surface that another process makes, and the number of frames G before the one that it is in"""
+        # of the thread:
+        self._recorder: Recorder | None = None
+        self._opened = ExitStack()
+        self._failed = False
+        self._first_ns, self._restarts = 0, 0
 
     def __call__(self, pair: WatchedPair) -> None:
         """Called by the stream; returns at once."""
         self._waiting = [each for each in self._waiting if not each.done()]
-        has_images, surface = len(self._waiting) < MAX_WAITING, self._surface_made(pair.state.restarts)
+        has_images, surface = len(self._waiting) < MAX_WAITING, self._take_surface(pair.state.restarts)
         if self._requested is None and pair.state.number % SURFACE_EVERY == SURFACE_EVERY - 1:
             future = pair.request_surface()
-            self._requested = None if future is None else _Requested(future, pair.state.restarts)
-        self._waiting.append(self._thread.submit(self._show.add, pair, surface, has_images))
+            self._requested = None if future is None else (future, pair.state.restarts)
+        self._waiting.append(self._thread.submit(self._show, pair, surface, has_images))
 
-    def _surface_made(self, restarts: int) -> SurfaceModel | None:
+    def _take_surface(self, restarts: int) -> SurfaceModel | None:
         """The surface that was requested, once it is made, unless it is in a frame G that is gone."""
-        requested = self._requested
-        if requested is None or not requested.future.done():
+        if self._requested is None or not self._requested[0].done():
             return None
-        self._requested = None
-        failed = requested.future.cancelled() or requested.future.exception() is not None
-        found = None if failed or requested.restarts != restarts else requested.future.result()
+        (future, before), self._requested = self._requested, None
+        failed = future.cancelled() or future.exception() is not None
+        found = None if failed or before != restarts else future.result()
         return found if isinstance(found, SurfaceModel) and len(found.mesh.faces) else None
 
     def stop(self) -> None:
@@ -96,21 +90,10 @@ class _LiveViewer:
 
     def close(self) -> None:
         """Show what waits, and complete the recording."""
-        self._thread.submit(self._show.close).result()
+        self._thread.submit(self._complete).result()
         self._thread.shutdown()
 
-
-class _PairShow:
-    """Runs in the thread. What goes wrong ends the showing with a warning, and nothing else."""
-
-    def __init__(self, target: ViewTarget, name: str) -> None:
-        self._target, self._name = target, name
-        self._recorder: Recorder | None = None
-        self._opened = ExitStack()
-        self._failed = False
-        self._first_ns, self._restarts = 0, 0
-
-    def add(self, pair: WatchedPair, surface: SurfaceModel | None, has_images: bool) -> None:
+    def _show(self, pair: WatchedPair, surface: SurfaceModel | None, has_images: bool) -> None:
         """Show the next pair, and the surface where another process has made it meanwhile."""
         if self._failed:
             return
@@ -122,10 +105,9 @@ class _PairShow:
                 self._restarts = pair.state.restarts
                 recorder.remove_surface()
             if surface is not None:
-                recorder.log_surface(*coloured(surface, MAX_FACES))
+                recorder.log_surface(*coloured_mesh(surface, MAX_FACES))
 
-    def close(self) -> None:
-        """Complete the recording."""
+    def _complete(self) -> None:
         with self._warning_of_failure():
             self._opened.close()
 
@@ -151,9 +133,11 @@ def shown_pair(pair: WatchedPair, time_s: float, has_images: bool) -> ShownFrame
     state, observed, images = pair.state, pair.observed, None
     if has_images and pair.images is not None:
         images = rectified_images(pair.images, pair.rectifier)
-    is_known = state.status != "searching"
-    known = state.determined[:2]
-    sigma = np.where(known, np.sqrt(np.abs(np.diagonal(state.cov_k))), np.inf)
+    is_known, motion = state.status != "searching", None
+    if is_known:
+        moments = np.array([np.exp(state.k[0]), 1.0, np.exp(-state.k[1])])
+        states = (state.r_N, state.v_N, state.R_NP, state.w_P, state.covariance, state.X_NG)
+        motion = ShownMotion(*states, moments)
     return ShownFrame(
         number=state.number,
         time_s=time_s,
@@ -161,12 +145,7 @@ def shown_pair(pair: WatchedPair, time_s: float, has_images: bool) -> ShownFrame
         left=None if images is None else images.left,
         right=None if images is None else images.right,
         features=ShownFeatures(observed.uv_px, observed.landmark, observed.agrees),
-        motion=_motion_of(state) if is_known else None,
-        ratios=ShownRatios(np.where(known, state.k, np.nan), sigma),
+        motion=motion,
+        ratios=known_ratios(state.k, state.cov_k, state.determined[:2]),
         landmarks_G=pair.landmarks_G if is_known else np.zeros((0, 3)),
     )
-
-
-def _motion_of(state: LiveState) -> ShownMotion:
-    moments = np.array([np.exp(state.k[0]), 1.0, np.exp(-state.k[1])])
-    return ShownMotion(state.r_N, state.v_N, state.R_NP, state.w_P, state.covariance, state.X_NG, moments)

@@ -17,12 +17,12 @@ from polhode.pipeline.report.residual_figures import INLIER_WEIGHT, rms_per_fram
 from polhode.pipeline.run_directory.recording import require_recording
 from polhode.pipeline.run_directory.stored_run import StoredMotion, StoredRun, read_stored_run
 from polhode.pipeline.view.blueprint import Eyes, arrangement, before_polhode, beside_camera
-from polhode.pipeline.view.mesh_growth import coloured, growth
+from polhode.pipeline.view.mesh_growth import coloured_mesh, growth
 from polhode.pipeline.view.recorder import Recorder
-from polhode.pipeline.view.shown_frame import ShownFeatures, ShownFrame, ShownMotion, ShownRatios, ShownRig
+from polhode.pipeline.view.shown_frame import ShownFeatures, ShownFrame, ShownMotion, ShownRig, known_ratios
 from polhode.pipeline.view.target import ViewTarget
 from polhode.progress import NOTE, Progress
-from polhode.records import Ints, Landmarks, OnlineEstimate, StereoTracks, SurfaceModel
+from polhode.records import Ints, Landmarks, StereoTracks, SurfaceModel
 
 MAX_FACES = 40_000
 """Of the mesh that is shown; a finer one is thinned."""
@@ -42,7 +42,7 @@ def show_run(run_folder: Path, sequence_folder: Path | None, target: ViewTarget,
     run = read_stored_run(run_folder, run_folder.name)
     if run.motion is None or run.tracks is None:
         raise InputError(f"{run_folder}: this run has no motion to show; {run_folder / 'log.txt'} tells why")
-    pictures: Pictures = no_pictures
+    pictures: Pictures = dict[int, RectifiedPair]().get
     has_right = False
     if sequence_folder is None:
         _log.log(NOTE, "no images are shown: --data SEQ gives the sequence that the run was made from")
@@ -61,12 +61,6 @@ def show_run(run_folder: Path, sequence_folder: Path | None, target: ViewTarget,
     )
     with target.opened(run_folder.resolve().name, rig, blueprint) as recorder:
         show_stored_run(run, run.motion, run.tracks, pictures, recorder, progress)
-
-
-def no_pictures(k: int) -> RectifiedPair | None:
-    """For a run without its sequence."""
-    del k
-    return None
 
 
 def pictures_of(sequence: StereoSequence, tracks: StereoTracks) -> Pictures:
@@ -107,7 +101,7 @@ def show_stored_run(
 def _growing_mesh(
     surface: SurfaceModel, motion: StoredMotion, tracks: StereoTracks, recorder: Recorder
 ) -> Iterator[tuple[int, Ints]]:
-    vertices, rgb, faces = coloured(surface, MAX_FACES)
+    vertices, rgb, faces = coloured_mesh(surface, MAX_FACES)
     recorder.log_vertices(vertices, rgb)
     light = trimesh.Trimesh(vertices, faces, process=False)
     return growth(light, inverse_pose(tracks.X_NR) @ motion.X_NG, tracks.rig)
@@ -117,14 +111,17 @@ def shown_frames(
     run: StoredRun, motion: StoredMotion, tracks: StereoTracks, pictures: Pictures
 ) -> Iterator[ShownFrame]:
     """What is shown of each frame of a run."""
-    trajectory, X_NG = motion.trajectory, motion.X_NG
+    path = motion.trajectory
+    states = (path.r_N, path.v_N, path.R_NP, path.w_P, motion.covariance.covariance, motion.X_NG)
     order = np.argsort(tracks.frame, kind="stable")
     ends = np.searchsorted(tracks.frame[order], np.arange(tracks.n_frames + 1))
     residuals = run.residuals
     weights = np.ones(len(tracks.frame)) if residuals is None else residuals.inlier_weight
     rms = None if residuals is None else rms_per_frame(tracks, residuals)
     first = _first_frames(tracks, run.landmarks)
-    ratios = _ratios(run.online, tracks)
+    ratios = None
+    if run.online is not None and np.array_equal(run.online.timestamps_ns, tracks.timestamps_ns):
+        ratios = known_ratios(run.online.k, run.online.cov_k, run.online.determined[:, :2])
     for k in range(tracks.n_frames):
         rows, pair = order[ends[k] : ends[k + 1]], pictures(k)
         yield ShownFrame(
@@ -136,16 +133,8 @@ def shown_frames(
             features=ShownFeatures(
                 tracks.uvd_px[rows, :2], tracks.landmark[rows], weights[rows] >= INLIER_WEIGHT
             ),
-            motion=ShownMotion(
-                trajectory.r_N[k],
-                trajectory.v_N[k],
-                trajectory.R_NP[k],
-                trajectory.w_P[k],
-                motion.covariance.covariance[k],
-                X_NG[k],
-                motion.moments,
-            ),
-            ratios=None if ratios is None else ratios[k],
+            motion=ShownMotion(*(each[k] for each in states), motion.moments),
+            ratios=None if ratios is None else (ratios[0][k], ratios[1][k]),
             residual_rms_px=None if rms is None else rms[k],
             landmarks_G=np.zeros((0, 3)) if run.landmarks is None else run.landmarks.p_G[first == k],
         )
@@ -159,12 +148,3 @@ def _first_frames(tracks: StereoTracks, landmarks: Landmarks | None) -> Ints:
         first[:] = tracks.n_frames
         np.minimum.at(first, tracks.landmark, tracks.frame)
     return first
-
-
-def _ratios(online: OnlineEstimate | None, tracks: StereoTracks) -> list[ShownRatios] | None:
-    """The inertia ratios as known when each frame came, NaN until the motion determined them."""
-    if online is None or not np.array_equal(online.timestamps_ns, tracks.timestamps_ns):
-        return None
-    known = online.determined[:, :2]
-    sigma = np.where(known, np.sqrt(np.abs(np.diagonal(online.cov_k, axis1=1, axis2=2))), np.inf)
-    return [ShownRatios(k, s) for k, s in zip(np.where(known, online.k, np.nan), sigma, strict=True)]

@@ -48,6 +48,12 @@ class ShownRig:
         )
 
 
+def known_ratios(k: Array, cov_k: Array, determined: Bools) -> tuple[Array, Array]:
+    """Ratios k (..., 2) and their sigmas for ``ShownFrame.ratios``; determined (..., 2)."""
+    sigma = np.sqrt(np.abs(np.diagonal(cov_k, axis1=-2, axis2=-1)))
+    return np.where(determined, k, np.nan), np.where(determined, sigma, np.inf)
+
+
 @dataclass(frozen=True)
 class ShownFeatures:
     """The observations of a frame in its left image, n of them."""
@@ -81,16 +87,6 @@ class ShownMotion:
 
 
 @dataclass(frozen=True)
-class ShownRatios:
-    """k1 and k2 as known at a frame."""
-
-    k: Array
-    """(2,)"""
-    sigma: Array
-    """(2,) inf: undetermined"""
-
-
-@dataclass(frozen=True)
 class ShownFrame:
     """One frame; None or empty where it has no such thing."""
 
@@ -105,7 +101,8 @@ class ShownFrame:
     mask_right: Bools | None = None
     features: ShownFeatures | None = None
     motion: ShownMotion | None = None
-    ratios: ShownRatios | None = None
+    ratios: tuple[Array, Array] | None = None
+    """k1 and k2 as known at the frame, NaN until the motion determines them, and their sigmas, (2,) each"""
     residual_rms_px: Array | None = None
     """(3,) of u, v, disparity; NaN where the frame has no inliers"""
     landmarks_G: Array = field(default_factory=lambda: np.zeros((0, 3)))

@@ -26,10 +26,6 @@ from polhode.pipeline.view.shown_frame import ShownRig
 APPLICATION = "polhode"
 START_S = 30.0
 """The window must take data within this time."""
-SEND_S = 60.0
-"""What was logged must have reached the window within this time after the end."""
-OWN_BYTES = 4096
-"""The name of the program that made a recording stands in so many bytes at its beginning."""
 ELSEWHERE = "--save FILE writes the recording instead, which 'rerun FILE' shows on another machine"
 
 _log = logging.getLogger(__name__)
@@ -78,7 +74,8 @@ def _recording_file(path: Path, option: str) -> Path:
 def is_recording(path: Path) -> bool:
     """Whether a file begins as a recording of this program."""
     with path.open("rb") as stream:
-        head = stream.read(OWN_BYTES)
+        # the name of the program that made it stands at its beginning
+        head = stream.read(4096)
     return head.startswith(b"RRF2") and APPLICATION.encode() in head
 
 
@@ -104,7 +101,7 @@ def _to_window(name: str, blueprint: rrb.Blueprint) -> Iterator[rr.RecordingStre
         yield stream
     finally:
         try:
-            stream.flush(timeout_sec=SEND_S)
+            stream.flush(timeout_sec=60.0)
         except Exception as error:  # noqa: BLE001  the window was closed, which is no failure
             _log.warning("Rerun's window did not take everything: %s", printable(str(error)))
         stream.disconnect()

@@ -1,4 +1,4 @@
-"""Speed of the surface past an inspector, and the points where a grapple would meet it most slowly."""
+"""Speed of the surface past an inspector at rest, and the points that a grapple would meet most slowly."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ MAX_INSTANTS = 200
 
 @dataclass(frozen=True)
 class SurfaceSpeed:
-    """Of points fixed to the target, relative to an inspector whose velocity in N is constant."""
+    """Of points fixed to the target, relative to an inspector at rest in N."""
 
     now_m_s: Array
     """(V,) at the last stereo pair"""
@@ -31,24 +31,21 @@ def surface_speed(
     p_G: Array,
     normal_G: Array,
     covariance_body: Array,
-    v_inspector_N: Array | None = None,
 ) -> SurfaceSpeed:
     """Speeds of points (V, 3) in G; the motion begins at the last pair.
 
-    covariance_body (20, 20) of ``FinalState``; v_inspector_N (3,) [m/s], zero unless given. A point moves
-    with v + w x (p - com).
+    covariance_body (20, 20) of ``FinalState``. A point moves with v + w x (p - com).
     """
-    own = np.zeros(3) if v_inspector_N is None else v_inspector_N
     chosen = np.unique(np.linspace(0, len(motion.time_s) - 1, MAX_INSTANTS).round().astype(int))
     total, largest = np.zeros(len(p_G)), np.zeros(len(p_G))
     for k in chosen:
         # as velocity(), with one product per point: u = p_G A + b
         R, spin = motion.R_NG[k], hat(motion.w_N[k])
         lever = motion.p_NG[k] - motion.com_N[k]
-        u = p_G @ (spin @ R).T + (motion.v_N[k] - own + spin @ lever)
+        u = p_G @ (spin @ R).T + (motion.v_N[k] + spin @ lever)
         speed = np.sqrt(np.einsum("ij,ij->i", u, u))
         total, largest = total + speed, np.maximum(largest, speed)
-    u = velocity(motion, 0, p_G) - own
+    u = velocity(motion, 0, p_G)
     now = np.linalg.norm(u, axis=1)
     R = motion.R_NG[0]
     along_G = np.divide(u, now[:, None], out=np.zeros_like(u), where=now[:, None] > 0.0) @ R

@@ -15,17 +15,17 @@ from scipy.spatial.transform import Rotation
 from polhode.lie import Array, exp_so3, log_so3, make_pose, transform_points
 from polhode.rigid_fit import fit_rigid
 
-KEPT = 0.9
+KEPT_SHARE = 0.9
 """Share of the points that a step uses: the scan may contain what the model does not."""
 MODEL_POINTS = 20_000
 FIRST_POINTS, LAST_POINTS = 250, 2_000
 FIRST_STEPS, LAST_STEPS, FINALISTS = 12, 40, 6
 DISTINCT_DEG = 15.0
-MIRRORED = 5.0
+MIRROR_FACTOR = 5.0
 """Points with a poor fit that is better by this factor after a reflection are mirrored."""
-POOR = 0.02
+POOR_FIT_SHARE = 0.02
 """Share of the points' spread: a fit with a larger residual is poor."""
-AMBIGUOUS = 1.3
+AMBIGUITY_FACTOR = 1.3
 """Another pose whose residual is larger by less than this factor is as good: the model is symmetric."""
 
 
@@ -55,7 +55,7 @@ def align_points(p_G: Array, p_cad: Array) -> CadAlignment:
     X, X_mirrored = fit_rigid(p_cad, p_G), fit_rigid(p_cad, -p_G)
     rms = _rms(transform_points(X, p_G) - p_cad)
     other = _rms(transform_points(X_mirrored, -p_G) - p_cad)
-    if rms > POOR * _rms(p_cad - mean_cad) and rms > MIRRORED * other:
+    if rms > POOR_FIT_SHARE * _rms(p_cad - mean_cad) and rms > MIRROR_FACTOR * other:
         raise ValueError(
             f"the points are mirrored: {1e3 * rms:.3g} mm rms are left by any rotation, {1e3 * other:.3g} mm "
             "after a reflection; one sign is wrong, or two coordinates are exchanged"
@@ -84,7 +84,9 @@ def align_surfaces(scan: trimesh.Trimesh, model: trimesh.Trimesh, start: Array |
     last = [_fit(X, many, many_normals, target, LAST_STEPS) for X, _ in _distinct(first)[:FINALISTS]]
     last.sort(key=lambda each: each[1])
     best, rms = last[0]
-    rival = next((_degrees(best, X) for X, other in _distinct(last)[1:] if other < AMBIGUOUS * rms), None)
+    rival = next(
+        (_degrees(best, X) for X, other in _distinct(last)[1:] if other < AMBIGUITY_FACTOR * rms), None
+    )
     return CadAlignment(best, rms, rival)
 
 
@@ -127,7 +129,7 @@ def _fit(X: Array, points: Array, normals: Array, target: _Target, steps: int) -
         n = target.normals[near]
         # the other side of a thin panel is no counterpart
         same = np.sum(rotated * n, axis=1) > 0.0
-        use = same & (distance <= np.quantile(distance, KEPT))
+        use = same & (distance <= np.quantile(distance, KEPT_SHARE))
         if use.sum() < 12:
             break
         middle = moved[use].mean(axis=0)
@@ -145,7 +147,7 @@ def _fit(X: Array, points: Array, normals: Array, target: _Target, steps: int) -
     flat = np.abs(np.sum((target.points[near] - moved) * target.normals[near], axis=1))
     # near the samples of the model the distance to the plane counts; far from them, that to the point
     residual = np.sort(np.where(distance < 3.0 * np.median(distance), flat, distance))
-    return X, float(np.sqrt(np.mean(residual[: int(KEPT * len(residual))] ** 2)))
+    return X, float(np.sqrt(np.mean(residual[: int(KEPT_SHARE * len(residual))] ** 2)))
 
 
 def _distinct(fits: list[tuple[Array, float]]) -> list[tuple[Array, float]]:

@@ -32,16 +32,16 @@ FIRST_PIECES = 32
 """Of V-HACD; those that protrude too far are split further."""
 MIN_VOLUME_PERCENT = 0.5
 """V-HACD stops splitting a piece when the volumes of its hull and its voxels differ by less."""
-NEARLY_CONVEX = 0.01
+CONVEX_EXCESS_SHARE = 0.01
 """Largest excess volume of the hull of a convex body, as a share."""
-WITHIN = 0.01
+MAX_PROTRUSION_SHARE = 0.01
 """Of the body's diameter: pieces that protrude farther from the surface are split."""
-SAMPLED_WITHIN = 0.9
+SAMPLED_PROTRUSION_FACTOR = 0.9
 """Of that, as the protrusion is evaluated at some points only."""
 MAX_GROWTH = 10.0
 """Volume of a piece over that of its seed."""
 INNER_SAMPLES = 200
-ROUNDING = 2e-6
+ROUNDING_SHARE = 2e-6
 """Each piece is enlarged by this share of the body's size: more than the rounding to single precision."""
 SAMPLES = 20_000
 
@@ -121,7 +121,7 @@ class Decomposition:
     max_beyond_m: float
     """The largest found"""
     far_share: float
-    """Share of their area that protrudes by more than WITHIN of the diameter"""
+    """Share of their area that protrudes by more than MAX_PROTRUSION_SHARE of the diameter"""
     diameter_m: float
     """Of the surface: its two points farthest from each other"""
 
@@ -131,7 +131,7 @@ class Decomposition:
         return (
             f"they protrude from the surface by at most {1e3 * self.max_beyond_m:.2g} mm, {share:.1%} of its "
             f"diameter; 95 % of their area by less than {1e3 * self.beyond_m:.2g} mm, and "
-            f"{self.far_share:.2%} of it by more than {WITHIN:.0%} of the diameter"
+            f"{self.far_share:.2%} of it by more than {MAX_PROTRUSION_SHARE:.0%} of the diameter"
         )
 
 
@@ -148,10 +148,13 @@ def decompose(shape: ExportShape, max_pieces: int) -> Decomposition:
     pieces = [corners]
     if seeds:
         grown = split_until_near(
-            _grown_pieces(shape, seeds, outward), outward, SAMPLED_WITHIN * WITHIN * diameter, max_pieces
+            _grown_pieces(shape, seeds, outward),
+            outward,
+            SAMPLED_PROTRUSION_FACTOR * MAX_PROTRUSION_SHARE * diameter,
+            max_pieces,
         )
         pieces = [each.corners for each in grown]
-    hulls = tuple(_hull(each, ROUNDING * outward.size_m) for each in pieces)
+    hulls = tuple(_hull(each, ROUNDING_SHARE * outward.size_m) for each in pieces)
     count = "the convex hull" if len(hulls) == 1 else f"{len(hulls)} convex pieces"
     beyond = _beyond(hulls, outward)
     return Decomposition(
@@ -159,7 +162,7 @@ def decompose(shape: ExportShape, max_pieces: int) -> Decomposition:
         f"collision geometry: {count} {words}",
         float(np.quantile(beyond, 0.95)),
         float(beyond.max()),
-        float(np.mean(beyond > WITHIN * diameter)),
+        float(np.mean(beyond > MAX_PROTRUSION_SHARE * diameter)),
         diameter,
     )
 
@@ -172,7 +175,7 @@ def _initial_pieces(mesh: trimesh.Trimesh, max_pieces: int) -> tuple[list[Array]
         import vhacdx
     except ImportError:
         return [], f"alone, as {missing_message('vhacdx')}"
-    if mesh.is_volume and mesh.convex_hull.volume < (1.0 + NEARLY_CONVEX) * mesh.volume:
+    if mesh.is_volume and mesh.convex_hull.volume < (1.0 + CONVEX_EXCESS_SHARE) * mesh.volume:
         return [], "as the body is convex"
     thin = mesh if len(mesh.faces) <= CUT_FACES else mesh.simplify_quadric_decimation(face_count=CUT_FACES)
     parts = vhacdx.compute_vhacd(
@@ -183,7 +186,7 @@ def _initial_pieces(mesh: trimesh.Trimesh, max_pieces: int) -> tuple[list[Array]
         minimumVolumePercentErrorAllowed=MIN_VOLUME_PERCENT,
         asyncACD=False,
     )
-    thickness_m = PANEL * float(np.ptp(np.asarray(mesh.vertices), axis=0).max())
+    thickness_m = PANEL_THICKNESS_SHARE * float(np.ptp(np.asarray(mesh.vertices), axis=0).max())
     found = [with_volume(np.asarray(vertices, dtype=np.float64), thickness_m) for vertices, _ in parts]
     found = [vertices for vertices in found if has_volume(vertices)]
     return found, "by V-HACD, grown until they contain the surface and split where they protrude far from it"
@@ -261,7 +264,7 @@ DIRECTIONS = trimesh.creation.icosphere(1).vertices
 AREA_WEIGHT = 2.0
 """Weight of the mean protrusion against the largest, when planes are compared."""
 SECTION_POINTS = 60
-PANEL = 1e-3
+PANEL_THICKNESS_SHARE = 1e-3
 """Thickness of a flat piece, over the body's size."""
 
 
@@ -269,7 +272,9 @@ def convex_piece(
     triangles: Array, inner: Array, outward: OutwardDistance, samples: int = PIECE_SAMPLES
 ) -> ConvexPiece:
     """Raises QhullError when there are too few points."""
-    points = with_volume(np.concatenate([triangles.reshape(-1, 3), inner]), PANEL * outward.size_m)
+    points = with_volume(
+        np.concatenate([triangles.reshape(-1, 3), inner]), PANEL_THICKNESS_SHARE * outward.size_m
+    )
     hull = ConvexHull(points)
     beyond, nearest, normal = outward.of(_on_hull(hull, samples), by_rays=True)
     k = int(beyond.argmax())
@@ -317,7 +322,7 @@ def _best_split(piece: ConvexPiece, outward: OutwardDistance) -> list[ConvexPiec
     best, found = np.inf, None
     for n, offset in planes:
         height = corners @ n - offset
-        if min(height.max(), -height.min()) < PANEL * outward.size_m:
+        if min(height.max(), -height.min()) < PANEL_THICKNESS_SHARE * outward.size_m:
             continue
         try:
             halves = _split(piece, n, offset, outward)

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from polhode.lie import Array, inverse_pose, make_pose, transform_points
+from polhode.lie import Array, transform_points
 from polhode.records import Bools, Ints, Landmarks, SurfaceModel
 
 
@@ -117,19 +117,3 @@ def shape_of_landmarks(landmarks: Landmarks, at: Placement) -> ExportShape:
         coverage=np.full(count, 2, dtype=np.uint8),
         invented=np.zeros(0, dtype=bool),
     )
-
-
-def frame_G() -> Placement:
-    """The geometric frame of the run: its mesh and landmarks as they are."""
-    return Placement("G", np.eye(4), "G, the geometric frame of the run, fixed to the target")
-
-
-def frame_P(R_GP: Array, com_G: Array) -> Placement:
-    """Principal axes at the centre of mass."""
-    description = "P, the principal axes of the target (Jxx >= Jyy >= Jzz), origin at its centre of mass"
-    return Placement("P", inverse_pose(make_pose(R_GP, com_G)), description)
-
-
-def frame_cad(X_cadG: Array, alignment: str) -> Placement:
-    """The frame of a CAD model."""
-    return Placement("cad", X_cadG, f"that of the CAD model; {alignment}")

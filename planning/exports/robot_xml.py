@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from polhode.lie import Array, wxyz_from_matrix
 from polhode.planning.exports.records import Inertial, LastState
 
-TIMESTEP_S = 0.002
 Attributes = dict[str, str]
 
 
@@ -69,11 +68,9 @@ def mjcf(robot: Robot) -> str:
     """A free body without gravity; the key frame ``last`` is the last state of the run."""
     root = ET.Element("mujoco", model=robot.name)
     _comments(root, robot.comments)
-    inertia_from_geometry = "true" if robot.inertial is None else "false"
-    ET.SubElement(
-        root, "compiler", angle="radian", meshdir=robot.folder, inertiafromgeom=inertia_from_geometry
-    )
-    ET.SubElement(root, "option", gravity="0 0 0", integrator="RK4", timestep=repr(TIMESTEP_S))
+    from_geometry = "true" if robot.inertial is None else "false"
+    ET.SubElement(root, "compiler", angle="radian", meshdir=robot.folder, inertiafromgeom=from_geometry)
+    ET.SubElement(root, "option", gravity="0 0 0", integrator="RK4", timestep="0.002")
     files = [*_visual(robot), *robot.collision]
     if files:
         asset = ET.SubElement(root, "asset")
@@ -86,19 +83,13 @@ def mjcf(robot: Robot) -> str:
     body = ET.SubElement(world, "body", {"name": robot.name} | _pos_quat(X_NF[:3, 3], X_NF[:3, :3]))
     ET.SubElement(body, "freejoint", name=f"N_to_{robot.name}")
     if robot.inertial is not None:
-        own = robot.inertial
-        ET.SubElement(
-            body,
-            "inertial",
-            _pos_quat(own.com_F, own.R_FP)
-            | {"mass": repr(own.mass_kg), "diaginertia": _row(own.moments_kg_m2)},
-        )
-        ET.SubElement(body, "site", {"name": "P"} | _pos_quat(own.com_F, own.R_FP) | {"size": "0.005"})
+        own, at = robot.inertial, _pos_quat(robot.inertial.com_F, robot.inertial.R_FP)
+        values = {"mass": repr(own.mass_kg), "diaginertia": _row(own.moments_kg_m2)}
+        ET.SubElement(body, "inertial", at | values)
+        ET.SubElement(body, "site", {"name": "P"} | at | {"size": "0.005"})
+    shown = {"group": "2", "contype": "0", "conaffinity": "0"}
     for file in files:
-        name = file.partition(".")[0]
-        more = (
-            {"group": "3"} if file in robot.collision else {"group": "2", "contype": "0", "conaffinity": "0"}
-        )
+        name, more = file.partition(".")[0], {"group": "3"} if file in robot.collision else shown
         ET.SubElement(body, "geom", {"name": name, "type": "mesh", "mesh": name} | more)
     if state is not None:
         pose = np.concatenate([X_NF[:3, 3], wxyz_from_matrix(X_NF[:3, :3])])

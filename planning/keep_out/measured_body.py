@@ -122,7 +122,7 @@ def grown_body(surface: SurfaceModel, miss: float, cells: int = 64, cover: Cover
     grid = ScalarGrid(empty.origin, step, values.reshape(shape).astype(np.float32))
     outermost = q + m[:, None] * normal
     pad = max(0.0, float(grid.at(outermost).max()), float(grid.at(q).max()))
-    grid = ScalarGrid(grid.origin, step, _filled(grid.values - np.float32(pad)))
+    grid = ScalarGrid(grid.origin, step, _fill_cavities(grid.values - np.float32(pad)))
     return MeasuredBody(
         grid, thinned_vertices(grid.mesh(), step), sigmas, float(np.median(margin)), pad, covers, open_share
     )
@@ -223,7 +223,7 @@ def cavities(values: NDArray[np.floating]) -> NDArray[np.bool_]:
     return np.asarray((free != free[0, 0, 0]) & (values > 0.0))
 
 
-def _filled(values: Floats) -> Floats:
+def _fill_cavities(values: Floats) -> Floats:
     """Cavities count as inside."""
     return np.where(cavities(values), -np.abs(values) - np.float32(1e-6), values)
 

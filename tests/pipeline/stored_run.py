@@ -2,13 +2,36 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from polhode.config import Config
 from polhode.pipeline.report import finish_run
-from polhode.pipeline.run_directory.outputs import write_config, write_estimate, write_picture, write_surface
+from polhode.pipeline.run_directory.outputs import (
+    write_config,
+    write_estimate,
+    write_online_estimate,
+    write_picture,
+    write_surface,
+)
 from polhode.pipeline.run_directory.summary import build_summary
 from polhode.pipeline.run_directory.summary_schema import Intervals, Summary
-from polhode.records import MotionEstimate, RelativePoses, StereoTracks, SurfaceModel
+from polhode.records import MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks, SurfaceModel
+
+
+def stored(
+    folder: Path,
+    run: Any,
+    surface: SurfaceModel | None = None,
+    online: OnlineEstimate | None = None,
+    **more: Any,
+) -> Path:
+    """The folder with the tracks and the estimate of a run and the causal one, as by ``write_run``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if online is not None:
+        write_online_estimate(folder, online)
+    given = {"config": Config(), "timing_s": {}, "tracks": run.tracks, "estimate": run.estimate}
+    write_run(folder, surface=surface, **(given | more))
+    return folder
 
 
 def write_run(

@@ -158,9 +158,9 @@ def test_large_errors_are_spread_as_a_monte_carlo_spreads_them() -> None:
         )
         angles.append(np.sum(log_so3(found.R_NP[0].T @ R[1] @ R_GP) ** 2))
     # 150 draws against 256: two means of squares with heavy tails
-    thinned_vertices = np.trace(found.covariance_of_marks[0, 6:9, 6:9])
-    assert thinned_vertices == pytest.approx(np.mean(angles), rel=0.35)
-    assert np.sqrt(thinned_vertices) < np.pi
+    spread = np.trace(found.covariance_of_marks[0, 6:9, 6:9])
+    assert spread == pytest.approx(np.mean(angles), rel=0.35)
+    assert np.sqrt(spread) < np.pi
 
 
 def test_a_spin_that_was_long_steady_stays_predictable_though_its_inertia_is_undetermined() -> None:
@@ -168,16 +168,16 @@ def test_a_spin_that_was_long_steady_stays_predictable_though_its_inertia_is_und
     # what would make the spin axis no principal axis is known
     variances[15:17] = 1e-8
     last = last_body(np.diag(variances), np.array([0.0, 0.0, 0.8]))
-    thinned_vertices = []
+    sigma_deg = []
     for seen in (0, 20, 120):
         past_s = -np.arange(1.0, 1.0 + seen)
         R_NG = last.R_NG @ exp_so3(past_s[:, None] * last.w_G)
         body = replace(last, past_s=past_s, past_R_NG=R_NG) if seen else last
         covariance = predict(body, [30.0], 0.0, 0.0).covariance_of_marks[0]
-        thinned_vertices.append(np.rad2deg(np.sqrt(np.trace(covariance[6:9, 6:9]))))
+        sigma_deg.append(np.rad2deg(np.sqrt(np.trace(covariance[6:9, 6:9]))))
     # about the middle axis it would tip over: the longer it did not, the surer it will not
-    assert thinned_vertices[0] > 3.0 * thinned_vertices[1] > 10.0 * thinned_vertices[2]
-    assert thinned_vertices[2] < 0.5
+    assert sigma_deg[0] > 3.0 * sigma_deg[1] > 10.0 * sigma_deg[2]
+    assert sigma_deg[2] < 0.5
 
 
 def test_an_attitude_is_never_less_known_than_not_at_all() -> None:
@@ -215,10 +215,10 @@ def test_process_noise_matches_monte_carlo() -> None:
         w = w + dt * np.cross(middle * MOMENTS, middle) / MOMENTS
         R = R @ exp_so3(middle * dt)
     errors = np.hstack([log_so3(R_end.R_NP[0].T @ R), w - R_end.w_P[0]])
-    thinned_vertices = np.sqrt(np.diagonal(noise))
-    np.testing.assert_allclose(errors.std(axis=0), thinned_vertices[6:], rtol=0.1)
-    np.testing.assert_allclose(v.std(axis=0), thinned_vertices[3:6], rtol=0.1)
-    assert thinned_vertices[0] == pytest.approx(np.sqrt(psd * (dt * steps) ** 3 / 3))
+    expected = np.sqrt(np.diagonal(noise))
+    np.testing.assert_allclose(errors.std(axis=0), expected[6:], rtol=0.1)
+    np.testing.assert_allclose(v.std(axis=0), expected[3:6], rtol=0.1)
+    assert expected[0] == pytest.approx(np.sqrt(psd * (dt * steps) ** 3 / 3))
     np.testing.assert_allclose(
         predict(last_body(np.zeros((20, 20))), [dt * steps], psd, psd).covariance[0], noise, atol=1e-10
     )

@@ -17,12 +17,7 @@ from polhode.errors import InputError
 from polhode.optional_parts import missing_part
 from polhode.pipeline.after_run.export.job import ExportJob, Files, failure_of, open_job
 from polhode.pipeline.after_run.export.json_document import json_document
-from polhode.pipeline.after_run.export.options import (
-    METRES,
-    ExportOptions,
-    check,
-    creation_date,
-)
+from polhode.pipeline.after_run.export.options import METRES, ExportOptions, check, creation_date
 from polhode.pipeline.after_run.export.own_files import (
     SURFACE_FILE,
     export_place,
@@ -31,13 +26,11 @@ from polhode.pipeline.after_run.export.own_files import (
     write_export,
 )
 from polhode.planning.exports import ccsds, glb, mesh_files, robot_xml
-from polhode.planning.exports.convex_pieces import WITHIN, decompose
+from polhode.planning.exports.convex_pieces import MAX_PROTRUSION_SHARE, decompose
 from polhode.planning.exports.formats import MESHES, MOTIONS, ROBOTS
 from polhode.planning.exports.records import ExportShape, Inertial, shape_of_landmarks, shape_of_surface
 from polhode.progress import Progress, Silent
 
-LIGHT_LEVEL = 2
-"""Of the surface that robot formats show, where the run's mesh has so many levels."""
 FAR_SHARE = 1e-3
 """Share of the pieces' area that protrudes too far, above which there is a warning."""
 MAX_KEY_ROTATION_RAD = np.deg2rad(5.0)
@@ -64,10 +57,10 @@ def export_run(run: Path, options: ExportOptions, progress: Progress | None = No
     """
     check(options)
     with export_place(options) as place:
-        return _exported(run, replace(options, output=place), progress or Silent())
+        return _export_files(run, replace(options, output=place), progress or Silent())
 
 
-def _exported(run: Path, options: ExportOptions, progress: Progress) -> Export:
+def _export_files(run: Path, options: ExportOptions, progress: Progress) -> Export:
     job = open_job(run, options, progress)
     if job.summary.status == "failed":
         job.leave_out(f"this run failed ({failure_of(job.summary)}): what it had found by then is exported")
@@ -141,7 +134,8 @@ def _glb(job: ExportJob, shape: ExportShape, per_m: float) -> bytes:
 
 def _robot(job: ExportJob) -> Files:
     """The XML, and in a folder beside it the surface and the convex pieces. Raises InputError."""
-    options, shape = job.options, job.shape(LIGHT_LEVEL)
+    # the surface is shown at the second level of detail, where the run's mesh has so many
+    options, shape = job.options, job.shape(coarsest=2)
     inertial = job.inertial()
     if shape is None and inertial is None:
         raise job.nothing("this run has neither mesh nor mass properties; nothing to export")
@@ -172,9 +166,10 @@ def _robot(job: ExportJob) -> Files:
             comments.append(f"{cut.description}; {cut.describe_protrusion()}")
             _log.info("%s", comments[-1])
             if cut.far_share > FAR_SHARE:
+                more = "" if without else ": more --pieces protrude less"
                 job.leave_out(
                     f"{cut.far_share:.1%} of the collision geometry protrudes from the surface by more than "
-                    f"{WITHIN:.0%} of its diameter{'' if without else ': more --pieces protrude less'}"
+                    f"{MAX_PROTRUSION_SHARE:.0%} of its diameter{more}"
                 )
             for number, piece in enumerate(cut.pieces):
                 collision.append(piece_file(number))
@@ -204,7 +199,11 @@ def _robot(job: ExportJob) -> Files:
 def _motion(job: ExportJob) -> Files:
     options = job.options
     if options.poses == "estimated":
-        return _estimated(job)
+        table = job.trajectory()
+        origin = "poses of the frame in N [m], estimated at the frames of the run"
+        note = "standard deviations of the estimate: trajectory.csv and covariance.npz of the run"
+        text = ccsds.tum(table.timestamps_ns, job.poses(table), [*job.comments, origin, note])
+        return {options.output: text.encode("ascii", "replace")}
     motion = job.motion(options.step_s)
     if motion.undetermined:
         job.leave_out(
@@ -251,22 +250,9 @@ def _motion(job: ExportJob) -> Files:
     return {options.output: text.encode("ascii", "replace")}
 
 
-def _estimated(job: ExportJob) -> Files:
-    """The poses that the run estimated at its frames, in the format of TUM."""
-    table = job.trajectory()
-    origin = "poses of the frame in N [m], estimated at the frames of the run"
-    sigma = "standard deviations of the estimate: trajectory.csv and covariance.npz of the run"
-    text = ccsds.tum(table.timestamps_ns, job.poses(table), [*job.comments, origin, sigma])
-    return {job.options.output: text.encode("ascii", "replace")}
-
-
-def _json(job: ExportJob) -> Files:
-    return {job.options.output: json_document(job).encode()}
-
-
 _CONTENT: dict[str, Callable[[ExportJob], Files]] = {
     **dict.fromkeys(MESHES, _mesh),
     **dict.fromkeys(ROBOTS, _robot),
     **dict.fromkeys(MOTIONS, _motion),
-    "json": _json,
+    "json": lambda job: {job.options.output: json_document(job).encode()},
 }

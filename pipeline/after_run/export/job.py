@@ -33,8 +33,6 @@ from polhode.planning.prediction import PredictedMotion
 from polhode.progress import Progress, Silent
 from polhode.records import Landmarks, SurfaceModel
 
-UNIT_MASS_KG = 1.0
-SECONDS_PER_YEAR = 365.25 * 86400.0
 USUAL_RADII = (0.05, 1.0)
 """Radius of gyration over the distance of the farthest vertex; a uniform ball has 0.63."""
 USUAL_DENSITIES_KG_M3 = (1.0, 20_000.0)
@@ -90,8 +88,7 @@ class ExportJob:
 
         Raises InputError when the run has no motion.
         """
-        if self.no_motion:
-            raise InputError(f"{self.folder}: {self.no_motion}")
+        self._require_motion()
         try:
             return predict_run(self.folder, self.options.horizon, step_s, True, self.progress)
         except NoCovariance as error:
@@ -100,13 +97,16 @@ class ExportJob:
 
     def trajectory(self) -> Trajectory:
         """The states at the frames. Raises InputError when the run has no motion."""
+        self._require_motion()
+        return read_trajectory(self.folder)
+
+    def _require_motion(self) -> None:
         if self.no_motion:
             raise InputError(f"{self.folder}: {self.no_motion}")
-        return read_trajectory(self.folder)
 
     def check_epoch(self, first_ns: int) -> None:
         """Note when the first time in the file is far from --epoch: the timestamps count from elsewhere."""
-        years = first_ns * 1e-9 / SECONDS_PER_YEAR
+        years = first_ns * 1e-9 / (365.25 * 86400.0)
         if self.options.epoch_utc != np.datetime64(0, "ns") and abs(years) > 1.0:
             self.leave_out(
                 f"the file begins {abs(years):.1f} years {'after' if years > 0 else 'before'} --epoch "
@@ -302,7 +302,7 @@ def _mass(summary: Summary, given: float | None) -> tuple[float, str, list[str]]
         mass = summary.assumed.mass_kg
         return mass, "assumed", [f"mass: {mass:.6g} kg, from the mass or density that the run was given"]
     note = "mass: relative, set to 1: the run does not determine it; give it by --mass-kg"
-    return UNIT_MASS_KG, "relative", [note]
+    return 1.0, "relative", [note]
 
 
 def _scale(
@@ -347,9 +347,8 @@ def _undetermined(summary: Summary) -> list[str]:
     known = summary.identifiable
     if known is None:
         return []
-    flags = (known.k1, known.k2, known.axes, known.com)
-    names = ("k1", "k2", "the principal axes", "the centre of mass")
-    lost = [name for name, determined in zip(names, flags, strict=True) if not determined]
+    names = {"k1": "k1", "k2": "k2", "axes": "the principal axes", "com": "the centre of mass"}
+    lost = [words for name, words in names.items() if not getattr(known, name)]
     if not lost:
         return []
     notes = [

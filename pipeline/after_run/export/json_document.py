@@ -32,7 +32,7 @@ from polhode.pipeline.run_directory.summary_schema import (
     json_text,
 )
 from polhode.planning.exports import ccsds
-from polhode.planning.exports.records import ExportShape, Inertial
+from polhode.planning.exports.records import ExportShape
 
 SCHEMA_FILE = Path(__file__).with_name("export.schema.json")
 MAX_STATES = 10_000
@@ -183,17 +183,15 @@ def json_document(job: ExportJob) -> str:
             "prediction": states[1:],
             "undetermined": list(undetermined),
             "mass_properties": _mass_properties(job),
-            "inertial": None if inertial is None else _inertial(inertial),
+            "inertial": inertial
+            and {
+                name: getattr(inertial, "notes" if name == "words" else name)
+                for name in InertialOut.model_fields
+            },
             "shape": None if shape is None else _shape(shape),
         }
     )
     return json_text(document, indent=1)
-
-
-def _inertial(inertial: Inertial) -> dict[str, Any]:
-    content = _renamed(vars(inertial), notes="words")
-    del content["restated"]
-    return content
 
 
 def _states(job: ExportJob) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
@@ -221,17 +219,16 @@ def _states(job: ExportJob) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
         "covariance": [nullable(each) for each in motion.covariance],
         "covariance_of_marks": [nullable(each) for each in motion.covariance_of_marks],
     }
-    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)], (
-        motion.undetermined
-    )
+    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    return rows, motion.undetermined
 
 
 def _mass_properties(job: ExportJob) -> dict[str, Any]:
     """The fields of ``MassPropertiesOut`` in the summary, and in its inertia."""
     found = job.summary.model_dump()
-    inertia = _renamed(found["inertia"] or {}, cov="cov_k")
-    names = MassPropertiesOut.model_fields
-    return {name: found[name] if name in found else inertia.get(name) for name in names}
+    inertia = found["inertia"] or {}
+    values = inertia | {"cov_k": inertia.get("cov")} | found
+    return {name: values.get(name) for name in MassPropertiesOut.model_fields}
 
 
 def _shape(shape: ExportShape) -> dict[str, Any]:
@@ -245,10 +242,6 @@ def _shape(shape: ExportShape) -> dict[str, Any]:
         "sigma_95_m": float(np.quantile(measured, 0.95)) if known else None,
         "measured_share": len(measured) / len(shape.vertices),
     }
-
-
-def _renamed(values: dict[str, Any], **names: str) -> dict[str, Any]:
-    return {names.get(key, key): value for key, value in values.items()}
 
 
 if __name__ == "__main__":

@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 
 from polhode.errors import InputError
+from polhode.lie import inverse_pose, make_pose
 from polhode.mapping.mesh_files import read_mesh
 from polhode.pipeline.after_run.export.options import METRES, ExportOptions
 from polhode.pipeline.run_directory.summary_schema import Summary
 from polhode.planning.exports.cad_alignment import CadAlignment, align_points, align_surfaces
-from polhode.planning.exports.records import Placement, frame_cad, frame_G, frame_P
+from polhode.planning.exports.records import Placement
 from polhode.records import SurfaceModel
 from polhode.tables import number_rows
 
@@ -33,7 +34,7 @@ def placement(
         option = "--cad" if options.cad is not None else "--cad-points"
         raise InputError(f"{option} is for --frame cad, and this is --frame {name}")
     if name == "G":
-        return frame_G(), []
+        return Placement("G", np.eye(4), "G, the geometric frame of the run, fixed to the target"), []
     if summary.R_GP is None or summary.com_G is None:
         raise InputError(
             "--frame P: this run has no estimate, so no principal axes; --frame G has no need of it"
@@ -44,7 +45,9 @@ def placement(
             "the run does not determine every principal axis or every component of the centre of mass: "
             "frame P is the best finite one"
         )
-    return frame_P(np.array(summary.R_GP), np.array(summary.com_G)), warnings
+    X_PG = inverse_pose(make_pose(np.array(summary.R_GP), np.array(summary.com_G)))
+    words = "P, the principal axes of the target (Jxx >= Jyy >= Jzz), origin at its centre of mass"
+    return Placement("P", X_PG, words), warnings
 
 
 def _cad_frame(options: ExportOptions, surface: SurfaceModel | None) -> tuple[Placement, list[str]]:
@@ -77,8 +80,8 @@ def _cad_frame(options: ExportOptions, surface: SurfaceModel | None) -> tuple[Pl
             f"the model fits as well turned by {found.rival_deg:.0f} deg: the scan cannot distinguish them; "
             "--cad-points resolves the ambiguity"
         )
-    residual = f"{1e3 * found.rms_m:.3g} mm rms residual"
-    return frame_cad(found.X_cadG, f"{file.name}, aligned by {by}; {residual}"), warnings
+    words = f"that of the CAD model; {file.name}, aligned by {by}; {1e3 * found.rms_m:.3g} mm rms residual"
+    return Placement("cad", found.X_cadG, words), warnings
 
 
 def _from_points(file: Path, cad_m: float) -> CadAlignment:

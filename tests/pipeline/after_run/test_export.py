@@ -16,52 +16,35 @@ from trimesh.visual import ColorVisuals
 
 import polhode
 from polhode.cli.main import main
-from polhode.config import Config
 from polhode.errors import InputError
 from polhode.lie import exp_so3, log_so3, make_pose, matrix_from_wxyz, transform_points
-from polhode.mapping.mesh_files import read_ply
+from polhode.mapping.mesh_files import read_ply, write_ply
 from polhode.mesh_metrics import distance_to_surface
 from polhode.pipeline.after_run.export.json_document import SCHEMA_FILE, Document
 from polhode.pipeline.after_run.export.options import FrameName
-from polhode.pipeline.run_directory.summary import read_summary, write_summary
+from polhode.pipeline.run_directory.summary import build_summary, read_summary, write_summary
 from polhode.pipeline.run_directory.summary_schema import Intervals, json_schema
-from polhode.records import SurfaceModel
 from tests.pipeline.conftest import BOX_M, Example
-from tests.pipeline.stored_run import write_run
+from tests.pipeline.stored_run import stored
 
 Capture = pytest.CaptureFixture[str]
-
-
-def write_example(example: Example, folder: Path, surface: SurfaceModel | None) -> Path:
-    folder.mkdir()
-    write_run(
-        folder,
-        config=Config(),
-        tracks=example.tracks,
-        estimate=example.estimate,
-        surface=surface,
-        timing_s={},
-    )
-    return folder
 
 
 @pytest.fixture(scope="module")
 def run(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A box with a closed mesh."""
-    return write_example(example, tmp_path_factory.mktemp("runs") / "box", example.surface)
+    return stored(tmp_path_factory.mktemp("runs") / "box", example, example.surface)
 
 
 @pytest.fixture(scope="module")
 def bare(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same without a mesh."""
-    return write_example(example, tmp_path_factory.mktemp("runs") / "bare", None)
+    return stored(tmp_path_factory.mktemp("runs") / "bare", example)
 
 
 @pytest.fixture(scope="module")
 def failed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run that found nothing."""
-    from polhode.pipeline.run_directory.summary import build_summary, write_summary
-
     folder = tmp_path_factory.mktemp("failed")
     write_summary(build_summary(None, None, None, {}, failure="no motion fits"), folder / "summary.json")
     return folder
@@ -102,9 +85,7 @@ def test_json_has_states_with_covariances_and_mass_properties(
 
 @pytest.mark.parametrize("frame", ["G", "P"])
 @pytest.mark.parametrize("to", ["mjcf", "urdf"])
-def test_mujoco_simulates_what_we_predict(
-    to: str, frame: str, run: Path, tmp_path: Path, capsys: Capture
-) -> None:
+def test_mujoco_simulates_what_we_predict(to: str, frame: str, run: Path, tmp_path: Path) -> None:
     options = ("--frame", frame, "--mass-kg", "4.5")
     content = document(run, tmp_path, *options)
     file = export(run, to, tmp_path / f"box.{to}", *options)
@@ -134,8 +115,6 @@ def test_mujoco_simulates_what_we_predict(
         worst_deg = max(worst_deg, float(np.rad2deg(np.linalg.norm(turn))))
         worst_m = max(worst_m, float(np.abs(data.qpos[:3] - row["p_NF"]).max()))
     assert content["prediction"][-1]["time_s"] == pytest.approx(60.0)
-    with capsys.disabled():
-        print(f"\n  {to}, frame {frame}: within {worst_deg:.1e} deg and {worst_m:.1e} m over 60 s", end="")
     assert worst_deg < 0.1 and worst_m < 1e-4
 
 
@@ -204,7 +183,7 @@ def test_a_run_without_a_mesh_exports_what_it_can(bare: Path, tmp_path: Path, ca
 def test_an_undetermined_inertia_is_exported_as_such(
     undetermined: Example, tmp_path: Path, capsys: Capture
 ) -> None:
-    run = write_example(undetermined, tmp_path / "spin", undetermined.surface)
+    run = stored(tmp_path / "spin", undetermined, undetermined.surface)
     text = export(run, "urdf", tmp_path / "spin.urdf").read_text()
     assert "not determined by the motion: k1, k2, the principal axes, the centre of mass" in text
     content = document(run, tmp_path, "--horizon", "2")
@@ -219,7 +198,7 @@ def test_an_undetermined_inertia_is_exported_as_such(
 def test_intervals_are_exported_and_hold_the_centre_of_mass(
     undetermined: Example, tmp_path: Path, capsys: Capture
 ) -> None:
-    run = write_example(undetermined, tmp_path / "spin", undetermined.surface)
+    run = stored(tmp_path / "spin", undetermined, undetermined.surface)
     summary = read_summary(run)
     intervals = Intervals(com_shift_P=(None, (0.02, 0.05), None), k1=(0.0, 0.6), bounds=("inside the hull",))
     write_summary(summary.model_copy(update={"intervals": intervals}), run / "summary.json")
@@ -249,8 +228,6 @@ def test_a_failed_run_exports_what_it_found(
             assert "before it had a motion (no motion fits)" in stderr and "--frame" not in stderr
     assert not (tmp_path / "x").exists()
     # a mesh without a motion: what is assumed is said
-    from polhode.mapping.mesh_files import write_ply
-
     write_ply(example.surface, failed / "mesh.ply")
     text = export(failed, "mjcf", tmp_path / "shape.xml", "--mass-kg", "4.5").read_text()
     shown = capsys.readouterr().out
@@ -263,7 +240,7 @@ def test_a_run_without_covariances_exports_the_motion_and_says_so(
     archive: bytes | None, run: Path, example: Example, tmp_path: Path, capsys: Capture
 ) -> None:
     whole = document(run, tmp_path, "--horizon", "5")
-    bare = write_example(example, tmp_path / "run", example.surface)
+    bare = stored(tmp_path / "run", example, example.surface)
     (bare / "covariance.npz").unlink()
     if archive is not None:
         (bare / "covariance.npz").write_bytes(archive)
@@ -432,7 +409,7 @@ def _vertices_of(file: Path) -> np.ndarray:
     return np.concatenate(places)
 
 
-def test_a_moment_that_does_not_fit_mass_and_mesh_is_a_warning(
+def test_a_moment_or_a_mass_that_does_not_fit_the_mesh_is_a_warning(
     run: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     fits = document(run, tmp_path, "--mass-kg", "4.5")["inertial"]["moments_kg_m2"][1]
@@ -441,41 +418,29 @@ def test_a_moment_that_does_not_fit_mass_and_mesh_is_a_warning(
         words = document(run, tmp_path, "--horizon", "1", *options)["left_out"]
         assert any("has a radius of gyration of" in line for line in words) == warned
         assert ("has a radius of gyration of" in capsys.readouterr().out) == warned
+    for mass_kg, bound in (("1000", "more than that of gold"), ("0.001", "less than that of air")):
+        export(run, "json", tmp_path / "x.json", "--horizon", "1", "--mass-kg", mass_kg)
+        words = rf"warning: a density of \S+ kg/m\^3, {bound}: {mass_kg} kg in .* check --mass-kg"
+        assert re.search(words, capsys.readouterr().out)
     # a moment alone has no mass to compare with
     assert document(run, tmp_path, "--horizon", "1", "--middle-moment-kg-m2", "1e6")["left_out"] == []
 
 
-@pytest.mark.parametrize(
-    ("mass_kg", "expected"),
-    [("1000", "more than that of gold"), ("0.001", "less than that of air")],
-)
-def test_a_mass_that_no_body_of_this_volume_has_is_a_warning(
-    mass_kg: str, expected: str, run: Path, tmp_path: Path, capsys: Capture
+def test_what_the_user_gave_is_no_warning_and_the_answer_has_it(
+    run: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    export(run, "json", tmp_path / "x.json", "--horizon", "1", "--mass-kg", mass_kg)
-    printed = capsys.readouterr().out
-    assert re.search(
-        rf"warning: a density of \S+ kg/m\^3, {expected}: {mass_kg} kg in .* check --mass-kg", printed
-    )
-
-
-def test_what_the_user_gave_is_no_warning(run: Path, tmp_path: Path, capsys: Capture) -> None:
     volume_m3 = abs(float(read_ply(run / "mesh.ply").mesh.volume))
     mass = ["--mass-kg", f"{800.0 * volume_m3:g}"]
     path = export(run, "mjcf", tmp_path / "x.xml", "--pieces", "1", *mass)
     printed = capsys.readouterr().out
     assert "as given" not in printed and "density of" not in printed
     assert "as given" in path.read_text()
-
-
-def test_the_answer_has_sizes_mass_properties_and_time(run: Path, tmp_path: Path, capsys: Capture) -> None:
-    capsys.readouterr()
     path = export(run, "json", tmp_path / "x.json", "--horizon", "1", "--mass-kg", "2", "--json")
     figures = json.loads(capsys.readouterr().out)["figures"]
     assert figures["files"] == [{"path": str(path), "bytes": path.stat().st_size}]
-    properties, stored = figures["mass_properties"], json.loads(path.read_text())["inertial"]
+    properties, written = figures["mass_properties"], json.loads(path.read_text())["inertial"]
     assert properties["mass_is"] == "given" and figures["duration_s"] > 0.0
-    assert {name: stored[name] for name in properties} == properties
+    assert {name: written[name] for name in properties} == properties
 
 
 def test_an_epoch_beside_timestamps_that_are_utc_already_is_a_warning(
@@ -487,7 +452,7 @@ def test_an_epoch_beside_timestamps_that_are_utc_already_is_a_warning(
         tracks=replace(example.tracks, timestamps_ns=example.tracks.timestamps_ns + start_ns),
         estimate=replace(example.estimate, timestamps_ns=example.estimate.timestamps_ns + start_ns),
     )
-    run = write_example(later, tmp_path / "later", None)
+    run = stored(tmp_path / "later", later)
     for to in ("oem", "aem", "json"):
         for epoch, warned in (("2026-11-23", True), ("1970-01-01", False)):
             export(run, to, tmp_path / f"x.{to}", "--horizon", "2", "--epoch", epoch)
@@ -505,7 +470,7 @@ def test_known_torques_set_the_scale_whatever_the_mass(example: Example, tmp_pat
         sigma_inertia_scale_kg_m2=0.01,
     )
     torqued = replace(example, estimate=replace(example.estimate, mass=mass))
-    run = write_example(torqued, tmp_path / "torqued", example.surface)
+    run = stored(tmp_path / "torqued", torqued, example.surface)
     inertial = document(run, tmp_path, "--horizon", "1")["inertial"]
     assert (inertial["mass_is"], inertial["scale_is"], inertial["mass_kg"]) == (
         "determined",

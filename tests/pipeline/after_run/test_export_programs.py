@@ -15,15 +15,15 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
-from polhode.cli.main import main
 from polhode.lie import matrix_from_wxyz
 from polhode.mesh_metrics import distance_to_surface
 from polhode.planning.exports import convex_pieces
 from polhode.planning.exports.convex_pieces import clip, outside
 from polhode.planning.exports.records import Placement, shape_of_surface
 from polhode.records import SurfaceModel
-from tests.pipeline.after_run.test_export import document, export, run, write_example
+from tests.pipeline.after_run.test_export import document, export, run
 from tests.pipeline.conftest import Example
+from tests.pipeline.stored_run import stored
 
 __all__ = ["run"]
 ROOT = Path(__file__).parents[3]
@@ -54,7 +54,7 @@ def cross() -> SurfaceModel:
 @pytest.fixture(scope="module")
 def cross_run(example: Example, cross: SurfaceModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The motion of the box with this surface."""
-    return write_example(example, tmp_path_factory.mktemp("runs") / "cross", cross)
+    return stored(tmp_path_factory.mktemp("runs") / "cross", example, cross)
 
 
 def pieces_of(folder: Path) -> list[trimesh.Trimesh]:
@@ -62,7 +62,7 @@ def pieces_of(folder: Path) -> list[trimesh.Trimesh]:
 
 
 def test_fcl_finds_every_point_of_the_surface_inside_the_pieces(
-    cross_run: Path, cross: SurfaceModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    cross_run: Path, cross: SurfaceModel, tmp_path: Path
 ) -> None:
     fcl = pytest.importorskip("fcl")
     pytest.importorskip("vhacdx")
@@ -97,15 +97,10 @@ def test_fcl_finds_every_point_of_the_surface_inside_the_pieces(
     hull = ConvexHull(np.asarray(cross.mesh.vertices)).equations
     inside_hull = float((outside(away, hull) < 0.0).mean())
     assert len(away) > 500 and share < 0.1 * inside_hull
-    with capsys.disabled():
-        print(
-            f"\n  {len(pieces)} pieces touch {share:.1%} of the free points, the hull {inside_hull:.1%}",
-            end="",
-        )
 
 
 def test_the_pieces_contain_the_surface_and_reach_little_beyond(
-    cross: SurfaceModel, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    cross: SurfaceModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # coarse first pieces: what is asked here is how they are mended
     monkeypatch.setattr(convex_pieces, "VOXELS", 50_000)
@@ -123,9 +118,6 @@ def test_the_pieces_contain_the_surface_and_reach_little_beyond(
     assert reached[0] > reached[1] > reached[2] > reached[3] and found.far_share == 0.0
     # within 1 % of the diameter
     assert found.max_beyond_m < 0.01 * found.diameter_m and found.diameter_m == pytest.approx(0.5, rel=0.05)
-    with capsys.disabled():
-        words = ", ".join(f"{share:.2%}" for share in reached)
-        print(f"\n  1, 4, 24, {len(found.pieces)} pieces reach {words} of the diameter beyond", end="")
 
 
 def test_a_plane_cuts_triangles_into_parts_of_the_same_area() -> None:
@@ -155,6 +147,7 @@ def test_without_vhacd_there_is_the_convex_hull_and_it_is_said(
 
 def test_oem_readers_find_states_and_covariances(run: Path, tmp_path: Path) -> None:
     oem = pytest.importorskip("oem")
+    ccsds_ndm = pytest.importorskip("ccsds_ndm")
     file = export(
         run, "oem", tmp_path / "box.oem", "--epoch", "2026-03-01T00:00:00", "--object-id", "1999-025A"
     )
@@ -172,6 +165,8 @@ def test_oem_readers_find_states_and_covariances(run: Path, tmp_path: Path) -> N
         expected = np.array(row["covariance"])[:6, :6]
         np.testing.assert_allclose(1e6 * covariance.matrix, expected, atol=1e-12)
         assert np.linalg.eigvalsh(covariance.matrix).min() > 0.0
+    ccsds_ndm.Oem.from_file(str(file)).validate()
+    assert max(map(len, file.read_text().splitlines())) <= 254
     # the second state is where the first one's velocity leads
     step = (states[1].epoch - states[0].epoch).sec
     there = np.array(states[0].position) + step * np.array(states[0].velocity)
@@ -214,16 +209,6 @@ def test_a_ccsds_library_validates_the_aem_and_its_rates_turn_the_attitude(
     np.testing.assert_allclose(
         slope, -np.cross(w[:, None], np.swapaxes(M[1:-1], 1, 2)).swapaxes(1, 2), atol=1e-3
     )
-
-
-def test_a_ccsds_library_validates_the_oem(run: Path, tmp_path: Path) -> None:
-    ccsds_ndm = pytest.importorskip("ccsds_ndm")
-    file = export(run, "oem", tmp_path / "box.oem", "--horizon", "5")
-    message = ccsds_ndm.Oem.from_file(str(file))
-    message.validate()
-    (segment,) = message.segments
-    assert len(segment.data.state_vector) == len(segment.data.covariance_matrix) == 11
-    assert max(map(len, file.read_text().splitlines())) <= 254
 
 
 def test_evo_reads_the_tum_file(run: Path, tmp_path: Path) -> None:
@@ -288,7 +273,7 @@ def test_drake_accepts_sdf_and_urdf_with_their_meshes(
 @pytest.fixture(params=["still", "animated", "millimetres", "points"])
 def a_glb(request: pytest.FixtureRequest, cross_run: Path, example: Example, tmp_path: Path) -> Path:
     kind = request.param
-    source = cross_run if kind != "points" else write_example(example, tmp_path / "bare", None)
+    source = cross_run if kind != "points" else stored(tmp_path / "bare", example)
     more = {"animated": ["--animate", "--horizon", "30"], "millimetres": ["--unit", "mm"]}.get(kind, [])
     return export(source, "glb", tmp_path / f"{kind}.glb", *more)
 
@@ -355,9 +340,3 @@ def test_the_animation_is_the_prediction(cross_run: Path, tmp_path: Path) -> Non
     np.testing.assert_allclose(matrix_from_wxyz(xyzw[:, [3, 0, 1, 2]]), expected, atol=1e-6)
     # keys stand close enough for viewers, which go straight between them
     assert np.abs(np.sum(xyzw[1:] * xyzw[:-1], axis=1)).min() > np.cos(np.deg2rad(5.0) / 2)
-
-
-def test_help_names_the_formats(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["export", "--help"]) == 0
-    shown = capsys.readouterr().out
-    assert "--mass-kg" in shown and "glb|ply|stl|obj|urdf|mjcf|sdf|aem|oem|tum|json" in shown

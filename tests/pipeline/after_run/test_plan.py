@@ -9,7 +9,6 @@ import trimesh
 from matplotlib.image import imread
 
 from polhode.cli.main import main
-from polhode.config import Config
 from polhode.output.marked_folder import MARK
 from polhode.pipeline.after_run.observability.assess import read_poses
 from polhode.pipeline.after_run.plan import final_estimate
@@ -17,9 +16,8 @@ from polhode.pipeline.after_run.plan_files import CORRIDOR_COLUMNS, is_in_N
 from polhode.pipeline.run_directory.summary_schema import Intervals
 from polhode.planning.approach.approach_path import POSES
 from polhode.planning.prediction import nominal_motion
-from polhode.records import SurfaceModel
 from tests.pipeline.conftest import Example
-from tests.pipeline.stored_run import write_run
+from tests.pipeline.stored_run import stored
 
 pytestmark = pytest.mark.usefixtures("coarse_keep_out")
 
@@ -28,21 +26,8 @@ DOCK = ["--dock-point", "0.06", "0", "0", "--dock-axis", "1", "0", "0", "--stand
 AHEAD = ["--horizon", "2", "--confidence", "0.97", "--members", "100"]
 
 
-def written(example: Example, folder: Path, surface: SurfaceModel | None) -> Path:
-    folder.mkdir()
-    write_run(
-        folder,
-        config=Config(),
-        tracks=example.tracks,
-        estimate=example.estimate,
-        surface=surface,
-        timing_s={},
-    )
-    return folder
-
-
 def test_everything_is_written_and_opens_again(example: Example, tmp_path: Path, capsys: Capture) -> None:
-    run, out = written(example, tmp_path / "run", example.surface), tmp_path / "out"
+    run, out = stored(tmp_path / "run", example, example.surface), tmp_path / "out"
     assert main(["plan", str(run), "-o", str(out), *AHEAD, *DOCK]) == 0
     shown = capsys.readouterr().out
     assert "Keep-out over 2 s at 97.0%" in shown and "Corridor" in shown and shown.rstrip().endswith(str(out))
@@ -77,17 +62,12 @@ def test_everything_is_written_and_opens_again(example: Example, tmp_path: Path,
 def test_intervals_are_said_and_bound_the_members(
     undetermined: Example, tmp_path: Path, capsys: Capture
 ) -> None:
-    run = tmp_path / "run"
-    run.mkdir()
     com_G = undetermined.estimate.mass.com_G
     intervals = Intervals(
         com_G=(tuple(com_G - 0.05), tuple(com_G + 0.05)), com_shift_P=(None, (-0.05, 0.04), None),
         k1=(0.0, 0.6), k2=(0.0, 2.0), bounds=("inside the hull",),
     )  # fmt: skip
-    write_run(
-        run, config=Config(), tracks=undetermined.tracks, estimate=undetermined.estimate,
-        surface=undetermined.surface, timing_s={}, intervals=intervals,
-    )  # fmt: skip
+    run = stored(tmp_path / "run", undetermined, undetermined.surface, intervals=intervals)
     estimate, _ = final_estimate(run)
     assert estimate.com_range_G is not None
     np.testing.assert_allclose(estimate.com_range_G[0], com_G - 0.05)
@@ -101,7 +81,7 @@ def test_intervals_are_said_and_bound_the_members(
 def test_without_a_mesh_the_rest_is_given_and_the_reason_said(
     example: Example, tmp_path: Path, capsys: Capture
 ) -> None:
-    run, out = written(example, tmp_path / "run", None), tmp_path / "out"
+    run, out = stored(tmp_path / "run", example), tmp_path / "out"
     assert main(["plan", str(run), "-o", str(out), *AHEAD, *DOCK]) == 0
     assert "Left out: keepout:" in capsys.readouterr().out
     found = json.loads((out / "planning.json").read_text())
@@ -120,7 +100,7 @@ def test_observability_reads_the_approach(
     monkeypatch.setattr("polhode.pipeline.after_run.plan_files.plan_pictures", lambda *_: {})
     for name in ("draw_metric", "draw_views", "draw_contributions"):
         monkeypatch.setattr(f"polhode.pipeline.after_run.observability.pictures.{name}", lambda *_: b"png")
-    run, out = written(example, tmp_path / "run", example.surface), tmp_path / "out"
+    run, out = stored(tmp_path / "run", example, example.surface), tmp_path / "out"
     assert main(["plan", str(run), "-o", str(out), *AHEAD]) == 0
     assert "Approach (plan.txt, frame N): from" in capsys.readouterr().out
     poses = read_poses(out / "plan.txt")
@@ -143,7 +123,7 @@ def test_a_docking_point_off_the_target_is_told_of(
 ) -> None:
     # drawing takes most of the time
     monkeypatch.setattr("polhode.pipeline.after_run.plan_files.plan_pictures", lambda *_: {})
-    run = written(example, tmp_path / "run", example.surface if mesh else None)
+    run = stored(tmp_path / "run", example, example.surface if mesh else None)
     dock = ["--dock-point", "0.3", "0", "0", "--dock-axis", "-1", "0", "0"]
     assert main(["plan", str(run), "-o", str(tmp_path / "out"), *AHEAD, *dock]) == 0
     shown = " ".join(capsys.readouterr().out.split())
@@ -152,22 +132,16 @@ def test_a_docking_point_off_the_target_is_told_of(
         assert "--dock-point 0.3 0 0 is 0." in words and "off the target" in words
         # towards the target
         assert ("runs into the target" in words) == mesh
+    inside = ["--dock-point", "0", "0", "0", "--dock-axis", "1", "0", "0"]
+    if mesh:
+        assert main(["plan", str(run), "-o", str(tmp_path / "out"), *AHEAD, *inside]) == 0
+        shown = " ".join(capsys.readouterr().out.split())
+        assert "--dock-point 0 0 0 is inside the body, 0.06 m below its surface" in shown
+        assert "off the target" not in shown
     # far in any unit: refused, and before any work
     dock[1] = "100"
     assert main(["plan", str(run), "-o", str(tmp_path / "none"), *AHEAD, *dock]) == 2
     assert "give metres in G" in capsys.readouterr().err and not (tmp_path / "none").exists()
-
-
-def test_a_docking_point_inside_the_body_is_called_so(
-    example: Example, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("polhode.pipeline.after_run.plan_files.plan_pictures", lambda *_: {})
-    run = written(example, tmp_path / "run", example.surface)
-    dock = ["--dock-point", "0", "0", "0", "--dock-axis", "1", "0", "0"]
-    assert main(["plan", str(run), "-o", str(tmp_path / "out"), *AHEAD, *dock]) == 0
-    shown = " ".join(capsys.readouterr().out.split())
-    assert "--dock-point 0 0 0 is inside the body, 0.06 m below its surface" in shown
-    assert "off the target" not in shown
 
 
 @pytest.mark.parametrize("half_angle_deg", [5.0, 89.0])
@@ -179,7 +153,7 @@ def test_the_half_angle_decides_when_the_resting_camera_is_in_the_cone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("polhode.pipeline.after_run.plan_files.plan_pictures", lambda *_: {})
-    run, out = written(example, tmp_path / "run", None), tmp_path / "out"
+    run, out = stored(tmp_path / "run", example), tmp_path / "out"
     # towards the camera when half of the horizon has passed
     estimate, _ = final_estimate(run)
     motion = nominal_motion(estimate, np.array([1.0]))
@@ -237,13 +211,8 @@ def test_the_half_angle_decides_when_the_resting_camera_is_in_the_cone(
 def test_wrong_words_are_one_line(
     example: Example, tmp_path: Path, capsys: Capture, words: list[str], named: str
 ) -> None:
-    run = written(example, tmp_path / "run", example.surface)
+    run = stored(tmp_path / "run", example, example.surface)
     assert main(["plan", str(run), "-o", str(tmp_path / "out"), *words]) == 2
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1 and named in captured.err
     assert not (tmp_path / "out").exists()
-
-
-def test_what_is_no_run_is_one_line(tmp_path: Path, capsys: Capture) -> None:
-    assert main(["plan", str(tmp_path / "none"), "-o", str(tmp_path / "out")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1

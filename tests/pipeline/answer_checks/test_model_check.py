@@ -87,7 +87,7 @@ def test_the_right_motion_shows_the_images_and_a_wrong_one_does_not(body: trimes
 
 def test_the_sun_shades_the_model(body: trimesh.Trimesh) -> None:
     filmed = Filmed(body, RIG, poses(8.0), SUN_N)
-    given = (*arguments(filmed, poses(8.0)), body, MeshViewer(body), [2])
+    given = (*arguments(filmed, poses(8.0)), body, [2])
     shaded, bright = (next(compare_frames(*given, sun_N=sun)).rms_grey for sun in (SUN_N, None))
     assert shaded < 2.0 and bright > 10.0
     assert displaced(body, filmed, poses(8.0), SUN_N).value < 0.1

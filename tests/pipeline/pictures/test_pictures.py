@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import logging
-import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,11 +28,9 @@ from polhode.pipeline.pictures.body_views import (
     ALONG_AXES,
     OBLIQUE,
     body_frame,
-    draw_landmarks,
     round_length_mm,
 )
 from polhode.pipeline.pictures.model_comparison import (
-    GROUND,
     MAX_GIF_BYTES,
     SIZE_PX,
     FrameComparison,
@@ -42,13 +39,9 @@ from polhode.pipeline.pictures.model_comparison import (
     draw_frame,
     film,
     fit_brightness,
-    signed_colours,
 )
-from polhode.pipeline.report import write_report
 from polhode.pipeline.report.shape_figures import vertex_rgb
 from polhode.progress import Silent
-from polhode.records import Landmarks
-from tests.pipeline.stored_run import write_run
 
 FRAMES = 5
 EMPTY = trimesh.Trimesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), process=False)
@@ -113,20 +106,9 @@ def make(run: Any, folder: Path, config: Pictures, **changed: Any) -> set[str]:
     return {file.name for file in place.iterdir() if not file.name[0].isdigit()}
 
 
-def first_rows(estimate: Any) -> dict[str, Any]:
-    names = ("timestamps_ns", "r_N", "v_N", "R_NP", "w_P", "covariance", "covariance_of_marks")
-    return {name: getattr(estimate, name)[:FRAMES] for name in names}
-
-
 def comparisons(run: Any) -> list[FrameComparison]:
-    viewer = MeshViewer(run.surface.mesh)
-    frames = list(range(FRAMES))
-    return list(
-        compare_frames(
-            *(run.sequence, run.rectifier, run.tracks, run.estimate),
-            *(run.surface.mesh, viewer, frames),
-        )
-    )
+    given = (run.sequence, run.rectifier, run.tracks, run.estimate, run.surface.mesh)
+    return list(compare_frames(*given, list(range(FRAMES))))
 
 
 def test_the_same_image_leaves_no_difference(run: Any) -> None:
@@ -149,10 +131,10 @@ def test_the_body_casts_its_shadow_on_itself(run: Any) -> None:
     faces = np.vstack([box.faces, plate.faces + len(box.vertices)])
     grey = np.tile(np.array([200, 200, 200, 255], dtype=np.uint8), (len(corners), 1))
     body = trimesh.Trimesh(corners, faces, vertex_colors=grey, process=False)
-    given = (run.sequence, run.rectifier, run.tracks, run.estimate, body, MeshViewer(body), [0])
+    given = (run.sequence, run.rectifier, run.tracks, run.estimate, body, [0])
     # From beside the camera, so that the shadow lies beside the plate.
     sun_N = np.array([-0.5, 0.0, -1.0]) / np.linalg.norm([-0.5, 0.0, -1.0])
-    plain, shaded = (next(compare_frames(*given, sun_N=sun_N, shadows=each)) for each in (None, Caster(body)))
+    plain, shaded = (next(compare_frames(*given, sun_N=sun_N, caster=each)) for each in (None, Caster(body)))
     darker = plain.modelled & (shaded.model < 0.1 * plain.model)
     share = darker.sum() / plain.modelled.sum()
     assert 0.02 < share < 0.3
@@ -194,13 +176,6 @@ def test_gain_and_offset_are_those_of_least_squares_and_the_gain_is_never_negati
     gain, offset = fit_brightness((200.0 - model).astype(np.uint8), model)
     assert gain == 0.0 and offset == pytest.approx(149.5, abs=1.0)
     assert fit_brightness(np.zeros(0, dtype=np.uint8), np.zeros(0)) == (1.0, 0.0)
-
-
-def test_colours_of_the_difference_tell_its_sign() -> None:
-    colours = signed_colours(np.array([-64.0, 0.0, 64.0, 0.0]), np.array([True, True, True, False]))
-    assert colours[0, 2] > colours[0, 0] and colours[2, 0] > colours[2, 2]
-    assert np.ptp(colours[1].astype(int)) < 20
-    assert tuple(colours[3]) == GROUND
 
 
 def test_every_direction_is_a_right_handed_view_from_the_side_that_it_names() -> None:
@@ -292,29 +267,6 @@ def test_a_picture_that_cannot_be_made_costs_only_itself(
     ]
 
 
-def test_the_report_shows_sheets_and_stills_and_loads_nothing(run: Any, tmp_path: Path) -> None:
-    folder = tmp_path / "run"
-    folder.mkdir()
-    write_run(
-        folder,
-        config=Config(),
-        tracks=run.tracks,
-        estimate=replace(run.estimate, **first_rows(run.estimate)),
-        surface=run.surface,
-        timing_s={},
-    )
-    before = (folder / "report.html").stat().st_size
-    make(run, folder, Pictures())
-    write_report(folder)
-    page = (folder / "report.html").read_text()
-    assert "Landmarks from six sides. Principal axes" in page and "Mesh from eight sides." in page
-    assert page.count('<div class="card strips">') == 1 and "pictures/model.mp4" in page
-    assert len(re.findall(r'<img src="data:image/webp;base64,', page)) == 2 + 4 + FRAMES
-    assert len(page) - before < 2_000_000
-    (folder / "pictures" / "mesh.png").write_bytes(b"not a picture")
-    write_report(folder)
-
-
 def test_frames_are_spread_evenly_and_never_too_many() -> None:
     assert chosen_frames(115, 60)[:3] == [0, 2, 4] and chosen_frames(115, 60)[-1] == 114
     assert len(chosen_frames(1000, 60)) == 60
@@ -333,19 +285,6 @@ def test_a_gif_that_grows_too_large_keeps_fewer_frames(
     with Image.open(tmp_path / "a.gif") as gif:
         assert getattr(gif, "n_frames", 1) == 8
         assert gif.info["duration"] == 200
-
-
-def test_landmarks_without_a_sigma_and_far_away_are_told(example: Any) -> None:
-    given = example.estimate.landmarks
-    sigma = given.sigma_m.copy()
-    sigma[:3] = np.inf
-    p_G = given.p_G.copy()
-    p_G[0] *= 1000.0
-    content = draw_landmarks(Landmarks(p_G, sigma, given.observations), body_frame(example.estimate.mass))
-    with Image.open(io.BytesIO(content)) as picture:
-        assert picture.size == (1200, 830)
-    unknown = Landmarks(p_G[:1], np.array([np.inf]), given.observations[:1])
-    assert draw_landmarks(unknown, body_frame(example.estimate.mass)).startswith(b"\x89PNG")
 
 
 def test_masks_that_were_found_are_shown_in_a_picture(run: Any, tmp_path: Path) -> None:

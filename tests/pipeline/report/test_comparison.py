@@ -8,28 +8,14 @@ from typing import Any
 import pytest
 
 from polhode.cli.main import main
-from polhode.config import Config
 from polhode.pipeline.report import finish_run, write_comparison
 from polhode.pipeline.report.comparison import NO_VALUE, side_by_side
 from polhode.pipeline.report.template import inflated
 from polhode.pipeline.run_directory.stored_run import read_stored_run
 from polhode.pipeline.run_directory.summary import build_summary
-from tests.pipeline.stored_run import write_run
+from tests.pipeline.stored_run import stored
 
 Capture = pytest.CaptureFixture[str]
-
-
-def write(folder: Path, run: Any) -> Path:
-    folder.mkdir(parents=True)
-    write_run(
-        folder,
-        config=Config(),
-        tracks=run.tracks,
-        estimate=run.estimate,
-        surface=run.surface,
-        timing_s={"backend": 2.0},
-    )
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +25,12 @@ def runs(example: Any, undetermined: Any, tmp_path_factory: pytest.TempPathFacto
     failed = top / "lost"
     failed.mkdir()
     finish_run(failed, build_summary(None, None, None, {}, failure="no consistent motion"))
-    return [write(top / "tumbler", example), write(top / "spinner", undetermined), failed]
+    timing_s = {"backend": 2.0}
+    good = [
+        stored(top / name, run, run.surface, timing_s=timing_s)
+        for name, run in (("tumbler", example), ("spinner", undetermined))
+    ]
+    return [*good, failed]
 
 
 def figure(page: str, key: str) -> Any:
@@ -73,18 +64,10 @@ def test_a_number_that_a_run_does_not_hold_is_a_dash(runs: list[Path]) -> None:
 
 
 def test_runs_of_the_same_name_are_told_apart(example: Any, tmp_path: Path) -> None:
-    folders = [write(tmp_path / "a" / "run", example), write(tmp_path / "b" / "run", example)]
+    folders = [stored(tmp_path / name / "run", example) for name in "ab"]
     write_comparison(folders, tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
     assert all(f"<th>{folder}</th>" in page for folder in folders)
-
-
-def test_one_run_gives_its_own_report(runs: list[Path], tmp_path: Path) -> None:
-    for name in ("one.html", "again.html"):
-        assert main(["report", str(runs[0]), "-o", str(tmp_path / name)]) == 0
-    page = (tmp_path / "one.html").read_text()
-    assert "<title>tumbler · polhode</title>" in page and figure(page, "polhode")["data"]
-    assert (tmp_path / "again.html").read_text() == page
 
 
 @pytest.mark.parametrize("kind", ["nothing there", "no run", "no runs", "no folder", "a folder", "damaged"])
@@ -112,7 +95,7 @@ def test_a_mistake_is_one_line_and_exit_2(
 def test_evaluation_enters_the_report(
     example: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    folder = write(tmp_path / "run", example)
+    folder = stored(tmp_path / "run", example)
     assert "Against the truth" not in (folder / "report.html").read_text()
 
     def measured(run: Path, data: Path) -> dict[str, Any]:

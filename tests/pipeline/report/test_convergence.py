@@ -7,15 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polhode.config import Config
 from polhode.lie import make_pose
 from polhode.pipeline.report.convergence_figures import convergence_figures
+from polhode.pipeline.report.plot_style import BAND, Figure, on
 from polhode.pipeline.report.tables import run_rows, sigma_rows
-from polhode.pipeline.run_directory.outputs import write_online_estimate
 from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
 from polhode.records import MotionEstimate, OnlineEstimate
-from tests.pipeline.report.test_report import _unpacked
-from tests.pipeline.stored_run import write_run
+from tests.pipeline.stored_run import stored
 
 UNKNOWN_UNTIL = 9
 
@@ -54,9 +52,7 @@ def content(example: Any, tmp_path_factory: pytest.TempPathFactory) -> StoredRun
 
 
 def _content(example: Any, estimate: MotionEstimate, folder: Path) -> StoredRun:
-    folder.mkdir()
-    write_online_estimate(folder, online_of(example.estimate))
-    write_run(folder, config=Config(), tracks=example.tracks, estimate=estimate, surface=None, timing_s={})
+    stored(folder, example, online=online_of(example.estimate), estimate=estimate)
     return read_stored_run(folder, "run")
 
 
@@ -65,49 +61,32 @@ def test_what_was_not_determined_yet_is_a_gap(content: StoredRun) -> None:
     keys = [figure.key for figure in (mass, states, differences)]
     assert keys == ["convergence-mass", "convergence-states", "convergence-differences"]
     curve = next(trace for trace in mass.data if trace.get("name") == "k1")
-    known = np.isfinite(_unpacked(curve["y"]))
+    known = np.isfinite(curve["y"])
     np.testing.assert_array_equal(np.flatnonzero(known), np.arange(UNKNOWN_UNTIL, len(known)))
     assert f"k1 from frame {UNKNOWN_UNTIL + 1} on" in mass.caption
     assert "the centre of mass from frame 1 on" in mass.caption and "the axes never" in mass.caption
 
 
-def test_the_centre_of_mass_is_compared_in_the_final_frame_G(content: StoredRun) -> None:
-    mass, *_ = convergence_figures(content)
-    curves = [
-        trace for trace in mass.data if trace.get("yaxis") == "y3" and trace.get("name") in ("x", "y", "z")
-    ]
-    assert len(curves) == 3
-    for curve in curves:
-        np.testing.assert_allclose(_unpacked(curve["y"]), 0.0, atol=1e-5)
+def test_the_causal_estimate_is_drawn_against_the_smoothed_one(content: StoredRun) -> None:
+    mass, states, differences = convergence_figures(content)
 
+    def curves(figure: Figure, panel: int) -> dict[str, np.ndarray]:
+        """The lines of a panel by name, without bands and final values."""
+        data = [trace for trace in figure.data if trace["yaxis"] == on(panel)["yaxis"]]
+        return {trace["name"]: trace["y"] for trace in data if trace["name"] not in (BAND, "final value")}
 
-def test_the_axes_are_small_turns_from_the_final_ones(content: StoredRun) -> None:
-    mass, *_ = convergence_figures(content)
-    curves = {t["name"]: _unpacked(t["y"]) for t in mass.data if t.get("yaxis") == "y4" and "name" in t}
-    np.testing.assert_allclose(curves["x"], 0.0, atol=1e-5)
-    assert np.isnan(curves["y"]).all()
-    sigma = next(t for t in mass.data if t.get("yaxis") == "y8" and t.get("name") == "x")
-    np.testing.assert_allclose(_unpacked(sigma["y"]), np.rad2deg(1e-3), rtol=1e-5)
-
-
-def test_the_causal_state_is_drawn_against_the_smoothed_one(content: StoredRun) -> None:
-    *_, differences = convergence_figures(content)
-    for panel in ("y", "y2", "y3", "y4"):
-        curves = [
-            t for t in differences.data if t.get("yaxis", "y") == panel and t.get("name") in tuple("xyz")
-        ]
-        assert len(curves) == 3
-        for curve in curves:
-            np.testing.assert_allclose(_unpacked(curve["y"]), 0.0, atol=1e-5)
-
-
-def test_smoothing_is_drawn_beside_the_causal_state(content: StoredRun) -> None:
-    _, states, _ = convergence_figures(content)
-    causal, smooth = (
-        _unpacked(next(t for t in states.data if t.get("name") == name)["y"])
-        for name in ("causal", "smoothed")
-    )
-    np.testing.assert_allclose(causal, 2.0 * smooth, rtol=1e-5)
+    # the centre of mass in the final frame G; the axes as small rotations from the final ones
+    offset, axes = curves(mass, 3), curves(mass, 4)
+    assert set(offset) == set(axes) == {"x", "y", "z"} and np.isnan(axes["y"]).all()
+    for curve in (*offset.values(), axes["x"], axes["z"]):
+        np.testing.assert_allclose(curve, 0.0, atol=1e-5)
+    np.testing.assert_allclose(curves(mass, 8)["x"], np.rad2deg(1e-3), rtol=1e-5)
+    for panel in (1, 2, 3, 4):
+        assert set(curves(differences, panel)) == {"x", "y", "z"}
+        for curve in curves(differences, panel).values():
+            np.testing.assert_allclose(curve, 0.0, atol=1e-5)
+        state = curves(states, panel)
+        np.testing.assert_allclose(state["causal"], 2.0 * state["smoothed"], rtol=1e-5)
 
 
 def test_a_run_without_a_causal_estimate_has_no_such_figures(content: StoredRun) -> None:

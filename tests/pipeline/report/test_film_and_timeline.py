@@ -10,16 +10,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from polhode.config import Config
-from polhode.pipeline.report.film import MAX_BYTES, MAX_FRAMES, film_frames
-from polhode.pipeline.report.page import data_date
-from polhode.pipeline.report.plot_style import panels, stacked
+from polhode.pipeline.report.page import camera_views, timeline
+from polhode.pipeline.report.page_pictures import film_frames
+from polhode.pipeline.report.plot_style import panels, stack_panels
 from polhode.pipeline.report.template import css_text, deflated, inflated
-from polhode.pipeline.report.terms import TERMS, explained
-from polhode.pipeline.report.timeline import camera_views, timeline
+from polhode.pipeline.report.terms import TERMS, find_terms
 from polhode.pipeline.run_directory.film import StoredFilm, read_film
 from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
-from tests.pipeline.stored_run import write_run
+from tests.pipeline.stored_run import stored
 
 
 def gif(count: int) -> bytes:
@@ -42,17 +40,6 @@ def test_frames_of_the_film_are_those_of_the_table(caplog: pytest.LogCaptureFixt
     assert film_frames(StoredFilm(b"GIF89a, cut off", (1, 2))) == [] and film_frames(None) == []
 
 
-def test_a_long_film_is_thinned() -> None:
-    content = io.BytesIO()
-    pictures = [Image.new("P", (732, 303), k) for k in range(2 * MAX_FRAMES)]
-    for k, each in enumerate(pictures):
-        each.putpixel((k, 50), 255)
-    pictures[0].save(content, "GIF", save_all=True, append_images=pictures[1:])
-    frames = film_frames(StoredFilm(content.getvalue(), tuple(range(2 * MAX_FRAMES))))
-    assert len(frames) == MAX_FRAMES and (frames[0].frame, frames[-1].frame) == (0, 2 * MAX_FRAMES - 1)
-    assert sum(len(each.uri) for each in frames) < 1.4 * MAX_BYTES
-
-
 def test_a_damaged_film_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     assert read_film(tmp_path) is None and caplog.text == ""
     (tmp_path / "model.gif").write_bytes(gif(1))
@@ -65,11 +52,7 @@ def test_a_damaged_film_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFix
 
 @pytest.fixture(scope="module")
 def content(example: Any, tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
-    folder = tmp_path_factory.mktemp("timeline") / "run"
-    folder.mkdir()
-    write_run(
-        folder, config=Config(), tracks=example.tracks, estimate=example.estimate, surface=None, timing_s={}
-    )
+    folder = stored(tmp_path_factory.mktemp("timeline") / "run", example)
     return read_stored_run(folder, "run")
 
 
@@ -94,26 +77,22 @@ def test_each_stop_shows_the_nearest_picture(content: StoredRun) -> None:
     assert "picture" not in (timeline(content, []) or {"picture": 0})
 
 
-def test_timestamps_from_zero_are_no_date(content: StoredRun) -> None:
-    assert data_date(content) == ""
-
-
 def test_terms_are_explained_where_they_occur_and_only_there() -> None:
-    names = [each.name for each in explained("mesh: chamfer [mm] | RMSE position | k1 = ln(Jxx / Jyy)")]
+    names = [each.name for each in find_terms("mesh: chamfer [mm] | RMSE position | k1 = ln(Jxx / Jyy)")]
     assert names == ["k1", "Jxx, Jyy, Jzz", "RMSE", "chamfer"]
-    assert [each.name for each in explained("position in N | velocity in N")] == ["N"]
-    assert explained("known force [N m], frames, landmarks; GPS, PNG") == []
+    assert [each.name for each in find_terms("position in N | velocity in N")] == ["N"]
+    assert find_terms("known force [N m], frames, landmarks; GPS, PNG") == []
     assert len({each.name for each in TERMS}) == len(TERMS)
 
 
 def test_panels_stand_one_below_the_other_on_a_phone() -> None:
     wide = panels([("a", "b"), ("c", "d")], "time", ("left", "right"))
-    narrow = stacked(wide)
+    narrow = stack_panels(wide)
     tops = [narrow[name]["domain"][1] for name in ("yaxis", "yaxis3", "yaxis2", "yaxis4")]
     assert tops == sorted(tops, reverse=True), "column by column"
     assert all(narrow[name]["domain"] == [0, 1] for name in ("xaxis", "xaxis2", "xaxis3", "xaxis4"))
     assert [each["y"] for each in narrow["annotations"]] == pytest.approx([tops[0], tops[2]])
-    assert stacked(panels([("a",), ("b",)], "time")) == {}
+    assert stack_panels(panels([("a",), ("b",)], "time")) == {}
 
 
 def test_texts_survive_the_page() -> None:

@@ -58,12 +58,6 @@ def test_what_is_known_in_kilograms_and_what_is_assumed_stand_apart(example: Any
     assert not (tmp_path / "pushes.csv").exists()
 
 
-def test_a_run_without_them_speaks_of_none(example: Any, tmp_path: Path) -> None:
-    finish_run(tmp_path, build_summary(example.tracks, example.estimate, example.surface, {}))
-    page = (tmp_path / "report.html").read_text()
-    assert "In kilograms" not in page and "Unknown forces and torques" not in page and "Assumed" not in page
-
-
 def test_the_moments_have_the_sigmas_of_the_ratios(example: Any) -> None:
     summary = build_summary(example.tracks, example.estimate, example.surface, {})
     assert summary.inertia is not None

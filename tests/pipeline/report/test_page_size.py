@@ -11,29 +11,25 @@ import pytest
 import trimesh
 from PIL import Image
 
-from polhode.config import Config
-from polhode.pipeline.report.embedded_pictures import embedded
-from polhode.pipeline.report.film import film_frames
 from polhode.pipeline.report.page import render
+from polhode.pipeline.report.page_pictures import MAX_FILM_FRAMES, embed_pictures, film_frames
 from polhode.pipeline.report.page_size import (
-    CLOUD,
-    FEWER,
+    CLOUD_FACTOR,
     FIGURE_BYTES,
     PAGE_BYTES,
+    THINNED_NOTE,
     extremes,
     figures_within,
-    unpacked,
     with_fewer_points,
 )
-from polhode.pipeline.report.plot_style import Figure, band, layout, line, packed, points3d
+from polhode.pipeline.report.plot_style import Figure, band, layout, line, points3d
 from polhode.pipeline.report.template import figure_text
 from polhode.pipeline.run_directory.film import StoredFilm
-from polhode.pipeline.run_directory.outputs import write_online_estimate
 from polhode.pipeline.run_directory.stored_run import StoredPicture, StoredRun, read_stored_run
 from polhode.records import SurfaceModel
 from tests.pipeline.report.test_convergence import online_of
 from tests.pipeline.report.test_film_and_timeline import gif
-from tests.pipeline.stored_run import write_run
+from tests.pipeline.stored_run import stored
 
 FRAMES = 2000
 
@@ -65,16 +61,11 @@ def _tiled(record: Any, count: int, frames: int) -> Any:
 @pytest.fixture(scope="module")
 def long_run(example: Any, tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
     """A run of ``FRAMES`` frames with a dense mesh, a film and pictures, all of noise."""
-    folder = tmp_path_factory.mktemp("long") / "run"
-    folder.mkdir()
     sphere = trimesh.creation.icosphere(subdivisions=5, radius=0.1)
     sphere.vertices *= np.random.default_rng(1).uniform(0.95, 1.05, (len(sphere.vertices), 1))
     count = len(sphere.vertices)
-    write_online_estimate(folder, online_of(example.estimate))
-    write_run(
-        folder, config=Config(), tracks=example.tracks, estimate=example.estimate, timing_s={},
-        surface=SurfaceModel(sphere, np.full(count, 1e-3), np.ones(count, dtype=np.int64)),
-    )  # fmt: skip
+    surface = SurfaceModel(sphere, np.full(count, 1e-3), np.ones(count, dtype=np.int64))
+    folder = stored(tmp_path_factory.mktemp("long") / "run", example, surface, online_of(example.estimate))
     run = read_stored_run(folder, "long")
     assert run.motion is not None and run.tracks is not None and run.residuals is not None
     assert run.online is not None and run.landmarks is not None
@@ -111,7 +102,7 @@ def long_run(example: Any, tmp_path_factory: pytest.TempPathFactory) -> StoredRu
 def test_a_run_of_thousands_of_frames_stays_within_the_size(long_run: StoredRun) -> None:
     page = render(long_run)
     assert 0.9 * PAGE_BYTES < len(page.encode()) <= PAGE_BYTES
-    assert FEWER.strip() in page
+    assert THINNED_NOTE.strip() in page
     assert page.count("data:image/webp") > 8 and "Model beside the images" in page
 
 
@@ -124,18 +115,18 @@ def test_long_words_take_the_place_of_pictures(long_run: StoredRun) -> None:
 
 
 def test_pictures_become_smaller_and_then_fewer(long_run: StoredRun) -> None:
-    sizes = [len(embedded(long_run.pictures, most)) for most in (10**9, 150_000, 20_000, 0)]
+    sizes = [len(embed_pictures(long_run.pictures, most)) for most in (10**9, 150_000, 20_000, 0)]
     assert sizes[0] == len(long_run.pictures) and sizes[1] > sizes[2] > sizes[3] == 0
     for most in (150_000, 20_000):
-        assert sum(len(each.uri) for each in embedded(long_run.pictures, most)) <= most
-
-
-def test_a_film_becomes_smaller_and_then_shorter(long_run: StoredRun) -> None:
+        assert sum(len(each.uri) for each in embed_pictures(long_run.pictures, most)) <= most
     film = long_run.film
     frames = film_frames(film, 300_000)
-    assert 0 < len(frames) < len(film_frames(film, 10**9)) == 6
+    assert 0 < len(frames) < len(film_frames(film, 10**9)) == 6 and film_frames(film, 0) == []
     assert frames[0].frame == 0 and sum(len(each.uri) for each in frames) <= 300_000
-    assert film_frames(film, 0) == []
+    assert film is not None
+    long = StoredFilm(gif(2 * MAX_FILM_FRAMES), tuple(range(2 * MAX_FILM_FRAMES)))
+    chosen = [each.frame for each in film_frames(long, 10**9)]
+    assert len(chosen) == MAX_FILM_FRAMES and (chosen[0], chosen[-1]) == (0, 2 * MAX_FILM_FRAMES - 1)
 
 
 def test_a_curve_keeps_its_ends_its_peaks_and_its_gaps() -> None:
@@ -154,24 +145,17 @@ def test_a_band_keeps_its_shape_and_a_cloud_its_colours() -> None:
     x = np.arange(3000.0)
     half = 1.0 + 0.1 * np.sin(x)
     half[500] = 30.0
-    cloud = points3d(np.stack([x, x, x], axis=1), "cloud", marker={"color": packed(x), "size": 2})
+    cloud = points3d(np.stack([x, x, x], axis=1), "cloud", marker={"color": x, "size": 2})
     figure = Figure(
         "key", "", "", [*band(x, 0.0 * x, half, "#112233"), line(x, x, "line", "#112233"), cloud], layout()
     )
     outline, curve, points = with_fewer_points(figure, 100).data
-    edge_x, edge_y = unpacked(outline["x"]), unpacked(outline["y"])
+    edge_x, edge_y = outline["x"], outline["y"]
     assert len(edge_x) <= 200 and edge_x[0] == edge_x[-1] == 0.0 and edge_x.max() == 2999.0
     assert {30.0, -30.0} <= set(edge_y.tolist())
-    assert len(unpacked(curve["y"])) <= 100
-    assert len(unpacked(points["x"])) == 100 * CLOUD
-    np.testing.assert_array_equal(unpacked(points["marker"]["color"]), unpacked(points["x"]))
-
-
-def test_few_points_stay_as_they_are() -> None:
-    x = np.arange(60.0)
-    figure = Figure("key", "", "caption", [line(x, x, "line", "#112233")], layout())
-    assert figures_within([figure], figure_text) == [figure]
-    assert with_fewer_points(figure, 70) is figure
+    assert len(curve["y"]) <= 100
+    assert len(points["x"]) == 100 * CLOUD_FACTOR
+    np.testing.assert_array_equal(points["marker"]["color"], points["x"])
 
 
 def test_figures_of_a_long_run_are_within_their_size(tmp_path: Path) -> None:
@@ -181,8 +165,9 @@ def test_figures_of_a_long_run_are_within_their_size(tmp_path: Path) -> None:
         Figure(str(k), "", "", [line(x, random.standard_normal(len(x)), "line", "#112233")], layout())
         for k in range(12)
     ]
+    assert figures_within(figures[:1], figure_text) == figures[:1], "few points stay as they are"
     thinned = figures_within(figures, figure_text)
     assert sum(len(figure_text(each)) for each in thinned) <= FIGURE_BYTES
     for before, after in zip(figures, thinned, strict=True):
         for extreme in (np.max, np.min):
-            assert extreme(unpacked(after.data[0]["y"])) == extreme(unpacked(before.data[0]["y"]))
+            assert extreme(after.data[0]["y"]) == extreme(before.data[0]["y"])

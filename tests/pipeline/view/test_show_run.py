@@ -24,7 +24,7 @@ from polhode.progress import Silent
 from polhode.records import OnlineEstimate
 from tests.conftest import MakeOnce
 from tests.pipeline.conftest import N_FRAMES, RIG, Example, write_example
-from tests.pipeline.view.read_recording import rows_of, values_of
+from tests.pipeline.view.read_recording import values_of
 
 FLOAT = 1e-6
 """Relative error of single precision, in which Rerun holds what is drawn"""
@@ -163,11 +163,6 @@ def test_a_vertex_is_seen_from_the_side_of_the_camera_alone(example: Example) ->
     away = np.tile(inverse_pose(X_RG[0]), (3, 1, 1))
     assert (first_seen(ball, away, RIG) == 3).all()
     assert [(k, len(faces)) for k, faces in growth(ball, away, RIG)] == [(0, 0), (2, len(ball.faces))]
-
-
-def test_the_same_run_gives_the_same_data(run: Path, recording: Path, tmp_path: Path) -> None:
-    first, second = rows_of(recording), rows_of(recorded(run, tmp_path / "again.rrd"))
-    assert repr(first) == repr(second)
 
 
 def test_images_come_from_the_sequence_of_the_run_alone(

@@ -10,7 +10,6 @@ from polhode.planning.approach.corridor import corridor
 from polhode.planning.approach.surface_speed import (
     slowest_points,
     surface_speed,
-    velocity,
     velocity_covariance,
 )
 from polhode.planning.prediction import nominal_motion, predict, propagate_members
@@ -82,9 +81,6 @@ def test_speeds_of_a_pure_spin_grow_with_the_distance_from_the_axis() -> None:
     np.testing.assert_allclose(found.normal_m_s, [0.0, SPIN * 0.1, -SPIN * 0.2], atol=1e-9)
     assert slowest_points(found.now_m_s, p, 0.05, 2) == [0, 1]
     assert slowest_points(found.now_m_s, p, 0.32, 3) == [0, 2]
-    # an inspector that moves along with a point sees it at rest
-    own = velocity(motion, 0, p[1:2])[0]
-    assert surface_speed(motion, p, normal, target.last.covariance, own).now_m_s[1] == pytest.approx(0.0)
 
 
 def test_the_sigma_of_a_speed_is_what_draws_scatter() -> None:
