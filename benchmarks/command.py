@@ -63,3 +63,16 @@ def simulated(config: Path, folder: Path) -> Path:
         folder.parent.mkdir(parents=True, exist_ok=True)
         polhode("simulate", config, "-o", folder)
     return folder
+
+
+def evaluated_run(config: Path) -> Path:
+    """The run of a scene with the default configuration, with its errors; made unless it is in runs/.
+
+    A run that fails says so in its summary.json and has no metrics.json.
+    """
+    sequence, run = simulated(config, ROOT / "data" / config.stem), ROOT / "runs" / config.stem
+    if not (run / "summary.json").is_file():
+        polhode("run", DEFAULT, "--data", sequence, "-o", run, "--overwrite", may_fail=True)
+    if (run / "trajectory.csv").is_file() and not (run / "metrics.json").is_file():
+        polhode("evaluate", run, sequence)
+    return run

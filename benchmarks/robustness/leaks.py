@@ -30,8 +30,7 @@ from tyro.conf import Positional, arg
 
 from benchmarks.command import ROOT, Short, command
 from benchmarks.presentation import print_table
-from benchmarks.record import Case, provenance, state
-from benchmarks.registry import code_of
+from benchmarks.record import Case, provenance
 from polhode.errors import RunFailure
 from polhode.lie import Array
 
@@ -133,7 +132,7 @@ def sample(work: Iterator[Callable[[], None]], runs: int, path: Path) -> list[Ca
                 lines.append({"runs": done, "failed": failed, "seconds": round(time.perf_counter() - start)})
                 lines[-1] |= resources()
                 if done == 0:
-                    lines[-1]["made"] = provenance(code_of(__spec__.name if __spec__ else __name__))
+                    lines[-1]["made"] = provenance()
                 stream.write(json.dumps(lines[-1]) + "\n")
                 stream.flush()
             if done < runs:
@@ -203,9 +202,9 @@ def verdict(lines: list[Case]) -> str:
     rate, sigma = (1024.0 * value for value in slope(lines, "memory_mb"))
     objects, spread = slope(lines, "objects")
     growth = grows(lines)
-    made = state(lines[0].get("made"), code_of("benchmarks.robustness.leaks"))
+    made = lines[0].get("made", {}).get("commit", "an unknown commit")[:9]
     return (
-        f"{lines[-1]['runs']} runs, {lines[-1]['failed']} of them failed estimates ({made}). Memory: "
+        f"{lines[-1]['runs']} runs, {lines[-1]['failed']} of them failed estimates (made at {made}). Memory: "
         f"{rate:+.3f} +- {sigma:.3f} kB a run after the warm-up; objects: {objects:+.4f} +- {spread:.4f} a "
         f"run. {'It grows: ' + ', '.join(growth) if growth else 'No growth'}."
     )

@@ -1,11 +1,5 @@
-"""Solvers of the back end: time, growth, agreement.
+"""Observability, and the pose graph beside another program; ``polhode compare`` compares the optimizers.
 
-In: generated measurements or stored runs. Out: tables and figures.
-
-    backend_size     time of each part of the back end, and how it grows
-    compare          tables of ``polhode compare``
-    runs_by_solver   both solvers on stored runs
-    conditioning     condition numbers of the process covariance
-    lie_rank         rank test of observability
-    pose_graph       the pose graph of the cold start against GTSAM
+lie_rank     rank test of observability by Lie derivatives
+pose_graph   the pose graph of the cold start against GTSAM
 """

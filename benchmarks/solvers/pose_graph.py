@@ -89,7 +89,7 @@ def _spanning_tree_poses(links: RelativePoses, n_frames: int) -> Array:
     return X
 
 
-def _gtsam(sequence: SyntheticSequence, graduated: bool) -> Array:
+def _gtsam(sequence: SyntheticSequence) -> Array:
     """X_RG from GTSAM; its nodes are X_GR, so that X_RiRj is the difference of two nodes."""
     import gtsam
 
@@ -99,9 +99,6 @@ def _gtsam(sequence: SyntheticSequence, graduated: bool) -> Array:
     distance_m = float(np.median(np.linalg.norm(links.X_RiRj[:, :3, 3], axis=1)))
     sigmas = np.array([REJECT_RAD] * 3 + [REJECT_SHIFT * distance_m] * 3) / 3.0
     noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-    if not graduated:
-        kernel = gtsam.noiseModel.mEstimator.GemanMcClure.Create(1.0)
-        noise = gtsam.noiseModel.Robust.Create(kernel, noise)
     graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for i, j, X_ij in zip(links.i, links.j, links.X_RiRj, strict=True):
         graph.add(gtsam.BetweenFactorPose3(int(i), int(j), gtsam.Pose3(X_ij), noise))
@@ -110,20 +107,13 @@ def _gtsam(sequence: SyntheticSequence, graduated: bool) -> Array:
         start.insert(frame, gtsam.Pose3(X))
     first = gtsam.noiseModel.Isotropic.Sigma(6, 1e-6)
     graph.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(X_GR[0]), first))
-    if graduated:
-        parameters = gtsam.GncLMParams()
-        parameters.setKnownInliers([graph.size() - 1])
-        result = gtsam.GncLMOptimizer(graph, start, parameters).optimize()
-    else:
-        result = gtsam.LevenbergMarquardtOptimizer(graph, start).optimize()
+    parameters = gtsam.GncLMParams()
+    parameters.setKnownInliers([graph.size() - 1])
+    result = gtsam.GncLMOptimizer(graph, start, parameters).optimize()
     return np.asarray(inverse_pose(np.array([result.atPose3(k).matrix() for k in range(n_frames)])))
 
 
-METHODS: dict[str, Callable[[SyntheticSequence], Array]] = {
-    "ours": _ours,
-    "GTSAM, Geman-McClure": lambda sequence: _gtsam(sequence, graduated=False),
-    "GTSAM, graduated non-convexity": lambda sequence: _gtsam(sequence, graduated=True),
-}
+METHODS = {"ours": _ours, "GTSAM, graduated non-convexity": _gtsam}
 
 
 if __name__ == "__main__":
