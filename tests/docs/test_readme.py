@@ -109,8 +109,7 @@ def test_commands_in_the_text_exist() -> None:
 
 def test_the_table_beside_the_thesis_is_that_of_the_record() -> None:
     (line,) = lines_of(thesis.RECORD)
-    rows = [thesis.row_of(quantity, line) for quantity in thesis.QUANTITIES]
-    assert markdown_table(thesis.HEAD, rows) in README
+    assert markdown_table(thesis.HEAD, thesis.table_rows(line)) in README
 
 
 def test_the_table_beside_other_programs_is_that_of_the_record() -> None:
