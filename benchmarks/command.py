@@ -76,3 +76,11 @@ def evaluated_run(config: Path) -> Path:
     if (run / "trajectory.csv").is_file() and not (run / "metrics.json").is_file():
         polhode("evaluate", run, sequence)
     return run
+
+
+def beginning_of_sample() -> Path:
+    """The first seconds of the sample as a sequence, for short forms; made once."""
+    folder = ROOT / "runs/short/beginning"
+    if not (folder / "mav0").is_dir():
+        polhode("import", "sample", "-o", folder, "--end", 4.0, "--overwrite")
+    return folder

@@ -65,27 +65,21 @@ _VISP = ("/usr/include/visp3",)
 
 
 def _of_runs(
-    name: str, module: str, page: str, minutes: float, scenes: tuple[str, ...], form: str, also: str = ""
+    name: str, module: str, page: str, minutes: float, scenes: tuple[str, ...], form: str, more: str = ""
 ) -> Benchmark:
     """A benchmark of runs/SCENE and data/SCENE, which benchmarks.end_to_end.scenes makes.
 
-    ``form``: arguments with RUNS, SEQUENCES and PAIRS (RUN:SEQUENCE) for them; the
-    short form takes the sample.
+    ``form``: arguments with {runs}, {sequences} and {pairs} (RUN:SEQUENCE) for them; the short form takes the
+    sample, and ``more`` besides.
     """
 
-    def filled(pairs: list[tuple[str, str]]) -> str:
-        words = {
-            "RUNS": " ".join(run for run, _ in pairs),
-            "SEQUENCES": " ".join(sequence for _, sequence in pairs),
-            "PAIRS": " ".join(f"{run}:{sequence}" for run, sequence in pairs),
-        }
-        return " ".join(words.get(word, word) for word in form.split())
+    def filled(runs: list[str], sequences: list[str]) -> str:
+        pairs = " ".join(map(":".join, zip(runs, sequences, strict=True)))
+        return form.format(runs=" ".join(runs), sequences=" ".join(sequences), pairs=pairs)
 
-    pairs = [(f"runs/{each}", f"data/{each}") for each in scenes]
-    needs = tuple(each for pair in pairs for each in pair)
-    return Benchmark(
-        name, module, page, minutes, filled(pairs), filled([(SAMPLE_RUN, "sample")]), needs, also
-    )
+    runs, sequences = ([f"{folder}/{each}" for each in scenes] for folder in ("runs", "data"))
+    short = f"{filled([SAMPLE_RUN], ['sample'])} {more}"
+    return Benchmark(name, module, page, minutes, filled(runs, sequences), short, (*runs, *sequences))
 
 
 BENCHMARKS = (
@@ -103,20 +97,18 @@ BENCHMARKS = (
               f"{SAMPLE_RUN} --section checks -o runs/short/report_panel.png",
               ("runs/sample", "/usr/bin/chromium", "playwright")),
     _of_runs("prediction_error", "end_to_end.prediction_error", "docs/prediction.md", 1, ("ts38",),
-             "RUNS SEQUENCES -o runs/prediction.png"),
+             "{runs} {sequences} -o runs/prediction.png"),
     Benchmark("temple", "end_to_end.photographs", "docs/photographs.md", 15,
               "data/temple --run runs/temple -o runs/temple.png",
               f"sample --run {SAMPLE_RUN} --box None -o runs/short/temple.png", ("data/temple",)),
     Benchmark("random_rigs", "calibration.random_rigs", "docs/calibrate.md", 30,
               short="--short --record runs/short/records/random_rigs"),
-    Benchmark("real_pairs", "calibration.real_pairs", "docs/calibrate.md", 2, "data/chessboard_pairs", None,
-              ("data/chessboard_pairs",)),
-    _of_runs("run_cost", "checkout.run_cost", "docs/checkout.md", 1, _WITH_TRUTH, "PAIRS"),
+    _of_runs("run_cost", "checkout.run_cost", "docs/checkout.md", 1, _WITH_TRUTH, "{pairs}"),
     _of_runs("keepout", "planning.keepout", "docs/planning.md", 60, ("ts38", "asteroid", "pure_spin"),
-             "RUNS --horizon 60"),
+             "{runs} --horizon 60", "--horizon 5 --draws 20"),
     _of_runs("keepout_truth", "planning.keepout", "docs/planning.md", 20, ("ts38", "asteroid", "pure_spin"),
-             "RUNS --truth --data SEQUENCES --horizon 60"),
-    Benchmark("live", "live", "docs/live.md", 40, short="--short --record runs/short/records/live"),
+             "{runs} --truth --data {sequences} --horizon 60", "--horizon 5"),
+    Benchmark("live", "live.latency", "docs/live.md", 40, short="--short --record runs/short/records/live"),
     Benchmark("long", "live.long", "docs/long.md", 25, short="--short --record runs/short/records/long"),
     Benchmark("stages", "live.stages", "docs/speed.md", 3),
     Benchmark("matching", "frontend.matching", "docs/frontend.md", 120,
@@ -124,12 +116,11 @@ BENCHMARKS = (
     Benchmark("disparity", "frontend.disparity", "docs/mapping.md", 60),
     Benchmark("masks", "frontend.masks", "docs/masks.md", 3),
     _of_runs("mesh_quality", "mapping.mesh_quality", "docs/mapping.md", 20,
-             ("ts38", "asteroid", "major_axis", "specular_mli"), "SEQUENCES --runs RUNS"),
-    _of_runs("lengths", "mapping.lengths", "docs/mapping.md", 1, ("ts38",), "RUNS SEQUENCES"),
+             ("ts38", "asteroid", "major_axis", "specular_mli"), "{sequences} --runs {runs}"),
+    _of_runs("lengths", "mapping.lengths", "docs/mapping.md", 1, ("ts38",), "{runs} {sequences}"),
     _of_runs("fusion_peers", "mapping.fusion_peers", "docs/mapping.md", 40,
-             ("ts38", "asteroid", "major_axis", "specular_mli"), "SEQUENCES"),
+             ("ts38", "asteroid", "major_axis", "specular_mli"), "{sequences}"),
     Benchmark("lie_rank", "solvers.lie_rank", "docs/backend.md", 1, short=""),
-    Benchmark("pose_graph", "solvers.pose_graph", "docs/architecture.md", 2, needs=("gtsam",)),
     Benchmark("against_mitsuba", "rendering.against_mitsuba", "docs/simulation.md", 20, "-o runs/mitsuba.png",
               "--width 64 --samples 64", ("mitsuba",)),
     Benchmark("rounding", "monte_carlo.rounding", "", 20),
@@ -146,7 +137,7 @@ BENCHMARKS = (
     Benchmark("accuracy", "monte_carlo.accuracy", "docs/accuracy.md", 120, "--motions 6"),
     Benchmark("observability_speed", "edges.observability_speed", "docs/observability.md", 5),
     _of_runs("observability_of_run", "edges.observability_of_run", "docs/observability.md", 5, _WITH_TRUTH,
-             "PAIRS"),
+             "{pairs}"),
     Benchmark("planar", "edges.planar", "docs/observability_planar.md", 1, "-o runs/observability_planar.png",
               "-o runs/observability_planar.png"),
     Benchmark("edge_selection", "edges.selection", "docs/observability_planning.md", 10,

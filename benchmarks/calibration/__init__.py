@@ -1,1 +1,1 @@
-"""Calibration of stereo rigs: random_rigs from rendered images, real_pairs from real ones beside OpenCV."""
+"""Calibration of stereo rigs from rendered images: random_rigs."""

@@ -1,6 +1,6 @@
 """Masks found before Earth and wall, against the truth, on scenes whose background is not dark.
 
-    python -m benchmarks.frontend.masks [CONFIG ...] [--pairs N] [--short] [-o PNG]
+    python -m benchmarks.frontend.masks [CONFIG ...] [--pairs N] [--short] [-o JPG]
 
 The first pairs of each scene are rendered; masks are found from the images as ``polhode run`` finds them,
 and compared with the share of each pixel that the target covers. Columns: where the background was found;
@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from tyro.conf import Positional, arg
 
-from benchmarks.command import ROOT, Png, Short, command, polhode
+from benchmarks.command import ROOT, Short, command, polhode
 from benchmarks.presentation import print_table
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.dataset_writer import image_path
@@ -44,7 +44,7 @@ def main(
     configs: Positional[Annotated[tuple[Path, ...], arg(help="Configurations of scenes.")]] = (),
     pairs: Annotated[int, arg(help="Successive pairs of each scene.")] = 48,
     short: Short = False,
-    output: Png = None,
+    output: Annotated[Path | None, arg(aliases=["-o"], metavar="JPG", help="Picture of the masks.")] = None,
 ) -> None:
     """Print the table; draw the masks, a picture for each scene."""
     rows = []
@@ -88,8 +88,7 @@ def measure(folder: Path, picture: Path | None) -> list[str]:
     if picture is not None and found is not None:
         strip = mask_strip(sequence, replace(rectifier, found=found))
         if strip is not None:
-            image = cv2.imdecode(np.frombuffer(strip[0], dtype=np.uint8), cv2.IMREAD_COLOR)
-            cv2.imwrite(str(picture), image)
+            picture.write_bytes(strip[0])
     return [
         folder.name.rpartition("_")[0],
         str(count),

@@ -18,10 +18,8 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from benchmarks.command import DEFAULT, ROOT, Short, command, polhode
+from benchmarks.command import DEFAULT, ROOT, Short, beginning_of_sample, command
 from benchmarks.presentation import print_table
-
-SHORT_END_S = 4.0
 
 
 def main(
@@ -33,8 +31,7 @@ def main(
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         if short:
-            polhode("import", sequence, "-o", folder / "part", "--end", SHORT_END_S)
-            sequence = folder / "part"
+            sequence = beginning_of_sample()
         (folder / "compiled").mkdir(mode=0o700)
         environment = {} if short else {"NUMBA_CACHE_DIR": str(folder / "compiled")}
         for name in ("run",) if short else ("first", "second"):

@@ -127,7 +127,7 @@ def truth_row(run: Path, data: Path, options: KeepOutOptions) -> Iterator[object
         for excess in (truth.swept, truth.instant):
             points = excess.seen if seen else ~excess.seen
             inside, farthest_m = excess.inside(points), excess.farthest_m(points)
-            yield "-" if inside is None else f"{inside:.2%}, {1e3 * farthest_m:.2f} mm"
+            yield "-" if inside is None or farthest_m is None else f"{inside:.2%}, {1e3 * farthest_m:.2f} mm"
     least_m = truth.least_from_mesh_m
     yield "-" if least_m is None else f"at least {1e3 * least_m:.1f} mm"
 

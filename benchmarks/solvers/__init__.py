@@ -1,5 +1,1 @@
-"""Observability, and the pose graph beside another program; ``polhode compare`` compares the optimizers.
-
-lie_rank     rank test of observability by Lie derivatives
-pose_graph   the pose graph of the cold start against GTSAM
-"""
+"""Observability by rank: lie_rank; ``polhode compare`` compares the optimizers."""

@@ -1,9 +1,9 @@
 """Sequences replayed at two frames a second: latency of stages, time to the report, errors live and final.
 
-    python -m benchmarks.live [SEQ ...] [--rate-hz 2] [--short] [--record DIR]
+    python -m benchmarks.live.latency [SEQ ...] [--rate-hz 2] [--short] [--record DIR]
 
 Sequences: those of configs/ts38.yaml and three scenes of configs/scenes, which are simulated if data/ lacks
-them; ``--short``: the shipped sample, fast. Each is replayed by ``polhode run --live``, and solved by
+them; ``--short``: the first seconds of the sample. Each is replayed by ``polhode run --live``, and solved by
 ``polhode run`` for comparison, both with configs/default.yaml. Times are those of the wall clock on this
 machine, with what else it does: the load (processes that want to run, mean of a minute) before each run is
 printed beside them. "Of the processor" is what the main process took.
@@ -22,7 +22,16 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from benchmarks.command import DEFAULT, ROOT, Record, Sequences, Short, command, simulated
+from benchmarks.command import (
+    DEFAULT,
+    ROOT,
+    Record,
+    Sequences,
+    Short,
+    beginning_of_sample,
+    command,
+    simulated,
+)
 from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
 from polhode.config.loader import load_config
@@ -48,7 +57,6 @@ ERRORS = (
     "sequence | estimate | position [mm] | velocity [mm/s] | w [deg/s] | r / sigma | same bytes as the batch"
 )
 NEES_HEAD = "sequence | live states: NEES r | v | attitude | w | band of each"
-SHORT_RATE_HZ = 10.0
 
 
 def main(
@@ -58,11 +66,10 @@ def main(
     record: Record = ROOT / "runs/records/live",
 ) -> None:
     """Measure what the record lacks, print the tables."""
-    chosen = [ROOT / "sample"] if short else list(sequences)
+    chosen = [beginning_of_sample()] if short else list(sequences)
     for scene in () if chosen else SCENES:
         config = ROOT / "configs" / f"{scene}.yaml"
         chosen.append(simulated(config, ROOT / "data" / config.stem))
-    rate_hz = SHORT_RATE_HZ if short else rate_hz
     cases: list[Case] = [{"sequence": str(folder), "rate_hz": rate_hz} for folder in chosen]
     # one after the other: they are timed
     lines = complete(record, cases, measure, 1)
