@@ -10,7 +10,7 @@ from benchmarks.registry import BENCHMARKS, Benchmark
 _HEADS = {
     "calibration": "Calibration", "checkout": "Checkout", "edges": "Observability from edges",
     "end_to_end": "From images to the answer", "frontend": "Features, matches, disparity, masks",
-    "importers": "Imports", "intervals": "Intervals", "live": "Live and long sequences",
+    "live": "Live and long sequences",
     "mapping": "Depth and mesh", "monte_carlo": "Monte Carlo: accuracy and consistency",
     "mutation": "The test suite itself", "navigation": "Navigation filter", "planning": "Planning",
     "rendering": "Renderer", "robustness": "Robustness", "solvers": "Solvers", "trust": "Trust",
@@ -26,8 +26,8 @@ def benchmarks_page(root: Path) -> str:
         "day of the last record that the repository keeps of a benchmark (**record**), or, where it keeps "
         "none, the day on which the page that quotes the numbers was last changed (**page**). The tables "
         "themselves stand in the linked pages.\n\n"
-        "`python -m benchmarks NAME` runs one of them, `make bench` all, and `--short` a small version that "
-        "takes seconds to minutes, which shows that the command works and not the same numbers.\n"
+        "`python -m benchmarks NAME` runs one of them, `make bench` all, and `--short` a short form that "
+        "takes seconds, which shows that the command works and not the same numbers.\n"
     )
     for topic in dict.fromkeys(each.topic for each in BENCHMARKS):
         text += f"\n## {_HEADS.get(topic, topic)}\n\n"
