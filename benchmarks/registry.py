@@ -119,7 +119,7 @@ BENCHMARKS = (
              ("ts38", "asteroid", "major_axis", "specular_mli"), "{sequences} --runs {runs}"),
     _of_runs("lengths", "mapping.lengths", "docs/mapping.md", 1, ("ts38",), "{runs} {sequences}"),
     _of_runs("fusion_peers", "mapping.fusion_peers", "docs/mapping.md", 40,
-             ("ts38", "asteroid", "major_axis", "specular_mli"), "{sequences}"),
+             ("ts38", "asteroid", "major_axis", "specular_mli"), "{sequences}", "--frames 6"),
     Benchmark("lie_rank", "solvers.lie_rank", "docs/backend.md", 1, short=""),
     Benchmark("against_mitsuba", "rendering.against_mitsuba", "docs/simulation.md", 20, "-o runs/mitsuba.png",
               "--width 64 --samples 64", ("mitsuba",)),

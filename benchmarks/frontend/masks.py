@@ -49,7 +49,7 @@ def main(
     """Print the table; draw the masks, a picture for each scene."""
     rows = []
     for config in configs or SCENES[: 1 if short else None]:
-        folder = rendered(config, 2 if short else pairs, QUICK if short else ())
+        folder = rendered(config, 3 if short else pairs, QUICK if short else ())
         rows.append(
             measure(folder, None if output is None else output.with_stem(f"{output.stem}_{config.stem}"))
         )

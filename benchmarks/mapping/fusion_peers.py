@@ -16,11 +16,14 @@ frames.
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
 from time import process_time
+from typing import Annotated
 
 import numpy as np
 import trimesh
+from tyro.conf import arg
 
 from benchmarks.command import DEFAULT, Configuration, Sequences, command
 from benchmarks.mapping.mesh_quality import depth_maps, true_poses
@@ -97,15 +100,15 @@ def _open3d(
     return trimesh.Trimesh(vertices.astype(np.float64), faces, process=False), seconds
 
 
-def measure(folder: Path, config: Config) -> Iterator[list[object]]:
-    """One row for each method, of one sequence."""
+def measure(folder: Path, config: Config, count: int | None) -> Iterator[list[object]]:
+    """One row for each method, of the (first) frames of one sequence."""
     sequence, truth = open_sequence(folder), read_truth(folder)
     if truth.mesh is None:
         raise SystemExit(f"{folder}: this sequence has no true surface")
     rectifier, X_NG = make_rectifier(sequence.calibration), true_poses(sequence, truth)
     X_RG = inverse_pose(sequence.X_NC @ rectifier.X_CR) @ X_NG
     maps = depth_maps(sequence, rectifier, X_RG, np.asarray(truth.mesh.vertices), config)
-    frames = list(zip(maps, X_RG, strict=True))
+    frames = list(islice(zip(maps, X_RG, strict=True), count))
     voxel_m = choose_voxel_m([frame for frame, _ in frames[:5]], rectifier.rig, config.mapping)
     mapping = config.mapping.model_copy(update={"voxel_mm": 1e3 * voxel_m, "device": "cpu"})
     points = seen_truth(truth.mesh, X_NG, sequence, 3)
@@ -121,10 +124,14 @@ def measure(folder: Path, config: Config) -> Iterator[list[object]]:
         yield [folder.name, len(frames), f"{1e3 * voxel_m:.2f}", name, *distances, len(mesh.faces), seconds]
 
 
-def main(sequences: Sequences = SEQUENCES, config: Configuration = DEFAULT) -> None:
+def main(
+    sequences: Sequences = SEQUENCES,
+    config: Configuration = DEFAULT,
+    frames: Annotated[int | None, arg(help="So many of the first frames.")] = None,
+) -> None:
     """Measure and print the table."""
     settings = load_config(config)
-    print_table(HEAD, (row for folder in sequences for row in measure(folder, settings)))
+    print_table(HEAD, (row for folder in sequences for row in measure(folder, settings, frames)))
 
 
 if __name__ == "__main__":
