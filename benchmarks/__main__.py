@@ -9,6 +9,7 @@ the sample, which is made once, in runs/short. A benchmark whose requirements ar
 fails does not stop the others, and the exit code is then 1.
 """
 
+import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -66,6 +67,8 @@ def run_short_forms(benchmarks: list[Benchmark]) -> list[str]:
             print(f"skipped          {each.name}: {missing}", flush=True)
         else:
             runnable.append(each)
+    # a record of an earlier short form would leave nothing to do
+    shutil.rmtree(ROOT / "runs/short/records", ignore_errors=True)
     if any(SAMPLE_RUN in (each.short or "") for each in runnable):
         make_sample_run()
     with ThreadPoolExecutor(AT_ONCE) as pool:

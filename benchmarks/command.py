@@ -1,11 +1,10 @@
 """The command line of a benchmark: the parameters of its ``main`` are the options."""
 
-import json
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, arg
@@ -40,13 +39,6 @@ def command(main: Callable[..., None]) -> None:
     name = module.__spec__.name if module.__spec__ is not None else module.__name__
     name = name.removesuffix(".__main__")
     tyro.cli(main, prog=f"python -m {name}", description=module.__doc__, config=(FlagCreatePairsOff,))
-
-
-def in_process(module: str, *arguments: object, environment: dict[str, str] | None = None) -> Any:
-    """Run ``python -m module arguments`` and parse the last line that it prints as JSON."""
-    words = [sys.executable, "-m", module, *map(str, arguments)]
-    done = subprocess.run(words, env=environment, stdout=subprocess.PIPE, text=True, check=True)
-    return json.loads(done.stdout.splitlines()[-1])
 
 
 def polhode(*arguments: object, may_fail: bool = False) -> None:

@@ -83,8 +83,8 @@ def _of_runs(
 
 
 BENCHMARKS = (
-    Benchmark("scenes", "end_to_end.scenes", "docs/scenes.md", 240),
-    Benchmark("thesis", "end_to_end.thesis", "README.md", 3),
+    Benchmark("scenes", "end_to_end.scenes", "docs/scenes.md", 240, short=f"--run {SAMPLE_RUN}"),
+    Benchmark("thesis", "end_to_end.thesis", "README.md", 3, short=f"--run {SAMPLE_RUN} --sequence sample"),
     Benchmark("against_slam", "end_to_end.against_slam", "README.md", 15, "--scenes sample closed_tumble",
               "--short --record runs/short/records/against_slam"),
     Benchmark("footprint", "end_to_end.footprint", "README.md", 2,
@@ -123,7 +123,6 @@ BENCHMARKS = (
     Benchmark("lie_rank", "solvers.lie_rank", "docs/backend.md", 1, short=""),
     Benchmark("against_mitsuba", "rendering.against_mitsuba", "docs/simulation.md", 20, "-o runs/mitsuba.png",
               "--width 64 --samples 64", ("mitsuba",)),
-    Benchmark("rounding", "monte_carlo.rounding", "", 20),
     Benchmark("bound", "monte_carlo.bound", "docs/accuracy.md", 2, short=""),
     Benchmark("same_answer", "monte_carlo.same_answer", "docs/accuracy.md", 10),
     Benchmark("window", "monte_carlo.window", "docs/window.md", 30),

@@ -17,9 +17,8 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from benchmarks.command import ROOT, Short, command, evaluated_run
+from benchmarks.command import ROOT, command, evaluated_run
 from benchmarks.presentation import Row, markdown_table
-from benchmarks.registry import SAMPLE_RUN
 
 ERRORS = (
     "scene | position [mm] | velocity [mm/s] | w [deg/s] | attitude [deg] | error k1 (sigma) | "
@@ -34,14 +33,17 @@ COMPONENTS = {"position": 3, "velocity": 3, "attitude": 3, "angular_velocity": 3
 
 def main(
     configs: Positional[Annotated[tuple[Path, ...], arg(help="Configurations of scenes.")]] = (),
-    short: Short = False,
+    run: Annotated[
+        Path | None, arg(metavar="RUN", help="An evaluated run instead of those of scenes.")
+    ] = None,
     page: Annotated[Path | None, arg(help="Page whose tables are replaced.")] = None,
 ) -> None:
     """Make what is missing, print the tables, put them into the page."""
     scenes = configs or [ROOT / "configs/ts38.yaml", *sorted((ROOT / "configs/scenes").glob("*.yaml"))]
-    runs = {"sample": ROOT / SAMPLE_RUN} if short else {each.stem: evaluated_run(each) for each in scenes}
+    runs = {each.stem: evaluated_run(each) for each in scenes} if run is None else {run.name: run}
     results = {
-        name: (_content(run / "metrics.json"), _content(run / "summary.json")) for name, run in runs.items()
+        name: (_content(each / "metrics.json"), _content(each / "summary.json"))
+        for name, each in runs.items()
     }
     text = "" if page is None else page.read_text(encoding="utf-8")
     for head, row in ((ERRORS, errors_row), (CONSISTENCY, consistency_row)):

@@ -10,15 +10,15 @@ exact calibration; errors are against its truth. runs/ts38 is made unless it is 
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from tyro.conf import arg
 
-from benchmarks.command import RECORDS, ROOT, Record, Short, command, evaluated_run
+from benchmarks.command import RECORDS, ROOT, Record, command, evaluated_run
 from benchmarks.mapping import lengths
 from benchmarks.presentation import Row, print_table
 from benchmarks.record import Case, complete
-from benchmarks.registry import SAMPLE_RUN
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 
 RECORD = RECORDS / "thesis"
@@ -43,10 +43,17 @@ QUANTITIES = (
 and 6.2 give means and standard deviations of the differences; these are the latter."""
 
 
-def main(short: Short = False, record: Record = RECORD) -> None:
+def main(
+    run: Annotated[
+        Path | None, arg(metavar="RUN", help="An evaluated run instead of that of the replica.")
+    ] = None,
+    sequence: Annotated[Path, arg(metavar="SEQ", help="Its sequence, of the same body.")] = ROOT
+    / "data/ts38",
+    record: Record = RECORD,
+) -> None:
     """Run and evaluate unless the record has it, and print the table."""
-    if short:
-        line = figures_of(ROOT / SAMPLE_RUN, ROOT / "sample")
+    if run is not None:
+        line = figures_of(run, sequence)
     else:
         (line,) = complete(record, [{"scene": "ts38"}], measure, 1)
     print_table(HEAD, table_rows(line))
