@@ -21,7 +21,6 @@ from tyro.conf import Positional, arg
 from benchmarks.command import ROOT, Short, command, polhode
 from benchmarks.presentation import print_table
 from polhode.dataset import StereoSequence, open_sequence
-from polhode.dataset_writer import image_path
 from polhode.frontend.background.find_masks import doubtful_frames, find_background, find_masks
 from polhode.frontend.rectification import Rectifier, make_rectifier
 from polhode.frontend.segmentation import target_mask
@@ -103,7 +102,7 @@ def measure(folder: Path, picture: Path | None) -> list[str]:
 
 def true_mask(folder: Path, sequence: StereoSequence, rectifier: Rectifier, k: int, side: int) -> Bools:
     """Rectified, where the target covers at least half of a pixel (H, W)."""
-    path = image_path(folder / f"truth{side}", int(sequence.timestamps_ns[k]))
+    path = folder / f"truth{side}" / f"{sequence.timestamps_ns[k]}.png"
     raw = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if raw is None:
         raise SystemExit(f"{path}: not an image; remove {folder}, and it is simulated again")
