@@ -11,12 +11,13 @@ path of the angular velocity on it. The sequence is read for its images alone.
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from skimage.measure import find_contours
 from tyro.conf import Positional, arg
 
 from benchmarks.command import command
@@ -127,25 +128,45 @@ class PolhodePanel:
         semi = np.sqrt(2.0 * energy / moments)
         u, v = np.mgrid[0.0 : 2.0 * np.pi : 241j, 0.0 : np.pi : 121j]
         unit = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], axis=-1)
-        level = 14.0 * (unit**2 @ moments - moments[1]) / (moments[0] - moments[2])
-        color = np.where(np.abs(level - np.round(level))[..., None] < 0.06, LINE_RGB, BODY_RGB) / 255.0
         self._figure, self._axes = subplots(1, 1, (side / 100, side / 100), subplot_kw={"projection": "3d"})
         self._figure.set(dpi=100, facecolor=np.array(PAPER) / 255.0)
         self._axes.set_axis_off()
         self._axes.set(facecolor=np.array(PAPER) / 255.0, position=[-0.15, -0.15, 1.3, 1.3])
         self._axes.set_box_aspect(semi)
-        self._axes.plot_surface(*np.moveaxis(unit * semi, -1, 0), facecolors=color, rcount=120, ccount=120)
-        self._path = w_P / np.sqrt(np.sum((w_P / semi) ** 2, axis=1, keepdims=True)) * 1.01
-        x, y, z = w_P.mean(axis=0) / np.linalg.norm(w_P.mean(axis=0)) + EYE_TILT_P
+        rgb, surface = np.array(BODY_RGB) / 255.0, np.moveaxis(unit * semi, -1, 0)
+        self._axes.plot_surface(*surface, color=rgb, rcount=120, ccount=120, linewidth=0)
+        self._semi, self._drawn = semi, list[Any]()
+        self._eye_P = w_P.mean(axis=0) / np.linalg.norm(w_P.mean(axis=0)) + EYE_TILT_P
+        x, y, z = self._eye_P
         self._axes.view_init(np.rad2deg(np.arctan2(z, np.hypot(x, y))), np.rad2deg(np.arctan2(y, x)))
+        # lines where h^2 / 2E takes evenly spaced values
+        level = 14.0 * (unit**2 @ moments - moments[1]) / (moments[0] - moments[2])
+        for value in range(int(np.ceil(level.min())), int(level.max()) + 1):
+            for line in find_contours(level, value + 1e-6):
+                around, down = np.pi / 120.0 * line.T
+                ring = np.stack(
+                    [np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)], 1
+                )
+                self._axes.plot(
+                    *self._near_side(ring * semi).T, color=np.array(LINE_RGB) / 255.0, linewidth=0.7
+                )
+        self._path = w_P / np.sqrt(np.sum((w_P / semi) ** 2, axis=1, keepdims=True))
+
+    def _near_side(self, p_P: Array) -> Array:
+        """Points of the surface (n, 3), NaN on the far side."""
+        near = (p_P / self._semi**2) @ self._eye_P > 0.0
+        return np.where(near[:, None], 1.01 * p_P, np.nan)
 
     def at(self, k: int) -> Picture:
         """The panel at frame k: the path is bright up to there."""
-        for line in list(self._axes.lines):
+        for line in self._drawn:
             line.remove()
-        for part, width in ((self._path, 1.0), (self._path[: k + 1], 4.0)):
-            self._axes.plot(*part.T, color=np.array(PATH_RGB) / 255.0, linewidth=width, zorder=10)
-        self._axes.plot(*self._path[k : k + 1].T, "o", color="white", zorder=11)
+        path, axes, color = self._near_side(self._path), self._axes, np.array(PATH_RGB) / 255.0
+        self._drawn = [
+            *axes.plot(*path.T, color=color, linewidth=1.0, zorder=10),
+            *axes.plot(*path[: k + 1].T, color=color, linewidth=4.0, zorder=10),
+            *axes.plot(*path[k : k + 1].T, "o", color="white", zorder=11),
+        ]
         self._figure.canvas.draw()
         return np.asarray(self._figure.canvas.buffer_rgba())[..., :3].copy()
 
