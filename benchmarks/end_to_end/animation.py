@@ -128,7 +128,9 @@ class PolhodePanel:
         semi = np.sqrt(2.0 * energy / moments)
         u, v = np.mgrid[0.0 : 2.0 * np.pi : 241j, 0.0 : np.pi : 121j]
         unit = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], axis=-1)
-        self._figure, self._axes = subplots(1, 1, (side / 100, side / 100), subplot_kw={"projection": "3d"})
+        self._figure, self._axes = subplots(
+            1, 1, (side / 100, side / 100), subplot_kw={"projection": "3d", "computed_zorder": False}
+        )
         self._figure.set(dpi=100, facecolor=np.array(PAPER) / 255.0)
         self._axes.set_axis_off()
         self._axes.set(facecolor=np.array(PAPER) / 255.0, position=[-0.15, -0.15, 1.3, 1.3])
@@ -148,7 +150,7 @@ class PolhodePanel:
                     [np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)], 1
                 )
                 self._axes.plot(
-                    *self._near_side(ring * semi).T, color=np.array(LINE_RGB) / 255.0, linewidth=0.7
+                    *self._near_side(ring * semi).T, color=np.array(LINE_RGB) / 255.0, linewidth=0.7, zorder=5
                 )
         self._path = w_P / np.sqrt(np.sum((w_P / semi) ** 2, axis=1, keepdims=True))
 
