@@ -9,12 +9,12 @@
 # make docs    the documentation as a site, in site/, with its internal links checked; it is read without a network
 # make docs-links    whether the links that leave the site still answer, which needs a network
 # make matchers    weights of feature networks to compare with (docs/frontend.md)
-# make fusion-peers    Open3D and pycolmap, 500 MB, for benchmarks/mapping/fusion_peers.py; without them its rows say so
+# make fusion-peers    Open3D and pycolmap, 500 MB, which two benchmarks compare with; without them their rows are missing
 # make sbom    dist/polhode.cdx.json: the software bill of materials, in CycloneDX's JSON (docs/security.md)
 # make release    sdist, wheel, notes, bill of materials and checksums of the tagged commit, in dist/ (docs/release.md);
 #              make release OPTIONS="--dry-run --offline" tries it without a tag
 # make bench   every benchmark, hours. What was measured before is read from its record, so that it can be
-#              interrupted. make bench SHORT=--short: small versions, minutes. make bench-TOPIC: those of a topic
+#              interrupted. make bench SHORT=--short: a short form of each, minutes. make bench-TOPIC: those of a topic
 #              or of a name; python -m benchmarks --list shows them
 
 PYTHON ?= python3

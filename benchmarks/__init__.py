@@ -4,8 +4,8 @@ In: simulated sequences and runs of them. Out: tables in Markdown, figures, reco
 are not installed with the package. Each folder is a topic. ``python -m benchmarks --list`` shows commands.
 
     registry       every benchmark: its arguments, the page that quotes it, how long it takes
-    __main__       ``python -m benchmarks``: runs them, stores what they print
-    record         long measurements that can be interrupted; which commit made a result, whether it is old
+    __main__       ``python -m benchmarks``: runs them, or the short form of each
+    record         long measurements that can be interrupted; which commit made a result
     command        the command line of a benchmark
     presentation   tables in Markdown, figures
 """

@@ -1,109 +1,104 @@
-"""Run benchmarks by topic or name, keep what they print, and show what is stored.
+"""Run benchmarks by topic or name, or the short form of each of them.
 
-    python -m benchmarks [TOPIC|NAME ...] [--short]     all of them without a name
-    python -m benchmarks [TOPIC|NAME ...] --list        what there is, how long it takes, and what is stored
-    python -m benchmarks [TOPIC|NAME ...] --stored      print the stored results instead of measuring
+    python -m benchmarks [TOPIC|NAME ...]             one after the other, as the pages quote them: hours
+    python -m benchmarks --short [TOPIC|NAME ...]     a short form of each, two at a time: minutes
+    python -m benchmarks --list [TOPIC|NAME ...]      what there is, and how long it takes
 
-What a benchmark prints is stored in runs/benchmarks/NAME.md (NAME-short.md), under a head that names the
-commit and the configuration that made it; an old result is shown as old. A benchmark whose requirements are
-missing is skipped; one that fails does not stop the others.
+The short forms show that the commands work, not the numbers of the pages. Those that need a run take that of
+the sample, which is made once, in runs/short. A benchmark whose requirements are missing is skipped; one that
+fails does not stop the others, and the exit code is then 1.
 """
 
-import json
-import os
+import shutil
 import subprocess
 import sys
-from pathlib import Path
+from concurrent.futures import ThreadPoolExecutor
 from time import perf_counter
 from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from benchmarks.command import ROOT, command
+from benchmarks.command import DEFAULT, ROOT, command, polhode
 from benchmarks.presentation import print_table
-from benchmarks.record import provenance, state
-from benchmarks.registry import Benchmark, chosen, code_of
+from benchmarks.registry import SAMPLE_RUN, Benchmark, chosen
 
-STORE = ROOT / "runs" / "benchmarks"
-MARK = "<!-- made: "
+AT_ONCE = 2
+"""Short forms that run beside each other; each takes one core."""
+TIMEOUT_S = 600
+"""Of a short form, which takes seconds: one that hangs is ended."""
+SHOWN_LINES = 30
+"""Last lines of the output of a short form that failed."""
 
 
 def main(
     names: Positional[Annotated[tuple[str, ...], arg(metavar="TOPIC|NAME")]] = (),
-    short: Annotated[bool, arg(help="The small versions: minutes in all.")] = False,
+    short: Annotated[bool, arg(help="The short form of each.")] = False,
     list_: Annotated[bool, arg(name="list", help="List the benchmarks instead of running them.")] = False,
-    stored: Annotated[bool, arg(help="Print what was stored instead of running them.")] = False,
 ) -> None:
-    """Run, list or print the selected benchmarks."""
+    """Run or list the selected benchmarks."""
     benchmarks = chosen(names)
     if list_:
-        head = "topic | name | what it prints | minutes | page | stored"
-        print_table(
-            head,
-            (
-                (each.topic, each.name, each.prints, f"{each.minutes:g}", each.page, stored_state(each))
-                for each in benchmarks
-            ),
-        )
-    elif stored:
-        for benchmark in benchmarks:
-            print_stored(benchmark, short)
-    else:
-        failed = [each.name for each in benchmarks if not run(each, short)]
-        if failed:
-            sys.exit(f"failed: {', '.join(failed)}")
+        head = "topic | name | what it prints | minutes | page"
+        rows = [(each.topic, each.name, each.prints, f"{each.minutes:g}", each.page) for each in benchmarks]
+        print_table(head, rows)
+        return
+    failed = run_short_forms(benchmarks) if short else [each.name for each in benchmarks if not run(each)]
+    if failed:
+        sys.exit(f"failed: {', '.join(failed)}")
 
 
-def run(benchmark: Benchmark, short: bool) -> bool:
-    """Run one in a process of its own, show and store what it prints; False after a failure."""
-    arguments, missing = benchmark.arguments(short), benchmark.missing(short)
-    if arguments is None:
-        print(f"\n# {benchmark.name}: skipped, it has no small version", flush=True)
-        return True
+def run(benchmark: Benchmark) -> bool:
+    """Run one in a process of its own and show what it prints; False after a failure."""
+    missing = benchmark.missing()
     if missing:
-        print(f"\n# {benchmark.name}: skipped, it needs {missing}", flush=True)
+        print(f"\n# {benchmark.name}: skipped: {missing}", flush=True)
         return True
-    words = ["-m", f"benchmarks.{benchmark.module}", *arguments]
+    words = benchmark.words()
     print(f"\n# {benchmark.name}: python {' '.join(words)}\n", flush=True)
-    start, lines = perf_counter(), []
-    made = provenance(code_of(f"benchmarks.{benchmark.module}"))
-    environment = os.environ | {"PYTHONUNBUFFERED": "1"}
-    with subprocess.Popen(
-        [sys.executable, *words], cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        for line in process.stdout:
-            print(line, end="", flush=True)
-            lines.append(line)
-    if process.returncode != 0:
-        return False
-    head = made | {"command": f"python {' '.join(words)}", "seconds": round(perf_counter() - start)}
-    STORE.mkdir(parents=True, exist_ok=True)
-    file_of(benchmark, short).write_text(f"{MARK}{json.dumps(head)} -->\n\n" + "".join(lines))
-    return True
+    return subprocess.run([sys.executable, *words], cwd=ROOT, check=False).returncode == 0
 
 
-def print_stored(benchmark: Benchmark, short: bool) -> None:
-    """What the benchmark printed last, and whether that is old."""
-    file = file_of(benchmark, short)
-    print(f"\n# {benchmark.name}: {stored_state(benchmark, short)}\n")
-    if file.is_file():
-        print(file.read_text())
+def run_short_forms(benchmarks: list[Benchmark]) -> list[str]:
+    """Run the short forms, print a line for each, and return the names of those that failed."""
+    runnable = []
+    for each in benchmarks:
+        missing = "it has no short form" if each.short is None else each.missing(short=True)
+        if missing:
+            print(f"skipped          {each.name}: {missing}", flush=True)
+        else:
+            runnable.append(each)
+    # a record of an earlier short form would leave nothing to do
+    shutil.rmtree(ROOT / "runs/short/records", ignore_errors=True)
+    if any(SAMPLE_RUN in (each.short or "") for each in runnable):
+        make_sample_run()
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        results = list(pool.map(_run_short_form, runnable))
+    return [each.name for each, passed in zip(runnable, results, strict=True) if not passed]
 
 
-def stored_state(benchmark: Benchmark, short: bool = False) -> str:
-    """Whether there is a stored result, and whether it is current."""
-    file = file_of(benchmark, short)
-    if not file.is_file():
-        return "nothing"
-    head = file.read_text().partition("\n")[0]
-    made = json.loads(head.removeprefix(MARK).removesuffix(" -->")) if head.startswith(MARK) else None
-    return state(made, code_of(f"benchmarks.{benchmark.module}"))
+def _run_short_form(benchmark: Benchmark) -> bool:
+    """Whether it succeeded; its output is printed if it did not."""
+    words, start = [sys.executable, *benchmark.words(short=True)], perf_counter()
+    try:
+        done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+        passed, output = done.returncode == 0, done.stdout + done.stderr
+    except subprocess.TimeoutExpired:
+        passed, output = False, f"no end after {TIMEOUT_S} s"
+    seconds = f"{perf_counter() - start:5.0f} s"
+    lines = [f"{'passed' if passed else 'FAILED'}  {seconds}  {benchmark.name}"]
+    if not passed:
+        lines += [f"    python {' '.join(words[1:])}"]
+        lines += [f"    {line}" for line in output.splitlines()[-SHOWN_LINES:]]
+    print("\n".join(lines), flush=True)
+    return passed
 
 
-def file_of(benchmark: Benchmark, short: bool) -> Path:
-    """Where what it prints is stored."""
-    return STORE / f"{benchmark.name}{'-short' if short else ''}.md"
+def make_sample_run() -> None:
+    """The run of the sample that short forms read, with its errors; nothing is done where it is there."""
+    folder = ROOT / SAMPLE_RUN
+    if not (folder / "metrics.json").is_file():
+        polhode("run", DEFAULT, "--data", "sample", "-o", folder, "--overwrite")
+        polhode("evaluate", folder, "sample")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
 """The command line of a benchmark: the parameters of its ``main`` are the options."""
 
-import json
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional, arg
@@ -42,13 +41,6 @@ def command(main: Callable[..., None]) -> None:
     tyro.cli(main, prog=f"python -m {name}", description=module.__doc__, config=(FlagCreatePairsOff,))
 
 
-def in_process(module: str, *arguments: object, environment: dict[str, str] | None = None) -> Any:
-    """Run ``python -m module arguments`` and parse the last line that it prints as JSON."""
-    words = [sys.executable, "-m", module, *map(str, arguments)]
-    done = subprocess.run(words, env=environment, stdout=subprocess.PIPE, text=True, check=True)
-    return json.loads(done.stdout.splitlines()[-1])
-
-
 def polhode(*arguments: object, may_fail: bool = False) -> None:
     """Run the program as a user does; with ``may_fail`` a failed run (exit code 1) is accepted."""
     words = [sys.executable, "-m", "polhode", *map(str, arguments)]
@@ -62,4 +54,25 @@ def simulated(config: Path, folder: Path) -> Path:
     if not (folder / "mav0").is_dir():
         folder.parent.mkdir(parents=True, exist_ok=True)
         polhode("simulate", config, "-o", folder)
+    return folder
+
+
+def evaluated_run(config: Path) -> Path:
+    """The run of a scene with the default configuration, with its errors; made unless it is in runs/.
+
+    A run that fails says so in its summary.json and has no metrics.json.
+    """
+    sequence, run = simulated(config, ROOT / "data" / config.stem), ROOT / "runs" / config.stem
+    if not (run / "summary.json").is_file():
+        polhode("run", DEFAULT, "--data", sequence, "-o", run, "--overwrite", may_fail=True)
+    if (run / "trajectory.csv").is_file() and not (run / "metrics.json").is_file():
+        polhode("evaluate", run, sequence)
+    return run
+
+
+def beginning_of_sample() -> Path:
+    """The first seconds of the sample as a sequence, for short forms; made once."""
+    folder = ROOT / "runs/short/beginning"
+    if not (folder / "mav0").is_dir():
+        polhode("import", "sample", "-o", folder, "--end", 4.0, "--overwrite")
     return folder

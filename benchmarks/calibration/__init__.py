@@ -1,1 +1,1 @@
-"""Calibration of stereo rigs from rendered and from real images of boards."""
+"""Calibration of stereo rigs from rendered images: random_rigs."""

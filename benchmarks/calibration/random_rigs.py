@@ -1,8 +1,6 @@
 """Calibrations of random rendered rigs: errors of every parameter against their standard deviations.
 
-    python -m benchmarks.calibration.random_rigs            50 rigs, half of them fisheyes
-    python -m benchmarks.calibration.random_rigs --stored   the rigs that the record has, nothing measured
-    python -m benchmarks.calibration.random_rigs --short    2 rigs, kept in no record
+    python -m benchmarks.calibration.random_rigs [--rigs 50] [--workers 2] [--short] [--record DIR]
 
 Each rig has lenses, a pose of the right camera and 20 poses of a board that are drawn at random. One in four
 has cameras of two resolutions; half have a chessboard, a quarter a ChArUco board, a quarter AprilTags. Images
@@ -19,10 +17,9 @@ import numpy as np
 from scipy.stats import chi2
 from tyro.conf import arg
 
-from benchmarks.calibration.board_images import BoardCamera, printed
 from benchmarks.command import RECORDS, Record, Short, Workers, command
 from benchmarks.presentation import markdown_table
-from benchmarks.record import Case, complete, measured
+from benchmarks.record import Case, complete
 from polhode.calibration.adjustment import RigState
 from polhode.calibration.boards import Board, make_board
 from polhode.calibration.calibrate import CalibratedRig, calibrate
@@ -31,9 +28,8 @@ from polhode.calibration.lenses import Lens, Model, project
 from polhode.calibration.result import result_of
 from polhode.lie import Array, exp_so3, log_so3, make_pose, transform_points
 from polhode.progress import Silent
+from tests.calibration.board_images import BoardCamera, printed
 
-RIGS = 50
-Stored = Annotated[bool, arg(help="Only what the record has.")]
 VIEWS = 20
 SIZES = {"chessboard": ((480, 360), (400, 320)), "charuco": ((720, 540), (600, 480))}
 """Width and height [px] of most images, and of a right camera with other ones. Markers need more pixels."""
@@ -170,35 +166,23 @@ def judged(rig: CalibratedRig, truth: RigState) -> Case:
         "inside": bool(low <= nees <= high),
         "sigmas": [round(value, 3) for value in scaled.tolist()],
         "corner_sigma_px": [each.corner_sigma_px for each in result.cameras],
-        "rms_px": result.rms_px.stereo,
         "epipolar_px": result.epipolar_rms_px,
-        "images_used": len(result.used),
         "rejected": [each.kind for each in result.rejected],
-        "baseline_error_mm": 1e3
-        * float(np.linalg.norm(state.X_10[:3, 3]) - np.linalg.norm(truth.X_10[:3, 3])),
     }
 
 
 def summary(lines: list[Case]) -> str:
     """A row for each lens model, and for each board."""
-    rows = []
-    for key in ("model", "pattern"):
-        for value in sorted({line[key] for line in lines}):
-            rows.append(_row(str(value), [line for line in lines if line[key] == value]))
-    rows.append(_row("all", lines))
+    rows = [
+        _row(str(value), [line for line in lines if line[key] == value])
+        for key in ("model", "pattern")
+        for value in sorted({line[key] for line in lines})
+    ]
     head = (
-        "",
-        "rigs",
-        "NEES over its degrees of freedom",
-        "95 % band of that mean",
-        "rigs inside their 95 % band",
-        "parameters within 2 sigma",
-        "largest error",
-        "corner's sigma",
-        "epipolar error",
-        "images left out",
+        " | rigs | NEES over its degrees of freedom | 95 % band of that mean | rigs inside their 95 % band | "
+        "parameters within 2 sigma | largest error | corner's sigma | epipolar error | images left out"
     )
-    return markdown_table(head, rows)
+    return markdown_table(head, [*rows, _row("all", lines)])
 
 
 def _row(name: str, lines: list[Case]) -> tuple[str, ...]:
@@ -221,21 +205,13 @@ def _row(name: str, lines: list[Case]) -> tuple[str, ...]:
 
 
 def main(
-    rigs: int = RIGS,
-    record: Record = RECORDS / "random_rigs",
+    rigs: Annotated[int, arg(help="So many of the random rigs.")] = 50,
     workers: Workers = 2,
-    stored: Stored = False,
     short: Short = False,
+    record: Record = RECORDS / "random_rigs",
 ) -> None:
     """Measure what the record lacks, and print the table."""
-    cases = [{"rig": rig} for rig in range(rigs)]
-    if short:
-        lines = [{"case": case, **measure(case)} for case in cases[:2]]
-    elif stored:
-        lines = measured(record, cases)
-    else:
-        lines = complete(record, cases, measure, workers)
-    print(summary(lines))
+    print(summary(complete(record, [{"rig": rig} for rig in range(1 if short else rigs)], measure, workers)))
 
 
 if __name__ == "__main__":

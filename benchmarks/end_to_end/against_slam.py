@@ -1,6 +1,6 @@
 """A run beside COLMAP and ORB stereo odometry on the same images: poses, scale and points against the truth.
 
-    python -m benchmarks.end_to_end.against_slam [--scenes sample closed_tumble] [--record FILE]
+    python -m benchmarks.end_to_end.against_slam [--scenes sample closed_tumble] [--record DIR]
 
 ``sample`` is that of the repository, where the target turns by 30 degrees from one pair to the next;
 ``closed_tumble`` is simulated from closed_tumble.yaml, with 14 degrees. To COLMAP and to the odometry the
@@ -10,14 +10,13 @@ truth (found_poses.py), so that they differ from metrics.json, which fits no shi
 method has no unknown for. Processor seconds are those of all processes and threads, with the reading of the
 images and, for polhode, with surface and report.
 
-COLMAP needs pycolmap (``make fusion-peers``). What is recorded is not measured again.
+COLMAP needs pycolmap (``make fusion-peers``).
 """
 
 import ctypes
 import os
 import resource
 from collections.abc import Callable, Iterable
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,13 +25,13 @@ from typing import Annotated, Any
 
 from tyro.conf import arg
 
-from benchmarks.command import DEFAULT, RECORDS, ROOT, Record, command, polhode, simulated
+from benchmarks.command import DEFAULT, RECORDS, ROOT, Record, Short, command, polhode, simulated
 from benchmarks.end_to_end.colmap import colmap_poses
 from benchmarks.end_to_end.found_poses import FoundPoses, pose_errors
 from benchmarks.end_to_end.orb_odometry import orb_odometry
 from benchmarks.mapping.mesh_quality import true_poses
 from benchmarks.presentation import Row, print_table
-from benchmarks.record import Case, complete
+from benchmarks.record import Case, complete, lines_of
 from polhode.camera import RectifiedRig
 from polhode.dataset import StereoSequence, open_sequence
 from polhode.frontend.rectification import RectifiedPair, Rectifier, make_rectifier, rectified_pair
@@ -48,24 +47,25 @@ HEAD = (
 Method = Callable[[Iterable[RectifiedPair], RectifiedRig], FoundPoses]
 OTHERS: dict[str, Method] = {"COLMAP": colmap_poses, "ORB odometry": orb_odometry}
 OURS = "polhode"
+SHORT_FRAMES = 6
 _PR_SET_CHILD_SUBREAPER = 36
 
 
 def main(
     scenes: Annotated[tuple[str, ...], arg(help="Of sample, closed_tumble.")] = ("sample",),
+    short: Short = False,
     record: Record = RECORD,
 ) -> None:
     """Measure what the record lacks and print the table."""
-    cases = [{"scene": scene, "method": method} for scene in scenes for method in (OURS, *OTHERS)]
-    here = [case for case in cases if case["method"] != "COLMAP" or can_run_colmap(record)]
-    print_table(HEAD, map(row_of, complete(record, here, measure, 1)))
-    if len(here) < len(cases):
-        print("\nCOLMAP: not installed here (make fusion-peers)")
-
-
-def can_run_colmap(record: Path) -> bool:
-    """Whether pycolmap is here, or its rows are stored."""
-    return find_spec("pycolmap") is not None or (record.is_file() and '"COLMAP"' in record.read_text())
+    methods = ("ORB odometry",) if short else (OURS, *OTHERS)
+    cases: list[Case] = [{"scene": scene, "method": method} for scene in scenes for method in methods]
+    if short:
+        cases = [case | {"frames": SHORT_FRAMES} for case in cases]
+    elif find_spec("pycolmap") is None:
+        stored = {(line["case"]["scene"], line["case"]["method"]) for line in lines_of(record)}
+        print("COLMAP is not installed here (make fusion-peers): its rows are those of the record\n")
+        cases = [each for each in cases if each["method"] != "COLMAP" or tuple(each.values()) in stored]
+    print_table(HEAD, map(row_of, complete(record, cases, measure, 1, process_each=True)))
 
 
 def sequence_of(scene: str) -> Path:
@@ -81,18 +81,16 @@ def measure(case: Case) -> dict[str, Any]:
     sequence, truth = open_sequence(folder), read_truth(folder)
     rectifier = make_rectifier(sequence.calibration)
     X_RG = inverse_pose(sequence.X_NC @ rectifier.X_CR) @ true_poses(sequence, truth)
-    find = partial(_own_poses, folder) if case["method"] == OURS else partial(_others, case["method"])
-    found, seconds = find(sequence, rectifier)
+    if case["method"] == OURS:
+        found, seconds = _own_poses(folder, sequence, rectifier)
+    else:
+        begin = process_time()
+        pairs = (rectified_pair(sequence, rectifier, k) for k in range(case.get("frames", len(sequence))))
+        found = OTHERS[case["method"]](pairs, rectifier.rig)
+        seconds = process_time() - begin
     assert truth.mesh is not None
     errors = pose_errors(found, X_RG, truth.mesh)
     return {"of": len(sequence), "pieces": found.pieces, "processor_seconds": seconds, **vars(errors)}
-
-
-def _others(method: str, sequence: StereoSequence, rectifier: Rectifier) -> tuple[FoundPoses, float]:
-    begin = process_time()
-    pairs = (rectified_pair(sequence, rectifier, k) for k in range(len(sequence)))
-    found = OTHERS[method](pairs, rectifier.rig)
-    return found, process_time() - begin
 
 
 def _own_poses(folder: Path, sequence: StereoSequence, rectifier: Rectifier) -> tuple[FoundPoses, float]:

@@ -1,16 +1,17 @@
 """What an installation needs: disk of the packages, and memory of a run on the sample.
 
-    python -m benchmarks.end_to_end.footprint [--record FILE]
+    python -m benchmarks.end_to_end.footprint [--record DIR]
 
 Disk: the files of all packages that ``polhode``, and ``polhode[dev]`` (``make setup``), require directly or
 not, as they are installed in this environment. PyTorch is shown by itself: its build for processors only is
 several gigabytes smaller than that with CUDA. Memory: the largest sum of the proportional set sizes (Linux)
-of all processes of ``polhode run`` with the default configuration, looked at every half second.
+of all processes of ``polhode run`` with the default configuration, measured every half second.
 """
 
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,22 +19,23 @@ from typing import Any
 
 from packaging.requirements import Requirement
 
-from benchmarks.command import DEFAULT, RECORDS, ROOT, Record, command
+from benchmarks.command import DEFAULT, RECORDS, ROOT, Record, Short, command
 from benchmarks.record import Case, complete
 
 RECORD = RECORDS / "footprint"
-CASES: tuple[Case, ...] = ({"of": "packages"}, {"of": "run on the sample"})
-LOOK_S = 0.5
+PACKAGES: Case = {"of": "packages"}
+INTERVAL_S = 0.5
 
 
-def main(record: Record = RECORD) -> None:
-    """Measure what the record lacks and print it."""
-    print("\n".join(map(line_of, complete(record, CASES, measure, 1))))
+def main(short: Short = False, record: Record = RECORD) -> None:
+    """Measure what the record lacks and print it; short: the packages alone."""
+    cases = [PACKAGES] if short else [PACKAGES, {"of": "run on the sample"}]
+    print("\n".join(map(line_of, complete(record, cases, measure, 1))))
 
 
 def line_of(found: Case) -> str:
     """What is printed of a case."""
-    if found["case"]["of"] != "packages":
+    if found["case"] != PACKAGES:
         return f"memory: {found['memory_gb']:.1f} GB"
     return (
         f"disk: {found['core_gb']:.1f} GB of packages, of which PyTorch ({found['torch']}) has "
@@ -43,13 +45,12 @@ def line_of(found: Case) -> str:
 
 def measure(case: Case) -> dict[str, Any]:
     """Gigabytes (1e9 bytes)."""
-    if case["of"] != "packages":
+    if case != PACKAGES:
         return {"memory_gb": memory_of_run(ROOT / "sample") / 1e9}
-    core, dev = required("polhode", frozenset()), required("polhode", frozenset({"dev"}))
     torch = distribution("torch")
     return {
-        "core_gb": size_of(core) / 1e9,
-        "dev_gb": size_of(dev) / 1e9,
+        "core_gb": size_of(required("polhode", frozenset())) / 1e9,
+        "dev_gb": size_of(required("polhode", frozenset({"dev"}))) / 1e9,
         "torch_gb": size_of({"torch": torch}) / 1e9,
         "torch": torch.version,
     }
@@ -64,12 +65,10 @@ def required(name: str, extras: frozenset[str]) -> dict[str, Distribution]:
         if (name, extras) in seen:
             continue
         seen.add((name, extras))
-        try:
+        with suppress(PackageNotFoundError):
             here = distribution(name)
-        except PackageNotFoundError:
-            continue
-        found[here.metadata["Name"]] = here
-        waiting += [(need.name, frozenset(need.extras)) for need in _needs(here, extras)]
+            found[here.metadata["Name"]] = here
+            waiting += [(need.name, frozenset(need.extras)) for need in _needs(here, extras)]
     return found
 
 
@@ -90,24 +89,15 @@ def memory_of_run(sequence: Path) -> int:
     """Bytes."""
     with TemporaryDirectory() as scratch:
         words = ["-m", "polhode", "run", str(DEFAULT), "--data", str(sequence), "-o", f"{scratch}/run"]
-        process = subprocess.Popen(
-            [sys.executable, *words], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        most = 0
+        process = subprocess.Popen([sys.executable, *words], cwd=ROOT, stdout=subprocess.DEVNULL)
+        largest = 0
         while process.poll() is None:
-            most = max(most, sum(map(proportional_bytes, family(process.pid))))
-            with_patience(process)
+            largest = max(largest, sum(map(proportional_bytes, family(process.pid))))
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(INTERVAL_S)
     if process.returncode:
         raise RuntimeError(f"polhode run ended with exit code {process.returncode}")
-    return most
-
-
-def with_patience(process: "subprocess.Popen[bytes]") -> None:
-    """Wait until it ends or it is time to look again."""
-    try:
-        process.wait(LOOK_S)
-    except subprocess.TimeoutExpired:
-        return
+    return largest
 
 
 def family(pid: int) -> list[int]:

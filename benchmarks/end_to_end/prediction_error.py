@@ -28,23 +28,26 @@ SHOWN_S = (10.0, 30.0, 60.0)
 
 
 @dataclass(frozen=True)
-class PredictionComparison:
-    """A prediction and the truth."""
+class PredictionErrors:
+    """Of one quantity."""
 
-    time_s: Array
-    """(T,) after the last pair"""
-    q_NP_wxyz: Array
-    """(T, 4) predicted, in the true axes"""
-    q_NP_true_wxyz: Array
-    """(T, 4)"""
-    attitude_deg: Array
-    """(T, 3) errors along the axes"""
-    sigma_attitude_deg: Array
+    name: str
+    unit: str
+    error: Array
     """(T, 3)"""
-    place_mm: Array
-    """(T, 3) errors along N"""
-    sigma_place_mm: Array
+    sigma: Array
     """(T, 3)"""
+
+    def line(self, time_s: Array) -> str:
+        """Lengths of the error and of its sigma at some times, and the share inside three sigma."""
+        at = [int(np.argmin(np.abs(time_s - s))) for s in SHOWN_S if s <= time_s[-1] + 1e-6]
+        lengths = ", ".join(
+            f"{np.linalg.norm(self.error[k]):.3g} (sigma {np.linalg.norm(self.sigma[k]):.3g}) {self.unit} "
+            f"after {time_s[k]:.0f} s"
+            for k in at
+        )
+        inside = np.mean(np.abs(self.error) < 3.0 * self.sigma)
+        return f"{self.name}: {lengths}; inside three sigma {inside:.1%}"
 
 
 def main(
@@ -54,72 +57,61 @@ def main(
     horizon: Annotated[float, arg(help="Seconds ahead.")] = 60.0,
 ) -> None:
     """Draw the figure and print its numbers."""
-    found = compare(run, sequence, horizon)
-    draw(found, output)
-    for name, unit, error, sigma in (
-        ("attitude", "deg", found.attitude_deg, found.sigma_attitude_deg),
-        ("position", "mm", found.place_mm, found.sigma_place_mm),
-    ):
-        inside = np.mean(np.abs(error) < 3.0 * sigma)
-        at = [int(np.argmin(np.abs(found.time_s - s))) for s in SHOWN_S if s <= found.time_s[-1] + 1e-6]
-        numbers = ", ".join(
-            f"{np.linalg.norm(error[k]):.3g} (sigma {np.linalg.norm(sigma[k]):.3g}) {unit} "
-            f"after {found.time_s[k]:.0f} s"
-            for k in at
-        )
-        print(f"{name}: {numbers}; inside three sigma {inside:.1%}")
+    time_s, quaternions, errors = compare(run, sequence, horizon)
+    for each in errors:
+        print(each.line(time_s))
+    draw(output, time_s, quaternions, errors)
 
 
-def compare(run: Path, sequence: Path, horizon_s: float) -> PredictionComparison:
-    """Predict and read the truth. Raises InputError when the truth does not reach that far."""
-    seen, prediction, truth = read_trajectory(run), predict_run(run, horizon_s), read_truth(sequence)
+def compare(
+    run: Path, sequence: Path, horizon_s: float
+) -> tuple[Array, tuple[Array, Array], tuple[PredictionErrors, PredictionErrors]]:
+    """Times (T,) after the last pair, true and predicted quaternions (T, 4) in the true axes, and the errors.
+
+    Raises InputError when the truth does not reach that far.
+    """
+    seen, ahead, truth = read_trajectory(run), predict_run(run, horizon_s), read_truth(sequence)
     estimate = States(seen.timestamps_ns, seen.r_N, seen.v_N, seen.R_NP, seen.w_P)
     at_frames = truth_at(truth, estimate.timestamps_ns)
     half_turn = motion_errors(estimate, at_frames).half_turn
     R_fit = constant_body_rotation(with_half_turn(estimate, half_turn), at_frames)
-    states = prediction
-    ahead = States(prediction.timestamps_ns, states.r_N, states.v_N, states.R_NP, states.w_P)
-    came = truth_at(truth, prediction.timestamps_ns)
-    R_NP = with_half_turn(ahead, half_turn).R_NP @ R_fit
+    predicted = States(ahead.timestamps_ns, ahead.r_N, ahead.v_N, ahead.R_NP, ahead.w_P)
+    came = truth_at(truth, ahead.timestamps_ns)
+    R_NP = with_half_turn(predicted, half_turn).R_NP @ R_fit
     # where the mark at the estimated centre of mass lies in the true body, by all frames of the run
     offset_P = np.mean(np.einsum("fji,fj->fi", at_frames.R_NP, estimate.r_N - at_frames.r_N), axis=0)
-    place = ahead.r_N - came.r_N - came.R_NP @ offset_P
-    sigma = standard_deviations(states.covariance_of_marks)
-    theta = log_so3(np.swapaxes(came.R_NP, 1, 2) @ R_NP)
-    q = continuous_wxyz(wxyz_from_matrix(came.R_NP))
-    q_predicted = wxyz_from_matrix(R_NP)
+    place_m = ahead.r_N - came.r_N - came.R_NP @ offset_P
+    sigma = standard_deviations(ahead.covariance_of_marks)
+    turn_rad = log_so3(np.swapaxes(came.R_NP, 1, 2) @ R_NP)
+    q, q_predicted = continuous_wxyz(wxyz_from_matrix(came.R_NP)), wxyz_from_matrix(R_NP)
     q_predicted *= np.sign(np.sum(q * q_predicted, axis=1, keepdims=True))
-    return PredictionComparison(
-        states.time_s,
-        q_predicted,
-        q,
-        np.rad2deg(theta),
-        np.rad2deg(sigma[:, 6:9]),
-        1e3 * place,
-        1e3 * sigma[:, 0:3],
+    errors = (
+        PredictionErrors("attitude", "deg", np.rad2deg(turn_rad), np.rad2deg(sigma[:, 6:9])),
+        PredictionErrors("position", "mm", 1e3 * place_m, 1e3 * sigma[:, 0:3]),
     )
+    return ahead.time_s, (q, q_predicted), errors
 
 
-def draw(found: PredictionComparison, path: Path) -> None:
+def draw(
+    path: Path, time_s: Array, quaternions: tuple[Array, Array], errors: tuple[PredictionErrors, ...]
+) -> None:
     """Attitude, its error, the error of the position."""
-    figure, (top, middle, bottom) = subplots(3, 1, (9.0, 8.4), sharex=True)
+    figure, (top, *below) = subplots(3, 1, (9.0, 8.4), sharex=True)
     for k, (name, color) in enumerate(zip("wxyz", ("#5d6b78", *COLORS), strict=True)):
-        top.plot(found.time_s, found.q_NP_true_wxyz[:, k], color=color, linewidth=2.4, alpha=0.45)
-        top.plot(found.time_s, found.q_NP_wxyz[:, k], color=color, linewidth=1.2, linestyle="--", label=name)
+        top.plot(time_s, quaternions[0][:, k], color=color, linewidth=2.4, alpha=0.45)
+        top.plot(time_s, quaternions[1][:, k], color=color, linewidth=1.2, linestyle="--", label=name)
     top.set(ylabel="quaternion $q_{NP}$", title="predicted (dashed) and true (solid)")
-    for axes, error, sigma, label in (
-        (middle, found.attitude_deg, found.sigma_attitude_deg, "attitude error [deg]"),
-        (bottom, found.place_mm, found.sigma_place_mm, "position error [mm]"),
-    ):
+    for axes, each in zip(below, errors, strict=True):
         for k, (name, color) in enumerate(zip("xyz", COLORS, strict=True)):
-            axes.fill_between(found.time_s, -3.0 * sigma[:, k], 3.0 * sigma[:, k], color=color, alpha=0.13)
-            axes.plot(found.time_s, error[:, k], color=color, label=name)
-        axes.set(ylabel=label)
-    bottom.set(xlabel="time after the last stereo pair [s]")
-    for axes in (top, middle, bottom):
+            band = 3.0 * each.sigma[:, k]
+            axes.fill_between(time_s, -band, band, color=color, alpha=0.13)
+            axes.plot(time_s, each.error[:, k], color=color, label=name)
+        axes.set(ylabel=f"{each.name} error [{each.unit}]")
+    below[0].set_title("bands: three standard deviations", fontsize=10)
+    below[1].set(xlabel="time after the last stereo pair [s]")
+    for axes in (top, *below):
         axes.grid(color="#e8ecf0")
         axes.legend(frameon=False, ncols=4, fontsize=9, loc="upper left")
-    middle.set_title("bands: three standard deviations", fontsize=10)
     figure.tight_layout()
     save_figure(figure, path, 120)
 

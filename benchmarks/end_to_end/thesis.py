@@ -1,6 +1,6 @@
 """A run on the replica of Test Session 38 beside what Tweddle's thesis prints for the session itself.
 
-    python -m benchmarks.end_to_end.thesis [--record FILE]
+    python -m benchmarks.end_to_end.thesis [--record DIR]
 
 The thesis (B. E. Tweddle, MIT, 2013) had images of a satellite on the space station, and compared with the
 station's metrology, which errs by centimetres and degrees itself; its sigmas are those of its table 6.4. The
@@ -9,13 +9,13 @@ exact calibration; errors are against its truth. runs/ts38 is made unless it is 
 """
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from tyro.conf import arg
 
-from benchmarks.command import DEFAULT, RECORDS, ROOT, Record, command, polhode, simulated
+from benchmarks.command import RECORDS, ROOT, Record, command, evaluated_run
 from benchmarks.mapping import lengths
 from benchmarks.presentation import Row, print_table
 from benchmarks.record import Case, complete
@@ -23,67 +23,56 @@ from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 
 RECORD = RECORDS / "thesis"
 HEAD = "quantity | thesis | from its | polhode, simulated replica"
-CASE: Case = {"scene": "ts38"}
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """What the thesis prints, and the same of a run."""
-
-    name: str
-    thesis: str
-    source: str
-    form: str
-    """Of the run's numbers, by the names of ``measure``"""
-
-
 QUANTITIES = (
-    Quantity("position, against the reference [mm]", "9, 31, 14 (x, y, z)", "table 6.1, p. 217",
-             "{position_mm:.3f}"),
-    Quantity("velocity [mm/s]", "1.3, 2.3, 1.6", "table 6.1, p. 217", "{velocity_mm_s:.3f}"),
-    Quantity("angular velocity [deg/s]", "1.5, 0.9, 0.9", "table 6.2, p. 218",
-             "{angular_velocity_deg_s:.3f}"),
-    Quantity(
-        "attitude, for polhode after the constant rotation of the axes is removed [deg]",
-        "13.5 (mean)",
-        "table 6.2, p. 218",
-        "{attitude_deg:.3f} (median)",
-    ),
-    Quantity("lengths on the model [mm]", "1.8 (mean of 8)", "table 6.3, p. 236",
-             "{lengths_mm:.2f} (mean of {lengths})"),
-    Quantity("sigma of the position [mm]", "0.34, 0.29, 0.33", "table 6.4, p. 244",
-             "{sigma_position_mm[0]:.3f}, {sigma_position_mm[1]:.3f}, {sigma_position_mm[2]:.3f}"),
-    Quantity("sigma of the centre of mass [mm]", "3.7, 4.3, 3.6", "table 6.4, p. 244",
-             "{sigma_com_mm[0]:.3f}, {sigma_com_mm[1]:.3f}, {sigma_com_mm[2]:.3f}"),
-    Quantity("sigma of k1, k2", "0.0025, 0.0019", "table 6.4, p. 244", "{sigma_k[0]:.5f}, {sigma_k[1]:.5f}"),
-    Quantity("time for 115 stereo pairs", "35 min after 4.5 min of matching", "section 6.8, pp. 254-257",
-             "{seconds:.0f} s, with the surface"),
+    ("position, against the reference [mm]", "9, 31, 14 (x, y, z)", "table 6.1, p. 217", "{position_mm:.3f}"),
+    ("velocity [mm/s]", "1.3, 2.3, 1.6", "table 6.1, p. 217", "{velocity_mm_s:.3f}"),
+    ("angular velocity [deg/s]", "1.5, 0.9, 0.9", "table 6.2, p. 218", "{angular_velocity_deg_s:.3f}"),
+    ("attitude, for polhode after the constant rotation of the axes is removed [deg]", "13.5 (mean)",
+     "table 6.2, p. 218", "{attitude_deg:.3f} (median)"),
+    ("lengths on the model [mm]", "1.8 (mean of 8)", "table 6.3, p. 236",
+     "{lengths_mm:.2f} (mean of {lengths})"),
+    ("sigma of the position [mm]", "0.34, 0.29, 0.33", "table 6.4, p. 244",
+     "{sigma_position_mm[0]:.3f}, {sigma_position_mm[1]:.3f}, {sigma_position_mm[2]:.3f}"),
+    ("sigma of the centre of mass [mm]", "3.7, 4.3, 3.6", "table 6.4, p. 244",
+     "{sigma_com_mm[0]:.3f}, {sigma_com_mm[1]:.3f}, {sigma_com_mm[2]:.3f}"),
+    ("sigma of k1, k2", "0.0025, 0.0019", "table 6.4, p. 244", "{sigma_k[0]:.5f}, {sigma_k[1]:.5f}"),
+    ("time for 115 stereo pairs", "35 min after 4.5 min of matching", "section 6.8, pp. 254-257",
+     "{seconds:.0f} s, with the surface"),
 )  # fmt: skip
-"""Tables 6.1 and 6.2 give means and standard deviations of the differences; these are the latter."""
+"""Name, the thesis's figure, where it stands, the form of the run's by the names of ``measure``. Tables 6.1
+and 6.2 give means and standard deviations of the differences; these are the latter."""
 
 
-def main(record: Record = RECORD) -> None:
+def main(
+    run: Annotated[
+        Path | None, arg(metavar="RUN", help="An evaluated run instead of that of the replica.")
+    ] = None,
+    sequence: Annotated[Path, arg(metavar="SEQ", help="Its sequence, of the same body.")] = ROOT
+    / "data/ts38",
+    record: Record = RECORD,
+) -> None:
     """Run and evaluate unless the record has it, and print the table."""
-    line = complete(record, [CASE], measure, 1)[0]
-    print_table(HEAD, (row_of(quantity, line) for quantity in QUANTITIES))
+    if run is not None:
+        line = figures_of(run, sequence)
+    else:
+        (line,) = complete(record, [{"scene": "ts38"}], measure, 1)
+    print_table(HEAD, table_rows(line))
+
+
+def table_rows(line: Case) -> list[Row]:
+    """``line`` has what ``measure`` returns."""
+    return [[*words, form.format(**line)] for *words, form in QUANTITIES]
 
 
 def measure(case: Case) -> dict[str, Any]:
     """The run's errors and standard deviations."""
     name = case["scene"]
-    sequence, run = ROOT / "data" / name, ROOT / "runs" / name
-    simulated(ROOT / "configs" / f"{name}.yaml", sequence)
-    if not (run / "summary.json").is_file():
-        polhode("run", DEFAULT, "--data", sequence, "-o", run)
-    if not (run / "metrics.json").is_file():
-        polhode("evaluate", run, sequence)
-    return numbers_of(run, sequence)
+    return figures_of(evaluated_run(ROOT / "configs" / f"{name}.yaml"), ROOT / "data" / name)
 
 
-def numbers_of(run: Path, sequence: Path) -> dict[str, Any]:
-    """The numbers that the forms of ``QUANTITIES`` name, of an evaluated run."""
-    metrics = json.loads((run / "metrics.json").read_text(encoding="utf-8"))
-    summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
+def figures_of(run: Path, sequence: Path) -> dict[str, Any]:
+    """What the forms of ``QUANTITIES`` name, of an evaluated run."""
+    metrics, summary = (json.loads((run / f"{name}.json").read_text()) for name in ("metrics", "summary"))
     found = lengths.measure(*lengths.in_true_frame(run, sequence))
     errors_mm = [abs(each.found_mm - each.true_mm) for each in found if each.found_mm is not None]
     return {
@@ -98,11 +87,6 @@ def numbers_of(run: Path, sequence: Path) -> dict[str, Any]:
         "sigma_k": np.sqrt(np.diag(summary["inertia"]["cov"])).tolist(),
         "seconds": summary["timing_s"]["total"],
     }
-
-
-def row_of(quantity: Quantity, line: Case) -> Row:
-    """One row; ``line`` has what ``measure`` returns."""
-    return [quantity.name, quantity.thesis, quantity.source, quantity.form.format(**line)]
 
 
 if __name__ == "__main__":

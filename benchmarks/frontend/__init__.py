@@ -2,9 +2,8 @@
 
 In: configs/frontend_test/ and configs/depth_test/. Out: correct matches, motions, errors of disparity, times.
 
-    matching    features and matches of every method: tables and figure
-    reliability which candidates are found again, and how well it is known beforehand
+    matching    features and matches of every method
+    scenes      what the simulator knows of features
     disparity   dense disparity
     masks       masks before Earth and wall
-    scenes      the scenes, and what the simulator knows of their features
 """

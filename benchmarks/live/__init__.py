@@ -1,1 +1,1 @@
-"""Benchmarks of the live estimate."""
+"""Live and long sequences, and the stages of a run: latency, time, memory."""

@@ -1,18 +1,18 @@
 """An hour of frames: time a frame and memory against the number of frames, and the answer of a long run.
 
-    python -m benchmarks.live.long [--only tracks] [--frames 10000] [--short] [--record FILE] [-o PNG]
+    python -m benchmarks.live.long [--only tracks] [--frames 10000] [--short] [--record DIR]
 
 Synthetic tracks: the sliding window over 10,000 frames of a tumbling body, whose landmarks return into view
 with each revolution. Rendered frames: the stream (features, matching, window) over the 2,000 small pairs of
 configs/long.yaml, which are simulated into runs/long if they are not there, then the batch answer by key
-frames; ``--short``: 300 frames of tracks, and the shipped sample with 24 key frames. Milliseconds are
-processor time of one core, medians over parts of the sequence; memory is that of the process at their ends
-(of the tracks, 580 MiB are the tracks themselves and their generation).
+frames; ``--short``: 60 frames of tracks alone. Milliseconds are processor time of one core, medians over 5 %
+of the sequence; memory is that of the process at their ends (of the tracks, 580 MiB are the tracks themselves
+and their generation).
 """
 
 import os
 import time
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from resource import RUSAGE_SELF, getrusage
@@ -22,11 +22,11 @@ from typing import Annotated, Literal
 import numpy as np
 from tyro.conf import arg
 
-from benchmarks.command import DEFAULT, ROOT, Png, Record, Short, command, simulated
-from benchmarks.monte_carlo.window import GROWTH
-from benchmarks.presentation import print_table, save_figure, subplots
+from benchmarks.command import DEFAULT, ROOT, Record, Short, command, simulated
+from benchmarks.presentation import print_table
 from benchmarks.record import Case, complete
 from polhode.backend.window import SlidingWindow, frames_of
+from polhode.compare.problem.sources import SCENES
 from polhode.config.backend_settings import Backend
 from polhode.config.loader import load_config
 from polhode.pipeline.context import open_context
@@ -36,15 +36,10 @@ from polhode.pipeline.run import run
 from polhode.progress import Silent
 from polhode.simulation.monte_carlo import generate
 
-RECORD = ROOT / "runs/records/long"
-"""Not kept in the repository: times are those of a machine."""
-SCENE = ROOT / "configs" / "long.yaml"
-SEED = 9
 PARTS = 20
-"""Of each sequence, for the curve"""
+"""Of each sequence."""
 SHOWN = (0, 1, 4, 9, 14, 19)
-"""Of them, in the tables"""
-SHORT_KEYS = {"key_frames": {"above": 40, "number": 24}}
+"""Parts in the tables."""
 ERRORS = {
     "rmse_position_m": (1e3, "position mm"),
     "rmse_velocity_m_s": (1e3, "velocity mm/s"),
@@ -53,64 +48,33 @@ ERRORS = {
     "error_k2": (1.0, "k2"),
     "error_com_mm": (1.0, "com mm"),
 }
+Kind = Literal["tracks", "rendered"]
 
 
 def main(
     frames: Annotated[int, arg(help="Frames of synthetic tracks.")] = 10_000,
     short: Short = False,
-    record: Record = RECORD,
-    only: Annotated[Literal["tracks", "rendered"] | None, arg(help="One of the two; else both.")] = None,
-    png: Png = None,
+    record: Record = ROOT / "runs/records/long",
+    only: Annotated[Kind | None, arg(help="One of the two; else both.")] = None,
 ) -> None:
     """Measure what the record lacks, print the tables."""
-    cases: list[Case] = []
-    if only != "rendered":
-        cases.append({"kind": "tracks", "frames": 300 if short else frames})
-    if only != "tracks":
-        folder = ROOT / "sample" if short else simulated(SCENE, ROOT / "runs" / "long")
-        cases.append({"kind": "rendered", "sequence": str(folder.relative_to(ROOT)), "short": short})
-    # one after the other: they are timed
-    lines = complete(record, cases, measure, 1)
-    for line in lines:
+    kinds: list[Kind] = ["tracks"] if short else [only] if only else ["tracks", "rendered"]
+    cases: list[Case] = [{"kind": kind, "frames": 60 if short else frames} for kind in kinds]
+    # one after the other, each in its process: time and memory are measured
+    for line in complete(record, cases, measure, 1, process_each=True):
         (print_window if line["case"]["kind"] == "tracks" else print_run)(line)
-    if png is not None:
-        draw(lines, png)
-
-
-def print_window(tracks: Case) -> None:
-    """The window's table, and its errors at the end."""
-    print("\nThe sliding window over synthetic tracks\n")
-    print_table("frames | ms a frame | longest | MB | landmarks held | restarts", window_rows(tracks))
-    errors = ", ".join(f"{name} {value:.2g}" for name, value in tracks["last"].items())
-    print(f"\nErrors in sigmas after the last frame: {errors}.")
-
-
-def print_run(rendered: Case) -> None:
-    """The stream's table, what the batch took, and the errors of the run."""
-    print("\nThe stream over rendered pairs\n")
-    head = "frames | features ms | matching ms | window ms | sum | MB | frames with features"
-    print_table(head, stream_rows(rendered))
-    print(
-        f"\nBatch answer: {rendered['batch_s']:.0f} s of {rendered['duration_s']:.0f} s of film; at most "
-        f"{rendered['peak_mb']:.0f} MB from the first frame to the report; status {rendered['status']}.\n"
-    )
-    found = rendered["metrics"]
-    print_table(
-        " | ".join(name for _, name in ERRORS.values()),
-        [[f"{scale * found[key]:.3g}" for key, (scale, _) in ERRORS.items()]],
-    )
 
 
 def measure(case: Case) -> Case:
     """One sequence."""
-    return measure_window(case["frames"]) if case["kind"] == "tracks" else measure_run(case)
+    return measure_window(case["frames"]) if case["kind"] == "tracks" else measure_run()
 
 
 def measure_window(n_frames: int) -> Case:
     """Synthetic tracks through the window alone; hardly a force acts, so that the target stays in view."""
-    scene = replace(GROWTH, frames=n_frames, v_N=(0.0, 0.0, 0.0), accel_psd=1e-12, links=False)
+    scene = replace(SCENES["tumble"], frames=n_frames, v_N=(0.0, 0.0, 0.0), accel_psd=1e-12, links=False)
     config = Backend(process_noise="given", accel_psd=scene.accel_psd, torque_psd=scene.torque_psd)
-    sequence = generate(scene, SEED)
+    sequence = generate(scene, 9)
     window, curve = SlidingWindow(sequence.tracks.rig, config), Curve(n_frames)
     for measurements in frames_of(sequence.tracks):
         begin = time.process_time()
@@ -124,12 +88,10 @@ def measure_window(n_frames: int) -> Case:
     return {"parts": curve.parts, "restarts": window.restarts, "last": last}
 
 
-def measure_run(case: Case) -> Case:
+def measure_run() -> Case:
     """Rendered pairs through the stream, one by one, then the batch answer and its errors."""
-    folder = ROOT / case["sequence"]
-    config = load_config(ROOT / DEFAULT)
-    changed = {"runtime": {"workers": 1}} | (SHORT_KEYS if case["short"] else {})
-    config = type(config).model_validate(config.model_dump() | changed)
+    folder, config = simulated(ROOT / "configs/long.yaml", ROOT / "runs/long"), load_config(ROOT / DEFAULT)
+    config = config.model_copy(update={"runtime": config.runtime.model_copy(update={"workers": 1})})
     context = open_context(folder, config, Silent())
     sequence = context.sequence
     camera = CameraMotion(sequence.sigma_camera_p_m, sequence.sigma_camera_theta_rad)
@@ -144,9 +106,7 @@ def measure_run(case: Case) -> Case:
         added = 1e3 * (time.process_time() - done)
         # of the two parts of ``add`` the clock tells the shares
         share = state.seconds["matching"] / (state.seconds["matching"] + state.seconds["window"])
-        spent = {
-            "features": 1e3 * (done - begin), "matching": share * added, "window": (1 - share) * added,
-        }  # fmt: skip
+        spent = {"features": 1e3 * (done - begin), "matching": share * added, "window": (1 - share) * added}
         curve.add(spent, {"with_features": stream.n_with_features})
     begin = time.perf_counter()
     with TemporaryDirectory() as temporary:
@@ -181,64 +141,51 @@ class Curve:
             total = [sum(each.values()) for each in self._ms]
             part: Case = {"end": self._n, "frames": len(total), "longest": round(max(total), 2)}
             part |= {name: round(float(np.median([each[name] for each in self._ms])), 2) for name in ms}
-            self.parts.append(part | held | {"mb": round(resident_mb(), 1)})
+            pages = int(Path("/proc/self/statm").read_text().split()[1])
+            self.parts.append(part | held | {"mb": round(pages * os.sysconf("SC_PAGE_SIZE") / 2**20, 1)})
             self._ms = []
 
 
-def resident_mb() -> float:
-    """Memory of this process now."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+def print_window(line: Case) -> None:
+    """The window's table, and its errors at the end."""
+    print("\nThe sliding window over synthetic tracks\n")
+    print_table(
+        "frames | ms a frame | longest | MB | landmarks held | restarts",
+        (
+            [where, f"{part['window']:.1f}", f"{part['longest']:.0f}", f"{part['mb']:.0f}", part["landmarks"],
+             line["restarts"]]
+            for where, part in _shown(line)
+        ),
+    )  # fmt: skip
+    errors = ", ".join(f"{name} {value:.2g}" for name, value in line["last"].items())
+    print(f"\nErrors in sigmas after the last frame: {errors}.")
 
 
-def _shown(line: Case) -> Iterable[tuple[str, Case]]:
+def print_run(line: Case) -> None:
+    """The stream's table, what the batch took, and the errors of the run."""
+    print("\nThe stream over rendered pairs\n")
+    stages = ("features", "matching", "window")
+    print_table(
+        "frames | features ms | matching ms | window ms | sum | MB | frames with features",
+        (
+            [where, *(f"{part[name]:.0f}" for name in stages), f"{sum(part[name] for name in stages):.0f}",
+             f"{part['mb']:.0f}", part["with_features"]]
+            for where, part in _shown(line)
+        ),
+    )  # fmt: skip
+    print(
+        f"\nBatch answer: {line['batch_s']:.0f} s of {line['duration_s']:.0f} s of film; at most "
+        f"{line['peak_mb']:.0f} MB from the first frame to the report; status {line['status']}.\n"
+    )
+    values = [f"{scale * line['metrics'][key]:.3g}" for key, (scale, _) in ERRORS.items()]
+    print_table([name for _, name in ERRORS.values()], [values])
+
+
+def _shown(line: Case) -> Iterator[tuple[str, Case]]:
     for n in SHOWN:
         if n < len(line["parts"]):
             part = line["parts"][n]
             yield f"{part['end'] - part['frames']}-{part['end']}", part
-
-
-def window_rows(line: Case) -> list[list[object]]:
-    """Rows of the table of the window."""
-    return [
-        [where, f"{part['window']:.1f}", f"{part['longest']:.0f}", f"{part['mb']:.0f}", part["landmarks"],
-         line["restarts"]]
-        for where, part in _shown(line)
-    ]  # fmt: skip
-
-
-def stream_rows(line: Case) -> list[list[object]]:
-    """Rows of the table of the stream."""
-    stages = ("features", "matching", "window")
-    return [
-        [where, *(f"{part[name]:.0f}" for name in stages), f"{sum(part[name] for name in stages):.0f}",
-         f"{part['mb']:.0f}", part["with_features"]]
-        for where, part in _shown(line)
-    ]  # fmt: skip
-
-
-CURVES = {
-    "tracks": ("window, synthetic tracks", ("window",)),
-    "rendered": ("stream, rendered pairs", ("features", "matching", "window")),
-}
-
-
-def draw(lines: list[Case], png: Path) -> None:
-    """Time a frame and memory over the number of frames, a column for each sequence."""
-    n = len(lines)
-    figure, axes = subplots(2, n, (1.0 + 4.0 * n, 5.0), sharex="col", squeeze=False, layout="constrained")
-    for column, line in enumerate(lines):
-        title, stages = CURVES[line["case"]["kind"]]
-        ends = [part["end"] for part in line["parts"]]
-        for stage in stages:
-            axes[0, column].plot(ends, [part[stage] for part in line["parts"]], marker=".", label=stage)
-        axes[1, column].plot(ends, [part["mb"] for part in line["parts"]], marker=".", color="0.3")
-        axes[0, column].set(title=title, ylim=(0.0, None))
-        axes[1, column].set(xlabel="frames so far", ylim=(0.0, 2048.0))
-        axes[0, column].legend(frameon=False)
-    axes[0, 0].set_ylabel("ms a frame, one core")
-    axes[1, 0].set_ylabel("memory MiB (2 GiB allowed)")
-    save_figure(figure, png, 110)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """Eight lengths of the free flyer, measured on a mesh and on the true one (as table 6.3 of the thesis).
 
-    python -m benchmarks.mapping.lengths [RUN SEQ]          a run of configs/ts38.yaml (runs/ts38, data/ts38)
-    python -m benchmarks.mapping.lengths --mesh MESH SEQ  a mesh in true G (benchmarks.mesh_quality --save)
+    python -m benchmarks.mapping.lengths [RUN SEQ]      a run of configs/ts38.yaml (runs/ts38, data/ts38)
 
 A length is the distance between two parallel faces of the body. On the true mesh a face is what lies in one
 plane and is free of other parts within 2 mm. On the estimated mesh, which the motion alone brings into the
@@ -11,11 +10,10 @@ two planes at the middle of the faces.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import trimesh
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
 from benchmarks.command import command
 from benchmarks.mapping.mesh_quality import run_poses, true_poses
@@ -35,9 +33,9 @@ CLEAR_M = 2e-3
 REACH_M = 4e-3
 """The estimated surface is looked for so far on either side of the true face."""
 FLAT_M = 5e-5
-FEWEST = 60
+"""Points of a face are so near to its plane."""
+MIN_RAYS = 60
 """Rays that must meet the estimated surface."""
-MM = 1e-3
 
 
 @dataclass(frozen=True)
@@ -91,10 +89,10 @@ def measure(estimate: trimesh.Trimesh, truth: trimesh.Trimesh) -> list[MeasuredL
         along = np.array(length.one.normal)
         true_mm = float(along @ (np.array(length.one.point_mm) - np.array(length.other.point_mm)))
         points = min(count for _, count in ends)
-        known = points >= FEWEST
+        known = points >= MIN_RAYS
         rows.append(
             MeasuredLength(
-                length.name, true_mm, true_mm + sum(off for off, _ in ends) / MM if known else None, points
+                length.name, true_mm, true_mm + sum(off for off, _ in ends) / 1e-3 if known else None, points
             )
         )
     return rows
@@ -103,11 +101,11 @@ def measure(estimate: trimesh.Trimesh, truth: trimesh.Trimesh) -> list[MeasuredL
 def _offset(true: Caster, found: Caster, truth: trimesh.Trimesh, face: Face) -> tuple[float, int]:
     """How far outside of the true face the estimated one is, at its middle [m], and the rays that met it."""
     normal = np.array(face.normal) / np.linalg.norm(face.normal)
-    points = _clear_points(true, truth, np.array(face.point_mm) * MM, normal)
+    points = _clear_points(true, truth, np.array(face.point_mm) * 1e-3, normal)
     distance, _ = found.first(points + REACH_M * normal, np.broadcast_to(-normal, points.shape))
     off = REACH_M - distance
     met = np.abs(off) < REACH_M
-    if met.sum() < FEWEST:
+    if met.sum() < MIN_RAYS:
         return np.nan, int(met.sum())
     across = np.linalg.svd(normal[None])[2][1:]
     design = np.column_stack([np.ones(len(points)), (points - points.mean(axis=0)) @ across.T])
@@ -171,18 +169,8 @@ def print_lengths(rows: list[MeasuredLength]) -> None:
         )
 
 
-def main(
-    run: Positional[Path] = Path("runs/ts38"),
-    sequence: Positional[Path] = Path("data/ts38"),
-    mesh: Annotated[Path | None, arg(help="A mesh in the true frame G instead of a run.")] = None,
-) -> None:
+def main(run: Positional[Path] = Path("runs/ts38"), sequence: Positional[Path] = Path("data/ts38")) -> None:
     """Measure and print the table."""
-    if mesh is not None:
-        truth = read_truth(sequence).mesh
-        if truth is None:
-            raise SystemExit(f"{sequence}: this sequence has no true surface")
-        print_lengths(measure(read_ply(mesh).mesh, truth))
-        return
     print_lengths(measure(*in_true_frame(run, sequence)))
 
 

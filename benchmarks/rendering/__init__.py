@@ -1,7 +1,1 @@
-"""The renderer: agreement with Mitsuba, and time.
-
-In: scenes of the simulator. Out: differences of images, seconds.
-
-    against_mitsuba   differences of the images, of the same scene in both programs
-    rendering_time    seconds per pair of images
-"""
+"""The renderer beside Mitsuba: against_mitsuba prints differences of images of the same scene, and times."""

@@ -9,7 +9,7 @@ processor times [s] of an image with 16 samples a pixel, scene and compiled code
 error that Mitsuba's has then: its light is drawn at random, where ours is integrated.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from time import process_time
 from typing import Annotated, Any, Literal
@@ -24,6 +24,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from tyro.conf import arg
 
 from benchmarks.command import Png, command
+from benchmarks.presentation import print_table
 from polhode.config import scene_settings as config
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.records import Bools, Ints
@@ -38,164 +39,57 @@ mi.set_variant("scalar_rgb")
 FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Mitsuba's camera has x to the left and y up."""
 FAR_M = 1e3
+FULL_SCALE = 255.0 / config.Sensor().white_dn
+"""Level of a saturated pixel."""
+EDGE_PX = 2
+"""Pixels so near to a silhouette or a shadow's edge are left out: they measure where the samples fall."""
+SAME_FACE_M, SAME_FACE_COSINE = 2e-3, 0.9
+"""Neighbours on one face: so near to its plane, with normals so alike."""
+SAMPLES = 16
+"""A pixel, of our image and of both when their times are compared."""
+X_NG = make_pose(exp_so3([2.35, 0.0, 0.0]) @ exp_so3([0.0, 0.0, 0.4]), [0.01, 0.01, 0.66])
+SUN_N, EARTH_N = (0.7, -0.55, -0.45), (-0.6, 0.5, -0.6)
+HEAD = (
+    "light | bias | mean | 95 % | 99 % | max | share within 3 [%] | pixels | ours [s] | Mitsuba [s] | "
+    "its error then"
+)
 
 
 @dataclass(frozen=True)
-class PeerLights:
-    """Lights in G, as far as Mitsuba is to know them."""
+class RenderingCase:
+    """What lights the deck."""
 
-    sun_direction_G: Array
-    """(3,) unit, towards the Sun"""
+    name: str
     sun: float = 1.0
     """Level of a white surface that faces it"""
     sun_diameter_deg: float = 0.0
     """0: a point at infinity"""
-    earth_direction_G: Array | None = None
-    """(3,) unit"""
     earth: float = 0.0
     """Radiance of the disc, relative to a white surface in sunlight"""
-    earth_radius_deg: float = 66.0
+    bounces: Literal[0, 1] = 0
+
+    @property
+    def light(self) -> config.Light:
+        """As the simulator is told."""
+        return config.Light(
+            sun=self.sun,
+            sun_direction_N=SUN_N,
+            sun_diameter_deg=self.sun_diameter_deg,
+            earth_direction_N=EARTH_N,
+            earth=self.earth,
+        )
 
 
-def load(
-    parts: Sequence[Part],
-    lights: PeerLights,
-    camera: Camera,
-    X_GK: Array,
-    samples: int,
-    bounces: int = 0,
-) -> Any:
-    """Mitsuba's scene, for a path tracer of light that has met the body at most ``bounces`` times more."""
-    scene: dict[str, Any] = {"type": "scene", "camera": _sensor(camera, X_GK, samples)}
-    scene["integrator"] = {"type": "path", "max_depth": 2 + bounces, "rr_depth": 100, "hide_emitters": True}
-    scene |= _emitters(lights)
-    for i, part in enumerate(parts):
-        for j, mesh in enumerate(_meshes(part)):
-            scene[f"part_{i}_{j}"] = mesh
-    return mi.load_dict(scene)
+CASES = (
+    RenderingCase("point Sun"),
+    RenderingCase("Sun of 0.533 deg", sun_diameter_deg=0.533),
+    RenderingCase("Sun of 5 deg", sun_diameter_deg=5.0),
+    RenderingCase("Earth alone", sun=0.0, earth=0.4),
+    RenderingCase("Sun, one bounce", sun_diameter_deg=0.533, bounces=1),
+    RenderingCase("Sun and Earth, one bounce", sun_diameter_deg=0.533, earth=0.15, bounces=1),
+)
 
-
-def render(scene: Any, samples: int = 0) -> Array:
-    """Levels (H, W); ``samples`` a pixel, 0 for the scene's own number."""
-    image = np.array(mi.render(scene, spp=samples), dtype=np.float64)
-    return np.asarray(image[..., 0])
-
-
-def _sensor(camera: Camera, X_GK: Array, samples: int) -> dict[str, Any]:
-    """A pinhole whose principal point is the middle of the image, square pixels, a box over each pixel."""
-    middle = [(camera.width_px - 1) / 2, (camera.height_px - 1) / 2]
-    if camera.distorted or not np.allclose(camera.K[:2, 2], middle):
-        raise ValueError("Mitsuba's camera has no distortion and no offset of the principal point")
-    return {
-        "type": "perspective",
-        "fov_axis": "x",
-        "fov": float(np.rad2deg(2 * np.arctan(0.5 * camera.width_px / camera.K[0, 0]))),
-        "near_clip": 1e-3,
-        "far_clip": 1e4,
-        "to_world": mi.ScalarTransform4f((X_GK @ FLIP).tolist()),
-        "film": {
-            "type": "hdrfilm",
-            "width": camera.width_px,
-            "height": camera.height_px,
-            "rfilter": {"type": "box"},
-            "pixel_format": "rgb",
-            "component_format": "float32",
-        },
-        "sampler": {"type": "multijitter", "sample_count": samples},
-    }
-
-
-def _emitters(lights: PeerLights) -> dict[str, Any]:
-    emitters: dict[str, Any] = {}
-    toward = lights.sun_direction_G
-    if lights.sun > 0 and lights.sun_diameter_deg == 0:
-        irradiance = _grey(np.pi * lights.sun)
-        emitters["sun"] = {
-            "type": "directional",
-            "direction": (-toward).tolist(),
-            "irradiance": irradiance,
-        }
-    elif lights.sun > 0:
-        radius_rad = np.deg2rad(0.5 * lights.sun_diameter_deg)
-        emitters["sun"] = _disc(toward, radius_rad, lights.sun / np.sin(radius_rad) ** 2)
-    if lights.earth > 0 and lights.earth_direction_G is not None:
-        emitters["earth"] = _disc(lights.earth_direction_G, np.deg2rad(lights.earth_radius_deg), lights.earth)
-    return emitters
-
-
-def _disc(toward_G: Array, radius_rad: float, radiance: float) -> dict[str, Any]:
-    """A far sphere of even radiance."""
-    sine = np.sin(radius_rad)
-    # Mitsuba works out the cone of the sphere in single precision: 0.3 % too wide for the Sun.
-    single = 1.0 - float(np.sqrt(np.float32(1.0) - np.float32(sine) ** 2))
-    return {
-        "type": "sphere",
-        "center": (FAR_M * toward_G).tolist(),
-        "radius": float(FAR_M * sine),
-        "emitter": {"type": "area", "radiance": _grey(radiance * (1.0 - np.cos(radius_rad)) / single)},
-    }
-
-
-def _meshes(part: Part) -> list[mi.Mesh]:
-    """One mesh for each drawing of a part, and one for its faces without a drawing."""
-    normals = assemble([part]).corner_normals
-    plain = np.ones(len(part.mesh.faces), np.bool_)
-    meshes = []
-    for chart, faces in part.charts:
-        plain[faces] = False
-        meshes.append(_mesh(part, normals, np.asarray(faces), chart))
-    if plain.any():
-        meshes.append(_mesh(part, normals, np.flatnonzero(plain), None))
-    return meshes
-
-
-def _mesh(part: Part, corner_normals: Array, faces: Ints, chart: Chart | None) -> mi.Mesh:
-    """Triangles that share no vertex, so that each corner has its own normal."""
-    corners = np.asarray(part.mesh.triangles)[faces].reshape(-1, 3)
-    properties = mi.Properties()
-    properties["mesh_bsdf"] = mi.load_dict(_bsdf(part.material, chart))
-    mesh = mi.Mesh(
-        "part", len(corners), len(faces), properties, has_vertex_normals=True, has_vertex_texcoords=True
-    )
-    fields = mi.traverse(mesh)
-    fields["vertex_positions"] = corners.ravel().tolist()
-    fields["vertex_normals"] = corner_normals[faces].ravel().tolist()
-    fields["faces"] = list(range(len(corners)))
-    if chart is not None:
-        fields["vertex_texcoords"] = _texture_coordinates(chart, corners).ravel().tolist()
-    fields.update()
-    return mesh
-
-
-def _texture_coordinates(chart: Chart, p_G: Array) -> Array:
-    """Points (n, 3) -> (n, 2) in [0, 1]: our texels have their centres at integers, Mitsuba's at halves."""
-    height, width = chart.image.shape
-    offset = (p_G - chart.origin_G) / chart.texel_m
-    u, v = (offset @ chart.right_G + 0.5) / width, (offset @ chart.down_G + 0.5) / height
-    return np.stack([u, v], axis=1)
-
-
-def _bsdf(material: Material, chart: Chart | None) -> dict[str, Any]:
-    reflectance: dict[str, Any] = _grey(material.albedo)
-    if chart is not None:
-        reflectance = {
-            "type": "bitmap",
-            "bitmap": mi.Bitmap(np.ascontiguousarray(chart.image[..., None], dtype=np.float32)),
-            "raw": True,
-            "wrap_mode": "clamp",
-        }
-    diffuse = {"type": "diffuse", "reflectance": reflectance}
-    if material.specular == 0:
-        return {"type": "twosided", "bsdf": diffuse}
-    metal = {"type": "roughconductor", "material": "none", "distribution": "ggx"}
-    metal["alpha"] = material.roughness**2  # type: ignore[assignment]
-    mixed = {"type": "blendbsdf", "weight": material.specular, "diffuse": diffuse, "metal": metal}
-    return {"type": "twosided", "bsdf": mixed}
-
-
-def _grey(value: float) -> dict[str, Any]:
-    return {"type": "rgb", "value": [float(value)] * 3}
-
+# The deck
 
 TEXEL_M = 1e-3
 MATT = Material(0.5, specular=0.0)
@@ -203,31 +97,26 @@ PAINT = Material(0.6, specular=0.04, roughness=0.45)
 METAL = Material(0.16, specular=0.55, roughness=0.42)
 CELLS = Material(0.07, specular=0.06, roughness=0.3)
 DARK = Material(0.1, specular=0.0)
-
 Drawing = NDArray[np.float32]
 Draw = Callable[[int, int, np.random.Generator], Drawing]
 
 
 def deck() -> list[Part]:
     """The parts in G; z points away from the deck, whose surface is z = 0."""
-    rng = np.random.default_rng(5)
+    rng, create = np.random.default_rng(5), trimesh.creation
     return [
         _box([0.5, 0.38, 0.02], _pose([0, 0, -0.01]), MATT, _patches, rng),
         _box([0.12, 0.1, 0.08], _pose([-0.13, -0.05, 0.04]), MATT, _patches, rng),
         _box([0.07, 0.09, 0.05], _pose([0.16, 0.1, 0.025]), PAINT, _patches, rng),
         _box([0.2, 0.1, 0.004], _pose([0.05, -0.11, 0.09], [0.45, 0.35, 0.3]), CELLS, _cells, rng),
-        _plain(trimesh.creation.icosphere(subdivisions=4, radius=0.05), _pose([0.0, 0.06, 0.05]), METAL),
+        _plain(create.icosphere(subdivisions=4, radius=0.05), _pose([0.0, 0.06, 0.05]), METAL),
         _plain(
-            trimesh.creation.cylinder(radius=0.03, height=0.1, sections=64),
+            create.cylinder(radius=0.03, height=0.1, sections=64),
             _pose([-0.14, 0.11, 0.03], [0.0, np.pi / 2, 0.0]),
             PAINT,
         ),
-        _plain(
-            trimesh.creation.cylinder(radius=0.004, height=0.16, sections=24),
-            _pose([0.17, -0.02, 0.08]),
-            DARK,
-        ),
-        _plain(trimesh.creation.box([0.006, 0.006, 0.09]), _pose([0.05, -0.11, 0.045]), DARK),
+        _plain(create.cylinder(radius=0.004, height=0.16, sections=24), _pose([0.17, -0.02, 0.08]), DARK),
+        _plain(create.box([0.006, 0.006, 0.09]), _pose([0.05, -0.11, 0.045]), DARK),
     ]
 
 
@@ -243,21 +132,13 @@ def _plain(mesh: trimesh.Trimesh, X_GO: Array, material: Material) -> Part:
 def _box(extents_m: ArrayLike, X_GO: Array, material: Material, draw: Draw, rng: np.random.Generator) -> Part:
     """A box, centred in its own frame O, with a drawing of its own on each side."""
     mesh = trimesh.creation.box(extents_m)
-    half = 0.5 * np.asarray(extents_m)
-    charts = []
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            normal, right, down = sign * np.eye(3)[axis], np.eye(3)[axis - 2], np.eye(3)[axis - 1]
-            width, height = (int(np.ceil(2 * half @ side / TEXEL_M)) + 1 for side in (right, down))
-            corner = half * (normal - right - down)
-            chart = Chart(
-                X_GO[:3, :3] @ corner + X_GO[:3, 3],
-                X_GO[:3, :3] @ right,
-                X_GO[:3, :3] @ down,
-                TEXEL_M,
-                draw(height, width, rng),
-            )
-            charts.append((chart, np.flatnonzero(np.asarray(mesh.face_normals) @ normal > 0.5)))
+    half, R_GO, charts = 0.5 * np.asarray(extents_m), X_GO[:3, :3], []
+    for axis, sign in ((axis, sign) for axis in range(3) for sign in (-1.0, 1.0)):
+        normal, right, down = sign * np.eye(3)[axis], np.eye(3)[axis - 2], np.eye(3)[axis - 1]
+        width, height = (int(np.ceil(2 * half @ side / TEXEL_M)) + 1 for side in (right, down))
+        corner_G = R_GO @ (half * (normal - right - down)) + X_GO[:3, 3]
+        chart = Chart(corner_G, R_GO @ right, R_GO @ down, TEXEL_M, draw(height, width, rng))
+        charts.append((chart, np.flatnonzero(np.asarray(mesh.face_normals) @ normal > 0.5)))
     mesh.apply_transform(X_GO)
     return Part(mesh, material, tuple(charts))
 
@@ -285,38 +166,123 @@ def _cells(height: int, width: int, rng: np.random.Generator) -> Drawing:
     return cv2.GaussianBlur(np.clip(image, 0.02, 0.9), (0, 0), 0.6).astype(np.float32)
 
 
-FULL_SCALE = 255.0 / config.Sensor().white_dn
-"""Level of a saturated pixel."""
-EDGE_PX = 2
-"""Pixels so near to a silhouette or a shadow's edge are left out: they measure where the samples fall."""
-SAME_FACE_M, SAME_FACE_COSINE = 2e-3, 0.9
-"""Neighbours on one face: so near to its plane, with normals so alike."""
-SAMPLES = 16
-"""A pixel, of our image and of both when their times are compared."""
-X_NG = make_pose(exp_so3([2.35, 0.0, 0.0]) @ exp_so3([0.0, 0.0, 0.4]), [0.01, 0.01, 0.66])
-SUN_N = (0.7, -0.55, -0.45)
-EARTH_N = (-0.6, 0.5, -0.6)
+# Mitsuba's scene
 
 
-@dataclass(frozen=True)
-class RenderingCase:
-    """What lights the deck."""
+def load(case: RenderingCase, camera: Camera, samples: int) -> Any:
+    """The deck in G, for a path tracer of light that has met the body at most ``bounces`` times more."""
+    X_GN = inverse_pose(X_NG)
+    to_sun_G, to_earth_G = (X_GN[:3, :3] @ np.array(d) / np.linalg.norm(d) for d in (SUN_N, EARTH_N))
+    integrator = {"type": "path", "max_depth": 2 + case.bounces, "rr_depth": 100, "hide_emitters": True}
+    scene: dict[str, Any] = {
+        "type": "scene",
+        "camera": _sensor(camera, X_GN, samples),
+        "integrator": integrator,
+    }
+    if case.sun > 0 and case.sun_diameter_deg == 0:
+        irradiance = _grey(np.pi * case.sun)
+        scene["sun"] = {"type": "directional", "direction": (-to_sun_G).tolist(), "irradiance": irradiance}
+    elif case.sun > 0:
+        radius_rad = np.deg2rad(0.5 * case.sun_diameter_deg)
+        scene["sun"] = _disc(to_sun_G, radius_rad, case.sun / np.sin(radius_rad) ** 2)
+    if case.earth > 0:
+        scene["earth"] = _disc(to_earth_G, np.deg2rad(case.light.earth_radius_deg), case.earth)
+    for i, part in enumerate(deck()):
+        for j, mesh in enumerate(_meshes(part)):
+            scene[f"part_{i}_{j}"] = mesh
+    return mi.load_dict(scene)
 
-    name: str
-    sun: float = 1.0
-    sun_diameter_deg: float = 0.0
-    earth: float = 0.0
-    bounces: Literal[0, 1] = 0
+
+def render(scene: Any, samples: int = 0) -> Array:
+    """Levels (H, W); ``samples`` a pixel, 0 for the scene's own number."""
+    return np.asarray(np.array(mi.render(scene, spp=samples), dtype=np.float64)[..., 0])
 
 
-CASES = (
-    RenderingCase("point Sun"),
-    RenderingCase("Sun of 0.533 deg", sun_diameter_deg=0.533),
-    RenderingCase("Sun of 5 deg", sun_diameter_deg=5.0),
-    RenderingCase("Earth alone", sun=0.0, earth=0.4),
-    RenderingCase("Sun, one bounce", sun_diameter_deg=0.533, bounces=1),
-    RenderingCase("Sun and Earth, one bounce", sun_diameter_deg=0.533, earth=0.15, bounces=1),
-)
+def _sensor(camera: Camera, X_GK: Array, samples: int) -> dict[str, Any]:
+    """A pinhole whose principal point is the middle of the image, square pixels, a box over each pixel."""
+    return {
+        "type": "perspective",
+        "fov_axis": "x",
+        "fov": float(np.rad2deg(2 * np.arctan(0.5 * camera.width_px / camera.K[0, 0]))),
+        "near_clip": 1e-3,
+        "far_clip": 1e4,
+        "to_world": mi.ScalarTransform4f((X_GK @ FLIP).tolist()),
+        "film": {
+            "type": "hdrfilm",
+            "width": camera.width_px,
+            "height": camera.height_px,
+            "rfilter": {"type": "box"},
+            "pixel_format": "rgb",
+            "component_format": "float32",
+        },
+        "sampler": {"type": "multijitter", "sample_count": samples},
+    }
+
+
+def _disc(toward_G: Array, radius_rad: float, radiance: float) -> dict[str, Any]:
+    """A far sphere of even radiance."""
+    sine = np.sin(radius_rad)
+    # Mitsuba works out the cone of the sphere in single precision: 0.3 % too wide for the Sun.
+    single = 1.0 - float(np.sqrt(np.float32(1.0) - np.float32(sine) ** 2))
+    return {
+        "type": "sphere",
+        "center": (FAR_M * toward_G).tolist(),
+        "radius": float(FAR_M * sine),
+        "emitter": {"type": "area", "radiance": _grey(radiance * (1.0 - np.cos(radius_rad)) / single)},
+    }
+
+
+def _meshes(part: Part) -> list[mi.Mesh]:
+    """One mesh for each drawing of a part, and one for its faces without a drawing."""
+    normals, plain = assemble([part]).corner_normals, np.ones(len(part.mesh.faces), np.bool_)
+    meshes = []
+    for chart, faces in part.charts:
+        plain[faces] = False
+        meshes.append(_mesh(part, normals, np.asarray(faces), chart))
+    if plain.any():
+        meshes.append(_mesh(part, normals, np.flatnonzero(plain), None))
+    return meshes
+
+
+def _mesh(part: Part, corner_normals: Array, faces: Ints, chart: Chart | None) -> mi.Mesh:
+    """Triangles that share no vertex, so that each corner has its own normal."""
+    corners_G = np.asarray(part.mesh.triangles)[faces].reshape(-1, 3)
+    properties = mi.Properties()
+    properties["mesh_bsdf"] = mi.load_dict(_bsdf(part.material, chart))
+    has = {"has_vertex_normals": True, "has_vertex_texcoords": True}
+    mesh = mi.Mesh("part", len(corners_G), len(faces), properties, **has)
+    fields = mi.traverse(mesh)
+    fields["vertex_positions"] = corners_G.ravel().tolist()
+    fields["vertex_normals"] = corner_normals[faces].ravel().tolist()
+    fields["faces"] = list(range(len(corners_G)))
+    if chart is not None:
+        # in [0, 1]: our texels have their centres at integers, Mitsuba's at halves
+        offset = (corners_G - chart.origin_G) / chart.texel_m
+        texels = np.stack([offset @ chart.right_G, offset @ chart.down_G], axis=1) + 0.5
+        fields["vertex_texcoords"] = (texels / chart.image.shape[::-1]).ravel().tolist()
+    fields.update()
+    return mesh
+
+
+def _bsdf(material: Material, chart: Chart | None) -> dict[str, Any]:
+    reflectance: dict[str, Any] = _grey(material.albedo)
+    if chart is not None:
+        bitmap = mi.Bitmap(np.ascontiguousarray(chart.image[..., None], dtype=np.float32))
+        reflectance = {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "clamp"}
+    diffuse = {"type": "diffuse", "reflectance": reflectance}
+    if material.specular == 0:
+        return {"type": "twosided", "bsdf": diffuse}
+    metal: dict[str, Any] = {"type": "roughconductor", "material": "none", "distribution": "ggx"}
+    metal["alpha"] = material.roughness**2
+    mixed = {"type": "blendbsdf", "weight": material.specular, "diffuse": diffuse, "metal": metal}
+    return {"type": "twosided", "bsdf": mixed}
+
+
+def _grey(value: float) -> dict[str, Any]:
+    return {"type": "rgb", "value": [float(value)] * 3}
+
+
+# The comparison
 
 
 @dataclass(frozen=True)
@@ -340,41 +306,24 @@ class ImageComparison:
         """Ours minus theirs (n,) where compared, in shares of full scale."""
         return np.asarray((self.ours - self.theirs)[self.compared] / FULL_SCALE)
 
-    def row(self) -> str:
+    def row(self) -> list[object]:
         """Statistics in per cent of full scale."""
-        error = 100 * np.abs(self.difference)
-        p95, p99 = np.percentile(error, [95, 99])
-        return (
-            f"{100 * self.difference.mean():+.3f} | {error.mean():.3f} | {p95:.3f} | {p99:.3f} | "
-            f"{error.max():.2f} | {100 * (error < 3).mean():.2f} | {self.compared.sum()} | "
-            f"{self.ours_s:.2f} | {self.theirs_s:.2f} | "
-            f"{100 * np.abs(self.noise[self.compared]).mean() / FULL_SCALE:.3f}"
-        )
-
-
-HEAD = (
-    "bias | mean | 95 % | 99 % | max | share within 3 [%] | pixels | ours [s] | Mitsuba [s] | its error then"
-)
+        error, bias = 100 * np.abs(self.difference), 100 * self.difference.mean()
+        middle = (f"{value:.3f}" for value in (error.mean(), *np.percentile(error, [95, 99])))
+        within, noise = 100 * (error < 3).mean(), 100 * np.abs(self.noise[self.compared]).mean() / FULL_SCALE
+        times = (f"{seconds:.2f}" for seconds in (self.ours_s, self.theirs_s))
+        last = (f"{error.max():.2f}", f"{within:.2f}", self.compared.sum(), *times, f"{noise:.3f}")
+        return [f"{bias:+.3f}", *middle, *last]
 
 
 def compare(case: RenderingCase, width_px: int = 96, samples: int = 64) -> ImageComparison:
     """Render the deck with both programs: ours with SAMPLES a pixel, Mitsuba's with ``samples``."""
     rig = config.Rig(width_px=width_px, height_px=width_px * 3 // 4, focal_px=1.15 * width_px)
     camera, _ = build_cameras(rig)
-    parts, X_GN = deck(), inverse_pose(X_NG)
-    light = config.Light(
-        sun=case.sun,
-        sun_direction_N=SUN_N,
-        sun_diameter_deg=case.sun_diameter_deg,
-        earth_direction_N=EARTH_N,
-        earth=case.earth,
-    )
-    scene = config.Scene(light=light, render=config.Render(samples=SAMPLES, bounces=case.bounces))
-    renderer = Renderer(assemble(parts), scene, 0)
+    scene = config.Scene(light=case.light, render=config.Render(samples=SAMPLES, bounces=case.bounces))
+    renderer = Renderer(assemble(deck()), scene, 0)
     ours = renderer.picture(camera, np.eye(4), X_NG).level
-    to_sun, to_earth = (X_GN[:3, :3] @ np.array(d) / np.linalg.norm(d) for d in (SUN_N, EARTH_N))
-    lights = PeerLights(to_sun, case.sun, case.sun_diameter_deg, to_earth, case.earth, light.earth_radius_deg)
-    peer = load(parts, lights, camera, X_GN, samples, case.bounces)
+    peer = load(case, camera, samples)
     theirs = render(peer)
     _, ours_s = _timed(lambda: renderer.picture(camera, np.eye(4), X_NG).level)
     few, theirs_s = _timed(lambda: render(peer, SAMPLES))
@@ -407,9 +356,8 @@ def _edges(truth: Products, camera: Camera) -> Bools:
 def picture(comparison: ImageComparison) -> Image.Image:
     """Ours, Mitsuba's, and the difference times ten around grey, side by side."""
     ours, theirs = (np.clip(level / FULL_SCALE, 0, 1) for level in (comparison.ours, comparison.theirs))
-    panels = [ours, theirs, np.clip(0.5 + 10 * (ours - theirs), 0, 1)]
     gap = np.ones((ours.shape[0], 4))
-    row = np.hstack([panels[0], gap, panels[1], gap, panels[2]])
+    row = np.hstack([ours, gap, theirs, gap, np.clip(0.5 + 10 * (ours - theirs), 0, 1)])
     return Image.fromarray(np.rint(255 * row).astype(np.uint8))
 
 
@@ -419,14 +367,11 @@ def main(
     samples: Annotated[int, arg(help="Samples a pixel of Mitsuba; fewer for direct light.")] = 1600,
 ) -> None:
     """Print the table; draw the last case when asked."""
-    print(f"| light | {HEAD} |\n|{'---|' * (HEAD.count('|') + 2)}")
-    for case in CASES:
-        # Direct light is almost free of noise; light by way of a mirror is not.
-        rays = samples if case.bounces else min(samples, 144)
-        comparison = compare(case, width, rays)
-        print(f"| {case.name} | {comparison.row()} |", flush=True)
-        if output and case == CASES[-1]:
-            picture(comparison).save(output, optimize=True)
+    # Direct light is almost free of noise; light by way of a mirror is not.
+    rays = {case.name: samples if case.bounces else min(samples, 144) for case in CASES}
+    print_table(HEAD, ([case.name, *compare(case, width, rays[case.name]).row()] for case in CASES))
+    if output:
+        picture(compare(CASES[-1], width, samples)).save(output, optimize=True)
 
 
 if __name__ == "__main__":

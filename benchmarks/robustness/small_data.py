@@ -34,11 +34,11 @@ def write_boards(folder: Path) -> Path:
     """Render a chessboard of 7 x 5 inner corners, its squares 30 mm wide, into ``left/`` and ``right/``."""
     import numpy as np
 
-    from benchmarks.calibration.board_images import BoardCamera, printed
     from polhode.calibration.boards import make_board
     from polhode.calibration.lenses import Lens
     from polhode.dataset_writer import write_png
     from polhode.lie import exp_so3, make_pose
+    from tests.calibration.board_images import BoardCamera, printed
 
     board, rng, size = make_board("chessboard", "7x5", 0.03), np.random.default_rng(3), (320, 240)
     X_10 = make_pose(exp_so3([0.01, -0.03, 0.02]), [-0.06, 0.001, -0.002])

@@ -60,23 +60,14 @@ class System:
         return ca.Function("observability", [self.x], [ca.densify(ca.vertcat(*rows))])
 
 
-@dataclass(frozen=True)
-class RankTest:
-    """Rank of the observability matrix at a state."""
-
-    rank: int
-    null_space: Array
-    """(n, n - rank) orthonormal unobservable directions"""
-
-
 def main() -> None:
     """Print the thesis's null vector and both tables of ranks."""
     rates, poses = measured_rates(), measured_poses()
     state = np.array([0.4, 0.5, 0.45, *BOX])
-    found = observability(evaluate(rates.observability_matrix(1), state))
-    null = found.null_space[:, 0] / found.null_space[-1, 0]
+    null_space = unobservable(np.asarray(rates.observability_matrix(1)(state)))
+    null, rank = null_space[:, 0] / null_space[-1, 0], len(state) - null_space.shape[1]
     print("Rates along the principal axes are measured (thesis 3.8-3.15); x = (w, Jxx, Jyy, Jzz)")
-    print(f"[grad L^0 h; grad L^1 h]: rank {found.rank} of {len(state)}, null vector {np.round(null, 6)}")
+    print(f"[grad L^0 h; grad L^1 h]: rank {rank} of {len(state)}, null vector {np.round(null, 6)}")
     print(f"the inertia itself over Jzz: {np.round(state[3:] / state[5], 6)}: only its scale is hidden\n")
     table(rates, {name: np.array([*w, *J]) for name, (w, J) in MOTIONS.items()})
     print("\nPoses of G are measured, centre of mass and axes are unknown: x = (r, v, q, w, com, J)\n")
@@ -93,11 +84,11 @@ def table(system: System, states: dict[str, np.ndarray]) -> None:
     """Ranks by the highest order of derivatives, and the components of the unobservable directions."""
     functions, rows = [system.observability_matrix(order) for order in ORDERS], []
     for name, state in states.items():
-        found = [observability(evaluate(function, state)) for function in functions]
-        share = np.abs(found[-1].null_space).max(axis=1)
+        found = [unobservable(np.asarray(function(state))) for function in functions]
+        share = np.abs(found[-1]).max(axis=1, initial=0.0)
         hidden = [part for part, much in zip(system.names, share, strict=True) if much > 1e-6]
-        ranks = [str(each.rank) for each in found]
-        rows.append([name, *ranks, f"{len(state) - found[-1].rank}: {', '.join(hidden)}"])
+        ranks = [str(len(state) - each.shape[1]) for each in found]
+        rows.append([name, *ranks, f"{found[-1].shape[1]}: {', '.join(hidden)}"])
     print_table(("motion", *(f"up to L^{order}" for order in ORDERS), "hidden"), rows)
 
 
@@ -139,16 +130,11 @@ def _rotate(q: Any, p: Any) -> Any:
     return p + 2.0 * ca.cross(vector, ca.cross(vector, p) + q[0] * p)
 
 
-def observability(matrix: Array) -> RankTest:
-    """Rank and null space of a matrix (m, n) by its singular values."""
+def unobservable(matrix: Array) -> Array:
+    """Null space (n, n - rank) of an observability matrix (m, n), orthonormal, by its singular values."""
     _, values, rows = np.linalg.svd(matrix)
     rank = int(np.sum(values > RANK_TOLERANCE * values[0]))
-    return RankTest(rank, rows[rank:].T)
-
-
-def evaluate(function: Any, x: Array) -> Array:
-    """The observability matrix at a state (n,)."""
-    return np.asarray(function(x))
+    return np.asarray(rows[rank:].T)
 
 
 if __name__ == "__main__":

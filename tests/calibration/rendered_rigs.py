@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.calibration.board_images import BoardCamera, printed
 from polhode.calibration.adjustment import RigState
 from polhode.calibration.boards import Board
 from polhode.calibration.lenses import Lens
 from polhode.dataset_writer import write_png
 from polhode.images import Grey
 from polhode.lie import Array, exp_so3, make_pose
+from tests.calibration.board_images import BoardCamera, printed
 
 SIZE = (320, 240)
 X_10 = make_pose(exp_so3([0.01, -0.03, 0.02]), [-0.06, 0.001, -0.002])

@@ -6,7 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.importers.recordings import (
+from polhode.calibration.boards import Board, make_board
+from polhode.cli.main import main
+from tests.calibration.rendered_rigs import Scene, make_scene, write_images
+from tests.importers.recordings import (
     BagContents,
     Original,
     original,
@@ -15,9 +18,6 @@ from benchmarks.importers.recordings import (
     write_side_by_side,
     write_video,
 )
-from polhode.calibration.boards import Board, make_board
-from polhode.cli.main import main
-from tests.calibration.rendered_rigs import Scene, make_scene, write_images
 
 UPWARD = np.diag([1.0, -1.0, -1.0])
 

@@ -1,9 +1,8 @@
 """Who is on the front of time against accuracy: noise of the times counts as equal, failures do not count."""
 
-from benchmarks.solvers.compare import place_table
 from polhode.compare.ranking import beaten_by, front
 from polhode.compare.rows import Row
-from tests.compare.test_rows import comparison, row
+from tests.compare.test_rows import row
 
 
 def beaten(rows: list[Row], solver: str = "own") -> list[str]:
@@ -41,20 +40,3 @@ def test_a_row_that_did_not_finish_is_beaten_and_beats_none() -> None:
     ]
     assert beaten(rows) == ["slow"]
     assert beaten(rows, "slow") == []
-
-
-def test_the_table_names_who_beats_the_default_on_each_problem() -> None:
-    rows = [
-        row("own", 10.0, 1.0),
-        row("other", 10.0, 2.0),
-        row("own", 10.0, 3.0, problem="b"),
-        row("other", 10.0, 2.0, problem="b"),
-        row("other", 10.0, 2.0, problem="c"),
-    ]
-    head, *lines = place_table(comparison(rows), "own").splitlines()
-    assert "on 1 of 3 problems" in head and "times within 10%" in head
-    assert lines[2:] == [
-        "| a | ok | 1.00 | yes |  |",
-        "| b | ok | 3.00 | no | other (2.00 s) |",
-        "| c | not run |  |  |  |",
-    ]

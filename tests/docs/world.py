@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from benchmarks.calibration.board_images import BoardCamera, printed
-from benchmarks.importers.recordings import original, write_folders
 from polhode.calibration.boards import make_board
 from polhode.calibration.lenses import Lens
 from polhode.dataset_writer import write_png
 from polhode.rig_calibration import read_calibration
+from tests.calibration.board_images import BoardCamera, printed
 from tests.calibration.rendered_rigs import board_pose
 from tests.docs.page_code import ROOT
+from tests.importers.recordings import original, write_folders, write_ros1, write_side_by_side
 
 FRAMES = 8
 BOARD_VIEWS = 7

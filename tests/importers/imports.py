@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.importers.recordings import Original, original
 from polhode.errors import InputError
 from polhode.importers.import_sequence import Imported, import_sequence
 from polhode.importers.options import ImportOptions
 from polhode.progress import Silent
+from tests.importers.recordings import Original, original
 
 
 def imported(sources: Sequence[Path], folder: Path, **options: Any) -> Imported:

@@ -11,7 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.importers.recordings import (
+from polhode.cli.main import main
+from polhode.importers.options import Crop
+from polhode.optional_parts import missing_message
+from tests.conftest import TIMESTAMPS_NS
+from tests.importers.imports import refused
+from tests.importers.recordings import (
     BagContents,
     Original,
     original,
@@ -24,11 +29,6 @@ from benchmarks.importers.recordings import (
     write_side_by_side,
     write_video,
 )
-from polhode.cli.main import main
-from polhode.importers.options import Crop
-from polhode.optional_parts import missing_message
-from tests.conftest import TIMESTAMPS_NS
-from tests.importers.imports import refused
 
 Bad = Callable[[Original, Path], tuple[list[Path], dict[str, Any]]]
 

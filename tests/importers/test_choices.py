@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.importers.recordings import (
+from polhode.cli.main import main
+from polhode.dataset import open_sequence
+from polhode.dataset_writer import write_inspector, write_png
+from polhode.importers.options import Crop, parse_crop
+from polhode.lie import exp_so3, make_pose
+from tests.conftest import TIMESTAMPS_NS
+from tests.importers.imports import imported, refused, require_same
+from tests.importers.recordings import (
     BagContents,
     original,
     write_folders,
@@ -17,13 +24,6 @@ from benchmarks.importers.recordings import (
     write_ros2,
     write_side_by_side,
 )
-from polhode.cli.main import main
-from polhode.dataset import open_sequence
-from polhode.dataset_writer import write_inspector, write_png
-from polhode.importers.options import Crop, parse_crop
-from polhode.lie import exp_so3, make_pose
-from tests.conftest import TIMESTAMPS_NS
-from tests.importers.imports import imported, refused, require_same
 
 N = len(TIMESTAMPS_NS)
 X_NB = make_pose(

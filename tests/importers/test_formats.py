@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.importers.recordings import (
+from polhode.dataset import open_sequence
+from polhode.dataset_writer import write_png
+from polhode.importers.calibrations.read_rig import read_rig
+from polhode.lie import exp_so3, inverse_pose, make_pose
+from tests.importers.imports import imported, require_same
+from tests.importers.recordings import (
     BagContents,
     Original,
     original,
@@ -24,11 +29,6 @@ from benchmarks.importers.recordings import (
     write_stamps,
     write_video,
 )
-from polhode.dataset import open_sequence
-from polhode.dataset_writer import write_png
-from polhode.importers.calibrations.read_rig import read_rig
-from polhode.lie import exp_so3, inverse_pose, make_pose
-from tests.importers.imports import imported, require_same
 
 Written = tuple[Sequence[Path], dict[str, Any]]
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 import polhode.importers.sources.image_folders as image_folders
-from benchmarks.importers.recordings import original
 from polhode.errors import InputError, RunFailure
 from polhode.importers.sources.recording import FramedImage, Wanted
 from tests.importers.imports import imported, refused, require_same
+from tests.importers.recordings import original
 
 Images = image_folders.ImageFiles.images
 

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from benchmarks.end_to_end.range_images import as_sequence
 from polhode.config import Config
-from polhode.config.scene_settings import RangeSensor
+from polhode.config.scene_settings import RangeSensor, Scene
 from polhode.dataset import open_sequence
-from polhode.dataset_writer import write_range_sensor
+from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_range_sensor
 from polhode.errors import InputError
 from polhode.frontend.features.stereo import RootSift
 from polhode.frontend.rectification import make_rectifier, rectified_pair
@@ -24,6 +23,9 @@ from polhode.pipeline.evaluation import evaluate
 from polhode.pipeline.run import run
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.progress import Silent
+from polhode.range_images import RANGE_FOLDER
+from polhode.simulation.dataset.frame_renderer import FrameRenderer
+from polhode.simulation.dataset.plan import load_scene, plan_sequence
 from polhode.truth import read_truth
 from tests.conftest import RENDERED_FRAMES, MakeOnce
 
@@ -36,6 +38,30 @@ CONFIG = Config.model_validate(
         "pictures": {"animation": False, "views": False},
     }
 )
+
+
+def as_sequence(source: Path, folder: Path, sensor: RangeSensor) -> None:
+    """Copy the left images of a simulated sequence, with ranges of this sensor in the place of all else."""
+    scene, seed = load_scene(source / "scene.yaml")
+    plan = plan_sequence(
+        Scene.model_validate(
+            scene.model_dump() | {"range_sensor": sensor.model_copy(update={"enabled": True})}
+        ),
+        seed,
+    )
+    stamps = plan.target.timestamps_ns[list(plan.frames)]
+    staged = folder.with_name(f".{folder.name}.partial")
+    shutil.rmtree(staged, ignore_errors=True)
+    for part in ("cam0", "target0", "inspector0", "wrench0"):
+        if (source / "mav0" / part).is_dir():
+            shutil.copytree(source / "mav0" / part, staged / "mav0" / part)
+    ranges = staged / "mav0" / RANGE_FOLDER
+    write_range_sensor(ranges, sensor.scale_m, sensor.sigma_m, sensor.growth_per_m)
+    write_camera_csv(ranges, stamps)
+    renderer = FrameRenderer(plan)
+    for k, stamp in zip(plan.frames, stamps, strict=True):
+        write_png(image_path(ranges, int(stamp)), renderer.render_range(k))
+    staged.replace(folder)
 
 
 @pytest.fixture(scope="session")

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.end_to_end.report_page import CONTRAST, OVERFLOW, browser_path, draw_all, headless
 from polhode.pipeline.report import write_comparison, write_report
 from polhode.pipeline.run_directory.film import GAP_PX, GIF_SCALE, HEAD_PX, PANEL_PX
+from tests.browser import CONTRAST, OVERFLOW, browser_path, draw_all, headless
 from tests.pipeline.report.test_convergence import online_of
 from tests.pipeline.stored_run import stored
 

@@ -9,7 +9,6 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from benchmarks.end_to_end.report_page import CONTRAST, OVERFLOW, browser_path, draw_all, headless
 from polhode.cli.main import main
 from polhode.studies.page.columns import Axis, Metric, axes_of, drawn, metrics_of, without_numbers
 from polhode.studies.page.consistency import consistencies
@@ -18,6 +17,7 @@ from polhode.studies.page.write_page import write_page
 from polhode.studies.steps import FAILED
 from polhode.studies.store import Store
 from polhode.studies.table import read_table
+from tests.browser import CONTRAST, OVERFLOW, browser_path, draw_all, headless
 from tests.studies.page.conftest import StoreStudy, of_metrics
 
 Capture = pytest.CaptureFixture[str]
