@@ -5,7 +5,7 @@
 
 A NAME is that of a file of configs/compare, or ``run``: configs/default.yaml on a stored run (made by
 ``python -m benchmarks.end_to_end.scenes``), with the truth of its sequence when that is there. Without a
-name: ``run``, profiles, seeds, growth and ablations. Pages go to FOLDER/NAME; what was measured before is
+name: ``run``, profiles, seeds and growth. Pages go to FOLDER/NAME; what was measured before is
 read from there, so that an interrupted benchmark goes on where it stopped. ``--stored``: nothing is measured,
 the tables of what FOLDER holds are printed. ``--short``: every solver once on a small problem.
 """
@@ -28,8 +28,8 @@ from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.threads import limit_threads
 
-Name = Literal["short", "run", "profiles", "seeds", "growth", "ablations"]
-LONG: tuple[Name, ...] = ("run", "profiles", "seeds", "growth", "ablations")
+Name = Literal["short", "run", "profiles", "seeds", "growth"]
+LONG: tuple[Name, ...] = ("run", "profiles", "seeds", "growth")
 
 
 def main(

@@ -93,7 +93,7 @@ def test_what_is_stored_is_printed_and_nothing_is_measured(
     assert markdown(three, "gauss_newton") in printed
     assert "a: on the front: fast\n" in printed
     assert "gauss_newton: on the front of time against accuracy on 0 of 3 problems" in printed
-    assert "ablations: nothing stored" in printed
+    assert "seeds: nothing stored" in printed
 
 
 def test_one_problem_has_a_table_of_all_prices() -> None:
