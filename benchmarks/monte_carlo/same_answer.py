@@ -68,7 +68,7 @@ def measure(case: Case) -> Case:
             name = f"{solver}, {form}"
             data = motion_data(sequence.tracks, config)
             program = MotionProgram(data) if solver == "ipopt" else GaussNewton(data)
-            costs[name] = refine(program, data, true_iterate(sequence, config), 50)[1].cost
+            costs[name] = refine(program, true_iterate(sequence, config), 50)[1].cost
             _, found[name] = cold_start(sequence, config)
     first = next(iter(found.values()))
     return {

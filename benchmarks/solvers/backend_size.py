@@ -25,7 +25,7 @@ from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
-from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
+from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, MotionFit, linearization_point
 from polhode.backend.solvers.solve import refine
 from polhode.backend.uncertainty.covariance import (
     body_jacobians,
@@ -159,8 +159,8 @@ def measure(scene: SyntheticScene) -> PhaseTimes:
     # no iteration: all that it takes is the building
     build_s = least(lambda: MotionProgram(data).solve(fixed, x, 0))
     by_ipopt = program.solve(fixed, x, ITERATIONS)
-    end, ended, _ = refine(GaussNewton(data, line_search=True), data, start, ITERATIONS)
-    _, _, answer_iterations = refine(MotionProgram(data), data, end, ITERATIONS, before=ended.cost)
+    end, ended, _ = refine(GaussNewton(data, line_search=True), start, ITERATIONS)
+    _, _, answer_iterations = refine(MotionProgram(data), end, ITERATIONS, before=ended.cost)
     weight = np.ones(len(data.frame))
     return PhaseTimes(
         scene.frames,
@@ -171,9 +171,9 @@ def measure(scene: SyntheticScene) -> PhaseTimes:
         ipopt_s,
         by_ipopt.iterations,
         build_s,
-        least(lambda: refine(MotionProgram(data), data, end, ITERATIONS, before=ended.cost)),
+        least(lambda: refine(MotionProgram(data), end, ITERATIONS, before=ended.cost)),
         answer_iterations,
-        least(lambda: covariances(newton, data, end, weight)),
+        least(lambda: covariances(MotionFit(data, end), weight)),
         (by_newton.cost, by_ipopt.cost),
     )
 
@@ -199,10 +199,10 @@ def disturbed_start(sequence: SyntheticSequence, data: MotionData, config: Backe
     )
 
 
-def covariances(solver: GaussNewton, data: MotionData, at: Iterate, weight: Array) -> None:
+def covariances(fit: MotionFit, weight: Array) -> None:
     """What a run does for its covariances."""
-    m = marginals(solver, linearization_point(data, at), at.vector(), weight)
-    state_covariances(at, m, state_jacobians(at, axes_derivative(data.form, at)))
+    at, m = fit.iterate, marginals(fit, weight)
+    state_covariances(at, m, state_jacobians(at, axes_derivative(fit.data.form, at)))
     state_covariances(at, m, body_jacobians(at))
 
 

@@ -108,17 +108,17 @@ def solve_run(run: Path) -> tuple[MotionData, list[Stopped]]:
         raise InputError(f"{run}: no relative poses are stored")
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         initial = initialize_motion(tracks, relative, config)
-        found = fit(motion_data(tracks, config), tracks, initial, config, lambda: None)
-        data, start = found.kept.data, found.kept.restrict(found.iterate)
+        start = fit(motion_data(tracks, config), tracks, initial, config, lambda: None).pruned.small
+        data = start.data
         out = []
         for make in SOLVERS:
             begin = time.process_time()
             solver = make(data)
-            at, solution, iterations = refine(solver, data, start, config.max_iterations, config.max_seconds)
-            ended = SolvedMotion(solver.name, at, solution, iterations)
+            found = refine(solver, start.iterate, config.max_iterations, config.max_seconds)
+            ended = SolvedMotion(solver.name, *found)
             out.append(_stopped(data, ended, time.process_time() - begin))
         begin = time.process_time()
-        ended = solve(data, start, config.model_copy(update={"solver": Backend().solver}))
+        ended = solve(start, config.model_copy(update={"solver": Backend().solver}))
         out.append(_stopped(data, ended, time.process_time() - begin))
     return data, out
 

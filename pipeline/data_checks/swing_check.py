@@ -27,8 +27,8 @@ def swing_check(tracks: StereoTracks, estimate: MotionEstimate, config: Backend)
         name="evidence that the inspector's attitude swings", limit=MAX_EVIDENCE_GAIN, unit="log odds"
     )
     frames = np.arange(0, tracks.n_frames, -(-tracks.n_frames // MAX_FRAMES))
-    problem = solved_again(tracks, estimate, config, frames)
-    swing = None if problem is None else find_swing(*problem)
+    solution = solved_again(tracks, estimate, config, frames)
+    swing = None if solution is None else find_swing(solution)
     if swing is None:
         return check
     return check.judged(
