@@ -87,6 +87,7 @@ ENTRIES: tuple[Entry, ...] = (
 )  # fmt: skip
 """Those that may need all of their time are last."""
 
+
 def entries(names: tuple[str, ...] = ()) -> tuple[Entry, ...]:
     """The entries named, in that order; without names, all. Raises InputError."""
     if not names:
