@@ -14,8 +14,8 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from polhode.backend.dynamics.residuals import FrameStates, dynamics_jacobians, dynamics_residuals
 from polhode.backend.initialization.initialize import bridge, relocalize
 from polhode.backend.initialization.rates import frame_rates
-from polhode.backend.outliers_and_noise.outliers import GATE
-from polhode.backend.outliers_and_noise.systematic import with_systematic
+from polhode.backend.outliers_and_noise.outliers import STEREO_GATE
+from polhode.backend.outliers_and_noise.systematic import SharedErrors, with_systematic
 from polhode.backend.part import data_of_part
 from polhode.backend.problem.inertia import inertia_derivative, second_moments_from_inertia
 from polhode.backend.problem.iterate import (
@@ -41,6 +41,7 @@ from polhode.backend.uncertainty.covariance import (
     body_jacobians,
     mark_jacobians,
     state_jacobians,
+    with_constants,
     with_infinite,
 )
 from polhode.backend.uncertainty.principal_axes import axes_derivative
@@ -54,7 +55,7 @@ from polhode.threads import single_threaded
 MAX_ITERATIONS = 20
 SMALL_STEP = 1e-3
 """Largest change of a state, in its standard deviations, that ends the iterations."""
-SHORTEST = 1e-2
+MIN_STEP_SHARE = 1e-2
 """Share of a step below which no decrease is sought."""
 DRAWS = 64
 """Draws of the map's errors, from which their share in the covariance of the states follows."""
@@ -192,11 +193,11 @@ class _Chain:
             system = self._system(fixed)
             step = system.step()
             before, share = self.cost(fixed, np.zeros_like(step)), 1.0
-            while share > SHORTEST and not self.cost(fixed, share * step) <= before:
+            while share > MIN_STEP_SHARE and not self.cost(fixed, share * step) <= before:
                 share *= 0.5
             iterate = _moved(fixed, share * step)
             own = np.sqrt(np.diagonal(system.D, axis1=1, axis2=2)).ravel()
-            if np.abs(step[: own.size] * own).max() < SMALL_STEP or share <= SHORTEST:
+            if np.abs(step[: own.size] * own).max() < SMALL_STEP or share <= MIN_STEP_SHARE:
                 break
         return iterate
 
@@ -280,9 +281,9 @@ class _Chain:
         nearest = np.abs(np.arange(n)[:, None] - keys[None, :]).argmin(axis=1)
         lost = np.isinf(np.diagonal(of_keys.covariance, axis1=1, axis2=2))[nearest]
         covariance = np.stack([with_infinite(c, gone) for c, gone in zip(covariance, lost, strict=True)])
-        body = _with_constants(body_jacobians(at, self.data.camera_N)[-1], joint[-1], s)
+        body = with_constants(body_jacobians(at, self.data.camera_N)[-1], joint[-1])
         of_marks = mark_jacobians(at, R_GP, self.data.camera_N)
-        last = _with_constants(np.diag(flip) @ T[-1], joint[-1], s)
+        last = with_constants(np.diag(flip) @ T[-1], joint[-1])
         last_lost = np.isinf(np.diagonal(of_keys.covariance_last_joint))
         to_G = np.zeros((n, N_POSE, N_POSE))
         to_G[:, POSITION, POSITION] = np.swapaxes(at.R_NG, 1, 2)
@@ -290,7 +291,7 @@ class _Chain:
         pose = to_G @ joint[:, POSE, POSE] @ np.swapaxes(to_G, 1, 2)
         r = self.residuals(at)
         squared = np.sum(r**2, axis=1)
-        weight = np.where(squared < GATE**2, robust_weight(squared, self.data.robust_scale), 0.0)
+        weight = np.where(squared < STEREO_GATE**2, robust_weight(squared, self.data.robust_scale), 0.0)
         true = FrameStates.of(at, self.data.camera_N)
         found = replace(
             of_keys,
@@ -305,12 +306,12 @@ class _Chain:
             covariance_last_body=body,
             covariance_X_NG=pose,
             covariance_of_marks=of_marks @ joint @ np.swapaxes(of_marks, 1, 2),
-            residuals_px=_unsorted(self.data, r / self.data.inv_sigma),
-            inlier_weight=_unsorted(self.data, weight),
+            residuals_px=self.data.unsorted(r / self.data.inv_sigma),
+            inlier_weight=self.data.unsorted(weight),
         )
         # the mass properties of the key frames have the errors that all frames share already
-        shared = with_systematic(found, tracks, config.systematic_px, config.focal_error)
-        return replace(shared, mass=of_keys.mass)
+        shared = SharedErrors(config.systematic_px, config.focal_error)
+        return replace(with_systematic(found, tracks, shared), mass=of_keys.mass)
 
     def _map_errors(self, system: "_System", response: Array) -> Array:
         """Covariance (F, s + 8, s + 8) of states and constants by the errors of the landmarks, by draws.
@@ -397,16 +398,4 @@ def _covariances(D: Array, U: Array) -> Array:
         if k + 1 < len(D):
             gain = cho_solve(factors[k], U[k], check_finite=False)
             out[k] += gain @ out[k + 1] @ gain.T
-    return out
-
-
-def _with_constants(T: Array, joint: Array, s: int) -> Array:
-    """(20, 20): the states T (12, s + 8) of one frame, then xi and com_G."""
-    whole = np.vstack([T, np.eye(s + N_CONSTANTS)[np.r_[s + 3 : s + 8, s : s + 3]]])
-    return np.asarray(whole @ joint @ whole.T)
-
-
-def _unsorted(data: MotionData, values: Array) -> Array:
-    out = np.empty_like(values)
-    out[data.order] = values
     return out

@@ -21,12 +21,12 @@ from polhode.backend.initialization.multistart import (
     try_hypotheses,
 )
 from polhode.backend.initialization.rates import FAST_HINT, frame_rates
-from polhode.backend.outliers_and_noise.outliers import NoiseScales, PrunedProblem, remove_outliers
-from polhode.backend.outliers_and_noise.process_level import estimate_process_noise
-from polhode.backend.outliers_and_noise.systematic import with_systematic
-from polhode.backend.problem.iterate import Iterate
+from polhode.backend.outliers_and_noise.outliers import PrunedFit, remove_outliers
+from polhode.backend.outliers_and_noise.process_level import estimate_process_noise, with_level
+from polhode.backend.outliers_and_noise.systematic import SharedErrors, with_systematic
 from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.result import FAR_TURNS, assemble
+from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.solve import solve
 from polhode.backend.uncertainty.ambiguity import (
     HypothesisChoice,
@@ -43,38 +43,35 @@ from polhode.progress import Advance, Progress
 from polhode.records import Bools, InitialMotion, Ints, MotionEstimate, StereoTracks
 from polhode.threads import single_threaded
 
-MAX_SEARCHES = 3
-"""For unknown disturbances: once strong ones have a node the noise level is lower, and weak ones stand
-out."""
-MIN_AGREEMENT, SUSPICIOUS = 0.65, 30.0
+MIN_AGREEING_SHARE, SUSPICIOUS_RATIO = 0.65, 30.0
 """With a smaller share of agreeing observations, or disturbances estimated this factor stronger than stated
 (power), frames may contradict one another."""
-MIN_KEPT_LANDMARKS, MAX_REPLACEMENTS = 0.9, 2
+MIN_KEPT_LANDMARKS = 0.9
 """If a smaller share of the landmarks is kept, wrong initial poses may have misplaced them: they are placed
 again."""
-SHARE, LEAST = 0.3, 12
+MIN_OBSERVATION_SHARE, MIN_OBSERVATIONS = 0.3, 12
 """Frames are strong from this share of the observations in the richest tenth of the frames, and this
 number."""
-ENOUGH_FRAMES = 6
-MAX_STRETCHES = 2
-"""Stretches between long gaps that are tried, those with most observations first."""
+MIN_FRAMES = 6
+"""Frames with known poses from which a motion is tried."""
 
 
 @dataclass(frozen=True)
 class Fit:
     """A motion near the optimum, and the problem with the noise levels estimated from the data."""
 
-    data: MotionData
-    kept: PrunedProblem
-    iterate: Iterate
-    """Solution with all landmarks"""
-    scales: NoiseScales
+    pruned: PrunedFit
     trials: dict[str, HypothesisFit]
     """Fits of the hypotheses, by name"""
     choice: HypothesisChoice
     """The hypothesis that was chosen"""
     wrench_runner_up: dict[str, float]
     """Additional cost of the other directions of a known torque's axes, by name"""
+
+    @property
+    def agreement(self) -> float:
+        """Share of the observations that agree with the motion."""
+        return float(np.mean(self.pruned.kept.observations))
 
 
 def fit(
@@ -98,41 +95,25 @@ def fit(
     for first in (initial, *motions_from_fewer_frames(tracks, initial)):
         starts = initial_guesses(tracks, first, data)
         try:
-            found.append((_fit(data, starts, config, advance), starts))
+            fitted = _fit(data, starts, config, advance)
         except (RunFailure, LinAlgError) as error:
             failure = failure if failure is not None else error
             continue
-        if not _doubtful(found[-1][0], data):
-            return _with_disturbances(data, *found[-1], config)
+        stronger = disturbance_ratio(fitted.pruned.data, data.accel_psd, data.torque_psd)
+        if fitted.agreement >= MIN_AGREEING_SHARE and stronger <= SUSPICIOUS_RATIO:
+            return _with_disturbances(data, fitted, starts, config)
+        found.append((fitted, starts))
         advance = _no_progress
     if not found:
         assert failure is not None
         raise failure
     # what looks like a contradiction may be a disturbance
-    return _with_disturbances(data, *max(found, key=lambda one: _agreement(one[0])), config)
-
-
-def _doubtful(found: Fit, stated: MotionData) -> bool:
-    """Whether many observations disagree, or the motion appears strongly disturbed."""
-    stronger = disturbance_ratio(found.data, stated.accel_psd, stated.torque_psd)
-    return _agreement(found) < MIN_AGREEMENT or stronger > SUSPICIOUS
+    return _with_disturbances(data, *max(found, key=lambda one: one[0].agreement), config)
 
 
 def disturbance_ratio(found: MotionData, accel_psd: float, torque_psd: float) -> float:
     """Estimated over stated disturbances (power), the larger ratio of force and torque."""
     return max(found.accel_psd / accel_psd, found.torque_psd / torque_psd)
-
-
-def _agreement(found: Fit) -> float:
-    """Share of the observations that agree with the motion."""
-    return float(np.mean(found.kept.observations))
-
-
-def _replace_landmarks(tracks: StereoTracks, kept: PrunedProblem, iterate: Iterate) -> Iterate:
-    """Place the landmarks that were removed again, by the poses found since then."""
-    X_RG = inverse_pose(tracks.X_NR) @ make_pose(iterate.R_NG, iterate.p_NG)
-    p_G, known = robust_landmarks(tracks, X_RG, np.ones(tracks.n_frames, dtype=np.bool_))
-    return replace(iterate, p_G=np.where((known & ~kept.landmarks)[:, None], p_G, iterate.p_G))
 
 
 def _no_progress() -> None:
@@ -141,12 +122,11 @@ def _no_progress() -> None:
 
 def _with_disturbances(data: MotionData, found: Fit, starts: list[InitialGuess], config: Backend) -> Fit:
     """The fit, repeated with nodes for unknown disturbances where these contradict free motion."""
-    for _ in range(MAX_SEARCHES if config.unknown_wrench == "found" else 0):
-        small = found.kept.restrict(found.iterate)
+    # once strong disturbances have a node the noise level is lower, and weak ones stand out
+    for _ in range(3 if config.unknown_wrench == "found" else 0):
         try:
-            disturbed = find_disturbed_steps(
-                found.kept.data, small, data.node_sigma, config.process_noise == "given"
-            )
+            is_given = config.process_noise == "given"
+            disturbed = find_disturbed_steps(found.pruned.small, data.node_sigma, is_given)
             if disturbed is None:
                 break
             with_nodes = replace(data, nodes=disturbed[0], node_sigma=disturbed[1])
@@ -160,25 +140,34 @@ def _with_disturbances(data: MotionData, found: Fit, starts: list[InitialGuess],
 def _fit(data: MotionData, starts: list[InitialGuess], config: Backend, advance: Advance) -> Fit:
     trials = try_hypotheses(data, starts, advance)
     choice = choose_hypothesis(trials, data.dt_s)
-    stated = data
-    data, kept, iterate, scales = remove_outliers(stated, trials[choice.name].iterate)
-    for _ in range(MAX_REPLACEMENTS):
-        if np.mean(kept.landmarks) >= MIN_KEPT_LANDMARKS:
+    pruned = remove_outliers(MotionFit(data, trials[choice.name].iterate))
+    for _ in range(2):
+        if np.mean(pruned.kept.landmarks) >= MIN_KEPT_LANDMARKS:
             break
-        data, kept, iterate, scales = remove_outliers(
-            stated, _replace_landmarks(starts[0].tracks, kept, iterate)
-        )
+        pruned = remove_outliers(_replace_landmarks(data, starts[0].tracks, pruned))
     advance()
     runner_up: dict[str, float] = {}
     if data.impulses is not None and data.impulses.acting.any():
-        fitted, runner_up = fit_known_wrench(kept.data, kept.restrict(iterate))
-        iterate = kept.expand(fitted, iterate)
+        fitted, runner_up = fit_known_wrench(pruned.small)
+        pruned = pruned.with_solution(fitted)
     if config.process_noise == "estimated":
-        level = estimate_process_noise(kept.data, kept.restrict(iterate))
-        iterate, kept = kept.expand(level.iterate, iterate), replace(kept, data=level.data)
-        data = replace(data, accel_psd=level.data.accel_psd, torque_psd=level.data.torque_psd)
+        level = estimate_process_noise(pruned.small)
+        pruned = replace(
+            pruned.with_solution(level.iterate),
+            data=with_level(pruned.data, level.data.accel_psd, level.data.torque_psd),
+            kept=replace(pruned.kept, data=level.data),
+        )
     advance()
-    return Fit(data, kept, iterate, scales, trials, choice, runner_up)
+    return Fit(pruned, trials, choice, runner_up)
+
+
+def _replace_landmarks(stated: MotionData, tracks: StereoTracks, found: PrunedFit) -> MotionFit:
+    """Place the landmarks that were removed again, by the poses found since then."""
+    at = found.iterate
+    X_RG = inverse_pose(tracks.X_NR) @ make_pose(at.R_NG, at.p_NG)
+    p_G, known = robust_landmarks(tracks, X_RG, np.ones(tracks.n_frames, dtype=np.bool_))
+    again = (known & ~found.kept.landmarks)[:, None]
+    return MotionFit(stated, replace(at, p_G=np.where(again, p_G, at.p_G)))
 
 
 def motions_from_fewer_frames(tracks: StereoTracks, initial: InitialMotion) -> list[InitialMotion]:
@@ -192,21 +181,23 @@ def motions_from_fewer_frames(tracks: StereoTracks, initial: InitialMotion) -> l
     seen = np.bincount(tracks.frame, minlength=tracks.n_frames)
     out: list[Bools] = []
     rich = float(np.quantile(seen[initial.connected], 0.9))
-    strong = np.asarray(initial.connected & (seen >= max(SHARE * rich, LEAST)))
-    for known in (strong, *_stretches(tracks, initial, seen)):
-        enough = known.sum() >= ENOUGH_FRAMES and not np.array_equal(known, initial.connected)
+    least = max(MIN_OBSERVATION_SHARE * rich, MIN_OBSERVATIONS)
+    strong = np.asarray(initial.connected & (seen >= least))
+    for known in (strong, *_richest_stretches(tracks, initial, seen)):
+        enough = known.sum() >= MIN_FRAMES and not np.array_equal(known, initial.connected)
         if enough and not any(np.array_equal(known, other) for other in out):
             out.append(known)
     # the other poses stay as they are: in a first fit with loose steps their frames have no effect
     return [replace(initial, connected=known) for known in out]
 
 
-def _stretches(tracks: StereoTracks, initial: InitialMotion, seen: Ints) -> list[Bools]:
+def _richest_stretches(tracks: StereoTracks, initial: InitialMotion, seen: Ints) -> list[Bools]:
+    """The two stretches (F,) between long gaps with most observations."""
     w_G = frame_rates(tracks.time_s, tracks.X_NR @ initial.X_RG, initial.connected)
     starts = [gap.after for gap in long_gaps(tracks.time_s, initial.connected, w_G) if gap.after is not None]
     stretch = np.searchsorted(starts, np.arange(tracks.n_frames), side="right")
     shown = np.bincount(stretch, seen * initial.connected)
-    most = np.argsort(-shown, kind="stable")[:MAX_STRETCHES]
+    most = np.argsort(-shown, kind="stable")[:2]
     return [np.asarray(initial.connected & (stretch == n)) for n in most]
 
 
@@ -245,17 +236,14 @@ def _estimate(
     data = motion_data(tracks, config)
     with progress.stage("motion and inertia", N_HYPOTHESES + 4) as advance:
         found = fit(data, tracks, initial, config, advance, known)
-        data, kept, iterate = found.data, found.kept, found.iterate
-        ended = solve(kept.data, kept.restrict(iterate), config)
+        ended = solve(found.pruned.small, config)
         solution = ended.solution
         advance()
-        full = kept.expand(ended.iterate, iterate)
-        errors = (config.correlated_errors, config.light_px)
-        estimate = assemble(tracks, data, kept, full, found.scales, initial, *errors)
+        whole = found.pruned.with_solution(ended.iterate)
+        estimate = assemble(tracks, whole, initial, config.correlated_errors, config.light_px)
         advance()
     trials, best = found.trials, found.choice.name
     runner_up = {name: trial.cost - trials[best].cost for name, trial in trials.items() if name != best}
-    runner_up |= found.wrench_runner_up
     outcome = replace(
         estimate.solver,
         name=ended.solver,
@@ -263,16 +251,23 @@ def _estimate(
         cost=solution.cost,
         converged=solution.converged,
         message=f"{solution.message}; best hypothesis: {best}",
-        runner_up=runner_up,
+        runner_up=runner_up | found.wrench_runner_up,
         constraints=ended.constraints,
         ipopt=solution.program,
     )
-    estimate = with_systematic(estimate, tracks, config.systematic_px, config.focal_error)
-    stronger = disturbance_ratio(data, config.accel_psd, config.torque_psd)
-    turns_deg = ambiguous_turns_deg(found.choice, trials[best], data.dt_s, stronger >= SUSPICIOUS)
+    estimate = with_systematic(estimate, tracks, SharedErrors(config.systematic_px, config.focal_error))
+    stronger = disturbance_ratio(whole.data, config.accel_psd, config.torque_psd)
+    much_disturbed = stronger >= SUSPICIOUS_RATIO
+    turns_deg = ambiguous_turns_deg(found.choice, trials[best], data.dt_s, much_disturbed)
     if turns_deg is not None:
         estimate = with_ambiguous_rotation(estimate, turns_deg)
-    warnings = [*estimate.warnings, *_unused_times(data, config)]
+    end_s = float(np.sum(data.dt_s))
+    unused = [
+        f"backend.unknown_wrench_s: {start:g} to {end:g} s is outside the sequence of {end_s:g} s"
+        for start, end in config.unknown_wrench_s
+        if end <= 0.0 or start >= end_s
+    ]
+    warnings = [*estimate.warnings, *unused]
     if known is not None:
         # which frames are far apart in time does not matter to it
         warnings = [warning for warning in warnings if FAR_TURNS not in warning]
@@ -280,12 +275,3 @@ def _estimate(
         warnings.append(f"the solver stopped before convergence: {solution.message} ({FAST_HINT})")
     noise = replace(estimate.noise, times_stated=stronger)
     return replace(estimate, solver=outcome, warnings=tuple(warnings), noise=noise)
-
-
-def _unused_times(data: MotionData, config: Backend) -> list[str]:
-    ends = float(np.sum(data.dt_s))
-    return [
-        f"backend.unknown_wrench_s: {start:g} to {end:g} s is outside the sequence of {ends:g} s"
-        for start, end in config.unknown_wrench_s
-        if end <= 0.0 or start >= ends
-    ]

@@ -5,24 +5,29 @@ within these. Few Gauss-Newton iterations suffice, as the start is the whole's s
 left out.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from polhode.backend.outliers_and_noise.outliers import NoiseScales, PrunedProblem, whitened_residuals
+from polhode.backend.outliers_and_noise.outliers import (
+    NoiseScales,
+    PrunedFit,
+    PrunedProblem,
+    whitened_residuals,
+)
 from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.motion_data import MotionData, motion_data, nodes_of
+from polhode.backend.problem.motion_data import MotionData, motion_data, steps_with_nodes
 from polhode.backend.result import assemble
 from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.robust_kernel import most_efficient_scale
 from polhode.backend.solvers.solve import refine
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, inverse_pose
 from polhode.records import Bools, InitialMotion, Ints, MotionEstimate, StereoTracks
 
-ITERATIONS = 20
 MIN_OBSERVATIONS = 60
 
 
@@ -35,70 +40,58 @@ def estimate_part(
     Noise, unknown disturbances and outliers are the whole's. Errors that all landmarks share are not in the
     covariance, as parts that are compared have the same ones. None: too few observations, or no solution.
     """
-    problem = _problem(tracks, whole, config, rows, frames)
-    if problem is None:
+    posed = _posed(tracks, whole, config, rows, frames)
+    if posed is None:
         return None
-    X_RG = inverse_pose(problem.tracks.X_NR) @ whole.X_NG[frames]
-    data = problem.data
-    everything = PrunedProblem(
-        data, np.ones(len(data.frame), dtype=np.bool_), np.ones(data.n_landmarks, dtype=np.bool_)
-    )
+    part, scales, start = posed
+    data = start.data
+    known = InitialMotion(inverse_pose(part.X_NR) @ whole.X_NG[frames], np.ones(len(frames), dtype=np.bool_))
+    every = np.ones(len(data.frame), dtype=np.bool_), np.ones(data.n_landmarks, dtype=np.bool_)
     try:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            known = InitialMotion(X_RG, np.ones(len(frames), dtype=np.bool_))
-            found, _ = problem.solved()
+            found = PrunedFit(data, PrunedProblem(data, *every), _solved(start)[0], scales)
             own = "drift" if config.correlated_errors == "slide" else config.correlated_errors
-            return assemble(problem.tracks, data, everything, found, problem.scales, known, own, 0.0)
+            return assemble(part, found, known, own, 0.0)
     except LinAlgError:
         return None
 
 
 def solved_again(
     tracks: StereoTracks, whole: MotionEstimate, config: Backend, frames: Ints
-) -> tuple[MotionData, Iterate] | None:
+) -> MotionFit | None:
     """The problem of all observations in some frames (n,), ascending, and its solution.
 
     Noise, unknown disturbances and outliers are the whole's. None: too few observations, or no convergence.
     """
-    problem = _problem(tracks, whole, config, np.ones(len(tracks.frame), dtype=np.bool_), frames)
-    if problem is None:
+    posed = _posed(tracks, whole, config, np.ones(len(tracks.frame), dtype=np.bool_), frames)
+    if posed is None:
         return None
     try:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            found, converged = problem.solved()
+            found, converged = _solved(posed[2])
     except LinAlgError:
         return None
-    return (problem.data, found) if converged else None
+    return MotionFit(posed[2].data, found) if converged else None
 
 
-@dataclass(frozen=True)
-class _Problem:
-    """A part's problem and where its solution starts."""
-
-    tracks: StereoTracks
-    data: MotionData
-    scales: NoiseScales
-    start: Iterate
-
-    def solved(self) -> tuple[Iterate, bool]:
-        """The solution, and whether it converged. Raises LinAlgError if there is none."""
-        solver = GaussNewton(self.data, line_search=True)
-        found, solution, _ = refine(solver, self.data, self.start, ITERATIONS)
-        return found, solution.converged
+def _solved(start: MotionFit) -> tuple[Iterate, bool]:
+    """The solution, and whether it converged. Raises LinAlgError if there is none."""
+    found, solution, _ = refine(GaussNewton(start.data, line_search=True), start.iterate, 20)
+    return found, solution.converged
 
 
-def _problem(
+def _posed(
     tracks: StereoTracks, whole: MotionEstimate, config: Backend, rows: Bools, frames: Ints
-) -> _Problem | None:
-    """None: too few observations."""
+) -> tuple[StereoTracks, NoiseScales, MotionFit] | None:
+    """The part's tracks, its noise, and its problem where the solution starts. None: too few observations."""
     rows = rows & (whole.inlier_weight > 0.0) & np.isin(tracks.frame, frames)
     if rows.sum() < MIN_OBSERVATIONS or len(np.unique(tracks.frame[rows])) < 3:
         return None
     part, p_G = _part_of(tracks, whole, rows, frames)
     data, scales = data_of_part(part, whole, config)
-    start = iterate_of(data, whole, frames, p_G)
-    scale = most_efficient_scale(np.sum(whitened_residuals(data, start) ** 2, axis=1), data.robust_scale)
-    return _Problem(part, replace(data, robust_scale=scale), scales, start)
+    start = MotionFit(data, _iterate_of(data, whole, frames, p_G))
+    scale = most_efficient_scale(np.sum(whitened_residuals(start) ** 2, axis=1), data.robust_scale)
+    return part, scales, start.with_data(robust_scale=scale)
 
 
 def _part_of(
@@ -107,10 +100,9 @@ def _part_of(
     """The measurements ``rows`` (M,), frames and landmarks numbered anew, and the landmarks (L, 3) in G."""
     frame = tracks.frame[rows]
     first, landmark = np.unique(tracks.landmark[rows], return_index=True, return_inverse=True)[1:]
+    X_GR = (inverse_pose(whole.X_NG) @ tracks.X_NR)[frame[first]]
     # the estimate's landmark is where its prediction of any observation lies
-    k = frame[first]
     p_R = tracks.rig.triangulate(tracks.uvd_px[rows][first] - whole.residuals_px[rows][first])
-    X_GR = (inverse_pose(whole.X_NG) @ tracks.X_NR)[k]
     p_G = np.einsum("nij,nj->ni", X_GR[:, :3, :3], p_R) + X_GR[:, :3, 3]
     part = replace(
         tracks,
@@ -139,14 +131,13 @@ def data_of_part(
         acting = zip(whole.disturbances.start_ns, whole.disturbances.end_ns, strict=True)
         first_ns = part.timestamps_ns[0]
         windows = tuple((1e-9 * float(a - first_ns), 1e-9 * float(b - first_ns)) for a, b in acting)
-        nodes = nodes | nodes_of(windows, False, data.dt_s)
+        nodes = nodes | steps_with_nodes(windows, False, data.dt_s)
     return replace(data, nodes=nodes, accel_psd=noise.accel_psd, torque_psd=noise.torque_psd), scales
 
 
-def iterate_of(data: MotionData, whole: MotionEstimate, frames: Ints, p_G: Array) -> Iterate:
+def _iterate_of(data: MotionData, whole: MotionEstimate, frames: Ints, p_G: Array) -> Iterate:
     """The whole's estimate as a value of the part's unknowns; a known wrench's steps are left free."""
     xi, R_inertia = data.form.coordinates(second_moments_from_inertia(whole.mass.J_G, 0.0))
-    n = len(frames)
     return Iterate(
         p_NG=whole.X_NG[frames, :3, 3].copy(),
         R_NG=whole.X_NG[frames, :3, :3].copy(),
@@ -156,5 +147,5 @@ def iterate_of(data: MotionData, whole: MotionEstimate, frames: Ints, p_G: Array
         xi=xi,
         R_inertia=R_inertia,
         p_G=p_G,
-        camera=np.zeros((n, 6)) if data.camera_is_noisy else None,
+        camera=np.zeros((len(frames), 6)) if data.camera_is_noisy else None,
     )

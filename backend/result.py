@@ -10,12 +10,11 @@ from polhode.backend.outliers_and_noise.correlated_noise import (
     measure_correlation,
     turns_between,
 )
-from polhode.backend.outliers_and_noise.outliers import NoiseScales, PrunedProblem, whitened_residuals
+from polhode.backend.outliers_and_noise.outliers import PrunedFit, whitened_residuals
 from polhode.backend.outliers_and_noise.systematic import common_slide
-from polhode.backend.problem.iterate import COM, ERR_THETA, ERR_W, XI, Iterate
-from polhode.backend.problem.motion_data import MotionData
+from polhode.backend.problem.iterate import COM, ERR_THETA, ERR_W, XI
 from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.solvers.linearization_point import LinearizationPoint, linearization_point
+from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.robust_kernel import robust_information, robust_weight
 from polhode.backend.uncertainty.covariance import (
     DependentErrors,
@@ -53,51 +52,50 @@ from polhode.records import (
     StereoTracks,
 )
 
-OUTLIER_WARNING_SHARE = 0.3
 FAR_TURNS = "between frames: near half a revolution and beyond"
 """Of the warning that poses do not determine the direction of rotation"""
 
 
 def assemble(
     tracks: StereoTracks,
-    data: MotionData,
-    kept: PrunedProblem,
-    iterate: Iterate,
-    scales: NoiseScales,
+    found: PrunedFit,
     initial: InitialMotion,
     correlated_errors: CorrelatedErrors,
     light_px: float,
 ) -> MotionEstimate:
-    """The estimate at the solution ``iterate`` of the whole data, with covariances of the pruned problem.
+    """The estimate at a solution, for all observations, with covariances of the pruned problem.
 
     correlated_errors, light_px: as in the configuration. Errors that all landmarks share (slide) are left out
     where parts are compared, which share them.
     """
-    all_residuals = whitened_residuals(data, iterate)
-    weight = np.where(
-        kept.observations, robust_weight(np.sum(all_residuals**2, axis=1), data.robust_scale), 0.0
-    )
-    small = kept.restrict(iterate)
-    solver, fixed, x = GaussNewton(kept.data), linearization_point(kept.data, small), small.vector()
-    s = np.sum(all_residuals[kept.observations] ** 2, axis=1)
-    correlated, errors = _dependent_errors(solver, fixed, x, correlated_errors, light_px)
-    m = marginals(solver, fixed, x, robust_information(s, data.robust_scale), errors)
+    data, kept, iterate, small = found.data, found.kept, found.iterate, found.small
+    residuals = whitened_residuals(MotionFit(data, iterate))
+    squares = np.sum(residuals**2, axis=1)
+    weight = np.where(kept.observations, robust_weight(squares, data.robust_scale), 0.0)
+    s = np.sum(residuals[kept.observations] ** 2, axis=1)
+    correlated, errors = _dependent_errors(small, correlated_errors, light_px)
+    m = marginals(small, robust_information(s, data.robust_scale), errors)
     derivative = axes_derivative(data.form, iterate)
     R_GP = derivative.R_GP
     w_P = iterate.w_G @ R_GP
     determined = analyse(m.constants_information, derivative, w_P)
-    covariance, joint = _state_covariances(data, iterate, m, derivative, determined, w_P)
+    covariance, joint = _state_covariances(small, m, derivative, determined, w_P)
     true = FrameStates.of(iterate, data.camera_N)
-    mass = _mass(iterate, m, derivative, determined)
-    mass = with_absolute_scale(mass, iterate, data.form, m, derivative, data.impulses)
-    disturbances = estimate_impulses(
-        kept.data, fixed, small, m, derivative, mass.identifiable.axes_P, tracks.timestamps_ns
-    )
-    warnings = _warnings(tracks, weight, data, mass.identifiable, initial, iterate)
+    mass = with_absolute_scale(_mass(small, m, derivative, determined), small, m, derivative)
+    axes_known = mass.identifiable.axes_P
+    disturbances = estimate_impulses(small, m, derivative, axes_known, tracks.timestamps_ns)
+    warnings = _warnings(tracks, weight, mass.identifiable, initial)
+    turn = np.rad2deg(np.linalg.norm(iterate.w_G[:-1], axis=1) * data.dt_s).max()
+    if turn > 150.0:
+        warnings.append(
+            f"up to {turn:.0f} degrees {FAR_TURNS}, poses do not determine the direction of rotation, "
+            "Euler's equation alone does"
+        )
     if disturbances is not None:
         first_ns = int(tracks.timestamps_ns[0])
         warnings += [describe_impulse(impulse, first_ns) for impulse in disturbances.impulses]
     landmark_sigma = np.sqrt(np.trace(m.landmarks, axis1=1, axis2=2) / 3.0)
+    of_body, of_marks = body_jacobians(iterate, data.camera_N), mark_jacobians(iterate, R_GP, data.camera_N)
     return MotionEstimate(
         timestamps_ns=tracks.timestamps_ns,
         r_N=true.centres(),
@@ -107,45 +105,38 @@ def assemble(
         X_NG=make_pose(iterate.R_NG, iterate.p_NG),
         covariance=covariance,
         covariance_last_joint=joint,
-        covariance_last_body=state_covariances(iterate, m, body_jacobians(iterate, data.camera_N))[1],
+        covariance_last_body=state_covariances(iterate, m, of_body)[1],
         covariance_X_NG=pose_covariances(iterate, m),
-        covariance_of_marks=state_covariances(iterate, m, mark_jacobians(iterate, R_GP, data.camera_N))[0],
+        covariance_of_marks=state_covariances(iterate, m, of_marks)[0],
         mass=mass,
-        landmarks=Landmarks(small.p_G, landmark_sigma, np.diff(kept.data.start)),
-        residuals_px=_unsorted(data, all_residuals / data.inv_sigma),
-        inlier_weight=_unsorted(data, weight),
-        noise=_noise(tracks, scales, data, correlated),
-        solver=SolverOutcome(
-            "",
-            0,
-            0.0,
-            False,
-            reduced_chi2(kept.data, s, solver.dynamics_cost(fixed, x) + solver.camera_cost(fixed, x)),
-        ),
+        landmarks=Landmarks(small.iterate.p_G, landmark_sigma, np.diff(kept.data.start)),
+        residuals_px=data.unsorted(residuals / data.inv_sigma),
+        inlier_weight=data.unsorted(weight),
+        noise=_noise(tracks, found, correlated),
+        solver=SolverOutcome("", 0, 0.0, False, reduced_chi2(small, s)),
         warnings=tuple(warnings),
         disturbances=disturbances,
     )
 
 
 def _dependent_errors(
-    solver: GaussNewton, fixed: LinearizationPoint, x: Array, known: CorrelatedErrors, light_px: float
+    fit: MotionFit, known: CorrelatedErrors, light_px: float
 ) -> tuple[CorrelatedNoise | None, DependentErrors | None]:
     """How the errors of the observations depend on one another, from the residuals, and what of it is
     ``known`` to the covariance. None: too few observations, or nothing.
     """
-    residuals, (R_RG, _, _) = solver.residuals(fixed, x)
-    to_landmark = observation_jacobians(solver, fixed, x)[1]
-    iterate = fixed.reference.moved_to(x)
-    turn_rad = turns_between(iterate.R_NG, R_RG)
-    found = measure_correlation(solver.data, residuals, to_landmark, turn_rad)
+    data, iterate = fit.data, fit.iterate
+    to_landmark = observation_jacobians(fit)[1]
+    turn_rad = turns_between(iterate.R_NG, data.R_RN @ iterate.R_NG)
+    found = measure_correlation(data, whitened_residuals(fit), to_landmark, turn_rad)
     if found is None:
         return None, None
     if known == "none":
         return found, None
-    drift_px = found.slow / float(np.median(solver.data.inv_sigma[:, 0]))
+    drift_px = found.slow / float(np.median(data.inv_sigma[:, 0]))
     slide_px = float(np.hypot(light_px, drift_px)) if known == "slide" else 0.0
-    common = common_slide(solver.data, iterate, to_landmark, slide_px)
-    variance, drift = found.variance(solver.data), found.drift_between(turn_rad)
+    common = common_slide(fit, to_landmark, slide_px)
+    variance, drift = found.variance(data), found.drift_between(turn_rad)
     if known == "neighbours":
         # the drift as well is taken as independent between frames
         variance, drift = variance + found.drifting.sum(axis=1)[KINDS], np.zeros_like(drift)
@@ -153,17 +144,13 @@ def _dependent_errors(
 
 
 def _state_covariances(
-    data: MotionData,
-    iterate: Iterate,
-    m: Marginals,
-    derivative: AxesDerivative,
-    determined: IdentifiabilityAnalysis,
-    w_P: Array,
+    fit: MotionFit, m: Marginals, derivative: AxesDerivative, determined: IdentifiabilityAnalysis, w_P: Array
 ) -> tuple[Array, Array]:
-    jacobians = state_jacobians(iterate, derivative, data.camera_N)
+    iterate = fit.iterate
+    jacobians = state_jacobians(iterate, derivative, fit.data.camera_N)
     covariance, joint = state_covariances(iterate, m, jacobians)
     axes_lost = ~determined.record.axes_P
-    neglected = nonlinear_turns(derivative, _cov_J(iterate, m), w_P, axes_lost)
+    neglected = nonlinear_turns(derivative, _cov_J(fit, m), w_P, axes_lost)
     at = np.r_[ERR_THETA, ERR_W]
     covariance[:, at[:, None], at] += neglected
     for whole in (*covariance, joint):
@@ -176,18 +163,17 @@ def _state_covariances(
     return covariance, joint
 
 
-def _cov_J(iterate: Iterate, m: Marginals) -> Array:
+def _cov_J(fit: MotionFit, m: Marginals) -> Array:
     """(5, 5) of xi."""
-    n = iterate.n_states
+    n = fit.iterate.n_states
     return np.asarray(m.dense[n + 3 : n + 8, n + 3 : n + 8])
 
 
 def _mass(
-    iterate: Iterate, m: Marginals, derivative: AxesDerivative, determined: IdentifiabilityAnalysis
+    fit: MotionFit, m: Marginals, derivative: AxesDerivative, determined: IdentifiabilityAnalysis
 ) -> MassProperties:
-    known = determined.record
-    n = iterate.n_states
-    cov_com, cov_J = m.dense[n : n + 3, n : n + 3], _cov_J(iterate, m)
+    known, n = determined.record, fit.iterate.n_states
+    cov_com, cov_J = m.dense[n : n + 3, n : n + 3], _cov_J(fit, m)
     moments, R_GP = derivative.moments, derivative.R_GP
     cov_axes = derivative.axes @ cov_J @ derivative.axes.T
     cov_axes += nonlinear_turns(derivative, cov_J, np.zeros((1, 3)), ~known.axes_P)[0, :3, :3]
@@ -201,78 +187,56 @@ def _mass(
         cov_J=with_infinite(cov_J, determined.lost_constants[XI]),
         R_GP=R_GP,
         cov_R_GP=with_infinite(free_axis_covariance(cov_axes, ~known.axes_P), ~known.axes_P),
-        com_G=iterate.com_G,
+        com_G=fit.iterate.com_G,
         cov_com_G=with_infinite(cov_com, com_lost),
         identifiable=known,
     )
 
 
-def _noise(
-    tracks: StereoTracks, scales: NoiseScales, data: MotionData, correlated: CorrelatedNoise | None
-) -> NoiseLevels:
-    stated = np.median(tracks.sigma_px, axis=0)
-    pixel = float(scales.uv * 0.5 * (stated[0] + stated[1]))
+def _noise(tracks: StereoTracks, found: PrunedFit, correlated: CorrelatedNoise | None) -> NoiseLevels:
+    stated, data = np.median(tracks.sigma_px, axis=0), found.data
     return NoiseLevels(
-        pixel,
-        float(scales.disparity * stated[2]),
+        float(found.scales.uv * 0.5 * (stated[0] + stated[1])),
+        float(found.scales.disparity * stated[2]),
         data.accel_psd,
         data.torque_psd,
         drift_px=0.0 if correlated is None else correlated.slow / float(np.median(data.inv_sigma[:, 0])),
     )
 
 
-def reduced_chi2(data: MotionData, s: Array, dynamics_cost: float) -> float:
+def reduced_chi2(fit: MotionFit, s: Array) -> float:
     """Squares of the stereo residuals, s (M,), and of the dynamics, over the degrees of freedom.
 
     The errors of the camera's pose are unknowns with one pseudo-measurement each: they use no freedom.
     """
-    n_frames, n_landmarks = data.n_frames, data.n_landmarks
+    solver, fixed, x = GaussNewton(fit.data), fit.linearized(), fit.iterate.vector()
+    cost = solver.dynamics_cost(fixed, x) + solver.camera_cost(fixed, x)
+    n_frames, n_landmarks = fit.data.n_frames, fit.data.n_landmarks
     # six of the unknowns only choose the frame G
     freedom = 3 * len(s) + 12 * (n_frames - 1) + 6 - 12 * n_frames - 8 - 3 * n_landmarks
-    return float((s.sum() + 2.0 * dynamics_cost) / max(freedom, 1))
-
-
-def _unsorted(data: MotionData, values: Array) -> Array:
-    out = np.empty_like(values)
-    out[data.order] = values
-    return out
+    return float((s.sum() + 2.0 * cost) / max(freedom, 1))
 
 
 def _warnings(
-    tracks: StereoTracks,
-    weight: Array,
-    data: MotionData,
-    known: Identifiability,
-    initial: InitialMotion,
-    at: Iterate,
+    tracks: StereoTracks, weight: Array, known: Identifiability, initial: InitialMotion
 ) -> list[str]:
     out = []
     lost = [name for name, text in known.detail.items() if text.startswith("not")]
     if lost:
         out.append(f"the motion does not determine: {', '.join(lost)}")
     outliers = float(np.mean(weight == 0.0))
-    if outliers > OUTLIER_WARNING_SHARE:
+    if outliers > 0.3:
         out.append(
             f"{outliers:.0%} of the observations contradict the motion and were left out ({FAST_HINT})"
         )
-    empty = np.setdiff1d(np.arange(tracks.n_frames), tracks.frame)
-    if len(empty):
-        bridged = (
-            "1 frame without measurements was"
-            if len(empty) == 1
-            else f"{len(empty)} frames without measurements were"
-        )
-        out.append(f"{bridged} bridged by the dynamics")
-    loose = int(np.sum(~initial.connected)) - len(empty)
+    n_empty = len(np.setdiff1d(np.arange(tracks.n_frames), tracks.frame))
+    if n_empty:
+        frames, were = ("frame", "was") if n_empty == 1 else ("frames", "were")
+        out.append(f"{n_empty} {frames} without measurements {were} bridged by the dynamics")
+    loose = int(np.sum(~initial.connected)) - n_empty
     if loose > 0:
         out.append(f"{loose} frames could not be connected at first and started from interpolated poses")
     once = int(np.sum(np.bincount(tracks.landmark) == 1))
     if once:
         out.append(f"{once} landmarks were seen only once: each is where that one stereo pair puts it")
-    turn = np.rad2deg(np.linalg.norm(at.w_G[:-1], axis=1) * data.dt_s).max()
-    if turn > 150.0:
-        out.append(
-            f"up to {turn:.0f} degrees {FAR_TURNS}, poses do not determine the direction of rotation, "
-            "Euler's equation alone does"
-        )
     return out

@@ -31,7 +31,7 @@ from polhode.errors import InputError, RunFailure
 from polhode.foreign_files import MIB, read_text
 from polhode.output.locks import occupied
 from polhode.output.marked_folder import claim as mark
-from polhode.output.marked_folder import marked_place, read_mark, withdrawn_if_refused, write_mark
+from polhode.output.marked_folder import marked_place, withdrawn_if_refused
 from polhode.output.place import folder_place, unwritable
 from polhode.output.single_file import remove_all_partials
 from polhode.pipeline.run_directory.outputs import write_config
@@ -40,10 +40,6 @@ from polhode.progress import NOTE, Progress
 FILE = "compare.json"
 COMMAND = "compare"
 FILES = ("config.yaml", FILE, "compare.csv", "compare.html")
-FORMER_MARK = ".polhode-compare"
-FORMER_TEXT = b"An output folder of polhode compare, which may write here again.\n"
-"""A file by which earlier versions marked a folder as ours."""
-
 PARTS = ("rows", "problems")
 MAX_ROW_BYTES = 16 * MIB
 """A row holds a trace of some thousand points at most."""
@@ -134,12 +130,6 @@ def _in_one_line(row: Row) -> str:
 def claim(folder: Path) -> Path:
     """Make the folder and mark it as ours; where it is, links followed. Raises InputError: it holds other
     files, or cannot be written."""
-    place = folder_place(folder)
-    former = place / FORMER_MARK
-    if former.is_file() and former.stat().st_size == len(FORMER_TEXT) and former.read_bytes() == FORMER_TEXT:
-        if read_mark(place) is None:
-            write_mark(place, {COMMAND: FILES})
-        former.unlink()
     place = marked_place(folder, COMMAND, FILES.__contains__)
     link = next((place / part for part in PARTS if (place / part).is_symlink()), None)
     if link is not None:

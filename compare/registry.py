@@ -86,51 +86,13 @@ ENTRIES: tuple[Entry, ...] = (
     Entry("sqp_qrqp", "sqp", _SQP, "CasADi sqpmethod, its sparse QR active set", {"qp": "qrqp"}),
 )  # fmt: skip
 """Those that may need all of their time are last."""
-ABLATIONS: tuple[Entry, ...] = (
-    *(
-        Entry(
-            f"ablation_{variant}", "ablations", "ablations:Ablation", description, {"variant": variant},
-            "baseline",
-        )
-        for variant, description in (
-            ("log_ratios", "inertia as k1, k2 and axes"),
-            ("constant_noise", "process noise of a body at rest"),
-            ("open_loop", "no loop closure"),
-        )
-    ),
-    *(
-        Entry(
-            f"unknowns_{unknowns}", "ablations", "changed_unknowns:ChangedUnknowns",
-            f"sparse LM, {description}", {"unknowns": unknowns},
-            "baseline" if unknowns == "aghili_free" else "ok",
-        )
-        for unknowns, description in (
-            ("rotation_vector", "attitude as rotation vector"),
-            ("mrp", "attitude as MRP"),
-            ("body", "features relative to the centre of mass"),
-            ("log_ratios", "inertia as k1, k2 and axes"),
-            ("aghili", "inertia as Aghili's three and axes"),
-            ("aghili_held", "inertia as Aghili's three, their dependence enforced"),
-            ("aghili_free", "inertia as Aghili's three, free in the dynamics"),
-            ("lichter", "inertia as Lichter's quaternion and axes"),
-        )
-    ),
-    *(
-        Entry(
-            f"window_{frames}", "ablations", "sliding_window:WindowLength",
-            f"sliding window of {frames} frames", {"frames": frames}, "baseline",
-        )
-        for frames in ("6", "12", "24", "48")
-    ),
-)  # fmt: skip
-"""Variants of the formulation, which run only when they are named."""
 
 
 def entries(names: tuple[str, ...] = ()) -> tuple[Entry, ...]:
-    """The entries named, in that order; without names, all but the ablations. Raises InputError."""
+    """The entries named, in that order; without names, all. Raises InputError."""
     if not names:
         return ENTRIES
-    known = {entry.name: entry for entry in (*ENTRIES, *ABLATIONS)}
+    known = {entry.name: entry for entry in ENTRIES}
     for name in names:
         if name not in known:
             hint = suggestion(name, list(known))

@@ -13,10 +13,6 @@ from polhode.lie import Array, matrix_from_wxyz
 
 PART_RAD = 0.7
 """Largest rotation in a part of an interval: the variances are accurate to 1e-4."""
-MAX_TURN_RAD = 1e4
-"""Largest rotation in one interval; only a solution that diverges has larger ones."""
-_ABSCISSAS, _WEIGHTS = np.polynomial.legendre.leggauss(3)
-NODES, WEIGHTS = 0.5 * (_ABSCISSAS + 1.0), 0.5 * _WEIGHTS
 
 
 def translation_covariance(dt_s: Array, accel_psd: float | Array) -> Array:
@@ -50,19 +46,19 @@ def _integrated(w_G: Array, J_G: Array, dt_s: Array) -> Array:
     P stays positive definite, however long the interval. Raises LinAlgError for rates beyond all bounds.
     """
     n = len(dt_s)
-    turn = np.linalg.norm(w_G, axis=1) * dt_s
-    # this rejects NaN too
-    if not np.all(turn < MAX_TURN_RAD):
+    # only a solution that diverges has larger ones; this rejects NaN too
+    if not np.all(np.linalg.norm(w_G, axis=1) * dt_s < 1e4):
         raise LinAlgError("a rate beyond all bounds")
     cov, w, done = np.zeros((n, 6, 6)), w_G.copy(), np.zeros(n)
     left = np.arange(n)
+    abscissas, weights = np.polynomial.legendre.leggauss(3)
     while len(left):
         t, at, one = dt_s[left], w[left], np.ones(len(left), dtype=np.int64)
         rest = 1.0 - done[left]
         part = rest / np.maximum(1.0, np.ceil(rest * t * np.linalg.norm(at, axis=1) / PART_RAD))
         F, w[left] = _transition(at, J_G, t, part)
         cov[left] = F @ cov[left] @ np.swapaxes(F, 1, 2)
-        for node, weight in zip(NODES, WEIGHTS, strict=True):
+        for node, weight in zip(0.5 * (abscissas + 1.0), 0.5 * weights, strict=True):
             between = propagate_rotations(at, J_G, t * part * node, one)[1]
             K = _transition(between, J_G, t, part * (1.0 - node))[0][:, :, 3:] @ np.linalg.inv(J_G)
             cov[left] += weight * part[:, None, None] * (K @ np.swapaxes(K, 1, 2))
@@ -87,24 +83,15 @@ def _transition(w_G: Array, J_G: Array, t: Array, part: Array) -> tuple[Array, A
 
 
 def whitening(
-    w_G: Array,
-    J_G: Array,
-    dt_s: Array,
-    accel_psd: float | Array,
-    torque_psd: float | Array,
-    pose_variance: tuple[float, float] = (0.0, 0.0),
+    w_G: Array, J_G: Array, dt_s: Array, accel_psd: float | Array, torque_psd: float | Array
 ) -> tuple[Array, Array, float]:
     """Square roots of the information: translation (n, 2, 2), rotation (n, 6, 6), lower triangular.
 
     ``W @ error`` has unit covariance. Third: half the log-determinant of all covariances, which makes the
-    costs of different inertias comparable. ``pose_variance`` [m^2, rad^2] of each pose, due to the noise of
-    the camera's pose, enters every step twice, as if the steps were independent, which is conservative.
+    costs of different inertias comparable.
     """
-    translation = translation_covariance(dt_s, accel_psd)
-    translation[:, 0, 0] += 2.0 * pose_variance[0]
-    T = np.linalg.cholesky(translation)
+    T = np.linalg.cholesky(translation_covariance(dt_s, accel_psd))
     cov, scale = rotation_covariance_scaled(w_G, J_G, dt_s, torque_psd)
-    cov[:, [0, 1, 2], [0, 1, 2]] += 2.0 * pose_variance[1] / scale[:, :3] ** 2
     L = np.linalg.cholesky(cov)
     half_log = float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum() + np.log(scale).sum())
     half_log += 3.0 * float(np.log(np.diagonal(T, axis1=1, axis2=2)).sum())

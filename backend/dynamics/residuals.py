@@ -42,8 +42,6 @@ from polhode.lie import Array, hat
 from polhode.records import Ints
 
 RESIDUALS = 12
-N_OF_FORCE = N_WRENCH - N_OF_ROTATION
-"""Unknowns of a known wrench that the rotation does not depend on; they stand last."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +69,9 @@ class FrameStates:
 
     def true_attitudes(self) -> Array:
         """(F, 3, 3) attitudes, corrected for the errors of the camera's attitude."""
-        return (
-            rotation_matrices(self.x[:, CAMERA_ROTATION]) @ self.R_NG
-            if self.x.shape[1] > N_STATE
-            else self.R_NG
-        )
+        if self.x.shape[1] == N_STATE:
+            return self.R_NG
+        return rotation_matrices(self.x[:, CAMERA_ROTATION]) @ self.R_NG
 
     def centres(self) -> Array:
         """(F, 3) true position of the centre of mass in N [m]."""
@@ -98,21 +94,30 @@ class Steps:
     """(F - 1, 2, 2) lower, whitens the translation"""
     W_r: Array
     """(F - 1, 6, 6) lower, whitens the rotation"""
+    half_log_det: float = 0.0
+    """Normalization of the process noise of all steps: makes the costs of different inertias comparable"""
     force_increments: Array | None = None
     """(F - 1, 2, 3) effect of a known force on position [N s^2] and velocity [N s] of 1 kg"""
     torque_P: Array | None = None
     """(F - 1, S, 2, 3) known torque over each series [N m]"""
 
+    @staticmethod
+    def none() -> "Steps":
+        """No steps."""
+        return Steps(np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 2, 2)), np.zeros((0, 6, 6)))
+
     def part(self, chosen: slice) -> "Steps":
-        """Some of the steps."""
-        parts: dict[str, Any] = vars(self)
-        cut: dict[str, Any] = {name: part if part is None else part[chosen] for name, part in parts.items()}
+        """Some of the steps; their normalization is not known."""
+        arrays = {name: part for name, part in vars(self).items() if isinstance(part, np.ndarray)}
+        cut: dict[str, Any] = {name: part[chosen] for name, part in arrays.items()}
         return Steps(**cut)
 
     def and_then(self, other: "Steps") -> "Steps":
         """These steps, then the others; without known wrench."""
-        names = ("dt_s", "series", "W_t", "W_r")
-        return Steps(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
+        both: dict[str, Any] = {"half_log_det": self.half_log_det + other.half_log_det}
+        for name in ("dt_s", "series", "W_t", "W_r"):
+            both[name] = np.concatenate([getattr(self, name), getattr(other, name)])
+        return Steps(**both)
 
     def whiten(self, errors: Array) -> Array:
         """Scale errors (F - 1, 12, ...) of position, velocity, attitude, rate to unit covariance."""
@@ -170,24 +175,16 @@ def dynamics_jacobians(states: FrameStates, steps: Steps, J_G: Array, dJ: Array)
     torque, dtorque = _torque(states, steps)
     if dtorque is not None:
         dJ = np.concatenate([dJ, np.zeros((N_OF_ROTATION, 3, 3))])
-    flow = propagate_derivatives(x[:-1, RATE], J_G, dJ, steps.dt_s, steps.series, torque, dtorque)
-    return jacobians_of_propagation(states, steps, *flow)
-
-
-def jacobians_of_propagation(
-    states: FrameStates, steps: Steps, q: Array, w_end: Array, turn: Array, rate: Array
-) -> tuple[Array, Array]:
-    """As above, given the rotation over the steps and its derivatives (see ``propagate_derivatives``).
-
-    The parameters of the rotation follow com_G.
-    """
-    n, s = len(steps.dt_s), states.x.shape[1]
+    q, w_end, turn, rate = propagate_derivatives(
+        x[:-1, RATE], J_G, dJ, steps.dt_s, steps.series, torque, dtorque
+    )
+    n, s = len(steps.dt_s), x.shape[1]
     turn, rate, R_step = np.swapaxes(turn, 1, 2), np.swapaxes(rate, 1, 2), matrices_from_quaternions(q)
     errors, R = _errors(states, steps, R_step, w_end)
     of_centre, of_turn = state_derivatives(states)
     n_parameters = turn.shape[2] - 3
     com, at = _shifted(COM, 2 * s), slice(2 * s + 3, 2 * s + 3 + n_parameters)
-    D = np.zeros((n, RESIDUALS, at.stop + (N_OF_FORCE if states.wrench is not None else 0)))
+    D = np.zeros((n, RESIDUALS, at.stop + (0 if states.wrench is None else N_WRENCH - N_OF_ROTATION)))
     D[:, ERR_R, :s], D[:, ERR_R, s : 2 * s] = -of_centre[:-1], of_centre[1:]
     D[:, ERR_R, VELOCITY] -= steps.dt_s[:, None, None] * np.eye(3)
     D[:, ERR_R, com] = R[1:] - R[:-1]
@@ -203,21 +200,17 @@ def jacobians_of_propagation(
     D[:, ERR_W, RATE] = -rate[:, :, :3]
     D[:, ERR_W, at] = -rate[:, :, 3:]
     if states.wrench is not None:
-        _add_force(D, states, steps)
+        per_kg, dt = np.exp(-states.wrench[LN_MASS]), steps.dt_s[:, None, None]
+        # by the logarithm of the mass, and by the force's bias
+        D[:, 0:6, -4] = _by_force(states, steps).reshape(-1, 6)
+        D[:, ERR_R, -3:] = -per_kg * 0.5 * dt**2 * np.eye(3)
+        D[:, ERR_V, -3:] = -per_kg * dt * np.eye(3)
     return steps.whiten(errors[:, :, None])[:, :, 0], steps.whiten(D)
 
 
 def _shifted(part: slice, by: int) -> slice:
     """The part of the state after the step, or of the constants, among the variables of a step."""
     return slice(part.start + by, part.stop + by)
-
-
-def _add_force(D: Array, states: FrameStates, steps: Steps) -> None:
-    """Derivatives with respect to the logarithm of the mass and the force's bias: the last four columns."""
-    assert states.wrench is not None
-    D[:, 0:6, -4] = _by_force(states, steps).reshape(-1, 6)
-    D[:, ERR_R, -3:] = -np.exp(-states.wrench[LN_MASS]) * 0.5 * steps.dt_s[:, None, None] ** 2 * np.eye(3)
-    D[:, ERR_V, -3:] = -np.exp(-states.wrench[LN_MASS]) * steps.dt_s[:, None, None] * np.eye(3)
 
 
 def state_derivatives(states: FrameStates) -> tuple[Array, Array]:

@@ -20,17 +20,13 @@ from polhode.backend.initialization.gaps import (
     propagate_through_gaps,
 )
 from polhode.backend.initialization.initialize import robust_landmarks
-from polhode.backend.initialization.rates import (
-    FAST_HINT,
-    OPPOSITE_DIRECTION,
-    rate_branches,
-)
+from polhode.backend.initialization.rates import FAST_HINT, OPPOSITE_DIRECTION, rate_branches
 from polhode.backend.initialization.shooting import shoot
 from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.backend.problem.iterate import N_CAMERA, Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.solvers.linearization_point import linearization_point, recenter_inertia
+from polhode.backend.solvers.linearization_point import MotionFit, linearization_point, recenter_inertia
 from polhode.errors import RunFailure
 from polhode.lie import Array, hat
 from polhode.progress import Advance
@@ -38,7 +34,6 @@ from polhode.records import InitialMotion, StereoTracks
 
 PASSES = (3, 3, 3, 2)
 """Iterations of the solves of one hypothesis; references and whitening are renewed between them."""
-LONG_PASSES = (10, 10, 10)
 SAME_INERTIA = 0.03
 """Two inertias (second moments of determinant 1) closer than this will end in the same minimum."""
 N_HYPOTHESES = 5
@@ -51,7 +46,6 @@ class InitialGuess:
 
     iterate: Iterate
     guesses: dict[str, Array]
-    time_s: Array
     gaps: list[Gap]
     tracks: StereoTracks
     initial: InitialMotion
@@ -65,33 +59,6 @@ class HypothesisFit:
     cost: float
     misfit: float
     """cost without that normalization"""
-
-
-def initial_guesses(tracks: StereoTracks, initial: InitialMotion, data: MotionData) -> list[InitialGuess]:
-    """Starting points from the initial poses, one for each direction in which the target may rotate."""
-    X_NG = tracks.X_NR @ initial.X_RG
-    R_NG, p_NG = X_NG[:, :3, :3], X_NG[:, :3, 3]
-    p_G, known = robust_landmarks(tracks, initial.X_RG, initial.connected)
-    if not known.any():
-        raise RunFailure(
-            f"no consistent motion: no landmark is seen in a frame whose pose is known ({FAST_HINT})"
-        )
-    com_G = np.median(p_G, axis=0)
-    use = np.flatnonzero(initial.connected)
-    velocity = np.polyfit(tracks.time_s[use], (p_NG + R_NG @ com_G)[use], 1)[0]
-    xi, R_inertia = data.form.coordinates(np.eye(3))
-    v_N = np.tile(velocity, (len(p_NG), 1))
-    camera = np.zeros((len(p_NG), N_CAMERA)) if data.camera_is_noisy else None
-    starts = []
-    for suffix, w_G in rate_branches(tracks.time_s, X_NG, initial.connected).items():
-        guesses = {name + suffix: guess for name, guess in inertia_hypotheses(R_NG[use], w_G[use]).items()}
-        iterate = Iterate(p_NG, R_NG, v_N, w_G, com_G, xi, R_inertia, p_G, camera)
-        gaps = long_gaps(tracks.time_s, initial.connected, w_G)
-        starts.append(InitialGuess(iterate, guesses, tracks.time_s, gaps, tracks, initial))
-    for suffix, shot in shoot(tracks.time_s, R_NG, initial.connected).items():
-        iterate = replace(starts[0].iterate, w_G=shot.w_G)
-        starts.append(replace(starts[0], iterate=iterate, guesses={"shooting" + suffix: shot.second}))
-    return starts
 
 
 @dataclass(frozen=True)
@@ -108,18 +75,47 @@ class KnownMotion:
     """(3, 3) second moments in G, of determinant 1"""
 
 
+def _start(tracks: StereoTracks, initial: InitialMotion, data: MotionData, known: KnownMotion) -> Iterate:
+    """Poses and landmarks of ``initial``, the rest as known."""
+    X_NG = tracks.X_NR @ initial.X_RG
+    p_G, seen = robust_landmarks(tracks, initial.X_RG, initial.connected)
+    if not seen.any():
+        raise RunFailure(
+            f"no consistent motion: no landmark is seen in a frame whose pose is known ({FAST_HINT})"
+        )
+    xi, R_inertia = data.form.coordinates(known.second)
+    camera = np.zeros((len(X_NG), N_CAMERA)) if data.camera_is_noisy else None
+    states = X_NG[:, :3, 3], X_NG[:, :3, :3], known.v_N, known.w_G
+    return Iterate(*states, known.com_G, xi, R_inertia, p_G, camera)
+
+
+def initial_guesses(tracks: StereoTracks, initial: InitialMotion, data: MotionData) -> list[InitialGuess]:
+    """Starting points from the initial poses, one for each direction in which the target may rotate."""
+    use = np.flatnonzero(initial.connected)
+    zero = np.zeros((tracks.n_frames, 3))
+    base = _start(tracks, initial, data, KnownMotion(zero, zero, zero[0], np.eye(3)))
+    com_G = np.median(base.p_G, axis=0)
+    velocity = np.polyfit(tracks.time_s[use], (base.p_NG + base.R_NG @ com_G)[use], 1)[0]
+    base = replace(base, com_G=com_G, v_N=np.tile(velocity, (tracks.n_frames, 1)))
+    starts = []
+    X_NG = tracks.X_NR @ initial.X_RG
+    for suffix, w_G in rate_branches(tracks.time_s, X_NG, initial.connected).items():
+        hypotheses = inertia_hypotheses(base.R_NG[use], w_G[use])
+        guesses = {name + suffix: guess for name, guess in hypotheses.items()}
+        gaps = long_gaps(tracks.time_s, initial.connected, w_G)
+        starts.append(InitialGuess(replace(base, w_G=w_G), guesses, gaps, tracks, initial))
+    for suffix, shot in shoot(tracks.time_s, base.R_NG, initial.connected).items():
+        iterate = replace(starts[0].iterate, w_G=shot.w_G)
+        starts.append(replace(starts[0], iterate=iterate, guesses={"shooting" + suffix: shot.second}))
+    return starts
+
+
 def known_guess(
     tracks: StereoTracks, initial: InitialMotion, data: MotionData, known: KnownMotion
 ) -> InitialGuess:
     """The starting point of a motion that is known; the poses are those of ``initial``."""
-    X_NG = tracks.X_NR @ initial.X_RG
-    p_G, _ = robust_landmarks(tracks, initial.X_RG, initial.connected)
-    xi, R_inertia = data.form.coordinates(known.second)
-    camera = np.zeros((len(X_NG), N_CAMERA)) if data.camera_is_noisy else None
-    iterate = Iterate(
-        X_NG[:, :3, 3], X_NG[:, :3, :3], known.v_N, known.w_G, known.com_G, xi, R_inertia, p_G, camera
-    )
-    return InitialGuess(iterate, {"known": known.second}, tracks.time_s, [], tracks, initial)
+    iterate = _start(tracks, initial, data, known)
+    return InitialGuess(iterate, {"known": known.second}, [], tracks, initial)
 
 
 def try_hypotheses(
@@ -131,7 +127,7 @@ def try_hypotheses(
         of_start: dict[str, HypothesisFit] = {}
         at = start.iterate
         for name, second in start.guesses.items():
-            trial = try_hypothesis(data, start, at, second, list(of_start.values()))
+            trial = try_hypothesis(MotionFit(data, at), start, second, list(of_start.values()))
             advance()
             if trial is None:
                 continue
@@ -141,68 +137,56 @@ def try_hypotheses(
         trials |= of_start
     if not trials:
         raise RunFailure(f"no consistent motion: every hypothesis of the inertia diverged ({FAST_HINT})")
-    return _with_directions_refined(data, trials)
-
-
-def _with_directions_refined(data: MotionData, trials: dict[str, HypothesisFit]) -> dict[str, HypothesisFit]:
-    """The fits, the best of each direction of rotation solved further: their costs may differ by little."""
     directions = [
         [name for name in trials if name.endswith(OPPOSITE_DIRECTION) == other] for other in (False, True)
     ]
-    if not all(directions):
-        return trials
-    out = dict(trials)
-    for names in directions:
-        best = min(names, key=lambda name: trials[name].cost)
-        refined = solve_briefly(data, trials[best].iterate, [], LONG_PASSES)
-        if refined is not None:
-            out[best] = refined
-    return out
+    if all(directions):
+        # the best of each direction of rotation is solved further: their costs may differ by little
+        for best in [min(names, key=lambda name: trials[name].cost) for names in directions]:
+            refined = solve_briefly(MotionFit(data, trials[best].iterate), [], (10, 10, 10))
+            trials[best] = trials[best] if refined is None else refined
+    return trials
 
 
 def try_hypothesis(
-    data: MotionData, start: InitialGuess, at: Iterate, second: Array, found: list[HypothesisFit]
+    at: MotionFit, start: InitialGuess, second: Array, found: list[HypothesisFit]
 ) -> HypothesisFit | None:
     """Brief solves from one guess of the inertia; None if they diverge."""
-    xi, R_inertia = data.form.coordinates(second)
-    iterate = replace(at, xi=xi, R_inertia=R_inertia)
+    data, (xi, R_inertia) = at.data, at.data.form.coordinates(second)
+    at = MotionFit(data, replace(at.iterate, xi=xi, R_inertia=R_inertia))
     if not start.gaps:
-        return solve_briefly(data, iterate, found)
-    loose = replace(data, loose=loose_steps(data.n_frames, start.gaps))
-    separate = solve_briefly(loose, iterate, [])
+        return solve_briefly(at, found)
+    # each stretch by itself, then the states are propagated through the gaps
+    separate = solve_briefly(at.with_data(loose=loose_steps(data.n_frames, start.gaps)), [])
     if separate is None:
         return None
-    return _solve_across(data, start, separate.iterate, found)
-
-
-def _solve_across(
-    data: MotionData, start: InitialGuess, separate: Iterate, found: list[HypothesisFit]
-) -> HypothesisFit | None:
-    """Propagate the states through the gaps, then solve with the dynamics of all steps."""
-    J_G = separate.J_G(data.form)
-    ambiguous = closing_error_rad(separate, J_G, start.time_s, start.gaps) > AMBIGUOUS_RAD
+    J_G, time_s = separate.iterate.J_G(data.form), start.tracks.time_s
+    ambiguous = closing_error_rad(separate.iterate, J_G, time_s, start.gaps) > AMBIGUOUS_RAD
     trials = []
     for opposite in (False, True) if ambiguous else (False,):
-        iterate = propagate_through_gaps(separate, J_G, start.time_s, start.gaps, opposite)
+        iterate = propagate_through_gaps(separate.iterate, J_G, time_s, start.gaps, opposite)
         iterate = replace(iterate, p_G=gap_landmarks(start.tracks, iterate, start.initial))
-        trial = solve_briefly(data, iterate, [] if ambiguous else found)
+        trial = solve_briefly(MotionFit(data, iterate), [] if ambiguous else found)
         trials += [trial] if trial is not None else []
     return min(trials, key=lambda trial: trial.cost, default=None)
 
 
 def solve_briefly(
-    data: MotionData, iterate: Iterate, found: list[HypothesisFit], passes: tuple[int, ...] = PASSES
+    fit: MotionFit, found: list[HypothesisFit], passes: tuple[int, ...] = PASSES, recenter: bool = True
 ) -> HypothesisFit | None:
-    """A few iterations; if they approach the inertia of a fit found before, that fit, whose cost is known."""
-    solver, cost = GaussNewton(data), np.inf
+    """A few iterations; if they approach the inertia of a fit found before, that fit, whose cost is known.
+
+    ``recenter``: the reference of the inertia, too, is renewed between the passes. None: they diverge.
+    """
+    data, iterate, solver, cost = fit.data, fit.iterate, GaussNewton(fit.data), np.inf
     for iterations in passes:
         try:
-            iterate = recenter_inertia(data, iterate)
+            iterate = recenter_inertia(data, iterate) if recenter else iterate
             fixed = linearization_point(data, iterate)
             solution = solver.solve(fixed, iterate.vector(), iterations)
         except LinAlgError:
             return None
-        iterate, cost = iterate.moved_to(solution.x), solution.cost + fixed.half_log_det
+        iterate, cost = iterate.moved_to(solution.x), solution.cost + fixed.steps.half_log_det
         for other in found:
             if np.abs(iterate.J_G(data.form) - other.iterate.J_G(data.form)).max() < SAME_INERTIA:
                 return other

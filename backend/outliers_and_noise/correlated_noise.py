@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import least_squares, nnls
 from scipy.spatial import cKDTree
 
-from polhode.backend.outliers_and_noise.outliers import MAX_TAKEN_BY_POSES, MIN_OBSERVATIONS
+from polhode.backend.outliers_and_noise.outliers import MAX_SHARE_OF_POSES, MIN_OBSERVATIONS
 from polhode.backend.problem.motion_data import MotionData
 from polhode.lie import Array
 from polhode.records import Ints
@@ -108,7 +108,7 @@ def measure_correlation(
     S, q = _quadratic_forms(data, residuals, to_landmark, turn_rad)
     # the poses are fitted to u and v too: six unknowns for the two numbers of each observation
     n = len(S) // 2
-    q[:n] /= 1.0 - min(3.0 * len(np.unique(data.frame)) / len(data.frame), MAX_TAKEN_BY_POSES)
+    q[:n] /= 1.0 - min(3.0 * len(np.unique(data.frame)) / len(data.frame), MAX_SHARE_OF_POSES)
     scale = 1.0 / np.sqrt(np.diag(S))
     L = np.linalg.cholesky(S * np.outer(scale, scale) + 1e-9 * np.eye(2 * n))
     parts = (scale * nnls(L.T, np.linalg.solve(L, scale * q))[0]).reshape(2, n)

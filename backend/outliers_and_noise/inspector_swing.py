@@ -16,6 +16,7 @@ constants of the dynamics. The problem is linearized at the estimate: a process 
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -23,26 +24,19 @@ from scipy.linalg import solve_triangular
 from polhode.backend.dynamics.residuals import FrameStates, add_steps, dynamics_jacobians
 from polhode.backend.outliers_and_noise.process_level import FLOOR_PSD
 from polhode.backend.problem.inertia import inertia_derivative
-from polhode.backend.problem.iterate import CAMERA_ROTATION, N_CAMERA, N_POSE, N_STATE, Iterate
+from polhode.backend.problem.iterate import CAMERA_ROTATION, N_CAMERA, N_POSE, N_STATE
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.chain import eliminate_chain
 from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.solvers.linearization_point import linearization_point
+from polhode.backend.solvers.linearization_point import MotionFit, linearization_point
 from polhode.backend.solvers.schur import mirror
 from polhode.lie import Array
 
-LENGTHS = (1.0 / 12.0, 1.0 / 6.0, 1.0 / 3.0)
+CORRELATION_LENGTHS = (1.0 / 12.0, 1.0 / 6.0, 1.0 / 3.0)
 """Correlation length of a swing, as shares of the sequence, the shortest first: a period is about six times
 as long."""
-MIN_LENGTH = 3.0
-"""Of it, in mean steps between frames: faster errors are those of single frames."""
 SIGMAS_RAD = tuple(np.deg2rad([0.1, 0.3, 1.0, 3.0]).tolist())
 """Standard deviation of a swing about each axis; the errors of features cause up to 0.03 deg."""
-FACTORS = (1.0, 0.1, 0.01)
-"""Of the estimated process noise, which has risen to contain a swing; down to its floor."""
-MIN_EIGENVALUE = 1e-5
-"""Of a correlation between frames, over its largest: smaller ones are numerical noise."""
-MIN_FRAMES = 8
 
 
 @dataclass(frozen=True)
@@ -72,11 +66,11 @@ class LinearizedLevel:
     """(m,)"""
 
 
-def find_swing(data: MotionData, iterate: Iterate) -> InspectorSwing | None:
-    """The most likely swing at the solution of ``data``; None: too few frames."""
-    if data.n_frames < MIN_FRAMES:
+def find_swing(fit: MotionFit) -> InspectorSwing | None:
+    """The most likely swing at a solution; None: fewer than eight frames."""
+    if fit.data.n_frames < 8:
         return None
-    problem = SwingProblem(data, iterate)
+    problem = SwingProblem(fit)
     without, least, best = np.inf, np.inf, np.zeros(problem.directions.shape[2])
     for level in problem.levels():
         without = min(without, level.minus_log_evidence)
@@ -97,9 +91,9 @@ def find_swing(data: MotionData, iterate: Iterate) -> InspectorSwing | None:
 class SwingProblem:
     """The problem at one iterate, with a swing's coefficients among its constants."""
 
-    def __init__(self, data: MotionData, iterate: Iterate) -> None:
-        self.data, self.iterate = data, iterate
-        fixed, x = linearization_point(data, iterate), iterate.vector()
+    def __init__(self, fit: MotionFit) -> None:
+        self.data, self.iterate = data, iterate = fit.data, fit.iterate
+        fixed, x = fit.linearized(), iterate.vector()
         vision = GaussNewton(data, with_dynamics=False)
         system = vision.normal_equations(fixed, x)
         # velocities and rates are left to the dynamics
@@ -117,12 +111,10 @@ class SwingProblem:
 
     def levels(self) -> Iterator[LinearizedLevel]:
         """The problem under each process noise."""
-        for accel_psd in _lowered(self.data.accel_psd):
-            for torque_psd in _lowered(self.data.torque_psd):
-                yield self._level(accel_psd, torque_psd)
+        for accel_psd, torque_psd in product(_lowered(self.data.accel_psd), _lowered(self.data.torque_psd)):
+            yield self._level(replace(self.data, accel_psd=accel_psd, torque_psd=torque_psd))
 
-    def _level(self, accel_psd: float, torque_psd: float) -> LinearizedLevel:
-        data = replace(self.data, accel_psd=accel_psd, torque_psd=torque_psd)
+    def _level(self, data: MotionData) -> LinearizedLevel:
         fixed, s, n = linearization_point(data, self.iterate), self.iterate.n_state, self.iterate.n_dense
         J_G = self.iterate.J_G(data.form)
         dJ = inertia_derivative(data.form, self.iterate.xi, self.iterate.R_inertia)
@@ -139,7 +131,7 @@ class SwingProblem:
         columns = solve_triangular(factor, columns, lower=True, check_finite=False)
         along, coupling = columns[:, 0], columns[:, 1:]
         diagonals = np.diagonal(chain.diagonal, axis1=1, axis2=2), np.diagonal(factor)
-        minus_log_evidence = fixed.half_log_det + sum(float(np.log(each).sum()) for each in diagonals)
+        minus_log_evidence = fixed.steps.half_log_det + sum(float(np.log(each).sum()) for each in diagonals)
         for sign, vector in ((1.0, residual), (-1.0, chain.gradient), (-1.0, along)):
             minus_log_evidence += 0.5 * sign * float(np.sum(vector**2))
         return LinearizedLevel(
@@ -159,15 +151,17 @@ class SwingProblem:
 
 
 def _lowered(psd: float) -> list[float]:
-    return sorted({max(factor * psd, min(psd, FLOOR_PSD)) for factor in FACTORS})
+    """The estimated process noise, which has risen to contain a swing, and lower ones, down to its floor."""
+    return sorted({max(factor * psd, min(psd, FLOOR_PSD)) for factor in (1.0, 0.1, 0.01)})
 
 
 def smooth_functions(dt_s: Array) -> tuple[Array, list[Array]]:
-    """Functions of time (F, n), and for each of LENGTHS the root (n, r) of the covariance of their
+    """Functions of time (F, n), and for each correlation length the root (n, r) of the covariance of their
     coefficients, that of a Gaussian process of unit variance with a squared-exponential correlation."""
     at = np.concatenate([[0.0], np.cumsum(dt_s)]) / np.sum(dt_s)
     between = np.subtract.outer(at, at)
-    lengths = np.maximum(LENGTHS, MIN_LENGTH / len(dt_s))
+    # what is faster than three mean steps between frames are errors of single frames
+    lengths = np.maximum(CORRELATION_LENGTHS, 3.0 / len(dt_s))
     correlations = [np.exp(-0.5 * (between / length) ** 2) for length in lengths]
     functions = _root(correlations[0])
     functions /= np.linalg.norm(functions, axis=0)
@@ -175,9 +169,9 @@ def smooth_functions(dt_s: Array) -> tuple[Array, list[Array]]:
 
 
 def _root(covariance: Array) -> Array:
-    """(n, r) matrix whose square is the covariance (n, n), of its eigenvectors that count."""
+    """(n, r) matrix whose square is the covariance (n, n), without what is numerical noise."""
     variance, axes = np.linalg.eigh(covariance)
-    counts = variance > MIN_EIGENVALUE * variance[-1]
+    counts = variance > 1e-5 * variance[-1]
     return np.asarray(axes[:, counts] * np.sqrt(variance[counts]))
 
 

@@ -14,46 +14,40 @@ largest level, up to the stated one, that is nearly as likely as the best.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from operator import attrgetter
 from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.chain import half_log_det
 from polhode.backend.solvers.condensed import CondensedGaussNewton, VisionExpansion, without_landmarks
 from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
+from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, MotionFit
 from polhode.lie import Array
 
 T = TypeVar("T")
 """A level and what was found under it."""
 FLOOR_PSD, CEILING_PSD = 1e-10, 1e-2
 """Below the floor nothing changes within a minute; above the ceiling the body is not free."""
-FIRST_STEP, LAST_STEP = 1.0, 0.5
-"""Steps of the search [decades]: finer than the data can resolve."""
-START_FACTORS, START_ITERATIONS = (1.0, 1e-2, 1e-4), 10
-"""Of the stated levels: too high a level can hide in wrong constants and so remain high."""
-INDIFFERENT = 2.0
+FINEST_STEP = 0.5
+"""Step of the search [decades]: finer than the data can resolve."""
+START_ITERATIONS = 10
+INSIGNIFICANT_EVIDENCE = 2.0
 """Difference of log-evidence that is not significant."""
 ACCELERATION, TORQUE = 0, 1
 """Indices of the two levels."""
 ITERATIONS = 3
 """Gauss-Newton iterations at each level, from the solution at the neighbouring level."""
-SMALL_DECREASE = 0.01
-"""A smaller decrease of the cost ends them: it changes no comparison of evidences."""
-EXPANSIONS, AGREEING = 3, 0.5
-"""Searches with stereo terms expanded again, until the problem itself has the same evidence within this."""
+AGREEING_EVIDENCE = 0.5
+"""The search ends when the problem itself has the evidence of its expansion within this."""
 
 
 @dataclass(frozen=True)
-class LevelFit:
+class LevelFit(MotionFit):
     """A process noise, the motion fitted under it, and minus the logarithm of its evidence."""
 
-    data: MotionData
-    iterate: Iterate
     minus_log_evidence: float
 
 
@@ -66,6 +60,10 @@ class LevelTrial:
     """(n,) states and constants, about the search's expansion"""
     minus_log_evidence: float
 
+    def level(self, axis: int) -> float:
+        """One of accel_psd and torque_psd."""
+        return (self.data.accel_psd, self.data.torque_psd)[axis]
+
 
 class LevelSearch:
     """Fits under many levels, with the stereo terms expanded about one iterate.
@@ -74,60 +72,73 @@ class LevelSearch:
     one elimination of the landmarks; a level then costs a quarter of ``fit_level``.
     """
 
-    def __init__(self, data: MotionData, iterate: Iterate) -> None:
-        self._vision = VisionExpansion.of(data, iterate)
-        self.start = without_landmarks(iterate)
+    def __init__(self, fit: MotionFit) -> None:
+        self._vision = VisionExpansion.of(fit)
+        self.start = without_landmarks(fit.iterate)
 
     def fit(self, data: MotionData, x: Array, iterations: int = ITERATIONS) -> LevelTrial:
         """Fit from x (n,) under the noise of ``data``, whose measurements are the same."""
         solver = CondensedGaussNewton(data, self._vision)
         fixed = solver.linearization_point()
         try:
-            x, cost, half_log_det = solver.solve_roughly(fixed, x, iterations, SMALL_DECREASE)
+            # a smaller decrease of the cost than a hundredth changes no comparison of evidences
+            x, cost, half_log_det = solver.solve_roughly(fixed, x, iterations, 0.01)
         except LinAlgError:
             return LevelTrial(data, x, np.inf)
-        return LevelTrial(data, x, cost + fixed.half_log_det + half_log_det)
+        return LevelTrial(data, x, cost + fixed.steps.half_log_det + half_log_det)
+
+    def at_level(self, trial: LevelTrial, axis: int, level: float) -> LevelTrial:
+        """The fit with one level changed, from that of a trial."""
+        levels = [trial.data.accel_psd, trial.data.torque_psd]
+        levels[axis] = level
+        return self.fit(with_level(trial.data, *levels), trial.x)
 
     def fitted(self, trial: LevelTrial, iterations: int = ITERATIONS) -> LevelFit:
         """The fit of the problem itself under the level of a trial."""
-        data = trial.data
-        at = self._vision.iterate(trial.x)
-        return fit_level(data, at, data.accel_psd, data.torque_psd, iterations)
+        return fit_level(MotionFit(trial.data, self._vision.iterate(trial.x)), iterations)
 
 
-def estimate_process_noise(data: MotionData, iterate: Iterate) -> LevelFit:
-    """Most likely accel_psd and torque_psd between floor and ceiling, starting from those of ``data``."""
-    stated = (data.accel_psd, data.torque_psd)
-    search = LevelSearch(data, iterate)
-    starts = {tuple(max(psd * factor, min(psd, FLOOR_PSD)) for psd in stated) for factor in START_FACTORS}
+def estimate_process_noise(fit: MotionFit) -> LevelFit:
+    """Most likely accel_psd and torque_psd between floor and ceiling, starting from those of the problem."""
+    stated = (fit.data.accel_psd, fit.data.torque_psd)
+    search = LevelSearch(fit)
+    # too high a level can hide in wrong constants and so remain high: lower ones are tried too
+    starts = {tuple(max(psd * factor, min(psd, FLOOR_PSD)) for psd in stated) for factor in (1.0, 1e-2, 1e-4)}
     trials = [
-        search.fit(with_level(data, *levels), search.start, START_ITERATIONS)
+        search.fit(with_level(fit.data, *levels), search.start, START_ITERATIONS)
         for levels in sorted(starts, reverse=True)
     ]
-    found = search.fitted(min(trials, key=_minus_log_evidence), START_ITERATIONS)
-    for _ in range(EXPANSIONS):
-        search = LevelSearch(found.data, found.iterate)
+    found = search.fitted(min(trials, key=attrgetter("minus_log_evidence")), START_ITERATIONS)
+    for _ in range(3):
+        search = LevelSearch(found)
         first = search.fit(found.data, search.start)
         best = _highest(search, first, stated)
         if best is first:
             break
         found = search.fitted(best, START_ITERATIONS)
-        if abs(found.minus_log_evidence - best.minus_log_evidence) <= AGREEING:
+        if abs(found.minus_log_evidence - best.minus_log_evidence) <= AGREEING_EVIDENCE:
             break
     return found
 
 
 def _highest(search: LevelSearch, best: LevelTrial, stated: tuple[float, float]) -> LevelTrial:
     """From one level to the most likely one, and up to the largest that is nearly as likely."""
-    step = FIRST_STEP
-    while step >= LAST_STEP:
-        for axis in (TORQUE, ACCELERATION):
-            best = walk(best, partial(_neighbour, search, axis=axis, step=step), _minus_log_evidence)
-        step *= 0.5
+    cost: Callable[[LevelTrial], float] = attrgetter("minus_log_evidence")
+    for axis, step in ((axis, step) for step in (1.0, FINEST_STEP) for axis in (TORQUE, ACCELERATION)):
+
+        def neighbour(at: LevelTrial, sign: int, axis: int = axis, step: float = step) -> LevelTrial | None:
+            level = float(np.clip(at.level(axis) * 10.0 ** (sign * step), FLOOR_PSD, CEILING_PSD))
+            return None if level == at.level(axis) else search.at_level(at, axis, level)
+
+        best = walk(best, neighbour, cost)
     for axis in (TORQUE, ACCELERATION):
-        limit = best.minus_log_evidence + INDIFFERENT
-        raised = partial(_raised, search, axis=axis, stated=stated[axis])
-        best = climb(best, raised, _minus_log_evidence, limit)
+
+        def raised(at: LevelTrial, axis: int = axis) -> LevelTrial | None:
+            if not at.level(axis) < 0.99 * stated[axis]:
+                return None
+            return search.at_level(at, axis, min(at.level(axis) * 10.0**FINEST_STEP, stated[axis]))
+
+        best = raise_level(best, raised, cost, best.minus_log_evidence + INSIGNIFICANT_EVIDENCE)
     return best
 
 
@@ -145,7 +156,7 @@ def walk(start: T, neighbour: Callable[[T, int], T | None], cost: Callable[[T], 
     return start
 
 
-def climb(best: T, raised: Callable[[T], T | None], cost: Callable[[T], float], limit: float) -> T:
+def raise_level(best: T, raised: Callable[[T], T | None], cost: Callable[[T], float], limit: float) -> T:
     """Raise one level towards the stated one (there ``raised`` is None) while the cost is below the limit."""
     while (trial := raised(best)) is not None and cost(trial) < limit:
         best = trial
@@ -157,42 +168,17 @@ def with_level(data: MotionData, accel_psd: float, torque_psd: float) -> MotionD
     return replace(data, accel_psd=accel_psd, torque_psd=torque_psd)
 
 
-def _minus_log_evidence(fit: LevelTrial) -> float:
-    return fit.minus_log_evidence
-
-
-def _neighbour(search: LevelSearch, fit: LevelTrial, sign: int, axis: int, step: float) -> LevelTrial | None:
-    """The fit with one level changed by a step [decades]; None at the floor or the ceiling."""
-    levels = [fit.data.accel_psd, fit.data.torque_psd]
-    changed = float(np.clip(levels[axis] * 10.0 ** (sign * step), FLOOR_PSD, CEILING_PSD))
-    if changed == levels[axis]:
-        return None
-    levels[axis] = changed
-    return search.fit(with_level(fit.data, *levels), fit.x)
-
-
-def _raised(search: LevelSearch, fit: LevelTrial, axis: int, stated: float) -> LevelTrial | None:
-    """The fit with one level raised towards the stated one; None when it is there."""
-    levels = [fit.data.accel_psd, fit.data.torque_psd]
-    if not levels[axis] < 0.99 * stated:
-        return None
-    levels[axis] = min(levels[axis] * 10.0**LAST_STEP, stated)
-    return search.fit(with_level(fit.data, *levels), fit.x)
-
-
-def fit_level(
-    data: MotionData, iterate: Iterate, accel_psd: float, torque_psd: float, iterations: int = ITERATIONS
-) -> LevelFit:
-    """Fit under a level, with its evidence; infinitely unlikely where the fit fails."""
-    data = with_level(data, accel_psd, torque_psd)
-    solver, fixed = GaussNewton(data), linearization_point(data, iterate, TIGHT_GAUGE)
+def fit_level(fit: MotionFit, iterations: int = ITERATIONS) -> LevelFit:
+    """Fit under the level of the problem, with its evidence; infinitely unlikely where the fit fails."""
+    data = fit.data
+    solver, fixed = GaussNewton(data), fit.linearized(TIGHT_GAUGE)
     try:
-        solution = solver.solve(fixed, iterate.vector(), iterations)
+        solution = solver.solve(fixed, fit.iterate.vector(), iterations)
         system = solver.normal_equations(fixed, solution.x)
         reduced, _, _ = solver.reduced(system)
         half_log_det_dense = half_log_det(reduced, data.n_frames, system.n_state)
     except LinAlgError:
-        return LevelFit(data, iterate, np.inf)
+        return LevelFit(data, fit.iterate, np.inf)
     half_log_det_marks = 0.5 * float(np.linalg.slogdet(system.C)[1].sum())
-    minus_log_evidence = system.cost + fixed.half_log_det + half_log_det_dense + half_log_det_marks
-    return LevelFit(data, iterate.moved_to(solution.x), minus_log_evidence)
+    minus_log_evidence = system.cost + fixed.steps.half_log_det + half_log_det_dense + half_log_det_marks
+    return LevelFit(data, fit.iterate.moved_to(solution.x), minus_log_evidence)

@@ -11,27 +11,36 @@ alike, in a direction that is fixed in N, while the body turns: this looks like 
 other sides of it come into view, like changes of its attitude (``common_slide``).
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.motion_data import MotionData
+from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.uncertainty.identifiability import NAMES, determined_description
 from polhode.camera import RectifiedRig
 from polhode.lie import Array, hat, inverse_pose, transform_points
 from polhode.records import Identifiability, MassProperties, MotionEstimate, OnlineEstimate, StereoTracks
 
-Sigma = tuple[float, float, float]
-"""Standard deviations of the offsets of u, v, disparity [px]."""
+
+@dataclass(frozen=True)
+class SharedErrors:
+    """Standard deviations of the errors that all frames share."""
+
+    offset_px: tuple[float, float, float]
+    """of u, v, disparity"""
+    focal_error: float = 0.0
+    """of the focal length, relative"""
+    slide_px: float = 0.0
+    """of a slide along each axis of N, in the image"""
 
 
-def common_slide(data: MotionData, iterate: Iterate, to_landmark: Array, sigma_px: float) -> Array:
+def common_slide(fit: MotionFit, to_landmark: Array, sigma_px: float) -> Array:
     """Effect (M, 3, 3) on the whitened observations of slides of all landmarks along the three axes of N.
 
     Each by sigma_px, seen from the median distance. Landmarks slide along the surface, whose normal is taken
     to be the direction from their middle. to_landmark (M, 3, 3): derivatives of the whitened residuals.
     """
+    data, iterate = fit.data, fit.iterate
     distance_m = np.linalg.norm(iterate.p_NG - data.camera_N, axis=1)
     sigma_m = sigma_px * float(np.median(distance_m)) / data.rig[0]
     outward = iterate.p_G - np.median(iterate.p_G, axis=0)
@@ -41,45 +50,34 @@ def common_slide(data: MotionData, iterate: Iterate, to_landmark: Array, sigma_p
     return np.asarray(sigma_m * to_landmark @ along)
 
 
-def position_spread(
-    rig: RectifiedRig,
-    X_NR: Array,
-    r_N: Array,
-    sigma_px: Sigma,
-    slide_px: float = 0.0,
-    focal_error: float = 0.0,
-) -> Array:
+def position_spread(rig: RectifiedRig, X_NR: Array, r_N: Array, shared: SharedErrors) -> Array:
     """Shifts (F, 3, 7) in N [m] of positions r_N (F, 3) for one sigma of each error; X_NR (F, 4, 4).
 
-    Three offsets of u, v and disparity, three slides along the axes of N, by slide_px in the image, and the
-    relative error of the focal length, which stretches the depth alone: x = (u - cx) b / d does not depend on
-    it.
+    Three offsets of u, v and disparity, three slides along the axes of N, and the relative error of the focal
+    length, which stretches the depth alone: x = (u - cx) b / d does not depend on it.
     """
     r_R = transform_points(inverse_pose(X_NR), r_N[:, None])[:, 0]
-    offsets = X_NR[:, :3, :3] @ rig.triangulation_jacobian(r_R) * np.asarray(sigma_px)
-    slide_m = slide_px * r_R[:, 2] / rig.focal_px
-    stretch = focal_error * r_R[:, 2, None, None] * X_NR[:, :3, 2, None]
+    offsets = X_NR[:, :3, :3] @ rig.triangulation_jacobian(r_R) * np.asarray(shared.offset_px)
+    slide_m = shared.slide_px * r_R[:, 2] / rig.focal_px
+    stretch = shared.focal_error * r_R[:, 2, None, None] * X_NR[:, :3, 2, None]
     return np.concatenate([offsets, slide_m[:, None, None] * np.eye(3), stretch], axis=2)
 
 
-def with_systematic(
-    estimate: MotionEstimate, tracks: StereoTracks, sigma_px: Sigma, focal_error: float = 0.0
-) -> MotionEstimate:
+def with_systematic(estimate: MotionEstimate, tracks: StereoTracks, shared: SharedErrors) -> MotionEstimate:
     """The estimate with offsets of all frames in the covariances of its positions and centre of mass."""
-    spread = position_spread(tracks.rig, tracks.X_NR, estimate.r_N, sigma_px, focal_error=focal_error)
+    spread = position_spread(tracks.rig, tracks.X_NR, estimate.r_N, shared)
     in_G = estimate.X_NG[0, :3, :3].T @ spread[0]
     joint = np.zeros((20, in_G.shape[1]))
     joint[:3], joint[17:] = spread[-1], in_G
     body, marks, mass = estimate.covariance_last_body, estimate.covariance_of_marks, estimate.mass
-    if marks is not None:
-        of_marks = _of_marks(estimate, spread, in_G)
-        marks = np.stack([_inflated(c, s) for c, s in zip(marks, of_marks, strict=True)])
     return replace(
         estimate,
-        covariance=np.stack([_inflated(c, s) for c, s in zip(estimate.covariance, spread, strict=True)]),
+        covariance=_inflated_each(estimate.covariance, spread),
         covariance_last_joint=_inflated(estimate.covariance_last_joint, joint),
         covariance_last_body=None if body is None else _inflated(body, joint),
-        covariance_of_marks=marks,
+        covariance_of_marks=(
+            None if marks is None else _inflated_each(marks, _of_marks(estimate, spread, in_G))
+        ),
         mass=replace(
             mass, cov_com_G=_inflated(mass.cov_com_G, in_G), identifiable=_inflated_verdict(mass, in_G)
         ),
@@ -106,26 +104,25 @@ def _inflated_verdict(mass: MassProperties, in_G: Array) -> Identifiability:
 
 
 def online_with_systematic(
-    online: OnlineEstimate,
-    rig: RectifiedRig,
-    X_NR: Array,
-    sigma_px: Sigma,
-    slide_px: float,
-    focal_error: float = 0.0,
+    online: OnlineEstimate, rig: RectifiedRig, X_NR: Array, shared: SharedErrors
 ) -> OnlineEstimate:
     """The causal estimate with systematic errors in the covariances of positions and centre of mass.
 
     X_NR (F, 4, 4): poses of the rectified left camera. A row depends on itself and the first known one only.
     """
-    spread = position_spread(rig, X_NR, online.r_N, sigma_px, slide_px, focal_error)
+    spread = position_spread(rig, X_NR, online.r_N, shared)
     known = np.isfinite(np.diagonal(online.covariance, axis1=1, axis2=2)).any(axis=1)
     first = int(np.argmax(known))
     in_G = online.X_NG[first, :3, :3].T @ spread[first]
     return replace(
         online,
-        covariance=np.stack([_inflated(c, s) for c, s in zip(online.covariance, spread, strict=True)]),
+        covariance=_inflated_each(online.covariance, spread),
         cov_com_G=np.stack([_inflated(c, in_G) for c in online.cov_com_G]),
     )
+
+
+def _inflated_each(covariances: Array, spreads: Array) -> Array:
+    return np.stack([_inflated(c, s) for c, s in zip(covariances, spreads, strict=True)])
 
 
 def _inflated(covariance: Array, spread: Array) -> Array:

@@ -6,13 +6,10 @@ import numpy as np
 
 from polhode.backend.problem.inertia import FORMS, InertiaForm
 from polhode.backend.problem.wrench import Impulses, impulses_of
-from polhode.camera import stereo_jacobian
+from polhode.camera import RectifiedRig, stereo_jacobian
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, inverse_pose
 from polhode.records import Bools, Ints, StereoTracks
-
-TINY = 1e-12
-"""[N, N m] standard deviation of the bias where no force or torque acts."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +72,24 @@ class MotionData:
         """The same measurements, the standard deviations of u, v and disparity multiplied by factors (3,)."""
         return replace(self, inv_sigma=self.inv_sigma / factors)
 
+    def select(self, observations: Bools, landmark: Ints, n_landmarks: int) -> "MotionData":
+        """Some of the observations (M,), of n_landmarks whose new numbers (m,) ascend."""
+        return replace(
+            self,
+            frame=self.frame[observations],
+            landmark=landmark,
+            start=np.searchsorted(landmark, np.arange(n_landmarks + 1)).astype(np.int64),
+            uvd_px=self.uvd_px[observations],
+            inv_sigma=self.inv_sigma[observations],
+            order=self.order[observations],
+        )
+
+    def unsorted(self, values: Array) -> Array:
+        """Values (M, ...) of the sorted observations, in the order of the tracks."""
+        out = np.empty_like(values)
+        out[self.order] = values
+        return out
+
     def point_jacobians(self, A: Array, p_NG: Array, p_G: Array) -> Array:
         """Derivatives (M, 3, 3) of the whitened predictions in the points p_R that they are of [1/m].
 
@@ -93,7 +108,7 @@ def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
     """Prepare the tracks for the solvers."""
     order = np.lexsort((tracks.frame, tracks.landmark))
     landmark = tracks.landmark[order]
-    X_RN, rig = inverse_pose(tracks.X_NR), tracks.rig
+    X_RN = inverse_pose(tracks.X_NR)
     impulses = impulses_of(tracks.wrench, tracks.timestamps_ns) if tracks.wrench is not None else None
     force_N, torque_Nm = impulses.largest if impulses is not None else (0.0, 0.0)
     return MotionData(
@@ -103,7 +118,7 @@ def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
         uvd_px=np.ascontiguousarray(tracks.uvd_px[order], dtype=np.float64),
         inv_sigma=1.0 / np.array(tracks.sigma_px, dtype=np.float64)[order],
         camera_sigma=(tracks.sigma_camera_p_m, tracks.sigma_camera_theta_rad),
-        rig=np.array([rig.focal_px, rig.cx_px, rig.cy_px, rig.baseline_m, rig.disparity_offset_px]),
+        rig=rig_vector(tracks.rig),
         R_RN=np.ascontiguousarray(X_RN[:, :3, :3]),
         t_R=np.ascontiguousarray(X_RN[:, :3, 3]),
         camera_N=(tracks.X_NR @ inverse_pose(tracks.X_BR))[:, :3, 3],
@@ -113,16 +128,22 @@ def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
         robust_scale=config.robust_scale,
         form=FORMS[config.inertia],
         impulses=impulses,
-        bias_sigma=(max(config.wrench_bias * force_N, TINY), max(config.wrench_bias * torque_Nm, TINY)),
+        # tiny where no force or torque acts
+        bias_sigma=(max(config.wrench_bias * force_N, 1e-12), max(config.wrench_bias * torque_Nm, 1e-12)),
         order=order,
-        nodes=nodes_of(
+        nodes=steps_with_nodes(
             config.unknown_wrench_s, config.unknown_wrench == "everywhere", np.diff(tracks.time_s)
         ),
         node_sigma=(config.unknown_acceleration, config.unknown_angular_acceleration),
     )
 
 
-def nodes_of(windows_s: tuple[tuple[float, float], ...], everywhere: bool, dt_s: Array) -> Bools:
+def rig_vector(rig: RectifiedRig) -> Array:
+    """(5,) as ``MotionData.rig``."""
+    return np.array([rig.focal_px, rig.cx_px, rig.cy_px, rig.baseline_m, rig.disparity_offset_px])
+
+
+def steps_with_nodes(windows_s: tuple[tuple[float, float], ...], everywhere: bool, dt_s: Array) -> Bools:
     """(F - 1,) steps in which an unknown disturbance is stated to be possible."""
     ends = np.concatenate([[0.0], np.cumsum(dt_s)])
     nodes = np.full(len(dt_s), everywhere)

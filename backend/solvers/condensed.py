@@ -14,12 +14,17 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.chain import eliminate_chain, solve_with_chain
 from polhode.backend.solvers.gauss_newton import (
     CONSTANT_SCALE,
-    DAMPING_FLOOR,
+    MIN_DAMPING,
     Damping,
     GaussNewton,
     NormalEquations,
 )
-from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, LinearizationPoint, linearization_point
+from polhode.backend.solvers.linearization_point import (
+    TIGHT_GAUGE,
+    LinearizationPoint,
+    MotionFit,
+    linearization_point,
+)
 from polhode.backend.solvers.robust_kernel import robust_cost
 from polhode.backend.solvers.schur import back_substitute
 from polhode.lie import Array
@@ -44,10 +49,11 @@ class VisionExpansion:
     _observations: tuple[Ints, Ints]
 
     @staticmethod
-    def of(data: MotionData, iterate: Iterate) -> "VisionExpansion":
+    def of(fit: MotionFit) -> "VisionExpansion":
         """The expansion about an iterate, with the robust weights there."""
+        data, iterate = fit.data, fit.iterate
         vision = GaussNewton(data, with_dynamics=False)
-        fixed, x = linearization_point(data, iterate), iterate.vector()
+        fixed, x = fit.linearized(), iterate.vector()
         system = vision.normal_equations(fixed, x, prior=False)
         S, g, C_inv = vision.reduced(system)
         poses = pose_slots(iterate)
@@ -117,7 +123,7 @@ class CondensedGaussNewton(GaussNewton):
         """The damped step of states and constants."""
         frames = self.vision.reference.n_frames
         # where steps between frames are stiff, even the least damping would change the determinant
-        damping = damped.of_all if damped.of_all > DAMPING_FLOOR else 0.0
+        damping = damped.of_all if damped.of_all > MIN_DAMPING else 0.0
         chain = eliminate_chain(system.H, system.g, frames, system.n_state, damping)
         at = N_POSE * frames + np.arange(len(CONSTANT_SCALE))
         chain.dense[at, at] += damped.of_constants / CONSTANT_SCALE**2

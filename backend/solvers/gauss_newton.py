@@ -20,7 +20,7 @@ from polhode.backend.problem.iterate import (
     POSITION,
     ROTATION,
     Iterate,
-)  # fmt: skip
+)
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.problem.wrench import LN_MASS, LN_PRIOR, LN_SCALE, wrench_residual
 from polhode.backend.solvers.chain import eliminate_chain, solve_with_chain
@@ -42,11 +42,11 @@ TOLERANCE = 1e-8
 STALL_TOLERANCE, STALL_ITERATIONS = 1e-6, 8
 """This number of successive iterations with a smaller relative decrease ends them too: they follow a valley
 of a quantity that the data do not determine."""
-STEP_FRACTIONS, ENOUGH = (0.5, 0.25, 0.125, 0.0625), 0.1
+STEP_FRACTIONS, MIN_DECREASE_SHARE = (0.5, 0.25, 0.125, 0.0625), 0.1
 """Fractions of a step that are tried, and the share of the decrease predicted by the slope that is
 required."""
-DAMPING_FLOOR = 1e-8
-MAX_DAMPING, MAX_CONSTANTS_DAMPING = 1e8, 1e5
+MIN_DAMPING, MAX_DAMPING = 1e-8, 1e8
+"""Of all unknowns, in units of the Hessian's diagonal."""
 CONSTANT_SCALE = np.repeat([0.01, 0.1], [3, N_INERTIA])
 """Scales of com_G [m] and xi."""
 
@@ -59,7 +59,7 @@ class Damping:
     damping, and the states follow them freely. Far from the solution any unknown may overshoot.
     """
 
-    of_all: float = DAMPING_FLOOR
+    of_all: float = MIN_DAMPING
     """In units of the Hessian's diagonal (Marquardt)."""
     of_constants: float = 0.0
     """In units of ``CONSTANT_SCALE``."""
@@ -68,13 +68,13 @@ class Damping:
         """Dampings to try after a number of rejections; empty if steps cannot be made shorter."""
         of_constants = max(self.of_constants, 1e-3) * 100.0**times
         of_all = max(self.of_all, 1e-6) * 4.0**times * 2.0 ** (times * (times - 1) // 2)
-        more = [Damping(of_constants=of_constants)] if of_constants < MAX_CONSTANTS_DAMPING else []
+        more = [Damping(of_constants=of_constants)] if of_constants < 1e5 else []
         return more + ([Damping(of_all=of_all)] if of_all < MAX_DAMPING else [])
 
     def less(self) -> "Damping":
         """The damping with which the next iteration begins."""
         of_constants = 0.01 * self.of_constants
-        return Damping(max(DAMPING_FLOOR, 0.1 * self.of_all), of_constants if of_constants > 0.01 else 0.0)
+        return Damping(max(MIN_DAMPING, 0.1 * self.of_all), of_constants if of_constants > 0.01 else 0.0)
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,9 @@ class GaussNewton:
             try:
                 found = self._descend(fixed, x, system, damping)
             except LinAlgError:
-                system = self._convex_equations(fixed, x)
+                # without the curvature of the kernel, which far from a solution can outweigh all else
+                squares = np.sum(self.residuals(fixed, x)[0] ** 2, axis=1)
+                system = self.normal_equations(fixed, x, robust_weight(squares, self.data.robust_scale))
                 found = self._descend(fixed, x, system, damping)
             if found is None:
                 return Solution(x, system.cost, iteration, True, "no further decrease")
@@ -189,7 +191,7 @@ class GaussNewton:
             best, least = None, system.cost * (1.0 + 1e-13)
             for trial in trials:
                 step = self.step(system, trial)
-                candidate, cost = x + step, self._cost_there(fixed, x + step)
+                candidate, cost = x + step, self._cost_or_nan(fixed, x + step)
                 if self.line_search and rejected == 0 and not cost <= least:
                     candidate, cost = self._search_along(fixed, x, system, step)
                 if np.isfinite(cost) and cost <= least:
@@ -210,22 +212,20 @@ class GaussNewton:
         """The longest fraction of a step with a sufficient decrease (Armijo); infinite cost if none has."""
         slope = float(system.g @ step[: len(system.g)] + system.h.ravel() @ step[len(system.g) :])
         for length in STEP_FRACTIONS:
-            cost = self._cost_there(fixed, x + length * step)
-            if cost <= system.cost + ENOUGH * length * slope:
+            cost = self._cost_or_nan(fixed, x + length * step)
+            if cost <= system.cost + MIN_DECREASE_SHARE * length * slope:
                 return x + length * step, cost
         return x, np.inf
 
-    def _cost_there(self, fixed: LinearizationPoint, x: Array) -> float:
+    def _cost_or_nan(self, fixed: LinearizationPoint, x: Array) -> float:
         """The objective; infinite or NaN where a very long step overflows, and so rejected."""
         with np.errstate(over="ignore", invalid="ignore"):
             return self.cost(fixed, x)
 
     def cost(self, fixed: LinearizationPoint, x: Array) -> float:
         """The objective."""
-        residuals, _ = self.residuals(fixed, x)
-        return self.with_other_costs(
-            robust_cost(np.sum(residuals**2, axis=1), self.data.robust_scale), fixed, x
-        )
+        squares = np.sum(self.residuals(fixed, x)[0] ** 2, axis=1)
+        return self.with_other_costs(robust_cost(squares, self.data.robust_scale), fixed, x)
 
     def with_other_costs(self, of_vision: float, fixed: LinearizationPoint, x: Array) -> float:
         """The objective, given the contribution of the stereo measurements."""
@@ -291,19 +291,18 @@ class GaussNewton:
     ) -> float:
         """Add all terms but the stereo measurements' to H (n, n) and g (n,); the objective, given theirs."""
         total = of_vision + self._add_dynamics(fixed, x, H, g)
-        total += self._add_camera(fixed, x, H, g)
+        error = camera_errors(fixed, x)
+        if len(error):
+            slots = np.arange(len(error))[:, None] * fixed.reference.n_state + N_STATE + np.arange(N_CAMERA)
+            H[slots, slots] += fixed.camera_information
+            g[slots] += fixed.camera_information * error
+        total += self.camera_cost(fixed, x)
         total += self._add_wrench(fixed, x, H, g, prior)
         if prior:
             total += self._add_prior(fixed, x, H, g)
         untouched = np.diagonal(H) == 0.0
         H[untouched, untouched] = 1.0
         return total
-
-    def _convex_equations(self, fixed: LinearizationPoint, x: Array) -> NormalEquations:
-        """Without the curvature of the kernel, which far from a solution can outweigh all else."""
-        r, _ = self.residuals(fixed, x)
-        weight = robust_weight(np.sum(r**2, axis=1), self.data.robust_scale)
-        return self.normal_equations(fixed, x, weight)
 
     def reduced(self, system: NormalEquations, damping: float = 0.0) -> tuple[Array, Array, Array]:
         """Eliminate the landmarks: S (n, n) lower, gradient (n,), C^-1 (L, 3, 3)."""
@@ -358,14 +357,6 @@ class GaussNewton:
         of_frames = x[: at.n_states].reshape(-1, at.n_state)
         return FrameStates(of_frames, at.R_NG, self.data.camera_N, at.com_G, at.wrench, at.R_torque), at
 
-    def _add_camera(self, fixed: LinearizationPoint, x: Array, H: Array, g: Array) -> float:
-        error = camera_errors(fixed, x)
-        slots = np.arange(len(error))[:, None] * fixed.reference.n_state + N_STATE + np.arange(N_CAMERA)
-        if len(error):
-            H[slots, slots] += fixed.camera_information
-            g[slots] += fixed.camera_information * error
-        return self.camera_cost(fixed, x)
-
     def _wrench(self, fixed: LinearizationPoint, x: Array) -> tuple[Array, Array]:
         at, form = fixed.reference.moved_to(x), self.data.form
         if at.wrench is None or at.R_torque is None:
@@ -394,7 +385,8 @@ class GaussNewton:
         g[POSE] += fixed.gauge_information * offset
         return cost + 0.5 * float(np.sum(fixed.gauge_information * offset**2))
 
-    def _gauge_offset(self, fixed: LinearizationPoint, x: Array) -> Array:
+    @staticmethod
+    def _gauge_offset(fixed: LinearizationPoint, x: Array) -> Array:
         return np.concatenate([x[POSITION] - fixed.reference.p_NG[0], x[ROTATION]])
 
 

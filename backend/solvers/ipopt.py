@@ -51,11 +51,6 @@ MESSAGES = {
 }
 TOLERANCE = 1e-3
 """Largest gradient at the optimum; whitened residuals are of order one."""
-FEASIBLE = 1e-7
-"""Largest violation of a constraint at the optimum."""
-COMPLEMENTARY = 1e-5
-"""Largest product of a multiplier and the distance from its limit: the barrier must not keep the optimum
-away from limits."""
 STATIONARY_COST_CHANGE = 1e-7
 """The iterations end when the relative change of the cost stays below this three times in a row."""
 
@@ -91,13 +86,9 @@ class StereoTerms:
         poses = self._of_poses()
         marks = self.n_dense + np.arange(3 * d.n_landmarks).reshape(-1, 3)
         own_cols, own_rows = np.tril_indices(3)
-        return np.concatenate(
-            [
-                (poses[:, cols] * n + poses[:, rows]).ravel(),
-                (marks[d.landmark][:, None, :] * n + poses[d.frame][:, :, None]).ravel(),
-                (marks[:, own_cols] * n + marks[:, own_rows]).ravel(),
-            ]
-        )
+        of_poses, of_marks = poses[:, cols] * n + poses[:, rows], marks[:, own_cols] * n + marks[:, own_rows]
+        across = marks[d.landmark][:, None, :] * n + poses[d.frame][:, :, None]
+        return np.concatenate([of_poses.ravel(), across.ravel(), of_marks.ravel()])
 
     def hessian(self, x: Array, A: Array) -> Array:
         """Entries of the Gauss-Newton Hessian with the kernel's curvature, in the order of ``keys``."""
@@ -225,13 +216,13 @@ class MotionProgram:
         values = scatter(position, len(cells)) @ blocks
         sparsity = upper_sparsity(cells, n_x)
         options = self.options(max_iterations, max_seconds)
-        constraints = self._constraint_terms(x, layout) if self.constraints else None
+        constraints = self._constraint_terms(x) if self.constraints else None
         return ipopt_solver("motion", x, p, cost, gradient, (sparsity, values), options, constraints)
 
-    def _constraint_terms(self, x: Any, layout: "ProgramLayout") -> tuple[Any, Any]:
+    def _constraint_terms(self, x: Any) -> tuple[Any, Any]:
         """Values and Jacobian of the constraints, at the linearization point of the solve under way."""
         at, n_x = self.constraints, x.numel()
-        rows, columns = at.cells(layout.reference)
+        rows, columns = at.cells()
         order = np.lexsort((rows, columns))
         n_g = len(at.limits[0])
 
@@ -239,25 +230,25 @@ class MotionProgram:
             assert self._fixed is not None
             return self._fixed
 
+        def slopes(v: Array) -> Array:
+            return at.derivatives(fixed(), v)[order]
+
         outside = [
             ExternalFunction("constraints", lambda v: at.values(fixed(), v), (n_x,), n_g),
-            ExternalFunction(
-                "constraint_slopes", lambda v: at.derivatives(fixed(), v)[order], (n_x,), len(rows)
-            ),
+            ExternalFunction("constraint_slopes", slopes, (n_x,), len(rows)),
         ]
         self._outside += outside
         offsets = np.searchsorted(columns[order], np.arange(n_x + 1))
         sparsity = ca.Sparsity(n_g, n_x, offsets.tolist(), rows[order].tolist())
-        values, slopes = (each(x) for each in outside)
-        return values, ca.MX(sparsity, slopes)
+        return outside[0](x), ca.MX(sparsity, outside[1](x))
 
     def options(self, max_iterations: int, max_seconds: float) -> dict[str, Any]:
         """Options of CasADi and IPOPT, without the derivatives."""
-        limit = float(np.clip(max_seconds, 1e-6, 1e6))
-        names = ("constr_viol_tol", "acceptable_constr_viol_tol") if self.constraints else ()
-        more = dict.fromkeys(names, FEASIBLE)
+        limit, more = float(np.clip(max_seconds, 1e-6, 1e6)), {}
         if self.constraints:
-            more["acceptable_compl_inf_tol"] = COMPLEMENTARY
+            more = dict.fromkeys(("constr_viol_tol", "acceptable_constr_viol_tol"), 1e-7)
+            # the barrier must not keep the optimum away from limits
+            more["acceptable_compl_inf_tol"] = 1e-5
         return ipopt_options(TOLERANCE, STATIONARY_COST_CHANGE, max_iterations, max_wall_time=limit, **more)
 
     def terms(self, x: Any, p: Any, at: "ProgramLayout", output: Output) -> list[ProgramTerm]:
@@ -268,23 +259,18 @@ class MotionProgram:
         for series, slots, arguments in self.steps(x, p, at):
             kernel = dynamics_kernel(d.form, series, output, step).map(len(slots))
             terms.append(ProgramTerm(slots, *kernel.call(arguments)))
-        body = of_constants[None, :N_CONSTANTS]
-        prior = prior_kernel(d.form, output)
-        terms.append(ProgramTerm(body, *prior.call([gather(x, body), p[at.prior : at.prior + N_PRIOR]])))
-        gaussian_prior = gaussian_prior_kernel(output)
-        gauge = np.arange(6)[None]
-        terms.append(
-            ProgramTerm(gauge, *gaussian_prior.call([gather(x, gauge), p[at.gauge : at.gauge + 12]]))
-        )
+
+        def add(kernel: Any, slots: Ints, parameters: Any) -> None:
+            terms.append(ProgramTerm(slots, *kernel.call([gather(x, slots), parameters])))
+
+        gaussian = gaussian_prior_kernel(output)
+        add(prior_kernel(d.form, output), of_constants[None, :N_CONSTANTS], p[at.prior : at.prior + N_PRIOR])
+        add(gaussian, np.arange(6)[None], p[at.gauge : at.gauge + 12])
         if s > N_STATE:
             errors = s * np.arange(d.n_frames)[:, None] + N_STATE + np.arange(N_CAMERA)
-            camera_prior = ca.repmat(p[at.camera : at.camera + 12], 1, d.n_frames)
-            terms.append(
-                ProgramTerm(errors, *gaussian_prior.map(d.n_frames).call([gather(x, errors), camera_prior]))
-            )
+            add(gaussian.map(d.n_frames), errors, ca.repmat(p[at.camera : at.camera + 12], 1, d.n_frames))
         if step.with_wrench:
-            unknowns, wrench = of_constants[None, 3:], wrench_kernel(d.form, output)
-            terms.append(ProgramTerm(unknowns, *wrench.call([gather(x, unknowns), p[at.wrench : at.n_p]])))
+            add(wrench_kernel(d.form, output), of_constants[None, 3:], p[at.wrench : at.n_p])
         return terms
 
     def steps(self, x: Any, p: Any, at: "ProgramLayout") -> list[tuple[int, Ints, list[Any]]]:
@@ -337,17 +323,11 @@ def program_parameters(data: MotionData, fixed: LinearizationPoint, series: Ints
         torque = data.impulses.torque(series).ravel()
         axes = [reference.R_inertia.T.ravel(), reference.R_torque.T.ravel()]
         wrench = np.concatenate([*axes, fixed.bias_sigma])
-    return np.concatenate(
-        [
-            np.swapaxes(fixed.A, 1, 2).ravel(),
-            dynamics_parameters(data, fixed).ravel(),
-            torque,
-            fixed.prior,
-            *(reference.p_NG[0], np.zeros(3), fixed.gauge_information),
-            *(np.zeros(N_CAMERA), fixed.camera_information),
-            wrench,
-        ]
-    )
+    gauge = [reference.p_NG[0], np.zeros(3), fixed.gauge_information]
+    camera = [np.zeros(N_CAMERA), fixed.camera_information]
+    steps = [dynamics_parameters(data, fixed).ravel(), torque]
+    attitudes = np.swapaxes(fixed.A, 1, 2).ravel()
+    return np.concatenate([attitudes, *steps, fixed.prior, *gauge, *camera, wrench])
 
 
 def dynamics_parameters(data: MotionData, fixed: LinearizationPoint) -> Array:
@@ -362,10 +342,8 @@ def dynamics_parameters(data: MotionData, fixed: LinearizationPoint) -> Array:
     if at.n_state > N_STATE:
         columns += [data.camera_N[:-1], data.camera_N[1:]]
     if at.R_torque is not None and fixed.steps.force_increments is not None:
-        columns += [
-            np.broadcast_to(at.R_torque.T.ravel(), (n, 9)),
-            fixed.steps.force_increments.reshape(n, 6),
-        ]
+        axes = np.broadcast_to(at.R_torque.T.ravel(), (n, 9))
+        columns += [axes, fixed.steps.force_increments.reshape(n, 6)]
     return np.concatenate(columns, axis=1)
 
 

@@ -1,6 +1,7 @@
 """What stays fixed during one solve: reference attitudes, whitening, priors and gauge."""
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -10,7 +11,6 @@ from polhode.backend.dynamics.residuals import Steps
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.lie import Array
-from polhode.records import Ints
 
 LOOSE_GAUGE, TIGHT_GAUGE = 0.1, 1e-3
 """Standard deviation with which G is fixed at the first frame [rad, body radii]. A cold start must be free to
@@ -20,8 +20,6 @@ COM_PRIOR_M = 0.1
 radius."""
 LOOSE_PSD = 1.0
 """[(m/s^2)^2/Hz], [(rad/s^2)^2/Hz] process noise so strong that a step carries no information on the body."""
-MIN_CAMERA_SIGMA = 1e-7
-"""[m, rad] where only the other part of the camera's pose is noisy."""
 
 
 @dataclass(frozen=True)
@@ -45,66 +43,76 @@ class LinearizationPoint:
     """(6,) diagonal of the prior on the errors of the camera's pose, for each frame"""
     bias_sigma: tuple[float, float]
     """[N, N m] of the constant biases of a known wrench"""
-    half_log_det: float
-    """normalization of the dynamics term: makes the costs of different inertias comparable"""
+
+
+@dataclass(frozen=True)
+class MotionFit:
+    """A problem and a value of its unknowns: a start, or a solution."""
+
+    data: MotionData
+    iterate: Iterate
+
+    def linearized(self, gauge: float = LOOSE_GAUGE) -> LinearizationPoint:
+        """Fix references and whitening here; gauge is the standard deviation of the first pose."""
+        return linearization_point(self.data, self.iterate, gauge)
+
+    def moved_to(self, x: Array) -> Self:
+        """The unknowns at a vector about the iterate."""
+        return replace(self, iterate=self.iterate.moved_to(x))
+
+    def with_data(self, **changes: object) -> "MotionFit":
+        """The same unknowns of a problem with some of its fields changed."""
+        return MotionFit(replace(self.data, **changes), self.iterate)  # type: ignore[arg-type]
 
 
 def linearization_point(data: MotionData, iterate: Iterate, gauge: float = LOOSE_GAUGE) -> LinearizationPoint:
     """Fix references and whitening at an iterate; gauge is the standard deviation of the first pose."""
-    w, J_G = iterate.w_G[:-1], iterate.J_G(data.form)
-    accel_psd, torque_psd = _levels(data, iterate)
+    middle, radius = middle_and_radius(iterate.p_G)
+    com_sigma = max(COM_PRIOR_M, radius)
+    # 1e-7 m or rad where only the other part of the camera's pose is noisy
+    of_camera = [max(sigma, 1e-7) ** -2 for sigma in data.camera_sigma]
+    return LinearizationPoint(
+        reference=iterate,
+        A=data.R_RN @ iterate.R_NG,
+        steps=_steps(data, iterate),
+        prior=np.concatenate([middle, [com_sigma], iterate.R_inertia.T.ravel()]),
+        gauge_information=np.repeat([(gauge * com_sigma) ** -2, gauge**-2], 3),
+        camera_information=np.repeat(of_camera, 3),
+        bias_sigma=data.bias_sigma,
+    )
+
+
+def _steps(data: MotionData, iterate: Iterate) -> Steps:
+    """The steps between frames, whitened at the rates of the iterate.
+
+    Process noise is unlimited in loose steps, and where a known wrench acts that the iterate lacks.
+    """
+    w, J_G, known = iterate.w_G[:-1], iterate.J_G(data.form), data.impulses
+    unknown = np.zeros_like(data.dt_s)
+    if data.loose is not None:
+        unknown[data.loose] = LOOSE_PSD
+    if known is not None and iterate.wrench is None:
+        unknown[known.acting] = LOOSE_PSD
+    accel_psd, torque_psd = np.maximum(data.accel_psd, unknown), np.maximum(data.torque_psd, unknown)
     # an unknown disturbance of any time history within its step, integrated out: white, as strong over the
     # step
     accel_node, torque_node = np.square(data.node_sigma)[:, None] * data.nodes * data.dt_s
     W_t, W_r, half_log = whitening(w, J_G, data.dt_s, accel_psd + accel_node, torque_psd + torque_node)
-    middle, radius = middle_and_radius(iterate.p_G)
-    com_sigma = max(COM_PRIOR_M, radius)
-    return LinearizationPoint(
-        reference=iterate,
-        A=data.R_RN @ iterate.R_NG,
-        steps=_steps(data, iterate, series_steps(w, J_G, data.dt_s, torque_psd), W_t, W_r),
-        prior=np.concatenate([middle, [com_sigma], iterate.R_inertia.T.ravel()]),
-        gauge_information=np.repeat([(gauge * com_sigma) ** -2, gauge**-2], 3),
-        camera_information=np.repeat([max(sigma, MIN_CAMERA_SIGMA) ** -2 for sigma in data.camera_sigma], 3),
-        bias_sigma=data.bias_sigma,
-        half_log_det=half_log,
-    )
-
-
-def _levels(data: MotionData, iterate: Iterate) -> tuple[Array, Array]:
-    """Levels of the disturbances in each step (F - 1,).
-
-    They are unlimited in loose steps, and where a known wrench acts that the iterate does not include.
-    """
-    unknown = np.zeros_like(data.dt_s)
-    if data.loose is not None:
-        unknown[data.loose] = LOOSE_PSD
-    if data.impulses is not None and iterate.wrench is None:
-        unknown[data.impulses.acting] = LOOSE_PSD
-    return np.maximum(data.accel_psd, unknown), np.maximum(data.torque_psd, unknown)
-
-
-def _steps(data: MotionData, iterate: Iterate, series: Ints, W_t: Array, W_r: Array) -> Steps:
-    known = data.impulses
+    series = series_steps(w, J_G, data.dt_s, torque_psd)
     if known is None or iterate.wrench is None:
-        return Steps(data.dt_s, series, W_t, W_r)
-    series = known.refine_series(series, iterate.w_G[:-1], data.dt_s)
-    return Steps(data.dt_s, series, W_t, W_r, known.force_increments, known.torque(series))
+        return Steps(data.dt_s, series, W_t, W_r, half_log)
+    series = known.refine_series(series, w, data.dt_s)
+    return Steps(data.dt_s, series, W_t, W_r, half_log, known.force_increments, known.torque(series))
 
 
 def middle_and_radius(points: Array) -> tuple[Array, float]:
     """Geometric median (3,) of points (n, 3), and their median distance from it."""
-    middle = geometric_median(points)
-    return middle, float(np.sqrt(np.median(np.sum((points - middle) ** 2, axis=1))))
-
-
-def geometric_median(points: Array) -> Array:
-    """Geometric median (3,) of points (n, 3): robust and independent of the axes (Weiszfeld 1937)."""
+    # robust and independent of the axes (Weiszfeld 1937)
     middle = points.mean(axis=0)
     for _ in range(10):
         weight = 1.0 / np.maximum(np.linalg.norm(points - middle, axis=1), 1e-6)
-        middle = weight @ points / weight.sum()
-    return np.asarray(middle)
+        middle = np.asarray(weight @ points / weight.sum())
+    return middle, float(np.sqrt(np.median(np.sum((points - middle) ** 2, axis=1))))
 
 
 def recenter_inertia(data: MotionData, iterate: Iterate) -> Iterate:

@@ -12,7 +12,12 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.constraints import constraints_of
 from polhode.backend.solvers.gauss_newton import GaussNewton, Solution
 from polhode.backend.solvers.ipopt import MotionProgram
-from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point, recenter_inertia
+from polhode.backend.solvers.linearization_point import (
+    TIGHT_GAUGE,
+    MotionFit,
+    linearization_point,
+    recenter_inertia,
+)
 from polhode.config.backend_settings import Backend
 from polhode.records import ProgramEnd
 
@@ -34,7 +39,7 @@ class SolvedMotion:
     """Those of the configuration, by name: whether each changed the optimum, or its limit is reached"""
 
 
-def solve(data: MotionData, iterate: Iterate, config: Backend) -> SolvedMotion:
+def solve(start: MotionFit, config: Backend) -> SolvedMotion:
     """The optimum: Gauss-Newton leads to it, IPOPT continues from there and gives the answer.
 
     Near the optimum IPOPT takes one to three iterations. Where Gauss-Newton does not converge, IPOPT goes on
@@ -44,15 +49,15 @@ def solve(data: MotionData, iterate: Iterate, config: Backend) -> SolvedMotion:
     An optimum that violates none of the configuration's constraints is that of the constrained problem, too;
     else IPOPT continues with them. Raises LinAlgError if neither solver has a solution.
     """
-    constraints = constraints_of(data, iterate, config)
-    found = _unconstrained(data, iterate, config)
+    data, constraints = start.data, constraints_of(start, config)
+    found = _unconstrained(data, start.iterate, config)
     if not constraints:
         return found
     fixed = linearization_point(data, found.iterate, TIGHT_GAUGE)
     active = constraints.reached(fixed, found.iterate.vector())
     if not constraints.hold(fixed, found.iterate.vector()):
-        program = MotionProgram(data, constraints)
-        at, solution, more = refine(program, data, found.iterate, config.max_iterations, config.max_seconds)
+        limits = config.max_iterations, config.max_seconds
+        at, solution, more = refine(MotionProgram(data, constraints), found.iterate, *limits)
         found = SolvedMotion(MotionProgram.name, at, solution, found.iterations + more)
         fixed = linearization_point(data, at, TIGHT_GAUGE)
     # also one whose limit the free optimum lies beyond, even if nothing holds the new one at that limit
@@ -64,9 +69,8 @@ def _unconstrained(data: MotionData, iterate: Iterate, config: Backend) -> Solve
     begin, newton = perf_counter(), None
     half = (max(config.max_iterations // 2, 1), 0.5 * config.max_seconds)
     with suppress(LinAlgError):
-        newton = SolvedMotion(
-            GaussNewton.name, *refine(GaussNewton(data, line_search=True), data, iterate, *half)
-        )
+        ended = refine(GaussNewton(data, line_search=True), iterate, *half)
+        newton = SolvedMotion(GaussNewton.name, *ended)
     done = newton is not None and newton.solution.converged
     if newton is not None and done and config.solver == GaussNewton.name:
         return newton
@@ -75,14 +79,12 @@ def _unconstrained(data: MotionData, iterate: Iterate, config: Backend) -> Solve
         return newton
     start, cost = (iterate, np.inf) if newton is None else (newton.iterate, newton.solution.cost)
     try:
-        found = refine(
-            MotionProgram(data), data, start, config.max_iterations, left_s, cost if done else np.inf
-        )
+        limits, before = (config.max_iterations, left_s), cost if done else np.inf
+        at, solution, more = refine(MotionProgram(data), start, *limits, before)
     except LinAlgError:
         if newton is None:
             raise
         return newton
-    at, solution, more = found
     if newton is None:
         return SolvedMotion(MotionProgram.name, at, solution, more)
     if not solution.converged and (done or cost <= solution.cost):
@@ -96,7 +98,6 @@ def _unconstrained(data: MotionData, iterate: Iterate, config: Backend) -> Solve
 
 def refine(
     solver: GaussNewton | MotionProgram,
-    data: MotionData,
     iterate: Iterate,
     max_iterations: int,
     max_seconds: float = np.inf,
@@ -106,7 +107,7 @@ def refine(
 
     ``before``: cost at the start, if another solver ended there.
     """
-    total, end, ends = 0, perf_counter() + max_seconds, list[ProgramEnd]()
+    data, total, end, ends = solver.data, 0, perf_counter() + max_seconds, list[ProgramEnd]()
     for _ in range(MAX_PASSES):
         iterate = recenter_inertia(data, iterate)
         fixed = linearization_point(data, iterate, TIGHT_GAUGE)

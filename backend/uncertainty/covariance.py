@@ -32,7 +32,7 @@ from polhode.backend.problem.iterate import (
 )
 from polhode.backend.problem.wrench import LN_MASS, LN_SCALE
 from polhode.backend.solvers.gauss_newton import GaussNewton, NormalEquations
-from polhode.backend.solvers.linearization_point import LinearizationPoint
+from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.schur import correlated_scores, landmark_covariances, mirror
 from polhode.backend.uncertainty.principal_axes import AxesDerivative
 from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
@@ -69,23 +69,21 @@ class Marginals:
     """(s F, 8) change of the states per change of com_G and xi, everything else fitted again"""
 
 
-def marginals(
-    solver: GaussNewton,
-    fixed: LinearizationPoint,
-    x: Array,
-    weight: Array,
-    errors: DependentErrors | None = None,
-) -> Marginals:
-    """Invert the information at x; weight (M,) is the information contributed by each observation.
+def marginals(fit: MotionFit, weight: Array, errors: DependentErrors | None = None) -> Marginals:
+    """Invert the information at a solution; weight (M,) is the information contributed by each observation.
 
     ``errors``: the solution still takes them as independent, its covariance does not.
     """
+    solver, fixed, x = GaussNewton(fit.data), fit.linearized(), fit.iterate.vector()
     bare = solver.normal_equations(fixed, x, weight, prior=False)
     S, _, C_inv = solver.reduced(bare)
     mirror(S)
     n, n_states, first = len(S), fixed.reference.n_states, N_GAUGE
-    follow = _first_pose_follows(fixed.reference.moved_to(x), solver.data.camera_N)
-    _substitute_first_pose(S, follow)
+    follow = _first_pose_follows(fit.iterate, fit.data.camera_N)
+    # put the first pose's dependence on the camera's errors into the information
+    of_camera = slice(N_STATE, N_STATE + follow.shape[1])
+    S[of_camera] += follow.T @ S[:N_GAUGE]
+    S[:, of_camera] += S[:, :N_GAUGE] @ follow
     of_states = np.asfortranarray(S[first:n_states, first:n_states])
     factor = cho_factor(of_states, lower=True, overwrite_a=True, check_finite=False)
     response = np.zeros((n_states, n - n_states))
@@ -101,34 +99,27 @@ def marginals(
     dense[:n_states, n_states:] = response @ constants
     dense[n_states:, :n_states] = dense[:n_states, n_states:].T
     dense[n_states:, n_states:] = constants
-    of_camera = slice(N_STATE, N_STATE + follow.shape[1])
     response[:first] = follow @ response[of_camera]
     dense[:first] = follow @ dense[of_camera]
     dense[:, :first] = dense[:, of_camera] @ follow.T
-    d, own = solver.data, C_inv
+    d, own = fit.data, C_inv
     if errors is not None:
-        excess, own = _excess(errors, solver, fixed, x, weight, bare, C_inv)
+        excess, own = _excess(errors, fit, weight, bare, C_inv)
         of_states = dense[:, :n_states]
         dense = dense + of_states @ excess @ of_states.T
         dense = 0.5 * (dense + dense.T)
         excess_of_constants = response.T @ excess @ response
         information = _discounted(information, excess_of_constants, prior)
     marks = landmark_covariances(dense, d.frame, d.start, bare.E, C_inv, own, bare.n_state)
-    return _with_constants(dense, marks, information, prior, response)
+    return _marginals_of_constants(dense, marks, information, prior, response)
 
 
 def _excess(
-    errors: DependentErrors,
-    solver: GaussNewton,
-    fixed: LinearizationPoint,
-    x: Array,
-    weight: Array,
-    bare: NormalEquations,
-    C_inv: Array,
+    errors: DependentErrors, fit: MotionFit, weight: Array, bare: NormalEquations, C_inv: Array
 ) -> tuple[Array, Array]:
     """Covariance (s F, s F) of the gradient beyond the information; landmarks' covariances, poses given."""
-    d, n_states = solver.data, fixed.reference.n_states
-    to_pose, to_landmark = observation_jacobians(solver, fixed, x)
+    d, n_states = fit.data, fit.iterate.n_states
+    to_pose, to_landmark = observation_jacobians(fit)
     root = np.sqrt(weight)[:, None, None]
     excess = np.zeros((n_states, n_states))
     own = correlated_scores(
@@ -142,7 +133,7 @@ def _excess(
     np.add.at(moved, d.landmark, np.swapaxes(to_landmark, 1, 2) @ effect)
     moved = C_inv @ moved
     effect -= weight[:, None, None] * (to_landmark @ moved[d.landmark])
-    gradient = np.zeros((fixed.reference.n_frames, bare.n_state, effect.shape[2]))
+    gradient = np.zeros((fit.iterate.n_frames, bare.n_state, effect.shape[2]))
     np.add.at(gradient[:, :N_GAUGE], d.frame, np.swapaxes(to_pose, 1, 2) @ effect)
     of_states = gradient.reshape(n_states, -1)
     return excess + of_states @ of_states.T, own + moved @ np.swapaxes(moved, 1, 2)
@@ -158,17 +149,17 @@ def _discounted(information: Array, excess: Array, prior: Array) -> Array:
     return np.asarray(0.5 * (out + out.T))
 
 
-def observation_jacobians(solver: GaussNewton, fixed: LinearizationPoint, x: Array) -> tuple[Array, Array]:
+def observation_jacobians(fit: MotionFit) -> tuple[Array, Array]:
     """Derivatives of the whitened residuals in the pose (M, 3, 6) and in the landmark (M, 3, 3)."""
-    d, (A, p_NG, p_G) = solver.data, solver.residuals(fixed, x)[1]
-    k, own_G, to_point = d.frame, p_G[d.landmark], -d.point_jacobians(A, p_NG, p_G)
+    d, at = fit.data, fit.iterate
+    A, k = d.R_RN @ at.R_NG, d.frame
+    to_point = -d.point_jacobians(A, at.p_NG, at.p_G)
     to_landmark = to_point @ A[k]
-    theta = x[: fixed.reference.n_states].reshape(-1, fixed.reference.n_state)[:, ROTATION]
-    turned = -to_landmark @ hat(own_G) @ right_jacobian_so3(theta)[k]
+    turned = -to_landmark @ hat(at.p_G[d.landmark])
     return np.concatenate([to_point @ d.R_RN[k], turned], axis=2), to_landmark
 
 
-def _with_constants(
+def _marginals_of_constants(
     dense: Array, marks: Array, information: Array, prior: Array, response: Array
 ) -> Marginals:
     """Information on com_G and xi, and on mass and scale, each with all other constants eliminated."""
@@ -200,13 +191,6 @@ def _first_pose_follows(iterate: Iterate, camera_N: Array) -> Array:
     out[POSITION, POSITION], out[POSITION, ROTATION] = -turn.T, turn.T @ hat(arm) @ left
     out[ROTATION, ROTATION] = -(turn @ iterate.R_NG[0]).T @ left
     return out
-
-
-def _substitute_first_pose(S: Array, follow: Array) -> None:
-    """Put the first pose's dependence on the camera's errors into the information S, in place."""
-    at = slice(N_STATE, N_STATE + follow.shape[1])
-    S[at] += follow.T @ S[:N_GAUGE]
-    S[:, at] += S[:, :N_GAUGE] @ follow
 
 
 def body_jacobians(iterate: Iterate, camera_N: Array | None = None) -> Array:
@@ -259,8 +243,14 @@ def state_covariances(iterate: Iterate, m: Marginals, jacobians: Array) -> tuple
     for k, T in enumerate(jacobians):
         at = np.r_[s * k : s * k + s, n : n + N_CONSTANTS]
         out[k] = T @ m.dense[np.ix_(at, at)] @ T.T
+    return out, with_constants(T, m.dense[np.ix_(at, at)])
+
+
+def with_constants(T: Array, joint: Array) -> Array:
+    """(20, 20) of a state T (12, s + 8), then xi and com_G; joint (s + 8, s + 8) of its unknowns."""
+    s = len(joint) - N_CONSTANTS
     T = np.vstack([T, np.eye(s + N_CONSTANTS)[np.r_[s + 3 : s + 8, s : s + 3]]])
-    return out, np.asarray(T @ m.dense[np.ix_(at, at)] @ T.T)
+    return np.asarray(T @ joint @ T.T)
 
 
 def pose_covariances(iterate: Iterate, m: Marginals) -> Array:

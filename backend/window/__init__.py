@@ -1,6 +1,5 @@
 """The sliding window: frames in, one by one, and the causal estimate at each frame out, in bounded time.
 
-- ``warm_up``: what is compiled before the first frame.
 - ``estimator``: the sliding window, frame by frame and over a whole sequence.
 - ``frame``: measurements of a frame, a frame while the window keeps it, slots of the landmarks.
 - ``add_frame``: pose and landmarks of a new frame.
@@ -11,7 +10,7 @@
 - ``estimator_state``: frames, landmarks, constants and noise levels of the window.
 - ``history``: the first frames as a whole, until the inertia is known.
 - ``active``: the unknowns of the window and the arrival cost about them.
-- ``problem``: the nonlinear program of one update, its dynamics and quadratic parts, and Gauss-Newton on it.
+- ``problem``: the nonlinear program of one update, its quadratic parts, and Gauss-Newton on it.
 - ``ipopt``: IPOPT on the same program.
 - ``vision``: the observations, condensed to information on the poses.
 """
@@ -23,11 +22,11 @@ from polhode.backend.window.estimator import (
     estimate_online,
     online_estimate,
     stack_states,
+    warm_up,
     window_warnings,
     without_claims_after_torques,
 )
 from polhode.backend.window.frame import CameraNoise, FrameMeasurements, camera_noise_of, frames_of
-from polhode.backend.window.warm_up import warm_up
 
 __all__ = [
     "CameraNoise",

@@ -4,22 +4,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from polhode.backend.dynamics.residuals import Steps
 from polhode.backend.problem.inertia import InertiaForm
 from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE, POSE
-from polhode.backend.window.frame import Frame, states_of
-from polhode.backend.window.problem import (
-    NO_FACTORS,
-    DynamicsFactors,
-    Quadratic,
-    add_block,
-    eliminate,
-    factor_jacobians,
-    others,
-)
+from polhode.backend.window.frame import Frame
+from polhode.backend.window.problem import Quadratic, add_block, eliminate, others, step_jacobians
 from polhode.lie import Array
 from polhode.records import Ints
-
-NOTHING = Quadratic(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
 
 Part = tuple[Ints, Array, Array]
 """Entries of a vector, information about them, its gradient."""
@@ -36,11 +27,11 @@ class ActiveWindow:
     noisy_camera: bool = False
     keys: list[Frame] = field(default_factory=list)
     recent: list[Frame] = field(default_factory=list)
-    factors: DynamicsFactors = NO_FACTORS
-    """dynamics between the recent states; the history has its own"""
+    steps: Steps = field(default_factory=Steps.none)
+    """between the recent states; the history has its own"""
     constants: Array = field(default_factory=lambda: np.zeros(N_CONSTANTS))
     """(8,) com_G, xi"""
-    arrival: Quadratic = NOTHING
+    arrival: Quadratic = field(default_factory=lambda: Quadratic(np.zeros((0, 0)), np.zeros(0), np.zeros(0)))
     """information from all that was marginalized, without the weak prior; empty while the history is kept"""
 
     @property
@@ -49,13 +40,18 @@ class ActiveWindow:
         return [*self.keys, *self.recent]
 
     @property
+    def seen_frames(self) -> list[Frame]:
+        """Frames whose seen pose is not part of a state."""
+        return self.frames if self.noisy_camera else self.keys
+
+    @property
     def n_seen(self) -> int:
-        """Number of entries before the states: seen poses that are not part of a state."""
-        return N_POSE * len(self.frames if self.noisy_camera else self.keys)
+        """Number of entries before the states."""
+        return N_POSE * len(self.seen_frames)
 
     @property
     def seen_entries(self) -> Ints:
-        """(6 F,) entries of the seen poses."""
+        """(6 F,) entries of the seen poses of all frames."""
         if self.noisy_camera:
             return np.arange(self.n_seen)
         return np.concatenate([np.arange(self.n_seen), self.pose_entries])
@@ -73,17 +69,18 @@ class ActiveWindow:
 
     def vector(self) -> Array:
         """The unknowns (n,)."""
-        seen = self.frames if self.noisy_camera else self.keys
-        of_seen = np.concatenate([np.zeros(0), *(frame.seen for frame in seen)])
-        return np.concatenate([of_seen, states_of(self.recent).ravel(), self.constants])
+        return np.concatenate([*self._numbers(), self.constants])
 
-    def take(self, x: Array) -> None:
-        """Set the unknowns from a vector."""
-        for n, frame in enumerate(self.frames if self.noisy_camera else self.keys):
-            frame.seen[:] = x[N_POSE * n : N_POSE * (n + 1)]
-        for n, frame in enumerate(self.recent):
-            start = self.n_seen + N_STATE * n
-            frame.x[:] = x[start : start + N_STATE]
+    def _numbers(self) -> list[Array]:
+        """Seen poses (6,) and states (12,), which are changed in place."""
+        return [*(frame.seen for frame in self.seen_frames), *(frame.x for frame in self.recent)]
+
+    def set_vector(self, x: Array) -> None:
+        """Set the unknowns."""
+        start = 0
+        for values in self._numbers():
+            values[:] = x[start : start + len(values)]
+            start += len(values)
         self.constants = x[-N_CONSTANTS:].copy()
 
     def extend_arrival(self) -> None:
@@ -114,8 +111,8 @@ class ActiveWindow:
         """The dynamics from the oldest recent state to the next."""
         x, start = self.vector(), self.n_seen
         both = np.r_[start : start + 2 * N_STATE, len(x) - N_CONSTANTS : len(x)]
-        first = self.factors.part(slice(0, 1))
-        r, D = factor_jacobians(x[both], self.R_ref[:2], first, form, R_inertia)
+        first = self.steps.part(slice(0, 1))
+        r, D = step_jacobians(x[both], self.R_ref[:2], first, form, R_inertia)
         return both, D[0].T @ D[0], D[0].T @ r[0]
 
     def camera_parts(self, n_frames: int | None = None) -> list[Part]:
@@ -132,8 +129,8 @@ class ActiveWindow:
         first = 0 if self.noisy_camera else N_POSE
         return np.arange(self.n_seen + first, self.n_seen + N_STATE)
 
-    def shift(self) -> None:
-        """The oldest state becomes a key."""
+    def oldest_becomes_key(self) -> None:
+        """The oldest recent frame becomes a key frame."""
         self.keys.append(self.recent.pop(0))
 
 

@@ -4,31 +4,27 @@ Its pose is the predicted one if its observations agree with that; otherwise it 
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from polhode.backend.initialization.initialize import ransac_orientation
 from polhode.backend.problem.iterate import COM, POSITION, RATE, ROTATION, VELOCITY
 from polhode.backend.window.estimator_state import EstimatorState
-from polhode.backend.window.frame import Frame, FrameMeasurements, camera_of
+from polhode.backend.window.frame import Frame, FrameMeasurements
 from polhode.camera import RectifiedRig, stereo_jacobian
 from polhode.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose, transform_points
 from polhode.records import Bools, Ints
 
-STEADY_FRAMES = 4
+MIN_FRAMES_FOR_DYNAMICS = 4
 """Number of located frames from which the dynamics predict better than a difference of poses."""
-LOST_RAD = 0.1
+MAX_ATTITUDE_SIGMA_RAD = 0.1
 """Largest standard deviation of a predicted attitude by which new landmarks are placed."""
-STRIKES = 2
-"""Consecutive contradicting observations after which a landmark is placed again."""
-ARRIVAL_GATE = 5.0
+STEREO_GATE = 5.0
 """Largest norm of a residual, whitened by its noise and that of the landmark, of an accepted observation."""
-ENOUGH = 0.6
+MIN_AGREEING_SHARE = 0.6
 """Share of the observations of known landmarks that must agree with a pose."""
-ENOUGH_BY_MAP = 0.4
-"""The same for a pose found from the landmarks: 30 % gross errors, and some landmarks are wrong."""
-MIN_COMMON = 5
-REFINEMENTS = 3
+MIN_COMMON_LANDMARKS = 5
 
 
 @dataclass(frozen=True)
@@ -44,6 +40,10 @@ class KnownLandmarks:
     covariance: Array
     """(m, 3, 3)"""
 
+    def select(self, chosen: Bools) -> "KnownLandmarks":
+        """Some of them."""
+        return KnownLandmarks(*(each[chosen] for each in vars(self).values()))
+
 
 @dataclass(frozen=True)
 class LocatedFrame:
@@ -53,15 +53,16 @@ class LocatedFrame:
     """(4, 4)"""
     agree: Bools
     """(m,)"""
-    by: str
-    """how it was located: by prediction, map, or nothing"""
+    by: Literal["prediction", "map", "nothing"]
+    """how it was located"""
 
 
 def first_frame(state: EstimatorState, m: FrameMeasurements, number: int, time_s: float) -> Frame:
     """The frame that defines G, with the axes of N and the median of the triangulated points as origin."""
     p_R = state.rig.triangulate(m.uvd_px)
     R_NG, p_NG = m.X_NR[:3, :3], (m.X_NR @ np.append(np.median(p_R, axis=0), 1.0))[:3]
-    frame = _frame(state, m, number, time_s, R_NG, np.concatenate([p_NG, np.zeros(9)]))
+    x = np.concatenate([p_NG, np.zeros(9)])
+    frame = Frame(number, time_s, m.X_NR, R_NG, x, camera_information=_camera(state, m, R_NG, x))
     frame.fix_linearization()
     _set_observations(state, frame, m, np.ones(len(m.landmark), bool))
     return frame
@@ -74,48 +75,35 @@ def next_frame(state: EstimatorState, m: FrameMeasurements, number: int, time_s:
     slot = state.landmarks.find(m.landmark)
     index = np.flatnonzero(slot >= 0)
     inv_sigma = 1.0 / (m.sigma_px * state.noise)
-    known = KnownLandmarks(
-        m.uvd_px[index],
-        inv_sigma[index],
-        state.landmarks.p_G[slot[index]],
-        state.landmarks.covariance[slot[index]],
-    )
+    marks, at = state.landmarks, slot[index]
+    known = KnownLandmarks(m.uvd_px[index], inv_sigma[index], marks.p_G[at], marks.covariance[at])
     x, R_NG = state.predict(time_s)
     guess = inverse_pose(m.X_NR) @ make_pose(R_NG, x[POSITION]) if n_located >= 2 else None
     found = locate(state.rig, known, guess, number)
-    if found.by == "nothing" and n_located < STEADY_FRAMES:
+    is_lost = found.by == "nothing"
+    if is_lost and n_located < MIN_FRAMES_FOR_DYNAMICS:
         return None
-    if found.by != "nothing":
+    if not is_lost:
         X_NG = m.X_NR @ found.X_RG
         R_NG, x[POSITION] = X_NG[:3, :3], X_NG[:3, 3]
-        if n_located < STEADY_FRAMES:
-            _difference(state, before, x, R_NG, time_s - before.time_s, whole=n_located == 1)
-    frame = _frame(state, m, number, time_s, R_NG, x)
-    if found.by == "nothing" and (len(index) >= MIN_COMMON or _predicted_sigma(state, time_s) > LOST_RAD):
+        if n_located < MIN_FRAMES_FOR_DYNAMICS:
+            # velocities by the difference of two poses, after the first two frames of both
+            com_G, dt_s = state.active.constants[COM], time_s - before.time_s
+            shift = x[POSITION] + R_NG @ com_G - before.x[POSITION] - before.R_NG @ com_G
+            x[VELOCITY], x[RATE] = shift / dt_s, log_so3(before.R_NG.T @ R_NG) / dt_s
+            if n_located == 1:
+                before.x[VELOCITY], before.x[RATE] = x[VELOCITY], x[RATE]
+    frame = Frame(number, time_s, m.X_NR, R_NG, x, camera_information=_camera(state, m, R_NG, x))
+    contradicts = len(index) >= MIN_COMMON_LANDMARKS
+    if is_lost and (contradicts or _predicted_sigma(state, time_s) > MAX_ATTITUDE_SIGMA_RAD):
         # it contradicts the map, or its pose is unknown: its observations would only do harm
         return frame
     _set_observations(state, frame, m, _accepted(state, slot, index, found))
     return frame
 
 
-def _frame(
-    state: EstimatorState, m: FrameMeasurements, number: int, time_s: float, R_NG: Array, x: Array
-) -> Frame:
-    R_RN, t_R = camera_of(m.X_NR)
-    nothing, none = np.zeros(0, np.int64), np.zeros((0, 3))
-    information = state.camera.information(m.X_NR, R_NG, x[POSITION])
-    return Frame(number, time_s, R_RN, t_R, nothing, none, none, R_NG, x, information)
-
-
-def _difference(
-    state: EstimatorState, before: Frame, x: Array, R_NG: Array, dt_s: float, whole: bool
-) -> None:
-    """Set velocities by the difference of two poses; ``whole``: of both frames."""
-    com_G = state.active.constants[COM]
-    shift = x[POSITION] + R_NG @ com_G - before.x[POSITION] - before.R_NG @ com_G
-    x[VELOCITY], x[RATE] = shift / dt_s, log_so3(before.R_NG.T @ R_NG) / dt_s
-    if whole:
-        before.x[VELOCITY], before.x[RATE] = x[VELOCITY], x[RATE]
+def _camera(state: EstimatorState, m: FrameMeasurements, R_NG: Array, x: Array) -> Array | None:
+    return state.camera.information(m.X_NR, R_NG, x[POSITION])
 
 
 def _predicted_sigma(state: EstimatorState, time_s: float) -> float:
@@ -131,13 +119,13 @@ def _predicted_sigma(state: EstimatorState, time_s: float) -> float:
 def _accepted(state: EstimatorState, slot: Ints, index: Ints, found: LocatedFrame) -> Bools:
     """Accepted observations (m,): those of new landmarks, and those of known ones that agree.
 
-    A landmark that is contradicted repeatedly is placed again by its latest observation.
+    A landmark that is contradicted twice in a row is placed again by its latest observation.
     """
     marks, enter = state.landmarks, np.ones(len(slot), bool)
     agreeing, other = slot[index[found.agree]], index[~found.agree]
     marks.refused[agreeing] = 0
     marks.refused[slot[other]] += 1
-    wrong = (marks.refused[slot[other]] >= STRIKES) | (marks.views[slot[other]] <= 1)
+    wrong = (marks.refused[slot[other]] >= 2) | (marks.views[slot[other]] <= 1)
     enter[other] = wrong
     restart = slot[other[wrong]]
     if len(restart) == 0:
@@ -175,20 +163,21 @@ def locate(rig: RectifiedRig, known: KnownLandmarks, guess: Array | None, seed: 
     if guess is not None:
         X = guess
         agree = agreement(rig, known, X)
-        if agree.sum() >= max(MIN_COMMON, ENOUGH * m):
+        if agree.sum() >= max(MIN_COMMON_LANDMARKS, MIN_AGREEING_SHARE * m):
             return LocatedFrame(X, agree, "prediction")
-        if agree.sum() >= max(MIN_COMMON, 0.3 * m):
+        if agree.sum() >= max(MIN_COMMON_LANDMARKS, 0.3 * m):
             X, agree = refine(rig, known, X, agree)
-            if agree.sum() >= max(MIN_COMMON, ENOUGH * m):
+            if agree.sum() >= max(MIN_COMMON_LANDMARKS, MIN_AGREEING_SHARE * m):
                 return LocatedFrame(X, agree, "prediction")
-    if m >= MIN_COMMON:
+    if m >= MIN_COMMON_LANDMARKS:
         p_R = rig.triangulate(known.uvd_px)
         spread = rig.triangulation_jacobian(p_R) @ (1.0 / known.inv_sigma)[:, :, None]
         own = np.sum(spread[..., 0] ** 2, axis=1)
         gate_m = 4.0 * np.sqrt(own + np.trace(known.covariance, axis1=1, axis2=2))
         X, _ = ransac_orientation(p_R, known.p_G, gate_m, np.random.default_rng([seed, m]))
         X, agree = refine(rig, known, X, agreement(rig, known, X))
-        if agree.sum() >= max(MIN_COMMON, ENOUGH_BY_MAP * m):
+        # less than for a prediction: 30 % gross errors, and some landmarks are wrong
+        if agree.sum() >= max(MIN_COMMON_LANDMARKS, 0.4 * m):
             return LocatedFrame(X, agree, "map")
     if guess is None:
         return LocatedFrame(np.eye(4), np.zeros(m, bool), "nothing")
@@ -196,11 +185,11 @@ def locate(rig: RectifiedRig, known: KnownLandmarks, guess: Array | None, seed: 
 
 
 def agreement(rig: RectifiedRig, known: KnownLandmarks, X_RG: Array) -> Bools:
-    """(m,) which observations lie within the gate."""
+    """(m,) which observations lie within ``STEREO_GATE``."""
     r, J = whitened(rig, known, X_RG)
     spread = np.eye(3) + J @ known.covariance @ np.swapaxes(J, 1, 2)
     squared = np.einsum("mi,mi->m", r, np.linalg.solve(spread, r[..., None])[..., 0])
-    return np.asarray(squared < ARRIVAL_GATE**2)
+    return np.asarray(squared < STEREO_GATE**2)
 
 
 def whitened(rig: RectifiedRig, known: KnownLandmarks, X_RG: Array) -> tuple[Array, Array]:
@@ -217,12 +206,10 @@ def whitened(rig: RectifiedRig, known: KnownLandmarks, X_RG: Array) -> tuple[Arr
 def refine(rig: RectifiedRig, known: KnownLandmarks, X_RG: Array, agree: Bools) -> tuple[Array, Bools]:
     """Least-squares pose from the observations that agree, which are selected again in each iteration."""
     X = X_RG.copy()
-    for _ in range(REFINEMENTS):
-        if agree.sum() < MIN_COMMON:
+    for _ in range(3):
+        if agree.sum() < MIN_COMMON_LANDMARKS:
             return X, agree
-        part = KnownLandmarks(
-            *(a[agree] for a in (known.uvd_px, known.inv_sigma, known.p_G, known.covariance))
-        )
+        part = known.select(agree)
         r, J = whitened(rig, part, X)
         # X_RG Exp(shift, theta): the landmark moves by shift - p_G x theta
         J6 = np.concatenate([J, -J @ hat(part.p_G)], axis=2)

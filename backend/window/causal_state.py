@@ -9,18 +9,13 @@ from polhode.backend.problem.inertia import InertiaForm
 from polhode.backend.problem.iterate import COM, N_CONSTANTS, N_STATE, POSITION, RATE, VELOCITY, XI, Iterate
 from polhode.backend.uncertainty.covariance import state_jacobians, with_infinite
 from polhode.backend.uncertainty.identifiability import analyse, undetermined_states
-from polhode.backend.uncertainty.principal_axes import (
-    axes_derivative,
-    free_axis_covariance,
-)
+from polhode.backend.uncertainty.principal_axes import axes_derivative, free_axis_covariance
 from polhode.backend.window.frame import Frame
 from polhode.lie import Array, make_pose
 from polhode.records import Bools
 from polhode.rigid_body import nearest_half_turn
 
 N_JOINT = N_STATE + N_CONSTANTS
-ROUNDING = 1e-7
-"""Share of the diagonal of a Hessian that is negligible beside the information on determined quantities."""
 
 
 @dataclass(frozen=True)
@@ -67,37 +62,33 @@ def last_information(H: Array, weak_prior: Array) -> LastInformation:
     try:
         L = cholesky(H, lower=True, check_finite=False)
     except LinAlgError:
-        # the axes of equal moments have no information
-        L = cholesky(H + ROUNDING * np.diag(np.diagonal(H)), lower=True, check_finite=False)
+        # the axes of equal moments have no information: a share is added, negligible beside that on others
+        L = cholesky(H + 1e-7 * np.diag(np.diagonal(H)), lower=True, check_finite=False)
     L = L[-N_JOINT:, -N_JOINT:]
     return LastInformation(L @ L.T, weak_prior)
 
 
+def iterate_of_frame(frame: Frame, constants: Array, R_inertia: Array) -> Iterate:
+    """The true state of one frame and the constants (8,), without landmarks."""
+    x = frame.x[None]
+    states = x[:, POSITION], frame.R_NG[None], x[:, VELOCITY], x[:, RATE]
+    return Iterate(*states, constants[COM], constants[XI], R_inertia, np.zeros((0, 3)))
+
+
 def online_state(
     timestamp_ns: int,
-    frame: Frame,
-    constants: Array,
-    R_inertia: Array,
+    at: Iterate,
+    X_NG_seen: Array,
     form: InertiaForm,
     information: LastInformation,
     recent_w_G: Array,
     half_turn: Array,
 ) -> OnlineState:
-    """Express the last state in principal axes, with its covariance.
+    """Express the last state (``iterate_of_frame``) in principal axes, with its covariance.
 
     recent_w_G (n, 3) are the rates on which the description of undetermined quantities is based. half_turn
     (3, 3), the axes R_GP of the previous frame, chooses among the four equivalent orientations.
     """
-    at = Iterate(
-        frame.x[None, POSITION],
-        frame.R_NG[None],
-        frame.x[None, VELOCITY],
-        frame.x[None, RATE],
-        constants[COM],
-        constants[XI],
-        R_inertia,
-        np.zeros((0, 3)),
-    )
     derivative = axes_derivative(form, at)
     joint = information.joint
     bare = joint.copy()
@@ -124,19 +115,19 @@ def online_state(
     moments = derivative.moments
     return OnlineState(
         timestamp_ns,
-        frame.x[POSITION] + frame.R_NG @ constants[COM],
-        frame.x[VELOCITY].copy(),
-        frame.R_NG @ R_GP,
-        R_GP.T @ frame.x[RATE],
+        at.p_NG[0] + at.R_NG[0] @ at.com_G,
+        at.v_N[0].copy(),
+        at.R_NG[0] @ R_GP,
+        R_GP.T @ at.w_G[0],
         with_infinite(covariance, lost) * np.outer(flip, flip),
-        frame.X_NG_seen,
+        X_NG_seen,
         np.log(moments[:2] / moments[1:]),
         with_infinite(derivative.ratios @ cov_J @ derivative.ratios.T, np.repeat(not ratios, 2)),
-        constants[COM].copy(),
+        at.com_G.copy(),
         with_infinite(cov_com, com_lost),
         R_GP,
         with_infinite(cov_axes, ~known.axes_P) * np.outer(np.diag(turn), np.diag(turn)),
-        constants[XI].copy(),
+        at.xi.copy(),
         with_infinite(cov_J, determined.lost_constants[XI]),
         np.array([ratios, ratios, known.com, known.axes]),
     )
@@ -148,21 +139,9 @@ def unknown_state(
     """Before the motion is known: the latest pose of the target, or one metre in front of the camera."""
     X_NG = X_NR @ make_pose(np.eye(3), [0.0, 0.0, 1.0]) if frame is None else frame.X_NG_seen
     com = np.zeros(3) if com_G is None else com_G.copy()
+    r_N, zero = X_NG[:3, :3] @ com + X_NG[:3, 3], np.zeros(3)
+    unknown = {n: np.diag(np.full(n, np.inf)) for n in (2, 3, 5, 12)}
     return OnlineState(
-        timestamp_ns,
-        X_NG[:3, :3] @ com + X_NG[:3, 3],
-        np.zeros(3),
-        X_NG[:3, :3],
-        np.zeros(3),
-        np.diag(np.full(12, np.inf)),
-        X_NG,
-        np.zeros(2),
-        np.diag(np.full(2, np.inf)),
-        com,
-        np.diag(np.full(3, np.inf)),
-        np.eye(3),
-        np.diag(np.full(3, np.inf)),
-        np.zeros(5),
-        np.diag(np.full(5, np.inf)),
-        np.zeros(4, bool),
+        *(timestamp_ns, r_N, zero, X_NG[:3, :3], zero, unknown[12], X_NG, np.zeros(2), unknown[2], com),
+        *(unknown[3], np.eye(3), unknown[3], np.zeros(5), unknown[5], np.zeros(4, bool)),
     )

@@ -8,22 +8,21 @@ import numpy as np
 from scipy.linalg import LinAlgError
 from scipy.spatial.transform import Rotation
 
-from polhode.backend.outliers_and_noise.systematic import online_with_systematic
+from polhode.backend.outliers_and_noise.systematic import SharedErrors, online_with_systematic
 from polhode.backend.problem.iterate import COM, POSITION, RATE
 from polhode.backend.uncertainty.covariance import with_infinite
 from polhode.backend.window.add_frame import first_frame, next_frame
-from polhode.backend.window.causal_state import OnlineState, online_state, unknown_state
+from polhode.backend.window.causal_state import OnlineState, iterate_of_frame, online_state, unknown_state
 from polhode.backend.window.estimator_state import EstimatorState, initial_estimator_state
 from polhode.backend.window.frame import CameraNoise, FrameMeasurements, camera_noise_of, frames_of
 from polhode.backend.window.history import History
 from polhode.backend.window.ipopt import IpoptSolver
 from polhode.backend.window.marginalize import shrink_window
 from polhode.backend.window.noise_levels import estimate_levels, estimate_noise
-from polhode.backend.window.problem import WindowSolver
 from polhode.backend.window.solve import choose_inertia, expand_arrival, solve_history, solve_window
 from polhode.camera import RectifiedRig
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array, inverse_pose, make_pose, transform_points
+from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.progress import Progress
 from polhode.records import Ints, MotionEstimate, OnlineEstimate, StereoTracks, Wrench
 from polhode.rigid_body import HALF_TURNS
@@ -32,17 +31,16 @@ from polhode.threads import single_threaded
 REESTIMATION_FRAMES = (6, 12, 24, 48, 96, 192, 384, 768)
 """Numbers of frames at which noise levels are estimated and other inertias tried, while the history is
 kept."""
-MIN_FRAMES_FOR_LEVELS = 20
-"""Number of frames from which the level of the disturbances is estimated."""
-FIRST_FRAMES = 3
-MAX_CONTRADICTED = 0.5
+MIN_FIRST_OBSERVATIONS = 3
+"""Observations of a frame that may define G, or that counts as missed if it cannot be located."""
+MAX_CONTRADICTED_SHARE = 0.5
 """Share of contradicting observations above which the estimated motion is rejected."""
-KNOWN = 0.02
+MAX_RATIO_SIGMA = 0.02
 """Standard deviation of k1, k2 below which the inertia is good enough for an arrival cost."""
+WARM_UP_FRAMES = 24
+"""Noise levels are estimated and other inertias tried after 6, 12 and 24 frames."""
 
 _log = logging.getLogger(__name__)
-ALIGNED_FRAMES = 10
-"""Number of last frames by whose poses the causal frame G is aligned with the final one."""
 
 
 class SlidingWindow:
@@ -56,9 +54,8 @@ class SlidingWindow:
     def __init__(self, rig: RectifiedRig, config: Backend, camera: CameraNoise | None = None) -> None:
         """camera: noise of the stated camera poses; None: they are exact."""
         self.settings = config.window
-        self.answer: WindowSolver | None = (
-            IpoptSolver(config.window.frames + 1) if config.window.solver == "ipopt" else None
-        )
+        ipopt = config.window.solver == "ipopt"
+        self.answer = IpoptSolver(config.window.frames + 1) if ipopt else None
         """Continues where Gauss-Newton ends; None: Gauss-Newton's answer stands"""
         self.updates = 0
         """Frames after which the window was solved"""
@@ -125,7 +122,7 @@ class SlidingWindow:
             online = self._continue(m, time_s)
         except (LinAlgError, ZeroDivisionError) as error:
             return self._restart(m, time_s, str(error))
-        if self.state.contradicted > MAX_CONTRADICTED:
+        if self.state.contradicted > MAX_CONTRADICTED_SHARE:
             return self._restart(m, time_s, "most observations contradict it")
         return online
 
@@ -147,24 +144,20 @@ class SlidingWindow:
                 is_answered = solve_history(state, history, self.answer)
         else:
             state.active.extend_arrival()
-            state.add_newest_factor()
+            state.add_newest_step()
             is_answered = solve_window(state, self.answer)
         self.updates, self.answered = self.updates + 1, self.answered + is_answered
         online = self._report(m)
         shrink_window(state, self.settings.frames, self.settings.key_frames)
         if history is not None and history.n_added >= self.settings.history:
-            if np.diag(online.cov_k).max() < KNOWN**2:
-                self._drop_history(state, history)
+            if np.diag(online.cov_k).max() < MAX_RATIO_SIGMA**2:
+                expand_arrival(state, history)
+                for frame in (*state.active.keys, state.active.recent[0]):
+                    frame.fix_linearization()
+                state.history = None
             else:
                 history.thin(state.active, self.settings.history)
         return online
-
-    def _drop_history(self, state: EstimatorState, history: History) -> None:
-        """Replace the history by an arrival cost."""
-        expand_arrival(state, history)
-        for frame in (*state.active.keys, state.active.recent[0]):
-            frame.fix_linearization()
-        state.history = None
 
     def _reestimate(self, state: EstimatorState, history: History) -> bool:
         """Estimate what is fixed while solving: noise, disturbances, the choice among inertias.
@@ -173,7 +166,7 @@ class SlidingWindow:
         """
         estimate_noise(state)
         solve_history(state, history)
-        if self._config.process_noise == "estimated" and len(history.frames) >= MIN_FRAMES_FOR_LEVELS:
+        if self._config.process_noise == "estimated" and len(history.frames) >= 20:
             estimate_levels(state, history, (self._config.accel_psd, self._config.torque_psd))
         choose_inertia(state, history)
         return solve_history(state, history, self.answer)
@@ -181,7 +174,7 @@ class SlidingWindow:
     def _begin(self, m: FrameMeasurements, time_s: float) -> OnlineState:
         """Start with the first frame with measurements: the motion is still unknown."""
         state = self.state
-        if len(m.landmark) < FIRST_FRAMES:
+        if len(m.landmark) < MIN_FIRST_OBSERVATIONS:
             return unknown_state(m.timestamp_ns, m.X_NR)
         frame = first_frame(state, m, self._number, time_s)
         radius = state.update_weak_prior()
@@ -192,7 +185,7 @@ class SlidingWindow:
 
     def _wait(self, m: FrameMeasurements, time_s: float) -> OnlineState:
         """The frame cannot be located yet. If this continues, the first frames are wrong: restart."""
-        self._missed += len(m.landmark) >= FIRST_FRAMES
+        self._missed += len(m.landmark) >= MIN_FIRST_OBSERVATIONS
         active = self.state.active
         online = unknown_state(m.timestamp_ns, m.X_NR, active.recent[-1], active.constants[COM])
         if self._missed > 2:
@@ -212,9 +205,8 @@ class SlidingWindow:
         assert state.last is not None
         online = online_state(
             m.timestamp_ns,
-            active.recent[-1],
-            active.constants,
-            state.R_inertia,
+            iterate_of_frame(active.recent[-1], active.constants, state.R_inertia),
+            active.recent[-1].X_NG_seen,
             state.prior.form,
             state.last,
             np.stack([frame.x[RATE] for frame in active.recent]),
@@ -251,9 +243,8 @@ def online_estimate(
     A row depends on its state and the first one of which something is known only.
     """
     light_px = config.light_px if config.correlated_errors == "slide" else 0.0
-    return online_with_systematic(
-        stack_states(states), rig, X_NR, config.systematic_px, light_px, config.focal_error
-    )
+    shared = SharedErrors(config.systematic_px, config.focal_error, light_px)
+    return online_with_systematic(stack_states(states), rig, X_NR, shared)
 
 
 def without_claims_after_torques(online: OnlineEstimate, wrench: Wrench) -> OnlineEstimate:
@@ -303,9 +294,9 @@ def align_online_estimate(online: OnlineEstimate, final: MotionEstimate) -> Onli
 
     This changes conventions only and adds no information. Each row takes the half-turn of the axes that is
     nearest to the final attitude at its frame. The two frames G differ by a constant: the mean over the last
-    frames is taken.
+    ten frames is taken.
     """
-    last = slice(-ALIGNED_FRAMES, None)
+    last = slice(-10, None)
     X = inverse_pose(final.X_NG[last]) @ online.X_NG[last]
     R = Rotation.from_matrix(X[:, :3, :3]).mean().as_matrix()
     X_FG = np.eye(4)
@@ -337,3 +328,18 @@ def _turned(covariance: Array, R: Array) -> Array:
     rows, components = np.nonzero(touched)
     out[rows, components, components] = np.inf
     return np.asarray(out)
+
+
+def warm_up(rig: RectifiedRig, config: Backend) -> None:
+    """Compile what the window needs before the first frame comes: it would wait for seconds there.
+
+    A window of its own sees a body that turns; what is compiled stays for all others.
+    """
+    rng, window = np.random.default_rng(0), SlidingWindow(rig, config)
+    names = np.arange(40, dtype=np.int64)
+    p_G = rng.uniform(-0.1, 0.1, (len(names), 3))
+    sigma = np.full((len(names), 3), 0.3)
+    for k in range(WARM_UP_FRAMES):
+        X_RG = make_pose(exp_so3([0.05 * k, 0.3 * k, 0.0]), [0.0, 0.0, 1.0])
+        uvd = rig.project(transform_points(X_RG, p_G)) + sigma * rng.standard_normal((len(names), 3))
+        window.add(FrameMeasurements(500_000_000 * k, np.eye(4), names, uvd, sigma))

@@ -6,8 +6,10 @@ from operator import is_
 import numpy as np
 
 from polhode.backend.dynamics.propagation import propagate_rotations, series_steps
+from polhode.backend.dynamics.residuals import Steps
 from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
 from polhode.backend.problem.iterate import COM, N_CONSTANTS, POSITION, RATE, VELOCITY, XI
+from polhode.backend.problem.motion_data import rig_vector
 from polhode.backend.solvers.gauss_newton import WeakPrior
 from polhode.backend.solvers.linearization_point import COM_PRIOR_M, middle_and_radius
 from polhode.backend.solvers.robust_kernel import robust_gain
@@ -15,13 +17,14 @@ from polhode.backend.window.active import ActiveWindow
 from polhode.backend.window.causal_state import LastInformation
 from polhode.backend.window.frame import CameraNoise, LandmarkSlots
 from polhode.backend.window.history import History
-from polhode.backend.window.problem import DisturbanceLevels, make_factors
+from polhode.backend.window.problem import DisturbanceLevels, Quadratic, WindowProblem, whitened_steps
 from polhode.backend.window.vision import (
     CondensedVision,
+    FramePoses,
+    ObservationModel,
     WindowObservations,
     condense,
     gather_observations,
-    poses_of,
 )
 from polhode.camera import RectifiedRig
 from polhode.config.backend_settings import Backend
@@ -36,7 +39,7 @@ class EstimatorState:
     """Frames, landmarks and constants, and the noise levels that weight them."""
 
     rig: RectifiedRig
-    robust_scale: float
+    model: ObservationModel
     prior: WeakPrior
     disturbances: DisturbanceLevels
     landmarks: LandmarkSlots = field(default_factory=LandmarkSlots)
@@ -55,13 +58,8 @@ class EstimatorState:
     """share of the observations that contradict the last solution"""
     last: LastInformation | None = None
     """about the newest state and the constants"""
-
-    def __post_init__(self) -> None:
-        r = self.rig
-        self.rig_vector = np.array([r.focal_px, r.cx_px, r.cy_px, r.baseline_m, r.disparity_offset_px])
-        self.gain = robust_gain(self.robust_scale)
-        self._observations: WindowObservations | None = None
-        self._gathered: list[Array] = []
+    _observations: WindowObservations | None = None
+    _gathered: list[Array] = field(default_factory=list)
 
     @property
     def xi(self) -> Array:
@@ -69,9 +67,14 @@ class EstimatorState:
         return self.active.constants[XI]
 
     @property
+    def second_moments(self) -> Array:
+        """(3, 3) in G."""
+        return self.prior.form.second_moments(self.xi, self.R_inertia)
+
+    @property
     def J_G(self) -> Array:
         """(3, 3) up to scale."""
-        return inertia_from_second_moments(self.prior.form.second_moments(self.xi, self.R_inertia))
+        return inertia_from_second_moments(self.second_moments)
 
     @property
     def J_noise(self) -> Array:
@@ -88,18 +91,22 @@ class EstimatorState:
         now = [frame.inv_sigma for frame in self.active.frames]
         same = len(now) == len(self._gathered) and all(map(is_, now, self._gathered))
         if self._observations is None or not same:
-            self._observations, self._gathered = (
-                gather_observations(self.active.frames, len(self.landmarks)),
-                now,
-            )
+            self._observations = gather_observations(self.active.frames, len(self.landmarks))
+            self._gathered = now
         return self._observations
 
-    def condensed(self, observations: WindowObservations) -> CondensedVision:
+    def condensed(self) -> CondensedVision:
         """The observations linearized at the present unknowns, landmarks eliminated."""
-        p_G = self.landmarks.p_G[observations.slot]
-        return condense(
-            observations, poses_of(self.active.frames), self.rig_vector, p_G, self.robust_scale, self.gain
-        )
+        observations, poses = self.observations(), FramePoses(self.active.frames)
+        return condense(observations, poses, self.model, self.landmarks.p_G[observations.slot])
+
+    def problem(self, vision: Quadratic, R_ref: Array, steps: Steps) -> WindowProblem:
+        """The program of some states, with the present prior."""
+        return WindowProblem(vision, R_ref, steps, self.weak_prior, self.prior)
+
+    def history_steps(self, history: History, x: Array) -> Steps:
+        """The steps of the history, whitened at the rates in x under the present inertia and noise."""
+        return history.steps_at(x, self.J_G, self.J_noise, self.disturbances)
 
     def move_landmarks(self, condensed: CondensedVision, step: Array, n_fixed: int = 0) -> None:
         """Move the landmarks with the step (6 F,) of the poses; those seen once move with their frame.
@@ -116,7 +123,7 @@ class EstimatorState:
         once = self.landmarks.views[slot] == 1
         of = np.repeat(np.arange(len(frames)), [len(frame.slot) for frame in frames])[once]
         p_R = self.rig.triangulate(np.concatenate([frame.uvd_px for frame in frames])[once])
-        poses = poses_of(frames)
+        poses = FramePoses(frames)
         p_N = p_R - poses.t_R[of] - np.einsum("mij,mj->mi", poses.R_RN[of], poses.p_NG[of])
         self.landmarks.p_G[slot[once]] = np.einsum("mji,mj->mi", poses.A[of], p_N)
 
@@ -129,13 +136,12 @@ class EstimatorState:
 
     def recenter_inertia(self) -> None:
         """Move the reference of the inertia to its value, while nothing else depends on the reference."""
-        xi, R_inertia = self.prior.form.coordinates(self.prior.form.second_moments(self.xi, self.R_inertia))
-        self.set_inertia(xi, R_inertia)
+        self.set_inertia(self.second_moments)
 
-    def set_inertia(self, xi: Array, R_inertia: Array) -> None:
-        """Set another inertia."""
-        self.R_inertia = R_inertia
-        self.weak_prior[4:] = R_inertia.T.ravel()
+    def set_inertia(self, second_moments: Array) -> None:
+        """Set the inertia, second moments (3, 3) in G, and its reference."""
+        xi, self.R_inertia = self.prior.form.coordinates(second_moments)
+        self.weak_prior[4:] = self.R_inertia.T.ravel()
         self.active.constants = np.concatenate([self.active.constants[COM], xi])
 
     def gauge_information(self, radius_m: float) -> Array:
@@ -154,20 +160,19 @@ class EstimatorState:
         r_N = last.x[POSITION] + last.R_NG @ com_G + dt * last.x[VELOCITY]
         return np.concatenate([r_N - R_NG @ com_G, np.zeros(3), last.x[VELOCITY], w_after[0]]), R_NG
 
-    def add_newest_factor(self) -> None:
+    def add_newest_step(self) -> None:
         """Add the dynamics to the newest state, whitened at the present rates."""
         before, frame = self.active.recent[-2:]
         dt_s = np.array([frame.time_s - before.time_s])
-        factor = make_factors(before.x[None, RATE], self.J_G, self.J_noise, dt_s, self.disturbances)
-        self.active.factors = self.active.factors.and_then(factor)
+        step = whitened_steps(before.x[None, RATE], self.J_G, self.J_noise, dt_s, self.disturbances)
+        self.active.steps = self.active.steps.and_then(step)
 
 
 def initial_estimator_state(rig: RectifiedRig, config: Backend, camera: CameraNoise) -> EstimatorState:
     """State before the first frame, with the inertia of a sphere."""
     prior = WeakPrior(FORMS[config.inertia])
-    state = EstimatorState(
-        rig, config.robust_scale, prior, DisturbanceLevels(config.accel_psd, config.torque_psd)
-    )
+    model = ObservationModel(rig_vector(rig), config.robust_scale, robust_gain(config.robust_scale))
+    state = EstimatorState(rig, model, prior, DisturbanceLevels(config.accel_psd, config.torque_psd))
     state.camera, state.active.noisy_camera = camera, not camera.exact
     xi, state.R_inertia = prior.form.coordinates(np.eye(3))
     state.active.constants = np.concatenate([np.zeros(N_CONSTANTS - len(xi)), xi])

@@ -9,12 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from polhode.backend.dynamics.so3_exp import rotation_matrices
-from polhode.backend.problem.iterate import N_STATE, POSE, POSITION, ROTATION
+from polhode.backend.problem.iterate import POSE, POSITION, ROTATION
 from polhode.lie import Array, hat, inverse_pose, log_so3, make_pose
 from polhode.records import Bools, Ints, StereoTracks
 
-EXACT = 1e-6
-"""Standard deviation [m, rad] that is used for an exact component if the other one is noisy."""
 FIRST_SLOTS = 1024
 
 
@@ -69,14 +67,13 @@ class CameraNoise:
         """
         if self.exact:
             return None
-        shift, turn = max(self.sigma_p_m, EXACT) ** 2, max(self.sigma_theta_rad, EXACT) ** 2
+        # where only one of the two is noisy, the other one gets a sigma of 1e-6 m or rad
+        shift, turn = max(self.sigma_p_m, 1e-6) ** 2, max(self.sigma_theta_rad, 1e-6) ** 2
         arm = hat(p_NG - (X_NR @ inverse_pose(self.X_BR))[:3, 3])
         covariance = np.zeros((6, 6))
         covariance[POSITION, POSITION] = shift * np.eye(3) - turn * arm @ arm
-        covariance[POSITION, ROTATION], covariance[ROTATION, POSITION] = (
-            -turn * arm @ R_NG,
-            turn * R_NG.T @ arm,
-        )
+        covariance[POSITION, ROTATION] = -turn * arm @ R_NG
+        covariance[ROTATION, POSITION] = turn * R_NG.T @ arm
         covariance[ROTATION, ROTATION] = turn * np.eye(3)
         return np.asarray(np.linalg.inv(covariance))
 
@@ -93,20 +90,18 @@ class Frame:
     number: int
     """number of the frame in the sequence"""
     time_s: float
-    R_RN: Array
-    """(3, 3)"""
-    t_R: Array
-    """(3,) origin of N in R [m]"""
-    slot: Ints
-    """(m,) ascending: slots of the landmarks"""
-    uvd_px: Array
-    """(m, 3)"""
-    inv_sigma: Array
-    """(m, 3) [1/px]"""
+    X_NR: Array
+    """(4, 4) stated pose of the camera"""
     R_ref: Array
     """(3, 3) reference attitude, which theta rotates"""
     x: Array
     """(12,) p_NG, theta, v_N, w_G; changed in place only"""
+    slot: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    """(m,) ascending: slots of the landmarks that are observed"""
+    uvd_px: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(m, 3)"""
+    inv_sigma: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(m, 3) [1/px]"""
     camera_information: Array | None = None
     """(6, 6) information on the seen pose minus the true one; None: the camera's pose is exact"""
     seen: Array = field(init=False)
@@ -116,6 +111,10 @@ class Frame:
 
     def __post_init__(self) -> None:
         self.seen = self.x[POSE] if self.camera_information is None else self.x[POSE].copy()
+        X_RN = inverse_pose(self.X_NR)
+        self.R_RN: Array = np.ascontiguousarray(X_RN[:3, :3])
+        self.t_R: Array = np.ascontiguousarray(X_RN[:3, 3])
+        """(3,) origin of N in R [m]"""
 
     @property
     def R_NG(self) -> Array:
@@ -142,22 +141,8 @@ class Frame:
 
     def keep(self, chosen: Bools) -> None:
         """Keep only the ``chosen`` observations (m,)."""
-        self.slot, self.uvd_px, self.inv_sigma = (
-            self.slot[chosen],
-            self.uvd_px[chosen],
-            self.inv_sigma[chosen],
-        )
-
-
-def camera_of(X_NR: Array) -> tuple[Array, Array]:
-    """R_RN (3, 3) and t_R (3,)."""
-    X_RN = inverse_pose(X_NR)
-    return np.ascontiguousarray(X_RN[:3, :3]), np.ascontiguousarray(X_RN[:3, 3])
-
-
-def states_of(frames: list[Frame]) -> Array:
-    """States (F, 12) of the frames."""
-    return np.stack([frame.x for frame in frames]) if frames else np.zeros((0, N_STATE))
+        self.slot, self.uvd_px = self.slot[chosen], self.uvd_px[chosen]
+        self.inv_sigma = self.inv_sigma[chosen]
 
 
 class LandmarkSlots:

@@ -11,29 +11,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polhode.backend.dynamics.residuals import Steps
 from polhode.backend.problem.inertia import InertiaForm
 from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE, POSE, RATE
 from polhode.backend.window.active import ActiveWindow, add_parts, camera_part
 from polhode.backend.window.frame import Frame
 from polhode.backend.window.problem import (
-    NO_FACTORS,
     DisturbanceLevels,
-    DynamicsFactors,
     Elimination,
     Quadratic,
     add_block,
-    add_factors,
     eliminate,
-    factor_jacobians,
-    make_factors,
     others,
+    step_jacobians,
+    whitened_steps,
 )
 from polhode.backend.window.vision import CondensedVision
 from polhode.lie import Array
 from polhode.records import Ints
-
-OPEN = 1e-9
-"""Information on a direction of a pose, relative to the best known one, that counts as none."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +58,8 @@ class History:
         """number of frames so far, including removed ones"""
         self._gauge, self._first = gauge_information, first.x[POSE].copy()
         self._H, self._b = np.zeros((N_POSE, N_POSE)), np.zeros(N_POSE)
-        self.steps: DynamicsFactors = NO_FACTORS
-        """dynamics between all frames at the last solution"""
+        self.steps = Steps.none()
+        """between all frames, at the last solution"""
 
     @property
     def noisy_camera(self) -> bool:
@@ -97,7 +92,7 @@ class History:
         own, across = self._H[np.ix_(gone, gone)], self._H[np.ix_(gone, kept)]
         values, vectors = np.linalg.eigh(own)
         # few landmarks leave directions of the pose undetermined
-        known = values > OPEN * values[-1]
+        known = values > 1e-9 * values[-1]
         root = vectors[:, known] / np.sqrt(values[known]) if values[-1] > 0.0 else np.zeros((N_POSE, 0))
         through = root.T @ across
         self._H = self._H[np.ix_(kept, kept)] - through.T @ through
@@ -125,7 +120,7 @@ class History:
         """States of all frames and the constants (12 N + 8,)."""
         return np.concatenate([*(frame.x for frame in self.frames), constants])
 
-    def take(self, x: Array, vision: HistoryVision) -> Array:
+    def set_states(self, x: Array, vision: HistoryVision) -> Array:
         """Set the states from a vector, not the constants. Returns the steps of the seen poses (6 N,)."""
         step = vision.seen_steps(x - vision.quadratic.x0)
         for n, frame in enumerate(self.frames):
@@ -167,12 +162,11 @@ class History:
         pairs = zip(self.frames[:n_frames], seen.reshape(-1, N_POSE), true.reshape(-1, N_POSE), strict=False)
         add_parts(H, g, [camera_part(frame, a, b) for frame, a, b in pairs])
 
-    def factors(
-        self, x: Array, J_G: Array, J_noise: Array, disturbances: DisturbanceLevels
-    ) -> DynamicsFactors:
-        """The dynamics between all frames, whitened at the rates in x (``make_factors``)."""
+    def steps_at(self, x: Array, J_G: Array, J_noise: Array, disturbances: DisturbanceLevels) -> Steps:
+        """The steps between all frames, whitened at the rates in x (``whitened_steps``)."""
         w_G = x[:-N_CONSTANTS].reshape(-1, N_STATE)[:-1, RATE]
-        return make_factors(w_G, J_G, J_noise, np.diff([frame.time_s for frame in self.frames]), disturbances)
+        dt_s = np.diff([frame.time_s for frame in self.frames])
+        return whitened_steps(w_G, J_G, J_noise, dt_s, disturbances)
 
     def arrival(self, active: ActiveWindow, form: InertiaForm, R_inertia: Array) -> Quadratic:
         """The arrival cost about the window's unknowns: everything but its own observations and dynamics."""
@@ -188,10 +182,13 @@ class History:
         if self.noisy_camera:
             self._add_cameras(H, g, seen, true, n_old)
         if n_old > 0:
-            r, D = factor_jacobians(x, self.R_ref, self.steps, form, R_inertia)
-            add_factors(H, g, r[:n_old], D[:n_old], n_seen + N_STATE * np.arange(n_old))
-        frames = active.frames if self.noisy_camera else active.keys
-        of_frames = self.entries(frames, N_POSE if self.noisy_camera else N_STATE)
+            r, D = step_jacobians(x, self.R_ref, self.steps, form, R_inertia)
+            square, slope = np.swapaxes(D, 1, 2) @ D, (np.swapaxes(D, 1, 2) @ r[:, :, None])[:, :, 0]
+            for k in range(n_old):
+                start = n_seen + N_STATE * k
+                at = np.r_[start : start + 2 * N_STATE, size - N_CONSTANTS : size]
+                add_parts(H, g, [(at, square[k], slope[k])])
+        of_frames = self.entries(active.seen_frames, N_POSE if self.noisy_camera else N_STATE)
         kept = np.concatenate([of_frames, np.arange(n_seen + N_STATE * n_old, size)])
         left = eliminate(H, g, others(kept, size), kept)
         return Quadratic(left.H, left.g, active.vector())

@@ -4,14 +4,7 @@ import numpy as np
 
 from polhode.backend.problem.iterate import N_POSE
 from polhode.backend.window.estimator_state import EstimatorState
-from polhode.backend.window.vision import (
-    GATE,
-    FramePoses,
-    WindowObservations,
-    information_of,
-    poses_of,
-    residuals,
-)
+from polhode.backend.window.vision import STEREO_GATE, FramePoses, information_of, residuals
 from polhode.lie import Array
 
 
@@ -25,7 +18,7 @@ def shrink_window(state: EstimatorState, n_recent: int, n_keys: int) -> None:
         else:
             if dropped is not None:
                 state.history.absorb(active.frames, *_condense(state, dropped))
-            active.shift()
+            active.oldest_becomes_key()
         if dropped is not None:
             frame = active.keys.pop(dropped)
             state.landmarks.leave(frame.slot)
@@ -55,30 +48,26 @@ def _marginalize(state: EstimatorState, dropped: int | None) -> None:
         parts.append((active.seen_entries, *_condense(state, dropped)))
         gone.append(np.arange(N_POSE * dropped, N_POSE * (dropped + 1)))
     active.absorb(parts, np.concatenate(gone))
-    active.shift()
-    active.factors = active.factors.part(slice(1, None))
+    active.oldest_becomes_key()
+    active.steps = active.steps.part(slice(1, None))
     for frame in (active.keys[-1], active.recent[0]):
         frame.fix_linearization()
 
 
 def _condense(state: EstimatorState, k: int) -> tuple[Array, Array]:
-    """Information on all poses, and its gradient, from the observations of frame k alone."""
-    frames = state.active.frames
-    poses = poses_of(frames)
-    observations = _without_contradictions(state, k, state.observations().common_with(k), poses)
-    p_G = state.landmarks.p_G[observations.slot]
-    H, g = information_of(k, observations, poses, state.rig_vector, p_G, state.robust_scale, state.gain)
+    """Information on all poses, and its gradient, from the observations of frame k alone.
+
+    Landmarks whose residual in frame k exceeds the gate are left out.
+    """
+    frames, p_G = state.active.frames, state.landmarks.p_G
+    poses = FramePoses(frames)
+    observations = state.observations().common_with(k)
+    r = residuals(observations, poses, state.model.rig, p_G[observations.slot])
+    wrong = (observations.frame == k) & (np.sum(r**2, axis=1) > STEREO_GATE**2)
+    bad = np.zeros(len(observations.slot), bool)
+    bad[observations.landmark[wrong]] = True
+    observations = observations.select(~bad) if bad.any() else observations
+    H, g = information_of(k, observations, poses, state.model, p_G[observations.slot])
     for frame in frames:
         frame.fix_linearization()
     return H, g
-
-
-def _without_contradictions(
-    state: EstimatorState, k: int, observations: WindowObservations, poses: FramePoses
-) -> WindowObservations:
-    """The observations without the landmarks whose residual in frame k exceeds the gate."""
-    r = residuals(observations, poses, state.rig_vector, state.landmarks.p_G[observations.slot])
-    wrong = (observations.frame == k) & (np.sum(r**2, axis=1) > GATE**2)
-    bad = np.zeros(len(observations.slot), bool)
-    bad[observations.landmark[wrong]] = True
-    return observations.of(~bad) if bad.any() else observations

@@ -7,60 +7,53 @@ part of the evidence does not depend on the level.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky
 
-from polhode.backend.outliers_and_noise.outliers import MAX_TAKEN_BY_POSES, MIN_OBSERVATIONS, scales_by_median
+from polhode.backend.outliers_and_noise.outliers import MAX_SHARE_OF_POSES, MIN_OBSERVATIONS, scales_by_median
 from polhode.backend.outliers_and_noise.process_level import (
     ACCELERATION,
     CEILING_PSD,
     FLOOR_PSD,
-    INDIFFERENT,
+    INSIGNIFICANT_EVIDENCE,
     TORQUE,
-    climb,
+    raise_level,
     walk,
 )
 from polhode.backend.window.estimator_state import EstimatorState
 from polhode.backend.window.history import History
-from polhode.backend.window.problem import NewtonSolver, WindowProblem
-from polhode.backend.window.vision import WindowObservations, poses_of, residuals
+from polhode.backend.window.problem import DisturbanceLevels, solve_newton
+from polhode.backend.window.vision import FramePoses, WindowObservations, residuals
 from polhode.camera import stereo_jacobian
 from polhode.lie import Array
 
-ITERATIONS = 3
-DECADE = 0.5
-"""Finest step of the search: finer than the data can resolve."""
-STARTS = (0, -4, -8)
-"""In these steps below the stated levels: too high a level can hide in wrong constants and so remain high."""
 Grid = tuple[int, int]
-"""Levels of acceleration and torque in steps from the stated ones."""
+"""Levels of acceleration and torque in half decades from the stated ones: finer than the data can resolve."""
 
 
 def estimate_levels(state: EstimatorState, history: History, stated: tuple[float, float]) -> None:
     """Set the most likely accel_psd and torque_psd, starting from those stated."""
-    vision = history.vision(state.active, state.condensed(state.observations())).quadratic
+    vision = history.vision(state.active, state.condensed()).quadratic
     x = history.vector(state.active.constants)
 
+    def levels(at: Grid) -> DisturbanceLevels:
+        return DisturbanceLevels(*(value * 10.0 ** (0.5 * n) for value, n in zip(stated, at, strict=True)))
+
     def minus_log_evidence(at: Grid) -> float:
-        levels = [value * 10.0 ** (DECADE * n) for value, n in zip(stated, at, strict=True)]
-        if min(levels) < FLOOR_PSD or max(levels) > CEILING_PSD:
+        noise = levels(at)
+        if min(noise) < FLOOR_PSD or max(noise) > CEILING_PSD:
             return np.inf
-        noise = replace(state.disturbances, accel_psd=levels[0], torque_psd=levels[1])
-        factors = history.factors(x, state.J_G, state.J_noise, noise)
-        problem = WindowProblem(vision, history.R_ref, factors, state.weak_prior, state.prior)
+        steps = history.steps_at(x, state.J_G, state.J_noise, noise)
+        problem = state.problem(vision, history.R_ref, steps)
         try:
-            solution = NewtonSolver().solve(problem, x, ITERATIONS)
+            solution = solve_newton(problem, x, 3)
             factor = cholesky(problem.normal_equations(solution.x)[1], lower=True, check_finite=False)
         except LinAlgError:
             return np.inf
-        return solution.cost + factors.half_log_det + float(np.log(np.diagonal(factor)).sum())
+        return solution.cost + steps.half_log_det + float(np.log(np.diagonal(factor)).sum())
 
-    best = most_likely(minus_log_evidence)
-    accel_psd, torque_psd = (value * 10.0 ** (DECADE * n) for value, n in zip(stated, best, strict=True))
-    state.disturbances = replace(state.disturbances, accel_psd=accel_psd, torque_psd=torque_psd)
+    state.disturbances = levels(most_likely(minus_log_evidence))
 
 
 def most_likely(minus_log_evidence: Callable[[Grid], float]) -> Grid:
@@ -72,23 +65,26 @@ def most_likely(minus_log_evidence: Callable[[Grid], float]) -> Grid:
             known[at] = minus_log_evidence(at)
         return known[at]
 
-    best = min(((n, n) for n in STARTS), key=cost)
+    def moved(at: Grid, axis: int, change: int) -> Grid:
+        return (at[0] + change, at[1]) if axis == ACCELERATION else (at[0], at[1] + change)
+
+    # too high a level can hide in wrong constants and so remain high: lower ones are tried first
+    best = min(((n, n) for n in (0, -4, -8)), key=cost)
     for step in (2, 1):
         for axis in (TORQUE, ACCELERATION):
-            best = walk(best, partial(_moved, axis=axis, step=step), cost)
-    limit = cost(best) + INDIFFERENT
+
+            def neighbour(at: Grid, sign: int, axis: int = axis, step: int = step) -> Grid:
+                return moved(at, axis, sign * step)
+
+            best = walk(best, neighbour, cost)
+    limit = cost(best) + INSIGNIFICANT_EVIDENCE
     for axis in (TORQUE, ACCELERATION):
-        best = climb(best, partial(_raised, axis=axis), cost, limit)
+
+        def raised(at: Grid, axis: int = axis) -> Grid | None:
+            return moved(at, axis, 1) if at[axis] < 0 else None
+
+        best = raise_level(best, raised, cost, limit)
     return best
-
-
-def _moved(at: Grid, sign: int, axis: int, step: int) -> Grid:
-    change = sign * step
-    return (at[0] + change, at[1]) if axis == ACCELERATION else (at[0], at[1] + change)
-
-
-def _raised(at: Grid, axis: int) -> Grid | None:
-    return _moved(at, 1, axis, 1) if at[axis] < 0 else None
 
 
 def estimate_noise(state: EstimatorState) -> None:
@@ -97,18 +93,18 @@ def estimate_noise(state: EstimatorState) -> None:
     if len(observations.frame) < MIN_OBSERVATIONS:
         return
     p_G = state.landmarks.p_G[observations.slot]
-    r = residuals(observations, poses_of(state.active.frames), state.rig_vector, p_G)
-    free = np.maximum(1.0 - taken_by_fit(state, observations, p_G), 0.05)
+    r = residuals(observations, FramePoses(state.active.frames), state.model.rig, p_G)
+    free = np.maximum(1.0 - freedom_of_fit(state, observations, p_G), 0.05)
     factors = scales_by_median(r, free).factors
     state.noise = state.noise * factors
     for frame in state.active.frames:
         frame.inv_sigma = frame.inv_sigma / factors
 
 
-def taken_by_fit(state: EstimatorState, observations: WindowObservations, p_G: Array) -> Array:
+def freedom_of_fit(state: EstimatorState, observations: WindowObservations, p_G: Array) -> Array:
     """Share (M, 3) of the freedom of each residual that is used by landmarks and poses."""
     frames = state.active.frames
-    poses = poses_of(frames)
+    poses = FramePoses(frames)
     A, k = poses.A[observations.frame], observations.frame
     p_R = (
         np.einsum("mij,mj->mi", A, p_G[observations.landmark])
@@ -117,7 +113,7 @@ def taken_by_fit(state: EstimatorState, observations: WindowObservations, p_G: A
     D = stereo_jacobian(p_R, state.rig.focal_px, state.rig.baseline_m)
     J = observations.inv_sigma[:, :, None] * (D @ A)
     information = np.add.reduceat(np.swapaxes(J, 1, 2) @ J, observations.start[:-1], axis=0)
-    taken = np.einsum("mij,mjk,mik->mi", J, np.linalg.inv(information)[observations.landmark], J)
+    used = np.einsum("mij,mjk,mik->mi", J, np.linalg.inv(information)[observations.landmark], J)
     # the poses are fitted to u and v: six unknowns for the two numbers of each observation
-    taken[:, :2] += min(3.0 * len(frames) / len(k), MAX_TAKEN_BY_POSES)
-    return np.asarray(taken)
+    used[:, :2] += min(3.0 * len(frames) / len(k), MAX_SHARE_OF_POSES)
+    return np.asarray(used)

@@ -1,12 +1,11 @@
-"""The nonlinear program of one update of the window, its parts, and its default solver.
+"""The nonlinear program of one update of the window, its parts, and Gauss-Newton on it.
 
 The observations, with landmarks and key poses eliminated, and the arrival cost are a quadratic; the dynamics
-between consecutive states are whitened factors (``dynamics.residuals``). Gauss-Newton solves the program,
-with damping of the centre of mass and the inertia.
+between consecutive states are whitened residuals (``dynamics.residuals``).
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, solve_triangular
@@ -21,23 +20,17 @@ from polhode.backend.dynamics.residuals import (
     dynamics_residuals,
 )
 from polhode.backend.dynamics.so3_exp import rotation_matrices
-from polhode.backend.problem.inertia import (
-    InertiaForm,
-    inertia_derivative,
-    inertia_from_second_moments,
-)
+from polhode.backend.problem.inertia import InertiaForm, inertia_derivative, inertia_from_second_moments
 from polhode.backend.problem.iterate import COM, N_CONSTANTS, N_STATE, ROTATION
 from polhode.backend.solvers.gauss_newton import CONSTANT_SCALE, Solution, WeakPrior
 from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Ints
 
-NEGLIGIBLE = 1e-3
+NEGLIGIBLE_COST = 1e-3
 """Negligible difference of the cost, which is half a squared number of standard deviations."""
 DAMPINGS = (0.0, 1e-1, 1e1, 1e3, 1e5)
 """Damping of the constants, in units of ``CONSTANT_SCALE``."""
-SHORTEST = 1e-3
-"""Smallest fraction of a step that is tried."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +73,10 @@ class Elimination:
             return np.zeros(0)
         right = self.across[:, :-1] @ step + self.across[:, -1]
         return np.asarray(-solve_triangular(self.factor, right, lower=True, trans=1, check_finite=False))
+
+    def whole_step(self, step: Array) -> Array:
+        """The step (n,) of the eliminated entries, then of the kept ones (k,)."""
+        return np.concatenate([self.follow(step), step])
 
 
 def eliminate(H: Array, g: Array, gone: Ints, kept: Ints) -> Elimination:
@@ -124,92 +121,38 @@ def others(entries: Ints, size: int) -> Ints:
     return np.flatnonzero(rest)
 
 
-@dataclass(frozen=True)
-class DynamicsFactors:
-    """n steps between n + 1 states, with what is fixed during a solve."""
-
-    steps: Steps
-    half_log_det: float
-    """Normalization of the process noise, as in ``LinearizationPoint``; of all steps made at once"""
-
-    def __len__(self) -> int:
-        return len(self.steps.dt_s)
-
-    def part(self, chosen: slice) -> "DynamicsFactors":
-        """Some of the steps."""
-        return DynamicsFactors(self.steps.part(chosen), 0.0)
-
-    def and_then(self, other: "DynamicsFactors") -> "DynamicsFactors":
-        """These steps, then the others."""
-        return DynamicsFactors(self.steps.and_then(other.steps), self.half_log_det + other.half_log_det)
-
-
-NO_FACTORS = DynamicsFactors(
-    Steps(np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 2, 2)), np.zeros((0, 6, 6))), 0.0
-)
-
-
-@dataclass(frozen=True)
-class DisturbanceLevels:
+class DisturbanceLevels(NamedTuple):
     """Power spectral densities of the disturbing acceleration and torque."""
 
     accel_psd: float
     torque_psd: float
 
 
-def make_factors(
-    w_G: Array, J_G: Array, J_noise: Array, dt_s: Array, noise: DisturbanceLevels
-) -> DynamicsFactors:
+def whitened_steps(w_G: Array, J_G: Array, J_noise: Array, dt_s: Array, noise: DisturbanceLevels) -> Steps:
     """n steps with the rates (n, 3) at their starts; the disturbing torque acts on J_noise (3, 3)."""
     if len(dt_s) == 0:
-        return NO_FACTORS
+        return Steps.none()
     W_t, W_r, half_log = whitening(w_G, J_noise, dt_s, noise.accel_psd, noise.torque_psd)
-    return DynamicsFactors(Steps(dt_s, series_steps(w_G, J_G, dt_s, noise.torque_psd), W_t, W_r), half_log)
+    return Steps(dt_s, series_steps(w_G, J_G, dt_s, noise.torque_psd), W_t, W_r, half_log)
 
 
-def _states(x: Array, R_ref: Array) -> FrameStates:
+def states_of_vector(x: Array, R_ref: Array) -> FrameStates:
+    """The states of F frames in x (12 F + 8,), whose theta rotates R_ref (F, 3, 3)."""
     of_frames = x[:-N_CONSTANTS].reshape(-1, N_STATE)
-    return FrameStates(
-        of_frames,
-        R_ref @ rotation_matrices(of_frames[:, ROTATION]),
-        np.zeros((len(R_ref), 3)),
-        x[-N_CONSTANTS:][COM],
-    )
+    R_NG = R_ref @ rotation_matrices(of_frames[:, ROTATION])
+    return FrameStates(of_frames, R_NG, np.zeros((len(R_ref), 3)), x[-N_CONSTANTS:][COM])
 
 
-def _inertia(x: Array, form: InertiaForm, R_inertia: Array) -> Array:
-    return inertia_from_second_moments(form.second_moments(x[-5:], R_inertia))
-
-
-def factor_residuals(
-    x: Array, R_ref: Array, factors: DynamicsFactors, form: InertiaForm, R_inertia: Array
-) -> Array:
-    """Whitened residuals (n, 12) of the steps between n + 1 states, x (12 (n + 1) + 8,) around R_ref."""
-    return dynamics_residuals(_states(x, R_ref), factors.steps, _inertia(x, form, R_inertia))
-
-
-def factor_jacobians(
-    x: Array, R_ref: Array, factors: DynamicsFactors, form: InertiaForm, R_inertia: Array
+def step_jacobians(
+    x: Array, R_ref: Array, steps: Steps, form: InertiaForm, R_inertia: Array
 ) -> tuple[Array, Array]:
-    """Whitened residuals (n, 12) and Jacobians (n, 12, 32) in state before, state after, com_G, xi."""
-    J_G, dJ = _inertia(x, form, R_inertia), inertia_derivative(form, x[-5:], R_inertia)
-    return dynamics_jacobians(_states(x, R_ref), factors.steps, J_G, dJ)
+    """Whitened residuals (n, 12) of the steps between n + 1 states, x (12 (n + 1) + 8,) around R_ref.
 
-
-def add_factors(H: Array, g: Array, r: Array, D: Array, at: Ints) -> None:
-    """Add D^T D and D^T r of each step to H and g in place; step e joins the states at at[e], at[e] + 12."""
-    if len(r) == 0:
-        return
-    blocks, forces = np.swapaxes(D, 1, 2) @ D, (np.swapaxes(D, 1, 2) @ r[:, :, None])[:, :, 0]
-    c, n = len(g) - N_CONSTANTS, 2 * N_STATE
-    for e, start in enumerate(at):
-        both = slice(start, start + n)
-        H[both, both] += blocks[e, :n, :n]
-        H[both, c:] += blocks[e, :n, n:]
-        H[c:, both] += blocks[e, n:, :n]
-        g[both] += forces[e, :n]
-    H[c:, c:] += blocks[:, n:, n:].sum(axis=0)
-    g[c:] += forces[:, n:].sum(axis=0)
+    And their Jacobians (n, 12, 32) in state before, state after, com_G, xi.
+    """
+    J_G = inertia_from_second_moments(form.second_moments(x[-5:], R_inertia))
+    dJ = inertia_derivative(form, x[-5:], R_inertia)
+    return dynamics_jacobians(states_of_vector(x, R_ref), steps, J_G, dJ)
 
 
 @dataclass(frozen=True)
@@ -228,7 +171,7 @@ class WindowProblem:
     vision: Quadratic
     R_ref: Array
     """(W, 3, 3) reference attitudes, which the theta of the states rotate"""
-    factors: DynamicsFactors
+    steps: Steps
     weak_prior: Array
     """(13,) parameters of ``kernels.prior_kernel``"""
     prior: WeakPrior
@@ -242,12 +185,18 @@ class WindowProblem:
         """(3, 3) reference rotation of the inertia's form."""
         return self.weak_prior[4:13].reshape(3, 3).T
 
+    def jacobians(self, x: Array) -> tuple[Array, Array]:
+        """Of the steps, see ``step_jacobians``."""
+        return step_jacobians(x, self.R_ref, self.steps, self.prior.form, self.R_inertia)
+
     def cost(self, x: Array) -> float:
         """The objective."""
         # a very long step may overflow: it is rejected like any other
         with np.errstate(over="ignore", invalid="ignore"):
             try:
-                r = factor_residuals(x, self.R_ref, self.factors, self.prior.form, self.R_inertia)
+                second = self.prior.form.second_moments(x[-5:], self.R_inertia)
+                states = states_of_vector(x, self.R_ref)
+                r = dynamics_residuals(states, self.steps, inertia_from_second_moments(second))
             except ValueError:
                 return np.inf
             weak, _, _ = self.prior(x[-N_CONSTANTS:], self.weak_prior)
@@ -256,8 +205,8 @@ class WindowProblem:
     def normal_equations(self, x: Array) -> tuple[float, Array, Array]:
         """The objective, its Gauss-Newton Hessian (n, n) and its gradient (n,)."""
         cost, H, g = self.vision.value(x), self.vision.H.copy(), self.vision.gradient(x)
-        if len(self.factors):
-            r, D = factor_jacobians(x, self.R_ref, self.factors, self.prior.form, self.R_inertia)
+        if len(self.steps.dt_s):
+            r, D = self.jacobians(x)
             add_steps(H, g, r, D, N_STATE)
             cost += 0.5 * float(np.sum(r**2))
         weak, gradient, hessian = self.prior(x[-N_CONSTANTS:], self.weak_prior)
@@ -266,56 +215,42 @@ class WindowProblem:
         return cost + weak, H, g
 
 
-class WindowSolver(Protocol):
-    """A solver of the window's program."""
-
-    name: str
-
-    def solve(self, problem: WindowProblem, x: Array, max_iterations: int) -> Solution:
-        """Minimize from x (12 W + 8,)."""
-        ...
-
-
-class NewtonSolver:
-    """Reference solver; near the solution one step is enough.
+def solve_newton(problem: WindowProblem, x: Array, max_iterations: int) -> Solution:
+    """Gauss-Newton from x (12 W + 8,), until the cost after a step agrees with its quadratic model.
 
     Given the constants the states are almost linear, and stiff at high frame rates: only the constants are
     damped, the states follow them freely. If that is not enough the step is shortened.
     """
-
-    name = "gauss_newton"
-
-    def solve(self, problem: WindowProblem, x: Array, max_iterations: int) -> Solution:
-        """Minimize from x (12 W + 8,), until the cost after a step agrees with its quadratic model."""
-        level, iteration = 0, 0
-        cost, H, g = problem.normal_equations(x)
-        candidate = cost
-        for iteration in range(1, max_iterations + 1):
-            step, candidate, level = _descending_step(problem, x, cost, H, g, level)
-            if step is None:
-                return Solution(x, cost, iteration, False, "no further decrease")
-            expected = cost + float(g @ step + 0.5 * step @ (H @ step))
-            x, exact = x + step, level == 0 and abs(candidate - expected) < NEGLIGIBLE
-            if exact:
-                return Solution(x, candidate, iteration, True, "converged")
-            level = max(level - 1, 0)
-            if iteration < max_iterations:
-                cost, H, g = problem.normal_equations(x)
-        return Solution(x, candidate, iteration, False, "iteration limit")
+    level, iteration = 0, 0
+    cost, H, g = problem.normal_equations(x)
+    candidate = cost
+    for iteration in range(1, max_iterations + 1):
+        step, candidate, level = _descending_step(problem, x, (cost, H, g), level)
+        if step is None:
+            return Solution(x, cost, iteration, False, "no further decrease")
+        expected = cost + float(g @ step + 0.5 * step @ (H @ step))
+        x, exact = x + step, level == 0 and abs(candidate - expected) < NEGLIGIBLE_COST
+        if exact:
+            return Solution(x, candidate, iteration, True, "converged")
+        level = max(level - 1, 0)
+        if iteration < max_iterations:
+            cost, H, g = problem.normal_equations(x)
+    return Solution(x, candidate, iteration, False, "iteration limit")
 
 
 def _descending_step(
-    problem: WindowProblem, x: Array, cost: float, H: Array, g: Array, level: int
+    problem: WindowProblem, x: Array, at_x: tuple[float, Array, Array], level: int
 ) -> tuple[Array | None, float, int]:
     """A step after which the cost is no higher, that cost, and the level of damping that was needed."""
+    cost, H, g = at_x
     step = None
     for tried in range(level, len(DAMPINGS)):
         step = _damped_step(H, g, DAMPINGS[tried])
-        if step is not None and (candidate := problem.cost(x + step)) <= cost + NEGLIGIBLE:
+        if step is not None and (candidate := problem.cost(x + step)) <= cost + NEGLIGIBLE_COST:
             return step, candidate, tried
     share = 0.5
-    while step is not None and share > SHORTEST:
-        if (candidate := problem.cost(x + share * step)) <= cost + NEGLIGIBLE:
+    while step is not None and share > 1e-3:
+        if (candidate := problem.cost(x + share * step)) <= cost + NEGLIGIBLE_COST:
             return share * step, candidate, len(DAMPINGS) - 1
         share *= 0.5
     return None, cost, level

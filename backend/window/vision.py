@@ -19,7 +19,7 @@ from polhode.compiled import compiled
 from polhode.lie import Array
 from polhode.records import Bools, Ints
 
-GATE = 4.5
+STEREO_GATE = 4.5
 """Largest norm of a whitened residual that agrees with the others; of Gaussian ones 1 in 5700 is larger."""
 
 
@@ -32,13 +32,13 @@ class WindowObservations:
     landmark: Ints
     """(M,) ascending"""
     start: Ints
-    """(L + 1,)"""
+    """(L + 1,) the observations of landmark l are start[l]:start[l + 1]"""
     uvd_px: Array
     inv_sigma: Array
     slot: Ints
     """(L,) slots of the landmarks"""
 
-    def of(self, landmarks: Bools, without_frame: int = -1) -> "WindowObservations":
+    def select(self, landmarks: Bools, without_frame: int = -1) -> "WindowObservations":
         """Observations of the chosen landmarks (L,), without those in one frame."""
         use = landmarks[self.landmark] & (self.frame != without_frame)
         number = np.cumsum(landmarks) - 1
@@ -52,7 +52,7 @@ class WindowObservations:
         """Observations of the landmarks that one frame sees."""
         seen = np.zeros(len(self.slot), bool)
         seen[self.landmark[self.frame == frame]] = True
-        return self.of(seen)
+        return self.select(seen)
 
 
 def gather_observations(frames: list[Frame], n_slots: int) -> WindowObservations:
@@ -76,35 +76,32 @@ def gather_observations(frames: list[Frame], n_slots: int) -> WindowObservations
     )
 
 
-@dataclass(frozen=True)
 class FramePoses:
     """Poses of F frames, at which the observations are evaluated and at which they are linearized."""
 
-    R_RN: Array
-    t_R: Array
-    p_NG: Array
-    A: Array
-    """(F, 3, 3) R_RN R_NG"""
-    p_linearized: Array
-    A_linearized: Array
-    Jr: Array
-    """(F, 3, 3) right Jacobian at the theta of the linearization"""
+    def __init__(self, frames: list[Frame]) -> None:
+        self.R_RN, self.t_R = np.stack([f.R_RN for f in frames]), np.stack([f.t_R for f in frames])
+        now = np.stack([f.seen for f in frames])
+        linearized = np.stack([f.seen if f.linearized_at is None else f.linearized_at for f in frames])
+        to_camera = self.R_RN @ np.stack([f.R_ref for f in frames])
+        self.p_NG: Array = np.ascontiguousarray(now[:, POSITION])
+        self.A: Array = to_camera @ rotation_matrices(now[:, ROTATION])
+        """(F, 3, 3) R_RN R_NG"""
+        self.p_linearized: Array = np.ascontiguousarray(linearized[:, POSITION])
+        self.A_linearized: Array = to_camera @ rotation_matrices(linearized[:, ROTATION])
+        self.Jr = right_jacobians(linearized[:, ROTATION])
+        """(F, 3, 3) right Jacobian at the theta of the linearization"""
 
 
-def poses_of(frames: list[Frame]) -> FramePoses:
-    """Stack the frames' poses."""
-    R_RN, R_ref = np.stack([f.R_RN for f in frames]), np.stack([f.R_ref for f in frames])
-    now = np.stack([f.seen for f in frames])
-    linearized = np.stack([f.seen if f.linearized_at is None else f.linearized_at for f in frames])
-    return FramePoses(
-        R_RN=R_RN,
-        t_R=np.stack([f.t_R for f in frames]),
-        p_NG=np.ascontiguousarray(now[:, POSITION]),
-        A=R_RN @ R_ref @ rotation_matrices(now[:, ROTATION]),
-        p_linearized=np.ascontiguousarray(linearized[:, POSITION]),
-        A_linearized=R_RN @ R_ref @ rotation_matrices(linearized[:, ROTATION]),
-        Jr=right_jacobians(linearized[:, ROTATION]),
-    )
+@dataclass(frozen=True)
+class ObservationModel:
+    """How observations are weighted: the camera, the Cauchy kernel's scale, and the gain of its weights."""
+
+    rig: Array
+    """(5,) as ``MotionData.rig``"""
+    robust_scale: float
+    gain: float = 1.0
+    """``robust_gain``; 1: the weights of the kernel alone"""
 
 
 @dataclass(frozen=True)
@@ -140,20 +137,15 @@ def residuals(observations: WindowObservations, poses: FramePoses, rig: Array, p
 
 
 def condense(
-    observations: WindowObservations,
-    poses: FramePoses,
-    rig: Array,
-    p_G: Array,
-    robust_scale: float,
-    gain: float = 1.0,
+    observations: WindowObservations, poses: FramePoses, model: ObservationModel, p_G: Array
 ) -> CondensedVision:
-    """Linearize the observations, ``gain`` times the Cauchy kernel; eliminate their landmarks p_G (L, 3)."""
-    r = residuals(observations, poses, rig, p_G)
+    """Linearize the observations; eliminate their landmarks p_G (L, 3)."""
+    r = residuals(observations, poses, model.rig, p_G)
     s = np.sum(r**2, axis=1)
     H6, g6, C, h, E = stereo_normal_equations(
-        observations.frame, observations.landmark, observations.inv_sigma, rig,
+        observations.frame, observations.landmark, observations.inv_sigma, model.rig,
         poses.A_linearized, poses.R_RN, poses.t_R, poses.p_linearized, p_G, poses.Jr,
-        r, gain * robust_weight(s, robust_scale), np.zeros_like(s),
+        r, model.gain * robust_weight(s, model.robust_scale), np.zeros_like(s),
     )  # fmt: skip
     n = len(H6)
     blocks, g = np.zeros((n, N_POSE, n, N_POSE)), g6.ravel().copy()
@@ -182,13 +174,7 @@ def inverted(C: Array) -> Array:
 
 
 def information_of(
-    leaving: int,
-    observations: WindowObservations,
-    poses: FramePoses,
-    rig: Array,
-    p_G: Array,
-    robust_scale: float,
-    gain: float = 1.0,
+    leaving: int, observations: WindowObservations, poses: FramePoses, model: ObservationModel, p_G: Array
 ) -> tuple[Array, Array]:
     """Information on the poses from the observations of frame ``leaving``, given all others: H and gradient.
 
@@ -200,7 +186,7 @@ def information_of(
     """
     every = np.ones(len(observations.slot), bool)
     whole, rest = (
-        condense(part, poses, rig, p_G, robust_scale, gain)
-        for part in (observations, observations.of(every, without_frame=leaving))
+        condense(part, poses, model, p_G)
+        for part in (observations, observations.select(every, without_frame=leaving))
     )
     return whole.S - rest.S, whole.g - rest.g

@@ -20,8 +20,7 @@ from polhode.backend.dynamics.residuals import FrameStates
 from polhode.backend.problem.inertia import FORMS, InertiaForm, second_moments_from_inertia
 from polhode.backend.problem.iterate import N_CONSTANTS, Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
-from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
+from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.uncertainty.covariance import Marginals, marginals, state_jacobians
 from polhode.backend.uncertainty.identifiability import analyse
 from polhode.backend.uncertainty.principal_axes import axes_derivative
@@ -88,8 +87,7 @@ def _marginals_at_truth(
     data, truth = motion_data(sequence.tracks, config), true_iterate(sequence, config)
     # nearly 0, so that a landmark of outliers alone can still be eliminated
     weight = np.where(sequence.outlier[data.order], 1e-6, 1.0)
-    fixed = linearization_point(data, truth, TIGHT_GAUGE)
-    return data, truth, marginals(GaussNewton(data), fixed, truth.vector(), weight)
+    return data, truth, marginals(MotionFit(data, truth), weight)
 
 
 def true_iterate(sequence: SyntheticSequence, config: Backend) -> Iterate:

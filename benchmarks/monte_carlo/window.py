@@ -104,7 +104,7 @@ def smoothed(sequence: SyntheticSequence, k: int, config: Backend) -> list[float
     """Squared errors (6,) of full smoothing of the frames 0 to k."""
     part = first_frames(sequence, k + 1)
     data, start = motion_data(part.tracks, config), true_iterate(part, config)
-    found, _, _ = refine(GaussNewton(data), data, start, 50)
+    found, _, _ = refine(GaussNewton(data), start, 50)
     moments, R_GP = principal_axes(found.J_G(data.form))
     k1, k2 = np.log(moments[:2] / moments[1:])
     r_N, X_NG = found.p_NG[k] + found.R_NG[k] @ found.com_G, np.eye(4)

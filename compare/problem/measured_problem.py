@@ -168,14 +168,14 @@ def freeze(
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             initial = initialize_motion(tracks, relative, config)
             data = motion_data(tracks, config)
-            found = fit(data, tracks, initial, config, lambda: None)
+            found = fit(data, tracks, initial, config, lambda: None).pruned
             start = initial_guesses(tracks, initial, data)[0].iterate
             kept = found.kept
-            end, _, _ = refine(GaussNewton(kept.data), kept.data, kept.restrict(found.iterate), 200)
+            end, _, _ = refine(GaussNewton(kept.data), found.small.iterate, 200)
     except np.linalg.LinAlgError as error:
         raise RunFailure(f"{name}: no consistent motion: its equations have no solution") from error
     # unknowns of a known wrench have no cold start of their own
-    start = replace(kept.restrict(start), wrench=end.wrench, R_torque=end.R_torque)
+    start = replace(kept.restrict(start).iterate, wrench=end.wrench, R_torque=end.R_torque)
     if not np.isfinite(start.vector()).all():
         raise RunFailure(f"{name}: the first poses give no finite start")
     fixed = _fixed_about(kept, start, end)

@@ -11,8 +11,4 @@ In: the problem, a start and a monitor. Out: where the solver stopped, in the co
     gtsam_solvers         GTSAM: Levenberg-Marquardt and iSAM2
     belief_propagation    Gaussian belief propagation
     thesis_methods        the incremental method of the thesis; odometry, then the inertia
-    ablations             other inertias, noises and landmarks
-    changed_unknowns      the same cost over other unknowns
-    changed_inertia       other parameters of the inertia
-    sliding_window        the sliding window of the back end
 """

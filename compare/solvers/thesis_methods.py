@@ -32,7 +32,6 @@ from polhode.backend.solvers.gauss_newton import NormalEquations
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solver import AdapterResult, SolveMonitor
-from polhode.compare.solvers.changed_inertia import of_log_ratios
 from polhode.compare.solvers.ours import MonitoredGaussNewton, TimedGaussNewton
 from polhode.lie import Array, exp_so3, hat, log_so3, right_jacobian_so3
 from polhode.records import Ints
@@ -214,12 +213,13 @@ class LogRatios:
     def second_moments(self, xi: Array, R_ref: Array) -> Array:
         """(3, 3), perhaps not positive."""
         R = R_ref @ exp_so3(xi[2:5])
-        return np.asarray(R @ np.diag(of_log_ratios(xi[:2])[0]) @ R.T)
+        return np.asarray(R @ np.diag(_second_moments(xi)) @ R.T)
 
     def derivative(self, xi: Array, R_ref: Array) -> Array:
         """(5, 3, 3)"""
-        R, (d, of_ratios) = R_ref @ exp_so3(xi[2:5]), of_log_ratios(xi[:2])
-        rotated = hat(right_jacobian_so3(xi[2:5]).T) @ np.diag(d)
+        R, a, c = R_ref @ exp_so3(xi[2:5]), np.exp(xi[0]), np.exp(-xi[1])
+        of_ratios = 0.5 * np.array([[-a, a, a], [-c, -c, c]])
+        rotated = hat(right_jacobian_so3(xi[2:5]).T) @ np.diag(_second_moments(xi))
         slopes = np.concatenate([of_ratios[:, :, None] * np.eye(3), rotated + np.swapaxes(rotated, 1, 2)])
         return np.asarray(R @ slopes @ R.T)
 
@@ -234,7 +234,13 @@ class LogRatios:
 
 def possible(xi: Array) -> bool:
     """Whether the moments satisfy the triangle inequality: all second moments are positive."""
-    return bool(of_log_ratios(xi[:2])[0].min() > 0.0)
+    return bool(_second_moments(xi).min() > 0.0)
+
+
+def _second_moments(xi: Array) -> Array:
+    """(3,) along the principal axes, of moments exp(k1), 1, exp(-k2)."""
+    moments = np.array([np.exp(xi[0]), 1.0, np.exp(-xi[1])])
+    return np.asarray(0.5 * moments.sum() - moments)
 
 
 MAX_ITERATIONS = 100

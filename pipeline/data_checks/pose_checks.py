@@ -111,8 +111,8 @@ def roughness(R: Array, seen: Bools) -> Array:
 def swing_check(tracks: StereoTracks, estimate: MotionEstimate, config: Backend) -> Check:
     """How much better a swing explains the motion than forces and torques do; not possible with few data."""
     frames = np.arange(0, tracks.n_frames, frame_step(tracks.n_frames))
-    problem = solved_again(tracks, estimate, config, frames)
-    swing = None if problem is None else find_swing(*problem)
+    solution = solved_again(tracks, estimate, config, frames)
+    swing = None if solution is None else find_swing(solution)
     if swing is None:
         return make_check("inspector swing", None)
     return make_check("inspector swing", max(swing.evidence_gain, 0.0), swing_deg=np.rad2deg(swing.rms_rad))

@@ -15,13 +15,14 @@ from polhode.lie import exp_so3, inverse_pose
 from polhode.progress import Silent
 from polhode.records import InitialMotion, Ints, MotionEstimate, OnlineEstimate, StereoTracks
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
+from tests.backend.motions import BOX
 
 CONFIG = Backend.model_validate({"window": {"solver": "gauss_newton"}, "solver": "gauss_newton"})
 SCENE = SyntheticScene(
     frames=160,
     landmarks=900,
     w_G=(3.0 * 0.1047, 6.0 * 0.1047, 2.0 * 0.1047),
-    J_G=np.diag([1.5, 1.2, 0.9]),
+    J_G=BOX,
     sigma_uv_px=0.5,
     sigma_d_px=0.5,
     v_N=(0.0, 0.0, 0.0),

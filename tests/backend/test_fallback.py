@@ -7,15 +7,10 @@ import numpy as np
 import pytest
 from scipy.linalg import LinAlgError
 
-from polhode.backend import initialize_motion
-from polhode.backend.estimate import estimate_motion
-from polhode.backend.initialization.multistart import initial_guesses
-from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.casadi_nlp import OPTIMAL
 from polhode.backend.solvers.gauss_newton import (
-    ENOUGH,
     ITERATION_LIMIT,
+    MIN_DECREASE_SHARE,
     STEP_FRACTIONS,
     TIME_LIMIT,
     Damping,
@@ -23,28 +18,23 @@ from polhode.backend.solvers.gauss_newton import (
     Solution,
 )
 from polhode.backend.solvers.ipopt import MotionProgram
-from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
+from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, MotionFit
 from polhode.backend.solvers.solve import refine, solve
 from polhode.config.backend_settings import Backend
-from polhode.progress import Silent
-from polhode.simulation.monte_carlo import SyntheticScene, generate
+from polhode.simulation.monte_carlo import generate
+from tests.backend.motions import FAST, TUMBLE, cold_start, estimated
 
-SCENE = SyntheticScene(
-    frames=24, landmarks=200, detection=0.4, w_G=(0.4, 0.5, 0.45), J_G=np.diag([1.5, 1.2, 0.9])
-)
+SCENE = replace(TUMBLE, frames=24, landmarks=200)
 
 
 @pytest.fixture(scope="module")
-def cold() -> tuple[MotionData, Iterate]:
+def cold() -> MotionFit:
     """A problem and its cold start, from relative poses and with a sphere's inertia."""
-    sequence, config = generate(SCENE, 3), Backend()
-    initial = initialize_motion(sequence.tracks, sequence.relative, config)
-    data = motion_data(sequence.tracks, config)
-    return data, initial_guesses(sequence.tracks, initial, data)[0].iterate
+    return cold_start(generate(SCENE, 3), Backend())
 
 
-def test_ipopt_gives_the_answer_from_where_gauss_newton_ends(cold: tuple[MotionData, Iterate]) -> None:
-    newton, found = solve(*cold, Backend(solver="gauss_newton")), solve(*cold, Backend())
+def test_ipopt_gives_the_answer_from_where_gauss_newton_ends(cold: MotionFit) -> None:
+    newton, found = solve(cold, FAST), solve(cold, Backend())
     assert (newton.solver, found.solver) == ("gauss_newton", "ipopt")
     assert newton.solution.converged and found.solution.converged
     assert newton.solution.program is None and found.solution.program is not None
@@ -54,10 +44,12 @@ def test_ipopt_gives_the_answer_from_where_gauss_newton_ends(cold: tuple[MotionD
     assert "gauss_newton" not in found.solution.message
     assert found.solution.cost == pytest.approx(newton.solution.cost, rel=1e-6)
     assert 0.0 <= program.optimality < 1e-3
+    result = estimated(generate(SCENE, 3), Backend()).solver
+    assert (result.name, result.converged) == ("ipopt", True)
 
 
 def test_an_answer_that_ipopt_cannot_confirm_is_that_of_gauss_newton(
-    cold: tuple[MotionData, Iterate], monkeypatch: pytest.MonkeyPatch
+    cold: MotionFit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ends = MotionProgram.solve
 
@@ -66,78 +58,56 @@ def test_an_answer_that_ipopt_cannot_confirm_is_that_of_gauss_newton(
         return replace(found, x=given[2], cost=np.inf, converged=False, message="Restoration_Failed")
 
     monkeypatch.setattr(MotionProgram, "solve", stops)
-    found = solve(*cold, Backend())
+    found = solve(cold, Backend())
     assert found.solver == "gauss_newton" and found.solution.converged
     assert found.solution.program is not None
 
 
-def test_where_gauss_newton_comes_to_no_end_ipopt_goes_on_and_the_result_says_so(
-    cold: tuple[MotionData, Iterate],
-) -> None:
-    best = solve(*cold, Backend(solver="gauss_newton"))
-    found = solve(*cold, Backend(solver="gauss_newton", max_iterations=12))
+def test_where_gauss_newton_does_not_converge_ipopt_goes_on_and_the_result_says_so(cold: MotionFit) -> None:
+    best = solve(cold, FAST)
+    found = solve(cold, Backend(solver="gauss_newton", max_iterations=12))
     assert best.iterations > 6
     assert found.solver == "ipopt" and found.solution.converged and found.iterations > 6
     assert found.solution.message == "converged, after 6 iterations of gauss_newton without convergence"
     assert found.solution.cost == pytest.approx(best.solution.cost, rel=1e-6)
 
 
-def test_when_neither_comes_to_an_end_the_better_one_is_kept_and_the_limit_named(
-    cold: tuple[MotionData, Iterate],
-) -> None:
-    data, start = cold
-    found = solve(data, start, Backend(max_iterations=2))
+def test_when_neither_converges_the_better_one_is_kept_and_the_limit_named(cold: MotionFit) -> None:
+    found = solve(cold, Backend(max_iterations=2))
     assert not found.solution.converged and ITERATION_LIMIT in found.solution.message
-    alone, _, _ = refine(GaussNewton(data, line_search=True), data, start, 1)
-    reference, fixed = GaussNewton(data), linearization_point(data, alone, TIGHT_GAUGE)
-    assert found.solution.cost <= reference.cost(fixed, alone.vector())
-
-
-def test_without_time_nothing_more_is_tried(cold: tuple[MotionData, Iterate]) -> None:
-    found = solve(*cold, Backend(max_seconds=1e-6))
+    alone, _, _ = refine(GaussNewton(cold.data, line_search=True), cold.iterate, 1)
+    fixed = MotionFit(cold.data, alone).linearized(TIGHT_GAUGE)
+    assert found.solution.cost <= GaussNewton(cold.data).cost(fixed, alone.vector())
+    found = solve(cold, Backend(max_seconds=1e-6))
     assert found.solver == "gauss_newton" and found.solution.message == TIME_LIMIT
 
 
 def test_equations_without_a_solution_are_left_to_ipopt(
-    cold: tuple[MotionData, Iterate], monkeypatch: pytest.MonkeyPatch
+    cold: MotionFit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fails(*given: object) -> Solution:
         raise LinAlgError
 
     monkeypatch.setattr(GaussNewton, "solve", fails)
-    found = solve(*cold, Backend())
+    found = solve(cold, Backend())
     assert found.solver == "ipopt" and found.solution.converged
     # where IPOPT fails too the caller learns of it
     monkeypatch.setattr(MotionProgram, "solve", fails)
     with pytest.raises(LinAlgError):
-        solve(*cold, Backend())
+        solve(cold, Backend())
 
 
-def test_the_estimate_names_the_solver_that_found_it() -> None:
-    sequence = generate(SCENE, 3)
-    for config, name in ((Backend(solver="gauss_newton"), "gauss_newton"), (Backend(), "ipopt")):
-        initial = initialize_motion(sequence.tracks, sequence.relative, config)
-        result = estimate_motion(sequence.tracks, initial, config, Silent()).solver
-        assert (result.name, result.converged) == (name, True)
-
-
-def test_a_line_search_ends_no_higher_in_fewer_iterations(cold: tuple[MotionData, Iterate]) -> None:
-    data, start = cold
-    fixed = linearization_point(data, start)
-    plain, found = (
-        GaussNewton(data, line_search=on).solve(fixed, start.vector(), 200) for on in (False, True)
-    )
+def test_a_line_search_ends_no_higher_in_fewer_iterations(cold: MotionFit) -> None:
+    fixed, x = cold.linearized(), cold.iterate.vector()
+    plain, found = (GaussNewton(cold.data, line_search=on).solve(fixed, x, 200) for on in (False, True))
     assert plain.converged and found.converged
     assert found.cost <= plain.cost * (1.0 + 1e-8)
     assert found.iterations < plain.iterations
 
 
-def test_a_step_that_goes_too_far_is_made_shorter_until_it_brings_enough(
-    cold: tuple[MotionData, Iterate],
-) -> None:
-    data, start = cold
-    fixed, x = linearization_point(data, start), start.vector()
-    solver = GaussNewton(data, line_search=True)
+def test_a_step_that_goes_too_far_is_made_shorter_until_it_brings_enough(cold: MotionFit) -> None:
+    fixed, x = cold.linearized(), cold.iterate.vector()
+    solver = GaussNewton(cold.data, line_search=True)
     system = solver.normal_equations(fixed, x)
     step = solver.step(system, Damping())
     slope = float(np.concatenate([system.g, system.h.ravel()]) @ step)
@@ -147,7 +117,7 @@ def test_a_step_that_goes_too_far_is_made_shorter_until_it_brings_enough(
     candidate, cost = solver._search_along(fixed, x, system, 5.0 * step)
     length = float(np.linalg.norm(candidate - x) / np.linalg.norm(5.0 * step))
     assert min(abs(length - part) for part in STEP_FRACTIONS) < 1e-9
-    assert cost <= system.cost + ENOUGH * length * 5.0 * slope
+    assert cost <= system.cost + MIN_DECREASE_SHARE * length * 5.0 * slope
     assert cost == solver.cost(fixed, candidate)
     # up the hill nothing is enough
     assert solver._search_along(fixed, x, system, -step)[1] == np.inf

@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 
 from polhode.cli.main import main
-from polhode.compare.comparison import FORMER_MARK, FORMER_TEXT, claim, store_row
+from polhode.compare.comparison import claim, store_row
 from polhode.compare.problem.sources import SCENES
 from polhode.compare.rows import Row, read_comparison
 from polhode.config.compare_settings import Motion
@@ -81,9 +81,7 @@ def test_the_comparison_of_another_person_runs_no_code(
 ) -> None:
     """Everything in the folder that a comparison reads or once read is a trap, or not what it should be."""
     out, sprung = tmp_path / "out", tmp_path / "sprung"
-    for part in ("rows", "problems"):
-        (out / part).mkdir(parents=True)
-    (out / FORMER_MARK).write_bytes(FORMER_TEXT)
+    claim(out)
     pickled = trap(sprung)
     for name in ("stored.pickle", "stored.problem.npz", "stored.npz"):
         (out / "problems" / name).write_bytes(pickled)

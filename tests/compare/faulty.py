@@ -20,7 +20,7 @@ class Faulty:
             monitor.record(1.0)
             monitor.report(f"3 of {problem.data.n_frames} frames were in")
             time.sleep(3600.0)
-        monitor.record(problem.fixed.half_log_det, x)
+        monitor.record(problem.fixed.steps.half_log_det, x)
         if self.how == "crashes":
             os.abort()
         if self.how == "exits":

@@ -15,15 +15,11 @@ def beaten(rows: list[Row], solver: str = "own") -> list[str]:
 
 def test_a_row_is_beaten_by_the_faster_and_by_the_more_accurate_and_as_fast() -> None:
     own = row("own", 10.001, 1.0)
-    faster_and_worse = row("faster and worse", 10.01, 0.1, status="baseline")
-    more_accurate = row("more accurate, as fast", 10.0, 1.05)
+    worse = row("faster and worse", 10.01, 0.1, status="baseline")
     slower = row("more accurate, slower", 10.0, 1.2)
-    faster = row("faster, equal", 10.001, 0.5)
-    assert beaten([own, faster_and_worse, more_accurate, slower, faster]) == [
-        "faster, equal",
-        "more accurate, as fast",
-    ]
-    assert beaten([own, faster_and_worse, slower]) == []
+    both = [row("more accurate, as fast", 10.0, 1.05), row("faster, equal", 10.001, 0.5)]
+    assert beaten([own, worse, slower, *both]) == ["faster, equal", "more accurate, as fast"]
+    assert beaten([own, worse, slower]) == []
 
 
 def test_within_noise_of_time_and_agreement_of_costs_all_are_equal() -> None:
@@ -33,10 +29,7 @@ def test_within_noise_of_time_and_agreement_of_costs_all_are_equal() -> None:
 
 
 def test_a_row_that_did_not_finish_is_beaten_and_beats_none() -> None:
-    rows = [
-        row("own", 10.0, 1.0, status="timeout"),
-        row("slow", 12.0, 9.0),
-        row("died", 9.0, 0.1, status="failed"),
-    ]
+    died = row("died", 9.0, 0.1, status="failed")
+    rows = [row("own", 10.0, 1.0, status="timeout"), row("slow", 12.0, 9.0), died]
     assert beaten(rows) == ["slow"]
     assert beaten(rows, "slow") == []

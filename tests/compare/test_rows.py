@@ -78,14 +78,9 @@ def test_another_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_profiles_count_what_was_solved_at_the_least_cost() -> None:
-    rows = [
-        row("fast", 10.0, 1.0),
-        row("slow", 10.0, 3.0),
-        row("wrong", 11.0, 0.1),
-        row("fast", 20.0, 4.0, problem="b"),
-        row("slow", 20.0, 2.0, problem="b"),
-        row("wrong", 20.0, 9.0, problem="b", status="failed"),
-    ]
+    rows = [row("fast", 10.0, 1.0), row("slow", 10.0, 3.0), row("wrong", 11.0, 0.1)]
+    rows += [row("fast", 20.0, 4.0, problem="b"), row("slow", 20.0, 2.0, problem="b")]
+    rows.append(row("wrong", 20.0, 9.0, problem="b", status="failed"))
     found = {each.solver: each for each in comparison(rows).profiles}
     factor, share = curve(found["fast"])
     assert factor.tolist() == [1.0, 1.0, 2.0, 100.0]
@@ -131,12 +126,8 @@ def test_texts_of_rows_are_shown_as_text_and_never_run(tmp_path: Path) -> None:
 
 def test_the_page_tells_how_many_cases_were_run(tmp_path: Path) -> None:
     absent = {"status": "missing", "ran": False, "kept": "nothing", "problem": "b"}
-    rows = [
-        row("x", 10.0, 1.0),
-        row("x", 20.0, 1.0, problem="b"),
-        row("y", 10.0, 2.0),
-        row("y", None, 0.0, **absent),
-    ]
+    rows = [row("x", 10.0, 1.0), row("x", 20.0, 1.0, problem="b"), row("y", 10.0, 2.0)]
+    rows.append(row("y", None, 0.0, **absent))
     write_page(comparison(rows), tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
     page += text_of_figures(page)
@@ -178,11 +169,12 @@ def test_growth_is_fitted_to_three_sizes() -> None:
 
 
 def test_the_front_holds_the_fastest_of_the_accurate() -> None:
+    baseline = {"status": "baseline", "claim": "baseline"}
     rows = [
         row("slow and good", 10.0, 5.0),
         row("good", 10.0 + 1e-7, 2.0),
-        row("rough", 12.0, 0.5, status="baseline", claim="baseline"),
-        row("slow and rough", 13.0, 1.0, status="baseline", claim="baseline"),
+        row("rough", 12.0, 0.5, **baseline),
+        row("slow and rough", 13.0, 1.0, **baseline),
         row("failed", 10.0, 0.1, status="failed"),
     ]
     assert [each.solver for each in front(rows, 10.0)] == ["rough", "good"]

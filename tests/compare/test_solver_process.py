@@ -47,32 +47,19 @@ def test_a_crash_is_a_failed_row_with_what_was_reached(small_file: Path) -> None
     assert_start_is_kept(found, small_file)
 
 
-def test_a_process_that_ends_without_an_answer_is_a_failed_row(small_file: Path) -> None:
-    found = row(small_file, "exits")
-    assert found.status == "failed"
-    assert "ended with 3" in found.message
-
-
-def test_convergence_that_the_common_cost_does_not_confirm_is_a_failure(small_file: Path) -> None:
-    found = row(small_file, "lies")
-    assert found.status == "failed"
-    assert "left to gain" in found.message
-    assert found.cost is not None and found.gain_left is not None and found.gain_left > 1e-6
-
-
-def test_a_point_without_a_cost_is_a_failure(small_file: Path) -> None:
-    found = row(small_file, "nonsense")
-    assert found.status == "failed"
-    assert found.cost is None
+@pytest.mark.parametrize(
+    ("how", "message"), [("exits", "ended with 3"), ("lies", "left to gain"), ("nonsense", "no finite cost")]
+)
+def test_no_answer_a_false_one_and_nonsense_are_failed_rows(how: str, message: str, small_file: Path) -> None:
+    found = row(small_file, how)
+    assert found.status == "failed" and message in found.message
+    assert (found.cost is None) == (how == "nonsense")
+    assert how != "lies" or (found.gain_left is not None and found.gain_left > 1e-6)
 
 
 def test_numbers_that_are_not_finite_are_none_in_a_row(small_file: Path) -> None:
-    nested = {
-        "cost": float("inf"),
-        "errors": {"k1": float("nan"), "k2": 1.0},
-        "trace": [(0.0, 1.0)],
-        "status": "ok",
-    }
+    errors = {"k1": float("nan"), "k2": 1.0}
+    nested = {"cost": float("inf"), "errors": errors, "trace": [(0.0, 1.0)], "status": "ok"}
     assert storable(nested) == {**nested, "cost": None, "errors": {"k1": None, "k2": 1.0}}
 
 

@@ -18,7 +18,7 @@ from polhode.rig_calibration import read_calibration
 from tests.calibration.board_images import BoardCamera, printed
 from tests.calibration.rendered_rigs import board_pose
 from tests.docs.page_code import ROOT
-from tests.importers.recordings import original, write_folders, write_ros1, write_side_by_side
+from tests.importers.recordings import original, write_folders
 
 FRAMES = 8
 BOARD_VIEWS = 7

@@ -11,16 +11,14 @@ from polhode.backend.outliers_and_noise.correlated_noise import (
     turns_between,
 )
 from polhode.backend.problem.motion_data import MotionData, motion_data
-from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.solvers.linearization_point import linearization_point
 from polhode.backend.uncertainty.covariance import observation_jacobians
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, exp_so3
 from polhode.simulation.monte_carlo import SyntheticScene, generate
-from tests.backend.outliers_and_noise.test_outliers import at_truth
+from tests.backend.motions import BOX, at_truth
 
 SCENE = SyntheticScene(
-    frames=30, landmarks=1500, detection=0.7, w_G=(0.3, 0.2, 0.25), J_G=np.diag([1.5, 1.2, 0.9]),
+    frames=30, landmarks=1500, detection=0.7, w_G=(0.3, 0.2, 0.25), J_G=BOX,
     sigma_uv_px=0.3, sigma_d_px=0.2,
 )  # fmt: skip
 
@@ -28,11 +26,11 @@ SCENE = SyntheticScene(
 def exact() -> tuple[MotionData, Array, Array]:
     """Measurements without noise at the truth; derivatives in the landmarks; turns between the frames."""
     sequence = generate(replace(SCENE, sigma_uv_px=1e-9, sigma_d_px=1e-9), 5)
-    data, iterate = at_truth(sequence)
-    data = replace(data, inv_sigma=np.broadcast_to(1.0 / np.array([0.3, 0.3, 0.2]), data.uvd_px.shape))
-    fixed = linearization_point(data, iterate)
-    to_landmark = observation_jacobians(GaussNewton(data), fixed, iterate.vector())[1]
-    return data, to_landmark, turns_between(iterate.R_NG, data.R_RN @ iterate.R_NG)
+    fit = at_truth(sequence)
+    inv_sigma = np.broadcast_to(1.0 / np.array([0.3, 0.3, 0.2]), fit.data.uvd_px.shape)
+    fit = fit.with_data(inv_sigma=inv_sigma)
+    R_NG = fit.iterate.R_NG
+    return fit.data, observation_jacobians(fit)[1], turns_between(R_NG, fit.data.R_RN @ R_NG)
 
 
 def after_the_fit(data: MotionData, to_landmark: Array, errors: Array) -> Array:

@@ -7,20 +7,19 @@ import numpy as np
 import pytest
 
 from polhode.backend.outliers_and_noise.inspector_swing import (
-    LENGTHS,
+    CORRELATION_LENGTHS,
     InspectorSwing,
     directions_across,
     find_swing,
     smooth_functions,
 )
-from polhode.backend.problem.inertia import second_moments_from_inertia
-from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
+from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.solve import refine
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, exp_so3
 from polhode.simulation.monte_carlo import generate, random_scene
+from tests.backend.motions import at_truth
 
 FRAMES = 30
 K: Array = np.arange(FRAMES, dtype=np.float64)
@@ -39,7 +38,6 @@ def swing_of(
     )
     sequence = generate(scene, 4)
     X_NR = sequence.X_NR.copy()
-    X_NG = sequence.X_NG.copy()
     if swings:
         X_NR[:, :3, :3] = exp_so3(SWING) @ X_NR[:, :3, :3]
     tracks, truth = sequence.tracks, sequence.truth
@@ -53,23 +51,13 @@ def swing_of(
         landmark=first.astype(np.int64),
         **{name: getattr(tracks, name)[few] for name in ("frame", "uvd_px", "sigma_px")},
     )
-    data = motion_data(tracks, Backend(accel_psd=found_psd, torque_psd=10.0 * found_psd))
-    R_GP = truth.R_GP
-    J_G = R_GP @ np.diag(truth.moments) @ R_GP.T
-    xi, R_inertia = data.form.coordinates(second_moments_from_inertia(J_G, 0.0))
-    start = Iterate(
-        p_NG=X_NG[:frames, :3, 3],
-        R_NG=X_NG[:frames, :3, :3],
-        v_N=truth.v_N[:frames],
-        w_G=truth.w_P[:frames] @ R_GP.T,
-        com_G=truth.com_G,
-        xi=xi,
-        R_inertia=R_inertia,
-        p_G=sequence.p_G[landmark],
-        camera=np.zeros((frames, 6)) if data.camera_is_noisy else None,
+    short = replace(truth, v_N=truth.v_N[:frames], w_P=truth.w_P[:frames])
+    part = replace(
+        sequence, tracks=tracks, truth=short, X_NG=sequence.X_NG[:frames], p_G=sequence.p_G[landmark]
     )
-    solution = refine(GaussNewton(data, line_search=True), data, start, 20)[0]
-    return find_swing(data, solution)
+    start = at_truth(part, Backend(accel_psd=found_psd, torque_psd=10.0 * found_psd))
+    solution = refine(GaussNewton(start.data, line_search=True), start.iterate, 20)[0]
+    return find_swing(MotionFit(start.data, solution))
 
 
 def test_a_swing_is_found_with_its_course() -> None:
@@ -100,7 +88,7 @@ def test_too_few_frames_say_nothing() -> None:
 def test_the_functions_have_the_correlation_of_a_swing() -> None:
     functions, roots = smooth_functions(np.full(59, 0.5))
     between = np.subtract.outer(np.arange(60.0), np.arange(60.0)) / 59.0
-    for length, root in zip(LENGTHS, roots, strict=True):
+    for length, root in zip(CORRELATION_LENGTHS, roots, strict=True):
         spread = functions @ root
         assert spread @ spread.T == pytest.approx(np.exp(-0.5 * (between / length) ** 2), abs=3e-3)
 

@@ -5,25 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.backend import initialize_motion
-from polhode.backend.initialization.multistart import initial_guesses, try_hypotheses
 from polhode.backend.outliers_and_noise.process_level import (
-    AGREEING,
+    AGREEING_EVIDENCE,
     FLOOR_PSD,
-    INDIFFERENT,
+    INSIGNIFICANT_EVIDENCE,
     LevelSearch,
     estimate_process_noise,
     fit_level,
     with_level,
 )
-from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.chain import half_log_det
 from polhode.backend.solvers.condensed import CondensedGaussNewton, VisionExpansion, without_landmarks
 from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, linearization_point
+from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, MotionFit
 from polhode.config.backend_settings import Backend
 from polhode.simulation.monte_carlo import SyntheticScene, generate
+from tests.backend.motions import best_hypothesis
 
 SCENE = SyntheticScene(
     frames=24, landmarks=120, detection=0.5, w_G=(0.3, 0.5, 0.35), J_G=np.diag([3.0e-2, 2.4e-2, 1.8e-2]),
@@ -32,24 +29,17 @@ SCENE = SyntheticScene(
 
 
 @pytest.fixture(scope="module", params=[0.0, 2e-3], ids=["exact camera", "noisy camera"])
-def fitted(request: pytest.FixtureRequest) -> tuple[MotionData, Iterate]:
+def fitted(request: pytest.FixtureRequest) -> MotionFit:
     """A problem and its solution under the stated process noise."""
     sequence = generate(SCENE, seed=3)
     tracks = replace(sequence.tracks, sigma_camera_theta_rad=request.param)
-    config = Backend()
-    data = motion_data(tracks, config)
-    initial = initialize_motion(tracks, sequence.relative, config)
-    trials = try_hypotheses(data, initial_guesses(tracks, initial, data), lambda: None)
-    best = min(trials.values(), key=lambda trial: trial.cost).iterate
-    found = fit_level(data, best, data.accel_psd, data.torque_psd, 30)
-    return found.data, found.iterate
+    found = fit_level(best_hypothesis(replace(sequence, tracks=tracks), Backend()), 30)
+    return MotionFit(found.data, found.iterate)
 
 
-def test_gradient_and_information_are_those_of_the_whole_problem(
-    fitted: tuple[MotionData, Iterate],
-) -> None:
-    data, iterate = fitted
-    vision = VisionExpansion.of(data, iterate)
+def test_gradient_and_information_are_those_of_the_whole_problem(fitted: MotionFit) -> None:
+    data, iterate = fitted.data, fitted.iterate
+    vision = VisionExpansion.of(fitted)
     condensed, whole = CondensedGaussNewton(data, vision), GaussNewton(data)
     fixed = condensed.linearization_point()
     system = whole.normal_equations(fixed, iterate.vector())
@@ -65,14 +55,14 @@ def test_gradient_and_information_are_those_of_the_whole_problem(
     assert np.abs((of_states.g - slope) / scale).max() < 1e-6
 
 
-def test_landmarks_follow_the_poses(fitted: tuple[MotionData, Iterate]) -> None:
-    data, iterate = fitted
-    vision = VisionExpansion.of(data, iterate)
+def test_landmarks_follow_the_poses(fitted: MotionFit) -> None:
+    data, iterate = fitted.data, fitted.iterate
+    vision = VisionExpansion.of(fitted)
     x = without_landmarks(iterate)
     # 0.2 mm along the line of sight, as an inertia changes the poses
     x[: iterate.n_states].reshape(-1, iterate.n_state)[5:8, 2] += 2e-4
     followed = vision.iterate(x)
-    whole, fixed = GaussNewton(data), linearization_point(data, iterate, TIGHT_GAUGE)
+    whole, fixed = GaussNewton(data), fitted.linearized(TIGHT_GAUGE)
     stayed = np.concatenate([x, iterate.p_G.ravel()])
     moved = np.concatenate([x, followed.p_G.ravel()])
     predicted, _ = vision.at(x)
@@ -96,29 +86,25 @@ def test_the_determinant_of_the_chain_is_that_of_the_dense_matrix() -> None:
     )
 
 
-def test_evidence_differs_between_levels_as_that_of_the_whole_problem(
-    fitted: tuple[MotionData, Iterate],
-) -> None:
-    data, iterate = fitted
-    search = LevelSearch(data, iterate)
+def test_evidence_differs_between_levels_as_that_of_the_whole_problem(fitted: MotionFit) -> None:
+    data, search = fitted.data, LevelSearch(fitted)
     levels = [(1e-8, 1e-8), (1e-9, 1e-8), (1e-8, 1e-9), (1e-7, 1e-7)]
     condensed = [
         search.fit(with_level(data, *level), search.start, 10).minus_log_evidence for level in levels
     ]
-    whole = [fit_level(data, iterate, *level, 10).minus_log_evidence for level in levels]
-    assert np.allclose(np.diff(condensed), np.diff(whole), atol=AGREEING)
+    each = [MotionFit(with_level(data, *level), fitted.iterate) for level in levels]
+    whole = [fit_level(fit, 10).minus_log_evidence for fit in each]
+    assert np.allclose(np.diff(condensed), np.diff(whole), atol=AGREEING_EVIDENCE)
 
 
-def test_the_level_found_is_as_likely_as_any_of_its_neighbours(fitted: tuple[MotionData, Iterate]) -> None:
-    data, iterate = fitted
-    best = estimate_process_noise(data, iterate)
+def test_the_level_found_is_as_likely_as_any_of_its_neighbours(fitted: MotionFit) -> None:
+    data, best = fitted.data, estimate_process_noise(fitted)
     levels = np.array([best.data.accel_psd, best.data.torque_psd])
     assert np.all(levels >= FLOOR_PSD)
     assert levels[0] <= data.accel_psd and levels[1] <= data.torque_psd
     # each level is raised towards the stated one while that is not significant
-    most = best.minus_log_evidence - 2.0 * INDIFFERENT - AGREEING
-    assert fit_level(data, best.iterate, 1e-8, 1e-8, 10).minus_log_evidence > most
-    for factors in ((10.0, 1.0), (0.1, 1.0), (1.0, 10.0), (1.0, 0.1)):
-        accel_psd, torque_psd = levels * factors
-        other = fit_level(data, best.iterate, accel_psd, torque_psd, 10)
-        assert other.minus_log_evidence > most
+    most = best.minus_log_evidence - 2.0 * INSIGNIFICANT_EVIDENCE - AGREEING_EVIDENCE
+    neighbours = [levels * factors for factors in ((10.0, 1.0), (0.1, 1.0), (1.0, 10.0), (1.0, 0.1))]
+    for accel_psd, torque_psd in [np.array([1e-8, 1e-8]), *neighbours]:
+        other = MotionFit(with_level(data, accel_psd, torque_psd), best.iterate)
+        assert fit_level(other, 10).minus_log_evidence > most

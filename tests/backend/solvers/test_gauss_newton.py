@@ -5,26 +5,20 @@ from dataclasses import replace
 import pytest
 from scipy.linalg import LinAlgError
 
-from polhode.backend import initialize_motion
-from polhode.backend.initialization.multistart import initial_guesses
-from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.gauss_newton import Damping, GaussNewton, NormalEquations
-from polhode.backend.solvers.linearization_point import LinearizationPoint, linearization_point
+from polhode.backend.solvers.linearization_point import LinearizationPoint, MotionFit
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array
 from polhode.simulation.monte_carlo import SyntheticScene, generate
+from tests.backend.motions import cold_start
 
 SCENE = SyntheticScene(frames=16, landmarks=120, detection=0.5, w_G=(0.3, 0.5, 0.35))
 
 
 @pytest.fixture(scope="module")
-def started() -> tuple[MotionData, LinearizationPoint, Array]:
+def started() -> MotionFit:
     """A problem, and where it begins."""
-    sequence = generate(SCENE, seed=3)
-    data = motion_data(sequence.tracks, Backend())
-    initial = initialize_motion(sequence.tracks, sequence.relative, Backend())
-    iterate = initial_guesses(sequence.tracks, initial, data)[0].iterate
-    return data, linearization_point(data, iterate), iterate.vector()
+    return cold_start(generate(SCENE, seed=3), Backend())
 
 
 class WithKernelCurvature(GaussNewton):
@@ -41,10 +35,8 @@ class WithKernelCurvature(GaussNewton):
         return system
 
 
-def test_where_no_damping_helps_a_step_ends_with_an_error(
-    started: tuple[MotionData, LinearizationPoint, Array],
-) -> None:
-    data, fixed, x = started
+def test_where_no_damping_helps_a_step_ends_with_an_error(started: MotionFit) -> None:
+    data, fixed, x = started.data, started.linearized(), started.iterate.vector()
     solver = GaussNewton(data)
     system = solver.normal_equations(fixed, x)
     system.H[0, 0] = -1.0
@@ -53,9 +45,9 @@ def test_where_no_damping_helps_a_step_ends_with_an_error(
 
 
 def test_where_the_curvature_of_the_kernel_does_harm_the_solver_goes_on_without_it(
-    started: tuple[MotionData, LinearizationPoint, Array],
+    started: MotionFit,
 ) -> None:
-    data, fixed, x = started
+    data, fixed, x = started.data, started.linearized(), started.iterate.vector()
     usual = GaussNewton(data).solve(fixed, x, 20)
     found = WithKernelCurvature(data).solve(fixed, x, 20)
     assert found.cost == pytest.approx(usual.cost, rel=1e-6)

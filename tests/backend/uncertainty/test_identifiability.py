@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from polhode.backend import estimate_motion, initialize_motion
 from polhode.backend.uncertainty.identifiability import (
     NAMES,
     analyse,
@@ -13,11 +12,10 @@ from polhode.backend.uncertainty.identifiability import (
 from polhode.backend.uncertainty.principal_axes import AxesDerivative
 from polhode.config.backend_settings import Backend
 from polhode.lie import hat
-from polhode.progress import Silent
 from polhode.records import Identifiability, MotionEstimate
 from polhode.simulation.monte_carlo import SyntheticScene, generate
+from tests.backend.motions import BOX, estimated
 
-BOX = np.diag([1.5, 1.2, 0.9])
 SYMMETRIC = np.diag([1.3, 1.3, 0.8])
 
 
@@ -34,8 +32,7 @@ def estimate(
         solver="gauss_newton", process_noise="given", accel_psd=psd, torque_psd=psd,
         max_iterations=max_iterations,
     )  # fmt: skip
-    initial = initialize_motion(sequence.tracks, sequence.relative, config)
-    return estimate_motion(sequence.tracks, initial, config, Silent())
+    return estimated(sequence, config)
 
 
 def verdict(sigma: list[float], moments: list[float]) -> Identifiability:
@@ -50,9 +47,8 @@ def lost(motion: MotionEstimate) -> set[str]:
 
 @pytest.mark.parametrize(
     ("w_G", "psd"),
-    [((0.4, 0.5, 0.45), 1e-8), ((0.4, 0.5, 0.45), 1e-6), ((0.8, 0.1, 0.1), 1e-6), ((0.1, 0.1, 0.8), 1e-8),
-     ((0.8, 0.03, 0.0), 1e-8), ((0.1, 0.8, 0.1), 1e-8)],
-    ids=["tumble", "disturbed tumble", "near the major axis", "near the minor axis", "wobble", "flip"],
+    [((0.4, 0.5, 0.45), 1e-6), ((0.8, 0.1, 0.1), 1e-6), ((0.1, 0.1, 0.8), 1e-8), ((0.8, 0.03, 0.0), 1e-8)],
+    ids=["disturbed tumble", "near the major axis", "near the minor axis", "wobble"],
 )  # fmt: skip
 def test_a_nutating_body_of_unequal_moments_is_determined_whole(
     w_G: tuple[float, float, float], psd: float

@@ -52,5 +52,5 @@ def problem_of(window: SlidingWindow) -> tuple[WindowProblem, Array]:
     state, history = window.state, window.state.history
     assert history is not None
     x = history.vector(state.active.constants)
-    vision = history.vision(state.active, state.condensed(state.observations())).quadratic
-    return WindowProblem(vision, history.R_ref, history.steps, state.weak_prior, state.prior), x
+    vision = history.vision(state.active, state.condensed()).quadratic
+    return state.problem(vision, history.R_ref, history.steps), x

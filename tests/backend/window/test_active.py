@@ -9,13 +9,9 @@ from polhode.lie import Array
 
 
 def frame(number: int, noisy: bool) -> Frame:
-    rng = np.random.default_rng(number)
-    none = np.zeros((0, 3))
+    x = np.random.default_rng(number).normal(0.0, 0.1, 12)
     information = np.eye(6) if noisy else None
-    return Frame(
-        number, float(number), np.eye(3), np.zeros(3), np.zeros(0, np.int64), none, none, np.eye(3),
-        rng.normal(0.0, 0.1, 12), information,
-    )  # fmt: skip
+    return Frame(number, float(number), np.eye(4), np.eye(3), x, camera_information=information)
 
 
 def random_information(n: int, seed: int) -> tuple[Array, Array]:
@@ -72,6 +68,6 @@ def test_vector_is_taken_back() -> None:
     for noisy in (False, True):
         active, _ = filled(noisy)
         x = np.arange(len(active.vector()), dtype=float)
-        active.take(x)
+        active.set_vector(x)
         np.testing.assert_array_equal(active.vector(), x)
         np.testing.assert_array_equal(active.recent[0].x[:6] == active.recent[0].seen, not noisy)

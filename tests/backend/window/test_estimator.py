@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.monte_carlo.window import first_frames
 from polhode.backend import (
     align_online_estimate,
     estimate_motion,
@@ -19,8 +18,14 @@ from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.solve import refine
 from polhode.backend.window.causal_state import OnlineState
-from polhode.backend.window.estimator import SlidingWindow, without_claims_after_torques
+from polhode.backend.window.estimator import (
+    WARM_UP_FRAMES,
+    SlidingWindow,
+    warm_up,
+    without_claims_after_torques,
+)
 from polhode.backend.window.frame import FrameMeasurements, frames_of
+from polhode.camera import RectifiedRig
 from polhode.config.backend_settings import Backend
 from polhode.lie import Array, inverse_pose, log_so3, transform_points
 from polhode.progress import Silent
@@ -79,7 +84,7 @@ def test_a_window_that_covers_everything_is_full_smoothing() -> None:
     start = Iterate(
         X[:, :3, 3], X[:, :3, :3], truth.v_N, truth.w_P @ R_GP.T, truth.com_G, xi, R_inertia, sequence.p_G
     )
-    whole, _, _ = refine(GaussNewton(data), data, start, 50)
+    whole, _, _ = refine(GaussNewton(data), start, 50)
     J = whole.J_G(data.form)
     moments = np.linalg.eigvalsh(J)[::-1]
     k = np.log(moments[:2] / moments[1:])
@@ -256,10 +261,27 @@ def test_after_a_known_torque_the_rotation_is_not_claimed(
     assert without_claims_after_torques(online, Wrench(times, torque, force)) is online
 
 
-def test_a_window_longer_than_the_sequence_is_said_and_works(tumble: SyntheticSequence) -> None:
-    short = first_frames(tumble, 10)
+def test_a_window_longer_than_the_sequence_is_said_and_works() -> None:
+    tracks = generate(replace(TUMBLE, frames=10), 0).tracks
     for frames, expected in ((10, 0), (40, 1)):
         config = Backend.model_validate({"process_noise": "given", "window": {"frames": frames}})
         assert len(window_warnings(10, config)) == expected
-        assert np.isfinite(estimate_online(short.tracks, config, Silent()).r_N).all()
+        assert np.isfinite(estimate_online(tracks, config, Silent()).r_N).all()
     assert "backend.window.frames" in window_warnings(10, config)[0]
+
+
+def test_a_window_follows_the_body_that_it_is_warmed_up_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    added = []
+    add = SlidingWindow.add
+
+    def noted(window: SlidingWindow, measurements: FrameMeasurements) -> OnlineState:
+        state = add(window, measurements)
+        added.append((state, window.accepted, window.restarts, window.sigma_rate))
+        return state
+
+    monkeypatch.setattr(SlidingWindow, "add", noted)
+    warm_up(RectifiedRig(400.0, 160.0, 128.0, 0.1, 320, 256), Backend())
+    # 17 degrees in half a second
+    state, accepted, restarts, sigma = added[-1]
+    assert len(added) == WARM_UP_FRAMES and accepted > 30 and restarts == 0
+    assert 0.5 < np.linalg.norm(state.w_P) < 0.7 and sigma < 0.05

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polhode.backend.window.ipopt import IpoptSolver
-from polhode.backend.window.problem import NewtonSolver
+from polhode.backend.window.problem import solve_newton
 from polhode.backend.window.solve import confirmed
 from polhode.simulation.monte_carlo import SyntheticSequence
 from tests.backend.window.conftest import Feed, problem_of
@@ -21,8 +21,8 @@ def test_same_optimum_as_gauss_newton(
     problem, x = problem_of(window)
     away = x + 0.3 * np.random.default_rng(2).normal(0.0, [*[1e-3] * (len(x) - 8), *[2e-3] * 3, *[0.02] * 5])
     # fewer states than places: the others are masked
-    found = IpoptSolver(places).solve(problem, away, 100)
-    best = NewtonSolver().solve(problem, away, 50)
+    found = IpoptSolver(places).solve(problem, away)
+    best = solve_newton(problem, away, 50)
     _, H, _ = problem.normal_equations(best.x)
     apart = found.x - best.x
     assert found.converged
@@ -34,16 +34,16 @@ def test_a_second_problem_needs_no_new_program(tumble: SyntheticSequence, feed: 
     window, _ = feed(tumble, 10, frames=30)
     problem, x = problem_of(window)
     solver = IpoptSolver(12)
-    solver.solve(problem, x, 100)
+    solver.solve(problem, x)
     program = solver._program
-    assert solver.solve(problem, x + 1e-4, 100).converged
+    assert solver.solve(problem, x + 1e-4).converged
     assert solver._program is program
 
 
 def test_an_optimum_far_from_gauss_newtons_is_not_the_windows(tumble: SyntheticSequence, feed: Feed) -> None:
     window, _ = feed(tumble, 14, frames=30)
     problem, x = problem_of(window)
-    best = NewtonSolver().solve(problem, x, 50)
+    best = solve_newton(problem, x, 50)
     _, H, _ = problem.normal_equations(best.x)
     along = np.eye(len(x))[0] / np.sqrt(H[0, 0])
     near, far = replace(best, x=best.x + 0.9 * along), replace(best, x=best.x + 1.1 * along)

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.backend.problem.inertia import FORMS
+from polhode.backend.dynamics.residuals import Steps, add_steps, dynamics_residuals
+from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
+from polhode.backend.problem.iterate import N_STATE
 from polhode.backend.window.problem import (
-    NO_FACTORS,
     DisturbanceLevels,
-    NewtonSolver,
     Quadratic,
     WindowProblem,
-    add_factors,
     eliminate,
-    factor_jacobians,
-    factor_residuals,
-    make_factors,
+    solve_newton,
+    states_of_vector,
+    step_jacobians,
+    whitened_steps,
 )
 from polhode.lie import Array, exp_so3
 from polhode.simulation.monte_carlo import SyntheticSequence
@@ -24,6 +24,7 @@ from tests.backend.window.conftest import Feed, problem_of
 
 RNG = np.random.default_rng(1)
 DT_S = np.array([0.5, 0.3, 0.7])
+LEVELS = DisturbanceLevels(1e-6, 1e-6)
 
 
 def information(n: int, seed: int) -> tuple[Array, Array]:
@@ -77,17 +78,19 @@ def test_gradient_of_the_steps_cost(name: str) -> None:
     x, R_ref = unknowns()
     xi, R_inertia = form.coordinates(np.diag([1.0, 1.4, 2.0]))
     x[-5:] += xi
-    factors = make_factors(
-        x[:-8].reshape(-1, 12)[:-1, 9:], np.eye(3), np.eye(3), DT_S, DisturbanceLevels(1e-6, 1e-6)
-    )
-    r, D = factor_jacobians(x, R_ref, factors, form, R_inertia)
-    np.testing.assert_allclose(factor_residuals(x, R_ref, factors, form, R_inertia), r)
-    H, g = np.zeros((56, 56)), np.zeros(56)
-    add_factors(H, g, r, D, 12 * np.arange(3))
-    step = 1e-6
+    steps = whitened_steps(x[:-8].reshape(-1, 12)[:-1, 9:], np.eye(3), np.eye(3), DT_S, LEVELS)
+
+    def residuals(x: Array) -> Array:
+        J_G = inertia_from_second_moments(form.second_moments(x[-5:], R_inertia))
+        return dynamics_residuals(states_of_vector(x, R_ref), steps, J_G)
 
     def cost(x: Array) -> float:
-        return 0.5 * float(np.sum(factor_residuals(x, R_ref, factors, form, R_inertia) ** 2))
+        return 0.5 * float(np.sum(residuals(x) ** 2))
+
+    r, D = step_jacobians(x, R_ref, steps, form, R_inertia)
+    np.testing.assert_allclose(residuals(x), r)
+    H, g, step = np.zeros((56, 56)), np.zeros(56), 1e-6
+    add_steps(H, g, r, D, N_STATE)
 
     slope = [(cost(x + step * e) - cost(x - step * e)) / (2 * step) for e in np.eye(56)]
     np.testing.assert_allclose(g, slope, rtol=1e-5, atol=1e-5 * np.abs(g).max())
@@ -96,10 +99,11 @@ def test_gradient_of_the_steps_cost(name: str) -> None:
 
 def test_links_are_split_and_joined() -> None:
     w_G = np.tile([0.3, 0.5, -0.2], (3, 1))
-    factors = make_factors(w_G, np.eye(3), np.eye(3), DT_S, DisturbanceLevels(1e-6, 1e-6))
-    again = NO_FACTORS.and_then(factors.part(slice(0, 1))).and_then(factors.part(slice(1, None)))
-    assert len(again) == 3
-    np.testing.assert_array_equal(again.steps.W_r, factors.steps.W_r)
+    steps = whitened_steps(w_G, np.eye(3), np.eye(3), DT_S, LEVELS)
+    again = Steps.none().and_then(steps.part(slice(0, 1))).and_then(steps.part(slice(1, None)))
+    np.testing.assert_array_equal(again.dt_s, DT_S)
+    np.testing.assert_array_equal(again.W_r, steps.W_r)
+    assert steps.and_then(steps).half_log_det == 2.0 * steps.half_log_det != 0.0
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +126,7 @@ def test_gradient_is_that_of_the_cost(solved: tuple[WindowProblem, Array]) -> No
 
 def test_the_window_rests_at_the_optimum(solved: tuple[WindowProblem, Array]) -> None:
     problem, x = solved
-    solution = NewtonSolver().solve(problem, x, 20)
+    solution = solve_newton(problem, x, 20)
     assert solution.converged
     assert problem.cost(x) - solution.cost < 0.02
 
@@ -132,19 +136,18 @@ def test_a_wrong_inertia_is_corrected(solved: tuple[WindowProblem, Array]) -> No
     wrong = x.copy()
     wrong[-5:] += [0.3, -0.2, 0.1, 0.2, -0.1]
     wrong[-8:-5] += 0.02
-    solution = NewtonSolver().solve(problem, wrong, 40)
+    solution = solve_newton(problem, wrong, 40)
     assert solution.converged
-    best = NewtonSolver().solve(problem, x, 40)
+    best = solve_newton(problem, x, 40)
     assert solution.cost == pytest.approx(best.cost, abs=0.01)
 
 
 def test_rates_far_off_do_not_stop_it_where_frames_follow_fast(solved: tuple[WindowProblem, Array]) -> None:
     problem, x = solved
     # as after 10 ms: steps so stiff that only the states may follow
-    as_it_is = problem.factors.steps
-    steps = replace(as_it_is, W_t=30.0 * as_it_is.W_t, W_r=30.0 * as_it_is.W_r)
-    stiff = replace(problem, factors=replace(problem.factors, steps=steps))
+    soft = problem.steps
+    stiff = replace(problem, steps=replace(soft, W_t=30.0 * soft.W_t, W_r=30.0 * soft.W_r))
     wrong = x.copy()
     wrong[:-8].reshape(-1, 12)[:, 9:] += np.random.default_rng(1).normal(0.0, 0.05, (14, 3))
-    best = NewtonSolver().solve(stiff, x, 40)
-    assert NewtonSolver().solve(stiff, wrong, 60).cost == pytest.approx(best.cost, abs=0.05)
+    best = solve_newton(stiff, x, 40)
+    assert solve_newton(stiff, wrong, 60).cost == pytest.approx(best.cost, abs=0.05)

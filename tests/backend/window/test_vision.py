@@ -5,21 +5,21 @@ import pytest
 
 from polhode.backend.problem.inertia import FORMS
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.motion_data import motion_data
+from polhode.backend.problem.motion_data import motion_data, rig_vector
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import linearization_point
 from polhode.backend.solvers.robust_kernel import robust_gain
-from polhode.backend.window.frame import Frame, camera_of, frames_of
+from polhode.backend.window.frame import Frame, frames_of
 from polhode.backend.window.vision import (
+    FramePoses,
+    ObservationModel,
     condense,
     gather_observations,
     information_of,
     inverted,
-    poses_of,
     residuals,
 )
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 RNG = np.random.default_rng(5)
@@ -35,16 +35,14 @@ def frames(sequence: SyntheticSequence) -> list[Frame]:
     """All frames near their true poses, each landmark kept at its number."""
     out = []
     for k, m in enumerate(frames_of(sequence.tracks)):
-        R_RN, t_R = camera_of(m.X_NR)
         x = np.concatenate([sequence.X_NG[k, :3, 3], RNG.normal(0.0, 0.01, 3), np.zeros(6)])
-        out.append(
-            Frame(k, 0.5 * k, R_RN, t_R, m.landmark, m.uvd_px, 1.0 / m.sigma_px, sequence.X_NG[k, :3, :3], x)
-        )
+        R_ref = sequence.X_NG[k, :3, :3]
+        out.append(Frame(k, 0.5 * k, m.X_NR, R_ref, x, m.landmark, m.uvd_px, 1.0 / m.sigma_px))
     return out
 
 
-def rig_vector(sequence: SyntheticSequence) -> Array:
-    return motion_data(sequence.tracks, Backend()).rig
+def model_of(sequence: SyntheticSequence) -> ObservationModel:
+    return ObservationModel(rig_vector(sequence.tracks.rig), 3.0, 1.0)
 
 
 def test_condensed_vision_is_the_batch_solvers_reduced_system(
@@ -73,7 +71,9 @@ def test_condensed_vision_is_the_batch_solvers_reduced_system(
     at = (12 * np.arange(len(frames))[:, None] + np.arange(6)).ravel()
     S = np.tril(S) + np.tril(S, -1).T
     observations = gather_observations(frames, tracks.n_landmarks)
-    condensed = condense(observations, poses_of(frames), data.rig, sequence.p_G[observations.slot], 3.0)
+    condensed = condense(
+        observations, FramePoses(frames), model_of(sequence), sequence.p_G[observations.slot]
+    )
     np.testing.assert_allclose(condensed.S, S[np.ix_(at, at)], rtol=1e-6, atol=1e-8 * S[at, at].max())
     np.testing.assert_allclose(condensed.g, g[at], rtol=1e-6, atol=1e-8 * np.abs(g).max())
 
@@ -81,30 +81,29 @@ def test_condensed_vision_is_the_batch_solvers_reduced_system(
 def test_what_a_frame_says_given_the_others_completes_what_they_say(
     sequence: SyntheticSequence, frames: list[Frame]
 ) -> None:
-    rig, n = rig_vector(sequence), sequence.tracks.n_landmarks
-    observations, poses = gather_observations(frames, n), poses_of(frames)
+    model, n = model_of(sequence), sequence.tracks.n_landmarks
+    observations, poses = gather_observations(frames, n), FramePoses(frames)
     p_G = sequence.p_G
-    whole = condense(observations, poses, rig, p_G[observations.slot], 3.0)
+    whole = condense(observations, poses, model, p_G[observations.slot])
     common = observations.common_with(3)
-    H, g = information_of(3, common, poses, rig, p_G[common.slot], 3.0)
+    H, g = information_of(3, common, poses, model, p_G[common.slot])
     others = gather_observations([f if f.number != 3 else blind(f) for f in frames], n)
-    rest = condense(others, poses, rig, p_G[others.slot], 3.0)
+    rest = condense(others, poses, model, p_G[others.slot])
     np.testing.assert_allclose(rest.S + H, whole.S, atol=1e-9 * whole.S.max())
     np.testing.assert_allclose(rest.g + g, whole.g, atol=1e-9 * np.abs(whole.g).max())
     assert np.linalg.eigvalsh(H)[0] > -1e-9 * whole.S.max()
 
 
 def blind(frame: Frame) -> Frame:
-    nothing, none = np.zeros(0, np.int64), np.zeros((0, 3))
-    return Frame(frame.number, frame.time_s, frame.R_RN, frame.t_R, nothing, none, none, frame.R_ref, frame.x)
+    return Frame(frame.number, frame.time_s, frame.X_NR, frame.R_ref, frame.x)
 
 
 def test_vision_says_nothing_about_a_motion_of_G_with_all_that_is_in_it(
     sequence: SyntheticSequence, frames: list[Frame]
 ) -> None:
     observations = gather_observations(frames, sequence.tracks.n_landmarks)
-    poses = poses_of(frames)
-    S = condense(observations, poses, rig_vector(sequence), sequence.p_G[observations.slot], 3.0).S
+    poses = FramePoses(frames)
+    S = condense(observations, poses, model_of(sequence), sequence.p_G[observations.slot]).S
     # X_NG Exp(shift, turn): p moves by R shift, theta by Jr^-1 turn
     moves = np.zeros((len(frames), 6, 6))
     moves[:, :3, :3] = np.stack([f.R_NG for f in frames])
@@ -116,12 +115,12 @@ def test_vision_says_nothing_about_a_motion_of_G_with_all_that_is_in_it(
 def test_fixed_linearization_keeps_the_jacobian_but_not_the_residual(
     sequence: SyntheticSequence, frames: list[Frame]
 ) -> None:
-    rig, observations = rig_vector(sequence), gather_observations(frames, sequence.tracks.n_landmarks)
+    rig, observations = model_of(sequence).rig, gather_observations(frames, sequence.tracks.n_landmarks)
     p_G = sequence.p_G[observations.slot]
-    before = poses_of(frames)
+    before = FramePoses(frames)
     frames[2].fix_linearization()
     frames[2].x[:6] += 1e-3
-    after = poses_of(frames)
+    after = FramePoses(frames)
     frames[2].x[:6] -= 1e-3
     frames[2].linearized_at = None
     np.testing.assert_array_equal(after.A_linearized[2], before.A_linearized[2])
@@ -133,7 +132,7 @@ def test_fixed_linearization_keeps_the_jacobian_but_not_the_residual(
 
 def test_landmark_steps_lead_to_the_joint_optimum(sequence: SyntheticSequence, frames: list[Frame]) -> None:
     observations = gather_observations(frames, sequence.tracks.n_landmarks)
-    c = condense(observations, poses_of(frames), rig_vector(sequence), sequence.p_G[observations.slot], 3.0)
+    c = condense(observations, FramePoses(frames), model_of(sequence), sequence.p_G[observations.slot])
     step = RNG.normal(0.0, 1e-4, 6 * len(frames))
     marks = c.landmark_steps(step)
     # at the optimum of a landmark its own gradient vanishes: C step + E^T pose + h = 0

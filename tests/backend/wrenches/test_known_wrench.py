@@ -5,12 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.backend import estimate_motion, initialize_motion
-from polhode.config.backend_settings import Backend
 from polhode.lie import log_so3
-from polhode.progress import Silent
-from polhode.records import MotionEstimate
-from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
+from polhode.simulation.monte_carlo import SyntheticScene, generate
+from tests.backend.motions import QUIET, estimated, sigmas
 
 MOMENTS = np.array([3.0e-2, 2.4e-2, 1.8e-2])
 SCENE = SyntheticScene(
@@ -21,18 +18,12 @@ SCENE = SyntheticScene(
         (12.2, 3.1, (0.0, -1e-2, -2e-2), (0.0, 1.6e-3, 2e-3)),
     ),
 )  # fmt: skip
-KNOWN = Backend(solver="gauss_newton", process_noise="given", accel_psd=1e-8, torque_psd=1e-8)
-
-
-def run(sequence: SyntheticSequence, config: Backend = KNOWN) -> MotionEstimate:
-    initial = initialize_motion(sequence.tracks, sequence.relative, config)
-    return estimate_motion(sequence.tracks, initial, config, Silent())
 
 
 def test_mass_and_inertia_come_out_within_their_sigmas() -> None:
     errors = []
     for seed in range(6):
-        mass = run(generate(SCENE, seed)).mass
+        mass = estimated(generate(SCENE, seed), QUIET).mass
         assert mass.mass_kg is not None and mass.sigma_mass_kg is not None
         assert mass.inertia_scale_kg_m2 is not None and mass.sigma_inertia_scale_kg_m2 is not None
         assert (
@@ -48,7 +39,7 @@ def test_mass_and_inertia_come_out_within_their_sigmas() -> None:
 
 def test_the_torque_fixes_the_half_turn_that_is_reported() -> None:
     sequence = generate(SCENE, 1)
-    estimate = run(sequence)
+    estimate = estimated(sequence, QUIET)
     # without it one of four is picked; with it the axes are those that the torque was given along
     assert np.abs(log_so3(np.swapaxes(estimate.R_NP, 1, 2) @ sequence.truth.R_NP)).max() < 0.1
     others = [cost for name, cost in estimate.solver.runner_up.items() if name.startswith("torque along")]
@@ -57,8 +48,8 @@ def test_the_torque_fixes_the_half_turn_that_is_reported() -> None:
 
 def test_the_motion_stays_within_its_sigmas_through_the_pushes() -> None:
     sequence = generate(SCENE, 2)
-    estimate, truth = run(sequence), sequence.truth
-    sigma = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
+    estimate, truth = estimated(sequence, QUIET), sequence.truth
+    sigma = sigmas(estimate.covariance)
     errors = np.hstack([estimate.r_N - truth.r_N, estimate.v_N - truth.v_N])
     assert np.mean(np.abs(errors) < 3.0 * sigma[:, :6]) > 0.97
     # what the pushes leave is as small as the disturbances
@@ -70,7 +61,7 @@ def test_a_constant_bias_of_the_known_torque_is_estimated() -> None:
     wrench = sequence.tracks.wrench
     assert wrench is not None
     off = replace(wrench, torque_P=wrench.torque_P + np.array([0.0, 6e-5, 0.0]))
-    estimate = run(replace(sequence, tracks=replace(sequence.tracks, wrench=off)))
+    estimate = estimated(replace(sequence, tracks=replace(sequence.tracks, wrench=off)), QUIET)
     mass = estimate.mass
     assert mass.inertia_scale_kg_m2 is not None and mass.sigma_inertia_scale_kg_m2 is not None
     assert abs(mass.inertia_scale_kg_m2 - MOMENTS[1]) < 3.5 * mass.sigma_inertia_scale_kg_m2
@@ -79,7 +70,7 @@ def test_a_constant_bias_of_the_known_torque_is_estimated() -> None:
 
 def test_a_force_without_torque_tells_the_mass_alone() -> None:
     force = tuple((start, length, force_N, (0.0, 0.0, 0.0)) for start, length, force_N, _ in SCENE.pushes)
-    mass = run(generate(replace(SCENE, pushes=force), 4)).mass
+    mass = estimated(generate(replace(SCENE, pushes=force), 4), QUIET).mass
     assert mass.sigma_mass_kg is not None and np.isfinite(mass.sigma_mass_kg)
     assert mass.sigma_inertia_scale_kg_m2 == np.inf
     assert mass.inertia_scale_kg_m2 is not None and np.isfinite(mass.inertia_scale_kg_m2)
@@ -88,13 +79,13 @@ def test_a_force_without_torque_tells_the_mass_alone() -> None:
 
 def test_a_push_too_weak_to_be_seen_determines_nothing_and_harms_nothing() -> None:
     weak = tuple((start, length, (0.0, 0.0, 1e-6), (1e-8, 0.0, 0.0)) for start, length, _, _ in SCENE.pushes)
-    estimate = run(generate(replace(SCENE, pushes=weak), 5))
+    estimate = estimated(generate(replace(SCENE, pushes=weak), 5), QUIET)
     assert estimate.mass.sigma_mass_kg == np.inf and estimate.mass.sigma_inertia_scale_kg_m2 == np.inf
     assert "too small" in estimate.mass.identifiable.detail["mass"]
     assert estimate.mass.identifiable.k1 and estimate.mass.identifiable.k2
 
 
 def test_without_a_wrench_nothing_is_said_of_kilograms() -> None:
-    mass = run(generate(replace(SCENE, pushes=(), frames=20), 6)).mass
+    mass = estimated(generate(replace(SCENE, pushes=(), frames=20), 6), QUIET).mass
     assert mass.mass_kg is None and mass.inertia_scale_kg_m2 is None
     assert "mass" not in mass.identifiable.detail

@@ -52,23 +52,15 @@ def with_wrench(small: MeasuredProblem) -> MeasuredProblem:
     plain = synthetic_problem("wrench", scene, 0, Backend(process_noise="given", inertia="ratios_axes"))
     stamps = (np.concatenate([[0.0], np.cumsum(plain.data.dt_s)]) * 1e9).astype(np.int64)
     known = impulses_of(Wrench(stamps[::4], np.ones((5, 3)), np.full((5, 3), 0.1)), stamps)
-    steps = replace(
-        plain.fixed.steps,
-        force_increments=known.force_increments,
-        torque_P=known.torque(plain.fixed.steps.series),
-    )
+    steps, torque = plain.fixed.steps, known.torque(plain.fixed.steps.series)
+    steps = replace(steps, force_increments=known.force_increments, torque_P=torque)
     reference = replace(plain.fixed.reference, wrench=np.arange(N_WRENCH, dtype=float), R_torque=np.eye(3))
     longer = np.zeros(len(plain.cold) + N_WRENCH)
     loose = np.zeros(plain.data.n_frames - 1, dtype=bool)
     truth = plain.truth and replace(plain.truth, mass_kg=3.0)
-    return replace(
-        plain,
-        data=replace(plain.data, impulses=known, loose=loose),
-        fixed=replace(plain.fixed, steps=steps, reference=reference),
-        cold=longer,
-        solution=longer,
-        truth=truth,
-    )
+    data = replace(plain.data, impulses=known, loose=loose)
+    fixed = replace(plain.fixed, steps=steps, reference=reference)
+    return replace(plain, data=data, fixed=fixed, cold=longer, solution=longer, truth=truth)
 
 
 def test_what_is_read_is_what_was_written(
@@ -76,18 +68,13 @@ def test_what_is_read_is_what_was_written(
 ) -> None:
     assert all(value is not None for path, value in leaves(with_wrench).items() if path != "truth.mesh")
     for problem in (small, with_wrench, replace(small, truth=None)):
-        path = tmp_path / f"x{SUFFIX}"
+        path, again = tmp_path / f"x{SUFFIX}", tmp_path / f"y{SUFFIX}"
         write_problem(problem, path)
         found = read_problem(path)
         assert_same(found, problem)
         assert of_problem(found) == of_problem(problem)
-
-
-def test_the_same_problem_is_the_same_bytes(small: MeasuredProblem, tmp_path: Path) -> None:
-    first, second = tmp_path / f"a{SUFFIX}", tmp_path / f"b{SUFFIX}"
-    write_problem(small, first)
-    write_problem(read_problem(first), second)
-    assert first.read_bytes() == second.read_bytes()
+        write_problem(found, again)
+        assert path.read_bytes() == again.read_bytes()
 
 
 def test_nothing_in_the_file_is_executed(small: MeasuredProblem, tmp_path: Path) -> None:
@@ -117,13 +104,9 @@ def _set(name: str, at: Any, value: Any) -> Callable[[Arrays], None]:
 
 WRONG: dict[str, tuple[Callable[[Arrays], Any], str]] = {
     "another format": (lambda a: a.update(format=np.asarray("problem 0")), "the format is not"),
-    "no format": (lambda a: a.pop("format"), "the array format is missing"),
     "a missing array": (lambda a: a.pop("data.uvd_px"), "the array data.uvd_px is missing"),
     "a frame outside": (_set("data.frame", 3, 20), "data.frame points outside"),
-    "a negative frame": (_set("data.frame", 3, -1), "data.frame points outside"),
-    "a start outside": (_set("data.start", -1, 10**9), "data.start does not divide"),
     "starts that go back": (_set("data.start", 1, 400), "data.start does not divide"),
-    "a landmark outside": (_set("data.landmark", -1, 10**6), "data.landmark points outside"),
     "another landmark": (_set("data.landmark", 0, 1), "data.landmark does not agree"),
     "a negative order": (_set("data.order", 0, -1), "data.order is negative"),
     "another inertia": (lambda a: a.update({"data.form": np.asarray("os.system")}), "'os.system' is none of"),
@@ -132,7 +115,6 @@ WRONG: dict[str, tuple[Callable[[Arrays], Any], str]] = {
     "NaN": (_set("cold", 0, np.nan), "cold holds NaN"),
     "infinity": (_set("fixed.A", 0, np.inf), "fixed.A holds NaN or infinity"),
     "no series": (_set("fixed.steps.series", 0, 0), "fixed.steps.series is not between 1 and"),
-    "endless series": (_set("fixed.steps.series", 0, 10**12), "fixed.steps.series is not between 1 and"),
     "fewer unknowns": (lambda a: a.update(cold=a["cold"][:-1]), "cold is 952, expected 953"),
     "fewer landmarks": (
         lambda a: a.update({"fixed.reference.p_G": a["fixed.reference.p_G"][:-1]}),
