@@ -2,18 +2,17 @@
 
 import json
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
-from tyro.conf import Positional, arg
+from pydantic import Field
 
 from polhode.cli.answer import Answer
+from polhode.cli.options import Command, Named, Positional
 from polhode.errors import InputError
 
 
-@dataclass(frozen=True, kw_only=True)
-class CalibrateCommand:
+class CalibrateCommand(Command):
     """Calibrate a stereo rig from images of a board: chessboard, ChArUco, AprilTags (docs/calibrate.md).
 
     Images come from --left and --right, or from a recording as polhode import reads it: two folders, a bag,
@@ -28,59 +27,62 @@ class CalibrateCommand:
         "verification": ("verify", "unit"),
     }
 
-    sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SOURCE...")] = ()
+    sources: Annotated[tuple[Path, ...], Positional("SOURCE...")] = ()
     """A recording: one path or two, instead of --left and --right."""
-    output: Annotated[Path, arg(aliases=["-o"], metavar="RIG")]
+    output: Annotated[Path, Named("RIG", "-o")]
     """Folder of the results: a new or empty one, or that of an earlier call, whose files are replaced."""
-    board: Annotated[str, arg(metavar="9x6")]
+    board: Annotated[str, Named("9x6")]
     """Columns x rows: inner corners of a chessboard, squares of a ChArUco board, tags of an AprilTag grid."""
-    square_mm: Annotated[float, arg(metavar="MM")]
+    square_mm: Annotated[float, Named("MM"), Field(gt=0, allow_inf_nan=False)]
     """Side of a square, or of a tag (its black part), as measured on the board [mm]."""
-    left: Annotated[tuple[str, ...], arg(metavar="GLOB...")] = ()
+    left: Annotated[tuple[str, ...], Named("GLOB...")] = ()
     """Images of the left camera: patterns, files or a folder."""
-    right: Annotated[tuple[str, ...], arg(metavar="GLOB...")] = ()
+    right: Annotated[tuple[str, ...], Named("GLOB...")] = ()
     """Images of the right camera. Paired by the number in the name, else by natural order."""
-    pattern: Annotated[str, arg(metavar="chessboard|charuco|aprilgrid")] = "chessboard"
+    pattern: Annotated[str, Named("chessboard|charuco|aprilgrid")] = "chessboard"
     """What is on the board."""
-    marker_mm: Annotated[float | None, arg(metavar="MM")] = None
+    marker_mm: Annotated[float | None, Named("MM")] = None
     """Side of the markers of a ChArUco board [mm]; three quarters of a square unless given."""
-    spacing: Annotated[float, arg(metavar="SHARE")] = 0.3
+    spacing: Annotated[float, Named("SHARE")] = 0.3
     """Gap between the tags of a grid, over their side."""
-    dictionary: Annotated[str | None, arg(metavar="NAME")] = None
+    dictionary: Annotated[str | None, Named("NAME")] = None
     """Dictionary of the markers, as OpenCV calls it; 5X5_100 of a ChArUco board, APRILTAG_36h11 of a grid
     unless given."""
-    model: Annotated[str, arg(metavar="brown5|brown8|fisheye")] = "brown5"
+    model: Annotated[str, Named("brown5|brown8|fisheye")] = "brown5"
     """Lens model of both cameras: Brown's distortion with 5 or 8 coefficients, or an equidistant fisheye."""
-    right_model: Annotated[str | None, arg(metavar="MODEL")] = None
+    right_model: Annotated[str | None, Named("MODEL")] = None
     """That of the right camera, if it is another one."""
-    verify: Annotated[tuple[Path, ...], arg(metavar="CALIB...")] = ()
+    verify: Annotated[tuple[Path, ...], Named("CALIB...")] = ()
     """Judge this calibration by the images instead of making one: a folder with cam0/sensor.yaml and
     cam1/sensor.yaml, or files of OpenCV, Kalibr or ROS. Writes verification.json and verification.html."""
-    unit: Annotated[str, arg(metavar="m|mm")] = "m"
+    unit: Annotated[Literal["m", "mm"], Named("m|mm")] = "m"
     """Unit of T in a file of OpenCV that is judged."""
-    rate_hz: Annotated[float | None, arg(metavar="HZ")] = None
+    rate_hz: Annotated[float | None, Named("HZ")] = None
     """Frame rate of videos whose own times are wrong [Hz]."""
-    left_topic: Annotated[str | None, arg(metavar="TOPIC")] = None
+    left_topic: Annotated[str | None, Named("TOPIC")] = None
     """Topic of the left images in a bag. Found by its name unless given."""
-    right_topic: Annotated[str | None, arg(metavar="TOPIC")] = None
+    right_topic: Annotated[str | None, Named("TOPIC")] = None
     """Topic of the right images."""
-    tolerance_s: Annotated[float | None, arg(metavar="S")] = None
+    tolerance_s: Annotated[float | None, Named("S")] = None
     """Largest difference between the times of a pair [s]. A hundredth of the usual interval unless given."""
-    start_s: Annotated[float, arg(metavar="S", aliases=["--start"])] = 0.0
+    start_s: Annotated[float, Named("S", "--start")] = 0.0
     """Of a recording, begin so long after the first pair [s]."""
-    end_s: Annotated[float, arg(metavar="S", aliases=["--end"])] = math.inf
+    end_s: Annotated[float, Named("S", "--end")] = math.inf
     """End so long after the first pair [s]."""
-    every: Annotated[int, arg(metavar="N")] = 1
+    every: Annotated[int, Named("N"), Field(ge=1)] = 1
     """Look at each N-th pair of a recording; at most 200, spread over it, are looked at."""
 
     def execute(self) -> Answer:
         """Calibrate, write and print."""
-        self._require_ranges()
+        if not self.end_s > self.start_s >= 0.0:
+            raise InputError(
+                f"--start-s {self.start_s:g} --end-s {self.end_s:g}: give times of at least 0, end later"
+            )
         from polhode.calibration.boards import make_board
         from polhode.calibration.image_pairs import opened_pairs
         from polhode.calibration.lenses import model_named
         from polhode.calibration.results_folder import results_folder, write_results
-        from polhode.cli.console import choose_progress
+        from polhode.console import choose_progress
         from polhode.importers.options import ImportOptions
 
         board = make_board(
@@ -143,15 +145,3 @@ class CalibrateCommand:
             paths=tuple(self.output / name for name in (PAGE, *(each for each in files if each != PAGE))),
             figures=json.loads(files["calibration.json"]),
         )
-
-    def _require_ranges(self) -> None:
-        if not math.isfinite(self.square_mm) or self.square_mm <= 0.0:
-            raise InputError(f"--square-mm {self.square_mm:g}: give a length above 0")
-        if self.unit not in ("m", "mm"):
-            raise InputError(f"--unit {self.unit}: choose m or mm")
-        if self.every < 1:
-            raise InputError(f"--every {self.every}: give a whole number of at least 1")
-        if not self.end_s > self.start_s >= 0.0:
-            raise InputError(
-                f"--start-s {self.start_s:g} --end-s {self.end_s:g}: give times of at least 0, end later"
-            )

@@ -1,12 +1,12 @@
 """``polhode doctor``: whether this installation works, on this machine."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from polhode.cli.answer import Answer
-from polhode.cli.console import announce, choose_progress
-from polhode.cli.options import Flag
+from polhode.console import announce, choose_progress
+from polhode.cli.options import Command
 
 if TYPE_CHECKING:
     from polhode.cli.self_test import Check
@@ -19,8 +19,7 @@ BUSY = 0.5
 """Load average for each processor, beyond which the answer says that times are longer"""
 
 
-@dataclass(frozen=True)
-class DoctorCommand:
+class DoctorCommand(Command):
     """Check the installation: packages, load, memory, optional parts, and a self-test of some seconds.
 
     Exit code 0: it works; 1: something that polhode needs is missing or does not work. Optional parts are
@@ -28,7 +27,7 @@ class DoctorCommand:
     an installation takes longer, because functions are compiled.
     """
 
-    skip_test: Flag = False
+    skip_test: bool = False
     """Leave out the self-test."""
 
     def execute(self) -> Answer:

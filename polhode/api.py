@@ -18,7 +18,7 @@ import trimesh
 from numpy.typing import ArrayLike
 
 from polhode.argument_names import errors_name_arguments
-from polhode.cli.console import choose_progress
+from polhode.console import choose_progress
 from polhode.config import Config
 from polhode.config.keys import suggestion
 from polhode.config.loader import load_config

@@ -18,7 +18,7 @@ from tyro.conf import Positional, arg
 
 from benchmarks.command import ROOT, Short, command
 from benchmarks.presentation import markdown_table
-from polhode.cli.console import choose_progress
+from polhode.console import choose_progress
 from polhode.compare.comparison import FILE, compare
 from polhode.compare.problem.assessment import AGREED
 from polhode.compare.ranking import NOISE, beaten_by, curve, front, growths

@@ -70,7 +70,7 @@ def test_every_option_of_every_command_is_there() -> None:
     for shell in ("bash", "fish"):
         script = completion_script(shell, COMMANDS)
         for command in COMMANDS.values():
-            for option in (*options_of(command), *configuration_options()):
+            for option in (*options_of(command).values(), *configuration_options()):
                 for name in () if option.is_positional else option.names:
                     spelled = name if shell == "bash" else name.replace("--", "-l ", 1).replace(" -", " -s ")
                     assert spelled.lstrip("-").split()[-1] in script
