@@ -28,8 +28,8 @@ from tyro.conf import Positional, arg
 
 from benchmarks.command import ROOT, command
 from benchmarks.registry import code_of
-from polhode.console import progress_of_points
 from polhode.config.study_settings import Study
+from polhode.console import progress_of_points
 from polhode.output.marked_folder import claim
 from polhode.studies.cluster import ClusterOptions
 from polhode.studies.factors import Changes, factor_of_points

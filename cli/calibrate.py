@@ -11,6 +11,9 @@ from polhode.cli.answer import Answer
 from polhode.cli.options import Command, Named, Positional
 from polhode.errors import InputError
 
+RECORDING = ("rate_hz", "left_topic", "right_topic", "tolerance_s", "start_s", "end_s", "every")
+"""Options that are those of polhode import"""
+
 
 class CalibrateCommand(Command):
     """Calibrate a stereo rig from images of a board: chessboard, ChArUco, AprilTags (docs/calibrate.md).
@@ -23,7 +26,7 @@ class CalibrateCommand(Command):
 
     GROUPS: ClassVar = {
         "board": ("marker_mm", "spacing", "dictionary"),
-        "recording": (*("rate_hz", "left_topic", "right_topic", "tolerance_s", "start_s", "end_s", "every"),),
+        "recording": RECORDING,
         "verification": ("verify", "unit"),
     }
 
@@ -97,51 +100,34 @@ class CalibrateCommand(Command):
             model_named("--model", self.model),
             model_named("--right-model", self.right_model or self.model),
         )
-        options = ImportOptions(
-            rate_hz=self.rate_hz,
-            left_topic=self.left_topic,
-            right_topic=self.right_topic,
-            poses="none",
-            tolerance_s=self.tolerance_s,
-            start_s=self.start_s,
-            end_s=self.end_s,
-            every=self.every,
-        )
+        options = ImportOptions(poses="none", **{name: getattr(self, name) for name in RECORDING})
         progress = choose_progress()
         opened = opened_pairs(self.sources, self.left, self.right, options, progress)
         if self.verify:
             from polhode.calibration.verification_page import VERIFY_COMMAND as command
             from polhode.calibration.verification_page import VERIFY_FILES as names
-            from polhode.calibration.verification_page import (
-                VERIFY_PAGE,
-                format_verification,
-                verification_files,
-            )
+            from polhode.calibration.verification_page import format_verification, verification_files
             from polhode.calibration.verify import verify
+        else:
+            from polhode.calibration.calibrate import calibrate
+            from polhode.calibration.page import COMMAND as command
+            from polhode.calibration.page import FILES as names
+            from polhode.calibration.page import files_of, format_calibration
 
-            unit_m = 1e-3 if self.unit == "mm" else 1.0
-            with results_folder(self.output, command, names) as place, opened as pairs:
+        *_, page = names
+        with results_folder(self.output, command, names) as place, opened as pairs:
+            if self.verify:
+                unit_m = 1e-3 if self.unit == "mm" else 1.0
                 done = verify(pairs, board, self.verify, unit_m, progress)
-                name = " ".join(path.name for path in self.verify)
-                files = verification_files(done, name)
-                write_results(place, command, files, names)
-            page = self.output / VERIFY_PAGE
-            return Answer(
-                f"Verification: {page}",
-                format_verification(done),
-                paths=tuple(self.output / name for name in (VERIFY_PAGE, *files) if name in files),
-                figures=json.loads(files["verification.json"]),
-            )
-        from polhode.calibration.calibrate import calibrate
-        from polhode.calibration.page import COMMAND, FILES, PAGE, files_of, format_calibration
-
-        with results_folder(self.output, COMMAND, FILES) as place, opened as pairs:
-            rig = calibrate(pairs, board, models, progress)
-            files = files_of(rig, place.name)
-            write_results(place, COMMAND, files, FILES)
+                files = verification_files(done, " ".join(path.name for path in self.verify))
+                table, title = format_verification(done), "Verification"
+            else:
+                rig = calibrate(pairs, board, models, progress)
+                files, table, title = files_of(rig, place.name), format_calibration(rig), "Calibration"
+            write_results(place, command, files, names)
         return Answer(
-            f"Calibration: {self.output / PAGE}",
-            format_calibration(rig),
-            paths=tuple(self.output / name for name in (PAGE, *(each for each in files if each != PAGE))),
-            figures=json.loads(files["calibration.json"]),
+            f"{title}: {self.output / page}",
+            table,
+            paths=tuple(self.output / name for name in sorted(files, key=lambda name: name != page)),
+            figures=json.loads(files[names[-2]]),
         )

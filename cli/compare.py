@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Annotated, ClassVar
 
 from polhode.cli.answer import Answer
-from polhode.console import choose_progress
 from polhode.cli.options import ConfiguredCommand, Named, Positional
+from polhode.console import choose_progress
 
 FIGURES = {"problem", "solver", "start", "seed", "status", "cost", "iterations", "wall_s", "k1", "k2"}
 """Of each row, what the answer repeats of compare.json"""

@@ -6,6 +6,7 @@ The script holds all words, so that a press of TAB starts no Python.
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Literal
 
+from polhode.cli.answer import Answer
 from polhode.cli.options import (
     Command,
     ConfiguredCommand,
@@ -29,6 +30,12 @@ class CompletionCommand(Command):
 
     shell: Annotated[Shell, Positional("bash|zsh|fish")]
     """For which shell."""
+
+    def execute(self) -> Answer:
+        """Make the script."""
+        from polhode.cli.main import COMMANDS
+
+        return Answer(completion_script(self.shell, COMMANDS))
 
 
 def completion_script(shell: Shell, commands: Mapping[str, type[Command]]) -> str:

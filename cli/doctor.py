@@ -5,18 +5,12 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from polhode.cli.answer import Answer
-from polhode.console import announce, choose_progress
 from polhode.cli.options import Command
+from polhode.console import announce, choose_progress
 
 if TYPE_CHECKING:
     from polhode.cli.self_test import Check
     from polhode.optional_parts import OptionalPart
-
-LITTLE_MEMORY_GIB = 2.0
-"""Below it the answer says so: a run of the sample takes some 1.3 GiB in all its processes."""
-
-BUSY = 0.5
-"""Load average for each processor, beyond which the answer says that times are longer"""
 
 
 class DoctorCommand(Command):
@@ -38,8 +32,8 @@ class DoctorCommand(Command):
             announce(line)
         announce("")
         announce("Optional parts, none of which is needed:")
-        parts = [_described(part) for part in _optional_parts()]
-        checks = [] if self.skip_test else _tested()
+        parts = [_describe_part(part) for part in _optional_parts()]
+        checks = [] if self.skip_test else _run_self_test()
         wrong = [
             *facts["wrong_packages"],
             *(f"{each.name}: {each.finding}" for each in checks if not each.holds),
@@ -95,7 +89,7 @@ def _load_in_words(load: float | None, processors: int) -> str:
     if load is None:
         return "unknown"
     text = f"{load:.1f} processes on average over the last minute, on {processors} processors"
-    if load < BUSY * processors:
+    if load < 0.5 * processors:
         return text
     slower = (load + processors) / processors
     return f"{text}: busy; a run takes up to {slower:.1f} times as long as on an idle machine"
@@ -105,7 +99,8 @@ def _memory_in_words(usable_gib: float | None, free_gib: float | None) -> str:
     memory = "unknown" if usable_gib is None else f"{usable_gib:.1f} GiB"
     if free_gib is not None:
         memory += f", {free_gib:.1f} GiB of it free"
-        if free_gib < LITTLE_MEMORY_GIB:
+        # a run of the sample takes some 1.3 GiB in all its processes
+        if free_gib < 2.0:
             memory += ": little for a run; close other programs, or use fewer --runtime.workers"
     return memory
 
@@ -116,7 +111,7 @@ def _optional_parts() -> "tuple[OptionalPart, ...]":
     return OPTIONAL_PARTS
 
 
-def _described(part: "OptionalPart") -> dict[str, Any]:
+def _describe_part(part: "OptionalPart") -> dict[str, Any]:
     """An optional part and what is missing of it, which is also printed."""
     found: Mapping[str, Any] = {
         "extra": part.extra,
@@ -131,7 +126,7 @@ def _described(part: "OptionalPart") -> dict[str, Any]:
     return dict(found)
 
 
-def _tested() -> "list[Check]":
+def _run_self_test() -> "list[Check]":
     """The self-test, each check printed when it is done."""
     from polhode.cli.self_test import self_test
 

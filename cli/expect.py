@@ -9,8 +9,6 @@ from polhode.cli.answer import Answer
 from polhode.cli.options import Command, Named, Positive
 from polhode.errors import InputError
 
-HALF_TURN_DEG = 180.0
-
 
 class ExpectCommand(Command):
     """Estimate the accuracy for a target and a rig from a fit to simulated runs, with a band of 90 %.
@@ -49,7 +47,7 @@ class ExpectCommand(Command):
         )
         if self.range_m <= 0.5 * self.size_m:
             raise InputError(f"--range {self.range_m:g}: the camera would be inside the target; give more")
-        if (turn_deg := observation.predictors["turn_deg"]) >= HALF_TURN_DEG:
+        if (turn_deg := observation.predictors["turn_deg"]) >= 180.0:
             raise InputError(
                 f"--interval {self.interval_s:g}: the target would turn by {turn_deg:.3g} deg between two "
                 "pairs, which images do not tell from a turn the other way; give a shorter one"

@@ -21,14 +21,18 @@ from polhode.cli.options import Command, ConfiguredCommand, GeneralOptions, Opti
 
 MIN_WIDTH, MAX_WIDTH = 40, 100
 """Of the overview [columns]; the help of a command is as wide as the terminal, and no narrower"""
-USAGE = "usage: polhode COMMAND [OPTIONS]"
-MORE = "polhode COMMAND -h shows the common options of a command, polhode COMMAND --help all of them."
 
 
 def overview(description: str, groups: Mapping[str, Sequence[str]], commands: Mapping[str, type]) -> str:
     """The text of ``polhode --help``: each command with the first sentence of its docstring."""
     width = min(_columns(), MAX_WIDTH)
-    lines = [USAGE, "", *textwrap.wrap(description, width), *textwrap.wrap(MORE, width)]
+    more = "polhode COMMAND -h shows the common options of a command, polhode COMMAND --help all of them."
+    lines = [
+        "usage: polhode COMMAND [OPTIONS]",
+        "",
+        *textwrap.wrap(description, width),
+        *textwrap.wrap(more, width),
+    ]
     indent = 2 + max(map(len, commands)) + 2
     for title, names in groups.items():
         lines += ["", f"{title}:"]

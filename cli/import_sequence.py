@@ -1,14 +1,15 @@
 """``polhode import``: a recording of somebody else as a dataset."""
 
 import math
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from polhode.cli.answer import Answer
-from polhode.console import choose_progress
 from polhode.cli.options import Command, Named, Positional
+from polhode.console import choose_progress
 from polhode.errors import InputError
 
 MAX_TIME_S = 1e9
@@ -88,24 +89,11 @@ class ImportCommand(Command):
         from polhode.importers.import_sequence import import_sequence
         from polhode.importers.options import ImportOptions, parse_crop
 
+        same = {each.name for each in fields(ImportOptions)} - {"unit_m", "crop"}
         options = ImportOptions(
-            calibration=self.calibration,
+            **{name: getattr(self, name) for name in same},
             unit_m=1e-3 if self.unit == "mm" else 1.0,
-            stamps=self.stamps,
-            rate_hz=self.rate_hz,
-            left_topic=self.left_topic,
-            right_topic=self.right_topic,
-            poses=self.poses,
-            pose_of=self.pose_of,
-            tolerance_s=self.tolerance_s,
-            offset_s=self.offset_s,
-            start_s=self.start_s,
-            end_s=self.end_s,
-            every=self.every,
-            crop=parse_crop(self.crop) if self.crop is not None else None,
-            range_scale_m=self.range_scale_m,
-            range_sigma_m=self.range_sigma_m,
-            range_growth_per_m=self.range_growth_per_m,
+            crop=None if self.crop is None else parse_crop(self.crop),
         )
         done = import_sequence(self.sources, self.output, options, choose_progress(), self.overwrite)
         return Answer(

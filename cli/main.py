@@ -14,8 +14,7 @@ from polhode.cli.answer import Answer, Outcome
 from polhode.cli.calibrate import CalibrateCommand
 from polhode.cli.checkout import CheckoutCommand
 from polhode.cli.compare import CompareCommand
-from polhode.cli.completion import CompletionCommand, completion_script
-from polhode.console import is_working, show_warnings
+from polhode.cli.completion import CompletionCommand
 from polhode.cli.doctor import DoctorCommand
 from polhode.cli.evaluate import EvaluateCommand
 from polhode.cli.expect import ExpectCommand
@@ -39,6 +38,7 @@ from polhode.cli.view import ViewCommand
 from polhode.code_cache import require_no_settings_of_numba
 from polhode.config.keys import suggestion
 from polhode.config.loader import load_config
+from polhode.console import is_working, show_warnings
 from polhode.errors import InputError, RunFailure, one_line
 from polhode.interrupts import interrupts_raised, received
 from polhode.processes import kill_workers
@@ -72,15 +72,12 @@ TOPICS = {
     "program": ("train", "doctor", "completion"),
 }
 """Commands in the order of the help; those that are in no topic follow at the end"""
-DESCRIPTION = "Motion, mass properties and shape of a tumbling target, from a stereo camera."
 RESUMES = {
     "compare": "finished rows are kept, the same command goes on from there",
     "sweep": "points that are done are kept, the same command goes on from there",
     "train": "finished scenes and the last checkpoint are kept, the same command goes on from there",
 }
 """What an interrupt leaves of a command, where it leaves something"""
-ENDED_BY_SIGNAL = 128
-"""Added to the number of the signal that ended a program, its exit code."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -129,7 +126,7 @@ def _outcome(words: list[str], general: GeneralOptions) -> Outcome:
     except KeyboardInterrupt as stop:
         number = received()
         by = f" by {number.name}" if number is not None else ""
-        code = ENDED_BY_SIGNAL + (number or signal.SIGINT)
+        code = 128 + (number or signal.SIGINT)
         return _error(command, code, _interrupted(command, by, stop), stop, general.debug)
     except Exception as error:  # noqa: BLE001  last resort: one line instead of a traceback
         return _error(command, *explained(error, is_working(), *words[:1]), error, general.debug)
@@ -158,7 +155,8 @@ def _dispatch(words: list[str]) -> Answer | None:
         return Answer(f"polhode {version('polhode')}", figures={"version": version("polhode")})
     asked_help = next((word for word in words if word in ("-h", "--help")), None)
     if asked_help is not None and words[0] not in COMMANDS:
-        return Answer(overview(DESCRIPTION, _topics(), COMMANDS))
+        about = "Motion, mass properties and shape of a tumbling target, from a stereo camera."
+        return Answer(overview(about, _topics(), COMMANDS))
     _require_command(words)
     name, *rest = words
     if asked_help is not None:
@@ -174,8 +172,6 @@ def _dispatch(words: list[str]) -> Answer | None:
         command = command.model_copy(update={"values": values})
     elif overrides:
         raise InputError(f"'{name}' reads no configuration: remove --{next(iter(overrides))}")
-    elif isinstance(command, CompletionCommand):
-        return Answer(completion_script(command.shell, COMMANDS))
     return command.execute()
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from polhode.cli.answer import Answer
-from polhode.console import announce, choose_progress, progress_of_run
 from polhode.cli.options import ConfiguredCommand, Named
+from polhode.console import announce, choose_progress, progress_of_run
 from polhode.errors import InputError, RunFailure, one_line
 from polhode.processes import start_server, worker_count
 

@@ -6,8 +6,8 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from polhode.cli.answer import Answer
-from polhode.console import progress_of_points
 from polhode.cli.options import Command, Named, Positional
+from polhode.console import progress_of_points
 from polhode.errors import InputError
 
 REASONS = 5

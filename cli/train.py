@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 from polhode.cli.answer import Answer
-from polhode.console import choose_progress
 from polhode.cli.options import ConfiguredCommand, Named, Positional
 from polhode.config import Config, Train
+from polhode.console import choose_progress
 from polhode.errors import InputError
 from polhode.processes import worker_count
 

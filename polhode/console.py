@@ -50,7 +50,7 @@ _command = _Command()
 
 
 def choose_progress(left: TimeLeft | None = None) -> "Bars | Lines":
-    """Bars on a terminal, plain lines in a file, a pipe or CI; nothing with --quiet. ``left``: of the whole."""
+    """Bars on a terminal, plain lines in a file, a pipe or CI; nothing with --quiet."""
     if _command.quiet:
         return Quiet()
     return Bars(left) if sys.stdout.isatty() else Lines(left)
@@ -88,7 +88,7 @@ class _Stage:
 
 
 class _Stages:
-    """What bars and lines have in common: they count the steps of each stage, and what is left of the whole."""
+    """What bars and lines have in common: counting the steps of each stage, and what is left of the whole."""
 
     def __init__(self, left: TimeLeft | None = None) -> None:
         self._left = left

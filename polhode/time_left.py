@@ -32,8 +32,7 @@ RUN_SHARES = (
     StageShare("checks and pictures", 0.97, 0.97),
     StageShare("report", 0.97, 1.00),
 )
-"""Of ``polhode run``, a stage that comes twice standing twice; means over runs of the sample and of ts38, from
-the times in their log.txt"""
+"""Of ``polhode run``, a stage that comes twice standing twice; means over runs of the sample and of ts38"""
 
 
 class TimeLeft:

@@ -18,7 +18,6 @@ from tyro.conf import Positional, arg
 
 from benchmarks.command import ROOT, Short, command
 from benchmarks.presentation import markdown_table
-from polhode.console import choose_progress
 from polhode.compare.comparison import FILE, compare
 from polhode.compare.problem.assessment import AGREED
 from polhode.compare.ranking import NOISE, beaten_by, curve, front, growths
@@ -26,6 +25,7 @@ from polhode.compare.rows import Comparison, ProblemSummary, Row, read_compariso
 from polhode.compare.tables import ERROR_COLUMNS, cells, error_cells, not_separable, tally_text, verdict
 from polhode.config import Config
 from polhode.config.loader import load_config
+from polhode.console import choose_progress
 from polhode.threads import limit_threads
 
 Name = Literal["short", "run", "profiles", "seeds", "growth", "ablations"]

@@ -4,7 +4,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from time import perf_counter
 
 import pytest
 
@@ -59,13 +58,6 @@ def test_bash_offers(folder: Path, words: str, expected: list[str]) -> None:
     assert completed(folder, words) == expected
 
 
-def test_a_press_of_tab_is_quick(folder: Path) -> None:
-    start = perf_counter()
-    assert "--backend.solver" in completed(folder, "polhode run --")
-    assert perf_counter() - start < 1.0
-    assert "python" not in (folder / "script").read_text()
-
-
 def test_every_option_of_every_command_is_there() -> None:
     for shell in ("bash", "fish"):
         script = completion_script(shell, COMMANDS)
@@ -80,6 +72,7 @@ def test_every_option_of_every_command_is_there() -> None:
 def test_the_shell_reads_its_script(shell: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", shell]) == 0
     script = capsys.readouterr().out
+    assert "python" not in script
     assert script.startswith(
         {"bash": "_polhode()", "zsh": "#compdef polhode", "fish": "complete -c polhode"}[shell]
     )

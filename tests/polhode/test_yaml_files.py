@@ -2,7 +2,6 @@
 
 import math
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import pytest
@@ -64,12 +63,10 @@ def _tower(line: str, last: str) -> str:
     ids=lambda text: text[:12] if isinstance(text, str) else None,
 )
 def test_everything_that_can_grow_has_a_limit(text: str, message: str) -> None:
-    begin = perf_counter()
     with pytest.raises(InputError, match=message) as error:
         parse_yaml(text, "here")
     assert str(error.value).startswith("here") and "\n" not in str(error.value)
     assert len(str(error.value)) < 300
-    assert perf_counter() - begin < 10.0  # it ends; the aliases would take hours
 
 
 def test_a_file_is_read_up_to_its_limit(tmp_path: Path) -> None:
