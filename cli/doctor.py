@@ -26,13 +26,15 @@ class DoctorCommand(Command):
 
     def execute(self) -> Answer:
         """Look, test, and say what was found, each as soon as it is."""
+        from polhode.optional_parts import OPTIONAL_PARTS
+
         facts: dict[str, Any] = {}
         for found, line in _facts():
             facts |= found
             announce(line)
         announce("")
         announce("Optional parts, none of which is needed:")
-        parts = [_describe_part(part) for part in _optional_parts()]
+        parts = [_describe_part(part) for part in OPTIONAL_PARTS]
         checks = [] if self.skip_test else _run_self_test()
         wrong = [
             *facts["wrong_packages"],
@@ -103,12 +105,6 @@ def _memory_in_words(usable_gib: float | None, free_gib: float | None) -> str:
         if free_gib < 2.0:
             memory += ": little for a run; close other programs, or use fewer --runtime.workers"
     return memory
-
-
-def _optional_parts() -> "tuple[OptionalPart, ...]":
-    from polhode.optional_parts import OPTIONAL_PARTS
-
-    return OPTIONAL_PARTS
 
 
 def _describe_part(part: "OptionalPart") -> dict[str, Any]:

@@ -8,7 +8,7 @@ import logging
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from time import perf_counter
 
@@ -285,8 +285,9 @@ class Lines(_Stages):
 class Quiet(Lines):
     """Nothing is shown."""
 
-    def _watch(self) -> AbstractContextManager[object]:
-        return nullcontext()
+    @contextmanager
+    def _watch(self) -> Iterator[None]:
+        yield
 
     def _print(self, text: str) -> None:
         del text
