@@ -206,4 +206,4 @@ _GENERAL = {name: field for field, option in options_of(GeneralOptions).items() 
 def split_general(words: Sequence[str]) -> tuple[GeneralOptions, list[str]]:
     """The general options of a command line, and its other words."""
     given = {_GENERAL[word]: True for word in words if word in _GENERAL}
-    return GeneralOptions.model_construct(**given), [word for word in words if word not in _GENERAL]
+    return GeneralOptions.model_construct(None, **given), [word for word in words if word not in _GENERAL]
