@@ -1,15 +1,13 @@
 """The command line: arguments in, one call of a room's function, one line of result or of error out.
 
-``main.py`` parses the arguments and runs the command; every command is a dataclass of its options in a file
-of its own, whose ``execute`` checks them and calls the room that does the work. Heavy imports wait for that
+``main.py`` parses the arguments and runs the command; every command is a model of its options in a file of
+its own, whose ``execute`` checks them and calls the room that does the work. Heavy imports wait for that
 call, so that ``--help`` is quick.
 
 - main: finds the command, loads its configuration, shows the answer, turns errors into exit codes
-- parsing, help: words to a command; help in groups
+- parsing, help: words to a command and keys of the configuration; help in groups
 - answer: what a command returns, as text or as JSON
-- options: what several commands have in common
-- overrides: configuration keys given on the command line
-- console, time_left: progress bars or plain lines, and warnings; how long a run still takes
+- options: the options of a command as data
 - streams: standard output and error that are closed, full, or read by nobody
 - failures: errors that no room has explained, as exit code and one line
 - doctor, machine, self_test, completion: the installation itself

@@ -2,18 +2,20 @@
 
 import json
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
-from tyro.conf import Positional, arg
+from pydantic import Field
 
 from polhode.cli.answer import Answer
+from polhode.cli.options import Command, Named, Positional
 from polhode.errors import InputError
 
+RECORDING = ("rate_hz", "left_topic", "right_topic", "tolerance_s", "start_s", "end_s", "every")
+"""Options that are those of polhode import"""
 
-@dataclass(frozen=True, kw_only=True)
-class CalibrateCommand:
+
+class CalibrateCommand(Command):
     """Calibrate a stereo rig from images of a board: chessboard, ChArUco, AprilTags (docs/calibrate.md).
 
     Images come from --left and --right, or from a recording as polhode import reads it: two folders, a bag,
@@ -24,63 +26,66 @@ class CalibrateCommand:
 
     GROUPS: ClassVar = {
         "board": ("marker_mm", "spacing", "dictionary"),
-        "recording": (*("rate_hz", "left_topic", "right_topic", "tolerance_s", "start_s", "end_s", "every"),),
+        "recording": RECORDING,
         "verification": ("verify", "unit"),
     }
 
-    sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SOURCE...")] = ()
+    sources: Annotated[tuple[Path, ...], Positional("SOURCE...")] = ()
     """A recording: one path or two, instead of --left and --right."""
-    output: Annotated[Path, arg(aliases=["-o"], metavar="RIG")]
+    output: Annotated[Path, Named("RIG", "-o")]
     """Folder of the results: a new or empty one, or that of an earlier call, whose files are replaced."""
-    board: Annotated[str, arg(metavar="9x6")]
+    board: Annotated[str, Named("9x6")]
     """Columns x rows: inner corners of a chessboard, squares of a ChArUco board, tags of an AprilTag grid."""
-    square_mm: Annotated[float, arg(metavar="MM")]
+    square_mm: Annotated[float, Named("MM"), Field(gt=0, allow_inf_nan=False)]
     """Side of a square, or of a tag (its black part), as measured on the board [mm]."""
-    left: Annotated[tuple[str, ...], arg(metavar="GLOB...")] = ()
+    left: Annotated[tuple[str, ...], Named("GLOB...")] = ()
     """Images of the left camera: patterns, files or a folder."""
-    right: Annotated[tuple[str, ...], arg(metavar="GLOB...")] = ()
+    right: Annotated[tuple[str, ...], Named("GLOB...")] = ()
     """Images of the right camera. Paired by the number in the name, else by natural order."""
-    pattern: Annotated[str, arg(metavar="chessboard|charuco|aprilgrid")] = "chessboard"
+    pattern: Annotated[str, Named("chessboard|charuco|aprilgrid")] = "chessboard"
     """What is on the board."""
-    marker_mm: Annotated[float | None, arg(metavar="MM")] = None
+    marker_mm: Annotated[float | None, Named("MM")] = None
     """Side of the markers of a ChArUco board [mm]; three quarters of a square unless given."""
-    spacing: Annotated[float, arg(metavar="SHARE")] = 0.3
+    spacing: Annotated[float, Named("SHARE")] = 0.3
     """Gap between the tags of a grid, over their side."""
-    dictionary: Annotated[str | None, arg(metavar="NAME")] = None
+    dictionary: Annotated[str | None, Named("NAME")] = None
     """Dictionary of the markers, as OpenCV calls it; 5X5_100 of a ChArUco board, APRILTAG_36h11 of a grid
     unless given."""
-    model: Annotated[str, arg(metavar="brown5|brown8|fisheye")] = "brown5"
+    model: Annotated[str, Named("brown5|brown8|fisheye")] = "brown5"
     """Lens model of both cameras: Brown's distortion with 5 or 8 coefficients, or an equidistant fisheye."""
-    right_model: Annotated[str | None, arg(metavar="MODEL")] = None
+    right_model: Annotated[str | None, Named("MODEL")] = None
     """That of the right camera, if it is another one."""
-    verify: Annotated[tuple[Path, ...], arg(metavar="CALIB...")] = ()
+    verify: Annotated[tuple[Path, ...], Named("CALIB...")] = ()
     """Judge this calibration by the images instead of making one: a folder with cam0/sensor.yaml and
     cam1/sensor.yaml, or files of OpenCV, Kalibr or ROS. Writes verification.json and verification.html."""
-    unit: Annotated[str, arg(metavar="m|mm")] = "m"
+    unit: Annotated[Literal["m", "mm"], Named("m|mm")] = "m"
     """Unit of T in a file of OpenCV that is judged."""
-    rate_hz: Annotated[float | None, arg(metavar="HZ")] = None
+    rate_hz: Annotated[float | None, Named("HZ")] = None
     """Frame rate of videos whose own times are wrong [Hz]."""
-    left_topic: Annotated[str | None, arg(metavar="TOPIC")] = None
+    left_topic: Annotated[str | None, Named("TOPIC")] = None
     """Topic of the left images in a bag. Found by its name unless given."""
-    right_topic: Annotated[str | None, arg(metavar="TOPIC")] = None
+    right_topic: Annotated[str | None, Named("TOPIC")] = None
     """Topic of the right images."""
-    tolerance_s: Annotated[float | None, arg(metavar="S")] = None
+    tolerance_s: Annotated[float | None, Named("S")] = None
     """Largest difference between the times of a pair [s]. A hundredth of the usual interval unless given."""
-    start_s: Annotated[float, arg(metavar="S", aliases=["--start"])] = 0.0
+    start_s: Annotated[float, Named("S", "--start")] = 0.0
     """Of a recording, begin so long after the first pair [s]."""
-    end_s: Annotated[float, arg(metavar="S", aliases=["--end"])] = math.inf
+    end_s: Annotated[float, Named("S", "--end")] = math.inf
     """End so long after the first pair [s]."""
-    every: Annotated[int, arg(metavar="N")] = 1
+    every: Annotated[int, Named("N"), Field(ge=1)] = 1
     """Look at each N-th pair of a recording; at most 200, spread over it, are looked at."""
 
     def execute(self) -> Answer:
         """Calibrate, write and print."""
-        self._require_ranges()
+        if not self.end_s > self.start_s >= 0.0:
+            raise InputError(
+                f"--start-s {self.start_s:g} --end-s {self.end_s:g}: give times of at least 0, end later"
+            )
         from polhode.calibration.boards import make_board
         from polhode.calibration.image_pairs import opened_pairs
         from polhode.calibration.lenses import model_named
         from polhode.calibration.results_folder import results_folder, write_results
-        from polhode.cli.console import choose_progress
+        from polhode.console import choose_progress
         from polhode.importers.options import ImportOptions
 
         board = make_board(
@@ -95,63 +100,34 @@ class CalibrateCommand:
             model_named("--model", self.model),
             model_named("--right-model", self.right_model or self.model),
         )
-        options = ImportOptions(
-            rate_hz=self.rate_hz,
-            left_topic=self.left_topic,
-            right_topic=self.right_topic,
-            poses="none",
-            tolerance_s=self.tolerance_s,
-            start_s=self.start_s,
-            end_s=self.end_s,
-            every=self.every,
-        )
+        options = ImportOptions(poses="none", **{name: getattr(self, name) for name in RECORDING})
         progress = choose_progress()
         opened = opened_pairs(self.sources, self.left, self.right, options, progress)
         if self.verify:
             from polhode.calibration.verification_page import VERIFY_COMMAND as command
             from polhode.calibration.verification_page import VERIFY_FILES as names
-            from polhode.calibration.verification_page import (
-                VERIFY_PAGE,
-                format_verification,
-                verification_files,
-            )
+            from polhode.calibration.verification_page import format_verification, verification_files
             from polhode.calibration.verify import verify
+        else:
+            from polhode.calibration.calibrate import calibrate
+            from polhode.calibration.page import COMMAND as command
+            from polhode.calibration.page import FILES as names
+            from polhode.calibration.page import files_of, format_calibration
 
-            unit_m = 1e-3 if self.unit == "mm" else 1.0
-            with results_folder(self.output, command, names) as place, opened as pairs:
+        *_, page = names
+        with results_folder(self.output, command, names) as place, opened as pairs:
+            if self.verify:
+                unit_m = 1e-3 if self.unit == "mm" else 1.0
                 done = verify(pairs, board, self.verify, unit_m, progress)
-                name = " ".join(path.name for path in self.verify)
-                files = verification_files(done, name)
-                write_results(place, command, files, names)
-            page = self.output / VERIFY_PAGE
-            return Answer(
-                f"Verification: {page}",
-                format_verification(done),
-                paths=tuple(self.output / name for name in (VERIFY_PAGE, *files) if name in files),
-                figures=json.loads(files["verification.json"]),
-            )
-        from polhode.calibration.calibrate import calibrate
-        from polhode.calibration.page import COMMAND, FILES, PAGE, files_of, format_calibration
-
-        with results_folder(self.output, COMMAND, FILES) as place, opened as pairs:
-            rig = calibrate(pairs, board, models, progress)
-            files = files_of(rig, place.name)
-            write_results(place, COMMAND, files, FILES)
+                files = verification_files(done, " ".join(path.name for path in self.verify))
+                table, title = format_verification(done), "Verification"
+            else:
+                rig = calibrate(pairs, board, models, progress)
+                files, table, title = files_of(rig, place.name), format_calibration(rig), "Calibration"
+            write_results(place, command, files, names)
         return Answer(
-            f"Calibration: {self.output / PAGE}",
-            format_calibration(rig),
-            paths=tuple(self.output / name for name in (PAGE, *(each for each in files if each != PAGE))),
-            figures=json.loads(files["calibration.json"]),
+            f"{title}: {self.output / page}",
+            table,
+            paths=tuple(self.output / name for name in sorted(files, key=lambda name: name != page)),
+            figures=json.loads(files[names[-2]]),
         )
-
-    def _require_ranges(self) -> None:
-        if not math.isfinite(self.square_mm) or self.square_mm <= 0.0:
-            raise InputError(f"--square-mm {self.square_mm:g}: give a length above 0")
-        if self.unit not in ("m", "mm"):
-            raise InputError(f"--unit {self.unit}: choose m or mm")
-        if self.every < 1:
-            raise InputError(f"--every {self.every}: give a whole number of at least 1")
-        if not self.end_s > self.start_s >= 0.0:
-            raise InputError(
-                f"--start-s {self.start_s:g} --end-s {self.end_s:g}: give times of at least 0, end later"
-            )

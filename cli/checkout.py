@@ -1,32 +1,29 @@
 """``polhode checkout``: what a user should know of a sequence before a run."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional, arg
-
 from polhode.cli.answer import Answer
+from polhode.cli.options import Command, Named, Positional
 
 
-@dataclass(frozen=True)
-class CheckoutCommand:
+class CheckoutCommand(Command):
     """Check a sequence before a run: rig, range, turn between frames, exposure, times, background, cost.
 
     Examines some 20 pairs, spread over the sequence. Writes checkout.json and the page checkout.html; prints
     what does not pass. The exit code is 0 whatever the checks say: the status is in the file.
     """
 
-    sequence: Annotated[Positional[Path], arg(metavar="SEQ")]
+    sequence: Annotated[Path, Positional("SEQ")]
     """Folder of the stereo sequence (it contains mav0/)."""
-    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    output: Annotated[Path, Named("DIR", "-o")]
     """Folder of the results: a new or empty one, or that of an earlier call, whose files are replaced."""
-    rig: Annotated[Path | None, arg(metavar="RIG")] = None
+    rig: Annotated[Path | None, Named("RIG")] = None
     """Check with this calibration instead: a folder with cam0/sensor.yaml and cam1/sensor.yaml."""
 
     def execute(self) -> Answer:
         """Check, write and print."""
-        from polhode.cli.console import choose_progress
+        from polhode.console import choose_progress
         from polhode.pipeline.checkout.checkout import checkout
         from polhode.pipeline.checkout.page import checkout_folder, format_checkout, write_checkout
 

@@ -1,22 +1,17 @@
 """``polhode compare``: optimizers and formulations side by side."""
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-from tyro.conf import arg
-
 from polhode.cli.answer import Answer
-from polhode.cli.console import choose_progress
-from polhode.cli.options import ConfigValues, OptionalConfigFile
-from polhode.config import Config
+from polhode.cli.options import ConfiguredCommand, Named, Positional
+from polhode.console import choose_progress
 
 FIGURES = {"problem", "solver", "start", "seed", "status", "cost", "iterations", "wall_s", "k1", "k2"}
 """Of each row, what the answer repeats of compare.json"""
 
 
-@dataclass(frozen=True)
-class CompareCommand:
+class CompareCommand(ConfiguredCommand):
     """Solve the same measurements and the same cost with many optimizers: table, CSV, JSON, a page.
 
     The measurements come from a dataset, a stored run, or the Monte Carlo generator (compare.monte_carlo).
@@ -32,19 +27,18 @@ class CompareCommand:
         ),
     )
 
-    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    output: Annotated[Path, Named("DIR", "-o")]
     """Folder of the results: a new one, or that of the same comparison, which is resumed."""
-    config: OptionalConfigFile = None
+    config: Annotated[Path | None, Positional("CONFIG")] = None
     """Configuration, YAML. If it is left out the defaults apply, which try every solver once; there are
     others in configs/compare/."""
-    data: Annotated[Path | None, arg(metavar="SEQ")] = None
+    data: Annotated[Path | None, Named("SEQ")] = None
     """Folder of a stereo sequence (it contains mav0/): its measurements are made first, as by `polhode run`.
     Its truth (mav0/target0), if any, gives errors."""
-    run: Annotated[Path | None, arg(metavar="RUN")] = None
+    run: Annotated[Path | None, Named("RUN")] = None
     """Folder of a finished run: its measurements.npz is used."""
-    truth: Annotated[Path | None, arg(metavar="SEQ")] = None
+    truth: Annotated[Path | None, Named("SEQ")] = None
     """With --run: folder of the sequence of that run; its truth (mav0/target0) gives errors."""
-    values: ConfigValues = field(default_factory=Config)
 
     def execute(self) -> Answer:
         """Compare and print the tables. Raises RunFailure when no solver converged."""

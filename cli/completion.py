@@ -1,39 +1,41 @@
 """``polhode completion``: a script that lets the shell complete commands, options and their values.
 
-The script holds all words, so that a press of TAB starts no Python. tyro's own scripts start it each time,
-and complete no file names of arguments.
+The script holds all words, so that a press of TAB starts no Python.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, get_args, get_origin
-
-from tyro.conf import Fixed, Positional, Suppress, arg
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Annotated, Literal
 
 from polhode.cli.answer import Answer
-from polhode.cli.options import Command, GeneralOptions, Option, is_configured, options_of
-from polhode.config import Config
-from polhode.config.keys import dotted, leaves
-from polhode.config.keys import options_of as union_members
+from polhode.cli.options import (
+    Command,
+    ConfiguredCommand,
+    GeneralOptions,
+    Option,
+    Positional,
+    options_of,
+    settings_of,
+)
+from polhode.config import Config, Scene, Train
 
 Shell = Literal["bash", "zsh", "fish"]
 
 
-@dataclass(frozen=True)
-class CompletionCommand:
+class CompletionCommand(Command):
     """Print a script that completes commands, options and values in the shell (docs/command_line.md).
 
     In ~/.bashrc or ~/.zshrc: source <(polhode completion bash), or zsh. In ~/.config/fish/config.fish: source
     (polhode completion fish | psub).
     """
 
-    shell: Annotated[Positional[Shell], arg(metavar="bash|zsh|fish")]
+    shell: Annotated[Shell, Positional("bash|zsh|fish")]
     """For which shell."""
-    commands: Suppress[Fixed[Mapping[str, Any]]] = field(default_factory=dict)
 
     def execute(self) -> Answer:
         """Make the script."""
-        return Answer(completion_script(self.shell, self.commands))
+        from polhode.cli.main import COMMANDS
+
+        return Answer(completion_script(self.shell, COMMANDS))
 
 
 def completion_script(shell: Shell, commands: Mapping[str, type[Command]]) -> str:
@@ -46,19 +48,11 @@ def completion_script(shell: Shell, commands: Mapping[str, type[Command]]) -> st
 
 def configuration_options() -> list[Option]:
     """The keys of the configuration as options."""
-    found = []
-    for path, annotation in leaves(Config):
-        kinds = union_members(annotation)
-        choices = [str(value) for kind in kinds if get_origin(kind) is Literal for value in get_args(kind)]
-        if bool in kinds:
-            choices += ["true", "false"]
-        name = f"--{dotted(path).replace('_', '-')}"
-        found.append(Option((name,), is_positional=False, takes_value=True, choices=tuple(choices)))
-    return found
+    return [option for _, option in settings_of(Config(scene=Scene(), train=Train()))]
 
 
 def _bash(commands: Mapping[str, type[Command]]) -> Iterator[str]:
-    general, keys = options_of(GeneralOptions), configuration_options()
+    general, keys = options_of(GeneralOptions).values(), configuration_options()
     yield "_polhode() {"
     yield '  local cur="${COMP_WORDS[COMP_CWORD]}" prev="${COMP_WORDS[COMP_CWORD-1]}" words="" keys=""'
     yield "  COMPREPLY=()"
@@ -67,8 +61,7 @@ def _bash(commands: Mapping[str, type[Command]]) -> Iterator[str]:
     yield "  else"
     yield '    case "${COMP_WORDS[1]} $prev" in'
     for name, command in commands.items():
-        options = options_of(command)
-        for option in options:
+        for option in options_of(command).values():
             if option.choices and not option.is_positional:
                 pattern = "|".join(f'"{name} {each}"' for each in option.names)
                 yield f'      {pattern}) words="{" ".join(option.choices)}" ;;'
@@ -82,8 +75,9 @@ def _bash(commands: Mapping[str, type[Command]]) -> Iterator[str]:
     yield f'      keys="{_words(keys)}"'
     yield '      case "${COMP_WORDS[1]}" in'
     for name, command in commands.items():
-        more = " $keys" if is_configured(command) else ""
-        yield f'        {name}) words="{_words([*options_of(command), *general])} -h --help{more}" ;;'
+        more = " $keys" if issubclass(command, ConfiguredCommand) else ""
+        words = _words([*options_of(command).values(), *general])
+        yield f'        {name}) words="{words} -h --help{more}" ;;'
     yield "      esac"
     yield "    fi"
     yield "  fi"
@@ -95,13 +89,15 @@ def _bash(commands: Mapping[str, type[Command]]) -> Iterator[str]:
 
 def _fish(commands: Mapping[str, type[Command]]) -> Iterator[str]:
     yield f'complete -c polhode -f -n __fish_use_subcommand -a "{" ".join(commands)}"'
-    for option in options_of(GeneralOptions):
+    for option in options_of(GeneralOptions).values():
         yield _fish_line("", option)
     for name, command in commands.items():
         condition = f'-n "__fish_seen_subcommand_from {name}"'
-        for option in options_of(command):
+        for option in options_of(command).values():
             yield _fish_line(condition, option)
-    configured = " ".join(name for name, command in commands.items() if is_configured(command))
+    configured = " ".join(
+        name for name, command in commands.items() if issubclass(command, ConfiguredCommand)
+    )
     for option in configuration_options():
         yield _fish_line(f'-n "__fish_seen_subcommand_from {configured}"', option)
 
@@ -110,12 +106,12 @@ def _fish_line(condition: str, option: Option) -> str:
     words = ["complete -c polhode", condition]
     if not option.is_positional:
         words += [f"-l {name[2:]}" if name.startswith("--") else f"-s {name[1:]}" for name in option.names]
-    if option.takes_value and not option.is_positional:
+    if not option.is_flag and not option.is_positional:
         words.append("-r")
     if option.choices:
         words.append(f'-f -a "{" ".join(option.choices)}"')
     return " ".join(filter(None, words))
 
 
-def _words(options: Sequence[Option]) -> str:
+def _words(options: Iterable[Option]) -> str:
     return " ".join(name for option in options if not option.is_positional for name in option.names)

@@ -1,26 +1,19 @@
 """``polhode doctor``: whether this installation works, on this machine."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from polhode.cli.answer import Answer
-from polhode.cli.console import announce, choose_progress
-from polhode.cli.options import Flag
+from polhode.cli.options import Command
+from polhode.console import announce, choose_progress
 
 if TYPE_CHECKING:
     from polhode.cli.self_test import Check
     from polhode.optional_parts import OptionalPart
 
-LITTLE_MEMORY_GIB = 2.0
-"""Below it the answer says so: a run of the sample takes some 1.3 GiB in all its processes."""
 
-BUSY = 0.5
-"""Load average for each processor, beyond which the answer says that times are longer"""
-
-
-@dataclass(frozen=True)
-class DoctorCommand:
+class DoctorCommand(Command):
     """Check the installation: packages, load, memory, optional parts, and a self-test of some seconds.
 
     Exit code 0: it works; 1: something that polhode needs is missing or does not work. Optional parts are
@@ -28,19 +21,21 @@ class DoctorCommand:
     an installation takes longer, because functions are compiled.
     """
 
-    skip_test: Flag = False
+    skip_test: bool = False
     """Leave out the self-test."""
 
     def execute(self) -> Answer:
         """Look, test, and say what was found, each as soon as it is."""
+        from polhode.optional_parts import OPTIONAL_PARTS
+
         facts: dict[str, Any] = {}
         for found, line in _facts():
             facts |= found
             announce(line)
         announce("")
         announce("Optional parts, none of which is needed:")
-        parts = [_described(part) for part in _optional_parts()]
-        checks = [] if self.skip_test else _tested()
+        parts = [_describe_part(part) for part in OPTIONAL_PARTS]
+        checks = [] if self.skip_test else _run_self_test()
         wrong = [
             *facts["wrong_packages"],
             *(f"{each.name}: {each.finding}" for each in checks if not each.holds),
@@ -96,7 +91,7 @@ def _load_in_words(load: float | None, processors: int) -> str:
     if load is None:
         return "unknown"
     text = f"{load:.1f} processes on average over the last minute, on {processors} processors"
-    if load < BUSY * processors:
+    if load < 0.5 * processors:
         return text
     slower = (load + processors) / processors
     return f"{text}: busy; a run takes up to {slower:.1f} times as long as on an idle machine"
@@ -106,18 +101,13 @@ def _memory_in_words(usable_gib: float | None, free_gib: float | None) -> str:
     memory = "unknown" if usable_gib is None else f"{usable_gib:.1f} GiB"
     if free_gib is not None:
         memory += f", {free_gib:.1f} GiB of it free"
-        if free_gib < LITTLE_MEMORY_GIB:
+        # a run of the sample takes some 1.3 GiB in all its processes
+        if free_gib < 2.0:
             memory += ": little for a run; close other programs, or use fewer --runtime.workers"
     return memory
 
 
-def _optional_parts() -> "tuple[OptionalPart, ...]":
-    from polhode.optional_parts import OPTIONAL_PARTS
-
-    return OPTIONAL_PARTS
-
-
-def _described(part: "OptionalPart") -> dict[str, Any]:
+def _describe_part(part: "OptionalPart") -> dict[str, Any]:
     """An optional part and what is missing of it, which is also printed."""
     found: Mapping[str, Any] = {
         "extra": part.extra,
@@ -132,7 +122,7 @@ def _described(part: "OptionalPart") -> dict[str, Any]:
     return dict(found)
 
 
-def _tested() -> "list[Check]":
+def _run_self_test() -> "list[Check]":
     """The self-test, each check printed when it is done."""
     from polhode.cli.self_test import self_test
 

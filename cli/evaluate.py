@@ -1,25 +1,22 @@
 """``polhode evaluate``: a run against the truth of its dataset."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-from tyro.conf import Positional, arg
-
 from polhode.cli.answer import Answer
+from polhode.cli.options import Command, Positional
 
 
-@dataclass(frozen=True)
-class EvaluateCommand:
+class EvaluateCommand(Command):
     """Compare a run with the truth of its dataset: RUN/metrics.json, a table, a section of the report."""
 
     EXAMPLES: ClassVar = (
         ("polhode evaluate RUN SEQ", "errors of a run, beside what its standard deviations promise"),
     )
 
-    run: Annotated[Positional[Path], arg(metavar="RUN")]
+    run: Annotated[Path, Positional("RUN")]
     """Folder of a finished run."""
-    data: Annotated[Positional[Path], arg(metavar="SEQ")]
+    data: Annotated[Path, Positional("SEQ")]
     """Folder of the sequence of that run, with its truth in mav0/target0."""
 
     def execute(self) -> Answer:

@@ -1,53 +1,43 @@
 """``polhode expect``: what accuracy to expect of a target and a rig, by a rule of thumb."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import arg
+from pydantic import Field
 
 from polhode.cli.answer import Answer
-from polhode.cli.options import require_positive
+from polhode.cli.options import Command, Named, Positive
 from polhode.errors import InputError
 
-MAX_PAIRS = 100_000
-HALF_TURN_DEG = 180.0
 
-
-@dataclass(frozen=True)
-class ExpectCommand:
+class ExpectCommand(Command):
     """Estimate the accuracy for a target and a rig from a fit to simulated runs, with a band of 90 %.
 
     A rule of thumb for the design of a mission, and no result: simulate and run the scene to know more. The
     rules are fitted to runs by python -m benchmarks.studies.rules_of_thumb (docs/expect.md).
     """
 
-    size_m: Annotated[float, arg(metavar="M", aliases=["--size"])]
+    size_m: Annotated[float, Named("M", "--size"), Positive]
     """Size of the body without its panels, as scene.body.size_m of the configuration [m]."""
-    range_m: Annotated[float, arg(metavar="M", aliases=["--range"])]
+    range_m: Annotated[float, Named("M", "--range"), Positive]
     """Distance of the target from the camera [m]."""
-    rpm: Annotated[float, arg(metavar="RPM")]
+    rpm: Annotated[float, Named("RPM"), Positive]
     """Its rate [RPM]."""
-    focal_px: Annotated[float, arg(metavar="PX")]
+    focal_px: Annotated[float, Named("PX"), Positive]
     """Focal length of the cameras [px]."""
-    baseline_m: Annotated[float, arg(metavar="M", aliases=["--baseline"])]
+    baseline_m: Annotated[float, Named("M", "--baseline"), Positive]
     """Distance between the cameras [m]."""
-    interval_s: Annotated[float, arg(metavar="S", aliases=["--interval"])] = 0.5
+    interval_s: Annotated[float, Named("S", "--interval"), Positive] = 0.5
     """Time between two stereo pairs [s]."""
-    pairs: Annotated[int, arg(metavar="N")] = 20
+    pairs: Annotated[int, Named("N"), Field(ge=3, le=100_000)] = 20
     """Number of stereo pairs."""
-    sun_angle_deg: Annotated[float, arg(metavar="DEG", aliases=["--sun-angle"])] = 45.0
+    sun_angle_deg: Annotated[float, Named("DEG", "--sun-angle"), Field(ge=0, le=180)] = 45.0
     """Angle between the directions to the Sun and to the camera, seen from the target [deg]."""
-    rules: Annotated[Path | None, arg(metavar="FILE")] = None
+    rules: Annotated[Path | None, Named("FILE")] = None
     """The rules, YAML, as a fit has written them. Without it, those that come with polhode."""
 
     def execute(self) -> Answer:
         """Print the errors with their bands."""
-        require_positive(self, "size_m", "range_m", "rpm", "focal_px", "baseline_m", "interval_s")
-        if not 3 <= self.pairs <= MAX_PAIRS:
-            raise InputError(f"--pairs {self.pairs}: give 3 to {MAX_PAIRS} pairs")
-        if not 0.0 <= self.sun_angle_deg <= 180.0:
-            raise InputError(f"--sun-angle {self.sun_angle_deg:g}: give 0 to 180 degrees")
         from polhode.studies.rules import WORDS, Observation, expected, outside, read_rules
 
         rules = read_rules(self.rules)
@@ -57,7 +47,7 @@ class ExpectCommand:
         )
         if self.range_m <= 0.5 * self.size_m:
             raise InputError(f"--range {self.range_m:g}: the camera would be inside the target; give more")
-        if (turn_deg := observation.predictors["turn_deg"]) >= HALF_TURN_DEG:
+        if (turn_deg := observation.predictors["turn_deg"]) >= 180.0:
             raise InputError(
                 f"--interval {self.interval_s:g}: the target would turn by {turn_deg:.3g} deg between two "
                 "pairs, which images do not tell from a turn the other way; give a shorter one"

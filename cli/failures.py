@@ -18,7 +18,6 @@ EXHAUSTED = {
 }
 """What the machine has run out of: it ends a command whatever its input is."""
 WITH_WORKERS = ("simulate", "run", "compare", "train")
-OR_ONE_WORKER = ", or use --runtime.workers 1"
 REFUSED = {
     errno.EACCES: "change its permissions, or choose another path",
     errno.EPERM: "change its permissions, or choose another path",
@@ -88,7 +87,7 @@ def _explained(error: Exception, working: bool, command: str) -> tuple[int, str]
 
 
 def _or_one_worker(command: str) -> str:
-    return OR_ONE_WORKER if command in WITH_WORKERS else ""
+    return ", or use --runtime.workers 1" if command in WITH_WORKERS else ""
 
 
 def _of_system(error: OSError, users: int, command: str) -> tuple[int, str]:

@@ -1,22 +1,22 @@
 """``polhode import``: a recording of somebody else as a dataset."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
-from tyro.conf import Positional, arg
+from pydantic import Field
 
 from polhode.cli.answer import Answer
-from polhode.cli.console import choose_progress
-from polhode.cli.options import Flag
+from polhode.cli.options import Command, Named, Positional
+from polhode.console import choose_progress
 from polhode.errors import InputError
 
 MAX_TIME_S = 1e9
+"""Of a recording, and of offsets between its clocks [s]"""
 
 
-@dataclass(frozen=True)
-class ImportCommand:
+class ImportCommand(Command):
     """Make a dataset from a recording: images, bags, videos (docs/import.md).
 
     Sources: two folders of images (left, right; or images, depth); a bag of ROS 1 or ROS 2 (.bag, .db3,
@@ -32,83 +32,68 @@ class ImportCommand:
         "depth images": ("range_scale_m", "range_sigma_m", "range_growth_per_m"),
     }
 
-    sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SOURCE...")]
+    sources: Annotated[tuple[Path, ...], Positional("SOURCE...")]
     """One path or two."""
-    output: Annotated[Path, arg(aliases=["-o"], metavar="SEQ")]
+    output: Annotated[Path, Named("SEQ", "-o")]
     """Folder of the dataset, which is created."""
-    calibration: Annotated[tuple[Path, ...], arg(metavar="FILE...")] = ()
+    calibration: Annotated[tuple[Path, ...], Named("FILE...")] = ()
     """Calibration: a YAML or JSON file of OpenCV (or two: intrinsics, extrinsics), a camchain of Kalibr, two
     camera_info of ROS (left, right), or a folder with cam0/sensor.yaml and cam1/sensor.yaml. By default that
     of the bag or of the EuRoC folder."""
-    unit: Annotated[str, arg(metavar="m|mm")] = "m"
+    unit: Annotated[Literal["m", "mm"], Named("m|mm")] = "m"
     """Unit of T in a file of OpenCV: that of the board's squares."""
-    stamps: Annotated[tuple[Path, ...], arg(metavar="FILE...")] = ()
+    stamps: Annotated[tuple[Path, ...], Named("FILE...")] = ()
     """Timestamps for images and videos without: one row an image, ns, or s with a point. One file for both
     cameras, or one each."""
-    rate_hz: Annotated[float | None, arg(metavar="HZ")] = None
+    rate_hz: Annotated[float | None, Named("HZ"), Field(gt=0, le=MAX_TIME_S)] = None
     """Frame rate of numbered images, and of videos whose own times are wrong [Hz]."""
-    left_topic: Annotated[str | None, arg(metavar="TOPIC")] = None
+    left_topic: Annotated[str | None, Named("TOPIC")] = None
     """Topic of the left images in a bag. Found by its name unless given."""
-    right_topic: Annotated[str | None, arg(metavar="TOPIC")] = None
+    right_topic: Annotated[str | None, Named("TOPIC")] = None
     """Topic of the right images."""
-    poses: Annotated[str | None, arg(metavar="TOPIC|tf:FRAME|none")] = None
+    poses: Annotated[str | None, Named("TOPIC|tf:FRAME|none")] = None
     """Poses of the inspector in a bag: a topic (Odometry, PoseStamped), or the frame of tf that is at rest.
     By default the odometry whose frame tf links to the camera; none: the cameras are at rest."""
-    pose_of: Annotated[str | None, arg(metavar="FRAME")] = None
+    pose_of: Annotated[str | None, Named("FRAME")] = None
     """What that topic states the pose of: a frame of tf, left (the left camera), or body (of the
     calibration)."""
-    tolerance_s: Annotated[float | None, arg(metavar="S")] = None
+    tolerance_s: Annotated[float | None, Named("S"), Field(ge=0, le=MAX_TIME_S)] = None
     """Largest difference between the timestamps of a pair, beyond the offset of the clocks [s]. A hundredth
     of the usual interval unless given."""
-    offset_s: Annotated[float | None, arg(metavar="S")] = None
+    offset_s: Annotated[float | None, Named("S"), Field(ge=-MAX_TIME_S, le=MAX_TIME_S)] = None
     """What the right camera's clock is ahead of the left one's [s]. Found from the timestamps unless
     given."""
-    start_s: Annotated[float, arg(metavar="S", aliases=["--start"])] = 0.0
+    start_s: Annotated[float, Named("S", "--start"), Field(ge=0, le=MAX_TIME_S)] = 0.0
     """Begin so long after the first pair [s]."""
-    end_s: Annotated[float, arg(metavar="S", aliases=["--end"])] = math.inf
+    end_s: Annotated[float, Named("S", "--end")] = math.inf
     """End so long after the first pair [s]."""
-    every: Annotated[int, arg(metavar="N")] = 1
+    every: Annotated[int, Named("N"), Field(ge=1)] = 1
     """Import each N-th pair."""
-    crop: Annotated[str | None, arg(metavar="LEFT,TOP,WIDTH,HEIGHT")] = None
+    crop: Annotated[str | None, Named("LEFT,TOP,WIDTH,HEIGHT")] = None
     """Part of the images that is kept [px]; the calibration is adjusted."""
-    range_scale_m: Annotated[float | None, arg(metavar="M")] = None
+    range_scale_m: Annotated[float | None, Named("M")] = None
     """Metres per unit of depth images: the second of two folders is depth if this is given. 0.0002 for TUM
     RGB-D unless given [m]."""
-    range_sigma_m: Annotated[float | None, arg(metavar="M")] = None
+    range_sigma_m: Annotated[float | None, Named("M")] = None
     """Standard deviation of a pixel's depth, at no distance; needed for two folders. That of TUM's sensor
     unless given [m]."""
-    range_growth_per_m: Annotated[float | None, arg(metavar="X")] = None
+    range_growth_per_m: Annotated[float | None, Named("X")] = None
     """Part of it that grows with the square of the depth. That of TUM's sensor unless given [1/m]."""
-    overwrite: Flag = False
+    overwrite: bool = False
     """Replace an existing dataset that import made, if nothing was changed in it. Nothing else is ever
     replaced."""
 
     def execute(self) -> Answer:
         """Import. The dataset appears when it is complete; an interrupted one is resumed."""
-        if self.unit not in ("m", "mm"):
-            raise InputError(f"--unit {self.unit}: choose m or mm")
         self._require_ranges()
         from polhode.importers.import_sequence import import_sequence
         from polhode.importers.options import ImportOptions, parse_crop
 
+        same = {each.name for each in fields(ImportOptions)} - {"unit_m", "crop"}
         options = ImportOptions(
-            calibration=self.calibration,
+            **{name: getattr(self, name) for name in same},
             unit_m=1e-3 if self.unit == "mm" else 1.0,
-            stamps=self.stamps,
-            rate_hz=self.rate_hz,
-            left_topic=self.left_topic,
-            right_topic=self.right_topic,
-            poses=self.poses,
-            pose_of=self.pose_of,
-            tolerance_s=self.tolerance_s,
-            offset_s=self.offset_s,
-            start_s=self.start_s,
-            end_s=self.end_s,
-            every=self.every,
-            crop=parse_crop(self.crop) if self.crop is not None else None,
-            range_scale_m=self.range_scale_m,
-            range_sigma_m=self.range_sigma_m,
-            range_growth_per_m=self.range_growth_per_m,
+            crop=None if self.crop is None else parse_crop(self.crop),
         )
         done = import_sequence(self.sources, self.output, options, choose_progress(), self.overwrite)
         return Answer(
@@ -121,16 +106,6 @@ class ImportCommand:
     def _require_ranges(self) -> None:
         from polhode.range_images import MAX_GROWTH_PER_M, MAX_SCALE_M, MAX_SIGMA_M, MIN_SCALE_M, MIN_SIGMA_M
 
-        for name in ("rate_hz", "tolerance_s", "offset_s", "start_s"):
-            value, option = getattr(self, name), f"--{name.replace('_', '-')}"
-            if value is not None and not (math.isfinite(value) and abs(value) <= MAX_TIME_S):
-                raise InputError(f"{option} {value:g}: give a number up to {MAX_TIME_S:g}")
-        if self.rate_hz is not None and self.rate_hz <= 0.0:
-            raise InputError(f"--rate-hz {self.rate_hz:g}: give a number above 0")
-        for name in ("tolerance_s", "start_s"):
-            value = getattr(self, name)
-            if value is not None and value < 0.0:
-                raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number of at least 0")
         for name, least, most in (
             ("range_scale_m", MIN_SCALE_M, MAX_SCALE_M),
             ("range_sigma_m", MIN_SIGMA_M, MAX_SIGMA_M),
@@ -141,8 +116,6 @@ class ImportCommand:
                 raise InputError(f"--{name.replace('_', '-')} {value:g}: give {least:g} to {most:g}")
         if not self.end_s > self.start_s:
             raise InputError(f"--end-s {self.end_s:g}: give a time after --start-s {self.start_s:g}")
-        if self.every < 1:
-            raise InputError(f"--every {self.every}: give a whole number of at least 1")
         if len(self.stamps) > 2:
             raise InputError(
                 f"--stamps: {len(self.stamps)} files were given; give one, or one for each camera"

@@ -5,7 +5,6 @@ line on standard error; with --json it is in the answer, too.
 """
 
 import contextlib
-import dataclasses
 import signal
 import sys
 import warnings
@@ -16,18 +15,16 @@ from polhode.cli.calibrate import CalibrateCommand
 from polhode.cli.checkout import CheckoutCommand
 from polhode.cli.compare import CompareCommand
 from polhode.cli.completion import CompletionCommand
-from polhode.cli.console import is_working, show_warnings
 from polhode.cli.doctor import DoctorCommand
 from polhode.cli.evaluate import EvaluateCommand
 from polhode.cli.expect import ExpectCommand
 from polhode.cli.export import ExportCommand
 from polhode.cli.failures import explained, printable_traceback
-from polhode.cli.help import overview
+from polhode.cli.help import overview, print_help
 from polhode.cli.import_sequence import ImportCommand
 from polhode.cli.observability import ObservabilityCommand
-from polhode.cli.options import Command, GeneralOptions, split_general
-from polhode.cli.overrides import split_overrides
-from polhode.cli.parsing import parse, print_help
+from polhode.cli.options import Command, ConfiguredCommand, GeneralOptions, split_general
+from polhode.cli.parsing import parse
 from polhode.cli.plan import PlanCommand
 from polhode.cli.predict import PredictCommand
 from polhode.cli.report import ReportCommand
@@ -41,6 +38,7 @@ from polhode.cli.view import ViewCommand
 from polhode.code_cache import require_no_settings_of_numba
 from polhode.config.keys import suggestion
 from polhode.config.loader import load_config
+from polhode.console import is_working, show_warnings
 from polhode.errors import InputError, RunFailure, one_line
 from polhode.interrupts import interrupts_raised, received
 from polhode.processes import kill_workers
@@ -74,17 +72,12 @@ TOPICS = {
     "program": ("train", "doctor", "completion"),
 }
 """Commands in the order of the help; those that are in no topic follow at the end"""
-CONFIGURED = (SimulateCommand, RunCommand, CompareCommand, TrainCommand)
-"""Those that read a configuration"""
-DESCRIPTION = "Motion, mass properties and shape of a tumbling target, from a stereo camera."
 RESUMES = {
     "compare": "finished rows are kept, the same command goes on from there",
     "sweep": "points that are done are kept, the same command goes on from there",
     "train": "finished scenes and the last checkpoint are kept, the same command goes on from there",
 }
 """What an interrupt leaves of a command, where it leaves something"""
-ENDED_BY_SIGNAL = 128
-"""Added to the number of the signal that ended a program, its exit code."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -105,10 +98,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _call(words: list[str], general: GeneralOptions) -> int:
     """Run the command and show how it ended. Returns the exit code."""
     # Whatever else is printed, by libraries too: a program that reads JSON gets nothing but the answer.
-    aside = contextlib.redirect_stdout(sys.stderr) if general.json else contextlib.nullcontext()
+    aside = contextlib.redirect_stdout(sys.stderr) if general.json_answer else contextlib.nullcontext()
     with aside, show_warnings(general.quiet, general.verbose) as warned:
         outcome = _outcome(words, general)
-    if general.json:
+    if general.json_answer:
         print(outcome.as_json(warned))
     elif outcome.answer is not None:
         lines = [outcome.answer.line] if general.quiet else [outcome.answer.text, outcome.answer.line]
@@ -133,7 +126,7 @@ def _outcome(words: list[str], general: GeneralOptions) -> Outcome:
     except KeyboardInterrupt as stop:
         number = received()
         by = f" by {number.name}" if number is not None else ""
-        code = ENDED_BY_SIGNAL + (number or signal.SIGINT)
+        code = 128 + (number or signal.SIGINT)
         return _error(command, code, _interrupted(command, by, stop), stop, general.debug)
     except Exception as error:  # noqa: BLE001  last resort: one line instead of a traceback
         return _error(command, *explained(error, is_working(), *words[:1]), error, general.debug)
@@ -162,7 +155,8 @@ def _dispatch(words: list[str]) -> Answer | None:
         return Answer(f"polhode {version('polhode')}", figures={"version": version("polhode")})
     asked_help = next((word for word in words if word in ("-h", "--help")), None)
     if asked_help is not None and words[0] not in COMMANDS:
-        return Answer(overview(DESCRIPTION, _topics(), COMMANDS))
+        about = "Motion, mass properties and shape of a tumbling target, from a stereo camera."
+        return Answer(overview(about, _topics(), COMMANDS))
     _require_command(words)
     name, *rest = words
     if asked_help is not None:
@@ -170,17 +164,14 @@ def _dispatch(words: list[str]) -> Answer | None:
         print_help(name, COMMANDS[name], everything=asked_help == "--help")
         return None
     _require_no_empty_word(words)
-    own, overrides = split_overrides(rest)
-    command = parse(name, COMMANDS[name], own)
+    command, overrides = parse(name, COMMANDS[name], rest)
     require_no_settings_of_numba()
-    if isinstance(command, CONFIGURED):
+    if isinstance(command, ConfiguredCommand):
         values = load_config(command.config, overrides)
         limit_threads(values.runtime.blas_threads)
-        command = dataclasses.replace(command, values=values)
+        command = command.model_copy(update={"values": values})
     elif overrides:
         raise InputError(f"'{name}' reads no configuration: remove --{next(iter(overrides))}")
-    elif isinstance(command, CompletionCommand):
-        command = dataclasses.replace(command, commands=COMMANDS)
     return command.execute()
 
 

@@ -1,26 +1,21 @@
 """``polhode observability``: how well edges determine the pose along a camera trajectory."""
 
-import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from tyro.conf import Positional, arg
+from pydantic import Field
 
 from polhode.cli.answer import Answer
-from polhode.cli.options import Flag
-from polhode.errors import InputError
+from polhode.cli.options import Command, Named, Positional
 
-MAX_IMAGE_PX = 100_000
-"""Limit of an image's width and height."""
-MIN_FOCAL_PX, MAX_FOCAL_PX = 1.0, 1e9
-MAX_COORDINATE_M = 1e12
+ImageSide = Annotated[int | None, Named("PX"), Field(ge=16, le=100_000)]
+Coordinate = Annotated[float, Field(ge=-1e12, le=1e12)]
+"""[m]"""
 _FRAMES = {"body": "G", "inertial": "N", "G": "G", "N": "N"}
 """Frame letters of docs/notation.md, by what a user may call them"""
 
 
-@dataclass(frozen=True)
-class ObservabilityCommand:
+class ObservabilityCommand(Command):
     """How well edge tracking could determine the pose along a trajectory, before any image exists.
 
     C = sum of f f^T over the visible edges, f their motion perpendicular to themselves under each degree of
@@ -36,41 +31,41 @@ class ObservabilityCommand:
         "mesh file": ("crease_deg", "unit"),
     }
 
-    source: Annotated[Positional[Path], arg(metavar="RUN|MESH")]
+    source: Annotated[Path, Positional("RUN|MESH")]
     """Folder of a run, whose mesh is used, or a mesh file (PLY, STL, OBJ, GLB)."""
-    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    output: Annotated[Path, Named("DIR", "-o")]
     """Folder of the results: a new or empty one, or that of an earlier call, whose files are replaced."""
-    trajectory: Annotated[Path | None, arg(metavar="FILE")] = None
+    trajectory: Annotated[Path | None, Named("FILE")] = None
     """Camera trajectory, TUM format: one line per pose, timestamp tx ty tz qx qy qz qw; the camera looks
     along its z axis, x points right, y down. A run's own unless given."""
-    frame: Annotated[Literal["body", "inertial", "G", "N"] | None, arg(metavar="body|inertial")] = None
+    frame: Annotated[Literal["body", "inertial", "G", "N"] | None, Named("body|inertial")] = None
     """Frame in which the trajectory states the camera's poses. body (or G, the frame of the mesh): fixed to
     the target. inertial (or N, the inertial frame of the run): the target tumbles on as predicted, and times
     are seconds after the last pair of the run. body unless given, and inertial for the file that
     `polhode plan` writes, whose first line says so."""
-    sun: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
+    sun: Annotated[tuple[float, float, float] | None, Named("X Y Z")] = None
     """Direction to the Sun, of any length: edges are then weighted by their contrast. In N for a run, in its
     own frame for a mesh. Without it all edges have the same weight."""
-    about: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
+    about: Annotated[tuple[Coordinate, Coordinate, Coordinate] | None, Named("X Y Z")] = None
     """Reference point in G [m] of translations and rotations. The centre of mass of a run, or the centre of
     the mesh's bounding box, unless given."""
-    sigma_px: Annotated[float, arg(metavar="PX")] = 1.0
+    sigma_px: Annotated[float, Named("PX")] = 1.0
     """Standard deviation of the distance to an edge, at each sample point."""
-    spacing_px: Annotated[float, arg(metavar="PX")] = 10.0
+    spacing_px: Annotated[float, Named("PX")] = 10.0
     """Spacing of the sample points along an edge."""
-    crease_deg: Annotated[float, arg(metavar="DEG")] = 30.0
+    crease_deg: Annotated[float, Named("DEG"), Field(gt=0, lt=180)] = 30.0
     """For a mesh: faces that meet at a larger angle form an edge."""
     unit: Literal["m", "mm"] = "m"
     """Unit of a mesh file."""
-    focal_px: Annotated[float | None, arg(metavar="PX")] = None
+    focal_px: Annotated[float | None, Named("PX"), Field(ge=1.0, le=1e9)] = None
     """Focal length; a run's own, or 800, unless given."""
-    width_px: Annotated[int | None, arg(metavar="PX")] = None
+    width_px: ImageSide = None
     """Width of the image; a run's own, or 640."""
-    height_px: Annotated[int | None, arg(metavar="PX")] = None
+    height_px: ImageSide = None
     """Height of the image; a run's own, or 480."""
-    edges: Annotated[int | None, arg(metavar="N")] = None
+    edges: Annotated[int | None, Named("N")] = None
     """Also select the best N edges: those that minimize the variance over the trajectory."""
-    fewest: Flag = False
+    fewest: bool = False
     """Also find the smallest set of edges that keeps every sigma within 10 % of that with all; takes up to a
     minute."""
 
@@ -78,7 +73,7 @@ class ObservabilityCommand:
         """Check, assess, write and print."""
         import numpy as np
 
-        from polhode.cli.console import choose_progress
+        from polhode.console import choose_progress
         from polhode.pipeline.after_run.observability.assess import (
             CameraOptions,
             assess,
@@ -95,7 +90,6 @@ class ObservabilityCommand:
         from polhode.pipeline.after_run.plan_files import is_in_N
 
         with assessment_folder(self.output) as place:
-            self._check()
             check_numbers(self.sigma_px, self.spacing_px, self.edges)
             sun = sun_direction(self.sun)
             stated = "inertial" if self.trajectory is not None and is_in_N(self.trajectory) else "body"
@@ -124,22 +118,3 @@ class ObservabilityCommand:
                 "median_sigma": dict(zip(NAMES, np.median(assessment.sigma, axis=0), strict=True)),
             },
         )
-
-    def _check(self) -> None:
-        """Raises InputError for an option that is out of its range."""
-        for name, least, most in (
-            ("width_px", 16, MAX_IMAGE_PX),
-            ("height_px", 16, MAX_IMAGE_PX),
-            ("focal_px", MIN_FOCAL_PX, MAX_FOCAL_PX),
-        ):
-            value = getattr(self, name)
-            if value is not None and not least <= value <= most:
-                raise InputError(
-                    f"--{name.replace('_', '-')} {str(value)[:20]}: give a number from {least:g} to {most:g}"
-                )
-        if not 0.0 < self.crease_deg < 180.0:
-            raise InputError(f"--crease-deg {self.crease_deg:g}: give an angle between 0 and 180")
-        if self.about is not None and not all(math.isfinite(each) for each in self.about):
-            raise InputError("--about: give three finite numbers")
-        if self.about is not None and max(map(abs, self.about)) > MAX_COORDINATE_M:
-            raise InputError(f"--about: give a point within {MAX_COORDINATE_M:g} m")

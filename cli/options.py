@@ -1,60 +1,78 @@
-"""What several commands have in common: the type of a command, and the types of shared options."""
+"""The options of a command as data, read off its fields: parsing, help and completion all work on these."""
 
-import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol, cast, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
 
-from tyro.conf import AvoidSubcommands, FlagConversionOff, FlagCreatePairsOff, Positional, arg
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic.fields import FieldInfo
 
 from polhode.cli.answer import Answer
 from polhode.config import Config
+from polhode.config.keys import dotted, is_structured, section_of
 from polhode.config.keys import options_of as union_members
-from polhode.errors import InputError
-
-ConfigFile = Annotated[Positional[Path], arg(metavar="CONFIG")]
-OptionalConfigFile = Annotated[Positional[Path | None], arg(metavar="CONFIG")]
-ConfigValues = Annotated[AvoidSubcommands[FlagConversionOff[Config]], arg(name="")]
-"""The configuration itself: the help lists its keys as options, which ``overrides`` reads."""
-Flag = FlagCreatePairsOff[bool]
-
-
-class Command(Protocol):
-    """What the command line is parsed into.
-
-    A command may have ``GROUPS``, the groups of its less common options: title -> names of its fields; and
-    ``EXAMPLES``: pairs of a command line and what it does.
-    """
-
-    def execute(self) -> Answer:
-        """Run the command."""
-        ...
 
 
 @dataclass(frozen=True)
-class GeneralOptions:
+class Positional:
+    """A field that is an argument without a name; in the help it is called ``metavar``."""
+
+    metavar: str
+
+
+@dataclass(frozen=True)
+class Named:
+    """A field that is an option: what stands for its value in the help, and its other names."""
+
+    metavar: str = ""
+    other_name: str = ""
+
+
+Positive = Field(ge=1e-12, le=1e12, allow_inf_nan=False)
+"""Of a number above 0 by which the command divides"""
+
+
+class Command(BaseModel):
+    """What the command line is parsed into: each field is an option, its docstring the help."""
+
+    model_config = ConfigDict(frozen=True, use_attribute_docstrings=True)
+
+    GROUPS: ClassVar[Mapping[str, Sequence[str]]] = {}
+    """Of the less common options: title -> names of fields"""
+    EXAMPLES: ClassVar[Sequence[tuple[str, str]]] = ()
+    """Command lines, each with what it does"""
+
+    def execute(self) -> Answer:
+        """Run the command."""
+        raise NotImplementedError
+
+
+class ConfiguredCommand(Command):
+    """A command that reads a configuration, whose keys are options, too."""
+
+    config: Annotated[Path | None, Positional("CONFIG")] = None
+    """Configuration, YAML. If it is left out the defaults apply, which fit any calibrated sequence."""
+    values: Config = Config()
+    """The content of the configuration, with the options laid over it."""
+
+
+class GeneralOptions(BaseModel):
     """Of every command, wherever they stand on the line."""
 
-    quiet: Annotated[Flag, arg(aliases=["-q"])] = False
+    model_config = ConfigDict(frozen=True, use_attribute_docstrings=True)
+
+    quiet: Annotated[bool, Named(other_name="-q")] = False
     """Print the last line only: no progress, no tables, no warnings."""
-    verbose: Annotated[Flag, arg(aliases=["-v"])] = False
+    verbose: Annotated[bool, Named(other_name="-v")] = False
     """Show what the program logs (RUN/log.txt) on standard error."""
-    json: Flag = False
+    json_answer: Annotated[bool, Field(alias="json")] = False
     """Answer with one JSON object on standard output (docs/command_line.md); all else goes to standard
     error."""
-    debug: Flag = False
+    debug: bool = False
     """Show the traceback of an error."""
-
-
-_WORDS = {"-q": "quiet", "-v": "verbose"} | {f"--{each.name}": each.name for each in fields(GeneralOptions)}
-
-
-def split_general(words: Sequence[str]) -> tuple[GeneralOptions, list[str]]:
-    """The general options of a command line, and its other words. Raises InputError: they contradict."""
-    given = GeneralOptions(**{_WORDS[word]: True for word in words if word in _WORDS})
-    return given, [word for word in words if word not in _WORDS]
 
 
 @dataclass(frozen=True)
@@ -63,15 +81,38 @@ class Option:
 
     names: tuple[str, ...]
     """With their dashes, the usual one first"""
-    is_positional: bool
-    takes_value: bool
-    choices: tuple[str, ...]
-    """Empty: any value"""
-    required: bool = False
-    metavar: str = ""
-    """What stands for the value in the help; empty: it has none of its own"""
-    kinds: tuple[Any, ...] = ()
-    """Types of its value: the members of a union"""
+    field: FieldInfo
+    metavar: str
+    """What stands for the value in the help; empty: it takes none"""
+    default: Any
+    is_positional: bool = False
+    is_flag: bool = False
+    """Whether no value follows it"""
+
+    @property
+    def kinds(self) -> tuple[Any, ...]:
+        """Types of its value: the members of a union."""
+        return union_members(self.field.annotation)
+
+    @property
+    def required(self) -> bool:
+        """Whether it must be given."""
+        return self.field.is_required()
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """Empty: any value."""
+        choices = [str(each) for kind in self.kinds if get_origin(kind) is Literal for each in get_args(kind)]
+        if bool in self.kinds and not self.is_flag:
+            choices += ["true", "false"]
+        if not choices and str in self.kinds and re.fullmatch(r"\w+(\|\w+)+", self.metavar):
+            return tuple(self.metavar.split("|"))
+        return tuple(choices)
+
+    @property
+    def description(self) -> str:
+        """One line, however it was wrapped in the source."""
+        return " ".join((self.field.description or "").split())
 
     @property
     def invocation(self) -> str:
@@ -80,63 +121,89 @@ class Option:
             return self.metavar
         return f"{min(self.names, key=len)} {self.metavar}".rstrip()
 
+    @property
+    def wanted(self) -> str:
+        """The value that it takes, for an error."""
+        if self.choices:
+            return f"one of {', '.join(self.choices)}"
+        for kind in self.kinds:
+            if kind in (int, float):
+                return ("a whole number" if kind is int else "a number") + _limits(self.field.metadata)
+            number, *more = get_args(kind) or (None,)
+            if float in union_members(number):
+                each = _limits(get_args(number)[1].metadata) if get_origin(number) is Annotated else ""
+                return f"{1 + len(more)} numbers: {self.metavar}{each and f', each{each}'}"
+        return self.metavar
 
-def options_of(command: type[Any]) -> list[Option]:
-    """The options of a command beside those of the configuration, and its positional arguments."""
-    hints = get_type_hints(command, include_extras=True)
-    required = {
-        each.name for each in fields(command) if each.default is MISSING and each.default_factory is MISSING
+
+def _limits(metadata: Sequence[Any]) -> str:
+    """The range of a number, as words that follow it; empty: any."""
+    words = ((Ge, "ge", "from"), (Gt, "gt", "above"), (Le, "le", "to"), (Lt, "lt", "below"))
+    found = {
+        word: f"{getattr(each, name):g}"
+        for kind, name, word in words
+        for each in metadata
+        if isinstance(each, kind)
     }
-    return [_option(name, hints[name], name in required) for name in field_names(command)]
+    if found.keys() == {"from"}:
+        return f" of at least {found['from']}"
+    return "".join(f" {word} {value}" for word, value in found.items())
 
 
-def _option(field: str, annotation: Any, required: bool) -> Option:
-    markers = getattr(annotation, "__metadata__", ())
-    aliases = [alias for marker in markers for alias in getattr(marker, "aliases", None) or ()]
-    metavar = next((each.metavar for each in markers if getattr(each, "metavar", None)), "")
-    kinds = union_members(annotation)
-    choices = [str(value) for kind in kinds if get_origin(kind) is Literal for value in get_args(kind)]
-    if not choices and str in kinds and re.fullmatch(r"\w+(\|\w+)+", metavar):
-        choices = metavar.split("|")
-    return Option(
-        (f"--{field.replace('_', '-')}", *aliases),
-        is_positional=_POSITIONAL in markers,
-        takes_value=bool not in kinds,
-        choices=tuple(choices),
-        required=required,
-        metavar=metavar,
-        kinds=kinds,
-    )
+def options_of(command: type[BaseModel]) -> dict[str, Option]:
+    """The options of a command by field, beside those of the configuration, and its positional arguments."""
+    return {name: _option(name, field) for name, field in command.model_fields.items() if name != "values"}
 
 
-_POSITIONAL = get_args(Positional[int])[1]
+def _option(name: str, field: FieldInfo) -> Option:
+    spelled = f"--{(field.alias or name).replace('_', '-')}"
+    shown = next((each for each in field.metadata if isinstance(each, Named | Positional)), Named())
+    others = (shown.other_name,) if isinstance(shown, Named) and shown.other_name else ()
+    is_flag = field.annotation is bool
+    metavar = shown.metavar or ("" if is_flag else _metavar(field.annotation))
+    return Option((spelled, *others), field, metavar, field.default, isinstance(shown, Positional), is_flag)
 
 
-def is_configured(command: type[Command]) -> bool:
-    """Whether the keys of the configuration are options of the command."""
-    return "values" in {each.name for each in fields(cast(Any, command))}
+def settings_of(values: BaseModel, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Option]]:
+    """The keys of a configuration as options, each with its section, and with ``values`` as the defaults.
+
+    A section that is None is left out.
+    """
+    sections = []
+    for name, field in type(values).model_fields.items():
+        here, value = (*path, name), getattr(values, name)
+        if isinstance(value, BaseModel):
+            sections.append((value, here))
+        elif section_of(field.annotation) is None:
+            spelled = f"--{dotted(here).replace('_', '-')}"
+            yield dotted(path), Option((spelled,), field, _metavar(field.annotation), value)
+    for section, here in sections:
+        yield from settings_of(section, here)
 
 
-def groups_of(command: type[Command]) -> Mapping[str, Sequence[str]]:
-    """Titles of the groups of a command's less common options, and the fields in each."""
-    return cast(Mapping[str, Sequence[str]], getattr(command, "GROUPS", {}))
+def _metavar(annotation: Any) -> str:
+    """The words of a value of this type."""
+    if is_structured(annotation):
+        return "YAML"
+    words = []
+    for kind in union_members(annotation):
+        arguments = get_args(kind)
+        if get_origin(kind) is Literal:
+            words.append("{" + ",".join(map(str, arguments)) + "}")
+        elif get_origin(kind) is tuple and arguments[-1:] == (...,):
+            words.append(f"[{_metavar(arguments[0])} ...]")
+        elif get_origin(kind) is tuple:
+            words.append(" ".join(map(_metavar, arguments)))
+        else:
+            names = {type(None): "null", bool: "{true,false}"}
+            words.append(names.get(kind) or getattr(kind, "__name__", str(kind)).upper())
+    return "|".join(words)
 
 
-def examples_of(command: type[Command]) -> Sequence[tuple[str, str]]:
-    """Command lines that show how a command is used, each with what it does."""
-    return cast(Sequence[tuple[str, str]], getattr(command, "EXAMPLES", ()))
+_GENERAL = {name: field for field, option in options_of(GeneralOptions).items() for name in option.names}
 
 
-def field_names(command: type[Command]) -> list[str]:
-    """Fields of a command, in order, beside what ``main`` fills in."""
-    return [each.name for each in fields(cast(Any, command)) if each.name not in ("values", "commands")]
-
-
-def require_positive(command: object, *names: str, most: float = 1e12) -> None:
-    """Raises InputError for an option that is not a number above 0 and at most ``most``."""
-    for name in names:
-        value = getattr(command, name)
-        if not (math.isfinite(value) and value > 0.0):
-            raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number above 0")
-        if not 1.0 / 1e12 <= value <= most:
-            raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number from 1e-12 to {most:g}")
+def split_general(words: Sequence[str]) -> tuple[GeneralOptions, list[str]]:
+    """The general options of a command line, and its other words."""
+    given = {_GENERAL[word]: True for word in words if word in _GENERAL}
+    return GeneralOptions.model_construct(None, **given), [word for word in words if word not in _GENERAL]

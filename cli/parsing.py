@@ -1,251 +1,200 @@
-"""The words of a command line as a command: tyro parses them, mistakes become one line."""
+"""The words of a command line as a command and the keys of the configuration; mistakes become one line.
 
-import contextlib
-import dataclasses
-import io
-import operator
+Values of keys go through the loader of the configuration, so that a wrong one is reported as in a file.
+"""
+
 import re
-import sys
-from collections.abc import Callable, Sequence
-from functools import cache
-from itertools import dropwhile, takewhile
-from typing import Any, cast, get_args, get_origin
+from collections.abc import Sequence
+from typing import Any, TypeVar, get_args, get_origin
 
-import tyro
-from tyro.conf import Fixed
-from tyro.constructors import (
-    ConstructorRegistry,
-    PrimitiveConstructorSpec,
-    PrimitiveTypeInfo,
-    StructConstructorSpec,
-    StructTypeInfo,
-)
+from pydantic import ValidationError
 
-from polhode.cli.help import class_for_help, introduction
-from polhode.cli.options import Command, Option, is_configured, options_of
-from polhode.cli.overrides import option_names
-from polhode.config.keys import is_structured, suggestion
+from polhode.cli.options import Command, ConfiguredCommand, Option, options_of, settings_of
+from polhode.config import Config, Scene, Train
+from polhode.config.keys import annotation_at, arrange, count_of, dotted, is_structured, suggestion
+from polhode.config.keys import options_of as union_members
 from polhode.errors import InputError
+from polhode.yaml_files import MAX_DEPTH, MAX_KEY_LENGTH, parse_yaml
 
-FIXED: Any = Fixed[str]
-"""Type of a field that is no option"""
+C = TypeVar("C", bound=Command)
+
+_NUMBER = re.compile(r"-(\d|\.\d|inf|nan)", re.IGNORECASE)
+_NULL = ("none", "null")
 
 
-def parse(name: str, command: type[Command], words: Sequence[str]) -> Command:
-    """The command with its options. Raises InputError for words that it does not understand.
+def parse(name: str, command: type[C], words: Sequence[str]) -> tuple[C, dict[str, Any]]:
+    """The command with its options, and dotted key -> value of the configuration.
 
-    tyro 1.0 has no public access to the text of an error: it draws it in a box on standard error and exits.
+    Raises InputError for words that it does not understand, naming the option and what it takes.
     """
-    stderr = io.StringIO()
     try:
-        with contextlib.redirect_stderr(stderr):
-            parsed, unknown = tyro.cli(
-                cast(Any, _own(command)),
-                prog=f"polhode {name}",
-                args=words,
-                return_unknown_args=True,
-                registry=_registry(),
-            )
-    except SystemExit:
-        # What an option that does not exist leaves for the others, tyro's message is about.
-        mistaken = next((word for word in words if _is_no_option(command, word)), None)
-        if mistaken is not None:
-            raise InputError(_unknown_option(name, command, mistaken)) from None
-        drawn = squash(stderr.getvalue())
-        message = _missing(drawn, command) or _wrong_value(drawn, command, words) or drawn
-        raise InputError(f"{message}; see polhode {name} --help") from None
-    if unknown:
-        raise InputError(_unknown_option(name, command, unknown[0]))
-    own = {each.name for each in dataclasses.fields(parsed)} - {"values"}
-    return command(**{name: getattr(parsed, name) for name in own})
+        return _parsed(command, words)
+    except _Misunderstood as error:
+        raise InputError(f"{error}; see polhode {name} --help") from None
 
 
-@cache
-def _own(command: type[Command]) -> type[Command]:
-    """The command without the keys of the configuration, which ``overrides`` has read: tyro would look at
-    each of them, for a quarter of a second."""
-    if not is_configured(command):
-        return command
-    body = {"__annotations__": {"values": FIXED}, "values": None}
-    return dataclasses.dataclass(type(command.__name__, (command,), body), frozen=True)
+class _Misunderstood(Exception):
+    """What is wrong with the words."""
 
 
-def print_help(name: str, command: type[Command], everything: bool) -> None:
-    """Print the help of a command: its common options, or ``everything``. tyro draws the options."""
-    drawn = _Drawing(sys.stdout)
-    with contextlib.suppress(SystemExit), contextlib.redirect_stdout(drawn):
-        tyro.cli(
-            class_for_help(name, command, everything),
-            prog=f"polhode {name}",
-            description="",
-            args=["--help"],
-            registry=_registry(),
-        )
-    _, _, options = drawn.getvalue().partition("\n\n")
-    print(f"{introduction(name, command, everything)}\n\n{options.strip(chr(10))}")
+def _parsed(command: type[C], words: Sequence[str]) -> tuple[C, dict[str, Any]]:
+    options = options_of(command)
+    fields = {
+        each: field for field, option in options.items() if not option.is_positional for each in option.names
+    }
+    given: dict[str, list[str]] = {}
+    names: dict[str, str] = {}
+    settings: dict[str, Any] = {}
+    loose: list[str] = []
+    rest = list(words)
+    while rest:
+        word = rest.pop(0)
+        if not _is_option(word):
+            loose.append(word)
+            continue
+        if word == "--":
+            loose += rest
+            break
+        name, equals, joined = word.partition("=")
+        field = fields.get(name.replace("_", "-")) or fields.get(word[:2])
+        path = _key_of(name)
+        if field is not None:
+            if name.replace("_", "-") not in fields:  # -oDIR
+                name, equals, joined = word[:2], "=", word[2:]
+            names[field] = name
+            given[field] = [joined] if equals else _take_values(options[field], rest)
+            if not given[field] and not options[field].is_flag:
+                raise _Misunderstood(f"{name}: a value is missing; give {options[field].wanted}")
+        elif path is not None:
+            of_key = [joined] if equals else _take_setting(path, rest)
+            if not of_key:
+                raise _Misunderstood(f"{name}: a value is missing")
+            settings[dotted(path)] = _setting(path, of_key)
+        else:
+            raise _Misunderstood(_unknown_option(command, name))
+    given |= _arguments(options, loose)
+    _require_all(options, given)
+    values = {field: _value(options[field], words) for field, words in given.items()}
+    try:
+        return command.model_validate(values), settings
+    except ValidationError as error:
+        field = str(error.errors()[0]["loc"][0])
+        wrong = " ".join([names.get(field, options[field].metavar), *given[field]])
+        raise _Misunderstood(f"{wrong}: give {options[field].wanted}") from None
 
 
-class _Drawing(io.StringIO):
-    """Takes what is drawn for a stream, with the characters and the colours that the stream can show."""
-
-    def __init__(self, stream: Any) -> None:
-        super().__init__()
-        self._stream = stream
-
-    @property
-    def encoding(self) -> str | None:  # type: ignore[override]
-        """That of the stream."""
-        return getattr(self._stream, "encoding", None)
-
-    def isatty(self) -> bool:
-        """Whether the stream is a terminal."""
-        return bool(self._stream.isatty())
+def _is_option(word: str) -> bool:
+    return word.startswith("-") and word != "-" and not _NUMBER.match(word)
 
 
-def _registry() -> ConstructorRegistry:
-    """Tell tyro that lists of sections, and mappings, are one word of YAML, which ``overrides`` reads; and
-    that descriptions are wrapped where the terminal ends, and not also where the source does."""
-    registry = ConstructorRegistry()
-
-    @registry.primitive_rule
-    def structured(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-        if not is_structured(info.type):
-            return None
-        return PrimitiveConstructorSpec(
-            nargs=1,
-            metavar="YAML",
-            instance_from_str=lambda words: words[0],
-            is_instance=lambda value: isinstance(value, tuple | dict),
-            str_from_instance=lambda value: ["{}" if isinstance(value, dict) else "[]"],
-        )
-
-    described: list[type] = []
-
-    @registry.struct_rule
-    def unbroken(info: StructTypeInfo) -> StructConstructorSpec | None:
-        # the other rules are asked for the type, this one not again
-        if info.type in described:
-            return None
-        described.append(info.type)
-        try:
-            spec = ConstructorRegistry.get_struct_spec(info)
-        finally:
-            described.pop()
-        if not isinstance(spec, StructConstructorSpec):
-            return None
-        fields = (dataclasses.replace(each, helptext=_unbroken(each.helptext)) for each in spec.fields)
-        return dataclasses.replace(spec, fields=tuple(fields))
-
-    return registry
+def _value(option: Option, words: list[str]) -> Any:
+    if option.is_flag and not words:
+        return True
+    many = any(get_origin(kind) is tuple for kind in option.kinds)
+    return words if many else words[0]
 
 
-def _unbroken(help_text: "str | Callable[[], str | None] | None") -> Callable[[], str | None]:
-    """The description of a field as one line; found when it is asked for, as tyro does."""
+def _take_values(option: Option, rest: list[str]) -> list[str]:
+    """Take the words of an option's value off ``rest``, never another option."""
+    if option.is_flag:
+        return []
+    kinds = [kind for kind in option.kinds if get_origin(kind) is tuple]
+    is_vector = any(union_members(get_args(kind)[-1]) == (float,) for kind in kinds)
+    taken: list[str] = []
+    while rest and not _is_option(rest[0]) and (kinds or not taken):
+        # of numbers, one too many is taken as well, so that the error names the option
+        if is_vector and len(taken) >= len(get_args(kinds[0])) and not _is_number(rest[0]):
+            break
+        taken.append(rest.pop(0))
+    return taken
 
-    def found() -> str | None:
-        text = help_text() if callable(help_text) else help_text
-        return text and " ".join(text.split())
 
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _arguments(options: dict[str, Option], loose: list[str]) -> dict[str, list[str]]:
+    """The words without a name, by the argument that they are."""
+    found: dict[str, list[str]] = {}
+    for field, option in options.items():
+        if option.is_positional and any(get_origin(kind) is tuple for kind in option.kinds):
+            found[field], loose = loose, []
+        elif option.is_positional and loose:
+            found[field], loose = loose[:1], loose[1:]
+    if loose:
+        raise _Misunderstood(f"unexpected argument '{loose[0]}'")
     return found
 
 
-def _own_options(command: type[Command]) -> list[str]:
-    """Options of a command beside the keys of the configuration; its positional arguments are among them."""
-    return [name for option in options_of(command) for name in option.names]
+def _require_all(options: dict[str, Option], given: dict[str, list[str]]) -> None:
+    lacking = [
+        f"{option.invocation} ({_beginning(option.description)})"
+        for field, option in options.items()
+        if option.required and field not in given
+    ]
+    if lacking:
+        *others, last = lacking
+        message = f"{', '.join(others)} and {last} are missing" if others else f"{last} is missing"
+        raise _Misunderstood(message)
 
 
-def _is_no_option(command: type[Command], word: str) -> bool:
-    name = word.partition("=")[0].replace("_", "-")
-    return name.startswith("--") and name not in _own_options(command)
-
-
-def _unknown_option(name: str, command: type[Command], word: str) -> str:
-    if not word.startswith("-"):
-        return f"unexpected argument '{word}'; see polhode {name} --help"
-    option = word.partition("=")[0]
-    configured = option_names() if is_configured(command) else []
-    hint = suggestion(option, [*_own_options(command), *configured])
-    return f"unknown option '{option}';{hint} see polhode {name} --help"
-
-
-def _missing(message: str, command: type[Command]) -> str | None:
-    """What is missing, and what each of it is; None: the message is about something else."""
-    title, _, listed = message.partition(": Missing from ")
-    if title != "Required options":
-        return None
-    lacking = []
-    for part in listed.partition(": ")[2].split("(required)"):
-        option = next((each for each in options_of(command) if _is_about(part.strip(), each)), None)
-        if option is not None:
-            lacking.append(f"{option.invocation} ({_described(part.strip(), option)})")
-    if not lacking:
-        return None
-    *others, last = lacking
-    return f"{', '.join(others)} and {last} are missing" if others else f"{last} is missing"
-
-
-def _is_about(text: str, option: Option) -> bool:
-    starts = [option.metavar] if option.is_positional else option.names
-    return text.partition(" ")[0].rstrip(",") in starts
-
-
-def _described(text: str, option: Option) -> str:
-    """What an option is: the beginning of its description, before which the help has put its names."""
-    value = re.escape(option.metavar)
-    names = value if option.is_positional else rf"(?:--?[\w-]+ {value}(?:, )?)+"
-    description = re.sub(rf"^{names}\s*", "", text)
+def _beginning(description: str) -> str:
+    """What an option is, for a sentence: its description up to the first full stop, colon or bracket."""
     beginning = re.split(r"\.(?:\s|$)|:\s|\s\(", description)[0]
     is_abbreviation = beginning[:2].isupper()
     return beginning if is_abbreviation else beginning[:1].lower() + beginning[1:]
 
 
-def _wrong_value(message: str, command: type[Command], words: Sequence[str]) -> str | None:
-    """What was given for an option and what it takes; None: the message is about something else."""
-    about = re.search(
-        r"^(?:Value error|Missing argument|Invalid choice): .*?(?:parsing|argument) '?(--?[\w-]+)", message
-    )
-    option = next((each for each in options_of(command) if about and about[1] in each.names), None)
-    wanted = option and _wanted(option)
-    if option is None or not wanted:
+def _unknown_option(command: type[Command], name: str) -> str:
+    known = [each for option in options_of(command).values() for each in option.names]
+    if issubclass(command, ConfiguredCommand):
+        known += setting_names()
+    return f"unknown option '{name}';{suggestion(name, known)}".rstrip(";")
+
+
+def setting_names() -> list[str]:
+    """Every key of the configuration as it is written on the command line."""
+    return [option.names[0] for _, option in settings_of(Config(scene=Scene(), train=Train()))]
+
+
+def _key_of(word: str) -> tuple[str, ...] | None:
+    """The key of the configuration that an option is meant as; None: none."""
+    path = tuple(word.removeprefix("--").replace("-", "_").split("."))
+    if not word.startswith("--") or path[0] not in Config.model_fields:
         return None
-    name, given = _given(option, words)
-    return (
-        f"{' '.join([name, *given])}: give {wanted}"
-        if given
-        else f"{name}: a value is missing; give {wanted}"
-    )
+    if len(path) > MAX_DEPTH or len(word) > MAX_KEY_LENGTH:
+        raise _Misunderstood(f"{word[:60]}...: a key of {len(word)} characters")
+    return path
 
 
-def _given(option: Option, words: Sequence[str]) -> tuple[str, list[str]]:
-    """The name by which an option was given, and the words after it up to the next option."""
-    for k, word in enumerate(words):
-        name, _, joined = word.partition("=")
-        if name.replace("_", "-") in option.names:
-            rest = takewhile(lambda each: not re.match(r"--?[a-zA-Z]", each), words[k + 1 :])
-            return name, [joined] if joined else list(rest)
-    return option.names[0], []
+def _take_setting(path: tuple[str, ...], rest: list[str]) -> list[str]:
+    """Take the words of one value off ``rest``: as many as the type has, never another option."""
+    annotation = annotation_at(Config, path)
+    # A mistyped key takes all its values with it, so that the error names the key.
+    count = None if annotation is None else count_of(annotation)
+    given: list[str] = []
+    while rest and not _is_option(rest[0]) and len(given) != count:
+        given.append(rest.pop(0))
+        if given[0].lower() in _NULL or given[0].startswith("["):
+            break
+    return given
 
 
-def _wanted(option: Option) -> str:
-    """The value that an option takes; empty: any."""
-    if option.choices:
-        return f"one of {', '.join(option.choices)}"
-    for kind in option.kinds:
-        numbers = [each for each in get_args(kind) if each in (int, float)]
-        if get_origin(kind) is tuple and len(numbers) == len(get_args(kind)):
-            return f"{len(numbers)} numbers: {option.metavar}"
-        if kind in (int, float):
-            return "a whole number" if kind is int else "a number"
-    return option.metavar
-
-
-def squash(text: str) -> str:
-    """A message that tyro drew as a title and a box, as one line: the title and the text above the next rule.
-
-    Where standard output is not UTF-8, tyro underlines the title with hyphens instead of drawing a box.
-    """
-    lines = [line.strip("│╭╮╰╯─ ") for line in text.splitlines()]
-    rows = iter(line if line.strip("-") else "" for line in lines)
-    title = next(filter(None, rows), "this command line cannot be read")
-    body = " ".join(takewhile(bool, dropwhile(operator.not_, rows)))
-    return " ".join((f"{title}: {body}" if body else title).split())
+def _setting(path: tuple[str, ...], given: list[str]) -> Any:
+    """A value for the loader: text, lists of text, or None; a list of sections or a mapping is YAML."""
+    annotation = annotation_at(Config, path)
+    if is_structured(annotation):
+        return parse_yaml(given[0], f"command line: --{dotted(path)}")
+    if len(given) == 1:
+        if given[0].lower() in _NULL and type(None) in union_members(annotation):
+            return None
+        if count_of(annotation) != 1:
+            # One word for many values: '[1, 2, 3]' or '1,2,3'.
+            if given[0].count("[") != given[0].count("]"):
+                raise _Misunderstood(f"--{dotted(path)}: the brackets of {given[0][:40]!r} do not match")
+            given = [part for part in re.split(r"[\s,\[\]]+", given[0]) if part]
+    return arrange(annotation, given)

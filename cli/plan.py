@@ -1,22 +1,20 @@
 """``polhode plan``: keep-out volume, surface speeds and docking corridor of a run."""
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from tyro.conf import Positional, arg
+from pydantic import Field
 
 from polhode.cli.answer import Answer
-from polhode.cli.options import require_positive
+from polhode.cli.options import Command, Named, Positional
 from polhode.errors import InputError
 
-MAX_COORDINATE_M = 1e6
-MAX_MEMBERS = 100_000
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
+"""[m]"""
 
 
-@dataclass(frozen=True)
-class PlanCommand:
+class PlanCommand(Command):
     """What planners need from a run: keep-out volume, speeds of the surface, corridor, path of an approach.
 
     Writes keepout.ply and .glb (N), surface_speed.ply (G), corridor.csv (N), planning.json, and plan.txt (N):
@@ -36,29 +34,29 @@ class PlanCommand:
         "keep-out volume": ("cover", "members"),
     }
 
-    run: Annotated[Positional[Path], arg(metavar="RUN")]
+    run: Annotated[Path, Positional("RUN")]
     """Folder of a finished run."""
-    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    output: Annotated[Path, Named("DIR", "-o")]
     """Folder of the results: a new or empty one, or that of an earlier call, whose files are replaced."""
-    horizon_s: Annotated[float, arg(metavar="S", aliases=["--horizon"])] = 60.0
+    horizon_s: Annotated[float, Named("S", "--horizon")] = 60.0
     """Time to predict beyond the last stereo pair [s]."""
-    confidence: Annotated[float, arg(metavar="SHARE")] = 0.99
+    confidence: Annotated[float, Named("SHARE")] = 0.99
     """Probability that the whole surface stays inside the volume at all instants, 0.5 to 0.999."""
     cover: Literal["auto", "surface", "hull"] = "auto"
     """The body that is kept out of: the measured surface and what it encloses, or its convex hull. auto: the
     hull where open boundaries span more than 1 % of the area."""
-    members: Annotated[int, arg(metavar="N")] = 800
+    members: Annotated[int, Named("N"), Field(ge=1, le=100_000)] = 800
     """Motions drawn from the covariance."""
-    dock_point: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
+    dock_point: Annotated[tuple[Coordinate, Coordinate, Coordinate] | None, Named("X Y Z")] = None
     """Docking point in G [m]."""
-    dock_axis: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")] = None
+    dock_axis: Annotated[tuple[float, float, float] | None, Named("X Y Z")] = None
     """Docking axis in G, pointing outwards, of any length."""
-    stand_off_m: Annotated[float, arg(metavar="M", aliases=["--stand-off"])] = 0.5
+    stand_off_m: Annotated[float, Named("M", "--stand-off"), Field(ge=1e-12, le=1e6)] = 0.5
     """Distance of the inspector from the docking point along the axis [m]."""
-    half_angle_deg: Annotated[float, arg(metavar="DEG")] = 10.0
+    half_angle_deg: Annotated[float, Named("DEG"), Field(ge=1e-9, le=89.9)] = 10.0
     """Half angle of the corridor's cone [deg]: corridor.csv says when a camera that rests where it was at the
     last pair is in it."""
-    isp_s: Annotated[float, arg(metavar="S")] = 230.0
+    isp_s: Annotated[float, Named("S"), Field(ge=1e-12, le=1e6)] = 230.0
     """Specific impulse, for the fuel that station keeping uses [s]."""
 
     def execute(self) -> Answer:
@@ -89,13 +87,7 @@ class PlanCommand:
         """Raises InputError for an option that is out of its range."""
         if (self.dock_point is None) != (self.dock_axis is None):
             raise InputError("--dock-point and --dock-axis belong together: give both")
-        if not 1 <= self.members <= MAX_MEMBERS:
-            raise InputError(f"--members {self.members}: give 1 to {MAX_MEMBERS} motions")
-        if self.dock_point is None or self.dock_axis is None:
-            return
-        if not 1e-100 < max(map(abs, self.dock_axis)) < 1e100 or not all(map(math.isfinite, self.dock_axis)):
+        if self.dock_axis is not None and not (
+            1e-100 < max(map(abs, self.dock_axis)) < 1e100 and all(map(math.isfinite, self.dock_axis))
+        ):
             raise InputError("--dock-axis: give a direction whose length is neither 0 nor above 1e100")
-        if not all(abs(each) <= MAX_COORDINATE_M for each in self.dock_point):
-            raise InputError(f"--dock-point: give metres in G, at most {MAX_COORDINATE_M:g}")
-        require_positive(self, "stand_off_m", "isp_s", most=1e6)
-        require_positive(self, "half_angle_deg", most=89.9)

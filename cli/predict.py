@@ -1,20 +1,16 @@
 """``polhode predict``: the motion of the target after the last stereo pair."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-from tyro.conf import Positional, arg
-
 from polhode.cli.answer import Answer
-from polhode.cli.options import Flag
+from polhode.cli.options import Command, Named, Positional
 
 STATE = ("r_N", "v_N", "R_NP", "w_P")
 """Of a prediction, what the answer repeats for the horizon: rotation as a matrix"""
 
 
-@dataclass(frozen=True)
-class PredictCommand:
+class PredictCommand(Command):
     """Predict the target's motion: its last state propagated as a free rigid body, with standard deviations.
 
     Prints a few rows of position, velocity, attitude and rate; -o writes all rows, with the columns of
@@ -29,23 +25,23 @@ class PredictCommand:
         ),
     )
 
-    run: Annotated[Positional[Path], arg(metavar="RUN")]
+    run: Annotated[Path, Positional("RUN")]
     """Folder of a finished run."""
-    horizon_s: Annotated[float, arg(metavar="S", aliases=["--horizon"])]
+    horizon_s: Annotated[float, Named("S", "--horizon")]
     """Time to predict beyond the last stereo pair [s]."""
-    output: Annotated[Path | None, arg(aliases=["-o"], metavar="FILE")] = None
+    output: Annotated[Path | None, Named("FILE", "-o")] = None
     """Table, CSV; with the suffix .npz an archive with the full covariances. An earlier prediction is
     replaced, any other file is not."""
-    step_s: Annotated[float | None, arg(metavar="S")] = None
+    step_s: Annotated[float | None, Named("S")] = None
     """Time between two rows [s]; the run's own interval unless given."""
-    marks: Flag = False
+    marks: bool = False
     """Give the standard deviations of the body itself: the estimated centre of mass and principal axes are
     treated as marks on it. They are finite even where the motion does not determine those. States are the
     same."""
 
     def execute(self) -> Answer:
         """Predict, write and print."""
-        from polhode.cli.console import choose_progress
+        from polhode.console import choose_progress
         from polhode.pipeline.after_run.predict import (
             format_prediction,
             predict_run,

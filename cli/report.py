@@ -1,24 +1,21 @@
 """``polhode report``: the page of one run, or one page that compares several."""
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated
 
-from tyro.conf import Positional, arg
-
 from polhode.cli.answer import Answer, sizes_of
+from polhode.cli.options import Command, Named, Positional
 from polhode.errors import InputError
 
 
-@dataclass(frozen=True)
-class ReportCommand:
+class ReportCommand(Command):
     """Make the report of a run again, or one page that compares several runs."""
 
-    runs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RUN...")]
+    runs: Annotated[tuple[Path, ...], Positional("RUN...")]
     """Folders of runs."""
-    output: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
+    output: Annotated[Path, Named("FILE", "-o")]
     """The page, HTML. An earlier page of this command is replaced, any other file is not."""
 
     def execute(self) -> Answer:

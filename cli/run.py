@@ -2,16 +2,12 @@
 
 import logging
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from tyro.conf import arg
-
 from polhode.cli.answer import Answer
-from polhode.cli.console import announce, choose_progress, progress_of_run
-from polhode.cli.options import ConfigValues, Flag, OptionalConfigFile
-from polhode.config import Config
+from polhode.cli.options import ConfiguredCommand, Named
+from polhode.console import announce, choose_progress, progress_of_run
 from polhode.errors import InputError, RunFailure, one_line
 from polhode.processes import start_server, worker_count
 
@@ -30,8 +26,7 @@ FIGURES = {
 """What the answer repeats of summary.json, beside k1 and k2"""
 
 
-@dataclass(frozen=True)
-class RunCommand:
+class RunCommand(ConfiguredCommand):
     """Estimate motion, mass properties, map and mesh of the target from a stereo sequence.
 
     Options with dots override the configuration; the help shows the default of each key, which applies where
@@ -47,36 +42,33 @@ class RunCommand:
     )
     GROUPS: ClassVar = {"live stream": ("live", "rate", "patience_s"), "viewer": ("view", "view_save")}
 
-    output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
+    output: Annotated[Path, Named("RUN", "-o")]
     """Folder of the results, which is created."""
-    data: Annotated[Path | None, arg(metavar="SEQ")] = None
+    data: Annotated[Path | None, Named("SEQ")] = None
     """Folder of the stereo sequence (it contains mav0/)."""
-    live: Annotated[Path | None, arg(metavar="SOURCE")] = None
+    live: Annotated[Path | None, Named("SOURCE")] = None
     """Instead of --data: a folder of the same layout that fills meanwhile. Each pair gives a state before the
     next one comes; at the end, when the file mav0/end appears or after --patience-s, follows the answer from
     all of them. Ctrl-C finishes with what has come."""
-    rate: Annotated[float | None, arg(metavar="RATE")] = None
+    rate: Annotated[float | None, Named("RATE")] = None
     """With --live: SOURCE is complete and is replayed, 1 at its own speed, 2 at twice that, 0 as fast as it
     is processed."""
-    patience_s: Annotated[float | None, arg(metavar="S")] = None
+    patience_s: Annotated[float | None, Named("S")] = None
     """With --live: SOURCE has ended when no pair came for so long [s]; 10 if it is left out."""
-    config: OptionalConfigFile = None
-    """Configuration, YAML. If it is left out the defaults apply, which fit any calibrated sequence."""
-    overwrite: Flag = False
+    overwrite: bool = False
     """Replace an existing run as soon as the new one is complete. Only files of the run are replaced; others
     in its folder stay. A failed run replaces only a failed one: else it is written to RUN.failed."""
-    even_if_failed: Flag = False
+    even_if_failed: bool = False
     """With --overwrite: a failed run, too, replaces one that did not fail."""
-    resume: Flag = False
+    resume: bool = False
     """Go on with the run that was interrupted at RUN, or replace the one that is there by one with another
     configuration: stages that are finished, and that the configuration does not change, are used again. The
     result is the same as without. Where there is nothing to resume, all is computed."""
-    view: Flag = False
+    view: bool = False
     """Show the run in the window of Rerun: with --live each pair as its state comes, otherwise the finished
     run."""
-    view_save: Annotated[Path | None, arg(metavar="FILE")] = None
+    view_save: Annotated[Path | None, Named("FILE")] = None
     """The same as a recording, FILE.rrd, which "rerun FILE.rrd" shows. An earlier one is replaced."""
-    values: ConfigValues = field(default_factory=Config)
 
     def execute(self) -> Answer:
         """Run the pipeline. A run that did not reach a converged estimate has its failure in the answer."""

@@ -74,12 +74,9 @@ def estimation_check() -> str:
     if not found.solver.converged:
         raise RuntimeError("the solver did not converge on a simulated tumble")
     error = np.abs(np.linalg.norm(found.w_P, axis=1) - np.linalg.norm(sequence.truth.w_P, axis=1)).max()
-    if not error < MAX_RATE_ERROR_RAD_S:
+    if not error < 0.02:
         raise RuntimeError(f"the rate of a simulated tumble is wrong by {error:.3g} rad/s")
     return f"{found.solver.name} solved a simulated tumble; the rate is right within {error:.1g} rad/s"
-
-
-MAX_RATE_ERROR_RAD_S = 0.02
 
 
 def network_check() -> str:

@@ -1,21 +1,17 @@
 """``polhode simulate``: render a dataset with truth."""
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-from tyro.conf import arg
-
 from polhode.cli.answer import Answer
-from polhode.cli.console import announce, choose_progress
-from polhode.cli.options import ConfigFile, ConfigValues, Flag
+from polhode.cli.options import ConfiguredCommand, Named, Positional
 from polhode.config import Config, Scene
+from polhode.console import announce, choose_progress
 from polhode.errors import InputError
 from polhode.processes import worker_count
 
 
-@dataclass(frozen=True)
-class SimulateCommand:
+class SimulateCommand(ConfiguredCommand):
     """Render a dataset with truth from the scene of a configuration.
 
     Options with dots override the configuration; the help shows the default of each key, which applies where
@@ -33,14 +29,14 @@ class SimulateCommand:
         ),
     )
 
-    config: ConfigFile
+    config: Annotated[Path, Positional("CONFIG")]
     """Configuration with a scene, YAML."""
-    output: Annotated[Path, arg(aliases=["-o"], metavar="SEQ")]
+    output: Annotated[Path, Named("SEQ", "-o")]
     """Folder of the dataset, which is created."""
-    overwrite: Flag = False
+    overwrite: bool = False
     """Replace an existing dataset that simulate made, if nothing was added to it. Nothing else is ever
     replaced."""
-    values: ConfigValues = field(default_factory=lambda: Config(scene=Scene()))
+    values: Config = Config(scene=Scene())
 
     def execute(self) -> Answer:
         """Render. The dataset appears when it is complete; an interrupted one is resumed."""

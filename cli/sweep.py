@@ -1,23 +1,20 @@
 """``polhode sweep``: the points of a study, one task each, and their table."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-from tyro.conf import Positional, arg
+from pydantic import Field
 
 from polhode.cli.answer import Answer
-from polhode.cli.console import progress_of_points
-from polhode.cli.options import Flag, require_positive
+from polhode.cli.options import Command, Named, Positional
+from polhode.console import progress_of_points
 from polhode.errors import InputError
 
-MAX_WORKERS = 1024
 REASONS = 5
 """Reasons of failed points that are listed"""
 
 
-@dataclass(frozen=True)
-class SweepCommand:
+class SweepCommand(Command):
     """Compute a study: a row for each point of a grid or a design of settings.
 
     A study (docs/studies.md) names a base configuration, axes, and what is done for each point: simulate,
@@ -34,26 +31,26 @@ class SweepCommand:
     )
     GROUPS: ClassVar = {"where it is computed": ("cluster", "workers", "memory_gb")}
 
-    study: Annotated[Positional[Path], arg(metavar="STUDY")]
+    study: Annotated[Path, Positional("STUDY")]
     """The study, YAML."""
-    output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
+    output: Annotated[Path, Named("DIR", "-o")]
     """Folder of the results: a new or empty one, or that of a study, which is resumed."""
-    dry_run: Flag = False
+    dry_run: bool = False
     """Compute and write nothing: print the number of points, what is rendered once, the size of the table and
     an estimate of the disk space."""
-    page_only: Flag = False
+    page_only: bool = False
     """Compute nothing: write study.html again, of the points that are stored."""
-    again_failed: Flag = False
+    again_failed: bool = False
     """Compute points that have failed again, too."""
-    measure: Annotated[str | None, arg(metavar="FILE.py:FUNCTION")] = None
+    measure: Annotated[str | None, Named("FILE.py:FUNCTION")] = None
     """Function of your own for the step 'measure': it is given each point, and what it returns becomes
     columns of the table."""
-    cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    cluster: Annotated[str | None, Named("ADDRESS")] = None
     """Scheduler of Dask that runs already (tcp://HOST:8786), whose workers see DIR under the same name. If it
     is left out, processes of this machine compute."""
-    workers: Annotated[int, arg(metavar="N")] = 0
+    workers: Annotated[int, Named("N"), Field(ge=0, le=1024)] = 0
     """Processes of this machine; 0: one per core."""
-    memory_gb: Annotated[float | None, arg(metavar="GB")] = None
+    memory_gb: Annotated[float | None, Named("GB"), Field(ge=1e-12, le=1e5)] = None
     """Limit of the memory of each process [GB]; one that reaches it is ended and the point tried again. If it
     is left out, they have equal shares of the memory."""
 
@@ -103,9 +100,5 @@ class SweepCommand:
         """Raises InputError for an option that is out of its range."""
         if self.dry_run and self.page_only:
             raise InputError("--dry-run and --page-only contradict each other: give one of them")
-        if not 0 <= self.workers <= MAX_WORKERS:
-            raise InputError(f"--workers {self.workers}: give 0 to {MAX_WORKERS} processes")
-        if self.memory_gb is not None:
-            require_positive(self, "memory_gb", most=1e5)
         if self.cluster is not None and (self.workers or self.memory_gb is not None):
             raise InputError("--workers and --memory-gb are of this machine; with --cluster, leave them out")

@@ -1,43 +1,38 @@
 """``polhode threshold``: the rate that separates a tumbling target from a spinning one."""
 
-from dataclasses import dataclass
 from typing import Annotated
 
-from tyro.conf import arg
+from pydantic import Field
 
 from polhode.cli.answer import Answer
-from polhode.cli.options import require_positive
+from polhode.cli.options import Command, Named, Positive
 from polhode.errors import InputError
 
 
-@dataclass(frozen=True)
-class ThresholdCommand:
+class ThresholdCommand(Command):
     """The rate up to which a target counts as tumbling, above which as spinning (thesis eq. 1.12).
 
     Prints three rates: up to which the thrusters can keep the inspector's station beside a point of the
     target, up to which its fuel lasts, and the smaller of the two (g0 = 9.81 m/s^2).
     """
 
-    radius_m: Annotated[float, arg(metavar="M")]
+    radius_m: Annotated[float, Named("M"), Positive]
     """Distance of the inspector from the spin axis [m]."""
-    mass_kg: Annotated[float, arg(metavar="KG")]
+    mass_kg: Annotated[float, Named("KG"), Positive]
     """Mass of the inspector with its fuel [kg]."""
-    force_n: Annotated[float, arg(metavar="N")]
+    force_n: Annotated[float, Named("N"), Positive]
     """Maximum force of its thrusters [N]."""
-    isp_s: Annotated[float, arg(metavar="S")]
+    isp_s: Annotated[float, Named("S"), Positive]
     """Specific impulse [s]."""
-    duration_s: Annotated[float, arg(metavar="S")]
+    duration_s: Annotated[float, Named("S"), Positive]
     """Duration of station keeping [s]."""
-    fuel_fraction: Annotated[float, arg(metavar="SHARE")]
+    fuel_fraction: Annotated[float, Named("SHARE"), Field(ge=1e-12, lt=1)]
     """Share of its mass that may be used as fuel, above 0 and below 1."""
 
     def execute(self) -> Answer:
         """Print the three rates."""
         from polhode.planning.approach.tumbling_threshold import RPM, StationKeeping, threshold
 
-        require_positive(self, "radius_m", "mass_kg", "force_n", "isp_s", "duration_s", "fuel_fraction")
-        if self.fuel_fraction >= 1.0:
-            raise InputError(f"--fuel-fraction {self.fuel_fraction:g}: give a share of the mass, below 1")
         given = StationKeeping(
             self.radius_m, self.mass_kg, self.force_n, self.isp_s, self.duration_s, self.fuel_fraction
         )

@@ -1,33 +1,29 @@
 """``polhode train``: train a network of the front end."""
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import arg
-
 from polhode.cli.answer import Answer
-from polhode.cli.console import choose_progress
-from polhode.cli.options import ConfigFile, ConfigValues
+from polhode.cli.options import ConfiguredCommand, Named, Positional
 from polhode.config import Config, Train
+from polhode.console import choose_progress
 from polhode.errors import InputError
 from polhode.processes import worker_count
 
 
-@dataclass(frozen=True)
-class TrainCommand:
+class TrainCommand(ConfiguredCommand):
     """Train a network of the front end on simulated scenes; missing ones are rendered first.
 
     The same command resumes an interrupted training. Options with dots override the configuration; the help
     shows the default of each key, which applies where the file does not set it.
     """
 
-    config: ConfigFile
+    config: Annotated[Path, Positional("CONFIG")]
     """Configuration with a train section, YAML: configs/train/features.yaml, configs/train/depth.yaml."""
-    output: Annotated[Path | None, arg(aliases=["-o"], metavar="DIR")] = None
+    output: Annotated[Path | None, Named("DIR", "-o")] = None
     """Folder of the results, instead of train.output of the configuration. A training that was begun there
     continues."""
-    values: ConfigValues = field(default_factory=lambda: Config(train=Train()))
+    values: Config = Config(train=Train())
 
     def execute(self) -> Answer:
         """Train; print the weights' path and their scores."""

@@ -1,28 +1,25 @@
 """``polhode view``: a run or a sequence in Rerun, in a window or as a file."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional, arg
-
 from polhode.cli.answer import Answer
+from polhode.cli.options import Command, Named, Positional
 from polhode.errors import InputError
 
 
-@dataclass(frozen=True)
-class ViewCommand:
+class ViewCommand(Command):
     """Show a run or a sequence in Rerun: images, tracks, target and camera in 3D, the growing mesh, plots.
 
     Needs the library rerun-sdk; polhode doctor tells how to install it. Of a sequence it shows images, masks,
     rig and poses of the inspector. Truth is not shown.
     """
 
-    shown: Annotated[Positional[Path], arg(metavar="RUN|SEQ")]
+    shown: Annotated[Path, Positional("RUN|SEQ")]
     """Folder of a run, or of a sequence (it contains mav0/)."""
-    data: Annotated[Path | None, arg(metavar="SEQ")] = None
+    data: Annotated[Path | None, Named("SEQ")] = None
     """With RUN: the sequence that it was made from, for the images."""
-    save: Annotated[Path | None, arg(metavar="FILE")] = None
+    save: Annotated[Path | None, Named("FILE")] = None
     """Write the recording to FILE.rrd and open no window; "rerun FILE.rrd" shows it. An earlier recording is
     replaced, any other file is not."""
 
@@ -36,7 +33,7 @@ class ViewCommand:
         if self.data is not None and not is_run:
             raise InputError("--data goes with a run: a sequence has its images")
         require_part("rerun", "polhode view")
-        from polhode.cli.console import choose_progress
+        from polhode.console import choose_progress
         from polhode.pipeline.view.show_run import show_run
         from polhode.pipeline.view.show_sequence import show_sequence
         from polhode.pipeline.view.target import require_target

@@ -54,6 +54,8 @@ fork_server.py     the same for the server that forks the workers
 interrupts.py      signals that end a command in order
 threads.py         how many threads the libraries may use
 progress.py        how stages report their progress; notes to the user
+console.py         progress bars or plain lines, and warnings, on the terminal
+time_left.py       how long a whole run still takes
 errors.py          errors that end a command, with their exit codes; text that is safe to print
 
 Above all of them is api.py, the library: ``polhode.run``, ``load``, ``load_study``, ``simulate``,

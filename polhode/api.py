@@ -18,10 +18,10 @@ import trimesh
 from numpy.typing import ArrayLike
 
 from polhode.argument_names import errors_name_arguments
-from polhode.cli.console import choose_progress
 from polhode.config import Config
 from polhode.config.keys import suggestion
 from polhode.config.loader import load_config
+from polhode.console import choose_progress
 from polhode.errors import InputError, RunFailure
 from polhode.lie import Array
 from polhode.pipeline.after_run.export.export_run import export_run

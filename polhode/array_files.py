@@ -25,8 +25,6 @@ LIMIT_BYTES = 512 * MIB
 MAX_ARRAYS = 200
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,99}\.npy")
 _KINDS = "biufU"
-_ENCRYPTED = 0x1
-_DIMENSIONS = 8
 _HEADER_BYTES = 4096
 
 
@@ -66,7 +64,7 @@ def _require_sensible(members: list[ZipInfo]) -> None:
         if count > 1:
             raise _Refused(f"{count} arrays are called {name.removesuffix('.npy')}")
     for member in members:
-        if member.flag_bits & _ENCRYPTED:
+        if member.flag_bits & 0x1:
             raise _Refused("encrypted")
         if member.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
             raise _Refused(f"compressed by method {member.compress_type}, which NumPy does not write")
@@ -80,7 +78,7 @@ def _read(archive: ZipFile, member: ZipInfo) -> NDArray[np.generic]:
         start = stream.tell()
     if dtype.hasobject or dtype.kind not in _KINDS or dtype.subdtype is not None:
         raise _Refused(f"{name} holds {'objects' if dtype.hasobject else str(dtype)[:60]}")
-    if len(shape) > _DIMENSIONS or any(size < 0 for size in shape):
+    if len(shape) > 8 or any(size < 0 for size in shape):
         raise _Refused(f"{name} has the shape {str(shape)[:60]}")
     stated, there = math.prod(shape) * dtype.itemsize, member.file_size - start
     if stated != there:

@@ -17,9 +17,6 @@ from polhode.range_images import RANGE_FOLDER
 from polhode.rig_calibration import read_camera_pose
 
 USUAL = ("cam0", "cam1")
-ACROSS = 0.5
-"""One camera is on the right of the other if it is in the direction of increasing columns by more than this
-share of their distance; two that are one above the other are taken in the order of their names."""
 
 
 @dataclass(frozen=True)
@@ -105,4 +102,5 @@ def _is_right_of(mav0: Path, names: list[str]) -> bool:
     """Whether the first camera is on the right of the second, by their T_BS."""
     first, second = (read_camera_pose(mav0 / name / "sensor.yaml") for name in names)
     to_second = (inverse_pose(first) @ second)[:3, 3]
-    return bool(to_second[0] < -ACROSS * np.linalg.norm(to_second))
+    # two that are one above the other are taken in the order of their names
+    return bool(to_second[0] < -0.5 * np.linalg.norm(to_second))

@@ -49,22 +49,15 @@ from polhode.tables import attitudes_of, numbers_at, read_listing, read_mapping,
 
 MIN_PAIRS = 3
 MAX_LOSS = 0.6
-MAX_COORDINATE_M = 1e12
-MAX_SIGMA_P_M = 1e6
-MAX_WRENCH = 1e12
 MIN_INTERVAL_S, MAX_INTERVAL_S = 1e-4, 86400.0
 """Between frames, usually: microseconds or seconds given as nanoseconds lie outside."""
 LONG_GAP_S, LONG_GAP = 3600.0, 100.0
 """An interval that is longer than an hour and than so many usual ones is odd."""
 PAIRS_AHEAD = 64
 """Pairs that are checked at a time when a sequence is opened."""
-RANGE_SAMPLES = 24
-"""Range images from which the usual range is found."""
 BORDER_SHARE, NEAR_PERCENTILE = 0.5, 5.0
 """Where more of a range image's border than this has a range, there is a background, and the usual range is
 this percentile: that of a target which covers a twentieth of the image or more."""
-SAME_POSITION_M = 1e-9
-SAME_ROTATION = 1e-9
 
 __all__ = ["StereoCalibration", "StereoImages", "StereoSequence", "open_sequence"]
 
@@ -355,7 +348,7 @@ def _with_virtual_camera(sequence: StereoSequence, model: RangeModel, measured: 
     measured: pairs whose range image has a measurement.
     """
     usual = []
-    for index in np.unique(np.linspace(0, len(measured) - 1, RANGE_SAMPLES).round().astype(int)).tolist():
+    for index in np.unique(np.linspace(0, len(measured) - 1, 24).round().astype(int)).tolist():
         mask = sequence._read_mask(0, measured[index])
         here_m = _usual_range(sequence.read_range(measured[index]), mask)
         if np.isfinite(here_m):
@@ -613,7 +606,7 @@ def read_wrench(folder: Path, timestamps_ns: Ints) -> Wrench:
     path = folder / "data.csv"
     table = read_table(path, columns=6)
     stamps, values = table.timestamps_ns, table.values
-    require_below(table, MAX_WRENCH, "a force [N] or torque [N m]")
+    require_below(table, 1e12, "a force [N] or torque [N m]")
     if stamps[0] > timestamps_ns[-1]:
         message = f"{path}: the first row, {stamps[0]} ns, is after the last frame, {timestamps_ns[-1]} ns"
         raise InputError(f"{message}; use the clock of the images, or remove wrench0/")
@@ -629,7 +622,7 @@ def read_inspector(folder: Path, timestamps_ns: Ints) -> InspectorPoses:
     path = folder / "data.csv"
     table = read_table(path, columns=7)
     stamps, values = table.timestamps_ns, table.values
-    require_below(table, MAX_COORDINATE_M, "a coordinate [m]")
+    require_below(table, 1e12, "a coordinate [m]")
     R_NB = attitudes_of(table, values[:, 3:], "q_RS")
     interpolated = _require_cover(path, stamps, timestamps_ns)
     sigma_p_m, sigma_theta_rad, warnings = read_sigmas(folder / "sensor.yaml")
@@ -637,7 +630,7 @@ def read_inspector(folder: Path, timestamps_ns: Ints) -> InspectorPoses:
     if interpolated:
         warnings = (*warnings, f"{path}: {interpolated} frames lack a pose of their own; it was interpolated")
     moved = np.abs(X_NB - X_NB[0])
-    moves = bool(moved[:, :3, 3].max() > SAME_POSITION_M or moved[:, :3, :3].max() > SAME_ROTATION)
+    moves = bool(moved[:, :3, 3].max() > 1e-9 or moved[:, :3, :3].max() > 1e-9)
     return InspectorPoses(X_NB, sigma_p_m, sigma_theta_rad, moves, warnings)
 
 
@@ -665,7 +658,7 @@ def read_sigmas(path: Path) -> tuple[float, float, tuple[str, ...]]:
         path, "give sigma_p_m and sigma_theta_rad, or remove the file if the poses are exact"
     )
     sigmas = []
-    for key, most in (("sigma_p_m", MAX_SIGMA_P_M), ("sigma_theta_rad", np.pi)):
+    for key, most in (("sigma_p_m", 1e6), ("sigma_theta_rad", np.pi)):
         sigma = float(numbers_at(path, sensor, key, (1,))[0]) if key in sensor else 0.0
         if sigma < 0.0:
             raise InputError(f"{path} key '{key}': {sigma:g} is negative; a standard deviation is not")

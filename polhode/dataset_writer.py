@@ -18,7 +18,6 @@ STATE_COLUMNS = (
     *(f"v_RS_R_{axis} [m s^-1]" for axis in "xyz"),
     *(f"w_RS_S_{axis} [rad s^-1]" for axis in "xyz"),
 )
-POSE_COLUMNS = STATE_COLUMNS[:8]
 WRENCH_COLUMNS = (
     "timestamp [ns]",
     *(f"force_N_{axis} [N]" for axis in "xyz"),
@@ -108,7 +107,8 @@ def write_inspector(
     folder = mav0 / "inspector0"
     folder.mkdir(parents=True, exist_ok=True)
     q_NB_wxyz = continuous_wxyz(wxyz_from_matrix(X_NB[:, :3, :3]))
-    _write_states(folder / "data.csv", POSE_COLUMNS, timestamps_ns, np.hstack([X_NB[:, :3, 3], q_NB_wxyz]))
+    poses = np.hstack([X_NB[:, :3, 3], q_NB_wxyz])
+    _write_states(folder / "data.csv", STATE_COLUMNS[:8], timestamps_ns, poses)
     sigmas = {"sensor_type": "pose", "sigma_p_m": float(sigma_p_m), "sigma_theta_rad": float(sigma_theta_rad)}
     _write_yaml(folder / "sensor.yaml", sigmas)
 

@@ -10,9 +10,6 @@ import numpy as np
 
 from polhode.lie import Array
 
-_TABLE = 2048
-_STEPS = 6
-
 
 def widest_angle_rad(k: Array) -> float:
     """Up to this angle from the axis the image of a ray moves outwards with the angle; pi at most."""
@@ -50,10 +47,10 @@ def rays(uv_px: Array, K: Array, k: Array) -> Array:
 
 def _angle(distance: Array, k: Array) -> Array:
     """Angles (n,) of ``radius``, by Newton's method from a table; NaN where there is none."""
-    table = np.linspace(0.0, widest_angle_rad(k), _TABLE)
+    table = np.linspace(0.0, widest_angle_rad(k), 2048)
     at = radius(table, k)
     theta = np.interp(distance, at, table)
-    for _ in range(_STEPS):
+    for _ in range(6):
         x = theta * theta
         slope = 1.0 + x * (3 * k[0] + x * (5 * k[1] + x * (7 * k[2] + x * 9 * k[3])))
         step = (radius(theta, k) - distance) / np.maximum(slope, 1e-9)

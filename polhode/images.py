@@ -33,16 +33,9 @@ GREY_OR_COLOUR = ("1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX"
 """Modes of 8 bits or fewer; transparency is ignored."""
 _DECODERS = ("raw", "zip", "jpeg", "libtiff")
 """Those in C; the others of these formats, for plain text and run lengths, take seconds for an image."""
-_SCANS = 100
-"""Of a progressive JPEG; usual ones have ten, and each costs a pass over the whole image."""
 _BYTES_PER_PIXEL, _MORE_BYTES = 8, 16 * MIB
-_STRIP_PX = 4_000_000
-_DECODING_BYTES = 768 * MIB
 
 BLOCK_PX = 4
-CONTENT_LEVELS = 8.0
-CONTENT_BLOCKS = 8
-CONTENT_SPREAD_LEVELS = 24.0
 
 
 def _silence_libtiff() -> None:
@@ -70,7 +63,7 @@ class UnreadableImage(Exception):
 def parallel_decodes(width_px: int, height_px: int) -> int:
     """How many images of this size may be decoded at once, so that memory stays below 1 GiB; at least 1."""
     # Pillow keeps up to 64 MiB of texts of a hostile PNG, and 4 bytes per pixel beside the array.
-    return max(1, _DECODING_BYTES // (64 * MIB + 12 * width_px * height_px))
+    return max(1, 768 * MIB // (64 * MIB + 12 * width_px * height_px))
 
 
 @contextmanager
@@ -115,8 +108,9 @@ def _require_few_scans(stream: BinaryIO) -> None:
     stream.seek(0)
     scans = stream.read().count(b"\xff\xda")
     stream.seek(position)
-    if scans > _SCANS:
-        raise UnreadableImage(f"a JPEG of {scans} scans, where {_SCANS} are allowed; save it again")
+    # Of a progressive JPEG; usual ones have ten, and each costs a pass over the whole image.
+    if scans > 100:
+        raise UnreadableImage(f"a JPEG of {scans} scans, where {100} are allowed; save it again")
 
 
 def _require_known_pixels(image: ImageFile.ImageFile) -> None:
@@ -195,7 +189,7 @@ def _strips(image: Image.Image) -> Iterator[tuple[slice, Image.Image]]:
     """The decoded image by groups of rows, so that copies stay small."""
     image.load()
     width, height = image.size
-    step = max(1, _STRIP_PX // width)
+    step = max(1, 4_000_000 // width)
     if step >= height:
         yield slice(None), image
         return
@@ -238,11 +232,11 @@ def has_content(grey: Grey) -> bool:
     blocks = _block_means(grey)
     median = float(np.median(blocks))
     scatter = 1.4826 * float(np.median(np.abs(blocks - median)))
-    bright = blocks > median + max(CONTENT_LEVELS, 5.0 * scatter)
-    if int(bright.sum()) >= CONTENT_BLOCKS:
+    bright = blocks > median + max(8.0, 5.0 * scatter)
+    if int(bright.sum()) >= 8:
         return True
     low, high = np.percentile(blocks, [2.0, 98.0])
-    return bool(high - low > CONTENT_SPREAD_LEVELS)
+    return bool(high - low > 24.0)
 
 
 def _block_means(grey: Grey) -> Array:

@@ -17,8 +17,6 @@ TOLERANCE = 0.01
 it, which is the noise of a feature; hardware triggers scatter by a hundredth of it."""
 MAX_OFFSET = 0.45
 """Of the interval: beyond it the next image is nearly as near."""
-FAR_NS = 2**62
-"""The distance to an image where there is none."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,8 @@ def pair_by_time(
             offset_ns = 0
     left, right = _mutually_nearest(left_ns, right_ns - offset_ns)
     near = np.abs(right_ns[right] - offset_ns - left_ns[left]) <= tolerance_ns
-    nearest = np.full(len(left_ns), FAR_NS, np.int64)
+    # where there is no image to be near
+    nearest = np.full(len(left_ns), 2**62, np.int64)
     if len(right_ns):
         nearest = right_ns[_nearest(right_ns - offset_ns, left_ns)] - offset_ns - left_ns
     return Pairing(left[near], right[near], offset_ns, tolerance_ns, interval_ns, nearest)

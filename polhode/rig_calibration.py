@@ -13,9 +13,6 @@ from polhode.tables import numbers_at, read_mapping
 RADIAL_TANGENTIAL = ("radial-tangential", "radtan", "plumb_bob")
 EQUIDISTANT = ("equidistant", "fisheye", "kannala-brandt")
 UNDISTORTED = ("none",)
-COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)
-FISHEYE_COUNTS = (4,)
-ROTATION_TOLERANCE = 1e-2
 MIN_BASELINE_M = 1e-4
 MAX_OFFSET_M = 1e4
 """Largest baseline, and coordinate of a camera in its body."""
@@ -28,8 +25,6 @@ MAX_ASPECT = 10.0
 MAX_CENTRE = 10.0
 """Distance of the principal point from the middle of the image, over its side; a part read out of a larger
 sensor may lie beside it."""
-MAX_COEFFICIENT = 1e7
-"""Of the distortion; the highest order of a long lens reaches thousands."""
 
 
 @dataclass(frozen=True)
@@ -216,13 +211,12 @@ def _distortion(path: Path, sensor: dict[str, object]) -> tuple[Array, bool]:
         raise InputError(
             f"{path} key 'distortion_model': {_shown(model)} is not supported; choose one of {valid}"
         )
-    counts = FISHEYE_COUNTS if fisheye else COEFFICIENT_COUNTS
+    counts = (4,) if fisheye else (4, 5, 8, 12, 14)
     coefficients = numbers_at(path, sensor, "distortion_coefficients", counts)
     largest = abs(coefficients).max()
-    if largest > MAX_COEFFICIENT:
-        raise InputError(
-            f"{path} key 'distortion_coefficients': {largest:g} is above {MAX_COEFFICIENT:g}; correct it"
-        )
+    # the highest order of a long lens reaches thousands
+    if largest > 1e7:
+        raise InputError(f"{path} key 'distortion_coefficients': {largest:g} is above {1e7:g}; correct it")
     return coefficients, fisheye
 
 
@@ -235,7 +229,7 @@ def _rigid_transform(path: Path, X: Array) -> Array:
     R = X[:3, :3]
     off = float(np.abs(R.T @ R - np.eye(3)).max())
     last_row_off = float(np.abs(X[3] - [0.0, 0.0, 0.0, 1.0]).max())
-    if off > ROTATION_TOLERANCE or np.linalg.det(R) < 0.0 or last_row_off > 1e-6:
+    if off > 1e-2 or np.linalg.det(R) < 0.0 or last_row_off > 1e-6:
         raise InputError(
             f"{path} key 'T_BS': not a rigid transform (row-major 4x4 with a rotation); correct it"
         )

@@ -12,12 +12,8 @@ from polhode.records import ErrorCorrelation
 
 MAX_VERTICES = 15_000
 """Compared with the truth."""
-MAX_PATCHES = 400
 PATCH_LENGTHS = 0.5
 """Radius of a patch whose mean error is compared, in the longest finite length of correlation."""
-_MIN_IN_PATCH = 8
-_SAME_SIDE = 0.5
-"""Least cosine between normals within a patch."""
 
 
 def mean_correlation(radius_m: float, correlation: Sequence[ErrorCorrelation]) -> float:
@@ -62,10 +58,11 @@ def sigma_shares(
     radius_m = PATCH_LENGTHS * max(lengths)
     error_m = np.einsum("ni,ni->n", points - closest, normals)
     tree, ratios = cKDTree(points), []
-    for centre in rng.choice(len(points), min(MAX_PATCHES, len(points)), replace=False):
+    for centre in rng.choice(len(points), min(400, len(points)), replace=False):
         inside = np.array(tree.query_ball_point(points[centre], radius_m))
-        inside = inside[normals[inside] @ normals[centre] > _SAME_SIDE]
-        if len(inside) >= _MIN_IN_PATCH:
+        # normals within 60 deg of that of the centre
+        inside = inside[normals[inside] @ normals[centre] > 0.5]
+        if len(inside) >= 8:
             expected = sigma_of_mean(sigma_m[some][inside], radius_m, correlation)
             ratios.append(abs(float(error_m[inside].mean())) / expected)
     return out | _shares(np.array(ratios), "patches_")

@@ -20,7 +20,6 @@ from polhode.lie import Array, matrix_from_wxyz
 from polhode.records import Ints
 from polhode.yaml_files import read_yaml
 
-UNIT_TOLERANCE = 1e-2
 DATASET_DOCS = "docs/dataset.md"
 TABLE_BYTES = 512 * MIB
 """Limit of a table: a pose 100 times a second for eight hours has 450 MB."""
@@ -228,7 +227,7 @@ def attitudes_of(table: Table, q_wxyz: Array, name: str) -> Array:
     """Unit quaternions (n, 4) as rotations (n, 3, 3); raises InputError naming the line of a wrong one."""
     with np.errstate(over="ignore"):
         off = abs(np.linalg.norm(q_wxyz, axis=1) - 1.0)
-    if off.max() > UNIT_TOLERANCE:
+    if off.max() > 1e-2:
         line = table.lines[int(off.argmax())]
         raise InputError(f"{table.path} line {line}: {name} (w, x, y, z) is not a unit quaternion")
     return matrix_from_wxyz(q_wxyz)

@@ -391,11 +391,12 @@ def _configurations() -> list[bytes]:
 
 def _read_overrides(file: Path) -> object:
     """The lines of the file as words of a command line."""
-    from polhode.cli.overrides import split_overrides
+    from polhode.cli.parsing import parse
+    from polhode.cli.run import RunCommand
     from polhode.config.loader import load_config
 
     words = file.read_bytes().decode("utf-8", errors="surrogateescape").replace("\0", "").split("\n")
-    _, overrides = split_overrides(words)
+    _, overrides = parse("run", RunCommand, ["-o", "run", *words])
     return load_config(None, overrides)
 
 

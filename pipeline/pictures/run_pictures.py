@@ -191,4 +191,4 @@ def _draw(image: np.ndarray, crop: Crop, uv_px: Array, inlier: np.ndarray) -> by
     places = ((uv_px - [crop.u0, crop.v0] + 0.5) * zoom).round().astype(int)
     for place, good in zip(places.tolist(), inlier.tolist(), strict=True):
         cv2.circle(canvas, place, 2, INLIER_BGR if good else OUTLIER_BGR, -1, cv2.LINE_AA)
-    return jpeg(canvas)
+    return jpeg(np.asarray(canvas, dtype=np.uint8))

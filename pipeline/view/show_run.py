@@ -133,7 +133,7 @@ def shown_frames(
             features=ShownFeatures(
                 tracks.uvd_px[rows, :2], tracks.landmark[rows], weights[rows] >= INLIER_WEIGHT
             ),
-            motion=ShownMotion(*(each[k] for each in states), motion.moments),
+            motion=ShownMotion(*(each[k] for each in states), moments=motion.moments),
             ratios=None if ratios is None else (ratios[0][k], ratios[1][k]),
             residual_rms_px=None if rms is None else rms[k],
             landmarks_G=np.zeros((0, 3)) if run.landmarks is None else run.landmarks.p_G[first == k],

@@ -22,8 +22,6 @@ Model = TypeVar("Model", bound=BaseModel)
 
 _log = logging.getLogger(__name__)
 
-DEFAULT_CONFIG = Path(__file__).with_name("default.yaml")
-"""Fits any calibrated stereo sequence; part of the installed package."""
 REMOVED = frozenset(
     {
         "frontend.stereo",
@@ -45,8 +43,6 @@ REMOVED = frozenset(
 )
 """Settings of earlier versions that are constants now; the configuration of an old run may contain them."""
 EXTENDS = "extends"
-MAX_CHAIN = 16
-"""Files that extend each other."""
 COMMAND_LINE = "command line"
 _RANGES = {
     "greater_than": ("above", "gt"),
@@ -92,7 +88,7 @@ class _Layered:
 def load_config(
     path: Path | None, overrides: Mapping[str, Any] | None = None, source: str = COMMAND_LINE
 ) -> Config:
-    """Read ``path`` (None: the default) and what it extends, lay ``overrides`` (dotted key -> value) over it.
+    """Read ``path`` (None: the defaults) and what it extends, lay ``overrides`` (dotted key -> value) over.
 
     ``source``: where the overrides come from, for errors.
 
@@ -100,7 +96,7 @@ def load_config(
     unknown key, a wrong type, a value out of range.
     """
     layered = _Layered()
-    for file, values in _chain(path or DEFAULT_CONFIG, ()):
+    for file, values in () if path is None else _chain(path, ()):
         layered.merge(values, str(file))
     for key, value in (overrides or {}).items():
         layered.merge(_nested(key.split("."), value), source)
@@ -159,10 +155,8 @@ def _chain(path: Path, above: tuple[Path, ...]) -> Iterator[tuple[Path, dict[str
     if path.resolve() in (other.resolve() for other in above):
         circle = " -> ".join(str(each) for each in (*above, path))
         raise InputError(f"{above[0]}: '{EXTENDS}' is circular: {circle}")
-    if len(above) >= MAX_CHAIN:
-        raise InputError(
-            f"{above[0]}: '{EXTENDS}' goes on over more than {MAX_CHAIN} files; join some of them"
-        )
+    if len(above) >= 16:
+        raise InputError(f"{above[0]}: '{EXTENDS}' goes on over more than {16} files; join some of them")
     values = _read_section(path, above)
     base = values.pop(EXTENDS, None)
     if base is not None:

@@ -14,9 +14,7 @@ from polhode.foreign_meshes.unsound import Unsound, require_pieces
 _DIRECTIVE = re.compile(rb"^(?:o|g|usemtl)[ \t]+(.*)$", re.MULTILINE)
 _VERTEX = re.compile(rb"^v[ \t]", re.MULTILINE)
 _MAX_LINE_BYTES, _MAX_WORDS = 16_384, 1_200_000
-_MAX_WORK = 1_000_000_000
 _MATERIAL_BYTES, _TEXTURE_BYTES = MIB, 64 * MIB
-_SIGNATURES = (b"\x89PNG\r\n", b"\xff\xd8\xff", b"BM", b"II*\0", b"MM\0*", b"RIFF")
 _ASCII = bytes(range(128)) + b"_" * 128
 
 
@@ -37,7 +35,7 @@ def require_sound_obj(content: bytes) -> None:
     require_pieces(groups)
     changes = sum(1 for _ in _DIRECTIVE.finditer(content))
     vertices = sum(1 for _ in _VERTEX.finditer(content))
-    if min(changes, 2 * groups) * vertices > _MAX_WORK:
+    if min(changes, 2 * groups) * vertices > 1_000_000_000:
         raise Unsound(f"{groups} groups over {vertices} vertices: split the file, or save it as GLB")
 
 
@@ -57,7 +55,8 @@ class FilesBeside(Resolver):
             )
         except InputError as error:
             raise FileNotFoundError(str(error)) from None
-        if not material and not content.startswith(_SIGNATURES):
+        images = (b"\x89PNG\r\n", b"\xff\xd8\xff", b"BM", b"II*\0", b"MM\0*", b"RIFF")
+        if not material and not content.startswith(images):
             raise OSError(f"{path}: not an image")
         return plain(content) if material else content
 

@@ -13,7 +13,6 @@ from polhode.images import MAX_PIXELS
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")
 MAX_SIDE_PX = 4096
 """Images are reduced to at most this many pixels per side."""
-_OTHERS = ("emissiveTexture", "normalTexture", "occlusionTexture", "metallicRoughnessTexture")
 
 
 class Texture(Image.Image):
@@ -43,7 +42,7 @@ def share_textures(scene: trimesh.Scene) -> None:
             name = "image"
         elif isinstance(material, PBRMaterial):
             name = "baseColorTexture"
-            for other in _OTHERS:
+            for other in ("emissiveTexture", "normalTexture", "occlusionTexture", "metallicRoughnessTexture"):
                 setattr(material, other, None)
         else:
             continue

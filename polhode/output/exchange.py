@@ -18,8 +18,6 @@ from polhode.atomic import sync
 IsOwn = Callable[[str], bool]
 """Whether a file is ours, by its name relative to the folder, with "/"."""
 
-MANY = 200
-"""Files above which all that the system holds back is written at once."""
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
@@ -133,7 +131,8 @@ def move(names: list[str], source: Path, destination: Path) -> None:
 def sync_all(folder: Path) -> None:
     """Wait until a folder with all its files is on the disk."""
     names = [name for name, _ in entries(folder)]
-    if len(names) > MANY:
+    # of many files, all that the system holds back is written at once
+    if len(names) > 200:
         os.sync()
         return
     for name in names:

@@ -19,7 +19,6 @@ from polhode.output.single_file import make_parent, remove_all_partials
 
 MARK = ".polhode-output"
 SCHEMA = "polhode-output/1"
-MAX_MARK_BYTES = 2**20
 
 IsName = Callable[[str], bool]
 """Whether the command writes a file of this name; all that it may ever replace or remove."""
@@ -143,7 +142,7 @@ def read_mark(folder: Path) -> dict[str, list[str]] | None:
     """Files by command; None: the folder has no mark of ours."""
     mark = folder / MARK
     try:
-        if not mark.is_file() or mark.stat().st_size > MAX_MARK_BYTES:
+        if not mark.is_file() or mark.stat().st_size > 2**20:
             return None
         content = json.loads(mark.read_text(encoding="utf-8"))
         if content["schema"] != SCHEMA:

@@ -11,7 +11,6 @@ from polhode.atomic import ANOTHER_PLACE, refused
 from polhode.errors import InputError
 from polhode.output.run_files import PICTURES, SCHEMA, SUMMARY, is_run_file
 
-TRIAL_BYTES = 4096
 LEFT_BEHIND = "%s: left by a command that was stopped; removed"
 """The warning about what a killed command left."""
 
@@ -65,7 +64,7 @@ def require_writable(folder: Path, shown: Path, remedy: str = ANOTHER_PLACE) -> 
     try:
         handle, name = tempfile.mkstemp(prefix=".polhode-trial-", dir=folder)
         try:
-            os.write(handle, bytes(TRIAL_BYTES))
+            os.write(handle, bytes(4096))
         finally:
             os.close(handle)
             Path(name).unlink()

@@ -141,22 +141,14 @@ def staged_folder(
 
 
 def _mend(place: Path, is_own: IsOwn, is_whole: Callable[[Path], bool]) -> None:
-    """Finish what killed processes left beside the place: an old folder that stepped aside, and the hidden
-    folders of earlier versions."""
+    """Finish what a killed process left beside the place: an old folder that stepped aside."""
     aside = aside_of(place)
     if aside.is_dir() and not place.exists() and is_whole(aside):
         aside.rename(place)
         _log.warning("%s: its replacement was interrupted; the old one is back", place)
-    beside = [aside, *(each for each in _siblings(place) if each.name.startswith(f".{place.name}.partial-"))]
-    for folder in beside:
-        if not folder.is_dir() or folder.is_symlink():
-            continue
-        with opened(folder) as handle:
-            others = [name for name in foreign(folder, is_own) if not is_same(folder / name, place / name)]
+    if aside.is_dir() and not aside.is_symlink():
+        with opened(aside) as handle:
+            others = [name for name in foreign(aside, is_own) if not is_same(aside / name, place / name)]
             if lock(handle) and not others:
-                remove(folder, is_own, place)
-                _log.warning(LEFT_BEHIND, folder)
-
-
-def _siblings(place: Path) -> list[Path]:
-    return sorted(place.parent.iterdir())
+                remove(aside, is_own, place)
+                _log.warning(LEFT_BEHIND, aside)

@@ -178,7 +178,9 @@ def _light(board: Picture, uv: Array, blur_px: float) -> Array:
     ink = cv2.resize(ink, (columns // step, rows // step), interpolation=cv2.INTER_AREA)
     # what is nowhere on the board is far beside it
     at = _sub_pixels(np.nan_to_num(uv / step - 0.5, nan=-1e6))
-    light = cv2.remap(ink, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=AROUND)
+    light: NDArray[Any] = cv2.remap(
+        ink, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=AROUND
+    )
     if blur_px > 0.0:
         light = cv2.GaussianBlur(light, (0, 0), FINE * blur_px, borderType=cv2.BORDER_REPLICATE)
     return np.asarray(cv2.resize(light, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float64)

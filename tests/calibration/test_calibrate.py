@@ -183,7 +183,7 @@ def test_bad_inputs_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
         ([], "images of a board are missing"),
         (["--left", left, "--right", right], "0 of 4 left images can be used"),
         (["--left", left, "--right", right, "--model", "pinhole"], "--model pinhole: choose one of brown5"),
-        (["--left", left, "--right", right, "--square-mm", "0"], "--square-mm 0: give a length above 0"),
+        (["--left", left, "--right", right, "--square-mm", "0"], "--square-mm 0: give a number above 0"),
         (["--left", left, "--right", right, "--board", "9"], "--board 9: give columns x rows"),
         (["--left", left, "--right", right, "--pattern", "dots"], "--pattern dots: choose one of chessboard"),
     ):

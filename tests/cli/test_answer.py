@@ -108,7 +108,7 @@ def test_quiet_leaves_the_last_line_and_verbose_adds_the_log(
 ) -> None:
     import logging
 
-    from polhode.cli.console import announce, choose_progress, progress_of_run
+    from polhode.console import announce, choose_progress, progress_of_run
 
     def work(command: EvaluateCommand) -> Answer:
         announce("a target")

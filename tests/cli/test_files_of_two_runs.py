@@ -70,8 +70,13 @@ def _without_digests(run: Path) -> None:
     (run / "summary.json").write_text(json.dumps(content))
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize("file", ["summary.json", "trajectory.csv", "covariance.npz", "measurements.npz"])
+@pytest.mark.parametrize(
+    ("file", "command"),
+    [
+        *(("measurements.npz", command) for command in COMMANDS),
+        *((file, "predict") for file in ("summary.json", "trajectory.csv", "covariance.npz")),
+    ],
+)
 def test_numbers_of_another_run_are_refused(
     file: str, command: str, run: Path, two_runs: Path, capsys: Capture
 ) -> None:

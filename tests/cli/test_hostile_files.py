@@ -60,8 +60,7 @@ IMAGES: dict[str, tuple[str, Damage, str]] = {
 }
 
 
-@pytest.mark.parametrize("command", ["run", "compare"])
-@pytest.mark.parametrize("case", IMAGES)
+@pytest.mark.parametrize(("case", "command"), [*((case, "run") for case in IMAGES), ("EPS", "compare")])
 def test_hostile_images(
     case: str, command: str, small_sequence: Path, tmp_path: Path, capsys: Capture
 ) -> None:
@@ -160,8 +159,10 @@ MESHES: dict[str, tuple[str, bytes]] = {
 }
 
 
-@pytest.mark.parametrize("command", ["simulate", "observability", "export"])
-@pytest.mark.parametrize("case", MESHES)
+@pytest.mark.parametrize(
+    ("case", "command"),
+    [*((case, "observability") for case in MESHES), ("step", "simulate"), ("glb that ends early", "export")],
+)
 def test_hostile_meshes(case: str, command: str, whole_run: Path, tmp_path: Path, capsys: Capture) -> None:
     name, content = MESHES[case]
     path = tmp_path / name

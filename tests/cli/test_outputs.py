@@ -37,82 +37,23 @@ FILES = ("export", "export urdf", "predict", "report", "view")
 COMMANDS = (*FOLDERS, *FILES)
 
 
-def row(default: str, **other: str) -> dict[str, str]:
-    """The outcome of every command; ``import_`` is that of import."""
-    known = {"import": other.pop("import_", default)}
-    return {name: known.get(name) or other.get(name.replace(" ", "_"), default) for name in COMMANDS}
+def read_table() -> dict[str, dict[str, str]]:
+    """The table of the page: what ``-o`` finds -> command -> what the command does."""
+    section = PAGE.read_text().split("## What each command does with what it finds")[1].split("\n## ")[0]
+    section = section[section.index("| what `-o` finds |") :]
+    lines = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("|")]
+    head, _, *rows = [[cell.strip().strip("`") for cell in line] for line in lines]
+    assert tuple(head[1:]) == COMMANDS
+    return {cells[0]: dict(zip(COMMANDS, cells[1:], strict=True)) for cells in rows}
 
 
-TABLE: dict[str, dict[str, str]] = {
-    "nothing is there": row(WRITTEN),
-    "a folder in which nothing is; an empty file": row(WRITTEN),
-    "a folder of the user's files; a file of the user": row(REFUSED),
-    "such a folder with a summary.json, scene.yaml, mav0/ or results among the files": row(
-        REFUSED, export=NONE, predict=NONE, report=NONE, view=NONE
-    ),
-    "such a folder, with --overwrite": row(NONE, run=REFUSED, simulate=REFUSED, import_=REFUSED),
-    "its own result": row(
-        REPLACED,
-        run=REFUSED,
-        simulate=REFUSED,
-        compare=RESUMED,
-        sweep=RESUMED,
-        train=RESUMED,
-        import_=REFUSED,
-    ),
-    "its own result, with --overwrite": row(NONE, run=REPLACED, simulate=REPLACED, import_=REPLACED),
-    "its own result and files of the user, with --overwrite where there is one": row(
-        STAYS, simulate=REFUSED, import_=REFUSED, export=NONE, predict=NONE, report=NONE, view=NONE
-    ),
-    "among its own results a file of the user with the name of a result": row(
-        REFUSED,
-        simulate=NONE,
-        import_=NONE,
-        compare=NONE,
-        sweep=NONE,
-        train=NONE,
-        calibrate=NONE,
-        checkout=NONE,
-        observability=NONE,
-        export=NONE,
-        predict=NONE,
-        report=NONE,
-        view=NONE,
-    ),
-    "the name of a result of a run": row(REFUSED),
-    "a name inside a dataset": row(REFUSED),
-    "a name inside a dataset whose mav0 is a link": row(REFUSED),
-    "a name inside the folder to which mav0 of a dataset links": row(REFUSED),
-    "a file for a folder; a folder for a file": row(REFUSED),
-    "the current folder, with nothing in it": row(
-        REFUSED,
-        compare=WRITTEN,
-        sweep=WRITTEN,
-        train=WRITTEN,
-        calibrate=WRITTEN,
-        checkout=WRITTEN,
-        plan=WRITTEN,
-        observability=WRITTEN,
-    ),
-    "an empty text, as of a variable that is not set": row(REFUSED),
-    "folders of the path are missing": row(WRITTEN),
-    "a file among the folders of the path": row(REFUSED),
-    "a link to its own result, with --overwrite where there is one": row(
-        REPLACED, compare=RESUMED, sweep=RESUMED, train=RESUMED
-    ),
-    "a link to a file or folder of the user": row(REFUSED),
-    "a link to what is not there": row(WRITTEN),
-    "a link that leads back to itself": row(REFUSED),
-    "a device": row(REFUSED),
-    "a pipe": row(REFUSED),
-    "a place that is read-only": row(REFUSED),
-    "a place that is full": row(REFUSED),
-    "a place that fills during the work, its own result there": row(FAILED),
-    "what a killed process left on its way there": row(WRITTEN, compare=NONE, sweep=NONE, train=NONE),
-    "another process that is writing there": row(
-        REFUSED, export=WRITTEN, predict=WRITTEN, report=WRITTEN, view=WRITTEN
-    ),
-}
+TABLE = read_table()
+
+
+def test_the_table_has_every_outcome() -> None:
+    found = {outcome for cells in TABLE.values() for outcome in cells.values()}
+    assert found == {WRITTEN, REPLACED, REFUSED, NONE, RESUMED, STAYS, FAILED}
+    assert len(TABLE) == 29
 
 
 def digest(folder: Path, *without: Path) -> dict[str, str]:
@@ -782,24 +723,3 @@ def test_evaluate_removes_what_a_killed_one_was_writing(
     monkeypatch.setattr("polhode.pipeline.report.page.write_evaluation", lambda run, metrics: None)
     assert main(["evaluate", str(run), str(tmp_path)]) == 0
     assert not list(run.glob(".report*"))
-
-
-def test_the_docs_have_the_same_table() -> None:
-    text = PAGE.read_text()
-    section = text.split("## What each command does with what it finds")[1].split("\n## ")[0]
-    section = section[section.index("| what `-o` finds |") :]
-    lines = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("|")]
-    head, _, *rows = [[cell.strip().strip("`") for cell in line] for line in lines]
-    assert tuple(head[1:]) == COMMANDS
-    assert {cells[0]: dict(zip(COMMANDS, cells[1:], strict=True)) for cells in rows} == TABLE
-
-
-def table_text() -> str:
-    """The table as the docs have it."""
-    lines = [["what `-o` finds", *(f"`{name}`" for name in COMMANDS)], ["---"] * (len(COMMANDS) + 1)]
-    lines += [[surface, *(cells[name] for name in COMMANDS)] for surface, cells in TABLE.items()]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
-
-
-if __name__ == "__main__":
-    print(table_text())

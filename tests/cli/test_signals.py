@@ -1,6 +1,7 @@
 """Every command and every signal that ends it: one line, the exit code 128 + n, nothing half-written."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -118,12 +119,18 @@ def test_a_terminated_simulation_tells_what_is_kept(
             os.kill(os.getpid(), signal.SIGTERM)
         write_pair(self, k, mav0)
 
-    monkeypatch.setattr(FrameRenderer, "write_pair", interrupted)
     words = ["simulate", str(tmp_path / "scene.yaml"), "-o", str(tmp_path / "S"), "--runtime.workers", "1"]
-    assert main(words) == 143
+    with monkeypatch.context() as patch:
+        patch.setattr(FrameRenderer, "write_pair", interrupted)
+        assert main(words) == 143
     error = capsys.readouterr().err
     assert "simulate interrupted by SIGTERM; 3 of 6 pairs are kept, the same command goes on" in error
     assert sorted(path.name for path in tmp_path.iterdir()) == [".S.partial", "scene.yaml"]
+    assert main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert re.match(r"body [\d.]+ x [\d.]+ x [\d.]+ m along x, y, z; \d+ faces", lines[0])
+    assert any(line.startswith("rendering (3 of 6 were there): 3 in") for line in lines)
+    assert lines[-1] == f"6 stereo pairs with truth: {tmp_path / 'S'}"
 
 
 def test_a_signal_to_the_whole_group_of_processes_is_one_line(tmp_path: Path) -> None:

@@ -361,7 +361,7 @@ def write_video(images: Iterable[NDArray[Any]], path: Path, rate_hz: int = 2, co
     import av
 
     with av.open(str(path), "w") as container:
-        stream = None
+        stream: Any = None
         for k, image in enumerate(images):
             if stream is None:
                 stream = container.add_stream(codec, rate=rate_hz)

@@ -298,12 +298,12 @@ def test_a_missing_library_is_named_with_its_command(
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--tolerance-s", "-1"], "--tolerance-s -1: give a number of at least 0"),
+        (["--tolerance-s", "-1"], "--tolerance-s -1: give a number from 0 to 1e+09"),
         (["--rate-hz", "0"], "--rate-hz 0: give a number above 0"),
         (["--end", "0"], "--end-s 0: give a time after --start-s 0"),
         (["--every", "0"], "--every 0: give a whole number of at least 1"),
-        (["--start", "nan"], "--start-s nan: give a number"),
-        (["--unit", "inch"], "--unit inch: choose m or mm"),
+        (["--start", "nan"], "--start nan: give a number"),
+        (["--unit", "inch"], "--unit inch: give one of m, mm"),
         (["--crop", "1,2"], "--crop 1,2: give LEFT,TOP,WIDTH,HEIGHT"),
     ],
 )

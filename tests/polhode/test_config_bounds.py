@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from polhode.cli.main import main
 from polhode.config import Config
 from polhode.config.keys import section_of
 from polhode.config.loader import load_config
@@ -144,41 +143,6 @@ def test_the_ends_of_a_range_are_within_it(number: Number, file: Path) -> None:
         else:
             message = ""
         assert "must be at" not in message
-
-
-@pytest.mark.parametrize(
-    ("command", "option", "value"),
-    [
-        ("run", "--seed", "-1"),
-        ("run", "--frontend.features.max-features", "1e30"),
-        ("run", "--backend.accel-psd", "1e308"),
-        ("run", "--backend.accel-psd", "nan"),
-        ("run", "--runtime.workers", "-1"),
-        ("run", "--runtime.workers", "1000000"),
-        ("run", "--mapping.voxel-mm", "0"),
-        ("compare", "--compare.perturbed", "1000000000"),
-        ("compare", "--compare.monte-carlo.frames", "1000000000"),
-        ("simulate", "--scene.rig.focal-px", "1e300"),
-        ("simulate", "--scene.frames", "100000000"),
-        ("train", "--train.descriptor.batch", "100000000"),
-    ],
-)
-def test_a_command_refuses_it_with_code_2(
-    command: str,
-    option: str,
-    value: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("c.yaml").write_text("scene: {}\ntrain: {}\n")
-    words = {"run": ["--data", "S", "-o", "R"], "simulate": ["-o", "S"], "compare": ["-o", "C"], "train": []}
-    assert main([command, "c.yaml", *words[command], option, value]) == 2
-    error = capsys.readouterr().err
-    key = option.removeprefix("--").replace("-", "_")
-    assert error.startswith(f"polhode: error: command line: key '{key}") and error.count("\n") == 1
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["c.yaml"]
 
 
 TOO_MUCH: dict[str, tuple[str, str]] = {

@@ -1,6 +1,5 @@
 """Configuration files: what they may say, and the one line for each way to get it wrong."""
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -71,21 +70,11 @@ def test_the_resolved_configuration_reads_back_equal_and_complete(tmp_path: Path
         assert set(section.model_fields) <= set(keys)
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    assert message_of(tmp_path / "none.yaml") == (
-        f"{tmp_path / 'none.yaml'} is missing: give an existing configuration file"
-    )
-
-
-def test_a_missing_base_is_named_with_who_wants_it(tmp_path: Path) -> None:
-    path = write(tmp_path / "c.yaml", "extends: base.yaml")
-    assert f"{tmp_path / 'base.yaml'}, which {path} extends, is missing" in message_of(path)
-
-
-def test_a_circle_of_extends_is_told(tmp_path: Path) -> None:
-    write(tmp_path / "a.yaml", "extends: b.yaml")
-    write(tmp_path / "b.yaml", "extends: a.yaml")
-    assert "'extends' is circular" in message_of(tmp_path / "a.yaml")
+def test_a_missing_file_is_named_with_who_wants_it(tmp_path: Path) -> None:
+    missing = tmp_path / "none.yaml"
+    assert message_of(missing) == f"{missing} is missing: give an existing configuration file"
+    path = write(tmp_path / "c.yaml", "extends: none.yaml")
+    assert f"{missing}, which {path} extends, is missing" in message_of(path)
 
 
 def test_an_error_names_the_file_of_the_chain_that_made_it(tmp_path: Path) -> None:
@@ -94,20 +83,20 @@ def test_an_error_names_the_file_of_the_chain_that_made_it(tmp_path: Path) -> No
     assert message_of(top).startswith(f"{base}: key 'backend.accel_psd': expected a number, got text 'none'")
 
 
-def test_a_chain_of_extends_has_a_limit(tmp_path: Path) -> None:
+def test_a_chain_of_extends_ends(tmp_path: Path) -> None:
     for k in range(40):
         write(tmp_path / f"{k}.yaml", f"extends: {k + 1}.yaml")
     assert "'extends' goes on over more than 16 files" in message_of(tmp_path / "0.yaml")
+    write(tmp_path / "1.yaml", "extends: 0.yaml")
+    assert "'extends' is circular" in message_of(tmp_path / "0.yaml")
 
 
-@pytest.mark.parametrize("base", ["/dev/zero", "pipe", "folder", "huge"])
-def test_what_is_extended_must_be_a_small_regular_file(tmp_path: Path, base: str) -> None:
-    os.mkfifo(tmp_path / "pipe")
-    (tmp_path / "folder").mkdir()
+def test_what_is_extended_must_be_a_small_regular_file(tmp_path: Path) -> None:
+    assert "give a regular file" in message_of(write(tmp_path / "c.yaml", "extends: /dev/zero"))
     with (tmp_path / "huge").open("wb") as stream:
         stream.truncate(2**40)
-    message = message_of(write(tmp_path / "c.yaml", f"extends: {base}"))
-    assert "give a regular file" in message or "1 MB that a YAML file may have" in message
+    message = message_of(write(tmp_path / "c.yaml", "extends: huge"))
+    assert "1 MB that a YAML file may have" in message
 
 
 @pytest.mark.parametrize(
@@ -199,25 +188,23 @@ def test_a_part_of_the_configuration_is_written_and_read_back_alone() -> None:
     assert Config.model_validate(yaml.safe_load(text)) == config
 
 
-def test_a_setting_of_an_earlier_version_is_ignored_with_a_warning(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "frontend: {guided: {fine_gate_px: 2.0}, depth: {block_px: 5}}",
+            "'frontend.guided.fine_gate_px' is no longer a setting and is ignored; remove it",
+        ),
+        (
+            "frontend: {stereo: {ratio: 0.9}, depth: {facets: false, block_px: 5}}",
+            "'frontend.depth.facets', 'frontend.stereo' are no longer settings and are ignored; remove them",
+        ),
+    ],
+)
+def test_settings_of_an_earlier_version_are_ignored_with_one_warning(
+    text: str, said: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The resolved configuration of an older run goes on to be read."""
-    file = tmp_path / "old.yaml"
-    file.write_text("frontend: {guided: {fine_gate_px: 2.0, rounds: 3}}\n")
-    assert load_config(file).frontend.guided.rounds == 3
-    assert [record.getMessage() for record in caplog.records] == [
-        f"{file}: 'frontend.guided.fine_gate_px' is no longer a setting and is ignored; remove it"
-    ]
-
-
-def test_settings_and_sections_of_an_earlier_version_share_one_warning(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    file = tmp_path / "old.yaml"
-    file.write_text("frontend: {stereo: {ratio: 0.9}, depth: {facets: false, block_px: 5}}\n")
+    file = write(tmp_path / "old.yaml", text)
     assert load_config(file).frontend.depth.block_px == 5
-    assert [record.getMessage() for record in caplog.records] == [
-        f"{file}: 'frontend.depth.facets', 'frontend.stereo' are no longer settings and are ignored; "
-        "remove them"
-    ]
+    assert [record.getMessage() for record in caplog.records] == [f"{file}: {said}"]

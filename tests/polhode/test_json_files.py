@@ -1,6 +1,5 @@
 """JSON of others: valid, unambiguous, and of limited size and depth."""
 
-import os
 from pathlib import Path
 
 import pytest
@@ -48,11 +47,8 @@ def test_what_is_wrong_is_one_line(tmp_path: Path, content: str | bytes, message
     assert str(error.value).startswith(str(path)) and "\n" not in str(error.value)
 
 
-def test_pipes_devices_and_missing_files(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")
-    (tmp_path / "zero").symlink_to("/dev/zero")
-    for name, kind in (("pipe", "a pipe"), ("zero", "a device"), (".", "a folder")):
-        with pytest.raises(InputError, match=f"is {kind}: give a regular file"):
-            read_json(tmp_path / name, "a summary")
+def test_devices_and_missing_files(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is a device: give a regular file"):
+        read_json(Path("/dev/zero"), "a summary")
     with pytest.raises(MissingFile):
         read_json(tmp_path / "none", "a summary")

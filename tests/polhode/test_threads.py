@@ -85,23 +85,6 @@ polhode.backend.{entry}(Measured(), Measured(), Measured(), Measured())
     assert output(code, **MANY) == "1"
 
 
-def test_the_test_suite_runs_on_one_thread(tmp_path: Path) -> None:
-    """A plugin of pytest imports NumPy before conftest.py could set a variable."""
-    file = Path("tests/polhode/test_threads.py")
-    clean = {name: value for name, value in os.environ.items() if name not in VARIABLES} | MANY
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-p",
-        "no:cacheprovider",
-        f"{file}::test_one_thread_here",
-    ]
-    done = subprocess.run(command, env=clean, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout
-
-
 def test_one_thread_here() -> None:
     import numpy  # noqa: F401
     from threadpoolctl import threadpool_info

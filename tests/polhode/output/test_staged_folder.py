@@ -153,19 +153,6 @@ def test_an_error_before_the_claim_leaves_what_can_be_resumed(tmp_path: Path) ->
     assert (left / "one.csv").read_text() == "half"
 
 
-def test_hidden_folders_of_earlier_versions_are_removed_unless_their_process_lives(tmp_path: Path) -> None:
-    for name in ("dead", "alive", "theirs"):
-        (tmp_path / f".R.partial-{name}").mkdir()
-        (tmp_path / f".R.partial-{name}" / "one.csv").write_text("half")
-    (tmp_path / ".R.partial-theirs" / "diary.txt").write_text("mine")
-    handle = os.open(tmp_path / ".R.partial-alive", os.O_RDONLY)
-    fcntl.flock(handle, fcntl.LOCK_EX)
-    write(tmp_path / "R", "new")
-    os.close(handle)
-    assert sorted(hidden(tmp_path)) == [".R.partial-alive", ".R.partial-theirs"]
-    assert (tmp_path / ".R.partial-theirs" / "one.csv").read_text() == "half"
-
-
 def test_a_file_that_comes_during_the_exchange_is_not_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,27 +1,15 @@
 """How long a whole run still takes, from the shares of its stages in the runs that were measured.
 
-``python -m polhode.cli.time_left RUN...`` prints the table below from the logs of finished runs. The shares
-differ from sequence to sequence; what has passed of the run at hand corrects them with each step.
+The shares differ from sequence to sequence; what has passed of the run at hand corrects them with each step.
 """
 
-import re
-import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import datetime
-from pathlib import Path
-from statistics import mean
 from time import perf_counter
 
-from polhode.errors import InputError
-from polhode.foreign_files import MIB, read_text
-
-MAX_LOG_BYTES = 16 * MIB
 MIN_SHARE = 0.03
 """Of the whole run, since its first stage: before it has passed, nothing is said."""
-_LINE = re.compile(r"^(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}) \w+ (\S+): (.*)$")
-_STAGE = re.compile(r"^(.+): (\d+\.\d) s$")
 
 
 @dataclass(frozen=True)
@@ -44,8 +32,7 @@ RUN_SHARES = (
     StageShare("checks and pictures", 0.97, 0.97),
     StageShare("report", 0.97, 1.00),
 )
-"""Of ``polhode run``, a stage that comes twice standing twice; printed by the command above for runs of the
-sample and of ts38"""
+"""Of ``polhode run``, a stage that comes twice standing twice; means over runs of the sample and of ts38"""
 
 
 class TimeLeft:
@@ -100,63 +87,3 @@ class TimeLeft:
         if self.share - before > MIN_SHARE:
             self._left_s = (now - since) * (1.0 - self.share) / (self.share - before)
             self._as_of = now
-
-
-def shares_of_log(text: str) -> list[StageShare]:
-    """The stages of a run's log.txt, in order. Raises ValueError: it has none."""
-    lines = [match for match in map(_LINE.match, text.splitlines()) if match]
-    stages: list[tuple[str, float, float]] = []
-    times = [datetime.strptime(match[1], "%Y-%m-%d %H:%M:%S,%f").timestamp() for match in lines]
-    for end, match in zip(times, lines, strict=True):
-        stage = _STAGE.match(match[3])
-        if stage and match[2] == "polhode.cli.console":
-            stages.append((stage[1].partition(" (")[0], end - float(stage[2]), end))
-    if not stages:
-        raise ValueError("no stages in this log")
-    # a stage is logged when it is done
-    start = min(*times, *(begin for _, begin, _ in stages))
-    whole = max(times) - start
-    return [StageShare(title, (begin - start) / whole, (end - start) / whole) for title, begin, end in stages]
-
-
-def mean_shares(runs: Sequence[Sequence[StageShare]]) -> list[StageShare]:
-    """The means of the stages that all runs have, in the order of the first one."""
-    numbered = [_numbered(run) for run in runs]
-    return [
-        StageShare(
-            title,
-            round(mean(each[title, k].begins for each in numbered), 2),
-            round(mean(each[title, k].ends for each in numbered), 2),
-        )
-        for title, k in numbered[0]
-        if all((title, k) in each for each in numbered)
-    ]
-
-
-def _numbered(shares: Sequence[StageShare]) -> dict[tuple[str, int], StageShare]:
-    """By title, and by how often it came before."""
-    seen: Counter[str] = Counter()
-    found = {}
-    for share in shares:
-        found[share.title, seen[share.title]] = share
-        seen[share.title] += 1
-    return found
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Print the table of the runs named."""
-    try:
-        if not arguments:
-            raise InputError("give the folders of one or more runs")
-        logs = [read_text(Path(run) / "log.txt", MAX_LOG_BYTES, "a log") for run in arguments]
-        shares = mean_shares([shares_of_log(text) for text in logs])
-    except (InputError, ValueError) as error:
-        print(f"time_left: error: {error}", file=sys.stderr)
-        return InputError.exit_code
-    for share in shares:
-        print(f'    StageShare("{share.title}", {share.begins:.2f}, {share.ends:.2f}),')
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

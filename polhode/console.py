@@ -1,14 +1,14 @@
 """Progress and warnings on the terminal: one bar per stage, or plain lines where there is no terminal.
 
-Everything goes to standard output; standard error is kept for the one line of an error. With --json, ``main``
-sends all of it to standard error instead; with --quiet none of it is shown.
+Everything goes to standard output; standard error is kept for the one line of an error. With --json, the
+program sends all of it to standard error instead; with --quiet none of it is shown.
 """
 
 import logging
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from time import perf_counter
 
@@ -27,15 +27,14 @@ from rich.progress import (
 from rich.progress import Progress as RichProgress
 from rich.text import Text
 
-from polhode.cli.time_left import StageShare, TimeLeft
 from polhode.errors import one_line, printable
 from polhode.interrupts import raise_if_received
-from polhode.progress import NOTE, Advance, LiveProgress, Progress, Show
+from polhode.progress import NOTE, Advance, Progress, Show
+from polhode.time_left import StageShare, TimeLeft
 
 _log = logging.getLogger(__name__)
 SILENCE_S = 30.0
 """Where there is no terminal, a line says what is going on when none was printed for so long."""
-LOG_FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 
 
 @dataclass
@@ -50,32 +49,24 @@ class _Command:
 _command = _Command()
 
 
-def choose_progress() -> LiveProgress:
+def choose_progress(left: TimeLeft | None = None) -> "Bars | Lines":
     """Bars on a terminal, plain lines in a file, a pipe or CI; nothing with --quiet."""
     if _command.quiet:
         return Quiet()
-    return Bars() if sys.stdout.isatty() else Lines()
+    return Bars(left) if sys.stdout.isatty() else Lines(left)
 
 
 @contextmanager
 def progress_of_run() -> Iterator[Progress]:
     """Show the stages of a whole run, and how long all of them still take."""
-    if _command.quiet:
-        yield Quiet()
-    elif sys.stdout.isatty():
-        with RunBars().shown() as progress:
-            yield progress
-    else:
-        lines = Lines(TimeLeft())
-        with lines.never_silent():
-            yield lines
+    progress = choose_progress(TimeLeft())
+    with progress.watched():
+        yield progress
 
 
 def progress_of_points() -> Progress:
     """Bars with the time left; where there is no terminal, lines that say it now and then."""
-    if _command.quiet or sys.stdout.isatty():
-        return choose_progress()
-    return Lines(TimeLeft((StageShare("points", 0.0, 1.0),)))
+    return choose_progress(None if sys.stdout.isatty() else TimeLeft((StageShare("points", 0.0, 1.0),)))
 
 
 def announce(text: str) -> None:
@@ -84,24 +75,114 @@ def announce(text: str) -> None:
         print(printable(text), flush=True)
 
 
-class Bars:
-    """A live bar per stage, which stays on the screen when the stage is done."""
+@dataclass
+class _Stage:
+    """A stage that is open."""
+
+    title: str
+    total: int
+    """Steps; 0: their number is not known"""
+    start: float
+    """Time at which it began [s]"""
+    steps: int = 0
+
+
+class _Stages:
+    """What bars and lines have in common: counting the steps of each stage, and what is left of the whole."""
+
+    def __init__(self, left: TimeLeft | None = None) -> None:
+        self._left = left
+        self._is_watched = False
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Show what goes on while the block runs, also between its stages."""
+        if self._is_watched:
+            yield
+            return
+        self._is_watched = True
+        try:
+            with self._watch():
+                yield
+        finally:
+            self._is_watched = False
 
     @contextmanager
     def stage(self, title: str, total: int) -> Iterator[Advance]:
-        """Open a bar of ``total`` steps; call what it yields once per step."""
+        """Show a stage of ``total`` steps; call what it yields once per step."""
         raise_if_received()
-        bar = RichProgress(*_columns(), TimeRemainingColumn(), console=Console(file=sys.stdout))
-        start = perf_counter()
-        with bar:
-            task = bar.add_task(escape(printable(title)), total=total or None)
+        stage = _Stage(printable(title), total, perf_counter())
+        if self._left is not None:
+            self._left.begin(title)
 
-            def advance() -> None:
-                raise_if_received()
-                bar.advance(task)
+        def advance() -> None:
+            raise_if_received()
+            stage.steps += 1
+            self._reach(stage.steps / max(total, stage.steps))
+            self._show_step()
 
+        with self.watched(), self._open(stage):
             yield advance
-        _finish(title, perf_counter() - start)
+            self._reach(1.0)
+        seconds = perf_counter() - stage.start
+        self._show_end(stage, seconds)
+        _command.finished.append(title)
+        _log.info("%s: %.1f s", title, seconds)
+
+    def _reach(self, done: float) -> None:
+        if self._left is not None:
+            self._left.advance(done)
+
+    def _watch(self) -> AbstractContextManager[object]:
+        raise NotImplementedError
+
+    def _open(self, stage: _Stage) -> AbstractContextManager[object]:
+        raise NotImplementedError
+
+    def _show_step(self) -> None:
+        """Nothing, unless steps are shown as they come."""
+
+    def _show_end(self, stage: _Stage, seconds: float) -> None:
+        """Nothing, unless a stage is shown when it is done."""
+
+
+class Bars(_Stages):
+    """A live bar for each stage, which stays on the screen when the stage is done; with ``left`` one for the
+    whole below them, with the time that it still takes."""
+
+    @contextmanager
+    def _watch(self) -> Iterator[None]:
+        console = Console(file=sys.stdout)
+        title, bar, elapsed = TextColumn("{task.description:<28}"), BarColumn(), TimeElapsedColumn()
+        columns = [title, bar, MofNCompleteColumn(), elapsed]
+        if self._left is None:
+            with RichProgress(*columns, TimeRemainingColumn(), console=console) as self._stages:
+                yield
+            return
+        self._stages = RichProgress(*columns, console=console)
+        self._whole = RichProgress(title, bar, elapsed, _LeftColumn(self._left), console=console)
+        whole = self._whole.add_task("whole run", total=1.0)
+        with Live(Group(self._stages, self._whole), console=console, refresh_per_second=4):
+            yield
+            self._whole.update(whole, completed=1.0)
+
+    @contextmanager
+    def _open(self, stage: _Stage) -> Iterator[None]:
+        self._task = task = self._stages.add_task(escape(stage.title), total=stage.total or None)
+        yield
+        done = max(stage.total, 1)
+        if self._left is not None:
+            self._stages.update(task, total=done, completed=done)
+            self._stages.stop_task(task)
+            self._show_whole()
+
+    def _show_step(self) -> None:
+        self._stages.advance(self._task)
+        self._show_whole()
+
+    def _show_whole(self) -> None:
+        if self._left is not None:
+            self._whole.update(self._whole.task_ids[0], completed=self._left.share)
 
     @contextmanager
     def line(self) -> Iterator[Show]:
@@ -113,57 +194,6 @@ class Bars:
                 live.update(Text(printable(text)))
 
             yield show
-
-
-class RunBars:
-    """A bar for each stage of a run, and below them one for the whole, with the time that it still takes."""
-
-    def __init__(self) -> None:
-        self._left = TimeLeft()
-        self._console = Console(file=sys.stdout)
-        self._stages = RichProgress(*_columns(), console=self._console)
-        self._whole = RichProgress(
-            TextColumn("{task.description:<28}"),
-            BarColumn(),
-            TimeElapsedColumn(),
-            _LeftColumn(self._left),
-            console=self._console,
-        )
-
-    @contextmanager
-    def shown(self) -> Iterator[Progress]:
-        """Keep the bars on the screen while the block runs, and after it those of the stages."""
-        whole = self._whole.add_task("whole run", total=1.0)
-        with Live(Group(self._stages, self._whole), console=self._console, refresh_per_second=4):
-            yield self
-            self._whole.update(whole, completed=1.0)
-
-    @contextmanager
-    def stage(self, title: str, total: int) -> Iterator[Advance]:
-        """Add a bar of ``total`` steps; call what it yields once per step."""
-        raise_if_received()
-        start, steps = perf_counter(), 0
-        task = self._stages.add_task(escape(printable(title)), total=total or None)
-        self._left.begin(title)
-
-        def advance() -> None:
-            nonlocal steps
-            raise_if_received()
-            steps += 1
-            self._stages.advance(task)
-            self._left.advance(steps / max(total, steps))
-            self._show_share()
-
-        self._show_share()
-        yield advance
-        self._stages.update(task, total=max(total, 1), completed=max(total, 1))
-        self._stages.stop_task(task)
-        self._left.advance(1.0)
-        self._show_share()
-        _finish(title, perf_counter() - start)
-
-    def _show_share(self) -> None:
-        self._whole.update(self._whole.task_ids[0], completed=self._left.share)
 
 
 class _LeftColumn(ProgressColumn):
@@ -184,58 +214,27 @@ def duration(seconds: float) -> str:
     return f"{round(seconds)} s" if seconds < 100.0 else f"{round(seconds / 60.0)} min"
 
 
-def _columns() -> tuple[ProgressColumn, ...]:
-    return (
-        TextColumn("{task.description:<28}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-
-
-def _finish(title: str, seconds: float) -> None:
-    """Note that a stage is done."""
-    _command.finished.append(title)
-    _log.info("%s: %.1f s", title, seconds)
-
-
-@dataclass
-class _Stage:
-    """A stage that is open."""
-
-    title: str
-    total: int
-    """Steps; 0: their number is not known"""
-    start: float
-    """Time at which it began [s]"""
-    steps: int = 0
-
-
-class Lines:
+class Lines(_Stages):
     """One line when a stage is done, and one now and then while it goes on; with ``left`` they say how long
     the whole still takes."""
 
     def __init__(self, left: TimeLeft | None = None) -> None:
-        self._left = left
+        super().__init__(left)
         self._start = self._printed = perf_counter()
         self._stages: list[_Stage] = []
         """Those that are open, each within the one before"""
-        self._is_watched = False
 
     @contextmanager
-    def never_silent(self) -> Iterator[None]:
-        """While the block runs, print a line whenever none was printed for ``SILENCE_S``."""
-        if self._is_watched:
-            yield
-            return
+    def _watch(self) -> Iterator[None]:
+        """Print a line whenever none was printed for ``SILENCE_S``."""
         done = threading.Event()
 
         def watch() -> None:
             while not done.wait(max(self._printed + SILENCE_S - perf_counter(), 0.01)):
                 if perf_counter() - self._printed >= SILENCE_S:
-                    self._print(self._going_on())
+                    self._print(self._state())
 
-        self._is_watched, self._printed = True, perf_counter()
+        self._printed = perf_counter()
         watcher = threading.Thread(target=watch, daemon=True)
         watcher.start()
         try:
@@ -243,41 +242,26 @@ class Lines:
         finally:
             done.set()
             watcher.join()
-            self._is_watched = False
 
-    def _going_on(self) -> str:
+    @contextmanager
+    def _open(self, stage: _Stage) -> Iterator[None]:
+        self._stages.append(stage)
+        try:
+            yield
+        finally:
+            self._stages.remove(stage)
+
+    def _show_end(self, stage: _Stage, seconds: float) -> None:
+        count = f"{stage.steps} in " if stage.steps else ""
+        self._print(f"{stage.title}: {count}{seconds:.1f} s{self._time_left()}")
+
+    def _state(self) -> str:
         """What is being done, and how far it is."""
         if not self._stages:
             return f"working, {duration(perf_counter() - self._start)} since the start{self._time_left()}"
         stage = self._stages[-1]
         count = f"{stage.steps} of {stage.total}" if stage.total else "working"
-        since = duration(perf_counter() - stage.start)
-        return f"{printable(stage.title)}: {count} after {since}{self._time_left()}"
-
-    @contextmanager
-    def stage(self, title: str, total: int) -> Iterator[Advance]:
-        """Count the steps; print title, count and seconds at the end."""
-        raise_if_received()
-        stage = _Stage(title, total, perf_counter())
-        if self._left is not None:
-            self._left.begin(title)
-
-        def advance() -> None:
-            raise_if_received()
-            stage.steps += 1
-            if self._left is not None:
-                self._left.advance(stage.steps / max(total, stage.steps))
-
-        self._stages.append(stage)
-        try:
-            with self.never_silent():
-                yield advance
-        finally:
-            self._stages.remove(stage)
-        seconds = perf_counter() - stage.start
-        count = f"{stage.steps} in " if stage.steps else ""
-        self._print(f"{printable(title)}: {count}{seconds:.1f} s{self._what_is_left()}")
-        _finish(title, seconds)
+        return f"{stage.title}: {count} after {duration(perf_counter() - stage.start)}{self._time_left()}"
 
     @contextmanager
     def line(self) -> Iterator[Show]:
@@ -288,12 +272,6 @@ class Lines:
             self._print(printable(text))
 
         yield show
-
-    def _what_is_left(self) -> str:
-        if self._left is None:
-            return ""
-        self._left.advance(1.0)
-        return self._time_left()
 
     def _time_left(self) -> str:
         seconds = None if self._left is None or self._left.share >= 1.0 else self._left.seconds()
@@ -308,8 +286,7 @@ class Quiet(Lines):
     """Nothing is shown."""
 
     @contextmanager
-    def never_silent(self) -> Iterator[None]:
-        """Nothing, here too."""
+    def _watch(self) -> Iterator[None]:
         yield
 
     def _print(self, text: str) -> None:
@@ -354,7 +331,7 @@ def show_warnings(quiet: bool = False, verbose: bool = False) -> Iterator[list[s
     handlers[0].addFilter(lambda record: record.levelno < logging.ERROR)
     if verbose:
         log = logging.StreamHandler(sys.stderr)
-        log.setFormatter(logging.Formatter(LOG_FORMAT))
+        log.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
         log.setLevel(logging.INFO)
         handlers.append(log)
     global _command
