@@ -75,7 +75,15 @@ STAGES: dict[str, tuple[tuple[Name, ...], str, tuple[str, ...]]] = {
         LOOPS,
     ),
     "finishing": (
-        (("pipeline.finish_surface", "finish_surface"),),
+        (
+            ("pipeline.finish_surface", "_views"),
+            ("mapping.finishing.hole_closing", "close_small_holes"),
+            ("mapping.finishing.albedo", "divide_shading"),
+            ("pipeline.coverage", "with_classes"),
+            ("pipeline.coverage", "coverage_of"),
+            ("mapping.finishing.detail_levels", "levels_of"),
+            ("pipeline.uniform_density", "check_physics"),
+        ),
         "rays, decimation",
         (*RAYS, "simplify", "csr_matvecs"),
     ),

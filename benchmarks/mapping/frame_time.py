@@ -18,7 +18,8 @@ A few frames go through everything first, so that what is compiled or loaded doe
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import Annotated
+from types import SimpleNamespace
+from typing import Annotated, Any
 
 import numpy as np
 from tyro.conf import arg
@@ -100,7 +101,8 @@ def measure(folder: Path, config: Config, voxel_m: float, most: int | None = Non
     begin = now()
     surface = field.surface()
     meshed = now()
-    finished = finish_surface(context, surface, X_RG, mass_of_nothing()).surface
+    motion: Any = SimpleNamespace(X_RG=X_RG, estimate=SimpleNamespace(mass=mass_of_nothing()))
+    finished = finish_surface(context, surface, motion).surface
     wall_s, core_s = np.stack([depth, fusion, meshed - begin, now() - meshed]).T
     size = f"{rectifier.rig.width_px}x{rectifier.rig.height_px}"
     return FrameTimes(count, size, wall_s, core_s, len(finished.mesh.faces))

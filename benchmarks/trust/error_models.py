@@ -112,7 +112,7 @@ def measurements(place: Path) -> tuple[StereoTracks, RelativePoses]:
             if links is not None:
                 return read_measurements(run), links
     context = open_context(place / "sequence", Config.model_validate({"runtime": {"workers": 1}}), Silent())
-    solution = list(find_motion(context, match_frames(context)))[-1]
+    solution = find_motion(context, match_frames(context))
     made.mkdir(exist_ok=True)
     outputs.write_estimate(made, solution.tracks, solution.estimate, solution.links)
     return solution.tracks, solution.links

@@ -15,8 +15,8 @@ import numpy as np
 
 from polhode.errors import one_line
 from polhode.frontend.rectification import rectified_images
-from polhode.pipeline.live.live_state import LiveState
 from polhode.pipeline.live.run_live import Watch, WatchedPair
+from polhode.pipeline.stream.live_state import LiveState
 from polhode.pipeline.view.blueprint import Eyes, arrangement, beside_camera
 from polhode.pipeline.view.mesh_growth import coloured
 from polhode.pipeline.view.recorder import Recorder
