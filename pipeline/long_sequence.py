@@ -52,10 +52,10 @@ class LongSolution:
     """Of the key frames"""
     answer: MotionSolution
     """Of all frames, with observations of the key frames' map"""
-    online: OnlineEstimate
-    """Of all frames, as each came"""
     key_online: OnlineEstimate
-    """Of the key frames"""
+    """Of the key frames, as each came"""
+    online: OnlineEstimate
+    """Of all frames"""
 
 
 def is_long(context: RunContext) -> bool:
@@ -98,7 +98,7 @@ def solve_long(context: RunContext, streamed: Streamed) -> LongSolution:
     answer = MotionSolution(all_tracks, all_frames, NO_LINKS)
     online = align_online_estimate(streamed.online, all_frames)
     key_online = OnlineEstimate(**{each.name: getattr(online, each.name)[keys] for each in fields(online)})
-    return LongSolution(keys, features, motion, answer, online, key_online)
+    return LongSolution(keys, features, motion, answer, key_online, online)
 
 
 def _tracks(context: RunContext, streamed: Streamed) -> StereoTracks:

@@ -4,41 +4,19 @@ from collections.abc import Callable
 from pathlib import Path
 
 from polhode.config import Config
+from polhode.pipeline import finish_surface as finish
+from polhode.pipeline import judge_motion as judge
+from polhode.pipeline import write_results as write
 from polhode.pipeline.build_surface import fuse_depth, image_checks
 from polhode.pipeline.correspondences import features_of_frames, match_features
 from polhode.pipeline.depth_maps import depth_maps_of
 from polhode.pipeline.find_motion import best_motion, first_motion, initial_motion, second_correspondences
-from polhode.pipeline.finish_surface import (
-    colour_surface,
-    compare_mass,
-    cover,
-    describe_shape,
-    lighter_meshes,
-    views_of_surface,
-)  # fmt: skip
-from polhode.pipeline.judge_motion import (
-    all_checks,
-    all_warnings,
-    answer_checks,
-    causal_estimate,
-    data_checks,
-    motion_intervals,
-    surface_checks,
-)  # fmt: skip
 from polhode.pipeline.long_sequence import is_long, solve_long, stream_sequence
 from polhode.pipeline.open_run import open_run
 from polhode.pipeline.report import write_report
 from polhode.pipeline.run_directory.run_folder import RunFolder, atomic_run_folder
 from polhode.pipeline.run_result import RunResult, report_run
 from polhode.pipeline.streamed import Streamed
-from polhode.pipeline.write_results import (
-    write_first_motion,
-    write_matches,
-    write_motion,
-    write_online,
-    write_pictures,
-    write_surface,
-)  # fmt: skip
 from polhode.progress import Progress
 from polhode.threads import single_threaded
 
@@ -80,39 +58,39 @@ def fill_run_folder(
     if is_long(run.context):
         stream = run(stream_sequence, known)
         frames, features, motion, answer, online, of_all = run.parts(solve_long, stream)
-        run(write_motion, folder, answer)
-        run(write_online, folder, of_all)
+        run(write.write_motion, folder, answer)
+        run(write.write_online, folder, of_all)
         run.of_frames(frames.value)
         depth = run(depth_maps_of, features)
     else:
         features = run(features_of_frames, known)
         matches = run(match_features, features, known)
-        run(write_matches, folder, matches)
+        run(write.write_matches, folder, matches)
         initial = run(initial_motion, matches)
         first = run(first_motion, matches, initial)
-        run(write_first_motion, folder, matches, first)
+        run(write.write_first_motion, folder, matches, first)
         second = run(second_correspondences, matches, first)
         answer = motion = run(best_motion, matches, first, second)
-        run(write_motion, folder, motion)
+        run(write.write_motion, folder, motion)
         depth = run(depth_maps_of, features, known)
-        online = run(causal_estimate, motion, streamed)
-        run(write_online, folder, online)
+        online = run(judge.causal_estimate, motion, streamed)
+        run(write.write_online, folder, online)
 
-    data = run(data_checks, features, motion)
-    doubts = run(answer_checks, motion, online)
+    data = run(judge.data_checks, features, motion)
+    doubts = run(judge.answer_checks, motion, online)
     fused = run(fuse_depth, depth, motion)
     moving = run(image_checks, depth, motion)
-    views = run(views_of_surface, fused, motion)
-    coloured = run(colour_surface, fused, views)
-    run(write_pictures, folder, motion, coloured)
-    levels = run(lighter_meshes, coloured)
-    run(write_surface, folder, coloured, levels)
-    covered = run(cover, coloured, views)
-    compared = run(compare_mass, coloured, motion)
-    shape = run(describe_shape, motion, views, coloured, covered, levels, compared)
-    of_surface = run(surface_checks, motion, coloured, compared)
-    intervals = run(motion_intervals, motion, coloured, covered)
-    checks = run(all_checks, motion, coloured, moving, doubts, of_surface, data)
-    warnings = run(all_warnings, streamed, answer, fused, data, intervals)
+    views = run(finish.views_of_surface, fused, motion)
+    coloured = run(finish.colour_surface, fused, views)
+    run(write.write_pictures, folder, motion, coloured)
+    levels = run(finish.lighter_meshes, coloured)
+    run(write.write_surface, folder, coloured, levels)
+    covered = run(finish.cover, coloured, views)
+    compared = run(finish.compare_mass, coloured, motion)
+    shape = run(finish.describe_shape, motion, views, coloured, covered, levels, compared)
+    of_surface = run(judge.surface_checks, motion, coloured, compared)
+    intervals = run(judge.motion_intervals, motion, coloured, covered)
+    checks = run(judge.all_checks, motion, coloured, moving, doubts, of_surface, data)
+    warnings = run(judge.all_warnings, streamed, answer, fused, data, intervals)
     run.finish()
     return report_run(run, written, answer, coloured, shape, checks, intervals, warnings)
