@@ -20,7 +20,8 @@ In: the folder of a sequence and a configuration. Out: the run directory (docs/r
 - uniform_density: mass properties from the mesh at uniform density, assumed and compared with the motion's
 
 stream/ has the stages of one pair after the other, live/ takes pairs as they come; checkout/ checks a
-sequence before a run; data_checks/ finds signs that the data are not as they say, answer_checks/ that the answer is
-not; intervals/ bounds what the motion does not determine; run_directory/ reads and writes a run; report/ and
-pictures/ show it; after_run/ derives plans, predictions, exports and the observability of edges from it.
+sequence before a run; data_checks/ finds signs that the data are not as they say, answer_checks/ that the
+answer is not; intervals/ bounds what the motion does not determine; run_directory/ reads and writes a run;
+report/ and pictures/ show it; after_run/ derives plans, predictions, exports and the observability of edges
+from it.
 """

@@ -14,9 +14,10 @@ import numpy as np
 from polhode.camera import RectifiedRig
 from polhode.frontend.rectification import rectified_left
 from polhode.lie import Array, transform_points
-from polhode.mapping.finishing.albedo import Colouring, Sunlight, divide_shading
+from polhode.mapping.finishing.albedo import Colouring, divide_shading
 from polhode.mapping.finishing.detail_levels import DetailLevel, levels_of
 from polhode.mapping.finishing.hole_closing import ClosedHoles, close_small_holes
+from polhode.mapping.finishing.sun_direction import Sunlight
 from polhode.mapping.visibility import Caster, FrameView, light_level
 from polhode.pipeline.build_surface import fused_poses
 from polhode.pipeline.context import RunContext
@@ -102,7 +103,8 @@ def views_of_surface(context: RunContext, fused: SurfaceModel, motion: MotionSol
     if len(fused.mesh.faces) == 0:
         return Views([], ())
     X_RG = fused_poses(fused, motion)
-    return Views(*_attempt("reading the images again", lambda: _views(context, fused, X_RG), []))
+    none: list[FrameView] = []
+    return Views(*_attempt("reading the images again", lambda: _views(context, fused, X_RG), none))
 
 
 @stage("fusion", ["mapping.hole_share", "mapping.divide_shading", "seed"])

@@ -20,6 +20,8 @@ from polhode.pipeline.streamed import Streamed
 from polhode.progress import Progress
 from polhode.threads import single_threaded
 
+__all__ = ["RunResult", "fill_run_folder", "run"]
+
 
 @single_threaded
 def run(

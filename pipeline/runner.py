@@ -239,7 +239,9 @@ class Runner:
             longest = max(chain, key=lambda each: each.length)
             self._here.add(longest)
             chain = longest.before
-        self._here.update(each for each in self._results if each.stage.writes)
+        # what is made by pair is but a list until its items are asked for
+        light = (each for each in self._results if each.stage.writes or hasattr(each.stage.kind, "jobs"))
+        self._here.update(light)
         with self._other_process():
             while (result := self._next_here(self._here)) is not None:
                 self.value(result)
