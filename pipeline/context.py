@@ -1,12 +1,9 @@
-"""What every step of a run works with: the images, the configuration, progress for the user, stage times."""
+"""What every stage works with: the images, the configuration, progress for the user."""
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from time import perf_counter
-from typing import TypeVar
 
 import numpy as np
 
@@ -22,10 +19,10 @@ from polhode.lie import Array
 from polhode.pipeline.found_background import doubts_of_masks, with_found_masks
 from polhode.pipeline.run_directory.stages import StageStore
 from polhode.processes import worker_count
-from polhode.progress import Progress, Silent
+from polhode.progress import Progress
 from polhode.records import Ints, StereoTracks
 
-LOOKED_AT = 8
+SAMPLED_IMAGES = 8
 """Images in which surroundings are looked for."""
 SURROUNDINGS = (
     "every image shows dim surroundings around a bright target, up to its border: they are taken for "
@@ -33,41 +30,6 @@ SURROUNDINGS = (
 )
 
 _log = logging.getLogger(__name__)
-Item = TypeVar("Item")
-
-
-@dataclass
-class Stopwatch:
-    """Seconds spent in each stage: ``with clock("fusion"): ...``."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-    start: float = field(default_factory=perf_counter)
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        begin = perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[stage] = self.seconds.get(stage, 0.0) + perf_counter() - begin
-
-    def waiting(self, stage: str, items: Iterator[Item]) -> Iterator[Item]:
-        """Pass the items on; the time until each one arrives counts for the stage."""
-        while True:
-            with self(stage):
-                item = next(items, None)
-            if item is None:
-                return
-            yield item
-
-    def add(self, seconds: Mapping[str, float]) -> None:
-        """Add the seconds that another process spent in stages while this one went on."""
-        for stage, more in seconds.items():
-            self.seconds[stage] = self.seconds.get(stage, 0.0) + more
-
-    def add_total(self) -> None:
-        """Record the time since the start, which includes what belongs to no stage."""
-        self.seconds["total"] = perf_counter() - self.start
 
 
 @dataclass(frozen=True)
@@ -78,13 +40,8 @@ class RunContext:
     rectifier: Rectifier
     config: Config
     progress: Progress
-    clock: Stopwatch = field(default_factory=Stopwatch)
     stages: StageStore = field(default_factory=StageStore)
-    """Results of finished stages, which are used again"""
-
-    def for_another_process(self) -> "RunContext":
-        """The same inputs, without the display of the progress and with a clock of its own."""
-        return replace(self, progress=Silent(), clock=Stopwatch())
+    """Results of stages for each pair, which are used again"""
 
     @property
     def rig(self) -> RectifiedRig:
@@ -147,11 +104,10 @@ def _ascending(frames: Ints | Sequence[int], count: int) -> Ints:
 
 
 def open_context(sequence_folder: Path, config: Config, progress: Progress) -> RunContext:
-    """Start the clock and open the sequence. Anomalies are logged.
+    """Open the sequence, and find masks where it needs them. Anomalies are logged.
 
     Raises InputError for what is missing or wrong in the folder.
     """
-    clock = Stopwatch()
     sequence = open_sequence(sequence_folder)
     for warning in sequence.warnings:
         _log.warning(warning)
@@ -159,13 +115,12 @@ def open_context(sequence_folder: Path, config: Config, progress: Progress) -> R
     if rectifier.surroundings:
         _log.warning(SURROUNDINGS)
         sequence = replace(sequence, warnings=(*sequence.warnings, SURROUNDINGS))
-    with clock("frontend"):
-        workers = worker_count(config.runtime.workers)
-        rectifier = with_found_masks(sequence, rectifier, range(len(sequence)), workers, progress)
+    workers = worker_count(config.runtime.workers)
+    rectifier = with_found_masks(sequence, rectifier, range(len(sequence)), workers, progress)
     if rectifier.found is not None and (doubts := doubts_of_masks(rectifier.found)):
         _log.warning(doubts)
         sequence = replace(sequence, warnings=(*sequence.warnings, doubts))
-    return RunContext(sequence, rectifier, config, progress, clock)
+    return RunContext(sequence, rectifier, config, progress)
 
 
 def rectifier_of(sequence: StereoSequence) -> Rectifier:
@@ -177,7 +132,7 @@ def rectifier_of(sequence: StereoSequence) -> Rectifier:
 
 def _without_masks(sequence: StereoSequence, rectifier: Rectifier) -> Iterator[Image]:
     """Rectified left images of some frames that come without a mask, spread over the sequence."""
-    for k in np.unique(np.linspace(0, len(sequence) - 1, LOOKED_AT).round().astype(int)).tolist():
+    for k in np.unique(np.linspace(0, len(sequence) - 1, SAMPLED_IMAGES).round().astype(int)).tolist():
         image, mask = sequence.read_left(k)
         if mask is None:
             yield rectifier(image, 0)

@@ -27,18 +27,19 @@ from polhode.frontend.rectification import RectifiedPair
 from polhode.frontend.tracks.tracks import join_matches
 from polhode.lie import Array
 from polhode.pipeline.context import RunContext
+from polhode.pipeline.runner import stage
 from polhode.pipeline.streamed import Streamed
 from polhode.record_files import digest_of
 from polhode.records import Ints, RelativePoses, StereoTracks
 
 _log = logging.getLogger(__name__)
 MIN_MEASURED_FRAMES = 3
-PREDICTED_RAD = np.deg2rad(15.0)
+MAX_DIFFERENCE_RAD = np.deg2rad(15.0)
 """A match whose rotation differs by more from that of the known motion contradicts it."""
-MANY_OFF = 0.3
+MAX_CONTRADICTING_SHARE = 0.3
 """Share of the matches of a second method that contradict the known motion; with more, other motions of the
 same frames are considered."""
-CLEAR_CONTRAST = 3.0
+MIN_CONTRAST = 3.0
 """Inliers of frames that show the same side over those of others; with less it may be the light's motion."""
 
 
@@ -70,29 +71,22 @@ class Correspondences:
         return context.tracks(self.features, join_matches(self.features, self.matches))
 
 
-def match_frames(context: RunContext, streamed: Streamed | None = None) -> Correspondences:
-    """Extract the features of every frame and match them, without a motion estimate.
+def match_frames(context: RunContext) -> Correspondences:
+    """Extract the features of every frame and match them, without a motion estimate."""
+    return match_features(context, features_of_frames(context))
 
-    ``streamed``: what a stream of these pairs has found already, which is used again if it fits. Raises
-    InputError when the weights of a feature method are missing.
+
+@stage("frontend", ["frontend"], is_stored=False)
+def features_of_frames(context: RunContext, streamed: Streamed | None = None) -> list[StereoFeatures]:
+    """The features of every pair, in order, by the first feature method, or those that a stream has found.
+
+    Raises InputError at once, not after the work of the first method: weights that extraction, matching or,
+    later, depth need are missing or wrong.
     """
     second = context.config.frontend.second_method
     if second is not None:
-        # A missing file of weights ends the command now, not after the work of the first method.
         feature_method(second), match_method(second)
-    if streamed is not None and not streamed.fits(context.sequence.timestamps_ns, context.rectifier):
-        _log.info("all pairs together give other masks than those of the stream, whose features are not used")
-        streamed = None
-    features = features_of_frames(context) if streamed is None else streamed.features
-    return match_features(context, features, streamed)
-
-
-def features_of_frames(context: RunContext) -> list[StereoFeatures]:
-    """The features of every pair, in order, by the first feature method.
-
-    Raises InputError: weights that extraction, matching or, later, depth need are missing or wrong.
-    """
-    return _extract(context, context.config.frontend)
+    return _extract(context, context.config.frontend) if streamed is None else list(streamed.features)
 
 
 def features_of_pair(context: RunContext, pair: RectifiedPair) -> StereoFeatures:
@@ -100,6 +94,7 @@ def features_of_pair(context: RunContext, pair: RectifiedPair) -> StereoFeatures
     return extract_pair(pair, context.rig, _with_patch_size(context, context.config.frontend))
 
 
+@stage("frontend", ["frontend", "seed"], is_stored=False)
 def match_features(
     context: RunContext, features: Sequence[StereoFeatures], streamed: Streamed | None = None
 ) -> Correspondences:
@@ -137,7 +132,7 @@ def add_second_method(
     if X_RG is None:
         known, matches = _of_the_body(context, features, partners, matches, second, known)
     else:
-        known, matches = _as_predicted(context, features, partners, matches, second, known, X_RG)
+        known, matches = _agreeing_with_motion(context, features, partners, matches, second, known, X_RG)
     both = combine_features(first.features, features)
     together = [*known, *offset_matches(matches, first.features)]
     return Correspondences(both, _without_contradictions(context, sorted(together, key=lambda m: (m.i, m.j))))
@@ -145,10 +140,7 @@ def add_second_method(
 
 def _extract(context: RunContext, frontend: Frontend) -> list[StereoFeatures]:
     method, features = frontend.features.method, []
-    with (
-        context.clock("frontend"),
-        context.progress.stage(f"features ({method})", len(context.sequence)) as advance,
-    ):
+    with context.progress.stage(f"features ({method})", len(context.sequence)) as advance:
         for found in features_in_turn(context, frontend):
             features.append(found)
             advance()
@@ -211,7 +203,7 @@ def _match(
 ) -> list[PairMatch]:
     seed, workers, settings = context.config.seed, context.workers, frontend.for_matching
     matches: list[PairMatch] = []
-    with context.clock("frontend"), context.progress.stage("matching frames", len(features)) as advance:
+    with context.progress.stage("matching frames", len(features)) as advance:
         for found in context.stages.each(
             "matches",
             list[PairMatch],
@@ -222,7 +214,8 @@ def _match(
         ):
             matches.extend(found)
             advance()
-    _log.info("%d of %d pairs of frames matched", len(matches), sum(map(len, partners)))
+    pairs = {(match.i, match.j) for match in matches}
+    _log.info("%d of %d pairs of frames matched", len(pairs), sum(map(len, partners)))
     return matches
 
 
@@ -243,13 +236,11 @@ def _of_the_body(
     if count == 1 or not isinstance(match_method(frontend), HypothesisMethod):
         return unchanged
     time_s, R_NR = context.time_s, context.X_NR[:, :3, :3]
-    with context.clock("initialization"):
-        present = contrast_of_links(relative_poses([*first, *matches]), time_s, R_NR)
-    if present is not None and present >= CLEAR_CONTRAST:
+    present = contrast_of_links(relative_poses([*first, *matches]), time_s, R_NR)
+    if present is not None and present >= MIN_CONTRAST:
         return unchanged
     several = _match(context, features, partners, frontend, count)
-    with context.clock("initialization"):
-        chosen = links_of_the_body(relative_poses([*first, *several]), time_s, R_NR, present)
+    chosen = links_of_the_body(relative_poses([*first, *several]), time_s, R_NR, present)
     _log.info(
         "frames that show the same side match hardly better than others%s: %s",
         "" if present is None else f" ({present:.1f} times)",
@@ -266,7 +257,7 @@ def _of_the_body(
     )
 
 
-def _as_predicted(
+def _agreeing_with_motion(
     context: RunContext,
     features: Sequence[StereoFeatures],
     partners: Sequence[Ints],
@@ -280,21 +271,21 @@ def _as_predicted(
     ``first``: matches of another method; returned are those that do not contradict the poses either.
     """
     count = frontend.pairs.motions
-    off = rotation_errors(relative_poses(matches), X_RG) > PREDICTED_RAD
-    few_off = np.sum(off) <= MANY_OFF * len(off)
+    off = rotation_errors(relative_poses(matches), X_RG) > MAX_DIFFERENCE_RAD
+    few_off = np.sum(off) <= MAX_CONTRADICTING_SHARE * len(off)
     if count == 1 or few_off or not isinstance(match_method(frontend), HypothesisMethod):
         return first, matches
     several = _match(context, features, partners, frontend, count)
     error = rotation_errors(relative_poses(several), X_RG)
     nearest: dict[tuple[int, int], int] = {}
     for k in np.argsort(error, kind="stable").tolist():
-        if error[k] < PREDICTED_RAD:
+        if error[k] < MAX_DIFFERENCE_RAD:
             nearest.setdefault((several[k].i, several[k].j), k)
     _log.info(
         "%.0f %% of the matched pairs contradict the motion; of several motions each, %d agree with it",
         *(100.0 * np.mean(off), len(nearest)),
     )
-    agree = rotation_errors(relative_poses(first), X_RG) < PREDICTED_RAD
+    agree = rotation_errors(relative_poses(first), X_RG) < MAX_DIFFERENCE_RAD
     return (
         [match for match, good in zip(first, agree, strict=True) if good],
         [several[k] for k in sorted(nearest.values())],
@@ -303,8 +294,6 @@ def _as_predicted(
 
 def _without_contradictions(context: RunContext, matches: Sequence[PairMatch]) -> list[PairMatch]:
     """Without the matches that contradict others."""
-    with context.clock("initialization"):
-        links = relative_poses(matches)
-        good = context.stages.once(consistent_links, links, context.time_s, context.X_NR[:, :3, :3])
+    good = consistent_links(relative_poses(matches), context.time_s, context.X_NR[:, :3, :3])
     _log.info("%d of %d matched pairs contradict others and are dropped", np.sum(~good), len(matches))
     return [match for match, kept in zip(matches, good, strict=True) if kept]

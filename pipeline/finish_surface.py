@@ -17,22 +17,29 @@ from polhode.lie import Array, transform_points
 from polhode.mapping.finishing.albedo import Colouring, divide_shading
 from polhode.mapping.finishing.detail_levels import DetailLevel, levels_of
 from polhode.mapping.finishing.hole_closing import ClosedHoles, close_small_holes
+from polhode.mapping.finishing.sun_direction import Sunlight
 from polhode.mapping.visibility import Caster, FrameView, light_level
+from polhode.pipeline.build_surface import fused_poses
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.coverage import coverage_of, warnings_of, with_classes
+from polhode.pipeline.find_motion import MotionSolution
 from polhode.pipeline.run_directory.summary_schema import (
+    Coverage,
     Mesh,
     MeshErrors,
     MeshErrorShare,
     MeshLevel,
+    Physics,
     ShapeFindings,
     Sun,
 )
+from polhode.pipeline.runner import stage
 from polhode.pipeline.uniform_density import assumed_properties, check_physics
-from polhode.records import MassProperties, SurfaceModel
+from polhode.records import SurfaceModel
 
 _log = logging.getLogger(__name__)
-Result = TypeVar("Result")
+T = TypeVar("T")
+Sentences = tuple[str, ...]
 
 MAX_FRAMES = 60
 MAX_PIXELS = 40e6
@@ -51,78 +58,150 @@ class FinishedSurface:
     """Coverage, closed holes, the Sun, mass against volume; with the warnings of steps that failed"""
 
 
-def finish_surface(
-    context: RunContext,
-    surface: SurfaceModel,
-    X_RG: Array,
-    mass: MassProperties,
-    ready: Callable[[SurfaceModel, Array | None], object] = lambda finished, sun_N: None,
-) -> FinishedSurface:
-    """Close small holes, divide the shading out, class the vertices, make lighter meshes.
+@dataclass(frozen=True)
+class Views:
+    """Frames that are read again, each cropped to the target."""
 
-    X_RG (F, 4, 4): pose of the target in the rectified left camera. ``ready`` is called with the finished
-    surface as soon as there is one, and with the Sun's direction in N (3,) if its shading was divided out of
-    the colours, before what follows from them.
-    """
-    config = context.config
-    if len(surface.mesh.faces) == 0:
-        ready(surface, None)
-        assumed, doubts = assumed_properties(mass, surface, config.backend)
-        return FinishedSurface(surface, [], ShapeFindings(assumed=assumed, warnings=tuple(doubts)))
-    steps, rig, mapping = _OptionalSteps(), context.rig, config.mapping
-    views: list[FrameView] = []
-    views = steps.attempt("reading the images again", lambda: _views(context, surface, X_RG), views)
-    seen_by = cache(lambda: Caster(surface.mesh))
+    frames: list[FrameView]
+    warnings: Sentences
+
+
+@dataclass(frozen=True)
+class Coloured:
+    """The surface with closed holes, colours, and classes of its vertices."""
+
+    surface: SurfaceModel
+    holes_closed: int
+    holes_left_open: int
+    divided: bool
+    """Whether the Sun's shading was divided out of the colours"""
+    sun: Sunlight | None
+    """The light that fits best, used or not; None: undetermined"""
+    grey_per_albedo: float
+    warnings: Sentences
+
+    @property
+    def sun_N(self) -> Array | None:
+        """(3,) unit vector towards the Sun, if its shading was divided out of the colours"""
+        return self.sun.direction_N if self.divided and self.sun is not None else None
+
+
+def finish_surface(context: RunContext, fused: SurfaceModel, motion: MotionSolution) -> FinishedSurface:
+    """The stages of this module one after the other."""
+    views = views_of_surface(context, fused, motion)
+    coloured = colour_surface(context, fused, views)
+    levels = lighter_meshes(context, coloured)
+    covered = cover(context, coloured, views)
+    physics = compare_mass(context, coloured, motion)
+    findings = describe_shape(context, motion, views, coloured, covered, levels, physics)
+    return FinishedSurface(coloured.surface, levels[0], findings)
+
+
+@stage("fusion", is_stored=False)
+def views_of_surface(context: RunContext, fused: SurfaceModel, motion: MotionSolution) -> Views:
+    """Frames evenly spread over the run, each cropped to the target; none for an empty surface."""
+    if len(fused.mesh.faces) == 0:
+        return Views([], ())
+    X_RG = fused_poses(fused, motion)
+    none: list[FrameView] = []
+    return Views(*_attempt("reading the images again", lambda: _views(context, fused, X_RG), none))
+
+
+@stage("fusion", ["mapping.hole_share", "mapping.divide_shading", "seed"])
+def colour_surface(context: RunContext, fused: SurfaceModel, views: Views) -> Coloured:
+    """Close small holes, divide the shading out, class the vertices by who has seen them in light."""
+    if len(fused.mesh.faces) == 0:
+        return Coloured(fused, 0, 0, False, None, 1.0, ())
+    rig, config, frames = context.rig, context.config, views.frames
+    seen_by = cache(lambda: Caster(fused.mesh))
     # Relative to the surface itself: the same in every unit.
-    largest_m = mapping.hole_share * float(np.linalg.norm(surface.mesh.extents))
-    holes = steps.attempt(
+    largest_m = config.mapping.hole_share * float(np.linalg.norm(fused.mesh.extents))
+    holes, warnings = _attempt(
         "closing small holes",
-        lambda: close_small_holes(surface, largest_m, views, rig, seen_by()),
-        ClosedHoles(surface, 0, 0),
+        lambda: close_small_holes(fused, largest_m, frames, rig, seen_by()),
+        ClosedHoles(fused, 0, 0),
     )
     caster = cache(lambda: Caster(holes.surface.mesh) if holes.closed else seen_by())
     colours = Colouring(holes.surface, False, None, 1.0)
-    if mapping.divide_shading:
-        colours = steps.attempt(
+    if config.mapping.divide_shading:
+        colours, more = _attempt(
             "dividing the shading out",
-            lambda: divide_shading(holes.surface, views, rig, caster(), config.seed),
+            lambda: divide_shading(holes.surface, frames, rig, caster(), config.seed),
             colours,
         )
-    finished = colours.surface
-    classes = steps.attempt(
-        "coverage of the vertices", lambda: with_classes(finished, views, rig, caster()), None
+        warnings += more
+    classes, more = _attempt(
+        "coverage of the vertices", lambda: with_classes(colours.surface, frames, rig, caster()), None
     )
-    finished = replace(finished, coverage=classes)
-    ready(finished, colours.sun.direction_N if colours.divided and colours.sun is not None else None)
-    coverage = None
-    if views:
-        coverage = steps.attempt("coverage", lambda: coverage_of(finished.mesh, views, rig), None)
-    levels: list[DetailLevel] = []
-    levels = steps.attempt("lighter meshes", lambda: levels_of(finished, mapping.levels, config.seed), levels)
-    physics = steps.attempt("mass against volume", lambda: check_physics(mass, finished, caster()), None)
-    assumed, doubts = assumed_properties(mass, finished, config.backend)
-    warnings = [*doubts, *steps.warnings, *(warnings_of(coverage) if coverage is not None else ())]
-    described = _describe(finished, holes, colours, levels)
+    return Coloured(
+        replace(colours.surface, coverage=classes),
+        *(holes.closed, holes.left_open, colours.divided, colours.sun, colours.grey_per_albedo),
+        (*warnings, *more),
+    )
+
+
+@stage("fusion", ["mapping.levels", "seed"])
+def lighter_meshes(context: RunContext, coloured: Coloured) -> tuple[list[DetailLevel], Sentences]:
+    """One for each share of the faces, and the warning of a failure."""
+    config, none = context.config, list[DetailLevel]()
+    if len(coloured.surface.mesh.faces) == 0:
+        return none, ()
+    return _attempt(
+        "lighter meshes", lambda: levels_of(coloured.surface, config.mapping.levels, config.seed), none
+    )
+
+
+@stage("fusion")
+def cover(context: RunContext, coloured: Coloured, views: Views) -> tuple[Coverage | None, Sentences]:
+    """Shares of the surface that were seen, and the warning of a failure."""
+    if not views.frames:
+        return None, ()
+    return _attempt("coverage", lambda: coverage_of(coloured.surface.mesh, views.frames, context.rig), None)
+
+
+@stage("fusion")
+def compare_mass(
+    context: RunContext, coloured: Coloured, motion: MotionSolution
+) -> tuple[Physics | None, Sentences]:
+    """The mass properties of the motion against the volume, and the warning of a failure."""
+    surface, mass = coloured.surface, motion.estimate.mass
+    if len(surface.mesh.faces) == 0:
+        return None, ()
+    physics, warnings = _attempt(
+        "mass against volume", lambda: check_physics(mass, surface, Caster(surface.mesh)), None
+    )
     for sentence in physics.words if physics is not None else ():
         _log.info(sentence)
-    findings = ShapeFindings(described, coverage, physics, assumed, tuple(warnings))
-    return FinishedSurface(finished, levels, findings)
+    return physics, warnings
 
 
-class _OptionalSteps:
-    """Runs steps that may fail, and collects the warnings of those that did."""
+@stage("fusion", ["backend"], is_stored=False)
+def describe_shape(
+    context: RunContext,
+    motion: MotionSolution,
+    views: Views,
+    coloured: Coloured,
+    covered: tuple[Coverage | None, Sentences],
+    lighter: tuple[list[DetailLevel], Sentences],
+    compared: tuple[Physics | None, Sentences],
+) -> ShapeFindings:
+    """What the summary says of the shape."""
+    coverage, levels, physics = covered[0], lighter[0], compared[0]
+    assumed, doubts = assumed_properties(motion.estimate.mass, coloured.surface, context.config.backend)
+    if len(coloured.surface.mesh.faces) == 0:
+        return ShapeFindings(assumed=assumed, warnings=tuple(doubts))
+    failed = *views.warnings, *coloured.warnings, *covered[1], *lighter[1], *compared[1]
+    warnings = *doubts, *failed, *(warnings_of(coverage) if coverage is not None else ())
+    return ShapeFindings(_describe(coloured, levels), coverage, physics, assumed, warnings)
 
-    def __init__(self) -> None:
-        self.warnings: list[str] = []
 
-    def attempt(self, what: str, step: Callable[[], Result], otherwise: Result) -> Result:
-        """The step's result; ``otherwise``, with a warning, if it fails."""
-        try:
-            return step()
-        except (ValueError, ArithmeticError, LookupError, RuntimeError, TypeError, MemoryError) as error:
-            _log.warning("%s failed: %s", what, error, exc_info=_log.isEnabledFor(logging.DEBUG))
-            self.warnings.append(f"{what} failed and was left out: {error}")
-            return otherwise
+def _attempt(what: str, step: Callable[[], T], otherwise: T) -> tuple[T, Sentences]:
+    """The result of an optional step; ``otherwise``, and a warning, if it fails."""
+    try:
+        return step(), ()
+    except (ValueError, ArithmeticError, LookupError, RuntimeError, TypeError, MemoryError) as error:
+        _log.warning("%s failed: %s", what, error, exc_info=_log.isEnabledFor(logging.DEBUG))
+        return otherwise, (f"{what} failed and was left out: {error}",)
 
 
 def _views(context: RunContext, surface: SurfaceModel, X_RG: Array) -> list[FrameView]:
@@ -181,15 +260,14 @@ def _errors(surface: SurfaceModel) -> MeshErrors | None:
     )
 
 
-def _describe(
-    surface: SurfaceModel, holes: ClosedHoles, colours: Colouring, levels: Sequence[DetailLevel]
-) -> Mesh:
-    mesh, invented, light = surface.mesh, surface.is_invented, colours.sun
+def _describe(coloured: Coloured, levels: Sequence[DetailLevel]) -> Mesh:
+    surface, light = coloured.surface, coloured.sun
+    mesh, invented = surface.mesh, surface.is_invented
     sun = None
     if light is not None:
         x, y, z = (float(part) for part in light.direction_N)
         # Where the reflection law does not fit, its sigma is meaningless.
-        sigma = float(np.rad2deg(light.sigma_rad)) if colours.divided else None
+        sigma = float(np.rad2deg(light.sigma_rad)) if coloured.divided else None
         sun = Sun(
             direction_N=(x, y, z),
             sigma_deg=sigma,
@@ -200,12 +278,12 @@ def _describe(
         vertices=len(mesh.vertices),
         faces=len(mesh.faces),
         closed=bool(mesh.is_volume),
-        holes_closed=holes.closed,
-        holes_left_open=holes.left_open,
+        holes_closed=coloured.holes_closed,
+        holes_left_open=coloured.holes_left_open,
         invented_faces=int(invented.sum()),
         invented_share=float(mesh.area_faces[invented].sum() / mesh.area),
-        colour="albedo" if colours.divided else "intensity",
-        grey_per_albedo=colours.grey_per_albedo,
+        colour="albedo" if coloured.divided else "intensity",
+        grey_per_albedo=coloured.grey_per_albedo,
         sun=sun,
         frames_doubtful=0 if surface.aligned is None else surface.aligned.doubtful,
         frames_aligned=0 if surface.aligned is None else len(surface.aligned.frames),

@@ -10,7 +10,6 @@ key frames.
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -23,16 +22,21 @@ from polhode.frontend.features.stereo import StereoFeatures
 from polhode.lie import Array, inverse_pose
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.correspondences import features_in_turn
-from polhode.pipeline.live.stream import CameraMotion, Extracted, Stream
-from polhode.pipeline.run_directory import outputs
+from polhode.pipeline.find_motion import MotionSolution
+from polhode.pipeline.runner import stage
+from polhode.pipeline.stream.stream import CameraMotion, Extracted, Stream
 from polhode.pipeline.streamed import Observations, Streamed
-from polhode.records import InitialMotion, Ints, MotionEstimate, OnlineEstimate, StereoTracks
+from polhode.records import InitialMotion, Ints, OnlineEstimate, RelativePoses, StereoTracks
 
 MIN_KEY_FRAMES = 3
 MIN_KEY_VIEWS = 2
 """Key frames that see a landmark of the map"""
 MIN_OBSERVATIONS = 8
 """Of landmarks that other key frames see: with fewer, a frame is no key frame."""
+NO_LINKS = RelativePoses(
+    np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 4, 4)), np.zeros(0, dtype=np.int64)
+)
+"""The tracks of a stream connect the frames of a long sequence."""
 _log = logging.getLogger(__name__)
 
 
@@ -40,27 +44,18 @@ _log = logging.getLogger(__name__)
 class LongSolution:
     """The solution of the key frames, and what follows for all frames."""
 
-    context: RunContext
-    """The inputs of a run on the key frames alone"""
+    frames: Ints
+    """(K,) the key frames"""
     features: Sequence[StereoFeatures]
     """Of the key frames"""
-    tracks: StereoTracks
+    motion: MotionSolution
     """Of the key frames"""
-    estimate: MotionEstimate
-    """Of the key frames"""
-    all_tracks: StereoTracks
-    """Of all frames: observations of the key frames' map"""
-    all_frames: MotionEstimate
-    """Of all frames"""
-    online: OnlineEstimate
-    """Of all frames, as each came"""
+    answer: MotionSolution
+    """Of all frames, with observations of the key frames' map"""
     key_online: OnlineEstimate
-    """Of the key frames"""
-
-    def write(self, folder: Path) -> None:
-        """The files of the run that have a row for each frame."""
-        outputs.write_estimate(folder, self.all_tracks, self.all_frames)
-        outputs.write_online_estimate(folder, self.online)
+    """Of the key frames, as each came"""
+    online: OnlineEstimate
+    """Of all frames"""
 
 
 def is_long(context: RunContext) -> bool:
@@ -68,46 +63,42 @@ def is_long(context: RunContext) -> bool:
     return len(context.sequence) > context.config.key_frames.above
 
 
-def solve_long(context: RunContext, streamed: Streamed | None) -> LongSolution:
-    """Key frames, then all frames. ``streamed``: what a stream of these pairs has found already.
+@stage("frontend", ["frontend", "backend", "key_frames", "seed"], is_stored=False)
+def stream_sequence(context: RunContext, streamed: Streamed | None) -> Streamed:
+    """All pairs of the sequence through the stages of a stream, as fast as they go, unless that was done."""
+    if streamed is not None and streamed.observations:
+        return streamed
+    sequence, config = context.sequence, context.config
+    camera = CameraMotion(sequence.sigma_camera_p_m, sequence.sigma_camera_theta_rad, sequence.wrench)
+    stream = Stream(config, sequence.calibration, camera)
+    stream.rectifier = context.rectifier
+    features = features_in_turn(context, config.frontend)
+    with context.progress.stage("stream", len(sequence)) as advance:
+        for timestamp_ns, X_NC, found in zip(sequence.timestamps_ns, sequence.X_NC, features, strict=True):
+            # without images: nothing is made ahead, as no frame has to be waited for
+            stream.add(int(timestamp_ns), X_NC, Extracted(found, None, 0.0))
+            advance()
+    return stream.streamed(())
 
-    Raises RunFailure when no consistent motion is found, InputError when weights are missing.
-    """
+
+@stage("backend", ["backend"], is_stored=False)
+def solve_long(context: RunContext, streamed: Streamed) -> LongSolution:
+    """Key frames, then all frames. Raises RunFailure when no consistent motion is found."""
     config, times_ns = context.config, context.sequence.timestamps_ns
-    if streamed is None or not (streamed.observations and streamed.fits(times_ns, context.rectifier)):
-        with context.clock("frontend"):
-            streamed = stream_sequence(context)
     tracks = _tracks(context, streamed)
     keys, features = _key_frames(tracks, streamed)
     if len(keys) < MIN_KEY_FRAMES:
         raise RunFailure(f"no consistent motion: only {len(keys)} key frames share landmarks with others")
     _log.info("%d of %d frames are key frames", len(keys), len(times_ns))
-    of_keys = context.of_frames(keys)
-    with context.clock("backend"):
-        key_tracks, estimate = _solve_keys(of_keys, tracks, keys, streamed.online)
-        guess = first_states(tracks, keys, estimate, streamed.online, streamed.found_from, config.backend)
-        with context.progress.stage("states of all frames", 1) as advance:
-            all_tracks, all_frames = smooth_between(tracks, keys, estimate, guess, config.backend)
-            advance()
+    motion = _solve_keys(context, tracks, keys, streamed.online)
+    guess = first_states(tracks, keys, motion.estimate, streamed.online, streamed.found_from, config.backend)
+    with context.progress.stage("states of all frames", 1) as advance:
+        all_tracks, all_frames = smooth_between(tracks, keys, motion.estimate, guess, config.backend)
+        advance()
+    answer = MotionSolution(all_tracks, all_frames, NO_LINKS)
     online = align_online_estimate(streamed.online, all_frames)
     key_online = OnlineEstimate(**{each.name: getattr(online, each.name)[keys] for each in fields(online)})
-    return LongSolution(of_keys, features, key_tracks, estimate, all_tracks, all_frames, online, key_online)
-
-
-def stream_sequence(context: RunContext) -> Streamed:
-    """All pairs of the sequence through the stages of a stream, as fast as they go."""
-    sequence, config = context.sequence, context.config
-    camera = CameraMotion(sequence.sigma_camera_p_m, sequence.sigma_camera_theta_rad, sequence.wrench)
-    # nothing is made ahead: no frame has to be waited for
-    alone = config.model_copy(update={"runtime": config.runtime.model_copy(update={"workers": 1})})
-    stream = Stream(alone, sequence.calibration, camera)
-    stream.rectifier = context.rectifier
-    features = features_in_turn(context, config.frontend)
-    with context.progress.stage("stream", len(sequence)) as advance:
-        for timestamp_ns, X_NC, found in zip(sequence.timestamps_ns, sequence.X_NC, features, strict=True):
-            stream.add(int(timestamp_ns), X_NC, Extracted(found, None, 0.0))
-            advance()
-    return stream.streamed(())
+    return LongSolution(keys, features, motion, answer, key_online, online)
 
 
 def _tracks(context: RunContext, streamed: Streamed) -> StereoTracks:
@@ -149,8 +140,8 @@ def _key_frames(tracks: StereoTracks, streamed: Streamed) -> tuple[Ints, list[St
 
 def _solve_keys(
     context: RunContext, tracks: StereoTracks, keys: Ints, online: OnlineEstimate
-) -> tuple[StereoTracks, MotionEstimate]:
-    """All key frames at once, from the window's states; their observations and the estimate."""
+) -> MotionSolution:
+    """All key frames at once, from the window's states."""
     rows = np.flatnonzero(np.isin(tracks.frame, keys))
     landmark = np.unique(tracks.landmark[rows], return_inverse=True)[1].reshape(-1)
     part = replace(
@@ -168,4 +159,5 @@ def _solve_keys(
     known = KnownMotion(online.v_N[keys], w_G, online.com_G[-1], second_moments_from_inertia(J_G))
     X_RG = inverse_pose(part.X_NR) @ online.X_NG[keys]
     initial = InitialMotion(X_RG, np.ones(len(keys), dtype=np.bool_))
-    return part, estimate_motion(part, initial, context.config.backend, context.progress, known)
+    estimate = estimate_motion(part, initial, context.config.backend, context.progress, known)
+    return MotionSolution(part, estimate, NO_LINKS)

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.pairs import PairMatch
 from polhode.frontend.rectification import Rectifier
-from polhode.pipeline.depth_maps import DepthStore
+from polhode.pipeline.run_directory.stages import StageStore
+from polhode.record_files import digest_of
 from polhode.records import Ints, OnlineEstimate
 
 
@@ -56,8 +57,14 @@ class Streamed:
     """Of a long stream, of each frame; empty otherwise"""
     found_from: int
     """First frame of those whose poses in ``online`` are in one frame G; the earlier ones are in others"""
-    depth: DepthStore | None = None
-    """Depth maps of some of the pairs"""
+    depth: StageStore | None = None
+    """Depth maps of some of the pairs, by the number of the pair"""
+
+    @property
+    def content_digest(self) -> str:
+        """Of what the results of a run depend on."""
+        motion = self.online, self.found_from, self.key_frames, self.observations
+        return digest_of(self.timestamps_ns, self.features, self.tried, self.surroundings, motion)
 
     def fits(self, timestamps_ns: Ints, rectifier: Rectifier) -> bool:
         """Whether the features are those that these pairs would give with this rectifier's masks."""

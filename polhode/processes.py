@@ -1,5 +1,5 @@
-"""One function applied to many items by parallel processes: results in order, memory bounded; or to one item,
-beside the work of this process.
+"""One function applied to many items: by parallel processes, in order and with bounded memory, or by one
+process beside this one.
 
 The processes end with their parent, even if it is killed and whatever they are doing; they leave interrupts
 to it and use one thread each. They do not import the caller's script, so that it needs no guard
@@ -8,7 +8,6 @@ to it and use one thread each. They do not import the caller's script, so that i
 
 import contextlib
 import logging
-import logging.handlers
 import multiprocessing
 import multiprocessing.forkserver
 import multiprocessing.resource_tracker
@@ -18,14 +17,14 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import cache, partial
 from multiprocessing.connection import wait as wait_for_end
 from multiprocessing.context import BaseContext
 from types import ModuleType
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from polhode import fork_server
 from polhode.errors import RunFailure
@@ -41,9 +40,7 @@ WAITING_PER_WORKER = 3
 SERVER_PAUSES = (0.02, 0.1, 0.5)
 """Seconds after each try to start a worker by a server that does not answer."""
 BACKGROUND_NICENESS = 10
-"""Of a process that works ahead: it leaves the processor to what is waited for."""
-NICENESS = 5
-"""Of a process beside this one: what this one waits for goes first."""
+"""Of a process beside this one: it leaves the processor to what is waited for."""
 
 
 def worker_count(workers: int) -> int:
@@ -71,21 +68,14 @@ def in_order(
         try:
             pool, first = _begun(work, items[0], min(workers, len(items)), preload)
         except OSError as error:
-            _say_once(f"no parallel processes can be started ({error}): the work is done by one, more slowly")
+            log_without_processes(error)
         else:
-            yield from _results(pool, first, items[1:], workers, ordered=True)
+            yield from _results(pool, first, items[1:], workers)
             return
     for item in items:
         with limited_threads(1):
             result = work(item)
         yield result
-
-
-def as_finished(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterator[U]:
-    """Yield ``work(item)`` for each item as soon as it is finished; always in processes. See ``in_order``."""
-    if items:
-        pool, first = _begun(work, items[0], min(workers, len(items)))
-        yield from _results(pool, first, items[1:], workers, ordered=False)
 
 
 def start_server(modules: Sequence[str], workers: int) -> None:
@@ -107,9 +97,11 @@ class Background(Generic[T, U]):
     ``work`` is called in that process alone, and may therefore keep there what it has found.
     """
 
-    def __init__(self, work: Callable[[T], U], preload: Sequence[str] = ()) -> None:
+    def __init__(
+        self, work: Callable[[T], U], preload: Sequence[str] = (), niceness: int = BACKGROUND_NICENESS
+    ) -> None:
         """Raises OSError where there can be no process."""
-        self._pool: ProcessPoolExecutor | None = _pool(_Yielding(work), 1, preload)
+        self._pool: ProcessPoolExecutor | None = _pool(_Yielding(work, niceness), 1, preload)
         self._submitted: list[Future[U]] = []
         _pools.append(self._pool)
 
@@ -118,16 +110,21 @@ class Background(Generic[T, U]):
         if self._pool is None:
             return None
         try:
-            self._submitted.append(_submitted(self._pool, item))
+            # the process is started by the first item, which signals must not interrupt
+            submit = self._pool.submit if self._submitted else None
+            future = submit(_call, item) if submit is not None else _submitted(self._pool, item)
         except (_ServerLost, BrokenProcessPool):
             self.close()
             return None
-        return self._submitted[-1]
+        self._submitted.append(future)
+        return future
 
-    def close(self) -> None:
-        """Give up what has not begun. What has begun ends soon, or with this process."""
+    def close(self, kill: bool = False) -> None:
+        """Give up what has not begun. What has begun ends soon, or with this process; ``kill``: at once."""
         if self._pool is not None:
             _pools.remove(self._pool)
+            if kill:
+                _kill(self._pool)
             # Not by cancel_futures alone: the pool forgets that when nothing refers to it any more.
             for future in self._submitted:
                 future.cancel()
@@ -139,98 +136,24 @@ class Background(Generic[T, U]):
 class _Yielding(Generic[T, U]):
     """Work that leaves the processor to every other process."""
 
-    def __init__(self, work: Callable[[T], U]) -> None:
-        self._work, self._begun = work, False
+    def __init__(self, work: Callable[[T], U], niceness: int) -> None:
+        self._work, self._niceness, self._begun = work, niceness, False
 
     def __call__(self, item: T) -> U:
         if not self._begun:
             self._begun = True
-            os.nice(BACKGROUND_NICENESS)
+            os.nice(self._niceness)
         return self._work(item)
 
 
-class Start(Protocol):
-    """Starts work beside that of this process."""
-
-    def __call__(self, work: Callable[[T], U], item: T) -> Callable[[], U]:
-        """Start ``work(item)``, after what was started before; what is returned waits for the result."""
-        ...
+def worker_killed() -> RunFailure:
+    """What a run ends with when a process that works for it is killed."""
+    return _killed("a worker process")
 
 
-@contextlib.contextmanager
-def beside(workers: int) -> Iterator[Start]:
-    """Another process, for work that needs not be done here, until the block ends; work in progress is ended.
-
-    It takes the time that other processes leave (``NICENESS``). Log messages appear here once a result is
-    taken, which raises what the work raises. With one worker, or where no process can be started, the work is
-    done here when its result is asked for.
-    """
-    pools: list[ProcessPoolExecutor] = []
-
-    def start(work: Callable[[T], U], item: T) -> Callable[[], U]:
-        job = (work, logging.getLogger("polhode").getEffectiveLevel(), item)
-        try:
-            if workers > 1 and not pools:
-                pool, future = _begun(_with_messages, job, 1)
-                pools.append(pool)
-                _pools.append(pool)
-            elif workers > 1:
-                future = _submitted(pools[0], job)
-            else:
-                return cache(lambda: work(item))
-        except OSError as error:
-            _say_once(f"no parallel processes can be started ({error}): the work is done by one, more slowly")
-            return cache(lambda: work(item))
-        except (BrokenProcessPool, _ServerLost):
-            raise _killed("a worker process") from None
-        waiting.append(future)
-        return cache(partial(_told, future, pools[0]))
-
-    waiting: list[Future[Any]] = []
-    try:
-        yield start
-    finally:
-        for pool in pools:
-            if not all(future.done() for future in waiting):
-                _kill(pool)
-            _pools.remove(pool)
-            pool.shutdown(cancel_futures=True)
-
-
-def _with_messages(job: tuple[Callable[[T], U], int, T]) -> tuple[U, list[logging.LogRecord]]:
-    """In the other process: the result, and the messages that were logged."""
-    work, level, item = job
-    with contextlib.suppress(OSError):
-        os.nice(NICENESS - os.nice(0))
-    logger, messages = logging.getLogger("polhode"), _Messages()
-    logger.setLevel(level)
-    logger.handlers, logger.propagate = [messages], False
-    return work(item), messages.records
-
-
-class _Messages(logging.handlers.QueueHandler):
-    """Keeps messages in a form that another process can show."""
-
-    def __init__(self) -> None:
-        super().__init__(queue=None)  # type: ignore[arg-type]
-        self.records: list[logging.LogRecord] = []
-
-    def enqueue(self, record: logging.LogRecord) -> None:
-        """Keep a message."""
-        self.records.append(record)
-
-
-def _told(future: "Future[tuple[U, list[logging.LogRecord]]]", pool: ProcessPoolExecutor) -> U:
-    try:
-        result, messages = future.result()
-    except BrokenProcessPool:
-        raise _killed("a worker process") from None
-    except KeyboardInterrupt:
-        _kill(pool)
-        raise
-    for message in messages:
-        logging.getLogger(message.name).handle(message)
-    return result
+def log_without_processes(error: OSError) -> None:
+    """Say, once, that the work is done by this process alone, because no other can be started."""
+    _warn_once(f"no parallel processes can be started ({error}): the work is done by one, more slowly")
 
 
 def kill_workers() -> None:
@@ -240,7 +163,7 @@ def kill_workers() -> None:
 
 
 @cache
-def _say_once(warning: str) -> None:
+def _warn_once(warning: str) -> None:
     _log.warning(warning)
 
 
@@ -284,18 +207,18 @@ def _begun(
 
 
 def _results(
-    pool: ProcessPoolExecutor, first: Future[Any], items: Sequence[T], workers: int, ordered: bool
+    pool: ProcessPoolExecutor, first: Future[Any], items: Sequence[T], workers: int
 ) -> Iterator[Any]:
-    """Results of the first item, which is submitted, and of the others."""
+    """Results of the first item, which is submitted, and of the others, in order."""
     waiting: deque[Future[Any]] = deque([first])
     _pools.append(pool)
     try:
         for item in items:
             waiting.append(_submitted(pool, item))
             if len(waiting) > WAITING_PER_WORKER * workers:
-                yield from _take(waiting, ordered)
+                yield waiting.popleft().result()
         while waiting:
-            yield from _take(waiting, ordered)
+            yield waiting.popleft().result()
     except BrokenProcessPool:
         # The others ignore the signal by which the pool would end them.
         _kill(pool)
@@ -336,16 +259,6 @@ def _killed(what: str) -> RunFailure:
 def _kill(pool: ProcessPoolExecutor) -> None:
     for process in list((pool._processes or {}).values()):
         process.kill()
-
-
-def _take(waiting: deque[Future[U]], ordered: bool) -> Iterable[U]:
-    """Remove the first result, or those that are finished (at least one), from the queue."""
-    if ordered:
-        return [waiting.popleft().result()]
-    finished = wait(waiting, return_when=FIRST_COMPLETED).done
-    for future in finished:
-        waiting.remove(future)
-    return [future.result() for future in finished]
 
 
 def _context(preload: Sequence[str]) -> BaseContext:

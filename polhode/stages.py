@@ -31,16 +31,17 @@ from polhode.errors import InputError
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.rectification import RectifiedPair
 from polhode.frontend.rectification import rectified_pair as rectify_and_mask
-from polhode.pipeline.build_surface import finish_fused
 from polhode.pipeline.build_surface import fuse_depth as fuse_at_poses
 from polhode.pipeline.context import RunContext, open_context
 from polhode.pipeline.correspondences import Correspondences, features_of_frames
 from polhode.pipeline.correspondences import features_of_pair as extract_pair_features
 from polhode.pipeline.correspondences import match_features as match_all_frames
-from polhode.pipeline.depth_maps import DepthMaps, depth_map_of_pair
+from polhode.pipeline.depth_maps import depth_map_of_pair, depth_maps_of
 from polhode.pipeline.find_motion import MotionSolution
-from polhode.pipeline.find_motion import find_motion as successive_solutions
+from polhode.pipeline.find_motion import find_motion as find_by_stages
 from polhode.pipeline.finish_surface import FinishedSurface
+from polhode.pipeline.finish_surface import finish_surface as finish_by_stages
+from polhode.pipeline.long_sequence import NO_LINKS
 from polhode.progress import Progress
 from polhode.records import (
     DepthMap,
@@ -159,8 +160,7 @@ def find_motion(context: RunContext, correspondences: Correspondences) -> Motion
     Raises:
         RunFailure: no consistent motion is found.
     """
-    *_, solution = successive_solutions(context, correspondences)
-    return solution
+    return find_by_stages(context, correspondences)
 
 
 @single_threaded
@@ -207,7 +207,7 @@ def depth_maps(context: RunContext, features: Sequence[StereoFeatures]) -> Itera
         InputError: there are not as many features as the context has frames.
     """
     _require_every_frame(context, features)
-    return iter(DepthMaps(context, features))
+    return iter(depth_maps_of(context, features))
 
 
 @single_threaded
@@ -225,7 +225,7 @@ def fuse_depth(
     Returns:
         The mesh in G [m] with ``sigma_m`` and ``views`` of each vertex; empty when nothing was seen.
     """
-    return fuse_at_poses(context, maps, tracks, estimate)
+    return fuse_at_poses(context, maps, MotionSolution(tracks, estimate, NO_LINKS))
 
 
 @single_threaded
@@ -236,7 +236,7 @@ def finish_surface(
 
     The images are read again. A step that fails is left out with a warning in ``findings``.
     """
-    return finish_fused(context, fused, tracks, estimate)
+    return finish_by_stages(context, fused, MotionSolution(tracks, estimate, NO_LINKS))
 
 
 def _require_every_frame(context: RunContext, features: Sequence[StereoFeatures]) -> None:

@@ -31,8 +31,8 @@ from polhode.config.backend_settings import Backend
 from polhode.config.loader import load_config
 from polhode.pipeline.context import open_context
 from polhode.pipeline.evaluation import evaluate
-from polhode.pipeline.live.stream import CameraMotion, Stream
 from polhode.pipeline.run import run
+from polhode.pipeline.stream.stream import CameraMotion, Stream
 from polhode.progress import Silent
 from polhode.simulation.monte_carlo import generate
 

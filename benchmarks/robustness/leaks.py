@@ -97,16 +97,14 @@ def pipelines() -> Iterator[Callable[[], None]]:
     from polhode.mapping.fusion.field import fuse
     from polhode.pipeline.context import open_context
     from polhode.pipeline.correspondences import match_frames
-    from polhode.pipeline.find_motion import find_motion, pose_RG
+    from polhode.pipeline.find_motion import find_motion
     from polhode.progress import Silent
 
     config = Config.model_validate({"runtime": {"workers": 1}})
 
     def run(folder: Path) -> None:
         context = open_context(folder, config, Silent())
-        for solution in find_motion(context, match_frames(context)):
-            tracks, estimate = solution.tracks, solution.estimate
-        X_RG = pose_RG(tracks, estimate)
+        X_RG = find_motion(context, match_frames(context)).X_RG
         maps = extract_depth(context.sequence, context.rectifier, config.frontend, [None] * len(X_RG), 1)
         fuse(zip(maps, X_RG, strict=True), context.rig, config.mapping, Silent(), len(X_RG))
 

@@ -34,10 +34,10 @@ from polhode.errors import RunFailure
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.lie import Array, exp_so3, inverse_pose
 from polhode.pipeline.answer_checks.check_answer import check_answer
-from polhode.pipeline.context import Stopwatch
 from polhode.pipeline.data_checks.check_data import check_data
 from polhode.pipeline.run_directory.outputs import write_estimate
 from polhode.pipeline.run_directory.summary import build_summary, write_summary
+from polhode.pipeline.runner import Stopwatch
 from polhode.progress import Silent
 from polhode.records import (
     Bools,
@@ -283,10 +283,9 @@ def _solved(tracks: StereoTracks, sequence: SyntheticSequence, sun_N: Array) -> 
         time_s=tracks.time_s,
         X_NR=tracks.X_NR,
         config=config,
-        clock=clock,
     )
-    findings = check_data(context, [NO_FEATURES] * tracks.n_frames, tracks, estimate)
     with clock("checks"):
+        findings = check_data(context, [NO_FEATURES] * tracks.n_frames, tracks, estimate)
         doubts = check_answer(tracks, estimate, NO_LINKS, config.backend, None, sun_N)
     box = SurfaceModel(trimesh.creation.box((0.1, 0.1, 0.1)), np.full(8, 1e-3), np.full(8, 3, dtype=np.int64))
     summary = build_summary(

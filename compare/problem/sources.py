@@ -171,9 +171,8 @@ def measure(
             return read_measurements(file), read_relative_poses(file)
     stamp_file.unlink(missing_ok=True)
     context = open_context(sequence, config, progress)
-    # The last solution has the best measurements.
-    for solution in find_motion(context, match_frames(context)):
-        tracks, links = solution.tracks, solution.links
+    solution = find_motion(context, match_frames(context))
+    tracks, links = solution.tracks, solution.links
     write_measurements(tracks, file, links)
     write_text(stamp_file, json.dumps(stamp) + "\n")
     return read_measurements(file), read_relative_poses(file)

@@ -7,9 +7,8 @@ the optical flow (DIS; Kroeger et al., ECCV 2016) between the image and the one 
 the motion does not explain. It uses no landmark.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from time import perf_counter
 
 import cv2
 import numpy as np
@@ -35,7 +34,7 @@ CONTRAST_SCALE_PX, MIN_CONTRAST = 6.0, 5.0
 
 @dataclass
 class ImageMotion:
-    """Compares some pairs of successive frames while their depth maps pass by."""
+    """Compares some pairs of successive frames."""
 
     rig: RectifiedRig
     X_RG: Array
@@ -47,19 +46,10 @@ class ImageMotion:
     views: list[PairView] = field(default_factory=list)
     """Of these pairs: what the check of the turn about an axis of symmetry needs"""
 
-    seconds: float = 0.0
-    """That the comparison took"""
-
-    def watching(self, maps: Iterable[DepthMap]) -> Iterator[DepthMap]:
-        """Pass on the depth maps of all frames, in order."""
-        chosen, before = set(self._frames().tolist()), None
-        for k, current in enumerate(maps):
-            if k in chosen and before is not None:
-                start = perf_counter()
-                self._compare(k, before, current)
-                self.seconds += perf_counter() - start
-            before = current if k + 1 in chosen else None
-            yield current
+    def compare(self, maps: Sequence[DepthMap]) -> None:
+        """Compare some pairs of successive frames. maps: of all frames, in order."""
+        for k in self._frames().tolist():
+            self._compare(k, maps[k - 1], maps[k])
 
     def _compare(self, k: int, before: DepthMap, current: DepthMap) -> None:
         X = self.X_RG[k] @ inverse_pose(self.X_RG[k - 1])

@@ -1,13 +1,10 @@
-"""The stream: pairs one at a time, a state for each before the next, and the batch answer at the end.
+"""Pairs that come one at a time, a state for each before the next, and the batch answer at the end.
 
 - run_live: a source to a run directory, as ``polhode run --live`` does it
 - session: pairs that the caller pushes
 - feed: pairs from a source at their pace, in a bounded queue
 - folder_source: a folder that fills, or a recorded one
 - recording: what has come as a sequence on disk, which the batch reads at the end
-- stream: the stages of a pair: features, links with earlier frames, landmarks, window
-- ahead: what the batch will want of each pair, done in another process meanwhile; the growing surface
 - warm_up: what is compiled before the first pair comes
 - arrivals: what becomes of late, missing and repeated pairs
-- live_state: what is known after a pair
 """

@@ -21,7 +21,7 @@ from polhode.foreign_files import MIB, MissingFile, read_text
 from polhode.images import UnreadableImage, read_mask, read_raw
 from polhode.lie import Array
 from polhode.pairing import TOLERANCE
-from polhode.pipeline.live.stream import CameraMotion
+from polhode.pipeline.stream.stream import CameraMotion
 from polhode.records import Bools
 from polhode.rig_calibration import read_calibration
 from polhode.tables import wrong_name

@@ -21,14 +21,14 @@ from polhode.lie import Array
 from polhode.pipeline.live.arrivals import Arrivals
 from polhode.pipeline.live.feed import WAIT_S, Arrived, Dropped, Feed
 from polhode.pipeline.live.folder_source import FolderSource, SourcePair
-from polhode.pipeline.live.live_state import LiveState
 from polhode.pipeline.live.recording import FileRecording
 from polhode.pipeline.live.session import RepeatedImages, require_pairs, unmeasured
-from polhode.pipeline.live.stream import Extracted, Observed, Stream
 from polhode.pipeline.live.warm_up import warm_up_stream
 from polhode.pipeline.report import write_report
 from polhode.pipeline.run import RunResult, fill_run_folder
 from polhode.pipeline.run_directory.run_folder import atomic_run_folder
+from polhode.pipeline.stream.live_state import LiveState
+from polhode.pipeline.stream.stream import Extracted, Observed, Stream
 from polhode.processes import worker_count
 from polhode.progress import LiveProgress
 from polhode.threads import single_threaded

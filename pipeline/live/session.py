@@ -15,10 +15,10 @@ from polhode.errors import InputError
 from polhode.images import bit_depth, has_content, to_grey
 from polhode.lie import Array
 from polhode.pipeline.live.arrivals import Arrivals
-from polhode.pipeline.live.live_state import LiveState
 from polhode.pipeline.live.recording import ImageRecording
-from polhode.pipeline.live.stream import CameraMotion, Stream
 from polhode.pipeline.run import RunResult, run
+from polhode.pipeline.stream.live_state import LiveState
+from polhode.pipeline.stream.stream import CameraMotion, Stream
 from polhode.progress import Progress, Silent
 from polhode.records import Bools, SurfaceModel
 from polhode.rig_calibration import StereoCalibration

@@ -8,6 +8,6 @@ In: the run's context, tracks, estimate and surface. Out: RUN/pictures, whose ca
 - model_comparison: the mesh beside the images, frame by frame, as MP4 and GIF
 """
 
-from polhode.pipeline.pictures.run_pictures import PicturesToMake, make_pictures
+from polhode.pipeline.pictures.run_pictures import make_pictures
 
-__all__ = ["PicturesToMake", "make_pictures"]
+__all__ = ["make_pictures"]

@@ -6,9 +6,7 @@ None of them is a result: if one cannot be made, it is left out with a warning.
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
 
 import cv2
 import numpy as np
@@ -33,7 +31,6 @@ from polhode.pipeline.pictures.model_comparison import (
 from polhode.pipeline.run_directory.outputs import write_picture
 from polhode.progress import Advance
 from polhode.records import MotionEstimate, StereoTracks, SurfaceModel
-from polhode.threads import single_threaded
 
 STILLS = 4
 """Frames of the animation that the report shows."""
@@ -46,26 +43,6 @@ OUTLIER_BGR = (0, 94, 213)
 SIDE_PX = 360
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class PicturesToMake:
-    """What the pictures of a run show."""
-
-    context: RunContext
-    folder: Path
-    tracks: StereoTracks
-    estimate: MotionEstimate
-    surface: SurfaceModel
-    sun_N: Array | None = None
-    """(3,) unit vector towards the Sun whose shading the surface's colours are free of; None: of no Sun"""
-
-    @single_threaded
-    def make(self) -> float:
-        """``make_pictures``; returns the seconds that it took."""
-        start = perf_counter()
-        make_pictures(self.context, self.folder, self.tracks, self.estimate, self.surface, self.sun_N)
-        return perf_counter() - start
 
 
 def make_pictures(

@@ -21,8 +21,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, ParamSpec, TypeVar, get_type_hints
+from typing import Literal, TypeVar
 
+import numpy as np
 from pydantic import ValidationError
 
 from polhode.atomic import write_text
@@ -35,10 +36,11 @@ from polhode.program_digest import program_digest
 from polhode.progress import NOTE
 from polhode.record_files import digest_of, normal, read_record, write_record
 
-P = ParamSpec("P")
 T = TypeVar("T")
 
 EARLIER, RECORDING = "earlier", "recording.json"
+DEPTH = "depth"
+"""The stage with the depth map of each pair"""
 KEY_DIGITS = 32
 REMEDY = "give --data of the same recording, or another -o"
 
@@ -53,53 +55,37 @@ class StageStore:
     """RUN/stages"""
     salt: str = ""
     """What all keys depend on besides the inputs and the program"""
+    only: str | None = None
+    """The stage whose results are stored; None: all"""
     found: int = 0
     """Results that were stored already, so far"""
     stored: int = 0
     bytes: int = 0
     """Of the results that this run has stored"""
 
-    def once(self, stage: Callable[P, T], *inputs: P.args, **services: P.kwargs) -> T:
-        """``stage(*inputs, **services)``, or its stored result.
-
-        The result depends on the inputs alone; ``services``, by keyword, are what it does not depend on, such
-        as the display of the progress. Its type is that of the function's annotation.
-        """
-        kind: type[T] = get_type_hints(stage)["return"]
-        return self.keyed(stage.__name__, kind, self.key(*inputs), lambda: stage(*inputs, **services))
-
-    def keyed(self, stage: str, kind: type[T], key: str, compute: Callable[[], T]) -> T:
-        """The result of a key, for a stage whose inputs are known by their keys."""
-        (result,) = self.each(stage, kind, [key], lambda _: iter((compute(),)))
-        return result
-
     def each(
-        self, stage: str, kind: type[T], keys: Sequence[str], compute: Callable[[list[int]], Iterable[T]]
+        self,
+        stage: str,
+        kind: type[T],
+        keys: Sequence[str],
+        compute: Callable[[list[int]], Iterable[T]],
+        max_bytes: float = np.inf,
     ) -> Iterator[T]:
         """The results of these keys, in order, each stored as soon as it is there.
 
-        compute: the results of those with these indices, in order.
+        compute: the results of those with these indices, in order; max_bytes: of those that are stored.
         """
         missing = [k for k, key in enumerate(keys) if not self.has(stage, key)]
         computed = iter(compute(missing)) if missing else iter(())
-        waiting = set(missing)
+        waiting, stored_bytes = set(missing), 0
         for k, key in enumerate(keys):
             result = None if k in waiting else self.find(stage, key, kind)
             if result is None:
                 source = computed if k in waiting else iter(compute([k]))
                 result = normal(kind, next(source))
-                self.put(stage, key, result)
+                if stored_bytes < max_bytes:
+                    stored_bytes += self.put(stage, key, result)
             yield result
-
-    @property
-    def keeps(self) -> bool:
-        """Whether results are stored."""
-        return self.folder is not None
-
-    def use(self, stage: str, keys: Sequence[str]) -> None:
-        """Keep what is stored under these keys as results of this run, which may not need to read them."""
-        for key in keys:
-            self.has(stage, key)
 
     def key(self, *inputs: object) -> str:
         """The key of the result of these inputs. Raises UnfitRecord for one of which no digest is known."""
@@ -108,7 +94,8 @@ class StageStore:
         return digest_of(self.salt, program_digest(), inputs)[:KEY_DIGITS]
 
     def _file(self, stage: str, key: str) -> Path | None:
-        return None if self.folder is None else self.folder / stage / f"{key}.npz"
+        is_stored = self.folder is not None and (self.only is None or stage == self.only)
+        return self.folder / stage / f"{key}.npz" if self.folder is not None and is_stored else None
 
     def has(self, stage: str, key: str) -> bool:
         """Whether a result is stored; one of an earlier run is now of this one."""
@@ -193,12 +180,11 @@ class KeptStages:
         self.keeping = keeping
         if self.resume:
             self._resume(before, sequence_folder)
-        if keeping == "none":
-            self.store.folder = self.folder
-            self.store.clear()
-            self.store = StageStore(None)
-            return self.store
         self.store = StageStore(self.folder, salt)
+        if keeping == "none":
+            # depth maps may be more than the memory holds; they go with the run
+            self.store.clear()
+            self.store = StageStore(self.folder, salt, DEPTH)
         with suppress(OSError, RunFailure):
             self.folder.mkdir(exist_ok=True)
             write_text(self.folder / RECORDING, recording.model_dump_json())
@@ -230,7 +216,7 @@ class KeptStages:
     @property
     def has_results(self) -> bool:
         """Whether an interrupted run can go on from here."""
-        return any(name.endswith(".npz") for name in _names(self.folder))
+        return self.keeping != "none" and any(name.endswith(".npz") for name in _names(self.folder))
 
     def finish(self) -> None:
         """The run is complete: what it has not used goes, or everything, if nothing is to be kept."""

@@ -42,3 +42,9 @@ class Mapping(Section):
     omitted, with a warning."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Device of the field; auto: a GPU if there is one."""
+
+    @property
+    def for_fusion(self) -> "Mapping":
+        """The settings that the fused surface depends on; those of its finishing at their defaults."""
+        chosen = ("hole_share", "divide_shading", "levels")
+        return self.model_copy(update={name: getattr(Mapping(), name) for name in chosen})

@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-import polhode.pipeline.run as pipeline_run
 from polhode.cli.main import COMMANDS, main
 from polhode.simulation.dataset.frame_renderer import FrameRenderer
 
@@ -89,7 +88,7 @@ def test_an_interrupted_run_leaves_nothing_and_what_was_there(
     def interrupted(*_: Any) -> None:
         os.kill(os.getpid(), number)
 
-    monkeypatch.setattr(pipeline_run, "match_frames", interrupted)
+    monkeypatch.setattr("polhode.pipeline.correspondences.extract_features", interrupted)
     before = sorted(tmp_path.iterdir())
     assert main(["run", "--data", str(small_sequence), "-o", str(tmp_path / "R")]) == ENDING[number]
     assert sorted(tmp_path.iterdir()) == before

@@ -50,14 +50,15 @@ def put_in_place(
         these = matches if config.features.method == "rootsift" else joined
         return [[match for match in these if match.i == i] for i in range(len(features))]
 
-    def built(*_: Any) -> SurfaceModel:
+    def built(*_: Any, **__: Any) -> SurfaceModel:
         return surface
 
     patch.setattr("polhode.pipeline.correspondences.extract_features", found)
     patch.setattr("polhode.pipeline.correspondences.match_rows", matched)
-    patch.setattr("polhode.pipeline.run.build_surface", built)
+    patch.setattr("polhode.pipeline.build_surface.fuse", built)
     # of the pictures on disk
-    patch.setattr("polhode.pipeline.run.warn_before_run", lambda *_: None)
+    patch.setattr("polhode.pipeline.build_surface.ImageMotion.compare", lambda *_: None)
+    patch.setattr("polhode.pipeline.open_run.warn_before_run", lambda *_: None)
 
 
 def _write(sequence: SyntheticSequence, folder: Path) -> None:

@@ -72,8 +72,8 @@ def test_the_code_of_the_page_runs_from_top_to_bottom(page: SimpleNamespace) -> 
     assert made == {"SEQ", "RUN", "SIMULATED", "motion.tum", "run.tum", "page.py"}
 
 
-def test_every_stage_has_the_inputs_that_it_has_in_a_run(page: SimpleNamespace) -> None:
-    """Then its result is the run's: each was found under the digest of its inputs, none was computed."""
+def test_every_pair_has_the_inputs_that_it_has_in_a_run(page: SimpleNamespace) -> None:
+    """Then its results are the run's: each was found under the digest of its inputs, none was computed."""
     assert page.results.stored == 0 and page.results.found > 2 * len(page.features)
 
 

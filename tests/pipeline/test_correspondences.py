@@ -1,6 +1,5 @@
 """Where many matches contradict the motion, or what stands still hides it, other motions take their place."""
 
-from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +11,7 @@ from polhode.frontend.matching.methods import Matches
 from polhode.frontend.matching.pairs import PairMatch
 from polhode.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.pipeline import correspondences
-from polhode.pipeline.correspondences import _as_predicted, _of_the_body
+from polhode.pipeline.correspondences import _agreeing_with_motion, _of_the_body
 
 FRAMES = 40
 LEARNED = Frontend(pairs=PairMatching(method="polhode"))
@@ -49,7 +48,6 @@ def context(monkeypatch: pytest.MonkeyPatch) -> Any:
 
     monkeypatch.setattr(correspondences, "_match", several)
     return SimpleNamespace(
-        clock=lambda _: nullcontext(),
         time_s=0.5 * np.arange(float(FRAMES)),
         X_NR=np.tile(np.eye(4), (FRAMES, 1, 1)),
     )
@@ -58,7 +56,7 @@ def context(monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_a_known_motion_selects_among_the_motions_of_two_frames(context: Any) -> None:
     first = [at_rest(0, 1), of_body(0, 1)]
     wrong = [at_rest(k, k + 1) for k in range(FRAMES - 1)]
-    kept, matches = _as_predicted(context, [], [], wrong, LEARNED, first, spinning())
+    kept, matches = _agreeing_with_motion(context, [], [], wrong, LEARNED, first, spinning())
     assert kept == first[1:]
     assert {(m.i, m.j) for m in matches} >= {(k, k + 1) for k in range(FRAMES - 1)}
     for match in matches:
@@ -67,8 +65,8 @@ def test_a_known_motion_selects_among_the_motions_of_two_frames(context: Any) ->
 
 def test_matches_that_agree_or_are_missing_stay(context: Any) -> None:
     right = [of_body(k, k + 1) for k in range(FRAMES - 1)]
-    assert _as_predicted(context, [], [], right, LEARNED, [], spinning()) == ([], right)
-    assert _as_predicted(context, [], [], [], LEARNED, [], spinning()) == ([], [])
+    assert _agreeing_with_motion(context, [], [], right, LEARNED, [], spinning()) == ([], right)
+    assert _agreeing_with_motion(context, [], [], [], LEARNED, [], spinning()) == ([], [])
 
 
 @pytest.mark.parametrize("frontend", [LEARNED, Frontend()], ids=["learned", "rootsift"])

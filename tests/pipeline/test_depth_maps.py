@@ -3,14 +3,13 @@
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 
-from polhode.pipeline.depth_maps import MARGIN_PX, DepthMaps, DepthStore
-from polhode.pipeline.run_directory.stages import StageStore
+from polhode.pipeline.depth_maps import MARGIN_PX, DepthMaps, PackedDepth
+from polhode.pipeline.run_directory.stages import DEPTH, StageStore
 from polhode.records import DepthMap
 
 SIZE = 90, 120
@@ -30,27 +29,33 @@ def assert_equal(found: DepthMap, wanted: DepthMap) -> None:
         np.testing.assert_array_equal(getattr(found, each.name), getattr(wanted, each.name))
 
 
+def stored(folder: Path, depth: DepthMap) -> tuple[DepthMap, int]:
+    """What is read again, and the size of its file [bytes]."""
+    store = StageStore(folder)
+    size = store.put(DEPTH, "3", PackedDepth.of(depth))
+    found = StageStore(folder).find(DEPTH, "3", PackedDepth)
+    assert found is not None
+    return found.unpacked(), size
+
+
 def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
-    store, depth = DepthStore(tmp_path), depth_map(1)
-    assert 3 not in store
-    size = store.write(3, depth)
-    assert 3 in store and size < 8 * np.isfinite(depth.depth_m).sum() + 10_000
-    found, part = store.read(3), np.s_[40 - MARGIN_PX : 60 + MARGIN_PX, 50 - MARGIN_PX : 85 + MARGIN_PX]
+    depth = depth_map(1)
+    found, size = stored(tmp_path, depth)
+    assert size < 8 * np.isfinite(depth.depth_m).sum() + 10_000
+    part = np.s_[40 - MARGIN_PX : 60 + MARGIN_PX, 50 - MARGIN_PX : 85 + MARGIN_PX]
     np.testing.assert_array_equal(found.intensity[part], depth.intensity[part])
     assert not np.delete(found.intensity, np.r_[part[0]], axis=0).any()
     assert_equal(replace(found, intensity=depth.intensity), depth)
 
 
 def test_a_pair_without_the_target_is_stored_too(tmp_path: Path) -> None:
-    store = DepthStore(tmp_path)
     nothing = np.full(SIZE, np.nan, dtype=np.float32)
     empty = replace(depth_map(1), depth_m=nothing, sigma_m=nothing, target=np.zeros(SIZE, dtype=np.bool_))
-    store.write(0, empty)
-    assert_equal(store.read(0), replace(empty, intensity=np.zeros(SIZE, dtype=np.uint8)))
+    assert_equal(stored(tmp_path, empty)[0], replace(empty, intensity=np.zeros(SIZE, dtype=np.uint8)))
 
 
 def test_only_what_is_not_stored_is_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store, whole = DepthStore(tmp_path), [depth_map(k) for k in range(4)]
+    store, whole = StageStore(tmp_path), [depth_map(k) for k in range(4)]
     asked: list[list[int]] = []
 
     def computed(*arguments: Any) -> Iterator[DepthMap]:
@@ -58,12 +63,15 @@ def test_only_what_is_not_stored_is_computed(tmp_path: Path, monkeypatch: pytest
         return iter([whole[k] for k in arguments[-1]])
 
     monkeypatch.setattr("polhode.pipeline.depth_maps.extract_depth", computed)
-    features = cast(Any, [SimpleNamespace(uvd_px=np.zeros((0, 3)))] * 4)
-    context = cast(Any, SimpleNamespace(sequence=None, rectifier=None, workers=1))
-    context.config, context.stages = SimpleNamespace(frontend=None), StageStore()
-    without = list(DepthMaps(context, features))
-    store.write(0, whole[0])
-    store.write(2, whole[2])
-    for found, wanted in zip(DepthMaps(context, features, store), without, strict=True):
+    nothing: Any = None
+    maps = DepthMaps(nothing, nothing, nothing, 1, [None] * 4, StageStore(), [""] * 4)
+    without = list(maps)
+    for k in (0, 2):
+        store.put(DEPTH, str(k), PackedDepth.of(whole[k]))
+    maps = replace(maps, store=store, keys=list(map(str, range(4))))
+    assert len(list(maps.jobs())) == 2
+    for found, wanted in zip(maps, without, strict=True):
         assert_equal(found, wanted)
     assert asked == [[0, 1, 2, 3], [1, 3]]
+    assert_equal(maps[3], without[3])
+    assert not list(maps.jobs()) and len(asked) == 2

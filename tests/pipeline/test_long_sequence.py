@@ -10,12 +10,11 @@ from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.dataset import open_sequence
 from polhode.errors import InputError
-from polhode.pipeline.context import RunContext
-from polhode.pipeline.long_sequence import stream_sequence
 from polhode.pipeline.run import run
 from polhode.pipeline.run_directory.archives import read_measurements, read_online
 from polhode.pipeline.run_directory.summary import read_summary
 from polhode.pipeline.run_directory.trajectory_file import read_trajectory
+from polhode.pipeline.stream.stream import Stream
 from polhode.pipeline.streamed import Streamed
 from polhode.progress import Silent
 from tests.front_end_results import SharedFrontEnd
@@ -39,12 +38,13 @@ def long_run(
 ) -> LongRun:
     folder, kept = tmp_path_factory.mktemp("long") / "run", list[Streamed]()
 
-    def noted(context: RunContext) -> Streamed:
-        kept.append(stream_sequence(context))
+    def noted(stream: Stream, warnings: tuple[str, ...]) -> Streamed:
+        kept.append(streamed(stream, warnings))
         return kept[-1]
 
+    streamed = Stream.streamed
     with front_end_once(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr("polhode.pipeline.long_sequence.stream_sequence", noted)
+        patch.setattr(Stream, "streamed", noted)
         run(CONFIG, rendered_sequence, folder, Silent())
     return LongRun(folder, kept[0])
 

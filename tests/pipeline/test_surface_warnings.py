@@ -2,7 +2,8 @@
 
 import html
 import json
-from collections.abc import Callable, Iterable, Iterator
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,10 @@ import pytest
 
 from polhode.camera import RectifiedRig
 from polhode.cli.main import main
-from polhode.config.mapping_settings import Mapping
+from polhode.config import Mapping as MappingSettings
 from polhode.frontend.extract import extract_depth
 from polhode.lie import Array, make_pose
 from polhode.mapping.fusion.field import Frame, fuse
-from polhode.pipeline.correspondences import match_frames
-from polhode.pipeline.find_motion import find_motion
 from polhode.progress import Progress
 from polhode.records import DepthMap, SurfaceModel
 from tests.pipeline.conftest import REST_FRAMES
@@ -29,6 +28,10 @@ QUICK = {
     "pictures.animation": "false",
     "pictures.views": "false",
 }
+
+
+OF_MOTION = ("features", "matches", "initial_motion", "first_motion", "best_motion")
+"""Stages before depth and surface"""
 
 
 @dataclass(frozen=True)
@@ -68,16 +71,27 @@ DEFECTS = {
 
 
 @pytest.fixture(scope="module")
-def found_before() -> dict[str, Any]:
-    """Correspondences and motion of the first run: they are the same in all, the defects come later."""
-    return {}
+def undisturbed(at_rest: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run without defects, from whose motion the others go on: the defects come later."""
+    folder = tmp_path_factory.mktemp("undisturbed") / "run"
+    assert main(command(at_rest, folder)) == 0
+    for stage in (folder / "stages").iterdir():
+        if stage.is_dir() and stage.name not in OF_MOTION:
+            shutil.rmtree(stage)
+    return folder
+
+
+def command(sequence: Path, folder: Path, options: Mapping[str, str] | None = None) -> list[str]:
+    words = [word for name, value in (QUICK | dict(options or {})).items() for word in (f"--{name}", value)]
+    begin = ["run", "configs/default.yaml", "--data", str(sequence), "-o", str(folder)]
+    return [*begin, "--runtime.workers", "1", *words]
 
 
 @pytest.mark.parametrize("defect", DEFECTS.values(), ids=DEFECTS.keys())
 def test_what_is_wrong_with_depth_and_poses_reaches_the_user(
     defect: Defect,
     at_rest: Path,
-    found_before: dict[str, Any],
+    undisturbed: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -90,7 +104,7 @@ def test_what_is_wrong_with_depth_and_poses_reaches_the_user(
     def fused(
         frames: Iterable[Frame],
         rig: RectifiedRig,
-        config: Mapping,
+        config: MappingSettings,
         progress: Progress,
         n_frames: int,
         covariance_G: Array,
@@ -102,23 +116,10 @@ def test_what_is_wrong_with_depth_and_poses_reaches_the_user(
         given = ((depth, defect.poses(k, X_RG)) for k, (depth, X_RG) in enumerate(frames))
         return fuse(given, rig, config, progress, n_frames, covariance_G, landmarks_G)
 
-    def once(name: str, work: Callable[..., Any]) -> Callable[..., Any]:
-        def kept(*arguments: Any) -> Any:
-            if name not in found_before:
-                found = work(*arguments)
-                found_before[name] = list(found) if isinstance(found, Iterator) else found
-            return found_before[name]
-
-        return kept
-
-    for name, work in (("match_frames", match_frames), ("find_motion", find_motion)):
-        monkeypatch.setattr(f"polhode.pipeline.run.{name}", once(name, work))
     monkeypatch.setattr("polhode.pipeline.depth_maps.extract_depth", maps)
     monkeypatch.setattr("polhode.pipeline.build_surface.fuse", fused)
-    options = [word for name, value in (QUICK | defect.options).items() for word in (f"--{name}", value)]
-    folder = tmp_path / "run"
-    command = ["run", "configs/default.yaml", "--data", str(at_rest), "-o", str(folder)]
-    assert main([*command, "--runtime.workers", "1", *options]) == 0
+    folder = Path(shutil.copytree(undisturbed, tmp_path / "run"))
+    assert main([*command(at_rest, folder, defect.options), "--resume"]) == 0
 
     summary = json.loads((folder / "summary.json").read_text())
     line = [text for text in summary["warnings"] if text.startswith(defect.message)]

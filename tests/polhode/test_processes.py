@@ -2,7 +2,6 @@
 
 import errno
 import gc
-import logging
 import multiprocessing.forkserver
 import os
 import signal
@@ -24,7 +23,7 @@ from threadpoolctl import threadpool_info
 from polhode import processes
 from polhode.errors import RunFailure
 from polhode.interrupts import interrupts_raised, raise_if_received
-from polhode.processes import BACKGROUND_NICENESS, Background, as_finished, beside, in_order, worker_count
+from polhode.processes import BACKGROUND_NICENESS, Background, in_order, worker_count
 
 ROOT = Path(__file__).parents[2]
 
@@ -106,11 +105,6 @@ def test_an_error_reaches_the_caller_after_the_results_before_it(workers: int) -
     assert [next(results) for _ in range(5)] == [0, 1, 4, 9, 16]
     with pytest.raises(ValueError, match="frame 5"):
         next(results)
-
-
-def test_results_as_finished_are_complete() -> None:
-    assert sorted(as_finished(Square(), range(20), 2)) == [k * k for k in range(20)]
-    assert list(as_finished(Square(), [], 2)) == []
 
 
 def test_zero_workers_stand_for_the_cores_that_may_be_used() -> None:
@@ -377,8 +371,8 @@ def test_what_a_closed_process_had_not_begun_is_never_done(tmp_path: Path) -> No
     assert len(list(tmp_path.iterdir())) <= 4
 
 
-def _numbers(folder: Path) -> list[int]:
-    texts = [path.read_text() for path in folder.glob("*.pid")]
+def _numbers(folder: Path, names: str = "*.pid") -> list[int]:
+    texts = [path.read_text() for path in folder.glob(names)]
     return [int(text) for text in texts if text]
 
 
@@ -391,60 +385,17 @@ def _eventually(holds: Callable[[], bool], limit_s: float = 60.0) -> bool:
     return True
 
 
-def told(text: str) -> int:
-    """The number of the process that does the work, which says so."""
-    logging.getLogger("polhode.test").info("worked on %s", text)
-    if text == "nothing":
-        raise ValueError(text)
-    return os.getpid()
-
-
 def sleeps(path: Path) -> None:
     path.write_text(str(os.getpid()))
     sleep(600.0)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_work_beside_this_process_gives_its_result_and_its_messages(
-    workers: int, caplog: pytest.LogCaptureFixture
-) -> None:
-    with caplog.at_level(logging.INFO, "polhode"), beside(workers) as start:
-        first, second = start(told, "a surface"), start(told, "pictures")
-        numbers = {first(), second()}
-        assert first() is first()
-    assert len(numbers) == 1 and (os.getpid() in numbers) == (workers == 1)
-    assert [record.getMessage() for record in caplog.records] == ["worked on a surface", "worked on pictures"]
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_an_error_beside_this_process_is_raised_where_the_result_is_taken(workers: int) -> None:
-    with beside(workers) as start:
-        found = start(told, "nothing")
-        with pytest.raises(ValueError, match="nothing"):
-            found()
-
-
-def test_work_beside_this_process_ends_with_the_block(tmp_path: Path) -> None:
-    path = tmp_path / "number"
-    with beside(2) as start:
-        start(sleeps, path)
-        while not path.exists() or not path.read_text():
-            sleep(0.01)
-    end, alive = monotonic() + 10.0, True
-    while alive and monotonic() < end:
-        try:
-            os.kill(int(path.read_text()), 0)
-        except ProcessLookupError:
-            alive = False
-        sleep(0.01)
-    assert not alive
-
-
-def test_killed_work_beside_this_process_is_told_in_a_line() -> None:
-    with beside(2) as start:
-        found = start(kill_itself, 1)
-        with pytest.raises(RunFailure, match="was killed"):
-            found()
+def test_a_process_in_the_background_is_ended_amid_its_work(tmp_path: Path) -> None:
+    background = Background(sleeps)
+    background.submit(tmp_path / "number")
+    assert _eventually(lambda: len(_numbers(tmp_path, "number")) == 1)
+    background.close(kill=True)
+    assert _eventually(lambda: not _is_there(_numbers(tmp_path, "number")[0]), limit_s=10.0)
 
 
 def squares_in_a_pool(count: int) -> list[int]:

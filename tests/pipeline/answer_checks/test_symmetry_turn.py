@@ -68,7 +68,7 @@ def turn_check_of(marks: Array, found_deg: float, box: bool = False) -> Check:
     turns = [exp_so3([0.0, -np.deg2rad(found_deg * k), 0.0]) for k in range(FRAMES)]
     X_RG = np.stack([make_pose(R, np.array([0.0, 0.0, DISTANCE_M])) for R in turns])
     images = ImageMotion(RIG, X_RG, np.ones(FRAMES, dtype=np.bool_))
-    list(images.watching([frame(marks, STEP_DEG * k, box) for k in range(FRAMES)]))
+    images.compare([frame(marks, STEP_DEG * k, box) for k in range(FRAMES)])
     return images.checks(0.5)[1]
 
 

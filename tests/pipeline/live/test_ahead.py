@@ -9,6 +9,7 @@ import trimesh
 from polhode.config import Config
 from polhode.dataset import open_sequence
 from polhode.pipeline.live.session import Session
+from polhode.pipeline.run_directory.stages import DEPTH
 from polhode.processes import kill_workers
 from polhode.records import SurfaceModel
 from tests.pipeline.conftest import ONE_METHOD
@@ -36,8 +37,9 @@ def finished(
         landmarks = len(session.landmarks_G)
         ahead = session._stream._ahead
         assert ahead is not None
-        made = sum(k in ahead.depth for k in range(len(sequence))), len(ahead.finish())
+        made = sum(ahead.depth.has(DEPTH, str(k)) for k in range(len(sequence))), len(ahead.finish())
         stored = ahead.depth.folder
+        assert stored is not None
         session.finish(folder)
         assert stored.is_dir()
     assert not stored.exists()

@@ -13,7 +13,6 @@ import polhode.pipeline.run_directory.stages as stages_module
 from polhode.errors import InputError, RunFailure
 from polhode.pipeline.run_directory.stages import KeptStages, StageStore
 from polhode.pipeline.run_directory.summary_schema import Recording
-from polhode.progress import Progress, Silent
 
 RECORDING = Recording(width_px=64, height_px=48, left_images=())
 
@@ -26,11 +25,15 @@ class Squares:
 calls: list[float] = []
 
 
-def squares(values: NDArray[np.float64], power: float, progress: Progress) -> Squares:
-    calls.append(power)
-    with progress.stage("squares", 1) as advance:
-        advance()
-    return Squares(values**power)
+def squares(store: StageStore, values: NDArray[np.float64], power: float) -> Squares:
+    """The powers, or those that are stored."""
+
+    def compute(_: list[int]) -> list[Squares]:
+        calls.append(power)
+        return [Squares(values**power)]
+
+    (found,) = store.each("squares", Squares, [store.key(values, power)], compute)
+    return found
 
 
 @pytest.fixture(autouse=True)
@@ -44,19 +47,19 @@ def files(folder: Path) -> list[Path]:
 
 def test_a_stage_is_computed_once_for_the_same_inputs(tmp_path: Path) -> None:
     values = np.arange(4.0)
-    results = [StageStore(tmp_path).once(squares, values, 2.0, progress=Silent()) for _ in range(2)]
+    results = [squares(StageStore(tmp_path), values, 2.0) for _ in range(2)]
     assert calls == [2.0]
     np.testing.assert_array_equal(results[0].values, results[1].values)
-    StageStore(tmp_path).once(squares, values, 3.0, progress=Silent())
-    StageStore(tmp_path).once(squares, values + 1.0, 3.0, progress=Silent())
-    StageStore(tmp_path, "4 threads").once(squares, values, 3.0, progress=Silent())
+    squares(StageStore(tmp_path), values, 3.0)
+    squares(StageStore(tmp_path), values + 1.0, 3.0)
+    squares(StageStore(tmp_path, "4 threads"), values, 3.0)
     assert calls == [2.0, 3.0, 3.0, 3.0]
 
 
 def test_another_program_computes_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    StageStore(tmp_path).once(squares, np.ones(2), 2.0, progress=Silent())
+    squares(StageStore(tmp_path), np.ones(2), 2.0)
     monkeypatch.setattr(stages_module, "program_digest", lambda: "of a later version")
-    StageStore(tmp_path).once(squares, np.ones(2), 2.0, progress=Silent())
+    squares(StageStore(tmp_path), np.ones(2), 2.0)
     assert calls == [2.0, 2.0]
 
 
@@ -64,22 +67,22 @@ def test_without_a_folder_nothing_is_kept_and_the_result_has_the_same_layout() -
     values = np.asfortranarray(np.ones((2, 3)))
     store = StageStore()
     for _ in range(2):
-        assert store.once(squares, values, 2.0, progress=Silent()).values.flags.c_contiguous
+        assert squares(store, values, 2.0).values.flags.c_contiguous
     assert calls == [2.0, 2.0]
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "other"])
 def test_a_damaged_result_is_computed_again(damage: str, tmp_path: Path) -> None:
-    StageStore(tmp_path).once(squares, np.ones(2), 2.0, progress=Silent())
-    StageStore(tmp_path).once(squares, np.ones(2), 3.0, progress=Silent())
+    squares(StageStore(tmp_path), np.ones(2), 2.0)
+    squares(StageStore(tmp_path), np.ones(2), 3.0)
     one, other = files(tmp_path)
     content = {"cut": one.read_bytes()[:-30], "empty": b"", "other": other.read_bytes()}
     one.write_bytes(content[damage])
     for power in (2.0, 3.0):
-        found = StageStore(tmp_path).once(squares, np.ones(2) * 1.0, power, progress=Silent())
+        found = squares(StageStore(tmp_path), np.ones(2) * 1.0, power)
         np.testing.assert_array_equal(found.values, np.ones(2))
     assert len(calls) == 3
-    StageStore(tmp_path).once(squares, np.ones(2), calls[-1], progress=Silent())
+    squares(StageStore(tmp_path), np.ones(2), calls[-1])
     assert len(calls) == 3
 
 
@@ -108,14 +111,14 @@ def test_where_nothing_can_be_written_the_run_goes_on_and_its_stages_make_room(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     store = StageStore(tmp_path / "stages")
-    store.once(squares, np.ones(2), 2.0, progress=Silent())
+    squares(store, np.ones(2), 2.0)
 
     def full(*_: object) -> None:
         raise RunFailure(f"cannot be written ({errno.ENOSPC})")
 
     monkeypatch.setattr(stages_module, "write_record", full)
     for power in (3.0, 4.0):
-        assert store.once(squares, np.ones(2), power, progress=Silent()).values.tolist() == [1.0, 1.0]
+        assert squares(store, np.ones(2), power).values.tolist() == [1.0, 1.0]
     assert not (tmp_path / "stages").exists()
     assert caplog.text.count("stages are not kept") == 1
 
@@ -133,9 +136,9 @@ def opened(stages: KeptStages, recording: Recording | None = None) -> StageStore
 def test_a_resumed_run_keeps_what_it_uses(tmp_path: Path) -> None:
     store = opened(kept(tmp_path, False))
     for power in (2.0, 3.0):
-        store.once(squares, np.ones(2), power, progress=Silent())
+        squares(store, np.ones(2), power)
     again = kept(tmp_path, True)
-    opened(again).once(squares, np.ones(2), 3.0, progress=Silent())
+    squares(opened(again), np.ones(2), 3.0)
     assert calls == [2.0, 3.0]
     again.finish()
     assert len(files(again.folder)) == 1
@@ -144,14 +147,14 @@ def test_a_resumed_run_keeps_what_it_uses(tmp_path: Path) -> None:
 
 def test_results_of_a_published_run_are_used_and_stay_there(tmp_path: Path) -> None:
     published = tmp_path / "RUN" / "stages"
-    StageStore(published).once(squares, np.ones(2), 2.0, progress=Silent())
-    opened(kept(tmp_path, True)).once(squares, np.ones(2), 2.0, progress=Silent())
+    squares(StageStore(published), np.ones(2), 2.0)
+    squares(opened(kept(tmp_path, True)), np.ones(2), 2.0)
     assert calls == [2.0]
     assert len(files(published)) == 1
 
 
 def test_results_of_another_recording_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    opened(kept(tmp_path, False)).once(squares, np.ones(2), 2.0, progress=Silent())
+    squares(opened(kept(tmp_path, False)), np.ones(2), 2.0)
 
     def refuse(*_: object) -> None:
         raise InputError("not the sequence of this run")

@@ -11,9 +11,9 @@ import pytest
 
 from polhode.dataset import StereoImages
 from polhode.frontend.rectification import Rectifier
-from polhode.pipeline.live.live_state import LiveState
 from polhode.pipeline.live.run_live import WatchedPair
-from polhode.pipeline.live.stream import Observed
+from polhode.pipeline.stream.live_state import LiveState
+from polhode.pipeline.stream.stream import Observed
 from polhode.pipeline.view import show_live as module
 from polhode.pipeline.view.recorder import Recorder
 from polhode.pipeline.view.show_live import watching

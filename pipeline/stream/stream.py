@@ -30,8 +30,8 @@ from polhode.frontend.rectification import make_rectifier, rectified_images
 from polhode.frontend.segmentation import has_surroundings
 from polhode.frontend.tracks.causal_tracks import CausalTracks
 from polhode.lie import Array, inverse_pose
-from polhode.pipeline.live.ahead import Ahead, ComingPair
-from polhode.pipeline.live.live_state import LiveState, live_state
+from polhode.pipeline.stream.ahead import Ahead, ComingPair
+from polhode.pipeline.stream.live_state import LiveState, live_state
 from polhode.pipeline.streamed import Observations, Streamed, observations_of
 from polhode.processes import worker_count
 from polhode.records import Bools, Ints, OnlineEstimate, SurfaceModel, Wrench

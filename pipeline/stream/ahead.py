@@ -22,7 +22,8 @@ from polhode.frontend.rectification import Rectifier, rectified_images
 from polhode.lie import Array
 from polhode.mapping.fusion.field import KEPT_SHARE, Field, choose_voxel_m
 from polhode.mapping.fusion.surface_extraction import empty_surface
-from polhode.pipeline.depth_maps import MAX_STORED_BYTES, PREFIX, DepthStore
+from polhode.pipeline.depth_maps import MAX_STORED_BYTES, PackedDepth
+from polhode.pipeline.run_directory.stages import DEPTH, StageStore
 from polhode.processes import Background
 from polhode.records import SurfaceModel
 
@@ -55,11 +56,12 @@ class Ahead:
 
     def __init__(self, rectifier: Rectifier, config: Config) -> None:
         """rectifier: with which the features are extracted."""
-        self._temporary = TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True)
-        self.depth = DepthStore(Path(self._temporary.name))
+        self._temporary = TemporaryDirectory(prefix="polhode-depth-", ignore_cleanup_errors=True)
+        self.depth = StageStore(Path(self._temporary.name))
+        """Depth maps, by the number of the pair"""
         self._waiting: list[Future[Tried | SurfaceModel]] = []
         self._tried: dict[tuple[int, int], PairMatch | None] = {}
-        work = _Work(rectifier, config, self.depth.folder)
+        work = _Work(rectifier, config, self.depth)
         self._process: Background[ComingPair | None, Tried | SurfaceModel] | None = None
         try:
             self._process = Background(work, PRELOADED)
@@ -125,9 +127,8 @@ class Ahead:
 class _Work:
     """Runs in the other process, which keeps the features of earlier pairs and the growing surface."""
 
-    def __init__(self, rectifier: Rectifier, config: Config, folder: Path) -> None:
-        self._rectifier, self._config = rectifier, config
-        self._store, self._stored_bytes = DepthStore(folder), 0
+    def __init__(self, rectifier: Rectifier, config: Config, store: StageStore) -> None:
+        self._rectifier, self._config, self._store = rectifier, config, store
         self._features: dict[int, StereoFeatures] = {}
         self._restarts = 0
         self._field: Field | None = None
@@ -136,7 +137,7 @@ class _Work:
     def __call__(self, pair: ComingPair | None) -> Tried | SurfaceModel:
         if pair is None:
             return self._surface()
-        if pair.images is not None and self._stored_bytes < MAX_STORED_BYTES:
+        if pair.images is not None and self._store.bytes < MAX_STORED_BYTES:
             self._make_depth(pair.k, pair.images, pair.features)
         if pair.restarts != self._restarts:
             self._restarts, self._field, self._to_fuse = pair.restarts, None, {}
@@ -156,15 +157,16 @@ class _Work:
         rectified, rig = rectified_images(images, self._rectifier), self._rectifier.rig
         span = range_of_features(features.uvd_px[:, 2])
         depth = depth_of_pair(rectified, rig, self._config.frontend.depth, span)
-        self._stored_bytes += self._store.write(k, depth)
+        self._store.put(DEPTH, str(k), PackedDepth.of(depth))
 
     def _surface(self) -> SurfaceModel:
         """Fuse what has come since the last time, at the poses as they were known then."""
         config, rig = self._config.mapping, self._rectifier.rig
         for k, X_RG in self._to_fuse.items():
-            if k not in self._store:
+            packed = self._store.find(DEPTH, str(k), PackedDepth)
+            if packed is None:
                 continue
-            depth = self._store.read(k)
+            depth = packed.unpacked()
             if self._field is None:
                 voxel_m = choose_voxel_m([depth], rig, config)
                 self._field = Field(rig, config, voxel_m, KEPT_SHARE * config.memory_mib)
