@@ -14,7 +14,8 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from benchmarks.registry import BENCHMARKS, Benchmark
-from polhode.cli.main import COMMANDS, CONFIGURED, main
+from polhode.cli.main import COMMANDS, main
+from polhode.cli.options import ConfiguredCommand
 from polhode.config import Config
 from polhode.config.keys import describe, options_of, section_of
 from polhode.pipeline.run_directory.summary_schema import Summary
@@ -63,7 +64,7 @@ def commands_page() -> str:
     text += table("command | what it does", zip(names, first, strict=True))
     for name, command in COMMANDS.items():
         printed = help_of(name)
-        if issubclass(command, CONFIGURED):
+        if issubclass(command, ConfiguredCommand):
             # a group of options that is a section of the configuration has its title, underlined
             groups = re.split(r"\n(?= \S[^\n]*\n -{9})", printed)
             own = [group for group in groups if _section_name(group) not in Config.model_fields]

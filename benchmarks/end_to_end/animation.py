@@ -28,7 +28,7 @@ from polhode.errors import InputError
 from polhode.frontend.rectification import Crop, make_rectifier, rectified_pair, target_crop
 from polhode.lie import Array, inverse_pose
 from polhode.mapping.visibility import MeshViewer
-from polhode.pipeline.report.shape_figures import stretched, vertex_rgb
+from polhode.pipeline.report.shape_figures import stretch_contrast, vertex_rgb
 from polhode.pipeline.run_directory.stored_run import StoredRun, read_stored_run
 from polhode.records import Bools
 
@@ -112,7 +112,7 @@ def surface_panel(
     X_RG = inverse_pose(content.tracks.X_NR[k]) @ content.motion.X_NG[k]
     place = (np.arange(side) + 0.5) * crop.width_px / side - 0.5
     view = viewer.perspective(rig, X_RG, crop.u0 + place, crop.v0 + place)
-    color = view.values(stretched(vertex_rgb(mesh)) / 255.0)
+    color = view.values(stretch_contrast(vertex_rgb(mesh)) / 255.0)
     facing = np.abs(view.values(mesh.vertex_normals @ X_RG[2, :3]))[..., None]
     shaded = np.clip(255 * (0.06 + 0.94 * color**1.3) * (0.4 + 0.6 * facing), 0, 255)
     return np.where(view.hit[..., None], shaded, PAPER).astype(np.uint8)
