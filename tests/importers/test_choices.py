@@ -20,7 +20,7 @@ from benchmarks.importers.recordings import (
 from polhode.cli.main import main
 from polhode.dataset import open_sequence
 from polhode.dataset_writer import write_inspector, write_png
-from polhode.importers.options import Crop, parse_crop
+from polhode.importers.options import Crop
 from polhode.lie import exp_so3, make_pose
 from tests.conftest import TIMESTAMPS_NS
 from tests.importers.imports import imported, refused, require_same
@@ -51,14 +51,6 @@ def test_a_crop_moves_the_principal_point_and_cuts_the_masks(small_sequence: Pat
     third = int(TIMESTAMPS_NS[2])
     np.testing.assert_array_equal(pair.right, data.pixels(1, third)[6:38, 10:50])
     np.testing.assert_array_equal(pair.mask_right, mask[6:38, 10:50])
-
-
-@pytest.mark.parametrize("text", ["1,2,3", "a,0,1,1", "-1,0,5,5", "0,0,0,5"])
-def test_crops_that_are_none(text: str) -> None:
-    from polhode.errors import InputError
-
-    with pytest.raises(InputError, match=r"^--crop "):
-        parse_crop(text)
 
 
 def test_numbered_images_have_a_rate(small_sequence: Path, tmp_path: Path) -> None:
