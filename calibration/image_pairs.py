@@ -25,8 +25,6 @@ _log = logging.getLogger(__name__)
 SIDES = ("left", "right")
 MAX_PAIRS = 200
 """Of a recording, spread over it."""
-_SAME_NUMBERS = 0.5
-"""Share of the files whose numbers the other camera's files have, from which numbers pair them."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +196,7 @@ def _by_number(
             return None
         known.append({number: path for number, path in zip(own, side, strict=True) if number is not None})
     common = known[0].keys() & known[1].keys()
-    if len(common) < _SAME_NUMBERS * min(len(known[0]), len(known[1])):
+    if len(common) < 0.5 * min(len(known[0]), len(known[1])):
         return None
     every = sorted(known[0].keys() | known[1].keys())
     return tuple(known[0].get(k) for k in every), tuple(known[1].get(k) for k in every)

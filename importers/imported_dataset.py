@@ -25,7 +25,6 @@ from polhode.range_images import RANGE_FOLDER
 RECORD = "import.json"
 SCHEMA = "polhode-import/1"
 FINGERPRINT = ".imported_from"
-MAX_RECORD_BYTES = 2**29
 
 _DATASET = re.compile(
     r"mav0/((?:cam[01]|range0)/(sensor\.yaml|data\.csv|data/-?\d+\.\w{2,5})|masks[01]/-?\d+\.png"
@@ -89,7 +88,7 @@ def why_not_ours(folder: Path) -> str:
     if not (record.is_file() and is_regular(record)):
         return f"it has no {RECORD}"
     try:
-        content = read_json(record, "a record of an import", MAX_RECORD_BYTES)
+        content = read_json(record, "a record of an import", 2**29)
         listed = {str(name): int(size) for name, size in content["files"].items()}
         if content["schema"] != SCHEMA:
             return f"its {RECORD} is of another version"

@@ -224,7 +224,7 @@ BAD: dict[str, tuple[Bad, str]] = {
         "to 48 ms",
     ),
     "no images in a folder": (
-        folders(lambda both, _: [path.unlink() for path in both[1].iterdir()]),
+        folders(lambda both, _: [path.rename(path.with_suffix(".txt")) for path in both[1].iterdir()]),
         "holds no images (.png",
     ),
     "names that are no times": (folders(name_otherwise), "the name frame0.png is no time; give --rate-hz"),

@@ -60,7 +60,7 @@ def rules_of(*found: Rule) -> Rules:
     return Rules(made_by="a test", runs=100, failed=7, ranges=ranges, rules=found)
 
 
-def written(path: Path, rules: Rules, **change: Any) -> Path:
+def written(path: Path, rules: Rules, /, **change: Any) -> Path:
     path.write_text(yaml.safe_dump(rules.model_dump(mode="json") | change))
     return path
 

@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.end_to_end.report_page import CONTRAST, OVERFLOW, browser_path, draw_all, headless
 from polhode.cli.main import main
-from polhode.studies.page.columns import axes_of, drawn, metrics_of
+from polhode.studies.page.columns import axes_of, choose_metrics, metrics_of
 from polhode.studies.page.consistency import consistencies
 from polhode.studies.page.drawings import front_of
 from polhode.studies.page.write_page import write_page
@@ -111,10 +111,10 @@ def test_columns_are_axes_and_metrics_and_the_study_chooses_what_is_drawn(store_
         (INTERVAL, (), True),
         ("front end", ("learned", "classical"), False),
     ]
-    chosen = drawn(metrics, study.settings.metrics, 9)
+    chosen = choose_metrics(metrics, study.settings.metrics, 9)
     assert [each.column for each in chosen] == ["evaluate.mesh.completeness_3mm", "time.run.total_s"]
     assert chosen[0].more_is_better and not chosen[1].more_is_better
-    main_ones = drawn(metrics, (), 3)
+    main_ones = choose_metrics(metrics, (), 3)
     assert [each.title for each in main_ones] == [
         "evaluate.attitude_error_deg.median",
         "evaluate.rmse_position_m",
