@@ -23,7 +23,8 @@ from polhode.importers.calibrations.rig import Rig
 from polhode.importers.imported_dataset import ImportedDataset
 from polhode.importers.options import Crop
 from polhode.importers.pairs import ChosenPairs
-from polhode.importers.sources.recording import FramedImage, Recording, StoredImage
+from polhode.importers.sources.open_recording import Recording
+from polhode.importers.sources.recording import FramedImage, StoredImage
 from polhode.progress import Progress
 
 

@@ -25,8 +25,8 @@ from polhode.importers.image_writing import WrittenImages, copy_masks, write_ima
 from polhode.importers.imported_dataset import ImportedDataset, require_free, staged_import
 from polhode.importers.options import Crop, ImportOptions
 from polhode.importers.pairs import MIN_PAIRS, ChosenPairs, choose_pairs
-from polhode.importers.sources.open_recording import opened_recording
-from polhode.importers.sources.recording import Contents, Recording
+from polhode.importers.sources.open_recording import Recording, opened_recording
+from polhode.importers.sources.recording import Contents
 from polhode.pairing import time_in_words
 from polhode.progress import Progress
 from polhode.range_images import why_no_ranges
