@@ -77,11 +77,6 @@ def is_own_file(name: str) -> bool:
     return name in (RECORD, FINGERPRINT) or _DATASET.fullmatch(name) is not None
 
 
-def is_whole(folder: Path) -> bool:
-    """Whether a folder is a dataset that ``import`` made, with nothing else in it."""
-    return why_not_ours(folder) == ""
-
-
 def why_not_ours(folder: Path) -> str:
     """What speaks against a folder being a dataset of ``import`` and nothing else; empty: nothing does."""
     record = folder / RECORD
@@ -136,7 +131,7 @@ def staged_import(
     folder exists, cannot be written, or another process is writing it; RunFailure: a file cannot be written.
     """
     place = folder_place(folder)
-    with staged_folder(place, folder, is_own_file, is_whole) as staged:
+    with staged_folder(place, folder, is_own_file, lambda whole: why_not_ours(whole) == "") as staged:
         require_free(folder, overwrite)
         _resume_or_clear(staged, fingerprint)
         dataset = ImportedDataset(staged.path, has_ranges)

@@ -143,6 +143,14 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         },
         "1,572,864,000 points (scene.rig.baseline_m 1000 x design 1572864) are more than 1,000,000",
     ),
+    "not a power of two for Saltelli": (
+        {"design": {"method": "saltelli", "count": 3, "settings": {"seed": {"uniform": [1, 2]}}}},
+        "give 2 or 4",
+    ),
+    "empty range of a design": (
+        {"design": {"count": 4, "settings": {"seed": {"uniform": [2, 2]}}}},
+        "the range from 2 to 2 is empty",
+    ),
     "unknown setting of a design": (
         {"design": {"count": 4, "settings": {"scene.framez": {"uniform": [1, 2]}}}},
         "unknown key 'scene.framez'; did you mean frames?",
