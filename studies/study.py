@@ -7,7 +7,6 @@ made when it is needed, and a million of them take no memory.
 import hashlib
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -214,7 +213,7 @@ def open_study(path: Path, check: bool = True, measurement: Measurement | None =
     content = read_yaml(path, f"{path} is missing: give an existing study")
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected keys such as 'base:' and 'axes:' at the top")
-    settings = validated(Study, _with_axes(content, path), str(path))
+    settings = validated(Study, content, str(path))
     _require_few(settings, path)
     settings = _with_paths(settings, path)
     base = plain_settings(_base(settings.base, path))
@@ -234,23 +233,6 @@ def open_study(path: Path, check: bool = True, measurement: Measurement | None =
         _check_measurement(study)
         study.check()
     return study
-
-
-def _with_axes(content: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    """A list in the place of an axis, or of a distribution, is its values."""
-    found = dict(content)
-    if isinstance(axes := found.get("axes"), dict):
-        found["axes"] = {name: _as_axis(axis) for name, axis in axes.items()}
-    design = found.get("design")
-    if isinstance(design, dict) and isinstance(design.get("settings"), dict):
-        found["design"] = design | {
-            "settings": {name: _as_axis(each) for name, each in design["settings"].items()}
-        }
-    return found
-
-
-def _as_axis(axis: Any) -> Any:
-    return {"values": axis} if isinstance(axis, list) else axis
 
 
 def _require_few(settings: Study, path: Path) -> None:
