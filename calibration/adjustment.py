@@ -32,9 +32,6 @@ FLOOR_PX = 1e-4
 """Least standard deviation of a corner: synthetic data without noise must not divide by 0."""
 POOL_COUNTS = 20.0
 """Weight of the camera's variance beside that of a view, in residuals: views with few corners follow it."""
-_MAX_STEPS = 60
-_CONVERGED = 1e-9
-"""Relative decrease of the cost."""
 
 
 @dataclass(frozen=True)
@@ -92,11 +89,11 @@ class RigState:
         for lens in self.lenses:
             lenses.append(lens.moved(step[at : at + len(lens.values)]))
             at += len(lens.values)
-        X_10 = moved_pose(self.X_10[None], step[at:][None])[0] if len(self.lenses) == 2 else self.X_10
-        return RigState(tuple(lenses), moved_pose(self.X_CB, poses), X_10)
+        X_10 = move_poses(self.X_10[None], step[at:][None])[0] if len(self.lenses) == 2 else self.X_10
+        return RigState(tuple(lenses), move_poses(self.X_CB, poses), X_10)
 
 
-def moved_pose(X: Array, step: Array) -> Array:
+def move_poses(X: Array, step: Array) -> Array:
     """Poses (V, 4, 4) after steps (V, 6): R Exp(theta), t + dt."""
     out = X.copy()
     out[:, :3, :3] = X[:, :3, :3] @ exp_so3(step[:, :3])
@@ -120,10 +117,10 @@ class Adjusted:
 
 def residuals_of(state: RigState, data: Sequence[CornerData]) -> tuple[Array, ...]:
     """Measured minus projected [px], by camera (N, 2)."""
-    return tuple(_linearized(state, data, c)[0] for c in range(len(data)))
+    return tuple(_linearize(state, data, c)[0] for c in range(len(data)))
 
 
-def _linearized(state: RigState, data: Sequence[CornerData], c: int) -> tuple[Array, Array, Array]:
+def _linearize(state: RigState, data: Sequence[CornerData], c: int) -> tuple[Array, Array, Array]:
     """Residuals (N, 2), and derivatives of the projection by the shared unknowns (N, 2, S) and by the pose of
     the view (N, 2, 6)."""
     seen = data[c]
@@ -153,11 +150,11 @@ def adjust(
     """
     views = len(state.X_CB)
     sigmas = tuple(np.full(views, _spread(each)) for each in residuals_of(state, data))
-    result = _minimized(data, state, free, sigmas, robust)
+    result = _minimize(data, state, free, sigmas, robust)
     # The weights follow from the residuals, which follow from the weights.
     for _ in range(3):
         sigmas = _sigmas(result.residuals, data, views, robust, by_view)
-        result = _minimized(data, result.state, free, sigmas, robust)
+        result = _minimize(data, result.state, free, sigmas, robust)
     sigmas = _sigmas(result.residuals, data, views, robust, by_view)
     system = _System(data, result.state, sigmas, False)
     return replace(result, sigma_px=sigmas, covariance=system.covariance(free))
@@ -208,7 +205,7 @@ class _System:
         self.cost = float(information @ state.values**2)
         self.residuals = []
         for c, seen in enumerate(data):
-            r, by_shared, by_pose = _linearized(state, data, c)
+            r, by_shared, by_pose = _linearize(state, data, c)
             self.residuals.append(r)
             scaled = (r**2).sum(axis=1) / sigmas[c][seen.view] ** 2
             # a point behind a camera has no derivative, and must not be a way to a lower cost
@@ -252,7 +249,7 @@ class _System:
         reduced = self.H + np.diag(own) - np.einsum("vsi,vti->st", through, self.H_sv)
         right = self.g - np.einsum("vsi,vi->s", through, self.g_v)
         step = np.zeros(len(self.g))
-        step[free] = _solved(reduced[np.ix_(free, free)], right[free])
+        step[free] = _solve(reduced[np.ix_(free, free)], right[free])
         poses = np.einsum("vij,vj->vi", inverse, self.g_v - np.einsum("vsi,s->vi", self.H_sv, step))
         return step, poses
 
@@ -267,7 +264,7 @@ class _System:
         return out
 
 
-def _solved(matrix: Array, right: Array) -> Array:
+def _solve(matrix: Array, right: Array) -> Array:
     if not len(right):
         return right
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
@@ -275,20 +272,20 @@ def _solved(matrix: Array, right: Array) -> Array:
     return np.asarray(np.linalg.lstsq(unit, right / scale, rcond=1e-14)[0] / scale)
 
 
-def _minimized(
+def _minimize(
     data: Sequence[CornerData], state: RigState, free: Bools, sigmas: Sequence[Array], robust: bool
 ) -> Adjusted:
     """Levenberg and Marquardt with fixed standard deviations."""
     damping, converged = 1e-4, False
     system = _System(data, state, sigmas, robust)
-    for _ in range(_MAX_STEPS):
+    for _ in range(60):
         step, poses = system.step(free, damping)
         moved = state.moved(step, poses)
         trial = _System(data, moved, sigmas, robust)
         if np.isfinite(trial.cost) and trial.cost <= system.cost:
             gain = system.cost - trial.cost
             state, system, damping = moved, trial, max(damping / 10.0, 1e-12)
-            if gain <= _CONVERGED * (1.0 + system.cost):
+            if gain <= 1e-9 * (1.0 + system.cost):
                 converged = True
                 break
         else:

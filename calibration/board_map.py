@@ -17,11 +17,7 @@ from polhode.lie import Array
 
 FOCAL_SHARES = (np.inf, 1.2, 0.8, 0.6, 0.5, 0.42, 0.36, 0.3, 0.25)
 """Focal lengths that are tried, over the larger side of the image."""
-WIDEST_RAD = 1.3
-"""Points further from the axis would be nowhere on a plane."""
-MIN_POINTS = 8
 _TRIALS = 300
-_FLOOR_PX = 0.02
 
 
 @dataclass(frozen=True)
@@ -62,7 +58,7 @@ def fitted_map(p_m: Array, uv_px: Array, size_px: tuple[int, int]) -> BoardMap |
     """
     known = np.isfinite(uv_px).all(axis=1)
     p_m, uv_px = p_m[known], uv_px[known]
-    if len(p_m) < MIN_POINTS:
+    if len(p_m) < 8:
         return None
     middle = 0.5 * (np.array(size_px) - 1.0)
     centre, side = p_m.mean(axis=0), float(np.ptp(p_m, axis=0).max())
@@ -118,7 +114,8 @@ def _flat(xy_px: Array, size_px: tuple[int, int]) -> Iterator[tuple[float, Array
         angle = np.hypot(xy_px[:, 0], xy_px[:, 1]) / focal
         if np.isinf(focal):
             yield focal, xy_px
-        elif angle.max() < WIDEST_RAD:
+        # points further from the axis would be nowhere on a plane
+        elif angle.max() < 1.3:
             yield focal, xy_px * (np.tan(angle) / np.maximum(angle, 1e-12))[:, None]
 
 
@@ -129,7 +126,7 @@ def _bend(A: Array, off_px: Array) -> Array:
     for _ in range(8):
         bend = np.asarray(np.linalg.lstsq(A * weight[:, None], off_px * weight[:, None], rcond=1e-9)[0])
         distance = np.linalg.norm(off_px - A @ bend, axis=1)
-        scale = max(float(np.median(distance)), _FLOOR_PX)
+        scale = max(float(np.median(distance)), 0.02)
         weight = 1.0 / (1.0 + (distance / (2.0 * scale)) ** 2)
     return bend
 

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import cv2
@@ -12,8 +12,8 @@ from polhode.calibration.adjustment import Adjusted, CornerData, RigState, adjus
 from polhode.calibration.boards import Board
 from polhode.calibration.detection import Found, Kind, Missed, find_board
 from polhode.calibration.image_pairs import SIDES, ImagePairs
-from polhode.calibration.lenses import Model
-from polhode.calibration.pair_consensus import MIN_PAIRS, Pair, agree
+from polhode.calibration.lenses import Lens, Model
+from polhode.calibration.pair_consensus import MIN_PAIRS, Consensus, Pair, agree
 from polhode.calibration.start_values import calibrated_alone
 from polhode.errors import InputError
 from polhode.images import Grey
@@ -22,22 +22,8 @@ from polhode.pipeline.checkout.image_quality import edge_widths, noise_level
 from polhode.progress import Progress
 from polhode.records import Bools
 
-MAX_BLUR = 2.0
-"""Edges so many times as wide as those of the camera's usual image."""
-MIN_BLUR_PX = 1.2
-"""Edges below this width are sharp, whatever the others are."""
-MAX_OUTLYING = 3.5
-"""A view's corners may be so many times as far off as those of the camera's usual view."""
-MIN_OUTLYING_PX = 0.3
-"""Views that are nearer are weighted by their own noise instead."""
-MAX_CORNER = 6.0
-"""Standard deviations of its view beyond which a corner is left out."""
 MIN_VIEWS = 4
 """Of each camera: fewer leave its values open."""
-SAME_PLACE = 0.004
-"""Of the image's larger side: a board that moved by less has been seen."""
-_SIZE_SHARE = 0.6
-_WRONG_BOARD_SHARE = 0.5
 
 
 class Rejection(NamedTuple):
@@ -76,6 +62,19 @@ class Views:
         for each in (0, 1) if camera is None else (camera,):
             if self.found[each].pop(pair, None) is not None:
                 self.missed[each][pair] = Missed(kind, words)
+
+    def consensus(self, lenses: Sequence[Lens]) -> Consensus:
+        """What the pairs say of the right camera's pose. Raises InputError if most do not agree."""
+        both = sorted(self.found[0].keys() & self.found[1].keys())
+        pairs = [Pair(k, self.found[0][k], self.found[1][k]) for k in both]
+        return agree(pairs, self.board, lenses, (self.size_px(0), self.size_px(1)))
+
+    def leave_out_spoiled(self, consensus: Consensus) -> None:
+        """Leave out pairs that contradict the others, whose right corners take the left ones' order."""
+        for pair in consensus.agreeing:
+            self.found[1][pair.index] = pair.right
+        for index, camera, kind, words in consensus.spoiled:
+            self.reject(camera, index, kind, words)
 
     def rejections(self) -> list[Rejection]:
         """All images that are left out, pair by pair."""
@@ -133,7 +132,7 @@ def calibrate(
 
     Raises InputError: too few usable images, another board than stated, images of several sizes.
     """
-    views = found_views(pairs, board, progress)
+    views = find_views(pairs, board, progress)
     require_board(views)
     leave_out_blurred(views)
     if pairs.is_dense:
@@ -142,32 +141,22 @@ def calibrate(
         require_enough(views)
         alone = [_alone(views, camera, models[camera]) for camera in (0, 1)]
         advance()
-        both = sorted(views.found[0].keys() & views.found[1].keys())
-        lenses = [each.state.lenses[0] for each in alone]
-        consensus = agree(
-            [Pair(k, views.found[0][k], views.found[1][k]) for k in both],
-            board,
-            lenses,
-            (views.size_px(0), views.size_px(1)),
-        )
-        for pair in consensus.agreeing:
-            views.found[1][pair.index] = pair.right
-        for index, camera, kind, words in consensus.spoiled:
-            views.reject(camera, index, kind, words)
+        consensus = views.consensus([each.state.lenses[0] for each in alone])
+        views.leave_out_spoiled(consensus)
         require_enough(views)
         if consensus.spoiled:
             alone = [_alone(views, camera, models[camera]) for camera in (0, 1)]
         advance()
-        state = _joined(views, alone, consensus.X_10)
+        state = _join_cameras(views, alone, consensus.X_10)
         state = _without_outliers(views, state)
         require_enough(views)
         advance()
-        result = _final(views, state)
+        result = _adjust_finally(views, state)
         advance()
     return result
 
 
-def found_views(pairs: ImagePairs, board: Board, progress: Progress) -> Views:
+def find_views(pairs: ImagePairs, board: Board, progress: Progress) -> Views:
     """Look for the board in all images."""
     views = Views(board, pairs)
     total = sum(name is not None for side in pairs.names for name in side)
@@ -211,7 +200,7 @@ def _require_one_size(views: Views, camera: int) -> None:
     if not sizes:
         raise InputError(f"none of the {SIDES[camera]} images can be read: {_first_reasons(views)}")
     usual, count = sizes.most_common(1)[0]
-    if count < _SIZE_SHARE * sizes.total():
+    if count < 0.6 * sizes.total():
         said = ", ".join(f"{number} of {width}x{height}" for (width, height), number in sizes.most_common(3))
         raise InputError(
             f"the {SIDES[camera]} images have several sizes ({said} px): give those of one camera, as it "
@@ -229,7 +218,7 @@ def require_board(views: Views) -> None:
     found = sum(map(len, views.found))
     missed = [each for side in views.missed for each in side.values()]
     other = [each for each in missed if each.kind == "other board" or each.seen is not None]
-    if len(other) <= _WRONG_BOARD_SHARE * (found + len(other)) or len(other) < 2:
+    if len(other) <= 0.5 * (found + len(other)) or len(other) < 2:
         return
     board = views.board
     seen = Counter(each.seen for each in other if each.seen is not None).most_common(1)
@@ -253,7 +242,8 @@ def leave_out_blurred(views: Views) -> None:
         usual = _median([widths[pair] for pair in views.found[camera]])
         if not np.isfinite(usual):
             continue
-        limit = max(MAX_BLUR * usual, MIN_BLUR_PX)
+        # edges below 1.2 px are sharp, whatever the others are
+        limit = max(2.0 * usual, 1.2)
         for pair, width in widths.items():
             if not width > limit:
                 continue
@@ -289,7 +279,7 @@ def _same_place(seen: tuple[Found, ...], other: tuple[Found, ...], side_px: int)
         _, a, b = np.intersect1d(one.ids, two.ids, return_indices=True)
         if len(a) < 0.8 * min(len(one.ids), len(two.ids)):
             return False
-        if np.median(np.linalg.norm(one.uv_px[a] - two.uv_px[b], axis=1)) > SAME_PLACE * side_px:
+        if np.median(np.linalg.norm(one.uv_px[a] - two.uv_px[b], axis=1)) > 0.004 * side_px:
             return False
     return True
 
@@ -320,7 +310,7 @@ def _alone(views: Views, camera: int, model: Model) -> Adjusted:
     return calibrated_alone(views.data(camera), model, views.size_px(camera), views.count)
 
 
-def _joined(views: Views, alone: Sequence[Adjusted], X_10: Array) -> RigState:
+def _join_cameras(views: Views, alone: Sequence[Adjusted], X_10: Array) -> RigState:
     """The start of the common adjustment: a board that only the right camera sees is placed by it."""
     X_CB = alone[0].state.X_CB.copy()
     X_01 = np.linalg.inv(X_10)
@@ -351,7 +341,8 @@ def _without_outliers(views: Views, state: RigState) -> RigState:
         for camera in (0, 1):
             rms = view_rms(result.residuals[camera], data[camera], views.count)
             usual = float(np.nanmedian(rms))
-            limit = max(MAX_OUTLYING * usual, MIN_OUTLYING_PX)
+            # views within 0.3 px are weighted by their own noise instead
+            limit = max(3.5 * usual, 0.3)
             worst += [
                 (rms[pair] / limit, camera, pair, float(rms[pair]), usual)
                 for pair in views.found[camera]
@@ -387,14 +378,15 @@ def _alone_rms(data: CornerData, state: RigState, camera: int, pair: int) -> flo
     return rms_px(adjust((here,), single, fixed, robust=False).residuals[0])
 
 
-def _final(views: Views, state: RigState) -> CalibratedRig:
+def _adjust_finally(views: Views, state: RigState) -> CalibratedRig:
     """Least squares of what is left, single wrong corners left out."""
     data = [views.data(0), views.data(1)]
     result = adjust(data, state, _all_free(state), robust=True)
     left_out = 0
     for camera in (0, 1):
         off = np.linalg.norm(result.residuals[camera], axis=1)
-        good = off <= MAX_CORNER * result.sigma_px[camera][data[camera].view]
+        # standard deviations of the corner's view
+        good = off <= 6.0 * result.sigma_px[camera][data[camera].view]
         left_out += int((~good).sum())
         data[camera] = data[camera].kept(good)
     result = adjust(data, result.state, _all_free(state), robust=False)
@@ -404,7 +396,7 @@ def _final(views: Views, state: RigState) -> CalibratedRig:
         own = RigState((result.state.lenses[camera],), poses, np.eye(4))
         single = adjust((data[camera],), own, _all_free(own), robust=False, by_view=False)
         alone.append(rms_px(single.residuals[0]))
-    return CalibratedRig(views, replace(result), (data[0], data[1]), (alone[0], alone[1]), left_out)
+    return CalibratedRig(views, result, (data[0], data[1]), (alone[0], alone[1]), left_out)
 
 
 def rms_px(residuals: Array) -> float:

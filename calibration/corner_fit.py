@@ -27,19 +27,11 @@ from polhode.lie import Array
 from polhode.records import Bools
 
 MIN_RADIUS_PX, MAX_RADIUS_PX = 3.0, 12.0
-START_BLUR_PX = 0.8
 MIN_BLUR_PX, MAX_BLUR_PX = 0.25, 4.0
-MAX_MOVED_PX = 1.0
-"""From the start, which is known better."""
-MIN_CONTRAST = 6.0
-"""Grey levels from the middle to a square."""
-MAX_MISFIT = 0.35
-"""Root mean square residual over the contrast: more is no corner of four squares."""
 _RING = 64
-_STEPS = 25
 
 
-def fitted(image: Grey, uv_px: Array, radius_px: Array) -> Array:
+def fit_corners(image: Grey, uv_px: Array, radius_px: Array) -> Array:
     """Corners (n, 2) fitted in discs of radius (n,); one that cannot be fitted stays where it was."""
     out = uv_px.copy()
     radius = np.clip(radius_px, MIN_RADIUS_PX, MAX_RADIUS_PX)
@@ -65,7 +57,8 @@ def fitted(image: Grey, uv_px: Array, radius_px: Array) -> Array:
         found, misfit = _fit(patch, u.astype(np.float64), v.astype(np.float64), disc, start)
         moved = np.linalg.norm(found[:, :2] - uv_px[part], axis=1)
         contrast = np.abs(found[:, 7])
-        good = known & (moved < MAX_MOVED_PX) & (contrast > MIN_CONTRAST) & (misfit < MAX_MISFIT * contrast)
+        # moved [px] from a start that is known better; contrast in grey levels
+        good = known & (moved < 1.0) & (contrast > 6.0) & (misfit < 0.35 * contrast)
         out[part[good]] = found[good, :2]
     return out
 
@@ -88,7 +81,7 @@ def _start(image: Grey, uv_px: Array, radius: Array) -> tuple[Array, Bools]:
     known = np.asarray(change.sum(axis=1) == 4)
     out = np.zeros((len(uv_px), 9))
     out[:, :2] = uv_px
-    out[:, 6] = START_BLUR_PX
+    out[:, 6] = 0.8
     out[:, 7], out[:, 8] = 0.5 * (high - low), 0.5 * (high + low)
     for k in np.flatnonzero(known).tolist():
         crossing = angle[np.flatnonzero(change[k])] + np.pi / _RING
@@ -110,7 +103,7 @@ def _fit(patch: Array, u: Array, v: Array, disc: Bools, start: Array) -> tuple[A
     weight = disc.astype(np.float64)
     residual, J = _model(patch, u, v, p)
     cost = (weight * residual**2).sum(axis=1)
-    for _ in range(_STEPS):
+    for _ in range(25):
         A = np.einsum("nmi,nm,nmj->nij", J, weight, J, optimize=True)
         g = np.einsum("nmi,nm->ni", J, weight * residual, optimize=True)
         diagonal = np.einsum("nii->ni", A)

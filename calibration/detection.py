@@ -13,7 +13,7 @@ import numpy as np
 
 from polhode.calibration.board_map import BoardMap, fitted_map, misfit
 from polhode.calibration.boards import Board
-from polhode.calibration.corner_fit import fitted
+from polhode.calibration.corner_fit import fit_corners
 from polhode.images import Grey
 from polhode.lie import Array
 from polhode.records import Bools, Ints
@@ -38,8 +38,6 @@ MAX_SEARCH_PIXELS = 1_300_000
 """Boards are searched in images reduced to this; corners are refined in the full one."""
 WINDOW_SHARE = 0.6
 """Half of cornerSubPix's window over the radius around the corner in which nothing else is."""
-WIDE_SHARE = 0.85
-"""The same for a corner whose place is known to some pixels only."""
 FIT_SHARE = 0.9
 """Radius of the fitted disc over the same radius."""
 MIN_WINDOW_PX, MAX_WINDOW_PX = 2, 25
@@ -51,7 +49,6 @@ MAX_ASTRAY_PX = 0.5
 MAX_MISFIT = 0.35
 """Of a square: markers further from where the board has them mean another board."""
 _RING = 16
-_LOOSENING_PX = (1, 3, 5)
 
 
 @dataclass(frozen=True)
@@ -86,7 +83,7 @@ def find_board(image: Grey, board: Board) -> Found | Missed:
     return found
 
 
-def refined(image: Grey, uv_px: Array, free_px: Array, share: float = WINDOW_SHARE) -> Array:
+def refine_corners(image: Grey, uv_px: Array, free_px: Array, share: float = WINDOW_SHARE) -> Array:
     """Corners (n, 2), each refined within a share of the radius ``free_px`` (n,) in which nothing else is.
 
     NaN: lost.
@@ -105,7 +102,7 @@ def refined(image: Grey, uv_px: Array, free_px: Array, share: float = WINDOW_SHA
     return out
 
 
-def _reduced(image: Grey) -> tuple[Grey, float]:
+def _reduce_image(image: Grey) -> tuple[Grey, float]:
     """The image as it is searched, and how much smaller it is."""
     factor = max(1.0, np.sqrt(image.size / MAX_SEARCH_PIXELS))
     if factor == 1.0:
@@ -120,7 +117,7 @@ def _size(image: Grey) -> tuple[int, int]:
     return image.shape[1], image.shape[0]
 
 
-def _enlarged(uv_px: Array, factor: float) -> Array:
+def _at_full_size(uv_px: Array, factor: float) -> Array:
     """Pixels of the full image; the centre of the first pixel is 0."""
     return (uv_px + 0.5) * factor - 0.5
 
@@ -129,7 +126,7 @@ def _enlarged(uv_px: Array, factor: float) -> Array:
 
 
 def _find_chessboard(image: Grey, board: Board) -> Found | Missed:
-    small, factor = _reduced(image)
+    small, factor = _reduce_image(image)
     size = (board.columns, board.rows)
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     ok, corners = cv2.findChessboardCorners(small, size, flags=flags)
@@ -137,13 +134,13 @@ def _find_chessboard(image: Grey, board: Board) -> Found | Missed:
         ok, corners = cv2.findChessboardCornersSB(small, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     if not ok:
         return _what_is_seen(small, board)
-    rough = _enlarged(np.asarray(corners, dtype=np.float64).reshape(-1, 2), factor)
+    rough = _at_full_size(np.asarray(corners, dtype=np.float64).reshape(-1, 2), factor)
     # the detector may take the outer corner of a square for the next one of a row
     expected, astray = _expected(image, board, rough)
     rough[astray] = expected[astray]
     grid = rough.reshape(board.rows, board.columns, 2)
     free_px = 0.5 * _grid_spacing(grid).ravel()
-    uv = fitted(image, refined(image, rough, free_px), FIT_SHARE * free_px)
+    uv = fit_corners(image, refine_corners(image, rough, free_px), FIT_SHARE * free_px)
     expected, astray = _expected(image, board, uv)
     good = ~astray
     if good.sum() < max(MIN_CORNERS, MIN_SHARE * len(uv)):
@@ -349,17 +346,17 @@ def _finished(
         return Missed("not found", f"only {len(ids)} corners are seen; {MIN_CORNERS} are needed")
     free_px = first.scale(p_m, step_m) * board.free_m
     # a detector's corner of a tag may be pixels off: a wide window first
-    near = refined(image, rough, free_px, WIDE_SHARE) if seen is None else rough
-    uv = refined(image, np.where(np.isfinite(near), near, rough), free_px)
+    near = refine_corners(image, rough, free_px, 0.85) if seen is None else rough
+    uv = refine_corners(image, np.where(np.isfinite(near), near, rough), free_px)
     # a detector's corner may be where a tag touches its neighbour: once more, from where the others expect it
     known = (seen if seen is not None else fitted_map(p_m, uv, size)) or first
     expected = known(p_m)
     off = np.linalg.norm(uv - expected, axis=1)
     astray = ~(off <= np.maximum(MAX_ASTRAY_PX, 3.0 * np.nanmedian(off)))
-    uv[astray] = refined(image, expected[astray], free_px[astray])
+    uv[astray] = refine_corners(image, expected[astray], free_px[astray])
     height, width = image.shape
     inside = ((expected > 3.0) & (expected < np.array([width - 4.0, height - 4.0]))).all(axis=1)
-    uv = fitted(image, uv, FIT_SHARE * free_px)
+    uv = fit_corners(image, uv, FIT_SHARE * free_px)
     near_enough = np.linalg.norm(uv - expected, axis=1) <= np.maximum(3.0 * MAX_ASTRAY_PX, 0.2 * free_px)
     good: Bools = inside & near_enough & (_saddle(image, uv, free_px) > 0.0)
     if good.sum() < MIN_CORNERS:
@@ -370,7 +367,7 @@ def _finished(
 
 def _find_grid(image: Grey, board: Board) -> Found | Missed:
     """A grid of AprilTags; which way the tags are turned on it, and which row is first, the image shows."""
-    small, factor = _reduced(image)
+    small, factor = _reduce_image(image)
     tags, known = max((_tags(small, board, bits) for bits in (2, 1)), key=lambda each: len(each[1]))
     if wrong := _foreign_markers(board, known):
         return Missed("other board", wrong)
@@ -378,7 +375,7 @@ def _find_grid(image: Grey, board: Board) -> Found | Missed:
     tags, known = [tag for tag, good in zip(tags, inside, strict=True) if good], known[inside]
     if len(known) < 2:
         return _too_few(4 * len(known), len(known), tags, small, board)
-    corners = _enlarged(np.stack(tags), factor)
+    corners = _at_full_size(np.stack(tags), factor)
     best, least = None, np.inf
     for turn in range(4):
         for upward in (True, False):
@@ -411,7 +408,7 @@ def _tags(image: Grey, board: Board, border_bits: int) -> tuple[list[Array], Int
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     detector = cv2.aruco.ArucoDetector(board.opencv_dictionary(), parameters)
     found: dict[int, Array] = {}
-    for width in _LOOSENING_PX:
+    for width in (1, 3, 5):
         # Kalibr's squares touch the tags' corners: where outlines run together, black is made thinner
         loose = image if width == 1 else cv2.dilate(image, np.ones((width, width), np.uint8))
         corners, ids, _ = detector.detectMarkers(loose)

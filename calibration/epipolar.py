@@ -44,3 +44,10 @@ def epipolar_px(state: RigState, left_px: Array, right_px: Array) -> Array:
     # by a step of one pixel along each axis of the image
     change = [((rays(state.lenses[1], right_px + step) - right) * normal).sum(axis=1) for step in np.eye(2)]
     return np.asarray(angle / np.hypot(change[0], change[1]))
+
+
+def epipolar_errors(state: RigState, data: tuple[CornerData, CornerData]) -> tuple[Array, Array]:
+    """Right pixels (n, 2) of the corners that both cameras see, and their epipolar errors (n,) [px]."""
+    left, right = common_corners(data)
+    right_px = data[1].uv_px[right]
+    return right_px, epipolar_px(state, data[0].uv_px[left], right_px)

@@ -5,14 +5,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from polhode.calibration.adjustment import CornerData, RigState
-from polhode.calibration.calibrate import view_rms
+from polhode.calibration.calibrate import Views, view_rms
+from polhode.calibration.epipolar import epipolar_errors
+from polhode.calibration.image_pairs import SIDES
+from polhode.errors import printable
 from polhode.lie import Array
 from polhode.pipeline.report.plot_style import (
     ACCENT,
     AXIS_COLORS,
     FAINT,
     Figure,
-    Layout,
     Trace,
     axis,
     color_bar,
@@ -22,20 +24,16 @@ from polhode.pipeline.report.plot_style import (
     packed,
 )
 
-CAMERAS = ("left", "right")
 COLORS = (AXIS_COLORS[2], AXIS_COLORS[0])
 DIVERGING = [[0.0, "#0072b2"], [0.5, "#e8ecf0"], [1.0, "#d55e00"]]
 COVERAGE = [[0.0, "#f7f9fb"], [0.15, "#cfe1f2"], [1.0, "#1f5a92"]]
-ARROW_SHARE = 0.02
-"""Length of the usual residual's arrow, of the image's width."""
-CELLS = 16
-"""Of the coverage, along the longer side of the image."""
 
 
 def residual_figure(data: CornerData, residuals: Array, size_px: tuple[int, int], camera: int) -> Figure:
     """Residuals as arrows over the image."""
     usual = float(np.median(np.linalg.norm(residuals, axis=1)))
-    scale = ARROW_SHARE * size_px[0] / max(usual, 1e-6)
+    # the usual residual's arrow has 0.02 of the image's width
+    scale = 0.02 * size_px[0] / max(usual, 1e-6)
     scale = float(f"{scale:.1g}")
     ends = data.uv_px + scale * residuals
     gap = np.full((len(ends), 2), np.nan)
@@ -59,23 +57,21 @@ def residual_figure(data: CornerData, residuals: Array, size_px: tuple[int, int]
         "hoverinfo": "text",
         "showlegend": False,
     }
-    return Figure(
+    return _over_image(
         f"residuals-{camera}",
-        f"Residuals of the {CAMERAS[camera]} camera",
+        f"Residuals of the {SIDES[camera]} camera",
         f"Measured minus projected corners of all used images, {scale:g} times enlarged. Arrows of "
         "all directions side by side are noise; arrows that agree with their neighbours are a lens that the "
         "model does not describe, or a board that is not flat.",
         [arrows, heads],
-        _over_image(size_px),
-        height_px=460,
-        wide=False,
+        size_px,
     )
 
 
 def coverage_figure(data: CornerData, size_px: tuple[int, int], camera: int) -> Figure:
     """How many corners each part of the image has."""
     width, height = size_px
-    step = max(size_px) / CELLS
+    step = max(size_px) / 16
     columns, rows = max(1, round(width / step)), max(1, round(height / step))
     count, v_edges, u_edges = np.histogram2d(
         data.uv_px[:, 1], data.uv_px[:, 0], (rows, columns), ((0, height), (0, width))
@@ -90,15 +86,13 @@ def coverage_figure(data: CornerData, size_px: tuple[int, int], camera: int) -> 
         "zmin": 0,
     }
     empty = 100.0 * float((count == 0).mean())
-    return Figure(
+    return _over_image(
         f"coverage-{camera}",
-        f"Coverage of the {CAMERAS[camera]} image",
+        f"Coverage of the {SIDES[camera]} image",
         f"Corners in each part of the image; {empty:.0f} % of the parts have none. Where there are none, the "
         "distortion is extrapolated.",
         [heat],
-        _over_image(size_px),
-        height_px=460,
-        wide=False,
+        size_px,
     )
 
 
@@ -122,15 +116,13 @@ def epipolar_figure(right_px: Array, error_px: Array, size_px: tuple[int, int]) 
         },
         "showlegend": False,
     }
-    return Figure(
+    return _over_image(
         "epipolar-map",
         "Epipolar error over the right image",
         f"Distance of each corner in the right image from the epipolar line of the same corner in the left "
         f"one; {rms:.3f} px rms. Stereo matching looks along these lines.",
         [points],
-        _over_image(size_px),
-        height_px=460,
-        wide=False,
+        size_px,
     )
 
 
@@ -171,7 +163,7 @@ def views_figure(
                 "type": "bar",
                 "x": packed(numbers, "i4"),
                 "y": packed(rms),
-                "name": CAMERAS[camera],
+                "name": SIDES[camera],
                 "marker": {"color": COLORS[camera]},
                 "text": list(names),
                 "textposition": "none",
@@ -215,7 +207,7 @@ def radial_figure(state: RigState, data: Sequence[CornerData], residuals: Sequen
             line(
                 middle,
                 mean,
-                f"{CAMERAS[camera]}, mean",
+                f"{SIDES[camera]}, mean",
                 COLORS[camera],
                 line={"color": COLORS[camera], "width": 2.5},
             )
@@ -231,9 +223,28 @@ def radial_figure(state: RigState, data: Sequence[CornerData], residuals: Sequen
     )
 
 
-def _over_image(size_px: tuple[int, int]) -> Layout:
+def _over_image(key: str, title: str, caption: str, traces: list[Trace], size_px: tuple[int, int]) -> Figure:
     width, height = size_px
-    return layout(
+    drawing = layout(
         xaxis=axis("u [px]", range=[0, width], showgrid=False),
         yaxis=axis("v [px]", range=[height, 0], scaleanchor="x", constrain="domain", showgrid=False),
     )
+    return Figure(key, title, caption, traces, drawing, height_px=460, wide=False)
+
+
+def page_sections(
+    views: Views, state: RigState, data: tuple[CornerData, CornerData], residuals: Sequence[Array]
+) -> dict[str, list[Figure]]:
+    """The figures of a calibration or a verification, by the titles of their sections."""
+    right_px, error = epipolar_errors(state, data)
+    sizes = (views.size_px(0), views.size_px(1))
+    names = [printable(each or "") for each in views.pairs.names[0]]
+    return {
+        "Residuals": [
+            *(residual_figure(data[c], residuals[c], sizes[c], c) for c in (0, 1)),
+            views_figure(residuals, data, names, views.count),
+            radial_figure(state, data, residuals),
+        ],
+        "Epipolar error": [epipolar_figure(right_px, error, sizes[1]), epipolar_histogram(error)],
+        "Coverage": [coverage_figure(data[c], sizes[c], c) for c in (0, 1)],
+    }

@@ -26,8 +26,6 @@ SENSORS = ("cam0/sensor.yaml", "cam1/sensor.yaml")
 KALIBR, OPENCV = "camchain.yaml", "opencv.yaml"
 CAMERA_INFO = ("camera_info_left.yaml", "camera_info_right.yaml")
 FORMAT_FILES = (*SENSORS, KALIBR, OPENCV, *CAMERA_INFO)
-UNKNOWN_RATE_HZ = 1.0
-"""sensor.yaml has a rate, which images of a board do not show; nothing reads it."""
 
 
 def rig_of(state: RigState, sizes_px: tuple[tuple[int, int], tuple[int, int]]) -> Rig:
@@ -62,7 +60,8 @@ def calibration_files(state: RigState, sizes_px: tuple[tuple[int, int], tuple[in
 def sensor_files(rig: Rig) -> dict[str, bytes]:
     """``sensor.yaml`` of both cameras."""
     with TemporaryDirectory() as folder:
-        write_rig(Path(folder), rig, UNKNOWN_RATE_HZ)
+        # sensor.yaml has a rate, which images of a board do not show and nothing reads
+        write_rig(Path(folder), rig, 1.0)
         return {name: (Path(folder) / name).read_bytes() for name in SENSORS}
 
 
@@ -101,7 +100,7 @@ def _opencv(state: RigState, rig: Rig) -> bytes:
     return str(store.releaseAndGetString()).encode()
 
 
-def rectifying(X_10: Array) -> tuple[Array, Array]:
+def rectifying_rotations(X_10: Array) -> tuple[Array, Array]:
     """Rotations (3, 3) of the left and the right camera into the rectified ones.
 
     Their x axis is the baseline, or their y axis, where the cameras stand one above the other.
@@ -122,7 +121,7 @@ def rectifying(X_10: Array) -> tuple[Array, Array]:
 
 def _camera_infos(state: RigState, rig: Rig) -> list[bytes]:
     """ROS camera_info of both cameras, as camera_calibration writes them; P of the rectified pair."""
-    R = rectifying(state.X_10)
+    R = rectifying_rotations(state.X_10)
     offset = R[1] @ state.X_10[:3, 3]
     focal = float(np.mean([camera.intrinsics[:2] for camera in rig.cameras]))
     out = []

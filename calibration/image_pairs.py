@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -16,8 +15,8 @@ from polhode.foreign_files import read_bytes
 from polhode.images import Grey, Raw, UnreadableImage, bit_depth, decode_raw, size_in_header, to_grey
 from polhode.importers.options import ImportOptions
 from polhode.importers.sources.image_folders import IMAGE_BYTES, SUFFIXES, natural_key
-from polhode.importers.sources.open_recording import opened_recording
-from polhode.importers.sources.recording import DecodedImage, Recording
+from polhode.importers.sources.open_recording import Recording, opened_recording
+from polhode.importers.sources.recording import DecodedImage
 from polhode.pairing import pair_by_time
 from polhode.progress import Progress
 
@@ -25,8 +24,6 @@ _log = logging.getLogger(__name__)
 SIDES = ("left", "right")
 MAX_PAIRS = 200
 """Of a recording, spread over it."""
-_SAME_NUMBERS = 0.5
-"""Share of the files whose numbers the other camera's files have, from which numbers pair them."""
 
 
 @dataclass(frozen=True)
@@ -41,40 +38,19 @@ class BoardImage:
     fault: str = ""
 
 
-class ImagePairs(Protocol):
-    """K pairs of images; of some pairs one image alone."""
-
-    @property
-    def name(self) -> str:
-        """For messages."""
-        ...
-
-    @property
-    def names(self) -> tuple[tuple[str | None, ...], tuple[str | None, ...]]:
-        """(K,) of the left and the right images; None: there is none."""
-        ...
-
-    @property
-    def is_dense(self) -> bool:
-        """Whether images follow each other so closely that they show the board at the same place."""
-        ...
-
-    def images(self) -> Iterator[BoardImage]:
-        """Each once."""
-        ...
-
-
 @dataclass(frozen=True)
 class PairsOfFiles:
     """Two sets of files."""
 
     name: str
     files: tuple[tuple[Path | None, ...], tuple[Path | None, ...]]
+    """(K,) of the left and the right images; None: there is none"""
     is_dense: bool = False
+    """Whether images follow each other so closely that they show the board at the same place"""
 
     @property
     def names(self) -> tuple[tuple[str | None, ...], tuple[str | None, ...]]:
-        """The paths."""
+        """(K,) of the left and the right images for messages: the paths; None: there is none."""
         left, right = (tuple(None if each is None else str(each) for each in side) for side in self.files)
         return left, right
 
@@ -127,6 +103,9 @@ class PairsOfRecording:
                     yield BoardImage(each.camera, pair, _read(each.image.content))
             except UnreadableImage as error:
                 yield BoardImage(each.camera, pair, None, str(error))
+
+
+ImagePairs = PairsOfFiles | PairsOfRecording
 
 
 def _read(content: bytes) -> Grey:
@@ -198,7 +177,7 @@ def _by_number(
             return None
         known.append({number: path for number, path in zip(own, side, strict=True) if number is not None})
     common = known[0].keys() & known[1].keys()
-    if len(common) < _SAME_NUMBERS * min(len(known[0]), len(known[1])):
+    if len(common) < 0.5 * min(len(known[0]), len(known[1])):
         return None
     every = sorted(known[0].keys() | known[1].keys())
     return tuple(known[0].get(k) for k in every), tuple(known[1].get(k) for k in every)

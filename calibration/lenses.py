@@ -19,16 +19,9 @@ COEFFICIENTS: dict[Model, tuple[str, ...]] = {
     "brown8": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
-INTRINSICS = ("fu", "fv", "cu", "cv")
 RATIONAL_SIGMA = 1.0
 """Prior of the coefficients k4, k5 and k6 about 0: a numerator and a denominator can grow together without a
 trace in the image, and only their difference is determined."""
-_NEAR_AXIS = 1e-9
-"""Sine of the angle from the axis below which a ray is taken to be on it."""
-
-_NEWTON_STEPS = 12
-_FOLDED = 1e-6
-"""Determinant of the distortion's derivative where the image folds over itself."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +35,7 @@ class Lens:
     @property
     def names(self) -> tuple[str, ...]:
         """Of the values."""
-        return (*INTRINSICS, *COEFFICIENTS[self.model])
+        return ("fu", "fv", "cu", "cv", *COEFFICIENTS[self.model])
 
     @property
     def K(self) -> Array:
@@ -154,12 +147,13 @@ def normalized_by_newton(lens: Lens, uv_px: Array) -> Array:
     """Pixels (n, 2) of a pinhole -> where their rays meet the plane z = 1, (n, 2); NaN: nowhere."""
     flat = (uv_px - lens.values[2:4]) / lens.values[:2]
     xy = flat.copy()
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(12):
         at, J, _ = _brown(lens.coefficients, np.column_stack([xy, np.ones(len(xy))]))
         a, b, c, d = J[:, 0, 0], J[:, 0, 1], J[:, 1, 0], J[:, 1, 1]
         off = flat - at
         det = a * d - b * c
-        det = np.where(np.abs(det) > _FOLDED, det, np.nan)
+        # below this determinant the image folds over itself
+        det = np.where(np.abs(det) > 1e-6, det, np.nan)
         step = np.column_stack([d * off[:, 0] - b * off[:, 1], a * off[:, 1] - c * off[:, 0]]) / det[:, None]
         xy = xy + step
     missed = np.abs(_brown(lens.coefficients, np.column_stack([xy, np.ones(len(xy))]))[0] - flat) > 1e-9
@@ -170,7 +164,8 @@ def _fisheye(k: Array, p_C: Array) -> tuple[Array, Array, Array]:
     """The same for the fisheye, (n, 2), (n, 2, 3), (n, 2, 4)."""
     xy, z = p_C[:, :2], p_C[:, 2]
     square = (p_C * p_C).sum(axis=1)
-    rho = np.maximum(np.hypot(xy[:, 0], xy[:, 1]), _NEAR_AXIS * np.sqrt(square))
+    # sine of the angle below which a ray is taken to be on the axis
+    rho = np.maximum(np.hypot(xy[:, 0], xy[:, 1]), 1e-9 * np.sqrt(square))
     theta = np.arctan2(rho, z)
     t2 = theta * theta
     powers = theta[:, None] * np.stack([t2, t2**2, t2**3, t2**4], axis=1)

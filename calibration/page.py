@@ -1,16 +1,9 @@
 """The files of ``polhode calibrate``: calibration.json, the calibration in each format, and report.html."""
 
 from polhode.calibration.calibrate import CalibratedRig
-from polhode.calibration.figures import (
-    coverage_figure,
-    epipolar_figure,
-    epipolar_histogram,
-    radial_figure,
-    residual_figure,
-    views_figure,
-)
+from polhode.calibration.figures import page_sections
 from polhode.calibration.formats import FORMAT_FILES, calibration_files
-from polhode.calibration.result import CalibrationResult, Parameter, epipolar_of, result_of
+from polhode.calibration.result import CalibrationResult, Parameter, result_of
 from polhode.errors import printable
 from polhode.pipeline.report.template import fill
 from polhode.pipeline.run_directory.summary_schema import json_text
@@ -61,23 +54,6 @@ def format_calibration(rig: CalibratedRig) -> str:
 
 def render(rig: CalibratedRig, result: CalibrationResult, name: str) -> str:
     """The whole page."""
-    views, state = rig.views, rig.state
-    residuals = rig.adjusted.residuals
-    _, right_px, error = epipolar_of(rig)
-    names = [printable(each or "") for each in views.pairs.names[0]]
-    sizes = (views.size_px(0), views.size_px(1))
-    sections = [
-        (
-            "Residuals",
-            [
-                *(residual_figure(rig.data[c], residuals[c], sizes[c], c) for c in (0, 1)),
-                views_figure(residuals, rig.data, names, views.count),
-                radial_figure(state, rig.data, residuals),
-            ],
-        ),
-        ("Epipolar error", [epipolar_figure(right_px, error, sizes[1]), epipolar_histogram(error)]),
-        ("Coverage", [coverage_figure(rig.data[c], sizes[c], c) for c in (0, 1)]),
-    ]
     groups = [
         (TITLES[group], [_row(key, each) for key, each in own.items()])
         for group, own in result.parameters.items()
@@ -87,24 +63,20 @@ def render(rig: CalibratedRig, result: CalibrationResult, name: str) -> str:
         title=f"Calibration of {printable(name)}",
         name=printable(name),
         result=result,
-        board=views.board.words,
+        board=rig.views.board.words,
         models=[MODEL_WORDS[each.model] for each in result.cameras],
         groups=groups,
-        sections=sections,
+        sections=page_sections(rig.views, rig.state, rig.data, rig.adjusted.residuals).items(),
     )
 
 
 def _row(name: str, each: Parameter) -> dict[str, str]:
-    digits = 0 if each.sigma <= 0.0 else _digits(each.sigma)
+    # two digits of the standard deviation
+    exponent = int(f"{each.sigma:e}".partition("e")[2]) if each.sigma > 0.0 else 1
+    digits = max(0, min(12, 1 - exponent))
     return {
         "name": name,
         "value": f"{each.value:.{digits}f}",
         "sigma": f"{each.sigma:.2g}",
         "unit": each.unit,
     }
-
-
-def _digits(sigma: float) -> int:
-    """Decimals that a value of this standard deviation deserves: two digits of the sigma."""
-    exponent = int(f"{sigma:e}".partition("e")[2])
-    return max(0, min(12, 1 - exponent))

@@ -24,13 +24,7 @@ from polhode.records import Ints
 MAX_OFF = 0.012
 """Of the larger side of the image: a prediction by the board's pose in the left camera alone, whose distance
 has an error, may be off by so much."""
-MIN_OFF_PX = 4.0
-MAX_PROPOSALS = 40
 MIN_PAIRS = 3
-MIN_SHARE = 0.4
-"""Of the pairs that must agree."""
-MIN_SCALE = 1.03
-"""Factor from which on squares are of another size."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +64,8 @@ def agree(
     pairs: Sequence[Pair], board: Board, lenses: Sequence[Lens], sizes_px: Sequence[tuple[int, int]]
 ) -> Consensus:
     """The consensus of all pairs. Raises InputError if most do not agree."""
-    judge = _Judge(board, lenses, max(MIN_OFF_PX, MAX_OFF * max(sizes_px[1])))
+    # a limit [px] of the distance from the prediction
+    judge = _Judge(board, lenses, max(4.0, MAX_OFF * max(sizes_px[1])))
     X_10 = judge.proposal(pairs)
     agreeing, spoiled = [], []
     for pair in pairs:
@@ -79,7 +74,7 @@ def agree(
             agreeing.append(replace(pair, right=replace(pair.right, ids=order[pair.right.ids])))
         else:
             spoiled.append((pair.index, *judge.explained(X_10, pair, error, sizes_px)))
-    least = max(MIN_PAIRS, MIN_SHARE * len(pairs))
+    least = max(MIN_PAIRS, 0.4 * len(pairs))
     if len(agreeing) < least:
         raise InputError(
             f"only {len(agreeing)} of {len(pairs)} pairs agree on where the right camera is: do the images "
@@ -107,7 +102,7 @@ class _Judge:
 
     def error(self, X_10: Array, pair: Pair, scale: float = 1.0) -> tuple[float, Ints]:
         """Median distance [px] of the right corners from their prediction; the order where it is least."""
-        X_1B = X_10 @ _scaled(self.pose(0, pair.left), scale)
+        X_1B = X_10 @ _scale_translation(self.pose(0, pair.left), scale)
         best, least = self.orders[0], np.inf
         for order in self.orders:
             p = scale * self.board.points[order[pair.right.ids]]
@@ -121,7 +116,7 @@ class _Judge:
 
     def proposal(self, pairs: Sequence[Pair]) -> Array:
         """The pose of the right camera that predicts most pairs; of equal ones the least turned."""
-        some = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), MAX_PROPOSALS)).astype(int))
+        some = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), 40)).astype(int))
         best, most = np.eye(4), (-1.0, 0.0)
         for k in some.tolist():
             X_1B, X_B0 = self.pose(1, pairs[k].right), inverse_pose(self.pose(0, pairs[k].left))
@@ -191,12 +186,12 @@ class _Judge:
             own = X_1B @ inverse_pose(self._turn(order)) @ X_B0
             if np.linalg.norm(log_so3(own[:3, :3].T @ X_10[:3, :3])) < np.radians(3.0):
                 scale = float(np.linalg.norm(X_10[:3, 3])) / max(float(np.linalg.norm(own[:3, 3])), 1e-9)
-                if max(scale, 1.0 / scale) > MIN_SCALE:
+                if max(scale, 1.0 / scale) > 1.03:
                     return scale
         return None
 
 
-def _scaled(X: Array, scale: float) -> Array:
+def _scale_translation(X: Array, scale: float) -> Array:
     out = X.copy()
     out[:3, 3] *= scale
     return out

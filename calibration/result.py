@@ -15,14 +15,13 @@ from polhode.atomic import write_text
 from polhode.calibration.boards import Pattern
 from polhode.calibration.calibrate import CalibratedRig, rms_px
 from polhode.calibration.detection import Kind
-from polhode.calibration.epipolar import common_corners, epipolar_px
+from polhode.calibration.epipolar import epipolar_errors
 from polhode.calibration.lenses import Model
 from polhode.lie import Array, log_so3, right_jacobian_so3
 from polhode.pipeline.run_directory.summary_schema import Finite, StrictModel, json_schema
 
 SCHEMA_FILE = Path(__file__).with_name("calibration.schema.json")
 Sigma = Annotated[float, Field(allow_inf_nan=False, ge=0.0)]
-EXTRINSICS = ("rotation_x", "rotation_y", "rotation_z", "t_x", "t_y", "t_z")
 
 
 class Parameter(StrictModel):
@@ -144,7 +143,7 @@ def result_of(rig: CalibratedRig) -> CalibrationResult:
             cam0=rig.alone_px[0], cam1=rig.alone_px[1], stereo=rms_px(np.concatenate(residuals))
         ),
         joint_rms_px=PerCamera(cam0=rms_px(residuals[0]), cam1=rms_px(residuals[1])),
-        epipolar_rms_px=float(np.sqrt(np.nanmean(epipolar_of(rig)[2] ** 2))),
+        epipolar_rms_px=float(np.sqrt(np.nanmean(epipolar_errors(state, rig.data)[1] ** 2))),
         used=tuple(
             views.pairs.names[camera][pair] or ""
             for pair in range(views.count)
@@ -180,7 +179,9 @@ def _parameters(rig: CalibratedRig) -> tuple[list[str], Array, Array, list[str]]
     for camera, lens in enumerate(state.lenses):
         names += [f"cam{camera}.{name}" for name in lens.names]
         units += ["px"] * 4 + [""] * len(lens.coefficients)
-    names += [f"cam1_from_cam0.{name}" for name in EXTRINSICS]
+    names += [
+        f"cam1_from_cam0.{name}" for name in ("rotation_x", "rotation_y", "rotation_z", "t_x", "t_y", "t_z")
+    ]
     units += ["rad"] * 3 + ["m"] * 3
     rotation = log_so3(state.X_10[:3, :3])
     values = np.concatenate([*(lens.values for lens in state.lenses), rotation, state.X_10[:3, 3]])
@@ -188,19 +189,6 @@ def _parameters(rig: CalibratedRig) -> tuple[list[str], Array, Array, list[str]]
     J = np.eye(len(values))
     J[-6:-3, -6:-3] = np.linalg.inv(right_jacobian_so3(rotation))
     return names, values, J @ rig.adjusted.covariance @ J.T, units
-
-
-def epipolar_of(rig: CalibratedRig) -> tuple[Array, Array, Array]:
-    """Corners that both cameras see: (n, 2) left and right [px], and (n,) epipolar errors [px]."""
-    left, right = common_corners(rig.data)
-    left_px, right_px = rig.data[0].uv_px[left], rig.data[1].uv_px[right]
-    return left_px, right_px, epipolar_px(rig.state, left_px, right_px)
-
-
-WIDE_SIGMA = 0.01
-"""Of the focal length: above it the views do not determine it."""
-COVERED = 0.55
-"""Share of the image's width, and of its height, over which corners must be seen."""
 
 
 def _warnings(rig: CalibratedRig) -> list[str]:
@@ -215,13 +203,13 @@ def _warnings(rig: CalibratedRig) -> list[str]:
         share = float((sigma[at : at + 2] / lens.values[:2]).max())
         at += len(lens.values)
         name = ("left", "right")[camera]
-        if share > WIDE_SIGMA:
+        if share > 0.01:
             out.append(
                 f"the focal length of the {name} camera is known to {100 * share:.1f} % only: add views of "
                 "boards that are tilted by 30 to 45 degrees"
             )
         spread = np.ptp(rig.data[camera].uv_px, axis=0) / np.array(rig.views.size_px(camera))
-        if (spread < COVERED).any():
+        if (spread < 0.55).any():
             out.append(
                 f"the boards cover {100 * spread[0]:.0f} % of the width and {100 * spread[1]:.0f} % of the "
                 f"height of the {name} images: the distortion beyond is extrapolated; add views near the "

@@ -15,9 +15,6 @@ from polhode.lie import Array, exp_so3, make_pose
 
 FOCAL_SHARES = tuple(0.2 * 1.3**k for k in range(15))
 """Focal lengths that are tried, over the larger side of the image: 0.2 to 8."""
-WIDEST_RAD = np.radians(78.0)
-"""Rays further from the axis are not used for the first poses, which need a plane z = 1."""
-MIN_CORNERS = 6
 
 
 def start(data: CornerData, model: Model, size_px: tuple[int, int], views: int) -> RigState:
@@ -62,7 +59,7 @@ def board_poses(lens: Lens, data: CornerData, views: int) -> tuple[Array, Array]
     for v in np.unique(data.view).tolist():
         part = data.view == v
         use = part & np.isfinite(flat).all(axis=1)
-        if use.sum() < MIN_CORNERS:
+        if use.sum() < 6:
             poses[v, 2, 3] = 1.0
             continue
         poses[v], errors[v] = _plane_pose(lens, data.p_B[use], flat[use], data.uv_px[use])
@@ -92,7 +89,8 @@ def normalized(lens: Lens, uv_px: Array) -> Array:
     """Where rays of pixels (n, 2) meet the plane z = 1, (n, 2); NaN: too far from the axis for it."""
     if lens.is_fisheye:
         rays = fisheye.rays(uv_px, lens.K, lens.coefficients)
-        far = ~(rays[:, 2] > np.cos(WIDEST_RAD))
+        # rays further from the axis do not serve the first poses, which need a plane z = 1
+        far = ~(rays[:, 2] > np.cos(np.radians(78.0)))
         return np.asarray(
             np.where(far[:, None], np.nan, rays[:, :2] / np.where(far, 1.0, rays[:, 2])[:, None])
         )

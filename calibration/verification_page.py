@@ -1,16 +1,6 @@
 """The files of ``polhode calibrate --verify``: verification.json, verification.html; lines for the screen."""
 
-import numpy as np
-
-from polhode.calibration.epipolar import common_corners, epipolar_px
-from polhode.calibration.figures import (
-    coverage_figure,
-    epipolar_figure,
-    epipolar_histogram,
-    radial_figure,
-    residual_figure,
-    views_figure,
-)
+from polhode.calibration.figures import page_sections
 from polhode.calibration.verify import Verified
 from polhode.errors import printable
 from polhode.pipeline.checkout.checkout import in_a_line
@@ -57,24 +47,7 @@ def format_verification(done: Verified) -> str:
 
 
 def _render(done: Verified, name: str) -> str:
-    views, data, residuals = done.views, done.data, done.residuals
-    left, right = common_corners(data)
-    right_px = data[1].uv_px[right]
-    error = np.asarray(epipolar_px(done.state, data[0].uv_px[left], right_px))
-    sizes = (views.size_px(0), views.size_px(1))
-    names = [printable(each or "") for each in views.pairs.names[0]]
-    sections = [
-        ("Epipolar error", [epipolar_figure(right_px, error, sizes[1]), epipolar_histogram(error)]),
-        (
-            "Residuals",
-            [
-                *(residual_figure(data[c], residuals[c], sizes[c], c) for c in (0, 1)),
-                views_figure(residuals, data, names, views.count),
-                radial_figure(done.state, data, residuals),
-            ],
-        ),
-        ("Coverage", [coverage_figure(data[c], sizes[c], c) for c in (0, 1)]),
-    ]
+    parts = page_sections(done.views, done.state, done.data, done.residuals)
     checks = done.result.checks
     return fill(
         "verification.html.j2",
@@ -84,5 +57,5 @@ def _render(done: Verified, name: str) -> str:
         words=WORDS[done.result.status],
         notes=[f"{check.status}: {in_a_line(check)}" for check in checks if check.status != "PASS"],
         rows=[check_row(check) for check in checks],
-        sections=sections,
+        sections=[(title, parts[title]) for title in ("Epipolar error", "Residuals", "Coverage")],
     )

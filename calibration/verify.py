@@ -17,7 +17,7 @@ from polhode.calibration.adjustment import Adjusted, CornerData, RigState, adjus
 from polhode.calibration.boards import Board
 from polhode.calibration.calibrate import (
     Views,
-    found_views,
+    find_views,
     leave_out_blurred,
     require_board,
     require_enough,
@@ -26,7 +26,6 @@ from polhode.calibration.calibrate import (
 from polhode.calibration.epipolar import common_corners, epipolar_px, rays
 from polhode.calibration.image_pairs import SIDES, ImagePairs
 from polhode.calibration.lenses import COEFFICIENTS, Lens
-from polhode.calibration.pair_consensus import Pair, agree
 from polhode.calibration.result import RejectedImage
 from polhode.calibration.start_values import board_poses
 from polhode.errors import InputError
@@ -48,7 +47,6 @@ MAX_FOCAL = 0.3
 """Percent."""
 SIGMAS = 5.0
 PARTS = 3
-MIN_CORNERS_IN_PART = 20
 RECALIBRATE = "Calibrate the rig again: polhode calibrate with these images, and more."
 
 
@@ -90,13 +88,13 @@ def verify(
         require_usable(rig)
     lenses = (lens_of(rig.left), lens_of(rig.right))
     X_10 = inverse_pose(rig.right.X_BC) @ rig.left.X_BC
-    views = found_views(pairs, board, progress)
+    views = find_views(pairs, board, progress)
     _require_size(views, rig)
     require_board(views)
     leave_out_blurred(views)
     require_enough(views)
     with progress.stage("judging", 1) as advance:
-        state, data = _placed(views, lenses, X_10, rig.left.source)
+        state, data = _place_boards(views, lenses, X_10, rig.left.source)
         fixed = np.zeros(state.shared, dtype=np.bool_)
         held = adjust(data, state, fixed, robust=True)
         checks = _checks(views, held, data)
@@ -151,20 +149,13 @@ def _require_order(seen_X_10: Array, stated_X_10: Array, source: str) -> None:
         )
 
 
-def _placed(
+def _place_boards(
     views: Views, lenses: tuple[Lens, Lens], X_10: Array, source: str
 ) -> tuple[RigState, tuple[CornerData, CornerData]]:
     """The boards before the rig; pairs that contradict most others are left out."""
-    both = sorted(views.found[0].keys() & views.found[1].keys())
-    sizes = (views.size_px(0), views.size_px(1))
-    consensus = agree(
-        [Pair(k, views.found[0][k], views.found[1][k]) for k in both], views.board, lenses, sizes
-    )
+    consensus = views.consensus(lenses)
     _require_order(consensus.X_10, X_10, source)
-    for pair in consensus.agreeing:
-        views.found[1][pair.index] = pair.right
-    for index, camera, kind, words in consensus.spoiled:
-        views.reject(camera, index, kind, words)
+    views.leave_out_spoiled(consensus)
     require_enough(views)
     data = (views.data(0), views.data(1))
     poses = board_poses(lenses[0], data[0], views.count)[0]
@@ -219,7 +210,7 @@ def _worst_part(
         for row in range(PARTS):
             for column in range(PARTS):
                 inside = (cell == [column, row]).all(axis=1)
-                if inside.sum() < MIN_CORNERS_IN_PART:
+                if inside.sum() < 20:
                     continue
                 mean = np.median(off[inside], axis=0)
                 if np.linalg.norm(mean) > most:

@@ -31,27 +31,12 @@ from polhode.records import Bools, Ints
 
 PAIRS = 8
 """Pairs that are looked at, spread over the recording."""
-ON_LINE_PX = 3.0
-FAR_FROM_LINE_PX = 40.0
-"""Matches beyond it are wrong ones, whatever the clocks."""
-MIN_MATCHES = 40
-MIN_PATHS = 20
-"""Features seen in three right images: their spread about one offset gives its sigma."""
-EXCHANGED = 4.0
-"""So many times as many matches must fit with the cameras exchanged. A chance match has an even chance of
-either, so of 40 wrong ones more than 32 on one side have a probability below 1e-4."""
 MAX_SIGMAS = 6.0
 MIN_FRAMES = 0.05
 """Smaller offsets [intervals between frames] are not reported; with MAX_SIGMAS none is reported where there
 is none, over eleven simulated scenes."""
-UNOBSERVABLE_FRAMES = 0.1
-"""Standard deviation above which the motion does not show the offset."""
-MIN_SPEED = 3.0
-"""The features' speeds across the lines must differ by so many times their noise: else noise alone fits."""
 SPAN_FRAMES = 1.2
 """Offsets that are tried, either way: beyond the images before and after, a parabola says nothing."""
-MIN_SCATTER = 4
-"""Pairs from which on their scatter says something."""
 TUKEY = 4.685
 """Standard deviations beyond which a residual has no weight: 95 % efficiency for normal noise."""
 
@@ -71,7 +56,7 @@ class ClockOffset:
     @property
     def is_observable(self) -> bool:
         """Whether the motion of the features shows it."""
-        return self.noise_s < UNOBSERVABLE_FRAMES * self.interval_s
+        return self.noise_s < 0.1 * self.interval_s
 
     @property
     def is_apart(self) -> bool:
@@ -98,7 +83,8 @@ def require_order(matches: Sequence[StereoMatches], rig: Rig, name: str) -> None
     """Raise InputError if the matches fit the calibration only with left and right exchanged."""
     as_given = sum(_fitting(rig, each.left_px, each.right_px) for each in matches)
     exchanged = sum(_fitting(rig, each.right_px, each.left_px) for each in matches)
-    if exchanged >= MIN_MATCHES and exchanged > EXCHANGED * as_given:
+    # a chance match has an even chance of either: of 40, more than 32 on one side have less than 1e-4
+    if exchanged >= 40 and exchanged > 4.0 * as_given:
         raise InputError(
             f"{name}: the cameras are exchanged: {exchanged} features fit the calibration with left for "
             f"right, and {as_given} as given; exchange the sources, or the cameras of the calibration"
@@ -110,7 +96,7 @@ def _fitting(rig: Rig, left_px: Array, right_px: Array) -> int:
     geometry = EpipolarGeometry.of(rig)
     left, right = directions(rig.left, left_px), directions(rig.right, right_px)
     off = np.abs((geometry.lines(left) * right).sum(axis=1))
-    return int(((off < ON_LINE_PX) & geometry.in_front(left, right)).sum())
+    return int(((off < 3.0) & geometry.in_front(left, right)).sum())
 
 
 def clock_offset(matches: Sequence[StereoMatches], rig: Rig, interval_s: float) -> ClockOffset | None:
@@ -121,7 +107,7 @@ def clock_offset(matches: Sequence[StereoMatches], rig: Rig, interval_s: float) 
         else np.empty((0, 5))
     )
     parabolas = parabolas[_plausible(parabolas)] if len(parabolas) else parabolas
-    if len(parabolas) < MIN_PATHS:
+    if len(parabolas) < 20:
         return None
     start = min(
         interval_s * np.linspace(-SPAN_FRAMES, SPAN_FRAMES, 97), key=lambda dt: _spread(_at(parabolas, -dt))
@@ -142,7 +128,8 @@ def _parabolas(matches: StereoMatches, rig: Rig, pair: int) -> Array:
     t0, t2 = matches.before_s, matches.after_s
     d0, d2 = (e0 - e1) / t0, (e2 - e1) / t2
     q = (d2 - d0) / (t2 - t0)
-    good = np.isfinite(e0 + e2) & geometry.in_front(left, now) & (np.abs(e1) < FAR_FROM_LINE_PX)
+    # what is further from its line [px] is a wrong match, whatever the clocks
+    good = np.isfinite(e0 + e2) & geometry.in_front(left, now) & (np.abs(e1) < 40.0)
     across = (lines[:, :2] * now[:, :2]).sum(axis=1)
     return np.asarray(np.column_stack([e1, d0 - q * t0, q, across, np.full(len(q), pair)])[good])
 
@@ -184,7 +171,8 @@ def _refined(parabolas: Array, dt_s: float, interval_s: float) -> ClockOffset:
     # of a speed across the line, which is a difference over two intervals
     noise = scale / (np.sqrt(2.0) * interval_s)
     speeds = 1.4826 * _spread(parabolas[:, 1])
-    if speeds < MIN_SPEED * noise:
+    # speeds across the lines that hardly differ by more than their noise: noise alone fits
+    if speeds < 3.0 * noise:
         noise_s = np.inf
     share = (noise / speeds) ** 2 + _turn(parabolas) ** 2 * interval_s**2 / 6.0 if speeds > 0.0 else np.inf
     sigma_s = float(np.hypot(noise_s, share * abs(dt_s))) if np.isfinite(noise_s) else np.inf
@@ -196,7 +184,7 @@ def _between_pairs(gradients: Array, pair: Array, inverse: Array) -> float:
     scatter; 0: too few pairs for a scatter."""
     _, number = np.unique(pair, return_inverse=True)
     pairs = int(number.max()) + 1
-    if pairs < MIN_SCATTER:
+    if pairs < 4:
         return 0.0
     sums = np.zeros((pairs, 2))
     np.add.at(sums, number, gradients)

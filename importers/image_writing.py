@@ -9,8 +9,10 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from polhode.atomic import write_bytes, write_text
@@ -21,13 +23,9 @@ from polhode.importers.calibrations.rig import Rig
 from polhode.importers.imported_dataset import ImportedDataset
 from polhode.importers.options import Crop
 from polhode.importers.pairs import ChosenPairs
-from polhode.importers.sources.recording import FramedImage, Recording, StoredImage
+from polhode.importers.sources.open_recording import Recording
+from polhode.importers.sources.recording import FramedImage, StoredImage
 from polhode.progress import Progress
-
-WRITERS = 4
-"""Threads that compress images; Pillow does so outside the interpreter's lock."""
-AHEAD = 16
-"""Images that wait for them at most."""
 
 
 @dataclass
@@ -78,7 +76,8 @@ def write_images(
     total = len(missing[0]) + len(missing[1])
     there_already = 2 * len(pairs.stamps_ns) - total
     title = f"images ({there_already} were there)" if there_already else "images"
-    with progress.stage(title, total) as advance, ThreadPoolExecutor(WRITERS) as pool:
+    # Pillow compresses outside of the interpreter's lock
+    with progress.stage(title, total) as advance, ThreadPoolExecutor(4) as pool:
         waiting: deque[Future[None]] = deque()
         try:
             for framed in recording.images((missing[0], missing[1])):
@@ -124,7 +123,7 @@ def _take(
         written.unreadable.append(f"{framed.name}: {error}")
         return
     written.names[camera][stamp] = name
-    while len(waiting) > AHEAD:
+    while len(waiting) > 16:
         waiting.popleft().result()
 
 
@@ -140,7 +139,7 @@ def _require_size(framed: FramedImage, size: tuple[int, int], rig: Rig, written:
         )
 
 
-def _part(pixels: Raw, crop: Crop | None) -> Raw:
+def _part(pixels: NDArray[Any], crop: Crop | None) -> NDArray[Any]:
     if crop is None:
         return pixels
     crop.require_inside((pixels.shape[1], pixels.shape[0]))
@@ -185,9 +184,4 @@ def copy_masks(
                 mask = read_mask(source, *size)
             except UnreadableImage as error:
                 raise InputError(f"{source}: {error}; repair it, or remove the folder of masks") from None
-            part = (
-                mask
-                if crop is None
-                else mask[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
-            )
-            write_png(mav0 / f"masks{camera}" / f"{stamp}.png", part)
+            write_png(mav0 / f"masks{camera}" / f"{stamp}.png", _part(mask, crop))

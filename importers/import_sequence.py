@@ -25,14 +25,13 @@ from polhode.importers.image_writing import WrittenImages, copy_masks, write_ima
 from polhode.importers.imported_dataset import ImportedDataset, require_free, staged_import
 from polhode.importers.options import Crop, ImportOptions
 from polhode.importers.pairs import MIN_PAIRS, ChosenPairs, choose_pairs
-from polhode.importers.sources.open_recording import opened_recording
-from polhode.importers.sources.recording import Contents, Poses, Recording
+from polhode.importers.sources.open_recording import Recording, opened_recording
+from polhode.importers.sources.recording import Contents
 from polhode.pairing import time_in_words
 from polhode.progress import Progress
 from polhode.range_images import why_no_ranges
 
 _log = logging.getLogger(__name__)
-_TABLE_BYTES = 512 * MIB
 USUAL_BASELINE_M = 5.0
 """Above it the unit is asked for: a rig of 5 mm and more whose T is in millimetres."""
 
@@ -92,13 +91,13 @@ def import_sequence(
 def _rig(recording: Recording, options: ImportOptions) -> Rig:
     """The calibration that the user gives, else the recording's own; on the body whose poses there are."""
     contents = recording.contents
-    rig = contents.rig
-    if options.calibration and contents.ranges is None:
+    rig, is_stereo = contents.rig, contents.ranges is None
+    if options.calibration and is_stereo:
         rig = read_rig(options.calibration, options.unit_m)
-    if contents.ranges is not None and options.calibration:
+    elif options.calibration:
         rig = with_virtual_camera(read_camera(options.calibration))
     if rig is None:
-        kinds = KINDS if contents.ranges is None else CAMERA_KINDS
+        kinds = KINDS if is_stereo else CAMERA_KINDS
         raise InputError(f"{recording.name}: no calibration in it; give --calibration: {kinds}")
     if contents.poses is not None and contents.poses.X_BC0 is not None:
         rig = rig.on_body(contents.poses.X_BC0)
@@ -176,9 +175,10 @@ def _write_others(
     write_listings(dataset, written)
     for name, source in contents.tables.items():
         (mav0 / name).parent.mkdir(parents=True, exist_ok=True)
-        (mav0 / name).write_bytes(read_bytes(source, _TABLE_BYTES, "a table"))
+        (mav0 / name).write_bytes(read_bytes(source, 512 * MIB, "a table"))
     if contents.poses is not None:
-        _write_poses(contents.poses, mav0)
+        poses = contents.poses
+        write_inspector(mav0, poses.timestamps_ns, poses.X_NB, poses.sigma_p_m, poses.sigma_theta_rad)
     stamps = np.array(written.stamps, dtype=np.int64)
     if (mav0 / "inspector0" / "data.csv").is_file():
         read_inspector(mav0 / "inspector0", stamps)
@@ -188,10 +188,6 @@ def _write_others(
             for times, indices in zip(contents.stamps_ns, (pairs.left, pairs.right), strict=True)
         ]
         copy_masks(contents.masks, (own[0], own[1]), rigs[0], crop, mav0)
-
-
-def _write_poses(poses: Poses, mav0: Path) -> None:
-    write_inspector(mav0, poses.timestamps_ns, poses.X_NB, poses.sigma_p_m, poses.sigma_theta_rad)
 
 
 def _check_images(

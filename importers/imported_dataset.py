@@ -25,7 +25,6 @@ from polhode.range_images import RANGE_FOLDER
 RECORD = "import.json"
 SCHEMA = "polhode-import/1"
 FINGERPRINT = ".imported_from"
-MAX_RECORD_BYTES = 2**29
 
 _DATASET = re.compile(
     r"mav0/((?:cam[01]|range0)/(sensor\.yaml|data\.csv|data/-?\d+\.\w{2,5})|masks[01]/-?\d+\.png"
@@ -78,18 +77,13 @@ def is_own_file(name: str) -> bool:
     return name in (RECORD, FINGERPRINT) or _DATASET.fullmatch(name) is not None
 
 
-def is_whole(folder: Path) -> bool:
-    """Whether a folder is a dataset that ``import`` made, with nothing else in it."""
-    return why_not_ours(folder) == ""
-
-
 def why_not_ours(folder: Path) -> str:
     """What speaks against a folder being a dataset of ``import`` and nothing else; empty: nothing does."""
     record = folder / RECORD
     if not (record.is_file() and is_regular(record)):
         return f"it has no {RECORD}"
     try:
-        content = read_json(record, "a record of an import", MAX_RECORD_BYTES)
+        content = read_json(record, "a record of an import", 2**29)
         listed = {str(name): int(size) for name, size in content["files"].items()}
         if content["schema"] != SCHEMA:
             return f"its {RECORD} is of another version"
@@ -137,7 +131,7 @@ def staged_import(
     folder exists, cannot be written, or another process is writing it; RunFailure: a file cannot be written.
     """
     place = folder_place(folder)
-    with staged_folder(place, folder, is_own_file, is_whole) as staged:
+    with staged_folder(place, folder, is_own_file, lambda whole: why_not_ours(whole) == "") as staged:
         require_free(folder, overwrite)
         _resume_or_clear(staged, fingerprint)
         dataset = ImportedDataset(staged.path, has_ranges)

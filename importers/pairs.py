@@ -6,7 +6,7 @@ import numpy as np
 
 from polhode.errors import InputError
 from polhode.importers.options import ImportOptions
-from polhode.importers.sources.recording import Contents, Wanted
+from polhode.importers.sources.recording import Contents
 from polhode.pairing import (
     Pairing,
     differences_in_words,
@@ -17,8 +17,6 @@ from polhode.pairing import (
 from polhode.records import Ints
 
 MIN_PAIRS = 3
-MIN_SHARE = 0.4
-"""Of the images of the camera that has fewer: what a dataset may have lost."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +38,6 @@ class ChosenPairs:
     warnings: tuple[str, ...]
 
     @property
-    def wanted(self) -> Wanted:
-        """Indices of both cameras."""
-        return frozenset(self.left.tolist()), frozenset(self.right.tolist())
-
-    @property
     def rate_hz(self) -> float:
         """Pairs a second, as they are imported."""
         step_ns = float(np.median(np.diff(self.stamps_ns))) if len(self.stamps_ns) > 1 else 0.0
@@ -62,7 +55,8 @@ def choose_pairs(name: str, contents: Contents, options: ImportOptions) -> Chose
     tolerance_ns = None if options.tolerance_s is None else round(1e9 * options.tolerance_s)
     _require_overlap(name, left_ns, right_ns - (given_ns or 0), has_ranges)
     pairing = pair_by_time(left_ns, right_ns, tolerance_ns, given_ns)
-    if len(pairing.left) < max(MIN_PAIRS, MIN_SHARE * min(len(left_ns), len(right_ns))):
+    # of the camera that has fewer images, what a dataset may have lost
+    if len(pairing.left) < max(MIN_PAIRS, 0.4 * min(len(left_ns), len(right_ns))):
         raise _too_few(name, pairing, has_ranges)
     stamps_ns = left_ns[pairing.left]
     since_s = 1e-9 * (stamps_ns - stamps_ns[0])

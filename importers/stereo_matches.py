@@ -15,7 +15,6 @@ from polhode.importers.calibrations.rig import EQUIDISTANT, Camera, Rig
 from polhode.lie import Array, hat, inverse_pose
 from polhode.records import Ints
 
-FEATURES = 1500
 RATIO = 0.8
 """Lowe's ratio of the nearest to the second nearest descriptor."""
 
@@ -49,7 +48,7 @@ def match_pair(
 
 
 def _described(image: Grey) -> tuple[Array, Array]:
-    found, words = cv2.SIFT.create(nfeatures=FEATURES).detectAndCompute(image, None)
+    found, words = cv2.SIFT.create(nfeatures=1500).detectAndCompute(image, None)
     if words is None or len(found) < 2:
         return np.empty((0, 2)), np.empty((0, 128))
     return np.array([point.pt for point in found], dtype=np.float64), np.asarray(words, dtype=np.float64)

@@ -26,13 +26,10 @@ from polhode.processes import worker_count
 from polhode.program_digest import code_digest
 
 CONNECT_S = 10.0
-WORKERS_S = 30.0
-"""How long workers may take to join a scheduler"""
-DEATHS = 3
-"""Workers that may be killed while they compute a point; with one more, the point has failed"""
 CHECKED = ("polhode", "python", "numpy", "distributed")
 SETTINGS: dict[str, Any] = {
-    "distributed.scheduler.allowed-failures": DEATHS,
+    # with one more killed worker, the point has failed
+    "distributed.scheduler.allowed-failures": 3,
     # Results are small: nothing is worth a disk, and a worker that pauses for its memory would never go on.
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
@@ -169,7 +166,7 @@ def _existing(address: str, folder: Path, inputs: Sequence[Path]) -> Iterator[Cl
 def _checked_workers(client: Client, address: str, folder: Path, inputs: Sequence[Path]) -> int:
     """How many workers there are. Raises InputError unless all of them can compute the study."""
     try:
-        client.wait_for_workers(1, timeout=WORKERS_S)
+        client.wait_for_workers(1, timeout=30.0)
     except TimeoutError:
         raise InputError(
             f"--cluster {address}: the scheduler has no workers; start some: dask worker {address} "

@@ -6,8 +6,6 @@ from typing import Any
 
 from pydantic import BaseModel
 
-LONGEST_VECTOR = 3
-"""Longer lists, and matrices, are not columns of a table."""
 NOT_OF_A_RUN = frozenset(
     {"schema_", "files", "data", "timing_s", "verdict", "status", "warnings", "words", "own_sha256"}
 )
@@ -29,10 +27,7 @@ def as_json(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, BaseModel):
-        value = value.model_dump()
-    if hasattr(value, "tolist"):
-        value = value.tolist()
+    value = _unwrapped(value)
     if isinstance(value, Mapping):
         return as_json(value)
     if isinstance(value, list | tuple):
@@ -44,18 +39,20 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"a measured value is no number, text or list of them: {type(value).__name__}")
 
 
-def _leaves(name: str, value: Any) -> Iterator[tuple[str, bool | int | float | str | None]]:
+def _unwrapped(value: Any) -> Any:
+    """Models as dictionaries, arrays as lists."""
     if isinstance(value, BaseModel):
-        value = value.model_dump()
-    if hasattr(value, "tolist"):
-        value = value.tolist()
+        return value.model_dump()
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, bool | int | float | str | None]]:
+    value = _unwrapped(value)
     if isinstance(value, Mapping):
         for key, each in value.items():
             yield from _leaves(f"{name}.{key}", each)
     elif isinstance(value, list | tuple):
-        if len(value) <= LONGEST_VECTOR and not any(
-            isinstance(each, list | tuple | Mapping) for each in value
-        ):
+        if len(value) <= 3 and not any(isinstance(each, list | tuple | Mapping) for each in value):
             for position, each in enumerate(value):
                 if not isinstance(each, str):
                     yield from _leaves(f"{name}.{position}", each)

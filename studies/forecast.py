@@ -11,17 +11,9 @@ from polhode.studies.study import OpenStudy, setting_of
 
 COLUMNS = {"simulate": 0, "run": 80, "evaluate": 55, "plan": 15, "compare": 60, "measure": 5}
 """Of the table, by step; of a study without steps"""
-OWN_COLUMNS = 14
-CELL_BYTES = 3.0
-"""Of a column of the table, compressed"""
 RECORD_BYTES = {"simulate": 0, "run": 3000, "evaluate": 2000, "plan": 700, "compare": 3000, "measure": 500}
-OWN_RECORD_BYTES = 1200
 BLOCK_BYTES = 4096
 """Of the file system, which a small file takes up wholly"""
-PIXEL_BYTES = 0.5
-"""Of an image of a target before a dark sky, compressed"""
-SEQUENCE_BYTES = 200_000
-"""Of a sequence beside its images: the truth with its mesh"""
 KEPT_BYTES = {"whole": 25_000_000, "summary": 41_000, "nothing": 0}
 """Of what is kept of a run"""
 
@@ -52,10 +44,11 @@ class Forecast:
 def forecast(study: OpenStudy, folder: Path) -> Forecast:
     """What a study will take. Sizes are those of what ``folder`` holds already, where it holds something."""
     settings, steps = study.settings, study.settings.steps
-    columns = OWN_COLUMNS + len(study.columns) + sum(COLUMNS[step] for step in steps)
-    record = OWN_RECORD_BYTES + sum(RECORD_BYTES[step] for step in steps)
+    columns = 14 + len(study.columns) + sum(COLUMNS[step] for step in steps)
+    record = 1200 + sum(RECORD_BYTES[step] for step in steps)
     records = study.count * BLOCK_BYTES * math.ceil(record / BLOCK_BYTES)
-    table = int(study.count * columns * CELL_BYTES)
+    # compressed, a cell takes 3 bytes
+    table = int(study.count * columns * 3.0)
     pairs, sequence_bytes = _sequence(study) if study.sequences else (0.0, 0)
     kept = KEPT_BYTES[settings.keep] if "run" in steps or "compare" in steps else 0
     found = {part: _mean_bytes(folder / part) for part in (SEQUENCES, RUNS)}
@@ -95,7 +88,8 @@ def format_forecast(found: Forecast) -> str:
 def _sequence(study: OpenStudy) -> tuple[float, int]:
     """Pairs and bytes of the mean sequence."""
     pixels = _mean_product(study, _FRAMES, "scene.rig.width_px", "scene.rig.height_px")
-    return _mean_product(study, _FRAMES), int(2 * pixels * PIXEL_BYTES) + SEQUENCE_BYTES
+    # half a byte a pixel before a dark sky, compressed; and the truth with its mesh
+    return _mean_product(study, _FRAMES), int(2 * pixels * 0.5) + 200_000
 
 
 def _mean_product(study: OpenStudy, *settings: str) -> float:

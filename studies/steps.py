@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 
 from polhode.atomic import REFUSALS
 from polhode.config import Config
-from polhode.config.loader import plain_settings
 from polhode.config.study_settings import Keep, PlanOptions, Step
 from polhode.errors import InputError, RunFailure, one_line
 from polhode.program_digest import code_digest, processor
@@ -36,8 +35,6 @@ if TYPE_CHECKING:
     from polhode.pipeline.after_run.plan import Plan
 
 DONE, FAILED = "done", "failed"
-BUSY_S = 2.0
-"""Pause while another process renders the same sequence"""
 SUMMARY_FILES = ("summary.json", "metrics.json", "config.yaml", "planning.json", "compare.csv")
 """What ``keep: summary`` keeps"""
 
@@ -146,7 +143,8 @@ def _simulate(config: Config, folder: Path) -> None:
         # a worker that lost its scheduler may be rendering the same
         if "another polhode is at work" not in str(error):
             raise
-        time.sleep(BUSY_S)
+        # while another process renders the same sequence
+        time.sleep(2.0)
 
 
 def compute_point(job: PointJob, sequence: SequenceOutcome | None = None) -> Record:
@@ -164,9 +162,9 @@ def compute_point(job: PointJob, sequence: SequenceOutcome | None = None) -> Rec
             work.times["simulate_s"] = sequence.seconds
         reason = _all_steps(work)
         _keep(work, store, reason)
-    record = _record(job.address, job.values, DONE if not reason else FAILED, reason, job.sequence)
-    record |= {"verdict": work.verdict, "doubts": work.doubts}
-    record |= {"metrics": work.metrics, "times": _with_end(work.times)}
+    record = failed_record(job.address, job.values, reason, job.sequence)
+    record |= {"status": FAILED if reason else DONE, "verdict": work.verdict, "doubts": work.doubts}
+    record |= {"metrics": work.metrics, "times": work.times | record["times"]}
     if work.measured is not None:
         record["measured"] = work.measured
     store.write(record)
@@ -175,20 +173,16 @@ def compute_point(job: PointJob, sequence: SequenceOutcome | None = None) -> Rec
 
 def failed_record(address: str, values: dict[str, Any], reason: str, sequence: str = "") -> Record:
     """Of a point that no step was done for."""
-    return _record(address, values, FAILED, reason, sequence)
-
-
-def _record(address: str, values: dict[str, Any], status: str, reason: str, sequence: str) -> Record:
     return {
         "schema": RECORD,
         "address": address,
         "settings": values,
-        "status": status,
+        "status": FAILED,
         "reason": reason or None,
         "verdict": None,
         "doubts": None,
         "metrics": {},
-        "times": _with_end({}),
+        "times": {"finished": datetime.now(UTC).isoformat(timespec="milliseconds")},
         "versions": versions(),
         "code": code_digest(),
         "sequence": sequence or None,
@@ -377,12 +371,3 @@ def _keep(work: _Work, store: Store, reason: str) -> None:
 
 def _write_json(path: Path, values: Any) -> None:
     path.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
-
-
-def _with_end(times: dict[str, float]) -> dict[str, Any]:
-    return {**times, "finished": datetime.now(UTC).isoformat(timespec="milliseconds")}
-
-
-def job_settings(config: Config) -> dict[str, Any]:
-    """A configuration as a job carries it."""
-    return plain_settings(config)

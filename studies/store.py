@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -31,11 +31,11 @@ PACKED = "records.parquet"
 PACKED_AT_ONCE = 500
 """Records of a row group of that file: so many are in memory"""
 _SCHEMA = pa.schema([("address", pa.string()), ("record", pa.string())])
-MAX_RECORD_BYTES = 4 * MIB
 _SHORT = 24
 """Hexadecimal digits of the names of folders"""
 
 Record = dict[str, Any]
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Store:
         Raises InputError: the file of the packed records is damaged.
         """
         with suppress(InputError, OSError, ValueError, KeyError, TypeError, RecursionError):
-            text = read_text(self.record_file(address), MAX_RECORD_BYTES, "a record of a study")
+            text = read_text(self.record_file(address), 4 * MIB, "a record of a study")
             if (record := _record(text, address)) is not None:
                 return record
         return _record(self._packed.get(address), address)
@@ -91,7 +91,7 @@ class Store:
             replaced(self.folder / PACKED) as partial,
             pq.ParquetWriter(partial, _SCHEMA, compression="zstd") as writer,
         ):
-            for texts in _batches(self._texts(first, without)):
+            for texts in batches(self._texts(first, without), PACKED_AT_ONCE):
                 columns = [pa.array(each, pa.string()) for each in zip(*texts, strict=True)]
                 writer.write_table(
                     pa.Table.from_arrays(columns, schema=_SCHEMA), row_group_size=PACKED_AT_ONCE
@@ -227,8 +227,10 @@ def _text(record: Record) -> str:
     return json.dumps({"record": record, "digest": _digest(record)}, allow_nan=False)
 
 
-def _batches(texts: Iterator[tuple[str, str]]) -> Iterator[list[tuple[str, str]]]:
-    while batch := list(islice(texts, PACKED_AT_ONCE)):
+def batches(items: Iterable[Item], size: int) -> Iterator[list[Item]]:
+    """The items in lists of at most so many."""
+    rest = iter(items)
+    while batch := list(islice(rest, size)):
         yield batch
 
 

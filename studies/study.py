@@ -7,7 +7,6 @@ made when it is needed, and a million of them take no memory.
 import hashlib
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -35,12 +34,8 @@ RECORD = "polhode-study-point/1"
 """Of the records, and part of every address: another one computes all points again"""
 DATA, PLAN = "data", "plan"
 """Settings of a study beside those of the configuration"""
-RESERVED = frozenset({"point", "status", "reason", "verdict", "doubts"})
-"""Columns of the table that no axis may have the name of"""
 MESH = "scene.body.path"
 """The setting that names the mesh of a body"""
-_SCENE = ("scene", "seed")
-"""Sections that a simulated sequence depends on"""
 
 
 @dataclass(frozen=True)
@@ -218,7 +213,7 @@ def open_study(path: Path, check: bool = True, measurement: Measurement | None =
     content = read_yaml(path, f"{path} is missing: give an existing study")
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected keys such as 'base:' and 'axes:' at the top")
-    settings = validated(Study, _with_axes(content, path), str(path))
+    settings = validated(Study, content, str(path))
     _require_few(settings, path)
     settings = _with_paths(settings, path)
     base = plain_settings(_base(settings.base, path))
@@ -238,23 +233,6 @@ def open_study(path: Path, check: bool = True, measurement: Measurement | None =
         _check_measurement(study)
         study.check()
     return study
-
-
-def _with_axes(content: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    """A list in the place of an axis, or of a distribution, is its values."""
-    found = dict(content)
-    if isinstance(axes := found.get("axes"), dict):
-        found["axes"] = {name: _listed(axis) for name, axis in axes.items()}
-    design = found.get("design")
-    if isinstance(design, dict) and isinstance(design.get("settings"), dict):
-        found["design"] = design | {
-            "settings": {name: _listed(each) for name, each in design["settings"].items()}
-        }
-    return found
-
-
-def _listed(axis: Any) -> Any:
-    return {"values": axis} if isinstance(axis, list) else axis
 
 
 def _require_few(settings: Study, path: Path) -> None:
@@ -314,7 +292,8 @@ def _check_names(study: OpenStudy) -> None:
     """Raise InputError for a setting that no study has, or that two axes set."""
     seen: dict[str, Factor] = {}
     for name, axis in study.settings.axes.items():
-        if axis.variants is not None and (name in RESERVED or "." in name):
+        own_columns = ("point", "status", "reason", "verdict", "doubts")
+        if axis.variants is not None and (name in own_columns or "." in name):
             raise InputError(
                 f"{study.source}: axes.{name}: the table has a column of that name, or may have one; choose "
                 "another name for these variants, without dots"
@@ -385,7 +364,7 @@ def _check_measurement(study: OpenStudy) -> None:
 
 
 def _changes_scene(factor: Factor) -> bool:
-    return any(_section(setting) in _SCENE for setting in factor.settings)
+    return any(_section(setting) in ("scene", "seed") for setting in factor.settings)
 
 
 def _of_configuration(changes: Changes) -> Changes:

@@ -15,6 +15,7 @@ from time import monotonic, sleep
 from typing import Any
 
 from polhode.atomic import write_text
+from polhode.config.loader import plain_settings
 from polhode.errors import InputError, RunFailure, one_line
 from polhode.output.locks import occupied
 from polhode.output.marked_folder import claim, marked_place, withdrawn_if_refused
@@ -33,7 +34,6 @@ from polhode.studies.steps import (
     SequenceOutcome,
     compute_point,
     failed_record,
-    job_settings,
     simulate_sequence,
     versions,
 )
@@ -43,8 +43,6 @@ from polhode.studies.table import COMMAND, FILES, PAGE, STUDY, TABLE, write_tabl
 
 READY_PER_WORKER = 3
 """Tasks per worker that could begin at once: one that is computed, two that wait for it"""
-WAITING_PER_WORKER = 64
-"""Points per worker that wait for their sequence at most"""
 
 APPEARS_S, LOOK_S = 90.0, 0.5
 """How long a record that another machine has written may take to be seen here; between two looks"""
@@ -79,7 +77,7 @@ def sweep(
     """
     place = folder_place(folder)
     with occupied(place, folder), withdrawn_if_refused(place, COMMAND, FILES, PARTS):
-        store = Store(_claimed(folder))
+        store = Store(_claim_folder(folder))
         store.clear_work()
         # every record names them: an installation that cannot is found before anything is computed
         versions()
@@ -97,10 +95,10 @@ def sweep(
                     for _ in _Window(study, store, opened, missing).outcomes():
                         advance()
         write_text(store.folder / STUDY, study.text())
-        return _gathered(study, store, len(missing), progress)
+        return _gather_results(study, store, len(missing), progress)
 
 
-def _claimed(folder: Path) -> Path:
+def _claim_folder(folder: Path) -> Path:
     """Make the folder and mark it as ours. Raises InputError."""
     place = marked_place(folder, COMMAND, FILES.__contains__)
     link = next((place / part for part in PARTS if (place / part).is_symlink()), None)
@@ -134,7 +132,7 @@ def _is_missing(store: Store, point: Point, again_failed: bool) -> bool:
     return record is None or (again_failed and record["status"] == FAILED)
 
 
-def _gathered(study: OpenStudy, store: Store, computed: int, progress: Progress) -> Swept:
+def _gather_results(study: OpenStudy, store: Store, computed: int, progress: Progress) -> Swept:
     found = Swept(store.folder / TABLE, study.count, study.count - computed)
     with progress.stage("table", 1) as advance:
         rows = write_table(study, store, found.table)
@@ -184,7 +182,7 @@ class _Window:
         token = secrets.token_hex(4)
         self._point_key, self._sequence_key = f"point-{token}-", f"{_SEQUENCE}{token}-"
         self._ready_limit = READY_PER_WORKER * cluster.workers
-        self._waiting_limit = WAITING_PER_WORKER * cluster.workers
+        self._waiting_limit = 64 * cluster.workers
         self._completed = as_completed([], loop=cluster.client.loop)
         self._points: dict[str, tuple[Point, str]] = {}
         """Key of a task -> its point and the digest of its sequence"""
@@ -245,7 +243,7 @@ class _Window:
 
     def _submit(self, point: Point) -> None:
         config = self._study.config(point)
-        digest, settings, plan = "", job_settings(config), self._study.plan_options(point)
+        digest, settings, plan = "", plain_settings(config), self._study.plan_options(point)
         if "simulate" in self._study.settings.steps:
             digest = self._sequence_of(config)
         render = self._render_of(digest, settings) if digest else None
@@ -304,7 +302,7 @@ class _Window:
             with suppress(CommClosedError, CancelledError, TimeoutError):
                 reason = future.result().reason
         elif future.status == "error" and isinstance(error := future.exception(), KilledWorker):
-            reason = _killed(error)
+            reason = _reason_of_kills(error)
         if reason:
             self._unsimulated[digest] = reason
 
@@ -324,7 +322,7 @@ class _Window:
             return self._appeared(point.address)
         error = future.exception() if future.status == "error" else None
         if isinstance(error, KilledWorker):
-            self._store.write(failed_record(point.address, point.values, _killed(error), digest))
+            self._store.write(failed_record(point.address, point.values, _reason_of_kills(error), digest))
             return FAILED
         if isinstance(error, OtherCode):
             raise RunFailure(f"{error}; was it changed meanwhile? {_KEPT.capitalize()}") from None
@@ -355,7 +353,7 @@ class _Window:
                 self._store.remove_sequence(digest)
 
 
-def _killed(error: Any) -> str:
+def _reason_of_kills(error: Any) -> str:
     """The reason of a point whose workers were killed."""
     what = "simulating its sequence" if str(error.task).startswith(_SEQUENCE) else "computing it"
     return f"{error.allowed_failures + 1} workers ended while {what}, perhaps for lack of memory"

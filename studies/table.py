@@ -8,7 +8,6 @@ of a million points takes the memory of a thousand.
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +19,7 @@ from polhode.atomic import replaced
 from polhode.errors import InputError
 from polhode.output.marked_folder import read_mark
 from polhode.records import Ints
-from polhode.studies.store import PACKED, Record, Store
+from polhode.studies.store import PACKED, Record, Store, batches
 from polhode.studies.study import OpenStudy, open_study
 
 if TYPE_CHECKING:
@@ -65,7 +64,7 @@ def write_table(study: OpenStudy, store: Store, path: Path) -> int:
     """Write the table of what is stored. Returns the number of rows. Raises RunFailure."""
     schema, count = schema_of(stored_rows(study, store)), 0
     with replaced(path) as partial, pq.ParquetWriter(partial, schema, compression="zstd") as writer:
-        for rows in _batches(stored_rows(study, store)):
+        for rows in batches(stored_rows(study, store), ROWS_AT_ONCE):
             writer.write_table(_table(rows, schema))
             count += len(rows)
     return count
@@ -134,15 +133,12 @@ def schema_of(rows: Iterable[Row]) -> pa.Schema:
 
 TEXTS = frozenset({"status", "reason", "verdict", "doubts", "digest.sequence"})
 """Columns of texts, even where all rows have none"""
-
-
 RESULTS = ("run.", "evaluate.", "plan.", "compare.", "measure.")
 """Beginnings of columns, one for each step"""
-_MADE_BY = (TIME, "version.", "digest.")
 
 
 def _rank(name: str) -> int:
-    for rank, prefix in enumerate((*RESULTS, *_MADE_BY), start=1):
+    for rank, prefix in enumerate((*RESULTS, *(TIME, "version.", "digest.")), start=1):
         if name.startswith(prefix):
             return rank
     return 0
@@ -172,8 +168,3 @@ def _cell(value: Any, kind: pa.DataType) -> Any:
     if value is None or not pa.types.is_string(kind) or isinstance(value, str):
         return value
     return json.dumps(value)
-
-
-def _batches(rows: Iterator[Row]) -> Iterator[list[Row]]:
-    while batch := list(islice(rows, ROWS_AT_ONCE)):
-        yield batch

@@ -36,7 +36,6 @@ _ROTATION, _TRANSLATION = (
     ("R", "rotation", "rotation_matrix"),
     ("T", "translation", "translation_vector", "t"),
 )
-_COUNTS = (4, 5, 8, 12, 14)
 
 
 def is_opencv(text: str) -> bool:
@@ -122,7 +121,7 @@ def _camera(shown: Path, values: dict[str, Any], side: Sequence[str], X_BC: Arra
     if abs(K[0, 1]) > 1e-6 * abs(K[0, 0]) or abs(K[2] - [0.0, 0.0, 1.0]).max() > 1e-9:
         raise InputError(f"{shown} key '{key}': no camera matrix (fu 0 cu, 0 fv cv, 0 0 1); correct it")
     key = _key(shown, values, _DISTORTION, side, "the distortion")
-    coefficients = numbers_at(shown, values, key, _COUNTS)
+    coefficients = numbers_at(shown, values, key, (4, 5, 8, 12, 14))
     named = str(values.get("distortion_model", values.get("model", "")) or "")
     if not named:
         named = EQUIDISTANT if values.get("fisheye") in (True, 1) else RADIAL_TANGENTIAL

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from polhode.errors import InputError
 from polhode.foreign_files import CONFIGURATION_BYTES, MissingFile, read_text
@@ -16,8 +17,6 @@ KINDS = (
     "a YAML or JSON file of OpenCV, a camchain of Kalibr, two camera_info of ROS (left, right), or a "
     "folder with cam0/sensor.yaml and cam1/sensor.yaml"
 )
-
-
 CAMERA_KINDS = (
     "a YAML or JSON file of OpenCV, a camchain of Kalibr, a camera_info of ROS, or a folder with "
     "cam0/sensor.yaml"
@@ -34,15 +33,10 @@ def read_camera(paths: Sequence[Path]) -> Camera:
     path = paths[0]
     if path.is_dir():
         return read_euroc_camera(path)
-    try:
-        text = read_text(path, CONFIGURATION_BYTES, "a calibration")
-    except MissingFile:
-        raise InputError(f"{path} is missing: give {CAMERA_KINDS}") from None
+    text = _text(path, CAMERA_KINDS)
     if is_opencv(text):
         return read_opencv_camera(path)
-    content = parse_yaml(text, str(path))
-    if not isinstance(content, dict):
-        raise InputError(f"{path} is no calibration: give {CAMERA_KINDS}")
+    content = _content(path, text, CAMERA_KINDS)
     if is_kalibr(content):
         return read_kalibr_camera(path, content)
     if is_camera_info(content) and "projection_matrix" in content:
@@ -60,18 +54,10 @@ def read_rig(paths: Sequence[Path], unit_m: float = 1.0) -> Rig:
         return read_euroc(paths[0])
     if not 1 <= len(paths) <= 2:
         raise InputError(f"--calibration: {len(paths)} were given; give {KINDS}")
-    texts = []
-    for path in paths:
-        try:
-            texts.append(read_text(path, CONFIGURATION_BYTES, "a calibration"))
-        except MissingFile:
-            raise InputError(f"{path} is missing: give {KINDS}") from None
+    texts = [_text(path, KINDS) for path in paths]
     if any(is_opencv(text) for text in texts):
         return read_opencv(paths, unit_m)
-    contents = [parse_yaml(text, str(path)) for text, path in zip(texts, paths, strict=True)]
-    for path, content in zip(paths, contents, strict=True):
-        if not isinstance(content, dict):
-            raise InputError(f"{path} is no calibration: give {KINDS}")
+    contents = [_content(path, text, KINDS) for path, text in zip(paths, texts, strict=True)]
     if len(paths) == 1 and is_kalibr(contents[0]):
         return read_kalibr(paths[0], contents[0])
     if all(is_camera_info(content) for content in contents):
@@ -81,3 +67,17 @@ def read_rig(paths: Sequence[Path], unit_m: float = 1.0) -> Rig:
             [read_camera_info(path, content) for path, content in zip(paths, contents, strict=True)]
         )
     return read_opencv(paths, unit_m)
+
+
+def _text(path: Path, kinds: str) -> str:
+    try:
+        return read_text(path, CONFIGURATION_BYTES, "a calibration")
+    except MissingFile:
+        raise InputError(f"{path} is missing: give {kinds}") from None
+
+
+def _content(path: Path, text: str, kinds: str) -> dict[str, Any]:
+    content = parse_yaml(text, str(path))
+    if not isinstance(content, dict):
+        raise InputError(f"{path} is no calibration: give {kinds}")
+    return content

@@ -7,17 +7,19 @@ from pathlib import Path
 from polhode.errors import InputError
 from polhode.importers.options import ImportOptions
 from polhode.importers.sources.euroc import is_euroc, open_euroc
-from polhode.importers.sources.image_folders import open_folders
-from polhode.importers.sources.recording import Recording
-from polhode.importers.sources.ros_bag import is_bag, opened_bag
+from polhode.importers.sources.image_folders import ImageFiles, open_folders
+from polhode.importers.sources.ros_bag import RosBag, is_bag, opened_bag
 from polhode.importers.sources.tum_rgbd import is_tum_rgbd, open_tum_rgbd
-from polhode.importers.sources.video import is_video, open_videos
+from polhode.importers.sources.video import Videos, is_video, open_videos
 from polhode.progress import Progress
 
 KINDS = (
     "two folders of images (left, right, or images and depth), a folder of EuRoC, a bag of ROS (.bag, .db3, "
     ".mcap, or its folder), a side-by-side video, two videos, or a folder of TUM RGB-D"
 )
+
+Recording = ImageFiles | RosBag | Videos
+"""Timestamps and calibration first (``contents``), then the images that are wanted, each once (``images``)"""
 
 
 @contextmanager

@@ -1,9 +1,8 @@
-"""What every kind of recording offers: timestamps first, then the images that are wanted, each once."""
+"""What every kind of recording holds: timestamps and calibration, and images."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 from polhode.images import Raw
 from polhode.importers.calibrations.rig import Rig
@@ -78,24 +77,3 @@ class Contents:
     notes: tuple[str, ...] = ()
     """What was chosen among several things, for the user"""
     warnings: tuple[str, ...] = ()
-
-
-class Recording(Protocol):
-    """An opened recording."""
-
-    @property
-    def name(self) -> str:
-        """For messages."""
-        ...
-
-    @property
-    def contents(self) -> Contents:
-        """Timestamps, calibration, poses."""
-        ...
-
-    def images(self, wanted: Wanted) -> Iterator[FramedImage]:
-        """The wanted images, in the order of the recording, each decoded once.
-
-        Raises InputError for one that cannot be read.
-        """
-        ...

@@ -35,7 +35,6 @@ from polhode.optional_parts import require_part
 from polhode.progress import Progress
 from polhode.records import Ints
 
-SUFFIXES = (".bag", ".db3", ".mcap")
 SAME_PLACE_M, SAME_TURN = 1e-9, 1e-9
 """Differences between tf and camera_info that are rounding."""
 _LEFT, _RIGHT = (
@@ -50,7 +49,7 @@ def is_bag(path: Path) -> bool:
         return any(
             each.suffix in (".db3", ".mcap") or each.name == "metadata.yaml" for each in path.iterdir()
         )
-    return path.suffix in SUFFIXES
+    return path.suffix in (".bag", ".db3", ".mcap")
 
 
 @contextmanager
@@ -152,11 +151,6 @@ def _reader(path: Path) -> Any:
     return Reader2(path)
 
 
-def _store(path: Path) -> _Store:
-    is_ros1 = path.suffix == ".bag"
-    return _Store(is_ros1, message_types(is_ros1))
-
-
 def message_types(is_ros1: bool) -> Any:
     """ROS's own definitions of the types of messages that are read here."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -190,7 +184,8 @@ def _indexed(path: Path, reader: Any, options: ImportOptions, progress: Progress
     trees = [
         topic for topic, kind in kinds.items() if kind in TRANSFORMS and plain(topic) in ("tf", "tf_static")
     ]
-    store = _store(path)
+    is_ros1 = path.suffix == ".bag"
+    store = _Store(is_ros1, message_types(is_ros1))
     read = [*topics, *(info for info in infos if info), *trees, *([pose_topic] if pose_topic else [])]
     found = _Found()
     total = sum(each.msgcount for each in reader.connections if each.topic in read)

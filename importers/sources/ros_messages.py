@@ -16,14 +16,12 @@ RAW, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 ODOMETRY = "nav_msgs/msg/Odometry"
-STAMPED = (
+POSES = (
+    ODOMETRY,
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/TransformStamped",
 )
-POSES = (ODOMETRY, *STAMPED)
-UNIT_TOLERANCE = 1e-2
-
 _COLOURS = {"rgb8": "RGB", "bgr8": "BGR", "8UC3": "BGR", "rgba8": "RGBA", "bgra8": "BGRA", "8UC4": "BGRA"}
 _GREYS = {"mono8": 1, "8UC1": 1, "mono16": 2, "16UC1": 2}
 _LUMA = {"yuv422": 1, "uyvy": 1, "yuv422_yuy2": 0, "yuyv": 0}
@@ -145,6 +143,6 @@ def rigid(message: Any, name: str) -> Array:
     t, wxyz = np.array([p.x, p.y, p.z]), np.array([q.w, q.x, q.y, q.z])
     if not (np.isfinite(t).all() and np.isfinite(wxyz).all()):
         raise InputError(f"{name}: NaN or infinity in a pose; leave it out, or record it again")
-    if abs(np.linalg.norm(wxyz) - 1.0) > UNIT_TOLERANCE:
+    if abs(np.linalg.norm(wxyz) - 1.0) > 1e-2:
         raise InputError(f"{name}: a quaternion that is not of unit length; leave it out, or record it again")
     return np.asarray(make_pose(matrix_from_wxyz(wxyz), t))

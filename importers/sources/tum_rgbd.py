@@ -26,8 +26,6 @@ from polhode.tables import number_rows
 
 SCALE_M, SIGMA_M, GROWTH_PER_M = 1.0 / 5000.0, 0.5e-3, 1.425e-3
 POSES = "groundtruth.txt"
-MAX_COORDINATE_M = 1e12
-_TABLE_BYTES = 512 * MIB
 
 
 def is_tum_rgbd(path: Path) -> bool:
@@ -80,7 +78,7 @@ def _listing(folder: Path, name: str) -> tuple[Ints, tuple[Path, ...]]:
     table = folder / name
     stamps_ns = read_stamps(table)
     files: list[Path] = []
-    for number, line in enumerate(read_text(table, _TABLE_BYTES, "a table").splitlines(), start=1):
+    for number, line in enumerate(read_text(table, 512 * MIB, "a table").splitlines(), start=1):
         words = line.replace(",", " ").split(maxsplit=1)
         if not words or words[0].startswith("#") or (not files and words[0][0].isalpha()):
             continue
@@ -102,7 +100,7 @@ def _poses(path: Path) -> Poses:
         raise InputError(f"{path}: {len(rows)} of {len(stamps_ns)} rows hold a pose; give {what} in each")
     q_xyzw, p = rows[:, 4:], rows[:, 1:4]
     length = np.linalg.norm(q_xyzw, axis=1)
-    if len(rows) == 0 or (abs(length - 1.0) > 1e-2).any() or abs(p).max() > MAX_COORDINATE_M:
+    if len(rows) == 0 or (abs(length - 1.0) > 1e-2).any() or abs(p).max() > 1e12:
         raise InputError(f"{path}: a quaternion is not of unit length, or a coordinate is none; correct it")
     R = matrix_from_wxyz(q_xyzw[:, [3, 0, 1, 2]] / length[:, None])
     return Poses(stamps_ns, make_pose(R, p), X_BC0=np.eye(4))

@@ -24,19 +24,8 @@ from polhode.progress import Progress
 from polhode.records import Ints
 
 SUFFIXES = (
-    ".mp4",
-    ".mkv",
-    ".avi",
-    ".mov",
-    ".webm",
-    ".m4v",
-    ".mpg",
-    ".mpeg",
-    ".ts",
-    ".h264",
-    ".h265",
-    ".mjpeg",
-)
+    ".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".h264", ".h265", ".mjpeg",
+)  # fmt: skip
 REPAIR = "repair it (ffmpeg -i {0} -c copy repaired.mkv), or record it again"
 
 

@@ -3,7 +3,7 @@
 import math
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from polhode.config.section import Section, Seed
 
@@ -15,6 +15,11 @@ STEPS: tuple[Step, ...] = ("simulate", "run", "evaluate", "plan", "compare", "me
 Keep = Literal["whole", "summary", "nothing"]
 Number = Annotated[float, Field(ge=-1e15, le=1e15)]
 Pair = tuple[Number, Number]
+
+
+def _as_values(section: Any) -> Any:
+    """A list in the place of an axis or a distribution is its values."""
+    return {"values": section} if isinstance(section, list) else section
 
 
 class Distribution(Section):
@@ -90,7 +95,7 @@ class Design(Section):
     """Number of draws; for Sobol's sequence and Saltelli's design, a power of two."""
     seed: Seed = 0
     """Of the draws."""
-    settings: dict[str, Distribution]
+    settings: dict[str, Annotated[Distribution, BeforeValidator(_as_values)]]
     """Settings and how each is distributed."""
 
     @model_validator(mode="after")
@@ -133,7 +138,7 @@ class Study(Section):
     """Settings of all points: a configuration file (relative to the study's), or sections as in one."""
     data: str | None = None
     """Folder of the stereo sequence of all points, where none is simulated (relative to the study's file)."""
-    axes: dict[str, Axis] = Field(default_factory=dict)
+    axes: dict[str, Annotated[Axis, BeforeValidator(_as_values)]] = Field(default_factory=dict)
     """Settings, as dotted keys of the configuration, and their values. Also "data", and "plan.horizon_s" and
     the like; an element of a list by its position: "scene.motion.spin_rpm.1". What begins with "case." is for
     the step "measure" alone."""

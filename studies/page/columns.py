@@ -36,9 +36,6 @@ MAIN = (
 SIGNED = ("evaluate.error_k1", "evaluate.error_k2")
 """Errors with a sign: the page shows how large they are"""
 MORE_IS_BETTER = ("*completeness*", "*coverage*", "*.within_*", "*frames_used", "*landmarks", "*observations")
-SHOWN = (*RESULTS, TIME)
-LOG_RATIO = 30.0
-"""Positive values whose largest is so many times the least have a logarithmic scale."""
 MAX_LABEL = 26
 
 
@@ -88,7 +85,8 @@ class Metric:
 
 def spans_decades(values: Array) -> bool:
     """Whether values (n,) are all positive and of very different sizes."""
-    return len(values) > 0 and bool(values.min() > 0.0 and values.max() > LOG_RATIO * values.min())
+    # a factor of 30 is drawn better on a logarithmic scale
+    return len(values) > 0 and bool(values.min() > 0.0 and values.max() > 30.0 * values.min())
 
 
 def numbers(table: pa.Table, name: str) -> Array:
@@ -152,7 +150,7 @@ def metrics_of(table: pa.Table) -> list[Metric]:
     found = []
     for column in table.schema:
         is_number = pa.types.is_floating(column.type) or pa.types.is_integer(column.type)
-        if not is_number or not column.name.startswith(SHOWN):
+        if not is_number or not column.name.startswith((*RESULTS, TIME)):
             continue
         metric = metric_of(table, column.name)
         if len(metric.known) and np.ptp(metric.known) > 0.0:
@@ -168,7 +166,7 @@ def metric_of(table: pa.Table, column: str) -> Metric:
     return Metric(column, values)
 
 
-def drawn(metrics: Sequence[Metric], wanted: Sequence[str], most: int) -> list[Metric]:
+def choose_metrics(metrics: Sequence[Metric], wanted: Sequence[str], most: int) -> list[Metric]:
     """Those that are drawn, at most so many: those that the study names, else the main ones, else any."""
     patterns = wanted or MAIN
     found = [each for pattern in patterns for each in metrics if fnmatchcase(each.column, pattern)]

@@ -15,7 +15,6 @@ from polhode.metrics import COMPONENTS, COVERAGE, COVERAGE_CONSTANTS, NEES, expe
 from polhode.studies.page.columns import numbers
 from polhode.studies.page.dependence import CONFIDENCE, mean_band, share_band
 
-MIN_RUNS = 3
 GAUSSIAN_3_SIGMA = float(stats.chi2.cdf(9.0, 1))
 
 
@@ -56,7 +55,7 @@ def consistencies(table: pa.Table) -> list[Consistency]:
         for name, components in COMPONENTS.items():
             values = numbers(table, f"evaluate.{group}.{name}")
             values = values[np.isfinite(values)]
-            if len(values) >= MIN_RUNS:
+            if len(values) >= 3:
                 found.append(_consistency(group, name, components, values))
     return found
 

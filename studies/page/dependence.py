@@ -15,11 +15,7 @@ from polhode.records import Bools
 from polhode.studies.page.columns import Axis
 from polhode.studies.table import chosen_rows
 
-MAX_LEVELS = 12
-"""Numbers of more levels are grouped by their size."""
 BINS = 8
-ROWS_OF_GROUP = 1000
-"""Of a group, at most so many rows decide its median and band; chosen at random."""
 RESAMPLES = 499
 MIN_ROWS = 5
 """A group of fewer has no band."""
@@ -60,7 +56,7 @@ class Spread:
 def groups_of(axis: Axis) -> list[Group]:
     """The rows by the levels of an axis, or by ``BINS`` ranges with as many rows each."""
     levels = np.unique(axis.values)
-    if axis.labels or len(levels) <= MAX_LEVELS:
+    if axis.labels or len(levels) <= 12:
         return [Group(float(level), axis.values == level) for level in levels]
     inner = np.quantile(axis.values, np.linspace(0.0, 1.0, BINS + 1)[1:-1])
     index = np.searchsorted(np.unique(inner), axis.values, side="right")
@@ -73,7 +69,7 @@ def spreads(axis: Axis, values: Array) -> list[Spread]:
     found = []
     for group in groups_of(axis):
         own = values[group.rows & np.isfinite(values)]
-        own = own[chosen_rows(len(own), ROWS_OF_GROUP)]
+        own = own[chosen_rows(len(own), 1000)]
         if len(own):
             low, high = median_band(own)
             tenth, median, nine = np.quantile(own, [0.1, 0.5, 0.9])

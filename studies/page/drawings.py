@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from operator import attrgetter
 from textwrap import wrap
 from typing import Any
 
@@ -29,15 +30,7 @@ from polhode.studies.page.consistency import Consistency
 from polhode.studies.page.dependence import Estimate, Spread, shares, spreads
 from polhode.studies.table import chosen_rows
 
-MAX_POINTS = 400
-"""Of a drawing along an axis; more points are chosen at random"""
-MAX_TRADE_OFF = 1000
-"""Likewise of a trade-off; the front has all of its points"""
 HEIGHT_PX = 320
-BAND = "its 95 % band"
-FOUR_FIFTHS = "four fifths of the points"
-MANY_DECADES = 2.5
-"""From which on a logarithmic scale has one number for each"""
 HALF_BAR = 0.22
 """Half the width of a bar over a label; over one, they are 1 apart"""
 MAX_UPRIGHT = 6
@@ -92,7 +85,7 @@ def dependence(metric: Metric, along: Axis, key: str) -> Figure:
     """A metric along an axis: points, median with its band, the range of four fifths of the points."""
     found = spreads(along, metric.values)
     shown = np.flatnonzero(np.isfinite(metric.values))
-    shown = shown[chosen_rows(len(shown), MAX_POINTS)]
+    shown = shown[chosen_rows(len(shown), 400)]
     points = {
         "type": "scatter",
         "mode": "markers",
@@ -106,11 +99,11 @@ def dependence(metric: Metric, along: Axis, key: str) -> Figure:
     middles = [each.median for each in found]
     wide = _strip(
         along, middles, [each.tenth for each in found], [each.nine_tenths for each in found],
-        FOUR_FIFTHS, translucent(FAINT, 0.22),
+        "four fifths of the points", translucent(FAINT, 0.22),
     )  # fmt: skip
     narrow = _strip(
         along, middles, [each.low for each in middles], [each.high for each in middles],
-        BAND, translucent(ACCENT, 0.33),
+        "its 95 % band", translucent(ACCENT, 0.33),
     )  # fmt: skip
     drawing = layout(xaxis=_axis_along(along), yaxis=_axis_of(metric, beside=True))
     data, height = [points, *wide, _middle(along, middles, "median"), *narrow], HEIGHT_PX + _labels_px(along)
@@ -122,17 +115,13 @@ def _caption(metric: Metric, found: Sequence[Spread]) -> str:
     known = [each.median for each in found]
     if len(known) < 2:
         return "One group of points has this metric."
-    low, high = min(known, key=_value), max(known, key=_value)
+    low, high = min(known, key=attrgetter("value")), max(known, key=attrgetter("value"))
     said = f"Medians from {low.value:.3g} to {high.value:.3g}"
     if low.high < high.low:
         return f"{said}; the bands of these two keep apart."
     if np.isnan(low.high) or np.isnan(high.low):
         return f"{said}; some groups have too few points for a band."
     return f"{said}; the bands of these two overlap."
-
-
-def _value(found: Estimate) -> float:
-    return found.value
 
 
 def share_drawing(along: Axis, holds: Bools, what: str, key: str) -> Figure:
@@ -145,7 +134,7 @@ def share_drawing(along: Axis, holds: Bools, what: str, key: str) -> Figure:
     drawing = layout(
         xaxis=_axis_along(along), yaxis=axis(what, range=[-0.03, 1.03], tickformat=".0%"), showlegend=False
     )
-    least = min(found, key=_value)
+    least = min(found, key=attrgetter("value"))
     caption = (
         f"Least: {least.value:.0%} at {_place(along, least.at)} ({least.count} points, band {least.low:.0%} "
         f"to {least.high:.0%})."
@@ -168,7 +157,8 @@ def trade_off(first: Metric, second: Metric, words: Sequence[str], key: str) -> 
     if len(both) < 2:
         return None
     front = both[front_of(_worse(first)[both], _worse(second)[both])]
-    shown = both[chosen_rows(len(both), MAX_TRADE_OFF)]
+    # the front has all of its points
+    shown = both[chosen_rows(len(both), 1000)]
     ways = [f"{'more' if each.more_is_better else 'less'} {each.title}" for each in (first, second)]
     caption = (
         f"{len(both)} points, {len(front)} of them on the front: no other point has {ways[0]} than one of "
@@ -347,7 +337,7 @@ def _labels_px(along: Axis) -> int:
 def _by_ratio(values: Array) -> Layout:
     """A logarithmic scale over values (n,), with numbers that can be read beside its ticks."""
     ends = np.log10(values.min()), np.log10(values.max())
-    steps = (1.0, 2.0, 5.0) if ends[1] - ends[0] < MANY_DECADES else (1.0,)
+    steps = (1.0, 2.0, 5.0) if ends[1] - ends[0] < 2.5 else (1.0,)
     decades = range(int(np.floor(ends[0])) - 1, int(np.ceil(ends[1])) + 1)
     ticks = [float(f"{step}e{decade}") for decade in decades for step in steps]
     return {"type": "log", "tickvals": ticks, "ticktext": [f"{each:g}" for each in ticks]}

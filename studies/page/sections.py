@@ -26,14 +26,7 @@ from polhode.studies.page.variance_shares import VarianceShare, VarianceShares
 from polhode.studies.steps import DONE, FAILED
 from polhode.studies.store import Store
 
-OPEN_METRICS = 3
-"""Of which the drawings are unfolded"""
-TRADE_OFF_METRICS = 4
-"""The first of which, pair by pair, have a front"""
-TIMES = ("time.run.total_s", "time.compare.*", "time.*")
 WORST = 5
-WORST_METRICS = 4
-MAX_REASONS = 12
 EXAMPLES = 3
 """Points that are named for a reason"""
 
@@ -84,7 +77,7 @@ def metric_parts(metrics: Sequence[Metric], axes: Sequence[Axis]) -> list[Metric
                 distribution(metric, f"metric-{number}-values"),
                 *(dependence(metric, axis, f"metric-{number}-{k}") for k, axis in enumerate(axes)),
             ],
-            number < OPEN_METRICS,
+            number < 3,
         )
         for number, metric in enumerate(metrics)
     ]
@@ -95,7 +88,7 @@ def outcome_figures(table: pa.Table, axes: Sequence[Axis]) -> list[Figure]:
     good = is_good(table)
     if good.all() or not good.any():
         return []
-    what = "points that are ok" if _has_verdicts(table) else "points that are done"
+    what = "points that are ok" if any(texts(table, "verdict")) else "points that are done"
     return [share_drawing(axis, good, what, f"outcome-{k}") for k, axis in enumerate(axes)]
 
 
@@ -107,15 +100,16 @@ def is_good(table: pa.Table) -> Bools:
     )
 
 
-def _has_verdicts(table: pa.Table) -> bool:
-    return any(texts(table, "verdict"))
-
-
 def trade_offs(metrics: Sequence[Metric], every: Sequence[Metric], words: Sequence[str]) -> list[Figure]:
     """Fronts of pairs of the first metrics, and of the first one with the time that it took."""
-    chosen = list(metrics[:TRADE_OFF_METRICS])
+    chosen = list(metrics[:4])
     pairs = list(combinations(chosen, 2))
-    times = [each for pattern in TIMES for each in every if fnmatchcase(each.column, pattern)]
+    times = [
+        each
+        for pattern in ("time.run.total_s", "time.compare.*", "time.*")
+        for each in every
+        if fnmatchcase(each.column, pattern)
+    ]
     if chosen and times and times[0].column not in {each.column for each in chosen}:
         pairs.append((times[0], chosen[0]))
     drawn = [trade_off(first, second, words, f"front-{k}") for k, (first, second) in enumerate(pairs)]
@@ -183,7 +177,7 @@ def _grouped(said: dict[int, str], of: int) -> list[Reason]:
             ", ".join(map(str, found[:EXAMPLES])) + (", ..." if len(found) > EXAMPLES else ""),
             len({said[number] for number in found}) > 1,
         )
-        for found in ordered[:MAX_REASONS]
+        for found in ordered[:12]
     ]
 
 
@@ -192,7 +186,7 @@ def worst_runs(
 ) -> list[tuple[Metric, list[WorstRun]]]:
     """The points that are worst in each of the first metrics."""
     found = []
-    for metric in metrics[:WORST_METRICS]:
+    for metric in metrics[:4]:
         known = np.flatnonzero(np.isfinite(metric.values))
         order = known[np.argsort(metric.values[known], kind="stable")]
         worst = order[:WORST] if metric.more_is_better else order[::-1][:WORST]

@@ -24,10 +24,6 @@ from polhode.studies.table import chosen_rows
 MAX_ROWS = 4000
 """Of which the groups' shares are computed; chosen at random among more"""
 RESAMPLES = 199
-ROWS_PER_GROUP = 3
-"""A share of groups needs at least so many rows in the mean group."""
-MIN_DRAWS = 16
-"""Of a Saltelli design; with fewer the indices mean nothing"""
 
 
 @dataclass(frozen=True)
@@ -76,7 +72,8 @@ def _sobol(names: Sequence[str], axes: Sequence[Axis], metric: Metric) -> list[V
 
     y = _transformed(metric).reshape(-1, len(names) + 2)
     y = y[np.isfinite(y).all(axis=1)]
-    if len(y) < MIN_DRAWS or np.ptp(y) == 0.0:
+    # of fewer draws the indices mean nothing
+    if len(y) < 16 or np.ptp(y) == 0.0:
         return None
     problem = {"num_vars": len(names), "names": list(names), "bounds": [[0.0, 1.0]] * len(names)}
     found = sobol.analyze(problem, y.ravel(), calc_second_order=False, num_resamples=RESAMPLES, seed=0)
@@ -106,7 +103,7 @@ def _of_groups(axis: Axis, metric: Metric) -> VarianceShare:
     known = known[chosen_rows(len(known), MAX_ROWS)]
     y, group = y[known], group[known]
     count = len(np.unique(group))
-    if count < 2 or len(y) < ROWS_PER_GROUP * count or np.ptp(y) == 0.0:
+    if count < 2 or len(y) < 3 * count or np.ptp(y) == 0.0:
         return VarianceShare(math.nan, math.nan, math.nan)
     first = between_groups(y, group)
     band = stats.bootstrap(

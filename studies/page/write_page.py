@@ -9,7 +9,7 @@ from polhode.atomic import write_text
 from polhode.errors import InputError, printable
 from polhode.pipeline.report.template import fill
 from polhode.studies.page import sections
-from polhode.studies.page.columns import Metric, axes_of, drawn, is_seed, metrics_of, texts
+from polhode.studies.page.columns import Metric, axes_of, choose_metrics, is_seed, metrics_of, texts
 from polhode.studies.page.consistency import consistencies
 from polhode.studies.page.variance_shares import has_salib, variance_shares
 from polhode.studies.steps import FAILED
@@ -18,11 +18,9 @@ from polhode.studies.study import OpenStudy
 from polhode.studies.table import PAGE, read_table
 
 MAX_FIGURES = 80
-"""Of all metrics; of more axes, fewer metrics are drawn"""
+"""Of all metrics together: of more axes, fewer metrics are drawn"""
 MAX_ROWS = 50_000
 MIN_METRICS, MAX_METRICS = 4, 12
-SHARED_METRICS = 6
-"""Columns of the table of variances"""
 
 
 def write_page(study: OpenStudy, folder: Path) -> None:
@@ -40,10 +38,10 @@ def render(study: OpenStudy, table: pa.Table, folder: Path) -> str:
     """The whole page."""
     store, axes, every = Store(folder), axes_of(study, table), metrics_of(table)
     most = min(max(MAX_FIGURES // (1 + len(axes)), MIN_METRICS), MAX_METRICS)
-    metrics = drawn(every, study.settings.metrics, most)
+    metrics = choose_metrics(every, study.settings.metrics, most)
     repeated = [name for name in study.columns if is_seed(name)]
     words = sections.words_of_points(table, axes, repeated)
-    shared = [variance_shares(study, axes, metric) for metric in metrics[:SHARED_METRICS]] if axes else []
+    shared = [variance_shares(study, axes, metric) for metric in metrics[:6]] if axes else []
     agreement = consistencies(table)
     failed, doubtful = sections.reasons(table)
     return fill(

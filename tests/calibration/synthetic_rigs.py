@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from polhode import fisheye
 from polhode.calibration.adjustment import CornerData, RigState
 from polhode.calibration.lenses import Lens, Model, project
 from polhode.lie import Array, exp_so3, make_pose, transform_points
@@ -62,13 +61,3 @@ def seen_corners(
             pixels.append(uv[inside] + sigma_px * rng.standard_normal((int(inside.sum()), 2)))
         out.append(CornerData(np.array(views), np.concatenate(points), np.concatenate(pixels)))
     return tuple(out)
-
-
-def angle_to_axis(p_C: Array) -> Array:
-    """(n,) [rad]"""
-    return np.asarray(np.arctan2(np.hypot(p_C[:, 0], p_C[:, 1]), p_C[:, 2]))
-
-
-def seen_by_fisheye(p_C: Array, each: Lens) -> Array:
-    """The shared module's own projection of a fisheye (n, 2)."""
-    return fisheye.project(p_C, each.K, each.coefficients)

@@ -9,15 +9,7 @@ import pytest
 from polhode.calibration.boards import Board, make_board
 from polhode.cli.main import main
 from tests.calibration.rendered_rigs import Scene, make_scene, write_images
-from tests.importers.recordings import (
-    BagContents,
-    Original,
-    original,
-    write_ros1,
-    write_ros2,
-    write_side_by_side,
-    write_video,
-)
+from tests.importers.recordings import BagContents, Original, original, write_ros2, write_side_by_side
 
 UPWARD = np.diag([1.0, -1.0, -1.0])
 
@@ -32,44 +24,28 @@ def refused(words: list[str], folder: Path, capsys: pytest.CaptureFixture[str]) 
     return error
 
 
-def odd_video(data: Original, area: Path) -> Path:
-    return write_video((np.zeros((48, 65), dtype=np.uint8) for _ in range(4)), area / "v.mkv")
-
-
-def cut_off(data: Original, area: Path) -> Path:
-    bag = write_ros1(data, area / "a.bag")
-    bag.write_bytes(bag.read_bytes()[:3000])
-    return bag
-
-
-RECORDINGS: dict[str, tuple[Callable[[Original, Path], Path], str]] = {
-    "empty bag": (
-        lambda data, area: write_ros2(data, area / "bag", BagContents(cameras=(), tf=False)),
-        "an empty bag, without a single message; record it again",
-    ),
-    "bag cut off": (cut_off, "repair it (rosbag reindex)"),
-    "one topic only": (
-        lambda data, area: write_ros1(data, area / "a.bag", BagContents(cameras=(0,))),
-        "a stereo pair needs two topics with images",
-    ),
-    "video of odd width": (odd_video, "65 px wide, which is odd"),
-    "a recording without a board": (
-        lambda data, area: write_side_by_side(data, area / "v.mkv"),
-        "0 of 6 left images can be used, at least 4 are needed: left image 0 (not found: ",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", RECORDINGS)
+@pytest.mark.parametrize(
+    ("record", "said"),
+    [
+        (
+            lambda data, area: write_ros2(data, area / "bag", BagContents(cameras=(), tf=False)),
+            "an empty bag, without a single message; record it again",
+        ),
+        (
+            lambda data, area: write_side_by_side(data, area / "v.mkv"),
+            "0 of 6 left images can be used, at least 4 are needed: left image 0 (not found: ",
+        ),
+    ],
+)
 def test_a_recording_that_cannot_be_used_is_one_line(
-    name: str, small_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    record: Callable[[Original, Path], Path],
+    said: str,
+    small_sequence: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    area = tmp_path / "area"
-    area.mkdir()
-    make, said = RECORDINGS[name]
-    source = make(original(small_sequence), area)
-    error = refused([str(source), "--board", "7x5", "--square-mm", "30"], tmp_path, capsys)
-    assert said in error
+    source = record(original(small_sequence), tmp_path)
+    assert said in refused([str(source), "--board", "7x5", "--square-mm", "30"], tmp_path, capsys)
 
 
 def written(board: Board, folder: Path) -> list[str]:

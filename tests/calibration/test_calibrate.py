@@ -11,14 +11,17 @@ import pytest
 
 from polhode.calibration.boards import Board, make_board
 from polhode.calibration.calibrate import CalibratedRig, calibrate
+from polhode.calibration.detection import Found
 from polhode.calibration.image_pairs import opened_pairs, pairs_of_files
+from polhode.calibration.lenses import project
+from polhode.calibration.pair_consensus import Pair, agree
 from polhode.calibration.result import result_of
 from polhode.cli.main import main
 from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
 from polhode.images import Grey
 from polhode.importers.calibrations.read_rig import read_rig
 from polhode.importers.options import ImportOptions
-from polhode.lie import Array, inverse_pose, log_so3, make_pose
+from polhode.lie import Array, inverse_pose, log_so3, make_pose, transform_points
 from polhode.progress import Silent
 from tests.calibration.rendered_rigs import SIZE, Scene, board_pose, make_scene, write_images
 
@@ -66,6 +69,11 @@ def test_the_rig_is_found_within_its_standard_deviations(clean: tuple[Scene, Pat
     assert result.rms_px.stereo < 0.1 and result.epipolar_rms_px < 0.1
     baseline = result.parameters["rig"]["baseline"]
     assert abs(baseline.value - np.linalg.norm(scene.truth.X_10[:3, 3])) < 4.0 * baseline.sigma
+    names, matrix = result.covariance.names, np.array(result.covariance.matrix)
+    assert names[0] == "cam0.fu" and names[-1] == "cam1_from_cam0.t_z"
+    for name, variance in zip(names, np.diag(matrix), strict=True):
+        group, _, own = name.partition(".")
+        assert result.parameters[group][own].sigma == pytest.approx(np.sqrt(variance))
 
 
 def test_spoiled_images_are_left_out_by_their_reason_and_the_result_stays(
@@ -158,15 +166,6 @@ def test_the_command_writes_every_format_and_each_reads_back_the_same(
     assert "Epipolar error over the right image" in page and "Coverage of the left image" in page
 
 
-def test_covariance_and_sigmas_of_the_file_agree(clean: tuple[Scene, Path, CalibratedRig]) -> None:
-    result = result_of(clean[2])
-    names, matrix = result.covariance.names, np.array(result.covariance.matrix)
-    assert names[0] == "cam0.fu" and names[-1] == "cam1_from_cam0.t_z"
-    for name, variance in zip(names, np.diag(matrix), strict=True):
-        group, _, own = name.partition(".")
-        assert result.parameters[group][own].sigma == pytest.approx(np.sqrt(variance))
-
-
 def test_bad_inputs_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(0)
     for side in ("left", "right"):
@@ -174,25 +173,23 @@ def test_bad_inputs_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
         for k in range(4):
             write_png(tmp_path / side / f"{k}.png", rng.integers(0, 256, (120, 160), dtype=np.uint8))
     left, right = str(tmp_path / "left"), str(tmp_path / "right")
-    usual = ["--board", "7x5", "--square-mm", "30", "-o", str(tmp_path / "out")]
+    both = ["--left", left, "--right", right]
+    board, square, out = ["--board", "7x5"], ["--square-mm", "30"], ["-o", str(tmp_path / "out")]
     for words, said in (
-        (["--left", str(tmp_path / "empty_left"), "--right", right], "no images there"),
-        (["--left", left], "only one camera's images were given: .* --right is missing"),
-        (["--left", left, "--right", left], "is an image of --left and of --right"),
-        ([left], "a single folder that is no EuRoC sequence"),
-        ([], "images of a board are missing"),
-        (["--left", left, "--right", right], "0 of 4 left images can be used"),
-        (["--left", left, "--right", right, "--model", "pinhole"], "--model pinhole: choose one of brown5"),
-        (["--left", left, "--right", right, "--square-mm", "0"], "--square-mm 0: give a number above 0"),
-        (["--left", left, "--right", right, "--board", "9"], "--board 9: give columns x rows"),
-        (["--left", left, "--right", right, "--pattern", "dots"], "--pattern dots: choose one of chessboard"),
+        (["--left", str(tmp_path / "empty_left"), "--right", right, *board, *square], "no images there"),
+        (["--left", left, *board, *square], "only one camera's images were given: .* --right is missing"),
+        (["--left", left, "--right", left, *board, *square], "is an image of --left and of --right"),
+        ([left, *board, *square], "a single folder that is no EuRoC sequence"),
+        ([*board, *square], "images of a board are missing"),
+        ([*both, *board, *square], "0 of 4 left images can be used"),
+        ([*both, *board, *square, "--model", "pinhole"], "--model pinhole: choose one of brown5"),
+        ([*both, *board, "--square-mm", "0"], "--square-mm 0: give a number above 0"),
+        ([*both, *square, "--board", "9"], "--board 9: give columns x rows"),
+        ([*both, *board, *square, "--pattern", "dots"], "--pattern dots: choose one of chessboard"),
     ):
-        more = usual if "--square-mm" not in words else usual[:2] + usual[4:]
-        more = more if "--board" not in words else more[2:]
-        assert main(["calibrate", *words, *more]) == 2
+        assert main(["calibrate", *words, *out]) == 2
         error = capsys.readouterr().err
-        assert error.count("\n") == 1
-        assert re.search(said, error), error
+        assert error.count("\n") == 1 and re.search(said, error), error
         assert not (tmp_path / "out").exists()
 
 
@@ -206,14 +203,8 @@ def test_images_are_paired_by_their_numbers(tmp_path: Path) -> None:
 
 def test_half_a_turn_of_a_chessboard_does_not_matter() -> None:
     """Corners are counted from either end; over boards at several attitudes only one order agrees."""
-    from polhode.calibration.adjustment import RigState
-    from polhode.calibration.detection import Found
-    from polhode.calibration.lenses import project
-    from polhode.calibration.pair_consensus import Pair, agree
-    from polhode.lie import transform_points
-
     scene = make_scene(BOARD, 6, 5)
-    truth: RigState = scene.truth
+    truth = scene.truth
     ids = np.arange(len(BOARD.points))
     pairs = []
     for k, X_0B in enumerate(truth.X_CB):

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from polhode.calibration.corner_fit import fitted
+from polhode.calibration.corner_fit import fit_corners
 from polhode.images import Grey
 from polhode.lie import Array
 
@@ -35,7 +35,7 @@ def test_corners_are_found_to_a_hundredth_of_a_pixel(angles: tuple[float, float]
     for _ in range(4):
         corner = np.array([20.0, 20.0]) + rng.uniform(-0.5, 0.5, 2)
         start = corner + rng.uniform(-0.3, 0.3, 2)
-        found = fitted(drawn(corner, angles, bend), start[None], np.array([7.0]))[0]
+        found = fit_corners(drawn(corner, angles, bend), start[None], np.array([7.0]))[0]
         assert np.linalg.norm(found - corner) < 0.01
 
 
@@ -43,7 +43,7 @@ def test_noise_moves_a_corner_by_hundredths_of_a_pixel() -> None:
     corner, noise = np.array([20.3, 19.8]), 4.0
     start = corner[None] + 0.2
     off = [
-        fitted(drawn(corner, (0.2, 1.7), 0.0, noise, seed), start, np.array([7.0]))[0] - corner
+        fit_corners(drawn(corner, (0.2, 1.7), 0.0, noise, seed), start, np.array([7.0]))[0] - corner
         for seed in range(24)
     ]
     assert 0.015 < np.sqrt(np.mean(np.square(off))) < 0.03
@@ -54,4 +54,4 @@ def test_what_is_no_corner_of_four_squares_stays_where_it_was() -> None:
     edge[:, 20:] = 200
     start = np.array([[20.2, 20.4], [1.0, 1.0], [np.nan, np.nan]])
     for image in (flat, edge):
-        np.testing.assert_array_equal(fitted(image, start, np.full(3, 6.0)), start)
+        np.testing.assert_array_equal(fit_corners(image, start, np.full(3, 6.0)), start)

@@ -1,8 +1,7 @@
 """Each bad input is one line that names it and what to do, and nothing is half-written."""
 
-import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,11 @@ from tests.importers.recordings import (
 )
 
 Bad = Callable[[Original, Path], tuple[list[Path], dict[str, Any]]]
+Paths = Path | Sequence[Path]
+
+
+def as_list(paths: Paths) -> list[Path]:
+    return [paths] if isinstance(paths, Path) else list(paths)
 
 
 def edited(path: Path, old: str, new: str) -> Path:
@@ -40,148 +44,88 @@ def edited(path: Path, old: str, new: str) -> Path:
     return path
 
 
+def written(path: Path, text: str = "") -> Path:
+    path.write_text(text)
+    return path
+
+
+def source(write: Callable[[Original, Path], Paths], calibrated: bool = False, **options: Any) -> Bad:
+    """What ``write`` returns is imported, with or without the true calibration."""
+
+    def make(data: Original, area: Path) -> tuple[list[Path], dict[str, Any]]:
+        chain = {"calibration": (write_kalibr(data, area / "k.yaml"),)} if calibrated else {}
+        return as_list(write(data, area)), chain | options
+
+    return make
+
+
 def bag1(contents: BagContents, **options: Any) -> Bad:
-    return lambda data, area: ([write_ros1(data, area / "a.bag", contents)], options)
-
-
-def empty_bag(data: Original, area: Path) -> tuple[list[Path], dict[str, Any]]:
-    return [write_ros2(data, area / "bag", BagContents(cameras=(), tf=False))], {}
+    return source(lambda data, area: write_ros1(data, area / "a.bag", contents), **options)
 
 
 def no_bytes(suffix: str) -> Bad:
-    def write(data: Original, area: Path) -> tuple[list[Path], dict[str, Any]]:
-        (area / f"a{suffix}").touch()
-        return [area / f"a{suffix}"], {"calibration": (write_kalibr(data, area / "k.yaml"),)}
-
-    return write
+    return source(lambda data, area: written(area / f"a{suffix}"), calibrated=True)
 
 
-def cut(write: Callable[[Original, Path], Path], share: float = 0.6) -> Bad:
-    def made(data: Original, area: Path) -> tuple[list[Path], dict[str, Any]]:
+def cut(write: Callable[[Original, Path], Path]) -> Bad:
+    def cut_off(data: Original, area: Path) -> Path:
         bag = write(data, area / "whole")
-        file = (
-            next(each for each in bag.iterdir() if each.suffix in (".db3", ".mcap")) if bag.is_dir() else bag
-        )
-        file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
-        return [bag], {"calibration": (write_kalibr(data, area / "k.yaml"),)}
+        inside = [each for each in bag.glob("*") if each.suffix in (".db3", ".mcap")]
+        file = inside[0] if inside else bag
+        file.write_bytes(file.read_bytes()[: int(0.6 * file.stat().st_size)])
+        return bag
 
-    return made
-
-
-def with_folders(change: Callable[[Original, Path, tuple[Path, Path]], dict[str, Any]]) -> Bad:
-    """Two folders and a camchain, of which one thing is wrong."""
-
-    def made(data: Original, area: Path) -> tuple[list[Path], dict[str, Any]]:
-        folders = write_folders(data, area / "images")
-        options = {"calibration": (write_kalibr(data, area / "k.yaml"),)} | change(data, area, folders)
-        return list(folders), options
-
-    return made
+    return source(cut_off, calibrated=True)
 
 
-def odd_video(data: Original, area: Path) -> tuple[list[Path], dict[str, Any]]:
-    images = (np.zeros((48, 65), dtype=np.uint8) for _ in range(4))
-    return [write_video(images, area / "v.mkv")], {"calibration": (write_kalibr(data, area / "k.yaml"),)}
+def folders(change: Callable[[tuple[Path, Path], Path], object] = lambda *_: None, **options: Any) -> Bad:
+    """Two folders and a camchain, of which one thing is wrong; ``change`` spoils the images."""
+
+    def make(data: Original, area: Path) -> tuple[list[Path], dict[str, Any]]:
+        both = write_folders(data, area / "images")
+        change(both, area)
+        return list(both), {"calibration": (write_kalibr(data, area / "k.yaml"),)} | options
+
+    return make
 
 
-def one_smaller(data: Original, area: Path, folders: tuple[Path, Path]) -> dict[str, Any]:
-    Image.new("L", (32, 24)).save(folders[1] / f"{TIMESTAMPS_NS[4]}.png")
-    return {}
-
-
-def jittered(data: Original, area: Path, folders: tuple[Path, Path]) -> dict[str, Any]:
-    for k, path in enumerate(sorted(folders[1].iterdir())):
-        path.rename(path.with_name(f"{int(path.stem) + 20_000_000 * (-1) ** k + 7_000_000 * k}.png"))
-    return {}
-
-
-def no_images(data: Original, area: Path, folders: tuple[Path, Path]) -> dict[str, Any]:
-    shutil.rmtree(folders[1])
-    folders[1].mkdir()
-    return {}
-
-
-def named_otherwise(data: Original, area: Path, folders: tuple[Path, Path]) -> dict[str, Any]:
-    for folder in folders:
-        for k, path in enumerate(sorted(folder.iterdir())):
-            path.rename(path.with_name(f"frame{k}.png"))
-    return {}
-
-
-def too_many_times(data: Original, area: Path, folders: tuple[Path, Path]) -> dict[str, Any]:
-    (area / "t.txt").write_text("".join(f"{k}.5\n" for k in range(9)))
-    return {"stamps": (area / "t.txt",)}
-
-
-def all_unreadable(data: Original, area: Path, folders: tuple[Path, Path]) -> dict[str, Any]:
-    for path in folders[0].iterdir():
-        path.write_bytes(b"no image")
-    return {}
-
-
-def chain_with(old: str, new: str) -> Bad:
-    return with_folders(
-        lambda data, area, _: {"calibration": (edited(write_kalibr(data, area / "k.yaml"), old, new),)}
+def calibration(write: Callable[[Original, Path], Paths], **options: Any) -> Bad:
+    """Two folders, whose calibration is wrong."""
+    return lambda data, area: (
+        list(write_folders(data, area / "images")),
+        {"calibration": tuple(as_list(write(data, area)))} | options,
     )
 
 
-def calibration_is(name: str, text: str) -> Bad:
-    def change(data: Original, area: Path, folders: tuple[Path, Path]) -> dict[str, Any]:
-        (area / name).write_text(text)
-        return {"calibration": (area / name,)}
-
-    return with_folders(change)
+def chain_with(old: str, new: str) -> Bad:
+    return calibration(lambda data, area: edited(write_kalibr(data, area / "k.yaml"), old, new))
 
 
-def larger(data: Original, area: Path, folders: tuple[Path, Path]) -> dict[str, Any]:
-    wrong = replace(data, calibration=replace(data.calibration, width_px=128, height_px=96))
-    return {"calibration": (write_kalibr(wrong, area / "k2.yaml"),)}
+def recalibrated(data: Original, **values: Any) -> Original:
+    return replace(data, calibration=replace(data.calibration, **values))
 
 
-def nan_in_opencv(data: Original, area: Path, folders: tuple[Path, Path]) -> dict[str, Any]:
-    wrong = replace(data, calibration=replace(data.calibration, K0=np.full((3, 3), np.nan)))
-    return {"calibration": (write_opencv(wrong, area / "c.yml"),)}
+def jitter(both: tuple[Path, Path], area: Path) -> None:
+    for k, path in enumerate(sorted(both[1].iterdir())):
+        path.rename(path.with_name(f"{int(path.stem) + 20_000_000 * (-1) ** k + 7_000_000 * k}.png"))
 
 
-def without_t(data: Original, area: Path, folders: tuple[Path, Path]) -> dict[str, Any]:
-    return {"calibration": (edited(write_opencv(data, area / "c.yml"), "T:", "Tx:"),)}
+def name_otherwise(both: tuple[Path, Path], area: Path) -> None:
+    for folder in both:
+        for k, path in enumerate(sorted(folder.iterdir())):
+            path.rename(path.with_name(f"frame{k}.png"))
 
 
-def exchanged_infos(data: Original, area: Path, folders: tuple[Path, Path]) -> dict[str, Any]:
-    return {"calibration": write_camera_info(data, area)[::-1]}
+def too_many_times(data: Original, area: Path) -> tuple[list[Path], dict[str, Any]]:
+    times = written(area / "t.txt", "".join(f"{k}.5\n" for k in range(9)))
+    return folders(stamps=(times,))(data, area)
 
 
-def tum(data: Original, area: Path) -> tuple[list[Path], dict[str, Any]]:
-    (area / "rgb.txt").touch()
-    (area / "depth.txt").touch()
-    return [area], {}
-
-
-def twice(data: Original, area: Path) -> tuple[list[Path], dict[str, Any]]:
-    folders = write_folders(data, area / "images")
-    return [folders[0], folders[0]], {}
-
-
-def three(data: Original, area: Path) -> tuple[list[Path], dict[str, Any]]:
-    return [area, area, area], {}
-
-
-def missing(data: Original, area: Path) -> tuple[list[Path], dict[str, Any]]:
-    return [area / "no.bag"], {}
-
-
-def not_a_source(data: Original, area: Path) -> tuple[list[Path], dict[str, Any]]:
-    (area / "notes.txt").write_text("mine\n")
-    return [area / "notes.txt"], {}
-
-
-def without_calibration(data: Original, area: Path) -> tuple[list[Path], dict[str, Any]]:
-    return [write_side_by_side(data, area / "v.mkv")], {}
-
-
-NAN = replace(BagContents(), tf=False)
 BAD: dict[str, tuple[Bad, str]] = {
-    "empty bag": (empty_bag, "an empty bag, without a single message; record it again"),
+    "empty bag": (
+        source(lambda data, area: write_ros2(data, area / "bag", BagContents(cameras=(), tf=False))),
+        "an empty bag, without a single message; record it again",
+    ),
     "ROS 1 bag without a byte": (no_bytes(".bag"), "empty, damaged or cut off"),
     "ROS 2 file without a byte": (no_bytes(".mcap"), "empty, damaged or cut off"),
     "ROS 1 bag cut off": (
@@ -216,58 +160,101 @@ BAD: dict[str, tuple[Bad, str]] = {
         "--poses /odom has no poses; topics with poses: none",
     ),
     "no such frame": (bag1(BagContents(), poses="tf:map"), "tf does not link map and the left camera"),
-    "video of odd width": (odd_video, "65 px wide, which is odd"),
+    "video of odd width": (
+        source(
+            lambda data, area: write_video(
+                (np.zeros((48, 65), dtype=np.uint8) for _ in range(4)), area / "v.mkv"
+            ),
+            calibrated=True,
+        ),
+        "65 px wide, which is odd",
+    ),
     "video without a byte": (no_bytes(".mp4"), "empty, damaged or cut off"),
-    "video without calibration": (without_calibration, "no calibration in it; give --calibration"),
+    "video without calibration": (
+        source(lambda data, area: write_side_by_side(data, area / "v.mkv")),
+        "no calibration in it; give --calibration",
+    ),
     "calibration of another size": (
-        with_folders(larger),
+        calibration(
+            lambda data, area: write_kalibr(recalibrated(data, width_px=128, height_px=96), area / "k2.yaml")
+        ),
         "calibrated for images of 128x96 px, but they have 64x48; give the calibration of these images",
     ),
-    "camera_info in another order": (with_folders(exchanged_infos), "exchange left and right"),
+    "camera_info in another order": (
+        calibration(lambda data, area: write_camera_info(data, area)[::-1]),
+        "exchange left and right",
+    ),
     "NaN in a camchain": (chain_with("- 31.5", "- .nan"), "'intrinsics': contains NaN or infinity"),
-    "NaN in OpenCV's file": (with_folders(nan_in_opencv), "key 'M1': contains NaN or infinity"),
+    "NaN in OpenCV's file": (
+        calibration(
+            lambda data, area: write_opencv(recalibrated(data, K0=np.full((3, 3), np.nan)), area / "c.yml")
+        ),
+        "key 'M1': contains NaN or infinity",
+    ),
     "camchain without the transform": (chain_with("T_cn_cnm1", "T_other"), "cam1 lacks T_cn_cnm1"),
     "camchain of one camera": (chain_with("cam1:", "camera1:"), "lacks cam1"),
     "unknown distortion": (chain_with("radtan", "fov"), "the distortion model 'fov' is not known"),
-    "OpenCV's file without T": (with_folders(without_t), "lacks T, from the left to the right camera"),
+    "OpenCV's file without T": (
+        calibration(lambda data, area: edited(write_opencv(data, area / "c.yml"), "T:", "Tx:")),
+        "lacks T, from the left to the right camera",
+    ),
     "OpenCV's T in metres, said to be in millimetres": (
-        with_folders(
-            lambda data, area, _: {"calibration": (write_opencv(data, area / "c.yml"),), "unit_m": 1e-3}
-        ),
+        calibration(lambda data, area: write_opencv(data, area / "c.yml"), unit_m=1e-3),
         "m long with --unit mm; state its unit, that of the board's squares: --unit m or mm",
     ),
     "calibration of no kind": (
-        calibration_is("c.yaml", "a: 1\n"),
+        calibration(lambda data, area: written(area / "c.yaml", "a: 1\n")),
         "lacks R, from the left to the right camera",
     ),
-    "calibration without keys": (calibration_is("c.yaml", "1\n"), "c.yaml is no calibration"),
+    "calibration without keys": (
+        calibration(lambda data, area: written(area / "c.yaml", "1\n")),
+        "c.yaml is no calibration",
+    ),
     "calibration that is missing": (
-        with_folders(lambda *_: {"calibration": (Path("none.yaml"),)}),
+        calibration(lambda *_: Path("none.yaml")),
         "none.yaml is missing: give a YAML or JSON file of OpenCV",
     ),
-    "images of two sizes": (with_folders(one_smaller), "32x24 px, where the images before it have 64x48"),
+    "images of two sizes": (
+        folders(lambda both, _: Image.new("L", (32, 24)).save(both[1] / f"{TIMESTAMPS_NS[4]}.png")),
+        "32x24 px, where the images before it have 64x48",
+    ),
     "tolerance exceeded": (
-        with_folders(jittered),
+        folders(jitter),
         "2 pairs within 5 ms of a constant offset: the nearest images of the two cameras differ by -13 ms "
         "to 48 ms",
     ),
-    "no images in a folder": (with_folders(no_images), "holds no images (.png"),
-    "names that are no times": (
-        with_folders(named_otherwise),
-        "the name frame0.png is no time; give --rate-hz",
+    "no images in a folder": (
+        folders(lambda both, _: [path.rename(path.with_suffix(".txt")) for path in both[1].iterdir()]),
+        "holds no images (.png",
     ),
-    "times for other images": (with_folders(too_many_times), "9 timestamps for the 6 images"),
-    "images that are none": (with_folders(all_unreadable), "6 images cannot be read (first: "),
+    "names that are no times": (folders(name_otherwise), "the name frame0.png is no time; give --rate-hz"),
+    "times for other images": (too_many_times, "9 timestamps for the 6 images"),
+    "images that are none": (
+        folders(lambda both, _: [path.write_bytes(b"no image") for path in both[0].iterdir()]),
+        "6 images cannot be read (first: ",
+    ),
     "crop beyond the image": (
-        with_folders(lambda *_: {"crop": Crop(40, 0, 32, 32)}),
+        folders(crop=Crop(40, 0, 32, 32)),
         "--crop 40,0,32,32: reaches beyond the images of 64x48 px",
     ),
-    "a part without pairs": (with_folders(lambda *_: {"start_s": 2.0}), "2 of 6 pairs are left by --start"),
-    "TUM RGB-D": (tum, "rgb.txt is empty"),
-    "one folder twice": (twice, "are the same folder"),
-    "three sources": (three, "3 sources were given: give two folders"),
-    "no such source": (missing, "no such file or folder; give two folders"),
-    "a file of the user": (not_a_source, "notes.txt: not a source; give two folders"),
+    "a part without pairs": (folders(start_s=2.0), "2 of 6 pairs are left by --start"),
+    "TUM RGB-D": (
+        source(lambda data, area: [written(area / f"{name}.txt").parent for name in ("rgb", "depth")][:1]),
+        "rgb.txt is empty",
+    ),
+    "one folder twice": (
+        source(lambda data, area: 2 * [write_folders(data, area / "images")[0]]),
+        "are the same folder",
+    ),
+    "three sources": (source(lambda data, area: 3 * [area]), "3 sources were given: give two folders"),
+    "no such source": (
+        source(lambda data, area: area / "no.bag"),
+        "no such file or folder; give two folders",
+    ),
+    "a file of the user": (
+        source(lambda data, area: written(area / "notes.txt", "mine\n")),
+        "notes.txt: not a source; give two folders",
+    ),
 }
 
 
@@ -305,6 +292,9 @@ def test_a_missing_library_is_named_with_its_command(
         (["--start", "nan"], "--start nan: give a number"),
         (["--unit", "inch"], "--unit inch: give one of m, mm"),
         (["--crop", "1,2"], "--crop 1,2: give LEFT,TOP,WIDTH,HEIGHT"),
+        (["--crop", "a,0,1,1"], "--crop a,0,1,1: give LEFT,TOP,WIDTH,HEIGHT"),
+        (["--crop=-1,0,5,5"], "--crop -1,0,5,5: left and top must be at least 0"),
+        (["--crop", "0,0,0,5"], "width and height at least 1"),
     ],
 )
 def test_options_out_of_range(

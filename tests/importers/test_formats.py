@@ -33,33 +33,19 @@ from tests.importers.recordings import (
 Written = tuple[Sequence[Path], dict[str, Any]]
 
 
-def folders(data: Original, area: Path) -> Written:
-    return write_folders(data, area / "images"), {
-        "calibration": (write_kalibr(data, area / "camchain.yaml"),)
-    }
+Write = Callable[[Original, Path], Written]
 
 
-def with_opencv(suffix: str, unit_m: float = 1.0) -> Callable[[Original, Path], Written]:
-    def write(data: Original, area: Path) -> Written:
-        path = write_opencv(data, area / f"stereo{suffix}", unit_m)
-        return write_folders(data, area / "images"), {"calibration": (path,), "unit_m": unit_m}
-
-    return write
+def with_calibration(write: Callable[[Original, Path], Sequence[Path]]) -> Write:
+    """Folders of images, and a calibration in some format."""
+    return lambda data, area: (write_folders(data, area / "images"), {"calibration": write(data, area)})
 
 
-def with_camera_info(data: Original, area: Path) -> Written:
-    return write_folders(data, area / "images"), {"calibration": write_camera_info(data, area)}
-
-
-def with_rig_folder(data: Original, area: Path) -> Written:
-    return write_folders(data, area / "images"), {"calibration": (data.folder,)}
-
-
-def ros1(contents: BagContents, compression: str = "") -> Callable[[Original, Path], Written]:
+def ros1(contents: BagContents, compression: str = "") -> Write:
     return lambda data, area: ([write_ros1(data, area / "a.bag", contents, compression)], {})
 
 
-def ros2(contents: BagContents, storage: str) -> Callable[[Original, Path], Written]:
+def ros2(contents: BagContents, storage: str) -> Write:
     return lambda data, area: ([write_ros2(data, area / "bag", contents, storage)], {})
 
 
@@ -68,30 +54,30 @@ def single_file(data: Original, area: Path) -> Written:
     return [next(bag.glob("*.mcap"))], {}
 
 
-def side_by_side(data: Original, area: Path) -> Written:
-    chain, stamps = write_kalibr(data, area / "camchain.yaml"), write_stamps(data, area / "times.txt")
-    return [write_side_by_side(data, area / "both.mkv")], {"calibration": (chain,), "stamps": (stamps,)}
+def with_stamps(write: Callable[[Original, Path], list[Path]]) -> Write:
+    """Videos, their calibration and their times."""
+    return lambda data, area: (
+        write(data, area),
+        {
+            "calibration": (write_kalibr(data, area / "camchain.yaml"),),
+            "stamps": (write_stamps(data, area / "times.txt"),),
+        },
+    )
 
 
-def two_videos(data: Original, area: Path) -> Written:
-    chain, stamps = write_kalibr(data, area / "camchain.yaml"), write_stamps(data, area / "times.txt")
-    videos = [
+def two_videos(data: Original, area: Path) -> list[Path]:
+    return [
         write_video((data.pixels(camera, stamp) for stamp in data.files[camera]), area / f"{camera}.mkv")
         for camera in (0, 1)
     ]
-    return videos, {"calibration": (chain,), "stamps": (stamps,)}
 
 
-def euroc(data: Original, area: Path) -> Written:
-    return [data.folder], {}
-
-
-FORMATS: dict[str, Callable[[Original, Path], Written]] = {
-    "Kalibr and folders": folders,
-    "OpenCV, YAML": with_opencv(".yml"),
-    "OpenCV, JSON": with_opencv(".json"),
-    "ROS camera_info": with_camera_info,
-    "a rig of ours": with_rig_folder,
+FORMATS: dict[str, Write] = {
+    "Kalibr and folders": with_calibration(lambda data, area: (write_kalibr(data, area / "k.yaml"),)),
+    "OpenCV, YAML": with_calibration(lambda data, area: (write_opencv(data, area / "stereo.yml"),)),
+    "OpenCV, JSON": with_calibration(lambda data, area: (write_opencv(data, area / "stereo.json"),)),
+    "ROS camera_info": with_calibration(write_camera_info),
+    "a rig of ours": with_calibration(lambda data, _: (data.folder,)),
     "ROS 1": ros1(BagContents()),
     "ROS 1, bz2, without tf": ros1(BagContents(tf=False), "BZ2"),
     "ROS 1, compressed images": ros1(BagContents(compressed=True), "LZ4"),
@@ -99,9 +85,9 @@ FORMATS: dict[str, Callable[[Original, Path], Written]] = {
     "ROS 2, MCAP": ros2(BagContents(), "MCAP"),
     "ROS 2, compressed images": ros2(BagContents(compressed=True), "MCAP"),
     "ROS 2, a single file": single_file,
-    "side-by-side video": side_by_side,
-    "two videos": two_videos,
-    "EuRoC": euroc,
+    "side-by-side video": with_stamps(lambda data, area: [write_side_by_side(data, area / "both.mkv")]),
+    "two videos": with_stamps(two_videos),
+    "EuRoC": lambda data, _: ([data.folder], {}),
 }
 
 
@@ -122,22 +108,28 @@ def turned(data: Original) -> Original:
     return replace(data, calibration=replace(data.calibration, X_BC0=np.eye(4), X_BC1=X_BC1))
 
 
-@pytest.mark.parametrize("form", ["Kalibr", "OpenCV", "millimetres", "camera_info"])
-def test_a_converging_rig_comes_back_to_rounding(form: str, small_sequence: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("write", "unit_m", "atol"),
+    [
+        (lambda data, area: [write_kalibr(data, area / "k.yaml")], 1.0, 3e-16),
+        (lambda data, area: [write_opencv(data, area / "o.yml")], 1.0, 3e-16),
+        (lambda data, area: [write_opencv(data, area / "o.yml", 1e-3)], 1e-3, 3e-16),
+        (write_camera_info, 1.0, 2e-15),
+    ],
+    ids=["Kalibr", "OpenCV", "millimetres", "camera_info"],
+)
+def test_a_converging_rig_comes_back_to_rounding(
+    write: Callable[[Original, Path], Sequence[Path]],
+    unit_m: float,
+    atol: float,
+    small_sequence: Path,
+    tmp_path: Path,
+) -> None:
     """Formats that state the inverse pose, another unit, or a product round in the last digits."""
     data = turned(original(small_sequence))
-    unit_m, paths = 1.0, (write_kalibr(data, tmp_path / "k.yaml"),)
-    if form == "OpenCV":
-        paths = (write_opencv(data, tmp_path / "o.yml"),)
-    elif form == "millimetres":
-        unit_m, paths = 1e-3, (write_opencv(data, tmp_path / "o.yml", 1e-3),)
-    elif form == "camera_info":
-        paths = write_camera_info(data, tmp_path)  # type: ignore[assignment]
-    rig = read_rig(paths, unit_m)
+    rig = read_rig(write(data, tmp_path), unit_m)
     np.testing.assert_array_equal(rig.left.X_BC, np.eye(4))
-    np.testing.assert_allclose(
-        rig.right.X_BC, data.calibration.X_BC1, rtol=0.0, atol=3e-16 if form != "camera_info" else 2e-15
-    )
+    np.testing.assert_allclose(rig.right.X_BC, data.calibration.X_BC1, rtol=0.0, atol=atol)
     assert rig.right.intrinsics == (50.0, 51.0, 31.5, 23.5) and rig.right.distortion == (-0.1, 0.01, 0.0, 0.0)
 
 

@@ -7,7 +7,10 @@ import pytest
 
 import polhode.importers.sources.image_folders as image_folders
 from polhode.errors import InputError, RunFailure
+from polhode.importers.import_sequence import import_sequence
+from polhode.importers.options import ImportOptions
 from polhode.importers.sources.recording import FramedImage, Wanted
+from polhode.progress import Silent
 from tests.importers.imports import imported, refused, require_same
 from tests.importers.recordings import original
 
@@ -61,10 +64,6 @@ def test_another_import_starts_over(
 
 
 def test_only_an_unchanged_import_is_replaced(small_sequence: Path, tmp_path: Path) -> None:
-    from polhode.importers.import_sequence import import_sequence
-    from polhode.importers.options import ImportOptions
-    from polhode.progress import Silent
-
     out = tmp_path / "back"
     imported([small_sequence], out)
     assert "exists: choose another folder or pass --overwrite" in refused([small_sequence], out)

@@ -7,10 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
 from polhode.dataset import open_sequence
 from polhode.dataset_writer import write_sensor
+from polhode.importers.import_sequence import import_sequence
+from polhode.importers.options import Crop, ImportOptions
 from polhode.lie import exp_so3
 from polhode.progress import Silent
 from polhode.range_images import RangeModel
@@ -86,41 +89,34 @@ def test_scale_and_noise_of_other_sensors_can_be_given_and_poses_left_out(
     assert sequence.range_model is not None and sequence.range_model.sigma_m == 0.004
 
 
-def _opencv(path: Path) -> Path:
-    path.write_text(
-        "%YAML:1.0\n---\nimage_width: 64\nimage_height: 48\ncamera_matrix: !!opencv-matrix\n   rows: 3\n"
-        "   cols: 3\n   dt: d\n   data: [52.5, 0., 31.9, 0., 52.5, 23.5, 0., 0., 1.]\n"
+ONE_CAMERA = {
+    "OpenCV": (
+        "%YAML:1.0\n---\nimage_width: 64\nimage_height: 48\n"
+        "camera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n"
+        "   data: [52.5, 0., 31.9, 0., 52.5, 23.5, 0., 0., 1.]\n"
         "distortion_coefficients: !!opencv-matrix\n   rows: 5\n   cols: 1\n   dt: d\n"
         "   data: [0.1, -0.2, 0., 0., 0.]\n"
-    )
-    return path
-
-
-def _ros(path: Path) -> Path:
-    path.write_text(
+    ),
+    "ROS": (
         "image_width: 64\nimage_height: 48\ncamera_name: rgb\n"
         "camera_matrix: {rows: 3, cols: 3, data: [52.5, 0, 31.9, 0, 52.5, 23.5, 0, 0, 1]}\n"
         "distortion_model: plumb_bob\n"
         "distortion_coefficients: {rows: 1, cols: 5, data: [0.1, -0.2, 0, 0, 0]}\n"
         "rectification_matrix: {rows: 3, cols: 3, data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}\n"
         "projection_matrix: {rows: 3, cols: 4, data: [52.5, 0, 31.9, 0, 0, 52.5, 23.5, 0, 0, 0, 1, 0]}\n"
-    )
-    return path
-
-
-def _kalibr(path: Path) -> Path:
-    path.write_text(
+    ),
+    "Kalibr": (
         "cam0:\n  camera_model: pinhole\n  intrinsics: [52.5, 52.5, 31.9, 23.5]\n"
         "  distortion_model: radtan\n  distortion_coeffs: [0.1, -0.2, 0.0, 0.0]\n  resolution: [64, 48]\n"
-    )
-    return path
+    ),
+}
 
 
-@pytest.mark.parametrize("write", [_opencv, _ros, _kalibr])
-def test_one_camera_is_calibrated_in_any_format(
-    folder: Path, tmp_path: Path, write: Callable[[Path], Path]
-) -> None:
-    imported([folder], tmp_path / "S", calibration=(write(tmp_path / "camera.yaml"),))
+@pytest.mark.parametrize("text", ONE_CAMERA.values(), ids=list(ONE_CAMERA))
+def test_one_camera_is_calibrated_in_any_format(folder: Path, tmp_path: Path, text: str) -> None:
+    camera = tmp_path / "camera.yaml"
+    camera.write_text(text)
+    imported([folder], tmp_path / "S", calibration=(camera,))
     calibration = open_sequence(tmp_path / "S").calibration
     np.testing.assert_array_equal(calibration.K0, K)
     np.testing.assert_array_equal(calibration.dist0, [0.1, -0.2, 0.0, 0.0])
@@ -128,8 +124,6 @@ def test_one_camera_is_calibrated_in_any_format(
 
 
 def test_a_part_of_a_dataset_with_ranges_is_imported(folder: Path, tmp_path: Path) -> None:
-    from polhode.importers.options import Crop
-
     imported([folder], tmp_path / "S", **rig_of(folder))
     imported([tmp_path / "S"], tmp_path / "part", every=2, crop=Crop(10, 6, 40, 36))
     whole, part = open_sequence(tmp_path / "S"), open_sequence(tmp_path / "part")
@@ -141,9 +135,6 @@ def test_a_part_of_a_dataset_with_ranges_is_imported(folder: Path, tmp_path: Pat
 
 
 def test_an_import_of_ours_is_replaced_and_nothing_else(folder: Path, tmp_path: Path) -> None:
-    from polhode.importers.import_sequence import import_sequence
-    from polhode.importers.options import ImportOptions
-
     imported([folder], tmp_path / "S", **rig_of(folder))
     options = ImportOptions(**rig_of(folder))
     assert import_sequence([folder], tmp_path / "S", options, Silent(), overwrite=True).pairs == COUNT
@@ -151,42 +142,25 @@ def test_an_import_of_ours_is_replaced_and_nothing_else(folder: Path, tmp_path: 
     assert "is no dataset that polhode import made" in refused([folder], tmp_path / "S", **rig_of(folder))
 
 
-def folders_of(folder: Path) -> list[Path]:
-    """The same images as two folders, whose names are times."""
-    return [folder / "rgb", folder / "depth"]
-
-
 def test_two_folders_are_images_and_depth_where_the_unit_of_depth_is_given(
-    folder: Path, tmp_path: Path
+    folder: Path, small_sequence: Path, tmp_path: Path
 ) -> None:
-    stated = {"range_scale_m": 0.0002, "range_sigma_m": 0.002}
-    done = imported(folders_of(folder), tmp_path / "S", **rig_of(folder), **stated)
+    both, out = [folder / "rgb", folder / "depth"], tmp_path / "S"
+    done = imported(both, out, **rig_of(folder), range_scale_m=0.0002, range_sigma_m=0.002)
     assert (done.pairs, done.kind) == (COUNT, "images with ranges")
-    sequence = open_sequence(tmp_path / "S")
+    sequence = open_sequence(out)
     assert sequence.range_model == RangeModel(0.0002, 0.002, 0.0)
     assert np.nanmedian(sequence.read_range(0)) == pytest.approx(1.2, abs=1e-3)
-
-
-def test_half_a_statement_about_depth_is_refused(folder: Path, tmp_path: Path) -> None:
     for half in ({"range_scale_m": 0.001}, {"range_sigma_m": 0.001}, {"range_growth_per_m": 0.0}):
-        line = refused(folders_of(folder), tmp_path / "S", **rig_of(folder), **half)
+        line = refused(both, tmp_path / "half", **rig_of(folder), **half)
         assert "--range-scale-m and --range-sigma-m: give both" in line
-
-
-def test_depth_of_floating_point_metres_is_refused(folder: Path, tmp_path: Path) -> None:
+    line = refused([small_sequence], tmp_path / "stereo", range_scale_m=0.001)
+    assert "are for two folders (images, depth) and for TUM RGB-D" in line
     for path in (folder / "depth").iterdir():
         Image.fromarray(np.full((HEIGHT, WIDTH), 1.2, np.float32)).save(path.with_suffix(".tiff"))
         path.unlink()
-    stated = {"range_scale_m": 0.001, "range_sigma_m": 0.002}
-    line = refused(folders_of(folder), tmp_path / "S", **rig_of(folder), **stated)
+    line = refused(both, tmp_path / "metres", **rig_of(folder), range_scale_m=0.001, range_sigma_m=0.002)
     assert "floating-point values, whose scale is unknown" in line
-
-
-def test_a_unit_of_depth_for_a_recording_without_depth_is_refused(
-    folder: Path, small_sequence: Path, tmp_path: Path
-) -> None:
-    line = refused([small_sequence], tmp_path / "S", range_scale_m=0.001)
-    assert "are for two folders (images, depth) and for TUM RGB-D" in line
 
 
 def _rewritten(name: str, change: Callable[[str], str]) -> Callable[[Path], None]:
@@ -197,16 +171,16 @@ def _rewritten(name: str, change: Callable[[str], str]) -> Callable[[Path], None
     return apply
 
 
-def _all_of_8_bits(folder: Path) -> None:
-    for path in (folder / "depth").iterdir():
-        Image.fromarray(np.full((HEIGHT, WIDTH), 90, np.uint8)).save(path)
+def _depth_images(pixels: NDArray[Any]) -> Callable[[Path], None]:
+    def apply(folder: Path) -> None:
+        for path in (folder / "depth").iterdir():
+            Image.fromarray(pixels).save(path)
+
+    return apply
 
 
-def _other_size(folder: Path) -> None:
-    for path in (folder / "depth").iterdir():
-        Image.fromarray(np.full((24, 32), 900, np.uint16)).save(path)
-
-
+GREY_OF_8_BITS = np.full((HEIGHT, WIDTH), 90, np.uint8)
+SMALL_DEPTH = np.full((24, 32), 900, np.uint16)
 BAD: dict[str, tuple[Callable[[Path], None], str]] = {
     "no calibration": (lambda folder: shutil.rmtree(folder.parent / "rig"), "rig"),
     "a row without a file": (_rewritten("depth.txt", lambda t: t.replace(" depth/", "#")), "depth.txt line"),
@@ -227,8 +201,11 @@ BAD: dict[str, tuple[Callable[[Path], None], str]] = {
         _rewritten("groundtruth.txt", lambda t: t.replace(" 0.2 0.3 0.0 ", " 0.2 0.3 1.0 ")),
         "not of unit length",
     ),
-    "depth of 8 bits": (_all_of_8_bits, "where 16-bit grey is needed"),
-    "depth of another size": (_other_size, "calibrated for images of 64x48 px, but they have 32x24"),
+    "depth of 8 bits": (_depth_images(GREY_OF_8_BITS), "where 16-bit grey is needed"),
+    "depth of another size": (
+        _depth_images(np.full((24, 32), 900, np.uint16)),
+        "calibrated for images of 64x48 px, but they have 32x24",
+    ),
     "other times": (
         _rewritten("depth.txt", lambda t: t.replace("13050", "14050")),
         "images and depth images have no time in common: the depth images begin",

@@ -22,31 +22,31 @@ GRID: dict[str, Any] = {
 }
 
 
-def test_the_grid_has_every_combination_with_the_first_axis_slowest(write_study: WriteStudy) -> None:
+def test_points_are_a_grid_in_which_a_design_is_one_factor(write_study: WriteStudy) -> None:
     study = open_study(write_study(**GRID))
-    assert study.count == 6
+    assert (study.count, study.sequences) == (6, 6)
     points = [study.point(number).values for number in range(6)]
+    # the first axis is the slowest
     assert points == [{BASELINES: b, "seed": s} for b in (0.1, 0.2) for s in (1, 2, 3)]
-
-
-def test_a_design_is_one_factor_of_the_grid(write_study: WriteStudy) -> None:
     design = {"method": "sobol", "count": 4, "settings": {"scene.interval_s": {"uniform": [1, 2]}}}
     study = open_study(write_study(**GRID, design=design))
     assert study.count == 24 and study.columns == (BASELINES, "seed", "scene.interval_s")
     assert len({study.point(number).values["scene.interval_s"] for number in range(24)}) == 4
+    # sequences are counted once, however many points use them
+    axes = {BASELINES: [0.1, 0.2, 0.3], "backend.accel_psd": {"log_range": [1e-6, 1e-3], "count": 50}}
+    study = open_study(write_study(base={"scene": SCENE}, axes=axes, steps=["simulate", "run"]))
+    assert (study.count, study.sequences) == (150, 3)
 
 
 def test_settings_are_laid_over_the_base_down_to_elements_of_lists(write_study: WriteStudy) -> None:
     axes = {"scene.motion.position_m.1": [0.5], "backend.accel_psd": [1e-3]}
-    study = open_study(write_study(base={"scene": SCENE}, axes=axes, steps=[]))
+    base = {"scene": SCENE, "runtime": {"workers": 7}}
+    study = open_study(write_study(base=base, axes=axes, steps=[]))
     config = study.config(study.point(0))
     assert config.scene is not None and config.scene.motion.position_m == (0.04, 0.5, 0.6)
     assert config.backend.accel_psd == 1e-3 and config.scene.rig.width_px == 48
-
-
-def test_every_point_is_computed_by_one_process_with_one_thread(write_study: WriteStudy) -> None:
-    study = open_study(write_study(**{**GRID, "base": {"scene": SCENE, "runtime": {"workers": 7}}}))
-    assert study.config(study.point(0)).runtime.workers == 1
+    # every point is computed by one process
+    assert config.runtime.workers == 1
 
 
 def test_base_and_variants_can_be_files_relative_to_the_study(
@@ -100,12 +100,6 @@ def test_an_address_depends_on_the_content_of_files(write_study: WriteStudy, tmp
         return open_study(write_study(base={"scene": {**SCENE, "body": body}}, steps=[])).point(0).address
 
     assert address("v 0 0 0\n") != address("v 0 0 1\n")
-
-
-def test_sequences_are_counted_once_however_many_points_use_them(write_study: WriteStudy) -> None:
-    axes = {BASELINES: [0.1, 0.2, 0.3], "backend.accel_psd": {"log_range": [1e-6, 1e-3], "count": 50}}
-    study = open_study(write_study(base={"scene": SCENE}, axes=axes, steps=["simulate", "run"]))
-    assert (study.count, study.sequences) == (150, 3)
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {
@@ -213,14 +207,6 @@ def test_a_dry_run_of_many_points_prints_the_plan_and_writes_nothing(
     assert not (tmp_path / "out").exists()
 
 
-def test_the_forecast_counts_the_pairs_of_points_with_different_numbers_of_frames(
-    write_study: WriteStudy, tmp_path: Path
-) -> None:
-    axes = {"scene.frames": [2, 10], "seed": [1, 2, 3]}
-    study = open_study(write_study(base={"scene": SCENE}, axes=axes, steps=["simulate"]))
-    assert forecast(study, tmp_path / "out").pairs == 3 * 12
-
-
 def test_the_forecast_of_variants_with_scenes_takes_their_defaults_and_their_own_sizes(
     write_study: WriteStudy, tmp_path: Path
 ) -> None:
@@ -231,6 +217,9 @@ def test_the_forecast_of_variants_with_scenes_takes_their_defaults_and_their_own
     study = open_study(write_study(base={}, axes=axes, steps=["simulate"]))
     found = forecast(study, tmp_path / "out")
     assert found.pairs == 10 + scene.frames
+    different = {"scene.frames": [2, 10], "seed": [1, 2, 3]}
+    grid = open_study(write_study(base={"scene": SCENE}, axes=different, steps=["simulate"]))
+    assert forecast(grid, tmp_path / "out").pairs == 3 * 12
     images = 2 * (10 * 100 * 50 + scene.frames * scene.rig.width_px * scene.rig.height_px)
     assert 0.3 * images < found.disk_bytes < 1.5 * images
 
@@ -250,14 +239,10 @@ FULL_SIZE = "front_ends_of_scenes"
 READY = sorted((ROOT / "configs" / "studies").glob("*.yaml"))
 
 
-def test_there_are_ready_studies_and_the_page_lists_all_of_them() -> None:
-    page = (ROOT / "docs" / "studies.md").read_text()
-    assert len(READY) == 10 and all(f"`{path.name}`" in page for path in READY)
-
-
 @pytest.mark.parametrize("path", READY, ids=lambda path: path.stem)
 def test_a_ready_study_can_be_computed_and_all_fit_a_night(path: Path) -> None:
     study = open_study(path)
+    assert f"`{path.name}`" in (ROOT / "docs" / "studies.md").read_text()
     if path.stem == FULL_SIZE:
         assert study.count <= 100
     else:

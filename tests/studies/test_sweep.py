@@ -25,7 +25,7 @@ from polhode.studies.cluster import Cluster
 from polhode.studies.store import Store
 from polhode.studies.study import open_study
 from tests.conftest import RENDERED_FRAMES
-from tests.studies.conftest import BASELINES, SCENE, Sweep, WriteStudy, thread_of, timeless
+from tests.studies.conftest import BASELINES, SCENE, Sweep, WriteStudy, timeless
 
 SIMULATED: dict[str, Any] = {
     "base": {"scene": SCENE},
@@ -70,31 +70,30 @@ def test_a_point_is_a_row_and_a_sequence_is_simulated_once(
 def test_the_same_command_computes_only_what_is_missing(
     write_study: WriteStudy, sweep_here: Sweep, calls: list[str], tmp_path: Path
 ) -> None:
-    path = write_study(**SIMULATED)
-    sweep_here(path, tmp_path / "out")
-    before = timeless(tmp_path / "out")
+    path, out = write_study(**SIMULATED), tmp_path / "out"
+    sweep_here(path, out)
+    before = timeless(out)
     calls.clear()
-    assert sweep_here(path, tmp_path / "out").stored == 6 and calls == []
-    store = Store(tmp_path / "out")
-    lost = before["digest.point"].to_pylist()[1:3]
+    assert sweep_here(path, out).stored == 6 and calls == []
+    store, lost = Store(out), before["digest.point"].to_pylist()[1:3]
+    # an unfinished study has the rows that are stored
+    (out / "table.parquet").unlink()
+    assert timeless(out) == before
     store.pack(without=set(lost))
-    assert sweep_here(path, tmp_path / "out").stored == 4 and calls == lost
-    assert timeless(tmp_path / "out") == before
+    assert polhode.load_study(out)["point"].tolist() == [0, 3, 4, 5]
+    assert sweep_here(path, out).stored == 4 and calls == lost
+    assert timeless(out) == before
     more = {**SIMULATED, "axes": {**SIMULATED["axes"], BASELINES: [0.2, 0.3]}}
     calls.clear()
-    assert sweep_here(write_study(**more), tmp_path / "out").stored == 3
+    assert sweep_here(write_study(**more), out).stored == 3
     assert len(calls) == 3 + 1
-    assert polhode.load_study(tmp_path / "out")[BASELINES].tolist() == [0.2, 0.2, 0.2, 0.3, 0.3, 0.3]
+    assert polhode.load_study(out)[BASELINES].tolist() == [0.2, 0.2, 0.2, 0.3, 0.3, 0.3]
 
 
+@pytest.mark.usefixtures("sweep_here")
 def test_the_points_that_are_stored_are_counted_unless_the_study_is_new(
-    write_study: WriteStudy,
-    client: Client,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    write_study: WriteStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(flow, "opened_cluster", thread_of(client))
     words = ["sweep", str(write_study(**SIMULATED)), "-o", str(tmp_path / "out")]
     assert main(words) == 0
     assert "stored" not in (said := capsys.readouterr().out) and "looked up" not in said
@@ -105,17 +104,6 @@ def test_the_points_that_are_stored_are_counted_unless_the_study_is_new(
     Store(tmp_path / "out").pack(without=set(frame["digest.point"][:2]))
     assert main(words) == 0
     assert "note: 4 of 6 points are stored already\n" in capsys.readouterr().out
-
-
-def test_an_unfinished_study_has_the_rows_that_are_stored(
-    write_study: WriteStudy, sweep_here: Sweep, tmp_path: Path
-) -> None:
-    sweep_here(write_study(**SIMULATED), tmp_path / "out")
-    whole = timeless(tmp_path / "out")
-    (tmp_path / "out" / "table.parquet").unlink()
-    assert timeless(tmp_path / "out") == whole
-    Store(tmp_path / "out").pack(without={whole["digest.point"][2].as_py()})
-    assert polhode.load_study(tmp_path / "out")["point"].tolist() == [0, 1, 3, 4, 5]
 
 
 def test_a_point_that_fails_is_a_row_with_its_reason_and_tried_again_when_asked(
@@ -185,30 +173,36 @@ def test_while_points_wait_for_one_sequence_others_are_looked_at(
     assert kinds.count("sequence") == 3 and kinds.count("point") == 41
 
 
+DISK_FULL = RunFailure("x.json: cannot be written (No space left on device)")
+OTHER_CODE = work.OtherCode("node7 has other code")
+KILLED = KilledWorker("point-1", cast(WorkerState, SimpleNamespace(address="tls://1")), 3)
+
+
 @pytest.mark.parametrize(
     ("error", "said"),
     [
-        (
-            RunFailure("x.json: cannot be written (No space left on device)"),
-            "No space left on device); points",
-        ),
-        (
-            work.OtherCode("node7 has other code"),
-            "node7 has other code; was it changed meanwhile? Points that",
-        ),
+        (DISK_FULL, "No space left on device); points"),
+        (OTHER_CODE, "node7 has other code; was it changed meanwhile? Points that"),
         (None, "the scheduler was lost; points that are done are kept"),
+        (KILLED, ""),
     ],
 )
-def test_what_is_no_fault_of_a_point_ends_the_sweep(
+def test_what_is_no_fault_of_a_point_ends_the_sweep_but_killed_workers_are_a_row(
     error: Exception | None, said: str, write_study: WriteStudy, client: Client, tmp_path: Path
 ) -> None:
-    study = open_study(write_study(axes={"seed": [1]}, steps=[]))
-    window = flow._Window(study, Store(tmp_path), Cluster(client, 1, ""), array("l", [0]))
+    study, store = open_study(write_study(axes={"seed": [1]}, steps=[])), Store(tmp_path)
+    window = flow._Window(study, store, Cluster(client, 1, ""), array("l", [0]))
     future = SimpleNamespace(status="error" if error else "cancelled", exception=lambda: error)
+    if error is KILLED:
+        assert window._status(future, study.point(0), "") == "failed"
+        found = store.read(study.point(0).address)
+        assert found is not None
+        assert found["reason"] == "4 workers ended while computing it, perhaps for lack of memory"
+        return
     with pytest.raises(RunFailure) as failure:
         window._status(future, study.point(0), "")
     assert said in str(failure.value)
-    assert Store(tmp_path).read(study.point(0).address) is None
+    assert store.read(study.point(0).address) is None
 
 
 def test_an_installation_whose_versions_are_unknown_is_found_before_anything_is_computed(
@@ -226,20 +220,6 @@ def test_an_installation_whose_versions_are_unknown_is_found_before_anything_is_
     with pytest.raises(PackageNotFoundError, match="polhode"):
         sweep_here(write_study(**SIMULATED), tmp_path / "out")
     assert not calls
-
-
-def test_a_point_whose_workers_are_killed_again_and_again_is_a_row(
-    write_study: WriteStudy, client: Client, tmp_path: Path
-) -> None:
-    study, store = open_study(write_study(axes={"seed": [1]}, steps=[])), Store(tmp_path)
-    window = flow._Window(study, store, Cluster(client, 1, ""), array("l", [0]))
-    worker = cast(WorkerState, SimpleNamespace(address="tls://1"))
-    killed = KilledWorker("point-1", worker, 3)
-    future = SimpleNamespace(status="error", exception=lambda: killed)
-    assert window._status(future, study.point(0), "") == "failed"
-    found = store.read(study.point(0).address)
-    assert found is not None
-    assert found["reason"] == "4 workers ended while computing it, perhaps for lack of memory"
 
 
 @pytest.mark.usefixtures("coarse_keep_out")

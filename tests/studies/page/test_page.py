@@ -10,9 +10,9 @@ import pyarrow as pa
 import pytest
 
 from polhode.cli.main import main
-from polhode.studies.page.columns import Axis, Metric, axes_of, drawn, metrics_of, without_numbers
+from polhode.studies.page.columns import axes_of, choose_metrics, metrics_of
 from polhode.studies.page.consistency import consistencies
-from polhode.studies.page.drawings import dependence, front_of
+from polhode.studies.page.drawings import front_of
 from polhode.studies.page.write_page import write_page
 from polhode.studies.steps import FAILED
 from polhode.studies.store import Store
@@ -84,6 +84,8 @@ def test_the_page_says_what_holds_what_matters_and_what_failed(page: Path) -> No
     # reasons that differ by numbers alone are one
     assert "frames are connected" in text and "(and the same with other numbers)" in text
     assert text.count("the surface is not closed") == 1
+    # the worst points are told with their seeds
+    assert re.search(r"scene\.interval_s \d\S*, front end learned, seed \d", text)
     assert "First order only" in text and "evaluate.error_k1" in text
     # nothing is loaded from elsewhere
     assert "default-src 'none'" in text and not re.search(r'(src|href)="https?:', text)
@@ -109,10 +111,10 @@ def test_columns_are_axes_and_metrics_and_the_study_chooses_what_is_drawn(store_
         (INTERVAL, (), True),
         ("front end", ("learned", "classical"), False),
     ]
-    chosen = drawn(metrics, study.settings.metrics, 9)
+    chosen = choose_metrics(metrics, study.settings.metrics, 9)
     assert [each.column for each in chosen] == ["evaluate.mesh.completeness_3mm", "time.run.total_s"]
     assert chosen[0].more_is_better and not chosen[1].more_is_better
-    main_ones = drawn(metrics, (), 3)
+    main_ones = choose_metrics(metrics, (), 3)
     assert [each.title for each in main_ones] == [
         "evaluate.attitude_error_deg.median",
         "evaluate.rmse_position_m",
@@ -145,38 +147,6 @@ def test_a_front_has_the_points_that_no_other_is_below() -> None:
         if not ((first <= a) & (second <= b) & ((first < a) | (second < b))).any()
     }
     assert kept == best
-
-
-def test_the_worst_points_are_told_with_their_seeds(page: Path) -> None:
-    assert re.search(r"scene\.interval_s \d\S*, front end learned, seed \d", page.read_text())
-
-
-@pytest.mark.parametrize(
-    ("labels", "lines", "angle"),
-    [
-        (("rootsift and patches", "alone"), ["rootsift and patches", "alone"], 0),
-        (("root and patches", "surface alone", "a", "b"), ["root and<br>patches", "surface alone"], 0),
-        (("rootsiftandpatches", "a b", "c", "d"), ["rootsiftandpatches", "a b"], 90),
-        (tuple("abcdefgh"), ["a", "b"], 90),
-    ],
-)  # fmt: skip
-def test_every_label_of_an_axis_is_drawn(labels: tuple[str, ...], lines: list[str], angle: int) -> None:
-    values = np.repeat(np.arange(len(labels), dtype=np.float64), 3)
-    figure = dependence(Metric("run.e", np.arange(1.0, 1.0 + len(values))), Axis("a", values, labels), "key")
-    drawn_axis = figure.layout["xaxis"]
-    assert drawn_axis["ticktext"][:2] == lines and len(drawn_axis["ticktext"]) == len(labels)
-    assert drawn_axis["tickangle"] == angle and drawn_axis["ticklabeloverflow"] == "allow"
-
-
-def test_a_long_name_beside_a_drawing_has_two_lines() -> None:
-    values, column = np.arange(1.0, 7.0), "evaluate.rmse_angular_velocity_deg_s"
-    figure = dependence(Metric(column, values), Axis("a", values), "key")
-    title = figure.layout["yaxis"]["title"]["text"]
-    assert title.count("<br>") == 1 and title.replace("<br>", "") == column
-
-
-def test_reasons_are_grouped_without_their_numbers() -> None:
-    assert without_numbers("run: 3 of 12.5 frames at -1e-3") == "run: # of # frames at -#e-#"
 
 
 def test_a_study_without_results_or_axes_has_a_page_too(store_study: StoreStudy) -> None:
