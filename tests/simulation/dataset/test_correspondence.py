@@ -1,7 +1,5 @@
 """Correspondences against mesh vertices, OpenCV's projection, plates before plates, and back again."""
 
-from time import process_time
-
 import cv2
 import numpy as np
 import pytest
@@ -163,20 +161,6 @@ def test_the_lens_does_not_fold_far_points_into_the_image() -> None:
     folded = barrel.project(np.array([[1.9, 0.0, 0.995]]))
     assert 0 < folded[0, 0] < 63
     assert correspond(caster, a, b, uv).reason.tolist() == [Reason.OUTSIDE, Reason.VISIBLE]
-
-
-def test_a_hundred_thousand_points_take_less_than_half_a_second(
-    plan: SequencePlan, caster: RayCaster
-) -> None:
-    a, b = view_of(plan, 0, 0), view_of(plan, 1, 1)
-    on_target = a.camera.pixel_grid()[dense_correspondence(caster, a, b).reason != Reason.OFF_TARGET]
-    uv = np.resize(on_target, (100_000, 2))
-    seconds = []
-    for _ in range(3):
-        start = process_time()
-        correspond(caster, a, b, uv)
-        seconds.append(process_time() - start)
-    assert min(seconds) < 0.5
 
 
 def test_the_angle_is_that_of_the_turn(plan: SequencePlan) -> None:
