@@ -189,9 +189,6 @@ def _K(focal_px: float, centre_px: Array) -> Array:
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 
-MAX_MEAN_ELECTRONS = 1e12
-"""Upper limit of the mean number of electrons [-] per pixel: far above any full well."""
-
 
 def expose(
     level: Array, sensor: config.Sensor, rng: np.random.Generator, points: Array | None = None
@@ -201,7 +198,8 @@ def expose(
     ``points`` (H, W) is light that includes the lens blur already: stars.
     """
     light = through_lens(level, sensor, points)
-    electrons = np.minimum(light * sensor.white_dn * sensor.electrons_per_dn, MAX_MEAN_ELECTRONS)
+    # The limit of the mean lies far above any full well.
+    electrons = np.minimum(light * sensor.white_dn * sensor.electrons_per_dn, 1e12)
     full_well = sensor.full_well_dn * sensor.electrons_per_dn
     charge = spill(_count(electrons, rng), full_well, sensor.bloom)
     return digitise(charge / sensor.electrons_per_dn, sensor, rng)

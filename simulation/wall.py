@@ -19,8 +19,6 @@ CLOUDS, PATCHES, GRAIN = 0.2, 0.22, 0.18
 """Largest deviations from it by each part of the pattern."""
 CLOUD_SIZE, GRAIN_SIZE = 4.0, 0.3
 """Sizes relative to that of the patches."""
-FARTHEST = 100.0
-"""Along rays that nearly graze the wall, in its distances from N's origin; beyond, there is no wall."""
 
 
 class Wall:
@@ -73,7 +71,8 @@ class Wall:
         eye_W = self._axes_N.T @ (X_NK[:3, 3] - self._point_N)
         with np.errstate(divide="ignore", invalid="ignore"):
             reach = -eye_W[2] / rays_W[:, 2]
-            there = (reach > 0.0) & (reach < FARTHEST * self._settings.distance_m)
+            # Along rays that nearly graze the wall, it ends at 100 times its distance from the origin of N.
+            there = (reach > 0.0) & (reach < 100.0 * self._settings.distance_m)
         return rays_W, eye_W, np.where(there, reach, np.nan)
 
     def _view(self, camera: Camera, X_NK: Array) -> tuple[Array, Array]:

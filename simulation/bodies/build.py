@@ -26,9 +26,6 @@ from polhode.simulation.bodies.textures.part_builder import (
     texture_generator,
 )
 
-MESH_GRAIN_M = 0.25
-"""The same for mesh files: the side of a cube of the same surface area."""
-
 
 def build_body(body: config.TargetBody, seed: int) -> Body:
     """Build the target; ``seed`` is used if the description has none. Raises InputError (mesh files)."""
@@ -44,7 +41,8 @@ def build_body(body: config.TargetBody, seed: int) -> Body:
         assert body.metres_per_unit is not None
         parts = mesh_file_parts(Path(body.path), body.metres_per_unit, builder)
         area_m2 = sum(float(part.mesh.area) for part in parts)
-        grain = float(np.sqrt(area_m2 / 6.0)) / MESH_GRAIN_M
+        # As GRAIN_M, of the side of a cube of the same surface area [m].
+        grain = float(np.sqrt(area_m2 / 6.0)) / 0.25
         builder = replace(builder, texel_m=texel_size_for(area_m2))
     else:
         parts = FAMILIES[body.family](body.size_m, builder)

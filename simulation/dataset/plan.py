@@ -142,8 +142,6 @@ MIN_DISTANCE_SHARE = 1e-3
 """A camera is too near if its distance is less than either, in metres or relative to the target's length."""
 ENCLOSED_SHARE = 0.9
 """A camera is inside if this share of all directions hits the target; below 1, as meshes have holes."""
-MAX_SAMPLE_VERTICES = 4000
-"""Vertices that are projected into the image; rays find what these miss."""
 NAMES = ("left", "right")
 
 
@@ -182,7 +180,8 @@ class ViewCheck:
     """Distances of cameras from a body, and whether they see it."""
 
     def __init__(self, body: Body) -> None:
-        self._sample_G = np.asarray(body.mesh.vertices)[:: 1 + len(body.mesh.vertices) // MAX_SAMPLE_VERTICES]
+        # Some 4000 vertices are projected into the image; rays find what these miss.
+        self._sample_G = np.asarray(body.mesh.vertices)[:: 1 + len(body.mesh.vertices) // 4000]
         self._triangles = np.asarray(body.mesh.triangles)
         self._caster = RayCaster(body)
         low, high = np.asarray(body.mesh.bounds)

@@ -34,8 +34,6 @@ from polhode.simulation.motion.target import TargetMotion, target_motion
 LIGHT = np.array([-0.5, 0.62, 0.6])
 """Direction to the light: right, up, towards the viewer."""
 AMBIENT, DIFFUSE, GLOSS, SHININESS = 0.62, 0.42, 0.16, 30.0
-HEADROOM = 0.07
-"""Margin above the highest point for its label, relative to the largest side."""
 LAYERS = 8
 """Number of translucent surfaces one behind the other that are drawn."""
 
@@ -115,7 +113,7 @@ class Drawing:
         for line in self._lines:
             self._paint_line(axes, scene, line, 4e-3 * size)
         axes.set(xlim=(low[0] - 0.02 * size, high[0] + 0.02 * size))
-        axes.set(ylim=(low[1] - 0.02 * size, high[1] + HEADROOM * size))
+        axes.set(ylim=(low[1] - 0.02 * size, high[1] + 0.07 * size))
         axes.set_aspect("equal")
         axes.axis("off")
 

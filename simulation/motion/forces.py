@@ -18,7 +18,6 @@ from polhode.simulation.motion.mass import MassDistribution
 
 MAX_CELL_S = 0.025
 """A white disturbance is constant for at most this long, and at most 1/20 of the frames' interval."""
-CELLS_PER_INTERVAL = 20
 _TAG = 0x30
 
 
@@ -95,7 +94,7 @@ def is_free(motion: config.Motion) -> bool:
 
 def cell_length_s(scene: config.Scene) -> float:
     """Duration for which a white disturbance is constant [s]."""
-    return float(min(MAX_CELL_S, scene.interval_s / CELLS_PER_INTERVAL))
+    return float(min(MAX_CELL_S, scene.interval_s / 20))
 
 
 def push_interval_s(push: config.WrenchPulse) -> tuple[float, float]:
@@ -175,8 +174,6 @@ def _span_ns(push: config.WrenchPulse) -> tuple[int, int]:
     return round(start_s * 1e9), round(end_s * 1e9)
 
 
-MAX_LAG = 1.0
-"""Maximum of friction times body rate over the smallest moment (the lag of the ball): the law's limit."""
 MIN_EXCESS = 1e-9
 """A spin with a smaller share of excess energy counts as one about a principal axis, without friction."""
 
@@ -214,7 +211,8 @@ def friction_for_loss(share: float, duration_s: float, moments: Array, w_P: Arra
     Nothing else acts. Raises InputError for a spin about a principal axis, and for a loss so fast that the
     ball inside would not follow the body.
     """
-    largest = MAX_LAG * moments[2] ** 2 / max(float(np.linalg.norm(moments * w_P)), 1e-300)
+    # The law holds up to a lag of the ball (friction times body rate over the smallest moment) of 1.
+    largest = moments[2] ** 2 / max(float(np.linalg.norm(moments * w_P)), 1e-300)
     _require_wobble(moments, w_P)
 
     def missing(log_friction: float) -> float:

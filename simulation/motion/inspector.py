@@ -76,13 +76,7 @@ def limit_cycle(half_width: float, rate: float, stop_s: float, rng: np.random.Ge
     return LimitCycle(np.cumsum(way / rates[:-1]), values, rates, pulse_s)
 
 
-BRAKE_S = 1.0
-"""Duration of the braking at the end of an approach [s]."""
-
-
 _TAG = 0x31
-_MARGIN_S = 60.0
-"""The jitter continues for this long after the last frame, for long exposures [s]."""
 
 
 CameraPath = Callable[[Array], Array]
@@ -103,7 +97,8 @@ def _circle(X_NC0: Array, centre_N: Array, w_N: Array, t_s: Array) -> Array:
 
 def _approach(X_NC0: Array, direction_N: Array, length_m: float, speed_m_s: float, t_s: Array) -> Array:
     """Along a line at a constant speed, then uniform braking to a stop; constant attitude."""
-    brake_s = min(BRAKE_S, 2.0 * length_m / speed_m_s)
+    # Braking takes one second, or the whole way.
+    brake_s = min(1.0, 2.0 * length_m / speed_m_s)
     cruise_s = length_m / speed_m_s - 0.5 * brake_s
     braking_s = np.clip(t_s - cruise_s, 0.0, brake_s)
     slowed = braking_s / brake_s if brake_s > 0 else np.ones(len(t_s))
@@ -204,9 +199,8 @@ def inspector_motion(scene: config.Scene, seed: int) -> InspectorMotion:
     """
     stamps = timestamps(scene)[: scene.frames]
     t_s = np.asarray((stamps - stamps[0]) / 1e9)
-    return InspectorMotion(
-        t_s, camera_path(scene), _jitter(scene.inspector, float(t_s[-1]) + _MARGIN_S, seed)
-    )
+    # The jitter continues for a minute after the last frame, for long exposures.
+    return InspectorMotion(t_s, camera_path(scene), _jitter(scene.inspector, float(t_s[-1]) + 60.0, seed))
 
 
 def reported_inspector(scene: config.Scene, X_NC: Array, X_BC: Array, rng: np.random.Generator) -> Array:

@@ -45,9 +45,6 @@ class Precession:
     """Period of the rate around that axis in the body: the period of the polhode"""
 
 
-NO_PRECESSION = Precession("none", "none", (0.0, 0.0), np.inf, np.inf)
-
-
 def precession_of(moments: Array, w_P: Array) -> Precession:
     """Precession of a free body; moments (3,) sorted from the greatest, w_P (3,) [rad/s] at any time.
 
@@ -56,7 +53,7 @@ def precession_of(moments: Array, w_P: Array) -> Precession:
     """
     order = circulation_order(moments, w_P)
     if order is None:
-        return NO_PRECESSION
+        return Precession("none", "none", (0.0, 0.0), np.inf, np.inf)
     J1, J2, J3 = moments[order]
     two_energy, h_squared = _energy_and_momentum(moments, w_P)
     h = np.sqrt(h_squared)

@@ -222,14 +222,6 @@ PROBES = 5000
 POINTS_A_PROBE = 6
 """Points on the whole surface, inside and out, for each probe on the surface that light reaches."""
 DIRECTIONS = 1024
-PILOT_DIRECTIONS = 64
-RAYS_AT_ONCE = 1 << 18
-LOWEST = 1e-3
-"""Directions with a smaller sine of the elevation are ignored."""
-PACKING = 0.6
-"""Number of probes on a square with their spacing as side."""
-NORMAL_FACTOR = 1.0
-"""A difference of one radian between normals separates probes like this many spacings."""
 
 
 @dataclass(frozen=True)
@@ -267,7 +259,8 @@ def place_probes(mesh: trimesh.Trimesh, caster: RayCaster, count: int = PROBES) 
     scattered = _scatter(mesh, caster, POINTS_A_PROBE * count, rng)
     points = _reachable(scattered, caster)
     reached_m2 = 2.0 * mesh.area * len(points.face) / len(scattered.face)
-    spacing_m = float(np.sqrt(PACKING * reached_m2 / count))
+    # A square with the spacing as its side holds 0.6 probes.
+    spacing_m = float(np.sqrt(0.6 * reached_m2 / count))
     probes = points[_poisson_disc_sample(points, spacing_m, rng)]
     around = SurfaceInterpolation(probes.p_G, probes.flat_normal_G, 2.0 * spacing_m)
     owner = around.nearest(points.p_G, points.flat_normal_G).astype(np.int64)
@@ -291,7 +284,7 @@ def _scatter(mesh: trimesh.Trimesh, caster: RayCaster, n: int, rng: np.random.Ge
 def _reachable(points: Hits, caster: RayCaster) -> Hits:
     """The points that see the sky; all of them if none does."""
     sky = np.zeros(len(points.face), np.bool_)
-    for point, _, face, _ in _rays(points, even_directions(PILOT_DIRECTIONS), caster):
+    for point, _, face, _ in _rays(points, even_directions(64), caster):
         sky[point[face < 0]] = True
     return points[sky] if sky.any() else points
 
@@ -299,7 +292,8 @@ def _reachable(points: Hits, caster: RayCaster) -> Hits:
 def _poisson_disc_sample(points: Hits, spacing_m: float, rng: np.random.Generator) -> Ints:
     """Indices of a Poisson-disc sample: points in random order, without those near an earlier one."""
     order = rng.permutation(len(points.p_G))
-    features = np.hstack([points.p_G, NORMAL_FACTOR * spacing_m * points.flat_normal_G])[order]
+    # A difference of one radian between normals separates probes like one spacing.
+    features = np.hstack([points.p_G, spacing_m * points.flat_normal_G])[order]
     pairs = cKDTree(features).query_pairs(spacing_m, output_type="ndarray")
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     taken = _greedy(len(order), pairs)
@@ -342,9 +336,9 @@ def _rays(points: Hits, directions: Array, caster: RayCaster) -> Iterator[tuple[
 
     Yields indices (m,) of the points and directions, the face (m,) that is hit, -1: none, and its distance.
     """
-    rows = max(RAYS_AT_ONCE // len(directions), 1)
+    rows = max((1 << 18) // len(directions), 1)
     for first in range(0, len(points.face), rows):
-        point, direction = np.nonzero(points.flat_normal_G[first : first + rows] @ directions.T > LOWEST)
+        point, direction = np.nonzero(points.flat_normal_G[first : first + rows] @ directions.T > 1e-3)
         point += first
         met = caster.meets(points.p_G[point], points.flat_normal_G[point], directions[direction])
         yield point, direction, *met

@@ -10,9 +10,6 @@ from polhode.simulation.bodies.textures.canvas import chart_of_facet
 from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface import materials as mat
 
-PLAIN_FACES = 3
-"""Number of the 18 faces without stickers."""
-
 
 def free_flyer_parts(size_m: float, builder: PartBuilder) -> list[Part]:
     """Parts of a free flyer, size_m [m] across flats, G at the middle of the shell, tank along -z."""
@@ -37,7 +34,8 @@ def _shell(size_m: float, builder: PartBuilder) -> Part:
     vertices = HalfspaceIntersection(planes, np.zeros(3)).intersections
     mesh = hull(np.unique(np.round(vertices, 9), axis=0))
     charts, facets = [], flat_facets(mesh)
-    plain = rng.choice(len(facets), PLAIN_FACES, replace=False)
+    # Three of the 18 faces have no stickers.
+    plain = rng.choice(len(facets), 3, replace=False)
     for index, faces in enumerate(facets):
         base = float(rng.choice([0.26, 0.32, 0.4]))
         draw = builder.textures.plain(base) if index in plain else builder.textures.panel(base, 1.5)

@@ -137,7 +137,6 @@ MIN_SIDE_TEXELS = 24
 """Sides smaller than the square of this have no chart, only the solid texture."""
 TEXELS = 1.3e6
 """On the whole surface of a body."""
-CELL_TEXELS = 46
 
 
 Name = Literal["paint", "solar_cell", "foil", "metal", "regolith"]
@@ -161,7 +160,7 @@ def sheet_for_material(material: Material, textures: TextureGenerator) -> Draw |
     if material.specular > 0.2:
         return textures.machined_plate()
     if material.albedo <= mat.SOLAR_CELL.albedo and material.roughness < 0.3:
-        return textures.cells(CELL_TEXELS) if material.grain > 0 else None
+        return textures.cells(46) if material.grain > 0 else None
     return textures.panel(material.albedo, 0.6)
 
 

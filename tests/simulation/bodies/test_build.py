@@ -1,19 +1,16 @@
 """Bodies: shape, mass and surface."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import trimesh
 
 from polhode.config import scene_settings as config
-from polhode.errors import InputError
 from polhode.simulation.bodies import Body, build_body
 from polhode.simulation.bodies.part import Part, assemble
-from polhode.simulation.bodies.solids import flat_facets, smooth_corner_normals
+from polhode.simulation.bodies.solids import smooth_corner_normals
 from polhode.simulation.rendering.appearance import SurfaceAppearance, chart_atlas, look_up
 from polhode.simulation.rendering.raycast import RayCaster
-from polhode.simulation.surface.materials import PAINT_GREY, PAINT_WHITE, Surface
+from polhode.simulation.surface.materials import PAINT_WHITE, Surface
 
 FAMILIES = ["free_flyer", "bus", "asteroid"]
 
@@ -142,10 +139,6 @@ def test_normals_are_smooth_on_a_ball_and_flat_on_a_box() -> None:
     np.testing.assert_allclose(smooth_corner_normals(box), np.repeat(box.face_normals[:, None], 3, axis=1))
 
 
-def test_a_box_has_six_flat_facets() -> None:
-    assert sorted(len(faces) for faces in flat_facets(trimesh.creation.box())) == [2] * 6
-
-
 def test_a_chart_is_read_where_it_was_drawn() -> None:
     body = _build("free_flyer")
     atlas = chart_atlas(body.charts)
@@ -164,30 +157,3 @@ def test_drawings_read_the_right_way_round_from_outside() -> None:
         outward = body.mesh.face_normals[np.flatnonzero(body.face_chart == index)[0]]
         # Right, down and the viewing direction (inwards) are right-handed, as in an image.
         assert np.cross(chart.right_G, chart.down_G) @ -outward == pytest.approx(1.0)
-
-
-def test_a_mesh_file_keeps_its_size_in_metres(tmp_path: Path) -> None:
-    path = tmp_path / "box.stl"
-    trimesh.creation.box([200.0, 100.0, 50.0]).export(path)
-    body = _build("mesh", path=str(path), metres_per_unit=0.001)
-    np.testing.assert_allclose(body.mesh.extents, [0.2, 0.1, 0.05])
-    assert body.materials[0] != PAINT_GREY
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("absent.obj", None, "no such mesh file"),
-        ("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "has no faces"),
-        ("broken.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
-        ("picture.xyzzy", "hello", "cannot be read as a mesh"),
-    ],
-)
-def test_a_bad_mesh_file_gives_one_line(tmp_path: Path, name: str, content: str | None, message: str) -> None:
-    path = tmp_path / name
-    if content is not None:
-        path.write_text(content)
-    with pytest.raises(InputError, match=message) as caught:
-        _build("mesh", path=str(path), metres_per_unit=1.0)
-    assert "\n" not in str(caught.value)
-    assert name in str(caught.value)

@@ -130,11 +130,6 @@ def test_products_add_files_and_change_no_others(stored: Path, tmp_path: Path) -
     assert sorted(full.keys() - plain.keys()) == added
 
 
-def test_products_are_the_same_bytes_from_two_processes(stored: Path, tmp_path: Path) -> None:
-    simulate(_scene(products=ALL), 4, tmp_path / "S", Silent(), workers=2)
-    assert _bytes(tmp_path / "S") == _bytes(stored)
-
-
 def test_a_reader_of_the_sequence_does_not_see_the_products(stored: Path) -> None:
     sequence = open_sequence(stored)
     assert not sequence.warnings

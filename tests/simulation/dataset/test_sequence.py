@@ -158,14 +158,6 @@ def test_frames_are_lost_by_chance_as_often_as_the_scene_says() -> None:
         received_frames(config.Sensor(drop_probability=1.0), 10, 1)
 
 
-def test_pushes_are_written_when_they_are_known_and_only_then(tmp_path: Path) -> None:
-    push = {"duration_s": 1.0, "torque_P": [1e-4, 0, 0]}
-    for known in (True, False):
-        motion = {"position_m": [0.0, 0.0, 0.6], "pushes": [push], "pushes_known": known}
-        simulate(_scene(frames=1, motion=motion), 4, tmp_path / str(known), Silent())
-        assert (tmp_path / str(known) / "mav0/wrench0/data.csv").is_file() == known
-
-
 def test_unreported_jitter_of_the_camera_is_not_written(tmp_path: Path) -> None:
     for reported in (True, False):
         inspector = {"deadband_mm": 5.0, "reported": reported}

@@ -52,16 +52,6 @@ def test_the_integrator_under_forces_agrees_with_it_too() -> None:
     np.testing.assert_allclose(column, R_NP[:, 0], atol=1e-9)
 
 
-def test_the_axisymmetric_closed_form_is_elementary() -> None:
-    """The closed form itself: with two equal moments, steady rotations about h and about the body's axis."""
-    J, w = (np.array(values) for values in CASES["prolate"])
-    R_NP, _ = closed_form(J, np.eye(3), w, 60.0)
-    h_N = J * w
-    turn_h = exp_so3(60.0 * h_N / J[0])
-    turn_axis = exp_so3(60.0 * w[2] * (1 - J[2] / J[0]) * np.array([0.0, 0.0, 1.0]))
-    np.testing.assert_allclose(R_NP, turn_h @ turn_axis, atol=1e-11)
-
-
 def closed_form(J: Array, R_NP0: Array, w_P0: Array, t_s: float) -> tuple[Array, Array]:
     """R_NP (3, 3) and w_P (3,) at a time t_s from those at zero; moments (3,) sorted, greatest first."""
     R_PA = _axes_of_circulation(J, w_P0)

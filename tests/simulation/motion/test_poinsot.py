@@ -20,14 +20,6 @@ from polhode.simulation.motion.poinsot import (
     separatrix,
 )
 
-TRIAXIAL, DISC = np.array([1.4, 1.0, 0.7]), np.array([1.7, 1.0, 1.0])
-CASES = {
-    "about the greatest axis": (TRIAXIAL, np.array([1.0, 0.2, 0.3])),
-    "about the least axis": (TRIAXIAL, np.array([0.1, -0.25, -1.1])),
-    "disc": (DISC, np.array([0.9, 0.3, -0.2])),
-}
-
-
 OBLATE, PROLATE = np.array([1.7, 1.0, 1.0]), np.array([1.5, 1.5, 0.6])
 TRIAXIAL = np.array([1.4, 1.0, 0.7])
 MAJOR, MINOR = np.array([1.0, 0.2, 0.3]), np.array([0.1, -0.25, 1.1])
@@ -42,6 +34,7 @@ SPINS = {
     "above the separatrix": (TRIAXIAL, np.array([0.3, 1.0, 0.2])),
     "below the separatrix": (TRIAXIAL, np.array([0.2, 1.0, 0.4])),
 }
+CASES = {name: SPINS[name] for name in ("greatest axis", "least axis, backwards", "disc")}
 
 
 @pytest.fixture(scope="module", params=list(CASES.values()), ids=list(CASES))
@@ -89,7 +82,7 @@ def test_the_axis_goes_around_the_momentum_once(geometry: Poinsot) -> None:
     assert geometry.axis_P @ geometry.polhode_P[0] > 0
 
 
-@pytest.mark.parametrize("moments", [TRIAXIAL, DISC])
+@pytest.mark.parametrize("moments", [TRIAXIAL, OBLATE])
 def test_other_polhodes_lie_on_the_ellipsoid_with_one_momentum_each(moments: Array) -> None:
     curves = polhodes(moments, 2.0, 3)
     assert len(curves) == (12 if moments is TRIAXIAL else 6)
@@ -105,7 +98,7 @@ def test_the_separatrix_has_the_momentum_of_a_spin_about_the_middle_axis() -> No
     for curve in curves:
         np.testing.assert_allclose(curve**2 @ TRIAXIAL, 2.0, rtol=1e-12)
         np.testing.assert_allclose(np.sum((curve * TRIAXIAL) ** 2, axis=1), 2.0 * TRIAXIAL[1], rtol=1e-12)
-    assert separatrix(DISC, 2.0) == []
+    assert separatrix(OBLATE, 2.0) == []
 
 
 def test_a_steady_spin_stays_where_it_is() -> None:
@@ -121,13 +114,6 @@ def test_states_under_drag_follow_its_forces() -> None:
     forces = no_forces(TRIAXIAL)._replace(drag_hz=0.1)
     _, h_P = rotation_states(forces, np.array([0.0, 0.0, 1.0]), np.array([0.0, 2.0, 5.0]))
     np.testing.assert_allclose(h_P[:, 2], np.exp([0.0, -0.2, -0.5]), rtol=1e-12)
-
-
-@pytest.mark.parametrize(("moments", "sense"), [(OBLATE, "retrograde"), (PROLATE, "prograde")])
-def test_a_disc_precesses_retrograde_and_a_rod_prograde(moments: Array, sense: str) -> None:
-    for seed in range(20):
-        w_P = np.random.default_rng(seed).normal(size=3)
-        assert precession_of(moments, w_P).direction == sense
 
 
 @pytest.mark.parametrize(("moments", "w_P"), SPINS.values(), ids=SPINS)
@@ -160,23 +146,6 @@ def _euler_angles(moments: Array, w_P: Array, duration_s: float) -> tuple[float,
     h_P = w * moments
     spun = -np.unwrap(np.arctan2(h_P @ b, h_P @ a))
     return turned[-1] - turned[0], spun[-1] - spun[0], np.arccos(axis_N @ h_N)
-
-
-@pytest.mark.parametrize("name", ["disc", "rod"])
-def test_the_body_cone_of_a_disc_encloses_the_space_cone_and_a_rods_lies_beside_it(name: str) -> None:
-    moments, w_P = SPINS[name]
-    axis_P = np.array([1.0, 0, 0]) if name == "disc" else np.array([0, 0, 1.0])
-    h_P = moments * w_P
-    tilt, body, space = _angle(axis_P, h_P), _angle(axis_P, w_P), _angle(h_P, w_P)
-    if name == "disc":
-        assert tilt == pytest.approx(body - space)
-        assert body > space
-    else:
-        assert tilt == pytest.approx(body + space)
-
-
-def _angle(a: Array, b: Array) -> float:
-    return float(np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b)))
 
 
 def test_an_axisymmetric_body_has_the_textbook_periods() -> None:
