@@ -7,9 +7,9 @@ from polhode.pipeline.context import RunContext
 from polhode.pipeline.correspondences import Correspondences
 from polhode.pipeline.find_motion import Attempt, MotionSolution
 from polhode.pipeline.finish_surface import Coloured, Sentences
-from polhode.pipeline.pictures import make_pictures
 from polhode.pipeline.run_directory import outputs
 from polhode.pipeline.run_directory.archives import write_measurements
+from polhode.pipeline.run_pictures import make_pictures
 from polhode.pipeline.runner import stage
 from polhode.records import OnlineEstimate
 

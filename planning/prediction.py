@@ -29,7 +29,7 @@ from polhode.lie import (
     wxyz_from_matrix,
 )
 from polhode.progress import Advance
-from polhode.records import Ints
+from polhode.records import Ints, Prediction
 from polhode.rigid_body import angular_acceleration, propagate
 
 PAIRS = 128
@@ -65,27 +65,6 @@ class FinalState:
     """(H,) instants < 0 before the last one, descending, that bound an undetermined inertia"""
     past_R_NG: Array | None = None
     """(H, 3, 3) attitudes there"""
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """States at T instants, with two covariances (T, 12, 12) of r (N), v (N), theta (P), w (P)."""
-
-    time_s: Array
-    """(T,) since the last state"""
-    r_N: Array
-    v_N: Array
-    R_NP: Array
-    w_P: Array
-    covariance: Array
-    """of the centre of mass and the principal axes: large where those are poorly known"""
-    covariance_of_marks: Array
-    """of the body: the estimated centre of mass and axes are exact marks on it; all inf: unknown"""
-
-    @property
-    def has_covariance(self) -> bool:
-        """Whether the uncertainty is known."""
-        return bool(np.isfinite(self.covariance_of_marks).all())
 
 
 @dataclass(frozen=True)

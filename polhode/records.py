@@ -351,6 +351,27 @@ class OnlineEstimate:
 
 
 @dataclass(frozen=True)
+class Prediction:
+    """States at T instants, with two covariances (T, 12, 12) of r (N), v (N), theta (P), w (P)."""
+
+    time_s: Array
+    """(T,) since the last state"""
+    r_N: Array
+    v_N: Array
+    R_NP: Array
+    w_P: Array
+    covariance: Array
+    """of the centre of mass and the principal axes: large where those are poorly known"""
+    covariance_of_marks: Array
+    """of the body: the estimated centre of mass and axes are exact marks on it; all inf: unknown"""
+
+    @property
+    def has_covariance(self) -> bool:
+        """Whether the uncertainty is known."""
+        return bool(np.isfinite(self.covariance_of_marks).all())
+
+
+@dataclass(frozen=True)
 class Truth:
     """Truth of a simulated sequence, which only ``evaluate`` reads."""
 

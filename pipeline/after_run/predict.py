@@ -34,9 +34,9 @@ from polhode.pipeline.run_directory.trajectory_file import (
     standard_deviations,
     write_trajectory,
 )
-from polhode.planning.prediction import ROWS_AT_ONCE, FinalState, PredictedMotion, Prediction, predict
+from polhode.planning.prediction import ROWS_AT_ONCE, FinalState, PredictedMotion, predict
 from polhode.progress import Progress, Silent
-from polhode.records import Bools, Ints
+from polhode.records import Bools, Ints, Prediction
 from polhode.rigid_body import propagate
 
 MAX_ROWS = 100_000

@@ -13,8 +13,7 @@ from polhode.atomic import write_text
 from polhode.errors import InputError, RunFailure
 from polhode.lie import Array, continuous_wxyz, make_pose, matrix_from_wxyz, wxyz_from_matrix
 from polhode.metrics import States
-from polhode.planning.prediction import Prediction
-from polhode.records import Ints, MotionEstimate, OnlineEstimate
+from polhode.records import Ints, MotionEstimate, OnlineEstimate, Prediction
 from polhode.tables import Table, header_of, read_table
 
 TRAJECTORY_COLUMNS: tuple[str, ...] = (

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.lie import Array, hat
-from polhode.planning.prediction import BodyMotion, Prediction
+from polhode.planning.prediction import BodyMotion
+from polhode.records import Prediction
 
 MAX_INSTANTS = 200
 

@@ -21,9 +21,8 @@ from polhode.pipeline.after_run.predict import (
     undetermined_components,
 )
 from polhode.pipeline.run_directory.trajectory_file import TRAJECTORY_COLUMNS, read_trajectory
-from polhode.planning.prediction import Prediction
 from polhode.progress import Silent
-from polhode.records import Truth
+from polhode.records import Prediction, Truth
 from polhode.rigid_body import HALF_TURNS, best_half_turn, propagate
 from polhode.rigid_fit import mean_rotation
 from polhode.simulation.monte_carlo import SyntheticScene, generate

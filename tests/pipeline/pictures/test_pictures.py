@@ -22,8 +22,8 @@ from polhode.frontend.rectification import Rectifier
 from polhode.lie import inverse_pose
 from polhode.mapping.visibility import Caster, MeshViewer
 from polhode.output.run_files import is_run_file
+from polhode.pipeline import run_pictures as pictures
 from polhode.pipeline.context import RunContext
-from polhode.pipeline.pictures import run_pictures as pictures
 from polhode.pipeline.pictures.body_views import (
     ALONG_AXES,
     OBLIQUE,
