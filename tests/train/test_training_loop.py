@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from polhode.config.train_settings import Schedule
-from polhode.errors import InputError, RunFailure
+from polhode.errors import RunFailure
 from polhode.progress import Silent
 from polhode.train.checkpoint import CHECKPOINT
 from polhode.train.curves import draw_curves, joined, main, read_curves
@@ -141,20 +141,6 @@ def test_mixed_precision_learns_on_a_cpu(tmp_path: Path) -> None:
 def test_a_loss_that_is_no_number_ends_the_training(tmp_path: Path) -> None:
     with pytest.raises(RunFailure, match=r"no longer a number at step 7: lower train.schedule.learning_rate"):
         TrainingLoop(Line(spoilt_at=7), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
-
-
-def test_another_training_in_the_folder_is_refused(tmp_path: Path) -> None:
-    TrainingLoop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
-    with pytest.raises(
-        InputError, match=r"contains a training with another seed: choose another train.output"
-    ):
-        TrainingLoop(Line(), SCHEDULE, tmp_path, 1).run({"seed": 2}, Silent())
-
-
-@pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")
-def test_a_gpu_that_is_not_there_is_told(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"torch finds no GPU"):
-        TrainingLoop(Line(), SCHEDULE.model_copy(update={"device": "cuda"}), tmp_path, 1)
 
 
 def test_the_learning_rate_grows_then_falls_to_nothing() -> None:

@@ -1,9 +1,7 @@
 """Images of one body from several poses, each under several Suns, with the truth of their pixels.
 
-    python -m polhode.train.surface.lit_bodies CONFIG [--workers N]
-
-renders those of ``train.surface.bodies`` bodies that are missing, in the folder of ``train.corpus``;
-``polhode train`` does the same before training. Bodies and poses are those of the corpus.
+Bodies and poses are those of the corpus. ``polhode train`` and ``known_bodies`` render the missing ones of
+``train.surface.bodies``, in the folder of ``train.corpus``.
 
 Images come pose by pose under the first Sun, then under the second, and so on. Two images of one pose differ
 in their light, exposure and noise alone. Two images under one Sun show a body that turns while the Sun stands
@@ -14,8 +12,6 @@ Suns: textures, contrast and material differ. The first albedo is that of the co
 depend on how many there are.
 """
 
-import argparse
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -26,16 +22,15 @@ from numpy.typing import NDArray
 
 from polhode.array_files import read_arrays, require_arrays
 from polhode.atomic import replaced
-from polhode.config.loader import load_config
 from polhode.config.scene_settings import Product
 from polhode.config.train_settings import Corpus, SurfaceTraining
-from polhode.errors import InputError, RunFailure
+from polhode.errors import InputError
 from polhode.frontend.rectification import Crop, target_crop
 from polhode.images import Grey
 from polhode.lie import Array, inverse_pose
 from polhode.output.single_file import remove_all_partials
 from polhode.processes import in_order
-from polhode.progress import Progress, Silent
+from polhode.progress import Progress
 from polhode.records import Bools, Ints
 from polhode.simulation.bodies import build_body
 from polhode.simulation.dataset.correspondence import view_of
@@ -52,7 +47,6 @@ from polhode.train.corpus import (
     begin_corpus,
     random_scene,
     random_skin,
-    required_train,
     scene_seed,
 )
 from polhode.train.light.lit_points import under_sun
@@ -300,24 +294,3 @@ def _stacked(parts: Sequence[NDArray[Any]], beside: float) -> NDArray[Any]:
 def on_target(body: LitBody, pose: int) -> Bools:
     """Pixels (h, w) of a pose that show the target."""
     return np.asarray(np.isfinite(body.depth_m[pose]))
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Render the bodies of a configuration under several Suns."""
-    parser = argparse.ArgumentParser(
-        prog="python -m polhode.train.surface.lit_bodies", description=main.__doc__
-    )
-    parser.add_argument("config", type=Path)
-    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
-    options = parser.parse_args(arguments)
-    try:
-        train = required_train(load_config(options.config).train, options.config)
-        bodies = range(train.surface.bodies)
-        render_lit_bodies(train.corpus, train.surface, Silent(), options.workers, bodies)
-    except (InputError, RunFailure) as error:
-        parser.exit(error.exit_code, f"{parser.prog}: error: {error}\n")
-    print(f"{train.surface.bodies} bodies: {train.corpus.folder}")
-
-
-if __name__ == "__main__":
-    main()

@@ -9,12 +9,10 @@ from safetensors.torch import save_file
 
 from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Depth
-from polhode.errors import InputError
 from polhode.frontend.disparity.depth import compute_depth, dense_disparity
 from polhode.frontend.disparity.learned import (
     InitialDisparity,
     fill_holes,
-    hypotheses,
     initial_disparity,
     input_channels,
     refine,
@@ -25,7 +23,6 @@ from polhode.frontend.networks.disparity import (
     CHANNELS,
     OFFSETS_PX,
     OUTPUTS,
-    STRIDE,
     DisparityMixture,
     DisparityNet,
     mixture_from_outputs,
@@ -166,16 +163,6 @@ def test_a_network_that_has_learned_nothing_keeps_the_start(start: InitialDispar
     assert np.isnan(refined.disparity[~start.target]).all()
 
 
-def test_the_output_of_the_network_fits_the_input() -> None:
-    network = DisparityNet((8, 8, 8, 8))
-    out = network(torch.zeros(2, CHANNELS, 2 * STRIDE, 3 * STRIDE))
-    assert out.shape == (2, OUTPUTS, 2 * STRIDE, 3 * STRIDE)
-
-
-def test_the_first_hypothesis_is_the_filled_start(start: InitialDisparity) -> None:
-    np.testing.assert_array_equal(hypotheses(start)[0].numpy(), start.filled)
-
-
 def test_the_method_gives_depth_on_the_target_alone(
     pair: tuple[np.ndarray, np.ndarray, Bools], weights: Path
 ) -> None:
@@ -208,9 +195,3 @@ def test_a_pair_without_texture_has_no_depth(weights: Path) -> None:
     config = Depth(method="network", weights=str(weights))
     depth = compute_depth(flat, flat, mask, RIG, config, (10.0, 30.0))
     assert not np.isfinite(depth.depth_m).any()
-
-
-def test_missing_weights_are_named_in_one_line(pair: tuple[np.ndarray, np.ndarray, Bools]) -> None:
-    config = Depth(method="network", weights="nowhere/disparity.safetensors")
-    with pytest.raises(InputError, match=r"nowhere/disparity\.safetensors: the weights are missing"):
-        compute_depth(*pair, RIG, config)

@@ -7,12 +7,13 @@ import pytest
 from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Depth
 from polhode.frontend.disparity.depth import compute_depth, dense_disparity
-from polhode.frontend.networks.weights import shipped_path
 from polhode.lie import Array
 from polhode.records import Bools
 
 RIG = RectifiedRig(400.0, 159.5, 119.5, 0.1, 320, 240)
 NETWORK = Depth(method="network")
+Pair = tuple[np.ndarray, np.ndarray]
+Found = tuple[np.ndarray, np.ndarray]
 
 
 def slanted() -> Array:
@@ -37,7 +38,7 @@ def bare() -> Bools:
 
 
 @pytest.fixture(scope="module")
-def pair(mask: Bools, bare: Bools) -> tuple[np.ndarray, np.ndarray]:
+def pair(mask: Bools, bare: Bools) -> Pair:
     """Left and right image: the right one shows at u - d(u, v) what the left one shows at u."""
     rng = np.random.default_rng(2)
     noise = [cv2.GaussianBlur(rng.normal(size=(240, 320)), (0, 0), s) * s for s in (1.2, 2.5, 6.0)]
@@ -54,39 +55,36 @@ def pair(mask: Bools, bare: Bools) -> tuple[np.ndarray, np.ndarray]:
     return noisy[0].round().astype(np.uint8), noisy[1].round().astype(np.uint8)
 
 
-def test_the_weights_are_shipped_and_small() -> None:
-    assert shipped_path("disparity").is_file()
-    assert shipped_path("disparity").stat().st_size < 5e6
+@pytest.fixture(scope="module")
+def found(pair: Pair, mask: Bools) -> Found:
+    """Disparities and their sigmas [px] of the whole image."""
+    return dense_disparity(*pair, mask, RIG, NETWORK, (32.0, 48.0))
 
 
-def test_texture_gives_a_tenth_of_a_pixel(
-    pair: tuple[np.ndarray, np.ndarray], mask: Bools, bare: Bools
-) -> None:
-    disparity, _ = dense_disparity(*pair, mask, RIG, NETWORK, (32.0, 48.0))
+def test_texture_gives_a_tenth_of_a_pixel(found: Found, mask: Bools, bare: Bools) -> None:
+    disparity, _ = found
     error = np.abs(disparity - slanted())[mask & ~bare]
     assert np.isfinite(error).mean() > 0.95
     assert np.nanmedian(error) < 0.12
     assert np.nanmean(error > 1.0) < 0.03
 
 
-def test_a_bare_panel_is_filled_from_its_rim(
-    pair: tuple[np.ndarray, np.ndarray], mask: Bools, bare: Bools
-) -> None:
-    disparity, sigma = dense_disparity(*pair, mask, RIG, NETWORK, (32.0, 48.0))
+def test_a_bare_panel_is_filled_from_its_rim(found: Found, mask: Bools, bare: Bools) -> None:
+    disparity, sigma = found
     assert np.isfinite(disparity)[bare].mean() > 0.95
     assert np.nanmean(np.abs(disparity - slanted())[bare] > 1.0) < 0.1
     assert np.nanmedian(sigma[bare]) > np.nanmedian(sigma[mask & ~bare])
 
 
-def test_sigma_is_honest(pair: tuple[np.ndarray, np.ndarray], mask: Bools) -> None:
-    disparity, sigma = dense_disparity(*pair, mask, RIG, NETWORK, (32.0, 48.0))
+def test_sigma_is_honest(found: Found) -> None:
+    disparity, sigma = found
     known = np.isfinite(disparity)
     error = np.abs(disparity - slanted())[known]
     assert 0.5 < np.mean(error < sigma[known]) < 0.97
     assert np.mean(error < 3.0 * sigma[known]) > 0.95
 
 
-def test_the_same_pair_gives_the_same_bytes(pair: tuple[np.ndarray, np.ndarray], mask: Bools) -> None:
+def test_the_same_pair_gives_the_same_bytes(pair: Pair, mask: Bools) -> None:
     first, second = (compute_depth(*pair, mask, RIG, NETWORK, (32.0, 48.0)) for _ in range(2))
     assert first.depth_m.tobytes() == second.depth_m.tobytes()
     assert first.sigma_m.tobytes() == second.sigma_m.tobytes()

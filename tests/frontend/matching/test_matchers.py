@@ -25,7 +25,6 @@ from polhode.frontend.matching.nearest import MutualNearest
 from polhode.frontend.matching.pairs import match_rows
 from polhode.lie import Array, exp_so3, make_pose, transform_points
 from polhode.rigid_fit import fit_rigid
-from polhode.train.descriptor.task import motion_loss
 from tests.frontend.feature_world import RIG
 
 FEATURES: tuple[Literal["rootsift", "polhode"], ...] = ("rootsift", "polhode")
@@ -134,38 +133,10 @@ def test_the_rigid_fit_is_exact_and_has_the_right_gradient() -> None:
     assert torch.autograd.gradcheck(rigid_fit, inputs)
 
 
-def test_the_differentiable_rigid_fit_is_that_of_numpy() -> None:
-    rng = np.random.default_rng(3)
-    p_A, p_B, weight = rng.normal(size=(9, 3)), rng.normal(size=(9, 3)), rng.uniform(0.1, 1.0, 9)
-    R, t = rigid_fit(*(torch.from_numpy(each) for each in (p_A, p_B, weight)))
-    np.testing.assert_allclose(fit_rigid(p_A, p_B, weight), make_pose(R.numpy(), t.numpy()), atol=1e-12)
-
-
 def test_the_rigid_fit_of_a_mirrored_scene_is_still_a_rotation() -> None:
     p = torch.from_numpy(np.random.default_rng(2).normal(size=(6, 3)))
     R, _ = rigid_fit(p * torch.tensor([1.0, 1.0, -1.0]), p, torch.ones(6, dtype=torch.double))
     assert torch.allclose(torch.det(R), torch.ones((), dtype=torch.double))
-
-
-def test_the_motion_trains_descriptors() -> None:
-    """Some steps down the loss of the motion make it smaller, through the matches' weights alone."""
-    a, b = _frames(30, 8, seed=4)
-    looks = torch.from_numpy(a.descriptors).double().requires_grad_()
-    fixed = torch.from_numpy(b.descriptors).double()
-    p_A, p_B = torch.from_numpy(a.p_R)[None], torch.from_numpy(b.p_R)[None]
-    truth = torch.from_numpy(X_AB)[None]
-    known = tuple(torch.ones(p.shape[:2], dtype=torch.bool) for p in (p_A, p_B))
-    assign = DualSoftmax(temperature=0.2).double()
-    optimiser = torch.optim.Adam([looks], lr=0.01)
-    losses = []
-    for _ in range(30):
-        optimiser.zero_grad()
-        log_p = assign(torch.nn.functional.normalize(looks, dim=1), fixed)
-        loss = motion_loss(log_p[None], p_A, p_B, truth, (known[0], known[1])).sum()
-        loss.backward()
-        optimiser.step()
-        losses.append(float(loss.detach()))
-    assert losses[-1] < 0.7 * losses[0]
 
 
 def test_a_dozen_right_matches_among_two_hundred_wrong_ones_are_found() -> None:

@@ -8,11 +8,9 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from polhode.errors import InputError
 from polhode.frontend.features.patch_descriptors import describe, descriptor_network
 from polhode.frontend.features.patches import cut_patches, rotate_affines, upright_affines
 from polhode.frontend.networks.descriptor import DescriptorNet, normalise_patches
-from polhode.frontend.networks.weights import load_weights
 
 
 @pytest.fixture(scope="module")
@@ -111,24 +109,3 @@ def test_weights_come_back_from_their_file(network: DescriptorNet, tmp_path: Pat
     save_file(contiguous(network), path)
     loaded = descriptor_network(path)
     assert all(torch.equal(a, b) for a, b in zip(network.parameters(), loaded.parameters(), strict=True))
-
-
-def test_missing_weights_are_told(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.safetensors: the weights are missing; train them"):
-        load_weights(DescriptorNet(), tmp_path / "none.safetensors")
-
-
-def test_damaged_weights_are_told(tmp_path: Path) -> None:
-    path = tmp_path / "bad.safetensors"
-    path.write_bytes(b"\x00" * 40)
-    with pytest.raises(InputError, match=r"not a safetensors file \(.*\); give weights that"):
-        load_weights(DescriptorNet(), path)
-
-
-def test_weights_of_another_network_are_told(network: DescriptorNet, tmp_path: Path) -> None:
-    state = contiguous(network)
-    state["project.bias"] = torch.zeros(7)
-    path = tmp_path / "other.safetensors"
-    save_file(state, path)
-    with pytest.raises(InputError, match=r"another network \(1 tensors differ, the first is project.bias: "):
-        load_weights(DescriptorNet(), path)

@@ -13,7 +13,6 @@ from polhode.frontend.disparity.learned import initial_disparity
 from polhode.frontend.disparity.sgbm import cut_crop
 from polhode.frontend.networks.disparity import CHANNELS, OUTPUTS, DisparityMixture
 from polhode.train.disparity.samples import (
-    DisparityBatch,
     DisparitySample,
     augment,
     flip_rows,
@@ -187,10 +186,3 @@ def test_validation_makes_sigma_hold_68_percent(files: list[Path]) -> None:
     assert found["sigma_scale"] == pytest.approx(float(task.model.sigma_scale))
     # A second look finds nothing left to scale.
     assert task.validate()["sigma_scale"] == pytest.approx(found["sigma_scale"], rel=1e-4)
-
-
-def test_batches_are_plain_tensors_and_come_back(sample: DisparitySample) -> None:
-    batch = stack([sample, replace(sample, truth=sample.truth + 1.0)])
-    again = DisparityBatch(**batch.tensors())
-    assert torch.equal(again.hypotheses, batch.hypotheses)
-    assert batch.truth.shape[0] == 2

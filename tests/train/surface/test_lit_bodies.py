@@ -21,7 +21,6 @@ from polhode.train.surface.lit_bodies import (
     LIT,
     SKY,
     lit_body_path,
-    main,
     on_target,
     read_lit_body,
     render_lit_body,
@@ -120,15 +119,13 @@ def test_what_is_there_is_not_rendered_again_and_damage_is_named(
         read_lit_body(path)
 
 
-def test_the_command_renders_what_is_missing(
+def test_the_command_prints_the_landmarks_of_families_and_of_bodies(
     lit_body_corpus: Corpus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = tmp_path / "surface.yaml"
     surface = "{bodies: 3, suns: 2, poses: 2}"
     fields = lit_body_corpus.model_dump_json()
     config.write_text(f"train:\n  task: surface\n  corpus: {fields}\n  surface: {surface}\n")
-    main([str(config), "--workers", "1"])
-    assert "3 bodies" in capsys.readouterr().out
     print_landmarks([str(config), "--workers", "1", "--chance", "1"])
     rows = [line.split("|")[1:-1] for line in capsys.readouterr().out.splitlines()[2:]]
     assert [row[0].strip() for row in rows] == ["free_flyer", "asteroid", "all"]
@@ -141,5 +138,5 @@ def test_the_command_renders_what_is_missing(
     assert across == sorted(across)
     assert all(60 < each < 160 for each in across)
     with pytest.raises(SystemExit) as refused:
-        main([str(tmp_path / "none.yaml")])
+        print_landmarks([str(tmp_path / "none.yaml")])
     assert refused.value.code == 2
