@@ -104,16 +104,20 @@ class CalibrateCommand(Command):
         progress = choose_progress()
         opened = opened_pairs(self.sources, self.left, self.right, options, progress)
         if self.verify:
-            from polhode.calibration.verification_page import VERIFY_COMMAND as command
-            from polhode.calibration.verification_page import VERIFY_FILES as names
-            from polhode.calibration.verification_page import format_verification, verification_files
+            from polhode.calibration.verification_page import (
+                VERIFY_COMMAND,
+                VERIFY_FILES,
+                format_verification,
+                verification_files,
+            )
             from polhode.calibration.verify import verify
+
+            command, names = VERIFY_COMMAND, tuple(VERIFY_FILES)
         else:
             from polhode.calibration.calibrate import calibrate
-            from polhode.calibration.page import COMMAND as command
-            from polhode.calibration.page import FILES as names
-            from polhode.calibration.page import files_of, format_calibration
+            from polhode.calibration.page import COMMAND, FILES, files_of, format_calibration
 
+            command, names = COMMAND, tuple(FILES)
         *_, page = names
         with results_folder(self.output, command, names) as place, opened as pairs:
             if self.verify:

@@ -50,7 +50,7 @@ class SweepCommand(Command):
     is left out, processes of this machine compute."""
     workers: Annotated[int, Named("N"), Field(ge=0, le=1024)] = 0
     """Processes of this machine; 0: one per core."""
-    memory_gb: Annotated[float | None, Named("GB"), Field(ge=1e-12, le=1e5)] = None
+    memory_gb: Annotated[float | None, Named("GB"), Field(gt=0, le=1e5)] = None
     """Limit of the memory of each process [GB]; one that reaches it is ended and the point tried again. If it
     is left out, they have equal shares of the memory."""
 

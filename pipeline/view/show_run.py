@@ -112,7 +112,6 @@ def shown_frames(
 ) -> Iterator[ShownFrame]:
     """What is shown of each frame of a run."""
     path = motion.trajectory
-    states = (path.r_N, path.v_N, path.R_NP, path.w_P, motion.covariance.covariance, motion.X_NG)
     order = np.argsort(tracks.frame, kind="stable")
     ends = np.searchsorted(tracks.frame[order], np.arange(tracks.n_frames + 1))
     residuals = run.residuals
@@ -133,7 +132,15 @@ def shown_frames(
             features=ShownFeatures(
                 tracks.uvd_px[rows, :2], tracks.landmark[rows], weights[rows] >= INLIER_WEIGHT
             ),
-            motion=ShownMotion(*(each[k] for each in states), moments=motion.moments),
+            motion=ShownMotion(
+                path.r_N[k],
+                path.v_N[k],
+                path.R_NP[k],
+                path.w_P[k],
+                motion.covariance.covariance[k],
+                motion.X_NG[k],
+                motion.moments,
+            ),
             ratios=None if ratios is None else (ratios[0][k], ratios[1][k]),
             residual_rms_px=None if rms is None else rms[k],
             landmarks_G=np.zeros((0, 3)) if run.landmarks is None else run.landmarks.p_G[first == k],

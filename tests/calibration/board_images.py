@@ -174,7 +174,7 @@ def _light(board: Picture, uv: Array, blur_px: float) -> Array:
     usual = float(np.nanmedian(np.abs(np.diff(uv, axis=2)).max(axis=0))) / FINE
     step = next(each for each in (10, 5, 2, 1) if each <= max(1.5 * usual, 1.0))
     rows, columns = board.grey.shape
-    ink = BLACK + (WHITE - BLACK) / 255.0 * board.grey.astype(np.float32)
+    ink: NDArray[Any] = BLACK + (WHITE - BLACK) / 255.0 * board.grey.astype(np.float32)
     ink = cv2.resize(ink, (columns // step, rows // step), interpolation=cv2.INTER_AREA)
     # what is nowhere on the board is far beside it
     at = _sub_pixels(np.nan_to_num(uv / step - 0.5, nan=-1e6))

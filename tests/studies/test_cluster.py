@@ -318,7 +318,7 @@ def test_a_scheduler_without_workers_or_with_those_of_many_threads_is_refused(tm
         (["--cluster", "tcp://127.0.0.1:1"], "no scheduler answers there"),
         (["--cluster", "nonsense://x"], "no scheduler answers there"),
         (["--cluster", "tcp://127.0.0.1:1", "--workers", "2"], "with --cluster, leave them out"),
-        (["--workers", "-1"], "give 0 to 1024"),
+        (["--workers", "-1"], "give a whole number from 0 to 1024"),
         (["--memory-gb", "0"], "--memory-gb 0: give a number above 0"),
     ],
 )

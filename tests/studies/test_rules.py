@@ -163,8 +163,8 @@ def test_the_command_answers_with_a_band_and_says_what_is_beyond(tmp_path: Path,
     [
         (["--range", "1.4"], "--range 1.4: the camera would be inside the target"),
         (["--interval", "20"], "--interval 20: the target would turn by 240 deg between two pairs"),
-        (["--pairs", "2"], "--pairs 2: give 3 to"),
-        (["--sun-angle", "400"], "--sun-angle 400: give 0 to 180 degrees"),
+        (["--pairs", "2"], "--pairs 2: give a whole number from 3 to"),
+        (["--sun-angle", "400"], "--sun-angle 400: give a number from 0 to 180"),
         (["--size", "0"], "--size"),
     ],
 )
