@@ -274,8 +274,15 @@ class Runner:
     def _next_here(self, among: set[Result[Any]] | None) -> Result[Any] | None:
         """What this process does next; None: nothing is left. ``among``: of these, None if none is ready."""
         with self._changed:
-            while self._failure is None:
+            while True:
                 ready = [each for each in self._results if each.is_ready]
+                if self._failure is not None:
+                    # what was found is written all the same
+                    ready = [each for each in ready if each.stage.writes]
+                    if not ready:
+                        raise self._failure
+                    ready[0].is_begun = True
+                    return ready[0]
                 ready.sort(key=lambda each: each not in self._here)
                 if ready and (among is None or ready[0] in among):
                     ready[0].is_begun = True
@@ -283,7 +290,6 @@ class Runner:
                 if among is not None or all(each.is_done for each in self._results):
                     return None
                 self._changed.wait()
-            raise self._failure
 
     def _next_beside(self) -> Result[Any] | None:
         """What the other process does next: a result, or an item of one that is done; None: nothing."""

@@ -152,6 +152,7 @@ def test_what_goes_wrong_beside_this_process_is_raised_here(
 ) -> None:
     with pytest.raises(error, match=r"wrong|was killed, perhaps for lack of memory"):
         flow(Runner(context_of(None, 2), Stopwatch()), tmp_path, word)
+    assert (tmp_path / "sum").is_file()
 
 
 @dataclass(frozen=True)
