@@ -15,7 +15,7 @@
 #              make release OPTIONS="--dry-run --offline" tries it without a tag
 # make bench   every benchmark, hours. What was measured before is read from its record, so that it can be
 #              interrupted. make bench SHORT=--short: a short form of each, minutes. make bench-TOPIC: those of a topic
-#              or of a name; python -m benchmarks --list shows them
+#              or of a name; python -m lab --list shows them
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -109,8 +109,8 @@ fusion-peers: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[mapping-peers]'
 
 demo: setup
-	$(BIN)/polhode run configs/default.yaml --data sample -o $(DEMO_RUN) --overwrite
-	$(BIN)/polhode evaluate $(DEMO_RUN) sample
+	$(BIN)/polhode run configs/default.yaml --data examples/sample -o $(DEMO_RUN) --overwrite
+	$(BIN)/polhode evaluate $(DEMO_RUN) examples/sample
 	@echo "Demo done. Open $(DEMO_RUN)/report.html"
 
 example:
@@ -131,16 +131,16 @@ docs: setup $(SITE)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 docs-links: setup $(SITE)
-	$(BIN)/python -m website.external_links
+	$(BIN)/python -m docs.website.external_links
 
 sbom: setup $(SBOM)
-	$(BIN)/python -m release.bill_of_materials dist/polhode.cdx.json
+	$(BIN)/python -m lab.release.bill_of_materials dist/polhode.cdx.json
 
 release: setup $(SBOM)
-	@$(BIN)/python -m release $(OPTIONS)
+	@$(BIN)/python -m lab.release $(OPTIONS)
 
 bench: setup $(MATCHERS) $(SOLVERS)
-	$(BIN)/python -m benchmarks $(SHORT)
+	$(BIN)/python -m lab $(SHORT)
 
 $(FUZZ): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[fuzz]' || \
@@ -150,4 +150,4 @@ $(FUZZ): $(STAMP)
 bench-fuzz: $(FUZZ)
 
 bench-%: setup $(MATCHERS) $(SOLVERS)
-	$(BIN)/python -m benchmarks $* $(SHORT)
+	$(BIN)/python -m lab $* $(SHORT)

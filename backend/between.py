@@ -46,11 +46,12 @@ from polhode.backend.uncertainty.covariance import (
 )
 from polhode.backend.uncertainty.principal_axes import axes_derivative
 from polhode.config.backend_settings import Backend
-from polhode.errors import RunFailure
-from polhode.lie import Array, inverse_pose, make_pose
-from polhode.records import Ints, MotionEstimate, OnlineEstimate, StereoTracks
-from polhode.rigid_body import nearest_half_turn
-from polhode.threads import single_threaded
+from polhode.geometry.lie import Array, Ints, inverse_pose, make_pose
+from polhode.geometry.rigid_body import nearest_half_turn
+from polhode.records.estimate import MotionEstimate, OnlineEstimate
+from polhode.records.tracks import StereoTracks
+from polhode.runtime.errors import RunFailure
+from polhode.runtime.threads import single_threaded
 
 MAX_ITERATIONS = 20
 SMALL_STEP = 1e-3

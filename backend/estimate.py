@@ -37,11 +37,12 @@ from polhode.backend.uncertainty.ambiguity import (
 from polhode.backend.wrenches.known_wrench import fit_known_wrench
 from polhode.backend.wrenches.unknown_wrench import find_disturbed_steps
 from polhode.config.backend_settings import Backend
-from polhode.errors import RunFailure
-from polhode.lie import inverse_pose, make_pose
-from polhode.progress import Advance, Progress
-from polhode.records import Bools, InitialMotion, Ints, MotionEstimate, StereoTracks
-from polhode.threads import single_threaded
+from polhode.geometry.lie import Bools, Ints, inverse_pose, make_pose
+from polhode.records.estimate import InitialMotion, MotionEstimate
+from polhode.records.tracks import StereoTracks
+from polhode.runtime.errors import RunFailure
+from polhode.runtime.progress import Advance, Progress
+from polhode.runtime.threads import single_threaded
 
 MIN_AGREEING_SHARE, SUSPICIOUS_RATIO = 0.65, 30.0
 """With a smaller share of agreeing observations, or disturbances estimated this factor stronger than stated

@@ -25,8 +25,9 @@ from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.robust_kernel import most_efficient_scale
 from polhode.backend.solvers.solve import refine
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array, inverse_pose
-from polhode.records import Bools, InitialMotion, Ints, MotionEstimate, StereoTracks
+from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
+from polhode.records.estimate import InitialMotion, MotionEstimate
+from polhode.records.tracks import StereoTracks
 
 MIN_OBSERVATIONS = 60
 

@@ -39,9 +39,8 @@ from polhode.backend.uncertainty.principal_axes import (
 from polhode.backend.wrenches.known_wrench import with_absolute_scale
 from polhode.backend.wrenches.unknown_wrench import describe_impulse, estimate_impulses
 from polhode.config.backend_settings import CorrelatedErrors
-from polhode.lie import Array, make_pose
-from polhode.records import (
-    Bools,
+from polhode.geometry.lie import Array, Bools, make_pose
+from polhode.records.estimate import (
     Identifiability,
     InitialMotion,
     Landmarks,
@@ -49,8 +48,8 @@ from polhode.records import (
     MotionEstimate,
     NoiseLevels,
     SolverOutcome,
-    StereoTracks,
 )
+from polhode.records.tracks import StereoTracks
 
 FAR_TURNS = "between frames: near half a revolution and beyond"
 """Of the warning that poses do not determine the direction of rotation"""

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -18,10 +18,10 @@ import numpy as np
 
 import polhode
 from polhode import stages
-from polhode.dataset_writer import write_png
-from polhode.errors import InputError
-from polhode.lie import Array, inverse_pose, transform_points, wxyz_from_matrix
-from polhode.records import Ints, StereoTracks
+from polhode.geometry.lie import Array, Ints, inverse_pose, transform_points, wxyz_from_matrix
+from polhode.records.dataset_writer import write_png
+from polhode.records.tracks import StereoTracks
+from polhode.runtime.errors import InputError
 
 CAMERA, GREY = 1, "128 128 128"
 PIXEL_CENTRE = 0.5

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from PIL import Image, ImageDraw
 
-from polhode.lie import wxyz_from_matrix
+from polhode.geometry.lie import wxyz_from_matrix
 from polhode.planning.approach.trajectory import ApproachTrajectory
 from polhode.planning.keep_out.volumes import InstantKeepOut
 

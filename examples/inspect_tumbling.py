@@ -18,11 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from polhode.errors import InputError
-from polhode.lie import Array, wxyz_from_matrix
-from polhode.metrics import truth_at
-from polhode.pipeline.after_run.plan import final_estimate, surface_of
-from polhode.pipeline.run_directory.trajectory_file import read_trajectory
+from polhode.geometry.lie import Array, Ints, wxyz_from_matrix
 from polhode.planning.approach.trajectory import (
     ApproachTask,
     ApproachTrajectory,
@@ -31,8 +27,12 @@ from polhode.planning.approach.trajectory import (
 )
 from polhode.planning.keep_out.measured_body import sample_surface
 from polhode.planning.keep_out.volumes import InstantKeepOut, KeepOutOptions, keep_out
-from polhode.records import Ints, Truth
-from polhode.truth import read_truth
+from polhode.planning.plan import final_estimate, surface_of
+from polhode.records.metrics import truth_at
+from polhode.records.read_truth import read_truth
+from polhode.records.truth import Truth
+from polhode.run_directory.trajectory_file import read_trajectory
+from polhode.runtime.errors import InputError
 
 RADIUS_M, MASS_KG, MAX_FORCE_N = 0.06, 4.5, 0.22
 CLEARANCE_M = 0.03
@@ -136,7 +136,7 @@ def separation(flight: Flight, truth: Truth) -> Array:
     """Gap (n,) [m] between the inspector and the true surface."""
     from scipy.spatial import cKDTree
 
-    from polhode.lie import matrix_from_wxyz
+    from polhode.geometry.lie import matrix_from_wxyz
 
     assert truth.mesh is not None
     q, _, _ = sample_surface(truth.mesh, np.zeros(len(truth.mesh.vertices)), 0.003)

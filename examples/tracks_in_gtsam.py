@@ -3,7 +3,7 @@
     python -m examples.tracks_in_gtsam RUN
 
 Unknown are the poses of the rectified left camera in the target's frame G, and the landmarks in G. There is
-no dynamics here, so that centre of mass and inertia do not appear: ``compare/solvers/gtsam_solvers.py`` has
+no dynamics here, so that centre of mass and inertia do not appear: ``polhode/compare/solvers/gtsam_solvers.py`` has
 the whole problem in GTSAM. The landmarks start where one stereo pair puts them, the poses at the run's.
 """
 
@@ -17,9 +17,9 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 import polhode
-from polhode.errors import InputError
-from polhode.lie import Array, inverse_pose, log_so3, transform_points
-from polhode.records import StereoTracks
+from polhode.geometry.lie import Array, inverse_pose, log_so3, transform_points
+from polhode.records.tracks import StereoTracks
+from polhode.runtime.errors import InputError
 
 KERNEL = 3.0
 """Scale of Cauchy's kernel, in standard deviations"""

@@ -4,9 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
-from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Depth, Frontend
-from polhode.dataset import StereoSequence
 from polhode.frontend.disparity.depth import DisparityRange, compute_depth
 from polhode.frontend.disparity.learned import disparity_network
 from polhode.frontend.disparity.measured import measured_depth
@@ -14,8 +12,10 @@ from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import ImageCrop, StereoFeatures
 from polhode.frontend.matching.methods import READS_IMAGES, match_method
 from polhode.frontend.rectification import RectifiedPair, Rectifier, rectified_pair, target_crop
-from polhode.processes import in_order
-from polhode.records import DepthMap
+from polhode.geometry.camera import RectifiedRig
+from polhode.records.dataset import StereoSequence
+from polhode.records.surface import DepthMap
+from polhode.runtime.processes import in_order
 
 PRELOADED = (
     "polhode.frontend.extract",

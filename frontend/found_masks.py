@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.records import Bools, Ints
+from polhode.geometry.lie import Bools, Ints
 
 
 @dataclass(frozen=True)

@@ -18,15 +18,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode import fisheye
-from polhode.camera import RectifiedRig
-from polhode.dataset import StereoCalibration, StereoImages, StereoSequence
-from polhode.errors import InputError
 from polhode.frontend.found_masks import FoundMasks
 from polhode.frontend.segmentation import border_of, target_mask
-from polhode.lie import Array, inverse_pose, make_pose
-from polhode.range_images import RangeModel
-from polhode.records import Bools
+from polhode.geometry import fisheye
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools, inverse_pose, make_pose
+from polhode.records.dataset import StereoCalibration, StereoImages, StereoSequence
+from polhode.records.range_images import RangeModel
+from polhode.runtime.errors import InputError
 
 Image = NDArray[np.uint8]
 MAX_GROWTH = 1.6

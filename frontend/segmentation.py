@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.records import Bools
+from polhode.geometry.lie import Bools
 
 Image = NDArray[np.uint8]
 BORDER_PX = 3

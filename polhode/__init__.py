@@ -2,17 +2,17 @@
 
 Rooms, from the top down; each imports only what stands below it:
 
-cli/         the program: one file per command
-studies/     many points of settings as one table, on many processes
-compare/     optimizers side by side on one problem
-pipeline/    the main job, from images to the run directory, its evaluation, report and products
+polhode/cli/         the program: one file per command
+polhode/studies/     many points of settings as one table, on many processes
+polhode/compare/     optimizers side by side on one problem
+polhode/pipeline/    the main job, from images to the run directory, its evaluation, report and products
 train/       training of the front end's networks on simulated scenes
-simulation/  stereo sequences with truth: bodies, motion, rendering, sensor
+polhode/simulation/  stereo sequences with truth: bodies, motion, rendering, sensor
 frontend/    images to stereo measurements and tracks, and to depth maps
 backend/     tracks to motion, mass properties and their covariance
-mapping/     depth maps and motion to a mesh
-importers/   recordings of others (bags, videos, folders of images) as datasets
-planning/    prediction, keep-out volumes, approach, edge observability, exports
+polhode/mapping/     depth maps and motion to a mesh
+polhode/importers/   recordings of others (bags, videos, folders of images) as datasets
+polhode/planning/    prediction, keep-out volumes, approach, edge observability, exports
 
 Below them are the shared modules, which every room may import:
 

@@ -1,8 +1,8 @@
 """The library: ``polhode.run``, ``load``, ``simulate``, ``evaluate``, and a finished run as an object.
 
 Everything is what the command line does and reads the same files; a mistake of the caller raises
-``polhode.errors.InputError`` with one line, a run without an answer ``RunFailure``. ``polhode.Session`` is
-the live estimate (``pipeline/live/session.py``), ``polhode.stages`` each stage by itself. docs/api.md has
+``polhode.runtime.errors.InputError`` with one line, a run without an answer ``RunFailure``. ``polhode.Session`` is
+the live estimate (``polhode/pipeline/live/session.py``), ``polhode.stages`` each stage by itself. docs/api.md has
 examples.
 """
 
@@ -17,28 +17,34 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
-from polhode.argument_names import errors_name_arguments
 from polhode.config import Config
 from polhode.config.keys import suggestion
 from polhode.config.loader import load_config
-from polhode.console import choose_progress
-from polhode.errors import InputError, RunFailure
-from polhode.lie import Array
-from polhode.pipeline.after_run.export.export_run import export_run
-from polhode.pipeline.after_run.export.options import ExportOptions, FrameName, Poses, Unit
-from polhode.pipeline.after_run.observability.assess import (
+from polhode.geometry.lie import Array, Ints
+from polhode.pipeline.run import run as run_pipeline
+from polhode.planning.approach.surface_speed import velocity, velocity_covariance
+from polhode.planning.edges.edge_model import CREASE_DEG
+from polhode.planning.exports.export_run import export_run
+from polhode.planning.exports.formats import FORMATS, Format
+from polhode.planning.exports.options import ExportOptions, FrameName, Poses, Unit
+from polhode.planning.keep_out.measured_body import Cover
+from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions
+from polhode.planning.observability.assess import (
     Assessment,
     CameraOptions,
     assess,
     subject_of,
     sun_direction,
 )
-from polhode.pipeline.after_run.plan import final_estimate, keep_out_of_run, surface_of
-from polhode.pipeline.after_run.predict import predict_instants, require_instants
-from polhode.pipeline.evaluation import Metrics
-from polhode.pipeline.report import evaluate_and_report
-from polhode.pipeline.run import run as run_pipeline
-from polhode.pipeline.run_directory.archives import (
+from polhode.planning.plan import final_estimate, keep_out_of_run, surface_of
+from polhode.planning.predict import predict_instants, require_instants
+from polhode.planning.prediction import PredictedMotion, nominal_motion
+from polhode.records.estimate import Landmarks
+from polhode.records.surface import SurfaceModel
+from polhode.records.tracks import RelativePoses, StereoTracks
+from polhode.report import evaluate_and_report
+from polhode.report.evaluation import Metrics
+from polhode.run_directory.archives import (
     MeasurementResiduals,
     read_covariance,
     read_measurements,
@@ -46,24 +52,20 @@ from polhode.pipeline.run_directory.archives import (
     read_residuals,
     undetermined_as_inf,
 )
-from polhode.pipeline.run_directory.data_frames import TableName, columns_of, kept_landmarks
-from polhode.pipeline.run_directory.point_cloud_file import read_landmarks
-from polhode.pipeline.run_directory.run_card import card_html, card_text
-from polhode.pipeline.run_directory.run_folder import REPORT, require_run_folder
-from polhode.pipeline.run_directory.stored_run import StoredMotion, read_motion
-from polhode.pipeline.run_directory.summary import read_summary
-from polhode.pipeline.run_directory.summary_schema import Identifiable, Intervals, Summary, Verdict
-from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_trajectory
-from polhode.planning.approach.surface_speed import velocity, velocity_covariance
-from polhode.planning.edges.edge_model import CREASE_DEG
-from polhode.planning.exports.formats import FORMATS, Format
-from polhode.planning.keep_out.measured_body import Cover
-from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions
-from polhode.planning.prediction import PredictedMotion, nominal_motion
-from polhode.processes import start_server, worker_count
-from polhode.progress import Progress, Silent
-from polhode.records import Ints, Landmarks, RelativePoses, StereoTracks, SurfaceModel
-from polhode.threads import single_threaded
+from polhode.run_directory.data_frames import TableName, columns_of, kept_landmarks
+from polhode.run_directory.point_cloud_file import read_landmarks
+from polhode.run_directory.run_card import card_html, card_text
+from polhode.run_directory.run_folder import REPORT, require_run_folder
+from polhode.run_directory.stored_run import StoredMotion, read_motion
+from polhode.run_directory.summary import read_summary
+from polhode.run_directory.summary_schema import Identifiable, Intervals, Summary, Verdict
+from polhode.run_directory.trajectory_file import Trajectory, read_trajectory
+from polhode.runtime.argument_names import errors_name_arguments
+from polhode.runtime.console import choose_progress
+from polhode.runtime.errors import InputError, RunFailure
+from polhode.runtime.processes import start_server, worker_count
+from polhode.runtime.progress import Progress, Silent
+from polhode.runtime.threads import single_threaded
 
 if TYPE_CHECKING:
     import pandas as pd

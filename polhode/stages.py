@@ -24,10 +24,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from polhode.api import Configuration, chosen_progress, configuration
-from polhode.argument_names import errors_name_arguments
 from polhode.backend import estimate_motion as estimate_by_back_end
 from polhode.backend import initialize_motion
-from polhode.errors import InputError
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.rectification import RectifiedPair
 from polhode.frontend.rectification import rectified_pair as rectify_and_mask
@@ -42,16 +40,13 @@ from polhode.pipeline.find_motion import find_motion as find_by_stages
 from polhode.pipeline.finish_surface import FinishedSurface
 from polhode.pipeline.finish_surface import finish_surface as finish_by_stages
 from polhode.pipeline.long_sequence import NO_LINKS
-from polhode.progress import Progress
-from polhode.records import (
-    DepthMap,
-    InitialMotion,
-    MotionEstimate,
-    RelativePoses,
-    StereoTracks,
-    SurfaceModel,
-)
-from polhode.threads import single_threaded
+from polhode.records.estimate import InitialMotion, MotionEstimate
+from polhode.records.surface import DepthMap, SurfaceModel
+from polhode.records.tracks import RelativePoses, StereoTracks
+from polhode.runtime.argument_names import errors_name_arguments
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Progress
+from polhode.runtime.threads import single_threaded
 
 __all__ = [
     "Correspondences",

@@ -1,6 +1,6 @@
 """One thread for BLAS, as in the program; stereo sequences on disk, for tests to read and to damage."""
 
-from polhode.threads import limit_threads
+from polhode.runtime.threads import limit_threads
 
 limit_threads(1)  # of what is imported below, and of NumPy, which a plugin of pytest has imported
 
@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from polhode import processes
-from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
+from polhode.records.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
+from polhode.runtime import processes
 
 if TYPE_CHECKING:
     from tests.front_end_results import SharedFrontEnd
@@ -108,7 +108,7 @@ def make_once(shared: Path) -> MakeOnce:
 def rendered_sequence(make_once: MakeOnce) -> Path:
     """A tumbling free flyer, RENDERED_FRAMES pairs of 320x256 px, with its truth and depth maps."""
     from polhode.config import Config
-    from polhode.progress import Silent
+    from polhode.runtime.progress import Silent
     from polhode.simulation import simulate
 
     scene = {
@@ -138,7 +138,7 @@ def finished(rendered_sequence: Path, make_once: MakeOnce, front_end_once: "Shar
     """The directory of a run of the rendered sequence with the default configuration."""
     from polhode.config import Config
     from polhode.pipeline.run import run
-    from polhode.progress import Silent
+    from polhode.runtime.progress import Silent
 
     config = Config.model_validate({"runtime": {"workers": 1}})
     with front_end_once():

@@ -2,7 +2,7 @@
 
 import re
 
-from polhode.pipeline.report.template import inflated
+from polhode.report.template import inflated
 
 
 def text_of_figures(page: str) -> str:

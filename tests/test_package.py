@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from release.distribution import build
-from release.trial import LIGHT, PAIRS, Environment, copy_first_pairs, make_environment
+from lab.release.distribution import build
+from lab.release.trial import LIGHT, PAIRS, Environment, copy_first_pairs, make_environment
 
 ROOT = Path(__file__).parents[1]
 ONE_METHOD = ("--frontend.features.second", "None")

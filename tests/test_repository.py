@@ -42,7 +42,7 @@ def test_rooms_are_imported_by_their_full_name() -> None:
     """``import frontend`` works in the checkout only, and would be a second copy of the room."""
     python = [
         path
-        for folder in ("tests", "benchmarks", "examples", "release", "website")
+        for folder in ("tests", "lab", "examples", "release", "website")
         for path in (ROOT / folder).rglob("*.py")
     ]
     bare = {
@@ -117,9 +117,7 @@ PAGES = (
     "SECURITY.md",
     *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").glob("*.md")),
 )
-FOLDERS = "|".join(
-    (*ROOMS, "polhode", "benchmarks", "configs", "docs", "examples", "release", "tests", "website")
-)
+FOLDERS = "|".join((*ROOMS, "polhode", "lab", "configs", "docs", "examples", "release", "tests", "website"))
 GENERATED = re.compile(r"reference/|study_results/\w+/study\.html")
 """Pages that the site makes from the code and from the tables of studies; MkDocs checks the links to them."""
 

@@ -26,12 +26,12 @@ FORBIDDEN = {
 
 def test_what_would_execute_code_of_others_is_refused() -> None:
     """As ``make check`` runs it, on a file of a room: a line for each."""
-    options = ["--no-cache", "--output-format", "concise", "--stdin-filename", "compare/x.py"]
+    options = ["--no-cache", "--output-format", "concise", "--stdin-filename", "polhode/compare/x.py"]
     command = [sys.executable, "-m", "ruff", "check", *options, "-"]
     done = subprocess.run(
         command, input="\n".join(FORBIDDEN), cwd=ROOT, capture_output=True, text=True, check=False
     )
-    found = re.findall(r"compare/x\.py:(\d+):\d+: ([A-Z]+\d+)", done.stdout)
+    found = re.findall(r"polhode/compare/x\.py:(\d+):\d+: ([A-Z]+\d+)", done.stdout)
     for line, rule in enumerate(FORBIDDEN.values(), start=1):
         assert (str(line), rule) in found, done.stdout
 
@@ -48,7 +48,7 @@ def test_no_archive_is_read_or_written_with_pickles() -> None:
 
 
 def test_rooms_read_archives_of_arrays_through_the_module_that_checks_them() -> None:
-    """``polhode.array_files`` reads what headers state before NumPy allocates it, and unpickles nothing."""
+    """``polhode.files.array_files`` reads what headers state before NumPy allocates it, and unpickles nothing."""
     rooms = [path for path in (ROOT / "polhode").iterdir() if path.is_symlink()]
     found = {
         str(path.relative_to(ROOT))

@@ -14,10 +14,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from polhode.atomic import write_bytes
 from polhode.config.loader import REMOVED
-from polhode.errors import InputError
+from polhode.files.atomic import write_bytes
 from polhode.frontend.networks.tensor_file import TensorFileError, read_header, read_tensors
+from polhode.runtime.errors import InputError
 
 CHECKPOINT = "checkpoint.safetensors"
 FORMER_CHECKPOINT = "checkpoint.pt"

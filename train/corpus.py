@@ -18,19 +18,19 @@ from typing import Any, cast
 import numpy as np
 import yaml
 
-from polhode.atomic import write_text
 from polhode.config.loader import load_config
 from polhode.config.scene_settings import Background, Light, Motion, Render, Rig, Scene, Sensor, TargetBody
 from polhode.config.train_settings import Corpus, Train
-from polhode.errors import InputError, RunFailure
-from polhode.lie import Array
-from polhode.output.locks import occupied
-from polhode.output.place import folder_place, require_writable
-from polhode.processes import in_order
-from polhode.progress import Progress, Silent
+from polhode.files.atomic import write_text
+from polhode.files.output.locks import occupied
+from polhode.files.output.place import folder_place, require_writable
+from polhode.files.yaml_files import read_yaml
+from polhode.geometry.lie import Array
+from polhode.runtime.errors import InputError, RunFailure
+from polhode.runtime.processes import in_order
+from polhode.runtime.progress import Progress, Silent
 from polhode.simulation.bodies import build_body
 from polhode.simulation.dataset.sequence import SCENE_FILE, simulate
-from polhode.yaml_files import read_yaml
 
 MATERIALS = {
     "asteroid": ("regolith",),

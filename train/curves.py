@@ -17,10 +17,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from polhode.drawing_style import default_style
-from polhode.errors import InputError
-from polhode.lie import Array
-from polhode.optional_parts import missing_message
+from polhode.geometry.lie import Array
+from polhode.runtime.drawing_style import default_style
+from polhode.runtime.errors import InputError
+from polhode.runtime.optional_parts import missing_message
 
 FOLDER = "curves"
 

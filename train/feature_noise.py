@@ -18,8 +18,6 @@ from scipy.optimize import minimize
 
 from polhode.config.frontend_settings import Features, Frontend
 from polhode.config.loader import load_config
-from polhode.dataset import open_sequence
-from polhode.errors import InputError
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.features.surface_features import (
     SurfaceFeatureMethod,
@@ -31,8 +29,9 @@ from polhode.frontend.matching.matchers import SoftmaxMatcher
 from polhode.frontend.matching.pairs import MIN_INLIERS
 from polhode.frontend.matching.ransac import ransac_rigid
 from polhode.frontend.rectification import Rectifier, make_rectifier, rectified_pair
-from polhode.lie import Array, inverse_pose, transform_points
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints, inverse_pose, transform_points
+from polhode.records.dataset import open_sequence
+from polhode.runtime.errors import InputError
 from polhode.simulation.dataset.plan import plan_sequence
 from polhode.simulation.dataset.sequence import SCENE_FILE
 from polhode.train.corpus import scene_folder, split

@@ -11,15 +11,15 @@ from pydantic import BaseModel
 from safetensors.torch import save
 from torch import nn
 
-from polhode.atomic import write_bytes, write_text
 from polhode.config import Config
 from polhode.config.loader import dump_config
 from polhode.config.train_settings import Train
-from polhode.errors import InputError
+from polhode.files.atomic import write_bytes, write_text
+from polhode.files.output.marked_folder import claim, marked_folder, withdrawn_if_refused
+from polhode.files.output.place import folder_place, require_writable
 from polhode.frontend.networks.weights import load_weights
-from polhode.output.marked_folder import claim, marked_folder, withdrawn_if_refused
-from polhode.output.place import folder_place, require_writable
-from polhode.progress import Progress
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Progress
 from polhode.train.checkpoint import CHECKPOINT, require_same_training
 from polhode.train.corpus import require_corpus, split
 from polhode.train.curves import FOLDER as CURVES

@@ -11,7 +11,7 @@ from typing import Protocol, cast
 from torch import Tensor, nn
 
 from polhode.config.train_settings import Train
-from polhode.progress import Progress
+from polhode.runtime.progress import Progress
 
 Batch = dict[str, Tensor]
 TASKS = {

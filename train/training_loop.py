@@ -20,8 +20,8 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
 from polhode.config.train_settings import Schedule
-from polhode.errors import InputError, RunFailure
-from polhode.progress import Progress
+from polhode.runtime.errors import InputError, RunFailure
+from polhode.runtime.progress import Progress
 from polhode.train.checkpoint import TrainingState, read_checkpoint, write_checkpoint
 from polhode.train.curves import Curves
 from polhode.train.task import Batch, Task

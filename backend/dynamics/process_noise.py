@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from polhode.backend.dynamics.propagation import propagate_derivatives, propagate_rotations
-from polhode.lie import Array, matrix_from_wxyz
+from polhode.geometry.lie import Array, matrix_from_wxyz
 
 PART_RAD = 0.7
 """Largest rotation in a part of an interval: the variances are accurate to 1e-4."""

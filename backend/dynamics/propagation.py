@@ -15,14 +15,13 @@ compared with the process noise.
 
 This integrator serves the estimation: fast for many short steps, with derivatives with respect to the
 inertia. The simulation integrates the true motion with an independent method of higher accuracy
-(``polhode.rigid_body``).
+(``polhode.geometry.rigid_body``).
 """
 
 import numpy as np
 
-from polhode.compiled import compiled
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
+from polhode.runtime.compiled import compiled
 
 ORDER = 8
 MAX_SERIES = 1024

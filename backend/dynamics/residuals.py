@@ -37,9 +37,8 @@ from polhode.backend.problem.iterate import (
     Iterate,
 )  # fmt: skip
 from polhode.backend.problem.wrench import FORCE_BIAS, LN_MASS, N_OF_ROTATION, N_WRENCH, torque_in_G
-from polhode.compiled import compiled
-from polhode.lie import Array, hat
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints, hat
+from polhode.runtime.compiled import compiled
 
 RESIDUALS = 12
 

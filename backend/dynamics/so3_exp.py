@@ -1,13 +1,13 @@
-"""Exponential and logarithm of SO(3) for many rotations at once, compiled: ``polhode.lie`` for inner loops.
+"""Exponential and logarithm of SO(3) for many rotations at once, compiled: ``polhode.geometry.lie`` for inner loops.
 
-``polhode.lie`` uses SciPy's general conversions, whose overhead dominates for a dozen rotations. Arrays of
+``polhode.geometry.lie`` uses SciPy's general conversions, whose overhead dominates for a dozen rotations. Arrays of
 any memory layout are taken, but copied to be contiguous, since the functions would be compiled for each.
 """
 
 import numpy as np
 
-from polhode.compiled import compiled
-from polhode.lie import Array
+from polhode.geometry.lie import Array
+from polhode.runtime.compiled import compiled
 
 SMALL_RAD = 1e-3
 """Below this angle series to the 4th order replace quotients, with errors of 1e-14."""

@@ -14,8 +14,9 @@ import numpy as np
 from polhode.backend.dynamics.propagation import propagate_rotations, series_steps
 from polhode.backend.initialization.initialize import robust_landmarks
 from polhode.backend.problem.iterate import Iterate
-from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, matrix_from_wxyz
-from polhode.records import Bools, InitialMotion, StereoTracks
+from polhode.geometry.lie import Array, Bools, exp_so3, inverse_pose, log_so3, make_pose, matrix_from_wxyz
+from polhode.records.estimate import InitialMotion
+from polhode.records.tracks import StereoTracks
 
 LONG_TURN_RAD = 0.5 * np.pi
 """A constant rate is good enough for shorter rotations."""

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.backend.initialization.pose_graph import AROUND, NEAR, average_poses, connect
-from polhode.lie import Array, exp_so3, log_so3, make_pose
-from polhode.records import Bools, Ints, RelativePoses
+from polhode.geometry.lie import Array, Bools, Ints, exp_so3, log_so3, make_pose
+from polhode.records.tracks import RelativePoses
 
 STATIC_RAD = np.deg2rad(5.0)
 """Links of smaller rotation in N may be those of light."""

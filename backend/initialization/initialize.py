@@ -13,11 +13,21 @@ from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import linearization_point
 from polhode.config.backend_settings import Backend
-from polhode.errors import RunFailure
-from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
-from polhode.records import Bools, InitialMotion, Ints, RelativePoses, StereoTracks
-from polhode.rigid_fit import fit_rigid
-from polhode.threads import single_threaded
+from polhode.geometry.lie import (
+    Array,
+    Bools,
+    Ints,
+    exp_so3,
+    inverse_pose,
+    log_so3,
+    make_pose,
+    transform_points,
+)
+from polhode.geometry.rigid_fit import fit_rigid
+from polhode.records.estimate import InitialMotion
+from polhode.records.tracks import RelativePoses, StereoTracks
+from polhode.runtime.errors import RunFailure
+from polhode.runtime.threads import single_threaded
 
 MIN_CONNECTED = 3
 MIN_COMMON = 4

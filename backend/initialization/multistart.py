@@ -27,10 +27,11 @@ from polhode.backend.problem.iterate import N_CAMERA, Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import MotionFit, linearization_point, recenter_inertia
-from polhode.errors import RunFailure
-from polhode.lie import Array, hat
-from polhode.progress import Advance
-from polhode.records import InitialMotion, StereoTracks
+from polhode.geometry.lie import Array, hat
+from polhode.records.estimate import InitialMotion
+from polhode.records.tracks import StereoTracks
+from polhode.runtime.errors import RunFailure
+from polhode.runtime.progress import Advance
 
 PASSES = (3, 3, 3, 2)
 """Iterations of the solves of one hypothesis; references and whitening are renewed between them."""

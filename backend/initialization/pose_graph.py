@@ -12,9 +12,9 @@ side and back: of the links between near frames those are right that agree on on
 
 import numpy as np
 
-from polhode.compiled import compiled
-from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
-from polhode.records import Bools, Ints, RelativePoses
+from polhode.geometry.lie import Array, Bools, Ints, exp_so3, inverse_pose, log_so3, make_pose
+from polhode.records.tracks import RelativePoses
+from polhode.runtime.compiled import compiled
 
 MAX_LINKS = 16
 """Number of links between two components that are compared, those of the largest weight."""

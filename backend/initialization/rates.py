@@ -13,8 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from polhode.lie import Array, exp_so3, log_so3
-from polhode.records import Bools, Ints
+from polhode.geometry.lie import Array, Bools, Ints, exp_so3, log_so3
 
 AMBIGUOUS_TURN_RAD = np.deg2rad(90.0)
 """Median rotation between neighbouring frames above which both directions are tried."""

@@ -17,8 +17,7 @@ from polhode.backend.dynamics.propagation import propagate_rotations
 from polhode.backend.dynamics.so3_exp import matrices_from_quaternions, rotation_vectors
 from polhode.backend.initialization.rates import AMBIGUOUS_TURN_RAD, OPPOSITE_DIRECTION
 from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
-from polhode.lie import Array, log_so3
-from polhode.records import Bools, Ints
+from polhode.geometry.lie import Array, Bools, Ints, log_so3
 
 FAR_RAD = np.deg2rad(60.0)
 """Median rotation between neighbouring frames above which shooting is worth its time."""

@@ -21,8 +21,7 @@ from scipy.spatial import cKDTree
 
 from polhode.backend.outliers_and_noise.outliers import MAX_SHARE_OF_POSES, MIN_OBSERVATIONS
 from polhode.backend.problem.motion_data import MotionData
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
 
 FORGETTING_TURNS_RAD = (0.3, 2.0, 6.0)
 """Turns over which the parts of the drift are forgotten; the last one is a random walk."""

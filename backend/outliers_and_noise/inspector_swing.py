@@ -30,7 +30,7 @@ from polhode.backend.solvers.chain import eliminate_chain
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import MotionFit, linearization_point
 from polhode.backend.solvers.schur import mirror
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 CORRELATION_LENGTHS = (1.0 / 12.0, 1.0 / 6.0, 1.0 / 3.0)
 """Correlation length of a swing, as shares of the sequence, the shortest first: a period is about six times

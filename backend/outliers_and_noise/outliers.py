@@ -14,9 +14,8 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.robust_kernel import most_efficient_scale, robust_weight
-from polhode.errors import RunFailure
-from polhode.lie import Array
-from polhode.records import Bools
+from polhode.geometry.lie import Array, Bools
+from polhode.runtime.errors import RunFailure
 
 MAX_SHARE_OF_POSES = 0.3
 """Largest share of the freedom of u and v that the poses are taken to use up."""

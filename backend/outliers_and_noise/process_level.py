@@ -25,7 +25,7 @@ from polhode.backend.solvers.chain import half_log_det
 from polhode.backend.solvers.condensed import CondensedGaussNewton, VisionExpansion, without_landmarks
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, MotionFit
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 T = TypeVar("T")
 """A level and what was found under it."""

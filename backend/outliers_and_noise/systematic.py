@@ -17,9 +17,10 @@ import numpy as np
 
 from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.uncertainty.identifiability import NAMES, determined_description
-from polhode.camera import RectifiedRig
-from polhode.lie import Array, hat, inverse_pose, transform_points
-from polhode.records import Identifiability, MassProperties, MotionEstimate, OnlineEstimate, StereoTracks
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, hat, inverse_pose, transform_points
+from polhode.records.estimate import Identifiability, MassProperties, MotionEstimate, OnlineEstimate
+from polhode.records.tracks import StereoTracks
 
 
 @dataclass(frozen=True)

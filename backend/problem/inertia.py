@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
+from polhode.geometry.lie import Array, exp_so3, hat, right_jacobian_so3
 
 N_INERTIA = 5
 MIN_THICKNESS = 1e-7

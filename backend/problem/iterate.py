@@ -6,7 +6,7 @@ import numpy as np
 
 from polhode.backend.problem.inertia import N_INERTIA, InertiaForm, inertia_from_second_moments
 from polhode.backend.problem.wrench import N_WRENCH
-from polhode.lie import Array, exp_so3
+from polhode.geometry.lie import Array, exp_so3
 
 N_POSE = 6
 """Unknowns of a pose: p_NG [m], theta [rad] in R_NG = R_ref Exp(theta)."""

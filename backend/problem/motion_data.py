@@ -6,10 +6,10 @@ import numpy as np
 
 from polhode.backend.problem.inertia import FORMS, InertiaForm
 from polhode.backend.problem.wrench import Impulses, impulses_of
-from polhode.camera import RectifiedRig, stereo_jacobian
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array, inverse_pose
-from polhode.records import Bools, Ints, StereoTracks
+from polhode.geometry.camera import RectifiedRig, stereo_jacobian
+from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
+from polhode.records.tracks import StereoTracks
 
 
 @dataclass(frozen=True)

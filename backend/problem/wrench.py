@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
-from polhode.records import Bools, Ints, Wrench
+from polhode.geometry.lie import Array, Bools, Ints, exp_so3, hat, right_jacobian_so3
+from polhode.records.tracks import Wrench
 
 N_WRENCH = 11
 """ln of the inertia's scale; rotation of the torque's axes (3) [rad]; bias of the torque (3) [N m]; ln of the

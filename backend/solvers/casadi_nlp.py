@@ -10,8 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
 
 OPTIMAL = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small")
 """Return statuses of IPOPT that count as an optimum."""

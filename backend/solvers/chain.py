@@ -11,8 +11,8 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from polhode.backend.problem.iterate import N_POSE
-from polhode.compiled import compiled
-from polhode.lie import Array
+from polhode.geometry.lie import Array
+from polhode.runtime.compiled import compiled
 
 PANEL = 96
 """Columns that are updated at once."""

@@ -27,8 +27,7 @@ from polhode.backend.solvers.linearization_point import (
 )
 from polhode.backend.solvers.robust_kernel import robust_cost
 from polhode.backend.solvers.schur import back_substitute
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
 
 
 @dataclass(frozen=True)

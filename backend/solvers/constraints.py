@@ -16,8 +16,7 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.problem.wrench import LN_MASS
 from polhode.backend.solvers.linearization_point import LinearizationPoint, MotionFit
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints, exp_so3, hat, right_jacobian_so3
 
 LIMIT_TOLERANCE = 1e-5
 """A limit is reached when a function is this close to it [m, 1], or beyond."""

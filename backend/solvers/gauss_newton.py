@@ -32,8 +32,8 @@ from polhode.backend.solvers.schur import (
     stereo_residuals,
     subtract_landmarks,
 )
-from polhode.lie import Array, right_jacobian_so3
-from polhode.records import ProgramEnd
+from polhode.geometry.lie import Array, right_jacobian_so3
+from polhode.records.estimate import ProgramEnd
 
 ITERATION_LIMIT = "limit of iterations (backend.max_iterations)"
 TIME_LIMIT = "limit of time (backend.max_seconds)"

@@ -39,8 +39,8 @@ from polhode.backend.solvers.gauss_newton import ITERATION_LIMIT, TIME_LIMIT, So
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.backend.solvers.robust_kernel import kernel_curvature, robust_cost, robust_weight
 from polhode.backend.solvers.schur import stereo_normal_equations, stereo_residuals
-from polhode.lie import Array, exp_so3, right_jacobian_so3, wxyz_from_matrix
-from polhode.records import Ints, ProgramEnd
+from polhode.geometry.lie import Array, Ints, exp_so3, right_jacobian_so3, wxyz_from_matrix
+from polhode.records.estimate import ProgramEnd
 
 MESSAGES = {
     "Solve_Succeeded": "converged",

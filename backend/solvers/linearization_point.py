@@ -10,7 +10,7 @@ from polhode.backend.dynamics.propagation import series_steps
 from polhode.backend.dynamics.residuals import Steps
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 LOOSE_GAUGE, TIGHT_GAUGE = 0.1, 1e-3
 """Standard deviation with which G is fixed at the first frame [rad, body radii]. A cold start must be free to

@@ -9,7 +9,7 @@ themselves (Huber's asymptotic variance as the criterion; Hampel et al., "Robust
 
 import numpy as np
 
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 MAX_CURVATURE = 0.6
 """Largest share of the Jacobian that the correction removes. Measured: smaller values converge more slowly

@@ -1,14 +1,13 @@
 """Normal equations of the stereo measurements and elimination of the landmarks (Schur complement), compiled.
 
 The loops state residual and Jacobian of a stereo measurement themselves, fused with the sums of the blocks;
-``polhode.camera`` has the same for arrays of points.
+``polhode.geometry.camera`` has the same for arrays of points.
 """
 
 import numpy as np
 
-from polhode.compiled import compiled, compiled_fused
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
+from polhode.runtime.compiled import compiled, compiled_fused
 
 BLOCK = 64
 

@@ -19,7 +19,7 @@ from polhode.backend.solvers.linearization_point import (
     recenter_inertia,
 )
 from polhode.config.backend_settings import Backend
-from polhode.records import ProgramEnd
+from polhode.records.estimate import ProgramEnd
 
 MAX_PASSES = 4
 PASS_TOLERANCE = 1e-7

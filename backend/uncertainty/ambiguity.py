@@ -11,8 +11,8 @@ import numpy as np
 from polhode.backend.initialization.multistart import HypothesisFit
 from polhode.backend.initialization.rates import OPPOSITE_DIRECTION
 from polhode.backend.uncertainty.covariance import with_infinite
-from polhode.lie import Array
-from polhode.records import MotionEstimate
+from polhode.geometry.lie import Array
+from polhode.records.estimate import MotionEstimate
 
 AS_GOOD = 0.02
 """Relative difference of the misfit that is not significant: the wrong direction of a tumbling motion costs

@@ -35,8 +35,7 @@ from polhode.backend.solvers.gauss_newton import GaussNewton, NormalEquations
 from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.schur import correlated_scores, landmark_covariances, mirror
 from polhode.backend.uncertainty.principal_axes import AxesDerivative
-from polhode.lie import Array, exp_so3, hat, right_jacobian_so3
-from polhode.records import Bools
+from polhode.geometry.lie import Array, Bools, exp_so3, hat, right_jacobian_so3
 
 N_GAUGE = 6
 

@@ -13,8 +13,8 @@ from scipy.linalg import block_diag
 
 from polhode.backend.solvers.gauss_newton import CONSTANT_SCALE
 from polhode.backend.uncertainty.principal_axes import AxesDerivative, free_axis_covariance, ratio_covariance
-from polhode.lie import Array
-from polhode.records import Bools, Identifiability
+from polhode.geometry.lie import Array, Bools
+from polhode.records.estimate import Identifiability
 
 SCALE = np.array([0.01, 0.01, 0.01, 0.2, 0.2, 0.3, 0.3, 0.3])
 

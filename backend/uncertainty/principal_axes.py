@@ -13,9 +13,8 @@ import numpy as np
 from polhode.backend.problem.inertia import InertiaForm, inertia_from_second_moments, principal_axes
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.wrench import TURN
-from polhode.lie import Array, exp_so3, log_so3
-from polhode.records import Bools
-from polhode.rigid_body import nearest_half_turn
+from polhode.geometry.lie import Array, Bools, exp_so3, log_so3
+from polhode.geometry.rigid_body import nearest_half_turn
 
 MIN_GAP = 1e-6
 """Least difference of two moments (middle one 1) in the derivative of the axes."""

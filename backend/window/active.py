@@ -9,8 +9,7 @@ from polhode.backend.problem.inertia import InertiaForm
 from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE, POSE
 from polhode.backend.window.frame import Frame
 from polhode.backend.window.problem import Quadratic, add_block, eliminate, others, step_jacobians
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
 
 Part = tuple[Ints, Array, Array]
 """Entries of a vector, information about them, its gradient."""

@@ -12,9 +12,18 @@ from polhode.backend.initialization.initialize import ransac_orientation
 from polhode.backend.problem.iterate import COM, POSITION, RATE, ROTATION, VELOCITY
 from polhode.backend.window.estimator_state import EstimatorState
 from polhode.backend.window.frame import Frame, FrameMeasurements
-from polhode.camera import RectifiedRig, stereo_jacobian
-from polhode.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose, transform_points
-from polhode.records import Bools, Ints
+from polhode.geometry.camera import RectifiedRig, stereo_jacobian
+from polhode.geometry.lie import (
+    Array,
+    Bools,
+    Ints,
+    exp_so3,
+    hat,
+    inverse_pose,
+    log_so3,
+    make_pose,
+    transform_points,
+)
 
 MIN_FRAMES_FOR_DYNAMICS = 4
 """Number of located frames from which the dynamics predict better than a difference of poses."""

@@ -11,9 +11,8 @@ from polhode.backend.uncertainty.covariance import state_jacobians, with_infinit
 from polhode.backend.uncertainty.identifiability import analyse, undetermined_states
 from polhode.backend.uncertainty.principal_axes import axes_derivative, free_axis_covariance
 from polhode.backend.window.frame import Frame
-from polhode.lie import Array, make_pose
-from polhode.records import Bools
-from polhode.rigid_body import nearest_half_turn
+from polhode.geometry.lie import Array, Bools, make_pose
+from polhode.geometry.rigid_body import nearest_half_turn
 
 N_JOINT = N_STATE + N_CONSTANTS
 

@@ -20,13 +20,14 @@ from polhode.backend.window.ipopt import IpoptSolver
 from polhode.backend.window.marginalize import shrink_window
 from polhode.backend.window.noise_levels import estimate_levels, estimate_noise
 from polhode.backend.window.solve import choose_inertia, expand_arrival, solve_history, solve_window
-from polhode.camera import RectifiedRig
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
-from polhode.progress import Progress
-from polhode.records import Ints, MotionEstimate, OnlineEstimate, StereoTracks, Wrench
-from polhode.rigid_body import HALF_TURNS
-from polhode.threads import single_threaded
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Ints, exp_so3, inverse_pose, make_pose, transform_points
+from polhode.geometry.rigid_body import HALF_TURNS
+from polhode.records.estimate import MotionEstimate, OnlineEstimate
+from polhode.records.tracks import StereoTracks, Wrench
+from polhode.runtime.progress import Progress
+from polhode.runtime.threads import single_threaded
 
 REESTIMATION_FRAMES = (6, 12, 24, 48, 96, 192, 384, 768)
 """Numbers of frames at which noise levels are estimated and other inertias tried, while the history is

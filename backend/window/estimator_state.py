@@ -26,9 +26,9 @@ from polhode.backend.window.vision import (
     condense,
     gather_observations,
 )
-from polhode.camera import RectifiedRig
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array, matrix_from_wxyz
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, matrix_from_wxyz
 
 GAUGE_SIGMA = 1e-5
 """Standard deviation with which G is fixed at the first frame [rad, radii of the target]."""

@@ -10,8 +10,8 @@ import numpy as np
 
 from polhode.backend.dynamics.so3_exp import rotation_matrices
 from polhode.backend.problem.iterate import POSE, POSITION, ROTATION
-from polhode.lie import Array, hat, inverse_pose, log_so3, make_pose
-from polhode.records import Bools, Ints, StereoTracks
+from polhode.geometry.lie import Array, Bools, Ints, hat, inverse_pose, log_so3, make_pose
+from polhode.records.tracks import StereoTracks
 
 FIRST_SLOTS = 1024
 

@@ -27,8 +27,7 @@ from polhode.backend.window.problem import (
     whitened_steps,
 )
 from polhode.backend.window.vision import CondensedVision
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
 
 
 @dataclass(frozen=True)

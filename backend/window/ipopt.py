@@ -15,8 +15,7 @@ from polhode.backend.problem.iterate import N_CONSTANTS, N_STATE
 from polhode.backend.solvers.casadi_nlp import OPTIMAL, gather, ipopt_options, ipopt_solver, scatter
 from polhode.backend.solvers.gauss_newton import Solution
 from polhode.backend.window.problem import WindowProblem
-from polhode.lie import Array, wxyz_from_matrix
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints, wxyz_from_matrix
 
 TOLERANCE = 1e-3
 """Largest gradient at the optimum: a thousandth of a standard deviation."""

@@ -5,7 +5,7 @@ import numpy as np
 from polhode.backend.problem.iterate import N_POSE
 from polhode.backend.window.estimator_state import EstimatorState
 from polhode.backend.window.vision import STEREO_GATE, FramePoses, information_of, residuals
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 
 def shrink_window(state: EstimatorState, n_recent: int, n_keys: int) -> None:

@@ -25,8 +25,8 @@ from polhode.backend.window.estimator_state import EstimatorState
 from polhode.backend.window.history import History
 from polhode.backend.window.problem import DisturbanceLevels, solve_newton
 from polhode.backend.window.vision import FramePoses, WindowObservations, residuals
-from polhode.camera import stereo_jacobian
-from polhode.lie import Array
+from polhode.geometry.camera import stereo_jacobian
+from polhode.geometry.lie import Array
 
 Grid = tuple[int, int]
 """Levels of acceleration and torque in half decades from the stated ones: finer than the data can resolve."""

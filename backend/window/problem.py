@@ -23,9 +23,8 @@ from polhode.backend.dynamics.so3_exp import rotation_matrices
 from polhode.backend.problem.inertia import InertiaForm, inertia_derivative, inertia_from_second_moments
 from polhode.backend.problem.iterate import COM, N_CONSTANTS, N_STATE, ROTATION
 from polhode.backend.solvers.gauss_newton import CONSTANT_SCALE, Solution, WeakPrior
-from polhode.compiled import compiled
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
+from polhode.runtime.compiled import compiled
 
 NEGLIGIBLE_COST = 1e-3
 """Negligible difference of the cost, which is half a squared number of standard deviations."""

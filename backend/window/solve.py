@@ -29,7 +29,7 @@ from polhode.backend.window.problem import (
     solve_newton,
 )
 from polhode.backend.window.vision import STEREO_GATE, CondensedVision
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 INNER_ITERATIONS = 10
 MAX_LINEARIZATIONS = 8

@@ -15,9 +15,8 @@ from polhode.backend.solvers.schur import (
     subtract_landmarks,
 )
 from polhode.backend.window.frame import Frame
-from polhode.compiled import compiled
-from polhode.lie import Array
-from polhode.records import Bools, Ints
+from polhode.geometry.lie import Array, Bools, Ints
+from polhode.runtime.compiled import compiled
 
 STEREO_GATE = 4.5
 """Largest norm of a whitened residual that agrees with the others; of Gaussian ones 1 in 5700 is larger."""

@@ -18,9 +18,9 @@ from polhode.backend.problem.wrench import LN_MASS, LN_SCALE, N_WRENCH
 from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.uncertainty.covariance import Marginals
 from polhode.backend.uncertainty.principal_axes import AxesDerivative
-from polhode.errors import RunFailure
-from polhode.lie import Array, exp_so3
-from polhode.records import MassProperties
+from polhode.geometry.lie import Array, exp_so3
+from polhode.records.estimate import MassProperties
+from polhode.runtime.errors import RunFailure
 
 MAX_EQUAL_LN_RATIO = 0.1
 """Logarithm of two moments' ratio below which their axes may be exchanged."""

@@ -33,8 +33,8 @@ from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.robust_kernel import robust_information
 from polhode.backend.uncertainty.covariance import Marginals, marginals
 from polhode.backend.uncertainty.principal_axes import AxesDerivative
-from polhode.lie import Array, hat
-from polhode.records import Bools, Disturbances, Impulse, Ints
+from polhode.geometry.lie import Array, Bools, Ints, hat
+from polhode.records.estimate import Disturbances, Impulse
 
 SUSPICIOUS_SQUARES = 24.0
 """Sum of six squares that is exceeded by chance once in 2,000; suspected steps must still gain evidence."""

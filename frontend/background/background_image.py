@@ -15,10 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.camera import RectifiedRig
 from polhode.frontend.background.far_plane import Floats, Image
-from polhode.lie import Array, inverse_pose, make_pose
-from polhode.records import Bools
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools, inverse_pose, make_pose
 
 REACH_FRAMES = 24
 """Frames before and after from which the background is taken,"""

@@ -10,9 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.camera import RectifiedRig
-from polhode.lie import Array
-from polhode.records import Bools
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools
 
 Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]

@@ -12,7 +12,6 @@ from functools import partial
 
 import numpy as np
 
-from polhode.dataset import StereoSequence
 from polhode.frontend.background.background_image import (
     REACH_FRAMES,
     BackgroundImage,
@@ -36,8 +35,9 @@ from polhode.frontend.background.still_background import changed_layer, is_still
 from polhode.frontend.found_masks import FoundMasks, MaskQuality, encoded
 from polhode.frontend.rectification import Rectifier, frame_disparity
 from polhode.frontend.segmentation import lit_border
-from polhode.lie import Array
-from polhode.processes import in_order
+from polhode.geometry.lie import Array
+from polhode.records.dataset import StereoSequence
+from polhode.runtime.processes import in_order
 
 EXAMINED = 8
 """Pairs in which the background is looked for."""

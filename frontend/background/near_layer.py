@@ -35,7 +35,7 @@ from polhode.frontend.background.far_plane import (
 )
 from polhode.frontend.found_masks import MaskQuality
 from polhode.frontend.segmentation import sky_level
-from polhode.records import Bools
+from polhode.geometry.lie import Bools
 
 Values = TypeVar("Values", bound=np.generic)
 

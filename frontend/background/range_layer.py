@@ -12,8 +12,7 @@ from polhode.frontend.background.far_plane import FarPlane, border_ring
 from polhode.frontend.background.near_layer import NearLayer, filled, large_parts
 from polhode.frontend.found_masks import MaskQuality
 from polhode.frontend.rectification import MeasuredDisparity
-from polhode.lie import Array
-from polhode.records import Bools
+from polhode.geometry.lie import Array, Bools
 
 MIN_RETURNS = 0.2
 """Share of the border's pixels with a range, below which the background returns nothing."""

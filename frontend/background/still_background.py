@@ -25,7 +25,7 @@ from polhode.frontend.background.near_layer import (
     working_scale,
 )
 from polhode.frontend.found_masks import MaskQuality
-from polhode.records import Bools
+from polhode.geometry.lie import Bools
 
 MIN_IMAGES = 12
 SUPPORT, MIN_SUPPORT = 0.25, 6

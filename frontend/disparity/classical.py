@@ -22,12 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects
 
-from polhode.compiled import compiled_fused_ieee, compiled_inline
 from polhode.config.frontend_settings import Depth
 from polhode.frontend.disparity.sgbm import MIN_INTENSITY, WINDOW_PX, Floats, StereoCrop, match_checked
 from polhode.frontend.rectification import Image
-from polhode.lie import Array
-from polhode.records import Bools
+from polhode.geometry.lie import Array, Bools
+from polhode.runtime.compiled import compiled_fused_ieee, compiled_inline
 
 REFINEMENTS = 3
 """Rounds of sub-pixel refinement and smoothing."""

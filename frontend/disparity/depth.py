@@ -8,14 +8,14 @@ the silhouette and along depth discontinuities, where windows mix near and far s
 import cv2
 import numpy as np
 
-from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Depth
 from polhode.frontend.disparity.classical import classical_disparity
 from polhode.frontend.disparity.learned import network_disparity
 from polhode.frontend.disparity.sgbm import Floats, StereoCrop, cut_crop, match_checked
 from polhode.frontend.rectification import Image
-from polhode.lie import Array
-from polhode.records import Bools, DepthMap
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools
+from polhode.records.surface import DepthMap
 
 DisparityRange = tuple[float, float] | None
 """Smallest and largest disparity of the target [px]; None: not known."""

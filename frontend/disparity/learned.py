@@ -22,7 +22,6 @@ from kornia.geometry.transform import remap
 from numpy.typing import NDArray
 from torch import Tensor
 
-from polhode.compiled import compiled_fused_ieee
 from polhode.config.frontend_settings import Depth
 from polhode.frontend.disparity.classical import (
     MIN_MATCHED_PIXELS,
@@ -36,7 +35,8 @@ from polhode.frontend.disparity.sgbm import Floats, StereoCrop, match_coarse, ma
 from polhode.frontend.networks.disparity import OFFSETS_PX, STRIDE, DisparityNet, mixture_from_outputs
 from polhode.frontend.networks.precision import multiplies_in_bfloat16
 from polhode.frontend.networks.weights import load_weights, shipped_path
-from polhode.records import Bools
+from polhode.geometry.lie import Bools
+from polhode.runtime.compiled import compiled_fused_ieee
 
 REACH_PX = 5
 """Radius of the neighbourhood of the nearest and the farthest disparity."""

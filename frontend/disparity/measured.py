@@ -9,12 +9,12 @@ ones, do not count. Where few pixels agree with the plane, as at jumps of depth,
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.camera import RectifiedRig
 from polhode.frontend.disparity.classical import fit_planes
 from polhode.frontend.disparity.depth import depth_of_disparity, discontinuities
 from polhode.frontend.rectification import MeasuredDisparity, RectifiedPair
-from polhode.lie import Array
-from polhode.records import Bools, DepthMap
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools
+from polhode.records.surface import DepthMap
 
 WINDOW_RADIUS_PX = 5
 """Half side of the window of a point's plane: a compromise between noise and the curvature of surfaces."""

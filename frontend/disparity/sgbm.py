@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from polhode.config.frontend_settings import Depth
 from polhode.frontend.rectification import Image
-from polhode.records import Bools
+from polhode.geometry.lie import Bools
 
 Floats = NDArray[np.float32]
 WINDOW_PX = 7

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from polhode.config.frontend_settings import Features
 from polhode.frontend.rectification import Crop, Image, target_crop
-from polhode.lie import Array
-from polhode.records import Bools, Ints
+from polhode.geometry.lie import Array, Bools, Ints
 
 Descriptors = NDArray[np.float32]
 CANDIDATE_CONTRAST = 0.5

@@ -6,10 +6,9 @@ are near its own row, instead of with all.
 
 import numpy as np
 
-from polhode.compiled import compiled_reordered
 from polhode.frontend.features.keypoints import Descriptors, KeyPoints
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
+from polhode.runtime.compiled import compiled_reordered
 
 MAX_OCTAVES, MAX_TURN_RAD = 0.6, float(np.deg2rad(35.0))
 """Largest differences of scale and orientation between the two images of a point."""

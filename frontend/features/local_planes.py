@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.compiled import compiled_fused_ieee
-from polhode.lie import Array
-from polhode.small_systems import solve_symmetric
+from polhode.geometry.lie import Array
+from polhode.geometry.small_systems import solve_symmetric
+from polhode.runtime.compiled import compiled_fused_ieee
 
 PLANE_RADIUS_PX = 12
 """Half side of the windows whose disparities give the normal of the surface [px]."""

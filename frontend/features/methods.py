@@ -11,10 +11,10 @@ from functools import lru_cache
 from importlib import import_module
 from typing import Any, Protocol
 
-from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.rectification import RectifiedPair
+from polhode.geometry.camera import RectifiedRig
 
 
 class FeatureMethod(Protocol):

@@ -27,7 +27,7 @@ from polhode.frontend.networks.descriptor import DIMENSIONS, DescriptorNet
 from polhode.frontend.networks.precision import multiplies_in_bfloat16
 from polhode.frontend.networks.weights import load_weights, shipped_path
 from polhode.frontend.rectification import Image
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 NAME = "descriptor"
 """Name of the shipped weights."""

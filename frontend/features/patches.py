@@ -14,11 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.camera import RectifiedRig
-from polhode.compiled import compiled_reordered
 from polhode.frontend.rectification import Image
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Ints
+from polhode.runtime.compiled import compiled_reordered
 
 Grey = NDArray[np.float32]
 Patches = NDArray[np.float32]

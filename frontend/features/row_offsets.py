@@ -11,7 +11,7 @@ import numpy as np
 
 from polhode.frontend.features.keypoints import KeyPoints, strongest
 from polhode.frontend.features.line_search import mutual_nearest
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 STRONGEST = 300
 """Key points of each image that are compared, the strongest first."""

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
-from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Frontend
 from polhode.frontend.disparity.measured import disparity_at
 from polhode.frontend.features.keypoints import Descriptors, KeyPoints, detect, no_key_points
@@ -23,8 +22,8 @@ from polhode.frontend.features.patches import rotate_affines, surface_frames, su
 from polhode.frontend.features.row_offsets import RowOffsets, row_offsets
 from polhode.frontend.features.window_fit import MAX_SLOPE, WINDOW_PX, fit_windows
 from polhode.frontend.rectification import Image, MeasuredDisparity, RectifiedPair, target_crop
-from polhode.lie import Array
-from polhode.records import Bools, Ints
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools, Ints
 
 ROW_GATE_PX = 0.8
 """Largest difference of rows between left and right key points of the finest scale."""

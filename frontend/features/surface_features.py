@@ -36,9 +36,7 @@ from typing import Protocol
 
 import numpy as np
 
-from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Depth, Features, Frontend
-from polhode.dataset import StereoSequence
 from polhode.frontend.disparity.depth import find_disparity_range
 from polhode.frontend.disparity.measured import disparity_at
 from polhode.frontend.disparity.sgbm import Floats, cut_crop, match_checked
@@ -54,8 +52,9 @@ from polhode.frontend.features.stereo import (
 )
 from polhode.frontend.features.surface_network import SurfaceLook, surface_network
 from polhode.frontend.rectification import Image, RectifiedPair, Rectifier, rectified_pair
-from polhode.lie import Array
-from polhode.records import Bools, Ints
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools, Ints
+from polhode.records.dataset import StereoSequence
 
 UV_FLOOR_PX, UV_GAIN_PX = 0.293, 3.287
 """In the image [px]."""

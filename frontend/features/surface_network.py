@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from polhode.compiled import compiled_reordered
 from polhode.frontend.features.keypoints import FeatureCandidates
 from polhode.frontend.features.landmark_places import find_places
 from polhode.frontend.features.patch_descriptors import PatchDescriptions
@@ -32,8 +31,8 @@ from polhode.frontend.networks.surface import (
 )
 from polhode.frontend.networks.weights import load_weights, shipped_path
 from polhode.frontend.rectification import Image, target_crop
-from polhode.lie import Array
-from polhode.records import Bools, Ints
+from polhode.geometry.lie import Array, Bools, Ints
+from polhode.runtime.compiled import compiled_reordered
 
 Floats = NDArray[np.float32]
 NAME = "surface"

@@ -8,10 +8,9 @@ offset are estimated directly, the warp (d, a, b) by increments.
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.compiled import compiled_reordered
-from polhode.lie import Array
-from polhode.records import Ints
-from polhode.small_systems import solve_symmetric
+from polhode.geometry.lie import Array, Ints
+from polhode.geometry.small_systems import solve_symmetric
+from polhode.runtime.compiled import compiled_reordered
 
 WINDOW_PX = 13
 """Side of the window, odd."""

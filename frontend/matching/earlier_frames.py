@@ -8,8 +8,7 @@ is taken.
 import numpy as np
 
 from polhode.frontend.matching.pairs import MAX_NEIGHBOUR_STEPS, MAX_VIEW_ANGLE_DEG
-from polhode.lie import Array, inverse_pose
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints, inverse_pose
 
 FIRST_FRAMES = 10
 """So many frames are matched with all before: the motion is not known yet."""

@@ -8,8 +8,7 @@ spread evenly over the views and over the sequence.
 import numpy as np
 
 from polhode.frontend.matching.pairs import MAX_NEIGHBOUR_STEPS
-from polhode.lie import Array
-from polhode.records import Bools, Ints
+from polhode.geometry.lie import Array, Bools, Ints
 
 WHOLE_TIME = 1.0
 """Distance of the first and the last moment, in the unit of the distance between viewing directions [rad]."""

@@ -24,12 +24,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from polhode.compiled import compiled_fused_ieee, compiled_reordered
 from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.methods import Matches, one_to_one
-from polhode.lie import Array, make_pose, transform_points
-from polhode.records import Bools, Ints
+from polhode.geometry.lie import Array, Bools, Ints, make_pose, transform_points
+from polhode.runtime.compiled import compiled_fused_ieee, compiled_reordered
 
 Floats = NDArray[np.float32]
 TEMPERATURE = 0.03
@@ -153,7 +152,7 @@ def rigid_fit(p_A: Tensor, p_B: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]
     """R_AB (..., 3, 3) and t (..., 3) that minimise sum w |p_A - R p_B - t|^2 over points (..., n, 3).
 
     weight (..., n) >= 0. The points must not be collinear. This is the differentiable twin of
-    ``polhode.rigid_fit.fit_rigid``; a test compares the two.
+    ``polhode.geometry.rigid_fit.fit_rigid``; a test compares the two.
     """
     w = weight / weight.sum(dim=-1, keepdim=True)
     mean_A, mean_B = (torch.einsum("...n,...nk->...k", w, p) for p in (p_A, p_B))
@@ -296,7 +295,7 @@ def _refined(
 def _fit_in_rounds(
     start: Bools, free: Bools, p_A: Array, p_B: Array, weight: Array, gate_m: Array
 ) -> tuple[Array, Array, Bools]:
-    """R (3, 3) and t (3,) of the last round's fit, as ``polhode.rigid_fit``, and its inliers; none of these
+    """R (3, 3) and t (3,) of the last round's fit, as ``polhode.geometry.rigid_fit``, and its inliers; none of these
     if a round has fewer than three."""
     inlier = start.copy()
     R, t = np.eye(3), np.zeros(3)

@@ -14,8 +14,7 @@ import numpy as np
 from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.methods import make_method
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from polhode.compiled import compiled_reordered
 from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.stereo import COARSE_ROWS, CoarseDescriptors, StereoFeatures
 from polhode.frontend.matching.matchers import SoftmaxMatcher
 from polhode.frontend.matching.methods import Matches
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
+from polhode.runtime.compiled import compiled_reordered
 
 Floats = NDArray[np.float32]
 _LANES = COARSE_ROWS // 2

@@ -23,14 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2, vq
 
-from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Frontend, PairMatching
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.methods import HypothesisMethod, match_method
 from polhode.frontend.matching.ransac import ransac_rigid
-from polhode.lie import Array, inverse_pose
-from polhode.processes import in_order
-from polhode.records import Ints, RelativePoses
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Ints, inverse_pose
+from polhode.records.tracks import RelativePoses
+from polhode.runtime.processes import in_order
 
 Tick = Callable[[], None]
 Floats = NDArray[np.float32]

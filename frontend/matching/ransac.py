@@ -4,12 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.camera import RectifiedRig
-from polhode.compiled import compiled_reordered
-from polhode.lie import Array, transform_points
-from polhode.records import Bools, Ints
-from polhode.rigid_fit import fit_rigid
-from polhode.small_systems import solve_symmetric
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools, Ints, transform_points
+from polhode.geometry.rigid_fit import fit_rigid
+from polhode.geometry.small_systems import solve_symmetric
+from polhode.runtime.compiled import compiled_reordered
 
 HYPOTHESES = 300
 """Number of minimal samples."""

@@ -11,7 +11,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from polhode.foreign_files import MIB, amount
+from polhode.files.foreign_files import MIB, amount
 
 MAX_HEADER_BYTES = 16 * MIB
 _KINDS = {torch.float32: "F32", torch.float64: "F64", torch.int64: "I64", torch.bool: "BOOL"}

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from torch import nn
 
-from polhode.errors import InputError
 from polhode.frontend.networks.tensor_file import TensorFileError, read_tensors
+from polhode.runtime.errors import InputError
 
 SHIPPED = Path(__file__).resolve().parents[1] / "weights"
 

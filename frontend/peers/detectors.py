@@ -15,13 +15,13 @@ import numpy as np
 import torch
 from kornia.feature import ALIKED, DISK, XFeat
 
-from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.keypoints import KeyPoints, enlarge, no_key_points, strongest_in_mask
 from polhode.frontend.features.stereo import StereoFeatures, match_stereo, with_ranges
 from polhode.frontend.peers.weights import fill, load_weights
 from polhode.frontend.rectification import Image, RectifiedPair, target_crop
-from polhode.records import Bools
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Bools
 
 SIZE_MULTIPLE_PX = 32
 """Ratio of the image to the coarsest feature maps of the networks."""

@@ -21,15 +21,14 @@ from kornia.feature.loftr.loftr import default_cfg
 from scipy.spatial import cKDTree
 
 from polhode.config.frontend_settings import Frontend
-from polhode.errors import InputError
 from polhode.frontend.features.keypoints import enlarge
 from polhode.frontend.features.stereo import ImageCrop, StereoFeatures
 from polhode.frontend.matching.methods import Matches, mutual_best
 from polhode.frontend.peers.detectors import image_tensor
 from polhode.frontend.peers.weights import State, fill, load_weights
 from polhode.frontend.rectification import Crop
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
+from polhode.runtime.errors import InputError
 
 FEATURES = {"rootsift": "sift", "disk": "disk", "aliked": "aliked", "xfeat": "xfeat"}
 """Name of a feature method -> Kornia's name of LightGlue's weights for it."""

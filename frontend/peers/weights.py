@@ -16,7 +16,7 @@ import torch
 from safetensors.torch import load_file
 
 from polhode.config.frontend_settings import Weights
-from polhode.errors import InputError
+from polhode.runtime.errors import InputError
 
 State = dict[str, torch.Tensor]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from polhode.frontend.matching.methods import one_to_one
 from polhode.frontend.matching.pairs import PairMatch
-from polhode.records import Ints
+from polhode.geometry.lie import Ints
 
 
 class CausalTracks:

@@ -12,13 +12,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.stats import chi2
 
-from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import GuidedMatching
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.tracks.tracks import Association, LandmarkMap, add_observations
-from polhode.lie import Array
-from polhode.records import Bools, InitialMotion, Ints
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools, Ints
+from polhode.records.estimate import InitialMotion
 
 MAX_VIEW_ANGLE_DEG = 30.0
 """Largest change of viewing direction between descriptors of landmarks that may be one."""

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import GuidedMatching
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.matchers import DUSTBIN, TEMPERATURE
@@ -27,8 +26,9 @@ from polhode.frontend.tracks.tracks import (
     descriptor_distance,
     viewing_direction,
 )
-from polhode.lie import Array, inverse_pose, transform_points
-from polhode.records import Bools, InitialMotion, Ints
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools, Ints, inverse_pose, transform_points
+from polhode.records.estimate import InitialMotion
 
 COARSE_GATE_PX = 25.0
 """Search radius around a predicted pose."""

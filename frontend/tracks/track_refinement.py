@@ -17,10 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.camera import RectifiedRig
-from polhode.compiled import compiled_reordered
 from polhode.config.frontend_settings import Frontend
-from polhode.dataset import StereoSequence
 from polhode.frontend.disparity.measured import disparity_at
 from polhode.frontend.features import stereo
 from polhode.frontend.features.patches import (
@@ -36,9 +33,12 @@ from polhode.frontend.features.stereo import StereoFeatures, refine_disparity
 from polhode.frontend.features.surface_features import feature_sigma, patch_half_m
 from polhode.frontend.rectification import Image, Rectifier, rectified_pair
 from polhode.frontend.tracks.tracks import Association
-from polhode.lie import Array, inverse_pose
-from polhode.processes import in_order
-from polhode.records import InitialMotion, Ints
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Ints, inverse_pose
+from polhode.records.dataset import StereoSequence
+from polhode.records.estimate import InitialMotion
+from polhode.runtime.compiled import compiled_reordered
+from polhode.runtime.processes import in_order
 
 Floats = NDArray[np.float32]
 WINDOW = 0.5

@@ -10,13 +10,13 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import GuidedMatching, Tracks
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.pairs import PairMatch
-from polhode.lie import Array, inverse_pose, transform_points
-from polhode.records import Ints, StereoTracks
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Ints, inverse_pose, transform_points
+from polhode.records.tracks import StereoTracks
 
 MIN_VIEWS = 3
 """Number of frames in which a landmark must be seen."""

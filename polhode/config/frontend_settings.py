@@ -6,7 +6,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from polhode.config.section import Section
-from polhode.foreign_files import GIB, sha256_of
+from polhode.files.foreign_files import GIB, sha256_of
 
 MAX_WEIGHTS_BYTES = 4 * GIB
 """Of a file of weights"""

@@ -15,8 +15,8 @@ from pydantic import BaseModel, ValidationError
 
 from polhode.config import Config
 from polhode.config import keys as config_keys
-from polhode.errors import InputError
-from polhode.yaml_files import read_yaml
+from polhode.files.yaml_files import read_yaml
+from polhode.runtime.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -18,7 +18,7 @@ from polhode.config.section import (
 )
 
 MAX_PIXELS = 64_000_000
-"""Of an image, as it is read (polhode/images.py)."""
+"""Of an image, as it is read (polhode/files/images.py)."""
 MAX_ROWS = 500_000
 """Of the truth: images and times after them."""
 MAX_DURATION_S = 1e8

@@ -9,10 +9,10 @@ from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array, log_so3
-from polhode.progress import Silent
-from polhode.records import MotionEstimate
-from polhode.rigid_body import HALF_TURNS
+from polhode.geometry.lie import Array, log_so3
+from polhode.geometry.rigid_body import HALF_TURNS
+from polhode.records.estimate import MotionEstimate
+from polhode.runtime.progress import Silent
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence
 
 BOX = np.diag([1.5, 1.2, 0.9])

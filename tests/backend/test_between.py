@@ -11,9 +11,10 @@ from polhode.backend.initialization.multistart import KnownMotion
 from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.backend.window import SlidingWindow, frames_of, online_estimate
 from polhode.config.backend_settings import Backend
-from polhode.lie import exp_so3, inverse_pose
-from polhode.progress import Silent
-from polhode.records import InitialMotion, Ints, MotionEstimate, OnlineEstimate, StereoTracks
+from polhode.geometry.lie import Ints, exp_so3, inverse_pose
+from polhode.records.estimate import InitialMotion, MotionEstimate, OnlineEstimate
+from polhode.records.tracks import StereoTracks
+from polhode.runtime.progress import Silent
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 from tests.backend.motions import BOX
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.lie import log_so3
-from polhode.records import MotionEstimate
+from polhode.geometry.lie import log_so3
+from polhode.records.estimate import MotionEstimate
 from polhode.simulation.monte_carlo import SyntheticSequence, generate
 from tests.backend.motions import QUIET, TUMBLE, estimated, nees, sigmas, state_errors, xi_of
 

@@ -14,10 +14,11 @@ from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.solve import refine
 from polhode.config.backend_settings import Backend, CorrelatedErrors
-from polhode.errors import RunFailure
-from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
-from polhode.progress import Silent
-from polhode.records import Bools, InitialMotion, MotionEstimate, StereoTracks
+from polhode.geometry.lie import Array, Bools, exp_so3, inverse_pose, log_so3, make_pose, transform_points
+from polhode.records.estimate import InitialMotion, MotionEstimate
+from polhode.records.tracks import StereoTracks
+from polhode.runtime.errors import RunFailure
+from polhode.runtime.progress import Silent
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 from tests.backend.motions import BOX, FAST, TUMBLE, deviations, estimated, nees, sigmas, state_errors
 

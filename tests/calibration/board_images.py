@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from polhode.calibration.boards import Board
 from polhode.calibration.epipolar import rays
 from polhode.calibration.lenses import Lens, project
-from polhode.images import Grey
-from polhode.lie import Array, inverse_pose, transform_points
+from polhode.files.images import Grey
+from polhode.geometry.lie import Array, inverse_pose, transform_points
 
 SQUARE_PX = 100
 """Pixels of a square, or of a tag, in the picture of the board."""

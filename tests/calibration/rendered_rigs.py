@@ -9,9 +9,9 @@ import numpy as np
 from polhode.calibration.adjustment import RigState
 from polhode.calibration.boards import Board
 from polhode.calibration.lenses import Lens
-from polhode.dataset_writer import write_png
-from polhode.images import Grey
-from polhode.lie import Array, exp_so3, make_pose
+from polhode.files.images import Grey
+from polhode.geometry.lie import Array, exp_so3, make_pose
+from polhode.records.dataset_writer import write_png
 from tests.calibration.board_images import BoardCamera, printed
 
 SIZE = (320, 240)

@@ -4,7 +4,7 @@ import numpy as np
 
 from polhode.calibration.adjustment import CornerData, RigState
 from polhode.calibration.lenses import Lens, Model, project
-from polhode.lie import Array, exp_so3, make_pose, transform_points
+from polhode.geometry.lie import Array, exp_so3, make_pose, transform_points
 
 SIZE = (640, 480)
 VALUES: dict[Model, list[float]] = {

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from polhode.calibration.adjustment import RigState, adjust, relative_poses
 from polhode.calibration.lenses import COEFFICIENTS, Model
 from polhode.calibration.start_values import calibrated_alone
-from polhode.lie import Array, exp_so3, log_so3
+from polhode.geometry.lie import Array, exp_so3, log_so3
 from tests.calibration.synthetic_rigs import SIZE, rig, seen_corners
 
 MODELS: tuple[Model, ...] = tuple(COEFFICIENTS)

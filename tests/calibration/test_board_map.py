@@ -6,7 +6,7 @@ import pytest
 from polhode.calibration.board_map import fitted_map, misfit
 from polhode.calibration.boards import make_board
 from polhode.calibration.lenses import Lens, Model, project
-from polhode.lie import Array, exp_so3, make_pose, transform_points
+from polhode.geometry.lie import Array, exp_so3, make_pose, transform_points
 
 SIZE = (720, 540)
 BOARD = make_board("charuco", "7x5", 0.045)

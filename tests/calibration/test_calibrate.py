@@ -17,12 +17,12 @@ from polhode.calibration.lenses import project
 from polhode.calibration.pair_consensus import Pair, agree
 from polhode.calibration.result import result_of
 from polhode.cli.main import main
-from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
-from polhode.images import Grey
+from polhode.files.images import Grey
+from polhode.geometry.lie import Array, inverse_pose, log_so3, make_pose, transform_points
 from polhode.importers.calibrations.read_rig import read_rig
 from polhode.importers.options import ImportOptions
-from polhode.lie import Array, inverse_pose, log_so3, make_pose, transform_points
-from polhode.progress import Silent
+from polhode.records.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
+from polhode.runtime.progress import Silent
 from tests.calibration.rendered_rigs import SIZE, Scene, board_pose, make_scene, write_images
 
 VIEWS = 10

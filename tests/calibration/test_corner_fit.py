@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from polhode.calibration.corner_fit import fit_corners
-from polhode.images import Grey
-from polhode.lie import Array
+from polhode.files.images import Grey
+from polhode.geometry.lie import Array
 
 SIDE, FINE = 41, 8
 

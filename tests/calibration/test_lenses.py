@@ -4,7 +4,6 @@ import cv2
 import numpy as np
 import pytest
 
-from polhode import fisheye
 from polhode.calibration.lenses import (
     COEFFICIENTS,
     Lens,
@@ -14,7 +13,8 @@ from polhode.calibration.lenses import (
     project_with_derivatives,
 )
 from polhode.calibration.start_values import normalized
-from polhode.lie import Array
+from polhode.geometry import fisheye
+from polhode.geometry.lie import Array
 from tests.calibration.synthetic_rigs import lens
 
 MODELS: tuple[Model, ...] = tuple(COEFFICIENTS)

@@ -12,11 +12,11 @@ from polhode.calibration.formats import calibration_files
 from polhode.calibration.image_pairs import pairs_of_files
 from polhode.calibration.verify import lens_of, verify
 from polhode.cli.main import main
-from polhode.errors import InputError
+from polhode.geometry.lie import exp_so3
 from polhode.importers.calibrations.rig import Camera
-from polhode.lie import exp_so3
 from polhode.pipeline.checkout.result import CheckoutCheck
-from polhode.progress import Silent
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
 from tests.calibration.rendered_rigs import SIZE, Scene, make_scene, write_images
 
 BOARD = make_board("chessboard", "7x5", 0.03)

@@ -11,7 +11,7 @@ import pytest
 from polhode.cli.answer import SCHEMA, Answer, Outcome, plain
 from polhode.cli.evaluate import EvaluateCommand
 from polhode.cli.main import main
-from polhode.errors import RunFailure
+from polhode.runtime.errors import RunFailure
 
 Capture = pytest.CaptureFixture[str]
 PAGE = Path(__file__).parents[2] / "docs" / "command_line.md"
@@ -108,7 +108,7 @@ def test_quiet_leaves_the_last_line_and_verbose_adds_the_log(
 ) -> None:
     import logging
 
-    from polhode.console import announce, choose_progress, progress_of_run
+    from polhode.runtime.console import announce, choose_progress, progress_of_run
 
     def work(command: EvaluateCommand) -> Answer:
         announce("a target")

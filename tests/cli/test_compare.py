@@ -13,9 +13,9 @@ from polhode.compare.comparison import claim, store_row
 from polhode.compare.problem.sources import SCENES
 from polhode.compare.rows import Row, read_comparison
 from polhode.config.compare_settings import Motion
-from polhode.errors import InputError
-from polhode.output.marked_folder import MARK, write_mark
-from polhode.pipeline.run_directory.archives import write_measurements
+from polhode.files.output.marked_folder import MARK, write_mark
+from polhode.run_directory.archives import write_measurements
+from polhode.runtime.errors import InputError
 from polhode.simulation.monte_carlo import SyntheticSequence, generate
 from tests.figures_of_page import text_of_figures
 from tests.trap import trap

@@ -9,9 +9,9 @@ import pytest
 
 from polhode.cli import machine, self_test
 from polhode.cli.main import main
-from polhode.errors import RunFailure
-from polhode.optional_parts import OPTIONAL_PARTS
-from polhode.progress import Silent
+from polhode.runtime.errors import RunFailure
+from polhode.runtime.optional_parts import OPTIONAL_PARTS
+from polhode.runtime.progress import Silent
 
 Capture = pytest.CaptureFixture[str]
 
@@ -118,11 +118,11 @@ def test_each_check_can_fail(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) ->
     def no_motion(*_: object) -> None:
         raise RunFailure("no motion fits")
 
-    monkeypatch.setattr("polhode.code_cache.code_cache", lambda source: None)
+    monkeypatch.setattr("polhode.runtime.code_cache.code_cache", lambda source: None)
     monkeypatch.setattr("polhode.frontend.networks.weights.shipped_path", lambda name: tmp_path / "none")
     monkeypatch.setattr("polhode.simulation.dataset.plan.plan_sequence", no_motion)
     monkeypatch.setattr("polhode.backend.initialize_motion", no_motion)
-    monkeypatch.setattr("polhode.processes.in_order", lambda work, items, workers: [])
+    monkeypatch.setattr("polhode.runtime.processes.in_order", lambda work, items, workers: [])
     checks = list(self_test.self_test(Silent()))
     assert [each.holds for each in checks] == [False] * len(self_test.CHECKS)
     assert "NUMBA_CACHE_DIR" in checks[0].finding and "the weights are missing" in checks[1].finding

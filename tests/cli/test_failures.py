@@ -10,8 +10,8 @@ import pytest
 from polhode.cli.evaluate import EvaluateCommand
 from polhode.cli.failures import EXHAUSTED, LESS_MEMORY, REFUSED, explained
 from polhode.cli.main import main
-from polhode.console import Lines, show_warnings
-from polhode.errors import InputError, RunFailure, one_line
+from polhode.runtime.console import Lines, show_warnings
+from polhode.runtime.errors import InputError, RunFailure, one_line
 
 Capture = pytest.CaptureFixture[str]
 

@@ -26,10 +26,10 @@ from polhode.cli.plan import PlanCommand
 from polhode.cli.run import RunCommand
 from polhode.config import Config
 from polhode.config.loader import load_config
-from polhode.dataset_writer import write_png
-from polhode.errors import RunFailure
-from polhode.pipeline.run_directory.outputs import write_config
-from polhode.pipeline.run_directory.summary import build_summary, write_summary
+from polhode.records.dataset_writer import write_png
+from polhode.run_directory.outputs import write_config
+from polhode.run_directory.summary import build_summary, write_summary
+from polhode.runtime.errors import RunFailure
 
 Capture = pytest.CaptureFixture[str]
 ROOT = Path(__file__).parents[2]

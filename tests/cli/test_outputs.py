@@ -445,9 +445,9 @@ def test_cell(
 
 
 WORK = {
-    "plan": "polhode.pipeline.after_run.plan.plan_run",
-    "observability": "polhode.pipeline.after_run.observability.assess.assess",
-    "export urdf": "polhode.pipeline.after_run.export.export_run.open_job",
+    "plan": "polhode.planning.plan.plan_run",
+    "observability": "polhode.planning.observability.assess.assess",
+    "export urdf": "polhode.planning.exports.export_run.open_job",
 }
 
 
@@ -665,7 +665,7 @@ def test_evaluate_into_a_run_that_cannot_be_written(
         file = run / ("metrics.json" if what.endswith("file") else "report.html")
         file.unlink(missing_ok=True)
         file.mkdir()
-    monkeypatch.setattr("polhode.pipeline.report.page.evaluate", lambda run, data: {})
+    monkeypatch.setattr("polhode.report.page.evaluate", lambda run, data: {})
     before = digest(tmp_path)
     surface = {"full": "a place that is full"}.get(what, what)
     with condition(surface, tmp_path, monkeypatch):
@@ -698,7 +698,7 @@ def test_a_run_whose_name_is_not_utf8_is_shown_with_escapes(
 ) -> None:
     run, shown = tmp_path / NOT_UTF8, "bad\\udcff"
     shutil.copytree(stage.run, run)
-    monkeypatch.setattr("polhode.pipeline.report.page.evaluate", lambda run, data: {"rmse_position_m": 1.0})
+    monkeypatch.setattr("polhode.report.page.evaluate", lambda run, data: {"rmse_position_m": 1.0})
     assert main(["evaluate", str(run), str(tmp_path)]) == 0
     assert f"<title>{shown}" in (run / "report.html").read_text()
     page = tmp_path / "page.html"
@@ -719,7 +719,7 @@ def test_evaluate_removes_what_a_killed_one_was_writing(
     run = tmp_path / "run"
     shutil.copytree(stage.run, run)
     (run / ".report.partial-999999999.html").write_text("half")
-    monkeypatch.setattr("polhode.pipeline.report.page.evaluate", lambda run, data: {})
-    monkeypatch.setattr("polhode.pipeline.report.page.write_evaluation", lambda run, metrics: None)
+    monkeypatch.setattr("polhode.report.page.evaluate", lambda run, data: {})
+    monkeypatch.setattr("polhode.report.page.write_evaluation", lambda run, metrics: None)
     assert main(["evaluate", str(run), str(tmp_path)]) == 0
     assert not list(run.glob(".report*"))

@@ -9,14 +9,14 @@ import pytest
 
 import polhode.pipeline.run
 from polhode.cli.main import main
-from polhode.errors import RunFailure
-from polhode.optional_parts import part_with
 from polhode.pipeline.live import run_live
-from polhode.pipeline.view.target import is_recording
+from polhode.runtime.errors import RunFailure
+from polhode.runtime.optional_parts import part_with
+from polhode.viewer.target import is_recording
 from tests.cli.writing_commands import run_of_stored_files
 from tests.conftest import MakeOnce
 from tests.pipeline.conftest import N_FRAMES, make_example, write_example
-from tests.pipeline.view.read_recording import values_of
+from tests.viewer.read_recording import values_of
 
 Capture = pytest.CaptureFixture[str]
 
@@ -79,8 +79,8 @@ def test_a_finished_run_is_recorded_after_it_is_written(
 ) -> None:
     monkeypatch.setattr(polhode.pipeline.run, "run", partial(run_of_stored_files, run))
     none = SimpleNamespace(has_ranges=False)
-    monkeypatch.setattr("polhode.pipeline.view.show_run.open_sequence", lambda folder: none)
-    monkeypatch.setattr("polhode.pipeline.view.show_run.pictures_of", lambda *_: lambda k: None)
+    monkeypatch.setattr("polhode.viewer.show_run.open_sequence", lambda folder: none)
+    monkeypatch.setattr("polhode.viewer.show_run.pictures_of", lambda *_: lambda k: None)
     folder, file = tmp_path / "R", tmp_path / "R.rrd"
     words = ["run", "--data", "none", "-o", str(folder), "--view-save", str(file)]
     assert main(words) == 0

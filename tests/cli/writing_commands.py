@@ -15,36 +15,36 @@ import pytest
 import polhode.calibration.calibrate
 import polhode.cli.main
 import polhode.compare.comparison
-import polhode.pipeline.after_run.observability.assess
-import polhode.pipeline.after_run.observability.files
-import polhode.pipeline.after_run.observability.pictures
-import polhode.pipeline.after_run.plan
-import polhode.pipeline.after_run.plan_files
 import polhode.pipeline.checkout.checkout
 import polhode.pipeline.run
-import polhode.pipeline.view.show_run
+import polhode.planning.observability.assess
+import polhode.planning.observability.files
+import polhode.planning.observability.pictures
+import polhode.planning.plan
+import polhode.planning.plan_files
 import polhode.studies.sweep
 import polhode.train.run
-from polhode.atomic import write_text
+import polhode.viewer.show_run
 from polhode.calibration.adjustment import adjust
 from polhode.calibration.boards import make_board
 from polhode.calibration.calibrate import CalibratedRig, Views
 from polhode.calibration.detection import Found
 from polhode.calibration.image_pairs import ImagePairs
 from polhode.config import Config
-from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
+from polhode.files.atomic import write_text
 from polhode.pipeline.checkout.checkout import Checkout
 from polhode.pipeline.checkout.result import CheckoutResult
 from polhode.pipeline.checkout.timing import Stamps
-from polhode.pipeline.report import write_report
 from polhode.pipeline.run import RunResult
-from polhode.pipeline.run_directory.run_folder import atomic_run_folder
-from polhode.pipeline.run_directory.stored_run import StoredMotion
-from polhode.pipeline.view.recorder import Recorder
 from polhode.planning.keep_out.volumes import KeepOutOptions
+from polhode.records.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
+from polhode.report import write_report
+from polhode.run_directory.run_folder import atomic_run_folder
+from polhode.run_directory.stored_run import StoredMotion
 from polhode.studies.steps import failed_record
 from polhode.studies.store import Store
 from polhode.studies.study import OpenStudy
+from polhode.viewer.recorder import Recorder
 from tests.calibration.synthetic_rigs import SIZE, rig, seen_corners
 from tests.pipeline.conftest import Example, write_example
 
@@ -184,17 +184,17 @@ def make_quick(patch: pytest.MonkeyPatch, stage: Stage) -> None:
     patch.setattr(polhode.pipeline.checkout.checkout, "checkout", lambda *_: _checked())
     patch.setattr(polhode.calibration.calibrate, "calibrate", lambda pairs, *_: _calibrated(pairs))
     patch.setattr(polhode.train.run, "require_same_training", lambda *_: None)
-    patch.setattr(polhode.pipeline.view.show_run, "show_stored_run", _one_path)
+    patch.setattr(polhode.viewer.show_run, "show_stored_run", _one_path)
     once = _Once()
-    plan, assess = polhode.pipeline.after_run.plan, polhode.pipeline.after_run.observability.assess
+    plan, assess = polhode.planning.plan, polhode.planning.observability.assess
     few = KeepOutOptions(2.0, 0.97, members=100, cells=24)
     plan_run, real_assess, subject_of = plan.plan_run, assess.assess, assess.subject_of
     patch.setattr(plan, "plan_run", lambda run, *_: once("plan", lambda: plan_run(run, few, None)))
-    patch.setattr(polhode.pipeline.after_run.plan_files, "plan_pictures", lambda *_: {})
+    patch.setattr(polhode.planning.plan_files, "plan_pictures", lambda *_: {})
     patch.setattr(assess, "subject_of", lambda *words: once("subject", lambda: subject_of(*words)))
     patch.setattr(assess, "assess", lambda *words: once("assessment", lambda: real_assess(*words)))
     for name in ("draw_metric", "draw_views", "draw_contributions"):
-        patch.setattr(polhode.pipeline.after_run.observability.pictures, name, lambda *_: b"png")
+        patch.setattr(polhode.planning.observability.pictures, name, lambda *_: b"png")
 
 
 def run_of_stored_files(

@@ -5,7 +5,7 @@ import time
 
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solver import AdapterResult, SolveMonitor
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 
 class Faulty:

@@ -19,7 +19,7 @@ from polhode.compare.rows import (
     write_comparison,
 )
 from polhode.compare.tables import cells, csv_text, not_separable, tallies, verdict
-from polhode.errors import InputError
+from polhode.runtime.errors import InputError
 from tests.figures_of_page import text_of_figures
 
 

@@ -11,7 +11,7 @@ from polhode.compare.problem.problem_file import read_problem
 from polhode.compare.registry import ENTRIES, Entry, entries
 from polhode.compare.rows import Case, Row
 from polhode.compare.solver_process import row_of, storable
-from polhode.errors import InputError
+from polhode.runtime.errors import InputError
 
 CASE = Case(problem="small", solver="faulty", start="cold", seed=0)
 

@@ -12,11 +12,11 @@ from polhode.compare.problem import sources
 from polhode.compare.problem.sources import measure
 from polhode.compare.rows import Comparison, read_comparison
 from polhode.config import Config
-from polhode.errors import InputError
 from polhode.pipeline import correspondences
-from polhode.pipeline.evaluation import truth_of_frames
-from polhode.pipeline.run_directory.archives import read_measurements
-from polhode.progress import Silent
+from polhode.report.evaluation import truth_of_frames
+from polhode.run_directory.archives import read_measurements
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
 from tests.conftest import RENDERED_FRAMES
 
 CONFIG = Config.model_validate({"runtime": {"workers": 1}})

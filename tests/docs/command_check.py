@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import tyro
 
-from benchmarks.registry import BENCHMARKS
+from lab.registry import BENCHMARKS
 from polhode.cli.main import COMMANDS, main
 from tests.docs.page_code import ROOT
 
@@ -78,7 +78,7 @@ def _check_python(words: list[str]) -> None:
         return
     module, arguments = words[1], words[2:]
     assert importlib.util.find_spec(module) is not None, f"{module}: no such module"
-    if module.split(".")[0] != "benchmarks":
+    if module.split(".")[0] != "lab":
         return
     found = importlib.import_module(module)
     if hasattr(found, "__path__"):

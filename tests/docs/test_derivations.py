@@ -15,9 +15,9 @@ from polhode.backend.problem.inertia import (
     unit_determinant,
 )
 from polhode.backend.solvers.robust_kernel import kernel_curvature, robust_cost, robust_weight
-from polhode.camera import RectifiedRig
-from polhode.lie import Array, exp_so3, hat, log_so3, right_jacobian_so3
-from polhode.rigid_body import angular_acceleration, angular_momentum_N, propagate, rotational_energy
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, exp_so3, hat, log_so3, right_jacobian_so3
+from polhode.geometry.rigid_body import angular_acceleration, angular_momentum_N, propagate, rotational_energy
 from tests.docs.page_code import ROOT
 
 J = np.array([[1.3, 0.1, -0.05], [0.1, 1.0, 0.08], [-0.05, 0.08, 0.8]])

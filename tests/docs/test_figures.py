@@ -4,10 +4,10 @@ import re
 
 import pytest
 
-from benchmarks.end_to_end import against_slam, footprint, thesis
-from benchmarks.presentation import markdown_table
-from benchmarks.record import lines_of
-from benchmarks.registry import BENCHMARKS
+from lab.end_to_end import against_slam, footprint, thesis
+from lab.presentation import markdown_table
+from lab.record import lines_of
+from lab.registry import BENCHMARKS
 from tests.docs.page_code import ROOT
 
 README = (ROOT / "README.md").read_text()
@@ -34,7 +34,7 @@ def test_rows_of_validation_have_figures_of_their_pages_and_the_day_of_their_rec
     figures = re.findall(r"\d+\.\d+", f"{against} {figure}")
     assert figures or "0 wrong" in figure
     assert [each for each in figures if each not in page] == []
-    lines = list(lines_of(ROOT / "benchmarks" / "records" / module.rpartition(".")[2]))
+    lines = list(lines_of(ROOT / "lab" / "records" / module.rpartition(".")[2]))
     if module == "trust.trust":
         lines = [line for line in lines if line["case"]["group"] in ("configs", "new")]
     days = {line["made"]["time"][:10] for line in lines if line.get("made", {}).get("time")}

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
+from docs.website.mathematics import with_mathml
+from docs.website.reference_pages import commands_page, help_of, settings_page
+from docs.website.source_pages import with_site_links
 from polhode.cli.main import COMMANDS
 from polhode.config import Config
 from polhode.config.keys import leaves
 from tests.conftest import MakeOnce
 from tests.docs.page_code import PAGES, README, ROOT
-from website.mathematics import with_mathml
-from website.reference_pages import commands_page, help_of, settings_page
-from website.source_pages import with_site_links
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ import trimesh
 
 from polhode.calibration.boards import make_board
 from polhode.calibration.lenses import Lens
-from polhode.dataset_writer import write_png
-from polhode.rig_calibration import read_calibration
+from polhode.records.dataset_writer import write_png
+from polhode.records.rig_calibration import read_calibration
 from tests.calibration.board_images import BoardCamera, printed
 from tests.calibration.rendered_rigs import board_pose
 from tests.docs.page_code import ROOT

@@ -9,10 +9,10 @@ import trimesh
 
 from examples import inspect_tumbling
 from examples.inspect_tumbling import RADIUS_M, Flight, build, separation
-from polhode.lie import exp_so3, matrix_from_wxyz, wxyz_from_matrix
+from polhode.geometry.lie import exp_so3, matrix_from_wxyz, wxyz_from_matrix
+from polhode.geometry.rigid_body import propagate
 from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out
-from polhode.records import Truth
-from polhode.rigid_body import propagate
+from polhode.records.truth import Truth
 from tests.planning.bodies import ball, estimate
 
 MOMENTS = np.array([1.3e-2, 1.0e-2, 0.8e-2])

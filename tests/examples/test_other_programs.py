@@ -11,7 +11,7 @@ import polhode
 from examples import basilisk_state, colmap_model, tracks_in_gtsam
 from examples.basilisk_state import hub_state, rodrigues_parameters
 from polhode import stages
-from polhode.lie import (
+from polhode.geometry.lie import (
     exp_so3,
     hat,
     inverse_pose,

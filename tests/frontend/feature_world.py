@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.camera import RectifiedRig
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.lie import Array, exp_so3, make_pose, transform_points
-from polhode.records import Ints
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Ints, exp_so3, make_pose, transform_points
 
 RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)
 

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from polhode.errors import InputError
 from polhode.frontend.rectification import Crop, Image, make_rectifier, target_crop
 from polhode.frontend.segmentation import target_mask
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
-from polhode.rig_calibration import StereoCalibration
+from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
+from polhode.records.rig_calibration import StereoCalibration
+from polhode.runtime.errors import InputError
 
 K0 = np.array([[467.0, 0.0, 322.0], [0.0, 465.0, 238.0], [0.0, 0.0, 1.0]])
 K1 = np.array([[470.0, 0.0, 318.0], [0.0, 471.0, 244.0], [0.0, 0.0, 1.0]])

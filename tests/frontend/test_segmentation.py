@@ -5,7 +5,7 @@ import numpy as np
 
 from polhode.frontend.rectification import Image
 from polhode.frontend.segmentation import border_of, has_surroundings, target_mask
-from polhode.records import Bools
+from polhode.geometry.lie import Bools
 
 BORDER = border_of(np.ones((300, 400), dtype=bool))
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polhode.errors import InputError
 from polhode.importers.import_sequence import Imported, import_sequence
 from polhode.importers.options import ImportOptions
-from polhode.progress import Silent
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
 from tests.importers.recordings import Original, original
 
 

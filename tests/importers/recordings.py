@@ -17,10 +17,10 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
+from polhode.files.tables import read_listing
+from polhode.geometry.lie import Array, inverse_pose, wxyz_from_matrix
 from polhode.importers.sources.ros_bag import message_types
-from polhode.lie import Array, inverse_pose, wxyz_from_matrix
-from polhode.rig_calibration import StereoCalibration, read_calibration
-from polhode.tables import read_listing
+from polhode.records.rig_calibration import StereoCalibration, read_calibration
 
 FRAMES = ("left_optical", "right_optical")
 TOPICS = ("/stereo/left/image_raw", "/stereo/right/image_raw")

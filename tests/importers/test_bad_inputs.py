@@ -12,7 +12,7 @@ from PIL import Image
 
 from polhode.cli.main import main
 from polhode.importers.options import Crop
-from polhode.optional_parts import missing_message
+from polhode.runtime.optional_parts import missing_message
 from tests.conftest import TIMESTAMPS_NS
 from tests.importers.imports import refused
 from tests.importers.recordings import (

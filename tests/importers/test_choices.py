@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from polhode.cli.main import main
-from polhode.dataset import open_sequence
-from polhode.dataset_writer import write_inspector, write_png
+from polhode.geometry.lie import exp_so3, make_pose
 from polhode.importers.options import Crop
-from polhode.lie import exp_so3, make_pose
+from polhode.records.dataset import open_sequence
+from polhode.records.dataset_writer import write_inspector, write_png
 from tests.conftest import TIMESTAMPS_NS
 from tests.importers.imports import imported, refused, require_same
 from tests.importers.recordings import (

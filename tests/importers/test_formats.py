@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from polhode.dataset import open_sequence
-from polhode.dataset_writer import write_png
+from polhode.geometry.lie import exp_so3, inverse_pose, make_pose
 from polhode.importers.calibrations.read_rig import read_rig
-from polhode.lie import exp_so3, inverse_pose, make_pose
+from polhode.records.dataset import open_sequence
+from polhode.records.dataset_writer import write_png
 from tests.importers.imports import imported, require_same
 from tests.importers.recordings import (
     BagContents,

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from polhode.errors import InputError
+from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.importers.calibrations.rig import RADIAL_TANGENTIAL, Camera, Rig
 from polhode.importers.image_checks import clock_offset, match_some, require_order
 from polhode.importers.stereo_matches import StereoMatches
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
+from polhode.runtime.errors import InputError
 
 FOCAL_PX, INTERVAL_S, NOISE_PX = 467.0, 0.5, 0.3
 X_BC1 = make_pose(exp_so3([0.01, -0.1, 0.02]), [0.09, 0.0, 0.003])

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 import polhode.importers.sources.image_folders as image_folders
-from polhode.errors import InputError, RunFailure
 from polhode.importers.import_sequence import import_sequence
 from polhode.importers.options import ImportOptions
 from polhode.importers.sources.recording import FramedImage, Wanted
-from polhode.progress import Silent
+from polhode.runtime.errors import InputError, RunFailure
+from polhode.runtime.progress import Silent
 from tests.importers.imports import imported, refused, require_same
 from tests.importers.recordings import original
 

@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from polhode.errors import InputError
 from polhode.importers.sources.recording import DecodedImage
 from polhode.importers.sources.ros_messages import RAW, image_of
+from polhode.runtime.errors import InputError
 
 RNG = np.random.default_rng(2)
 GREY = RNG.integers(0, 256, (6, 8), dtype=np.uint8)

@@ -10,13 +10,13 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from polhode.dataset import open_sequence
-from polhode.dataset_writer import write_sensor
+from polhode.geometry.lie import exp_so3
 from polhode.importers.import_sequence import import_sequence
 from polhode.importers.options import Crop, ImportOptions
-from polhode.lie import exp_so3
-from polhode.progress import Silent
-from polhode.range_images import RangeModel
+from polhode.records.dataset import open_sequence
+from polhode.records.dataset_writer import write_sensor
+from polhode.records.range_images import RangeModel
+from polhode.runtime.progress import Silent
 from tests.importers.imports import imported, refused
 
 COUNT, WIDTH, HEIGHT = 6, 64, 48

@@ -4,9 +4,9 @@ import numpy as np
 import trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from polhode.camera import RectifiedRig
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose
-from polhode.records import DepthMap
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.records.surface import DepthMap
 
 RIG = RectifiedRig(focal_px=240.0, cx_px=79.5, cy_px=59.5, baseline_m=0.09, width_px=160, height_px=120)
 FINE_RIG = RectifiedRig(

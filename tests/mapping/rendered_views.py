@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import trimesh
 
-from polhode.camera import RectifiedRig
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.mapping.visibility import Caster, FrameView
 
 RIG = RectifiedRig(240.0, 79.5, 59.5, 0.09, 160, 120)

@@ -9,10 +9,10 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.visual import ColorVisuals
 
-from polhode.errors import InputError
 from polhode.mapping.fusion.surface_extraction import empty_surface
 from polhode.mapping.mesh_files import read_mesh, read_ply, write_glb, write_ply
-from polhode.records import SurfaceModel
+from polhode.records.surface import SurfaceModel
+from polhode.runtime.errors import InputError
 
 
 @pytest.fixture

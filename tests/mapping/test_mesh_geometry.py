@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.lie import exp_so3, make_pose
+from polhode.geometry.lie import exp_so3, make_pose
 from polhode.mapping.mesh_geometry import border_vertices, boundary_edges, piece_areas
 from polhode.mapping.uniform_solid import solid_body
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.camera import RectifiedRig
-from polhode.lie import exp_so3, inverse_pose, make_pose, transform_points
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import exp_so3, inverse_pose, make_pose, transform_points
 from polhode.mapping.visibility import MeshViewer
 
 RIG = RectifiedRig(200.0, 63.5, 47.5, 0.1, 128, 96)

@@ -12,23 +12,22 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.camera import RectifiedRig
 from polhode.config import Config
-from polhode.lie import inverse_pose, make_pose, transform_points
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import inverse_pose, make_pose, transform_points
+from polhode.geometry.rigid_body import propagate
 from polhode.pipeline.run import run
-from polhode.progress import Silent
-from polhode.records import (
+from polhode.records.estimate import (
     Identifiability,
     Landmarks,
     MassProperties,
     MotionEstimate,
     NoiseLevels,
-    RelativePoses,
     SolverOutcome,
-    StereoTracks,
-    SurfaceModel,
 )
-from polhode.rigid_body import propagate
+from polhode.records.surface import SurfaceModel
+from polhode.records.tracks import RelativePoses, StereoTracks
+from polhode.runtime.progress import Silent
 from polhode.simulation import simulate
 from tests.conftest import MakeOnce
 from tests.front_end_results import SharedFrontEnd

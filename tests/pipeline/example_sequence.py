@@ -7,10 +7,10 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_sensor, write_truth
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose
-from polhode.records import Truth
-from polhode.rigid_body import propagate
+from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.geometry.rigid_body import propagate
+from polhode.records.dataset_writer import image_path, write_camera_csv, write_png, write_sensor, write_truth
+from polhode.records.truth import Truth
 from tests.pipeline.conftest import Example
 
 WIDTH, HEIGHT, FOCAL_PX = 160, 120, 120.0

@@ -5,17 +5,19 @@ from pathlib import Path
 from typing import Any
 
 from polhode.config import Config
-from polhode.pipeline.report import finish_run
-from polhode.pipeline.run_directory.outputs import (
+from polhode.records.estimate import MotionEstimate, OnlineEstimate
+from polhode.records.surface import SurfaceModel
+from polhode.records.tracks import RelativePoses, StereoTracks
+from polhode.report import finish_run
+from polhode.run_directory.outputs import (
     write_config,
     write_estimate,
     write_online_estimate,
     write_picture,
     write_surface,
 )
-from polhode.pipeline.run_directory.summary import build_summary
-from polhode.pipeline.run_directory.summary_schema import Intervals, Summary
-from polhode.records import MotionEstimate, OnlineEstimate, RelativePoses, StereoTracks, SurfaceModel
+from polhode.run_directory.summary import build_summary
+from polhode.run_directory.summary_schema import Intervals, Summary
 
 
 def stored(

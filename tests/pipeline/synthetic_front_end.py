@@ -12,11 +12,11 @@ import pytest
 import trimesh
 
 from polhode.config.frontend_settings import Frontend
-from polhode.dataset_writer import write_png, write_sensor
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.pairs import PairMatch
-from polhode.lie import make_pose
-from polhode.records import SurfaceModel
+from polhode.geometry.lie import make_pose
+from polhode.records.dataset_writer import write_png, write_sensor
+from polhode.records.surface import SurfaceModel
 from polhode.simulation.monte_carlo import RIG, SyntheticSequence
 
 NOTHING = StereoFeatures(

@@ -14,16 +14,16 @@ import polhode
 from polhode.api import configuration
 from polhode.cli.main import main
 from polhode.config import Config
-from polhode.errors import InputError, RunFailure
-from polhode.lie import inverse_pose, transform_points
-from polhode.pipeline.after_run.plan import final_estimate
-from polhode.pipeline.after_run.predict import predict_run
-from polhode.pipeline.run_directory.archives import write_covariance, write_measurements
-from polhode.pipeline.run_directory.point_cloud_file import write_landmarks
-from polhode.pipeline.run_directory.run_card import card_html
-from polhode.pipeline.run_directory.summary_schema import CheckVerdict, Verdict
+from polhode.geometry.lie import inverse_pose, transform_points
+from polhode.planning.plan import final_estimate
+from polhode.planning.predict import predict_run
 from polhode.planning.prediction import nominal_motion
-from polhode.records import Landmarks
+from polhode.records.estimate import Landmarks
+from polhode.run_directory.archives import write_covariance, write_measurements
+from polhode.run_directory.point_cloud_file import write_landmarks
+from polhode.run_directory.run_card import card_html
+from polhode.run_directory.summary_schema import CheckVerdict, Verdict
+from polhode.runtime.errors import InputError, RunFailure
 from tests.pipeline.conftest import Example, write_example
 
 
@@ -369,7 +369,7 @@ import polhode
 print("begins")
 try:
     print("ends", polhode.run({folder!r}, progress=False, config={{"runtime.workers": 2}}).status)
-except polhode.errors.RunFailure:
+except polhode.runtime.errors.RunFailure:
     print("ends without an answer")
 """
 

@@ -14,14 +14,14 @@ import pytest
 import polhode
 from polhode import stages
 from polhode.config import Config
-from polhode.errors import InputError
-from polhode.lie import log_so3, transform_points
+from polhode.geometry.lie import log_so3, transform_points
 from polhode.mapping.mesh_files import write_ply
 from polhode.pipeline.context import RunContext, open_context
-from polhode.pipeline.run_directory.stages import StageStore
-from polhode.pipeline.run_directory.trajectory_file import trajectory_of, write_trajectory
 from polhode.planning.keep_out.volumes import KeepOutOptions
-from polhode.progress import Progress
+from polhode.run_directory.stages import StageStore
+from polhode.run_directory.trajectory_file import trajectory_of, write_trajectory
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Progress
 
 PAGE = Path(__file__).parents[2] / "docs" / "api.md"
 

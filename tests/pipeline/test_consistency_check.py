@@ -8,10 +8,10 @@ import pytest
 
 from polhode.backend import estimate_motion, initialize_motion
 from polhode.config.backend_settings import Backend
-from polhode.lie import exp_so3, make_pose
+from polhode.geometry.lie import exp_so3, make_pose
 from polhode.pipeline.consistency_check import attitude_difference_deg, contradicts_first_method, fits_worse
-from polhode.progress import Silent
-from polhode.records import MotionEstimate
+from polhode.records.estimate import MotionEstimate
+from polhode.runtime.progress import Silent
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 
 SCENE = SyntheticScene(frames=14, landmarks=300, detection=0.4, J_G=np.diag([1.5, 1.2, 0.9]))

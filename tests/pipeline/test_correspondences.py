@@ -9,7 +9,7 @@ import pytest
 from polhode.config.frontend_settings import Frontend, PairMatching
 from polhode.frontend.matching.methods import Matches
 from polhode.frontend.matching.pairs import PairMatch
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.pipeline import correspondences
 from polhode.pipeline.correspondences import _agreeing_with_motion, _of_the_body
 

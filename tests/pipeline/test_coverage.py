@@ -7,10 +7,10 @@ import pytest
 import trimesh
 from scipy.optimize import brentq
 
-from polhode.lie import exp_so3, make_pose
+from polhode.geometry.lie import exp_so3, make_pose
 from polhode.mapping.visibility import MIN_COSINE, Caster
 from polhode.pipeline.coverage import coverage_of, describe_direction, warnings_of, with_classes
-from polhode.records import SEEN_LIT, SEEN_UNLIT, UNSEEN, SurfaceModel
+from polhode.records.surface import SEEN_LIT, SEEN_UNLIT, UNSEEN, SurfaceModel
 from tests.mapping.rendered_views import DISTANCE_M, RIG, rendered
 
 RADIUS_M = 0.08

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from polhode.pipeline.depth_maps import MARGIN_PX, DepthMaps, PackedDepth
-from polhode.pipeline.run_directory.stages import DEPTH, StageStore
-from polhode.records import DepthMap
+from polhode.records.surface import DepthMap
+from polhode.run_directory.stages import DEPTH, StageStore
 
 SIZE = 90, 120
 

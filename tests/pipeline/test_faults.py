@@ -12,10 +12,11 @@ import pytest
 
 from polhode.backend import estimate_motion
 from polhode.cli.main import main
-from polhode.errors import RunFailure
 from polhode.frontend.tracks.guided_matching import GuidedResult, reconnect
-from polhode.pipeline.run_directory.trajectory_file import read_trajectory
-from polhode.records import InitialMotion, MotionEstimate, StereoTracks
+from polhode.records.estimate import InitialMotion, MotionEstimate
+from polhode.records.tracks import StereoTracks
+from polhode.run_directory.trajectory_file import read_trajectory
+from polhode.runtime.errors import RunFailure
 from tests.front_end_results import SharedFrontEnd
 from tests.pipeline.conftest import REST_FRAMES
 

@@ -9,10 +9,11 @@ import pytest
 
 from polhode.cli.main import main
 from polhode.config import Config
-from polhode.dataset_writer import write_inspector, write_truth, write_wrench
-from polhode.pipeline.run_directory.outputs import write_online_estimate
-from polhode.pipeline.run_directory.summary import read_summary, with_files, write_summary
-from polhode.records import OnlineEstimate, Truth
+from polhode.records.dataset_writer import write_inspector, write_truth, write_wrench
+from polhode.records.estimate import OnlineEstimate
+from polhode.records.truth import Truth
+from polhode.run_directory.outputs import write_online_estimate
+from polhode.run_directory.summary import read_summary, with_files, write_summary
 from tests.pipeline.conftest import Example
 from tests.pipeline.stored_run import write_run
 

@@ -11,9 +11,9 @@ import pytest
 
 from polhode.cli.main import main
 from polhode.frontend.tracks.tracks import to_tracks
-from polhode.pipeline.run_directory.archives import read_measurements
-from polhode.pipeline.run_directory.trajectory_file import read_trajectory
-from polhode.records import StereoTracks
+from polhode.records.tracks import StereoTracks
+from polhode.run_directory.archives import read_measurements
+from polhode.run_directory.trajectory_file import read_trajectory
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 from tests.pipeline.synthetic_front_end import put_in_place
 

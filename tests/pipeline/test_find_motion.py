@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from polhode.cli.main import main
-from polhode.lie import Array
-from polhode.pipeline.run_directory.archives import read_measurements
-from polhode.pipeline.run_directory.trajectory_file import Trajectory, read_trajectory
+from polhode.geometry.lie import Array
+from polhode.run_directory.archives import read_measurements
+from polhode.run_directory.trajectory_file import Trajectory, read_trajectory
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 from tests.pipeline.synthetic_front_end import put_in_place
 

@@ -16,12 +16,12 @@ from polhode.mapping.mesh_files import write_ply
 from polhode.pipeline import finish_surface as module
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.finish_surface import finish_surface
-from polhode.pipeline.report import finish_run
-from polhode.pipeline.run_directory.outputs import write_config, write_estimate, write_surface
-from polhode.pipeline.run_directory.summary import build_summary
-from polhode.pipeline.run_directory.summary_schema import ShapeFindings
-from polhode.progress import Silent
-from polhode.records import SurfaceModel
+from polhode.records.surface import SurfaceModel
+from polhode.report import finish_run
+from polhode.run_directory.outputs import write_config, write_estimate, write_surface
+from polhode.run_directory.summary import build_summary
+from polhode.run_directory.summary_schema import ShapeFindings
+from polhode.runtime.progress import Silent
 from tests.mapping.rendered_views import RIG, rendered, tumbling
 
 CONFIG = Config(mapping=Mapping(hole_share=0.08))

@@ -8,15 +8,15 @@ import pytest
 
 from polhode.config import Config
 from polhode.config.loader import load_config
-from polhode.dataset import open_sequence
-from polhode.errors import InputError
 from polhode.pipeline.run import run
-from polhode.pipeline.run_directory.archives import read_measurements, read_online
-from polhode.pipeline.run_directory.summary import read_summary
-from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.pipeline.stream.stream import Stream
 from polhode.pipeline.streamed import Streamed
-from polhode.progress import Silent
+from polhode.records.dataset import open_sequence
+from polhode.run_directory.archives import read_measurements, read_online
+from polhode.run_directory.summary import read_summary
+from polhode.run_directory.trajectory_file import read_trajectory
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
 from tests.front_end_results import SharedFrontEnd
 from tests.pipeline.conftest import WITHOUT_NETWORKS
 

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 from polhode.config import Frontend
-from polhode.dataset import StereoSequence, open_sequence
+from polhode.files.tables import read_table
 from polhode.frontend.features.stereo import RootSift, StereoFeatures
 from polhode.frontend.matching.pairs import match_pairs
 from polhode.frontend.rectification import Rectifier, make_rectifier, rectified_left, rectified_pair
 from polhode.frontend.segmentation import has_surroundings
-from polhode.lie import Array, inverse_pose, transform_points
-from polhode.records import Bools
-from polhode.tables import read_table
+from polhode.geometry.lie import Array, Bools, inverse_pose, transform_points
+from polhode.records.dataset import StereoSequence, open_sequence
 
 TEMPLE = Path(__file__).parents[3] / "shared" / "data" / "photographs" / "temple"
 BOX_O = np.array(list(product((-0.023121, 0.078626), (-0.038009, 0.121636), (-0.091940, -0.017395))))

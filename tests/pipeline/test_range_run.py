@@ -11,22 +11,22 @@ from scipy.stats import chi2
 
 from polhode.config import Config
 from polhode.config.scene_settings import RangeSensor, Scene
-from polhode.dataset import open_sequence
-from polhode.dataset_writer import image_path, write_camera_csv, write_png, write_range_sensor
-from polhode.errors import InputError
 from polhode.frontend.features.stereo import RootSift
 from polhode.frontend.rectification import make_rectifier, rectified_pair
-from polhode.mesh_metrics import distance_to_surface
 from polhode.pipeline.checkout.checkout import Checkout, checkout
 from polhode.pipeline.checkout.page import format_checkout, render
-from polhode.pipeline.evaluation import evaluate
 from polhode.pipeline.run import run
-from polhode.pipeline.run_directory.summary import read_summary
-from polhode.progress import Silent
-from polhode.range_images import RANGE_FOLDER
+from polhode.records.dataset import open_sequence
+from polhode.records.dataset_writer import image_path, write_camera_csv, write_png, write_range_sensor
+from polhode.records.mesh_metrics import distance_to_surface
+from polhode.records.range_images import RANGE_FOLDER
+from polhode.records.read_truth import read_truth
+from polhode.report.evaluation import evaluate
+from polhode.run_directory.summary import read_summary
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
 from polhode.simulation.dataset.frame_renderer import FrameRenderer
 from polhode.simulation.dataset.plan import load_scene, plan_sequence
-from polhode.truth import read_truth
 from tests.conftest import RENDERED_FRAMES, MakeOnce
 
 OF_TWO_CAMERAS = r"stereo|cameras|\bright\b|\bpairs\b(?! of (?:successive )?frames)"

@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-import polhode.pipeline.run_directory.stages as stages_module
-from benchmarks.robustness.results import contents
+import polhode.run_directory.stages as stages_module
+from lab.robustness.results import contents
 from polhode.cli.main import main
-from polhode.record_files import write_record
+from polhode.files.record_files import write_record
 from tests.conftest import MakeOnce
 
 Capture = pytest.CaptureFixture[str]

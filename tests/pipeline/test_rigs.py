@@ -13,9 +13,9 @@ from polhode.frontend.disparity.depth import compute_depth
 from polhode.frontend.features.stereo import RootSift
 from polhode.frontend.rectification import RectifiedPair, Rectifier, make_rectifier
 from polhode.frontend.segmentation import target_mask
-from polhode.lie import Array, inverse_pose, transform_points
-from polhode.mesh_metrics import distance_to_surface
-from polhode.rig_calibration import StereoCalibration
+from polhode.geometry.lie import Array, inverse_pose, transform_points
+from polhode.records.mesh_metrics import distance_to_surface
+from polhode.records.rig_calibration import StereoCalibration
 from polhode.simulation.dataset.frame_renderer import FrameRenderer
 from polhode.simulation.dataset.plan import SequencePlan, load_scene, plan_sequence
 from polhode.simulation.stereo_camera import mount_pose

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from polhode.config import Config, Pictures
-from polhode.dataset import open_sequence
-from polhode.dataset_writer import write_png
-from polhode.errors import InputError, RunFailure
-from polhode.pipeline.evaluation import evaluate
 from polhode.pipeline.run import run
-from polhode.pipeline.run_directory.archives import read_measurements
-from polhode.pipeline.run_directory.recording import recording_of
-from polhode.pipeline.run_directory.summary import read_summary
-from polhode.pipeline.run_directory.trajectory_file import read_trajectory
-from polhode.progress import Silent
+from polhode.records.dataset import open_sequence
+from polhode.records.dataset_writer import write_png
+from polhode.report.evaluation import evaluate
+from polhode.run_directory.archives import read_measurements
+from polhode.run_directory.recording import recording_of
+from polhode.run_directory.summary import read_summary
+from polhode.run_directory.trajectory_file import read_trajectory
+from polhode.runtime.errors import InputError, RunFailure
+from polhode.runtime.progress import Silent
 from tests.conftest import RENDERED_FRAMES
 from tests.front_end_results import SharedFrontEnd
 

@@ -14,12 +14,12 @@ import pytest
 from numpy.typing import NDArray
 
 from polhode.config import Config
-from polhode.errors import RunFailure
+from polhode.geometry.lie import Ints
 from polhode.pipeline.context import RunContext
-from polhode.pipeline.run_directory.stages import StageStore
 from polhode.pipeline.runner import Job, Result, Runner, Stopwatch, stage
-from polhode.progress import Silent
-from polhode.records import Ints
+from polhode.run_directory.stages import StageStore
+from polhode.runtime.errors import RunFailure
+from polhode.runtime.progress import Silent
 
 _log = logging.getLogger("polhode.test")
 

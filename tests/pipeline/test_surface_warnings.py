@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polhode.camera import RectifiedRig
 from polhode.cli.main import main
 from polhode.config import Mapping as MappingSettings
 from polhode.frontend.extract import extract_depth
-from polhode.lie import Array, make_pose
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, make_pose
 from polhode.mapping.fusion.field import Frame, fuse
-from polhode.progress import Progress
-from polhode.records import DepthMap, SurfaceModel
+from polhode.records.surface import DepthMap, SurfaceModel
+from polhode.runtime.progress import Progress
 from tests.pipeline.conftest import REST_FRAMES
 
 QUICK = {

@@ -8,12 +8,13 @@ import pytest
 import trimesh
 
 from polhode.config.backend_settings import Backend
-from polhode.lie import exp_so3
+from polhode.geometry.lie import exp_so3
 from polhode.mapping.uniform_solid import coverage, solid_of
 from polhode.mapping.visibility import Caster
-from polhode.pipeline.run_directory.summary_schema import Physics
 from polhode.pipeline.uniform_density import assumed_properties, check_physics
-from polhode.records import MassProperties, SurfaceModel
+from polhode.records.estimate import MassProperties
+from polhode.records.surface import SurfaceModel
+from polhode.run_directory.summary_schema import Physics
 
 BOX_M = (0.12, 0.20, 0.24)
 BOX = trimesh.creation.box(BOX_M).subdivide().subdivide().subdivide()

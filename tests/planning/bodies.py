@@ -3,9 +3,9 @@
 import numpy as np
 import trimesh
 
-from polhode.lie import Array, exp_so3
+from polhode.geometry.lie import Array, exp_so3
 from polhode.planning.prediction import FinalEstimate, FinalState
-from polhode.records import SurfaceModel
+from polhode.records.surface import SurfaceModel
 
 SIGMA_M = 2e-4
 BASIS = np.zeros((5, 3, 3))

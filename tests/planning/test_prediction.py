@@ -9,7 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from polhode.lie import Array, exp_so3, log_so3
+from polhode.geometry.lie import Array, exp_so3, log_so3
+from polhode.geometry.rigid_body import propagate
 from polhode.planning.prediction import (
     UNKNOWN_RAD,
     FinalState,
@@ -19,7 +20,6 @@ from polhode.planning.prediction import (
     process_noise,
     propagate_members,
 )
-from polhode.rigid_body import propagate
 
 MOMENTS = np.array([1.3, 1.0, 0.8])
 R0 = exp_so3([0.4, -0.2, 0.9])

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image, PngImagePlugin
 
-from polhode.images import MAX_PIXELS, UnreadableImage, parallel_decodes, read_mask, read_raw
+from polhode.files.images import MAX_PIXELS, UnreadableImage, parallel_decodes, read_mask, read_raw
 
 WIDTH, HEIGHT = 12, 8
 GREY = (np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) * 2).astype(np.uint8)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polhode.camera import RectifiedRig
+from polhode.geometry.camera import RectifiedRig
 
 RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480, disparity_offset_px=3.0)
 

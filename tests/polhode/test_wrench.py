@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polhode.dataset import open_sequence, read_wrench
-from polhode.dataset_writer import write_wrench
-from polhode.errors import InputError
+from polhode.records.dataset import open_sequence, read_wrench
+from polhode.records.dataset_writer import write_wrench
+from polhode.runtime.errors import InputError
 
 STAMPS = 1_600_000_000_000_000_000 + 500_000_000 * np.arange(6, dtype=np.int64)
 

@@ -11,8 +11,15 @@ pytest.importorskip("cyclonedx", reason="the extra `sbom` is not installed: make
 
 from packaging.utils import canonicalize_name
 
-from polhode.errors import InputError
-from release.bill_of_materials import ROOT, as_json, bill_of_materials, installed_packages, main, needed_here
+from lab.release.bill_of_materials import (
+    ROOT,
+    as_json,
+    bill_of_materials,
+    installed_packages,
+    main,
+    needed_here,
+)
+from polhode.runtime.errors import InputError
 
 Bill = dict[str, Any]
 

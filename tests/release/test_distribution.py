@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from polhode.errors import InputError, RunFailure
-from release.__main__ import main, make_release
-from release.commands import call
-from release.distribution import Distribution, build, check_distribution, metadata_faults, packaged_files
+from lab.release.__main__ import main, make_release
+from lab.release.commands import call
+from lab.release.distribution import Distribution, build, check_distribution, metadata_faults, packaged_files
+from polhode.runtime.errors import InputError, RunFailure
 
 ROOT = Path(__file__).parents[2]
 VERSION = str(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"])

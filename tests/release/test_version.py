@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from polhode.errors import InputError
-from release.version import RELEASE_TAG, candidate, release_notes, section_of, stated_version
+from lab.release.version import RELEASE_TAG, candidate, release_notes, section_of, stated_version
+from polhode.runtime.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 PERSON = ("-c", "user.name=A", "-c", "user.email=a@example.org", "-c", "commit.gpgsign=false")

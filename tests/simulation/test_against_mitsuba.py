@@ -7,7 +7,7 @@ or more from silhouettes and shadows' edges.
 import numpy as np
 import pytest
 
-from benchmarks.rendering.against_mitsuba import CASES, compare
+from lab.rendering.against_mitsuba import CASES, compare
 
 NAMED = {case.name: case for case in CASES}
 

@@ -8,7 +8,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from polhode.config import scene_settings as config
-from polhode.lie import Array, exp_so3, make_pose, transform_points
+from polhode.geometry.lie import Array, exp_so3, make_pose, transform_points
 from polhode.simulation.bodies.part import Body, Part, assemble, join
 from polhode.simulation.rendering.render import Renderer
 from polhode.simulation.stereo_camera import Camera, build_cameras, expose

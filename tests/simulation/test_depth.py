@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from polhode.config import scene_settings as config
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.simulation.bodies import build_body
 from polhode.simulation.dataset.frame_renderer import render_products
 from polhode.simulation.rendering.render import Renderer

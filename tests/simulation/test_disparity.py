@@ -12,8 +12,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from polhode.config import scene_settings as config
-from polhode.lie import Array
-from polhode.records import Bools
+from polhode.geometry.lie import Array, Bools
 from polhode.simulation.dataset.correspondence import Correspondence, dense_correspondence, view_of
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from polhode.lie import exp_so3, inverse_pose, log_so3, make_pose, transform_points
-from polhode.rigid_body import angular_momentum_N, propagate
+from polhode.geometry.lie import exp_so3, inverse_pose, log_so3, make_pose, transform_points
+from polhode.geometry.rigid_body import angular_momentum_N, propagate
 from polhode.simulation.monte_carlo import disturbed_motion, pair_poses
 
 J = np.array([[1.5, 0.1, 0.0], [0.1, 1.2, -0.05], [0.0, -0.05, 0.9]])

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 
 from polhode.config.loader import load_config
-from polhode.dataset import open_sequence
-from polhode.progress import Silent
+from polhode.records.dataset import open_sequence
+from polhode.records.read_truth import read_truth
+from polhode.runtime.progress import Silent
 from polhode.simulation.dataset.sequence import plan_sequence, simulate, truth_of
-from polhode.truth import read_truth
 
 ROOT = Path(__file__).parents[2]
 CONFIG = load_config(ROOT / "configs" / "sample.yaml")
-SAMPLE = ROOT / "sample"
+SAMPLE = ROOT / "examples" / "sample"
 
 
 def test_the_sample_has_at_most_8_megabytes() -> None:

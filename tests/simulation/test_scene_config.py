@@ -6,7 +6,7 @@ import pytest
 
 from polhode.cli.main import main
 from polhode.config.loader import load_config
-from polhode.errors import InputError
+from polhode.runtime.errors import InputError
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from polhode.config import scene_settings as config
-from polhode.images import bit_depth, to_grey
+from polhode.files.images import bit_depth, to_grey
 from polhode.simulation.stereo_camera import expose, spill, through_lens, vignette
 
 RNG = np.random.default_rng

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from polhode.config import scene_settings as config
-from polhode.errors import InputError
+from polhode.runtime.errors import InputError
 from polhode.simulation.stereo_camera import build_cameras, sample_offsets, sample_times
 
 RIG = config.Rig(

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from polhode.config.loader import load_config
-from polhode.lie import Array, log_so3
+from polhode.geometry.lie import Array, log_so3
 from polhode.simulation.dataset.sequence import SequencePlan, plan_sequence, truth_of
 from polhode.simulation.motion.target import TargetMotion, target_motion
 

@@ -5,8 +5,8 @@ import pytest
 
 from polhode.config import scene_settings as config
 from polhode.config.scene_settings import Scene
-from polhode.errors import InputError
-from polhode.lie import Array, exp_so3, make_pose
+from polhode.geometry.lie import Array, exp_so3, make_pose
+from polhode.runtime.errors import InputError
 from polhode.simulation.dataset.plan import plan_sequence
 from polhode.simulation.rendering.render import RenderedLight
 from polhode.simulation.sky import Sky

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from distributed import Client
 
-from polhode.progress import Silent
+from polhode.runtime.progress import Silent
 from polhode.studies import sweep as flow
 from polhode.studies.cluster import Cluster, ClusterOptions
 from polhode.studies.study import open_study

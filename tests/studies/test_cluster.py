@@ -24,7 +24,7 @@ import pytest
 from distributed import Client
 
 from polhode.cli.main import main
-from polhode.errors import InputError
+from polhode.runtime.errors import InputError
 from polhode.studies import cluster as cluster_module
 from polhode.studies import sweep as flow
 from polhode.studies.cluster import probe, probed_versions

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from polhode.config.study_settings import Axis, Design
-from polhode.errors import InputError
+from polhode.runtime.errors import InputError
 from polhode.studies.factors import Factor, factor_of_axis, factor_of_design
 
 COUNT = 64

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from polhode.errors import InputError
-from polhode.progress import Silent
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
 from polhode.studies import sweep as flow
 from polhode.studies.cluster import ClusterOptions
 from polhode.studies.measurement import measurement_of

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from polhode.cli.main import main
-from polhode.errors import InputError
+from polhode.runtime.errors import InputError
 from polhode.studies.rules import (
     PREDICTORS,
     SHIPPED,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polhode.errors import InputError
+from polhode.runtime.errors import InputError
 from polhode.studies import store as store_module
 from polhode.studies.flat_metrics import as_json, flattened
 from polhode.studies.steps import failed_record

@@ -7,7 +7,7 @@ import pytest
 
 from polhode.cli.main import main
 from polhode.config import Scene
-from polhode.errors import InputError
+from polhode.runtime.errors import InputError
 from polhode.studies import study as study_module
 from polhode.studies.forecast import forecast
 from polhode.studies.study import open_study

@@ -17,8 +17,8 @@ import polhode
 import polhode.pipeline.run
 from polhode.cli.main import main
 from polhode.config import Config
-from polhode.errors import RunFailure
-from polhode.progress import Progress
+from polhode.runtime.errors import RunFailure
+from polhode.runtime.progress import Progress
 from polhode.studies import steps as work
 from polhode.studies import sweep as flow
 from polhode.studies.cluster import Cluster

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from polhode.config.train_settings import Corpus
-from polhode.progress import Silent
+from polhode.runtime.progress import Silent
 from polhode.train.corpus import render_corpus
 from tests.conftest import MakeOnce
 

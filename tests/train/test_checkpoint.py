@@ -11,7 +11,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from polhode.errors import InputError
+from polhode.runtime.errors import InputError
 from polhode.train.checkpoint import (
     CHECKPOINT,
     FORMER_CHECKPOINT,

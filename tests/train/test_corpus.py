@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import polhode.cli.main as command_line
-from polhode.atomic import write_failure
 from polhode.config.loader import load_config
 from polhode.config.train_settings import Corpus
-from polhode.dataset import open_sequence
-from polhode.errors import InputError
-from polhode.output.place import unwritable
-from polhode.progress import Silent
+from polhode.files.atomic import write_failure
+from polhode.files.output.place import unwritable
+from polhode.records.dataset import open_sequence
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
 from polhode.simulation.dataset.frame_renderer import read_products
 from polhode.simulation.dataset.sequence import SCENE_FILE
 from polhode.train.corpus import (

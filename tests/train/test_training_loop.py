@@ -10,8 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from polhode.config.train_settings import Schedule
-from polhode.errors import RunFailure
-from polhode.progress import Silent
+from polhode.runtime.errors import RunFailure
+from polhode.runtime.progress import Silent
 from polhode.train.checkpoint import CHECKPOINT
 from polhode.train.curves import draw_curves, joined, main, read_curves
 from polhode.train.task import Batch

@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from polhode.camera import RectifiedRig
 from polhode.config.train_settings import DescriptorTraining
 from polhode.frontend.features.patches import (
     Patches,
@@ -27,8 +26,8 @@ from polhode.frontend.features.patches import (
     tangent_vectors,
     upright_affines,
 )
-from polhode.lie import Array, inverse_pose
-from polhode.records import Bools, Ints
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
 from polhode.train.descriptor.surface_points import ScenePoints
 from polhode.train.task import Batch
 

@@ -18,13 +18,12 @@ import numpy as np
 import torch
 from scipy.stats import rankdata
 
-from polhode.errors import InputError
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.patch_descriptors import HistogramDescriptor, descriptor_network
 from polhode.frontend.features.patches import Patches, cut_patches, rotate_affines, tangent_affines
 from polhode.frontend.networks.descriptor import DescriptorNet
-from polhode.lie import Array
-from polhode.records import Bools, Ints
+from polhode.geometry.lie import Array, Bools, Ints
+from polhode.runtime.errors import InputError
 from polhode.simulation.dataset.sequence import SCENE_FILE
 from polhode.train.descriptor.batches import (
     FramePair,

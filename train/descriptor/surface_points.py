@@ -15,22 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from polhode.array_files import read_arrays, require_arrays
-from polhode.atomic import replaced
 from polhode.config.frontend_settings import Features
 from polhode.config.loader import load_config
 from polhode.config.scene_settings import Product
 from polhode.config.train_settings import Corpus
-from polhode.dataset_writer import image_path
-from polhode.errors import InputError
+from polhode.files.array_files import read_arrays, require_arrays
+from polhode.files.atomic import replaced
+from polhode.files.images import Grey
+from polhode.files.output.single_file import remove_all_partials
 from polhode.frontend.features.keypoints import detect, no_key_points
 from polhode.frontend.rectification import target_crop
-from polhode.images import Grey
-from polhode.lie import Array, inverse_pose
-from polhode.output.single_file import remove_all_partials
-from polhode.processes import in_order
-from polhode.progress import Progress
-from polhode.records import Bools, Ints
+from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
+from polhode.records.dataset_writer import image_path
+from polhode.runtime.errors import InputError
+from polhode.runtime.processes import in_order
+from polhode.runtime.progress import Progress
 from polhode.simulation.dataset.correspondence import CameraView, correspond, view_of
 from polhode.simulation.dataset.frame_renderer import (
     CAST_SHADOW,

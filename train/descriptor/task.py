@@ -16,11 +16,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from polhode.config.train_settings import Train
-from polhode.errors import InputError
 from polhode.frontend.matching.matchers import EXCLUDED_SCORE, DualSoftmax, rigid_fit
 from polhode.frontend.networks.descriptor import DescriptorNet, DescriptorOutput
 from polhode.frontend.networks.grouping import Grouping
-from polhode.progress import Progress
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Progress
 from polhode.train.corpus import render_corpus, split
 from polhode.train.descriptor.batches import PatchBatches
 from polhode.train.descriptor.scores import ValidationPair, describe_patches, score, validation_pairs

@@ -25,12 +25,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from polhode.array_files import read_arrays, require_arrays
-from polhode.atomic import replaced, write_text
 from polhode.config.frontend_settings import Depth
-from polhode.dataset import StereoCalibration, StereoSequence, open_sequence
-from polhode.errors import InputError
-from polhode.foreign_files import MIB, read_text
+from polhode.files.array_files import read_arrays, require_arrays
+from polhode.files.atomic import replaced, write_text
+from polhode.files.foreign_files import MIB, read_text
+from polhode.files.output.single_file import remove_all_partials
 from polhode.frontend.disparity.learned import (
     InitialDisparity,
     fill_holes,
@@ -41,9 +40,9 @@ from polhode.frontend.disparity.learned import (
 from polhode.frontend.disparity.sgbm import Floats, cut_crop
 from polhode.frontend.rectification import Rectifier, make_rectifier
 from polhode.frontend.segmentation import target_mask
-from polhode.lie import Array, inverse_pose
-from polhode.output.single_file import remove_all_partials
-from polhode.records import Bools
+from polhode.geometry.lie import Array, Bools, inverse_pose
+from polhode.records.dataset import StereoCalibration, StereoSequence, open_sequence
+from polhode.runtime.errors import InputError
 from polhode.simulation.dataset.frame_renderer import products_path, read_products
 from polhode.train.corpus import scene_digest
 

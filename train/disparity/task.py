@@ -16,11 +16,11 @@ from torch.nn import functional
 
 from polhode.config.frontend_settings import Depth
 from polhode.config.train_settings import DepthTraining, Train
-from polhode.errors import InputError
 from polhode.frontend.disparity.learned import RefinedDisparity, refine
 from polhode.frontend.networks.disparity import DisparityMixture, DisparityNet, mixture_from_outputs
-from polhode.processes import in_order
-from polhode.progress import Progress
+from polhode.runtime.errors import InputError
+from polhode.runtime.processes import in_order
+from polhode.runtime.progress import Progress
 from polhode.train.corpus import render_corpus, scene_folder, split
 from polhode.train.disparity.samples import (
     DisparityBatch,

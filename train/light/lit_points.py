@@ -21,12 +21,12 @@ import numpy as np
 from polhode.config.loader import load_config
 from polhode.config.scene_settings import Product
 from polhode.config.train_settings import Corpus, LightStudy
-from polhode.errors import InputError, RunFailure
-from polhode.images import Grey
-from polhode.output.single_file import remove_all_partials
-from polhode.processes import in_order
-from polhode.progress import Progress, Silent
-from polhode.records import Ints
+from polhode.files.images import Grey
+from polhode.files.output.single_file import remove_all_partials
+from polhode.geometry.lie import Ints
+from polhode.runtime.errors import InputError, RunFailure
+from polhode.runtime.processes import in_order
+from polhode.runtime.progress import Progress, Silent
 from polhode.simulation.dataset.correspondence import view_of
 from polhode.simulation.dataset.frame_renderer import FrameRenderer, Products, render_products
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence

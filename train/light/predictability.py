@@ -24,12 +24,11 @@ from scipy.stats import beta
 
 from polhode.config.loader import load_config
 from polhode.config.train_settings import LightStudy
-from polhode.errors import InputError, RunFailure
 from polhode.frontend.features.patch_descriptors import descriptor_network
 from polhode.frontend.networks.descriptor import DIMENSIONS, DescriptorNet
-from polhode.lie import Array
-from polhode.progress import Silent
-from polhode.records import Bools, Ints
+from polhode.geometry.lie import Array, Bools, Ints
+from polhode.runtime.errors import InputError, RunFailure
+from polhode.runtime.progress import Silent
 from polhode.train.corpus import required_train
 from polhode.train.descriptor.scores import MAX_ERROR_PX, area_under_curve, describe_patches, noisy_patches
 from polhode.train.descriptor.surface_points import ScenePoints

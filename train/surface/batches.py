@@ -20,15 +20,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from polhode.camera import RectifiedRig
 from polhode.frontend.features.patches import (
     cut_patches,
     rotate_affines,
     tangent_affines,
     upright_affines,
 )
-from polhode.lie import Array, inverse_pose
-from polhode.records import Bools, Ints
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
 from polhode.train.descriptor.batches import (
     HALF_PX,
     HALF_RANGE_PX,

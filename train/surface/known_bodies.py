@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from polhode.array_files import read_arrays, require_arrays
-from polhode.atomic import replaced
 from polhode.config.loader import load_config
 from polhode.config.train_settings import Corpus, SurfaceTraining, Train
-from polhode.errors import InputError, RunFailure
-from polhode.processes import in_order
-from polhode.progress import Progress, Silent
+from polhode.files.array_files import read_arrays, require_arrays
+from polhode.files.atomic import replaced
+from polhode.runtime.errors import InputError, RunFailure
+from polhode.runtime.processes import in_order
+from polhode.runtime.progress import Progress, Silent
 from polhode.train.corpus import required_train
 from polhode.train.surface.batches import KnownBody
 from polhode.train.surface.landmarks import GATHER_PX, Landmarks, chance_share, find_landmarks

@@ -20,8 +20,7 @@ from scipy.spatial import cKDTree
 
 from polhode.config.frontend_settings import Features
 from polhode.frontend.features.keypoints import find_candidates
-from polhode.lie import Array, inverse_pose, transform_points
-from polhode.records import Bools, Ints
+from polhode.geometry.lie import Array, Bools, Ints, inverse_pose, transform_points
 from polhode.train.surface.lit_bodies import LitBody, on_target
 
 DETECTOR = Features(contrast_threshold=0.006, max_features=1500)

@@ -32,13 +32,13 @@ from scipy.spatial import cKDTree
 
 from polhode.config.frontend_settings import Features
 from polhode.config.loader import load_config
-from polhode.errors import InputError, RunFailure
 from polhode.frontend.features.keypoints import find_candidates
 from polhode.frontend.features.landmark_places import find_places
 from polhode.frontend.networks.surface import DenseOutput, SurfaceNet, sample_rings
 from polhode.frontend.networks.weights import load_weights
-from polhode.lie import Array, inverse_pose, transform_points
-from polhode.progress import Silent
+from polhode.geometry.lie import Array, inverse_pose, transform_points
+from polhode.runtime.errors import InputError, RunFailure
+from polhode.runtime.progress import Silent
 from polhode.train.corpus import required_train
 from polhode.train.surface.batches import Example, KnownBody, batch_of, draw_example
 from polhode.train.surface.known_bodies import NEXT_ALBEDO, corpus_of, prepare_bodies

@@ -27,10 +27,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from polhode.config.train_settings import SurfaceTraining, Train
-from polhode.errors import InputError
 from polhode.frontend.networks.descriptor import DescriptorOutput
 from polhode.frontend.networks.surface import KINDS_OF_LIGHT, DenseOutput, SurfaceNet, sample_rings
-from polhode.progress import Progress
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Progress
 from polhode.train.descriptor.task import Heads, descriptor_loss
 from polhode.train.surface.batches import KnownBody, batch_of, draw_example
 from polhode.train.surface.known_bodies import NEXT_ALBEDO, corpus_of, prepare_bodies

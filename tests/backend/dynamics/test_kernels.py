@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from polhode.backend.dynamics.kernels import dynamics_kernel, prior_kernel
 from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
-from polhode.lie import Array, exp_so3, log_so3, wxyz_from_matrix
-from polhode.rigid_body import propagate
+from polhode.geometry.lie import Array, exp_so3, log_so3, wxyz_from_matrix
+from polhode.geometry.rigid_body import propagate
 
 
 def numeric_gradient(function: Callable[[Array], Array], x: Array, step: float = 1e-6) -> Array:

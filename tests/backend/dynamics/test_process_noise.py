@@ -9,8 +9,8 @@ from polhode.backend.dynamics.process_noise import (
     translation_covariance,
     whitening,
 )
-from polhode.lie import Array, hat, log_so3
-from polhode.rigid_body import propagate
+from polhode.geometry.lie import Array, hat, log_so3
+from polhode.geometry.rigid_body import propagate
 
 
 def rotation_covariance(w_G: Array, J_G: Array, dt_s: Array, torque_psd: float) -> Array:

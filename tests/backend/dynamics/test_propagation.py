@@ -10,8 +10,8 @@ from polhode.backend.dynamics.propagation import (
     propagate_rotations,
     series_steps,
 )
-from polhode.lie import Array, log_so3, matrix_from_wxyz
-from polhode.rigid_body import propagate
+from polhode.geometry.lie import Array, log_so3, matrix_from_wxyz
+from polhode.geometry.rigid_body import propagate
 
 BODIES = {
     "box": np.diag([1.5, 1.2, 0.9]),

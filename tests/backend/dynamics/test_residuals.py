@@ -15,7 +15,7 @@ from polhode.backend.dynamics.residuals import (
     dynamics_residuals,
 )
 from polhode.backend.problem.inertia import FORMS, inertia_derivative, inertia_from_second_moments
-from polhode.lie import Array, exp_so3, wxyz_from_matrix
+from polhode.geometry.lie import Array, exp_so3, wxyz_from_matrix
 
 W_T = np.array([[[1.3, 0.0], [-0.4, 0.9]]])
 W_R = np.asarray(np.linalg.cholesky(np.eye(6) + 0.1 * np.ones((6, 6))), dtype=np.float64)[None]

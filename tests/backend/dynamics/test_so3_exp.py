@@ -1,4 +1,4 @@
-"""Compiled rotations are those of ``polhode.lie``: near no turn, in between, and near half a turn."""
+"""Compiled rotations are those of ``polhode.geometry.lie``: near no turn, in between, and near half a turn."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from polhode.backend.dynamics.so3_exp import (
     rotation_matrices,
     rotation_vectors,
 )
-from polhode.lie import Array, exp_so3, log_so3, right_jacobian_so3, wxyz_from_matrix
+from polhode.geometry.lie import Array, exp_so3, log_so3, right_jacobian_so3, wxyz_from_matrix
 
 ANGLES = (0.0, 1e-9, 1e-6, 9.9e-4, 1.1e-3, 9e-3, 1.1e-2, 0.3, 2.0, 3.0, np.pi - 1e-7)
 

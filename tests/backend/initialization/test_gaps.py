@@ -11,8 +11,8 @@ from polhode.backend.initialization.gaps import (
     propagate_through_gaps,
 )
 from polhode.backend.problem.iterate import Iterate
-from polhode.lie import Array, exp_so3, log_so3
-from polhode.rigid_body import propagate
+from polhode.geometry.lie import Array, exp_so3, log_so3
+from polhode.geometry.rigid_body import propagate
 
 TIME_S: Array = 0.5 * np.arange(60.0)
 J_G = np.diag([1.5, 1.2, 0.9])

@@ -10,8 +10,8 @@ from polhode.backend.initialization.hypotheses import (
     links_of_the_body,
     rotation_errors,
 )
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose
-from polhode.records import Bools, RelativePoses
+from polhode.geometry.lie import Array, Bools, exp_so3, inverse_pose, make_pose
+from polhode.records.tracks import RelativePoses
 
 FRAMES, STEP_RAD = 40, np.deg2rad(21.0)
 TIME_S = 0.5 * np.arange(float(FRAMES))

@@ -8,9 +8,9 @@ import pytest
 from polhode.backend.initialization import initialize
 from polhode.backend.initialization.initialize import bridge, initialize_motion, nearest_branch
 from polhode.config.backend_settings import Backend
-from polhode.errors import RunFailure
-from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
-from polhode.records import Bools, RelativePoses
+from polhode.geometry.lie import Array, Bools, exp_so3, inverse_pose, log_so3, make_pose
+from polhode.records.tracks import RelativePoses
+from polhode.runtime.errors import RunFailure
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 SCENE = SyntheticScene(frames=30, landmarks=400, detection=0.4, sigma_uv_px=0.3, sigma_d_px=0.2)

@@ -5,8 +5,8 @@ import pytest
 
 from polhode.backend.initialization.initialize import consistent_links
 from polhode.backend.initialization.pose_graph import connect, join_components, smooth_links, triangle_support
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose
-from polhode.records import Bools, Ints, RelativePoses
+from polhode.geometry.lie import Array, Bools, Ints, exp_so3, inverse_pose, make_pose
+from polhode.records.tracks import RelativePoses
 
 
 def poses(n: int, seed: int) -> Array:

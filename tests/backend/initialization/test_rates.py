@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from polhode.backend.initialization.rates import jumping_frames
-from polhode.lie import Array, exp_so3
-from polhode.records import Bools
-from polhode.rigid_body import propagate
+from polhode.geometry.lie import Array, Bools, exp_so3
+from polhode.geometry.rigid_body import propagate
 
 HALF_TURN = np.diag([1.0, -1.0, -1.0])
 TIME_S: Array = 0.2 * np.arange(75.0)

@@ -9,8 +9,8 @@ from polhode.backend.initialization.shooting import _carry, shoot
 from polhode.backend.problem.inertia import inertia_from_second_moments
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.uncertainty.ambiguity import HypothesisChoice, ambiguous_turns_deg, choose_hypothesis
-from polhode.lie import Array, exp_so3, make_pose
-from polhode.rigid_body import propagate
+from polhode.geometry.lie import Array, exp_so3, make_pose
+from polhode.geometry.rigid_body import propagate
 
 TIME_S: Array = 0.5 * np.arange(30.0)
 J_G = np.diag([1.5, 1.2, 0.9])

@@ -13,7 +13,7 @@ from polhode.backend.outliers_and_noise.correlated_noise import (
 from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.uncertainty.covariance import observation_jacobians
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array, exp_so3
+from polhode.geometry.lie import Array, exp_so3
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 from tests.backend.motions import BOX, at_truth
 

@@ -17,7 +17,7 @@ from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.solve import refine
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array, exp_so3
+from polhode.geometry.lie import Array, exp_so3
 from polhode.simulation.monte_carlo import generate, random_scene
 from tests.backend.motions import at_truth
 

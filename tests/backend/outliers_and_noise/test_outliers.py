@@ -11,7 +11,7 @@ from polhode.backend.outliers_and_noise.outliers import (
     remove_outliers,
     whitened_residuals,
 )
-from polhode.errors import RunFailure
+from polhode.runtime.errors import RunFailure
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 from tests.backend.motions import BOX, at_truth
 

@@ -8,8 +8,8 @@ import pytest
 from polhode.backend.outliers_and_noise.systematic import SharedErrors, common_slide, position_spread
 from polhode.backend.uncertainty.covariance import observation_jacobians
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
-from polhode.records import MotionEstimate
+from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
+from polhode.records.estimate import MotionEstimate
 from polhode.simulation.monte_carlo import RIG, SyntheticScene, SyntheticSequence, generate
 from tests.backend.motions import BOX, at_truth, estimated, sigmas
 

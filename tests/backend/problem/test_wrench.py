@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from polhode.backend.problem.wrench import N_WRENCH, alignment, impulses_of, torque_in_G, wrench_residual
-from polhode.lie import Array, exp_so3
-from polhode.records import Wrench
+from polhode.geometry.lie import Array, exp_so3
+from polhode.records.tracks import Wrench
 
 STAMPS = 1_600_000_000_000_000_000 + 500_000_000 * np.arange(5, dtype=np.int64)
 

@@ -6,7 +6,7 @@ from scipy.linalg import LinAlgError
 
 from polhode.backend.problem.iterate import N_POSE
 from polhode.backend.solvers.chain import eliminate_chain, solve_with_chain
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 
 def system(n_frames: int, n_state: int, constants: int, seed: int = 0) -> tuple[Array, Array]:

@@ -23,8 +23,8 @@ from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, MotionFit, linearization_point
 from polhode.backend.solvers.solve import refine, solve
 from polhode.config.backend_settings import Backend, Bounds
-from polhode.lie import Array
-from polhode.records import MotionEstimate
+from polhode.geometry.lie import Array
+from polhode.records.estimate import MotionEstimate
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 from tests.backend.motions import BOX, estimated
 from tests.backend.solvers.test_ipopt import CASES, NAMES, start

@@ -8,7 +8,7 @@ from scipy.linalg import LinAlgError
 from polhode.backend.solvers.gauss_newton import Damping, GaussNewton, NormalEquations
 from polhode.backend.solvers.linearization_point import LinearizationPoint, MotionFit
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 from tests.backend.motions import cold_start
 

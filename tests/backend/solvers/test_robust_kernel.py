@@ -9,7 +9,7 @@ from polhode.backend.solvers.robust_kernel import (
     most_efficient_scale,
     robust_information,
 )
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 
 def squares(tail: float, n: int = 40_000) -> Array:

@@ -10,8 +10,8 @@ from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.solvers.casadi_nlp import ExternalFunction
 from polhode.backend.solvers.ipopt import StereoTerms
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
-from polhode.records import StereoTracks
+from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
+from polhode.records.tracks import StereoTracks
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 
 SCENE = SyntheticScene(frames=4, landmarks=25, detection=0.7, camera_moves=True)

@@ -19,9 +19,9 @@ from polhode.backend.uncertainty.covariance import (
     observation_jacobians,
     state_covariances,
 )
-from polhode.lie import Array, hat, inverse_pose, log_so3, transform_points
-from polhode.records import MotionEstimate
-from polhode.rigid_fit import mean_rotation
+from polhode.geometry.lie import Array, hat, inverse_pose, log_so3, transform_points
+from polhode.geometry.rigid_fit import mean_rotation
+from polhode.records.estimate import MotionEstimate
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 from tests.backend.motions import BOX, QUIET, at_truth, estimated, nees
 

@@ -11,8 +11,8 @@ from polhode.backend.uncertainty.identifiability import (
 )
 from polhode.backend.uncertainty.principal_axes import AxesDerivative
 from polhode.config.backend_settings import Backend
-from polhode.lie import hat
-from polhode.records import Identifiability, MotionEstimate
+from polhode.geometry.lie import hat
+from polhode.records.estimate import Identifiability, MotionEstimate
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 from tests.backend.motions import BOX, estimated
 

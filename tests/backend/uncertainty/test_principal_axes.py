@@ -13,7 +13,7 @@ from polhode.backend.uncertainty.principal_axes import (
     ratio_covariance,
     ratios_after,
 )
-from polhode.lie import Array, exp_so3, hat
+from polhode.geometry.lie import Array, exp_so3, hat
 
 FORM = FORMS["second_moments"]
 R = exp_so3([0.3, -0.4, 0.8])

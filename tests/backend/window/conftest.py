@@ -11,7 +11,7 @@ from polhode.backend.window.estimator import SlidingWindow
 from polhode.backend.window.frame import camera_noise_of, frames_of
 from polhode.backend.window.problem import WindowProblem
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 TUMBLE = SyntheticScene(

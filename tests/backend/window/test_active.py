@@ -5,7 +5,7 @@ import numpy as np
 from polhode.backend.window.active import ActiveWindow, Part, add_parts
 from polhode.backend.window.frame import Frame
 from polhode.backend.window.problem import Quadratic
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 
 def frame(number: int, noisy: bool) -> Frame:

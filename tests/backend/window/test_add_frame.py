@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from polhode.backend.window.add_frame import KnownLandmarks, locate
-from polhode.lie import Array, exp_so3, log_so3, make_pose, transform_points
-from polhode.records import Bools
+from polhode.geometry.lie import Array, Bools, exp_so3, log_so3, make_pose, transform_points
 from polhode.simulation.monte_carlo import RIG
 
 RNG = np.random.default_rng(3)

@@ -6,8 +6,8 @@ import numpy as np
 
 from polhode.backend.uncertainty.covariance import with_infinite
 from polhode.backend.window.causal_state import unknown_state
-from polhode.lie import exp_so3, make_pose
-from polhode.rigid_body import HALF_TURNS, nearest_half_turn
+from polhode.geometry.lie import exp_so3, make_pose
+from polhode.geometry.rigid_body import HALF_TURNS, nearest_half_turn
 from polhode.simulation.monte_carlo import SyntheticSequence
 from tests.backend.window.conftest import Feed
 

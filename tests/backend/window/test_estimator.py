@@ -25,12 +25,13 @@ from polhode.backend.window.estimator import (
     without_claims_after_torques,
 )
 from polhode.backend.window.frame import FrameMeasurements, frames_of
-from polhode.camera import RectifiedRig
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array, inverse_pose, log_so3, transform_points
-from polhode.progress import Silent
-from polhode.records import MotionEstimate, OnlineEstimate, Wrench
-from polhode.rigid_body import HALF_TURNS
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, inverse_pose, log_so3, transform_points
+from polhode.geometry.rigid_body import HALF_TURNS
+from polhode.records.estimate import MotionEstimate, OnlineEstimate
+from polhode.records.tracks import Wrench
+from polhode.runtime.progress import Silent
 from polhode.simulation.monte_carlo import SyntheticSequence, generate
 from tests.backend.window.conftest import TUMBLE, Feed
 

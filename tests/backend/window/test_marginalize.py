@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from polhode.backend.window.marginalize import least_valuable
-from polhode.lie import log_so3
+from polhode.geometry.lie import log_so3
 from polhode.simulation.monte_carlo import generate
 from tests.backend.window.conftest import TUMBLE, Feed
 

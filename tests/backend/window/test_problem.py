@@ -18,7 +18,7 @@ from polhode.backend.window.problem import (
     step_jacobians,
     whitened_steps,
 )
-from polhode.lie import Array, exp_so3
+from polhode.geometry.lie import Array, exp_so3
 from polhode.simulation.monte_carlo import SyntheticSequence
 from tests.backend.window.conftest import Feed, problem_of
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.lie import log_so3
+from polhode.geometry.lie import log_so3
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 from tests.backend.motions import QUIET, estimated, sigmas
 

@@ -10,8 +10,8 @@ from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.solve import refine
 from polhode.config.backend_settings import Backend
-from polhode.lie import Array, log_so3
-from polhode.records import Impulse, MotionEstimate
+from polhode.geometry.lie import Array, log_so3
+from polhode.records.estimate import Impulse, MotionEstimate
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, Vector, generate
 from tests.backend.motions import best_hypothesis, deviations, estimated, half_turn
 

@@ -11,7 +11,7 @@ from polhode.compare.problem.blocks import (
     stacked,
 )
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 
 def roots(problem: MeasuredProblem, x: Array) -> tuple[Array, Array]:

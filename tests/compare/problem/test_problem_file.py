@@ -14,9 +14,9 @@ from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.problem.problem_file import SUFFIX, read_problem, write_problem
 from polhode.compare.problem.sources import SCENES, synthetic_problem
 from polhode.config.backend_settings import Backend
-from polhode.errors import InputError
-from polhode.pipeline.run_directory.archives import Arrays, write_arrays
-from polhode.records import Wrench
+from polhode.records.tracks import Wrench
+from polhode.run_directory.archives import Arrays, write_arrays
+from polhode.runtime.errors import InputError
 from tests.trap import Trap, trap
 
 

@@ -3,11 +3,10 @@
 import cv2
 import numpy as np
 
-from polhode.camera import RectifiedRig
 from polhode.frontend.background.far_plane import FarPlane
 from polhode.frontend.rectification import Image
-from polhode.lie import Array
-from polhode.records import Bools
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools
 
 HEIGHT, WIDTH = 240, 320
 INFINITY = FarPlane(0.0, 0.0, 0.0)

@@ -14,7 +14,7 @@ from polhode.frontend.background.background_image import (
     reduced_homography,
 )
 from polhode.frontend.background.near_layer import near_layer
-from polhode.lie import Array, exp_so3, make_pose
+from polhode.geometry.lie import Array, exp_so3, make_pose
 from tests.frontend.background.synthetic_pairs import HEIGHT, INFINITY, RIG, WIDTH, overlap, texture
 
 M_N = np.array([0.03, -0.05, 0.4])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from polhode.dataset import StereoImages, StereoSequence, open_sequence
 from polhode.frontend.background.far_plane import FarPlane, plane_seen_from
 from polhode.frontend.background.find_masks import (
     MIN_AREA,
@@ -20,11 +19,11 @@ from polhode.frontend.background.find_masks import (
 from polhode.frontend.found_masks import FoundMasks, MaskQuality, decoded, encoded
 from polhode.frontend.rectification import Rectifier, make_rectifier, rectified_left, rectified_pair
 from polhode.frontend.segmentation import target_mask
-from polhode.lie import Array, exp_so3, make_pose
-from polhode.records import Bools
+from polhode.geometry.lie import Array, Bools, exp_so3, make_pose
+from polhode.records.dataset import StereoImages, StereoSequence, open_sequence
 from tests.frontend.background.synthetic_pairs import HEIGHT, INFINITY, RIG, WIDTH, overlap, pair_of, texture
 
-SAMPLE = Path(__file__).parents[3] / "sample"
+SAMPLE = Path(__file__).parents[3] / "examples" / "sample"
 SIZE = (WIDTH, HEIGHT)
 RECTIFIER = Rectifier(replace(RIG, disparity_offset_px=0.0), np.eye(4), None, (SIZE, SIZE))
 FAR, NEAR = texture(1, 110.0, 30.0), texture(2, 110.0, 30.0)

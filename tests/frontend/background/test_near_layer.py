@@ -12,7 +12,7 @@ from polhode.frontend.background.far_plane import (
 )
 from polhode.frontend.background.find_masks import MAX_CONTRADICTED
 from polhode.frontend.background.near_layer import NearLayer, near_layer
-from polhode.lie import Array, exp_so3, make_pose
+from polhode.geometry.lie import Array, exp_so3, make_pose
 from tests.frontend.background.synthetic_pairs import (
     HEIGHT,
     INFINITY,

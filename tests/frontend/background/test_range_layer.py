@@ -7,8 +7,7 @@ from polhode.frontend.background.far_plane import FarPlane
 from polhode.frontend.background.near_layer import NearLayer
 from polhode.frontend.background.range_layer import near_range_layer, range_plane
 from polhode.frontend.rectification import MeasuredDisparity
-from polhode.lie import Array
-from polhode.records import Bools
+from polhode.geometry.lie import Array, Bools
 from tests.frontend.background.synthetic_pairs import HEIGHT, WIDTH, overlap
 
 OFFSET_PX, SIGMA_PX, NEAR_PX = 4.0, 0.25, 40.0

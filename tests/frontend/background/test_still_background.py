@@ -6,12 +6,11 @@ from typing import cast
 import numpy as np
 import pytest
 
-from polhode.dataset import StereoImages, StereoSequence
 from polhode.frontend.background.find_masks import doubtful_frames, find_background, find_masks
 from polhode.frontend.background.still_background import is_still, still_background
 from polhode.frontend.rectification import Image, Rectifier
-from polhode.lie import Array
-from polhode.records import Bools
+from polhode.geometry.lie import Array, Bools
+from polhode.records.dataset import StereoImages, StereoSequence
 from tests.frontend.background.synthetic_pairs import HEIGHT, RIG, WIDTH, overlap, read_at, texture
 
 RECTIFIER = Rectifier(RIG, np.eye(4), None, ((WIDTH, HEIGHT),) * 2)

@@ -5,8 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from polhode.frontend.disparity.classical import fit_facets, fit_planes, textureless_patches
-from polhode.lie import Array
-from polhode.records import Bools
+from polhode.geometry.lie import Array, Bools
 
 Facet = tuple[NDArray[np.float32], NDArray[np.float32]]
 CORRELATED_PX2 = 49.0

@@ -7,7 +7,6 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Depth
 from polhode.frontend.disparity.depth import compute_depth, dense_disparity
 from polhode.frontend.disparity.learned import (
@@ -27,7 +26,8 @@ from polhode.frontend.networks.disparity import (
     DisparityNet,
     mixture_from_outputs,
 )
-from polhode.records import Bools
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Bools
 
 RIG = RectifiedRig(400.0, 99.5, 79.5, 0.1, 200, 160)
 DISPARITY = 30.0

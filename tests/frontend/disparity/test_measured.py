@@ -4,7 +4,6 @@ import cv2
 import numpy as np
 import pytest
 
-from polhode.camera import RectifiedRig
 from polhode.frontend.disparity.measured import disparity_at, measured_depth
 from polhode.frontend.rectification import (
     MeasuredDisparity,
@@ -13,10 +12,10 @@ from polhode.frontend.rectification import (
     make_rectifier,
     measured_disparity,
 )
-from polhode.lie import Array, make_pose
-from polhode.range_images import RangeModel
-from polhode.records import Bools
-from polhode.rig_calibration import StereoCalibration, with_baseline
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools, make_pose
+from polhode.records.range_images import RangeModel
+from polhode.records.rig_calibration import StereoCalibration, with_baseline
 
 SIGMA_PX = 0.25
 RIG = RectifiedRig(200.0, 79.5, 59.5, 0.1, 160, 120)

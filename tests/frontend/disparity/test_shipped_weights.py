@@ -4,11 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Depth
 from polhode.frontend.disparity.depth import compute_depth, dense_disparity
-from polhode.lie import Array
-from polhode.records import Bools
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools
 
 RIG = RectifiedRig(400.0, 159.5, 119.5, 0.1, 320, 240)
 NETWORK = Depth(method="network")

@@ -4,8 +4,7 @@ import numpy as np
 
 from polhode.frontend.features.keypoints import KeyPoints, no_key_points
 from polhode.frontend.features.line_search import MAX_OCTAVES, MAX_TURN_RAD, mutual_nearest
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
 
 
 def points(seed: int, n: int) -> KeyPoints:

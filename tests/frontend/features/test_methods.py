@@ -9,8 +9,6 @@ import pytest
 import torch
 
 from polhode.config.frontend_settings import Depth, Features, Frontend, PairMatching
-from polhode.dataset import open_sequence
-from polhode.errors import InputError
 from polhode.frontend.extract import extract_features, extract_pair, require_weights
 from polhode.frontend.features.keypoints import detect
 from polhode.frontend.features.methods import FEATURE_METHODS, feature_method
@@ -25,9 +23,11 @@ from polhode.frontend.rectification import (
     rectified_pair,
     target_crop,
 )
+from polhode.records.dataset import open_sequence
+from polhode.runtime.errors import InputError
 from tests.frontend.feature_world import make_world
 
-SAMPLE = Path(__file__).resolve().parents[3] / "sample"
+SAMPLE = Path(__file__).resolve().parents[3] / "examples" / "sample"
 
 
 def configured(features: str = "rootsift", pairs: str = "nearest", ratio: float = 0.92) -> Frontend:

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from polhode.camera import RectifiedRig
 from polhode.frontend.features.local_planes import local_planes
 from polhode.frontend.features.patches import (
     Patches,
@@ -14,7 +13,8 @@ from polhode.frontend.features.patches import (
     tangent_affines,
     upright_affines,
 )
-from polhode.lie import Array, exp_so3, make_pose, transform_points
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, exp_so3, make_pose, transform_points
 
 RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480, 3.0)
 _WAVES = np.random.default_rng(3).normal(size=(24, 3))

@@ -5,7 +5,7 @@ import pytest
 
 from polhode.frontend.features.keypoints import KeyPoints, no_key_points
 from polhode.frontend.features.row_offsets import row_offsets
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 WIDTH_PX = 640
 

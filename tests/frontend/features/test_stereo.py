@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Features
 from polhode.frontend.features.keypoints import KeyPoints, detect
 from polhode.frontend.features.patches import image_jacobian, surface_normals
@@ -19,7 +18,8 @@ from polhode.frontend.features.stereo import (
     with_rough_axes,
 )
 from polhode.frontend.rectification import Image, target_crop
-from polhode.lie import Array
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array
 
 RIG = RectifiedRig(467.0, 159.5, 119.5, 0.09, 320, 240)
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from polhode.config.frontend_settings import Features, Frontend
-from polhode.dataset import StereoSequence, open_sequence
 from polhode.frontend.features.keypoints import find_candidates
 from polhode.frontend.features.stereo import RootSift, StereoFeatures
 from polhode.frontend.features.surface_features import (
@@ -17,9 +16,10 @@ from polhode.frontend.features.surface_features import (
     with_patch_size,
 )
 from polhode.frontend.rectification import RectifiedPair, Rectifier, make_rectifier, rectified_pair
+from polhode.records.dataset import StereoSequence, open_sequence
 from polhode.train.feature_noise import MatchResiduals, fit_noise, normalised_variance
 
-SAMPLE = Path(__file__).parents[3] / "sample"
+SAMPLE = Path(__file__).parents[3] / "examples" / "sample"
 CONFIG = Frontend(features=Features(method="polhode", surface_descriptor="rootsift"))
 
 

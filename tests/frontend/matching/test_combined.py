@@ -20,8 +20,8 @@ from polhode.frontend.matching.pairs import (
 )
 from polhode.frontend.tracks.guided_matching import reconnect
 from polhode.frontend.tracks.tracks import join_matches
-from polhode.lie import exp_so3, inverse_pose, make_pose
-from polhode.records import InitialMotion, Ints
+from polhode.geometry.lie import Ints, exp_so3, inverse_pose, make_pose
+from polhode.records.estimate import InitialMotion
 from tests.frontend.feature_world import RIG, World, make_world
 
 

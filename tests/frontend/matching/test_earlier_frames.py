@@ -10,7 +10,7 @@ from polhode.frontend.matching.earlier_frames import (
     viewing_direction_G,
 )
 from polhode.frontend.matching.pairs import MAX_NEIGHBOUR_STEPS
-from polhode.lie import Array, exp_so3, make_pose
+from polhode.geometry.lie import Array, exp_so3, make_pose
 
 
 def turning(frames: int, period: int) -> Array:

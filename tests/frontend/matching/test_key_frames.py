@@ -4,7 +4,7 @@ import numpy as np
 
 from polhode.frontend.matching.key_frames import LET_GO_AT_A_TIME, frames_to_let_go
 from polhode.frontend.matching.pairs import MAX_NEIGHBOUR_STEPS
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 
 
 def turning(count: int, frames_a_turn: int = 40) -> Array:

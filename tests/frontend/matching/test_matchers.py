@@ -23,8 +23,8 @@ from polhode.frontend.matching.matchers import (
 from polhode.frontend.matching.methods import one_to_one
 from polhode.frontend.matching.nearest import MutualNearest
 from polhode.frontend.matching.pairs import match_rows
-from polhode.lie import Array, exp_so3, make_pose, transform_points
-from polhode.rigid_fit import fit_rigid
+from polhode.geometry.lie import Array, exp_so3, make_pose, transform_points
+from polhode.geometry.rigid_fit import fit_rigid
 from tests.frontend.feature_world import RIG
 
 FEATURES: tuple[Literal["rootsift", "polhode"], ...] = ("rootsift", "polhode")

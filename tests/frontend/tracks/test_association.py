@@ -20,9 +20,9 @@ from polhode.frontend.tracks.tracks import (
     to_tracks,
     viewing_direction,
 )
-from polhode.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose, transform_points
-from polhode.records import InitialMotion
-from polhode.rigid_fit import fit_rigid
+from polhode.geometry.lie import Array, exp_so3, hat, inverse_pose, log_so3, make_pose, transform_points
+from polhode.geometry.rigid_fit import fit_rigid
+from polhode.records.estimate import InitialMotion
 from tests.frontend.feature_world import RIG, World, make_world, purity
 
 

@@ -8,8 +8,8 @@ import pytest
 from polhode.config.frontend_settings import GuidedMatching
 from polhode.frontend.tracks.duplicates import merge_duplicates
 from polhode.frontend.tracks.tracks import Association
-from polhode.lie import exp_so3
-from polhode.records import InitialMotion
+from polhode.geometry.lie import exp_so3
+from polhode.records.estimate import InitialMotion
 from tests.frontend.feature_world import RIG, World, make_world, purity
 
 CONFIG = GuidedMatching(max_distance=0.8)

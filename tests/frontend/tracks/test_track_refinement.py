@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polhode.camera import RectifiedRig
 from polhode.config.frontend_settings import Features, Frontend
-from polhode.dataset import open_sequence
 from polhode.frontend.features.patches import cut_patches, rotate_affines, upright_affines
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.features.surface_features import SurfaceFeatureMethod
@@ -18,12 +16,14 @@ from polhode.frontend.matching.ransac import ransac_rigid
 from polhode.frontend.rectification import make_rectifier, rectified_pair
 from polhode.frontend.tracks.track_refinement import align_patches, disparity_slopes, refine_tracks
 from polhode.frontend.tracks.tracks import Association, join_matches
-from polhode.lie import inverse_pose, transform_points
-from polhode.records import InitialMotion
-from polhode.rigid_fit import fit_rigid
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import inverse_pose, transform_points
+from polhode.geometry.rigid_fit import fit_rigid
+from polhode.records.dataset import open_sequence
+from polhode.records.estimate import InitialMotion
 from tests.frontend.feature_world import RIG
 
-SAMPLE = Path(__file__).parents[3] / "sample"
+SAMPLE = Path(__file__).parents[3] / "examples" / "sample"
 CONFIG = Frontend(features=Features(method="polhode", surface_descriptor="rootsift"))
 
 

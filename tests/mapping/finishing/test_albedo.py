@@ -7,10 +7,10 @@ import pytest
 import trimesh
 from trimesh.visual import ColorVisuals
 
-from polhode.lie import Array
+from polhode.geometry.lie import Array, Bools
 from polhode.mapping.finishing.albedo import divide_shading
 from polhode.mapping.visibility import FrameView
-from polhode.records import Bools, SurfaceModel
+from polhode.records.surface import SurfaceModel
 from tests.mapping.rendered_views import RIG, rendered, tumbling
 
 SUN = np.array([0.55, -0.5, -0.67]) / np.linalg.norm([0.55, -0.5, -0.67])

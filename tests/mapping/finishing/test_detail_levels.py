@@ -10,7 +10,7 @@ from trimesh.visual import ColorVisuals
 
 from polhode.mapping.finishing.detail_levels import levels_of
 from polhode.mapping.mesh_files import read_ply, write_glb, write_ply
-from polhode.records import SurfaceModel
+from polhode.records.surface import SurfaceModel
 
 RADIUS_M = 0.1
 

@@ -6,7 +6,7 @@ import trimesh
 
 from polhode.mapping.finishing.hole_closing import boundary_loops, close_small_holes, fill_loop
 from polhode.mapping.visibility import FrameView
-from polhode.records import SurfaceModel
+from polhode.records.surface import SurfaceModel
 from tests.mapping.rendered_views import RIG, rendered, tumbling
 
 SUN = np.array([0.3, -0.4, -0.866])

@@ -9,13 +9,13 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from polhode.config.mapping_settings import Mapping
-from polhode.lie import Array, exp_so3, make_pose
+from polhode.geometry.lie import Array, exp_so3, make_pose
 from polhode.mapping.fusion.block_grid import FREE, VIEWS, BlockGrid
 from polhode.mapping.fusion.depth_frame import frame_tensors
 from polhode.mapping.fusion.field import Field, fuse
 from polhode.mapping.fusion.integration import allocate, integrate
-from polhode.mesh_metrics import distance_to_surface
-from polhode.records import DepthMap, SurfaceModel
+from polhode.records.mesh_metrics import distance_to_surface
+from polhode.records.surface import DepthMap, SurfaceModel
 from tests.mapping.analytic_depth import DISTANCE_M, RIG, depth_of, views_of
 
 VOXEL_M = 3e-3

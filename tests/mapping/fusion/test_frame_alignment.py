@@ -8,7 +8,7 @@ import torch
 import trimesh
 
 from polhode.config.mapping_settings import Mapping
-from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
+from polhode.geometry.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.mapping.fusion.depth_frame import frame_tensors
 from polhode.mapping.fusion.field import Field, fuse
 from polhode.mapping.fusion.frame_alignment import (
@@ -20,8 +20,8 @@ from polhode.mapping.fusion.frame_alignment import (
     depth_points,
     distances,
 )
-from polhode.mesh_metrics import distance_to_surface
-from polhode.records import DepthMap
+from polhode.records.mesh_metrics import distance_to_surface
+from polhode.records.surface import DepthMap
 from tests.mapping.analytic_depth import DISTANCE_M, FINE_RIG, depth_of, views_of
 
 VOXEL_M = 1.5e-3

@@ -9,11 +9,11 @@ import torch
 import trimesh
 
 from polhode.config.mapping_settings import Mapping
-from polhode.errors import InputError
 from polhode.mapping.fusion.field import choose_device, choose_voxel_m, fuse
 from polhode.mapping.mesh_files import write_glb, write_ply
-from polhode.mesh_metrics import distance_to_surface, sample_surface
-from polhode.records import SurfaceModel
+from polhode.records.mesh_metrics import distance_to_surface, sample_surface
+from polhode.records.surface import SurfaceModel
+from polhode.runtime.errors import InputError
 from tests.mapping.analytic_depth import RIG, views_of
 
 VOXEL_M = 3e-3

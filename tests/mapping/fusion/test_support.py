@@ -8,7 +8,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from polhode.config.mapping_settings import Mapping
-from polhode.lie import make_pose
+from polhode.geometry.lie import make_pose
 from polhode.mapping.fusion.block_grid import (
     CHANNELS,
     DISTANCE,
@@ -20,7 +20,7 @@ from polhode.mapping.fusion.block_grid import (
 )
 from polhode.mapping.fusion.field import Field
 from polhode.mapping.fusion.surface_extraction import known_voxels, scatter_m
-from polhode.mesh_metrics import distance_to_surface
+from polhode.records.mesh_metrics import distance_to_surface
 from tests.mapping.analytic_depth import RIG, views_of
 
 VOXEL_M = 2e-3

@@ -19,7 +19,7 @@ from polhode.mapping.fusion.vertex_sigma import (
     vertex_sigma,
 )
 from polhode.mapping.fusion.vertex_views import VertexViews
-from polhode.mesh_metrics import distance_to_surface
+from polhode.records.mesh_metrics import distance_to_surface
 from tests.mapping.analytic_depth import RIG, views_of
 
 SIDE_M, STEP_M = 0.2, 0.002

@@ -5,7 +5,7 @@ import pytest
 import torch
 import trimesh
 
-from polhode.lie import Array, exp_so3, make_pose
+from polhode.geometry.lie import Array, exp_so3, make_pose
 from polhode.mapping.fusion.depth_frame import FrameTensors, frame_tensors
 from polhode.mapping.fusion.vertex_views import FADING_RAD, VertexViews, views_of_vertices
 from tests.mapping.analytic_depth import DISTANCE_M, RIG, depth_of

@@ -13,16 +13,15 @@ import pytest
 import yaml
 
 from polhode.cli.main import main
-from polhode.dataset import open_sequence
-from polhode.dataset_writer import image_path, write_camera_csv, write_png
 from polhode.frontend.rectification import make_rectifier
-from polhode.lie import Array, exp_so3, make_pose
+from polhode.geometry.lie import Array, Ints, exp_so3, make_pose
 from polhode.pipeline.checkout.checkout import Checkout, checkout, warn_before_run
 from polhode.pipeline.checkout.page import render
 from polhode.pipeline.checkout.result import SCHEMA_FILE, CheckoutResult
 from polhode.pipeline.checkout.sample import places
-from polhode.pipeline.run_directory.summary_schema import json_schema, json_text
-from polhode.records import Ints
+from polhode.records.dataset import open_sequence
+from polhode.records.dataset_writer import image_path, write_camera_csv, write_png
+from polhode.run_directory.summary_schema import json_schema, json_text
 
 Capture = pytest.CaptureFixture[str]
 FEW_MATCHES = ("median number of matches between successive pairs", "successive pairs that match")

@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 
 from polhode.frontend.rectification import Image
-from polhode.lie import Array, exp_so3, make_pose
+from polhode.geometry.lie import Array, Ints, exp_so3, make_pose
 from polhode.pipeline.checkout.image_quality import image_quality
 from polhode.pipeline.checkout.target_motion import twist
 from polhode.pipeline.checkout.timing import Stamps, stamp_checks
-from polhode.records import Ints
 
 LEFT = 1_600_000_000_000_000_000 + 500_000_000 * np.arange(20, dtype=np.int64)
 

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polhode.camera import RectifiedRig
 from polhode.frontend.features.row_offsets import RowOffsets
-from polhode.lie import exp_so3
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import exp_so3
 from polhode.pipeline.checkout.result import CheckoutCheck
 from polhode.pipeline.checkout.rig_tilt import fit_rows, regions, tilt_checks
 from polhode.pipeline.checkout.sample import Sample

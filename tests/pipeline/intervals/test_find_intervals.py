@@ -9,13 +9,14 @@ import trimesh
 from polhode.backend import estimate_motion, initialize_motion
 from polhode.backend.problem.inertia import FORMS, inertia_by_parameters
 from polhode.config.backend_settings import Backend, Bounds
-from polhode.lie import exp_so3
+from polhode.geometry.lie import exp_so3
 from polhode.pipeline.intervals import find_intervals as module
 from polhode.pipeline.intervals.find_intervals import find_intervals, intervals_in
 from polhode.pipeline.intervals.motion_limits import PAIRS, motion_limits
-from polhode.pipeline.run_directory.summary import build_summary
-from polhode.progress import Silent
-from polhode.records import MotionEstimate, SurfaceModel
+from polhode.records.estimate import MotionEstimate
+from polhode.records.surface import SurfaceModel
+from polhode.run_directory.summary import build_summary
+from polhode.runtime.progress import Silent
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 from tests.pipeline.intervals.test_hull_and_limits import BOX, no_limits
 

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.lie import Array, exp_so3
+from polhode.geometry.lie import Array, exp_so3
 from polhode.pipeline.intervals.body_hull import BodyHull, body_hull, hull_around
 from polhode.pipeline.intervals.inertia_ratios import RatioIntervals, ratio_intervals
 from polhode.pipeline.intervals.motion_limits import MotionLimits, com_extremes, farthest_com
-from polhode.pipeline.run_directory.summary_schema import Coverage
-from polhode.records import Landmarks, SurfaceModel
+from polhode.records.estimate import Landmarks
+from polhode.records.surface import SurfaceModel
+from polhode.run_directory.summary_schema import Coverage
 
 BOX_M = np.array([0.3, 0.4, 0.6])
 CORNERS = trimesh.creation.box(BOX_M).vertices

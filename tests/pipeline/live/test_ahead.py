@@ -7,11 +7,11 @@ import pytest
 import trimesh
 
 from polhode.config import Config
-from polhode.dataset import open_sequence
 from polhode.pipeline.live.session import Session
-from polhode.pipeline.run_directory.stages import DEPTH
-from polhode.processes import kill_workers
-from polhode.records import SurfaceModel
+from polhode.records.dataset import open_sequence
+from polhode.records.surface import SurfaceModel
+from polhode.run_directory.stages import DEPTH
+from polhode.runtime.processes import kill_workers
 from tests.pipeline.conftest import ONE_METHOD
 
 CONFIG = Config.model_validate({**ONE_METHOD, "runtime": {"workers": 2}})

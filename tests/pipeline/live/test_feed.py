@@ -6,9 +6,9 @@ from time import sleep
 import numpy as np
 import pytest
 
-from polhode.errors import InputError
 from polhode.pipeline.live.feed import QUEUE_PAIRS, Arrived, Dropped, Feed, Item
 from polhode.pipeline.live.folder_source import Passed, SourcePair
+from polhode.runtime.errors import InputError
 
 STEP_NS = 100_000_000
 GREY = np.zeros((2, 2), dtype=np.uint8)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polhode.dataset_writer import write_camera_csv, write_inspector
-from polhode.errors import InputError
 from polhode.pipeline.live.folder_source import END_MARKER, FolderSource, Passed, SourcePair
+from polhode.records.dataset_writer import write_camera_csv, write_inspector
+from polhode.runtime.errors import InputError
 from tests.conftest import TIMESTAMPS_NS
 
 ALL = [int(stamp) for stamp in TIMESTAMPS_NS]

@@ -9,14 +9,14 @@ import pytest
 
 import polhode
 from polhode.config import Config
-from polhode.dataset import StereoImages, StereoSequence, open_sequence
-from polhode.errors import InputError
 from polhode.pipeline.live.session import Session
-from polhode.pipeline.run_directory.archives import read_online
-from polhode.pipeline.run_directory.summary import read_summary
-from polhode.pipeline.run_directory.trajectory_file import read_trajectory
 from polhode.pipeline.stream.live_state import LiveState
-from polhode.records import OnlineEstimate
+from polhode.records.dataset import StereoImages, StereoSequence, open_sequence
+from polhode.records.estimate import OnlineEstimate
+from polhode.run_directory.archives import read_online
+from polhode.run_directory.summary import read_summary
+from polhode.run_directory.trajectory_file import read_trajectory
+from polhode.runtime.errors import InputError
 from tests.pipeline.conftest import WITHOUT_NETWORKS
 
 CONFIG = Config.model_validate(WITHOUT_NETWORKS)

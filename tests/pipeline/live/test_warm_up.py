@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from polhode.camera import RectifiedRig
 from polhode.config import Config
+from polhode.geometry.camera import RectifiedRig
 from polhode.pipeline.live.warm_up import STEP_PX, warm_up_stream
 
 

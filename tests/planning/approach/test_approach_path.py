@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polhode.lie import exp_so3, make_pose
+from polhode.geometry.lie import exp_so3, make_pose
 from polhode.planning.approach.approach_path import ApproachPath, along_corridor, towards_centre
 from polhode.planning.approach.corridor import corridor
 from polhode.planning.prediction import BodyMotion

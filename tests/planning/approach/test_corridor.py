@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.lie import Array, exp_so3
+from polhode.geometry.lie import Array, exp_so3
 from polhode.planning.approach.corridor import corridor
 from polhode.planning.approach.surface_speed import (
     slowest_points,

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import trimesh
 
-from polhode.camera import RectifiedRig
-from polhode.lie import Array, exp_so3, make_pose, transform_points
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, exp_so3, make_pose, transform_points
 from polhode.planning.edges.image_profiles import Levels
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.pipeline.after_run.observability.pictures import coloured_body, colours_of
 from polhode.planning.edges.edge_model import edge_model
 from polhode.planning.edges.information import (
     FeatureInformation,
@@ -15,6 +14,7 @@ from polhode.planning.edges.information import (
 )
 from polhode.planning.edges.observability_metric import EdgeObservability, edge_motion, observability
 from polhode.planning.edges.visible_edges import control_points
+from polhode.planning.observability.pictures import coloured_body, colours_of
 from tests.planning.edges.views import RIG, block, information_at, poses, seen
 
 

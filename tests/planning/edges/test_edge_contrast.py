@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.lie import Array, make_pose
+from polhode.geometry.lie import Array, make_pose
 from polhode.planning.edges.edge_model import edge_model
 from polhode.planning.edges.visible_edges import (
     ControlPoints,

@@ -5,12 +5,12 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
-from polhode.camera import RectifiedRig
-from polhode.errors import InputError
-from polhode.lie import Array, exp_so3, make_pose
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, exp_so3, make_pose
 from polhode.planning.edges.edge_model import EdgeKind, chains_of, edge_model, straight_pieces
 from polhode.planning.edges.measured_edges import measured_edge_model, simplified
 from polhode.planning.edges.visible_edges import control_points, outlines
+from polhode.runtime.errors import InputError
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.1, 640, 480)
 

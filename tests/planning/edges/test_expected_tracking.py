@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.lie import Array, make_pose
+from polhode.geometry.lie import Array, make_pose
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.expected_tracking import (
     WHITE_DN,

@@ -5,8 +5,8 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
-from polhode.camera import RectifiedRig
-from polhode.lie import Array, exp_so3, make_pose, transform_points
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, exp_so3, make_pose, transform_points
 from polhode.planning.edges.edge_model import edge_model
 from polhode.planning.edges.observability_metric import (
     EdgeObservability,

@@ -5,11 +5,10 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 
-from polhode.lie import exp_so3, make_pose
+from polhode.geometry.lie import Bools, exp_so3, make_pose
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.orientation import mesh_edges, winding_number
 from polhode.planning.edges.visible_edges import control_points
-from polhode.records import Bools
 from tests.planning.edges.views import RIG
 
 BOX = trimesh.creation.box((1.0, 0.6, 0.4))

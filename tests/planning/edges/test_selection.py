@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 from polhode.planning.edges.information import FeatureInformation
 from polhode.planning.edges.selection import greedy, upper_bound, value_of
 from polhode.planning.edges.smallest_set import SigmaLimits, min_number, smallest_set

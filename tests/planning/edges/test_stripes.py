@@ -6,7 +6,7 @@ import trimesh
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 from polhode.planning.edges.edge_model import edge_model
 from polhode.planning.edges.stripe_profiles import _BLURRED_ROOT, _blurred_root
 from polhode.planning.edges.stripes import (

@@ -8,7 +8,7 @@ import trimesh
 from scipy.ndimage import gaussian_filter1d
 from scipy.stats import norm
 
-from polhode.lie import Array, make_pose
+from polhode.geometry.lie import Array, make_pose
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.image_profiles import Levels, as_levels, gradient_extrema, profiles
 from polhode.planning.edges.observability_metric import moved, pose_error

@@ -3,8 +3,8 @@
 import numpy as np
 import trimesh
 
-from polhode.camera import RectifiedRig
-from polhode.lie import Array, exp_so3, make_pose
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, exp_so3, make_pose
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
 from polhode.planning.edges.information import FeatureInformation, by_feature, views_along
 

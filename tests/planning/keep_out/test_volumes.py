@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.errors import InputError
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 from polhode.planning.keep_out.measured_body import continuous_sigma, grown_body
 from polhode.planning.keep_out.volumes import KeepOutOptions, conformal, keep_out
 from polhode.planning.prediction import draw_ensemble, nominal_motion
-from polhode.records import SurfaceModel
+from polhode.records.surface import SurfaceModel
+from polhode.runtime.errors import InputError
 from tests.planning.bodies import SIGMA_M, ball, box, estimate, measured
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polhode.config import scene_settings as config
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 from polhode.simulation.bodies import Body, build_body
 from polhode.simulation.bodies.build import FAMILIES
 from polhode.simulation.bodies.families.asteroid import asteroid_parts

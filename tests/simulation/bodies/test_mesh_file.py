@@ -10,9 +10,8 @@ from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from polhode.config import scene_settings as config
-from polhode.errors import InputError
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
+from polhode.runtime.errors import InputError
 from polhode.simulation.bodies import Body, build_body, describe
 from polhode.simulation.bodies.mesh_file import linear_grey, material_by_name
 from polhode.simulation.rendering.appearance import SurfaceAppearance

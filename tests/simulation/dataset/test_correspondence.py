@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from polhode.config import scene_settings as config
-from polhode.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
+from polhode.geometry.lie import Array, exp_so3, inverse_pose, log_so3, make_pose
 from polhode.simulation.bodies.part import Part, assemble
 from polhode.simulation.dataset.correspondence import (
     CameraView,

@@ -9,9 +9,9 @@ import yaml
 from PIL import Image
 
 from polhode.config.scene_settings import Scene
-from polhode.dataset import open_sequence
-from polhode.lie import Array
-from polhode.progress import Silent
+from polhode.geometry.lie import Array
+from polhode.records.dataset import open_sequence
+from polhode.runtime.progress import Silent
 from polhode.simulation.dataset.sequence import SequencePlan, plan_sequence, simulate
 from polhode.simulation.rendering.render import Renderer
 

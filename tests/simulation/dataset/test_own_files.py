@@ -7,7 +7,7 @@ import pytest
 
 from polhode.simulation.dataset.own_files import is_staged_file, is_whole, why_not_ours
 
-SAMPLE = Path(__file__).parents[3] / "sample"
+SAMPLE = Path(__file__).parents[3] / "examples" / "sample"
 
 
 @pytest.fixture

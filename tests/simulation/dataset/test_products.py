@@ -9,10 +9,10 @@ import pytest
 import trimesh
 
 from polhode.config import scene_settings as config
-from polhode.dataset import open_sequence
-from polhode.errors import InputError
-from polhode.lie import Array, exp_so3, inverse_pose, make_pose
-from polhode.progress import Silent
+from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.records.dataset import open_sequence
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
 from polhode.simulation.bodies.part import Body, Part, assemble
 from polhode.simulation.dataset.frame_renderer import (
     CAST_SHADOW,

@@ -7,12 +7,12 @@ import pytest
 from PIL import Image
 
 from polhode.config.scene_settings import RangeSensor, Scene
-from polhode.dataset import open_sequence
-from polhode.errors import InputError
 from polhode.frontend.background.find_masks import doubtful_frames, find_background, find_masks
 from polhode.frontend.rectification import make_rectifier
-from polhode.lie import Array, inverse_pose
-from polhode.progress import Silent
+from polhode.geometry.lie import Array, inverse_pose
+from polhode.records.dataset import open_sequence
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
 from polhode.simulation.dataset.own_files import why_not_ours
 from polhode.simulation.dataset.plan import plan_sequence
 from polhode.simulation.dataset.range_images import MAX_UNITS, measure, true_depth

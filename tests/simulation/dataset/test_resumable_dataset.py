@@ -10,8 +10,8 @@ import pytest
 
 import polhode.simulation.dataset.sequence as sequence
 from polhode.config.scene_settings import Scene
-from polhode.errors import InputError
-from polhode.progress import Advance, Silent
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Advance, Silent
 from polhode.simulation.dataset.resumable_dataset import staged_dataset
 from polhode.simulation.dataset.sequence import simulate
 

@@ -7,14 +7,14 @@ import pytest
 
 from polhode.config import scene_settings as config
 from polhode.config.loader import load_config
-from polhode.dataset import open_sequence
-from polhode.errors import InputError
-from polhode.lie import Array, inverse_pose, transform_points
-from polhode.progress import Silent
+from polhode.geometry.lie import Array, inverse_pose, transform_points
+from polhode.records.dataset import open_sequence
+from polhode.records.read_truth import read_truth
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
 from polhode.simulation.dataset.frame_renderer import FrameRenderer
 from polhode.simulation.dataset.plan import plan_sequence, received_frames
 from polhode.simulation.dataset.sequence import simulate
-from polhode.truth import read_truth
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 # No light by way of the body itself: it takes a second to prepare.

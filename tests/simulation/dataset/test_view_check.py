@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from polhode.config.scene_settings import Scene
-from polhode.errors import InputError
+from polhode.runtime.errors import InputError
 from polhode.simulation.bodies import build_body
 from polhode.simulation.dataset.plan import ViewCheck, plan_sequence
 

@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 from polhode.config.scene_settings import Scene
-from polhode.errors import InputError
-from polhode.lie import inverse_pose, transform_points
+from polhode.geometry.lie import inverse_pose, transform_points
+from polhode.runtime.errors import InputError
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.figures.contact_sheet import (
     TILE_PX,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from polhode.errors import InputError
+from polhode.runtime.errors import InputError
 from polhode.simulation.figures.correspondence_picture import main
 
 CONFIG = """

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from polhode.config.scene_settings import Scene
-from polhode.errors import InputError
-from polhode.lie import Array
+from polhode.geometry.lie import Array
+from polhode.runtime.errors import InputError
 from polhode.simulation.figures.motion_plot import Drawing, headline, main, motion_figure, numbers, save
 from polhode.simulation.motion.poinsot import poinsot
 

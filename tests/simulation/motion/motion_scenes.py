@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from polhode.config.scene_settings import Scene
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 from polhode.simulation.motion.mass import MassDistribution
 
 TRIAXIAL = np.array([0.0241, 0.0234, 0.0201])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import ellipj, ellipk, ellipkinc, elliprf, elliprj
 
-from polhode.lie import Array, exp_so3, log_so3
+from polhode.geometry.lie import Array, exp_so3, log_so3
 from polhode.simulation.motion.integrate import advance, no_forces
 from polhode.simulation.motion.target import target_motion
 from tests.simulation.motion.motion_scenes import mass_of, rpm, scene_of

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 from polhode.simulation.motion.inspector import PULSE_S, RATE_VARIATION, LimitCycle, limit_cycle
 
 T_S = np.linspace(0.0, 300.0, 300_000)

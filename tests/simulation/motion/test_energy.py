@@ -7,9 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from polhode.config import scene_settings as config
-from polhode.errors import InputError
-from polhode.lie import Array
-from polhode.rigid_body import angular_momentum_N, rotational_energy
+from polhode.geometry.lie import Array
+from polhode.geometry.rigid_body import angular_momentum_N, rotational_energy
+from polhode.runtime.errors import InputError
 from polhode.simulation.motion.forces import (
     energy_of_momentum,
     excess_energy,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 from polhode.simulation.dataset.sequence import plan_sequence, write_estimator_inputs
 from polhode.simulation.motion.forces import cell_length_s, known_wrench
 from polhode.simulation.motion.target import TargetMotion, target_motion, timestamps

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from polhode.config.scene_settings import Scene
-from polhode.errors import InputError
-from polhode.lie import Array, exp_so3, log_so3
+from polhode.geometry.lie import Array, exp_so3, log_so3
+from polhode.runtime.errors import InputError
 from polhode.simulation.motion.inspector import InspectorMotion, inspector_motion, reported_inspector
 
 WAYPOINTS: list[dict[str, Any]] = [

@@ -7,7 +7,7 @@ import pytest
 
 from polhode.config import scene_settings as config
 from polhode.config.loader import load_config
-from polhode.errors import InputError
+from polhode.runtime.errors import InputError
 from polhode.simulation.bodies import Body, build_body
 from polhode.simulation.motion.mass import mass_distribution, principal_axes
 

@@ -6,8 +6,8 @@ Prograde or retrograde (thesis 2.5.1): by energy and momentum, and seen in the m
 import numpy as np
 import pytest
 
-from polhode.lie import Array
-from polhode.rigid_body import propagate
+from polhode.geometry.lie import Array
+from polhode.geometry.rigid_body import propagate
 from polhode.simulation.motion.integrate import no_forces
 from polhode.simulation.motion.poinsot import (
     Poinsot,

@@ -9,8 +9,8 @@ import pytest
 
 from polhode.config import scene_settings as config
 from polhode.config.loader import load_config
-from polhode.lie import Array, log_so3, matrix_from_wxyz, transform_points
-from polhode.rigid_body import angular_momentum_N, rotational_energy
+from polhode.geometry.lie import Array, log_so3, matrix_from_wxyz, transform_points
+from polhode.geometry.rigid_body import angular_momentum_N, rotational_energy
 from polhode.simulation.bodies import build_body
 from polhode.simulation.motion.mass import MassDistribution, mass_distribution
 from polhode.simulation.motion.target import target_motion

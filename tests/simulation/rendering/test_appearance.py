@@ -10,8 +10,7 @@ import pytest
 import trimesh
 
 from polhode.config import scene_settings as config
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
 from polhode.simulation.bodies import Body, build_body
 from polhode.simulation.bodies.part import SLOPE_STEP, Chart, Part, assemble
 from polhode.simulation.bodies.solids import box, flat_facets, revolve

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from polhode.config import scene_settings as config
-from polhode.lie import exp_so3, inverse_pose, make_pose
+from polhode.geometry.lie import exp_so3, inverse_pose, make_pose
 from polhode.simulation.rendering.light import lights_in_body, sunlight
 
 ECLIPSE = config.Light(eclipse=config.Eclipse(start_s=10.0, duration_s=8.0, ramp_s=2.0))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 from polhode.simulation.bodies import Body
 from polhode.simulation.bodies.part import Part, assemble
 from polhode.simulation.rendering.raycast import Hits, RayCaster

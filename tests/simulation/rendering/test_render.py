@@ -3,7 +3,7 @@
 import numpy as np
 
 from polhode.config import scene_settings as config
-from polhode.lie import exp_so3, make_pose
+from polhode.geometry.lie import exp_so3, make_pose
 from polhode.simulation.bodies import build_body
 from polhode.simulation.rendering.render import Renderer
 from polhode.simulation.stereo_camera import build_cameras

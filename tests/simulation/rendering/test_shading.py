@@ -13,8 +13,7 @@ import pytest
 import trimesh
 
 from polhode.config import scene_settings as config
-from polhode.lie import Array
-from polhode.records import Bools
+from polhode.geometry.lie import Array, Bools
 from polhode.simulation.bodies.part import Part, assemble
 from polhode.simulation.rendering.appearance import SurfaceAppearance
 from polhode.simulation.rendering.indirect import IndirectLight

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 from polhode.simulation.rendering.probes import SurfaceInterpolation
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 from polhode.simulation.surface import materials
 from polhode.simulation.surface.materials import (
     BRUSHED_METAL,

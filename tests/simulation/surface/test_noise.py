@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from polhode.lie import Array
-from polhode.records import Ints
+from polhode.geometry.lie import Array, Ints
 from polhode.simulation.surface.materials import (
     FOIL_GOLD,
     PAINT_WHITE,

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import yaml
 
-from polhode.output.marked_folder import claim
+from polhode.files.output.marked_folder import claim
 from polhode.studies.steps import DONE, failed_record
 from polhode.studies.store import Store
 from polhode.studies.study import OpenStudy, open_study

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 from polhode.studies.page.columns import Axis
 from polhode.studies.page.dependence import (
     BINS,

@@ -12,15 +12,15 @@ from torch.nn import functional
 
 from polhode.cli.main import main
 from polhode.config.train_settings import Corpus, DescriptorTraining
-from polhode.errors import InputError
 from polhode.frontend.features.keypoints import Descriptors
 from polhode.frontend.features.patch_descriptors import descriptor_network
 from polhode.frontend.features.patches import Patches, tangent_affines
 from polhode.frontend.matching.matchers import DualSoftmax
 from polhode.frontend.networks.descriptor import DescriptorOutput
 from polhode.frontend.networks.weights import shipped_path
-from polhode.lie import Array, exp_so3
-from polhode.progress import Silent
+from polhode.geometry.lie import Array, exp_so3
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
 from polhode.train.checkpoint import CHECKPOINT
 from polhode.train.curves import read_curves
 from polhode.train.descriptor.batches import (

@@ -8,10 +8,10 @@ import pytest
 
 from polhode.config.frontend_settings import Depth
 from polhode.config.scene_settings import Light, Motion, Render, Rig, Scene, TargetBody
-from polhode.dataset import StereoSequence, open_sequence
-from polhode.errors import InputError
 from polhode.frontend.rectification import Rectifier, make_rectifier
-from polhode.progress import Silent
+from polhode.records.dataset import StereoSequence, open_sequence
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
 from polhode.simulation.dataset.frame_renderer import products_path, read_products
 from polhode.simulation.dataset.sequence import SCENE_FILE, simulate
 from polhode.train.disparity.samples import build_samples, read_sample, true_disparities

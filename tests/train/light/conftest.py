@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from polhode.config.train_settings import Corpus, LightStudy
-from polhode.progress import Silent
+from polhode.runtime.progress import Silent
 from polhode.train.descriptor.surface_points import ScenePoints
 from polhode.train.light.lit_points import prepare_lit_points
 from tests.conftest import MakeOnce

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from polhode.config.train_settings import Corpus, DescriptorTraining
-from polhode.errors import InputError
-from polhode.progress import Silent
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
 from polhode.train.descriptor.batches import PatchBatches
 from polhode.train.descriptor.scores import validation_pairs
 from polhode.train.descriptor.surface_points import ScenePoints

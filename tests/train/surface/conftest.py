@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from polhode.config.train_settings import Corpus, SurfaceTraining
-from polhode.progress import Silent
+from polhode.runtime.progress import Silent
 from polhode.train.surface.batches import KnownBody
 from polhode.train.surface.known_bodies import prepare_bodies
 from tests.conftest import MakeOnce

@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 from polhode.config.train_settings import Corpus
-from polhode.errors import InputError
-from polhode.lie import inverse_pose, transform_points
-from polhode.progress import Silent
+from polhode.geometry.lie import inverse_pose, transform_points
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
 from polhode.train.surface.batches import KnownBody
 from polhode.train.surface.known_bodies import NEXT_ALBEDO, prepare_bodies, share_of_shape, table
 from polhode.train.surface.known_bodies import main as print_landmarks

@@ -12,11 +12,11 @@ from torch import Tensor
 from torch.nn.functional import one_hot
 
 from polhode.config.train_settings import Corpus, MoreBodies, Schedule, SurfaceLoss, SurfaceTraining, Train
-from polhode.errors import InputError
 from polhode.frontend.networks.surface import CHANNELS, DenseOutput, SurfaceNet
 from polhode.frontend.networks.weights import shipped_path
-from polhode.lie import transform_points
-from polhode.progress import Silent
+from polhode.geometry.lie import transform_points
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
 from polhode.train.run import setting_of
 from polhode.train.surface import scores
 from polhode.train.surface.batches import NEAR_PX, KnownBody, batch_of, draw_example

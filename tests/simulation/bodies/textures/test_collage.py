@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polhode.lie import Array
+from polhode.geometry.lie import Array
 from polhode.simulation.bodies.textures import collage, drawn, drawn_marks
 from polhode.simulation.bodies.textures.canvas import Canvas, Code, Draw
 from polhode.simulation.bodies.textures.part_builder import TextureGenerator, texture_generator

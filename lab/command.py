@@ -1,0 +1,78 @@
+"""The command line of a benchmark: the parameters of its ``main`` are the options."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from tyro.conf import FlagCreatePairsOff, Positional, arg
+
+from polhode.runtime.threads import limit_threads
+
+ROOT = Path(__file__).resolve().parents[1]
+RECORDS = Path(__file__).with_name("records")
+"""Records that are kept in the repository: they take hours to measure, on any machine."""
+
+Short = Annotated[bool, arg(help="A small version that takes seconds to minutes.")]
+Workers = Annotated[int, arg(help="Processes.")]
+Record = Annotated[
+    Path,
+    arg(help="Folder of the results, a study; cases that it holds are not measured again.", metavar="DIR"),
+]
+Png = Annotated[Path | None, arg(aliases=["-o"], metavar="PNG", help="Draw the figure to this file.")]
+Runs = Positional[Annotated[tuple[Path, ...], arg(metavar="RUN", help="Folders of runs.")]]
+Sequences = Positional[Annotated[tuple[Path, ...], arg(metavar="SEQ", help="Folders of sequences.")]]
+Configuration = Annotated[Path, arg(help="Configuration.")]
+Seeds = Annotated[int, arg(help="Generated sequences of each kind.")]
+DEFAULT = Path("configs/default.yaml")
+
+
+def command(main: Callable[..., None]) -> None:
+    """Call ``main`` with the options of the command line; the help is the docstring of its module.
+
+    BLAS, OpenCV and torch use one thread each.
+    """
+    limit_threads(1)
+    module = sys.modules[main.__module__]
+    name = module.__spec__.name if module.__spec__ is not None else module.__name__
+    name = name.removesuffix(".__main__")
+    tyro.cli(main, prog=f"python -m {name}", description=module.__doc__, config=(FlagCreatePairsOff,))
+
+
+def polhode(*arguments: object, may_fail: bool = False) -> None:
+    """Run the program as a user does; with ``may_fail`` a failed run (exit code 1) is accepted."""
+    words = [sys.executable, "-m", "polhode", *map(str, arguments)]
+    done = subprocess.run(words, cwd=ROOT, check=False)
+    if done.returncode > (1 if may_fail else 0):
+        raise SystemExit(done.returncode)
+
+
+def simulated(config: Path, folder: Path) -> Path:
+    """The sequence of a scene, simulated unless it is there."""
+    if not (folder / "mav0").is_dir():
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        polhode("simulate", config, "-o", folder)
+    return folder
+
+
+def evaluated_run(config: Path) -> Path:
+    """The run of a scene with the default configuration, with its errors; made unless it is in runs/.
+
+    A run that fails says so in its summary.json and has no metrics.json.
+    """
+    sequence, run = simulated(config, ROOT / "data" / config.stem), ROOT / "runs" / config.stem
+    if not (run / "summary.json").is_file():
+        polhode("run", DEFAULT, "--data", sequence, "-o", run, "--overwrite", may_fail=True)
+    if (run / "trajectory.csv").is_file() and not (run / "metrics.json").is_file():
+        polhode("evaluate", run, sequence)
+    return run
+
+
+def beginning_of_sample() -> Path:
+    """The first seconds of the sample as a sequence, for short forms; made once."""
+    folder = ROOT / "runs/short/beginning"
+    if not (folder / "mav0").is_dir():
+        polhode("import", "sample", "-o", folder, "--end", 4.0, "--overwrite")
+    return folder

@@ -1,0 +1,120 @@
+"""A run's prediction against the truth that came after it, as in the thesis's figures 6-23 to 6-26.
+
+    python -m lab.end_to_end.prediction_error RUN SEQ -o PNG [--horizon 60]
+
+Attitude and position that were predicted from the last state, the truth, their difference and three standard
+deviations of the body itself (``polhode predict --marks``). As in metrics.json, the attitude is compared
+after the constant rotation between estimated and true axes; the place is that of the body's mark at the
+estimated centre of mass. Prints errors and sigmas at 10, 30 and 60 s, and the share inside three sigma.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+from lab.command import command
+from lab.presentation import save_figure, subplots
+from polhode.geometry.lie import Array, continuous_wxyz, log_so3, wxyz_from_matrix
+from polhode.planning.predict import predict_run
+from polhode.records.metrics import States, constant_body_rotation, motion_errors, truth_at, with_half_turn
+from polhode.records.read_truth import read_truth
+from polhode.run_directory.trajectory_file import read_trajectory, standard_deviations
+
+COLORS = ("#d55e00", "#009e73", "#0072b2")
+SHOWN_S = (10.0, 30.0, 60.0)
+
+
+@dataclass(frozen=True)
+class PredictionErrors:
+    """Of one quantity."""
+
+    name: str
+    unit: str
+    error: Array
+    """(T, 3)"""
+    sigma: Array
+    """(T, 3)"""
+
+    def line(self, time_s: Array) -> str:
+        """Lengths of the error and of its sigma at some times, and the share inside three sigma."""
+        at = [int(np.argmin(np.abs(time_s - s))) for s in SHOWN_S if s <= time_s[-1] + 1e-6]
+        lengths = ", ".join(
+            f"{np.linalg.norm(self.error[k]):.3g} (sigma {np.linalg.norm(self.sigma[k]):.3g}) {self.unit} "
+            f"after {time_s[k]:.0f} s"
+            for k in at
+        )
+        inside = np.mean(np.abs(self.error) < 3.0 * self.sigma)
+        return f"{self.name}: {lengths}; inside three sigma {inside:.1%}"
+
+
+def main(
+    run: Positional[Path],
+    sequence: Positional[Path],
+    output: Annotated[Path, arg(aliases=["-o"], metavar="PNG", help="Figure.")],
+    horizon: Annotated[float, arg(help="Seconds ahead.")] = 60.0,
+) -> None:
+    """Draw the figure and print its numbers."""
+    time_s, quaternions, errors = compare(run, sequence, horizon)
+    for each in errors:
+        print(each.line(time_s))
+    draw(output, time_s, quaternions, errors)
+
+
+def compare(
+    run: Path, sequence: Path, horizon_s: float
+) -> tuple[Array, tuple[Array, Array], tuple[PredictionErrors, PredictionErrors]]:
+    """Times (T,) after the last pair, true and predicted quaternions (T, 4) in the true axes, and the errors.
+
+    Raises InputError when the truth does not reach that far.
+    """
+    seen, ahead, truth = read_trajectory(run), predict_run(run, horizon_s), read_truth(sequence)
+    estimate = States(seen.timestamps_ns, seen.r_N, seen.v_N, seen.R_NP, seen.w_P)
+    at_frames = truth_at(truth, estimate.timestamps_ns)
+    half_turn = motion_errors(estimate, at_frames).half_turn
+    R_fit = constant_body_rotation(with_half_turn(estimate, half_turn), at_frames)
+    predicted = States(ahead.timestamps_ns, ahead.r_N, ahead.v_N, ahead.R_NP, ahead.w_P)
+    came = truth_at(truth, ahead.timestamps_ns)
+    R_NP = with_half_turn(predicted, half_turn).R_NP @ R_fit
+    # where the mark at the estimated centre of mass lies in the true body, by all frames of the run
+    offset_P = np.mean(np.einsum("fji,fj->fi", at_frames.R_NP, estimate.r_N - at_frames.r_N), axis=0)
+    place_m = ahead.r_N - came.r_N - came.R_NP @ offset_P
+    sigma = standard_deviations(ahead.covariance_of_marks)
+    turn_rad = log_so3(np.swapaxes(came.R_NP, 1, 2) @ R_NP)
+    q, q_predicted = continuous_wxyz(wxyz_from_matrix(came.R_NP)), wxyz_from_matrix(R_NP)
+    q_predicted *= np.sign(np.sum(q * q_predicted, axis=1, keepdims=True))
+    errors = (
+        PredictionErrors("attitude", "deg", np.rad2deg(turn_rad), np.rad2deg(sigma[:, 6:9])),
+        PredictionErrors("position", "mm", 1e3 * place_m, 1e3 * sigma[:, 0:3]),
+    )
+    return ahead.time_s, (q, q_predicted), errors
+
+
+def draw(
+    path: Path, time_s: Array, quaternions: tuple[Array, Array], errors: tuple[PredictionErrors, ...]
+) -> None:
+    """Attitude, its error, the error of the position."""
+    figure, (top, *below) = subplots(3, 1, (9.0, 8.4), sharex=True)
+    for k, (name, color) in enumerate(zip("wxyz", ("#5d6b78", *COLORS), strict=True)):
+        top.plot(time_s, quaternions[0][:, k], color=color, linewidth=2.4, alpha=0.45)
+        top.plot(time_s, quaternions[1][:, k], color=color, linewidth=1.2, linestyle="--", label=name)
+    top.set(ylabel="quaternion $q_{NP}$", title="predicted (dashed) and true (solid)")
+    for axes, each in zip(below, errors, strict=True):
+        for k, (name, color) in enumerate(zip("xyz", COLORS, strict=True)):
+            band = 3.0 * each.sigma[:, k]
+            axes.fill_between(time_s, -band, band, color=color, alpha=0.13)
+            axes.plot(time_s, each.error[:, k], color=color, label=name)
+        axes.set(ylabel=f"{each.name} error [{each.unit}]")
+    below[0].set_title("bands: three standard deviations", fontsize=10)
+    below[1].set(xlabel="time after the last stereo pair [s]")
+    for axes in (top, *below):
+        axes.grid(color="#e8ecf0")
+        axes.legend(frameon=False, ncols=4, fontsize=9, loc="upper left")
+    figure.tight_layout()
+    save_figure(figure, path, 120)
+
+
+if __name__ == "__main__":
+    command(main)

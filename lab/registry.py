@@ -1,0 +1,171 @@
+"""The registry of benchmarks: what ``python -m lab`` and ``make bench`` can run, in this order.
+
+What a benchmark prints is said by the first sentence of its module; ``python -m lab --list`` shows it.
+"""
+
+import ast
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+from lab.command import ROOT
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """One command with the arguments that the project gives it."""
+
+    name: str
+    module: str
+    """Within ``benchmarks``"""
+    page: str
+    """That quotes what it prints; empty: none does"""
+    minutes: float
+    """Roughly, of one core, in full"""
+    full: str = ""
+    """Arguments"""
+    short: str | None = "--short"
+    """Arguments of the short form, which takes seconds; None: there is none"""
+    needs: tuple[str, ...] = ()
+    """Folders (with a slash) and Python packages without which it is skipped"""
+
+    also: str = ""
+    """Another topic that it belongs to"""
+
+    @property
+    def topic(self) -> str:
+        """The folder of the module."""
+        return self.module.partition(".")[0]
+
+    @property
+    def prints(self) -> str:
+        """The first sentence of the module's docstring."""
+        path = ROOT / "lab" / self.module.replace(".", "/")
+        path = path / "__main__.py" if path.is_dir() else path.with_suffix(".py")
+        text = ast.get_docstring(ast.parse(path.read_text())) or ""
+        return " ".join(text.split("\n\n")[0].split())
+
+    def words(self, short: bool = False) -> list[str]:
+        """Of the command line, after ``python``."""
+        return ["-m", f"benchmarks.{self.module}", *((self.short or "") if short else self.full).split()]
+
+    def missing(self, short: bool = False) -> str:
+        """The first missing requirement; empty: none. Short forms need no runs and no sequences of data/."""
+        for need in self.needs:
+            if short and need.startswith(("runs/", "data/")):
+                continue
+            if not ((ROOT / need).exists() if "/" in need else find_spec(need)):
+                return f"needs {need}"
+        return ""
+
+
+SAMPLE_RUN = "runs/short/sample"
+"""The run of the sample that short forms read; ``python -m lab --short`` makes it."""
+_WITH_TRUTH = ("ts38", "major_axis", "fast_20rpm", "asteroid")
+
+
+def _of_runs(
+    name: str, module: str, page: str, minutes: float, scenes: tuple[str, ...], form: str, more: str = ""
+) -> Benchmark:
+    """A benchmark of runs/SCENE and data/SCENE, which lab.end_to_end.scenes makes.
+
+    ``form``: arguments with {runs}, {sequences} and {pairs} (RUN:SEQUENCE) for them; the short form takes the
+    sample, and ``more`` besides.
+    """
+
+    def filled(runs: list[str], sequences: list[str]) -> str:
+        pairs = " ".join(map(":".join, zip(runs, sequences, strict=True)))
+        return form.format(runs=" ".join(runs), sequences=" ".join(sequences), pairs=pairs)
+
+    runs, sequences = ([f"{folder}/{each}" for each in scenes] for folder in ("runs", "data"))
+    short = f"{filled([SAMPLE_RUN], ['sample'])} {more}"
+    return Benchmark(name, module, page, minutes, filled(runs, sequences), short, (*runs, *sequences))
+
+
+BENCHMARKS = (
+    Benchmark("scenes", "end_to_end.scenes", "docs/scenes.md", 240, short=f"--run {SAMPLE_RUN}"),
+    Benchmark("thesis", "end_to_end.thesis", "README.md", 3, short=f"--run {SAMPLE_RUN} --sequence sample"),
+    Benchmark("against_slam", "end_to_end.against_slam", "README.md", 15, "--scenes sample closed_tumble",
+              "--short --record runs/short/records/against_slam"),
+    Benchmark("footprint", "end_to_end.footprint", "README.md", 2,
+              short="--short --record runs/short/records/footprint"),
+    Benchmark("animation", "end_to_end.animation", "README.md", 5,
+              "runs/closed_tumble data/closed_tumble -o runs/tumbling.webp",
+              f"{SAMPLE_RUN} sample -o runs/short/tumbling.webp --frames 2", ("runs/closed_tumble",)),
+    Benchmark("report_picture", "end_to_end.report_picture", "docs/checks.md", 1,
+              "runs/sample --section checks -o runs/report_panel.png",
+              f"{SAMPLE_RUN} --section checks -o runs/short/report_panel.png",
+              ("runs/sample", "/usr/bin/chromium", "playwright")),
+    _of_runs("prediction_error", "end_to_end.prediction_error", "docs/planning.md", 1, ("ts38",),
+             "{runs} {sequences} -o runs/prediction.png"),
+    Benchmark("temple", "end_to_end.photographs", "docs/validation.md", 15,
+              "data/temple --run runs/temple -o runs/temple.png",
+              f"sample --run {SAMPLE_RUN} --box None -o runs/short/temple.png", ("data/temple",)),
+    Benchmark("random_rigs", "calibration.random_rigs", "docs/calibrate.md", 30,
+              short="--short --record runs/short/records/random_rigs"),
+    _of_runs("run_cost", "checkout.run_cost", "docs/checkout.md", 1, _WITH_TRUTH, "{pairs}"),
+    _of_runs("keepout", "planning.keepout", "docs/planning.md", 60, ("ts38", "asteroid", "pure_spin"),
+             "{runs}", "--horizon 5 --draws 20"),
+    _of_runs("keepout_truth", "planning.keepout", "docs/planning.md", 20, ("ts38", "asteroid", "pure_spin"),
+             "{runs} --truth --data {sequences}", "--horizon 5"),
+    Benchmark("live", "live.latency", "docs/live.md", 40, short="--short --record runs/short/records/live"),
+    Benchmark("long", "live.long", "docs/live.md", 25, short="--short --record runs/short/records/long"),
+    Benchmark("stages", "live.stages", "docs/speed.md", 3),
+    Benchmark("matching", "frontend.matching", "docs/frontend.md", 120,
+              short="--short --record runs/short/records/matching"),
+    Benchmark("disparity", "frontend.disparity", "docs/mapping.md", 60),
+    Benchmark("masks", "frontend.masks", "docs/masks.md", 3),
+    _of_runs("mesh_quality", "mapping.mesh_quality", "docs/mapping.md", 20,
+             ("ts38", "asteroid", "major_axis", "specular_mli"), "{sequences} --runs {runs}"),
+    _of_runs("lengths", "mapping.lengths", "docs/mapping.md", 1, ("ts38",), "{runs} {sequences}"),
+    _of_runs("fusion_peers", "mapping.fusion_peers", "docs/mapping.md", 40,
+             ("ts38", "asteroid", "major_axis", "specular_mli"), "{sequences}", "--frames 6"),
+    Benchmark("lie_rank", "solvers.lie_rank", "docs/backend.md", 1, short=""),
+    Benchmark("against_mitsuba", "rendering.against_mitsuba", "docs/simulation.md", 20, "-o runs/mitsuba.png",
+              "--width 64 --samples 64", ("mitsuba",)),
+    Benchmark("bound", "monte_carlo.bound", "docs/accuracy.md", 2, short=""),
+    Benchmark("window", "monte_carlo.window", "docs/live.md", 30),
+    Benchmark("window_estimated", "monte_carlo.window", "docs/live.md", 20, "--seeds 3 --estimated",
+              "--estimated --short"),
+    Benchmark("disturbances", "monte_carlo.disturbances", "docs/backend.md", 15),
+    Benchmark("robustness", "monte_carlo.robustness", "docs/accuracy.md", 60),
+    Benchmark("convergence", "monte_carlo.convergence", "docs/accuracy.md", 40),
+    Benchmark("accuracy_estimated", "monte_carlo.accuracy", "docs/accuracy.md", 30,
+              "--motions 6 --seeds 20 --estimated", "--estimated --short"),
+    Benchmark("accuracy", "monte_carlo.accuracy", "docs/accuracy.md", 120, "--motions 6"),
+    Benchmark("observability_speed", "edges.observability_speed", "docs/observability.md", 5),
+    _of_runs("observability_of_run", "edges.observability_of_run", "docs/observability.md", 5, _WITH_TRUTH,
+             "{pairs}"),
+    Benchmark("planned_approaches", "edges.planned_approaches", "docs/observability.md", 90),
+    Benchmark("expected_errors", "edges.expected_errors", "docs/observability.md", 400),
+    Benchmark("inspect_and_approach", "navigation.inspect_and_approach", "docs/observability.md",
+              90, short="--short --record runs/records/inspect_and_approach_short"),
+    Benchmark("refined_edges", "navigation.refined_edges", "docs/observability.md", 3, short=None),
+    Benchmark("fuzz", "robustness.fuzzing", "docs/testing.md", 340),
+    Benchmark("kills", "robustness.kills", "docs/testing.md", 60),
+    Benchmark("leaks", "robustness.leaks", "docs/testing.md", 60),
+    Benchmark("leaks_images", "robustness.leaks", "docs/testing.md", 20, "images", "images --short"),
+    Benchmark("faults", "robustness.data_faults", "docs/robustness.md", 240),
+    Benchmark("measurement_faults", "robustness.measurement_faults", "docs/checks.md", 60),
+    Benchmark("verdict", "robustness.verdict", "docs/checks.md", 1, "-o runs/verdict.png", None,
+              also="trust"),
+    Benchmark("study_findings", "studies.findings", "docs/study_findings.md", 1, short=""),
+    Benchmark("rules_of_thumb", "studies.rules_of_thumb", "docs/expect.md", 240,
+              "runs/rules -o runs/rules_of_thumb.yaml --held-back 30", "runs/rules_short --short"),
+    Benchmark("expectations", "studies.expectations", "docs/expect.md", 1, short=""),
+    Benchmark("trust", "trust.trust", "docs/trust.md", 240),
+    Benchmark("mutation", "mutation.catch", "docs/testing.md", 30, short=None),
+)  # fmt: skip
+"""The scenes come first: they make the runs that others need."""
+
+
+def chosen(words: tuple[str, ...]) -> list[Benchmark]:
+    """Benchmarks of these topics and names, in the order of the registry; all if there are none.
+
+    Raises SystemExit for a word that is neither.
+    """
+    known = {word for each in BENCHMARKS for word in (each.name, each.topic, each.also) if word}
+    for word in words:
+        if word not in known:
+            topics = ", ".join(dict.fromkeys(each.topic for each in BENCHMARKS))
+            raise SystemExit(f"{word}: no such benchmark; the topics are {topics}; --list shows the names")
+    return [each for each in BENCHMARKS if not words or {each.name, each.topic, each.also} & set(words)]

@@ -1,0 +1,156 @@
+"""The calibration in the formats of other programs, which ``polhode/importers/calibrations`` reads back.
+
+Numbers have all their digits, so that what is read back is what was written; a pose that a format states
+inversely, or in two parts as camera_info does, returns within rounding.
+"""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+import numpy as np
+import yaml
+
+from polhode.calibration.adjustment import RigState
+from polhode.geometry.lie import Array
+from polhode.importers.calibrations.rig import (
+    EQUIDISTANT,
+    RADIAL_TANGENTIAL,
+    Camera,
+    Rig,
+    pose_from_inverse,
+    write_rig,
+)
+
+SENSORS = ("cam0/sensor.yaml", "cam1/sensor.yaml")
+KALIBR, OPENCV = "camchain.yaml", "opencv.yaml"
+CAMERA_INFO = ("camera_info_left.yaml", "camera_info_right.yaml")
+FORMAT_FILES = (*SENSORS, KALIBR, OPENCV, *CAMERA_INFO)
+
+
+def rig_of(state: RigState, sizes_px: tuple[tuple[int, int], tuple[int, int]]) -> Rig:
+    """The rig on the body of the left camera."""
+    poses = (np.eye(4), pose_from_inverse(state.X_10))
+    left, right = (
+        Camera(
+            "the calibration",
+            (float(lens.values[0]), float(lens.values[1]), float(lens.values[2]), float(lens.values[3])),
+            EQUIDISTANT if lens.is_fisheye else RADIAL_TANGENTIAL,
+            tuple(lens.coefficients.tolist()),
+            X_BC,
+            size,
+        )
+        for lens, X_BC, size in zip(state.lenses, poses, sizes_px, strict=True)
+    )
+    return Rig(left, right)
+
+
+def calibration_files(state: RigState, sizes_px: tuple[tuple[int, int], tuple[int, int]]) -> dict[str, bytes]:
+    """All files by name. OpenCV's cannot state a pinhole beside a fisheye, and is then left out."""
+    rig = rig_of(state, sizes_px)
+    files = sensor_files(rig)
+    files[KALIBR] = _yaml(_camchain(state, rig))
+    if rig.left.model == rig.right.model:
+        files[OPENCV] = _opencv(state, rig)
+    for name, text in zip(CAMERA_INFO, _camera_infos(state, rig), strict=True):
+        files[name] = text
+    return files
+
+
+def sensor_files(rig: Rig) -> dict[str, bytes]:
+    """``sensor.yaml`` of both cameras."""
+    with TemporaryDirectory() as folder:
+        # sensor.yaml has a rate, which images of a board do not show and nothing reads
+        write_rig(Path(folder), rig, 1.0)
+        return {name: (Path(folder) / name).read_bytes() for name in SENSORS}
+
+
+def _yaml(content: dict[str, object]) -> bytes:
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=1000).encode()
+
+
+def _camchain(state: RigState, rig: Rig) -> dict[str, object]:
+    """Kalibr's; its models have 4 coefficients of Brown, others are those of OpenCV in the same order."""
+    cameras: dict[str, object] = {}
+    for index, camera in enumerate(rig.cameras):
+        assert camera.size_px is not None
+        cameras[f"cam{index}"] = {
+            "camera_model": "pinhole",
+            "intrinsics": list(camera.intrinsics),
+            "distortion_model": "equidistant" if camera.model == EQUIDISTANT else "radtan",
+            "distortion_coeffs": list(camera.distortion),
+            **({"T_cn_cnm1": (state.X_10 + 0.0).tolist()} if index else {}),
+            "resolution": list(camera.size_px),
+            "cam_overlaps": [1 - index],
+        }
+    return cameras
+
+
+def _opencv(state: RigState, rig: Rig) -> bytes:
+    """FileStorage's YAML with the names of OpenCV's sample; T in metres."""
+    store = cv2.FileStorage(".yaml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    store.write("distortion_model", rig.left.model)
+    for index, (camera, lens) in enumerate(zip(rig.cameras, state.lenses, strict=True), start=1):
+        assert camera.size_px is not None
+        store.write(f"M{index}", lens.K)
+        store.write(f"D{index}", lens.coefficients[None])
+        store.write(f"image_size_{index}", np.array([camera.size_px], dtype=np.int32))
+    store.write("R", np.ascontiguousarray(state.X_10[:3, :3]))
+    store.write("T", np.ascontiguousarray(state.X_10[:3, 3:]))
+    return str(store.releaseAndGetString()).encode()
+
+
+def rectifying_rotations(X_10: Array) -> tuple[Array, Array]:
+    """Rotations (3, 3) of the left and the right camera into the rectified ones.
+
+    Their x axis is the baseline, or their y axis, where the cameras stand one above the other.
+    """
+    R_10, t_10 = X_10[:3, :3], X_10[:3, 3]
+    # from the left camera to the right one, in the left camera
+    along = -R_10.T @ t_10
+    along /= np.linalg.norm(along)
+    forward = np.array([0.0, 0.0, 1.0]) + R_10[2]
+    vertical = abs(along[1]) > abs(along[0])
+    axis = along * (np.sign(along[1]) if vertical else np.sign(along[0]))
+    other = np.cross(forward, axis) if not vertical else np.cross(axis, forward)
+    other /= np.linalg.norm(other)
+    third = np.cross(axis, other) if not vertical else np.cross(other, axis)
+    R_left = np.stack([axis, other, third]) if not vertical else np.stack([other, axis, third])
+    return R_left, R_left @ R_10.T
+
+
+def _camera_infos(state: RigState, rig: Rig) -> list[bytes]:
+    """ROS camera_info of both cameras, as camera_calibration writes them; P of the rectified pair."""
+    R = rectifying_rotations(state.X_10)
+    offset = R[1] @ state.X_10[:3, 3]
+    focal = float(np.mean([camera.intrinsics[:2] for camera in rig.cameras]))
+    out = []
+    for index, camera in enumerate(rig.cameras):
+        assert camera.size_px is not None
+        width, height = camera.size_px
+        P = np.array(
+            [
+                [focal, 0.0, 0.5 * (width - 1), 0.0],
+                [0.0, focal, 0.5 * (height - 1), 0.0],
+                [0.0, 0.0, 1.0, 0.0],
+            ]
+        )
+        if index:
+            P[0, 3], P[1, 3] = focal * offset[0], focal * offset[1]
+        model = "plumb_bob" if len(camera.distortion) == 5 else "rational_polynomial"
+        content: dict[str, object] = {
+            "image_width": width,
+            "image_height": height,
+            "camera_name": ("left", "right")[index],
+            "camera_matrix": _matrix(state.lenses[index].K),
+            "distortion_model": "equidistant" if camera.model == EQUIDISTANT else model,
+            "distortion_coefficients": _matrix(np.array([camera.distortion])),
+            "rectification_matrix": _matrix(R[index]),
+            "projection_matrix": _matrix(P),
+        }
+        out.append(_yaml(content))
+    return out
+
+
+def _matrix(values: Array) -> dict[str, object]:
+    return {"rows": values.shape[0], "cols": values.shape[1], "data": (values + 0.0).ravel().tolist()}

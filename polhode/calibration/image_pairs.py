@@ -1,0 +1,223 @@
+"""Images of the board: pairs from two sets of files, or from a recording that ``polhode import`` reads."""
+
+import glob
+import logging
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from polhode.files.foreign_files import read_bytes
+from polhode.files.images import Grey, Raw, UnreadableImage, bit_depth, decode_raw, size_in_header, to_grey
+from polhode.importers.options import ImportOptions
+from polhode.importers.sources.image_folders import IMAGE_BYTES, SUFFIXES, natural_key
+from polhode.importers.sources.open_recording import Recording, opened_recording
+from polhode.importers.sources.recording import DecodedImage
+from polhode.records.pairing import pair_by_time
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Progress
+
+_log = logging.getLogger(__name__)
+SIDES = ("left", "right")
+MAX_PAIRS = 200
+"""Of a recording, spread over it."""
+
+
+@dataclass(frozen=True)
+class BoardImage:
+    """One image."""
+
+    camera: int
+    """0 left, 1 right"""
+    pair: int
+    pixels: Grey | None
+    """(H, W); None: it cannot be read"""
+    fault: str = ""
+
+
+@dataclass(frozen=True)
+class PairsOfFiles:
+    """Two sets of files."""
+
+    name: str
+    files: tuple[tuple[Path | None, ...], tuple[Path | None, ...]]
+    """(K,) of the left and the right images; None: there is none"""
+    is_dense: bool = False
+    """Whether images follow each other so closely that they show the board at the same place"""
+
+    @property
+    def names(self) -> tuple[tuple[str | None, ...], tuple[str | None, ...]]:
+        """(K,) of the left and the right images for messages: the paths; None: there is none."""
+        left, right = (tuple(None if each is None else str(each) for each in side) for side in self.files)
+        return left, right
+
+    def images(self) -> Iterator[BoardImage]:
+        """Pair by pair."""
+        for pair in range(len(self.files[0])):
+            for camera in (0, 1):
+                path = self.files[camera][pair]
+                if path is None:
+                    continue
+                try:
+                    yield BoardImage(camera, pair, _read(read_bytes(path, IMAGE_BYTES, "an image")))
+                except (UnreadableImage, InputError) as error:
+                    yield BoardImage(camera, pair, None, str(error).removeprefix(f"{path} "))
+
+
+@dataclass(frozen=True)
+class PairsOfRecording:
+    """Some pairs of a recording."""
+
+    recording: Recording
+    indices: tuple[tuple[int, ...], tuple[int, ...]]
+    """(K,) of the left and the right images"""
+    is_dense: bool = True
+
+    @property
+    def name(self) -> str:
+        """The recording's."""
+        return self.recording.name
+
+    @property
+    def names(self) -> tuple[tuple[str | None, ...], tuple[str | None, ...]]:
+        """By the number of the frame."""
+        left, right = (
+            tuple(f"{side} image {index}" for index in indices)
+            for side, indices in zip(SIDES, self.indices, strict=True)
+        )
+        return left, right
+
+    def images(self) -> Iterator[BoardImage]:
+        """In the order of the recording."""
+        pair_of = tuple({index: k for k, index in enumerate(side)} for side in self.indices)
+        wanted = (frozenset(self.indices[0]), frozenset(self.indices[1]))
+        for each in self.recording.images(wanted):
+            pair = pair_of[each.camera][each.index]
+            try:
+                if isinstance(each.image, DecodedImage):
+                    yield BoardImage(each.camera, pair, _grey(each.image.pixels))
+                else:
+                    yield BoardImage(each.camera, pair, _read(each.image.content))
+            except UnreadableImage as error:
+                yield BoardImage(each.camera, pair, None, str(error))
+
+
+ImagePairs = PairsOfFiles | PairsOfRecording
+
+
+def _read(content: bytes) -> Grey:
+    return _grey(decode_raw(content, *size_in_header(content)))
+
+
+def _grey(raw: Raw) -> Grey:
+    return np.ascontiguousarray(to_grey(raw, bit_depth(int(raw.max()))))
+
+
+def pairs_of_files(left: Sequence[str], right: Sequence[str]) -> PairsOfFiles:
+    """Pairs of the files that two lists of patterns, files or folders name, in natural order.
+
+    Files whose names have numbers in common are paired by the last number in the name. Raises InputError: no
+    images, one camera alone, the same files twice, different numbers of files that cannot be paired.
+    """
+    for words, other, side in ((left, right, "left"), (right, left, "right")):
+        if not words:
+            given = "no images were" if not other else "only one camera's images were"
+            raise InputError(f"{given} given: a stereo rig needs --left and --right; --{side} is missing")
+    files = (_files(left, "left"), _files(right, "right"))
+    if set(files[0]) & set(files[1]):
+        both = min(set(files[0]) & set(files[1]))
+        raise InputError(f"{both} is an image of --left and of --right: give each camera its own images")
+    name = f"{' '.join(left)} and {' '.join(right)}"
+    numbers = tuple([_number(path) for path in side] for side in files)
+    if paired := _by_number(files, numbers):
+        return PairsOfFiles(name, paired)
+    if len(files[0]) != len(files[1]):
+        raise InputError(
+            f"{len(files[0])} left and {len(files[1])} right images, whose names have no numbers in common: "
+            "name the images of a pair alike"
+        )
+    return PairsOfFiles(name, (tuple(files[0]), tuple(files[1])))
+
+
+def _files(words: Sequence[str], side: str) -> list[Path]:
+    """The images that patterns, files and folders name, in natural order."""
+    found: set[Path] = set()
+    for word in words:
+        path = Path(word)
+        if path.is_dir():
+            names = [each for each in path.iterdir() if each.is_file() and not each.name.startswith(".")]
+        else:
+            # a pattern may be absolute, which Path.glob refuses
+            matches = glob.glob(word, recursive=True)  # noqa: PTH207
+            names = [path] if path.is_file() else [Path(each) for each in matches]
+        images = [each for each in names if each.suffix.lower() in SUFFIXES and each.is_file()]
+        if not images:
+            raise InputError(
+                f"--{side} {word}: no images there ({', '.join(SUFFIXES)}); give a folder or a pattern"
+            )
+        found.update(images)
+    return sorted(found, key=lambda path: [natural_key(part) for part in path.parts])
+
+
+def _number(path: Path) -> int | None:
+    digits = re.findall(r"\d+", path.stem)
+    return int(digits[-1]) if digits else None
+
+
+def _by_number(
+    files: tuple[list[Path], list[Path]], numbers: Sequence[Sequence[int | None]]
+) -> tuple[tuple[Path | None, ...], tuple[Path | None, ...]] | None:
+    """Pairs of files with the same number; None: the numbers do not say which belong together."""
+    known = []
+    for side, own in zip(files, numbers, strict=True):
+        if None in own or len(set(own)) < len(own):
+            return None
+        known.append({number: path for number, path in zip(own, side, strict=True) if number is not None})
+    common = known[0].keys() & known[1].keys()
+    if len(common) < 0.5 * min(len(known[0]), len(known[1])):
+        return None
+    every = sorted(known[0].keys() | known[1].keys())
+    return tuple(known[0].get(k) for k in every), tuple(known[1].get(k) for k in every)
+
+
+@contextmanager
+def opened_pairs(
+    sources: Sequence[Path],
+    left: Sequence[str],
+    right: Sequence[str],
+    options: ImportOptions,
+    progress: Progress,
+) -> Iterator[ImagePairs]:
+    """The pairs of two sets of files, or of the recording ``sources``. Raises InputError."""
+    if left or right:
+        if sources:
+            raise InputError(f"{sources[0]}: give a recording, or --left and --right, not both")
+        yield pairs_of_files(left, right)
+        return
+    if len(sources) == 2 and all(path.is_dir() for path in sources):
+        yield pairs_of_files([str(sources[0])], [str(sources[1])])
+        return
+    if not sources:
+        raise InputError("images of a board are missing: give --left and --right, or a recording")
+    with opened_recording(sources, options, progress) as recording:
+        yield _pairs_of_recording(recording, options)
+
+
+def _pairs_of_recording(recording: Recording, options: ImportOptions) -> PairsOfRecording:
+    left_ns, right_ns = recording.contents.stamps_ns
+    for line in recording.contents.warnings:
+        _log.warning(line)
+    tolerance_ns = None if options.tolerance_s is None else round(1e9 * options.tolerance_s)
+    offset_ns = None if options.offset_s is None else round(1e9 * options.offset_s)
+    pairing = pair_by_time(left_ns, right_ns, tolerance_ns, offset_ns)
+    if not len(pairing.left):
+        raise InputError(f"{recording.name}: no left image has a right one at its time; give --tolerance-s")
+    since_s = 1e-9 * (left_ns[pairing.left] - left_ns[pairing.left[0]])
+    chosen = np.flatnonzero((since_s >= options.start_s) & (since_s <= options.end_s))[:: options.every]
+    if len(chosen) > MAX_PAIRS:
+        chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, MAX_PAIRS).astype(int))]
+    indices = tuple(tuple(side[chosen].tolist()) for side in (pairing.left, pairing.right))
+    return PairsOfRecording(recording, (indices[0], indices[1]))

@@ -1,0 +1,200 @@
+"""The words of a command line as a command and the keys of the configuration; mistakes become one line.
+
+Values of keys go through the loader of the configuration, so that a wrong one is reported as in a file.
+"""
+
+import re
+from collections.abc import Sequence
+from typing import Any, TypeVar, get_args, get_origin
+
+from pydantic import ValidationError
+
+from polhode.cli.options import Command, ConfiguredCommand, Option, options_of, settings_of
+from polhode.config import Config, Scene, Train
+from polhode.config.keys import annotation_at, arrange, count_of, dotted, is_structured, suggestion
+from polhode.config.keys import options_of as union_members
+from polhode.files.yaml_files import MAX_DEPTH, MAX_KEY_LENGTH, parse_yaml
+from polhode.runtime.errors import InputError
+
+C = TypeVar("C", bound=Command)
+
+_NUMBER = re.compile(r"-(\d|\.\d|inf|nan)", re.IGNORECASE)
+_NULL = ("none", "null")
+
+
+def parse(name: str, command: type[C], words: Sequence[str]) -> tuple[C, dict[str, Any]]:
+    """The command with its options, and dotted key -> value of the configuration.
+
+    Raises InputError for words that it does not understand, naming the option and what it takes.
+    """
+    try:
+        return _parsed(command, words)
+    except _Misunderstood as error:
+        raise InputError(f"{error}; see polhode {name} --help") from None
+
+
+class _Misunderstood(Exception):
+    """What is wrong with the words."""
+
+
+def _parsed(command: type[C], words: Sequence[str]) -> tuple[C, dict[str, Any]]:
+    options = options_of(command)
+    fields = {
+        each: field for field, option in options.items() if not option.is_positional for each in option.names
+    }
+    given: dict[str, list[str]] = {}
+    names: dict[str, str] = {}
+    settings: dict[str, Any] = {}
+    loose: list[str] = []
+    rest = list(words)
+    while rest:
+        word = rest.pop(0)
+        if not _is_option(word):
+            loose.append(word)
+            continue
+        if word == "--":
+            loose += rest
+            break
+        name, equals, joined = word.partition("=")
+        field = fields.get(name.replace("_", "-")) or fields.get(word[:2])
+        path = _key_of(name)
+        if field is not None:
+            if name.replace("_", "-") not in fields:  # -oDIR
+                name, equals, joined = word[:2], "=", word[2:]
+            names[field] = name
+            given[field] = [joined] if equals else _take_values(options[field], rest)
+            if not given[field] and not options[field].is_flag:
+                raise _Misunderstood(f"{name}: a value is missing; give {options[field].wanted}")
+        elif path is not None:
+            of_key = [joined] if equals else _take_setting(path, rest)
+            if not of_key:
+                raise _Misunderstood(f"{name}: a value is missing")
+            settings[dotted(path)] = _setting(path, of_key)
+        else:
+            raise _Misunderstood(_unknown_option(command, name))
+    given |= _arguments(options, loose)
+    _require_all(options, given)
+    values = {field: _value(options[field], words) for field, words in given.items()}
+    try:
+        return command.model_validate(values), settings
+    except ValidationError as error:
+        field = str(error.errors()[0]["loc"][0])
+        wrong = " ".join([names.get(field, options[field].metavar), *given[field]])
+        raise _Misunderstood(f"{wrong}: give {options[field].wanted}") from None
+
+
+def _is_option(word: str) -> bool:
+    return word.startswith("-") and word != "-" and not _NUMBER.match(word)
+
+
+def _value(option: Option, words: list[str]) -> Any:
+    if option.is_flag and not words:
+        return True
+    many = any(get_origin(kind) is tuple for kind in option.kinds)
+    return words if many else words[0]
+
+
+def _take_values(option: Option, rest: list[str]) -> list[str]:
+    """Take the words of an option's value off ``rest``, never another option."""
+    if option.is_flag:
+        return []
+    kinds = [kind for kind in option.kinds if get_origin(kind) is tuple]
+    is_vector = any(union_members(get_args(kind)[-1]) == (float,) for kind in kinds)
+    taken: list[str] = []
+    while rest and not _is_option(rest[0]) and (kinds or not taken):
+        # of numbers, one too many is taken as well, so that the error names the option
+        if is_vector and len(taken) >= len(get_args(kinds[0])) and not _is_number(rest[0]):
+            break
+        taken.append(rest.pop(0))
+    return taken
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _arguments(options: dict[str, Option], loose: list[str]) -> dict[str, list[str]]:
+    """The words without a name, by the argument that they are."""
+    found: dict[str, list[str]] = {}
+    for field, option in options.items():
+        if option.is_positional and any(get_origin(kind) is tuple for kind in option.kinds):
+            found[field], loose = loose, []
+        elif option.is_positional and loose:
+            found[field], loose = loose[:1], loose[1:]
+    if loose:
+        raise _Misunderstood(f"unexpected argument '{loose[0]}'")
+    return found
+
+
+def _require_all(options: dict[str, Option], given: dict[str, list[str]]) -> None:
+    lacking = [
+        f"{option.invocation} ({_beginning(option.description)})"
+        for field, option in options.items()
+        if option.required and field not in given
+    ]
+    if lacking:
+        *others, last = lacking
+        message = f"{', '.join(others)} and {last} are missing" if others else f"{last} is missing"
+        raise _Misunderstood(message)
+
+
+def _beginning(description: str) -> str:
+    """What an option is, for a sentence: its description up to the first full stop, colon or bracket."""
+    beginning = re.split(r"\.(?:\s|$)|:\s|\s\(", description)[0]
+    is_abbreviation = beginning[:2].isupper()
+    return beginning if is_abbreviation else beginning[:1].lower() + beginning[1:]
+
+
+def _unknown_option(command: type[Command], name: str) -> str:
+    known = [each for option in options_of(command).values() for each in option.names]
+    if issubclass(command, ConfiguredCommand):
+        known += setting_names()
+    return f"unknown option '{name}';{suggestion(name, known)}".rstrip(";")
+
+
+def setting_names() -> list[str]:
+    """Every key of the configuration as it is written on the command line."""
+    return [option.names[0] for _, option in settings_of(Config(scene=Scene(), train=Train()))]
+
+
+def _key_of(word: str) -> tuple[str, ...] | None:
+    """The key of the configuration that an option is meant as; None: none."""
+    path = tuple(word.removeprefix("--").replace("-", "_").split("."))
+    if not word.startswith("--") or path[0] not in Config.model_fields:
+        return None
+    if len(path) > MAX_DEPTH or len(word) > MAX_KEY_LENGTH:
+        raise _Misunderstood(f"{word[:60]}...: a key of {len(word)} characters")
+    return path
+
+
+def _take_setting(path: tuple[str, ...], rest: list[str]) -> list[str]:
+    """Take the words of one value off ``rest``: as many as the type has, never another option."""
+    annotation = annotation_at(Config, path)
+    # A mistyped key takes all its values with it, so that the error names the key.
+    count = None if annotation is None else count_of(annotation)
+    given: list[str] = []
+    while rest and not _is_option(rest[0]) and len(given) != count:
+        given.append(rest.pop(0))
+        if given[0].lower() in _NULL or given[0].startswith("["):
+            break
+    return given
+
+
+def _setting(path: tuple[str, ...], given: list[str]) -> Any:
+    """A value for the loader: text, lists of text, or None; a list of sections or a mapping is YAML."""
+    annotation = annotation_at(Config, path)
+    if is_structured(annotation):
+        return parse_yaml(given[0], f"command line: --{dotted(path)}")
+    if len(given) == 1:
+        if given[0].lower() in _NULL and type(None) in union_members(annotation):
+            return None
+        if count_of(annotation) != 1:
+            # One word for many values: '[1, 2, 3]' or '1,2,3'.
+            if given[0].count("[") != given[0].count("]"):
+                raise _Misunderstood(f"--{dotted(path)}: the brackets of {given[0][:40]!r} do not match")
+            given = [part for part in re.split(r"[\s,\[\]]+", given[0]) if part]
+    return arrange(annotation, given)

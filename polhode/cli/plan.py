@@ -1,0 +1,93 @@
+"""``polhode plan``: keep-out volume, surface speeds and docking corridor of a run."""
+
+import math
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from polhode.cli.answer import Answer
+from polhode.cli.options import Command, Named, Positional
+from polhode.runtime.errors import InputError
+
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
+"""[m]"""
+
+
+class PlanCommand(Command):
+    """What planners need from a run: keep-out volume, speeds of the surface, corridor, path of an approach.
+
+    Writes keepout.ply and .glb (N), surface_speed.ply (G), corridor.csv (N), planning.json, and plan.txt (N):
+    the camera's path from its last pose to the docking point, or else towards the target, for polhode
+    observability RUN --trajectory DIR/plan.txt --frame inertial.
+    """
+
+    EXAMPLES: ClassVar = (
+        ("polhode plan RUN -o DIR", "keep-out volume and speeds of the surface over the next minute"),
+        (
+            "polhode plan RUN -o DIR --dock-point 0 0 0.1 --dock-axis 0 0 1",
+            "with the corridor to a docking point",
+        ),
+    )
+    GROUPS: ClassVar = {
+        "docking": ("dock_point", "dock_axis", "stand_off_m", "half_angle_deg", "isp_s"),
+        "keep-out volume": ("cover", "members"),
+    }
+
+    run: Annotated[Path, Positional("RUN")]
+    """Folder of a finished run."""
+    output: Annotated[Path, Named("DIR", "-o")]
+    """Folder of the results: a new or empty one, or that of an earlier call, whose files are replaced."""
+    horizon_s: Annotated[float, Named("S", "--horizon")] = 60.0
+    """Time to predict beyond the last stereo pair [s]."""
+    confidence: Annotated[float, Named("SHARE")] = 0.99
+    """Probability that the whole surface stays inside the volume at all instants, 0.5 to 0.999."""
+    cover: Literal["auto", "surface", "hull"] = "auto"
+    """The body that is kept out of: the measured surface and what it encloses, or its convex hull. auto: the
+    hull where open boundaries span more than 1 % of the area."""
+    members: Annotated[int, Named("N"), Field(ge=1, le=100_000)] = 800
+    """Motions drawn from the covariance."""
+    dock_point: Annotated[tuple[Coordinate, Coordinate, Coordinate] | None, Named("X Y Z")] = None
+    """Docking point in G [m]."""
+    dock_axis: Annotated[tuple[float, float, float] | None, Named("X Y Z")] = None
+    """Docking axis in G, pointing outwards, of any length."""
+    stand_off_m: Annotated[float, Named("M", "--stand-off"), Field(ge=1e-12, le=1e6)] = 0.5
+    """Distance of the inspector from the docking point along the axis [m]."""
+    half_angle_deg: Annotated[float, Named("DEG"), Field(ge=1e-9, le=89.9)] = 10.0
+    """Half angle of the corridor's cone [deg]: corridor.csv says when a camera that rests where it was at the
+    last pair is in it."""
+    isp_s: Annotated[float, Named("S"), Field(ge=1e-12, le=1e6)] = 230.0
+    """Specific impulse, for the fuel that station keeping uses [s]."""
+
+    def execute(self) -> Answer:
+        """Plan, write and print."""
+        import numpy as np
+
+        from polhode.planning.keep_out.volumes import KeepOutOptions
+        from polhode.planning.plan import Docking, plan_run
+        from polhode.planning.plan_files import format_plan, plan_folder, summary_of, write_plan
+
+        with plan_folder(self.output) as place:
+            self._check()
+            docking = None
+            if self.dock_point is not None and self.dock_axis is not None:
+                point, axis = np.array(self.dock_point), np.array(self.dock_axis)
+                docking = Docking(point, axis, self.stand_off_m, self.half_angle_deg, self.isp_s)
+            wanted = KeepOutOptions(self.horizon_s, self.confidence, members=self.members, cover=self.cover)
+            plan = plan_run(self.run, wanted, docking)
+            names = write_plan(plan, place)
+        return Answer(
+            f"{', '.join(names)}: {self.output}",
+            format_plan(plan),
+            paths=(self.output, *(self.output / name for name in names)),
+            figures=summary_of(plan),
+        )
+
+    def _check(self) -> None:
+        """Raises InputError for an option that is out of its range."""
+        if (self.dock_point is None) != (self.dock_axis is None):
+            raise InputError("--dock-point and --dock-axis belong together: give both")
+        if self.dock_axis is not None and not (
+            1e-100 < max(map(abs, self.dock_axis)) < 1e100 and all(map(math.isfinite, self.dock_axis))
+        ):
+            raise InputError("--dock-axis: give a direction whose length is neither 0 nor above 1e100")

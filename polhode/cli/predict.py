@@ -1,0 +1,63 @@
+"""``polhode predict``: the motion of the target after the last stereo pair."""
+
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+from polhode.cli.answer import Answer
+from polhode.cli.options import Command, Named, Positional
+
+STATE = ("r_N", "v_N", "R_NP", "w_P")
+"""Of a prediction, what the answer repeats for the horizon: rotation as a matrix"""
+
+
+class PredictCommand(Command):
+    """Predict the target's motion: its last state propagated as a free rigid body, with standard deviations.
+
+    Prints a few rows of position, velocity, attitude and rate; -o writes all rows, with the columns of
+    trajectory.csv.
+    """
+
+    EXAMPLES: ClassVar = (
+        ("polhode predict RUN --horizon-s 60", "one minute, as a short table"),
+        (
+            "polhode predict RUN --horizon-s 60 --step-s 0.1 -o motion.csv",
+            "every tenth of a second, in a file",
+        ),
+    )
+
+    run: Annotated[Path, Positional("RUN")]
+    """Folder of a finished run."""
+    horizon_s: Annotated[float, Named("S", "--horizon")]
+    """Time to predict beyond the last stereo pair [s]."""
+    output: Annotated[Path | None, Named("FILE", "-o")] = None
+    """Table, CSV; with the suffix .npz an archive with the full covariances. An earlier prediction is
+    replaced, any other file is not."""
+    step_s: Annotated[float | None, Named("S")] = None
+    """Time between two rows [s]; the run's own interval unless given."""
+    marks: bool = False
+    """Give the standard deviations of the body itself: the estimated centre of mass and principal axes are
+    treated as marks on it. They are finite even where the motion does not determine those. States are the
+    same."""
+
+    def execute(self) -> Answer:
+        """Predict, write and print."""
+        from polhode.planning.predict import (
+            format_prediction,
+            predict_run,
+            prediction_file,
+            write_prediction,
+        )
+        from polhode.runtime.console import choose_progress
+
+        place = None if self.output is None else prediction_file(self.output, self.run)
+        prediction = predict_run(self.run, self.horizon_s, self.step_s, progress=choose_progress())
+        table = format_prediction(prediction, place is not None, self.marks)
+        figures = {
+            "rows": len(prediction.time_s),
+            "last": {name: getattr(prediction, name)[-1] for name in ("time_s", "timestamps_ns", *STATE)},
+            "undetermined": prediction.undetermined,
+        }
+        if self.output is None or place is None:
+            return Answer(table, figures=figures)
+        write_prediction(prediction, place, self.marks)
+        return Answer(f"Prediction: {self.output}", table, paths=(self.output,), figures=figures)

@@ -1,0 +1,104 @@
+"""``polhode sweep``: the points of a study, one task each, and their table."""
+
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+from pydantic import Field
+
+from polhode.cli.answer import Answer
+from polhode.cli.options import Command, Named, Positional
+from polhode.runtime.console import progress_of_points
+from polhode.runtime.errors import InputError
+
+REASONS = 5
+"""Reasons of failed points that are listed"""
+
+
+class SweepCommand(Command):
+    """Compute a study: a row for each point of a grid or a design of settings.
+
+    A study (docs/studies.md) names a base configuration, axes, and what is done for each point: simulate,
+    run, evaluate, plan, compare. Points that are stored in DIR are not computed again: the same command goes
+    on after whatever has ended it.
+    """
+
+    EXAMPLES: ClassVar = (
+        (
+            "polhode sweep STUDY.yaml -o DIR --dry-run",
+            "how many points, what is rendered once, how much disk",
+        ),
+        ("polhode sweep STUDY.yaml -o DIR", "DIR/table.parquet and study.html, on all cores of this machine"),
+    )
+    GROUPS: ClassVar = {"where it is computed": ("cluster", "workers", "memory_gb")}
+
+    study: Annotated[Path, Positional("STUDY")]
+    """The study, YAML."""
+    output: Annotated[Path, Named("DIR", "-o")]
+    """Folder of the results: a new or empty one, or that of a study, which is resumed."""
+    dry_run: bool = False
+    """Compute and write nothing: print the number of points, what is rendered once, the size of the table and
+    an estimate of the disk space."""
+    page_only: bool = False
+    """Compute nothing: write study.html again, of the points that are stored."""
+    again_failed: bool = False
+    """Compute points that have failed again, too."""
+    measure: Annotated[str | None, Named("FILE.py:FUNCTION")] = None
+    """Function of your own for the step 'measure': it is given each point, and what it returns becomes
+    columns of the table."""
+    cluster: Annotated[str | None, Named("ADDRESS")] = None
+    """Scheduler of Dask that runs already (tcp://HOST:8786), whose workers see DIR under the same name. If it
+    is left out, processes of this machine compute."""
+    workers: Annotated[int, Named("N"), Field(ge=0, le=1024)] = 0
+    """Processes of this machine; 0: one per core."""
+    memory_gb: Annotated[float | None, Named("GB"), Field(gt=0, le=1e5)] = None
+    """Limit of the memory of each process [GB]; one that reaches it is ended and the point tried again. If it
+    is left out, they have equal shares of the memory."""
+
+    def execute(self) -> Answer:
+        """Compute the points and write the table. Points that failed are rows; the answer counts them."""
+        self._check()
+        from polhode.studies.measurement import measurement_of
+        from polhode.studies.study import open_study
+
+        measurement = None if self.measure is None else measurement_of(self.measure)
+        study = open_study(self.study, measurement=measurement)
+        if self.dry_run:
+            from polhode.studies.forecast import forecast, format_forecast
+
+            found = forecast(study, self.output)
+            return Answer(format_forecast(found), figures=vars(found))
+        if self.page_only:
+            from polhode.studies.sweep import rewrite_page
+
+            page = self.output / rewrite_page(study, self.output).name
+            return Answer(f"Page: {page}", paths=(page,))
+        from polhode.studies.cluster import ClusterOptions
+        from polhode.studies.sweep import sweep
+        from polhode.studies.table import PAGE
+
+        options = ClusterOptions(self.cluster, self.workers, self.memory_gb)
+        swept = sweep(study, self.output, progress_of_points(), options, self.again_failed)
+        table, page = self.output / swept.table.name, self.output / PAGE
+        reasons = [f"  {count} x {reason}" for reason, count in swept.reasons.most_common(REASONS)]
+        failed = f", {swept.failed} failed" if swept.failed else ""
+        all_failed = swept.failed == swept.points
+        return Answer(
+            f"Table: {table} ({swept.points} points{failed}); page: {page}",
+            "\n".join(["Points that failed, by reason:", *reasons] if reasons else []),
+            paths=(table, page, self.output),
+            status="degraded" if swept.failed else "ok",
+            figures={
+                "points": swept.points,
+                "stored_before": swept.stored,
+                "failed": swept.failed,
+                "reasons": dict(swept.reasons.most_common(REASONS)),
+            },
+            failure=f"no point succeeded; the reasons: {table}" if all_failed else None,
+        )
+
+    def _check(self) -> None:
+        """Raises InputError for an option that is out of its range."""
+        if self.dry_run and self.page_only:
+            raise InputError("--dry-run and --page-only contradict each other: give one of them")
+        if self.cluster is not None and (self.workers or self.memory_gb is not None):
+            raise InputError("--workers and --memory-gb are of this machine; with --cluster, leave them out")

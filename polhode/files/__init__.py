@@ -1,0 +1,1 @@
+"""Files that others made, read within limits, and files of ours, written whole or not at all."""

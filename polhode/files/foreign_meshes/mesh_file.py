@@ -1,0 +1,163 @@
+"""Opening a mesh file of others: limits, structure, then trimesh; what comes out is finite and sound."""
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from trimesh.resolvers import Resolver
+
+from polhode.files.foreign_files import MIB, amount, read_bytes
+from polhode.files.foreign_meshes.glb import require_sound_glb
+from polhode.files.foreign_meshes.obj import FilesBeside, plain, require_sound_obj
+from polhode.files.foreign_meshes.ply import require_sound_ply
+from polhode.files.foreign_meshes.stl import is_binary_stl, require_sound_stl
+from polhode.files.foreign_meshes.unsound import FOREIGN, MeshLimits, Unsound
+from polhode.runtime.errors import InputError, one_line
+
+# It logs what it cannot make use of, such as colours; here a mesh is read or refused in one line.
+logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+
+TEXT_BYTES = 16 * MIB
+"""trimesh needs some thirty times as much memory to read a text; with this limit it stays below 1 GiB."""
+MAX_COORDINATE = 1e12
+"""In units of the file, whatever they are."""
+KINDS = ("ply", "stl", "obj", "glb")
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """A file whose structure was checked."""
+
+    path: Path
+    kind: str
+    """ply, stl, obj or glb"""
+    content: bytes
+    resolver: Resolver
+    limits: MeshLimits
+
+    def scene(self, **options: Any) -> trimesh.Scene:
+        """All geometries in their scene; ``options`` go to trimesh. Raises InputError."""
+        scene: trimesh.Scene = self._loaded(trimesh.load_scene, options)
+        return scene
+
+    def mesh(self, **options: Any) -> trimesh.Trimesh:
+        """All triangles as one mesh, without materials. Raises InputError; there may be no triangles."""
+        options = {"skip_materials": True, **options}
+        mesh: trimesh.Trimesh = self._loaded(trimesh.load_mesh, options)
+        return mesh
+
+    @np.errstate(all="ignore")
+    def merged(self) -> trimesh.Trimesh:
+        """All triangles as one mesh, the vertices of each piece merged where they coincide.
+
+        Raises InputError, also for a vertex that is not finite.
+        """
+        scene = self.scene(process=False, skip_materials=True)
+        try:
+            for name in [
+                name for name, each in scene.geometry.items() if not isinstance(each, trimesh.Trimesh)
+            ]:
+                scene.delete_geometry(name)
+            for each in scene.geometry.values():
+                require_coordinates(each)
+                each.process()
+            mesh: trimesh.Trimesh = scene.to_mesh()
+            require_coordinates(mesh)
+            return mesh
+        except Exception as error:  # noqa: BLE001  as above
+            raise unreadable(self.path, error) from None
+
+    @np.errstate(all="ignore")
+    def _loaded(self, load: Callable[..., Any], options: dict[str, Any]) -> Any:
+        try:
+            loaded = load(BytesIO(self.content), file_type=self.kind, resolver=self.resolver, **options)
+            meshes = loaded.geometry.values() if isinstance(loaded, trimesh.Scene) else [loaded]
+            for mesh in meshes:
+                _require_sound(mesh, self.limits.faces)
+            return loaded
+        except Exception as error:  # noqa: BLE001  readers of many formats raise many things
+            raise unreadable(self.path, error) from None
+
+
+def open_mesh(path: Path, limits: MeshLimits = FOREIGN) -> MeshFile:
+    """Read the file and check its structure.
+
+    Raises InputError: not one of the formats, no regular file, too large, or another structure than stated.
+    """
+    kind = path.suffix.lower().lstrip(".")
+    if kind not in KINDS:
+        raise unreadable(path, Unsound("its name ends with none of .ply, .stl, .obj, .glb"))
+    content = read_bytes(path, limits.binary_bytes, "a mesh")
+    try:
+        if _is_text(kind, content):
+            if len(content) > TEXT_BYTES:
+                raise Unsound(f"a text of {amount(len(content))}, where {amount(TEXT_BYTES)} are allowed")
+            content = plain(content)
+        _structure(limits)[kind](content)
+    except Exception as error:  # noqa: BLE001  a document of another structure
+        raise unreadable(path, error) from None
+    return MeshFile(path, kind, content, FilesBeside(path), limits)
+
+
+def _structure(limits: MeshLimits) -> Mapping[str, Callable[[bytes], None]]:
+    """The structure that each kind must have."""
+    return {
+        "ply": partial(require_sound_ply, most_rows=limits.rows),
+        "stl": require_sound_stl,
+        "obj": require_sound_obj,
+        "glb": partial(require_sound_glb, most_faces=limits.faces),
+    }
+
+
+def _is_text(kind: str, content: bytes) -> bool:
+    if kind == "stl":
+        return not is_binary_stl(content)
+    return kind == "obj" or (kind == "ply" and b"format ascii" in content[:200])
+
+
+def _require_sound(mesh: Any, most_faces: int) -> None:
+    """Raises Unsound for faces of vertices that do not exist, and for too many. Clouds of points may pass."""
+    if not isinstance(mesh, trimesh.Trimesh):
+        return
+    _require_even_lists(mesh.metadata.get("_ply_raw", {}))
+    faces = np.asarray(mesh.faces)
+    if np.shape(mesh.vertices)[1:] != (3,) or faces.shape[1:] != (3,):
+        raise Unsound("vertices without three coordinates, or faces without three corners")
+    if len(faces) > most_faces:
+        raise Unsound(f"{len(faces)} triangles, where {most_faces} are allowed")
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(mesh.vertices)):
+        raise Unsound("faces refer to vertices that do not exist")
+
+
+def _require_even_lists(elements: Mapping[str, Any]) -> None:
+    """Raises Unsound: trimesh takes the length of the first list of a binary PLY for that of all."""
+    for element in elements.values():
+        rows = element.get("data")
+        if not isinstance(rows, np.ndarray) or not rows.dtype.names:
+            continue
+        for name in rows.dtype.names:
+            if rows[name].dtype.names == ("f0", "f1") and np.ptp(rows[name]["f0"].astype(np.int64)) != 0:
+                raise Unsound("lists of several lengths in a binary PLY: save it as triangles")
+
+
+def require_coordinates(mesh: trimesh.Trimesh) -> None:
+    """Raises Unsound: a vertex that is not finite, or farther out than any body."""
+    vertices = np.asarray(mesh.vertices)
+    if not np.isfinite(vertices).all():
+        raise Unsound("a vertex is not finite")
+    if len(vertices) and np.abs(vertices).max() > MAX_COORDINATE:
+        raise Unsound(f"a coordinate of {np.abs(vertices).max():.1e}")
+
+
+def unreadable(path: Path, error: Exception) -> InputError:
+    """One line, with the reason; the error itself if it has one already."""
+    if isinstance(error, InputError):
+        return error
+    reason = one_line(str(error) or type(error).__name__)[:120]
+    return InputError(f"{path}: cannot be read as a mesh ({reason}); give PLY, STL, OBJ or GLB")

@@ -1,0 +1,272 @@
+"""Records of any shape as arrays in one file, and digests of what they hold.
+
+A record is a dataclass, a pydantic model, a mesh, an array, a number, a text, or a tuple, list or mapping of
+these. What it holds is written without its types: whoever reads it states the type, and a file that does not
+fit it is refused. Nothing is unpickled.
+
+A file is an archive of arrays: the elements of all arrays of the record, one after the other for each dtype;
+``tree``, JSON, which says what is where; and the SHA-256 of all this together with a key, so that a file that
+is cut short, damaged, or of another key is recognized.
+"""
+
+import dataclasses
+import hashlib
+import json
+import types
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from polhode.files.array_files import read_arrays
+from polhode.files.atomic import replaced
+from polhode.runtime.errors import InputError
+
+T = TypeVar("T")
+Arrays = dict[str, NDArray[Any]]
+
+_TREE, _CHECKSUM = "tree", "sha256"
+_KINDS = "biuf"
+_MESH = ("vertices", "faces", "vertex_colors")
+
+
+class UnfitRecord(Exception):
+    """A value that is no record, or arrays that are not those of a record of the stated type."""
+
+
+def pack(value: object) -> Arrays:
+    """The record as arrays, one for each dtype and ``tree``. Raises UnfitRecord."""
+    parts: dict[str, list[NDArray[Any]]] = {}
+    tree = _Packer(parts, {}).tree(value)
+    text: NDArray[np.uint8] = np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8)
+    return {**{name: np.concatenate(some) for name, some in sorted(parts.items())}, _TREE: text}
+
+
+def unpack(kind: type[T], arrays: Mapping[str, NDArray[Any]]) -> T:
+    """The record of a type from its arrays, which are copied. Raises UnfitRecord."""
+    try:
+        tree = json.loads(arrays[_TREE].tobytes())
+        value = _value(kind, tree, arrays)
+    except UnfitRecord:
+        raise
+    except Exception as error:
+        raise UnfitRecord(f"not a {kind}: {error}") from error
+    return value  # type: ignore[no-any-return]
+
+
+def normal(kind: type[T], value: T) -> T:
+    """The record as if it had been written and read.
+
+    The layout of an array in memory can decide the last digit of what is computed from it: who goes on with
+    this value gets the same digits as who goes on with the file.
+    """
+    return unpack(kind, pack(value))
+
+
+def write_record(path: Path, key: str, value: object) -> None:
+    """Write a record, whole or not at all. Raises UnfitRecord; RunFailure when it cannot be written."""
+    arrays = pack(value)
+    checksum: NDArray[np.uint8] = np.frombuffer(_checksum(key, arrays), dtype=np.uint8)
+    with replaced(path) as partial, partial.open("wb") as stream:
+        np.savez(stream, **{**arrays, _CHECKSUM: checksum})  # type: ignore[arg-type]
+
+
+def read_record(path: Path, key: str, kind: type[T]) -> T | None:
+    """The record that was written with this key; None: no such file, or it is not as it was written."""
+    try:
+        arrays = read_arrays(path)
+        checksum = arrays.pop(_CHECKSUM).tobytes()
+        return unpack(kind, arrays) if checksum == _checksum(key, arrays) else None
+    except (InputError, KeyError, UnfitRecord):
+        return None
+
+
+def digest_of(*values: object) -> str:
+    """SHA-256, hexadecimal, of what the values hold, with their types, and nothing of where they came from.
+
+    A value of any class may state what it holds itself, as ``content_digest``. Raises UnfitRecord for one
+    that is no record and states nothing.
+    """
+    digest = hashlib.sha256()
+    for part in _parts(values):
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def _checksum(key: str, arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    digest = hashlib.sha256(key.encode())
+    for name in sorted(arrays):
+        digest.update(f"{name} {arrays[name].dtype.str} {arrays[name].shape} ".encode())
+        digest.update(np.ascontiguousarray(arrays[name]).data)
+    return digest.digest()
+
+
+class _Packer:
+    """Collects the elements of all arrays, by dtype."""
+
+    def __init__(self, parts: dict[str, list[NDArray[Any]]], filled: dict[str, int]) -> None:
+        self._parts, self._filled = parts, filled
+
+    def tree(self, value: object) -> object:
+        """What JSON can hold of a value; an array as where it is."""
+        if value is None or isinstance(value, bool | str):
+            return value
+        if isinstance(value, np.ndarray):
+            return self._array(value)
+        if isinstance(value, np.generic):
+            return self.tree(value.item())
+        if isinstance(value, int | float):
+            return value
+        if isinstance(value, bytes):
+            return self._array(np.frombuffer(value, dtype=np.uint8))
+        if isinstance(value, Path):
+            return str(value)
+        if isinstance(value, trimesh.Trimesh):
+            return [self.tree(np.asarray(part)) for part in mesh_parts(value)]
+        if isinstance(value, BaseModel):
+            return {name: self.tree(getattr(value, name)) for name in type(value).model_fields}
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            return {each.name: self.tree(getattr(value, each.name)) for each in dataclasses.fields(value)}
+        if isinstance(value, Mapping):
+            return [[self.tree(key), self.tree(each)] for key, each in value.items()]
+        if isinstance(value, Sequence):
+            return [self.tree(each) for each in value]
+        raise UnfitRecord(f"{type(value).__name__} is no part of a record")
+
+    def _array(self, array: NDArray[Any]) -> object:
+        if array.dtype.kind not in _KINDS:
+            raise UnfitRecord(f"an array of {array.dtype} is no part of a record")
+        name = array.dtype.newbyteorder("=").name
+        start = self._filled.get(name, 0)
+        self._filled[name] = start + array.size
+        self._parts.setdefault(name, []).append(np.ascontiguousarray(array).reshape(-1))
+        return [name, start, list(array.shape)]
+
+
+def _value(kind: Any, tree: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
+    """The value of a type, which annotations state, from its tree."""
+    # NumPy 2.5 has NDArray as an alias (PEP 695), which stands for its type without being it.
+    while (meant := getattr(kind, "__value__", None)) is not None:
+        kind = meant
+    origin, inner = get_origin(kind) or kind, get_args(kind)
+    if origin in (Union, types.UnionType):
+        return _of_union(inner, tree, arrays)
+    if origin is Literal or kind is Any or kind is object:
+        return tree
+    if kind is type(None):
+        _require(tree is None, kind)
+        return None
+    if origin is np.ndarray:
+        return _array_of(tree, arrays)
+    if kind is bytes:
+        return _array_of(tree, arrays).tobytes()
+    if kind in (bool, int, str):
+        _require(type(tree) is kind, kind)
+        return tree
+    if kind is float:
+        _require(isinstance(tree, float | int) and not isinstance(tree, bool), kind)
+        return float(tree)
+    if kind is Path:
+        return Path(tree)
+    if kind is trimesh.Trimesh:
+        vertices, faces, colours = (_array_of(part, arrays) for part in tree)
+        return trimesh.Trimesh(vertices, faces, vertex_colors=colours, process=False)
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        hints = get_type_hints(kind)
+        _require(set(tree) == set(kind.model_fields), kind)
+        return kind.model_validate({name: _value(hints[name], part, arrays) for name, part in tree.items()})
+    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        hints, names = get_type_hints(kind), {each.name for each in dataclasses.fields(kind)}
+        _require(set(tree) == names, kind)
+        return kind(**{name: _value(hints[name], part, arrays) for name, part in tree.items()})
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return {_value(inner[0], key, arrays): _value(inner[1], each, arrays) for key, each in tree}
+    if origin is tuple and not (len(inner) == 2 and inner[1] is ...):
+        return tuple(_value(each, part, arrays) for each, part in zip(inner, tree, strict=True))
+    if isinstance(origin, type) and issubclass(origin, Sequence | Iterable):
+        found = [_value(inner[0], part, arrays) for part in tree]
+        return tuple(found) if origin is tuple else found
+    raise UnfitRecord(f"{kind} is no type of a record")
+
+
+def _of_union(kinds: Sequence[Any], tree: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
+    """None, or the first of the other types that fits."""
+    if tree is None and type(None) in kinds:
+        return None
+    for kind in kinds:
+        if kind is not type(None):
+            try:
+                return _value(kind, tree, arrays)
+            except (UnfitRecord, TypeError, ValueError, KeyError):
+                continue
+    raise UnfitRecord(f"none of {kinds}")
+
+
+def _array_of(place: Any, arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    name, start, shape = place
+    size = int(np.prod(shape, dtype=np.int64))
+    found = arrays[name][start : start + size]
+    _require(found.size == size, np.ndarray)
+    return found.reshape(shape).copy()
+
+
+def _require(fits: bool, kind: Any) -> None:
+    if not fits:
+        raise UnfitRecord(f"not a {kind}")
+
+
+def mesh_parts(mesh: trimesh.Trimesh) -> tuple[NDArray[Any], ...]:
+    """What a record holds of a mesh: vertices, faces, colours of the vertices."""
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces), np.asarray(mesh.visual.vertex_colors)  # type: ignore[union-attr]
+
+
+def _parts(value: object) -> Iterable[bytes | memoryview]:
+    """The bytes of a value for its digest; different values have different ones."""
+    stated = getattr(value, "content_digest", None)
+    if stated is not None:
+        yield f"digest {type(value).__qualname__} {stated};".encode()
+    elif isinstance(value, np.ndarray):
+        if value.dtype.kind not in _KINDS:
+            raise UnfitRecord(f"an array of {value.dtype} has no digest")
+        yield f"array {value.dtype.str} {value.shape};".encode()
+        yield np.ascontiguousarray(value).data.cast("B") if value.size else b""
+    elif isinstance(value, np.generic):
+        yield from _parts(value.item())
+    elif value is None or isinstance(value, bool | int | float):
+        yield f"{type(value).__name__} {value!r};".encode()
+    elif isinstance(value, str | bytes):
+        content = value.encode() if isinstance(value, str) else value
+        yield f"{type(value).__name__} {len(content)};".encode()
+        yield content
+    elif isinstance(value, Path):
+        yield from _parts(str(value))
+    elif isinstance(value, trimesh.Trimesh):
+        yield b"mesh;"
+        for part in mesh_parts(value):
+            yield from _parts(part)
+    elif isinstance(value, BaseModel):
+        yield from _named_parts(value, type(value).model_fields)
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        yield from _named_parts(value, [each.name for each in dataclasses.fields(value)])
+    elif isinstance(value, Mapping):
+        yield f"mapping {len(value)};".encode()
+        for key, each in value.items():
+            yield from _parts(key)
+            yield from _parts(each)
+    elif isinstance(value, Sequence):
+        yield f"sequence {len(value)};".encode()
+        for each in value:
+            yield from _parts(each)
+    else:
+        raise UnfitRecord(f"{type(value).__name__} has no digest")
+
+
+def _named_parts(value: object, names: Iterable[str]) -> Iterable[bytes | memoryview]:
+    yield f"{type(value).__qualname__};".encode()
+    for name in names:
+        yield f"{name}:".encode()
+        yield from _parts(getattr(value, name))

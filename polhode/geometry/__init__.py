@@ -1,0 +1,1 @@
+"""Frames, cameras, rigid bodies and rays: the mathematics that every room shares."""

@@ -1,0 +1,153 @@
+"""Calibrations that OpenCV's FileStorage wrote, as YAML or JSON, with the names that its samples use.
+
+R and T turn points of the left camera into the right one, p_right = R p_left + T, as stereoCalibrate states
+them. Both cameras are in one file, or the intrinsics in one and R and T in the other, as in OpenCV's sample.
+"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polhode.files.foreign_files import CONFIGURATION_BYTES, read_text
+from polhode.files.tables import numbers_at
+from polhode.files.yaml_files import parse_yaml
+from polhode.geometry.lie import Array, make_pose
+from polhode.importers.calibrations.rig import (
+    EQUIDISTANT,
+    RADIAL_TANGENTIAL,
+    Camera,
+    Rig,
+    distortion_of,
+    pose_from_inverse,
+)
+from polhode.records.rig_calibration import MIN_BASELINE_M
+from polhode.runtime.errors import InputError
+
+_SIDES = (("1", "left", "l", "0", "cam0"), ("2", "right", "r", "1", "cam1"))
+_MATRIX = ("M{}", "K{}", "camera_matrix_{}", "camera_matrix{}", "cameraMatrix{}", "K_{}", "{}_K")
+_DISTORTION = (
+    "D{}", "dist{}", "distCoeffs{}", "dist_coeffs_{}", "distortion_coefficients_{}",
+    "distortion_coefficients{}", "D_{}", "{}_D",
+)  # fmt: skip
+_ROTATION, _TRANSLATION = (
+    ("R", "rotation", "rotation_matrix"),
+    ("T", "translation", "translation_vector", "t"),
+)
+
+
+def is_opencv(text: str) -> bool:
+    """Whether a file begins as FileStorage writes it, or holds one of its matrices."""
+    return text.lstrip("\ufeff").startswith("%YAML:1.0") or "opencv-matrix" in text or "opencv_matrix" in text
+
+
+def read_opencv(paths: Sequence[Path], unit_m: float) -> Rig:
+    """The rig of one file, or of two that complete each other; T is in units of ``unit_m`` [m].
+
+    Raises InputError when a matrix is missing, has the wrong size, or holds NaN, or T is shorter than a
+    baseline can be.
+    """
+    values: dict[str, Any] = {}
+    where: dict[str, Path] = {}
+    for path in paths:
+        for key, value in _content(path).items():
+            values.setdefault(key, value)
+            where.setdefault(key, path)
+    shown = paths[0]
+    R_key, T_key = _first(values, _ROTATION), _first(values, _TRANSLATION)
+    if R_key is None or T_key is None:
+        missing = "R" if R_key is None else "T"
+        raise InputError(
+            f"{shown} lacks {missing}, from the left to the right camera as stereoCalibrate gives it; add "
+            "it, or give the file that has it as well: --calibration INTRINSICS EXTRINSICS"
+        )
+    R = _rotation(where[R_key], values, R_key)
+    t = numbers_at(where[T_key], values, T_key, (3,)) * unit_m
+    if np.linalg.norm(t) < MIN_BASELINE_M:
+        raise InputError(
+            f"{where[T_key]}: {T_key} is {np.linalg.norm(t):g} m long with --unit "
+            f"{'m' if unit_m == 1.0 else 'mm'}; state its unit, that of the board's squares: --unit m or mm"
+        )
+    poses = (np.eye(4), pose_from_inverse(make_pose(R, t)))
+    left, right = (_camera(shown, values, side, X_BC) for side, X_BC in zip(_SIDES, poses, strict=True))
+    return Rig(left, right)
+
+
+def read_opencv_camera(path: Path) -> Camera:
+    """One camera: ``camera_matrix`` and ``distortion_coefficients``, as OpenCV's sample writes them, or the
+    left one of a pair. Raises InputError as ``read_opencv``."""
+    values = _content(path)
+    for own in ("camera_matrix", "cameraMatrix", "mtx", "K"):
+        if own in values:
+            values.setdefault("M1", values[own])
+    for own in ("distortion_coefficients", "distCoeffs", "dist_coeffs", "dist", "D"):
+        if own in values:
+            values.setdefault("D1", values[own])
+    return _camera(path, values, _SIDES[0], np.eye(4))
+
+
+def _content(path: Path) -> dict[str, Any]:
+    text = read_text(path, CONFIGURATION_BYTES, "a calibration")
+    # FileStorage writes YAML 1.0 with a tag of its own
+    plain = re.sub(r"\A%YAML:1\.0\s*(---)?", "", text).replace("!!opencv-matrix", "")
+    plain = re.sub(r"\.Nan\b", ".nan", plain)
+    found = parse_yaml(plain, str(path))
+    if not isinstance(found, dict):
+        raise InputError(f"{path} has no keys: give a calibration of OpenCV's stereoCalibrate")
+    return found
+
+
+def _first(values: dict[str, Any], names: Sequence[str]) -> str | None:
+    return next((name for name in names if name in values), None)
+
+
+def _key(shown: Path, values: dict[str, Any], patterns: Sequence[str], side: Sequence[str], what: str) -> str:
+    known = {key.lower(): key for key in values}
+    for pattern in patterns:
+        for name in side:
+            if (found := known.get(pattern.format(name).lower())) is not None:
+                return found
+    raise InputError(
+        f"{shown} lacks {what} of the {side[1]} camera; name it {patterns[0].format(side[0])}, as OpenCV's "
+        "sample stereo_calib does"
+    )
+
+
+def _camera(shown: Path, values: dict[str, Any], side: Sequence[str], X_BC: Array) -> Camera:
+    key = _key(shown, values, _MATRIX, side, "the camera matrix")
+    K = numbers_at(shown, values, key, (9,)).reshape(3, 3)
+    if abs(K[0, 1]) > 1e-6 * abs(K[0, 0]) or abs(K[2] - [0.0, 0.0, 1.0]).max() > 1e-9:
+        raise InputError(f"{shown} key '{key}': no camera matrix (fu 0 cu, 0 fv cv, 0 0 1); correct it")
+    key = _key(shown, values, _DISTORTION, side, "the distortion")
+    coefficients = numbers_at(shown, values, key, (4, 5, 8, 12, 14))
+    named = str(values.get("distortion_model", values.get("model", "")) or "")
+    if not named:
+        named = EQUIDISTANT if values.get("fisheye") in (True, 1) else RADIAL_TANGENTIAL
+    model, distortion = distortion_of(str(shown), named, coefficients.tolist())
+    intrinsics = (float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
+    return Camera(str(shown), intrinsics, model, distortion, X_BC, _size(shown, values, side))
+
+
+def _size(shown: Path, values: dict[str, Any], side: Sequence[str]) -> tuple[int, int] | None:
+    known = {key.lower(): key for key in values}
+    own = [f"{stem}{mark}{name}" for stem in ("image_size", "size") for mark in ("_", "") for name in side]
+    for name in (*own, "image_size", "imagesize", "size", "resolution"):
+        if (key := known.get(name)) is not None:
+            width, height = numbers_at(shown, values, key, (2,))
+            return int(width), int(height)
+    if "image_width" in values and "image_height" in values:
+        width, height = (numbers_at(shown, values, f"image_{side}", (1,))[0] for side in ("width", "height"))
+        return int(width), int(height)
+    return None
+
+
+def _rotation(shown: Path, values: dict[str, Any], key: str) -> Array:
+    """A matrix, or a rotation vector."""
+    numbers = numbers_at(shown, values, key, (9, 3))
+    if len(numbers) == 9:
+        return numbers.reshape(3, 3)
+    from polhode.geometry.lie import exp_so3
+
+    return np.asarray(exp_so3(numbers))

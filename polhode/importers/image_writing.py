@@ -1,0 +1,187 @@
+"""Images of a recording into the dataset: as they are, or cropped; each is decoded at most once.
+
+An image that is there already is not read again, so an interrupted import goes on where it stopped.
+"""
+
+from collections import deque
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from polhode.files.atomic import write_bytes, write_text
+from polhode.files.images import Raw, UnreadableImage, decode_raw, read_mask, size_in_header
+from polhode.importers.calibrations.rig import Rig
+from polhode.importers.imported_dataset import ImportedDataset
+from polhode.importers.options import Crop
+from polhode.importers.pairs import ChosenPairs
+from polhode.importers.sources.open_recording import Recording
+from polhode.importers.sources.recording import FramedImage, StoredImage
+from polhode.records.dataset_writer import write_png
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Progress
+
+
+@dataclass
+class WrittenImages:
+    """What is in the dataset."""
+
+    names: tuple[dict[int, str], dict[int, str]] = field(default_factory=lambda: ({}, {}))
+    """Timestamp of the pair [ns] -> file, of each camera"""
+    sizes: list[tuple[int, int] | None] = field(default_factory=lambda: [None, None])
+    """Of the recorded images [px]; None: all of them were there already"""
+    unreadable: list[str] = field(default_factory=list)
+    """Images that are none, and why"""
+
+    @property
+    def stamps(self) -> list[int]:
+        """Timestamps of the pairs of which both images are there."""
+        return sorted(self.names[0].keys() & self.names[1].keys())
+
+
+def write_images(
+    recording: Recording,
+    pairs: ChosenPairs,
+    rig: Rig,
+    crop: Crop | None,
+    dataset: ImportedDataset,
+    progress: Progress,
+) -> WrittenImages:
+    """Write the images of the pairs that are not there yet.
+
+    Raises InputError for images of another size than the calibration's or than the one before.
+    """
+    written = WrittenImages()
+    stamp_of: list[dict[int, int]] = [
+        dict(zip(indices.tolist(), pairs.stamps_ns.tolist(), strict=True))
+        for indices in (pairs.left, pairs.right)
+    ]
+    missing: list[frozenset[int]] = []
+    for camera in (0, 1):
+        there = dataset.images_there(camera)
+        for stamp in stamp_of[camera].values():
+            if (name := there.get(str(stamp))) is not None:
+                written.names[camera][stamp] = name
+        missing.append(
+            frozenset(
+                index for index, stamp in stamp_of[camera].items() if stamp not in written.names[camera]
+            )
+        )
+    total = len(missing[0]) + len(missing[1])
+    there_already = 2 * len(pairs.stamps_ns) - total
+    title = f"images ({there_already} were there)" if there_already else "images"
+    # Pillow compresses outside of the interpreter's lock
+    with progress.stage(title, total) as advance, ThreadPoolExecutor(4) as pool:
+        waiting: deque[Future[None]] = deque()
+        try:
+            for framed in recording.images((missing[0], missing[1])):
+                stamp = stamp_of[framed.camera][framed.index]
+                _take(framed, stamp, rig, crop, dataset, written, pool, waiting)
+                advance()
+            while waiting:
+                waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
+    return written
+
+
+def _take(
+    framed: FramedImage,
+    stamp: int,
+    rig: Rig,
+    crop: Crop | None,
+    dataset: ImportedDataset,
+    written: WrittenImages,
+    pool: ThreadPoolExecutor,
+    waiting: "deque[Future[None]]",
+) -> None:
+    """Check an image and give it to the writers."""
+    image, camera = framed.image, framed.camera
+    folder = dataset.folder(camera) / "data"
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        if isinstance(image, StoredImage):
+            size = size_in_header(image.content)
+        else:
+            size = (image.pixels.shape[1], image.pixels.shape[0])
+        _require_size(framed, size, rig, written)
+        if isinstance(image, StoredImage) and crop is None:
+            name, content = f"{stamp}{image.suffix}", image.content
+            waiting.append(pool.submit(write_bytes, folder / name, content))
+        else:
+            pixels = decode_raw(image.content, *size) if isinstance(image, StoredImage) else image.pixels
+            name = f"{stamp}.png"
+            waiting.append(pool.submit(_write_png, folder / name, _part(pixels, crop)))
+    except UnreadableImage as error:
+        written.unreadable.append(f"{framed.name}: {error}")
+        return
+    written.names[camera][stamp] = name
+    while len(waiting) > 16:
+        waiting.popleft().result()
+
+
+def _require_size(framed: FramedImage, size: tuple[int, int], rig: Rig, written: WrittenImages) -> None:
+    before = written.sizes[framed.camera]
+    if before is None:
+        rig.cameras[framed.camera].sized(size)
+        written.sizes[framed.camera] = size
+    elif before != size:
+        raise InputError(
+            f"{framed.name}: {size[0]}x{size[1]} px, where the images before it have "
+            f"{before[0]}x{before[1]}; import images of one size"
+        )
+
+
+def _part(pixels: NDArray[Any], crop: Crop | None) -> NDArray[Any]:
+    if crop is None:
+        return pixels
+    crop.require_inside((pixels.shape[1], pixels.shape[0]))
+    return pixels[crop.top : crop.top + crop.height, crop.left : crop.left + crop.width]
+
+
+def _write_png(path: Path, pixels: Raw) -> None:
+    stream = BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels)).save(stream, format="PNG")
+    write_bytes(path, stream.getvalue())
+
+
+def write_listings(dataset: ImportedDataset, written: WrittenImages) -> None:
+    """Write ``data.csv`` of both cameras, and remove images whose partner could not be read."""
+    stamps = written.stamps
+    for camera, names in enumerate(written.names):
+        folder = dataset.folder(camera)
+        for stamp in names.keys() - set(stamps):
+            (folder / "data" / names[stamp]).unlink()
+        lines = ["#timestamp [ns],filename", *(f"{stamp},{names[stamp]}" for stamp in stamps)]
+        write_text(folder / "data.csv", "\n".join(lines) + "\n")
+
+
+def copy_masks(
+    folders: tuple[Path | None, Path | None],
+    own_ns: tuple[Mapping[int, int], Mapping[int, int]],
+    rig: Rig,
+    crop: Crop | None,
+    mav0: Path,
+) -> None:
+    """Copy or crop the masks of the pairs. ``own_ns``: timestamp of a pair -> that of its image [ns]."""
+    for camera, folder in enumerate(folders):
+        if folder is None:
+            continue
+        for stamp, own in own_ns[camera].items():
+            source = next((each for name in (own, stamp) if (each := folder / f"{name}.png").is_file()), None)
+            if source is None:
+                continue
+            size = rig.cameras[camera].size_px
+            assert size is not None
+            try:
+                mask = read_mask(source, *size)
+            except UnreadableImage as error:
+                raise InputError(f"{source}: {error}; repair it, or remove the folder of masks") from None
+            write_png(mav0 / f"masks{camera}" / f"{stamp}.png", _part(mask, crop))

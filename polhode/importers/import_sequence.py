@@ -1,0 +1,293 @@
+"""The flow of an import: open, pair, write, check, publish.
+
+Everything that times, topics and calibration can show is checked before the first image is written. What only
+the images show is checked before the dataset takes its place.
+"""
+
+import hashlib
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import polhode
+from polhode.files.foreign_files import MIB, read_bytes
+from polhode.files.images import Grey, UnreadableImage, bit_depth, read_raw, size_in_header, to_grey
+from polhode.importers.calibrations.read_rig import CAMERA_KINDS, KINDS, read_camera, read_rig
+from polhode.importers.calibrations.rig import Rig, require_usable, with_virtual_camera, write_rig
+from polhode.importers.image_checks import PAIRS, ClockOffset, clock_offset, match_some, require_order
+from polhode.importers.image_writing import WrittenImages, copy_masks, write_images, write_listings
+from polhode.importers.imported_dataset import ImportedDataset, require_free, staged_import
+from polhode.importers.options import Crop, ImportOptions
+from polhode.importers.pairs import MIN_PAIRS, ChosenPairs, choose_pairs
+from polhode.importers.sources.open_recording import Recording, opened_recording
+from polhode.importers.sources.recording import Contents
+from polhode.records.dataset import read_inspector
+from polhode.records.dataset_writer import write_inspector, write_range_sensor
+from polhode.records.pairing import time_in_words
+from polhode.records.range_images import why_no_ranges
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Progress
+
+_log = logging.getLogger(__name__)
+USUAL_BASELINE_M = 5.0
+"""Above it the unit is asked for: a rig of 5 mm and more whose T is in millimetres."""
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What an import brought."""
+
+    pairs: int
+    duration_s: float
+    notes: tuple[str, ...]
+    """What was chosen, for the user"""
+    warnings: tuple[str, ...]
+    kind: str = "stereo pairs"
+    """What the pairs are"""
+
+
+def import_sequence(
+    sources: Sequence[Path], folder: Path, options: ImportOptions, progress: Progress, overwrite: bool = False
+) -> Imported:
+    """Write the dataset ``folder`` from a recording, resuming where the same import was interrupted.
+
+    Raises InputError, one line: the folder exists (``overwrite`` replaces an import), a source is missing,
+    damaged or of no known kind, it has no calibration or another one than its images, the cameras have no
+    times in common. Raises RunFailure if a file cannot be written, KeyboardInterrupt with a message.
+    """
+    require_free(folder, overwrite)
+    with opened_recording(sources, options, progress) as recording:
+        contents = recording.contents
+        rig = _rig(recording, options)
+        pairs = choose_pairs(recording.name, contents, options)
+        early = (*contents.warnings, *pairs.warnings, *_about_scale(rig, contents))
+        for line in early:
+            _log.warning(line)
+        has_ranges = contents.ranges is not None
+        with staged_import(folder, overwrite, _fingerprint(sources, options), has_ranges) as dataset:
+            written = write_images(recording, pairs, rig, options.crop, dataset, progress)
+            lost = _require_pairs(recording, pairs, written)
+            whole = _sized(rig, written, dataset, options.crop)
+            rig = whole if options.crop is None else _cropped(whole, options.crop)
+            try:
+                _write_others(contents, pairs, written, (whole, rig), options.crop, dataset)
+            except InputError as error:
+                # of files that are published under another name
+                raise InputError(str(error).replace(str(dataset.path), recording.name)) from None
+            offset = _check_images(recording, rig, written, dataset, progress)
+            remarks = (*early, *lost, *_about_clocks(offset, pairs))
+            for line in remarks[len(early) :]:
+                _log.warning(line)
+            dataset.write_record(_record(sources, options, pairs, offset, remarks))
+    stamps = written.stamps
+    kind = "images with ranges" if has_ranges else "stereo pairs"
+    notes = contents.notes if has_ranges else (*contents.notes, f"baseline: {rig.baseline_m:.4g} m")
+    return Imported(len(stamps), 1e-9 * (stamps[-1] - stamps[0]), notes, remarks, kind)
+
+
+def _rig(recording: Recording, options: ImportOptions) -> Rig:
+    """The calibration that the user gives, else the recording's own; on the body whose poses there are."""
+    contents = recording.contents
+    rig, is_stereo = contents.rig, contents.ranges is None
+    if options.calibration and is_stereo:
+        rig = read_rig(options.calibration, options.unit_m)
+    elif options.calibration:
+        rig = with_virtual_camera(read_camera(options.calibration))
+    if rig is None:
+        kinds = KINDS if is_stereo else CAMERA_KINDS
+        raise InputError(f"{recording.name}: no calibration in it; give --calibration: {kinds}")
+    if contents.poses is not None and contents.poses.X_BC0 is not None:
+        rig = rig.on_body(contents.poses.X_BC0)
+    if contents.bits is not None:
+        rig = rig.of_depth(contents.bits)
+    if all(camera.size_px is not None for camera in rig.cameras):
+        require_usable(rig)
+    return rig
+
+
+def _about_scale(rig: Rig, contents: Contents) -> tuple[str, ...]:
+    """A warning of a baseline that looks like millimetres: no image would show it, all lengths follow it."""
+    if contents.ranges is not None or rig.baseline_m <= USUAL_BASELINE_M:
+        return ()
+    return (
+        f"{rig.right.source}: the cameras are {rig.baseline_m:.4g} m apart; if OpenCV's T is in millimetres, "
+        "give --unit mm: all lengths scale with it",
+    )
+
+
+def _require_pairs(recording: Recording, pairs: ChosenPairs, written: WrittenImages) -> tuple[str, ...]:
+    """Warnings of images that could not be read. Raises InputError if too few pairs are left."""
+    if not written.unreadable:
+        return ()
+    left = len(written.stamps)
+    line = (
+        f"{recording.name}: {len(written.unreadable)} images cannot be read (first: {written.unreadable[0]})"
+    )
+    if left < MIN_PAIRS:
+        raise InputError(
+            f"{line}; {left} of {len(pairs.stamps_ns)} pairs are left, at least {MIN_PAIRS} are needed"
+        )
+    return (f"{line}; {len(pairs.stamps_ns) - left} pairs are left out",)
+
+
+def _sized(rig: Rig, written: WrittenImages, dataset: ImportedDataset, crop: Crop | None) -> Rig:
+    """The rig of the images as they were recorded. Raises InputError for a rig that no run reads."""
+    cameras = []
+    for index, camera in enumerate(rig.cameras):
+        size = written.sizes[index] or (camera.size_px if crop else None) or _size_there(dataset, index)
+        cameras.append(camera.sized(size))
+    sized = Rig(cameras[0], cameras[1])
+    require_usable(sized)
+    return sized
+
+
+def _cropped(rig: Rig, crop: Crop) -> Rig:
+    """The rig of a part of its images. Raises InputError for a rig that no run reads."""
+    part = (crop.left, crop.top, crop.width, crop.height)
+    cropped = Rig(rig.left.cropped(*part), rig.right.cropped(*part))
+    require_usable(cropped)
+    return cropped
+
+
+def _size_there(dataset: ImportedDataset, camera: int) -> tuple[int, int]:
+    name = next(iter(dataset.images_there(camera).values()))
+    return size_in_header(read_bytes(dataset.folder(camera) / "data" / name, 2**30, "an image"))
+
+
+def _write_others(
+    contents: Contents,
+    pairs: ChosenPairs,
+    written: WrittenImages,
+    rigs: tuple[Rig, Rig],
+    crop: Crop | None,
+    dataset: ImportedDataset,
+) -> None:
+    """Everything but the images. ``rigs``: of the images as recorded, and as written."""
+    mav0 = dataset.mav0
+    write_rig(mav0, rigs[1], pairs.rate_hz, 2 if contents.ranges is None else 1)
+    if (ranges := contents.ranges) is not None:
+        write_range_sensor(
+            dataset.folder(1), ranges.scale_m, ranges.sigma_m, ranges.growth_per_m, ranges.along_ray
+        )
+    write_listings(dataset, written)
+    for name, source in contents.tables.items():
+        (mav0 / name).parent.mkdir(parents=True, exist_ok=True)
+        (mav0 / name).write_bytes(read_bytes(source, 512 * MIB, "a table"))
+    if contents.poses is not None:
+        poses = contents.poses
+        write_inspector(mav0, poses.timestamps_ns, poses.X_NB, poses.sigma_p_m, poses.sigma_theta_rad)
+    stamps = np.array(written.stamps, dtype=np.int64)
+    if (mav0 / "inspector0" / "data.csv").is_file():
+        read_inspector(mav0 / "inspector0", stamps)
+    if any(contents.masks):
+        own = [
+            dict(zip(pairs.stamps_ns.tolist(), times[indices].tolist(), strict=True))
+            for times, indices in zip(contents.stamps_ns, (pairs.left, pairs.right), strict=True)
+        ]
+        copy_masks(contents.masks, (own[0], own[1]), rigs[0], crop, mav0)
+
+
+def _check_images(
+    recording: Recording, rig: Rig, written: WrittenImages, dataset: ImportedDataset, progress: Progress
+) -> ClockOffset | None:
+    """What the images say of the order of the cameras and of their clocks."""
+    stamps = written.stamps
+    if len(stamps) < MIN_PAIRS:
+        return None
+    if dataset.has_ranges:
+        _require_ranges(recording, rig, written, dataset)
+        return None
+
+    def read(camera: int, k: int) -> Grey:
+        size = rig.cameras[camera].size_px
+        assert size is not None
+        raw = read_raw(dataset.folder(camera) / "data" / written.names[camera][stamps[k]], *size)
+        return to_grey(raw, rig.cameras[camera].bits or bit_depth(int(raw.max())))
+
+    times = np.array(stamps, dtype=np.int64)
+    with progress.stage("order and clocks of the cameras", min(PAIRS, len(stamps) - 2)) as advance:
+        try:
+            matches = match_some(read, times, advance)
+        except UnreadableImage as error:
+            _log.warning(
+                "%s: an image cannot be decoded (%s); clocks are not compared", recording.name, error
+            )
+            return None
+        require_order(matches, rig, recording.name)
+        return clock_offset(matches, rig, 1e-9 * float(np.median(np.diff(times))))
+
+
+def _require_ranges(recording: Recording, rig: Rig, written: WrittenImages, dataset: ImportedDataset) -> None:
+    """Raise InputError unless the first range image is one. Ranges say nothing of the clocks."""
+    stamp = written.stamps[0]
+    size = rig.right.size_px
+    assert size is not None
+    try:
+        wrong = why_no_ranges(read_raw(dataset.folder(1) / "data" / written.names[1][stamp], *size))
+    except UnreadableImage as error:
+        wrong = str(error)
+    if wrong:
+        raise InputError(f"{recording.name}: the depth image of {stamp} ns has {wrong}")
+
+
+def _about_clocks(offset: ClockOffset | None, pairs: ChosenPairs) -> tuple[str, ...]:
+    """What the images say of the clocks, where that concerns the user."""
+    if offset is None or not offset.is_observable:
+        if pairs.offset_ns:
+            return ("whether the images of a pair were taken together cannot be seen in them",)
+        return ()
+    sigma = time_in_words(1e9 * offset.sigma_s)
+    if not offset.is_apart:
+        if pairs.offset_ns:
+            return (f"the images of a pair were taken together, as they show to {sigma} (one sigma)",)
+        return ()
+    order = "after" if offset.dt_s > 0.0 else "before"
+    frames = abs(offset.dt_s) / offset.interval_s
+    advice = "trigger the cameras together: depth and motion will be wrong"
+    if frames > 0.5:
+        advice = f"give --offset-s {1e-9 * pairs.offset_ns - offset.dt_s:.6g} to pair the images that were"
+    return (
+        f"the right images were taken {time_in_words(1e9 * offset.dt_s)} ({frames:.2g} frames) {order} the "
+        f"left ones, as {offset.features} features show that move across the epipolar lines (sigma "
+        f"{sigma}); {advice}",
+    )
+
+
+def _fingerprint(sources: Sequence[Path], options: ImportOptions) -> str:
+    """A text that identifies what the images depend on: sources by size and date, options, the program."""
+    digest = hashlib.sha256()
+    for source in (*sources, *options.calibration, *options.stamps):
+        for path in sorted(source.rglob("*")) if source.is_dir() else [source]:
+            state = path.stat()
+            digest.update(
+                f"{path.absolute()} {state.st_size} {state.st_mtime_ns}\n".encode(errors="surrogateescape")
+            )
+    home = Path(polhode.__path__[0])
+    for file in sorted((home / "importers").rglob("*.py")):
+        digest.update(file.read_bytes())
+    return f"{options}\n{digest.hexdigest()}\n"
+
+
+def _record(
+    sources: Sequence[Path],
+    options: ImportOptions,
+    pairs: ChosenPairs,
+    offset: ClockOffset | None,
+    warnings: tuple[str, ...],
+) -> dict[str, object]:
+    """The content of ``import.json``: what was imported, and what was found out."""
+    defaults = vars(ImportOptions())
+    observed = offset is not None and offset.is_observable
+    return {
+        "sources": [str(source) for source in sources],
+        "options": {name: str(value) for name, value in vars(options).items() if value != defaults[name]},
+        "pairs": len(pairs.stamps_ns),
+        "unpaired": list(pairs.unpaired),
+        "offset_of_stamps_s": 1e-9 * pairs.offset_ns,
+        "offset_of_images_s": offset.dt_s if offset is not None and observed else None,
+        "sigma_of_that_s": offset.sigma_s if offset is not None and observed else None,
+        "warnings": list(warnings),
+    }

@@ -1,0 +1,83 @@
+"""A folder in the layout of EuRoC: a dataset of polhode, or a sequence as its authors publish it.
+
+Images, masks and tables are copied as they are. ``inspector0`` gives the inspector's poses; without it,
+EuRoC's ``state_groundtruth_estimate0`` does, which states those of the same body.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from polhode.files.tables import attitudes_of, read_listing, read_table
+from polhode.geometry.lie import make_pose
+from polhode.importers.calibrations.euroc import read_euroc, read_euroc_camera
+from polhode.importers.calibrations.rig import with_virtual_camera
+from polhode.importers.sources.image_folders import ImageFiles
+from polhode.importers.sources.recording import Contents, Poses
+from polhode.records.camera_folders import find_cameras
+from polhode.records.range_images import read_range_model
+from polhode.runtime.errors import InputError
+
+ESTIMATE = "state_groundtruth_estimate0"
+COPIED = ("inspector0/data.csv", "inspector0/sensor.yaml", "wrench0/data.csv")
+
+
+def is_euroc(path: Path) -> bool:
+    """Whether a folder has EuRoC's layout."""
+    return (path / "mav0").is_dir() or (path / "cam0" / "data.csv").is_file()
+
+
+def open_euroc(path: Path, poses: str | None) -> ImageFiles:
+    """The recording in ``path``. Raises InputError for what is missing or wrong.
+
+    ``poses``: ``none`` leaves the inspector's poses out.
+    """
+    mav0 = path / "mav0" if (path / "mav0").is_dir() else path
+    folders = find_cameras(mav0)
+    cameras = (folders.folder(0), folders.folder(1))
+    listings = [read_listing(camera / "data.csv") for camera in cameras]
+    files = [
+        tuple(camera / "data" / name for name in names.values())
+        for camera, names in zip(cameras, listings, strict=True)
+    ]
+    stamps = [np.array(list(names), dtype=np.int64) for names in listings]
+    if folders.has_ranges:
+        rig = with_virtual_camera(read_euroc_camera(mav0, folders.names[0]))
+    else:
+        rig = read_euroc(mav0, folders.names)
+    tables = {name: mav0 / name for name in COPIED if (mav0 / name).is_file()}
+    found: Poses | None = None
+    notes: tuple[str, ...] = ()
+    if poses == "none":
+        tables = {name: table for name, table in tables.items() if not name.startswith("inspector0")}
+    elif poses is not None:
+        raise InputError(
+            f"--poses {poses}: a folder of EuRoC has no topics; leave it out, or give --poses none"
+        )
+    elif "inspector0/data.csv" not in tables and (mav0 / ESTIMATE / "data.csv").is_file():
+        found = _estimate(mav0 / ESTIMATE / "data.csv")
+        notes = (f"inspector poses: {ESTIMATE} (--poses none: cameras at rest)",)
+    given = (folders.masks(0), None if folders.has_ranges else folders.masks(1))
+    masks = [folder if folder is not None and folder.is_dir() else None for folder in given]
+    return ImageFiles(
+        str(path),
+        (files[0], files[1]),
+        Contents(
+            (stamps[0], stamps[1]),
+            rig,
+            found,
+            bits=rig.left.bits,
+            tables=tables,
+            masks=(masks[0], masks[1]),
+            ranges=read_range_model(cameras[1]) if folders.has_ranges else None,
+            notes=notes,
+        ),
+    )
+
+
+def _estimate(path: Path) -> Poses:
+    """The poses of EuRoC's state estimate: p_RS_R (3) [m], q_RS (w, x, y, z)."""
+    table = read_table(path, columns=7)
+    return Poses(
+        table.timestamps_ns, make_pose(attitudes_of(table, table.values[:, 3:], "q_RS"), table.values[:, :3])
+    )

@@ -1,0 +1,54 @@
+"""Depth maps and the motion to a fused surface, and to the check that the images move as the motion says."""
+
+import logging
+from collections.abc import Iterable
+
+import numpy as np
+
+from polhode.geometry.lie import Array
+from polhode.mapping.fusion.field import fuse
+from polhode.pipeline.checks.answer_checks.image_motion import ImageMotion
+from polhode.pipeline.context import RunContext
+from polhode.pipeline.depth_maps import DepthMaps
+from polhode.pipeline.find_motion import MotionSolution
+from polhode.pipeline.runner import stage
+from polhode.records.surface import DepthMap, SurfaceModel
+from polhode.run_directory.summary_schema import Check
+
+_log = logging.getLogger(__name__)
+
+
+@stage("fusion", ["mapping.for_fusion"])
+def fuse_depth(context: RunContext, maps: Iterable[DepthMap], motion: MotionSolution) -> SurfaceModel:
+    """The surface in G of the depth maps of all F frames, in order, each moved into G by the motion."""
+    X_RG, estimate = motion.X_RG, motion.estimate
+    surface = fuse(
+        zip(maps, X_RG, strict=True),
+        context.rig,
+        context.config.mapping,
+        context.progress,
+        len(X_RG),
+        covariance_G=estimate.covariance_X_NG,
+        landmarks_G=estimate.landmarks.p_G,
+    )
+    for warning in surface.warnings:
+        _log.warning(warning)
+    if surface.aligned is not None:
+        _log.info(
+            "%d of %d frames with doubtful poses were aligned to the surface of the others",
+            *(len(surface.aligned.frames), surface.aligned.doubtful),
+        )
+    return surface
+
+
+def fused_poses(fused: SurfaceModel, motion: MotionSolution) -> Array:
+    """(F, 4, 4) poses of the target in the rectified left camera, those that the fusion aligned included."""
+    return motion.X_RG if fused.aligned is None else fused.aligned.put_into(motion.X_RG)
+
+
+@stage("checks")
+def image_checks(context: RunContext, maps: DepthMaps, motion: MotionSolution) -> list[Check]:
+    """Whether the images of some pairs move as the motion says, and show the turn of a body of revolution."""
+    images = ImageMotion(context.rig, motion.X_RG, motion.is_measured)
+    images.compare(maps)
+    return images.checks(float(np.median(np.diff(motion.tracks.time_s))))

@@ -1,0 +1,121 @@
+"""checkout.json: its content as pydantic models, and its JSON Schema.
+
+``checkout.schema.json``, beside this file, is generated from the models
+(``python -m polhode.pipeline.checkout.result``) and shipped.
+"""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from polhode.files.atomic import write_text
+from polhode.run_directory.summary_schema import Finite, StrictModel, Variance, json_schema
+
+SCHEMA_FILE = Path(__file__).with_name("checkout.schema.json")
+Verdict = Literal["PASS", "WARN", "FAIL"]
+Group = Literal["rig", "range", "motion", "images", "time", "background", "inspector", "cost"]
+_ORDER: tuple[Verdict, ...] = ("PASS", "WARN", "FAIL")
+
+
+class CheckoutCheck(StrictModel):
+    """One check of the data before a run."""
+
+    group: Group
+    name: str
+    value: Finite | None
+    """null: these data do not allow the check, for the reason in ``finding``."""
+    unit: str
+    limit: Finite | None
+    """Beyond it (``at_least``: below it) the check warns; null: information only."""
+    fail_limit: Finite | None = None
+    """Beyond it the check fails; null: it never fails."""
+    at_least: bool = False
+    """Whether values below the limits are bad, not those above."""
+    sigma: Variance = None
+    """Standard deviation of the value, in its unit; null: not known."""
+    status: Verdict
+    finding: str
+    """What was found, a sentence."""
+    advice: str
+    """What to do, a sentence."""
+
+
+class CheckoutResult(StrictModel):
+    """The content of checkout.json."""
+
+    schema_: Literal["polhode-checkout/1"] = Field("polhode-checkout/1", alias="schema")
+    status: Verdict
+    """The worst of the checks."""
+    pairs: int = Field(ge=0)
+    """Usable stereo pairs of the sequence."""
+    pairs_examined: int = Field(ge=0)
+    """Pairs whose images were looked at, spread over the sequence."""
+    rig: Literal["sequence", "given"]
+    """Whose calibration was checked: that of the sequence, or another one (--rig)."""
+    checks: tuple[CheckoutCheck, ...]
+
+    def named(self, name: str) -> CheckoutCheck:
+        """The check of this name. Raises KeyError."""
+        for check in self.checks:
+            if check.name == name:
+                return check
+        raise KeyError(name)
+
+
+def judge(
+    group: Group,
+    name: str,
+    value: float | None,
+    unit: str,
+    limit: float | None,
+    *,
+    finding: str,
+    advice: str,
+    fail_limit: float | None = None,
+    at_least: bool = False,
+    sigma: float | None = None,
+    not_possible: Verdict = "PASS",
+) -> CheckoutCheck:
+    """A check with its status.
+
+    ``not_possible``: the status when ``value`` is None or not finite.
+    """
+    if value is None or not np.isfinite(value):
+        value, status = None, not_possible
+    else:
+        # what is printed is what is judged
+        value = _rounded(float(value))
+        beyond = [
+            each is not None and (value < each if at_least else value > each) for each in (limit, fail_limit)
+        ]
+        status = "FAIL" if beyond[1] else "WARN" if beyond[0] else "PASS"
+    return CheckoutCheck(
+        group=group,
+        name=name,
+        value=value,
+        unit=unit,
+        limit=limit,
+        fail_limit=fail_limit,
+        at_least=at_least,
+        sigma=None if sigma is None or value is None else _rounded(sigma),
+        status=status,
+        finding=finding,
+        advice="Nothing to do." if status == "PASS" else advice,
+    )
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def worst(checks: Iterable[CheckoutCheck]) -> Verdict:
+    """The status of all together."""
+    return _ORDER[max((_ORDER.index(check.status) for check in checks), default=0)]
+
+
+if __name__ == "__main__":
+    write_text(SCHEMA_FILE, json.dumps(json_schema(CheckoutResult), indent=2) + "\n")

@@ -1,0 +1,163 @@
+"""How far the target rotates between frames, whether its features are found again, delay of the cameras."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polhode.frontend.matching.pairs import MIN_INLIERS
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, hat, inverse_pose, log_so3
+from polhode.pipeline.checkout.check_table import limit_of, make_check
+from polhode.pipeline.checkout.result import CheckoutCheck
+from polhode.pipeline.checkout.sample import Sample
+from polhode.pipeline.checks.data_checks.rig_check import (
+    MIN_MATCHES,
+    CameraDelay,
+    RowSpeeds,
+    delay_by_rows,
+    row_speeds,
+)
+from polhode.records.dataset import StereoSequence
+
+CLEAR_DELAY = 8.0
+"""In its standard deviations, which few pairs underestimate: 6.4 at most without a delay."""
+
+
+@dataclass(frozen=True)
+class Turns:
+    """The m successive pairs of the sample."""
+
+    time_s: Array
+    """(m,) between the two, since the first frame"""
+    interval_s: Array
+    """(m,)"""
+    turn_deg: Array
+    """(m,) NaN where they do not match"""
+    matches: Array
+    """(m,) that agree with the motion"""
+    moved_px: Array
+    """(m,) median displacement of the features in the image; NaN where they do not match"""
+
+
+def turns_of(sequence: StereoSequence, sample: Sample) -> Turns:
+    """By the relative poses of successive pairs."""
+    t = (sequence.timestamps_ns - sequence.timestamps_ns[0]) * 1e-9
+    rows = []
+    for (i, j), link in zip(sample.successive, sample.links, strict=True):
+        a, b = sample.pairs[i], sample.pairs[j]
+        turn, moved, count = float("nan"), float("nan"), 0
+        if link is not None:
+            turn = float(np.rad2deg(np.linalg.norm(log_so3(link.X_RiRj[:3, :3]))))
+            ends = [each.features.uvd_px[link.features[:, k], :2] for k, each in enumerate((a, b))]
+            moved = float(np.median(np.linalg.norm(ends[1] - ends[0], axis=1)))
+            count = len(link.features)
+        rows.append((0.5 * (t[a.frame] + t[b.frame]), t[b.frame] - t[a.frame], turn, count, moved))
+    return Turns(*np.array(rows, dtype=np.float64).reshape(-1, 5).T)
+
+
+def motion_checks(
+    sequence: StereoSequence, sample: Sample, rig: RectifiedRig, turns: Turns
+) -> list[CheckoutCheck]:
+    """Number of features, rotation between frames, matches, share that matches; of two cameras the delay
+    between them."""
+    features = np.array([len(pair.features) for pair in sample.pairs])
+    few, matches, matched = int(np.sum(features < MIN_INLIERS)), turns.matches, np.isfinite(turns.turn_deg)
+    ranges = sequence.has_ranges
+    return [
+        make_check(
+            "features",
+            float(np.median(features)),
+            f"{few} of {len(features)} examined {sample.noun} have fewer than {MIN_INLIERS}; from "
+            f"{features.min()} to {features.max()}.",
+            name="median number of features with a range per image" if sample.has_ranges else "",
+        ),
+        _rotation(turns),
+        make_check(
+            "matches",
+            float(np.median(matches)) if len(matches) else None,
+            f"From {matches.min():.0f} to {matches.max():.0f} matches agree with a rigid motion."
+            if len(matches)
+            else f"No two examined {sample.noun} are successive.",
+            name="median number of matches between successive images" if ranges else "",
+        ),
+        make_check(
+            "matched",
+            100.0 * float(matched.mean()) if len(matched) else None,
+            f"{int(matched.sum())} of {len(matched)} examined pairs of successive frames match.",
+            name=f"successive {sample.noun} that match",
+        ),
+        *([] if ranges else [_delay(sequence, sample, rig)]),
+    ]
+
+
+def _rotation(turns: Turns) -> CheckoutCheck:
+    known = np.isfinite(turns.turn_deg)
+    if not known.any():
+        advice = "Record at a higher frame rate; if the target turns slowly, see the checks of the images."
+        return make_check("rotation", None, "No two successive frames match.", advice=advice)
+    turn, rate = turns.turn_deg[known], turns.turn_deg[known] / turns.interval_s[known]
+    factor = float(np.median(turn)) / limit_of("rotation")
+    return make_check(
+        "rotation",
+        float(np.median(turn)),
+        f"The target turns by {turn.min():.2g} to {turn.max():.2g} deg as the camera sees it, "
+        f"{float(np.median(rate)):.3g} deg/s; its features move by {np.nanmedian(turns.moved_px):.0f} px.",
+        advice=f"Record at a frame rate {max(factor, 1.0):.1f} times as high, or use every frame if some "
+        "were left out.",
+    )
+
+
+def _delay(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) -> CheckoutCheck:
+    found = camera_delay(sequence, sample, rig)
+    if found is None:
+        finding = "The motion does not show it: too few matches, or none that moves across the rows."
+        return make_check("delay", None, finding)
+    size, late, sigma_ms = (
+        1e3 * abs(found.seconds),
+        "late" if found.seconds > 0.0 else "early",
+        1e3 * found.sigma_s,
+    )
+    return make_check(
+        "delay",
+        size,
+        f"By the rows of moving points the right image is {size:.2g} ms {late} (sigma {sigma_ms:.2g} ms).",
+        limits=(1e3 * max(CLEAR_DELAY * found.sigma_s, found.limit_s), None),
+        sigma=sigma_ms,
+    )
+
+
+def camera_delay(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) -> CameraDelay | None:
+    """Time of the right camera minus that of the left one, as ``rig_check`` finds it.
+
+    The velocities of the points follow from the relative poses of successive pairs, at least three with 20
+    matches.
+    """
+    parts: list[RowSpeeds] = []
+    links = 0
+    for (i, j), link in zip(sample.successive, sample.links, strict=True):
+        if link is None or len(link.features) < 20:
+            continue
+        links += 1
+        start_ns, end_ns = sequence.timestamps_ns[[sample.pairs[k].frame for k in (i, j)]]
+        w, v = twist(inverse_pose(link.X_RiRj), 1e-9 * float(end_ns - start_ns))
+
+        def velocity(p_R: Array, w: Array = w, v: Array = v) -> Array:
+            return np.asarray(np.cross(w, p_R) + v)
+
+        for k in (int(i), int(j)):
+            of_pair = row_speeds(sample.pairs[k].rows, rig, k, velocity)
+            if len(of_pair.offset_px) >= MIN_MATCHES:
+                parts.append(of_pair)
+    return None if links < 3 else delay_by_rows(parts)
+
+
+def twist(X: Array, seconds: float) -> tuple[Array, Array]:
+    """Angular velocity [rad/s], velocity at the origin [m/s] of the constant motion p -> X p, X (4, 4)."""
+    theta = log_so3(X[:3, :3])
+    angle = float(np.linalg.norm(theta))
+    w = theta / seconds
+    if angle < 1e-9:
+        return w, X[:3, 3] / seconds
+    K, half = hat(theta / angle), 0.5 * angle
+    V_inverse = np.eye(3) - half * K + (1.0 - half / np.tan(half)) * (K @ K)
+    return w, V_inverse @ X[:3, 3] / seconds

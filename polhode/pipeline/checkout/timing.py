@@ -1,0 +1,164 @@
+"""Times of the frames: left against right stamps, lost frames, gaps, unevenness; poses of the inspector."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from polhode.files.tables import read_listing, read_table
+from polhode.geometry.lie import Ints
+from polhode.pipeline.checkout.check_table import limit_of, make_check
+from polhode.pipeline.checkout.result import CheckoutCheck
+from polhode.records.camera_folders import find_cameras
+from polhode.records.dataset import StereoSequence
+from polhode.records.pairing import Pairing, offset_in_words, pair_by_time, time_in_words
+
+
+@dataclass(frozen=True)
+class Stamps:
+    """The stamps that both cameras list [ns], and how they are paired."""
+
+    left: Ints
+    """(n,)"""
+    right: Ints
+    """(m,)"""
+    second: str = "right camera"
+    """What the right stamps are those of"""
+    first: str = "left camera"
+
+    @cached_property
+    def pairing(self) -> Pairing:
+        """As a run pairs them."""
+        return pair_by_time(self.left, self.right)
+
+    @property
+    def unpaired(self) -> int:
+        """Images of either camera without a partner."""
+        return len(self.left) + len(self.right) - 2 * len(self.pairing.left)
+
+    @property
+    def listed(self) -> int:
+        """Pairs, and images without a partner."""
+        return len(self.pairing.left) + self.unpaired
+
+    def differences_ns(self) -> Ints:
+        """(p,) right minus left, of the pairs."""
+        return self.right[self.pairing.right] - self.left[self.pairing.left]
+
+
+def read_stamps(folder: Path) -> Stamps:
+    """What ``data.csv`` of both cameras lists. Raises InputError."""
+    cameras = find_cameras(folder / "mav0")
+    left, right = (
+        np.array(list(read_listing(cameras.folder(side) / "data.csv")), dtype=np.int64) for side in (0, 1)
+    )
+    if cameras.has_ranges:
+        return Stamps(left, right, "range images", "camera")
+    return Stamps(left, right)
+
+
+def stamp_checks(stamps: Stamps) -> list[CheckoutCheck]:
+    """Offset of the clocks, and images without a partner, by the lists alone."""
+    pairing, differences = stamps.pairing, stamps.differences_ns()
+    allowed = time_in_words(pairing.tolerance_ns)
+    offset_us = None
+    finding = f"No stamp of the {stamps.first} is near enough to one of the {stamps.second}."
+    if len(differences):
+        offset_us = 1e-3 * abs(pairing.offset_ns)
+        scatter = float(np.abs(differences - pairing.offset_ns).max())
+        first = "the left one" if stamps.first == "left camera" else f"the {stamps.first}"
+        words = offset_in_words(pairing.offset_ns, pairing.interval_ns, f"the {stamps.second}", first)
+        words = (
+            f"{words[0].upper()}{words[1:]}, throughout"
+            if pairing.offset_ns
+            else "There is no constant difference"
+        )
+        finding = f"{words}; single ones deviate by up to {time_in_words(scatter)}, {allowed} are allowed."
+    of_ranges = stamps.second != "right camera"
+    return [
+        make_check(
+            "clock offset",
+            offset_us,
+            finding,
+            name=f"clock offset of the {stamps.second}",
+            advice="If image and ranges were taken together, this is an offset of their clocks, which a run "
+            "removes; if not, depth and motion are wrong."
+            if of_ranges
+            else "",
+        ),
+        make_check(
+            "unpaired",
+            100.0 * stamps.unpaired / max(stamps.listed, 1),
+            f"{stamps.unpaired} of {len(stamps.left) + len(stamps.right)} listed images have no partner "
+            f"within {allowed}.",
+        ),
+    ]
+
+
+def frame_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
+    """Unreadable and repeated images, gaps and unevenness of the pairs that a run would use."""
+    dt = np.diff(sequence.timestamps_ns) * 1e-9
+    usual, longest = float(np.median(dt)), int(np.argmax(dt))
+    near = dt[dt < limit_of("gap") * usual]
+    uneven = 50.0 * float(np.ptp(np.percentile(near, [5.0, 95.0]))) / usual if len(near) else 0.0
+    at = (sequence.timestamps_ns[longest] - sequence.timestamps_ns[0]) * 1e-9
+    unreadable = [reason for _, reason in sequence.dropped if not reason.startswith("only in")]
+    example = f" (first: {unreadable[0]})" if unreadable else ""
+    repeated = int(sequence.repeated.sum())
+    noun, what = "pairs", "pairs have an image of the pair before"
+    if sequence.has_ranges:
+        noun, what = "images", "images or their ranges are those before"
+    return [
+        make_check(
+            "unreadable",
+            100.0 * len(unreadable) / sequence.n_listed,
+            f"{len(unreadable)} of {sequence.n_listed} {noun}{example}.",
+        ),
+        make_check(
+            "repeated",
+            100.0 * repeated / len(sequence),
+            f"{repeated} of {len(sequence)} {what}, bit for bit."
+            + (f" All {noun} are the same." if sequence.frozen else ""),
+            advice=f"A camera or the recorder stood still: such {noun} are not used; find the cause.",
+        ),
+        make_check(
+            "jitter",
+            uneven,
+            f"{1.0 / usual:.4g} {noun} per second ({usual:.4g} s), 90 % of the intervals within {uneven:.2g} "
+            f"%.",
+        ),
+        make_check(
+            "gap",
+            float(dt[longest]) / usual,
+            f"{dt[longest]:.4g} s, {at:.4g} s after the first {noun[:-1]}.",
+        ),
+    ]
+
+
+def inspector_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
+    """Whether the inspector's poses keep up with the images, and what is stated of their errors."""
+    folder = sequence.folder / "mav0" / "inspector0"
+    if not folder.is_dir():
+        at_rest = "the camera is" if sequence.has_ranges else "the cameras are"
+        return [make_check("inspector", None, f"There is no inspector0: {at_rest} taken to be at rest.")]
+    stamps = read_table(folder / "data.csv", columns=7).timestamps_ns
+    frames = sequence.timestamps_ns
+    after = np.clip(np.searchsorted(stamps, frames), 0, len(stamps) - 1)
+    before = np.clip(after - 1, 0, len(stamps) - 1)
+    distance = np.minimum(np.abs(stamps[after] - frames), np.abs(stamps[before] - frames))
+    usual = float(np.median(np.diff(frames)))
+    sigma_p, sigma_deg = sequence.sigma_camera_p_m, float(np.rad2deg(sequence.sigma_camera_theta_rad))
+    rate = 1e9 * (len(stamps) - 1) / max(float(stamps[-1] - stamps[0]), 1.0)
+    stated = "no sigma, so as exact"
+    if sigma_p or sigma_deg:
+        stated = f"sigmas {1e3 * sigma_p:.3g} mm and {sigma_deg:.3g} deg"
+    moves = "moves" if sequence.inspector_moves else "stays at one pose"
+    return [
+        make_check(
+            "inspector",
+            float(distance.max()) / usual,
+            f"The inspector {moves}; {len(stamps)} poses, {rate:.4g} per second for {1e9 / usual:.4g} "
+            f"images, are given with {stated}.",
+        )
+    ]

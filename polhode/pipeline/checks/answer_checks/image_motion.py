@@ -1,0 +1,129 @@
+"""Whether the images move as the estimate says: what is left of their motion when the target is moved back.
+
+Landmarks that agree with one another may all belong to what stands still on a turning target: the outline,
+nozzle and rings of a body of revolution, a reflection, a pattern of the light. The motion found is then
+theirs, and no residual shows it. Here, every pixel with depth is moved to the next pair by the estimate, and
+the optical flow (DIS; Kroeger et al., ECCV 2016) between the image and the one that was moved back is what
+the motion does not explain. It uses no landmark.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools, inverse_pose, transform_points
+from polhode.pipeline.checks.answer_checks.symmetry_turn import PairView, pair_view, rotation_check
+from polhode.records.metrics import angle_deg
+from polhode.records.surface import DepthMap
+from polhode.run_directory.check_table import make_check
+from polhode.run_directory.summary_schema import Check
+
+MAX_PAIRS = 10
+"""Pairs of frames that are compared, chosen evenly."""
+MAX_TURN_DEG = 40.0
+"""Between frames; beyond, the surface looks too different."""
+MIN_PIXELS, MIN_PAIRS = 400, 3
+"""Textured pixels of a pair that counts, and number of such pairs."""
+CONTRAST_SCALE_PX, MIN_CONTRAST = 6.0, 5.0
+"""Scale, and least standard deviation of the grey values over it, of a surface with texture."""
+
+
+@dataclass
+class ImageMotion:
+    """Compares some pairs of successive frames."""
+
+    rig: RectifiedRig
+    X_RG: Array
+    """(F, 4, 4)"""
+    measured: Bools
+    """(F,) frames with measurements of their own"""
+    shares: list[float] = field(default_factory=list)
+    """Of each pair that was compared: the share of its textured surface that is displaced"""
+    views: list[PairView] = field(default_factory=list)
+    """Of these pairs: what the check of the turn about an axis of symmetry needs"""
+
+    def compare(self, maps: Sequence[DepthMap]) -> None:
+        """Compare some pairs of successive frames. maps: of all frames, in order."""
+        for k in self._frames().tolist():
+            self._compare(k, maps[k - 1], maps[k])
+
+    def _compare(self, k: int, before: DepthMap, current: DepthMap) -> None:
+        X = self.X_RG[k] @ inverse_pose(self.X_RG[k - 1])
+        displacement = residual_displacement(before, current, X, self.rig)
+        if len(displacement) >= MIN_PIXELS:
+            self.shares.append(float(np.mean(displacement > 2.0)))
+        view = pair_view(before, current, (self.X_RG[k - 1], self.X_RG[k]), self.rig)
+        if view is not None:
+            self.views.append(view)
+
+    def checks(self, interval_s: float) -> list[Check]:
+        """Whether the images move as the motion says, and show the rotation of a body of revolution.
+
+        interval_s: between successive pairs.
+        """
+        share = 100.0 * float(np.median(self.shares)) if len(self.shares) >= MIN_PAIRS else None
+        return [make_check("image motion", share), rotation_check(self.views, self.rig, interval_s)]
+
+    def _frames(self) -> NDArray[np.int64]:
+        """Second frames of the pairs that are compared."""
+        R = self.X_RG[:, :3, :3]
+        turn_deg = angle_deg(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+        fit = 1 + np.flatnonzero((turn_deg < MAX_TURN_DEG) & self.measured[:-1] & self.measured[1:])
+        at = np.linspace(0, len(fit) - 1, min(MAX_PAIRS, len(fit))).round().astype(np.int64)
+        return np.asarray(fit[at])
+
+
+def residual_displacement(first: DepthMap, second: DepthMap, X: Array, rig: RectifiedRig) -> Array:
+    """Displacements (n,) [px] that the motion leaves, of the textured pixels of the first frame.
+
+    X (4, 4) moves points of the first frame's camera to the second's.
+    """
+    back, known = warp_back(first, second, X, rig)
+    picture = first.intensity.copy()
+    back = np.where(known, back, picture)
+    inside = erode(known, 9)
+    textured = inside & (_contrast(picture, known) > MIN_CONTRAST) & (_contrast(back, known) > MIN_CONTRAST)
+    return displacements_px(picture, back)[textured]
+
+
+def displacements_px(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> Array:
+    """Length (H, W) of the optical flow from one image (H, W) to the other."""
+    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(
+        first, second, np.zeros((*first.shape, 2), dtype=np.float32)
+    )
+    return np.asarray(np.linalg.norm(flow, axis=2), dtype=np.float64)
+
+
+def erode(where: Bools, size_px: int) -> Bools:
+    """The pixels (H, W) whose whole square neighbourhood belongs to ``where``, or lies beyond the border."""
+    return np.asarray(cv2.erode(where.astype(np.uint8), np.ones((size_px, size_px), dtype=np.uint8)) > 0)
+
+
+def warp_back(
+    first: DepthMap, second: DepthMap, X: Array, rig: RectifiedRig
+) -> tuple[NDArray[np.uint8], Bools]:
+    """The second image (H, W) as seen from the first frame, by its depth; where it is known (H, W)."""
+    height, width = first.depth_m.shape
+    v, u = np.mgrid[0:height, 0:width]
+    known = np.isfinite(first.depth_m)
+    z = np.where(known, first.depth_m, 1.0)
+    p_R = np.stack([(u - rig.cx_px) / rig.focal_px * z, (v - rig.cy_px) / rig.focal_px * z, z], axis=2)
+    moved = transform_points(X, p_R)
+    known &= moved[..., 2] > 1e-6
+    uv = rig.project(np.where(known[..., None], moved, [0.0, 0.0, 1.0]))[..., :2].astype(np.float32)
+    known &= np.all((uv >= 1.0) & (uv <= [width - 2.0, height - 2.0]), axis=2)
+    image = cv2.remap(second.intensity, uv[..., 0], uv[..., 1], cv2.INTER_LINEAR, borderValue=0)
+    return np.asarray(image, dtype=np.uint8), np.asarray(known)
+
+
+def _contrast(image: NDArray[np.uint8], known: Bools) -> NDArray[np.float32]:
+    """Standard deviation of the known grey values around each pixel."""
+    grey, weight = image.astype(np.float32), known.astype(np.float32)
+    around = np.maximum(cv2.GaussianBlur(weight, (0, 0), CONTRAST_SCALE_PX), 1e-3)
+    mean = cv2.GaussianBlur(grey * weight, (0, 0), CONTRAST_SCALE_PX) / around
+    square = cv2.GaussianBlur((grey - mean) ** 2 * weight, (0, 0), CONTRAST_SCALE_PX) / around
+    return np.asarray(np.sqrt(square), dtype=np.float32)

@@ -1,0 +1,86 @@
+"""All checks of the data, one after the other."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from polhode.frontend.background.find_masks import doubtful_frames
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.found_masks import FoundMasks
+from polhode.pipeline.checks.data_checks.mass_check import mass_checks
+from polhode.pipeline.checks.data_checks.pose_checks import (
+    clock_check,
+    connection_check,
+    inspector_check,
+    swing_check,
+)
+from polhode.pipeline.checks.data_checks.rig_check import rig_checks
+from polhode.pipeline.checks.data_checks.self_calibration import (
+    best_correction,
+    calibration_limits,
+    focal_check,
+)
+from polhode.pipeline.context import RunContext
+from polhode.pipeline.found_background import doubts_of_masks
+from polhode.records.estimate import MotionEstimate
+from polhode.records.tracks import StereoTracks
+from polhode.run_directory.check_table import attempt_checks, make_check
+from polhode.run_directory.summary_schema import Check
+from polhode.run_directory.verdict import reasons_of
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the checks found."""
+
+    checks: list[Check]
+    """A reason of one means that something in the data is not as they say"""
+    limits: list[str]
+    """What these data would not show, a sentence each"""
+
+
+def check_data(
+    context: RunContext, features: Sequence[StereoFeatures], tracks: StereoTracks, estimate: MotionEstimate
+) -> Findings:
+    """Doubts about the rig, the clock, the poses and the constancy of the target."""
+    seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
+    config, has_ranges = context.config.backend, context.sequence.has_ranges
+    checks = attempt_checks(lambda: [make_check("identical images", float(context.sequence.frozen))])
+    limits: list[str] = []
+
+    def calibration() -> list[Check]:
+        correction = best_correction(tracks, estimate)
+        check = focal_check(correction, has_ranges)
+        # with ranges, a wrong focal length moves nothing along the line of sight
+        if not (has_ranges or reasons_of(checks) or check.reason):
+            limits.extend(calibration_limits(correction, tracks, estimate))
+        return [check]
+
+    def mass() -> list[Check]:
+        found, unseen = mass_checks(tracks, estimate, config)
+        limits.extend(unseen)
+        return found
+
+    X_NR, X_NG = tracks.X_NR, estimate.X_NG
+    steps: tuple[Callable[[], list[Check]], ...] = (
+        lambda: rig_checks(context, features, tracks, estimate),
+        calibration,
+        lambda: [clock_check(tracks.time_s, X_NG[:, :3, :3], seen)],
+        lambda: [inspector_check(X_NR, X_NG, seen, tracks.sigma_camera_theta_rad)],
+        lambda: [swing_check(tracks, estimate, config)],
+        mass,
+        lambda: [connection_check(tracks, estimate)],
+        lambda: mask_checks(context.rectifier.found),
+    )
+    for step in steps:
+        checks.extend(attempt_checks(step))
+    return Findings(checks, limits)
+
+
+def mask_checks(found: FoundMasks | None) -> list[Check]:
+    """Of the masks that were found before a background that is not dark; none where none had to be found."""
+    if found is None:
+        return []
+    share = 100.0 * (len(doubtful_frames(found)) / max(len(found.quality), 1))
+    return [make_check("doubtful masks", share, doubts=doubts_of_masks(found))]

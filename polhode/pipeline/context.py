@@ -1,0 +1,138 @@
+"""What every stage works with: the images, the configuration, progress for the user."""
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from polhode.config import Config
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.rectification import Image, Rectifier, make_rectifier
+from polhode.frontend.segmentation import has_surroundings
+from polhode.frontend.tracks.tracks import Association, to_tracks
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Ints
+from polhode.pipeline.found_background import doubts_of_masks, with_found_masks
+from polhode.records.dataset import StereoSequence, open_sequence
+from polhode.records.tracks import StereoTracks
+from polhode.run_directory.stages import StageStore
+from polhode.runtime.errors import InputError
+from polhode.runtime.processes import worker_count
+from polhode.runtime.progress import Progress
+
+SAMPLED_IMAGES = 8
+"""Images in which surroundings are looked for."""
+SURROUNDINGS = (
+    "every image shows dim surroundings around a bright target, up to its border: they are taken for "
+    "background; if they belong to the target, give masks (masks0/ and masks1/)"
+)
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """The inputs of a run, opened, and its services."""
+
+    sequence: StereoSequence
+    rectifier: Rectifier
+    config: Config
+    progress: Progress
+    stages: StageStore = field(default_factory=StageStore)
+    """Results of stages for each pair, which are used again"""
+
+    @property
+    def rig(self) -> RectifiedRig:
+        """The rectified stereo camera."""
+        return self.rectifier.rig
+
+    @property
+    def time_s(self) -> Array:
+        """(F,) since the first pair [s]"""
+        return np.asarray((self.sequence.timestamps_ns - self.sequence.timestamps_ns[0]) * 1e-9)
+
+    @property
+    def X_NR(self) -> Array:
+        """(F, 4, 4) pose of the rectified left camera"""
+        return np.asarray(self.sequence.X_NC @ self.rectifier.X_CR)
+
+    @property
+    def workers(self) -> int:
+        """Number of processes for parallel work."""
+        return worker_count(self.config.runtime.workers)
+
+    def of_frames(self, frames: Ints | Sequence[int]) -> "RunContext":
+        """The inputs of a run on some of the frames (n,), ascending, each 0 <= k < F.
+
+        Raises InputError: other numbers, or none.
+        """
+        chosen = _ascending(frames, len(self.sequence))
+        found = self.rectifier.found
+        rectifier = self.rectifier if found is None else replace(self.rectifier, found=found.part(chosen))
+        return replace(self, sequence=self.sequence.part(chosen), rectifier=rectifier)
+
+    def tracks(self, features: Sequence[StereoFeatures], association: Association) -> StereoTracks:
+        """The measurements of associated features, as the back end takes them."""
+        sequence = self.sequence
+        tracks = to_tracks(
+            features,
+            association,
+            self.rig,
+            sequence.timestamps_ns,
+            self.X_NR,
+            self.config.frontend.tracks,
+            (sequence.sigma_camera_p_m, sequence.sigma_camera_theta_rad),
+        )
+        return replace(tracks, X_BR=sequence.calibration.X_BC0 @ self.rectifier.X_CR, wrench=sequence.wrench)
+
+
+def _ascending(frames: Ints | Sequence[int], count: int) -> Ints:
+    """The numbers of frames (n,) as an array. Raises InputError unless they are 0 <= k < count, ascending."""
+    numbers = np.asarray(frames)
+    if numbers.ndim != 1 or not numbers.size or not np.issubdtype(numbers.dtype, np.integer):
+        raise InputError("frames: give one or more whole numbers, as a list or an array (n,)")
+    outside = numbers[(numbers < 0) | (numbers >= count)]
+    if outside.size:
+        raise InputError(f"frames: there is no frame {outside[0]}; the sequence has frames 0 to {count - 1}")
+    back = np.flatnonzero(np.diff(numbers.astype(np.int64)) <= 0)
+    if back.size:
+        before, after = numbers[back[0]], numbers[back[0] + 1]
+        raise InputError(f"frames: {after} follows {before}; give each frame once, in ascending order")
+    return numbers.astype(np.int64)
+
+
+def open_context(sequence_folder: Path, config: Config, progress: Progress) -> RunContext:
+    """Open the sequence, and find masks where it needs them. Anomalies are logged.
+
+    Raises InputError for what is missing or wrong in the folder.
+    """
+    sequence = open_sequence(sequence_folder)
+    for warning in sequence.warnings:
+        _log.warning(warning)
+    rectifier = rectifier_of(sequence)
+    if rectifier.surroundings:
+        _log.warning(SURROUNDINGS)
+        sequence = replace(sequence, warnings=(*sequence.warnings, SURROUNDINGS))
+    workers = worker_count(config.runtime.workers)
+    rectifier = with_found_masks(sequence, rectifier, range(len(sequence)), workers, progress)
+    if rectifier.found is not None and (doubts := doubts_of_masks(rectifier.found)):
+        _log.warning(doubts)
+        sequence = replace(sequence, warnings=(*sequence.warnings, doubts))
+    return RunContext(sequence, rectifier, config, progress)
+
+
+def rectifier_of(sequence: StereoSequence) -> Rectifier:
+    """The rectifier of a sequence, which leaves dim surroundings out of masks. Raises InputError."""
+    rectifier = make_rectifier(sequence.calibration)
+    surroundings = has_surroundings(_without_masks(sequence, rectifier), rectifier.borders[0])
+    return replace(rectifier, surroundings=surroundings)
+
+
+def _without_masks(sequence: StereoSequence, rectifier: Rectifier) -> Iterator[Image]:
+    """Rectified left images of some frames that come without a mask, spread over the sequence."""
+    for k in np.unique(np.linspace(0, len(sequence) - 1, SAMPLED_IMAGES).round().astype(int)).tolist():
+        image, mask = sequence.read_left(k)
+        if mask is None:
+            yield rectifier(image, 0)

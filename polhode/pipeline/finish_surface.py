@@ -1,0 +1,300 @@
+"""The fused surface made ready for use: holes, colours, coverage, lighter meshes, mass against volume.
+
+Every step is optional: if one fails, its result is left out with a warning, and the others go on.
+"""
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TypeVar
+
+import numpy as np
+
+from polhode.frontend.rectification import rectified_left
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, transform_points
+from polhode.mapping.finishing.albedo import Colouring, divide_shading
+from polhode.mapping.finishing.detail_levels import DetailLevel, levels_of
+from polhode.mapping.finishing.hole_closing import ClosedHoles, close_small_holes
+from polhode.mapping.finishing.sun_direction import Sunlight
+from polhode.mapping.visibility import Caster, FrameView, light_level
+from polhode.pipeline.build_surface import fused_poses
+from polhode.pipeline.context import RunContext
+from polhode.pipeline.coverage import coverage_of, warnings_of, with_classes
+from polhode.pipeline.find_motion import MotionSolution
+from polhode.pipeline.runner import stage
+from polhode.pipeline.uniform_density import assumed_properties, check_physics
+from polhode.records.surface import SurfaceModel
+from polhode.run_directory.summary_schema import (
+    Coverage,
+    Mesh,
+    MeshErrors,
+    MeshErrorShare,
+    MeshLevel,
+    Physics,
+    ShapeFindings,
+    Sun,
+)
+
+_log = logging.getLogger(__name__)
+T = TypeVar("T")
+Sentences = tuple[str, ...]
+
+MAX_FRAMES = 60
+MAX_PIXELS = 40e6
+"""Of all frames that are used, together."""
+_MARGIN_PX = 6
+
+
+@dataclass(frozen=True)
+class FinishedSurface:
+    """The mesh as it is published, and what was found about the shape."""
+
+    surface: SurfaceModel
+    levels: list[DetailLevel]
+    """Lighter meshes, the finest first"""
+    findings: ShapeFindings
+    """Coverage, closed holes, the Sun, mass against volume; with the warnings of steps that failed"""
+
+
+@dataclass(frozen=True)
+class Views:
+    """Frames that are read again, each cropped to the target."""
+
+    frames: list[FrameView]
+    warnings: Sentences
+
+
+@dataclass(frozen=True)
+class Coloured:
+    """The surface with closed holes, colours, and classes of its vertices."""
+
+    surface: SurfaceModel
+    holes_closed: int
+    holes_left_open: int
+    divided: bool
+    """Whether the Sun's shading was divided out of the colours"""
+    sun: Sunlight | None
+    """The light that fits best, used or not; None: undetermined"""
+    grey_per_albedo: float
+    warnings: Sentences
+
+    @property
+    def sun_N(self) -> Array | None:
+        """(3,) unit vector towards the Sun, if its shading was divided out of the colours"""
+        return self.sun.direction_N if self.divided and self.sun is not None else None
+
+
+def finish_surface(context: RunContext, fused: SurfaceModel, motion: MotionSolution) -> FinishedSurface:
+    """The stages of this module one after the other."""
+    views = views_of_surface(context, fused, motion)
+    coloured = colour_surface(context, fused, views)
+    levels = lighter_meshes(context, coloured)
+    covered = cover(context, coloured, views)
+    physics = compare_mass(context, coloured, motion)
+    findings = describe_shape(context, motion, views, coloured, covered, levels, physics)
+    return FinishedSurface(coloured.surface, levels[0], findings)
+
+
+@stage("fusion", is_stored=False)
+def views_of_surface(context: RunContext, fused: SurfaceModel, motion: MotionSolution) -> Views:
+    """Frames evenly spread over the run, each cropped to the target; none for an empty surface."""
+    if len(fused.mesh.faces) == 0:
+        return Views([], ())
+    X_RG = fused_poses(fused, motion)
+    none: list[FrameView] = []
+    return Views(*_attempt("reading the images again", lambda: _views(context, fused, X_RG), none))
+
+
+@stage("fusion", ["mapping.hole_share", "mapping.divide_shading", "seed"])
+def colour_surface(context: RunContext, fused: SurfaceModel, views: Views) -> Coloured:
+    """Close small holes, divide the shading out, class the vertices by who has seen them in light."""
+    if len(fused.mesh.faces) == 0:
+        return Coloured(fused, 0, 0, False, None, 1.0, ())
+    rig, config, frames = context.rig, context.config, views.frames
+    seen_by = cache(lambda: Caster(fused.mesh))
+    # Relative to the surface itself: the same in every unit.
+    largest_m = config.mapping.hole_share * float(np.linalg.norm(fused.mesh.extents))
+    holes, warnings = _attempt(
+        "closing small holes",
+        lambda: close_small_holes(fused, largest_m, frames, rig, seen_by()),
+        ClosedHoles(fused, 0, 0),
+    )
+    caster = cache(lambda: Caster(holes.surface.mesh) if holes.closed else seen_by())
+    colours = Colouring(holes.surface, False, None, 1.0)
+    if config.mapping.divide_shading:
+        colours, more = _attempt(
+            "dividing the shading out",
+            lambda: divide_shading(holes.surface, frames, rig, caster(), config.seed),
+            colours,
+        )
+        warnings += more
+    classes, more = _attempt(
+        "coverage of the vertices", lambda: with_classes(colours.surface, frames, rig, caster()), None
+    )
+    return Coloured(
+        replace(colours.surface, coverage=classes),
+        *(holes.closed, holes.left_open, colours.divided, colours.sun, colours.grey_per_albedo),
+        (*warnings, *more),
+    )
+
+
+@stage("fusion", ["mapping.levels", "seed"])
+def lighter_meshes(context: RunContext, coloured: Coloured) -> tuple[list[DetailLevel], Sentences]:
+    """One for each share of the faces, and the warning of a failure."""
+    config, none = context.config, list[DetailLevel]()
+    if len(coloured.surface.mesh.faces) == 0:
+        return none, ()
+    return _attempt(
+        "lighter meshes", lambda: levels_of(coloured.surface, config.mapping.levels, config.seed), none
+    )
+
+
+@stage("fusion")
+def cover(context: RunContext, coloured: Coloured, views: Views) -> tuple[Coverage | None, Sentences]:
+    """Shares of the surface that were seen, and the warning of a failure."""
+    if not views.frames:
+        return None, ()
+    return _attempt("coverage", lambda: coverage_of(coloured.surface.mesh, views.frames, context.rig), None)
+
+
+@stage("fusion")
+def compare_mass(
+    context: RunContext, coloured: Coloured, motion: MotionSolution
+) -> tuple[Physics | None, Sentences]:
+    """The mass properties of the motion against the volume, and the warning of a failure."""
+    surface, mass = coloured.surface, motion.estimate.mass
+    if len(surface.mesh.faces) == 0:
+        return None, ()
+    physics, warnings = _attempt(
+        "mass against volume", lambda: check_physics(mass, surface, Caster(surface.mesh)), None
+    )
+    for sentence in physics.words if physics is not None else ():
+        _log.info(sentence)
+    return physics, warnings
+
+
+@stage("fusion", ["backend"], is_stored=False)
+def describe_shape(
+    context: RunContext,
+    motion: MotionSolution,
+    views: Views,
+    coloured: Coloured,
+    covered: tuple[Coverage | None, Sentences],
+    lighter: tuple[list[DetailLevel], Sentences],
+    compared: tuple[Physics | None, Sentences],
+) -> ShapeFindings:
+    """What the summary says of the shape."""
+    coverage, levels, physics = covered[0], lighter[0], compared[0]
+    assumed, doubts = assumed_properties(motion.estimate.mass, coloured.surface, context.config.backend)
+    if len(coloured.surface.mesh.faces) == 0:
+        return ShapeFindings(assumed=assumed, warnings=tuple(doubts))
+    failed = *views.warnings, *coloured.warnings, *covered[1], *lighter[1], *compared[1]
+    warnings = *doubts, *failed, *(warnings_of(coverage) if coverage is not None else ())
+    return ShapeFindings(_describe(coloured, levels), coverage, physics, assumed, warnings)
+
+
+def _attempt(what: str, step: Callable[[], T], otherwise: T) -> tuple[T, Sentences]:
+    """The result of an optional step; ``otherwise``, and a warning, if it fails."""
+    try:
+        return step(), ()
+    except (ValueError, ArithmeticError, LookupError, RuntimeError, TypeError, MemoryError) as error:
+        _log.warning("%s failed: %s", what, error, exc_info=_log.isEnabledFor(logging.DEBUG))
+        return otherwise, (f"{what} failed and was left out: {error}",)
+
+
+def _views(context: RunContext, surface: SurfaceModel, X_RG: Array) -> list[FrameView]:
+    """Frames evenly spread over the run, each cropped to the target."""
+    rig, R_NR = context.rig, context.X_NR[:, :3, :3]
+    most = int(np.clip(MAX_PIXELS // (rig.width_px * rig.height_px), 8, MAX_FRAMES))
+    usable = np.flatnonzero(np.isfinite(X_RG).all(axis=(1, 2)))
+    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), most)).round().astype(int))]
+    low, high = surface.mesh.bounds
+    corners = np.array(
+        [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    )
+    views = []
+    for k in chosen.tolist():
+        box = _box(transform_points(X_RG[k], corners), rig)
+        if box is None:
+            continue
+        left, mask = rectified_left(context.sequence, context.rectifier, k)
+        u0, u1, v0, v1 = box
+        views.append(
+            FrameView(
+                image=left[v0:v1, u0:u1].copy(),
+                silhouette=mask[v0:v1, u0:u1].copy(),
+                X_RG=X_RG[k],
+                R_NR=R_NR[k],
+                u0=u0,
+                v0=v0,
+                lit_above=light_level(left),
+            )
+        )
+    return views
+
+
+def _box(corners_R: Array, rig: RectifiedRig) -> tuple[int, int, int, int] | None:
+    """Columns u0..u1 and rows v0..v1 of the body's bounding box; None: out of view, or not all in front."""
+    if corners_R[:, 2].min() <= 1e-3:
+        return None
+    uv = rig.project(corners_R)[:, :2]
+    u0, v0 = np.maximum(np.floor(uv.min(axis=0)).astype(int) - _MARGIN_PX, 0)
+    u1, v1 = np.minimum(np.ceil(uv.max(axis=0)).astype(int) + _MARGIN_PX, (rig.width_px, rig.height_px))
+    return (int(u0), int(u1), int(v0), int(v1)) if u1 - u0 > 2 and v1 - v0 > 2 else None
+
+
+def _errors(surface: SurfaceModel) -> MeshErrors | None:
+    known = surface.sigma_m[np.isfinite(surface.sigma_m)]
+    if surface.errors is None or len(known) == 0:
+        return None
+    return MeshErrors(
+        sigma_median_m=float(np.median(known)),
+        noise_scale=surface.errors.scale,
+        landmarks=surface.errors.landmarks,
+        correlation=tuple(
+            MeshErrorShare(share=each.share, length_m=each.length_m if np.isfinite(each.length_m) else None)
+            for each in surface.errors.correlation
+        ),
+    )
+
+
+def _describe(coloured: Coloured, levels: Sequence[DetailLevel]) -> Mesh:
+    surface, light = coloured.surface, coloured.sun
+    mesh, invented = surface.mesh, surface.is_invented
+    sun = None
+    if light is not None:
+        x, y, z = (float(part) for part in light.direction_N)
+        # Where the reflection law does not fit, its sigma is meaningless.
+        sigma = float(np.rad2deg(light.sigma_rad)) if coloured.divided else None
+        sun = Sun(
+            direction_N=(x, y, z),
+            sigma_deg=sigma,
+            explained=light.explained,
+            frames_in_light=int(light.sunny.sum()),
+        )
+    return Mesh(
+        vertices=len(mesh.vertices),
+        faces=len(mesh.faces),
+        closed=bool(mesh.is_volume),
+        holes_closed=coloured.holes_closed,
+        holes_left_open=coloured.holes_left_open,
+        invented_faces=int(invented.sum()),
+        invented_share=float(mesh.area_faces[invented].sum() / mesh.area),
+        colour="albedo" if coloured.divided else "intensity",
+        grey_per_albedo=coloured.grey_per_albedo,
+        sun=sun,
+        frames_doubtful=0 if surface.aligned is None else surface.aligned.doubtful,
+        frames_aligned=0 if surface.aligned is None else len(surface.aligned.frames),
+        errors=_errors(surface),
+        levels=tuple(
+            MeshLevel(
+                file=f"mesh_lod{n}.glb",
+                faces=len(level.surface.mesh.faces),
+                largest_distance_m=level.largest_m,
+                mean_distance_m=level.mean_m,
+            )
+            for n, level in enumerate(levels, start=1)
+        ),
+    )

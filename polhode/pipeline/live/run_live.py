@@ -1,0 +1,242 @@
+"""A source to a run directory, pair by pair: ``polhode run --live``."""
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import Any
+
+import numpy as np
+
+from polhode.config import Config
+from polhode.files.images import bit_depth, has_content, to_grey
+from polhode.frontend.rectification import Rectifier
+from polhode.geometry.lie import Array
+from polhode.pipeline.live.arrivals import Arrivals
+from polhode.pipeline.live.feed import WAIT_S, Arrived, Dropped, Feed
+from polhode.pipeline.live.folder_source import FolderSource, SourcePair
+from polhode.pipeline.live.recording import FileRecording
+from polhode.pipeline.live.session import RepeatedImages, require_pairs, unmeasured
+from polhode.pipeline.live.warm_up import warm_up_stream
+from polhode.pipeline.run import RunResult, fill_run_folder
+from polhode.pipeline.stream.live_state import LiveState
+from polhode.pipeline.stream.stream import Extracted, Observed, Stream
+from polhode.records.dataset import StereoImages
+from polhode.report import write_report
+from polhode.run_directory.run_folder import atomic_run_folder
+from polhode.runtime.errors import InputError
+from polhode.runtime.interrupts import interrupt_noted
+from polhode.runtime.processes import worker_count
+from polhode.runtime.progress import LiveProgress
+from polhode.runtime.threads import single_threaded
+
+MAX_RATE = 1e4
+PATIENCE_S = 10.0
+"""A folder that fills has ended when no pair came for so long."""
+BESIDE_S = 0.01
+"""Between looks at a pair whose features are being extracted, while another may come."""
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Processed:
+    """A state, and how long after its pair's arrival it was there."""
+
+    state: LiveState
+    latency_s: float
+
+
+@dataclass
+class LiveReport:
+    """What a live run measured besides its result."""
+
+    processed: list[Processed] = field(default_factory=list)
+    dropped: int = 0
+    report_s: float = 0.0
+    """From the arrival of the last pair to the report"""
+    report_processor_s: float = 0.0
+    """The time of the processor that this process took for it: what it would take on a machine that does
+    nothing else, as the other processes work beside it"""
+    interrupted: bool = False
+
+
+@dataclass(frozen=True)
+class WatchedPair:
+    """A pair whose state is known, for a viewer."""
+
+    state: LiveState
+    images: StereoImages | None
+    rectifier: Rectifier
+    X_NR: Array
+    """(4, 4) the rectified left camera"""
+    observed: Observed
+    landmarks_G: Array
+    """(L, 3) those of the window, in the present frame G [m]"""
+    request_surface: Callable[[], "Future[Any] | None"]
+    """The surface so far, a ``SurfaceModel``, once another process has made it; None: it makes none"""
+
+
+Watch = Callable[[WatchedPair], None]
+
+
+@dataclass(frozen=True)
+class _Started:
+    """A pair whose features are being extracted."""
+
+    arrived: Arrived
+    extracted: Future[Extracted]
+
+
+@single_threaded
+def run_live(
+    config: Config,
+    source_folder: Path,
+    run_folder: Path,
+    progress: LiveProgress,
+    rate: float | None = None,
+    patience_s: float = PATIENCE_S,
+    overwrite: bool = False,
+    even_if_failed: bool = False,
+    watch: Watch | None = None,
+) -> tuple[RunResult, LiveReport]:
+    """States of the pairs as they come, then the batch answer of the pairs that came.
+
+    rate: speed of the replay of a recorded sequence, 0 as fast as it goes; None: the folder fills, until the
+    file mav0/end appears or nothing came for ``patience_s``. Ctrl-C ends the stream, not the run.
+    ``watch`` is called with each pair after its state, and must not take long. Raises InputError for a wrong
+    source or rate, RunFailure as ``run``.
+    """
+    _require_options(rate, patience_s)
+    source = FolderSource(source_folder, rate is None, patience_s)
+    live = LiveReport()
+    with atomic_run_folder(run_folder, overwrite, write_report, even_if_failed) as written:
+        stream = Stream(config, source.calibration, source.camera_motion())
+        with progress.stage("compiling", 1) as advance:
+            warm_up_stream(stream.rectifier.rig, config)
+            advance()
+        recording = FileRecording(source_folder)
+        try:
+            loop = _Loop(stream, recording, source, worker_count(config.runtime.workers), live, watch)
+            with interrupt_noted() as interrupted, progress.line() as show:
+                last_at = loop.run(rate, interrupted, show)
+            live.interrupted = loop.interrupted
+            require_pairs(len(stream), str(source_folder))
+            recording.close()
+            streamed = stream.streamed(loop.arrivals.warnings)
+            finished = fill_run_folder(written, config, recording.folder, progress, streamed)
+        finally:
+            stream.close()
+            recording.remove()
+        live.report_s = perf_counter() - last_at
+        live.report_processor_s = process_time() - loop.processor_s
+        _log.info(
+            "live: %.1f s from the last pair to the report, %.1f s of the processor",
+            *(live.report_s, live.report_processor_s),
+        )
+    return finished(written), live
+
+
+def _require_options(rate: float | None, patience_s: float) -> None:
+    if rate is not None and not 0.0 <= rate <= MAX_RATE:
+        raise InputError(f"--rate {rate:g}: give 1 for the sequence's own speed, 2 for twice, 0 for no pause")
+    if not 0.0 < patience_s <= 1e6:
+        raise InputError(f"--patience-s {patience_s:g}: give seconds, above 0")
+
+
+class _Loop:
+    """Pairs from the feed through the stages; the features of the next ones are extracted meanwhile."""
+
+    def __init__(
+        self,
+        stream: Stream,
+        recording: FileRecording,
+        source: FolderSource,
+        workers: int,
+        live: LiveReport,
+        watch: Watch | None,
+    ) -> None:
+        self._stream, self._recording, self._source, self._live = stream, recording, source, live
+        self._bits = source.calibration.bits
+        self._repeated = RepeatedImages()
+        self._workers, self._watch = workers, watch
+        self.arrivals = Arrivals()
+        self.interrupted = False
+        self.processor_s = 0.0
+        """Of this process, when the last pair came"""
+        self._prepared = False
+
+    def run(self, rate: float | None, interrupted: Callable[[], bool], show: Callable[[str], None]) -> float:
+        """Process all pairs; returns when the last one came. Raises InputError of the source."""
+        started: deque[_Started] = deque()
+        last_at = perf_counter()
+        with ThreadPoolExecutor(self._workers) as pool, Feed(self._source.items, rate) as feed:
+            while not (feed.ended and not started):
+                if interrupted() and not self.interrupted:
+                    self.interrupted = True
+                    feed.stop()
+                    show("interrupted: the pairs that have come are finished")
+                busy = len(started) >= self._workers or bool(started and started[0].extracted.done())
+                item = None if busy else feed.next(BESIDE_S if started else WAIT_S)
+                if isinstance(item, Arrived):
+                    last_at, self.processor_s = item.at, process_time()
+                    if (future := self._start(item.pair, pool)) is not None:
+                        started.append(_Started(item, future))
+                elif isinstance(item, Dropped):
+                    self._live.dropped += 1
+                    self.arrivals.note("dropped", f"{item.timestamp_ns} ns")
+                elif item is not None:
+                    self.arrivals.note("unusable", item.what)
+                elif started and (busy or feed.ended):
+                    show(self._finish(started.popleft()))
+        return last_at
+
+    def _start(self, pair: SourcePair, pool: ThreadPoolExecutor) -> Future[Extracted] | None:
+        """Begin the extraction of a pair; None: it is not used."""
+        if not self.arrivals.accepts(pair.stamps_ns[0]):
+            return None
+        if self._bits is None:
+            self._bits = bit_depth(int(max(pair.left.max(), pair.right.max())))
+        images = StereoImages(to_grey(pair.left, self._bits), to_grey(pair.right, self._bits), *pair.masks)
+        shows = has_content(images.left), has_content(images.right)
+        if self._repeated(pair.left, pair.right, shows):
+            self.arrivals.note("repeated", f"{pair.stamps_ns[0]} ns")
+            images = unmeasured(images)
+        elif not self._prepared:
+            self._stream.prepare(images)
+            self._prepared = True
+        return pool.submit(self._stream.extract, images)
+
+    def _finish(self, started: _Started) -> str:
+        """The state of a pair, and the line that shows it."""
+        pair, extracted = started.arrived.pair, started.extracted.result()
+        X_NC = np.eye(4) if pair.X_NB is None else pair.X_NB @ self._source.calibration.X_BC0
+        state = self._stream.add(pair.stamps_ns[0], X_NC, extracted)
+        self._recording.add(pair.stamps_ns, pair.names)
+        latency_s = perf_counter() - started.arrived.at
+        self._live.processed.append(Processed(state, latency_s))
+        if self._watch is not None:
+            self._watch(self._watched(state, X_NC, extracted.images))
+        return line_of(state, latency_s, self._live.dropped)
+
+    def _watched(self, state: LiveState, X_NC: Array, images: StereoImages | None) -> WatchedPair:
+        stream = self._stream
+        X_NR = X_NC @ stream.rectifier.X_CR
+        request = stream.request_surface
+        return WatchedPair(state, images, stream.rectifier, X_NR, stream.latest, stream.landmarks_G, request)
+
+
+def line_of(state: LiveState, latency_s: float, dropped: int) -> str:
+    """What the terminal shows of a state."""
+    sigma = state.sigma_rate_rpm
+    rate = "rate unknown"
+    if state.status != "searching":
+        spread = f"+- {sigma:.3f} RPM" if np.isfinite(sigma) else "RPM, not determined"
+        rate = f"{state.rate_rpm:.2f} {spread}"
+    lost = f", {dropped} dropped" if dropped else ""
+    return (
+        f"frame {state.number}: {state.status}, {state.observations} observations, {rate}, "
+        f"latency {latency_s:.2f} s{lost}"
+    )

@@ -1,0 +1,288 @@
+"""The stages of one pair after the other: features, links with earlier frames, landmarks, window.
+
+``extract`` needs nothing of other pairs, so that the next ones may be extracted meanwhile; ``add`` takes
+them in order. The batch uses the same stages: ``extract_pair``, ``match_pair`` and the window's frames. What
+differs is the association, which here depends on this pair and earlier ones only.
+"""
+
+import logging
+from concurrent.futures import Future
+from dataclasses import dataclass, field, fields, replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from polhode.backend.window import SlidingWindow, online_estimate, stack_states, without_claims_after_torques
+from polhode.backend.window.causal_state import OnlineState
+from polhode.backend.window.frame import CameraNoise, FrameMeasurements
+from polhode.config import Config
+from polhode.frontend.extract import extract_pair
+from polhode.frontend.features.methods import feature_method
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.features.surface_features import patch_half_m
+from polhode.frontend.matching.earlier_frames import earlier_frames, viewing_direction_G
+from polhode.frontend.matching.key_frames import frames_to_let_go
+from polhode.frontend.matching.methods import match_method
+from polhode.frontend.matching.pairs import PairMatch, match_pair
+from polhode.frontend.rectification import make_rectifier, rectified_images
+from polhode.frontend.segmentation import has_surroundings
+from polhode.frontend.tracks.causal_tracks import CausalTracks
+from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
+from polhode.pipeline.stream.ahead import Ahead, ComingPair
+from polhode.pipeline.stream.live_state import LiveState, live_state
+from polhode.pipeline.streamed import Observations, Streamed, observations_of
+from polhode.records.dataset import StereoImages
+from polhode.records.estimate import OnlineEstimate
+from polhode.records.rig_calibration import StereoCalibration
+from polhode.records.surface import SurfaceModel
+from polhode.records.tracks import Wrench
+from polhode.runtime.processes import worker_count
+
+_log = logging.getLogger(__name__)
+UNKNOWN = np.full(3, np.nan)
+
+
+@dataclass(frozen=True)
+class CameraMotion:
+    """How well the inspector's poses are known, and what is known to act on the target."""
+
+    sigma_p_m: float = 0.0
+    sigma_theta_rad: float = 0.0
+    wrench: Wrench | None = None
+
+
+@dataclass(frozen=True)
+class Extracted:
+    """The features of one pair."""
+
+    features: StereoFeatures
+    images: StereoImages | None
+    """None: nothing is to be made ahead of the batch"""
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Observed:
+    """The features of a pair in its rectified left image, n of them."""
+
+    uv_px: Array
+    """(n, 2)"""
+    landmark: Ints
+    """(n,)"""
+    agrees: Bools
+    """(n,) with the motion"""
+
+
+@dataclass
+class _Past:
+    """What is kept of the frames so far."""
+
+    timestamps_ns: list[int] = field(default_factory=list)
+    features: dict[int, StereoFeatures] = field(default_factory=dict)
+    """By frame, in the order of time: of all frames, of a long stream those of its key frames"""
+    observations: dict[int, Observations] = field(default_factory=dict)
+    """By frame: of the frames that are no key frames"""
+    found_from: int = 0
+    """First frame of those whose poses are in the present frame G"""
+    tried: dict[tuple[int, int], PairMatch | None] = field(default_factory=dict)
+    views_G: list[Array] = field(default_factory=list)
+    states: list[OnlineState] = field(default_factory=list)
+    first_known: tuple[OnlineState, Array] | None = None
+    """The first state of which something is determined, and X_NR there"""
+
+
+class Stream:
+    """Features, landmarks and window of the pairs that have come."""
+
+    def __init__(
+        self, config: Config, calibration: StereoCalibration, camera: CameraMotion | None = None
+    ) -> None:
+        """Raises InputError: the calibration gives no common field of view, or weights are missing."""
+        self.rectifier = make_rectifier(calibration)
+        self._camera = camera or CameraMotion()
+        self._X_CR = self.rectifier.X_CR
+        self._seed = config.seed
+        self._frontend, self._backend = config.frontend, config.backend
+        feature_method(self._frontend), match_method(self._frontend)
+        self._window = SlidingWindow(
+            self.rectifier.rig,
+            config.backend,
+            CameraNoise(self._camera.sigma_p_m, self._camera.sigma_theta_rad, calibration.X_BC0 @ self._X_CR),
+        )
+        self._tracks = CausalTracks()
+        self._past = _Past()
+        self._config = config
+        self._ahead: Ahead | None = None
+        self._latest = Observed(np.zeros((0, 2)), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_))
+
+    def __len__(self) -> int:
+        return len(self._past.timestamps_ns)
+
+    def prepare(self, images: StereoImages) -> None:
+        """Take from the first pair what the batch takes from all: dim surroundings, size of patches."""
+        if images.mask_left is None:
+            left = self.rectifier(images.left, 0)
+            surroundings = has_surroundings([left], self.rectifier.borders[0])
+            self.rectifier = replace(self.rectifier, surroundings=surroundings)
+        features = self._frontend.features
+        if features.method == "polhode" and features.patch_half_m is None:
+            found = self.extract(images).features
+            if len(found):
+                half_m = patch_half_m(float(np.median(found.p_R[:, 2])), self.rectifier.rig)
+                sized = features.model_copy(update={"patch_half_m": half_m})
+                self._frontend = self._frontend.model_copy(update={"features": sized})
+
+    def extract(self, images: StereoImages) -> Extracted:
+        """Rectify, mask and extract; independent of every other pair."""
+        begin = perf_counter()
+        pair = rectified_images(images, self.rectifier)
+        features = extract_pair(pair, self.rectifier.rig, self._frontend)
+        return Extracted(features, images, perf_counter() - begin)
+
+    def add(self, timestamp_ns: int, X_NC: Array, extracted: Extracted) -> LiveState:
+        """Match, associate and estimate; the pair is later than all before. X_NC (4, 4): left camera."""
+        begin = perf_counter()
+        past, k, X_NR = self._past, len(self), X_NC @ self._X_CR
+        past.timestamps_ns.append(timestamp_ns)
+        past.features[k] = extracted.features
+        matches = self._match_earlier(timestamp_ns, X_NR)
+        landmark = self._tracks.add(len(extracted.features), matches)
+        matched = perf_counter()
+        state = self._estimate(timestamp_ns, X_NR, extracted.features, landmark)
+        past.states.append(state)
+        agrees = np.isin(landmark, self._window.accepted_landmarks)
+        self._latest = Observed(extracted.features.uvd_px[:, :2], landmark, agrees)
+        if self.is_long:
+            self._let_go()
+        done = perf_counter()
+        seconds = {"features": extracted.seconds, "matching": matched - begin, "window": done - matched}
+        window = self._window
+        self._work_ahead(k, extracted, X_NR, state)
+        return live_state(state, k, window.accepted, window.restarts, window.sigma_rate, seconds)
+
+    def _work_ahead(self, k: int, extracted: Extracted, X_NR: Array, state: OnlineState) -> None:
+        """Pass the pair on to the process that does what the batch will want."""
+        if extracted.images is None or worker_count(self._config.runtime.workers) == 1:
+            return
+        if self._ahead is None:
+            self._ahead = Ahead(self.rectifier, self._config.model_copy(update={"frontend": self._frontend}))
+        images, tried = extracted.images, [i for i, j in self._past.tried if j == k]
+        measured = images.mask_left is None or bool(images.mask_left.any())
+        X_RG = inverse_pose(X_NR) @ state.X_NG if self._window.accepted else None
+        self._ahead.add(
+            ComingPair(
+                k, images if measured else None, extracted.features, tried, X_RG, self._window.restarts
+            )
+        )
+
+    def surface(self) -> SurfaceModel | None:
+        """The surface that the pairs so far have shown, in the present frame G; None: with one process only,
+        the surface is made at the end."""
+        return None if self._ahead is None else self._ahead.surface()
+
+    def request_surface(self) -> "Future[Any] | None":
+        """The same, a ``SurfaceModel``, as soon as it is made; None: it will not be."""
+        return None if self._ahead is None else self._ahead.request_surface()
+
+    @property
+    def latest(self) -> Observed:
+        """What the latest pair observes."""
+        return self._latest
+
+    @property
+    def landmarks_G(self) -> Array:
+        """(L, 3) landmarks of the present window, in the present frame G [m]."""
+        return self._window.landmarks_G
+
+    def close(self) -> None:
+        """Stop what works ahead, and remove what it has stored."""
+        if self._ahead is not None:
+            self._ahead.remove()
+
+    def _try(self, i: int, j: int) -> PairMatch | None:
+        found = match_pair(self._past.features, i, j, self.rectifier.rig, self._frontend, self._seed)
+        if not self.is_long:
+            self._past.tried[i, j] = found
+        return found
+
+    def _match_earlier(self, timestamp_ns: int, X_NR: Array) -> list[PairMatch]:
+        k, X_NG = len(self) - 1, self._window.predict(timestamp_ns)
+        predicted = None if X_NG is None else viewing_direction_G(X_NR, X_NG)
+        views = np.array(self._past.views_G).reshape(k, 3)
+        found = (self._try(int(i), k) for i in earlier_frames(views, predicted))
+        return [match for match in found if match is not None]
+
+    def _estimate(
+        self, timestamp_ns: int, X_NR: Array, features: StereoFeatures, landmark: Ints
+    ) -> OnlineState:
+        restarts = self._window.restarts
+        state = self._window.add(
+            FrameMeasurements(timestamp_ns, X_NR, landmark, features.uvd_px, features.sigma_px)
+        )
+        if self._window.restarts > restarts:
+            # The views of the frames so far are in a frame G that is gone.
+            self._past.views_G = [UNKNOWN] * len(self._past.views_G)
+            self._past.found_from = len(self._past.views_G)
+        seen = viewing_direction_G(X_NR, state.X_NG) if self._window.accepted else UNKNOWN
+        self._past.views_G.append(seen)
+        return self._with_systematic(state, X_NR)
+
+    def _with_systematic(self, state: OnlineState, X_NR: Array) -> OnlineState:
+        """The state with the errors that all landmarks share in its covariances, as the batch reports it."""
+        past = self._past
+        if past.first_known is None and np.isfinite(np.diagonal(state.covariance)).any():
+            past.first_known = state, X_NR
+        rows, X = [state], [X_NR]
+        if past.first_known is not None:
+            rows, X = [past.first_known[0], state], [past.first_known[1], X_NR]
+        online = online_estimate(rows, self.rectifier.rig, np.stack(X), self._backend)
+        if self._camera.wrench is not None:
+            online = without_claims_after_torques(online, self._camera.wrench)
+        names = [each.name for each in fields(OnlineEstimate) if each.name != "timestamps_ns"]
+        return replace(state, **{name: getattr(online, name)[-1] for name in names})
+
+    @property
+    def is_long(self) -> bool:
+        """Whether so many pairs have come that only key frames keep their features."""
+        return len(self) > self._config.key_frames.above
+
+    @property
+    def n_with_features(self) -> int:
+        """Number of frames whose features are kept: of a long stream, those of the key frames."""
+        return len(self._past.features)
+
+    def _let_go(self) -> None:
+        """Keep of the frames that others tell the same as what they observe of which landmark."""
+        past = self._past
+        # the first time; what was tried is not used again, as there are too many pairs to match all
+        past.tried.clear()
+        kept = np.fromiter(past.features, dtype=np.int64)
+        time_s = 1e-9 * (np.array(past.timestamps_ns)[kept] - past.timestamps_ns[0])
+        views = np.stack([past.views_G[k] for k in kept])
+        for k in kept[frames_to_let_go(views, time_s, self._config.key_frames.number)].tolist():
+            landmark = self._tracks.forget(k)
+            past.observations[k] = observations_of(past.features.pop(k), landmark)
+            past.views_G[k] = UNKNOWN
+
+    def streamed(self, warnings: tuple[str, ...]) -> Streamed:
+        """What was found, for the batch. At least one pair has come."""
+        past, ahead, n = self._past, self._ahead, len(self)
+        observations = [
+            past.observations[k]
+            if k in past.observations
+            else observations_of(past.features[k], self._tracks.landmark[k])
+            for k in range(n if self.is_long else 0)
+        ]
+        return Streamed(
+            np.array(past.timestamps_ns, dtype=np.int64),
+            tuple(past.features.values()),
+            {**past.tried, **({} if ahead is None else ahead.finish())},
+            self.rectifier.surroundings,
+            stack_states(past.states),
+            warnings,
+            np.fromiter(past.features, dtype=np.int64),
+            tuple(observations),
+            past.found_from,
+            None if ahead is None else ahead.depth,
+        )

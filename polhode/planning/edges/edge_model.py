@@ -1,0 +1,480 @@
+"""Edges of any mesh that a camera can see: creases and open boundaries, merged into straight segments.
+
+Smooth parts have no edges of their own; their outlines depend on the view (`visible_edges.py`). Corners of
+faces have the normal of the smooth part that they belong to: a crease separates them, and a cylinder's side
+remains smooth.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+import trimesh
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from polhode.geometry.lie import Array, Bools, Ints
+from polhode.geometry.rays import FirstHits, RayScene
+from polhode.planning.edges.orientation import (
+    Orientation,
+    mesh_edges,
+    outward_orientation,
+    winding_number,
+)
+from polhode.runtime.errors import InputError
+
+
+class Occluder:
+    """A mesh in G that blocks rays."""
+
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        bounds = np.asarray(mesh.bounds)
+        self._middle = bounds.mean(axis=0)
+        self._radius_m = 0.5 * float(np.linalg.norm(bounds[1] - bounds[0]))
+        self._scene = RayScene(np.asarray(mesh.triangles) - self._middle)
+
+    def hides(self, eye_G: Array, p_G: Array, clearance_m: float) -> Bools:
+        """(m,) true where the body blocks the ray from the eye (3,) to points (m, 3), less the clearance."""
+        if len(p_G) == 0:
+            return np.zeros(0, dtype=bool)
+        away = p_G - eye_G
+        distance = np.linalg.norm(away, axis=1)
+        along = away / np.maximum(distance, 1e-12)[:, None]
+        # Start near the body: single precision is then enough at any range.
+        skip = np.maximum(distance - 2.5 * self._radius_m, 0.0)
+        start = eye_G + skip[:, None] * along - self._middle
+        reach = np.maximum(distance - skip - clearance_m, 0.0)
+        start, direction, reach = (each.astype(np.float32) for each in (start, along, reach))
+        return self._scene.blocked(start, direction, reach)
+
+    def first_hits(self, eye_G: Array, direction_G: Array) -> tuple[FirstHits, Array]:
+        """What rays from the eye (3,) along unit directions (n, 3) hit, and where (n, 3)."""
+        skip = max(float(np.linalg.norm(eye_G - self._middle)) - 2.5 * self._radius_m, 0.0)
+        start = eye_G - self._middle + skip * direction_G
+        hits = self._scene.first_hits(start, direction_G)
+        reach = np.where(hits.face >= 0, hits.distance, 0.0)
+        return hits, start + reach[:, None] * direction_G + self._middle
+
+    def shades(self, towards_G: Array, p_G: Array, clearance_m: float) -> Bools:
+        """(m,) true where the body blocks the light of a distant source towards (3,) from points (m, 3)."""
+        if len(p_G) == 0:
+            return np.zeros(0, dtype=bool)
+        direction = np.broadcast_to(towards_G / np.linalg.norm(towards_G), p_G.shape)
+        range_m = np.full(len(p_G), 4.0 * self._radius_m)
+        return self._scene.blocked(p_G - self._middle + clearance_m * direction, direction, range_m)
+
+
+def chains_of(edges: Ints) -> Iterator[tuple[Ints, Ints]]:
+    """Maximal chains of edges (m, 2): vertices (k + 1,) and the edges between them (k,).
+
+    A chain ends where an edge ends or where three or more meet. A closed one returns to its first vertex.
+    """
+    at: dict[int, list[int]] = defaultdict(list)
+    for number, (a, b) in enumerate(edges.tolist()):
+        at[a].append(number)
+        at[b].append(number)
+    used = np.zeros(len(edges), dtype=bool)
+    knots = [vertex for vertex, around in at.items() if len(around) != 2]
+    for vertex in [*sorted(knots), *edges[:, 0].tolist()]:
+        for number in at[vertex]:
+            if not used[number]:
+                yield _follow(edges, at, used, vertex, number)
+
+
+def _follow(
+    edges: Ints, at: dict[int, list[int]], used: Bools, vertex: int, number: int
+) -> tuple[Ints, Ints]:
+    """Walk from a vertex along an unused edge to the chain's end."""
+    chain, members = [vertex], []
+    while True:
+        used[number] = True
+        members.append(number)
+        a, b = edges[number].tolist()
+        vertex = b if a == vertex else a
+        chain.append(vertex)
+        onward = [n for n in at[vertex] if not used[n]]
+        if len(at[vertex]) != 2 or not onward:
+            return np.array(chain), np.array(members)
+        number = onward[0]
+
+
+def straight_pieces(points: Array, tolerance_m: float) -> list[tuple[int, int]]:
+    """Cut a chain (k, 3) into pieces straight to the tolerance: index of first and last point.
+
+    Douglas and Peucker, Cartographica 10, 1973. A closed chain is first cut at the point farthest from its
+    first one.
+    """
+    last = len(points) - 1
+    if np.array_equal(points[0], points[last]):
+        far = int(np.argmax(np.linalg.norm(points - points[0], axis=1)))
+        open_pieces = [(0, far), (far, last)]
+    else:
+        open_pieces = [(0, last)]
+    done: list[tuple[int, int]] = []
+    while open_pieces:
+        a, b = open_pieces.pop()
+        if b <= a:
+            continue
+        middle, off = _farthest(points, a, b)
+        if off <= tolerance_m:
+            done.append((a, b))
+        else:
+            open_pieces += [(a, middle), (middle, b)]
+    return sorted(done)
+
+
+def _farthest(points: Array, a: int, b: int) -> tuple[int, float]:
+    """Index of the point between a and b farthest from their line, and its distance [m]."""
+    if b - a < 2:
+        return a, 0.0
+    along = points[b] - points[a]
+    length = float(np.linalg.norm(along))
+    away = points[a + 1 : b] - points[a]
+    if length < 1e-12:
+        off = np.linalg.norm(away, axis=1)
+    else:
+        off = np.linalg.norm(np.cross(away, along / length), axis=1)
+    at = int(np.argmax(off))
+    return a + 1 + at, float(off[at])
+
+
+ROUND_TURN_DEG = 30.0
+"""Consecutive pieces with a smaller angle between them, and of similar length, approximate an arc."""
+ROUND_LENGTHS = 3.0
+"""Largest ratio of the lengths of consecutive pieces of an arc."""
+
+
+def tangents_along(knots: Array) -> Array:
+    """Directions (k, 2, 3) of a chain at both ends of its k pieces, from its knots (k + 1, 3).
+
+    Along an arc the tangent at a knot is that of the circle through three knots; otherwise the corners of the
+    polygon that approximates a circle would make the rotation about its axis observable, which it is not. At
+    real corners and beside long straight pieces the tangent is the piece's own direction.
+    """
+    pieces = np.diff(knots, axis=0)
+    length = np.linalg.norm(pieces, axis=1)
+    along = pieces / np.maximum(length, 1e-12)[:, None]
+    tangents = np.stack([along, along], axis=1)
+    closed = len(pieces) > 2 and bool(np.array_equal(knots[0], knots[-1]))
+    before = np.arange(len(pieces)) if closed else np.arange(len(pieces) - 1)
+    after = (before + 1) % len(pieces)
+    turn = np.einsum("kc,kc->k", along[before], along[after])
+    like = np.maximum(length[before], length[after]) <= ROUND_LENGTHS * np.minimum(
+        length[before], length[after]
+    )
+    round_ = (turn > np.cos(np.radians(ROUND_TURN_DEG))) & like
+    before, after = before[round_], after[round_]
+    tangent = along[before] * length[after, None] + along[after] * length[before, None]
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    tangents[before, 1] = tangent
+    tangents[after, 0] = tangent
+    return tangents
+
+
+CREASE_DEG = 30.0
+"""Faces that meet at more than this angle form an edge."""
+FLAT_DEG = 0.5
+"""A part whose normals deviate less from their mean is flat."""
+TOLERANCE = 5e-4
+"""Deviation of a straight piece from the edge, as a share of the body's diameter."""
+MIN_LENGTH = 0.01
+"""Shorter edges, as a share of the body's diameter, are omitted; an arc counts as a whole."""
+
+
+class EdgeKind(IntEnum):
+    """Origin of an edge."""
+
+    CREASE = 0
+    """two faces that meet at an angle"""
+    BOUNDARY = 1
+    """boundary of an open mesh"""
+    OUTLINE = 2
+    """where a smooth part turns away from the viewer"""
+
+
+@dataclass(frozen=True)
+class EdgeModel:
+    """Edges in G and the surface that occludes them. Feature i < n is a segment, i >= n a smooth part."""
+
+    ends_G: Array
+    """(n, 2, 3) [m]"""
+    tangents_G: Array
+    """(n, 2, 3) unit direction of the edge at both ends: along arcs they differ from the chord"""
+    sides_G: Array
+    """(n, 2, 3) outward normals of the faces at both sides; a boundary has its only face twice"""
+    kind: Ints
+    """(n,) of EdgeKind"""
+    surface: trimesh.Trimesh
+    """faces in G; all of them occlude, whichever edges are used"""
+    corner_normals_G: Array
+    """(f, 3, 3) unit normals of the smooth part at the corners of the faces"""
+    part: Ints
+    """(f,) curved part of each face, numbered from 0; -1 where the face is flat or belongs to a plane"""
+    tolerance_m: float
+    """largest deviation of a segment from the mesh's edge"""
+    outlined: Bools
+    """(parts,) which curved parts have outlines"""
+    soft: Ints
+    """(k, 4) edges that are not creases: two vertices of the surface, the faces on both sides"""
+    faceted: bool
+    """outlines follow the edges of the faces, not a smooth surface that these approximate"""
+    closed: Bools
+    """(f,) faces of closed patches: within them there is material"""
+    occluder: Occluder = field(repr=False, compare=False)
+    notes: tuple[str, ...] = ()
+    """what was corrected in the mesh, and what in it is doubtful"""
+
+    @property
+    def size(self) -> int:
+        """Number of features: segments, then smooth parts."""
+        return len(self.ends_G) + len(self.outlined)
+
+    @cached_property
+    def lift_G(self) -> Array:
+        """(n, 3) outwards, from a segment to the arc that it approximates: a chord lies inside."""
+        outward = self.sides_G[:, 0] + self.sides_G[:, 1]
+        outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
+        lift = np.where(self.kind == EdgeKind.BOUNDARY, 0.0, 1.5 * self.tolerance_m)
+        return np.asarray(lift[:, None] * outward)
+
+    @cached_property
+    def outlined_faces(self) -> Bools:
+        """(f,) faces of the curved parts that have outlines."""
+        return np.append(self.outlined, False)[self.part]
+
+    @property
+    def lengths_m(self) -> Array:
+        """(n,) of the segments."""
+        return np.asarray(np.linalg.norm(self.ends_G[:, 1] - self.ends_G[:, 0], axis=1))
+
+    @property
+    def centre_G(self) -> Array:
+        """(3,) centre of the surface's bounding box [m]: the default reference point of motions."""
+        return np.asarray(self.surface.bounds.mean(axis=0))
+
+    @property
+    def radius_m(self) -> float:
+        """Half the diagonal of the bounding box."""
+        return 0.5 * float(np.linalg.norm(np.ptp(self.surface.bounds, axis=0)))
+
+    def encloses(self, p_G: Array) -> bool:
+        """Whether a point (3,) lies inside the body: within its closed parts, however these overlap."""
+        lowest, highest = self.surface.bounds
+        if not self.closed.any() or (p_G < lowest).any() or (p_G > highest).any():
+            return False
+        return winding_number(np.asarray(self.surface.triangles)[self.closed], p_G) > 0.5
+
+    def seen(self, eye_G: Array, direction_G: Array) -> tuple[Bools, Array, Array, Array]:
+        """Which rays from the eye (3,) along unit directions (n, 3) hit the body (n,), and what they see.
+
+        Of those h: the points (h, 3), normals of the faces (h, 3) and of the smooth surface (h, 3), on the
+        side of the eye.
+        """
+        hits, p_G = self.occluder.first_hits(eye_G, direction_G)
+        hit = hits.face >= 0
+        face, u, v = hits.face[hit], hits.u[hit], hits.v[hit]
+        weight = np.stack([1.0 - u - v, u, v], axis=1)
+        smooth_G = np.einsum("hc,hck->hk", weight, self.corner_normals_G[face])
+        smooth_G /= np.maximum(np.linalg.norm(smooth_G, axis=1, keepdims=True), 1e-12)
+        flat_G = np.asarray(self.surface.face_normals)[face]
+        # an open sheet is also seen from behind
+        behind = np.einsum("hk,hk->h", flat_G, direction_G[hit]) > 0.0
+        sign = np.where(behind, -1.0, 1.0)[:, None]
+        return hit, p_G[hit], sign * flat_G, sign * smooth_G
+
+    def only(self, features: Ints | Bools) -> "EdgeModel":
+        """The model with these features (indices or mask of ``size``); the whole surface still occludes."""
+        keep = np.zeros(self.size, dtype=bool)
+        keep[features] = True
+        n = len(self.ends_G)
+        return replace(
+            self,
+            ends_G=self.ends_G[keep[:n]],
+            tangents_G=self.tangents_G[keep[:n]],
+            sides_G=self.sides_G[keep[:n]],
+            kind=self.kind[keep[:n]],
+            outlined=self.outlined & keep[n:],
+        )
+
+
+def edge_model(
+    mesh: trimesh.Trimesh,
+    crease_deg: float = CREASE_DEG,
+    tolerance_m: float | None = None,
+    min_length_m: float | None = None,
+    flat_deg: float = FLAT_DEG,
+    faceted: bool = False,
+) -> EdgeModel:
+    """Edges of a mesh in G; smooth parts whose normals differ by less than ``flat_deg`` have no outlines.
+
+    Duplicate faces are removed, and faces are turned so that neighbours agree and normals point outward.
+
+    Raises InputError for a mesh without faces or with numbers that are not finite.
+    """
+    if len(mesh.faces) == 0:
+        raise InputError("the mesh has no faces: an edge model needs a surface")
+    if not np.isfinite(mesh.vertices).all():
+        raise InputError("the mesh has vertices with non-finite coordinates")
+    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    surface.merge_vertices(merge_norm=True, merge_tex=True)
+    surface.update_faces(surface.nondegenerate_faces() & surface.unique_faces())
+    surface.remove_unreferenced_vertices()
+    if len(surface.faces) == 0:
+        raise InputError("all faces of the mesh are degenerate: an edge model needs a surface")
+    occluder = Occluder(surface)
+    orientation = outward_orientation(surface, occluder.shades)
+    if orientation.reverse.any():
+        faces = np.asarray(surface.faces)
+        turned = np.where(orientation.reverse[:, None], faces[:, ::-1], faces)
+        surface = trimesh.Trimesh(surface.vertices, turned, process=False)
+    diameter = float(np.linalg.norm(np.ptp(surface.bounds, axis=0)))
+    tolerance_m = TOLERANCE * diameter if tolerance_m is None else tolerance_m
+    min_length_m = MIN_LENGTH * diameter if min_length_m is None else min_length_m
+    edges, sides, kind, soft = _sharp_edges(surface, crease_deg)
+    part = _smooth_parts(len(surface.faces), soft[:, 2:])
+    ends, tangents, normals, kinds = _segments(surface, edges, sides, kind, tolerance_m, min_length_m)
+    corners = _corner_normals(surface, part)
+    curved = _is_curved(surface, corners, part, flat_deg)
+    return EdgeModel(
+        ends,
+        tangents,
+        normals,
+        kinds,
+        surface,
+        corners,
+        np.where(curved, np.cumsum(curved) - 1, -1)[part],
+        tolerance_m,
+        np.ones(int(curved.sum()), dtype=bool),
+        soft,
+        faceted,
+        orientation.closed,
+        occluder,
+        _notes(orientation, kind, len(soft)),
+    )
+
+
+MANY_EDGES = 2000
+"""A mesh with more edges, most of them sharp, is rough or noisy."""
+SEPARATE_FACES = 50
+"""A mesh of more faces, most of whose edges have one face, does not connect its faces."""
+
+
+def _notes(orientation: Orientation, sharp: Ints, soft: int) -> tuple[str, ...]:
+    """A sentence for each doubt about the mesh; ``sharp``: kinds of the sharp edges."""
+    notes, faces = [], len(orientation.reverse)
+    turned, one_sided = int(orientation.reverse.sum()), int(orientation.one_sided.sum())
+    if turned:
+        notes.append(
+            "faces of the mesh turned so that neighbours agree and normals point outward: "
+            f"{turned} of {faces}"
+        )
+    if one_sided:
+        notes.append(
+            f"{one_sided} of the mesh's {faces} faces form a one-sided surface, whose orientation cannot be "
+            "made consistent: edges where it changes may be false"
+        )
+    edges, rims = len(sharp) + soft, int((sharp == EdgeKind.BOUNDARY).sum())
+    if faces > SEPARATE_FACES and rims > 0.5 * edges:
+        notes.append(
+            f"{rims} of the mesh's {edges} edges belong to one face only and count as rims: if the surface "
+            "is closed, neighbouring faces do not share their vertices; merge these"
+        )
+    elif edges > MANY_EDGES and len(sharp) > 0.5 * edges:
+        notes.append(
+            f"{len(sharp)} of the mesh's {edges} edges are sharp, as on a rough or noisy surface, and all "
+            "count as edges of the body: smooth or simplify the mesh, or raise the crease angle"
+        )
+    return tuple(notes)
+
+
+def _sharp_edges(surface: trimesh.Trimesh, crease_deg: float) -> tuple[Ints, Array, Ints, Ints]:
+    """Edges (m, 2), normals of their sides (m, 2, 3), kinds (m,); the others, as in ``EdgeModel.soft``."""
+    edges = mesh_edges(surface)
+    n = np.asarray(surface.face_normals)
+    cosine = np.einsum("nk,nk->n", n[edges.first], n[edges.second])
+    crease = (cosine < np.cos(np.radians(crease_deg))) | (edges.count > 2)
+    rim = edges.count == 1
+    sharp = crease | rim
+    soft = ~sharp
+    sides = np.stack([n[edges.first], n[edges.second]], axis=1)
+    kind = np.where(rim, EdgeKind.BOUNDARY, EdgeKind.CREASE)
+    others = np.column_stack([edges.vertices[soft], edges.first[soft], edges.second[soft]])
+    return edges.vertices[sharp], sides[sharp], kind[sharp], others
+
+
+def _smooth_parts(faces: int, joined: Ints) -> Ints:
+    """Number (f,) of the smooth part of each face."""
+    graph = coo_matrix((np.ones(len(joined)), (joined[:, 0], joined[:, 1])), shape=(faces, faces))
+    _, part = connected_components(graph, directed=False)
+    return np.asarray(part, dtype=np.int64)
+
+
+def _corner_normals(surface: trimesh.Trimesh, part: Ints) -> Array:
+    """Mean normal of the faces around a vertex within its smooth part (f, 3, 3).
+
+    Weights of Max, "Weights for computing vertex normals from facet normals", J. Graphics Tools 4, 1999:
+    exact for vertices on a sphere.
+    """
+    triangles = np.asarray(surface.triangles)
+    flat = np.broadcast_to(np.asarray(surface.face_normals)[:, None, :], triangles.shape)
+    onward = np.roll(triangles, -1, axis=1) - triangles
+    back = np.roll(triangles, 1, axis=1) - triangles
+    squares = np.einsum("fck,fck->fc", onward, onward) * np.einsum("fck,fck->fc", back, back)
+    weighted = np.cross(onward, back) / np.maximum(squares, 1e-300)[..., None]
+    key = np.asarray(surface.faces) * (part.max() + 1) + part[:, None]
+    _, corner = np.unique(key.reshape(-1), return_inverse=True)
+    total = np.zeros((corner.max() + 1, 3))
+    np.add.at(total, corner.reshape(-1), weighted.reshape(-1, 3))
+    normal = total[corner.reshape(-1)].reshape(-1, 3, 3)
+    length = np.linalg.norm(normal, axis=2, keepdims=True)
+    return np.where(length > 0.0, normal / np.maximum(length, 1e-300), flat)
+
+
+def _is_curved(surface: trimesh.Trimesh, corners: Array, part: Ints, flat_deg: float) -> Bools:
+    """(parts,) whether any corner normal of a part deviates from the part's mean by more than this."""
+    count = int(part.max()) + 1
+    mean = np.zeros((count, 3))
+    np.add.at(mean, part, np.asarray(surface.area_faces)[:, None] * np.asarray(surface.face_normals))
+    length = np.linalg.norm(mean, axis=1, keepdims=True)
+    mean = np.where(length > 0.0, mean / np.maximum(length, 1e-300), 0.0)
+    lowest = np.ones(count)
+    np.minimum.at(lowest, part, np.einsum("fck,fk->fc", corners, mean[part]).min(axis=1))
+    return np.asarray(lowest < np.cos(np.radians(flat_deg)))
+
+
+def _segments(
+    surface: trimesh.Trimesh, edges: Ints, sides: Array, kind: Ints, tolerance_m: float, min_length_m: float
+) -> tuple[Array, Array, Array, Ints]:
+    """Chains of sharp edges, cut into straight pieces: ends, tangents, sides (n, 2, 3), kinds (n,)."""
+    vertices = np.asarray(surface.vertices)
+    ends, tangents, normals, kinds = [], [], [], []
+    for which in EdgeKind.CREASE, EdgeKind.BOUNDARY:
+        own = np.flatnonzero(kind == which)
+        for chain, members in chains_of(edges[own]):
+            pieces = straight_pieces(vertices[chain], tolerance_m)
+            knots = vertices[chain[[0, *(b for _, b in pieces)]]]
+            if np.linalg.norm(np.diff(knots, axis=0), axis=1).sum() < min_length_m:
+                continue
+            tangents.append(tangents_along(knots))
+            for a, b in pieces:
+                ends.append(vertices[[chain[a], chain[b]]])
+                normals.append(_mean_sides(sides[own[members[a:b]]]))
+                kinds.append(int(which))
+    return (
+        np.array(ends).reshape(-1, 2, 3),
+        np.concatenate(tangents) if tangents else np.zeros((0, 2, 3)),
+        np.array(normals).reshape(-1, 2, 3),
+        np.array(kinds, dtype=np.int64),
+    )
+
+
+def _mean_sides(sides: Array) -> Array:
+    """Two mean normals (2, 3) of (m, 2, 3), whose order may differ from edge to edge."""
+    first = sides[0]
+    swapped = np.einsum("mk,k->m", sides[:, 0] - sides[:, 1], first[0] - first[1]) < 0.0
+    ordered = np.where(swapped[:, None, None], sides[:, ::-1], sides)
+    mean = ordered.mean(axis=0)
+    return np.asarray(mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12))

@@ -1,0 +1,188 @@
+"""How accurate a tracker's pose will be at one view, before there is an image.
+
+The metric asks where edges lie; an image decides how well each of them is measured, by its contrast, by what
+lies beside it, and by what the model does not know. Here rays look at the body along the profile of each
+control point, under several Suns, with shadows; the profiles are blurred as an image is, and measured as the
+tracker measures an image (``stripe_profiles.py``), with its noise but without any drawn:
+
+- a point weighs as much as its profile tells: little where both sides are equally light, or where other
+  stripes, shadows, or parts behind explain the same profile;
+- where a profile is not what the model makes of it (a shadow's border beside an edge, parts that overlap
+  without a common edge), the point is displaced, and the pose with it: an error that no average over points
+  removes, and that differs from Sun to Sun.
+
+The covariance has both: the inverse of the mean information over the Suns, and the mean square of the
+displacements of the pose.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, inverse_pose
+from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.observability_metric import (
+    EdgeObservability,
+    edge_motion,
+    observable_covariance,
+)
+from polhode.planning.edges.stripe_profiles import BLUR_PX, STEP_PX, fitted, places
+from polhode.planning.edges.stripes import (
+    FLOOR_PX,
+    HALF_PX,
+    MAX_SHIFT_PX,
+    SAMPLED_PX,
+    stripes_across,
+    times_measured,
+)
+from polhode.planning.edges.visible_edges import SPACING_PX, ControlPoints, control_points, every_point
+
+WHITE_DN = 100.0
+"""Grey level of a surface in full sunlight"""
+MAX_POINTS = 300
+"""Control points that are looked at, so that a view takes the same time however many edges it has"""
+BEYOND_PX = 3.0
+"""By how much rays look farther than a profile: its blur"""
+SHADOW_LIFT = 2e-4
+"""Of a point above its face, in radii of the body, where its shadow is looked for"""
+SUN_ANGLE_DEG = 45.0
+"""Between the Sun and the camera, where the Sun is not known"""
+
+
+@dataclass(frozen=True)
+class ExpectedLight:
+    """Suns, each with the Earth that goes with it."""
+
+    sun_R: Array
+    """(k, 3) unit, towards the Sun"""
+    earth_R: Array
+    """(k, 3) unit, towards the Earth's centre, whose disc fills half the sky"""
+    earth: float = 0.2
+    """level of a white surface that faces the Earth, in the shadow of the Sun"""
+
+
+def around_camera(count: int = 4, angle_deg: float = SUN_ANGLE_DEG) -> ExpectedLight:
+    """Suns evenly around the camera, each with the Earth beyond the camera, 100 degrees away."""
+    around = 2.0 * np.pi * (np.arange(count) + 0.5) / count
+    angle = np.deg2rad(angle_deg)
+    sun = np.column_stack([np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), 0.0 * around])
+    sun[:, 2] = -np.cos(angle)
+    return lit_from(sun)
+
+
+def lit_from(sun_R: Array, earth: float = 0.2, apart_deg: float = 100.0) -> ExpectedLight:
+    """Suns (k, 3), each with an Earth so far from it, on the other side of the direction to the camera."""
+    sun = np.asarray(sun_R, dtype=np.float64).reshape(-1, 3)
+    sun = sun / np.linalg.norm(sun, axis=1, keepdims=True)
+    to_camera = np.array([0.0, 0.0, -1.0])
+    across = to_camera - sun * (sun @ to_camera)[:, None]
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    # a Sun behind the camera has no side: any will do
+    across = np.where(length > 1e-6, across / np.maximum(length, 1e-6), np.cross(sun, [1.0, 0.0, 0.0]))
+    apart = np.deg2rad(apart_deg)
+    return ExpectedLight(sun, np.cos(apart) * sun + np.sin(apart) * across, earth)
+
+
+@dataclass(frozen=True)
+class ExpectedTracking:
+    """What a view will tell of the pose."""
+
+    information: EdgeObservability
+    """Its C (6, 6) [m^-2, m^-1 rad^-1, rad^-2]: mean over the Suns, without the displacements"""
+    displacement: Array
+    """(k, 6) of the pose under each Sun [m, rad], by what the model lacks"""
+
+    @property
+    def covariance(self) -> Array:
+        """(6, 6) [m^2, m rad, rad^2]; inf on the diagonal where unobservable."""
+        d = self.displacement
+        return np.asarray(self.information.covariance + d.T @ d / len(d))
+
+    @property
+    def sigma(self) -> Array:
+        """(6,) [m, rad]."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+
+
+def expected_tracking(
+    model: EdgeModel,
+    rig: RectifiedRig,
+    X_RG: Array,
+    light: ExpectedLight | None = None,
+    known: EdgeModel | None = None,
+    about_G: Array | None = None,
+    floor_px: float = FLOOR_PX,
+    points: ControlPoints | None = None,
+) -> ExpectedTracking:
+    """Of a tracker of the model's edges at X_RG (4, 4).
+
+    ``light``: a few Suns around the camera unless given. ``known``: all edges of the body, where the model
+    has only some of them. ``about_G`` (3,): reference point of the motions, unless the model's centre.
+    ``floor_px``: sigma of an edge's place however clear it is. ``points``: the model's control points there,
+    if they are known.
+    """
+    light = light or around_camera()
+    o_G = model.centre_G if about_G is None else about_G
+    points = _thinned(control_points(model, rig, X_RG, SPACING_PX) if points is None else points)
+    own = every_point(model, rig, X_RG, SAMPLED_PX)
+    every = own if known is None or known is model else every_point(known, rig, X_RG, SAMPLED_PX)
+    stripes = stripes_across(points, every, X_RG, HALF_PX + MAX_SHIFT_PX)
+    f = edge_motion(points, rig, X_RG, o_G)
+    length = points.weight / np.maximum(times_measured(points, own), 1.0)
+    C, displacement = [], []
+    place = places(HALF_PX)
+    for grey in expected_profiles(model, points, rig, X_RG, light):
+        seen = fitted(place, grey, stripes).of(stripes, f, length, floor_px)
+        if not seen.counts.any():
+            C.append(np.zeros((6, 6)))
+            displacement.append(np.zeros(6))
+            continue
+        equations, _, _ = seen.normal_equations(seen.settled_places(), narrow=True)
+        C.append(equations.C)
+        displacement.append(observable_covariance(equations.C, model.radius_m) @ equations.pull)
+    information = EdgeObservability(np.mean(C, axis=0), model.radius_m, len(points))
+    return ExpectedTracking(information, np.array(displacement))
+
+
+def _thinned(points: ControlPoints) -> ControlPoints:
+    """At most ``MAX_POINTS``, evenly over the edges, which stand for all."""
+    step = -(-len(points) // MAX_POINTS) if len(points) else 1
+    chosen = points[np.arange(0, len(points), step)]
+    return replace(chosen, weight=chosen.weight * (len(points) / max(len(chosen), 1)))
+
+
+def expected_profiles(
+    model: EdgeModel, points: ControlPoints, rig: RectifiedRig, X_RG: Array, light: ExpectedLight
+) -> Array:
+    """Grey levels (k, m, n) under k Suns along the normals of m points, at ``places(HALF_PX)``, blurred."""
+    place = places(HALF_PX)
+    # between the samples of a profile: a ray through the edge itself would see one side or the other
+    ray = places(HALF_PX + BEYOND_PX)[:-1] + 0.5 * STEP_PX
+    kernel = np.exp(-0.5 * ((place[:, None] - ray) / BLUR_PX) ** 2)
+    kernel /= kernel.sum(axis=1, keepdims=True)
+    uv = points.uv_px[:, None] + ray[:, None] * points.normal_px[:, None]
+    grey = _grey_levels(model, uv.reshape(-1, 2), rig, X_RG, light)
+    return np.ascontiguousarray(grey.reshape(len(light.sun_R), len(points), len(ray)) @ kernel.T)
+
+
+def _grey_levels(
+    model: EdgeModel, uv_px: Array, rig: RectifiedRig, X_RG: Array, light: ExpectedLight
+) -> Array:
+    """(k, r) of pixels (r, 2) under k Suns: Lambertian, one albedo, black sky, shadows of the Sun."""
+    X_GR = inverse_pose(X_RG)
+    R_GR, eye_G = X_GR[:3, :3], X_GR[:3, 3]
+    ray_R = np.column_stack([(uv_px - [rig.cx_px, rig.cy_px]) / rig.focal_px, np.ones(len(uv_px))])
+    ray_G = ray_R @ R_GR.T
+    ray_G /= np.linalg.norm(ray_G, axis=1, keepdims=True)
+    hit, p_G, facing_G, normal_G = model.seen(eye_G, ray_G)
+    out = np.zeros((len(light.sun_R), len(uv_px)))
+    for level, sun_R, earth_R in zip(out, light.sun_R, light.earth_R, strict=True):
+        sun_G, earth_G = R_GR @ sun_R, R_GR @ earth_R
+        towards = (facing_G @ sun_G > 0.0) & (normal_G @ sun_G > 0.0)
+        lift_m = SHADOW_LIFT * model.radius_m
+        start_G = p_G[towards] + lift_m * facing_G[towards]
+        towards[towards] = ~model.occluder.shades(sun_G, start_G, 0.5 * lift_m)
+        sunlight = np.where(towards, normal_G @ sun_G, 0.0)
+        level[hit] = WHITE_DN * (sunlight + light.earth * 0.5 * (1.0 + normal_G @ earth_G))
+    return out

@@ -1,0 +1,275 @@
+"""Stripes: edges that lie side by side in the image, nearer to each other than it can tell apart.
+
+A bevel, or the rim of a panel, shows two or more parallel edges within a pixel or two. Where exactly the
+light changes between them depends on the light, which is not known: an image shows one step somewhere within
+the stripe. Edges that are farther apart are steps of their own, in a known distance: together with them, an
+edge is found where alone it would be mistaken for its neighbour.
+
+How far across a stripe the step lies is the same for all stripes whose sides face alike, as the light falls
+on them alike. It is no independent error of each control point, however many there are, but one unknown for
+each class of stripes (``light_classes``).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
+from polhode.planning.edges.visible_edges import ControlPoints
+from polhode.runtime.compiled import compiled_ieee
+
+LINES = 6
+"""Stripes across a point that are kept, the nearest"""
+JOINED_PX = 1.0
+"""Edges that are nearer to each other are one stripe."""
+SAMPLED_PX = 2.0
+"""Spacing of the points of all edges that are looked for across a point"""
+_ALONG_PX = 1.3 * SAMPLED_PX
+_TURNS = 3
+_STEEPEST = 0.6
+"""Cosine of the largest angle between two edges of which one is looked for across the other"""
+_GRAZING = 0.02
+"""Sine of the angle between a surface and the line of sight below which its outline is there"""
+_ALIKE = 8.0
+"""Normals that agree to one part in so many are alike."""
+HALF_PX = 3.0
+"""What lies within this of a control point, along its normal, is measured by it."""
+UNIFORM_SIGMA = 1.0 / np.sqrt(12.0)
+"""Standard deviation of a place within a stripe of width 1"""
+FLOOR_PX = 0.05
+"""Sigma of an edge's place in an image however clear it is: blur, pixels, errors of the model
+(docs/observability.md)"""
+MAX_SIGMA_PX, MAX_SHIFT_PX = 0.6, 2.5
+"""Points that are less certain, or farther off, do not count."""
+TUKEY, CAUCHY = 4.685, 2.385
+"""Widths in sigmas: 95 % efficient for Gaussian noise (Huber and Ronchetti, Robust Statistics, 2009)"""
+MAD_TO_SIGMA = 1.4826
+
+
+@dataclass(frozen=True)
+class Stripes:
+    """What lies across m control points, along their normals: up to ``LINES`` stripes; NaN where fewer."""
+
+    offset_px: Array
+    """(m, LINES) from the point to the middle of the stripe"""
+    width_px: Array
+    """(m, LINES) from its first edge to its last; 0: one edge"""
+    slope: Array
+    """(m, LINES) tangent of the angle between its edges and the point's"""
+    light: Ints
+    """(m,) class of points whose surfaces face alike, 0 to classes - 1"""
+    side: Array
+    """(m,) 1 or -1: which way across the stripe the normal of the point leads, the same within a class"""
+    curved: Bools
+    """(m,) whether the point is on the outline of a curved surface, which lies behind it along its normal"""
+
+    @property
+    def classes(self) -> int:
+        """Number of classes."""
+        return int(self.light.max()) + 1 if len(self.light) else 0
+
+
+def stripes_across(points: ControlPoints, every: ControlPoints, X_RG: Array, reach_px: float) -> Stripes:
+    """What lies within ``reach_px`` across control points of a view at X_RG (4, 4).
+
+    ``every``: points of all edges that are known there, ``SAMPLED_PX`` apart. Each point is on a line of
+    its own, whether or not that is among them.
+    """
+    light, side = light_classes(points, X_RG)
+    offset, width, slope = _lines_across(points, every, reach_px)
+    return Stripes(offset, width, slope, light, side, _on_curved_surface(points, X_RG))
+
+
+def _lines_across(points: ControlPoints, every: ControlPoints, reach_px: float) -> Array:
+    """Offset, width and slope (3, m, LINES)."""
+    out = np.full((3, len(points), LINES), np.nan)
+    order = np.argsort(every.uv_px[:, 0])
+    uv, normal = every.uv_px[order], every.normal_px[order]
+    _gather(points.uv_px, points.normal_px, uv, normal, reach_px, out)
+    return out
+
+
+def _on_curved_surface(points: ControlPoints, X_RG: Array) -> Bools:
+    """(m,) whether both sides have the same normal, perpendicular to the line of sight."""
+    alike = (points.sides_G[:, 0] == points.sides_G[:, 1]).all(axis=1)
+    ray = points.p_G - inverse_pose(X_RG)[:3, 3]
+    sine = np.einsum("mk,mk->m", points.sides_G[:, 0], ray) / np.linalg.norm(ray, axis=1)
+    return np.asarray(alike & (np.abs(sine) < _GRAZING))
+
+
+@compiled_ieee
+def _gather(
+    uv: Array, normal: Array, every_uv: Array, every_normal: Array, reach_px: float, out: Array
+) -> None:
+    """Offset, width and slope (3, m, LINES) of the stripes across points; ``every_uv`` ascends in u."""
+    offset, slope = np.zeros(len(every_uv) + 1), np.zeros(len(every_uv) + 1)
+    middle = np.zeros(len(every_uv) + 1)
+    radius = np.hypot(reach_px, _ALONG_PX)
+    for i in range(len(uv)):
+        n0, n1 = normal[i, 0], normal[i, 1]
+        # its own line
+        offset[0], slope[0], count = 0.0, 0.0, 1
+        k = np.searchsorted(every_uv[:, 0], uv[i, 0] - radius)
+        while k < len(every_uv) and every_uv[k, 0] <= uv[i, 0] + radius:
+            du, dv = every_uv[k, 0] - uv[i, 0], every_uv[k, 1] - uv[i, 1]
+            along = n0 * dv - n1 * du
+            cosine = every_normal[k, 0] * n0 + every_normal[k, 1] * n1
+            if abs(along) < _ALONG_PX and abs(cosine) >= _STEEPEST:
+                tangent = (n0 * every_normal[k, 1] - n1 * every_normal[k, 0]) / cosine
+                there = du * n0 + dv * n1 + along * tangent
+                if abs(there) <= reach_px:
+                    # in ascending order
+                    at = count
+                    while at > 0 and offset[at - 1] > there:
+                        offset[at], slope[at] = offset[at - 1], slope[at - 1]
+                        at -= 1
+                    offset[at], slope[at] = there, abs(tangent)
+                    count += 1
+            k += 1
+        stripes, first = 0, 0
+        for at in range(1, count + 1):
+            if at == count or offset[at] - offset[at - 1] > JOINED_PX:
+                here, width = 0.5 * (offset[first] + offset[at - 1]), offset[at - 1] - offset[first]
+                steepest = slope[first]
+                for each in range(first, at):
+                    steepest = max(steepest, slope[each])
+                # the nearest ones, in ascending order of their distance
+                place = min(stripes, LINES)
+                while place > 0 and middle[place - 1] > abs(here):
+                    if place < LINES:
+                        middle[place] = middle[place - 1]
+                        out[:, i, place] = out[:, i, place - 1]
+                    place -= 1
+                if place < LINES:
+                    middle[place] = abs(here)
+                    out[0, i, place], out[1, i, place], out[2, i, place] = here, width, steepest
+                stripes += 1
+                first = at
+
+
+def light_classes(points: ControlPoints, X_RG: Array) -> tuple[Ints, Array]:
+    """Classes (m,) of points whose surfaces face alike, and the sign (m,) of their normals within them."""
+    if len(points) == 0:
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
+    facing = np.round(points.sides_G * _ALIKE).astype(np.int64)
+    behind, before = facing[:, 0], facing[:, 1]
+    differs = behind != before
+    which = np.argmax(differs, axis=1)
+    row = np.arange(len(points))
+    swapped = differs.any(axis=1) & (behind[row, which] > before[row, which])
+    ordered = np.where(swapped[:, None, None], facing[:, ::-1], facing).reshape(len(points), 6)
+    _, light = np.unique(ordered, axis=0, return_inverse=True)
+    turn = points.sides_G[:, 1] - points.sides_G[:, 0]
+    turn_px = np.where(swapped[:, None], -turn, turn) @ X_RG[:3, :3].T
+    side = np.where(np.einsum("md,md->m", turn_px[:, :2], points.normal_px) < 0.0, -1.0, 1.0)
+    return np.asarray(light.reshape(-1), dtype=np.int64), side
+
+
+@dataclass(frozen=True)
+class StripeInformation:
+    """What distances to stripes tell of a motion: normal equations without the places in the stripes."""
+
+    C: Array
+    """(6, 6)"""
+    pull: Array
+    """(6,) C times the step that fits best"""
+    reach: Array
+    """(classes, 6) change of each class's place by a step"""
+    place: Array
+    """(classes,) of a step of zero, in sigmas of the place"""
+
+    def places(self, step: Array) -> Array:
+        """(classes,) where in their stripes the steps of light lie after a step (6,), in their sigmas."""
+        return np.asarray(self.place - self.reach @ step)
+
+
+def stripe_information(
+    f: Array, distance_px: Array, weight: Array, spread_px: Array, light: Ints, classes: int
+) -> StripeInformation:
+    """Information on the six generators from distances (m,) with motions f (m, 6) and weights (m,) [px^-2].
+
+    ``spread_px`` (m,): sigma of the place within the stripe, with the sign of ``Stripes.side``; the places
+    of a class are one unknown, which the data and its prior (0 +- 1 sigma) determine together, and which is
+    eliminated (Schur complement).
+    """
+    coupled = weight * spread_px
+    own = 1.0 + np.bincount(light, coupled * spread_px, classes)
+    g = np.zeros((classes, 6))
+    np.add.at(g, light, coupled[:, None] * f)
+    r = np.bincount(light, coupled * distance_px, classes)
+    C = (f * weight[:, None]).T @ f - (g / own[:, None]).T @ g
+    pull = f.T @ (weight * distance_px) - g.T @ (r / own)
+    return StripeInformation(C, pull, g / own[:, None], r / own)
+
+
+def times_measured(points: ControlPoints, own: ControlPoints) -> Array:
+    """(m,) how many stripes of the model a point's profile shows: points of each of them measure them all.
+
+    ``own``: points of all edges of the model, ``SAMPLED_PX`` apart.
+    """
+    offset_px = _lines_across(points, own, HALF_PX)[0]
+    return np.asarray(np.isfinite(offset_px).sum(axis=1), dtype=np.float64)
+
+
+def median_scale(residual: Array, weight: Array) -> float:
+    """Sigma of residuals (m,) from their weighted median size, in their unit."""
+    size = np.abs(residual)
+    order = np.argsort(size)
+    half = int(np.searchsorted(np.cumsum(weight[order]), 0.5 * float(weight.sum())))
+    return MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]])
+
+
+def robust_weight(u: Array, narrow: bool) -> Array:
+    """Weights of residuals in sigmas: Tukey's, which forgets what is far off; Cauchy's until near."""
+    if narrow:
+        return np.asarray(np.where(np.abs(u) < TUKEY, (1.0 - (u / TUKEY) ** 2) ** 2, 0.0))
+    return np.asarray(1.0 / (1.0 + (u / CAUCHY) ** 2))
+
+
+@dataclass(frozen=True)
+class MeasuredStripes:
+    """The stripes across m control points, measured."""
+
+    stripes: Stripes
+    f: Array
+    """(m, 6) motion across the edges"""
+    shift_px: Array
+    """(m,) from the model to the image"""
+    sigma_px: Array
+    """(m,)"""
+    spread_px: Array
+    """(m,) sigma of the place within the stripe, with the sign of ``Stripes.side``"""
+    counts: Bools
+    """(m,) whether the point has a measurement"""
+    length: Array
+    """(m,) of edge that the point stands for, over the spacing, less what other points measure, too"""
+
+    def residual(self, place: Array) -> Array:
+        """(m,) in sigmas, with places (classes,) of the steps in their stripes."""
+        return np.asarray((self.shift_px - self.spread_px * place[self.stripes.light]) / self.sigma_px)
+
+    def normal_equations(self, place: Array, narrow: bool) -> tuple[StripeInformation, Array, float]:
+        """Normal equations, robust weights (m,) of the points without the scale, and the scale.
+
+        ``place`` (classes,): of the steps in their stripes, for the weights.
+        """
+        residual = np.where(self.counts, self.residual(place), 0.0)
+        length = self.length / self.sigma_px**2
+        scale = max(median_scale(residual[self.counts], length[self.counts]), 1.0)
+        weight = length * robust_weight(residual / scale, narrow) * self.counts
+        return self.weighted(weight / scale**2), weight, scale
+
+    def weighted(self, weight: Array) -> StripeInformation:
+        """Normal equations with given weights (m,) [px^-2]."""
+        stripes = self.stripes
+        return stripe_information(
+            self.f, self.shift_px, weight, self.spread_px, stripes.light, stripes.classes
+        )
+
+    def settled_places(self) -> Array:
+        """(classes,) of the steps in their stripes at the pose itself, found by turns with the weights."""
+        place = np.zeros(self.stripes.classes)
+        for _ in range(_TURNS):
+            equations, _, _ = self.normal_equations(place, narrow=True)
+            place = equations.places(np.zeros(6))
+        return place

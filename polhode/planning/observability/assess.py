@@ -1,0 +1,387 @@
+"""The assessment: edges, camera and trajectory of a run or a mesh, metric of every view, sets of edges."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from polhode.files.tables import number_rows
+from polhode.frontend.rectification import make_rectifier
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, inverse_pose, make_pose, matrix_from_wxyz
+from polhode.mapping.mesh_files import read_mesh
+from polhode.planning.edges.edge_model import CREASE_DEG, EdgeModel, edge_model
+from polhode.planning.edges.edge_refinement import PosedImage, RefinedEdges, refined_edges
+from polhode.planning.edges.expected_tracking import ExpectedTracking, expected_tracking, lit_from
+from polhode.planning.edges.image_profiles import as_levels
+from polhode.planning.edges.information import (
+    Contributions,
+    EdgeView,
+    FeatureInformation,
+    by_feature,
+    contributions,
+    views_along,
+)
+from polhode.planning.edges.measured_edges import measured_edge_model
+from polhode.planning.edges.selection import EdgeSelection, greedy, upper_bound
+from polhode.planning.edges.smallest_set import SigmaLimits, SmallestSet, smallest_set
+from polhode.planning.edges.visible_edges import SPACING_PX
+from polhode.planning.plan import final_estimate, surface_of
+from polhode.planning.prediction import nominal_motion
+from polhode.records.dataset import open_sequence
+from polhode.run_directory.archives import read_measurements
+from polhode.run_directory.summary import read_summary
+from polhode.run_directory.summary_schema import Summary
+from polhode.run_directory.trajectory_file import read_trajectory, target_poses
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Progress
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """A pinhole camera without distortion; None: the run's, or for a mesh the default."""
+
+    focal_px: float | None = None
+    width_px: int | None = None
+    height_px: int | None = None
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Edges, camera and trajectory, ready for the metric."""
+
+    source: str
+    model: EdgeModel
+    rig: RectifiedRig
+    time_s: Array
+    """(k,) as in the trajectory's file; of a run's own trajectory, after its first pair"""
+    X_RG: Array
+    """(k, 4, 4)"""
+    about: str
+    o_G: Array
+    """(3,) [m]"""
+    sun_G: Array | None
+    """(k, 3) towards the Sun; None: all edges count as lit"""
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class TimedPoses:
+    """Poses of the camera in a frame F that the user names."""
+
+    time_s: Array
+    """(k,) increasing"""
+    X_FR: Array
+    """(k, 4, 4)"""
+
+
+DEFAULT_CAMERA = (800.0, 640, 480)
+
+
+def subject_of(
+    path: Path,
+    trajectory: Path | None,
+    frame: str,
+    camera: CameraOptions,
+    about_G: Array | None,
+    sun: Array | None,
+    crease_deg: float,
+    unit_m: float,
+) -> Subject:
+    """Raises InputError, one line, for unreadable or inconsistent input."""
+    if path.is_dir():
+        if unit_m != 1.0:
+            raise InputError("--unit is for a mesh; a run is in metres")
+        if crease_deg != CREASE_DEG:
+            raise InputError("--crease-deg is for a mesh; that of a run follows from its errors")
+        return _of_run(path, trajectory, frame, camera, about_G, sun)
+    if not path.is_file():
+        raise InputError(f"{path}: no such run or mesh")
+    if trajectory is None:
+        raise InputError(f"{path}: a mesh needs --trajectory FILE, the poses of the camera in its frame")
+    if frame != "G":
+        raise InputError("--frame inertial is for a run, whose target tumbles; a mesh has only its own frame")
+    model = edge_model(read_mesh(path, unit_m), crease_deg)
+    poses = read_poses(trajectory)
+    o_G, about = (
+        (model.centre_G, "the centre of the bounding box") if about_G is None else (about_G, "--about")
+    )
+    X_RG = inverse_pose(poses.X_FR)
+    sun_G = None if sun is None else np.tile(sun, (len(X_RG), 1))
+    rig = _rig(camera, None)
+    return Subject(str(path), model, rig, poses.time_s, X_RG, about, o_G, sun_G, model.notes)
+
+
+def _of_run(
+    run: Path,
+    trajectory: Path | None,
+    frame: str,
+    camera: CameraOptions,
+    about_G: Array | None,
+    sun_N: Array | None,
+) -> Subject:
+    summary = read_summary(run)
+    surface = surface_of(run)
+    model = measured_edge_model(surface.mesh, surface.sigma_m)
+    notes = [
+        *model.notes,
+        "what is expected of a tracker takes the edges of the mesh as exact; those of a measured mesh are "
+        "not, and the errors of a tracker that uses them are larger, possibly by far",
+    ]
+    if surface.coverage is not None:
+        seen = float((surface.views > 0).mean())
+        notes.append(
+            f"{seen:.0%} of the mesh's vertices were measured: edges never seen are not in the model"
+        )
+    tracks = read_measurements(run / "measurements.npz")
+    R_NG = None
+    if trajectory is None:
+        if frame != "G":
+            raise InputError("--frame inertial: give --trajectory FILE with the camera's poses in N")
+        time_s, X_RG, R_NG = _poses_of_run(run, summary, tracks.X_NR)
+    else:
+        poses = read_poses(trajectory)
+        time_s, X_RG = poses.time_s, inverse_pose(poses.X_FR)
+        if frame == "N":
+            X_RG, R_NG = _poses_of_predicted_target(run, trajectory, poses)
+    if sun_N is not None and R_NG is None:
+        raise InputError(
+            "--sun is in N, and poses in G do not give the attitude of the target in N: --frame inertial does"
+        )
+    sun_G = None if sun_N is None or R_NG is None else sun_N @ R_NG
+    if about_G is not None:
+        o_G, about = about_G, "--about"
+    elif summary.com_G is not None and np.isfinite(summary.com_G).all():
+        o_G, about = np.array(summary.com_G), "the run's centre of mass"
+    else:
+        o_G, about = model.centre_G, "the centre of the bounding box"
+    rig = _rig(camera, tracks.rig)
+    return Subject(str(run), model, rig, time_s, X_RG, about, o_G, sun_G, tuple(notes))
+
+
+def refined_edges_of_run(run: Path, sequence: Path) -> RefinedEdges:
+    """The edges of the run's mesh in G, where the left images of its sequence have them.
+
+    Edges that the images do not confirm are left out. Raises InputError for a run without motion, or for
+    another sequence.
+    """
+    surface, tracks = surface_of(run), read_measurements(run / "measurements.npz")
+    _, X_RG, _ = _poses_of_run(run, read_summary(run), tracks.X_NR)
+    images = open_sequence(sequence)
+    frames = np.searchsorted(images.timestamps_ns, tracks.timestamps_ns)
+    if not np.isin(tracks.timestamps_ns, images.timestamps_ns).all():
+        raise InputError(f"{sequence}: lacks images of {run}; give the sequence that the run was made from")
+    rectifier = make_rectifier(images.calibration)
+    return refined_edges(
+        measured_edge_model(surface.mesh, surface.sigma_m),
+        surface.mesh,
+        surface.sigma_m,
+        tracks.rig,
+        [
+            PosedImage(as_levels(rectifier(images.read_left(int(frame))[0], 0)), pose)
+            for frame, pose in zip(frames, X_RG, strict=True)
+        ],
+    )
+
+
+def _poses_of_run(run: Path, summary: Summary, X_NR: Array) -> tuple[Array, Array, Array]:
+    """Times (k,), poses X_RG (k, 4, 4) and attitudes R_NG (k, 3, 3) of the run's own pairs."""
+    if summary.R_GP is None or summary.com_G is None:
+        raise InputError(f"{run}: this run has no motion, hence no camera poses; give --trajectory FILE")
+    table = read_trajectory(run)
+    X_NG = target_poses(table, np.array(summary.R_GP), np.array(summary.com_G))
+    return table.time_s, inverse_pose(X_NR) @ X_NG, X_NG[:, :3, :3]
+
+
+def _poses_of_predicted_target(run: Path, file: Path, poses: TimedPoses) -> tuple[Array, Array]:
+    """X_RG (k, 4, 4) and R_NG (k, 3, 3) of the predicted target, seen from camera poses in N."""
+    if poses.time_s[0] < 0.0:
+        raise InputError(
+            f"{file}: with --frame inertial times are seconds after the run's last pair; one is negative"
+        )
+    estimate, _ = final_estimate(run)
+    motion = nominal_motion(estimate, poses.time_s)
+    return inverse_pose(poses.X_FR) @ make_pose(motion.R_NG, motion.p_NG), motion.R_NG
+
+
+def _rig(camera: CameraOptions, own: RectifiedRig | None) -> RectifiedRig:
+    """The run's camera, or the default, with the values that the user gives."""
+    focal, width, height = DEFAULT_CAMERA if own is None else (own.focal_px, own.width_px, own.height_px)
+    cx, cy = (0.5 * (width - 1), 0.5 * (height - 1)) if own is None else (own.cx_px, own.cy_px)
+    for name in ("focal_px", "width_px", "height_px"):
+        value = getattr(camera, name)
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number above 0")
+    focal = focal if camera.focal_px is None else camera.focal_px
+    if camera.width_px is not None:
+        width, cx = camera.width_px, 0.5 * (camera.width_px - 1)
+    if camera.height_px is not None:
+        height, cy = camera.height_px, 0.5 * (camera.height_px - 1)
+    return RectifiedRig(focal, cx, cy, 1.0 if own is None else own.baseline_m, width, height)
+
+
+def sun_direction(sun: Sequence[float] | None) -> Array | None:
+    """Unit vector (3,) towards the Sun. Raises InputError for what is no direction."""
+    if sun is None:
+        return None
+    direction = np.asarray(sun, dtype=np.float64)
+    if direction.shape != (3,) or not np.isfinite(direction).all():
+        raise InputError("--sun: give three finite numbers")
+    # hypot does not overflow
+    length = math.hypot(*direction)
+    if not 1e-100 < length < 1e100:
+        raise InputError("--sun: give a direction whose length is neither 0 nor above 1e100")
+    return np.asarray(direction / length)
+
+
+def check_numbers(sigma_px: float, spacing_px: float, edges: int | None) -> None:
+    """Raises InputError for numbers out of their range."""
+    for name, value, least in (("sigma-px", sigma_px, 1e-6), ("spacing-px", spacing_px, 0.1)):
+        if not least <= value <= 1e6:
+            raise InputError(f"--{name} {value:g}: give a number from {least:g} to 1e6")
+    if edges is not None and not 1 <= edges <= MAX_EDGES:
+        raise InputError(f"--edges {str(edges)[:20]}: give a number from 1 to {MAX_EDGES}")
+
+
+UNIT_WITHIN = 1e-2
+"""How far a quaternion's length may be from 1."""
+MAX_POSES = 100_000
+MAX_EDGES = 1_000_000
+MAX_COORDINATE_M = 1e12
+"""Largest valid coordinate [m]."""
+
+
+def read_poses(path: Path) -> TimedPoses:
+    """Poses of a TUM file. Raises InputError, one line, for any other content."""
+    rows = [row for _, row in number_rows(path, 8, "timestamp tx ty tz qx qy qz qw", MAX_POSES)]
+    if not rows:
+        raise InputError(f"{path}: contains no pose; a line is: timestamp tx ty tz qx qy qz qw")
+    table = np.array(rows)
+    if not (np.diff(table[:, 0]) > 0.0).all():
+        late = 1 + int(np.argmax(np.diff(table[:, 0]) <= 0.0))
+        raise InputError(f"{path}: pose {late + 1} is not later than its predecessor")
+    if (np.abs(table[:, 1:]) > MAX_COORDINATE_M).any():
+        raise InputError(f"{path}: has a coordinate or quaternion above {MAX_COORDINATE_M:g}")
+    length = np.linalg.norm(table[:, 4:], axis=1)
+    if (np.abs(length - 1.0) > UNIT_WITHIN).any():
+        bad = int(np.argmax(np.abs(length - 1.0)))
+        raise InputError(f"{path}: the quaternion of pose {bad + 1} has length {length[bad]:.3g}, not 1")
+    wxyz = table[:, [7, 4, 5, 6]] / length[:, None]
+    return TimedPoses(table[:, 0], make_pose(matrix_from_wxyz(wxyz), table[:, 1:4]))
+
+
+MAX_VIEWS = 20
+"""Views for the selection of edges, evenly spread over a trajectory; more barely change the result."""
+MAX_MEMORY_MIB = 1024.0
+"""Of the information matrices, one for each edge and view."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Sets of edges for a trajectory."""
+
+    views: int
+    """number of views that the selection rests on; 0: no selection was requested"""
+    smallest: SmallestSet | None
+    """with each sigma at most 10 % above that of all edges; None: not requested, or not possible"""
+    best: EdgeSelection | None
+    """of the requested number of edges, or of all that are seen; None when not requested or not possible"""
+    best_ratio: Array | None
+    """(6,) its sigma over that of all edges; inf where the set does not determine it, NaN where not even
+    all edges do"""
+    bound: float | None
+    """upper bound of the value of any set of this size"""
+    wanted: int | None = None
+    """requested number of edges"""
+
+    @property
+    def impossible(self) -> bool:
+        """Whether a selection was requested, but not even all edges determine anything."""
+        return self.views > 0 and self.smallest is None and self.best is None
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """The metric along a trajectory, for a noise of sigma_px normal to the edges."""
+
+    subject: Subject
+    views: list[EdgeView]
+    expected: list[ExpectedTracking]
+    """of a tracker of these edges, at each view"""
+    edges: Contributions
+    choice: Choice
+    spacing_px: float
+    sigma_px: float
+
+    @property
+    def sigma(self) -> Array:
+        """(k, 6) standard deviations [m, rad], inf where a view does not determine them."""
+        return self.sigma_px * np.stack([view.metric.sigma for view in self.views])
+
+    @property
+    def expected_sigma(self) -> Array:
+        """(k, 6) standard deviations [m, rad] that a tracker should have; inf as ``sigma``."""
+        return np.stack([each.sigma for each in self.expected])
+
+
+def assess(
+    subject: Subject, spacing_px: float, sigma_px: float, few: int | None, fewest: bool, progress: Progress
+) -> Assessment:
+    """Evaluate all views; select the best ``few`` edges, or the smallest set.
+
+    Raises InputError for numbers out of their range, and when the matrices would not fit into memory.
+    """
+    check_numbers(sigma_px, spacing_px, few)
+    size_mib = len(subject.X_RG) * subject.model.size * 36 * 8 / 2**20
+    if size_mib > MAX_MEMORY_MIB:
+        fewer_edges = "" if Path(subject.source).is_dir() else ", or a larger --crease-deg"
+        raise InputError(
+            f"{len(subject.X_RG)} poses of {subject.model.size} edges take {size_mib:.0f} MiB: "
+            f"give fewer poses{fewer_edges}"
+        )
+    views, C = [], []
+    expected: list[ExpectedTracking] = []
+    with progress.stage("evaluating views", len(subject.X_RG)) as advance:
+        for view in views_along(
+            subject.model, subject.rig, subject.X_RG, subject.o_G, spacing_px, subject.sun_G
+        ):
+            views.append(view)
+            C.append(by_feature(view.points, view.f, subject.model.size))
+            expected.append(_expected_at(subject, view, len(expected), spacing_px))
+            advance()
+    information = FeatureInformation(np.stack(C), subject.model.radius_m)
+    with progress.stage("selecting edges", 1) as advance:
+        choice = choose(information, few, fewest)
+        advance()
+    return Assessment(subject, views, expected, contributions(information), choice, spacing_px, sigma_px)
+
+
+def _expected_at(subject: Subject, view: EdgeView, pose: int, spacing_px: float) -> ExpectedTracking:
+    """Under the Sun that the user gives, or under some around the camera."""
+    light = points = None
+    if subject.sun_G is not None:
+        light = lit_from(view.X_RG[:3, :3] @ subject.sun_G[pose])
+    elif spacing_px == SPACING_PX:
+        points = view.points
+    return expected_tracking(subject.model, subject.rig, view.X_RG, light, about_G=subject.o_G, points=points)
+
+
+def choose(information: FeatureInformation, edges: int | None, fewest: bool) -> Choice:
+    """The best set of ``edges`` and the smallest set, where requested and possible."""
+    if edges is None and not fewest:
+        return Choice(0, None, None, None, None)
+    count = len(information.C)
+    views = np.unique(np.linspace(0, count - 1, min(count, MAX_VIEWS)).round().astype(int))
+    few = FeatureInformation(information.C[views], information.radius_m)
+    try:
+        limits = SigmaLimits(few)
+    except InputError:
+        return Choice(len(views), None, None, None, None, edges)
+    smallest = smallest_set(few) if fewest else None
+    if edges is None:
+        return Choice(len(views), smallest, None, None, None)
+    best = greedy(few.scaled, edges)
+    bound = upper_bound(few.scaled, edges)
+    return Choice(len(views), smallest, best, limits.ratio(limits.of(best.features)), bound, edges)

@@ -1,0 +1,220 @@
+"""``polhode plan``: keep-out volume, surface speeds, corridor of a docking point and approach from a run."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from polhode.geometry.lie import Array
+from polhode.mapping.mesh_files import read_ply
+from polhode.planning.approach.approach_path import POSES, ApproachPath, along_corridor, towards_centre
+from polhode.planning.approach.corridor import Corridor, corridor
+from polhode.planning.approach.surface_speed import SurfaceSpeed, surface_speed
+from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions, keep_out, member_times
+from polhode.planning.predict import last_body, require_horizon, undetermined_names
+from polhode.planning.prediction import FinalEstimate, nominal_motion
+from polhode.records.mesh_metrics import distance_to_surface, encloses
+from polhode.records.surface import SurfaceModel
+from polhode.run_directory.archives import read_measurements
+from polhode.run_directory.intervals_in_words import describe_intervals
+from polhode.run_directory.point_cloud_file import read_landmarks
+from polhode.run_directory.summary_schema import Intervals, Summary
+from polhode.runtime.errors import InputError
+
+DOUBTFUL_DOCK_DISTANCE, MAX_DOCK_DISTANCE = 0.05, 5.0
+"""Shares of the body's size: a docking point farther from the surface gives a warning, or is refused."""
+APPROACH_RADII = 1.5
+"""Distance from the centre of mass at which an approach without a docking point ends, over that of the
+farthest part of the body with its margin"""
+
+
+@dataclass(frozen=True)
+class Docking:
+    """A docking point in G, as the user gives it."""
+
+    point_G: Array
+    axis_G: Array
+    stand_off_m: float
+    half_angle_deg: float
+    isp_s: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The results, and what was left out and why."""
+
+    horizon_s: float
+    confidence: float
+    keep_out: KeepOut | None
+    speed: SurfaceSpeed | None
+    surface: SurfaceModel | None
+    corridor: Corridor | None
+    approach: ApproachPath | None
+    docking: Docking | None
+    camera_N: Array | None
+    """(3,) place of the camera at the last pair [m]; None: unknown"""
+    left_out: dict[str, str]
+    notes: tuple[str, ...]
+    intervals: Intervals | None = None
+    """Of what the run does not determine"""
+
+
+def final_estimate(run: Path) -> tuple[FinalEstimate, Summary]:
+    """The end of a run. Raises InputError when it has no estimate."""
+    last, summary = last_body(run)
+    assert summary.com_G is not None and summary.noise is not None
+    bounded = summary.intervals.com_G if summary.intervals is not None else None
+    com_range_G = None if bounded is None else (np.array(bounded[0]), np.array(bounded[1]))
+    noise = summary.noise
+    return FinalEstimate(
+        last, np.array(summary.com_G), noise.accel_psd, noise.torque_psd, com_range_G
+    ), summary
+
+
+def surface_of(run: Path) -> SurfaceModel:
+    """The mesh of a run. Raises InputError when there is none."""
+    path = run / "mesh.ply"
+    if not path.is_file():
+        raise InputError(f"{path} is missing: this run has no mesh; run it again with depth")
+    surface = read_ply(path)
+    if len(surface.mesh.faces) == 0:
+        raise InputError(f"{path} has no faces: this run has no mesh; see its warnings")
+    return surface
+
+
+def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Plan:
+    """All parts that the run allows; the others are named with the reason."""
+    estimate, summary = final_estimate(run)
+    _require_options(options, estimate)
+    left_out: dict[str, str] = {}
+    notes = [*summary.warnings[:1]] if summary.status == "failed" else []
+    if hidden := undetermined_names(summary):
+        names = ", ".join(hidden)
+        notes.append(f"The run does not determine {names}: the sampled motions agree with the observed one.")
+    if ranges := describe_intervals(summary):
+        notes.append(f"By the hull of the body: {'; '.join(ranges)}.")
+    found, speed, surface = None, None, None
+    motion = nominal_motion(estimate, np.concatenate([[0.0], member_times(estimate, options.horizon_s)]))
+    try:
+        surface = surface_of(run)
+    except InputError as error:
+        left_out["keepout"] = left_out["surface_speed"] = str(error)
+    doubts = [] if docking is None else _check_docking(docking, surface, run)
+    if surface is not None:
+        found = _keep_out(surface, estimate, options)
+        notes += _describe_coverage(found, summary)
+        mesh = surface.mesh
+        speed = surface_speed(
+            motion, np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), estimate.last.covariance
+        )
+    path = None
+    if docking is None:
+        left_out["corridor"] = "no --dock-point and --dock-axis"
+    else:
+        notes += doubts
+        path = corridor(
+            motion, docking.point_G, docking.axis_G, docking.stand_off_m, np.deg2rad(docking.half_angle_deg)
+        )
+    approach, camera_N = None, None
+    try:
+        X_NR = read_measurements(run / "measurements.npz").X_NR[-1]
+        camera_N = X_NR[:3, 3]
+        approach = _approach(X_NR, estimate, options.horizon_s, found, docking)
+    except InputError as error:
+        left_out["approach"] = str(error)
+    return Plan(
+        *(options.horizon_s, options.confidence, found, speed, surface, path, approach, docking, camera_N),
+        left_out=left_out,
+        notes=tuple(notes),
+        intervals=summary.intervals,
+    )
+
+
+def _approach(
+    X_NR: Array, estimate: FinalEstimate, horizon_s: float, found: KeepOut | None, docking: Docking | None
+) -> ApproachPath:
+    """The camera's path from its last pose X_NR (4, 4) to the docking point, or towards the centre of mass.
+
+    Raises InputError: the run has neither a surface nor a docking point.
+    """
+    motion = nominal_motion(estimate, np.linspace(0.0, horizon_s, POSES))
+    if docking is not None:
+        half_angle_rad = np.deg2rad(docking.half_angle_deg)
+        path = corridor(motion, docking.point_G, docking.axis_G, docking.stand_off_m, half_angle_rad)
+        return along_corridor(motion, path, X_NR, docking.stand_off_m)
+    if found is None:
+        raise InputError("no surface, whose size decides how near the camera may come, and no --dock-point")
+    farthest_m = np.linalg.norm(found.body.points_G - estimate.com_G, axis=1).max()
+    return towards_centre(motion, X_NR, APPROACH_RADII * float(farthest_m + found.instant.margin_m().max()))
+
+
+def keep_out_of_run(run: Path, options: KeepOutOptions) -> KeepOut:
+    """The keep-out volume alone. Raises InputError: no estimate, no mesh, or options that do not fit."""
+    estimate, _ = final_estimate(run)
+    _require_options(options, estimate)
+    return _keep_out(surface_of(run), estimate, options)
+
+
+def _require_options(options: KeepOutOptions, estimate: FinalEstimate) -> None:
+    if not 0.5 <= options.confidence <= 0.999:
+        raise InputError(f"--confidence {options.confidence:g}: give a share from 0.5 to 0.999")
+    require_horizon(options.horizon_s, float(np.linalg.norm(estimate.last.w_G)))
+
+
+def _keep_out(surface: SurfaceModel, estimate: FinalEstimate, options: KeepOutOptions) -> KeepOut:
+    try:
+        return keep_out(surface, estimate, options)
+    except ValueError as error:
+        raise InputError(f"--members {options.members}: {error}") from None
+
+
+def _check_docking(docking: Docking, surface: SurfaceModel | None, run: Path) -> list[str]:
+    """Doubts about the docking point and axis. Raises InputError for a point far from the target."""
+    if surface is not None:
+        points, what = np.asarray(surface.mesh.vertices), "surface"
+    else:
+        file = run / "landmarks.ply"
+        points, what = read_landmarks(file).p_G if file.is_file() else np.zeros((0, 3)), "nearest landmark"
+    if len(points) == 0:
+        return ["Whether the docking point lies on the target is unknown: the run has no surface."]
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    away = (
+        float(distance_to_surface(surface.mesh, docking.point_G[None])[0])
+        if surface is not None
+        else float(np.linalg.norm(points - docking.point_G, axis=1).min())
+    )
+    point = " ".join(f"{x:g}" for x in docking.point_G)
+    distance = f"--dock-point {point} is {away:.3g} m from the {what}, and the target is {size:.2g} m across"
+    if away > MAX_DOCK_DISTANCE * size:
+        raise InputError(f"{distance}: give metres in G, the frame of mesh.ply")
+    found = []
+    if away > DOUBTFUL_DOCK_DISTANCE * size:
+        if surface is not None and encloses(surface.mesh, docking.point_G):
+            found.append(
+                f"--dock-point {point} is inside the body, {away:.3g} m below its surface: give a point on "
+                "the surface; is it in G, in metres?"
+            )
+        else:
+            found.append(
+                f"{distance}: the corridor belongs to a point off the target; is it in G, in metres?"
+            )
+    if surface is not None:
+        from polhode.mapping.visibility import Caster
+
+        axis = docking.axis_G / np.linalg.norm(docking.axis_G)
+        start = docking.point_G + (away + DOUBTFUL_DOCK_DISTANCE * size) * axis
+        if np.isfinite(Caster(surface.mesh).first(start, axis[None])[0]).all():
+            found.append("The docking axis runs into the target: it should point outwards.")
+    return found
+
+
+def _describe_coverage(found: KeepOut, summary: Summary) -> list[str]:
+    body = found.body
+    rims = f"open boundaries span {body.open_share:.1%} of its area"
+    notes = [
+        f"Keep-out applies to the convex hull of the mesh ({rims}), so concavities are filled."
+        if body.covers == "hull"
+        else f"Keep-out applies to the measured surface and what it encloses ({rims})."
+    ]
+    seen = summary.coverage.words if summary.coverage is not None else "the run does not say what was seen"
+    return [*notes, f"Parts that protrude where nothing was seen are not covered: {seen}."]

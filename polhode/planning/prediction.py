@@ -1,0 +1,484 @@
+"""The predicted motion of the target: its last state propagated as a free rigid body, with its uncertainty.
+
+A flip multiplies small errors, and an undetermined inertia is known only as far as the motion showed it: a
+linearised covariance fails there. The last state and the inertia are therefore sampled from their joint
+covariance, in pairs of opposite deviations whose second moments are exactly those of the covariance: while
+errors stay small the result is the linear one. Each member moves as a free rigid body with its own inertia.
+
+``predict`` gives states and covariances; white disturbances enter by their linearised flow (thesis eqs.
+4.56-4.59). ``draw_ensemble`` gives independent members, each with a random path of such disturbances. Their
+poses are those of G: what a point fixed to the body does, whether or not its principal axes are known.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.integrate import DOP853
+from scipy.linalg import expm
+
+from polhode.geometry.lie import (
+    Array,
+    Ints,
+    exp_so3,
+    hat,
+    log_so3,
+    make_pose,
+    matrix_from_wxyz,
+    transform_points,
+    wxyz_from_matrix,
+)
+from polhode.geometry.rigid_body import angular_acceleration, propagate
+from polhode.records.estimate import Prediction
+from polhode.runtime.progress import Advance
+
+PAIRS = 128
+UNKNOWN_RAD = float(np.sqrt((np.pi**2 / 3.0 + 2.0) / 3.0))
+"""Root mean square of each component of the rotation vector of a uniformly distributed attitude."""
+MIN_SECOND_MOMENT = 0.02
+"""Share of the largest: a sampled inertia is moved towards the estimate until it is physically possible."""
+ROWS_AT_ONCE = 64
+"""Instants at which all members are held at once: it bounds the memory of long predictions."""
+
+
+@dataclass(frozen=True)
+class FinalState:
+    """The end of a run, the body itself: nothing is expressed in the principal axes."""
+
+    r_N: Array
+    """(3,) centre of mass [m]"""
+    v_N: Array
+    """(3,) [m/s]"""
+    R_NG: Array
+    """(3, 3)"""
+    w_G: Array
+    """(3,) [rad/s]"""
+    J_G: Array
+    """(3, 3) inertia, any scale"""
+    R_GP: Array
+    """(3, 3) its principal axes"""
+    J_jacobian: Array
+    """(5, 3, 3) derivative of J_G by the five parameters of the inertia"""
+    covariance: Array
+    """(20, 20): r_N, v_N, theta in R_NG Exp(theta), w_G, the five parameters, com_G; finite"""
+    past_s: Array | None = None
+    """(H,) instants < 0 before the last one, descending, that bound an undetermined inertia"""
+    past_R_NG: Array | None = None
+    """(H, 3, 3) attitudes there"""
+
+
+@dataclass(frozen=True)
+class PredictedMotion(Prediction):
+    """The prediction of a run, with the timestamps of its dataset."""
+
+    timestamps_ns: Ints
+    """(T,)"""
+    undetermined: tuple[str, ...]
+    """Names of the quantities that the run's motion does not determine; inf on the covariance's diagonal"""
+    R_GP: Array
+    """(3, 3) principal axes in G"""
+    com_G: Array
+    """(3,) centre of mass in G [m]"""
+    ranges: tuple[str, ...] = ()
+    """Where these can lie, each a description; empty: nothing bounds them"""
+
+    @property
+    def X_NG(self) -> Array:
+        """(T, 4, 4) pose of the body frame G, which map and mesh are in [m]."""
+        R_NG = self.R_NP @ self.R_GP.T
+        return make_pose(R_NG, self.r_N - R_NG @ self.com_G)
+
+    def points_N(self, p_G: ArrayLike) -> Array:
+        """Places in N [m] of points fixed to the target: (T, n, 3) of p_G (n, 3), (T, 3) of one (3,)."""
+        points = np.asarray(p_G, dtype=np.float64)
+        places = transform_points(self.X_NG, np.atleast_2d(points))
+        return places[:, 0] if points.ndim == 1 else places
+
+
+def predict(
+    last: FinalState,
+    time_s: ArrayLike,
+    accel_psd: float,
+    torque_psd: float,
+    advance: Advance = lambda: None,
+) -> Prediction:
+    """Propagate to time_s (T,), increasing, >= 0 [s] after the last state.
+
+    accel_psd [(m/s^2)^2/Hz]; torque_psd [(rad/s^2)^2/Hz], torque over the middle moment. ``advance`` is
+    called after every ROWS_AT_ONCE rows, and after the last ones.
+    """
+    time = np.asarray(time_s, dtype=np.float64)
+    grid = time if time[0] == 0.0 else np.concatenate([[0.0], time])
+    states = propagate(grid, last.r_N, last.v_N, last.R_NG, last.w_G, last.J_G)
+    r_N, v_N, R_NG, w_G = (each[len(grid) - len(time) :] for each in states)
+    R_NP, R_GP, w_P = R_NG @ last.R_GP, last.R_GP, w_G @ last.R_GP
+    deviation, J = draw_deviations(last)
+    # rotation of each member's principal axes relative to the estimated ones
+    turn = exp_so3(deviation[:, 12:17] @ axes_jacobian(last).T)
+    com = deviation[:, 17:20]
+    moments = np.diag(R_GP.T @ last.J_G @ R_GP)
+    of_axes = process_noise(moments / moments[1], last.w_G @ R_GP, time, accel_psd, torque_psd)
+    of_marks = of_axes.copy()
+    for rows, R, w in _members_by_blocks(last, deviation, J, time):
+        dr = deviation[:, 0:3] + time[rows, None, None] * deviation[:, 3:6]
+        dv = np.broadcast_to(deviation[:, 3:6], dr.shape)
+        R_PP = np.swapaxes(R_NP[rows], 1, 2)[:, None] @ R @ R_GP
+
+        dw = np.einsum("nji,tnj->tni", R_GP @ turn, w) - w_P[rows, None]
+        of_axes[rows] += _second_moments(dr, dv, log_so3(R_PP @ turn), dw)
+
+        lever = np.einsum("tnij,nj->tni", R, com)
+        swing = np.einsum("tnij,tnj->tni", R, np.cross(w, com))
+        dw = (w - w_G[rows, None]) @ R_GP
+        of_marks[rows] += _second_moments(dr - lever, dv - swing, log_so3(R_PP), dw)
+        for covariance in (of_axes, of_marks):
+            covariance[rows] = _no_worse_than_unknown(covariance[rows])
+        advance()
+    return Prediction(time, r_N, v_N, R_NP, w_P, of_axes, of_marks)
+
+
+def draw_deviations(last: FinalState, normal: Array | None = None) -> tuple[Array, Array]:
+    """Deviations (n, 20) from the last state, and the inertias (n, 3, 3) that go with them.
+
+    ``normal`` (n, 20): independent standard normal numbers. Without: 2 PAIRS whose moments are exact.
+    """
+    sigma = np.sqrt(np.diag(last.covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    values, vectors = np.linalg.eigh(last.covariance / scale[:, None] / scale)
+    root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    if normal is None:
+        z = np.random.default_rng([0, 60]).normal(size=(PAIRS, len(root)))
+        z = z @ np.linalg.inv(np.linalg.cholesky(z.T @ z / PAIRS)).T
+        normal = np.concatenate([z, -z])
+    deviation = normal @ root.T
+    # linear in the parameters, so that directions without variance, such as off a spin axis, stay without
+    change = np.einsum("nk,kij->nij", deviation[:, 12:17], last.J_jacobian)
+    for share_of in (_largest_share, _share_consistent_with_past):
+        share = share_of(last, deviation, change)
+        deviation[:, 12:17] *= share[:, None]
+        change *= share[:, None, None]
+    return deviation, last.J_G + change
+
+
+def _largest_share(last: FinalState, deviation: Array, change: Array) -> Array:
+    """Shares (N,) of the changes (N, 3, 3), halved until J + share change is a possible body."""
+    del deviation
+    share = np.ones(len(change))
+    for _ in range(12):
+        moved = last.J_G + share[:, None, None] * change
+        half_trace = 0.5 * np.trace(moved, axis1=1, axis2=2)[:, None, None]
+        values = np.linalg.eigvalsh(half_trace * np.eye(3) - moved)
+        bad = values[:, 0] < MIN_SECOND_MOMENT * values[:, 2]
+        if not bad.any():
+            break
+        share[bad] *= 0.5
+    return share
+
+
+def _share_consistent_with_past(last: FinalState, deviation: Array, change: Array) -> Array:
+    """Shares (N,) of the changes of J, halved until the member's past agrees with the observed one.
+
+    A linear covariance admits bodies whose spin would have flipped long ago. The past may differ from the
+    observed one by twice the estimate's own difference and three standard deviations of attitude and rate.
+    """
+    share = np.ones(len(change))
+    if last.past_s is None or last.past_R_NG is None:
+        return share
+    past_s, past_R_NG = last.past_s, last.past_R_NG
+
+    def past(members: Array, J: Array) -> Array:
+        R, _ = propagate_members(last, members, J, past_s)
+        return np.asarray(np.linalg.norm(log_so3(np.swapaxes(R, -1, -2) @ past_R_NG[:, None]), axis=-1))
+
+    own = past(np.zeros((1, 20)), last.J_G[None])[:, 0]
+    variance = np.diag(last.covariance)
+    free = variance[6:9].sum() + variance[9:12].sum() * past_s**2
+    limit = np.sqrt(4.0 * own**2 + 9.0 * free)
+    for factor in (1.0, 0.5, 0.25, 0.125, 0.0625):
+        open_ = np.flatnonzero(share == factor)
+        if len(open_) == 0:
+            break
+        off = past(deviation[open_], last.J_G + factor * change[open_])
+        share[open_[(off > limit[:, None]).any(axis=0)]] = 0.5 * factor
+    return share
+
+
+def axes_jacobian(last: FinalState) -> Array:
+    """Derivative (3, 5) of theta in R_GP Exp(theta); zero for equal moments, whose axes are undefined."""
+    changes = last.R_GP.T @ last.J_jacobian @ last.R_GP
+    values = np.diag(last.R_GP.T @ last.J_G @ last.R_GP)
+    gaps = np.array([values[1] - values[2], values[2] - values[0], values[0] - values[1]])
+    turns = np.stack([changes[:, 2, 1], changes[:, 0, 2], changes[:, 1, 0]])
+    known = np.abs(gaps) > 1e-9 * values[1]
+    return np.where(known, 1.0, 0.0)[:, None] * turns / np.where(known, gaps, 1.0)[:, None]
+
+
+def propagate_members(last: FinalState, deviation: Array, J: Array, time: Array) -> tuple[Array, Array]:
+    """Attitudes (T, N, 3, 3) and rates (T, N, 3) in G of all members, at all times (T,) at once."""
+    R_NG = np.empty((len(time), len(deviation), 3, 3))
+    w_G = np.empty((len(time), len(deviation), 3))
+    for rows, R, w in _members_by_blocks(last, deviation, J, time):
+        R_NG[rows], w_G[rows] = R, w
+    return R_NG, w_G
+
+
+def _members_by_blocks(
+    last: FinalState, deviation: Array, J: Array, time: Array
+) -> Iterator[tuple[slice, Array, Array]]:
+    """Consecutive times, and attitudes (t, N, 3, 3) and rates (t, N, 3) in G of all members there."""
+    n = len(deviation)
+    q = wxyz_from_matrix(last.R_NG @ exp_so3(deviation[:, 6:9]))
+    start = np.concatenate([q.T, (last.w_G + deviation[:, 9:12]).T]).ravel()
+    J_inv = np.linalg.inv(J)
+
+    def derivative(_: float, y: Array) -> Array:
+        q0, q1, q2, q3, a, b, c = y.reshape(7, n)
+        w = np.stack([a, b, c], axis=1)
+        h = np.einsum("nij,nj->ni", J, w)
+        w_dot = np.einsum("nij,nj->ni", J_inv, np.cross(h, w))
+        q_dot = 0.5 * np.stack(
+            [
+                -q1 * a - q2 * b - q3 * c,
+                q0 * a + q2 * c - q3 * b,
+                q0 * b + q3 * a - q1 * c,
+                q0 * c + q1 * b - q2 * a,
+            ]
+        )
+        return np.concatenate([q_dot, w_dot.T]).ravel()
+
+    for rows, states in _integrate(derivative, start, time):
+        parts = np.moveaxis(states.reshape(-1, 7, n), 1, 2)
+        q = parts[..., :4] / np.linalg.norm(parts[..., :4], axis=-1, keepdims=True)
+        yield rows, matrix_from_wxyz(q), parts[..., 4:]
+
+
+def _second_moments(*deviations: Array) -> Array:
+    """Mean square (T, 12, 12) of four deviations (T, N, 3) about the prediction itself."""
+    d = np.concatenate(deviations, axis=-1)
+    return np.asarray(np.swapaxes(d, 1, 2) @ d / d.shape[1])
+
+
+def _no_worse_than_unknown(covariance: Array) -> Array:
+    """(T, 12, 12), the attitude's standard deviations limited to those of a uniform distribution."""
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, 6:9])
+    factor = np.ones(covariance.shape[:2])
+    factor[:, 6:9] = UNKNOWN_RAD / np.maximum(sigma, UNKNOWN_RAD)
+    return np.asarray(factor[:, :, None] * covariance * factor[:, None, :])
+
+
+def process_noise(moments: Array, w_P: Array, time_s: Array, accel_psd: float, torque_psd: float) -> Array:
+    """Covariance (T, 12, 12) of r (N), v (N), theta (P), w (P) due to white disturbances.
+
+    moments (3,), middle one 1; w_P (3,) [rad/s] at the start; time_s (T,) >= 0 [s], increasing.
+    """
+
+    def derivative(_: float, y: Array) -> Array:
+        w, Q = y[:3], y[3:].reshape(6, 6)
+        A = _attitude_error_dynamics(w, moments)
+        Q_dot = A @ Q + Q @ A.T
+        Q_dot[3:, 3:] += torque_psd * np.diag(1.0 / moments**2)
+        return np.concatenate([np.cross(moments * w, w) / moments, Q_dot.ravel()])
+
+    out, i = np.zeros((len(time_s), 12, 12)), np.arange(3)
+    for rows, states in _integrate(derivative, np.concatenate([w_P, np.zeros(36)]), time_s):
+        out[rows, 6:, 6:] = states[:, 3:].reshape(-1, 6, 6)
+    out[:, i, i] = accel_psd * time_s[:, None] ** 3 / 3
+    out[:, i, i + 3] = out[:, i + 3, i] = accel_psd * time_s[:, None] ** 2 / 2
+    out[:, i + 3, i + 3] = accel_psd * time_s[:, None]
+    return out
+
+
+def _attitude_error_dynamics(w: Array, moments: Array) -> Array:
+    """A (..., 6, 6) of theta' = -w x theta + dw;  dw' = J^-1 ((J w) x - w x J) dw, with w (..., 3) in P."""
+    A = np.zeros((*w.shape[:-1], 6, 6))
+    A[..., :3, :3], A[..., :3, 3:] = -hat(w), np.eye(3)
+    A[..., 3:, 3:] = (hat(moments * w) - hat(w) * moments) / moments[:, None]
+    return A
+
+
+def _integrate(
+    derivative: Callable[[float, Array], Array], start: Array, time: Array
+) -> Iterator[tuple[slice, Array]]:
+    """At most ROWS_AT_ONCE consecutive times, and the states (t, n) there; until all times (T,) are reached.
+
+    They move monotonically away from 0, where the state is ``start``. Dormand-Prince 8(5,3): its steps do not
+    depend on the times, at which its interpolant gives the states.
+    """
+    if time[-1] == 0.0:
+        yield slice(0, 1), start[None]
+        return
+    solver = DOP853(derivative, 0.0, start, float(time[-1]), rtol=1e-8, atol=1e-12)
+    distance = np.abs(time)
+    first = done = 0
+    block = np.empty((min(ROWS_AT_ONCE, len(time)), len(start)))
+    while done < len(time):
+        message = solver.step()
+        if solver.status == "failed":
+            raise FloatingPointError(f"the prediction could not be integrated: {message}")
+        reached = int(np.searchsorted(distance, abs(solver.t), side="right"))
+        if done == reached:
+            continue
+        interpolant = solver.dense_output()
+        while done < reached:
+            stop = min(reached, first + len(block))
+            block[done - first : stop - first] = interpolant(time[done:stop]).T
+            done = stop
+            if done == first + len(block):
+                yield slice(first, done), block
+                first, block = done, np.empty((min(ROWS_AT_ONCE, len(time) - done), len(start)))
+
+
+MEMBERS_AT_ONCE = 250
+"""Members of an ensemble that are propagated together"""
+
+
+@dataclass(frozen=True)
+class FinalEstimate:
+    """The target at the end of a run, from which members are sampled."""
+
+    last: FinalState
+    com_G: Array
+    """(3,) [m]"""
+    accel_psd: float
+    """[(m/s^2)^2/Hz]"""
+    torque_psd: float
+    """[(rad/s^2)^2/Hz], torque over the middle moment"""
+    com_range_G: tuple[Array, Array] | None = None
+    """Least and largest components (3,) of the centre of mass [m] by other bounds; None: there are none"""
+
+
+@dataclass(frozen=True)
+class BodyMotion:
+    """The estimate, propagated to T instants."""
+
+    time_s: Array
+    """(T,) after the last pair"""
+    R_NG: Array
+    """(T, 3, 3)"""
+    p_NG: Array
+    """(T, 3) origin of G [m]"""
+    com_N: Array
+    """(T, 3) [m]"""
+    v_N: Array
+    """(T, 3) velocity of the centre of mass [m/s]"""
+    w_N: Array
+    """(T, 3) [rad/s]"""
+    w_dot_N: Array
+    """(T, 3) [rad/s^2]"""
+
+    @property
+    def X_NG(self) -> Array:
+        """(T, 4, 4)"""
+        return make_pose(self.R_NG, self.p_NG)
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """Poses of G in n sampled members at T instants."""
+
+    R_NG: Array
+    """(n, T, 3, 3)"""
+    p_NG: Array
+    """(n, T, 3) [m]"""
+
+    def part(self, chosen: slice) -> "Ensemble":
+        """A subset."""
+        return Ensemble(self.R_NG[chosen], self.p_NG[chosen])
+
+
+def nominal_motion(estimate: FinalEstimate, time_s: Array) -> BodyMotion:
+    """The estimate at times (T,) >= 0 [s], increasing."""
+    last, grid = estimate.last, time_s if time_s[0] == 0.0 else np.concatenate([[0.0], time_s])
+    states = propagate(grid, last.r_N, last.v_N, last.R_NG, last.w_G, last.J_G, rtol=1e-10)
+    r_N, v_N, R_NG, w_G = (each[len(grid) - len(time_s) :] for each in states)
+    w_dot_G = angular_acceleration(last.J_G, w_G)
+    w_N, w_dot_N = (np.einsum("tij,tj->ti", R_NG, each) for each in (w_G, w_dot_G))
+    return BodyMotion(time_s, R_NG, r_N - R_NG @ estimate.com_G, r_N, v_N, w_N, w_dot_N)
+
+
+def draw_ensemble(estimate: FinalEstimate, time_s: Array, count: int, seed: int) -> Ensemble:
+    """Independent members at times (T,) > 0 [s], increasing; the same seed gives the same members."""
+    rng = np.random.default_rng([seed, 8])
+    R_all = np.empty((count, len(time_s), 3, 3))
+    p_all = np.empty((count, len(time_s), 3))
+    disturbed = DisturbancePaths(estimate, time_s)
+    for start in range(0, count, MEMBERS_AT_ONCE):
+        n = min(MEMBERS_AT_ONCE, count - start)
+        deviation, J = _draw_in_range(estimate, n, rng)
+        R, _ = propagate_members(estimate.last, deviation, J, time_s)
+        shift, turn_G = disturbed.paths(n, rng)
+        R = np.swapaxes(R, 0, 1) @ exp_so3(turn_G)
+        r = estimate.last.r_N + deviation[:, None, 0:3]
+        r = r + time_s[:, None] * (estimate.last.v_N + deviation[:, None, 3:6]) + shift
+        R_all[start : start + n] = R
+        com = estimate.com_G + deviation[:, 17:20]
+        p_all[start : start + n] = r - np.einsum("ntij,nj->nti", R, com)
+    return Ensemble(R_all, p_all)
+
+
+def _draw_in_range(estimate: FinalEstimate, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """As ``draw_deviations``; members with a centre of mass out of its range are drawn again, and put to its
+    end where that does not help in 30 draws.
+    """
+    deviation, J = draw_deviations(estimate.last, rng.normal(size=(count, 20)))
+    if estimate.com_range_G is None:
+        return deviation, J
+    low, high = (end - estimate.com_G for end in estimate.com_range_G)
+    for _ in range(30):
+        outside = np.flatnonzero(((deviation[:, 17:20] < low) | (deviation[:, 17:20] > high)).any(axis=1))
+        if len(outside) == 0:
+            break
+        deviation[outside], J[outside] = draw_deviations(estimate.last, rng.normal(size=(len(outside), 20)))
+    deviation[:, 17:20] = np.clip(deviation[:, 17:20], low, high)
+    return deviation, J
+
+
+class DisturbancePaths:
+    """White accelerations and torques, as random paths of position and attitude about the nominal motion."""
+
+    def __init__(self, estimate: FinalEstimate, time_s: Array) -> None:
+        """Prepare the steps between times (T,) > 0 [s], the first one from 0."""
+        last = estimate.last
+        self.step_s = np.diff(time_s, prepend=0.0)
+        self.accel_psd, self.R_GP = estimate.accel_psd, last.R_GP
+        moments = np.diag(last.R_GP.T @ last.J_G @ last.R_GP)
+        moments = moments / moments[1]
+        middle = time_s - 0.5 * self.step_s
+        at_rest = np.zeros(3), np.zeros(3)
+        times = np.concatenate([[0.0], middle])
+        states = propagate(times, *at_rest, last.R_NG, last.w_G, last.J_G, rtol=1e-8)
+        w = states[3][1:] @ last.R_GP
+        # at the rate in the middle of each step
+        A = _attitude_error_dynamics(w, moments)
+        S = np.zeros((6, 6))
+        S[3:, 3:] = estimate.torque_psd * np.diag(1.0 / moments**2)
+        half = expm(0.5 * self.step_s[:, None, None] * A)
+        self.flow = half @ half
+        # Simpson's rule for the integrated process noise
+        grown = self.flow @ S @ np.swapaxes(self.flow, 1, 2) + S
+        grown = grown + 4.0 * half @ S @ np.swapaxes(half, 1, 2)
+        values, vectors = np.linalg.eigh(self.step_s[:, None, None] / 6.0 * grown)
+        self.root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+
+    def paths(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Translations along N [m] and rotations along G [rad], (count, T, 3) each."""
+        T = len(self.step_s)
+        shift, turn = np.empty((count, T, 3)), np.empty((count, T, 3))
+        x, r, v = np.zeros((count, 6)), np.zeros((count, 3)), np.zeros((count, 3))
+        for k, dt in enumerate(self.step_s):
+            x = x @ self.flow[k].T + rng.normal(size=(count, 6)) @ self.root[k].T
+            kick, inside = rng.normal(size=(2, count, 3)) * np.sqrt(self.accel_psd * dt)
+            r = r + dt * (v + 0.5 * kick + inside / np.sqrt(12.0))
+            v = v + kick
+            shift[:, k], turn[:, k] = r, x[:, :3] @ self.R_GP.T
+        return shift, turn
+
+
+def pose_covariance(members: Ensemble, motion: BodyMotion) -> Array:
+    """Second moments (T, 6, 6) of shift [m] and turn [rad] along G: p_N = X_NG (Exp(turn) p_G + shift)."""
+    back = np.swapaxes(motion.R_NG, 1, 2)
+    shift = np.einsum("tij,ntj->nti", back, members.p_NG - motion.p_NG)
+    turn = log_so3(back @ members.R_NG)
+    both = np.concatenate([shift, turn], axis=-1)
+    return np.asarray(np.einsum("nti,ntj->tij", both, both) / len(both))

@@ -1,0 +1,1 @@
+"""What passes between the rooms, and the dataset on disk that it begins with."""

@@ -1,0 +1,290 @@
+"""Landmarks and mesh from all sides, along the principal axes or those of G: thesis figure 6-28."""
+
+import io
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
+
+from polhode.geometry.lie import Array, Bools
+from polhode.mapping.visibility import MeshView, MeshViewer
+from polhode.records.estimate import Landmarks, MassProperties
+from polhode.records.surface import SurfaceModel
+from polhode.report.plot_style import AXIS_COLORS, FAINT, GRID, INK, SIGMA_SCALE
+from polhode.report.shape_figures import stretch_contrast, vertex_rgb
+from polhode.runtime.drawing_style import default_style
+
+DPI = 100
+SIGMA_MAP = LinearSegmentedColormap.from_list(
+    "sigma", [(float(str(place)), str(colour)) for place, colour in SIGMA_SCALE]
+)
+TILE_PX = 216
+GROUND = np.array((0.925, 0.94, 0.95))
+INNER = np.array((0.86, 0.66, 0.64))
+LIGHT = np.array((-0.35, 0.45, 0.82))
+"""Direction of the light in a view: left, above, towards the eye."""
+
+
+@dataclass(frozen=True)
+class BodyFrame:
+    """The frame A that is drawn, at the centre of mass."""
+
+    name: str
+    """P or G: whose axes these are"""
+    description: str
+    R_GA: Array
+    """(3, 3)"""
+    com_G: Array
+    """(3,) [m]"""
+
+    def points(self, p_G: Array) -> Array:
+        """p_A (n, 3) of points in G [m]."""
+        return np.asarray((p_G - self.com_G) @ self.R_GA)
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A direction of view: the unit vectors to the right and up in the picture, in axes of A."""
+
+    name: str
+    right: Array
+    up: Array
+
+    @property
+    def eye(self) -> Array:
+        """(3,) from the body to the eye."""
+        return np.cross(self.right, self.up)
+
+
+def body_frame(mass: MassProperties) -> BodyFrame:
+    """P where the motion determines it, else the axes of G, always at the centre of mass."""
+    known = mass.identifiable
+    origin = "centre of mass" if known.com else "centre of mass, which is not fully determined"
+    if known.axes:
+        return BodyFrame("P", f"Principal axes x, y, z at the {origin}.", mass.R_GP, mass.com_G)
+    description = f"Axes of G at the {origin}: the motion does not determine the principal axes."
+    return BodyFrame("G", description, np.eye(3), mass.com_G)
+
+
+DIRECTIONS: tuple[Direction, ...] = tuple(
+    Direction(name, *(np.array(each) / np.linalg.norm(each) for each in (right, up)))
+    for name, right, up in (
+        ("+x", (0, 1, 0), (0, 0, 1)),
+        ("+y", (-1, 0, 0), (0, 0, 1)),
+        ("+z", (1, 0, 0), (0, 1, 0)),
+        ("\u2212x", (0, -1, 0), (0, 0, 1)),
+        ("\u2212y", (1, 0, 0), (0, 0, 1)),
+        ("\u2212z", (-1, 0, 0), (0, 1, 0)),
+        ("+x +y +z", (-1, 1, 0), (-1, -1, 2)),
+        ("\u2212x \u2212y \u2212z", (1, -1, 0), (-1, -1, 2)),
+    )
+)
+ALONG_AXES, OBLIQUE = DIRECTIONS[:6], DIRECTIONS[6:]
+"""From the six sides, of which the first three face the last three, and from two opposite corners."""
+
+
+def round_length_mm(size_mm: float) -> float:
+    """A length for a scale bar: 1, 2 or 5 times a power of ten, at most a third of the size."""
+    power = 10.0 ** np.floor(np.log10(size_mm / 3.0))
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= size_mm / 3.0))
+
+
+def add_scale_bar(axes: Axes, width_mm: float, width: float) -> None:
+    """A round length at the lower left of axes that show ``width_mm`` over ``width`` of their units."""
+    length = round_length_mm(width_mm)
+    style = {"frameon": False, "color": INK, "pad": 0.4, "sep": 4}
+    size = length * width / width_mm
+    axes.add_artist(AnchoredSizeBar(axes.transData, size, f"{length:g} mm", "lower left", **style))
+
+
+def cosine_to_light(view: MeshView, normals: Array, direction: Direction) -> Array:
+    """(H, W) between surface normal and light; normals (V, 3) in the axes of the direction."""
+    axes = np.stack([direction.right, direction.up, direction.eye])
+    normal = view.values(normals @ axes.T)
+    length = np.linalg.norm(normal, axis=2)
+    return np.asarray(normal @ (LIGHT / np.linalg.norm(LIGHT)) / np.where(length > 0.0, length, 1.0))
+
+
+def png(figure: Figure) -> bytes:
+    """The file; the same bytes for the same figure."""
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=DPI, metadata={"Software": None})
+    return content.getvalue()
+
+
+@default_style
+def draw_landmarks(landmarks: Landmarks, frame: BodyFrame) -> bytes:
+    """A PNG of six orthographic views, coloured by standard deviation; ValueError without landmarks."""
+    if len(landmarks.p_G) == 0:
+        raise ValueError("there are no landmarks")
+    p_mm = 1e3 * frame.points(landmarks.p_G)
+    sigma_mm = 1e3 * landmarks.sigma_m
+    known = np.isfinite(sigma_mm)
+    low, top = np.quantile(sigma_mm[known], (0.05, 0.95)) if known.any() else (0.0, 1.0)
+    # a landmark that is far away shrinks nothing
+    half_mm = 1.12 * max(float(np.quantile(np.abs(p_mm).max(axis=1), 0.995)), 1e-3)
+    figure = Figure(figsize=(12.0, 8.3), dpi=DPI, facecolor="white")
+    grid = figure.add_gridspec(2, 3, left=0.055, right=0.895, bottom=0.08, top=0.89, wspace=0.22, hspace=0.24)
+    norm = Normalize(float(low), float(max(top, 1.001 * low, 1e-6)))
+    for k, direction in enumerate(ALONG_AXES):
+        axes = figure.add_subplot(grid[k // 3, k % 3])
+        _draw_side(axes, direction, p_mm, sigma_mm, known, norm, half_mm)
+    add_scale_bar(figure.axes[0], 2.0 * half_mm, 2.0 * half_mm)
+    bar_axes = figure.add_axes((0.92, 0.08, 0.014, 0.81))
+    bar = figure.colorbar(ScalarMappable(norm, SIGMA_MAP), cax=bar_axes, extend="both")
+    bar.set_label("standard deviation of a landmark [mm]", color=INK)
+    outside = int((np.abs(p_mm).max(axis=1) > half_mm).sum())
+    notes = [f"Beyond the drawing: {outside}."] if outside else []
+    notes += [f"Without a standard deviation (grey): {int((~known).sum())}."] if not known.all() else []
+    for height, text, style in (
+        (0.965, f"{len(p_mm)} landmarks from six sides", {"size": 14, "weight": "bold"}),
+        (0.937, f"{frame.description} Each view shows the half that faces the eye.", {"size": 10}),
+        (0.015, " ".join(notes), {"size": 9}),
+    ):
+        figure.text(0.055, height, text, color=INK, va="center", **style)
+    return png(figure)
+
+
+def _draw_side(
+    axes: Axes,
+    direction: Direction,
+    p_mm: Array,
+    sigma_mm: Array,
+    known: Bools,
+    norm: Normalize,
+    half_mm: float,
+) -> None:
+    height = p_mm @ direction.eye
+    facing = np.flatnonzero(height >= 0.0)
+    facing = facing[np.argsort(height[facing], kind="stable")]
+    across, upward = int(np.argmax(np.abs(direction.right))), int(np.argmax(np.abs(direction.up)))
+    size = 9.0 if len(p_mm) < 3000 else 4.0
+    for chosen, colours in (
+        (facing[~known[facing]], {"color": FAINT}),
+        (facing[known[facing]], {"c": sigma_mm[facing[known[facing]]], "cmap": SIGMA_MAP, "norm": norm}),
+    ):
+        axes.scatter(p_mm[chosen, across], p_mm[chosen, upward], s=size, linewidths=0, **colours)
+    for axis in (across, upward):
+        _draw_axis(axes, axis, (across, upward), 0.5 * half_mm)
+    axes.plot(0.0, 0.0, marker="D", markersize=6, color=INK, markeredgecolor="white", zorder=6)
+    # An axis that points to the left counts to the left.
+    sign = float(np.sign(direction.right[across]))
+    axes.set(xlim=(-sign * half_mm, sign * half_mm), ylim=(-half_mm, half_mm), aspect="equal")
+    axes.set_title(f"from {direction.name}: {len(facing)} landmarks", size=10, color=INK, loc="left", pad=4)
+    axes.grid(color=GRID, linewidth=0.7)
+    axes.set_axisbelow(True)
+    axes.tick_params(labelsize=8, color=FAINT, labelcolor=INK)
+    for spine in axes.spines.values():
+        spine.set_color(GRID)
+    axes.set_xlabel(f"{'xyz'[across]} [mm]", size=9, color=INK, labelpad=1)
+    axes.set_ylabel(f"{'xyz'[upward]} [mm]", size=9, color=INK, labelpad=-2)
+
+
+def _draw_axis(axes: Axes, axis: int, plane: tuple[int, int], length_mm: float) -> None:
+    """An arrow from the centre of mass along one of the two axes in the plane of the drawing."""
+    colour, along = AXIS_COLORS[axis], np.array([float(axis == each) for each in plane])
+    x, y = (1.14 * length_mm * along).tolist()
+    arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.8, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", xy=tuple(length_mm * along), xytext=(0.0, 0.0), arrowprops=arrow, zorder=4)
+    label = axes.text(x, y, "xyz"[axis], color=colour, size=12, weight="bold", ha="center", va="center")
+    label.set_zorder(5)
+    label.set_path_effects([withStroke(linewidth=3, foreground="white")])
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """A row of the mesh sheet."""
+
+    title: str
+    values: Array
+    """(V, 3) colours 0..1, or numbers (V,) for the scale"""
+    ambient: float
+    """share of the light that falls on every side"""
+    scale: ScalarMappable | None = None
+    """from numbers to colours; None: ``values`` are colours"""
+
+
+@default_style
+def draw_mesh(surface: SurfaceModel, viewer: MeshViewer, frame: BodyFrame) -> bytes:
+    """A PNG: a column for each direction, a row for each quantity. ``viewer`` looks at the mesh."""
+    mesh, directions = surface.mesh, DIRECTIONS
+    p_A, normal_A = frame.points(np.asarray(mesh.vertices)), np.asarray(mesh.vertex_normals) @ frame.R_GA
+    middle_A = 0.5 * (p_A.min(axis=0) + p_A.max(axis=0))
+    middle_G, screens = frame.com_G + frame.R_GA @ middle_A, [(each.right, each.up) for each in directions]
+    half_m = 1.05 * float(np.abs((p_A - middle_A) @ np.concatenate(screens).T).max())
+    views = [
+        viewer.orthographic(middle_G, frame.R_GA @ right, frame.R_GA @ up, half_m, TILE_PX)
+        for right, up in screens
+    ]
+    lights = [
+        cosine_to_light(view, normal_A, each).clip(0.0, 1.0)
+        for view, each in zip(views, directions, strict=True)
+    ]
+    quantities = _quantities(surface)
+    pitch_px, row_px = TILE_PX + 8, TILE_PX + 48
+    # Placed by the pixel: a layout of some forty axes takes longer than the rays.
+    width_px, height_px = len(directions) * pitch_px + 78, len(quantities) * row_px + 44
+    figure = Figure(figsize=(width_px / DPI, height_px / DPI), dpi=DPI, facecolor="white")
+
+    def write(x_px: float, y_px: float, words: str, **style: Any) -> None:
+        figure.text(x_px / width_px, y_px / height_px, words, color=INK, **style)
+
+    def part(x_px: float, y_px: float, wide_px: float) -> Axes:
+        """Axes as high as a tile."""
+        size = (x_px / width_px, y_px / height_px, wide_px / width_px, TILE_PX / height_px)
+        return figure.add_axes(size)
+
+    title = f"Mesh: {len(mesh.faces)} triangles, orthographic. {frame.description}"
+    write(8, height_px - 22, title, size=13, weight="bold", va="center")
+    for row, quantity in enumerate(quantities):
+        bottom_px = height_px - 44 - (row + 1) * row_px + 8
+        write(8, bottom_px + TILE_PX + 24, quantity.title, size=10, weight="bold")
+        for column, (view, light, direction) in enumerate(zip(views, lights, directions, strict=True)):
+            left_px = 8 + column * pitch_px
+            figure.figimage(_tile(view, light, quantity), left_px, bottom_px, origin="upper")
+            words = f"from {direction.name}"
+            write(left_px + TILE_PX / 2, bottom_px + TILE_PX + 6, words, size=10, ha="center")
+        if quantity.scale is not None:
+            bar = figure.colorbar(quantity.scale, cax=part(8 + len(directions) * pitch_px, bottom_px, 16))
+            bar.ax.tick_params(labelsize=9)
+    lowest = part(8, bottom_px, TILE_PX)
+    lowest.set(xlim=(0.0, TILE_PX), ylim=(0.0, TILE_PX), zorder=1)
+    lowest.set_axis_off()
+    add_scale_bar(lowest, 2e3 * half_m, TILE_PX)
+    return png(figure)
+
+
+def _quantities(surface: SurfaceModel) -> tuple[_Quantity, ...]:
+    sigma_mm = 1e3 * surface.sigma_m
+    known = np.isfinite(sigma_mm)
+    top_mm = max(float(np.quantile(sigma_mm[known], 0.95)) if known.any() else 1.0, 1e-6)
+    most = max(float(np.quantile(surface.views, 0.99)), 2.0)
+    brightness = stretch_contrast(vertex_rgb(surface.mesh)) / 255.0
+    return (
+        _Quantity("colours of the vertices, shaded; pink: inner side, seen through holes", brightness, 0.45),
+        _Quantity(
+            "standard deviation [mm]; the scale ends at the 95th percentile",
+            np.where(known, sigma_mm, top_mm),
+            *(0.8, ScalarMappable(Normalize(0.0, top_mm), SIGMA_MAP)),
+        ),
+        _Quantity(
+            "number of frames that saw it; the scale ends at the 99th percentile",
+            surface.views.astype(np.float64),
+            *(0.8, ScalarMappable(Normalize(0.0, most), "viridis")),
+        ),
+    )
+
+
+def _tile(view: MeshView, light: Array, quantity: _Quantity) -> Array:
+    values = view.values(quantity.values)
+    colours = values if quantity.scale is None else np.asarray(quantity.scale.to_rgba(values))[..., :3]
+    shaded = colours * (quantity.ambient + (1.0 - quantity.ambient) * light)[..., None]
+    tile = np.where(view.hit[..., None], shaded.clip(0.0, 1.0), GROUND)
+    tile[view.hit] = np.where(view.front[:, None], tile[view.hit], INNER)
+    return tile

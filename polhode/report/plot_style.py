@@ -1,0 +1,377 @@
+"""The parts that every figure is drawn with: traces, axes, colours, as plain data for plotly.js."""
+
+import base64
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from polhode.geometry.lie import Array, Bools
+
+Trace = dict[str, Any]
+Layout = dict[str, Any]
+
+TIME_TITLE = "time since the first frame [s]"
+AXIS_COLORS: tuple[str, str, str] = ("#d55e00", "#cc79a7", "#0072b2")
+"""x, y, z: vermillion, reddish purple, blue of Okabe and Ito, distinct for colour-blind readers too."""
+INK, FAINT, ACCENT = "#22303c", "#77848f", "#0072b2"
+SECOND = "#d55e00"
+"""Beside ACCENT, where two curves share a drawing"""
+GRID = "#e8ecf0"
+PAPER, EDGE, STRIP = "#ffffff", "#c3ccd4", "#dfe4e8"
+"""Ground of a drawing, line of an axis, strip over frames without measurements"""
+SCENE_GROUND, SCENE_GRID = "#fafbfc", "#dde3e8"
+WIRE, SHEET, REGION = "#7a8b99", "#9fc5de", "#5d6b78"
+"""Wires and sheet of the ellipsoids; region of the possible bodies"""
+DARK: dict[str, str] = {
+    AXIS_COLORS[0]: "#f5893d",
+    AXIS_COLORS[1]: "#e9a3cb",
+    AXIS_COLORS[2]: "#56b4e9",
+    INK: "#e6ebef",
+    FAINT: "#93a0ab",
+    GRID: "#29323a",
+    PAPER: "#171d23",
+    EDGE: "#4a5661",
+    STRIP: "#34404a",
+    SCENE_GROUND: "#1c242b",
+    SCENE_GRID: "#36424c",
+    WIRE: "#a7b4bf",
+    SHEET: "#35566d",
+    REGION: "#a9b6c1",
+}
+"""What a colour becomes in the dark scheme; others are the same in both."""
+NARROW_PANEL_PX = 190
+"""Height of a panel where they stand one below the other, on a phone."""
+LEGEND_ABOVE_TITLES = 1.06
+"""Height of a legend, on the paper of a drawing, over titles of columns"""
+BAND = "± 3σ"
+"""Name of a band of three standard deviations in a legend"""
+TIME_SCALE = [[0.0, "#3b0f70"], [0.35, "#b5367a"], [0.7, "#fb8861"], [1.0, "#f6d746"]]
+EYE_DISTANCE = 2.3
+"""In sizes of the scene: far enough that no axis leaves the drawing."""
+SIGMA_SCALE = [[0.0, "#fde725"], [0.33, "#35b779"], [0.66, "#31688e"], [1.0, "#440154"]]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One drawing with its title and caption."""
+
+    key: str
+    title: str
+    caption: str
+    data: list[Trace]
+    layout: Layout
+    height_px: int = 420
+    wide: bool = True
+    clock: Literal["", "time", "frames"] = ""
+    """What its first x axis and those that match it count, along which the page's slider moves a line"""
+
+    @property
+    def traces(self) -> list[Trace]:
+        """The data, each name once in the legend: what shares a name is switched together."""
+        shown: set[str] = set()
+        traces = []
+        for trace in self.data:
+            name = trace.get("name", "")
+            if name and trace.get("showlegend", True):
+                trace = trace | {"legendgroup": name, "showlegend": name not in shown}
+                shown.add(name)
+            traces.append(trace)
+        return traces
+
+    @property
+    def solid(self) -> bool:
+        """Whether it is three-dimensional, which takes a browser longer."""
+        return "scene" in self.layout
+
+    @property
+    def narrow(self) -> Layout:
+        """What differs in the layout on a phone: the panels one below the other; empty for a single one."""
+        return stack_panels(self.layout)
+
+    @property
+    def words(self) -> str:
+        """All that is written at it, without markup: where symbols occur that need an explanation."""
+        axes = [value for key, value in self.layout.items() if re.match("[xy]axis", key)]
+        axes += [self.layout.get("scene", {}).get(f"{name}axis", {}) for name in "xyz"]
+        titles = [each.get("title", {}).get("text", "") for each in axes]
+        names = [str(trace.get("name", "")) for trace in self.data]
+        return re.sub("<[^>]*>", "", " | ".join([self.title, self.caption, *titles, *names]))
+
+
+def packed(values: ArrayLike, dtype: str = "") -> dict[str, str]:
+    """An array as plotly.js reads it fastest and shortest: base64 of its bytes. Infinities become gaps.
+
+    dtype: single precision and ``i4`` unless given; ``u1`` and ``u2`` stay.
+    """
+    array = np.asarray(values)
+    dtype = dtype or {"u1": "u1", "u2": "u2"}.get(
+        array.dtype.str[1:], "f4" if array.dtype.kind == "f" else "i4"
+    )
+    if dtype.startswith("f"):
+        array = np.where(np.isfinite(array), array, np.nan)
+    array = np.ascontiguousarray(array, dtype="<" + dtype)
+    out = {"dtype": dtype, "bdata": base64.b64encode(array.tobytes()).decode("ascii")}
+    if array.ndim > 1:
+        out["shape"] = ", ".join(map(str, array.shape))
+    return out
+
+
+def translucent(color: str, alpha: float) -> str:
+    """#rrggbb -> #rrggbbaa, which begins with the colour: ``DARK`` replaces it there too."""
+    return f"{color}{round(255 * alpha):02x}"
+
+
+def line(x: ArrayLike, y: ArrayLike, name: str, color: str, panel: int = 1, **more: Any) -> Trace:
+    """A line through the points, on the axes of one panel."""
+    return {
+        "type": "scatter",
+        "mode": "lines+markers",
+        "x": np.asarray(x, dtype=np.float64),
+        "y": np.asarray(y, dtype=np.float64),
+        "name": name,
+        "line": {"color": color, "width": 1.6},
+        "marker": {"color": color, "size": 3.5},
+        **on(panel),
+        **more,
+    }
+
+
+def dashed(x: ArrayLike, y: ArrayLike, name: str, panel: int = 1) -> Trace:
+    """A thin dashed line: a mean or a final value."""
+    style = {"color": FAINT, "width": 1.2, "dash": "dash"}
+    return line(x, y, name, FAINT, panel, mode="lines", line=style)
+
+
+def points3d(points: ArrayLike, name: str, **more: Any) -> Trace:
+    """Points (n, 3) of a scene, markers unless ``mode`` says otherwise."""
+    return {"type": "scatter3d", "mode": "markers", **columns("xyz", points), "name": name, **more}
+
+
+def columns(names: str, rows: ArrayLike) -> dict[str, Array]:
+    """The columns of an array (n, k) by names of a letter each."""
+    return dict(zip(names, np.asarray(rows).T, strict=True))
+
+
+def band(x: ArrayLike, y: ArrayLike, half: ArrayLike, color: str, panel: int = 1, **more: Any) -> list[Trace]:
+    """The strip y - half .. y + half; nothing where half is not finite."""
+    y, half = np.asarray(y, dtype=np.float64), np.asarray(half, dtype=np.float64)
+    x, known = np.asarray(x, dtype=np.float64), np.isfinite(half)
+    # A fill across a gap goes astray: each stretch without gaps is an outline of its own.
+    stretches = np.split(np.arange(len(x)), np.flatnonzero(np.diff(known)) + 1)
+    style = {"line": {"width": 0}, "fillcolor": translucent(color, 0.22), **more}
+    return [
+        outline(
+            np.concatenate([x[k], x[k][::-1]]), np.concatenate([(y + half)[k], (y - half)[k][::-1]]), BAND,
+            panel, **style,
+        )
+        for k in stretches
+        if len(k) and known[k[0]]
+    ]  # fmt: skip
+
+
+def outline(x: Array, y: Array, name: str, panel: int = 1, **more: Any) -> Trace:
+    """A filled area."""
+    style = {"type": "scatter", "mode": "lines", "fill": "toself", "hoverinfo": "skip", "name": name}
+    return {**style, "x": x, "y": y, **on(panel), **more}
+
+
+def line_with_band(
+    x: ArrayLike, y: ArrayLike, sigma: ArrayLike, name: str, color: str, panel: int = 1
+) -> list[Trace]:
+    """A line and its band of three standard deviations."""
+    return [*band(x, y, 3 * np.asarray(sigma), color, panel), line(x, y, name, color, panel)]
+
+
+def on(panel: int) -> dict[str, str]:
+    """Name the axes of a panel, counted from 1."""
+    suffix = "" if panel == 1 else str(panel)
+    return {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
+
+
+def axis(title: str = "", **more: Any) -> Layout:
+    """The common look of an axis."""
+    return {
+        "title": {"text": title, "font": {"size": 12}, "standoff": 6},
+        "gridcolor": GRID,
+        "zeroline": False,
+        "linecolor": EDGE,
+        "showline": True,
+        "ticks": "outside",
+        "ticklen": 3,
+        "tickcolor": EDGE,
+        "automargin": True,
+        "exponentformat": "power",
+        "minexponent": 5,
+        **more,
+    }
+
+
+def layout(**more: Any) -> Layout:
+    """The common look of a drawing."""
+    return {
+        "font": {
+            "family": "Inter, 'Segoe UI', Roboto, Helvetica, Arial, sans-serif",
+            "size": 12,
+            "color": INK,
+        },
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": PAPER,
+        "margin": {"l": 64, "r": 16, "t": 28, "b": 46},
+        "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0, "xanchor": "left"},
+        "showlegend": True,
+        "hovermode": "closest",
+        "hoverlabel": {"font": {"size": 12}},
+        "modebar": {"bgcolor": PAPER, "color": FAINT, "activecolor": ACCENT},
+        **more,
+    }
+
+
+def panels(
+    y_titles: Sequence[Sequence[str]], x_title: str, column_titles: Sequence[str] = (), **more: Any
+) -> Layout:
+    """Axes of a table of drawings that share x; panels are counted along the rows, from 1 at the top left."""
+    rows, columns = len(y_titles), len(y_titles[0])
+    out = layout(**more)
+    gap_x, gap_y = 0.09, 0.05
+    width, height = (1 - gap_x * (columns - 1)) / columns, (1 - gap_y * (rows - 1)) / rows
+    for row in range(rows):
+        for column in range(columns):
+            panel = row * columns + column + 1
+            name = on(panel)
+            left, top = column * (width + gap_x), 1 - row * (height + gap_y)
+            last = row == rows - 1
+            x = axis(x_title if last else "", domain=[left, left + width], anchor=name["yaxis"])
+            x |= {"matches": "x", "showticklabels": last} if panel > 1 else {"showticklabels": last}
+            y = axis(y_titles[row][column], domain=[top - height, top], anchor=name["xaxis"])
+            out[name["xaxis"].replace("x", "xaxis", 1)] = x
+            out[name["yaxis"].replace("y", "yaxis", 1)] = y
+    if column_titles:
+        # The legend stands above them.
+        out["legend"] = out["legend"] | {"y": LEGEND_ABOVE_TITLES}
+    centres = [column * (width + gap_x) + width / 2 for column in range(len(column_titles))]
+    out["annotations"] = [
+        note(title, centre, 1.0, yanchor="bottom", yshift=6, font={"size": 13, "color": INK})
+        for title, centre in zip(column_titles, centres, strict=True)
+    ]
+    return out
+
+
+def stack_panels(wide: Layout) -> Layout:
+    """Domains that put the panels of a layout one below the other, column by column; empty for one panel.
+
+    Titles of columns stay above the first panel of theirs; strips over all panels are drawn once.
+    """
+    names = [key for key in wide if key.startswith("xaxis")]
+    left = {name: wide[name].get("domain", [0])[0] for name in names}
+    starts = sorted(set(left.values()))
+    if len(starts) < 2:
+        return {}
+    height, notes = 1.0 / len(names), list(wide.get("annotations", []))
+    out: Layout = {"height": NARROW_PANEL_PX * len(names) + 90, "legend": {"y": 1.0}, "annotations": notes}
+    # Sorting is stable: the panels of a column stay in their order, from the top.
+    for row, name in enumerate(sorted(names, key=left.__getitem__)):
+        top, column = 1.0 - (row + 0.2) * height, starts.index(left[name])
+        if column < len(notes) and notes[column].get("y") == 1.0:
+            notes[column] = notes[column] | {"x": 0.5, "y": top}
+        out[name] = {"domain": [0, 1], "showticklabels": True}
+        out[name.replace("x", "y", 1)] = {"domain": [top - 0.58 * height, top]}
+    if wide.get("shapes"):
+        out["shapes"] = [each for each in wide["shapes"] if each.get("xref") == "x"]
+    return out
+
+
+def note(text: str, x: float, y: float, **more: Any) -> Layout:
+    """Words on the paper of a drawing, 0..1."""
+    place = {"x": x, "y": y, "xref": "paper", "yref": "paper", "xanchor": "center"}
+    return {"text": text, "showarrow": False, **place, **more}
+
+
+def gap_shapes(time_s: Array, seen: Bools, columns: int = 1) -> list[Layout]:
+    """Grey strips over the frames without measurements, neighbours joined, in the columns of a figure."""
+    bridged = np.flatnonzero(~seen)
+    if len(bridged) == 0 or len(time_s) < 2:
+        return []
+    edges = np.concatenate([time_s[:1], 0.5 * (time_s[1:] + time_s[:-1]), time_s[-1:]])
+    runs = np.split(bridged, np.flatnonzero(np.diff(bridged) > 1) + 1)
+    return [
+        {
+            "type": "rect",
+            "layer": "below",
+            "x0": float(edges[run[0]]),
+            "x1": float(edges[run[-1] + 1]),
+            "xref": on(column)["xaxis"],
+            "y0": 0,
+            "y1": 1,
+            "yref": "paper",
+            "fillcolor": STRIP,
+            "opacity": 0.6,
+            "line": {"width": 0},
+            "name": "no measurements: bridged by the dynamics",
+            "showlegend": number == 0 and column == 1,
+        }
+        for number, run in enumerate(runs)
+        for column in range(1, columns + 1)
+    ]
+
+
+def color_bar(title: str) -> Layout:
+    """A colour scale over the right edge of a scene."""
+    where = {"x": 1.0, "xanchor": "right", "y": 0.52, "len": 0.62, "thickness": 11}
+    return {"title": {"text": title, "side": "top", "font": {"size": 12}}, "outlinewidth": 0, **where}
+
+
+def scene(
+    unit: str, names: Sequence[str] = ("x", "y", "z"), eye: ArrayLike = (1.4, -1.5, 0.9), **more: Any
+) -> Layout:
+    """Three axes of equal scale, seen from the direction ``eye`` (3,)."""
+    look = {
+        "backgroundcolor": SCENE_GROUND,
+        "gridcolor": SCENE_GRID,
+        "showbackground": True,
+        "zeroline": False,
+        "tickfont": {"size": 10.5},
+        "nticks": 6,
+    }
+    toward = np.asarray(eye, dtype=np.float64)
+    toward = EYE_DISTANCE * toward / np.linalg.norm(toward)
+    axes = {
+        f"{k}axis": {"title": {"text": f"{name} [{unit}]"}, **look}
+        for k, name in zip("xyz", names, strict=True)
+    }
+    return {
+        **axes,
+        # The legend stands below.
+        "domain": {"x": [0.0, 1.0], "y": [0.07, 1.0]},
+        "aspectmode": "data",
+        "camera": {
+            "eye": dict(zip("xyz", toward.tolist(), strict=True)),
+            "center": {"x": 0.0, "y": 0.0, "z": -0.07},
+        },
+        **more,
+    }
+
+
+def axis_arrows(origin: Array, R: Array, length: float, names: Sequence[str]) -> list[Trace]:
+    """Three coloured lines from an origin (3,), along the columns of R (3, 3), named at their ends."""
+    return [
+        points3d(
+            np.stack([origin, tip]),
+            f"principal axis {name}",
+            mode="lines+text",
+            text=["", name],
+            textfont={"color": color, "size": 13},
+            line={"color": color, "width": 6},
+            hoverinfo="name",
+        )
+        for tip, name, color in zip((origin + length * R.T), names, AXIS_COLORS, strict=True)
+    ]
+
+
+def scene_layout(**more: Any) -> Layout:
+    """A drawing that is one scene, with its legend below."""
+    margin, legend = {"l": 0, "r": 0, "t": 8, "b": 0}, {"orientation": "h", "x": 0, "y": 0}
+    return layout(scene=scene(**more), margin=margin, legend=legend)

@@ -1,0 +1,233 @@
+"""The checks that a run makes of its data and of its answer: name, unit, limit, and the reason to doubt.
+
+A check is a function that compares records and gives a value; everything that is said about the value stands
+here, a row each. A reason says what does not hold and what to do. How the checks decide the status of a run
+is in ``verdict``, what they can and cannot find in docs/checks.md.
+"""
+
+import logging
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from polhode.run_directory.summary_schema import Check
+
+_log = logging.getLogger(__name__)
+
+
+class CheckRow(NamedTuple):
+    """What a check measures and expects."""
+
+    name: str
+    unit: str
+    limit: float | None
+    """From where on (``at_least``: below which) the answer is doubted; None: information only"""
+    reason: str
+    """A format string, of the value and of what the check gives besides"""
+    at_least: bool = False
+
+
+# fmt: off
+CHECK_TABLE = {
+    # of the data
+    "identical images": CheckRow("all images identical", "", 0.0,
+        "all pairs of images are the same, bit for bit: a camera or the recorder stood still, and the "
+        "motion found is not the target's (or the images are rendered ones, without noise, of a target "
+        "at rest)"),
+    "exchanged images": CheckRow("pairs with negative disparities", "pairs", 0.0,
+        "the images of {value:.0f} of {pairs} pairs are exchanged, left for right (first at {first_s:g} "
+        "s): points would be behind the cameras; correct data.csv"),
+    # several times what a frame's median scatters
+    "step of rows": CheckRow("step of the vertical disparity in time", "px", 0.3,
+        "the rows of the two images differ by {step_px:+.2f} px more from {from_s:g} s on, as if one "
+        "camera had turned by {degrees:.2f} deg: the calibration does not hold throughout"),
+    "step of roll": CheckRow("step of the roll between the cameras in time", "deg", float(np.rad2deg(1e-3)),
+        "the rows of the two images are inclined by {value:.2f} deg more from {from_s:g} s on, as if one "
+        "camera had turned about its axis: the calibration does not hold throughout"),
+    # far above the jitter of a trigger
+    "camera delay": CheckRow("delay between the cameras", "ms", 4.0,
+        "the right camera's images are {value:.0f} ms {late} (sigma {sigma_ms:.1f} ms): the rows of the "
+        "two images differ where the target moves, and distances and shape are wrong accordingly"),
+    # an angle, times the focal length
+    "step of disparities": CheckRow("step of all disparities in time", "px", None,
+        "from {from_s:g} s on all disparities are {step_px:+.2f} px different, as if one camera had "
+        "turned sideways by {degrees:.2f} deg: the calibration does not hold throughout"),
+    # features that follow the light pretend 0.5 % at 4 sigma
+    "focal length": CheckRow("deviation of the self-calibrated focal length from the calibration", "%", 0.2,
+        "a focal length {value:.2f} % {longer} than calibrated (sigma {sigma:.2f} %), or disparities "
+        "{disparity_px:+.2f} px different, would fit the rotating target better: check the calibration; "
+        "distances are wrong accordingly"),
+    "focal length of ranges": CheckRow(
+        "deviation of the self-calibrated focal length from the calibration", "%", 0.2,
+        "a focal length {value:.2f} % {longer} than calibrated (sigma {sigma:.2f} %), or ranges with another "
+        "offset, would fit the rotating target better: check the calibration of the camera and of the "
+        "ranges; shape and motion are wrong accordingly"),
+    # good sequences show 0.4 % at most
+    "clock": CheckRow(
+        "period of rotation from the images over that from the timestamps: deviation from 1", "%", 8.0,
+        "the time stamps contradict the rotation, most after {from_s:g} s: within the {stated_s:.2f} s "
+        "that they state the target turned as it does in {needed_s:.2f} s before and after; the clock "
+        "may have jumped, and rates and disturbances there are not those of the target"),
+    "inspector attitude": CheckRow("noise of the inspector's attitudes", "deg", 0.1,
+        "the reported poses of the inspector contradict the images: their attitudes scatter by about "
+        "{value:.2f} deg, where {stated_deg:.2f} deg is stated, and the target turns more smoothly "
+        "without them; check inspector0/"),
+    # odds of four hundred; of 340 good runs without a swing, most of them with other faults, at most 4.3
+    "inspector swing": CheckRow(
+        "log evidence of an unreported oscillation of the inspector's attitude", "log odds", 6.0,
+        "the target's path and its attitude swing together as they would if the inspector's attitude "
+        "did, by about {swing_deg:.2f} deg beside what is reported: no force and torque on the target "
+        "are tied to one another like this; check inspector0/, or supply it where the inspector does not "
+        "keep its attitude"),
+    # undisturbed sequences show 6.1 at the worst of all instants: errors have more in common than sigmas know
+    "centre before and after": CheckRow("change of the centre of mass at a disturbance", "sigma", 7.0,
+        "from {from_s:.1f} s on the centre of mass is another point of the target than before (by "
+        "{change_mm:.1f} mm, {value:.0f} sigma): a part may have left it, or moved; what is stated of "
+        "mass, axes and motion for the whole sequence is true of neither"),
+    "mass before and after": CheckRow("mass properties that change at a disturbance", "", 0.0,
+        "after {end_s:.1f} s the target has other mass properties than before {start_s:.1f} s "
+        "({changes}): a part may have left it, or moved; what is stated for the whole sequence is true "
+        "of neither"),
+    # three landmarks fix a pose, and four agreed with a wrong one by chance; undisturbed sequences share six
+    "connection": CheckRow("fewest landmarks common to the parts before and after an instant", "", 6.0,
+        "the parts before {start_s:g} s and after {end_s:g} s share {count} and are connected by the "
+        "dynamics alone: the turn between them, and what follows from it, no image confirms{others}",
+        at_least=True),
+    # with fewer, the robust steps after them cope
+    "doubtful masks": CheckRow("pairs with doubtful segmentation masks", "%", 20.0, "{doubts}"),
+    # of the answer
+    "image motion": CheckRow(
+        "texture with residual optical flow above 2 px between successive pairs", "%", 40.0,
+        "the images do not move as the motion found: from one pair to the next, {value:.0f}% of the "
+        "textured surface is displaced by more than 2 px (usual: below 20%); outlines, rings or "
+        "reflections that stand still on a turning target may have been taken for its motion"),
+    # sound runs have at most 4 %
+    "rendered model": CheckRow(
+        "texture with optical flow above 1.5 px between image and rendered model", "%", 10.0,
+        "the surface, moved by the motion found, does not look like the images: {value:.0f}% of their "
+        "texture is displaced by more than 1.5 px against its pictures (usual: below 4%); the motion may "
+        "not be that of the surface"),
+    # right rates have at least 0.2, and mostly 0.4 to 0.95, those of a still outline at most 0.04
+    "symmetry rotation": CheckRow(
+        "contrast between the best and the second-best rotation about the symmetry axis", "", 0.15,
+        "the target is a body of revolution, and the turn found about its axis is doubtful, since "
+        "{doubt} one that differs by {rate_deg_s:.1f} deg/s (correlation {own:.2f} and {other:.2f}, "
+        "usual: 0.5 and 0)", at_least=True),
+    "prediction": CheckRow(
+        "prediction from the first 70 % of the observations against the full solution", "sigma", 3.0,
+        "the motion up to {until_s:g} s predicts another {quantity} at the end than all measurements "
+        "give ({value:.1f} sigma): the target may not be one body that moves freely, or the clock, the "
+        "poses or the associations are wrong"),
+    "halves": CheckRow("difference between the solutions of two random halves of the landmarks", "sigma", 3.0,
+        "two halves of the landmarks, chosen at random, give another {quantity} ({value:.1f} sigma of "
+        "the difference): the standard deviations are too small by about this factor, or some landmarks "
+        "are not fixed to the target"),
+    "outline": CheckRow("difference between the solutions of outline and interior landmarks", "sigma", 3.5,
+        "landmarks near the outline and those of the interior, solved apart, give another {quantity} "
+        "({value:.1f} sigma of the difference): the standard deviations are too small by about this "
+        "factor, or some landmarks are not fixed to the target; outlines that stand still on a turning "
+        "target, depth at oblique surfaces or the calibration may be the cause"),
+    "residuals by frame": CheckRow("mean residual of the disparity per frame", "sigma", 2.5,
+        "the disparities of whole frames differ from the motion by {value:.1f} times what their noise "
+        "allows: a step of the calibration, or a motion that is not the one assumed, may be the cause"),
+    "step of residuals": CheckRow("largest step of the disparity residuals in time", "sigma", 4.0,
+        "about frame {frame} the disparities step away from the motion by {value:.1f} standard errors: a "
+        "camera may have been knocked, or the target pushed"),
+    "residuals of u, v by region": CheckRow("mean residual of u and v per region of the image", "sigma", 2.0,
+        "residuals of u and v depend on the region of the image, by {value:.1f} times what their noise "
+        "allows: the calibration or the cameras' synchronisation may be wrong, or features slide over "
+        "the surface"),
+    "residuals of disparity by region": CheckRow(
+        "mean residual of the disparity per region of the image", "sigma", 3.0,
+        "residuals of the disparity depend on the region of the image, by {value:.1f} times what their "
+        "noise allows: the calibration or the cameras' synchronisation may be wrong, or features slide "
+        "over the surface"),
+    "residuals by disparity": CheckRow("correlation of the disparity residuals with the disparity", "", 0.12,
+        "residuals of the disparity follow the disparity (correlation {value:.2f}): near and far parts "
+        "of the target move differently than one rigid body seen by this rig; check the calibration and "
+        "the cameras' synchronisation"),
+    # information: the covariance takes account of it, and right and wrong runs hardly differ by it
+    "residuals from frame to frame": CheckRow(
+        "correlation of a landmark's residuals in successive frames", "", None, ""),
+    # undisturbed runs have up to 3.9
+    "sun": CheckRow("drift of the landmarks with the direction of the Sun", "sigma", 5.0,
+        "landmarks slide over the surface by {slide_mm:.2g} mm as the Sun's direction changes by a "
+        "radian ({value:.1f} sigma): shades were taken for marks of the surface, and the motion follows "
+        "them in part"),
+    # sound scenes of configs/scenes have 0 to 4 %, axisymmetric 10 %, minor_axis 20 %
+    "links": CheckRow(
+        "relative poses from matching alone that differ from the motion by more than 5 deg", "%", 15.0,
+        "{value:.0f}% of the links between frames, by matching alone, contradict the motion by more than "
+        "5 deg (usual: below 5%): in these pairs most features move otherwise"),
+    # of a frame; undisturbed runs have 90 or more
+    "mirror": CheckRow("separation from the solution with reversed relief", "sigma", 12.0,
+        "the relief of the target hardly shows in the disparities ({value:.0f} sigma a frame): the same "
+        "body turned inside out, rotating the other way, would fit these images almost as well; come "
+        "closer or use a longer baseline", at_least=True),
+    # information: the ambiguities that matter are in the sigmas (backend/uncertainty/ambiguity)
+    "runner-up": CheckRow("cost of the second-best local minimum above the best", "", None, ""),
+    # thruster bursts have up to 0.9; of 35 good runs with a push, those whose clock did not jump up to 3.1
+    "push": CheckRow("displacement beyond what a disturbance can cause", "sigma", 4.0,
+        "between {start_s:.1f} s and {end_s:.1f} s the target is displaced by {excess_mm:.2g} mm more "
+        "than its change of velocity explains ({sigmas:.1f} sigma): no push does this; a camera or the "
+        "inspector's pose may have jumped, or a part left the target"),
+    # of sixteen scenes of configs/scenes the worst component is off by 1.9 sigma of the causal estimate
+    "window": CheckRow(
+        "difference between the causal and the smoothed estimate at the last frame", "sigma", 4.0,
+        "the causal estimate ends {value:.1f} sigma away from the smoothed one: one of the two has not "
+        "found the motion"),
+    "centre of volume": CheckRow(
+        "offset of the centre of mass from the centroid of the volume", "% of the size", 100.0,
+        "the centre of mass is {offset_mm:.3g} mm away from that of the volume, which is {size_mm:.3g} "
+        "mm large: no body of this surface has it there; motion or surface is wrong"),
+    # of the estimate as such
+    "frames": CheckRow("frames with measurements", "%", 50.0,
+        "fewer than half of the frames have measurements; the others are bridged by the dynamics",
+        at_least=True),
+    "outliers": CheckRow("observations rejected as outliers", "%", 40.0,
+        "{value:.0f}% of the observations contradict the motion"),
+    # stronger disturbances make an answer doubtful, because frames may contradict one another
+    "disturbances": CheckRow("power of the disturbances over that stated", "", 30.0,
+        "the disturbances appear {value:.0f} times as strong as stated (power): an unknown force or "
+        "wrong associations may be the cause; the standard deviations are large accordingly"),
+    "surface": CheckRow("faces of the mesh", "", 1.0,
+        "there is no surface: the depth maps gave none, or the run ended before them", at_least=True),
+}
+# fmt: on
+
+
+def make_check(key: str, value: float | None, limit: float | None = None, **facts: object) -> Check:
+    """The check of a row with its value. None: these data do not allow it.
+
+    ``limit`` instead of the row's; ``facts`` are what the reason names besides the value.
+    """
+    row = CHECK_TABLE[key]
+    limit = row.limit if limit is None else float(limit)
+    check = Check(name=row.name, limit=limit, unit=row.unit, at_least=row.at_least)
+    if value is None:
+        return check
+    beyond = limit is not None and (value < limit if row.at_least else value > limit)
+    reason = row.reason.format(value=value, **facts) if beyond else ""
+    return check.model_copy(update={"value": float(value), "reason": reason})
+
+
+def frame_step(n_frames: int) -> int:
+    """Every how many frames costly checks take, so that a long sequence is thinned out to 120 frames."""
+    return -(-n_frames // 120)
+
+
+def attempt_checks(step: Callable[[], list[Check]]) -> list[Check]:
+    """The checks of a step, their reasons logged. An error does not cost the run, which is doubted for it."""
+    try:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found = step()
+    except (ArithmeticError, LookupError, ValueError, MemoryError) as error:
+        _log.debug("a check ended with an error", exc_info=True)
+        kind = type(error).__name__
+        reason = f"a check ended with an error ({kind}: {error}): what it finds is not known; see log.txt"
+        found = [Check(name=f"checks that raised an error ({kind})", value=1.0, limit=0.0, reason=reason)]
+    for check in found:
+        if check.reason:
+            _log.warning(check.reason)
+    return found

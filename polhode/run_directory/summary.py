@@ -1,0 +1,233 @@
+"""summary.json: the results of a run in one small file (docs/run_directory.md).
+
+Every summary is validated against the models of ``summary_schema`` when it is written and read.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from polhode.files.atomic import write_text
+from polhode.files.json_files import read_json
+from polhode.files.output.exchange import entries
+from polhode.files.output.run_files import is_run_file, is_stage_file
+from polhode.geometry.lie import Array
+from polhode.records.estimate import MotionEstimate
+from polhode.records.surface import SurfaceModel
+from polhode.records.tracks import StereoTracks
+from polhode.run_directory.archives import undetermined_as_inf
+from polhode.run_directory.own_results import digests, require_own_results
+from polhode.run_directory.summary_schema import (
+    ESTIMATE_PARTS,
+    Check,
+    Intervals,
+    IpoptSummary,
+    Noise,
+    ShapeFindings,
+    StageTimes,
+    Summary,
+    content_digest,
+    json_text,
+)
+from polhode.run_directory.verdict import decide_verdict, estimate_checks
+from polhode.runtime.errors import InputError
+
+NOT_OURS = "not a summary that polhode wrote"
+MAX_LOG_RATIO = 60.0
+MAX_SIZE = 1e12
+"""Of a moment over the middle one, and of com_G [m]."""
+
+
+def build_summary(
+    tracks: StereoTracks | None,
+    estimate: MotionEstimate | None,
+    surface: SurfaceModel | None,
+    timing_s: Mapping[str, float],
+    warnings: Sequence[str] = (),
+    *,
+    failure: str | None = None,
+    shape: ShapeFindings | None = None,
+    checks: Sequence[Check] = (),
+    intervals: Intervals | None = None,
+) -> Summary:
+    """The summary of a run, its status as ``decide_verdict`` finds it.
+
+    ``warnings`` do not change the status (a dropped frame, what the motion does not determine). Every reason
+    stands among the warnings, once, that of a failure first. Seconds that ``timing_s`` does not name are 0;
+    ``total`` is their sum unless it is given.
+    """
+    if estimate is not None:
+        checks = [*checks, *estimate_checks(tracks, estimate, surface)]
+    verdict = decide_verdict(failure, estimate, checks)
+    own = estimate.warnings if estimate is not None else ()
+    reported = [*verdict.reasons, *_undetermined_warning(estimate)]
+    # A warning of the back end that begins with the same text is more detailed.
+    reported = [text for text in reported if not any(more.startswith(text) for more in own)]
+    shape = shape or ShapeFindings()
+    texts = [*reported, *own, *warnings, *shape.warnings]
+    if verdict.status == "failed" and verdict.reasons:
+        texts.sort(key=lambda text: not text.startswith(verdict.reasons[0]))
+    times = {stage: float(timing_s.get(stage, 0.0)) for stage in StageTimes.model_fields}
+    times["total"] = times["total"] or sum(times.values())
+    times["ipopt"] = 0.0
+    if estimate is not None and estimate.solver.ipopt is not None:
+        times["ipopt"] = estimate.solver.ipopt.seconds
+    return Summary.model_validate(
+        {
+            "status": verdict.status,
+            "warnings": list(dict.fromkeys(texts)),
+            "frames": tracks.n_frames if tracks else 0,
+            "frames_used": len(np.unique(tracks.frame)) if tracks else 0,
+            "landmarks": len(estimate.landmarks.p_G) if estimate else tracks.n_landmarks if tracks else 0,
+            "observations": len(tracks.frame) if tracks else 0,
+            "duration_s": float(tracks.time_s[-1]) if tracks and tracks.n_frames else 0.0,
+            "timing_s": times,
+            "checks": tuple(checks),
+            "verdict": verdict,
+            "assumed": shape.assumed,
+            "mesh": shape.mesh,
+            "coverage": shape.coverage,
+            "physics": shape.physics,
+            "intervals": intervals,
+            "identifiable_detail": dict(estimate.mass.identifiable.detail) if estimate else {},
+            **(dict.fromkeys(ESTIMATE_PARTS) if estimate is None else _estimate_parts(estimate)),
+        }
+    )
+
+
+def _undetermined_warning(estimate: MotionEstimate | None) -> list[str]:
+    """What the motion does not determine, as one warning."""
+    if estimate is None:
+        return []
+    known = estimate.mass.identifiable
+    names = [f"com_{axis}" for axis, flag in zip("xyz", known.com_P, strict=True) if not flag]
+    names += [name for name in ("k1", "k2") if not getattr(known, name)]
+    names += [f"axes_{axis}" for axis, flag in zip("xyz", known.axes_P, strict=True) if not flag]
+    return [f"the motion does not determine: {', '.join(names)}"] if names else []
+
+
+def with_files(summary: Summary, folder: Path) -> Summary:
+    """The summary, with the names of the run's files in ``folder``, and digests of its results."""
+    names = sorted(
+        name
+        for name, is_folder in entries(folder)
+        if not is_folder and is_run_file(name) and not is_stage_file(name)
+    )
+    return summary.model_copy(update={"files": tuple(names), "sha256": digests(folder, names)})
+
+
+def write_summary(summary: Summary, path: Path) -> None:
+    """Write summary.json, validated once more (pydantic.ValidationError if a copy got a wrong value)."""
+    plain = json.loads(json_text(summary))
+    text = json_text(summary.model_copy(update={"own_sha256": content_digest(plain)}))
+    Summary.model_validate_json(text)
+    write_text(path, text)
+
+
+def read_summary(path: Path) -> Summary:
+    """Read summary.json (the file, or its run folder). Raises InputError, one line.
+
+    Of a folder, the run's results must be those that it wrote (``own_results``).
+    """
+    file = path / "summary.json" if path.is_dir() else path
+    if not file.exists():
+        raise InputError(f"{file}: no such file; give the folder of a run")
+    content = read_json(file, "a summary")
+    try:
+        summary = Summary.model_validate(content)
+    except ValidationError as error:
+        first = error.errors(include_input=False)[0]
+        where = ".".join(str(part)[:60] for part in first["loc"][:6]) or "the file"
+        what = first["msg"].removeprefix("Value error, ")[:200]
+        raise InputError(f"{file}: {where}: {what}; {NOT_OURS}") from None
+    _require_sound(file, summary)
+    if summary.own_sha256 not in (None, content_digest(content)):
+        raise InputError(
+            f"{file}: changed since the run wrote it (own_sha256 is of other content); put the run's own "
+            "file back, or run again"
+        )
+    if file != path:
+        require_own_results(path, summary.sha256)
+    return summary.model_copy(update={"own_sha256": None})
+
+
+def _require_sound(file: Path, summary: Summary) -> None:
+    """Raise InputError for numbers that no run finds, and that no later step could use."""
+    R_GP, com_G, inertia, noise = summary.R_GP, summary.com_G, summary.inertia, summary.noise
+    wrong = ""
+    if R_GP is not None and not _is_rotation(np.array(R_GP)):
+        wrong = "R_GP: not a rotation"
+    elif com_G is not None and np.abs(com_G).max() > MAX_SIZE:
+        wrong = f"com_G: above {MAX_SIZE:g} m"
+    elif inertia is not None and not all(1.0 / MAX_SIZE <= each <= MAX_SIZE for each in inertia.moments):
+        wrong = "inertia.moments: not three positive moments about 1"
+    elif inertia is not None and not _is_inertia(np.array(inertia.J_G)):
+        wrong = "inertia.J_G: not symmetric and positive definite"
+    elif inertia is not None and max(abs(inertia.k1), abs(inertia.k2)) > MAX_LOG_RATIO:
+        wrong = f"inertia: k1 and k2 beyond {MAX_LOG_RATIO:g}"
+    elif noise is not None and not all(0.0 <= psd <= MAX_SIZE for psd in (noise.accel_psd, noise.torque_psd)):
+        wrong = f"noise: accel_psd or torque_psd is not from 0 to {MAX_SIZE:g}"
+    if wrong:
+        raise InputError(f"{file}: {wrong}; {NOT_OURS}")
+
+
+def _is_inertia(J: Array) -> bool:
+    if np.abs(J).max() > MAX_SIZE or np.abs(J - J.T).max() > 1e-6 * np.abs(J).max():
+        return False
+    return bool(np.linalg.eigvalsh(J)[0] > 0.0)
+
+
+def _is_rotation(R: Array) -> bool:
+    return bool(np.abs(R).max() < 2.0 and np.abs(R @ R.T - np.eye(3)).max() < 1e-6 and np.linalg.det(R) > 0.0)
+
+
+def _estimate_parts(estimate: MotionEstimate) -> dict[str, Any]:
+    """The parts of the summary that take an estimate."""
+    mass, known, solver = estimate.mass, estimate.mass.identifiable, estimate.solver
+    first_ns = int(estimate.timestamps_ns[0])
+    impulses = estimate.disturbances.impulses if estimate.disturbances is not None else ()
+    return {
+        "inertia": {
+            **{name: getattr(mass, name) for name in ("k1", "k2", "J_G", "moments", "sigma_moments")},
+            "cov": nullable(mass.cov_k),
+            "cov_J": nullable(mass.cov_J),
+            "mass_kg": mass.mass_kg,
+            "sigma_mass_kg": mass.sigma_mass_kg,
+            "scale_kg_m2": mass.inertia_scale_kg_m2,
+            "sigma_scale_kg_m2": mass.sigma_inertia_scale_kg_m2,
+        },
+        "identifiable": {name: bool(getattr(known, name)) for name in ("k1", "k2", "com", "axes")},
+        "identifiable_components": {"com_P": known.com_P.tolist(), "axes_P": known.axes_P.tolist()},
+        "com_G": mass.com_G,
+        "cov_com_G": nullable(mass.cov_com_G),
+        "R_GP": mass.R_GP,
+        "cov_R_GP": nullable(mass.cov_R_GP),
+        "solver": vars(solver)
+        | {
+            "converged": bool(solver.converged),
+            "ipopt": None
+            if solver.ipopt is None
+            else {name: getattr(solver.ipopt, name) for name in IpoptSummary.model_fields},
+        },
+        "noise": {name: getattr(estimate.noise, name) for name in Noise.model_fields},
+        "unknown_pushes": [
+            {
+                "start_s": (impulse.start_ns - first_ns) * 1e-9,
+                "end_s": (impulse.end_ns - first_ns) * 1e-9,
+                **{name: value for name, value in vars(impulse).items() if not name.endswith("_ns")},
+            }
+            for impulse in impulses
+        ],
+    }
+
+
+def nullable(covariance: NDArray[np.float64]) -> list[list[float | None]]:
+    """Undetermined rows and columns are null as a whole: their covariances mean nothing."""
+    unknown = np.isinf(np.diagonal(undetermined_as_inf(covariance)))
+    hidden = unknown[:, None] | unknown[None, :]
+    return np.where(hidden, None, covariance).tolist()  # type: ignore[call-overload,no-any-return]

@@ -1,0 +1,135 @@
+"""Where compiled code is kept between runs: only in folders into which no other user can put any.
+
+What lies in such a folder is executed. On a machine with several users, a cache in a place where others may
+write would run their code with the rights of whoever reads it.
+"""
+
+import logging
+import multiprocessing
+import os
+import stat
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+
+from polhode.runtime.errors import InputError
+
+NUMBA_SETTINGS = Path(".numba_config.yaml")
+"""Read by numba from the current folder when it is imported."""
+
+_UNUSABLE: tuple[tuple[str, Callable[[int], bool], str], ...] = (
+    ("NUMBA_DISABLE_JIT", lambda value: value == 0, "without compiled functions polhode cannot work"),
+    ("NUMBA_NUM_THREADS", lambda value: value > 0, "numba needs one thread at least"),
+)
+"""Variables of numba, and the values with which it works"""
+
+_log = logging.getLogger(__name__)
+
+
+def require_no_settings_of_numba() -> None:
+    """Raise InputError if numba would read settings from the current folder, which may be another's, or if
+    the environment has a variable with which it does not work.
+
+    Settings decide how numbers are computed, and from where compiled code is loaded.
+    """
+    if NUMBA_SETTINGS.exists():
+        raise InputError(
+            f"{NUMBA_SETTINGS} in the current folder has settings of numba, which would change the results: "
+            "start polhode in another folder, or remove it"
+        )
+    for name, is_usable, reason in _UNUSABLE:
+        value = os.environ.get(name, "")
+        # numba, too, takes no notice of what is no number
+        with suppress(ValueError):
+            if not is_usable(int(value)):
+                raise InputError(f"{name}={value} in the environment: {reason}; unset it")
+
+
+def code_cache(source: Path) -> Path | None:
+    """The folder for the compiled functions of a module's file; None: nothing is to be kept.
+
+    The folder of NUMBA_CACHE_DIR, if that is set; else ``__pycache__`` beside the module, from which Python
+    itself takes code, if it can be written; else ``polhode`` in the user's own folder of caches. A folder
+    that others may write to is not used: where NUMBA_CACHE_DIR names one, nothing is kept.
+    """
+    if not source.is_file():
+        return None
+    return _folder(source.parent.absolute(), os.environ.get("NUMBA_CACHE_DIR", ""))
+
+
+@cache
+def _folder(package: Path, given: str) -> Path | None:
+    if given:
+        if is_private(Path(given)) and _writable(Path(given)):
+            return Path(given).absolute()
+        _say_once(f"NUMBA_CACHE_DIR={given} is not used: others may write there, or you may not")
+        return None
+    beside = package / "__pycache__"
+    if _writable(beside) and _guarded_as(beside, package):
+        return beside
+    own = _own_folder()
+    if own is not None and is_private(own) and _writable(own):
+        return own
+    _say_once("compiled code is not kept, as no folder for it is writable by you alone: set NUMBA_CACHE_DIR")
+    return None
+
+
+def is_private(folder: Path) -> bool:
+    """Whether only this user and root can put files there, or put another folder in its place.
+
+    A folder that is missing is made, with access for this user alone.
+    """
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        inner, *outer = (path.stat() for path in (folder.resolve(), *folder.resolve().parents))
+    except OSError:
+        return False
+    trusted = (0, os.geteuid())
+    if inner.st_uid not in trusted or inner.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return False
+    # in a sticky folder, as /tmp, only its owner can rename or remove an entry
+    return all(
+        each.st_uid in trusted and (not each.st_mode & stat.S_IWOTH or each.st_mode & stat.S_ISVTX)
+        for each in outer
+    )
+
+
+def _guarded_as(folder: Path, package: Path) -> bool:
+    """Whether whoever can write to the folder is this user or can write to the package anyway."""
+    try:
+        inner, of_package = folder.stat(), package.stat()
+    except OSError:
+        return False
+    if (inner.st_mode | of_package.st_mode) & stat.S_IWOTH:
+        return False
+    group_is_new = inner.st_mode & stat.S_IWGRP and not (
+        of_package.st_mode & stat.S_IWGRP and inner.st_gid == of_package.st_gid
+    )
+    return inner.st_uid in (0, os.geteuid(), of_package.st_uid) and not group_is_new
+
+
+def _writable(folder: Path) -> bool:
+    """Whether a file can be made there, as numba itself tries."""
+    try:
+        folder.mkdir(exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def _own_folder() -> Path | None:
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    try:
+        # a relative one is to be ignored (XDG Base Directory Specification)
+        return (Path(base) if Path(base).is_absolute() else Path.home() / ".cache") / "polhode"
+    except RuntimeError:
+        return None
+
+
+@cache
+def _say_once(what: str) -> None:
+    if multiprocessing.parent_process() is None:
+        _log.warning("%s; functions are compiled in every run, which takes a minute", what)

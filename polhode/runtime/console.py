@@ -1,0 +1,351 @@
+"""Progress and warnings on the terminal: one bar per stage, or plain lines where there is no terminal.
+
+Everything goes to standard output; standard error is kept for the one line of an error. With --json, the
+program sends all of it to standard error instead; with --quiet none of it is shown.
+"""
+
+import logging
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from time import perf_counter
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.progress import Progress as RichProgress
+from rich.text import Text
+
+from polhode.runtime.errors import one_line, printable
+from polhode.runtime.interrupts import raise_if_received
+from polhode.runtime.progress import NOTE, Advance, Progress, Show
+from polhode.runtime.time_left import StageShare, TimeLeft
+
+_log = logging.getLogger(__name__)
+SILENCE_S = 30.0
+"""Where there is no terminal, a line says what is going on when none was printed for so long."""
+
+
+@dataclass
+class _Command:
+    """What is known of the command that runs."""
+
+    quiet: bool = False
+    finished: list[str] = field(default_factory=list)
+    """Titles of the stages that it has finished"""
+
+
+_command = _Command()
+
+
+def choose_progress(left: TimeLeft | None = None) -> "Bars | Lines":
+    """Bars on a terminal, plain lines in a file, a pipe or CI; nothing with --quiet."""
+    if _command.quiet:
+        return Quiet()
+    return Bars(left) if sys.stdout.isatty() else Lines(left)
+
+
+@contextmanager
+def progress_of_run() -> Iterator[Progress]:
+    """Show the stages of a whole run, and how long all of them still take."""
+    progress = choose_progress(TimeLeft())
+    with progress.watched():
+        yield progress
+
+
+def progress_of_points() -> Progress:
+    """Bars with the time left; where there is no terminal, lines that say it now and then."""
+    return choose_progress(None if sys.stdout.isatty() else TimeLeft((StageShare("points", 0.0, 1.0),)))
+
+
+def announce(text: str) -> None:
+    """Print a line before the work begins, unless --quiet is given."""
+    if not _command.quiet:
+        print(printable(text), flush=True)
+
+
+@dataclass
+class _Stage:
+    """A stage that is open."""
+
+    title: str
+    total: int
+    """Steps; 0: their number is not known"""
+    start: float
+    """Time at which it began [s]"""
+    steps: int = 0
+
+
+class _Stages:
+    """What bars and lines have in common: counting the steps of each stage, and what is left of the whole."""
+
+    def __init__(self, left: TimeLeft | None = None) -> None:
+        self._left = left
+        self._is_watched = False
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Show what goes on while the block runs, also between its stages."""
+        if self._is_watched:
+            yield
+            return
+        self._is_watched = True
+        try:
+            with self._watch():
+                yield
+        finally:
+            self._is_watched = False
+
+    @contextmanager
+    def stage(self, title: str, total: int) -> Iterator[Advance]:
+        """Show a stage of ``total`` steps; call what it yields once per step."""
+        raise_if_received()
+        stage = _Stage(printable(title), total, perf_counter())
+        if self._left is not None:
+            self._left.begin(title)
+
+        def advance() -> None:
+            raise_if_received()
+            stage.steps += 1
+            self._reach(stage.steps / max(total, stage.steps))
+            self._show_step()
+
+        with self.watched(), self._open(stage):
+            yield advance
+            self._reach(1.0)
+        seconds = perf_counter() - stage.start
+        self._show_end(stage, seconds)
+        _command.finished.append(title)
+        _log.info("%s: %.1f s", title, seconds)
+
+    def _reach(self, done: float) -> None:
+        if self._left is not None:
+            self._left.advance(done)
+
+    def _watch(self) -> AbstractContextManager[object]:
+        raise NotImplementedError
+
+    def _open(self, stage: _Stage) -> AbstractContextManager[object]:
+        raise NotImplementedError
+
+    def _show_step(self) -> None:
+        """Nothing, unless steps are shown as they come."""
+
+    def _show_end(self, stage: _Stage, seconds: float) -> None:
+        """Nothing, unless a stage is shown when it is done."""
+
+
+class Bars(_Stages):
+    """A live bar for each stage, which stays on the screen when the stage is done; with ``left`` one for the
+    whole below them, with the time that it still takes."""
+
+    @contextmanager
+    def _watch(self) -> Iterator[None]:
+        console = Console(file=sys.stdout)
+        title, bar, elapsed = TextColumn("{task.description:<28}"), BarColumn(), TimeElapsedColumn()
+        columns = [title, bar, MofNCompleteColumn(), elapsed]
+        if self._left is None:
+            with RichProgress(*columns, TimeRemainingColumn(), console=console) as self._stages:
+                yield
+            return
+        self._stages = RichProgress(*columns, console=console)
+        self._whole = RichProgress(title, bar, elapsed, _LeftColumn(self._left), console=console)
+        whole = self._whole.add_task("whole run", total=1.0)
+        with Live(Group(self._stages, self._whole), console=console, refresh_per_second=4):
+            yield
+            self._whole.update(whole, completed=1.0)
+
+    @contextmanager
+    def _open(self, stage: _Stage) -> Iterator[None]:
+        self._task = task = self._stages.add_task(escape(stage.title), total=stage.total or None)
+        yield
+        done = max(stage.total, 1)
+        if self._left is not None:
+            self._stages.update(task, total=done, completed=done)
+            self._stages.stop_task(task)
+            self._show_whole()
+
+    def _show_step(self) -> None:
+        self._stages.advance(self._task)
+        self._show_whole()
+
+    def _show_whole(self) -> None:
+        if self._left is not None:
+            self._whole.update(self._whole.task_ids[0], completed=self._left.share)
+
+    @contextmanager
+    def line(self) -> Iterator[Show]:
+        """Keep one line at the bottom of the terminal, and its last text when the block ends."""
+        with Live(Text(""), console=Console(file=sys.stdout), refresh_per_second=8) as live:
+
+            def show(text: str) -> None:
+                raise_if_received()
+                live.update(Text(printable(text)))
+
+            yield show
+
+
+class _LeftColumn(ProgressColumn):
+    """The time until the end of the whole run, which goes down between the steps too."""
+
+    def __init__(self, left: TimeLeft) -> None:
+        super().__init__()
+        self._left = left
+
+    def render(self, task: Task) -> Text:
+        """Nothing while it is not known, or when all is done."""
+        seconds = self._left.seconds()
+        return Text("" if seconds is None or task.finished else f"about {duration(seconds)} left")
+
+
+def duration(seconds: float) -> str:
+    """As people say it: 40 s, 5 min."""
+    return f"{round(seconds)} s" if seconds < 100.0 else f"{round(seconds / 60.0)} min"
+
+
+class Lines(_Stages):
+    """One line when a stage is done, and one now and then while it goes on; with ``left`` they say how long
+    the whole still takes."""
+
+    def __init__(self, left: TimeLeft | None = None) -> None:
+        super().__init__(left)
+        self._start = self._printed = perf_counter()
+        self._stages: list[_Stage] = []
+        """Those that are open, each within the one before"""
+
+    @contextmanager
+    def _watch(self) -> Iterator[None]:
+        """Print a line whenever none was printed for ``SILENCE_S``."""
+        done = threading.Event()
+
+        def watch() -> None:
+            while not done.wait(max(self._printed + SILENCE_S - perf_counter(), 0.01)):
+                if perf_counter() - self._printed >= SILENCE_S:
+                    self._print(self._state())
+
+        self._printed = perf_counter()
+        watcher = threading.Thread(target=watch, daemon=True)
+        watcher.start()
+        try:
+            yield
+        finally:
+            done.set()
+            watcher.join()
+
+    @contextmanager
+    def _open(self, stage: _Stage) -> Iterator[None]:
+        self._stages.append(stage)
+        try:
+            yield
+        finally:
+            self._stages.remove(stage)
+
+    def _show_end(self, stage: _Stage, seconds: float) -> None:
+        count = f"{stage.steps} in " if stage.steps else ""
+        self._print(f"{stage.title}: {count}{seconds:.1f} s{self._time_left()}")
+
+    def _state(self) -> str:
+        """What is being done, and how far it is."""
+        if not self._stages:
+            return f"working, {duration(perf_counter() - self._start)} since the start{self._time_left()}"
+        stage = self._stages[-1]
+        count = f"{stage.steps} of {stage.total}" if stage.total else "working"
+        return f"{stage.title}: {count} after {duration(perf_counter() - stage.start)}{self._time_left()}"
+
+    @contextmanager
+    def line(self) -> Iterator[Show]:
+        """Print every text on a line of its own."""
+
+        def show(text: str) -> None:
+            raise_if_received()
+            self._print(printable(text))
+
+        yield show
+
+    def _time_left(self) -> str:
+        seconds = None if self._left is None or self._left.share >= 1.0 else self._left.seconds()
+        return "" if seconds is None else f"; about {duration(seconds)} left"
+
+    def _print(self, text: str) -> None:
+        self._printed = perf_counter()
+        print(text, flush=True)
+
+
+class Quiet(Lines):
+    """Nothing is shown."""
+
+    @contextmanager
+    def _watch(self) -> Iterator[None]:
+        yield
+
+    def _print(self, text: str) -> None:
+        del text
+
+
+class _PlainWarnings(logging.Handler):
+    """Notes and warnings on standard output, whatever that is at the time: one line each, and each once."""
+
+    def __init__(self, warnings: list[str]) -> None:
+        super().__init__(NOTE)
+        self._warnings = warnings
+        self._printed: set[str] = set()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        message = one_line(record.getMessage())
+        line = f"{record.levelname.lower()}: {message}"
+        if line in self._printed:
+            return
+        self._printed.add(line)
+        if record.levelno >= logging.WARNING:
+            self._warnings.append(message)
+        if not _command.quiet:
+            print(line, flush=True)
+
+
+def is_working() -> bool:
+    """Whether the command has finished a stage of its work."""
+    return bool(_command.finished)
+
+
+@contextmanager
+def show_warnings(quiet: bool = False, verbose: bool = False) -> Iterator[list[str]]:
+    """Print the program's notes and warnings while the block runs, which is one command.
+
+    Yields a list to which the warnings are appended. ``quiet``: print none. ``verbose``: show what is logged
+    (a run's log.txt) on standard error.
+    """
+    warnings: list[str] = []
+    handlers: list[logging.Handler] = [_PlainWarnings(warnings)]
+    # Errors are reported by the last line on standard error.
+    handlers[0].addFilter(lambda record: record.levelno < logging.ERROR)
+    if verbose:
+        log = logging.StreamHandler(sys.stderr)
+        log.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+        log.setLevel(logging.INFO)
+        handlers.append(log)
+    global _command
+    _command = _Command(quiet)
+    root, own = logging.getLogger(), logging.getLogger("polhode")
+    level = own.level
+    own.setLevel(logging.INFO if verbose else NOTE)
+    for handler in handlers:
+        root.addHandler(handler)
+    try:
+        yield warnings
+    finally:
+        # what it has finished is asked for after the block
+        _command.quiet = False
+        own.setLevel(level)
+        for handler in handlers:
+            root.removeHandler(handler)

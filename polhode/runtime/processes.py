@@ -1,0 +1,363 @@
+"""One function applied to many items: by parallel processes, in order and with bounded memory, or by one
+process beside this one.
+
+The processes end with their parent, even if it is killed and whatever they are doing; they leave interrupts
+to it and use one thread each. They do not import the caller's script, so that it needs no guard
+(``if __name__ == "__main__"``), unless the work itself is defined there.
+"""
+
+import contextlib
+import logging
+import multiprocessing
+import multiprocessing.forkserver
+import multiprocessing.resource_tracker
+import os
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import cache, partial
+from multiprocessing.connection import wait as wait_for_end
+from multiprocessing.context import BaseContext
+from types import ModuleType
+from typing import Any, Generic, TypeVar
+
+from polhode.runtime import fork_server
+from polhode.runtime.errors import RunFailure
+from polhode.runtime.interrupts import SIGNALS, interrupts_delayed, interrupts_kept
+from polhode.runtime.parent_death import end_with_parent
+from polhode.runtime.threads import limit_threads, limited_threads
+
+T = TypeVar("T")
+U = TypeVar("U")
+
+WAITING_PER_WORKER = 3
+"""Items per process that are submitted or whose results are not yet taken."""
+SERVER_PAUSES = (0.02, 0.1, 0.5)
+"""Seconds after each try to start a worker by a server that does not answer."""
+BACKGROUND_NICENESS = 10
+"""Of a process beside this one: it leaves the processor to what is waited for."""
+
+
+def worker_count(workers: int) -> int:
+    """Parallel processes for ``runtime.workers``: 0 means one per core that this process may use."""
+    return workers or len(os.sched_getaffinity(0))
+
+
+_log = logging.getLogger(__name__)
+_pools: list[ProcessPoolExecutor] = []
+"""Those at work."""
+
+
+def in_order(
+    work: Callable[[T], U], items: Sequence[T], workers: int, preload: Sequence[str] = ()
+) -> Iterator[U]:
+    """Yield ``work(item)`` for each item, in the order of the items, whatever the number of workers.
+
+    ``work`` must be picklable; every process receives it once. With one worker or one item, or where no
+    process can be started, as in a worker process of the caller (a warning says so), it is called here.
+    ``preload`` names modules that every process will need. Raises what ``work`` raises, after the results of
+    the items before, and RunFailure when a process is killed. After an error, items in progress are finished
+    and no others are started; an interrupt ends all.
+    """
+    if workers > 1 and len(items) > 1:
+        try:
+            pool, first = _begun(work, items[0], min(workers, len(items)), preload)
+        except OSError as error:
+            log_without_processes(error)
+        else:
+            yield from _results(pool, first, items[1:], workers)
+            return
+    for item in items:
+        with limited_threads(1):
+            result = work(item)
+        yield result
+
+
+def start_server(modules: Sequence[str], workers: int) -> None:
+    """Let the server of the workers import ``modules`` while this process goes on; workers then need not.
+
+    For the beginning of a command that takes seconds. Does nothing where there will be no workers, where the
+    system has no such server, or after it has started.
+    """
+    if workers > 1 and not multiprocessing.current_process().daemon and _has_server():
+        _context(modules)
+        # Where it cannot be started, the first work says so.
+        with contextlib.suppress(OSError), _signals_blocked(), _script_hidden(start_server):
+            multiprocessing.forkserver.ensure_running()
+
+
+class Background(Generic[T, U]):
+    """One process beside this one that works on items in their order, at a low priority.
+
+    ``work`` is called in that process alone, and may therefore keep there what it has found.
+    """
+
+    def __init__(
+        self, work: Callable[[T], U], preload: Sequence[str] = (), niceness: int = BACKGROUND_NICENESS
+    ) -> None:
+        """Raises OSError where there can be no process."""
+        self._pool: ProcessPoolExecutor | None = _pool(_Yielding(work, niceness), 1, preload)
+        self._submitted: list[Future[U]] = []
+        _pools.append(self._pool)
+
+    def submit(self, item: T) -> "Future[U] | None":
+        """What will be the result; None: the process is gone, and nothing more will be done."""
+        if self._pool is None:
+            return None
+        try:
+            # the process is started by the first item, which signals must not interrupt
+            submit = self._pool.submit if self._submitted else None
+            future = submit(_call, item) if submit is not None else _submitted(self._pool, item)
+        except (_ServerLost, BrokenProcessPool):
+            self.close()
+            return None
+        self._submitted.append(future)
+        return future
+
+    def close(self, kill: bool = False) -> None:
+        """Give up what has not begun. What has begun ends soon, or with this process; ``kill``: at once."""
+        if self._pool is not None:
+            _pools.remove(self._pool)
+            if kill:
+                _kill(self._pool)
+            # Not by cancel_futures alone: the pool forgets that when nothing refers to it any more.
+            for future in self._submitted:
+                future.cancel()
+            self._submitted.clear()
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool = None
+
+
+class _Yielding(Generic[T, U]):
+    """Work that leaves the processor to every other process."""
+
+    def __init__(self, work: Callable[[T], U], niceness: int) -> None:
+        self._work, self._niceness, self._begun = work, niceness, False
+
+    def __call__(self, item: T) -> U:
+        if not self._begun:
+            self._begun = True
+            os.nice(self._niceness)
+        return self._work(item)
+
+
+def worker_killed() -> RunFailure:
+    """What a run ends with when a process that works for it is killed."""
+    return _killed("a worker process")
+
+
+def log_without_processes(error: OSError) -> None:
+    """Say, once, that the work is done by this process alone, because no other can be started."""
+    _warn_once(f"no parallel processes can be started ({error}): the work is done by one, more slowly")
+
+
+def kill_workers() -> None:
+    """End all workers of this process at once; what waits for them then ends with an error."""
+    for pool in list(_pools):
+        _kill(pool)
+
+
+@cache
+def _warn_once(warning: str) -> None:
+    _log.warning(warning)
+
+
+def _pool(work: Callable[[T], U], workers: int, preload: Sequence[str] = ()) -> ProcessPoolExecutor:
+    """Processes that will call ``work``. Raises OSError where there can be none."""
+    if multiprocessing.current_process().daemon:
+        raise OSError("a worker process may have none of its own")
+    # The tracker of shared resources, which starts here, must not end by SIGHUP.
+    with _signals_blocked():
+        return ProcessPoolExecutor(workers, _context((*preload, *_modules_of(work))), _begin, (work,))
+
+
+def _modules_of(work: Any) -> set[str]:
+    """The modules that define a function and what it is given, but for the caller's script."""
+    parts = (work.func, *work.args, *work.keywords.values()) if isinstance(work, partial) else ()
+    if parts:
+        return set().union(*map(_modules_of, parts))
+    return {getattr(work, "__module__", None) or type(work).__module__} - {"__main__", "builtins"}
+
+
+def _has_server() -> bool:
+    return "forkserver" in multiprocessing.get_all_start_methods()
+
+
+def _begun(
+    work: Callable[[T], U], item: T, workers: int, preload: Sequence[str] = ()
+) -> tuple[ProcessPoolExecutor, Future[Any]]:
+    """A pool that works on the first item. Raises OSError where there can be none, and RunFailure.
+
+    If the fork server was killed during earlier work, and its end is noticed only now, another is started.
+    A process that is being killed refuses connections before the system reports its end: hence the pauses.
+    """
+    for pause in SERVER_PAUSES:
+        pool = _pool(work, workers, preload)
+        try:
+            return pool, _submitted(pool, item)
+        except _ServerLost:
+            pool.shutdown(cancel_futures=True)
+        time.sleep(pause)
+    raise _killed("the process that starts the workers")
+
+
+def _results(
+    pool: ProcessPoolExecutor, first: Future[Any], items: Sequence[T], workers: int
+) -> Iterator[Any]:
+    """Results of the first item, which is submitted, and of the others, in order."""
+    waiting: deque[Future[Any]] = deque([first])
+    _pools.append(pool)
+    try:
+        for item in items:
+            waiting.append(_submitted(pool, item))
+            if len(waiting) > WAITING_PER_WORKER * workers:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    except BrokenProcessPool:
+        # The others ignore the signal by which the pool would end them.
+        _kill(pool)
+        raise _killed("a worker process") from None
+    except _ServerLost:
+        _kill(pool)
+        raise _killed("the process that starts the workers") from None
+    except KeyboardInterrupt:
+        _kill(pool)
+        raise
+    except GeneratorExit:
+        # Python may call this itself, when nobody asks for more: an interrupt would be printed, and lost.
+        with interrupts_kept():
+            pool.shutdown(cancel_futures=True)
+        raise
+    finally:
+        _pools.remove(pool)
+        pool.shutdown(cancel_futures=True)
+
+
+class _ServerLost(Exception):
+    """The fork server ended while it was to start a worker."""
+
+
+def _submitted(pool: ProcessPoolExecutor, item: Any) -> Future[Any]:
+    """Submit an item; a worker is started where one is missing. Raises _ServerLost."""
+    try:
+        with _signals_blocked(), _script_hidden(pool._initargs[0]):
+            return pool.submit(_call, item)
+    except (EOFError, ConnectionError) as error:
+        raise _ServerLost from error
+
+
+def _killed(what: str) -> RunFailure:
+    return RunFailure(f"{what} was killed, perhaps for lack of memory: use fewer --runtime.workers")
+
+
+def _kill(pool: ProcessPoolExecutor) -> None:
+    for process in list((pool._processes or {}).values()):
+        process.kill()
+
+
+def _context(preload: Sequence[str]) -> BaseContext:
+    """Forks of a server that has imported the libraries and does nothing else, where that is supported.
+
+    A plain fork beside the threads of torch or embree can hang, and a spawned process spends seconds on its
+    imports, at each stage of a run.
+    """
+    if not _has_server():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    # Takes effect until the server starts; later calls change nothing.
+    context.set_forkserver_preload([fork_server.__name__, "__main__", *preload])
+    return context
+
+
+@contextlib.contextmanager
+def _environment(name: str, value: str) -> Iterator[None]:
+    """A variable of the environment, for processes that are started in the block."""
+    before = os.environ.get(name)
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
+
+
+@contextlib.contextmanager
+def _script_hidden(work: Callable[..., Any]) -> Iterator[None]:
+    """Processes that are started in the block do not import the caller's script, unless the work needs it."""
+    if _needs_script(work):
+        yield
+        return
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
+
+
+def _needs_script(work: Any) -> bool:
+    """Whether a function, or what it is given, is defined in the caller's script."""
+    if isinstance(work, partial):
+        return any(map(_needs_script, (work.func, *work.args, *work.keywords.values())))
+    return any(map(_is_of_script, (work, *getattr(work, "__dict__", {}).values())))
+
+
+def _is_of_script(value: Any) -> bool:
+    return "__main__" in (getattr(value, "__module__", ""), type(value).__module__)
+
+
+@contextlib.contextmanager
+def _signals_blocked() -> Iterator[None]:
+    """Processes that are started in the block see no interrupts; this one sees them when the block ends.
+
+    Nor do they look for modules in the current folder, which may be another person's: Python starts them as
+    ``python -c``, which would put that folder first.
+    """
+    with interrupts_delayed(), _environment("PYTHONSAFEPATH", "1"):
+        previous = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        # The tracker of shared resources lets interrupts through again when it has started: hence before the
+        # server of the workers, which would print a traceback if one came while it imports.
+        multiprocessing.resource_tracker.ensure_running()
+        signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        if threading.current_thread() is threading.main_thread():
+            os.environ[fork_server.PARENT] = str(os.getpid())
+        try:
+            yield
+        finally:
+            os.environ.pop(fork_server.PARENT, None)
+            signal.pthread_sigmask(signal.SIG_SETMASK, previous)
+
+
+_work: Callable[[Any], Any] | None = None
+"""The function that this process applies to each item."""
+
+
+def _begin(work: Callable[[Any], Any]) -> None:
+    global _work
+    _work = work
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    limit_threads(1)
+    end_with_parent(os.getppid())
+    threading.Thread(target=_end_with_main_process, daemon=True).start()
+
+
+def _call(item: Any) -> Any:
+    assert _work is not None
+    return _work(item)
+
+
+def _end_with_main_process() -> None:
+    """For what ``end_with_parent`` does not cover: other systems, and a fork server that outlives its own."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait_for_end([parent.sentinel])
+        os._exit(1)

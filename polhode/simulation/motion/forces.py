@@ -1,0 +1,251 @@
+"""Forces and torques on the target: known ones, white disturbances, loss of energy by drag or friction.
+
+Known forces and torques are also written to ``wrench0/``, in rows so dense that it matters little whether a
+reader interpolates between them or keeps each until the next.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import brentq
+
+from polhode.config import scene_settings as config
+from polhode.geometry.lie import Array, Ints
+from polhode.runtime.errors import InputError
+from polhode.simulation.motion.integrate import MAX_ROTATION_RAD, Forces, advance, body_rate, no_forces
+from polhode.simulation.motion.integrate import STEPS_PER_PERIOD as PERIOD_STEPS
+from polhode.simulation.motion.mass import MassDistribution
+
+MAX_CELL_S = 0.025
+"""A white disturbance is constant for at most this long, and at most 1/20 of the frames' interval."""
+_TAG = 0x30
+
+
+MAX_CELLS = 2_000_000
+"""Of the disturbances, and rows of the known wrench: 14 hours of the shortest."""
+MAX_STEPS = 10_000_000
+"""Of the integration, which makes some hundred thousand in a second."""
+MAX_STEP_S = 0.05
+STEPS_PER_PERIOD = 200
+
+
+def acting_forces(
+    scene: config.Scene, mass: MassDistribution, w_P: Array, stop_s: float, seed: int
+) -> Forces:
+    """All forces and torques until ``stop_s`` after the first frame, for a target with w_P (3,) [rad/s]
+    there.
+
+    The disturbances up to any time depend on the seed and the interval between frames only.
+    Raises InputError for an impossible loss of energy.
+    """
+    motion = scene.motion
+    drag_hz, friction = loss_coefficients(motion, mass.moments, w_P)
+    cell_s = cell_length_s(scene)
+    noisy = motion.accel_psd > 0 or motion.torque_psd > 0
+    cells = int(np.ceil(stop_s / cell_s)) + 1 if noisy else 0
+    rows = stop_s / MAX_STEP_S if motion.pushes and motion.pushes_known else 0.0
+    if max(cells, rows) > MAX_CELLS:
+        raise InputError(
+            f"scene: disturbances or pushes over {stop_s:g} s take {max(cells, rows):.3g} steps, above "
+            f"{MAX_CELLS:g}; give fewer frames, a shorter truth_horizon_s or a longer interval_s"
+        )
+    white_accel_N, white_torque_P = _white(motion, mass, cells, cell_s, seed)
+    steady = [push for push in motion.pushes if push.period_s is None]
+    edges_s = [edge for push in motion.pushes for edge in push_interval_s(push)]
+    knots_s = np.unique(np.concatenate([cell_s * np.arange(1, cells), edges_s]))
+    middles_s = _midpoints(knots_s)
+    cell = np.clip(np.floor(middles_s / cell_s).astype(int), 0, max(cells - 1, 0))
+    accel_N, torque_P = white_accel_N[cell], white_torque_P[cell]
+    for push in steady:
+        start_s, end_s = push_interval_s(push)
+        on = (start_s <= middles_s) & (middles_s < end_s)
+        accel_N[on] += np.array(push.force_N) / mass.mass_kg
+        torque_P[on] += push.torque_P
+    sines = [_sine(push, mass.mass_kg) for push in motion.pushes if push.period_s is not None]
+    forces = Forces(
+        mass.moments, knots_s, accel_N, torque_P, np.array(sines).reshape(-1, 9), drag_hz, friction
+    )
+    _require_feasible(forces, w_P, stop_s)
+    return forces
+
+
+def _require_feasible(forces: Forces, w_P: Array, stop_s: float) -> None:
+    """Raise InputError for a motion of so many steps of integration that it would take hours."""
+    inside = np.clip(np.concatenate([[0.0], forces.knots_s, [np.inf]]), 0.0, stop_s)
+    impulse = np.cumsum(forces.torque_P * np.diff(inside)[:, None], axis=0)
+    largest = float(np.abs(impulse).max())
+    fastest = 0.0
+    for start_s, end_s, rate, *amplitudes in forces.sines:
+        largest += float(np.abs(amplitudes[3:]).max()) * max(min(end_s, stop_s) - start_s, 0.0)
+        fastest = max(fastest, rate if start_s < stop_s else 0.0)
+    rate_rad_s = float(np.abs(w_P).sum()) + largest / float(forces.moments.min())
+    per_second = rate_rad_s / MAX_ROTATION_RAD + fastest * PERIOD_STEPS / (2.0 * np.pi) + forces.drag_hz
+    if not per_second * stop_s <= MAX_STEPS:
+        raise InputError(
+            f"scene.motion: spin, torques and losses reach {rate_rad_s:.3g} rad/s within {stop_s:g} s, "
+            f"{per_second * stop_s:.3g} steps of integration, above {MAX_STEPS:g}; give less of them"
+        )
+
+
+def is_free(motion: config.Motion) -> bool:
+    """Whether no force or torque acts on the target."""
+    return not (motion.pushes or motion.accel_psd or motion.torque_psd or motion.energy_loss)
+
+
+def cell_length_s(scene: config.Scene) -> float:
+    """Duration for which a white disturbance is constant [s]."""
+    return float(min(MAX_CELL_S, scene.interval_s / 20))
+
+
+def push_interval_s(push: config.WrenchPulse) -> tuple[float, float]:
+    """Start of a push and its end, which is exclusive [s]."""
+    return push.start_s, push.start_s + push.duration_s
+
+
+def _white(
+    motion: config.Motion, mass: MassDistribution, cells: int, cell_s: float, seed: int
+) -> tuple[Array, Array]:
+    """Acceleration in N and torque in P, constant within each cell: (max(cells, 1), 3) each.
+
+    The step of the velocity over a cell has the variance psd * cell_s on each axis.
+    """
+    if cells == 0:
+        return np.zeros((1, 3)), np.zeros((1, 3))
+    unit = np.random.default_rng([seed, _TAG]).normal(size=(cells, 6))
+    accel_N = unit[:, :3] * np.sqrt(motion.accel_psd / cell_s)
+    return accel_N, unit[:, 3:] * np.sqrt(motion.torque_psd / cell_s) * mass.moments[1]
+
+
+def _midpoints(knots_s: Array) -> Array:
+    """A time inside each of the n + 1 segments between n knots [s]."""
+    if len(knots_s) == 0:
+        return np.zeros(1)
+    return np.concatenate([knots_s[:1] - 1.0, 0.5 * (knots_s[1:] + knots_s[:-1]), knots_s[-1:] + 1.0])
+
+
+def _sine(push: config.WrenchPulse, mass_kg: float) -> Array:
+    assert push.period_s is not None
+    start_s, end_s = push_interval_s(push)
+    amplitudes = np.concatenate([np.array(push.force_N) / mass_kg, push.torque_P])
+    return np.array([start_s, end_s, 2.0 * np.pi / push.period_s, *amplitudes])
+
+
+def known_wrench(motion: config.Motion, timestamps_ns: Ints) -> tuple[Ints, Array, Array] | None:
+    """Times (n,) [ns], forces (n, 3) in N [N], torques (n, 3) in P [N m]; None without any.
+
+    ``timestamps_ns`` are those of the frames and of the truth beyond them. The rows go from the
+    first to the last of them at 20 Hz or more, with 200 rows in a period of a sine, and with two rows 1 ns
+    apart where the wrench jumps.
+    """
+    pushes = motion.pushes
+    if not pushes or not motion.pushes_known:
+        return None
+    rows_ns = _rows_ns(pushes, int(timestamps_ns[-1] - timestamps_ns[0]))
+    force_N, torque_P = np.zeros((len(rows_ns), 3)), np.zeros((len(rows_ns), 3))
+    for push in pushes:
+        start_ns, end_ns = _span_ns(push)
+        shape = ((start_ns <= rows_ns) & (rows_ns < end_ns)).astype(np.float64)
+        if push.period_s is not None:
+            shape *= np.sin(2.0 * np.pi * (rows_ns - start_ns) * 1e-9 / push.period_s)
+        force_N += shape[:, None] * push.force_N
+        torque_P += shape[:, None] * push.torque_P
+    return timestamps_ns[0] + rows_ns, force_N, torque_P
+
+
+def _rows_ns(pushes: tuple[config.WrenchPulse, ...], last_ns: int) -> Ints:
+    """Times after the first frame, increasing, from zero to ``last_ns``."""
+    rows = [_evenly_spaced_ns(0, last_ns, MAX_STEP_S)]
+    for push in pushes:
+        start_ns, end_ns = _span_ns(push)
+        rows.append(np.array([start_ns - 1, start_ns, end_ns - 1, end_ns]))
+        if push.period_s is not None and start_ns < last_ns:
+            rows.append(_evenly_spaced_ns(start_ns, min(end_ns, last_ns), push.period_s / STEPS_PER_PERIOD))
+    rows_ns = np.unique(np.concatenate(rows))
+    return rows_ns[(rows_ns >= 0) & (rows_ns <= last_ns)]
+
+
+def _evenly_spaced_ns(start_ns: int, end_ns: int, longest_step_s: float) -> Ints:
+    steps = int(np.ceil((end_ns - start_ns) * 1e-9 / longest_step_s))
+    return np.linspace(start_ns, end_ns, steps + 1).round().astype(np.int64)
+
+
+def _span_ns(push: config.WrenchPulse) -> tuple[int, int]:
+    start_s, end_s = push_interval_s(push)
+    return round(start_s * 1e9), round(end_s * 1e9)
+
+
+MIN_EXCESS = 1e-9
+"""A spin with a smaller share of excess energy counts as one about a principal axis, without friction."""
+
+
+def energy_of_momentum(h_P: ArrayLike, moments: ArrayLike) -> Array:
+    """Rotational energy 0.5 h.J^-1 h, h_P (..., 3) [N m s], moments (3,) [kg m^2] -> (...) [J]."""
+    return np.asarray(0.5 * np.sum(np.square(h_P) / np.asarray(moments), axis=-1))
+
+
+def excess_energy(h_P: ArrayLike, moments: ArrayLike) -> Array:
+    """Energy above that of a spin about the greatest axis with the same momentum: (..., 3) -> (...) [J]."""
+    J = np.asarray(moments, dtype=np.float64)
+    # Each term is small near that spin; the difference of the two energies would suffer from cancellation.
+    return np.asarray(0.5 * np.sum(np.square(h_P) * (1.0 / J - 1.0 / J[0]), axis=-1))
+
+
+def loss_coefficients(motion: config.Motion, moments: Array, w_P: Array) -> tuple[float, float]:
+    """Coefficients of drag [1/s] and friction [kg m^2 s] for the energy loss of the scene.
+
+    w_P (3,) [rad/s] at the first frame. Raises InputError if friction cannot cause it, or the loss is total.
+    """
+    if motion.energy_loss == 0.0:
+        return 0.0, 0.0
+    if motion.energy_loss == 1.0:
+        raise InputError("scene.motion.energy_loss is 1: all energy is never lost; give a share below 1")
+    if motion.energy_loss_by == "drag":
+        # The torque is -c h, and the energy E0 exp(-2 c t).
+        return float(-np.log1p(-motion.energy_loss) / (2.0 * motion.energy_loss_s)), 0.0
+    return 0.0, friction_for_loss(motion.energy_loss, motion.energy_loss_s, moments, w_P)
+
+
+def friction_for_loss(share: float, duration_s: float, moments: Array, w_P: Array) -> float:
+    """Coefficient [kg m^2 s] with which ``share`` of the excess energy is gone after ``duration_s``.
+
+    Nothing else acts. Raises InputError for a spin about a principal axis, and for a loss so fast that the
+    ball inside would not follow the body.
+    """
+    # The law holds up to a lag of the ball (friction times body rate over the smallest moment) of 1.
+    largest = moments[2] ** 2 / max(float(np.linalg.norm(moments * w_P)), 1e-300)
+    _require_wobble(moments, w_P)
+
+    def missing(log_friction: float) -> float:
+        friction = float(np.exp(log_friction))
+        h_P = momentum_of_rate(w_P, moments, friction)
+        forces = no_forces(moments)._replace(friction=friction)
+        state = np.concatenate([np.zeros(6), [1.0, 0.0, 0.0, 0.0], h_P])
+        left = excess_energy(advance(state, 0.0, duration_s, forces)[10:13], moments)
+        return float(left / excess_energy(h_P, moments)) - (1.0 - share)
+
+    low, high = float(np.log(1e-12 * largest)), float(np.log(largest))
+    short = missing(high)
+    if short > 0:
+        raise InputError(
+            f"scene.motion.energy_loss: friction takes at most {share - short:.2g} of the excess energy in "
+            f"{duration_s:g} s; give a smaller share or a longer energy_loss_s"
+        )
+    return float(np.exp(brentq(missing, low, high, xtol=1e-12, rtol=1e-14)))
+
+
+def momentum_of_rate(w_P: Array, moments: Array, friction: float) -> Array:
+    """Angular momentum h_P (3,) [N m s] of a body with friction inside at the rate w_P (3,) [rad/s]."""
+    h_P = moments * w_P
+    for _ in range(100):
+        h_P = h_P + moments * (w_P - body_rate(h_P, moments, friction))
+    return np.asarray(h_P)
+
+
+def _require_wobble(moments: Array, w_P: Array) -> None:
+    h_P = moments * w_P
+    energy = float(energy_of_momentum(h_P, moments))
+    rest = np.sort(0.5 * h_P**2 / moments)[:-1].sum()
+    if rest <= MIN_EXCESS * energy or excess_energy(h_P, moments) <= MIN_EXCESS * energy:
+        raise InputError(
+            "scene.motion.energy_loss: friction takes no energy from a spin about a principal axis; "
+            "tilt spin_rpm or set energy_loss_by to drag"
+        )

@@ -1,0 +1,231 @@
+"""Workers of a study by Dask distributed: processes of this machine, or a scheduler that runs already.
+
+Dask passes its messages as pickles, so whoever can talk to a scheduler can execute code. A cluster of our own
+therefore listens on this machine alone, and only to who has the key that it makes at its start (TLS).
+"""
+
+import logging
+import os
+import platform
+import secrets
+import signal
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import dask
+from distributed import Client, LocalCluster
+
+from polhode.runtime.errors import InputError
+from polhode.runtime.processes import worker_count
+from polhode.runtime.program_digest import code_digest
+
+CONNECT_S = 10.0
+CHECKED = ("polhode", "python", "numpy", "distributed")
+SETTINGS: dict[str, Any] = {
+    # with one more killed worker, the point has failed
+    "distributed.scheduler.allowed-failures": 3,
+    # Results are small: nothing is worth a disk, and a worker that pauses for its memory would never go on.
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.terminate": 0.95,
+    "distributed.worker.profile.enabled": False,
+    "distributed.diagnostics.nvml": False,
+}
+
+
+@dataclass(frozen=True)
+class ClusterOptions:
+    """Where the points are computed."""
+
+    address: str | None = None
+    """Of a scheduler; None: processes of this machine"""
+    workers: int = 0
+    """Processes of this machine; 0: one per core"""
+    memory_gb: float | None = None
+    """Limit of each process [1e9 bytes]; None: equal shares of the memory"""
+    own_processes: bool = False
+    """Whether points start processes of their own"""
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """What computes."""
+
+    client: Client
+    workers: int
+    description: str
+
+
+@contextmanager
+def opened_cluster(options: ClusterOptions, folder: Path, inputs: Sequence[Path]) -> Iterator[Cluster]:
+    """Start processes, or connect with a scheduler and check its workers, until the block ends.
+
+    ``folder``: of the study; ``inputs``: files and folders that the points read. Raises InputError: no
+    scheduler answers, it has no workers, or they cannot compute the study.
+    """
+    if options.address is None:
+        with _local(options) as cluster:
+            yield cluster
+    else:
+        with _existing(options.address, folder, inputs) as cluster:
+            yield cluster
+
+
+@contextmanager
+def _local(options: ClusterOptions) -> Iterator[Cluster]:
+    workers = worker_count(options.workers)
+    memory = None if options.memory_gb is None else int(options.memory_gb * 1e9)
+    with (
+        tempfile.TemporaryDirectory(prefix="polhode-sweep-", ignore_cleanup_errors=True) as scratch,
+        dask.config.set(SETTINGS | {"distributed.worker.daemon": not options.own_processes}),
+        _no_module_from_here(),
+        _silent_dask(),
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            memory_limit=memory or "auto",
+            host="127.0.0.1",
+            security=True,
+            dashboard_address="127.0.0.1:0",
+            local_directory=scratch,
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        described = f"{workers} worker{'s' if workers > 1 else ''} on this machine"
+        if find_spec("bokeh"):
+            described += f"; dashboard: {cluster.dashboard_link}"
+        try:
+            yield Cluster(client, workers, described)
+        except BaseException:
+            # which would let each worker end its point, for up to half a minute
+            _kill(cluster)
+            raise
+
+
+def _kill(cluster: LocalCluster) -> None:
+    """End the workers at once: what they were computing is not stored."""
+    for nanny in cluster.workers.values():
+        nanny.auto_restart = False
+        if nanny.process is not None and nanny.process.pid:
+            with suppress(ProcessLookupError):
+                os.kill(nanny.process.pid, signal.SIGKILL)
+
+
+@contextmanager
+def _no_module_from_here() -> Iterator[None]:
+    """Workers import nothing from the current folder, which may be another person's."""
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop("PYTHONSAFEPATH", None)
+        else:
+            os.environ["PYTHONSAFEPATH"] = before
+
+
+@contextmanager
+def _silent_dask() -> Iterator[None]:
+    """What Dask says of its workers is no message of the program: a point that failed has its reason."""
+    logger = logging.getLogger("distributed")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+
+
+@contextmanager
+def _existing(address: str, folder: Path, inputs: Sequence[Path]) -> Iterator[Cluster]:
+    try:
+        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TypeError, ImportError) as error:
+        said = str(error).partition("\n")[0][:120]
+        raise InputError(
+            f"--cluster {address}: no scheduler answers there ({said}); start one (dask scheduler), and give "
+            "its address, such as tcp://HOST:8786"
+        ) from None
+    with client, _silent_dask():
+        workers = _checked_workers(client, address, folder, inputs)
+        described = f"{workers} workers of {address}"
+        if find_spec("bokeh") and client.dashboard_link:
+            described += f"; dashboard: {client.dashboard_link}"
+        yield Cluster(client, workers, described)
+
+
+def _checked_workers(client: Client, address: str, folder: Path, inputs: Sequence[Path]) -> int:
+    """How many workers there are. Raises InputError unless all of them can compute the study."""
+    try:
+        client.wait_for_workers(1, timeout=30.0)
+    except TimeoutError:
+        raise InputError(
+            f"--cluster {address}: the scheduler has no workers; start some: dask worker {address} "
+            "--nworkers 2 --nthreads 1"
+        ) from None
+    for worker, threads in sorted(client.nthreads().items()):
+        if threads != 1:
+            raise InputError(
+                f"--cluster {address}: worker {worker} has {threads} threads, and a point takes a whole "
+                "process; start it with --nthreads 1, and --nworkers for more processes"
+            )
+    token = secrets.token_hex(16)
+    file = folder / f".token-{token}"
+    file.write_text(token, encoding="utf-8")
+    try:
+        answers = client.run(probe, str(file), token, [str(each) for each in inputs], on_error="return")
+    finally:
+        file.unlink()
+    own = probed_versions()
+    for worker, answer in sorted(answers.items()):
+        _check_answer(f"--cluster {address}: worker {worker}", answer, own, folder)
+    return len(answers)
+
+
+def _check_answer(worker: str, answer: Any, own: dict[str, str], folder: Path) -> None:
+    if isinstance(answer, BaseException):
+        said = str(answer).partition("\n")[0][:120]
+        raise InputError(f"{worker} cannot run polhode ({said}); install the same version there")
+    for name in CHECKED:
+        if answer[name] != own[name]:
+            raise InputError(
+                f"{worker} has {name} {answer[name]}, and here it is {own[name]}; install the same version"
+            )
+    if answer["code"] != own["code"]:
+        raise InputError(f"{worker} has polhode of other code, or other libraries; install the same there")
+    if not answer["sees"]:
+        raise InputError(
+            f"{worker} does not see {folder}, or cannot write there; give -o a folder of a file system that "
+            "all workers share"
+        )
+    if answer["lacks"]:
+        raise InputError(f"{worker} does not see {answer['lacks'][0]}; put it where all workers see it")
+
+
+def probe(file: str, token: str, inputs: Sequence[str]) -> dict[str, Any]:
+    """On a worker: its versions, whether it sees a file of the study and can write beside it, and which of
+    the inputs it does not have."""
+    sees = False
+    with suppress(OSError):
+        sees = Path(file).read_text(encoding="utf-8") == token and os.access(Path(file).parent, os.W_OK)
+    lacks = [each for each in inputs if not Path(each).exists()]
+    return {**probed_versions(), "sees": sees, "lacks": lacks}
+
+
+def probed_versions() -> dict[str, str]:
+    """What must be equal on all machines."""
+    names = ("polhode", "numpy", "distributed")
+    return {
+        **{name: version(name) for name in names},
+        "python": platform.python_version(),
+        "code": code_digest(),
+    }

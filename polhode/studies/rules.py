@@ -1,0 +1,239 @@
+"""Rules of thumb: what accuracy to expect of a target and a rig, fitted to the runs of a study.
+
+The logarithm of an error is linear in the logarithms of what decides it: how many pixels the target has, its
+disparity, how far it turns from pair to pair, how many pairs there are; and in the angle of the Sun. Errors
+are over the size of the target, or over its rate, so that the rule holds at every scale. A band is that in
+which one more run lies with 90 %: Student's t, with what the coefficients are uncertain by.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy import stats
+
+from polhode.config.loader import validated
+from polhode.config.section import Section
+from polhode.files.yaml_files import read_yaml
+from polhode.geometry.lie import Array
+from polhode.runtime.errors import InputError
+
+CONFIDENCE = 0.9
+FOLDS = 3
+"""Each third of the runs is left out once, and predicted by the others"""
+PREDICTORS = ("size_px", "disparity_px", "turn_deg", "pairs", "sun_angle_deg")
+RATIOS = ("range_over_size", "baseline_over_range")
+"""Not in the formula; beyond those of the runs, it is no estimate either"""
+SHIPPED = Path(__file__).with_name("rules_of_thumb.yaml")
+"""Those of this version, if it has any"""
+WORDS = {
+    "evaluate.attitude_error_deg.median": "attitude, median",
+    "evaluate.rmse_angular_velocity_deg_s": "angular velocity, RMS",
+    "evaluate.rmse_position_m": "position, RMS",
+    "evaluate.mesh.accuracy_mm": "surface, mean distance",
+}
+"""Names of quantities for people"""
+UNIFORM = frozenset({"sun_angle_deg"})
+"""Predictors that are taken as they are, over 90 degrees; of the others, the logarithm"""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a mission designer knows of a target, a rig, and how they meet."""
+
+    size_m: float
+    range_m: float
+    rpm: float
+    focal_px: float
+    baseline_m: float
+    interval_s: float
+    """Time between two pairs"""
+    pairs: int
+    sun_angle_deg: float
+    """Between the directions to the Sun and to the camera, seen from the target"""
+
+    @property
+    def predictors(self) -> dict[str, float]:
+        """What the accuracy depends on."""
+        return {
+            "size_px": self.focal_px * self.size_m / self.range_m,
+            "disparity_px": self.focal_px * self.baseline_m / self.range_m,
+            "turn_deg": 6.0 * self.rpm * self.interval_s,
+            "pairs": float(self.pairs),
+            "sun_angle_deg": self.sun_angle_deg,
+        }
+
+    @property
+    def described(self) -> dict[str, float]:
+        """The predictors, and the ratios that are not in the formula."""
+        ratios = (self.range_m / self.size_m, self.baseline_m / self.range_m)
+        return self.predictors | dict(zip(RATIOS, ratios, strict=True))
+
+    @property
+    def row(self) -> Array:
+        """(6,) of the linear fit: one, and a value for each predictor."""
+        values = self.predictors
+        return np.array(
+            [1.0, *(values[n] / 90.0 if n in UNIFORM else math.log(values[n]) for n in PREDICTORS)]
+        )
+
+    def scale(self, over: str) -> float:
+        """What an error is divided by."""
+        return {"size": self.size_m, "rate": 6.0 * self.rpm}.get(over, 1.0)
+
+
+class Rule(Section):
+    """Of one error: its fit, and how well it predicted the runs that were left out."""
+
+    quantity: str
+    """Column of the table of a study"""
+    unit: str
+    factor: float = 1.0
+    """From the unit of the column to ``unit``"""
+    over: Literal["size", "rate", "nothing"] = "nothing"
+    """What it is divided by: the size of the target [m], its rate [deg/s], or nothing"""
+    coefficients: tuple[float, ...]
+    """(6,) as ``Observation.row``"""
+    sigma: float
+    """Standard deviation of the logarithm about the fit"""
+    freedom: int
+    """Runs less coefficients"""
+    inverse: tuple[tuple[float, ...], ...]
+    """(6, 6) covariance of the coefficients over the square of ``sigma``"""
+    explained: float
+    """Share of the variance of the logarithm"""
+    held_out: int
+    """Runs that were predicted by a fit without them"""
+    inside: int
+    """Those of them inside their band"""
+    new: int = 0
+    """Runs that were held back: this fit, and every choice about it, was made without them"""
+    new_inside: int = 0
+    """Those of them inside their band"""
+
+
+class Rules(Section):
+    """The rules of thumb of a version, and what they rest on."""
+
+    made_by: str
+    """The command"""
+    runs: int
+    """All that were tried"""
+    failed: int
+    """Those without an answer"""
+    ranges: dict[str, tuple[float, float]]
+    """Of the predictors and ratios of the runs: beyond, a rule is no estimate"""
+    rules: tuple[Rule, ...]
+
+
+@dataclass(frozen=True)
+class Expected:
+    """An error that is to be expected."""
+
+    quantity: str
+    unit: str
+    value: float
+    """Median"""
+    low: float
+    """Ends of the band of 90 %"""
+    high: float
+
+
+def fit(observations: Sequence[Observation], errors: Array, **about: object) -> Rule:
+    """A rule for errors (n,) above 0, already over their scale. ``about``: quantity, unit, over, factor."""
+    A, y = np.array([each.row for each in observations]), np.log(errors)
+    coefficients, sigma, inverse = _least_squares(A, y)
+    fold = np.arange(len(y)) % FOLDS
+    inside = 0
+    for k in range(FOLDS):
+        known = fold != k
+        found = _least_squares(A[known], y[known])
+        freedom = int(known.sum()) - A.shape[1]
+        half = [_half_band(row, found[1], found[2], freedom) for row in A[~known]]
+        inside += int((np.abs(y[~known] - A[~known] @ found[0]) <= half).sum())
+    return Rule.model_validate(
+        {
+            **about,
+            "coefficients": coefficients.tolist(),
+            "sigma": sigma,
+            "freedom": len(y) - A.shape[1],
+            "inverse": inverse.tolist(),
+            "explained": float(1.0 - np.var(y - A @ coefficients) / np.var(y)),
+            "held_out": len(y),
+            "inside": inside,
+        }
+    )
+
+
+def _least_squares(A: Array, y: Array) -> tuple[Array, float, Array]:
+    coefficients = np.linalg.lstsq(A, y, rcond=None)[0]
+    residual = y - A @ coefficients
+    sigma = math.sqrt(float(residual @ residual) / (len(y) - A.shape[1]))
+    return np.asarray(coefficients, np.float64), sigma, np.asarray(np.linalg.inv(A.T @ A), np.float64)
+
+
+def _half_band(row: Array, sigma: float, inverse: Array, freedom: int) -> float:
+    """Half the band of one more run, of the logarithm."""
+    wide = float(stats.t.ppf(0.5 * (1.0 + CONFIDENCE), freedom))
+    return wide * sigma * math.sqrt(1.0 + float(row @ inverse @ row))
+
+
+def _predicted(rule: Rule, row: Array) -> tuple[float, float]:
+    """Logarithm of the median, and half the band about it."""
+    half = _half_band(row, rule.sigma, np.array(rule.inverse), rule.freedom)
+    return float(row @ np.array(rule.coefficients)), half
+
+
+def expected(rules: Rules, observation: Observation) -> list[Expected]:
+    """The errors that are to be expected, with their bands."""
+    found = []
+    for rule in rules.rules:
+        middle, half = _predicted(rule, observation.row)
+        unit = observation.scale(rule.over) * rule.factor
+        low, value, high = (unit * math.exp(middle + way * half) for way in (-1.0, 0.0, 1.0))
+        found.append(Expected(rule.quantity, rule.unit, value, low, high))
+    return found
+
+
+def checked(rule: Rule, observations: Sequence[Observation], errors: Array) -> Rule:
+    """The same rule with how many new runs are inside its band; errors (n,) above 0, over their scale."""
+    inside = 0
+    for each, error in zip(observations, errors, strict=True):
+        middle, half = _predicted(rule, each.row)
+        inside += abs(math.log(error) - middle) <= half
+    return rule.model_copy(update={"new": len(errors), "new_inside": inside})
+
+
+def outside(rules: Rules, observation: Observation) -> list[str]:
+    """Predictors and ratios that are beyond those of the runs, each in words."""
+    found = []
+    for name, value in observation.described.items():
+        low, high = rules.ranges.get(name, (-math.inf, math.inf))
+        if not low <= value <= high:
+            found.append(f"{name} {value:.3g} is outside of {low:.3g} to {high:.3g}")
+    return found
+
+
+def read_rules(path: Path | None = None) -> Rules:
+    """Rules that a fit has written; None: those that come with this version. Raises InputError."""
+    if path is None:
+        if not SHIPPED.is_file():
+            raise InputError(
+                "no rules of thumb come with this version: give with --rules the file of python -m "
+                "lab.studies.rules_of_thumb (docs/expect.md)"
+            )
+        path = SHIPPED
+    content = read_yaml(path, f"{path} is missing: give the file of python -m lab.studies.rules_of_thumb")
+    if not isinstance(content, dict) or "made_by" not in content:
+        raise InputError(f"{path}: no rules of thumb; give the file that the fit wrote")
+    rules = validated(Rules, content, str(path))
+    size = 1 + len(PREDICTORS)
+    for rule in rules.rules:
+        if len(rule.coefficients) != size or np.shape(rule.inverse) != (size, size) or rule.freedom < 1:
+            raise InputError(f"{path}: the rule of {rule.quantity} is incomplete; write the file again")
+    if missing := [name for name in PREDICTORS if name not in rules.ranges]:
+        raise InputError(f"{path}: ranges: {missing[0]} is missing; write the file again")
+    return rules

@@ -1,0 +1,127 @@
+"""Cylinders whose marks turn within a still outline: does the turn found show in the images?"""
+
+import cv2
+import numpy as np
+import pytest
+
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, exp_so3, make_pose
+from polhode.pipeline.checks.answer_checks import symmetry_turn
+from polhode.pipeline.checks.answer_checks.image_motion import ImageMotion
+from polhode.pipeline.checks.answer_checks.symmetry_turn import MAX_SLIP, slippable_axis
+from polhode.records.surface import DepthMap
+from polhode.run_directory.summary_schema import Check
+
+RIG = RectifiedRig(400.0, 79.5, 79.5, 0.1, 160, 160)
+RADIUS_M, HALF_M, DISTANCE_M = 0.1, 0.09, 0.6
+STEP_DEG = 9.0
+FRAMES = 6
+
+
+def rich() -> Array:
+    """Marks around the cylinder (rows along it): grey values (128, 720)."""
+    rng = np.random.default_rng(3)
+    noise = np.tile(rng.uniform(0.0, 255.0, (128, 720)), (1, 3))
+    blurred = cv2.GaussianBlur(noise, (0, 0), 4.0)[:, 720:1440]
+    return np.asarray(128.0 + (blurred - blurred.mean()) / blurred.std() * 35.0)
+
+
+def sparse() -> Array:
+    """Eight marks."""
+    rng = np.random.default_rng(4)
+    out = np.full((128, 720), 128.0)
+    for k in range(8):
+        row = int(rng.integers(10, 100))
+        out[row : row + 14, 90 * k + 20 : 90 * k + 55] = 60.0
+    return out
+
+
+def frame(marks: Array, turn_deg: float, box: bool = False) -> DepthMap:
+    """The cylinder (or a box of the same outline), its axis along v; a ring and a still shadow's edge."""
+    rng = np.random.default_rng(int(1e3 * abs(turn_deg)))
+    v, u = np.mgrid[0:160, 0:160] - 79.5
+    x, y = u / RIG.focal_px, v / RIG.focal_px
+    # | (x z, z - d) | = r
+    a, b, c = x**2 + 1.0, -2.0 * DISTANCE_M, DISTANCE_M**2 - RADIUS_M**2
+    inner = b**2 - 4.0 * a * c
+    z = (-b - np.sqrt(np.maximum(inner, 0.0))) / (2.0 * a)
+    if box:
+        z = np.where(u > 0.0, 0.53 + 0.4 * x, 0.53 - 1.1 * x) + 0.35 * np.abs(y)
+    known = (inner > 0.0) & (np.abs(y * z) < HALF_M)
+    angle = np.rad2deg(np.arctan2(x * z, DISTANCE_M - z)) - turn_deg
+    row = np.clip((y * z / HALF_M + 1.0) * 64.0, 0, 127)
+    grey = cv2.remap(
+        marks.astype(np.float32), ((2.0 * angle) % 720.0).astype(np.float32), row.astype(np.float32),
+        cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP,
+    )  # fmt: skip
+    ring = np.where(np.abs(y * z - 0.04) < 0.006, 0.5, 1.0)
+    grey = grey * (0.6 + 0.4 * np.cos(np.deg2rad(angle + turn_deg))) * ring
+    grey = np.where(x * z > 0.05, 0.8 * grey, grey) + rng.normal(0.0, 1.5, grey.shape)
+    image = np.where(known, np.clip(grey, 0.0, 255.0), 0.0).astype(np.uint8)
+    depth = np.where(known, z, np.nan).astype(np.float32)
+    return DepthMap(depth, np.full_like(depth, 1e-3), image, known)
+
+
+def turn_check_of(marks: Array, found_deg: float, box: bool = False) -> Check:
+    """Of a target that turns by STEP_DEG from frame to frame, for the turn that was found."""
+    # about the axis along v; u grows with the angle, as seen from the camera
+    turns = [exp_so3([0.0, -np.deg2rad(found_deg * k), 0.0]) for k in range(FRAMES)]
+    X_RG = np.stack([make_pose(R, np.array([0.0, 0.0, DISTANCE_M])) for R in turns])
+    images = ImageMotion(RIG, X_RG, np.ones(FRAMES, dtype=np.bool_))
+    images.compare([frame(marks, STEP_DEG * k, box) for k in range(FRAMES)])
+    return images.checks(0.5)[1]
+
+
+@pytest.mark.parametrize("marks", [rich(), sparse()], ids=["rich", "sparse"])
+def test_the_turn_of_a_marked_body_shows(marks: Array) -> None:
+    check = turn_check_of(marks, STEP_DEG)
+    assert check.reason == "" and check.value is not None and check.value > 0.2
+
+
+def test_large_pictures_are_reduced(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(symmetry_turn, "MAX_SIDE_PX", 70)
+    check = turn_check_of(rich(), STEP_DEG)
+    assert check.reason == "" and check.value is not None and check.value > 0.2
+    assert turn_check_of(rich(), 0.0).reason
+
+
+@pytest.mark.parametrize("found_deg", [0.0, -STEP_DEG])
+def test_another_turn_than_that_of_the_marks_is_contradicted(found_deg: float) -> None:
+    check = turn_check_of(rich(), found_deg)
+    assert check.value is not None and check.value < -0.3
+    assert "the images contradict it" in check.reason
+    rate = (STEP_DEG - found_deg) / 0.5
+    words = check.reason.split("differs by ")[1].split(" ")[0]
+    assert float(words) == pytest.approx(rate, abs=4.0)
+
+
+@pytest.mark.parametrize("found_deg", [0.0, STEP_DEG])
+def test_on_a_bare_body_nothing_shows_the_turn(found_deg: float) -> None:
+    check = turn_check_of(np.full((128, 720), 128.0), found_deg)
+    # found at rest, nothing speaks for it; found turning, the still edge of the shadow speaks against it
+    words = "contradict it" if found_deg else "its surface shows too little of it"
+    assert words in check.reason
+
+
+def test_a_body_without_symmetry_is_not_judged() -> None:
+    assert turn_check_of(rich(), STEP_DEG, box=True).value is None
+
+
+def test_the_axis_of_a_cone_is_found_from_its_points_and_normals() -> None:
+    rng = np.random.default_rng(5)
+    angle, height = rng.uniform(0.0, np.pi, 500), rng.uniform(0.1, 0.3, 500)
+    out = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    p = np.column_stack([0.5 * height[:, None] * out, height])
+    normal = np.column_stack([out, np.full(500, -0.5)]) / np.sqrt(1.25)
+    X = make_pose(exp_so3([0.4, -0.3, 0.8]), np.array([0.1, 0.2, 0.5]))
+    axis = slippable_axis(p @ X[:3, :3].T + X[:3, 3], normal @ X[:3, :3].T)
+    assert axis.slip < 0.01
+    assert abs(axis.direction_G @ X[:3, 2]) == pytest.approx(1.0, abs=1e-3)
+    offset = axis.point_G - X[:3, 3]
+    assert np.linalg.norm(offset - (offset @ X[:3, 2]) * X[:3, 2]) < 2e-3
+    # a quarter of the body stands out
+    axis = slippable_axis(
+        np.concatenate([p, rng.uniform(-0.3, 0.3, (170, 3))]),
+        np.concatenate([normal, np.tile([0.0, 1.0, 0.0], (170, 1))]),
+    )
+    assert axis.slip > MAX_SLIP

@@ -1,0 +1,235 @@
+"""A rig that is not the calibrated one: each fault is named, with its size; a good one is not."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from polhode.backend import estimate_motion
+from polhode.config.backend_settings import Backend
+from polhode.frontend.features.row_offsets import RowOffsets
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.geometry.lie import Array
+from polhode.pipeline.checks.data_checks.rig_check import (
+    RowSpeeds,
+    camera_delay,
+    delay_by_rows,
+    largest_step,
+    rig_checks,
+)
+from polhode.pipeline.checks.data_checks.self_calibration import (
+    best_correction,
+    calibration_limits,
+    focal_check,
+    unseen_focal_error,
+)
+from polhode.records.estimate import InitialMotion, MotionEstimate
+from polhode.records.tracks import StereoTracks
+from polhode.run_directory.verdict import reasons_of
+from polhode.runtime.progress import Silent
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
+
+FRAMES = 24
+SCENE = SyntheticScene(
+    frames=FRAMES, landmarks=150, detection=0.7, sigma_uv_px=0.3, sigma_d_px=0.1,
+    J_G=np.diag([1.5, 1.2, 0.9]), w_G=(0.3, 0.5, 0.3),
+)  # fmt: skip
+
+
+class Context:
+    """The part of ``RunContext`` that the check reads."""
+
+    def __init__(self, tracks: StereoTracks) -> None:
+        self.rig, self.time_s, self.X_NR = tracks.rig, tracks.time_s, tracks.X_NR
+        self.sequence = SimpleNamespace(has_ranges=False)
+
+
+def solved(sequence: SyntheticSequence, tracks: StereoTracks) -> MotionEstimate:
+    """From the true poses."""
+    X_RG = np.linalg.inv(sequence.tracks.X_NR) @ sequence.X_NG
+    start = InitialMotion(X_RG, np.ones(tracks.n_frames, dtype=np.bool_))
+    return estimate_motion(tracks, start, Backend(), Silent())
+
+
+@pytest.fixture(scope="module")
+def sequence() -> SyntheticSequence:
+    return generate(SCENE, 3)
+
+
+@pytest.fixture(scope="module")
+def estimate(sequence: SyntheticSequence) -> MotionEstimate:
+    return solved(sequence, sequence.tracks)
+
+
+def features(
+    tracks: StereoTracks, offset_px: Array | None = None, exchanged: tuple[int, ...] = ()
+) -> list[StereoFeatures]:
+    """Of each frame; offset_px (M,) of the rows of the observations."""
+    rng = np.random.default_rng(4)
+    none = np.zeros((0, 3))
+    out = []
+    for k in range(tracks.n_frames):
+        rows = np.flatnonzero(tracks.frame == k)
+        uvd = tracks.uvd_px[rows]
+        scatter = 0.2 * rng.standard_normal(len(rows))
+        offset = scatter if offset_px is None else scatter + offset_px[rows]
+        sign = -1.0 if k in exchanged else 1.0
+        seen = RowOffsets(uvd[:, :2], sign * uvd[:, 2], offset)
+        out.append(StereoFeatures(none, none, none, np.zeros(0), np.zeros((0, 8), np.float32), rows=seen))
+    return out
+
+
+def reasons(sequence: SyntheticSequence, estimate: MotionEstimate, seen: list[StereoFeatures]) -> list[str]:
+    context: Any = Context(sequence.tracks)
+    return reasons_of(rig_checks(context, seen, sequence.tracks, estimate))
+
+
+def test_nothing_is_said_of_a_good_rig_or_where_nothing_is_measured(
+    sequence: SyntheticSequence, estimate: MotionEstimate
+) -> None:
+    seen = features(sequence.tracks)
+    assert reasons(sequence, estimate, seen) == []
+    assert reasons(sequence, estimate, [replace(each, rows=None) for each in seen]) == []
+
+
+def test_a_camera_that_was_knocked_up_or_down_is_named(
+    sequence: SyntheticSequence, estimate: MotionEstimate
+) -> None:
+    focal = sequence.tracks.rig.focal_px
+    after = np.deg2rad(0.2) * focal * (sequence.tracks.frame >= 10)
+    said = reasons(sequence, estimate, features(sequence.tracks, after))
+    assert len(said) == 1 and "as if one camera had turned by 0.20 deg" in said[0]
+    assert f"from {sequence.tracks.time_s[10]:g} s" in said[0]
+
+
+def test_a_camera_that_was_knocked_about_its_axis_is_named(
+    sequence: SyntheticSequence, estimate: MotionEstimate
+) -> None:
+    tracks = sequence.tracks
+    turned = np.deg2rad(0.2) * (tracks.uvd_px[:, 0] - tracks.rig.cx_px) * (tracks.frame >= 10)
+    said = reasons(sequence, estimate, features(tracks, turned))
+    assert said and "deg more from 5 s on, as if one camera had turned about its axis" in said[-1]
+
+
+def test_cameras_that_look_at_different_times_are_named_with_the_time(
+    sequence: SyntheticSequence, estimate: MotionEstimate
+) -> None:
+    tracks = sequence.tracks
+    p_R, k = tracks.rig.triangulate(tracks.uvd_px), tracks.frame
+    p_N = np.einsum("nij,nj->ni", tracks.X_NR[k][:, :3, :3], p_R) + tracks.X_NR[k][:, :3, 3]
+    w_N = np.einsum("nij,nj->ni", estimate.R_NP, estimate.w_P)
+    v_N = estimate.v_N[k] + np.cross(w_N[k], p_N - estimate.r_N[k])
+    v_R = np.einsum("nji,nj->ni", tracks.X_NR[k][:, :3, :3], v_N)
+    rows_px_s = tracks.rig.focal_px * (v_R[:, 1] - v_R[:, 2] * p_R[:, 1] / p_R[:, 2]) / p_R[:, 2]
+    seen = features(tracks, -0.020 * rows_px_s)
+    context: Any = Context(tracks)
+    found = camera_delay(context, [each.rows for each in seen], estimate)
+    assert found is not None and found.seconds == pytest.approx(0.020, abs=0.002)
+    said = reasons(sequence, estimate, seen)
+    assert len(said) == 1 and "the right camera's images are" in said[0] and "ms late" in said[0]
+
+
+def test_rows_that_an_imperfect_calibration_inclines_are_no_delay() -> None:
+    # As in photographs of an object on a turntable: at each place of the image the speed is always the same.
+    spinning = generate(replace(SCENE, w_G=(0.0, 0.0, 0.4)), 4)
+    tracks, estimate = spinning.tracks, solved(spinning, spinning.tracks)
+    u, v, _ = ((tracks.uvd_px - tracks.uvd_px.mean(axis=0)) / tracks.uvd_px.std(axis=0)).T
+    said = reasons(spinning, estimate, features(tracks, 0.2 * u - 0.1 * v + 0.1 * u * v))
+    assert not any("ms late" in each or "ms early" in each for each in said)
+
+
+def test_a_delay_that_hardly_displaces_the_rows_is_not_named() -> None:
+    """At little speed a feature's inaccuracy would be a delay of hundreds of milliseconds."""
+    rng = np.random.default_rng(5)
+    n = 4000
+    uvd = rng.uniform(0.0, 100.0, size=(n, 3))
+    speed, frame = 0.06 * rng.normal(size=n), np.arange(n) // 100
+    slight, clear = (
+        delay_by_rows(
+            [RowSpeeds(factor * speed, -0.3 * factor * speed + 0.01 * rng.normal(size=n), frame, uvd)]
+        )
+        for factor in (1.0, 3.0)
+    )
+    assert slight is not None and clear is not None
+    assert slight.seconds == pytest.approx(0.3, abs=0.03) and slight.sigma_s < 0.03
+    assert slight.seconds < slight.limit_s
+    assert clear.seconds == pytest.approx(0.3, abs=0.03) and clear.seconds > clear.limit_s
+
+
+def test_exchanged_images_are_counted(sequence: SyntheticSequence, estimate: MotionEstimate) -> None:
+    said = reasons(sequence, estimate, features(sequence.tracks, exchanged=(2, 9)))
+    assert len(said) == 1 and f"2 of {FRAMES} pairs are exchanged, left for right" in said[0]
+
+
+@pytest.mark.parametrize("fault", ["knocked sideways", "drifting"])
+def test_disparities_that_step_or_drift_are_named(sequence: SyntheticSequence, fault: str) -> None:
+    tracks = sequence.tracks
+    step = np.deg2rad(0.2) * tracks.rig.focal_px * (tracks.frame >= 12)
+    uvd = tracks.uvd_px.copy()
+    uvd[:, 2] += step if fault == "knocked sideways" else 2.0 * tracks.frame / FRAMES
+    wrong = replace(tracks, uvd_px=uvd)
+    estimate, context = solved(sequence, wrong), cast(Any, Context(wrong))
+    (said,) = reasons_of(rig_checks(context, features(tracks), wrong, estimate))
+    assert "all disparities are +" in said
+    if fault == "knocked sideways":
+        assert "from 6 s on all disparities are +1." in said
+        assert "turned sideways by 0.1" in said or "turned sideways by 0.2" in said
+    # ranges that change are not two cameras that turn
+    context.sequence = SimpleNamespace(has_ranges=True)
+    assert reasons_of(rig_checks(context, features(tracks), wrong, estimate)) == []
+
+
+def test_a_step_needs_frames_on_both_sides() -> None:
+    values = np.zeros(20)
+    values[18:] = 5.0
+    step = largest_step(values, np.ones(20))
+    assert step is not None and step.size == 0.0
+    assert largest_step(np.full(20, np.nan), np.ones(20)) is None
+
+
+def test_a_few_values_that_scatter_are_no_step() -> None:
+    # inclinations of the rows [deg] that an upper stage with few features gave, undisturbed
+    quiet = np.tile([-0.05, 0.05, 0.1, -0.1, 0.0], 6)
+    sigma = np.full(35, 0.05)
+    loose = largest_step(np.concatenate([quiet, [5.6, 0.45, 2.6, 0.5, 0.15]]), sigma)
+    firm = largest_step(np.concatenate([quiet, [0.55, 0.45, 0.6, 0.5, 0.4]]), sigma)
+    assert loose is not None and firm is not None and loose.place == firm.place == 30
+    assert abs(loose.size) < 3.0 * loose.sigma
+    assert abs(firm.size) > 5.0 * firm.sigma
+
+
+def test_values_count_by_their_sigmas() -> None:
+    rng = np.random.default_rng(4)
+    sigma = np.where(np.arange(40) % 4 == 0, 0.1, 2.0)
+    values = sigma * rng.normal(size=40) + np.where(np.arange(40) < 20, 0.0, 0.6)
+    step, blind = largest_step(values, sigma), largest_step(values, np.full(40, float(np.median(sigma))))
+    assert step is not None and blind is not None
+    assert abs(step.size - 0.6) < 4.0 * step.sigma and abs(step.size) > 5.0 * step.sigma
+    assert abs(blind.size) < 4.0 * blind.sigma
+
+
+@pytest.mark.parametrize("factor", [0.97, 1.03])
+def test_a_wrong_focal_length_is_named_with_its_size(sequence: SyntheticSequence, factor: float) -> None:
+    rig = sequence.tracks.rig
+    wrong = replace(sequence.tracks, rig=replace(rig, focal_px=factor * rig.focal_px))
+    estimate = solved(sequence, wrong)
+    found = best_correction(wrong, estimate)
+    assert found is not None and found.focal == pytest.approx(1.0 / factor - 1.0, abs=0.008)
+    said = reasons_of([focal_check(found)])
+    assert len(said) == 1 and f"{'longer' if factor < 1 else 'shorter'} than calibrated" in said[0]
+
+
+def test_the_error_that_the_images_would_hide_is_told_where_it_matters(
+    sequence: SyntheticSequence, estimate: MotionEstimate
+) -> None:
+    tracks, found = sequence.tracks, best_correction(sequence.tracks, estimate)
+    assert found is not None and 0.002 < unseen_focal_error(found) < 0.2
+    known = replace(estimate, covariance=1e-8 * np.tile(np.eye(12), (FRAMES, 1, 1)))
+    (said,) = calibration_limits(found, tracks, known)
+    distance_m = float(np.median(np.linalg.norm(estimate.r_N - tracks.X_NR[:, :3, 3], axis=1)))
+    stated_mm = float(said.split("by ")[-1].split(" mm")[0])
+    assert stated_mm == pytest.approx(1e3 * unseen_focal_error(found) * distance_m, rel=0.05)
+    vague = replace(estimate, covariance=np.tile(np.diag([np.inf] * 12), (FRAMES, 1, 1)))
+    assert calibration_limits(found, tracks, vague) == calibration_limits(None, tracks, known) == []

@@ -1,0 +1,482 @@
+"""polhode export through the real command line; what it writes is given to the programs it is meant for."""
+
+import json
+import os
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from trimesh.visual import ColorVisuals
+
+import polhode
+from polhode.cli.main import main
+from polhode.geometry.lie import exp_so3, log_so3, make_pose, matrix_from_wxyz, transform_points
+from polhode.mapping.mesh_files import read_ply, write_ply
+from polhode.planning.exports.json_document import SCHEMA_FILE, Document
+from polhode.planning.exports.options import FrameName
+from polhode.records.mesh_metrics import distance_to_surface
+from polhode.run_directory.summary import build_summary, read_summary, write_summary
+from polhode.run_directory.summary_schema import Intervals, json_schema
+from polhode.runtime.errors import InputError
+from tests.pipeline.conftest import BOX_M, Example
+from tests.pipeline.stored_run import stored
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def run(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A box with a closed mesh."""
+    return stored(tmp_path_factory.mktemp("runs") / "box", example, example.surface)
+
+
+@pytest.fixture(scope="module")
+def bare(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same without a mesh."""
+    return stored(tmp_path_factory.mktemp("runs") / "bare", example)
+
+
+@pytest.fixture(scope="module")
+def failed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that found nothing."""
+    folder = tmp_path_factory.mktemp("failed")
+    write_summary(build_summary(None, None, None, {}, failure="no motion fits"), folder / "summary.json")
+    return folder
+
+
+def export(run: Path, to: str, output: Path, *more: str) -> Path:
+    assert main(["export", str(run), "--to", to, "-o", str(output), *more]) == 0
+    return output
+
+
+def document(run: Path, folder: Path, *more: str) -> dict[str, Any]:
+    content = json.loads(export(run, "json", folder / "run.json", *more).read_text())
+    jsonschema.Draft202012Validator(json_schema(Document)).validate(content)
+    assert isinstance(content, dict)
+    return content
+
+
+def test_the_shipped_schema_is_that_of_the_models() -> None:
+    assert json.loads(SCHEMA_FILE.read_text()) == json_schema(Document)
+
+
+def test_json_has_states_with_covariances_and_mass_properties(
+    run: Path, example: Example, tmp_path: Path
+) -> None:
+    content = document(run, tmp_path, "--horizon", "5", "--mass-kg", "4.5")
+    last, estimate = content["last"], example.estimate
+    assert last["timestamp_ns"] == estimate.timestamps_ns[-1] and last["utc"].startswith("1970-01-01T00:00:1")
+    np.testing.assert_allclose(last["r_N"], estimate.r_N[-1])
+    assert np.shape(last["covariance"]) == (12, 12) and len(content["prediction"]) == 10
+    assert content["prediction"][-1]["covariance"][0][0] > last["covariance"][0][0] > 0.0
+    # the box has uniform density, so the assumption is right
+    x, y, z = BOX_M
+    right = 4.5 / 12.0 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
+    np.testing.assert_allclose(content["inertial"]["moments_kg_m2"], right, rtol=1e-6)
+    assert content["inertial"]["mass_is"] == "given" and content["inertial"]["scale_is"] == "assumed"
+    assert content["mass_properties"]["identifiable"]["k1"] and content["left_out"] == []
+
+
+@pytest.mark.parametrize("frame", ["G", "P"])
+@pytest.mark.parametrize("to", ["mjcf", "urdf"])
+def test_mujoco_simulates_what_we_predict(to: str, frame: str, run: Path, tmp_path: Path) -> None:
+    options = ("--frame", frame, "--mass-kg", "4.5")
+    content = document(run, tmp_path, *options)
+    file = export(run, to, tmp_path / f"box.{to}", *options)
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(model)
+    last = content["last"]
+    body = model.body("target").id
+    assert model.nq == 7 and model.body_mass[body] == 4.5
+    np.testing.assert_allclose(
+        np.sort(model.body_inertia[body]), np.sort(content["inertial"]["moments_kg_m2"]), rtol=1e-9
+    )
+    if to == "mjcf":
+        mujoco.mj_resetDataKeyframe(model, data, model.key("last").id)
+    else:
+        # URDF holds a pose, no rates and no settings
+        model.opt.gravity[:], model.opt.timestep = 0.0, 0.002
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+        R_NF = matrix_from_wxyz(last["q_NF_wxyz"])
+        w_N = matrix_from_wxyz(last["q_NP_wxyz"]) @ last["w_P"]
+        lever = np.array(last["p_NF"]) - last["r_N"]
+        data.qvel[:3], data.qvel[3:] = last["v_N"] + np.cross(w_N, lever), R_NF.T @ w_N
+    worst_deg = worst_m = 0.0
+    for row in content["prediction"]:
+        while data.time < row["time_s"] - 1e-6:
+            mujoco.mj_step(model, data)
+        turn = log_so3(matrix_from_wxyz(data.qpos[3:7]).T @ matrix_from_wxyz(row["q_NF_wxyz"]))
+        worst_deg = max(worst_deg, float(np.rad2deg(np.linalg.norm(turn))))
+        worst_m = max(worst_m, float(np.abs(data.qpos[:3] - row["p_NF"]).max()))
+    assert content["prediction"][-1]["time_s"] == pytest.approx(60.0)
+    assert worst_deg < 0.1 and worst_m < 1e-4
+
+
+def test_meshes_open_at_the_right_place_and_scale(run: Path, example: Example, tmp_path: Path) -> None:
+    for to in ("ply", "glb", "stl", "obj"):
+        for frame, unit, per_m in (("G", "m", 1.0), ("P", "mm", 1000.0)):
+            file = export(run, to, tmp_path / f"{frame}.{to}", "--frame", frame, "--unit", unit)
+            mesh = trimesh.load_mesh(file)
+            assert mesh.volume == pytest.approx(per_m**3 * np.prod(BOX_M), rel=1e-5)
+            # P has its origin at the centre of mass, with the axes of G in this example
+            middle = 0.0 if frame == "G" else -example.estimate.mass.com_G
+            np.testing.assert_allclose(
+                mesh.bounds.mean(axis=0), per_m * middle * np.ones(3), atol=1e-4 * per_m
+            )
+            if to in ("ply", "obj"):
+                assert isinstance(mesh.visual, ColorVisuals)
+                found = {tuple(c) for c in np.asarray(mesh.visual.vertex_colors)[:, :3].tolist()}
+                assert len(found) > 50
+    ply = trimesh.load(tmp_path / "P.ply", process=False).metadata["_ply_raw"]["vertex"]["data"]
+    np.testing.assert_allclose(ply["sigma_mm"].reshape(-1), 0.8, rtol=1e-6)
+
+
+def test_a_cad_frame_is_found_from_points_and_from_the_surface(
+    run: Path, example: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    X_cadG = make_pose(exp_so3([0.7, -1.9, 0.4]), [0.3, -0.2, 1.5])
+    p_G = example.estimate.landmarks.p_G[:6]
+    table = np.hstack([p_G, 1000.0 * transform_points(X_cadG, p_G)])
+    points, model = tmp_path / "points.csv", tmp_path / "model.stl"
+    np.savetxt(points, table, delimiter=",", header="x,y,z,x_cad,y_cad,z_cad", comments="")
+    box = trimesh.creation.box(BOX_M)
+    box.apply_transform(X_cadG)
+    box.apply_scale(1000.0)
+    box.export(model)
+    common = ("--frame", "cad", "--cad-unit", "mm", "--horizon", "1")
+    by_points = np.array(document(run, tmp_path, *common, "--cad-points", str(points))["frame"]["X_FG"])
+    np.testing.assert_allclose(by_points, X_cadG, atol=1e-9)
+    both = ("--cad", str(model), "--cad-points", str(points))
+    np.testing.assert_allclose(
+        np.array(document(run, tmp_path, *common, *both)["frame"]["X_FG"]), X_cadG, atol=2e-3
+    )
+    capsys.readouterr()
+    alone = document(run, tmp_path, *common, "--cad", str(model))
+    # a plain box looks alike after half-turns: any of them is right, and it is said
+    corners = transform_points(np.array(alone["frame"]["X_FG"]), example.surface.mesh.vertices)
+    away = distance_to_surface(trimesh.load(model).apply_scale(1e-3), corners)
+    assert away.max() < 2e-3 and "fits as well turned by 180 deg" in capsys.readouterr().out
+
+
+def test_a_run_without_a_mesh_exports_what_it_can(bare: Path, tmp_path: Path, capsys: Capture) -> None:
+    cloud = trimesh.load(export(bare, "ply", tmp_path / "points.ply"))
+    assert isinstance(cloud, trimesh.PointCloud) and len(cloud.vertices) == 150
+    assert "no mesh: the file holds the landmarks" in capsys.readouterr().out
+    export(bare, "glb", tmp_path / "points.glb")
+    file = export(bare, "mjcf", tmp_path / "bare.mjcf", "--mass-kg", "5")
+    shown = capsys.readouterr().out
+    assert "collision geometry are left out: this run has no mesh" in shown
+    assert "relative, the middle moment is 1" in shown and "a mass alone does not set it" in shown
+    assert mujoco.MjModel.from_xml_path(str(file)).ngeom == 0
+    assert "relative, the middle moment is 1" in file.read_text()
+    content = document(bare, tmp_path)
+    assert content["shape"] is None and content["inertial"]["scale_is"] == "relative"
+    assert any("shape is left out" in words for words in content["left_out"])
+
+
+def test_an_undetermined_inertia_is_exported_as_such(
+    undetermined: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    run = stored(tmp_path / "spin", undetermined, undetermined.surface)
+    text = export(run, "urdf", tmp_path / "spin.urdf").read_text()
+    assert "not determined by the motion: k1, k2, the principal axes, the centre of mass" in text
+    content = document(run, tmp_path, "--horizon", "2")
+    assert content["mass_properties"]["cov_k"] == [[None, None], [None, None]]
+    assert content["last"]["covariance"][1][1] is None
+    capsys.readouterr()
+    text = export(run, "oem", tmp_path / "spin.oem", "--horizon", "2").read_text()
+    assert "does not determine" in capsys.readouterr().out
+    assert "as a mark on the body" in " ".join(text.split()) and "inf" not in text.split("META_STOP")[1]
+
+
+def test_intervals_are_exported_and_hold_the_centre_of_mass(
+    undetermined: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    run = stored(tmp_path / "spin", undetermined, undetermined.surface)
+    summary = read_summary(run)
+    intervals = Intervals(com_shift_P=(None, (0.02, 0.05), None), k1=(0.0, 0.6), bounds=("inside the hull",))
+    write_summary(summary.model_copy(update={"intervals": intervals}), run / "summary.json")
+    content = document(run, tmp_path)
+    assert content["mass_properties"]["intervals"]["com_shift_P"] == [None, [0.02, 0.05], None]
+    moved = np.array(content["inertial"]["com_F"]) - undetermined.estimate.mass.com_G
+    np.testing.assert_allclose(moved, 0.02 * undetermined.estimate.mass.R_GP[:, 1], atol=1e-12)
+    text = " ".join(export(run, "urdf", tmp_path / "spin.urdf").read_text().split())
+    assert "moved by 20 mm into the body" in text
+    assert "possible by the hull of the body: k1 from 0.00 to 0.60" in text
+    assert main(["predict", str(run), "--horizon", "2"]) == 0
+    assert "By the hull of the body: k1 from 0.00 to 0.60" in capsys.readouterr().out
+
+
+def test_a_failed_run_exports_what_it_found(
+    failed: Path, example: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    content = document(failed, tmp_path)
+    assert content["run_status"] == "failed" and content["last"] is None
+    assert "no motion fits" in capsys.readouterr().out
+    for to in ("ply", "stl", "mjcf", "oem", "aem", "tum"):
+        assert main(["export", str(failed), "--to", to, "-o", str(tmp_path / "x")]) == 2
+        stderr = capsys.readouterr().err
+        assert stderr.count("\n") == 1 and "this run" in stderr
+        if to in ("oem", "aem", "tum"):
+            # the reason, and no advice about frames
+            assert "before it had a motion (no motion fits)" in stderr and "--frame" not in stderr
+    assert not (tmp_path / "x").exists()
+    # a mesh without a motion: what is assumed is said
+    write_ply(example.surface, failed / "mesh.ply")
+    text = export(failed, "mjcf", tmp_path / "shape.xml", "--mass-kg", "4.5").read_text()
+    shown = capsys.readouterr().out
+    assert "assumed, uniform density" in text and "the state is left out" in shown
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "shape.xml")).body_mass[1] == 4.5
+
+
+@pytest.mark.parametrize("archive", [None, b"no archive"])
+def test_a_run_without_covariances_exports_the_motion_and_says_so(
+    archive: bytes | None, run: Path, example: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    whole = document(run, tmp_path, "--horizon", "5")
+    bare = stored(tmp_path / "run", example, example.surface)
+    (bare / "covariance.npz").unlink()
+    if archive is not None:
+        (bare / "covariance.npz").write_bytes(archive)
+    content = document(bare, tmp_path, "--horizon", "5")
+    assert "covariances of the motion are left out" in capsys.readouterr().out
+    assert any("covariance.npz" in words for words in content["left_out"])
+    for ours, theirs in zip(
+        [content["last"], *content["prediction"]], [whole["last"], *whole["prediction"]], strict=True
+    ):
+        assert ours["timestamp_ns"] == theirs["timestamp_ns"]
+        np.testing.assert_allclose(ours["q_NP_wxyz"], theirs["q_NP_wxyz"], atol=1e-9)
+        np.testing.assert_allclose(ours["r_N"], theirs["r_N"], atol=1e-9)
+        assert {value for row in ours["covariance"] for value in row} == {None}
+    assert content["mass_properties"] == whole["mass_properties"]
+    text = export(bare, "oem", tmp_path / "bare.oem").read_text()
+    assert "no covariance: the run has none" in text and "COVARIANCE_START" not in text
+    assert "the uncertainty is unknown" in export(bare, "aem", tmp_path / "bare.aem").read_text()
+    export(bare, "glb", tmp_path / "bare.glb", "--animate")
+    # a motion that cannot be read leaves the rest
+    (bare / "trajectory.csv").unlink()
+    content = document(bare, tmp_path)
+    assert content["last"] is None and any("trajectory.csv" in words for words in content["left_out"])
+    assert content["mass_properties"]["k1"] is not None
+
+
+@pytest.mark.parametrize("frame", ["P", "G"])
+def test_estimated_poses_in_tum_are_those_of_the_run(frame: FrameName, run: Path, tmp_path: Path) -> None:
+    file = export(run, "tum", tmp_path / "run.tum", "--poses", "estimated", "--frame", frame)
+    rows = [line.split() for line in file.read_text().splitlines() if not line.startswith("#")]
+    stored = polhode.load(run)
+    stamps = [int(row[0].replace(".", "")) for row in rows]
+    assert stamps == stored.trajectory.timestamps_ns.tolist()
+    values = np.array(rows)[:, 1:].astype(float)
+    X_NF = make_pose(matrix_from_wxyz(values[:, [6, 3, 4, 5]]), values[:, :3])
+    expected = stored.X_NG if frame == "G" else make_pose(stored.trajectory.R_NP, stored.trajectory.r_N)
+    np.testing.assert_allclose(X_NF, expected, atol=1e-9)
+    (same,) = stored.export("tum", tmp_path / "same.tum", poses="estimated", frame=frame)
+    assert same.read_bytes() == file.read_bytes()
+    with pytest.raises(InputError, match="poses='estimated': only tum"):
+        stored.export("aem", tmp_path / "x.aem", poses="estimated")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--to", "obl"], "--to 'obl': unknown; did you mean obj?"),
+        (["--to", "urdf", "--mass-kg", "0"], "--mass-kg 0: give a number above 0"),
+        (["--to", "json", "--mass-kg", "1e308"], "--mass-kg 1e+308: give a number from 1e-09 to 1e+15"),
+        (
+            ["--to", "json", "--horizon", "100", "--step-s", "1e-3"],
+            "100001 states, each with two covariances",
+        ),
+        (["--to", "json", "--mass-kg", "nan"], "--mass-kg nan: give a number above 0"),
+        (["--to", "json", "--middle-moment-kg-m2", "1e-308"], "--middle-moment-kg-m2 1e-308"),
+        (["--to", "oem", "--step-s", "1e308"], "--step-s 1e+308"),
+        (["--to", "tum", "--horizon", "1e-6", "--step-s", "1e-10"], "timestamps are whole nanoseconds"),
+        (
+            ["--to", "oem", "-o", "x.stl"],
+            "-o x.stl: .stl is the suffix of another format than oem; give x.oem",
+        ),
+        (["--to", "stl", "-o", "x.GLB"], "another format than stl; give x.stl, or --to glb"),
+        (
+            ["--to", "json", "--mass-kg", "5", "--middle-moment-kg-m2", "1e9"],
+            "a radius of gyration of 1.65e+04 m",
+        ),
+        (["--to", "urdf", "--mass-kg", "5", "--middle-moment-kg-m2", "1e-9"], "check --mass-kg [kg] and"),
+        (["--to", "oem", "--horizon", "1e308"], "--horizon 1e+308"),
+        (["--to", "oem", "--epoch", "9" * 5000], "not a time"),
+        (["--to", "oem", "--object-name", "a" * 5000], "give up to 64 letters"),
+        (["--to", "oem", "--object-id", "<script>"], "give up to 64 letters"),
+        (["--to", "urdf", "--pieces", "9" * 30], "give 1 (the convex hull) to 1024"),
+        (["--to", "ply", "--frame", "cad"], "--frame cad: give --cad MESH or --cad-points FILE"),
+        (["--to", "ply", "--frame", "cad", "--cad", "/no/such.stl"], "/no/such.stl: no such file"),
+        (["--to", "ply", "--cad", "x.stl"], "--cad is for --frame cad"),
+        (["--to", "ply", "--frame", "Q"], "--frame 'Q': unknown"),
+        (["--to", "urdf", "--unit", "mm"], "--unit mm: urdf has lengths of its own"),
+        (["--to", "ply", "--level", "9"], "--level 9: this run's mesh has levels 0 to"),
+        (["--to", "oem", "--poses", "estimated"], "--poses estimated: only tum can have the poses at the"),
+        (["--to", "tum", "--poses", "true"], "--poses 'true': unknown; give one of predicted estimated"),
+        (["--to", "ply", "--animate"], "--animate: only glb"),
+        (["--to", "oem", "--frame", "G"], "an OEM is the path of the centre of mass"),
+        (["--to", "oem", "--horizon", "-1"], "--horizon -1: give the seconds"),
+        (["--to", "oem", "--epoch", "soon"], "--epoch soon: not a time"),
+        (["--to", "oem", "--epoch", "NaT"], "--epoch NaT: not a time"),
+        (["--to", "oem", "--epoch", "1500-01-01"], "--epoch 1500-01-01: give a time from 1900 to 2199"),
+        (["--to", "oem", "--object-name", "a b"], "--object-name 'a b'"),
+        (["--to", "urdf", "--pieces", "0"], "--pieces 0"),
+        (["--to", "ply", "-o", "/dev/null/all.ply"], "part of this path is a file"),
+        ([], "--to"),
+    ],
+)
+def test_mistakes_are_one_line(
+    arguments: list[str], words: str, run: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    output = [] if "-o" in arguments else ["-o", str(tmp_path / "out")]
+    assert main(["export", str(run), *arguments, *output]) == 2
+    stderr = capsys.readouterr().err
+    assert words in stderr and stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_model_that_does_not_open_or_has_another_unit_is_refused(
+    run: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    (tmp_path / "broken.stl").write_text("this is no mesh")
+    box = trimesh.creation.box(1000.0 * BOX_M)
+    box.export(tmp_path / "large.stl")
+    (tmp_path / "two.csv").write_text("0 0 0 0 0 0\n1 0 0 1 0 0\n")
+    (tmp_path / "huge.csv").write_text("0 0 0 0 0 1e300\n" * 3)
+    os.mkfifo(tmp_path / "pipe")
+    p = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.3, 0.2, 0.6]])
+    np.savetxt(tmp_path / "mirrored.csv", np.hstack([p, p[:, [1, 0, 2]]]))
+    for option, name, words in (
+        ("--cad", "broken.stl", "broken.stl"),
+        ("--cad", "large.stl", "check --cad-unit"),
+        ("--cad-points", "two.csv", "2 pairs of points; give three or more"),
+        ("--cad-points", "mirrored.csv", "the points are mirrored"),
+        ("--cad-points", "none.csv", "none.csv: no such file"),
+        ("--cad-points", "broken.stl", "0 pairs of points; give three or more"),
+        ("--cad-points", "pipe", "pipe is a pipe: give a regular file"),
+        ("--cad-points", "huge.csv", "a coordinate above 1e+09"),
+    ):
+        arguments = ["export", str(run), "--to", "ply", "--frame", "cad", option, str(tmp_path / name)]
+        assert main([*arguments, "-o", str(tmp_path / "out.ply")]) == 2
+        stderr = capsys.readouterr().err
+        assert words in stderr and stderr.count("\n") == 1
+
+
+def test_the_same_run_gives_the_same_bytes(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    for to in ("glb", "urdf", "oem", "json"):
+        first, second = (export(run, to, tmp_path / f"{name}.{to}") for name in "ab")
+        assert first.read_bytes().replace(b"a.urdf_meshes", b"b.urdf_meshes") == second.read_bytes()
+    for file in (tmp_path / "a.urdf_meshes").iterdir():
+        assert file.read_bytes() == (tmp_path / "b.urdf_meshes" / file.name).read_bytes()
+
+
+def test_exports_of_one_stem_keep_their_own_meshes(run: Path, example: Example, tmp_path: Path) -> None:
+    first = export(run, "mjcf", tmp_path / "target.xml", "--mass-kg", "5")
+    before = {file: file.read_bytes() for file in (tmp_path / "target.xml_meshes").iterdir()}
+    places = _vertices_of(first)
+    second = export(run, "urdf", tmp_path / "target.urdf", "--frame", "P", "--mass-kg", "5")
+    third = export(run, "sdf", tmp_path / "target.sdf", "--frame", "P", "--mass-kg", "5", "--pieces", "1")
+    assert {file: file.read_bytes() for file in before} == before and len(before) >= 2
+    np.testing.assert_array_equal(_vertices_of(first), places)
+    # P has its origin at the centre of mass, with the axes of G in this example: the meshes differ
+    shift = _vertices_of(second).min(axis=0) - places.min(axis=0)
+    np.testing.assert_allclose(shift, -example.estimate.mass.com_G, atol=1e-6)
+    assert np.abs(shift).max() > 1e-3
+    for file in (first, second, third):
+        folder = tmp_path / f"{file.name}_meshes"
+        assert (folder / "surface.obj").is_file() and folder.name in file.read_text()
+
+
+def _vertices_of(file: Path) -> np.ndarray:
+    """Vertices (V, 3) of all meshes as MuJoCo loads them, in the frame of the body [m]."""
+    model = mujoco.MjModel.from_xml_path(str(file))
+    places = []
+    for geom in range(model.ngeom):
+        mesh = model.geom_dataid[geom]
+        first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        R = matrix_from_wxyz(model.geom_quat[geom])
+        places.append(model.mesh_vert[first : first + count] @ R.T + model.geom_pos[geom])
+    return np.concatenate(places)
+
+
+def test_a_moment_or_a_mass_that_does_not_fit_the_mesh_is_a_warning(
+    run: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    fits = document(run, tmp_path, "--mass-kg", "4.5")["inertial"]["moments_kg_m2"][1]
+    for share, warned in ((1.0, False), (9.0, True), (1.0 / 400.0, True)):
+        options = ("--mass-kg", "4.5", "--middle-moment-kg-m2", repr(share * fits))
+        words = document(run, tmp_path, "--horizon", "1", *options)["left_out"]
+        assert any("has a radius of gyration of" in line for line in words) == warned
+        assert ("has a radius of gyration of" in capsys.readouterr().out) == warned
+    for mass_kg, bound in (("1000", "more than that of gold"), ("0.001", "less than that of air")):
+        export(run, "json", tmp_path / "x.json", "--horizon", "1", "--mass-kg", mass_kg)
+        words = rf"warning: a density of \S+ kg/m\^3, {bound}: {mass_kg} kg in .* check --mass-kg"
+        assert re.search(words, capsys.readouterr().out)
+    # a moment alone has no mass to compare with
+    assert document(run, tmp_path, "--horizon", "1", "--middle-moment-kg-m2", "1e6")["left_out"] == []
+
+
+def test_what_the_user_gave_is_no_warning_and_the_answer_has_it(
+    run: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    volume_m3 = abs(float(read_ply(run / "mesh.ply").mesh.volume))
+    mass = ["--mass-kg", f"{800.0 * volume_m3:g}"]
+    path = export(run, "mjcf", tmp_path / "x.xml", "--pieces", "1", *mass)
+    printed = capsys.readouterr().out
+    assert "as given" not in printed and "density of" not in printed
+    assert "as given" in path.read_text()
+    path = export(run, "json", tmp_path / "x.json", "--horizon", "1", "--mass-kg", "2", "--json")
+    figures = json.loads(capsys.readouterr().out)["figures"]
+    assert figures["files"] == [{"path": str(path), "bytes": path.stat().st_size}]
+    properties, written = figures["mass_properties"], json.loads(path.read_text())["inertial"]
+    assert properties["mass_is"] == "given" and figures["duration_s"] > 0.0
+    assert {name: written[name] for name in properties} == properties
+
+
+def test_an_epoch_beside_timestamps_that_are_utc_already_is_a_warning(
+    example: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    start_ns = 1_600_000_000 * 10**9
+    later = replace(
+        example,
+        tracks=replace(example.tracks, timestamps_ns=example.tracks.timestamps_ns + start_ns),
+        estimate=replace(example.estimate, timestamps_ns=example.estimate.timestamps_ns + start_ns),
+    )
+    run = stored(tmp_path / "later", later)
+    for to in ("oem", "aem", "json"):
+        for epoch, warned in (("2026-11-23", True), ("1970-01-01", False)):
+            export(run, to, tmp_path / f"x.{to}", "--horizon", "2", "--epoch", epoch)
+            assert ("50.7 years after --epoch 2026-11-23" in capsys.readouterr().out) == warned
+    export(run, "tum", tmp_path / "x.tum", "--horizon", "2", "--epoch", "2026-11-23")
+    assert "--epoch" not in capsys.readouterr().out
+
+
+def test_known_torques_set_the_scale_whatever_the_mass(example: Example, tmp_path: Path) -> None:
+    mass = replace(
+        example.estimate.mass,
+        mass_kg=9.0,
+        sigma_mass_kg=0.1,
+        inertia_scale_kg_m2=0.25,
+        sigma_inertia_scale_kg_m2=0.01,
+    )
+    torqued = replace(example, estimate=replace(example.estimate, mass=mass))
+    run = stored(tmp_path / "torqued", torqued, example.surface)
+    inertial = document(run, tmp_path, "--horizon", "1")["inertial"]
+    assert (inertial["mass_is"], inertial["scale_is"], inertial["mass_kg"]) == (
+        "determined",
+        "determined",
+        9.0,
+    )
+    assert inertial["moments_kg_m2"][1] == pytest.approx(0.25)
+    given = document(run, tmp_path, "--horizon", "1", "--middle-moment-kg-m2", "0.5")["inertial"]
+    assert given["scale_is"] == "given" and given["moments_kg_m2"][1] == pytest.approx(0.5)

@@ -1,0 +1,236 @@
+"""covariance.npz, measurements.npz and landmarks.ply: round trips, and readers that are not ours."""
+
+import re
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from polhode.backend.problem.inertia import FORMS
+from polhode.geometry.lie import exp_so3
+from polhode.records.tracks import Wrench
+from polhode.run_directory.archives import (
+    read_covariance,
+    read_measurements,
+    read_relative_poses,
+    read_residuals,
+    write_covariance,
+    write_measurements,
+)
+from polhode.run_directory.point_cloud_file import read_landmarks, write_landmarks
+from polhode.runtime.errors import InputError
+
+
+def test_measurements_come_back_equal_with_their_rig(example: Any, tmp_path: Path) -> None:
+    write_measurements(example.tracks, tmp_path / "measurements.npz", example.relative, example.estimate)
+    again = read_measurements(tmp_path)
+    for field in fields(again):
+        np.testing.assert_array_equal(getattr(again, field.name), getattr(example.tracks, field.name))
+    assert again.rig == example.tracks.rig
+    relative = read_relative_poses(tmp_path)
+    assert relative is not None
+    for field in fields(relative):
+        np.testing.assert_array_equal(getattr(relative, field.name), getattr(example.relative, field.name))
+    residuals = read_residuals(tmp_path)
+    assert residuals is not None
+    np.testing.assert_array_equal(residuals.residuals_px, example.estimate.residuals_px)
+    np.testing.assert_array_equal(residuals.inlier_weight, example.estimate.inlier_weight)
+
+
+def test_a_known_wrench_comes_back_equal_and_what_a_run_did_not_reach_is_none(
+    example: Any, tmp_path: Path
+) -> None:
+    wrench = Wrench(np.array([5, 9], dtype=np.int64), np.eye(2, 3), -np.eye(2, 3))
+    write_measurements(replace(example.tracks, wrench=wrench), tmp_path / "measurements.npz")
+    again = read_measurements(tmp_path).wrench
+    assert again is not None
+    for field in fields(Wrench):
+        np.testing.assert_array_equal(getattr(again, field.name), getattr(wrench, field.name))
+    assert read_relative_poses(tmp_path) is None and read_residuals(tmp_path) is None
+
+
+def test_covariances_come_back_with_the_order_of_their_rows(example: Any, tmp_path: Path) -> None:
+    write_covariance(example.estimate, tmp_path / "covariance.npz")
+    again = read_covariance(tmp_path)
+    np.testing.assert_array_equal(again.timestamps_ns, example.estimate.timestamps_ns)
+    np.testing.assert_array_equal(again.covariance, example.estimate.covariance)
+    np.testing.assert_array_equal(again.last_joint, example.estimate.covariance_last_joint)
+    np.testing.assert_array_equal(again.covariance_of_marks, example.estimate.covariance_of_marks)
+    with np.load(tmp_path / "covariance.npz") as archive:
+        assert archive["order"].tolist()[::3] == ["r_N_x", "v_N_x", "theta_P_x", "w_P_x"]
+        assert len(archive["order"]) == 12 and len(archive["last_joint_order"]) == 20
+
+
+def test_the_page_names_exactly_the_keys_of_the_file(finished: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "run_directory.md").read_text()
+    table = page.split("## covariance.npz\n")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| `(\w+)` \| \(([^)]*)\) \|", table, re.MULTILINE)
+    with np.load(finished / "covariance.npz") as archive:
+        shapes = {name: archive[name].shape for name in archive.files}
+    frames = len(read_covariance(finished).timestamps_ns)
+    described = {
+        name: tuple(frames if size == "F" else int(size) for size in shape.split(",") if size.strip())
+        for name, shape in ((name, shape.replace(" ", "")) for name, shape in rows)
+    }
+    assert described == shapes
+
+
+def test_the_inertia_of_the_joint_covariance_is_what_the_page_describes() -> None:
+    """Five numbers, and the matrix that the page makes of them."""
+    R = exp_so3([0.3, -0.2, 0.5])
+    J = R @ np.diag([1.4, 1.0, 0.8]) @ R.T
+    xi, _ = FORMS["second_moments"].coordinates(0.5 * np.trace(J) * np.eye(3) - J)
+    L = np.diag([np.exp(xi[0]), np.exp(xi[1]), np.exp(-xi[0] - xi[1])])
+    L[1, 0], L[2, 0], L[2, 1] = xi[2:]
+    S = L @ L.T
+    found = np.trace(S) * np.eye(3) - S
+    assert np.linalg.det(S) == pytest.approx(1.0)
+    np.testing.assert_allclose(found / found[0, 0], J / J[0, 0], atol=1e-9)
+    xi, R_ref = FORMS["ratios_axes"].coordinates(0.5 * np.trace(J) * np.eye(3) - J)
+    d = np.diag(R_ref.T @ S @ R_ref)
+    np.testing.assert_allclose(xi, [np.log(d[0] / d[2]), np.log(d[1] / d[2]), 0.0, 0.0, 0.0], atol=1e-9)
+    assert d[0] < d[1] < d[2]
+
+
+def test_covariances_of_the_poses_come_back_and_those_that_are_unknown_stay_so(
+    example: Any, tmp_path: Path
+) -> None:
+    file = tmp_path / "covariance.npz"
+    write_covariance(example.estimate, file)
+    assert read_covariance(tmp_path).covariance_X_NG is None
+    root = np.random.default_rng(0).normal(size=(len(example.estimate.timestamps_ns), 6, 6))
+    given = root @ root.transpose(0, 2, 1)
+    given[3] = np.nan
+    write_covariance(replace(example.estimate, covariance_X_NG=given), file)
+    again = read_covariance(tmp_path).covariance_X_NG
+    assert again is not None
+    np.testing.assert_array_equal(again[3], np.diag([np.inf] * 6))
+    np.testing.assert_array_equal(np.delete(again, 3, axis=0), np.delete(given, 3, axis=0))
+    with np.load(file) as archive:
+        assert archive["covariance_X_NG_order"].tolist()[2:4] == ["shift_G_z", "turn_G_x"]
+
+
+def test_no_nan_enters_the_archive(undetermined: Any, tmp_path: Path) -> None:
+    write_covariance(undetermined.estimate, tmp_path / "covariance.npz")
+    covariance = read_covariance(tmp_path).covariance
+    assert not np.any(np.isnan(covariance))
+    np.testing.assert_array_equal(covariance[:, 7, 7], np.inf)
+    np.testing.assert_array_equal(covariance[:, 7, :7], 0.0)
+    np.testing.assert_array_equal(covariance[:, 6, 6], undetermined.estimate.covariance[:, 6, 6])
+
+
+def test_trimesh_opens_the_landmarks_with_their_properties(example: Any, tmp_path: Path) -> None:
+    landmarks = replace(example.estimate.landmarks, sigma_m=np.r_[np.nan, np.full(149, 4e-4)])
+    write_landmarks(landmarks, tmp_path / "landmarks.ply")
+    cloud = trimesh.load(tmp_path / "landmarks.ply")
+    assert isinstance(cloud, trimesh.PointCloud)
+    np.testing.assert_array_equal(cloud.vertices, landmarks.p_G)
+    data = cloud.metadata["_ply_raw"]["vertex"]["data"]
+    np.testing.assert_array_equal(data["observations"].ravel(), landmarks.observations)
+    again = read_landmarks(tmp_path)
+    np.testing.assert_array_equal(again.p_G, landmarks.p_G)
+    np.testing.assert_array_equal(again.sigma_m, np.r_[np.inf, np.full(149, 4e-4)])
+    np.testing.assert_array_equal(again.observations, landmarks.observations)
+
+
+def test_an_empty_map_can_be_written_and_read(example: Any, tmp_path: Path) -> None:
+    nothing = replace(
+        example.estimate.landmarks, p_G=np.empty((0, 3)), sigma_m=np.empty(0), observations=np.empty(0, int)
+    )
+    write_landmarks(nothing, tmp_path / "landmarks.ply")
+    assert read_landmarks(tmp_path).p_G.shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("read", "name"),
+    [
+        (read_measurements, "measurements.npz"),
+        (read_covariance, "covariance.npz"),
+        (read_landmarks, "landmarks.ply"),
+    ],
+)
+def test_a_missing_or_damaged_file_is_refused_in_one_line(read: Any, name: str, tmp_path: Path) -> None:
+    for content in (None, b"", b"PK\x03\x04 cut short", b"ply\nformat ascii 1.0\nend_header\n"):
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError) as caught:
+            read(tmp_path)
+        assert name in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_an_archive_of_something_else_names_what_it_lacks(tmp_path: Path) -> None:
+    np.savez(tmp_path / "covariance.npz", timestamps_ns=np.arange(3))
+    with pytest.raises(InputError, match="the array covariance is missing"):
+        read_covariance(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "value", "words"),
+    [
+        ("uvd_px", 7, np.nan, "uvd_px holds NaN or infinity in row 7"),
+        ("sigma_px", 3, 0.0, "sigma_px is not positive"),
+        ("X_NR", 2, np.inf, "X_NR holds NaN or infinity in row 2"),
+        ("timestamps_ns", 4, 0, "timestamps_ns does not increase in row 4"),
+        ("frame", 1, 99, "frame points outside"),
+    ],
+)
+def test_measurements_that_cannot_be_are_refused_in_one_line(
+    name: str, row: int, value: float, words: str, example: Any, tmp_path: Path
+) -> None:
+    spoilt = getattr(example.tracks, name).copy()
+    spoilt[row] = value
+    write_measurements(replace(example.tracks, **{name: spoilt}), tmp_path / "measurements.npz")
+    with pytest.raises(InputError, match=words) as caught:
+        read_measurements(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("read", "name", "value", "words"),
+    [
+        (read_measurements, "uvd_px", np.zeros((3, 3)), "uvd_px is 3 x 3, expected"),
+        (read_measurements, "uvd_px", np.array(["a"]), "uvd_px holds <U1, expected numbers"),
+        (read_measurements, "landmark", np.zeros(2, dtype=int), "landmark is 2, expected"),
+        (read_measurements, "frame", np.zeros(5), "frame holds float64, expected whole numbers"),
+        (read_measurements, "X_NR", np.zeros((1, 4, 4)), "X_NR is 1 x 4 x 4, expected 24 x 4 x 4"),
+        (read_measurements, "X_BR", np.full((4, 4), np.inf), "X_BR holds NaN or infinity in row 0"),
+        (read_measurements, "sigma_camera_p_m", np.array(np.nan), "sigma_camera_p_m holds NaN or infinity"),
+        (read_measurements, "rig_baseline_m", np.array(0.0), "rig_baseline_m is not positive"),
+        (read_measurements, "rig_focal_px", np.array(np.nan), "rig_focal_px holds NaN or infinity"),
+        (read_measurements, "wrench_force_N", np.full((2, 3), np.nan), "wrench_force_N holds NaN"),
+        (read_measurements, "wrench_torque_P", np.zeros((1, 3)), "wrench_torque_P is 1 x 3, expected 2 x 3"),
+        (read_measurements, "wrench_time_ns", np.array([5, 5]), "wrench_time_ns does not increase in row 1"),
+        (read_relative_poses, "relative_X_RiRj", np.full((23, 4, 4), np.nan), "relative_X_RiRj holds NaN"),
+        (read_relative_poses, "relative_j", np.full(23, 24), "relative_j points outside the run"),
+        (
+            read_relative_poses,
+            "relative_inliers",
+            np.zeros(2, dtype=int),
+            "relative_inliers is 2, expected 23",
+        ),
+        (read_residuals, "residuals_px", np.zeros((2, 3)), "residuals_px is 2 x 3, expected"),
+        (read_residuals, "inlier_weight", np.array([[1.0]]), "inlier_weight is 1 x 1, expected"),
+    ],
+)
+def test_arrays_that_do_not_belong_together_are_refused_in_one_line(
+    read: Any, name: str, value: Any, words: str, example: Any, tmp_path: Path
+) -> None:
+    file = tmp_path / "measurements.npz"
+    wrench = Wrench(np.array([5, 9], dtype=np.int64), np.eye(2, 3), -np.eye(2, 3))
+    write_measurements(replace(example.tracks, wrench=wrench), file, example.relative, example.estimate)
+    with np.load(file) as archive:
+        arrays = {key: archive[key] for key in archive.files}
+    assert name in arrays
+    np.savez(file, **{**arrays, name: value})
+    with pytest.raises(InputError) as caught:
+        read(tmp_path)
+    assert str(caught.value).startswith(f"{file}: {words}") and "\n" not in str(caught.value)
+
+
+def test_tracks_without_any_observation_can_be_written_and_read(example: Any, tmp_path: Path) -> None:
+    none = {name: getattr(example.tracks, name)[:0] for name in ("frame", "landmark", "uvd_px", "sigma_px")}
+    write_measurements(replace(example.tracks, **none), tmp_path / "measurements.npz")
+    assert read_measurements(tmp_path).n_landmarks == 0

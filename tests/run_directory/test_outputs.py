@@ -1,0 +1,115 @@
+"""The files of a run: all there, open in other programs, and the same bytes for the same content."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+
+from polhode.config import Config
+from polhode.records.estimate import Disturbances, Impulse
+from polhode.records.surface import SurfaceModel
+from polhode.run_directory.outputs import PUSHES_COLUMNS, write_disturbances
+from polhode.run_directory.summary import read_summary
+from polhode.runtime.errors import InputError
+from tests.pipeline.stored_run import write_run
+
+STATED = {
+    "config.yaml", "summary.json", "trajectory.csv", "covariance.npz", "measurements.npz", "landmarks.ply",
+    "mesh.ply", "mesh.glb", "report.html",
+}  # fmt: skip
+
+
+def _write(folder: Path, run: Any, surface: SurfaceModel | None) -> Path:
+    folder.mkdir()
+    write_run(
+        folder,
+        config=Config(seed=4),
+        tracks=run.tracks,
+        estimate=run.estimate,
+        surface=surface,
+        timing_s={"frontend": 2.0},
+        relative=run.relative,
+        pictures={"frame 0": b"\x89PNG not really"},
+    )
+    return folder
+
+
+def test_every_file_of_the_contract_is_written(example: Any, tmp_path: Path) -> None:
+    folder = _write(tmp_path / "run", example, example.surface)
+    assert {entry.name for entry in folder.iterdir()} == STATED | {"pictures"}
+
+
+def test_two_writes_give_the_same_bytes(example: Any, tmp_path: Path) -> None:
+    first, second = (_write(tmp_path / name, example, example.surface) for name in ("a", "b"))
+    # Timings differ: they stand in summary.json and on the page.
+    for name in sorted(STATED - {"summary.json", "report.html"}):
+        assert (first / name).read_bytes() == (second / name).read_bytes(), name
+
+
+def test_the_configuration_that_was_written_is_the_one_that_ran(example: Any, tmp_path: Path) -> None:
+    folder = _write(tmp_path / "run", example, None)
+    content = yaml.safe_load((folder / "config.yaml").read_text())
+    assert Config.model_validate(content) == Config(seed=4)
+    assert set(content) == set(Config.model_fields)
+
+
+@pytest.mark.parametrize("name", ["mesh.ply", "mesh.glb"])
+def test_trimesh_opens_the_surface(name: str, example: Any, tmp_path: Path) -> None:
+    folder = _write(tmp_path / "run", example, example.surface)
+    mesh = trimesh.load(folder / name, force="mesh")
+    assert isinstance(mesh, trimesh.Trimesh)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(example.surface.mesh.volume, rel=1e-5)
+
+
+def test_an_empty_surface_leaves_no_mesh(example: Any, tmp_path: Path) -> None:
+    empty = SurfaceModel(trimesh.Trimesh(), np.empty(0), np.empty(0, dtype=np.int64))
+    folder = _write(tmp_path / "run", example, empty)
+    assert not (folder / "mesh.ply").exists() and not (folder / "mesh.glb").exists()
+    assert "No surface" in (folder / "report.html").read_text()
+
+
+def test_an_estimate_that_is_not_finite_stops_the_run(example: Any, tmp_path: Path) -> None:
+    w_P = np.full_like(example.estimate.w_P, np.nan)
+    with pytest.raises(ValueError, match="not finite"):
+        _write(tmp_path / "run", replace(example, estimate=replace(example.estimate, w_P=w_P)), None)
+
+
+def test_a_report_that_cannot_be_made_costs_only_itself(
+    example: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(folder: Path) -> None:
+        raise InputError(f"{folder}/online.npz: covariance holds NaN")
+
+    monkeypatch.setattr("polhode.report.page.write_report", refuse)
+    summary = write_run(
+        tmp_path, config=Config(), tracks=example.tracks, estimate=example.estimate, surface=None, timing_s={}
+    )
+    assert any("no report" in text and "holds NaN" in text for text in summary.warnings)
+    assert summary.status == "degraded"
+    assert read_summary(tmp_path).warnings == summary.warnings
+    assert (tmp_path / "trajectory.csv").is_file() and not (tmp_path / "report.html").exists()
+
+
+def test_pushes_read_back_exactly_and_are_numbered(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    start = 1_600_000_000_000_000_000 + 500_000_000 * np.array([3, 4, 9], dtype=np.int64)
+    accel, sigma = rng.normal(size=(2, 3, 3)), rng.uniform(0.1, 1.0, (2, 3, 3))
+    sigma[1, 2] = np.inf
+    one = Impulse(int(start[0]), int(start[1]) + 500_000_000, *rng.normal(size=(4, 3)))
+    two = Impulse(int(start[2]), int(start[2]) + 500_000_000, *rng.normal(size=(4, 3)))
+    disturbances = Disturbances(
+        start, start + 500_000_000, accel[0], sigma[0], accel[1], sigma[1], (one, two)
+    )
+    write_disturbances(disturbances, tmp_path / "pushes.csv")
+    header, *rows = (tmp_path / "pushes.csv").read_text().splitlines()
+    assert tuple(header.split(",")) == PUSHES_COLUMNS and len(PUSHES_COLUMNS) == 15
+    cells = [row.split(",") for row in rows]
+    assert [int(row[0]) for row in cells] == [1, 1, 2]
+    assert [int(row[1]) for row in cells] == start.tolist()
+    values = np.array([[float(cell) for cell in row[3:]] for row in cells])
+    np.testing.assert_array_equal(values, np.hstack([accel[0], sigma[0], accel[1], sigma[1]]))

@@ -1,0 +1,254 @@
+"""summary.json: fits its schema, speaks of what is undetermined with null, and gives the right status."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator, ValidationError
+
+from polhode.run_directory.check_table import make_check
+from polhode.run_directory.summary import build_summary, read_summary, write_summary
+from polhode.run_directory.summary_schema import (
+    ESTIMATE_PARTS,
+    SCHEMA_FILE,
+    Summary,
+    json_schema,
+)
+from polhode.run_directory.verdict import lower_status
+from polhode.runtime.errors import InputError
+
+CONTRACT_KEYS = {
+    *("schema", "status", "warnings", "frames", "frames_used", "landmarks", "observations", "duration_s"),
+    *("timing_s", "inertia", "identifiable", "identifiable_detail", "com_G", "cov_com_G", "R_GP", "cov_R_GP"),
+    *("solver", "noise"),
+}
+
+
+def _strict(text: str) -> Any:
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def _summary(run: Any, **more: Any) -> Summary:
+    return build_summary(run.tracks, run.estimate, run.surface, {"frontend": 3.0, "backend": 1.5}, **more)
+
+
+def test_the_shipped_schema_is_the_one_of_the_model() -> None:
+    assert json.loads(SCHEMA_FILE.read_text()) == json_schema(Summary)
+    Draft202012Validator.check_schema(json_schema(Summary))
+
+
+def test_every_kind_of_summary_fits_the_schema(example: Any, undetermined: Any, tmp_path: Path) -> None:
+    validator = Draft202012Validator(json.loads(SCHEMA_FILE.read_text()))
+    summaries = (
+        _summary(example),
+        _summary(undetermined),
+        build_summary(example.tracks, None, None, {}, failure="no motion"),
+        build_summary(None, None, None, {}, failure="nothing"),
+    )
+    for summary in summaries:
+        write_summary(summary, tmp_path / "summary.json")
+        content = _strict((tmp_path / "summary.json").read_text())
+        validator.validate(content)
+        assert content.keys() >= CONTRACT_KEYS
+        assert read_summary(tmp_path) == summary
+
+
+def test_the_schema_refuses_what_is_not_a_summary(example: Any) -> None:
+    validator = Draft202012Validator(json_schema(Summary))
+    good = _summary(example).model_dump(mode="json", by_alias=True)
+    for change in ({"status": "fine"}, {"com_G": [0.0, 0.0]}, {"frames": -1}, {"surprise": 1}):
+        with pytest.raises(ValidationError):
+            validator.validate(good | change)
+
+
+def test_the_numbers_are_those_of_the_estimate(example: Any) -> None:
+    summary, mass = _summary(example), example.estimate.mass
+    assert summary.status == "ok" and summary.warnings == []
+    assert summary.inertia is not None and summary.com_G is not None and summary.R_GP is not None
+    assert (summary.inertia.k1, summary.inertia.k2) == (mass.k1, mass.k2)
+    np.testing.assert_array_equal(summary.inertia.J_G, mass.J_G)
+    np.testing.assert_array_equal(np.array(summary.inertia.cov), mass.cov_k)
+    np.testing.assert_array_equal(summary.com_G, mass.com_G)
+    assert (summary.frames, summary.frames_used) == (24, 23)
+    assert summary.observations == len(example.tracks.frame) and summary.landmarks == 150
+    assert summary.duration_s == pytest.approx(11.5)
+    assert summary.timing_s.total == pytest.approx(4.5)
+
+
+def test_undetermined_is_null_and_its_best_number_stays(undetermined: Any, tmp_path: Path) -> None:
+    write_summary(_summary(undetermined), tmp_path / "summary.json")
+    content = _strict((tmp_path / "summary.json").read_text())
+    assert content["inertia"]["cov"] == [[None, None], [None, None]]
+    assert content["cov_com_G"][1] == [None, None, None] and content["cov_com_G"][0][0] == 1e-8
+    assert content["inertia"]["k1"] == undetermined.estimate.mass.k1
+    assert content["identifiable"] == {"k1": False, "k2": False, "com": False, "axes": False}
+    assert "pure spin" in content["identifiable_detail"]["k1"]
+
+
+def test_the_status_follows_from_what_was_found(example: Any, undetermined: Any) -> None:
+    assert _summary(example, warnings=["one frame was dropped"]).status == "ok"
+    assert _summary(undetermined).status == "ok"
+    assert _summary(example, failure="out of memory").status == "failed"
+    assert build_summary(example.tracks, example.estimate, None, {}).status == "degraded"
+    weight = np.where(np.arange(len(example.tracks.frame)) % 2 == 0, 0.0, 1.0)
+    doubtful = replace(example, estimate=replace(example.estimate, inlier_weight=weight))
+    assert _summary(doubtful).status == "degraded"
+    assert any(
+        "50% of the observations contradict the motion" in text for text in _summary(doubtful).warnings
+    )
+    stopped = replace(example.estimate, solver=replace(example.estimate.solver, converged=False))
+    assert _summary(replace(example, estimate=stopped)).status == "failed"
+
+
+def test_every_reason_is_told_once_and_the_failure_first(example: Any) -> None:
+    estimate = replace(example.estimate, warnings=("the light changed", "the light changed"))
+    summary = _summary(replace(example, estimate=estimate), warnings=["dropped"], failure="stopped")
+    assert summary.warnings == ["stopped", "the light changed", "dropped"]
+    solver = replace(example.estimate.solver, converged=False)
+    texts = ("the light changed", "the solver stopped before convergence: time")
+    own = replace(example.estimate, solver=solver, warnings=texts)
+    summary = _summary(replace(example, estimate=own))
+    assert summary.status == "failed"
+    assert summary.warnings == ["the solver stopped before convergence: time", "the light changed"]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [(None, "no such file"), ("{}", "Field required"), ("{", "JSON"), ("[]", "valid dict")],
+)
+def test_a_damaged_summary_is_refused_in_one_line(content: str | None, words: str, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / "summary.json").write_text(content)
+    with pytest.raises(InputError, match=words) as caught:
+        read_summary(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_check_that_does_not_hold_makes_the_run_degraded(example: Any) -> None:
+    none = make_check("window", None)
+    good, bad = make_check("window", 4.0), make_check("window", 4.01)
+    assert none.value is None and none.reason == good.reason == "" and bad.limit == 4.0
+    assert bad.reason.startswith("the causal estimate ends 4.0 sigma away")
+    assert make_check("window", 4.01, 5.0).reason == ""
+    few: dict[str, Any] = {"start_s": 1.0, "end_s": 2.0, "count": "5 landmarks", "others": ""}
+    assert (
+        make_check("connection", 6).reason == ""
+        and "5 landmarks" in make_check("connection", 5, **few).reason
+    )
+    assert _summary(example, checks=[none, good]).status == "ok"
+    summary = _summary(example, checks=[good, bad])
+    assert summary.status == "degraded" and summary.warnings[0] == bad.reason
+    assert summary.checks[:2] == (good, bad)
+    own = {each.name: each for each in summary.checks[2:]}
+    assert own["frames with measurements"].value == pytest.approx(2300.0 / 24.0)
+    assert own["faces of the mesh"].value
+    assert own["power of the disturbances over that stated"].value is None
+    noise = replace(example.estimate.noise, times_stated=64.0)
+    strong = _summary(replace(example, estimate=replace(example.estimate, noise=noise)))
+    assert strong.status == "degraded"
+    assert strong.warnings[0].startswith("the disturbances appear 64 times as strong as stated")
+
+
+CHANGES: dict[str, Callable[[dict[str, Any]], None]] = {
+    "status": lambda content: content.update(status="ok" if content["status"] != "ok" else "degraded"),
+    "k1": lambda content: content["inertia"].update(k1=0.5),
+    "frames": lambda content: content.update(frames=content["frames"] + 1),
+    "covariance": lambda content: content["inertia"].update(cov=[[1e-12, 0.0], [0.0, 1e-12]]),
+    "no warnings": lambda content: content.update(warnings=["all is well"]),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_summary_that_was_changed_by_hand_is_refused(change: str, example: Any, tmp_path: Path) -> None:
+    file = tmp_path / "summary.json"
+    write_summary(_summary(example), file)
+    content = json.loads(file.read_text())
+    # formatting, and the order of keys, are no content
+    file.write_text(json.dumps(dict(reversed(content.items()))))
+    assert read_summary(file) == _summary(example)
+    CHANGES[change](content)
+    file.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="changed since the run wrote it"):
+        read_summary(file)
+
+
+@pytest.mark.parametrize("part", ESTIMATE_PARTS)
+def test_a_summary_with_a_part_of_an_estimate_is_refused(part: str, example: Any, tmp_path: Path) -> None:
+    """No command has to look whether one part is there when another is."""
+    path = tmp_path / "summary.json"
+    write_summary(_summary(example), path)
+    content = json.loads(path.read_text())
+    del content["own_sha256"]
+    path.write_text(json.dumps({**content, part: None}))
+    with pytest.raises(InputError, match=rf"{part} is null, but other parts .*; not a summary") as caught:
+        read_summary(path)
+    assert "\n" not in str(caught.value) and "Value error" not in str(caught.value)
+    path.write_text(json.dumps({**content, **dict.fromkeys(ESTIMATE_PARTS)}))
+    assert read_summary(path).inertia is None
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "words"),
+    [
+        ("R_GP", np.diag([1.0, 1.0, -1.0]).tolist(), "R_GP: not a rotation"),
+        ("R_GP", np.zeros((3, 3)).tolist(), "R_GP: not a rotation"),
+        ("com_G", [1e300, 0.0, 0.0], "com_G: above 1e\\+12 m"),
+        ("inertia.moments", [1.0, 1.0, 0.0], "inertia.moments: not three positive"),
+        ("inertia.J_G", np.zeros((3, 3)).tolist(), "inertia.J_G: not symmetric and positive definite"),
+        ("inertia.J_G", np.full((3, 3), 1e300).tolist(), "inertia.J_G: not symmetric and positive definite"),
+        ("inertia.k1", 1e300, "inertia: k1 and k2 beyond 60"),
+        ("noise.accel_psd", 1e300, "noise: accel_psd or torque_psd is not from 0"),
+        ("noise.torque_psd", -1.0, "noise: accel_psd or torque_psd is not from 0"),
+    ],
+)
+def test_numbers_of_no_body_are_refused(
+    example: Any, part: str, value: object, words: str, tmp_path: Path
+) -> None:
+    """They were an endless integration, or a defect, in the commands that follow a run."""
+    file = tmp_path / "summary.json"
+    write_summary(_summary(example), file)
+    content = json.loads(file.read_text())
+    *sections, name = part.split(".")
+    inner = content
+    for section in sections:
+        inner = inner[section]
+    inner[name] = value
+    file.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=words):
+        read_summary(tmp_path)
+
+
+def test_the_verdict_has_status_reasons_and_every_check_with_its_range(example: Any) -> None:
+    checks = [
+        make_check("window", 3.0),
+        make_check("mirror", 5.0),
+        make_check("runner-up", 7.0),
+        make_check("links", None),
+    ]
+    verdict = _summary(example, checks=checks).verdict
+    assert verdict is not None and verdict.status == "degraded" and verdict.reasons == (checks[1].reason,)
+    found = [(each.value, each.expected, each.holds) for each in verdict.checks[:4]]
+    assert found == [
+        (3.0, (0.0, 4.0), True),
+        (5.0, (12.0, None), False),
+        (7.0, (0.0, None), None),
+        (None, (0.0, 15.0), None),
+    ]
+    assert [each.name for each in verdict.checks[:4]] == [each.name for each in checks]
+
+
+def test_a_status_that_falls_later_takes_the_verdict_along(example: Any) -> None:
+    summary = _summary(example)
+    fallen = lower_status(summary, "degraded", "no report: the disk is full")
+    assert fallen.status == "degraded" and fallen.warnings[-1] == "no report: the disk is full"
+    assert fallen.verdict is not None and fallen.verdict.reasons == ("no report: the disk is full",)
+    failed = lower_status(fallen, "failed", "the disk is full", first=True)
+    assert failed.verdict is not None and failed.verdict.status == "failed"
+    assert failed.warnings[0] == failed.verdict.reasons[0] == "the disk is full"
