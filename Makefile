@@ -115,7 +115,7 @@ demo: setup
 
 example:
 	test -f $(DEMO_RUN)/mesh.ply || $(MAKE) demo
-	$(BIN)/python -m examples.inspect_tumbling $(DEMO_RUN) sample -o runs/flight
+	$(BIN)/python -m examples.inspect_tumbling $(DEMO_RUN) examples/sample -o runs/flight
 
 test: setup $(TESTED)
 	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal

@@ -1,7 +1,7 @@
 """The front end: a stereo sequence to features, tracks and depth maps.
 
-In: images, masks and calibration of a ``polhode.records.dataset.StereoSequence``. Out: ``StereoTracks`` and relative
-poses for the back end, and depth maps for the mapping.
+In: images, masks and calibration of a ``polhode.records.dataset.StereoSequence``. Out: ``StereoTracks`` and
+relative poses for the back end, and depth maps for the mapping.
 
 extract.py          features and depth maps of every pair, in parallel processes
 rectification.py    images of any rig as those of an ideal one

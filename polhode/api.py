@@ -1,9 +1,9 @@
 """The library: ``polhode.run``, ``load``, ``simulate``, ``evaluate``, and a finished run as an object.
 
 Everything is what the command line does and reads the same files; a mistake of the caller raises
-``polhode.runtime.errors.InputError`` with one line, a run without an answer ``RunFailure``. ``polhode.Session`` is
-the live estimate (``polhode/pipeline/live/session.py``), ``polhode.stages`` each stage by itself. docs/api.md has
-examples.
+``polhode.runtime.errors.InputError`` with one line, a run without an answer ``RunFailure``.
+``polhode.Session`` is the live estimate (``polhode/pipeline/live/session.py``), ``polhode.stages`` each
+stage by itself. docs/api.md has examples.
 """
 
 import tempfile

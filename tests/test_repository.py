@@ -14,8 +14,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "polhode"
-ROOMS = tuple(sorted(path.name for path in PACKAGE.iterdir() if path.is_symlink()))
-"""Folders at the top level that are imported as ``polhode.ROOM``, by way of a link."""
+LINKED = ("backend", "frontend", "train")
+"""Rooms at the top level that are imported as ``polhode.ROOM``, by way of a link."""
+ROOMS = tuple(sorted(path.parent.name for path in PACKAGE.glob("*/__init__.py")))
 
 
 def project() -> dict[str, Any]:
@@ -23,32 +24,30 @@ def project() -> dict[str, Any]:
 
 
 def modules() -> list[Path]:
-    return [path for folder in ("polhode", *ROOMS) for path in sorted((ROOT / folder).rglob("*.py"))]
+    return [path for folder in ("polhode", *LINKED) for path in sorted((ROOT / folder).rglob("*.py"))]
 
 
-def test_each_room_is_reached_by_a_relative_link() -> None:
-    assert {"cli", "pipeline", "frontend", "backend", "mapping", "planning", "simulation"} <= set(ROOMS)
-    assert {(PACKAGE / name).readlink() for name in ROOMS} == {Path("..") / name for name in ROOMS}
+def test_three_rooms_are_reached_by_a_relative_link() -> None:
+    links = {path.name: path.readlink() for path in PACKAGE.iterdir() if path.is_symlink()}
+    assert links == {name: Path("..") / name for name in LINKED}
 
 
 @pytest.mark.parametrize("name", ["polhode", *(f"polhode.{room}" for room in ROOMS)])
 def test_our_own_packages_are_the_ones_imported(name: str) -> None:
     found = importlib.import_module(name).__file__
     assert found is not None
-    assert Path(found).resolve().parent == ROOT.joinpath(name.rpartition(".")[2])
+    assert Path(found).resolve().parent == ROOT.joinpath(*name.split(".")).resolve()
 
 
 def test_rooms_are_imported_by_their_full_name() -> None:
     """``import frontend`` works in the checkout only, and would be a second copy of the room."""
     python = [
-        path
-        for folder in ("tests", "lab", "examples", "release", "website")
-        for path in (ROOT / folder).rglob("*.py")
+        path for folder in ("tests", "lab", "examples", "docs") for path in (ROOT / folder).rglob("*.py")
     ]
     bare = {
         f"{path.relative_to(ROOT)}: {name}"
         for path in [*modules(), *python]
-        for name in imported_names(path) & set(ROOMS)
+        for name in imported_names(path) & set(LINKED)
     }
     assert bare == set()
 
@@ -117,7 +116,7 @@ PAGES = (
     "SECURITY.md",
     *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").glob("*.md")),
 )
-FOLDERS = "|".join((*ROOMS, "polhode", "lab", "configs", "docs", "examples", "release", "tests", "website"))
+FOLDERS = "|".join((*LINKED, "polhode", "lab", "configs", "docs", "examples", "tests"))
 GENERATED = re.compile(r"reference/|study_results/\w+/study\.html")
 """Pages that the site makes from the code and from the tables of studies; MkDocs checks the links to them."""
 
@@ -147,7 +146,6 @@ def test_files_and_modules_that_a_page_names_exist(page: str) -> None:
     missing |= {f"{name} -> {target}" for name, target in named if not f"/{target}".endswith(f"/{name}")}
     modules = {each.replace(".", "/") for each in re.findall(rf"python3? -m ((?:{FOLDERS})[\w.]*\w)", text)}
     for module in modules:
-        # Rooms are imported through the links below polhode/.
         if not (ROOT / f"{module}.py").is_file() and not (ROOT / module / "__init__.py").is_file():
             missing.add(module)
     assert missing == set()

@@ -1,7 +1,9 @@
-"""Exponential and logarithm of SO(3) for many rotations at once, compiled: ``polhode.geometry.lie`` for inner loops.
+"""Exponential and logarithm of SO(3) for many rotations at once, compiled: ``polhode.geometry.lie`` for
+inner loops.
 
-``polhode.geometry.lie`` uses SciPy's general conversions, whose overhead dominates for a dozen rotations. Arrays of
-any memory layout are taken, but copied to be contiguous, since the functions would be compiled for each.
+``polhode.geometry.lie`` uses SciPy's general conversions, whose overhead dominates for a dozen rotations.
+Arrays of any memory layout are taken, but copied to be contiguous, since the functions would be compiled for
+each.
 """
 
 import numpy as np

@@ -295,8 +295,8 @@ def _refined(
 def _fit_in_rounds(
     start: Bools, free: Bools, p_A: Array, p_B: Array, weight: Array, gate_m: Array
 ) -> tuple[Array, Array, Bools]:
-    """R (3, 3) and t (3,) of the last round's fit, as ``polhode.geometry.rigid_fit``, and its inliers; none of these
-    if a round has fewer than three."""
+    """R (3, 3) and t (3,) of the last round's fit, as ``polhode.geometry.rigid_fit``, and its inliers; none
+    of these if a round has fewer than three."""
     inlier = start.copy()
     R, t = np.eye(3), np.zeros(3)
     for shrink in _SHRINK:

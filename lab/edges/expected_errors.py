@@ -4,16 +4,16 @@
 
 Fourteen bodies, all edges or the longest that make up three quarters and half of their length, 20 poses from
 4 m to 2 m and 10 at 3 m, 30 images of each pose under other Suns. What is expected
-(``polhode/planning/edges/expected_tracking.py``) knows model and pose, neither the Sun nor the image. Of each pair of
-a model and a pose the root mean square of the errors of its trials is compared with the expected standard
-deviation, for each degree of freedom. Pairs of which more than the error of the start is expected, or
-nothing, are left out; "all pairs" has them with the start's, as a tracker should not end farther off. "Off":
-median displacement of the edges in the image. "Confirmed": trials that have settled, and of which the image
-confirms ``CONFIRMED``. "NEES, stated": squared error of the confirmed trials over the covariance that the
-tracker states, per degree of freedom; "and expected": with that of the expected displacement besides; "held
-out": with ``polhode/planning/edges/tracked_covariance.py`` fitted to all other bodies, its median over that of
-chi-squared, and the share of trials within its ellipsoid of 95 %. ``--rich``: bodies with their own paint and
-cells, which the model of edges does not have.
+(``polhode/planning/edges/expected_tracking.py``) knows model and pose, neither the Sun nor the image. Of
+each pair of a model and a pose the root mean square of the errors of its trials is compared with the
+expected standard deviation, for each degree of freedom. Pairs of which more than the error of the start is
+expected, or nothing, are left out; "all pairs" has them with the start's, as a tracker should not end
+farther off. "Off": median displacement of the edges in the image. "Confirmed": trials that have settled, and
+of which the image confirms ``CONFIRMED``. "NEES, stated": squared error of the confirmed trials over the
+covariance that the tracker states, per degree of freedom; "and expected": with that of the expected
+displacement besides; "held out": with ``polhode/planning/edges/tracked_covariance.py`` fitted to all other
+bodies, its median over that of chi-squared, and the share of trials within its ellipsoid of 95 %.
+``--rich``: bodies with their own paint and cells, which the model of edges does not have.
 """
 
 from collections.abc import Iterator, Sequence

@@ -12,8 +12,8 @@ An error is the root of the squares of the translation in radii and of the rotat
 thousandths. No image is left out; median and mean are over the images of an approach, the latter of errors
 up to CAPPED. Ratios are of the planned approach to the straight one, their means over the seeds geometric,
 with the band of 95 % of a bootstrap over the seeds. "Promised" is the same ratio of what is expected of the
-tracker at these views before there is an image (``polhode/planning/edges/expected_tracking.py``). Where no path keeps
-the limits, the straight one is flown, and the ratio is 1.
+tracker at these views before there is an image (``polhode/planning/edges/expected_tracking.py``). Where no
+path keeps the limits, the straight one is flown, and the ratio is 1.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,7 @@
 """Monte Carlo on measurements without images: errors against the bound, consistency, convergence.
 
-In: sequences of polhode/simulation/monte_carlo.py. Out: tables (docs/accuracy.md, docs/live.md, docs/backend.md).
+In: sequences of polhode/simulation/monte_carlo.py. Out: tables (docs/accuracy.md, docs/live.md,
+docs/backend.md).
 
     bound         the Cramer-Rao bound; cold starts and their errors, which the others use
     accuracy      errors against the bound, and consistency of the sigmas

@@ -28,7 +28,7 @@ from lab.presentation import markdown_table
 
 FAULTS = Path(__file__).with_name("faults.yaml")
 LEFT_OUT = (".git", ".venv", "runs", "data", ".mypy_cache", ".ruff_cache", ".pytest_cache")
-FAULTY = ("backend", "cli", "compare", "frontend", "mapping", "pipeline", "planning", "polhode", "simulation")
+FAULTY = ("backend", "frontend", "train", "polhode")
 LONGEST_S = 1500.0
 """Limit for the tests of a fault that makes a loop endless."""
 _COMPILED = re.compile(r"^@(njit|compiled|fused)", re.MULTILINE)

@@ -6,8 +6,9 @@ least squares turn their displacements into an error of the pose, the same way i
     pose error = -C^-1 sum_i w_i f_i (f_i,G . d_i)        d_i: of the model's point from the true one, in G
 
 Two kinds of displacements: those of the whole surface outward, a length that is the same everywhere, and
-those of each segment by itself, by the covariance of its ends (``polhode/planning/edges/edge_refinement.py``).
-Directions that a view does not determine have a large, finite variance.
+those of each segment by itself, by the covariance of its ends
+(``polhode/planning/edges/edge_refinement.py``). Directions that a view does not determine have a large,
+finite variance.
 """
 
 from dataclasses import dataclass

@@ -8,8 +8,8 @@ and ``--stored`` computes nothing. Printed are, for each error, how much of its 
 factor from the median to the end of the band of 90 %, and how many of the runs are inside the band of a fit
 that leaves out their third of the runs. The last ``--held-back`` runs with an answer are in no fit: how many
 of them are inside the band is printed with the interval of Clopper and Pearson. The rules are written only if
-there are enough runs, and if no coverage contradicts 90 %; ``-o polhode/studies/rules_of_thumb.yaml`` gives them
-to ``polhode expect``.
+there are enough runs, and if no coverage contradicts 90 %; ``-o polhode/studies/rules_of_thumb.yaml`` gives
+them to ``polhode expect``.
 """
 
 from collections.abc import Mapping, Sequence

@@ -15,13 +15,11 @@ In: the folder of a sequence and a configuration. Out: the run directory (docs/r
 - build_surface: fusion of the depth by the motion
 - finish_surface: holes, colours, coverage and levels of the fused surface
 - write_results: the files of a run, each as soon as there is what it contains
+- run_pictures: the pictures of a run
 - coverage: the share of the body that was seen, seen but never lit, never seen
-- evaluation: a run against the truth of its dataset, which nothing else reads
 - uniform_density: mass properties from the mesh at uniform density, assumed and compared with the motion's
 
 stream/ has the stages of one pair after the other, live/ takes pairs as they come; checkout/ checks a
-sequence before a run; data_checks/ finds signs that the data are not as they say, answer_checks/ that the
-answer is not; intervals/ bounds what the motion does not determine; run_directory/ reads and writes a run;
-report/ and pictures/ show it; after_run/ derives plans, predictions, exports and the observability of edges
-from it.
+sequence before a run; checks/ finds signs that the data are not as they say (data_checks/) and that the
+answer is not (answer_checks/); intervals/ bounds what the motion does not determine.
 """

@@ -1,7 +1,7 @@
 """A stereo sequence on disk (docs/dataset.md), without its truth, which polhode/records/read_truth.py reads.
 
-The second of the two cameras may be a range sensor (polhode/records/range_images.py): then the calibration has a
-virtual right camera, and ``read_range`` takes the place of the right images.
+The second of the two cameras may be a range sensor (polhode/records/range_images.py): then the calibration
+has a virtual right camera, and ``read_range`` takes the place of the right images.
 
 Every image is decoded once when the sequence is opened, so that damage is found before the work begins.
 """

@@ -1,8 +1,8 @@
 """Errors of an estimate: estimate minus truth.
 
 A half-turn about a principal axis changes the signs of the axes, not the motion: the best of the four is
-taken. Nothing else is aligned, except where a metric's definition says so. ``polhode/pipeline/evaluation`` applies
-them to a run, with the errors of inertia, mesh and prediction.
+taken. Nothing else is aligned, except where a metric's definition says so. ``polhode/pipeline/evaluation``
+applies them to a run, with the errors of inertia, mesh and prediction.
 """
 
 from dataclasses import dataclass

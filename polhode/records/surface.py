@@ -1,7 +1,7 @@
 """Depth maps and the dense surface.
 
-Frames (docs/notation.md): N inertial, R rectified left camera, G geometric frame of the target, P principal axes
-at the centre of mass. ``p_N = X_NG @ p_G``; ``p_G = R_GP @ p_P + com_G``.
+Frames (docs/notation.md): N inertial, R rectified left camera, G geometric frame of the target, P principal
+axes at the centre of mass. ``p_N = X_NG @ p_G``; ``p_G = R_GP @ p_P + com_G``.
 """
 
 from dataclasses import dataclass

@@ -16,6 +16,8 @@ In: a run directory. Out: report.html.
 - plot_style: axes, traces and colours that the figures share
 - page_pictures: pictures and film of the run inside the page
 - page_size: the size of the page, and fewer points for the figures of a long run
+- evaluation: a run against the truth of its dataset, which nothing else reads
+- pictures/: pictures and film of a run
 - templates/: the pages (Jinja), their style (page.css) and script (page.js)
 """
 

@@ -9,8 +9,8 @@ Everything is written into a hidden folder beside RUN, which takes the place of 
 - an interrupt: likewise, but for the results of finished stages (``stages``), which stay in the hidden folder
   for a run that resumes from them.
 
-Replaced are a run's own files: those of ``polhode.files.output.run_files`` that its summary.json lists, if they are
-what the run wrote. Files of the user that are among them stay in RUN.
+Replaced are a run's own files: those of ``polhode.files.output.run_files`` that its summary.json lists, if
+they are what the run wrote. Files of the user that are among them stay in RUN.
 """
 
 import logging

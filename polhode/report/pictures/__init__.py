@@ -1,6 +1,7 @@
 """Pictures of a run and of what follows from it. They illustrate; no result depends on them.
 
-In: tracks, estimate and surface. Out: images, which polhode/pipeline/run_pictures.py writes into RUN/pictures.
+In: tracks, estimate and surface. Out: images, which polhode/pipeline/run_pictures.py writes into
+RUN/pictures.
 
 - mask_strip: outlines of masks that were found before a background that is not dark
 - body_views: map and mesh from all sides; the directions of view, shared with the pictures of a plan

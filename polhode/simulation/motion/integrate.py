@@ -1,7 +1,7 @@
 """Integration of a rigid body under piecewise continuous forces, with internal friction.
 
-Unlike polhode.geometry.rigid_body, whose motion is free, this integrates from one discontinuity of the forces to the
-next.
+Unlike polhode.geometry.rigid_body, whose motion is free, this integrates from one discontinuity of the forces
+to the next.
 
 State y (13,): r_N [m], v_N [m/s], quaternion of R_NP (w, x, y, z), angular momentum h_P [N m s].
 

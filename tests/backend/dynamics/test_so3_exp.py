@@ -1,4 +1,4 @@
-"""Compiled rotations are those of ``polhode.geometry.lie``: near no turn, in between, and near half a turn."""
+"""Compiled rotations are those of ``geometry.lie``: near no turn, in between, and near half a turn."""
 
 import numpy as np
 import pytest
