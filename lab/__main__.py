@@ -97,8 +97,8 @@ def make_sample_run() -> None:
     """The run of the sample that short forms read, with its errors; nothing is done where it is there."""
     folder = ROOT / SAMPLE_RUN
     if not (folder / "metrics.json").is_file():
-        polhode("run", DEFAULT, "--data", "sample", "-o", folder, "--overwrite")
-        polhode("evaluate", folder, "sample")
+        polhode("run", DEFAULT, "--data", "examples/sample", "-o", folder, "--overwrite")
+        polhode("evaluate", folder, "examples/sample")
 
 
 if __name__ == "__main__":

@@ -74,5 +74,5 @@ def beginning_of_sample() -> Path:
     """The first seconds of the sample as a sequence, for short forms; made once."""
     folder = ROOT / "runs/short/beginning"
     if not (folder / "mav0").is_dir():
-        polhode("import", "sample", "-o", folder, "--end", 4.0, "--overwrite")
+        polhode("import", "examples/sample", "-o", folder, "--end", 4.0, "--overwrite")
     return folder

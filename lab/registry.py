@@ -16,7 +16,7 @@ class Benchmark:
 
     name: str
     module: str
-    """Within ``benchmarks``"""
+    """Within ``lab``"""
     page: str
     """That quotes what it prints; empty: none does"""
     minutes: float
@@ -46,7 +46,7 @@ class Benchmark:
 
     def words(self, short: bool = False) -> list[str]:
         """Of the command line, after ``python``."""
-        return ["-m", f"benchmarks.{self.module}", *((self.short or "") if short else self.full).split()]
+        return ["-m", f"lab.{self.module}", *((self.short or "") if short else self.full).split()]
 
     def missing(self, short: bool = False) -> str:
         """The first missing requirement; empty: none. Short forms need no runs and no sequences of data/."""
@@ -77,20 +77,23 @@ def _of_runs(
         return form.format(runs=" ".join(runs), sequences=" ".join(sequences), pairs=pairs)
 
     runs, sequences = ([f"{folder}/{each}" for each in scenes] for folder in ("runs", "data"))
-    short = f"{filled([SAMPLE_RUN], ['sample'])} {more}"
+    short = f"{filled([SAMPLE_RUN], ['examples/sample'])} {more}"
     return Benchmark(name, module, page, minutes, filled(runs, sequences), short, (*runs, *sequences))
 
 
 BENCHMARKS = (
+    Benchmark("pages", "pages", "docs/testing.md", 1, short=""),
     Benchmark("scenes", "end_to_end.scenes", "docs/scenes.md", 240, short=f"--run {SAMPLE_RUN}"),
-    Benchmark("thesis", "end_to_end.thesis", "README.md", 3, short=f"--run {SAMPLE_RUN} --sequence sample"),
+    Benchmark("thesis", "end_to_end.thesis", "README.md", 3,
+              short=f"--run {SAMPLE_RUN} --sequence examples/sample"),
     Benchmark("against_slam", "end_to_end.against_slam", "README.md", 15, "--scenes sample closed_tumble",
               "--short --record runs/short/records/against_slam"),
     Benchmark("footprint", "end_to_end.footprint", "README.md", 2,
               short="--short --record runs/short/records/footprint"),
     Benchmark("animation", "end_to_end.animation", "README.md", 5,
               "runs/closed_tumble data/closed_tumble -o runs/tumbling.webp",
-              f"{SAMPLE_RUN} sample -o runs/short/tumbling.webp --frames 2", ("runs/closed_tumble",)),
+              f"{SAMPLE_RUN} examples/sample -o runs/short/tumbling.webp --frames 2",
+              ("runs/closed_tumble",)),
     Benchmark("report_picture", "end_to_end.report_picture", "docs/checks.md", 1,
               "runs/sample --section checks -o runs/report_panel.png",
               f"{SAMPLE_RUN} --section checks -o runs/short/report_panel.png",
@@ -99,7 +102,7 @@ BENCHMARKS = (
              "{runs} {sequences} -o runs/prediction.png"),
     Benchmark("temple", "end_to_end.photographs", "docs/validation.md", 15,
               "data/temple --run runs/temple -o runs/temple.png",
-              f"sample --run {SAMPLE_RUN} --box None -o runs/short/temple.png", ("data/temple",)),
+              f"examples/sample --run {SAMPLE_RUN} --box None -o runs/short/temple.png", ("data/temple",)),
     Benchmark("random_rigs", "calibration.random_rigs", "docs/calibrate.md", 30,
               short="--short --record runs/short/records/random_rigs"),
     _of_runs("run_cost", "checkout.run_cost", "docs/checkout.md", 1, _WITH_TRUTH, "{pairs}"),

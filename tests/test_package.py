@@ -1,28 +1,66 @@
-"""The distribution: built, installed and run where nothing of this repository can be found."""
+"""The wheel: built, installed and run where nothing of this repository can be found."""
 
 import csv
 import os
 import shutil
 import subprocess
 import sys
+import sysconfig
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from lab.release.distribution import build
-from lab.release.trial import LIGHT, PAIRS, Environment, copy_first_pairs, make_environment
+from tests.docs.world import FRAMES, small_sequence
 
 ROOT = Path(__file__).parents[1]
-ONE_METHOD = ("--frontend.features.second", "None")
-"""Of the front end"""
+LIGHT = (
+    *("--frontend.features.second", "None", "--frontend.depth.method", "sgbm"),
+    *("--backend.window.enabled", "False", "--mapping.voxel-mm", "10"),
+)
+"""Options that make a run of a few frames short."""
+
+
+@dataclass(frozen=True)
+class Environment:
+    """A virtual environment in a folder of its own, with the dependencies of this one."""
+
+    folder: Path
+
+    @property
+    def python(self) -> Path:
+        return self.folder / "environment" / "bin" / "python"
+
+    @property
+    def packages(self) -> Path:
+        return next((self.folder / "environment" / "lib").iterdir()) / "site-packages"
+
+    def run(self, *command: str | Path) -> str:
+        """What a command prints that knows nothing of ours: an empty folder, a home of its own."""
+        work, home = self.folder / "work", self.folder / "home"
+        for each in (work, home):
+            each.mkdir(exist_ok=True)
+        path = f"{self.python.parent}{os.pathsep}{os.defpath}"
+        given = {"HOME": str(home), "PATH": path, "LANG": "C.UTF-8"}
+        done = subprocess.run(command, cwd=work, env=given, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
 
 
 @pytest.fixture(scope="module")
 def installation(tmp_path_factory: pytest.TempPathFactory) -> Environment:
-    """The wheel of the sdist, installed beside foreign packages that are named as folders of ours."""
-    folder = tmp_path_factory.mktemp("package")
-    (folder / "archives").mkdir()
-    environment = make_environment(folder, build(ROOT, folder / "archives").wheel, constraints=None)
+    """The wheel, installed beside foreign packages that are named as folders of ours."""
+    environment = Environment(tmp_path_factory.mktemp("package"))
+    archives = environment.folder / "archives"
+    build = (sys.executable, "-m", "hatchling", "build", "-d", archives, "-t", "wheel")
+    subprocess.run(build, cwd=ROOT, check=True)
+    venv = (sys.executable, "-m", "venv", "--without-pip", environment.folder / "environment")
+    subprocess.run(venv, check=True)
+    options = ("--quiet", "--disable-pip-version-check", "--no-compile", "--no-deps", "--no-index")
+    pip = (sys.executable, "-m", "pip", "--python", environment.python, "install", *options)
+    subprocess.run((*pip, next(archives.glob("*.whl"))), check=True)
+    # An editable installation there is not seen, because its own .pth is not read.
+    (environment.packages / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
     for name in ("train", "backend"):
         (environment.packages / name).mkdir()
         foreign = environment.packages / name / "__init__.py"
@@ -70,13 +108,13 @@ def test_every_file_of_the_rooms_is_installed(installation: Environment) -> None
 def test_the_program_runs_without_configuration_from_an_empty_folder(
     installation: Environment, rendered_sequence: Path
 ) -> None:
-    copy_first_pairs(rendered_sequence, installation.folder / "work" / "sequence", PAIRS)
+    small_sequence(rendered_sequence, installation.folder / "work" / "sequence")
     assert installation.run(installation.python, "-m", "polhode", "--version").startswith("polhode ")
     program = installation.python.with_name("polhode")
-    said = installation.run(program, "run", "--data", "sequence", "-o", "result", *LIGHT, *ONE_METHOD)
+    said = installation.run(program, "run", "--data", "sequence", "-o", "result", *LIGHT)
     result = installation.folder / "work" / "result"
     assert said.rstrip().endswith(str(Path("result") / "report.html"))
-    assert (result / "trajectory.csv").read_text().count("\n") == PAIRS + 1
+    assert (result / "trajectory.csv").read_text().count("\n") == FRAMES + 1
     assert (result / "mesh.ply").is_file()
 
 

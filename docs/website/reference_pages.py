@@ -198,7 +198,7 @@ def benchmarks_page() -> str:
 
 
 def _benchmark_row(benchmark: Benchmark) -> tuple[str, ...]:
-    command = " ".join(["python -m", f"benchmarks.{benchmark.module}", *benchmark.full.split()])
+    command = " ".join(["python -m", f"lab.{benchmark.module}", *benchmark.full.split()])
     page = posixpath.basename(benchmark.page.partition("#")[0])
     link = f"[{page.removesuffix('.md')}](../{page if page != 'README.md' else 'readme.md'})" if page else "-"
     return f"`{benchmark.name}`", benchmark.prints, f"`{command}`", f"{benchmark.minutes:g}", link

@@ -36,7 +36,7 @@ def make_release(root: Path, output: Path, is_dry_run: bool, is_offline: bool) -
         print("sdist and wheel are built; names, metadata and files are right", flush=True)
         constraints = source / "constraints.txt"
         environment = make_environment(work, built.wheel, None if is_offline else constraints)
-        try_program(environment, source / "sample", chosen.version)
+        try_program(environment, source / "examples" / "sample", chosen.version)
         print("the wheel runs in an empty environment", flush=True)
         files = {each.name: each.read_bytes() for each in (built.sdist, built.wheel, constraints)}
     files["polhode.cdx.json"] = _bill_of_materials().encode()

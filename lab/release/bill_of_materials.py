@@ -34,7 +34,7 @@ from polhode.files.atomic import write_text
 from polhode.runtime.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
-WEIGHTS, SAMPLE = Path("frontend/weights"), Path("sample")
+WEIGHTS, SAMPLE = Path("frontend/weights"), Path("examples/sample")
 MAX_LICENCE_LENGTH = 100
 """Longer fields hold the text of a licence instead of its name."""
 
