@@ -22,7 +22,6 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 SOLVERS := .venv/.solvers
 MATCHERS := .venv/.matchers
-FUZZ := .venv/.fuzz
 SBOM := .venv/.sbom
 SITE := .venv/.site
 TEST_PACKAGES := .venv/.test_packages
@@ -141,13 +140,6 @@ release: setup $(SBOM)
 
 bench: setup $(MATCHERS) $(SOLVERS)
 	$(BIN)/python -m lab $(SHORT)
-
-$(FUZZ): $(STAMP)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[fuzz]' || \
-	    echo "polhode: Atheris is not installed here: inputs come from a mutator that knows no coverage" >&2
-	@touch $@
-
-bench-fuzz: $(FUZZ)
 
 bench-%: setup $(MATCHERS) $(SOLVERS)
 	$(BIN)/python -m lab $* $(SHORT)

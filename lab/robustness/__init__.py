@@ -19,5 +19,4 @@ fuzzing             inputs found by mutation, for every reader of files
 fuzz_targets        the readers, each with a small valid corpus
 fuzz_check          what an input may do: success, or one line of InputError
 fuzz_mutation       changes of bytes, numbers, lines, members and chunks
-fuzz_process        the process of one target: engine, limits, findings
 """
