@@ -49,11 +49,15 @@ def polhode(*arguments: object, may_fail: bool = False) -> None:
         raise SystemExit(done.returncode)
 
 
-def simulated(config: Path, folder: Path) -> Path:
+QUICK = ("--scene.render.samples", "1", "--scene.render.bounces", "0")
+"""Options that make rendering quick, for short forms."""
+
+
+def simulated(config: Path, folder: Path, *options: str) -> Path:
     """The sequence of a scene, simulated unless it is there."""
     if not (folder / "mav0").is_dir():
         folder.parent.mkdir(parents=True, exist_ok=True)
-        polhode("simulate", config, "-o", folder)
+        polhode("simulate", config, "-o", folder, *options)
     return folder
 
 

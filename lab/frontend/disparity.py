@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tyro.conf import arg
 
-from lab.command import ROOT, Short, command, simulated
+from lab.command import QUICK, ROOT, Short, command, simulated
 from lab.presentation import print_table
 from polhode.config.frontend_settings import Depth
 from polhode.frontend.disparity.depth import crop_disparity
@@ -63,9 +63,10 @@ def main(
         "network": partial(crop_disparity, config=network),
     }
     configs = sorted((ROOT / "configs/depth_test").glob("*.yaml"))
-    folders = [
-        simulated(each, ROOT / "data/depth_test" / each.stem) for each in configs[: 1 if short else None]
-    ]
+    if short:
+        folders = [simulated(configs[0], ROOT / "runs/short/depth", "--scene.frames", "2", *QUICK)]
+    else:
+        folders = [simulated(each, ROOT / "data/depth_test" / each.stem) for each in configs]
     print_table(HEAD, _rows(folders, methods, 1 if short else None))
 
 

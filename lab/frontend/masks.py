@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from tyro.conf import Positional, arg
 
-from lab.command import ROOT, Short, command, polhode
+from lab.command import QUICK, ROOT, Short, command, polhode
 from lab.presentation import print_table
 from polhode.frontend.background.find_masks import doubtful_frames, find_background, find_masks
 from polhode.frontend.rectification import Rectifier, make_rectifier
@@ -36,7 +36,6 @@ HEAD = (
     "scene | pairs | background | IoU left | IoU right | median | smallest | at least 0.95 | by brightness | "
     "doubtful | seconds a pair"
 )
-QUICK = ("--scene.render.samples", "1", "--scene.render.bounces", "0")
 
 
 def main(

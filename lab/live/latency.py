@@ -115,15 +115,16 @@ def measure(case: Case) -> Case:
     }
 
 
-def errors_of(file: Path, sequence: Path, final: Trajectory) -> list[float]:
+def errors_of(file: Path, sequence: Path, final: Trajectory) -> list[float | None]:
     """Root mean square errors of position [mm], velocity [mm/s] and rate [deg/s] in the second half, and of
-    the position over the standard deviations of the batch's final answer, which has these pairs and more."""
+    the position over the standard deviations of the batch's final answer, which has these pairs and more; None
+    without a truth."""
     table = read_trajectory(file)
     half = slice(len(table.timestamps_ns) // 2, None)
     stamps = table.timestamps_ns[half]
     truth = truth_of_frames(sequence, stamps)
     if truth is None:
-        return [float("nan")] * 4
+        return [None] * 4
     states = States(stamps, table.r_N[half], table.v_N[half], table.R_NP[half], table.w_P[half])
     errors = motion_errors(states, truth_at(truth, stamps))
     sigma_r = final.sigma_r[np.searchsorted(final.timestamps_ns, stamps)]
@@ -167,7 +168,12 @@ def error_rows(line: Case) -> list[list[str]]:
     """Of the second table: live, causal of the batch, final."""
     same = {"final": "yes" if line["same"] else "no"}
     return [
-        [_name(line), kind, *(f"{error:.3g}" for error in errors), same.get(kind, "-")]
+        [
+            _name(line),
+            kind,
+            *("-" if error is None else f"{error:.3g}" for error in errors),
+            same.get(kind, "-"),
+        ]
         for kind, errors in line["errors"].items()
     ]
 
