@@ -117,8 +117,8 @@ def measure(case: Case) -> Case:
 
 def errors_of(file: Path, sequence: Path, final: Trajectory) -> list[float | None]:
     """Root mean square errors of position [mm], velocity [mm/s] and rate [deg/s] in the second half, and of
-    the position over the standard deviations of the batch's final answer, which has these pairs and more; None
-    without a truth."""
+    the position over the standard deviations of the batch's final answer, which has these pairs and more.
+    None without a truth."""
     table = read_trajectory(file)
     half = slice(len(table.timestamps_ns) // 2, None)
     stamps = table.timestamps_ns[half]
