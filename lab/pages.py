@@ -26,7 +26,11 @@ from lab.presentation import markdown_table
 from lab.record import lines_of
 from lab.registry import BENCHMARKS
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "lab").glob("*/README.md")),
+]
 COMMAND = re.compile(r"(?:python -m (lab[\w.]*)((?: +(?:\\\n *)?[^\s`#|\\]+)*)|make bench-(\w+))")
 
 

@@ -3,7 +3,6 @@
 import contextlib
 import io
 import os
-import posixpath
 import re
 from collections.abc import Iterable, Iterator
 from typing import Any, get_args, get_origin
@@ -13,6 +12,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
+from docs.website.source_pages import site_path
 from lab.registry import BENCHMARKS, Benchmark
 from polhode.cli.main import COMMANDS, main
 from polhode.cli.options import ConfiguredCommand
@@ -199,6 +199,7 @@ def benchmarks_page() -> str:
 
 def _benchmark_row(benchmark: Benchmark) -> tuple[str, ...]:
     command = " ".join(["python -m", f"lab.{benchmark.module}", *benchmark.full.split()])
-    page = posixpath.basename(benchmark.page.partition("#")[0])
-    link = f"[{page.removesuffix('.md')}](../{page if page != 'README.md' else 'readme.md'})" if page else "-"
+    page = benchmark.page
+    name = page.removesuffix("/README.md").removesuffix(".md").rpartition("/")[2]
+    link = f"[{name}](../{site_path(page)})" if page else "-"
     return f"`{benchmark.name}`", benchmark.prints, f"`{command}`", f"{benchmark.minutes:g}", link

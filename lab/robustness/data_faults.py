@@ -6,7 +6,7 @@ Each body is simulated once, or once more where a fault must be rendered; the ot
 times, calibration or poses. Each run is a row of the record; an interrupted campaign goes on. Cases are
 independent: on several machines, give each its ``--bodies`` and ``--record``, and join the records (cat).
 
-"wrong", "claimed" and the floors: ``lab/robustness/judge.py``; docs/robustness.md explains the faults.
+"wrong", "claimed" and the floors: ``lab/robustness/judge.py``; docs/trust.md explains the faults.
 """
 
 import fcntl

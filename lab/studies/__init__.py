@@ -2,7 +2,7 @@
 
 In: tables of docs/study_results. Out: findings with intervals; rules, fitted and checked.
 
-    findings         tables of docs/study_findings.md
+    findings         tables of lab/studies/README.md
     study_results    points, settings and errors of a study
     confidence       numbers with intervals of 95 %
     rules_of_thumb   random scenes, run and fitted: the rules

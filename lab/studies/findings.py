@@ -3,7 +3,7 @@
     python -m lab.studies.findings [NAME ...] [--folder DIR] [--page FILE]
 
 Without a name, of every study that is there. ``--folder``: where the folders of the studies are. A finding
-may need two studies. The page docs/study_findings.md quotes what is printed; ``--page`` replaces its
+may need two studies. The page lab/studies/README.md quotes what is printed; ``--page`` replaces its
 tables, each below its title, in the section that shows the command of the finding.
 """
 

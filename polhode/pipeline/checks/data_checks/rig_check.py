@@ -8,7 +8,7 @@ cameras look at different times. Disparities below zero: the images of the pair 
 Sideways, a knock changes disparities alone. Then everything is nearer and smaller, or farther and larger,
 from some time on: what frames before and after it share does not fit together (``disparity_steps``).
 
-What no image can show is in docs/robustness.md.
+What no image can show is in docs/trust.md.
 """
 
 from collections.abc import Callable, Sequence
