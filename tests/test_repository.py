@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Any
@@ -109,6 +110,14 @@ def test_no_package_of_tests_shadows_ours() -> None:
     assert list((ROOT / "tests").rglob("__init__.py")) == []
 
 
+@cache
+def sources() -> list[str]:
+    """All Python files, relative to the repository."""
+    return [
+        f"/{path.relative_to(ROOT)}" for each in FOLDERS.split("|") for path in (ROOT / each).rglob("*.py")
+    ]
+
+
 PAGES = (
     "CODE_OF_CONDUCT.md",
     "CONTRIBUTING.md",
@@ -137,10 +146,8 @@ def test_files_and_modules_that_a_page_names_exist(page: str) -> None:
             missing.add(f"{name}#{anchor}")
     paths = set(re.findall(rf"(?<![\w./-])((?:{FOLDERS})/[\w./-]*\.[a-z]\w*)", text))
     missing |= {each for each in paths if not (ROOT / each).exists()}
-    sources = [path for folder in FOLDERS.split("|") for path in (ROOT / folder).rglob("*.py")]
-    known = tuple(f"/{path.relative_to(ROOT)}" for path in sources)
     files = set(re.findall(r"`([\w./]+\.py)`", text))
-    missing |= {each for each in files if not any(path.endswith(f"/{each}") for path in known)}
+    missing |= {each for each in files if not any(path.endswith(f"/{each}") for path in sources())}
     # A link whose text is a file leads to that file.
     named = re.findall(r"\[`([\w./]+\.py)`\]\(([^)\s]+)\)", text)
     missing |= {f"{name} -> {target}" for name, target in named if not f"/{target}".endswith(f"/{name}")}
@@ -153,13 +160,11 @@ def test_files_and_modules_that_a_page_names_exist(page: str) -> None:
 
 def test_the_page_about_the_architecture_lists_every_sub_room() -> None:
     text = (ROOT / "docs" / "architecture.md").read_text()
-    rooms = [room for room in ROOMS if any((ROOT / room).glob("*/__init__.py"))]
-    rows = {room: text.rpartition(f"\n| `{room}/` | ")[2].partition("\n")[0] for room in rooms}
+    rows = dict(re.findall(r"^\| `(?:polhode/)?(\w+)/` \| (.*)", text, re.MULTILINE))
     missing = {
-        f"{room}/{path.parent.name}"
-        for room in rooms
-        for path in (ROOT / room).glob("*/__init__.py")
-        if f"`{path.parent.name}/`" not in rows[room]
+        f"{path.parts[-3]}/{path.parts[-2]}"
+        for path in PACKAGE.glob("*/*/__init__.py")
+        if f"`{path.parts[-2]}/`" not in rows.get(path.parts[-3], "")
     }
     assert missing == set()
 
