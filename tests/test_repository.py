@@ -57,6 +57,7 @@ def normalised(name: str) -> str:
     return re.sub(r"[-_.]+", "-", re.split(r"[\s<>=!~;\[]", name, maxsplit=1)[0]).lower()
 
 
+@cache
 def imported_names(path: Path) -> set[str]:
     """Top-level names of everything that a module imports, also inside functions."""
     names = set()
