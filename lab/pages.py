@@ -2,7 +2,7 @@
 
     python -m lab.pages
 
-Tables of README.md are made anew from the records; each row of docs/validation.md has a benchmark, figures
+Tables of README.md are made again from the records; each row of docs/validation.md has a benchmark, figures
 that stand on the page of its topic, and the day of its record; each ``python -m lab...`` and
 ``make bench-...`` of a page has options that its command line knows. Nothing is measured. Exit code 1: one of
 them is not so.

@@ -69,7 +69,7 @@ class RenderingCase:
 
     @property
     def light(self) -> config.Light:
-        """As the simulator is told."""
+        """As the simulator gets it."""
         return config.Light(
             sun=self.sun,
             sun_direction_N=SUN_N,

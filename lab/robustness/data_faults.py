@@ -2,7 +2,7 @@
 
     python -m lab.robustness.data_faults [--bodies ...] [--faults ...] [--workers 1] [--short]
 
-Each body is simulated once, or once more where a fault must be rendered; the other faults change its images,
+Each body is simulated once, or a second time where a fault must be rendered; the other faults change its images,
 times, calibration or poses. Each run is a row of the record; an interrupted campaign goes on. Cases are
 independent: on several machines, give each its ``--bodies`` and ``--record``, and join the records (cat).
 
