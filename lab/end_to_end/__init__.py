@@ -10,5 +10,4 @@ In: configurations of scenes. Out: errors, consistency of covariances, predictio
     prediction_error   a prediction against what came after it
     footprint          disk and memory that the program needs
     report_picture     a part of a report as a picture
-    animation          the animation of README.md, of closed_tumble.yaml
 """

@@ -1,6 +1,6 @@
 """Photographs of a real object with known motion: displacements, rate, axis, and mesh outside of its box.
 
-    python -m lab.end_to_end.photographs SEQ --run RUN [--box None] [-o PNG]
+    python -m lab.end_to_end.photographs SEQ --run RUN [--box None]
 
 SEQ holds ``mav0/`` and ``truth.csv``: timestamp [ns], rotation row by row and translation [m] that take the
 object's frame O to the left camera; for a simulated sequence its own truth is taken. The truth is the
@@ -14,17 +14,13 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from PIL import Image
 from tyro.conf import Positional, arg
 
-from lab.command import DEFAULT, Png, command, polhode
-from lab.end_to_end.animation import camera_panel, sheet, square_around, surface_panel
+from lab.command import DEFAULT, command, polhode
 from lab.mapping.mesh_quality import true_poses
 from polhode.files.tables import read_table
-from polhode.frontend.rectification import Crop, make_rectifier, rectified_pair, target_crop
 from polhode.geometry.lie import Array, Ints, exp_so3, inverse_pose, log_so3, make_pose, transform_points
 from polhode.geometry.rigid_fit import fit_rigid
-from polhode.mapping.visibility import MeshViewer
 from polhode.records.dataset import StereoSequence, open_sequence
 from polhode.records.read_truth import read_truth
 from polhode.run_directory.stored_run import StoredRun, read_stored_run
@@ -34,7 +30,6 @@ TEMPLE_BOX_M = (-0.023121, -0.038009, -0.091940, 0.078626, 0.121636, -0.017395)
 """The object of the templeRing set lies between these corners of its frame."""
 FAR_M = 2e-3
 """The box of the temple ends up to 2 mm above the cloth on which it stands."""
-SIDE_PX = 520
 
 
 @dataclass(frozen=True)
@@ -76,9 +71,8 @@ def main(
         tuple[float, float, float, float, float, float] | None,
         arg(help="Lower and upper corner of the object's box in its frame [m]; None: not known."),
     ] = TEMPLE_BOX_M,
-    output: Png = None,
 ) -> None:
-    """Run, compare, print, draw."""
+    """Run, compare, print."""
     if not run.is_dir():
         polhode("run", DEFAULT, "--data", sequence, "-o", run)
     content, images = read_stored_run(run, run.name), open_sequence(sequence)
@@ -86,9 +80,6 @@ def main(
         raise InputError(f"{run}: the run found no motion or no surface")
     found = agreement(content, images, *true_views(sequence, images))
     print("\n".join(found.lines(None if box is None else np.reshape(box, (2, 3)))))
-    if output is not None:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        side_by_side(content, images).save(output, optimize=True)
 
 
 def true_views(folder: Path, images: StereoSequence) -> tuple[Ints, Array]:
@@ -146,20 +137,6 @@ def mean_rate(time_s: Array, R: Array) -> Array:
         centred = time_s - time_s.mean()
         w = w + centred @ left / (centred @ centred)
     return np.asarray(w)
-
-
-def side_by_side(content: StoredRun, images: StereoSequence) -> Image.Image:
-    """The first photograph beside the mesh from the same camera."""
-    assert content.surface is not None
-    rectifier = make_rectifier(images.calibration)
-    pair = rectified_pair(images, rectifier, 0)
-    height, width = pair.left.shape
-    crop = square_around(target_crop(pair.mask_left, margin_px=10) or Crop(0, 0, width, height))
-    panels = [
-        camera_panel(pair.left, crop, 2 * SIDE_PX),
-        surface_panel(content, MeshViewer(content.surface.mesh), 0, rectifier.rig, crop, 2 * SIDE_PX),
-    ]
-    return sheet(panels, ("photograph, left camera", "reconstructed surface, same view"), SIDE_PX)
 
 
 if __name__ == "__main__":

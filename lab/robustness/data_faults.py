@@ -3,8 +3,8 @@
     python -m lab.robustness.data_faults [--bodies ...] [--faults ...] [--workers 1] [--short]
 
 Each body is simulated once, or a second time where a fault must be rendered; the other faults change its
-images, times, calibration or poses. Each run is a row of the record; an interrupted campaign goes on. Cases are
-independent: on several machines, give each its ``--bodies`` and ``--record``, and join the records (cat).
+images, times, calibration or poses. Each run is a row of the record; an interrupted campaign goes on. Cases
+are independent: on several machines, give each its ``--bodies`` and ``--record``, and join the records (cat).
 
 "wrong", "claimed" and the floors: ``lab/robustness/judge.py``; docs/trust.md explains the faults.
 """
