@@ -73,9 +73,8 @@ def _check_python(words: list[str]) -> None:
         return
     path = ROOT / words[1].replace(".", "/")
     # options of the laboratory's commands are checked by lab/pages.py
-    assert words[1] == "venv" or path.is_dir() or path.with_suffix(".py").is_file(), (
-        f"{words[1]}: no such module"
-    )
+    found = path.is_dir() or path.with_suffix(".py").is_file() or find_spec(words[1]) is not None
+    assert found, f"{words[1]}: no such module"
 
 
 def check_mention(words: list[str], patch: pytest.MonkeyPatch) -> None:
