@@ -5,6 +5,7 @@ import functools
 import io
 import re
 import tomllib
+from importlib.util import find_spec
 
 import pytest
 
