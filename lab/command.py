@@ -51,6 +51,13 @@ def polhode(*arguments: object, may_fail: bool = False) -> None:
 
 QUICK = ("--scene.render.samples", "1", "--scene.render.bounces", "0")
 """Options that make rendering quick, for short forms."""
+LIGHT = {
+    "frontend.features.second": None,
+    "pictures.views": False,
+    "pictures.animation": False,
+    "mapping.voxel_mm": 10.0,
+}
+"""Settings that make a run quick, for short forms."""
 
 
 def simulated(config: Path, folder: Path, *options: str) -> Path:

@@ -64,7 +64,7 @@ def main(
     }
     configs = sorted((ROOT / "configs/depth_test").glob("*.yaml"))
     if short:
-        folders = [simulated(configs[0], ROOT / "runs/short/depth", "--scene.frames", "2", *QUICK)]
+        folders = [simulated(configs[0], ROOT / "runs/short/depth", "--scene.frames", "3", *QUICK)]
     else:
         folders = [simulated(each, ROOT / "data/depth_test" / each.stem) for each in configs]
     print_table(HEAD, _rows(folders, methods, 1 if short else None))

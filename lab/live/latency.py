@@ -70,7 +70,8 @@ def main(
     for scene in () if chosen else SCENES:
         config = ROOT / "configs" / f"{scene}.yaml"
         chosen.append(simulated(config, ROOT / "data" / config.stem))
-    cases: list[Case] = [{"sequence": str(folder), "rate_hz": rate_hz} for folder in chosen]
+    quick = {"quick": True} if short else {}
+    cases: list[Case] = [{"sequence": str(folder), "rate_hz": rate_hz, **quick} for folder in chosen]
     # one after the other: they are timed
     lines = complete(record, cases, measure, 1)
     print_table(TIMES, map(times_row, lines))
@@ -82,7 +83,7 @@ def main(
 
 def measure(case: Case) -> Case:
     """One sequence, live and as a batch."""
-    source, config = Path(case["sequence"]), load_config(ROOT / DEFAULT)
+    source, config = Path(case["sequence"]), load_config(ROOT / DEFAULT, LIGHT if "quick" in case else None)
     stamps_s = 1e-9 * open_sequence(source).timestamps_ns
     interval_s = float(np.median(np.diff(stamps_s)))
     live_run, batch_run = (ROOT / "runs" / f"{kind}_{source.name}" for kind in ("live", "batch"))

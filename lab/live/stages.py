@@ -18,7 +18,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from lab.command import DEFAULT, ROOT, Short, beginning_of_sample, command
+from lab.command import DEFAULT, LIGHT, ROOT, Short, beginning_of_sample, command
 from lab.presentation import print_table
 
 
@@ -37,15 +37,18 @@ def main(
         (folder / "compiled").mkdir(mode=0o700)
         environment = {} if short else {"NUMBA_CACHE_DIR": str(folder / "compiled")}
         for name in ("run",) if short else ("first", "second"):
-            runs.append(stage_times(sequence, folder / name, environment))
+            options = [f"--{key}={value}" for key, value in LIGHT.items()] if short else []
+            runs.append(stage_times(sequence, folder / name, environment, options))
     stages = list(dict.fromkeys(stage for each in runs for stage in each))
     head = ["stage", *(["run [s]"] if short else ["first run [s]", "second run [s]"])]
     print_table(head, ([stage, *(f"{each.get(stage, 0.0):.1f}" for each in runs)] for stage in stages))
 
 
-def stage_times(sequence: Path, output: Path, environment: dict[str, str]) -> dict[str, float]:
+def stage_times(
+    sequence: Path, output: Path, environment: dict[str, str], options: list[str]
+) -> dict[str, float]:
     """Seconds by stage, the total and those of the processor of one run."""
-    words = ["-m", "polhode", "run", str(DEFAULT), "--data", str(sequence), "-o", str(output)]
+    words = ["-m", "polhode", "run", str(DEFAULT), "--data", str(sequence), "-o", str(output), *options]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(
         [sys.executable, *words],
