@@ -24,6 +24,7 @@ from tyro.conf import arg
 
 from lab.command import (
     DEFAULT,
+    LIGHT,
     ROOT,
     Record,
     Sequences,
