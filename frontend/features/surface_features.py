@@ -21,7 +21,7 @@ measure it: variance = floor^2 + gain * sigma_ls. (With the square of sigma_ls, 
 sigmas of sharp textures are too small on new bodies.) The confidence of a match adds information. The numbers
 are those that
 
-    python -m polhode.train.feature_noise configs/train/features.yaml [--surface-descriptor surface]
+    python -m lab.frontend.feature_noise configs/train/features.yaml [--surface-descriptor surface]
 
 prints: maximum likelihood over the true residuals of matches that pass the geometric check, on the training
 bodies, with equal weight for each scene. The form of the model was chosen among four by their results on

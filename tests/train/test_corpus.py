@@ -132,7 +132,7 @@ def test_a_place_that_is_full_is_refused_before_anything_is_written(
         if "full/place" in str(shown):
             raise unwritable(shown, OSError(errno.ENOSPC, "No space left on device"))
 
-    for module in ("output.marked_folder", "train.corpus", "train.run"):
+    for module in ("files.output.marked_folder", "train.corpus", "train.run"):
         monkeypatch.setattr(f"polhode.{module}.require_writable", refuse)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "c.yaml").write_text("train: {task: depth}\n")
