@@ -55,7 +55,7 @@ class PeerDetector:
         if pair.measured is not None:
             return with_ranges(pair.measured, left, rig)
         right = self._key_points(pair.right, pair.mask_right)
-        return match_stereo(pair.left, pair.right, left, right, rig)
+        return match_stereo(pair.left, pair.right, left, right, rig)[0]
 
     def _detect(self, image: torch.Tensor) -> Detections:
         """Key points of a grey image (1, 1, H, W) from 0 to 1; H and W are multiples of 32."""

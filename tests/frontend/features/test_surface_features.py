@@ -10,7 +10,6 @@ from polhode.frontend.features.keypoints import find_candidates
 from polhode.frontend.features.stereo import RootSift, StereoFeatures
 from polhode.frontend.features.surface_features import (
     SurfaceFeatureMethod,
-    confidence_logit,
     feature_sigma,
     match_sigma,
     with_patch_size,
@@ -57,12 +56,6 @@ def test_axes_are_rotations_and_normals_face_the_camera(pair: RectifiedPair, rec
     assert np.allclose(np.linalg.det(found.R_RS), 1.0)
     assert np.all(np.einsum("ni,ni->n", found.R_RS[:, :, 2], found.p_R) < 0.0)
     assert np.allclose(np.linalg.norm(found.descriptors, axis=1), 1.0, atol=1e-3)
-
-
-def test_the_same_image_gives_the_same_features(pair: RectifiedPair, rectifier: Rectifier) -> None:
-    one, two = (SurfaceFeatureMethod(CONFIG)(pair, rectifier.rig) for _ in range(2))
-    assert np.array_equal(one.uvd_px, two.uvd_px)
-    assert np.array_equal(one.descriptors, two.descriptors)
 
 
 def test_an_empty_image_has_no_features(rectifier: Rectifier) -> None:
@@ -116,8 +109,3 @@ def test_a_sure_match_is_more_certain_than_a_doubtful_one() -> None:
     doubtful, sure = match_sigma(a, b, np.array([[0, 1], [1, 0]]), np.array([0.01, 0.9]))
     assert np.all(sure < doubtful)
     assert np.all(np.isfinite(match_sigma(a, b, np.array([[0, 0], [1, 1]]), np.array([0.0, 1.0]))))
-
-
-def test_the_logit_is_finite_everywhere() -> None:
-    assert np.isfinite(confidence_logit(np.array([0.0, 0.5, 1.0]))).all()
-    assert confidence_logit(np.array([0.5]))[0] == 0.0
