@@ -368,8 +368,8 @@ def _image_bounds(lens: _Lens, R: Array, focal: float) -> Array:
         source = np.ascontiguousarray(border[:, None, :], dtype=np.float64)
         criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-10)
         axes = np.ascontiguousarray(R.T)
-        rays = cv2.undistortPoints(source, lens.K, lens.dist, R=axes, P=np.eye(3), criteria=criteria)
-        rays = np.asarray(rays, dtype=np.float64)[:, 0, :]
+        seen = cv2.undistortPoints(source, lens.K, lens.dist, R=axes, P=np.eye(3), criteria=criteria)
+        rays = np.asarray(seen, dtype=np.float64)[:, 0, :]
         _require_invertible(border, rays, lens.K, lens.dist, R)
     rectified = focal * rays
     return np.stack([rectified.min(axis=0), rectified.max(axis=0)])

@@ -93,18 +93,22 @@ class Background:
 
 def find_background(sequence: StereoSequence, rectifier: Rectifier) -> Background | None:
     """The background of a sequence; None: the sky is dark, masks are given, or no plane is found."""
-    frames = _without_masks(sequence)
-    if not frames:
-        return None
-    bright = []
-    for k in frames:
-        image = rectifier(sequence.read_left(k)[0], 0)
-        bright.append(lit_border(image, rectifier.borders[0]) > MIN_LIT_BORDER)
-    if sum(bright) < 0.5 * len(bright):
+    spread = np.unique(np.linspace(0, len(sequence) - 1, EXAMINED).round().astype(int)).tolist()
+    frames = [k for k in spread if sequence.read_left(k)[1] is None]
+    bright = [
+        lit_border(rectifier(sequence.read_left(k)[0], 0), rectifier.borders[0]) > MIN_LIT_BORDER
+        for k in frames
+    ]
+    if not frames or sum(bright) < 0.5 * len(bright):
         return None
     planes: dict[int, FarPlane] = {}
     for k in frames:
-        plane = _far_plane(sequence, rectifier, k)
+        offset_px = rectifier.rig.disparity_offset_px
+        if sequence.has_ranges:
+            plane = range_plane(frame_disparity(sequence, rectifier, k), offset_px)
+        else:
+            raw = sequence.read_pair(k)
+            plane = find_far_plane(rectifier(raw.left, 0), rectifier(raw.right, 1), offset_px, rectifier.seen)
         if plane is not None:
             planes[k] = plane
     found = _common_background(sequence, rectifier, planes, len(frames))
@@ -127,21 +131,6 @@ def _still(sequence: StereoSequence, rectifier: Rectifier) -> Background | None:
     if not (is_still(looks[0], left, shown[0]) and is_still(looks[1], right, shown[1])):
         return None
     return Background(np.zeros(3), (left, right))
-
-
-def _far_plane(sequence: StereoSequence, rectifier: Rectifier, k: int) -> FarPlane | None:
-    """The background's plane in pair k, by its ranges or by stereo."""
-    offset_px = rectifier.rig.disparity_offset_px
-    if sequence.has_ranges:
-        return range_plane(frame_disparity(sequence, rectifier, k), offset_px)
-    pair = sequence.read_pair(k)
-    return find_far_plane(rectifier(pair.left, 0), rectifier(pair.right, 1), offset_px, rectifier.seen)
-
-
-def _without_masks(sequence: StereoSequence) -> list[int]:
-    """Frames spread over the sequence that have no mask."""
-    spread = np.linspace(0, len(sequence) - 1, EXAMINED).round().astype(int)
-    return [k for k in np.unique(spread).tolist() if sequence.read_left(k)[1] is None]
 
 
 def _common_background(

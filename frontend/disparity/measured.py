@@ -58,7 +58,8 @@ def disparity_at(measured: MeasuredDisparity, uv_px: Array) -> tuple[Array, Arra
     weight = np.where(known, window, 0.0)
     # the first level is the median of the measured pixels nearest to a point
     nearest = np.argsort(np.where(known, far2, np.inf), axis=1, kind="stable")[:, :NEAREST]
-    values = np.where(*(np.take_along_axis(each, nearest, axis=1) for each in (known, d)), np.nan)
+    measured_there, value = (np.take_along_axis(each, nearest, axis=1) for each in (known, d))
+    values = np.where(measured_there, value, np.nan)
     level, some = np.full(n, np.nan), known.any(axis=1)
     level[some] = np.nanmedian(values[some], axis=1)
     keep = np.abs(d - level[:, None]) < JUMP_SIGMAS * sigma + MAX_SLOPE * np.sqrt(far2)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import minimize
 from tyro.conf import Positional, arg
 
-from lab.command import ROOT, Sequences, Short, command, simulated
+from lab.command import ROOT, Short, command, simulated
 from polhode.config.frontend_settings import Features, Frontend
 from polhode.config.loader import load_config
 from polhode.frontend.features.surface_features import (
@@ -117,7 +117,7 @@ def fit_noise(scenes: list[MatchResiduals], columns: list[int], by_place: bool) 
 def main(
     config: Positional[Path] = ROOT / "configs/train/features.yaml",
     scenes: Annotated[int, arg(help="Scenes of the corpus.")] = 24,
-    check: Sequences = (),
+    check: Annotated[tuple[Path, ...], arg(help="Folders of polhode simulate.")] = (),
     surface_descriptor: Literal["network", "surface"] = "network",
     short: Short = False,
 ) -> None:
