@@ -150,11 +150,13 @@ def make_rectifier(calibration: StereoCalibration) -> Rectifier:
     focal = float(np.mean([lens.K[i, i] for lens in lenses for i in (0, 1)]))
     boxes = [_image_bounds(lens, R, focal) for lens, R in zip(lenses, (R_CR, R_DR), strict=True)]
     largest = np.max([lens.size_px for lens in lenses], axis=0)
-    width, centres_x = _extent(boxes, 0, int(largest[0]))
-    height, _ = _extent(boxes, 1, int(largest[1]))
-    top = min(box[0, 1] for box in boxes)
-    bottom = max(box[1, 1] for box in boxes)
-    cx = [(width - 1) / 2 - centre for centre in centres_x]
+    top, bottom = min(box[0, 1] for box in boxes), max(box[1, 1] for box in boxes)
+    spans = max(float(box[1, 0] - box[0, 0]) for box in boxes), float(bottom) - float(top)
+    # one size for both cameras, each image centred along x
+    width, height = (
+        int(min(np.ceil(span) + 1, MAX_GROWTH * int(size))) for span, size in zip(spans, largest, strict=True)
+    )
+    cx = [(width - 1) / 2 - float(box[:, 0].mean()) for box in boxes]
     cy = (height - 1) / 2 - (top + bottom) / 2
     rig = RectifiedRig(
         focal_px=focal,
@@ -167,9 +169,10 @@ def make_rectifier(calibration: StereoCalibration) -> Rectifier:
     )
     maps = (
         _pixel_map(lenses[0], R_CR, rig.K, (width, height)),
-        _pixel_map(lenses[1], R_DR, _right_K(rig), (width, height)),
+        _pixel_map(lenses[1], R_DR, rig.K - (cx[0] - cx[1]) * np.eye(3, k=2), (width, height)),
     )
-    blurs = [_blur_px(float(np.mean(lens.K[[0, 1], [0, 1]])) / focal) for lens in lenses]
+    coarser = [float(np.mean(lens.K[[0, 1], [0, 1]])) / focal for lens in lenses]
+    blurs = [BLUR_PER_SCALE * float(np.sqrt(k**2 - 1.0)) if k > ALIASING else 0.0 for k in coarser]
     return Rectifier(rig, make_pose(R_CR, np.zeros(3)), maps, sizes, blur_px=(blurs[0], blurs[1]))
 
 
@@ -187,11 +190,6 @@ class _Lens:
         if camera == 0:
             return cls(calibration.K0, calibration.dist0, calibration.fisheye0, calibration.size_px(0))
         return cls(calibration.K1, calibration.dist1, calibration.fisheye1, calibration.size_px(1))
-
-
-def _blur_px(factor: float) -> float:
-    """Sigma of the smoothing before an image is reduced by a factor."""
-    return BLUR_PER_SCALE * float(np.sqrt(factor**2 - 1.0)) if factor > ALIASING else 0.0
 
 
 @dataclass(frozen=True)
@@ -222,9 +220,11 @@ class RectifiedPair:
 
 def rectified_pair(sequence: StereoSequence, rectifier: Rectifier, k: int) -> RectifiedPair:
     """Read, rectify and mask pair k; where the mask was found, the background is black."""
-    if sequence.has_ranges:
-        return _ranged_pair(sequence, rectifier, k)
-    return rectified_images(sequence.read_pair(k), rectifier, k)
+    if not sequence.has_ranges:
+        return rectified_images(sequence.read_pair(k), rectifier, k)
+    left, mask = rectified_left(sequence, rectifier, k)
+    ranges = frame_disparity(sequence, rectifier, k)
+    return RectifiedPair(left, np.zeros_like(left), mask, np.zeros_like(mask), ranges)
 
 
 def rectified_images(raw: StereoImages, rectifier: Rectifier, k: int = 0) -> RectifiedPair:
@@ -232,18 +232,6 @@ def rectified_images(raw: StereoImages, rectifier: Rectifier, k: int = 0) -> Rec
     left, mask_left = _rectified(rectifier, k, 0, raw.left, raw.mask_left)
     right, mask_right = _rectified(rectifier, k, 1, raw.right, raw.mask_right)
     return RectifiedPair(left, right, mask_left, mask_right)
-
-
-def _ranged_pair(sequence: StereoSequence, rectifier: Rectifier, k: int) -> RectifiedPair:
-    """Left image of pair k with its ranges in the place of a right image."""
-    left, mask = rectified_left(sequence, rectifier, k)
-    return RectifiedPair(
-        left,
-        np.zeros_like(left),
-        mask,
-        np.zeros_like(mask),
-        frame_disparity(sequence, rectifier, k),
-    )
 
 
 def frame_disparity(sequence: StereoSequence, rectifier: Rectifier, k: int) -> MeasuredDisparity:
@@ -262,7 +250,10 @@ def measured_disparity(
     assert model is not None
     rig, inverse = rectifier.rig, (1.0 / range_m).astype(np.float32)
     if rectifier.maps is not None:
-        inverse = _resampled(inverse, *rectifier.maps[0], _largest_step(range_m, model))
+        # difference between neighbours that noise explains [1/m]
+        recorded = range_m.astype(np.float64)
+        step = np.asarray(RANGE_STEP_SIGMAS * model.sigma_at(recorded) / recorded**2, dtype=np.float32)
+        inverse = _resampled(inverse, *rectifier.maps[0], step)
     ranges = 1.0 / inverse.astype(np.float64)
     sigma_m, depth_m = model.sigma_at(ranges), ranges
     if model.along_ray:
@@ -275,12 +266,6 @@ def measured_disparity(
         (scale / depth_m + rig.disparity_offset_px).astype(np.float32),
         (scale / depth_m**2 * sigma_m).astype(np.float32),
     )
-
-
-def _largest_step(range_m: NDArray[np.float32], model: RangeModel) -> NDArray[np.float32]:
-    """(H, W) difference of inverse ranges between neighbours that noise explains [1/m]."""
-    ranges = range_m.astype(np.float64)
-    return np.asarray(RANGE_STEP_SIGMAS * model.sigma_at(ranges) / ranges**2, dtype=np.float32)
 
 
 def _resampled(
@@ -369,15 +354,6 @@ def _rectified_axes(X_CD: Array) -> Array:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def _undistort(points: Array, K: Array, dist: Array, R: Array) -> Array:
-    """Pixels (n, 2) of a distorted camera -> normalised coordinates (n, 2) along axes rotated by R."""
-    source = np.ascontiguousarray(points[:, None, :], dtype=np.float64)
-    rotation = np.ascontiguousarray(R.T)
-    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-10)
-    out = cv2.undistortPoints(source, K, dist, R=rotation, P=np.eye(3), criteria=criteria)
-    return np.asarray(out, dtype=np.float64)[:, 0, :]
-
-
 def _image_bounds(lens: _Lens, R: Array, focal: float) -> Array:
     """Bounds (2, 2) [px] (low, high) of the image's border in rectified coordinates before centring."""
     width, height = lens.size_px
@@ -389,7 +365,11 @@ def _image_bounds(lens: _Lens, R: Array, focal: float) -> Array:
     if lens.fisheye:
         rays = _fisheye_slopes(border, lens, R)
     else:
-        rays = _undistort(border, lens.K, lens.dist, R)
+        source = np.ascontiguousarray(border[:, None, :], dtype=np.float64)
+        criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-10)
+        axes = np.ascontiguousarray(R.T)
+        seen = cv2.undistortPoints(source, lens.K, lens.dist, R=axes, P=np.eye(3), criteria=criteria)
+        rays = np.asarray(seen, dtype=np.float64)[:, 0, :]
         _require_invertible(border, rays, lens.K, lens.dist, R)
     rectified = focal * rays
     return np.stack([rectified.min(axis=0), rectified.max(axis=0)])
@@ -423,22 +403,6 @@ def _require_invertible(pixels: Array, rays: Array, K: Array, dist: Array, R: Ar
         off[sound] = np.linalg.norm(np.asarray(back)[:, 0, :] - pixels[sound], axis=1)
     if not off.max() < MAX_ROUND_TRIP * abs(pixels).max():
         raise InputError(FOLDED)
-
-
-def _extent(boxes: list[Array], axis: int, original: int) -> tuple[int, list[float]]:
-    """Common size [px] along an axis, and each camera's centre there."""
-    if axis == 0:
-        span = max(float(box[1, axis] - box[0, axis]) for box in boxes)
-    else:
-        span = max(float(box[1, axis]) for box in boxes) - min(float(box[0, axis]) for box in boxes)
-    size = int(min(np.ceil(span) + 1, MAX_GROWTH * original))
-    return size, [float(box[:, axis].mean()) for box in boxes]
-
-
-def _right_K(rig: RectifiedRig) -> Array:
-    K = rig.K
-    K[0, 2] -= rig.disparity_offset_px
-    return K
 
 
 def _pixel_map(

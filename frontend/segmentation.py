@@ -129,7 +129,12 @@ def _classes(smooth: Image, lit: Bools, border: Bools) -> _Classes | None:
     if len(octaves) == 0 or octaves.min() == octaves.max():
         return None
     steps = np.round(octaves * _STEPS).astype(np.uint8).reshape(-1, 1)
-    level = _valley(steps, int(cv2.threshold(steps, 0, 255, cv2.THRESH_OTSU)[0])) / _STEPS
+    otsu = int(cv2.threshold(steps, 0, 255, cv2.THRESH_OTSU)[0])
+    counts = np.bincount(steps[:, 0], minlength=256).astype(np.float32)[:, None]
+    sigma = _VALLEY_OCTAVES * _STEPS
+    histogram = cv2.GaussianBlur(counts, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)[:, 0]
+    mode = otsu + int(np.argmax(histogram[otsu:]))
+    level = (otsu + int(np.argmin(histogram[otsu : mode + 1]))) / _STEPS
     bright = octaves > level
     if bright.all() or not bright.any():
         return None
@@ -152,7 +157,12 @@ def _up_to_edge(smooth: Image, target: Bools) -> Bools:
     """
     whole = target.astype(np.uint8)
     core = _eroded(whole, OUTLINE_PX)
-    brightness, beside = _mean_around(smooth, core), _mean_around(smooth, 1 - whole)
+    size, means = (4 * OUTLINE_PX + 1, 4 * OUTLINE_PX + 1), []
+    for where in (core, 1 - whole):
+        share = cv2.blur(where.astype(np.float32), size)
+        total = cv2.blur((smooth * where).astype(np.float32), size)
+        means.append(np.where(share > 1e-6, total / np.maximum(share, np.float32(1e-6)), np.nan))
+    brightness, beside = (mean.astype(np.float32) for mean in means)
     # a comparison with NaN is false
     beyond = (_eroded(whole, 2 * OUTLINE_PX) == 0) & (smooth < 0.5 * (brightness + beside))
     return np.asarray(target & ~beyond)
@@ -162,24 +172,6 @@ def _eroded(mask: Image, reach_px: int) -> Image:
     """A mask (H, W) of 0 and 1 without what lies within a distance of its outline."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach_px + 1, 2 * reach_px + 1))
     return np.asarray(cv2.erode(mask, kernel), dtype=np.uint8)
-
-
-def _mean_around(image: Image, where: Image) -> NDArray[np.float32]:
-    """(H, W) mean of an image over the pixels of a mask of 0 and 1 around each pixel; NaN: there are none."""
-    size = (4 * OUTLINE_PX + 1, 4 * OUTLINE_PX + 1)
-    share = cv2.blur(where.astype(np.float32), size)
-    total = cv2.blur((image * where).astype(np.float32), size)
-    return np.asarray(
-        np.where(share > 1e-6, total / np.maximum(share, np.float32(1e-6)), np.nan), dtype=np.float32
-    )
-
-
-def _valley(steps: NDArray[np.uint8], otsu: int) -> int:
-    """The rarest step from Otsu's to the most frequent one above it, of a smoothed histogram."""
-    counts = np.bincount(steps[:, 0], minlength=256).astype(np.float32)[:, None]
-    smooth = cv2.GaussianBlur(counts, (0, 0), _VALLEY_OCTAVES * _STEPS, borderType=cv2.BORDER_REPLICATE)[:, 0]
-    mode = otsu + int(np.argmax(smooth[otsu:]))
-    return otsu + int(np.argmin(smooth[otsu : mode + 1]))
 
 
 def _smooth(image: Image) -> Image:

@@ -112,6 +112,8 @@ BENCHMARKS = (
               short="--short --record runs/short/records/matching"),
     Benchmark("disparity", "frontend.disparity", "docs/mapping.md", 60),
     Benchmark("masks", "frontend.masks", "docs/masks.md", 3),
+    Benchmark("networks", "frontend.networks", "docs/model_card.md", 10),
+    Benchmark("feature_noise", "frontend.feature_noise", "", 30),
     _of_runs("mesh_quality", "mapping.mesh_quality", "docs/mapping.md", 20,
              ("ts38", "asteroid", "major_axis", "specular_mli"), "{sequences} --runs {runs}"),
     _of_runs("lengths", "mapping.lengths", "docs/mapping.md", 1, ("ts38",), "{runs} {sequences}"),

@@ -11,6 +11,7 @@ import argparse
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, cast
@@ -20,17 +21,17 @@ import yaml
 
 from polhode.config.loader import load_config
 from polhode.config.scene_settings import Background, Light, Motion, Render, Rig, Scene, Sensor, TargetBody
-from polhode.config.train_settings import Corpus, Train
+from polhode.config.train_settings import Corpus
 from polhode.files.atomic import write_text
 from polhode.files.output.locks import occupied
 from polhode.files.output.place import folder_place, require_writable
 from polhode.files.yaml_files import read_yaml
 from polhode.geometry.lie import Array
 from polhode.runtime.errors import InputError, RunFailure
-from polhode.runtime.processes import in_order
 from polhode.runtime.progress import Progress, Silent
 from polhode.simulation.bodies import build_body
 from polhode.simulation.dataset.sequence import SCENE_FILE, simulate
+from polhode.train.stored import make_missing
 
 MATERIALS = {
     "asteroid": ("regolith",),
@@ -46,7 +47,6 @@ MAX_OFFSET = 0.5
 """Largest distance between the centres of body and image, as a share of the free space beside the body."""
 ENCLOSED_AREA = 0.95
 """Share of the surface inside the body's nominal sphere: thin antennas may extend beyond it."""
-DEG_S_TO_RPM = 1.0 / 6.0
 NOTE = "corpus.yaml"
 FREE_KEYS = {"folder", "scenes", "validation_every"}
 """Settings on which no scene depends: they may change without rendering the scenes again."""
@@ -55,17 +55,35 @@ FREE_KEYS = {"folder", "scenes", "validation_every"}
 def random_scene(corpus: Corpus, index: int) -> Scene:
     """Scene ``index``, counted from 0. The body is built to measure its size."""
     rng = np.random.default_rng([corpus.seed, 0xC0, index])
-    body = _body(corpus, index, rng)
+    family = corpus.families[index % len(corpus.families)]
+    choices = MATERIALS.get(family, ANY_MATERIAL)
+    material = choices[rng.integers(len(choices))] if rng.random() < corpus.other_material else "automatic"
+    body = TargetBody.model_validate({
+        "family": family,
+        "size_m": _uniform(rng, corpus.size_m),
+        "seed": FIRST_BODY_SEED + index,
+        "material": material,
+        "texture": corpus.texture,
+        "contrast": _logarithmic(rng, corpus.contrast),
+    })  # fmt: skip
     rig = Rig()
     radius_m = _radius_m(body)
     depth_m = 2.0 * radius_m * rig.focal_px / _uniform(rng, corpus.span_px)
     baseline_m = _logarithmic(rng, corpus.disparity_px) * depth_m / rig.focal_px
+    reach_m = depth_m / rig.focal_px * np.array([rig.width_px, rig.height_px]) / 2.0 - radius_m
+    offset_m = rng.uniform(-1.0, 1.0, 2) * np.maximum(reach_m, 0.0) * MAX_OFFSET
+    attitude_deg = _direction(rng) * rng.uniform(0.0, 180.0)
+    spin_rpm = _direction(rng) * _uniform(rng, corpus.turn_deg) * (1.0 / 6.0)  # deg/s to RPM
     return Scene(
         frames=corpus.frames,
         interval_s=1.0,
         truth_horizon_s=0.0,
         body=body,
-        motion=_motion(corpus, rig, depth_m, radius_m, rng),
+        motion=Motion(
+            position_m=(float(offset_m[0]), float(offset_m[1]), depth_m),
+            attitude_deg=_three(attitude_deg),
+            spin_rpm=_three(spin_rpm),
+        ),
         rig=rig.model_copy(update={"baseline_m": baseline_m}),
         light=random_light(corpus, rng),
         background=Background(
@@ -74,34 +92,6 @@ def random_scene(corpus: Corpus, index: int) -> Scene:
         sensor=random_sensor(corpus, rng),
         render=Render(products=("depth", "normals", "mask", "shadow"), scattered=corpus.scattered),
     )
-
-
-def _body(corpus: Corpus, index: int, rng: np.random.Generator) -> TargetBody:
-    material = _material(corpus, index, rng)
-    return TargetBody.model_validate(
-        {
-            "family": _family(corpus, index),
-            "size_m": _uniform(rng, corpus.size_m),
-            "seed": FIRST_BODY_SEED + index,
-            "material": material,
-            "texture": corpus.texture,
-            "contrast": _logarithmic(rng, corpus.contrast),
-        }
-    )
-
-
-def random_skin(corpus: Corpus, index: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Material and contrast of the body of scene ``index``: settings of ``scene.body``."""
-    return {"material": _material(corpus, index, rng), "contrast": _logarithmic(rng, corpus.contrast)}
-
-
-def _family(corpus: Corpus, index: int) -> str:
-    return corpus.families[index % len(corpus.families)]
-
-
-def _material(corpus: Corpus, index: int, rng: np.random.Generator) -> str:
-    choices = MATERIALS.get(_family(corpus, index), ANY_MATERIAL)
-    return choices[rng.integers(len(choices))] if rng.random() < corpus.other_material else "automatic"
 
 
 def _radius_m(body: TargetBody) -> float:
@@ -116,18 +106,6 @@ def _radius_m(body: TargetBody) -> float:
     order = np.argsort(distance_m)
     share = np.cumsum(area[order]) / area.sum()
     return float(distance_m[order][np.searchsorted(share, ENCLOSED_AREA)])
-
-
-def _motion(corpus: Corpus, rig: Rig, depth_m: float, radius_m: float, rng: np.random.Generator) -> Motion:
-    reach_m = depth_m / rig.focal_px * np.array([rig.width_px, rig.height_px]) / 2.0 - radius_m
-    offset_m = rng.uniform(-1.0, 1.0, 2) * np.maximum(reach_m, 0.0) * MAX_OFFSET
-    turn = _direction(rng) * rng.uniform(0.0, 180.0)
-    spin = _direction(rng) * _uniform(rng, corpus.turn_deg) * DEG_S_TO_RPM
-    return Motion(
-        position_m=(float(offset_m[0]), float(offset_m[1]), depth_m),
-        attitude_deg=_three(turn),
-        spin_rpm=_three(spin),
-    )
 
 
 def random_light(corpus: Corpus, rng: np.random.Generator) -> Light:
@@ -206,14 +184,8 @@ def render_corpus(corpus: Corpus, progress: Progress, workers: int) -> None:
     Raises InputError as ``require_corpus``; RunFailure: a process was killed, or a file cannot be written.
     """
     begin_corpus(corpus)
-    missing = _missing(corpus)
-    if not missing:
-        return
-    with progress.stage(
-        f"rendering scenes ({corpus.scenes - len(missing)} were there)", len(missing)
-    ) as advance:
-        for _ in in_order(_render, [(corpus, i) for i in missing], workers):
-            advance()
+    paths = {i: scene_folder(corpus, i) / SCENE_FILE for i in range(corpus.scenes)}
+    make_missing("rendering scenes", partial(_render, corpus), paths, progress, workers)
 
 
 def begin_corpus(corpus: Corpus) -> None:
@@ -225,18 +197,13 @@ def begin_corpus(corpus: Corpus) -> None:
             write_text(folder / NOTE, yaml.safe_dump(_drawn_from(corpus), sort_keys=False))
 
 
-def _render(work: tuple[Corpus, int]) -> None:
-    corpus, index = work
+def _render(corpus: Corpus, index: int) -> None:
     simulate(random_scene(corpus, index), scene_seed(corpus, index), scene_folder(corpus, index), Silent())
 
 
 def scene_seed(corpus: Corpus, index: int) -> int:
     """Seed of a scene's noise and stars."""
     return corpus.seed * 100_000 + index
-
-
-def _missing(corpus: Corpus) -> list[int]:
-    return [i for i in range(corpus.scenes) if not (scene_folder(corpus, i) / SCENE_FILE).is_file()]
 
 
 def scene_digest(folder: Path) -> str:
@@ -269,7 +236,7 @@ def require_corpus(corpus: Corpus) -> None:
             f"{shown}: contains a corpus with another {', '.join(other)}; choose a new folder, "
             "or remove this one"
         )
-    if _missing(corpus):
+    if not all((scene_folder(corpus, i) / SCENE_FILE).is_file() for i in range(corpus.scenes)):
         require_writable(place, shown)
 
 
@@ -283,13 +250,6 @@ def _drawn_from(corpus: Corpus) -> dict[str, Any]:
     return {key: value for key, value in corpus.model_dump(mode="json").items() if key not in FREE_KEYS}
 
 
-def required_train(train: Train | None, config: Path) -> Train:
-    """The ``train`` section. Raises InputError: the configuration has none."""
-    if train is None:
-        raise InputError(f"{config}: no 'train' section; see configs/train/ for examples")
-    return train
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Render the corpus of a configuration."""
     parser = argparse.ArgumentParser(prog="python -m polhode.train.corpus", description=main.__doc__)
@@ -297,11 +257,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     options = parser.parse_args(arguments)
     try:
-        corpus = required_train(load_config(options.config).train, options.config).corpus
-        render_corpus(corpus, Silent(), options.workers)
+        train = load_config(options.config).train
+        if train is None:
+            raise InputError(f"{options.config}: no 'train' section; see configs/train/ for examples")
+        render_corpus(train.corpus, Silent(), options.workers)
     except (InputError, RunFailure) as error:
         parser.exit(error.exit_code, f"{parser.prog}: error: {error}\n")
-    print(f"{corpus.scenes} scenes: {corpus.folder}")
+    print(f"{train.corpus.scenes} scenes: {train.corpus.folder}")
 
 
 if __name__ == "__main__":

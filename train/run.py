@@ -22,9 +22,8 @@ from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress
 from polhode.train.checkpoint import CHECKPOINT, require_same_training
 from polhode.train.corpus import require_corpus, split
-from polhode.train.curves import FOLDER as CURVES
-from polhode.train.task import Task, make_task
-from polhode.train.training_loop import TrainingLoop, TrainingOutcome, device_of
+from polhode.train.task import make_task
+from polhode.train.training_loop import CURVES, TrainingLoop, TrainingOutcome, device_of
 
 FREE_KEYS = (
     "output",
@@ -58,7 +57,15 @@ def train(config: Config, train: Train, progress: Progress, workers: int) -> Tra
     """
     names = (*FILES, f"{train.task}.safetensors")
     shown = Path(f"train.output: {train.output}")
-    _require_sound(train)
+    # all that the rendering of the corpus does not change is checked before anything is written
+    split(train.corpus)
+    device_of(train.schedule)
+    require_corpus(train.corpus)
+    if train.start_from is not None and not Path(train.start_from).is_file():
+        raise InputError(f"train.start_from: {train.start_from} is no file; give weights of polhode train")
+    if train.task == "depth":
+        cache = Path(f"train.depth.cache: {train.depth.cache}")
+        require_writable(folder_place(Path(train.depth.cache), cache), cache)
     with (
         marked_folder(Path(train.output), COMMAND, names.__contains__, shown) as output,
         withdrawn_if_refused(output, COMMAND, names, (CURVES,)),
@@ -66,18 +73,6 @@ def train(config: Config, train: Train, progress: Progress, workers: int) -> Tra
         require_same_training(output, setting_of(train, config.seed))
         claim(output, COMMAND, names)
         return _trained(config, train, output, progress, workers)
-
-
-def _require_sound(train: Train) -> None:
-    """Check, before anything is written, all that the rendering of the corpus does not change."""
-    split(train.corpus)
-    device_of(train.schedule)
-    require_corpus(train.corpus)
-    if train.start_from is not None and not Path(train.start_from).is_file():
-        raise InputError(f"train.start_from: {train.start_from} is no file; give weights of polhode train")
-    if train.task == "depth":
-        shown = Path(f"train.depth.cache: {train.depth.cache}")
-        require_writable(folder_place(Path(train.depth.cache), shown), shown)
 
 
 def _trained(config: Config, train: Train, output: Path, progress: Progress, workers: int) -> Trained:
@@ -89,37 +84,42 @@ def _trained(config: Config, train: Train, output: Path, progress: Progress, wor
         setting_of(train, config.seed), progress
     )
     weights = output / f"{task.name}.safetensors"
+    about = {
+        "task": train.task,
+        "seed": config.seed,
+        "steps": f"{outcome.step} of {train.schedule.steps}",
+        "scores": {name: round(value, 4) for name, value in outcome.scores.items()},
+    }
+    scores = {
+        "task": task.name,
+        "step": outcome.step,
+        "finished": outcome.finished,
+        "training_s": round(outcome.elapsed_s, 1),
+        "parameters": sum(p.numel() for p in task.network.parameters()),
+        "scores": dict(outcome.scores),
+    }
     write_text(output / "config.yaml", dump_config(config, keys=("seed", "train")))
-    write_weights(weights, task.network, _about(config.seed, train, outcome))
-    write_text(output / "scores.json", json.dumps(_scores(task, outcome), indent=2) + "\n")
+    write_weights(weights, task.network, about)
+    write_text(output / "scores.json", json.dumps(scores, indent=2) + "\n")
     return Trained(weights, outcome)
 
 
 def setting_of(train: Train, seed: int) -> dict[str, Any]:
     """The settings on which the weights depend: dotted key -> value."""
-    setting = {"seed": seed, **_flat(train, "")}
     others = {"descriptor", "depth", "surface"} - {train.task}
     if train.task != "descriptor":
         others |= {"light"}
-    return {
-        key: value
-        for key, value in setting.items()
-        if not key.endswith(FREE_KEYS) and key.partition(".")[0] not in others
-    }
-
-
-def _flat(section: BaseModel, prefix: str) -> dict[str, Any]:
-    values: dict[str, Any] = {}
-    for name in type(section).model_fields:
-        value = getattr(section, name)
+    setting: dict[str, Any] = {"seed": seed}
+    waiting: list[tuple[str, Any]] = [(name, value) for name, value in train if name not in others]
+    while waiting:
+        key, value = waiting.pop(0)
         if isinstance(value, BaseModel):
-            values |= _flat(value, f"{prefix}{name}.")
+            waiting[:0] = [(f"{key}.{name}", each) for name, each in value]
         elif isinstance(value, tuple) and any(isinstance(each, BaseModel) for each in value):
-            for k, each in enumerate(value):
-                values |= _flat(each, f"{prefix}{name}.{k}.")
-        else:
-            values[prefix + name] = value
-    return values
+            waiting[:0] = [(f"{key}.{k}", each) for k, each in enumerate(value)]
+        elif not key.endswith(FREE_KEYS):
+            setting[key] = value
+    return setting
 
 
 def write_weights(path: Path, network: nn.Module, about: Mapping[str, Any]) -> None:
@@ -129,24 +129,3 @@ def write_weights(path: Path, network: nn.Module, about: Mapping[str, Any]) -> N
     """
     weights = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
     write_bytes(path, save(weights, metadata={"training": json.dumps(about)}))
-
-
-def _about(seed: int, train: Train, outcome: TrainingOutcome) -> dict[str, Any]:
-    """The header of the weights' file."""
-    return {
-        "task": train.task,
-        "seed": seed,
-        "steps": f"{outcome.step} of {train.schedule.steps}",
-        "scores": {name: round(value, 4) for name, value in outcome.scores.items()},
-    }
-
-
-def _scores(task: Task, outcome: TrainingOutcome) -> dict[str, Any]:
-    return {
-        "task": task.name,
-        "step": outcome.step,
-        "finished": outcome.finished,
-        "training_s": round(outcome.elapsed_s, 1),
-        "parameters": sum(p.numel() for p in task.network.parameters()),
-        "scores": dict(outcome.scores),
-    }

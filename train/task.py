@@ -25,36 +25,28 @@ TASKS = {
 class Task(Protocol):
     """A network and its training objective."""
 
-    @property
-    def name(self) -> str:
-        """Name of the weights: they are written to ``<name>.safetensors``."""
-        ...
+    name: str
+    """The weights are written to ``<name>.safetensors``"""
 
     @property
     def model(self) -> nn.Module:
         """All parameters that are trained, initially on the CPU; the loop moves them to its device."""
-        ...
 
     @property
     def network(self) -> nn.Module:
         """The part of ``model`` whose weights are written; often all of it."""
-        ...
 
     def batch(self, step: int) -> Batch:
-        """The batch of a step, on the CPU. It depends only on seed and step, so that training can be
-        resumed."""
-        ...
+        """The batch of a step, on the CPU, by seed and step alone, so that training can be resumed."""
 
     def loss(self, batch: Batch) -> tuple[Tensor, Mapping[str, Tensor]]:
         """The loss (a scalar), and its terms or other scalars for the curves.
 
         The batch is on the model's device; in mixed precision this runs under autocast.
         """
-        ...
 
     def validate(self) -> Mapping[str, float]:
         """Scores on the held-out bodies, in evaluation mode and without gradients."""
-        ...
 
 
 def make_task(train: Train, seed: int, progress: Progress, workers: int) -> Task:

@@ -3,16 +3,16 @@
 A step depends only on the seed, its number and the state before it, so a resumed training ends with the
 weights of an uninterrupted one. AdamW: Loshchilov and Hutter, "Decoupled weight decay regularization", 2019;
 cosine decay: the same authors, "SGDR", 2017. Checkpoints are written atomically; one of another training is
-refused.
+refused. Curves have TensorBoard's format, which ``tensorboard --logdir OUTPUT`` shows.
 """
 
 import math
+import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import closing
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import torch
@@ -21,11 +21,16 @@ from torch.utils.data import DataLoader, Dataset
 
 from polhode.config.train_settings import Schedule
 from polhode.runtime.errors import InputError, RunFailure
+from polhode.runtime.optional_parts import missing_message
 from polhode.runtime.progress import Progress
 from polhode.train.checkpoint import TrainingState, read_checkpoint, write_checkpoint
-from polhode.train.curves import Curves
 from polhode.train.task import Batch, Task
 
+if TYPE_CHECKING:
+    from torch.utils.tensorboard.writer import SummaryWriter
+
+CURVES = "curves"
+"""Folder of the event files."""
 WEIGHT_DECAY = 1e-2
 CLIP_NORM = 1.0
 """Largest norm of a gradient; a larger one is scaled down."""
@@ -45,17 +50,26 @@ class TrainingOutcome:
     scores: Mapping[str, float]
 
 
-class Batches(Dataset[Batch]):
-    """The batches of steps, counted from ``start``."""
+@contextmanager
+def curves_writer(output: Path, first_step: int) -> Iterator["SummaryWriter"]:
+    """Writer of scalars; points after ``first_step`` from an interrupted training are dropped.
 
-    def __init__(self, task: Task, start: int, stop: int) -> None:
-        self._task, self._start, self._stop = task, start, stop
-
-    def __len__(self) -> int:
-        return self._stop - self._start
-
-    def __getitem__(self, index: int) -> Batch:
-        return self._task.batch(self._start + index)
+    Raises InputError: TensorBoard is not installed.
+    """
+    try:
+        from torch.utils.tensorboard.writer import SummaryWriter
+    except ImportError:
+        raise InputError(f"{missing_message('tensorboard')}, which reads and writes the curves") from None
+    # Names of event files begin with the second and are read in their order: two of one second may change
+    # places.
+    seconds = [int(file.name.split(".")[3]) for file in (output / CURVES).glob("events.out.tfevents.*")]
+    while seconds and time.time() < max(seconds) + 1 <= time.time() + 1.0:
+        time.sleep(0.05)
+    writer = SummaryWriter(str(output / CURVES), purge_step=first_step + 1, flush_secs=20)
+    try:
+        yield writer
+    finally:
+        writer.close()
 
 
 class TrainingLoop:
@@ -63,18 +77,19 @@ class TrainingLoop:
 
     def __init__(self, task: Task, schedule: Schedule, output: Path, seed: int, workers: int = 1) -> None:
         """``workers``: processes that prepare batches for a GPU."""
-        self._workers = workers
-        self._task, self._schedule, self._output, self._seed = task, schedule, output, seed
+        self._task, self._schedule, self._output = task, schedule, output
+        self._seed, self._workers = seed, workers
         self._device = device_of(schedule)
         torch.set_num_threads(schedule.threads)
         task.model.to(self._device)
-        decayed = [p for p in task.model.parameters() if p.ndim > 1]
-        others = [p for p in task.model.parameters() if p.ndim <= 1]
-        groups: list[dict[str, Any]] = [{"params": decayed}, {"params": others, "weight_decay": 0.0}]
+        parameters = list(task.model.parameters())
+        groups: list[dict[str, Any]] = [
+            {"params": [p for p in parameters if p.ndim > 1]},
+            {"params": [p for p in parameters if p.ndim <= 1], "weight_decay": 0.0},
+        ]
         self._optimizer = torch.optim.AdamW(groups, lr=schedule.learning_rate, weight_decay=WEIGHT_DECAY)
         on_gpu = self._device.type == "cuda"
-        wanted = schedule.precision
-        self._mixed = wanted == "mixed" or (wanted == "automatic" and on_gpu)
+        self._mixed = schedule.precision == "mixed" or (schedule.precision == "automatic" and on_gpu)
         self._half = torch.float16 if on_gpu and not torch.cuda.is_bf16_supported() else torch.bfloat16
         # Gradients underflow only in float16.
         scaled = self._mixed and self._half is torch.float16
@@ -85,68 +100,62 @@ class TrainingLoop:
 
         Raises InputError: the output folder contains another training; RunFailure: the loss is not finite.
         """
-        step, before_s = self._resume(setting)
-        start = perf_counter()
+        task, schedule, last = self._task, self._schedule, self._schedule.steps
+        step, before_s = 0, 0.0
+        state = read_checkpoint(self._output, setting, last, task.model, self._optimizer)
+        if state is not None:
+            step, before_s = state.step, state.elapsed_s
+            # the scale of another precision does not fit, and finds its value again by itself
+            if state.scaler.keys() == self._scaler.state_dict().keys():
+                self._scaler.load_state_dict(state.scaler)
+        start = time.perf_counter()
         scores: Mapping[str, float] = {}
-        title = f"training {self._task.name}" + (f" (from step {step})" if step else "")
-        last = self._schedule.steps
-        with closing(Curves(self._output, step)) as curves, progress.stage(title, last - step) as advance:
+        title = f"training {task.name}" + (f" (from step {step})" if step else "")
+        with curves_writer(self._output, step) as curves, progress.stage(title, last - step) as advance:
             try:
                 for batch in self._batches(step, last):
                     terms = self._step(step, batch)
                     step += 1
                     advance()
-                    if step % self._schedule.log_every == 0 or step == last:
-                        curves.add(step, {"train": _numbers(self._task.name, step, terms)})
-                    elapsed_s = before_s + perf_counter() - start
-                    time_is_up = self._time_is_up(perf_counter() - start)
-                    if step % self._schedule.validate_every == 0 or step == last or time_is_up:
+                    seconds = time.perf_counter() - start
+                    ends = step == last or (
+                        schedule.time_limit_s is not None and seconds >= schedule.time_limit_s
+                    )
+                    if step % schedule.log_every == 0 or step == last:
+                        for key, value in terms.items():
+                            number = float(value.detach())
+                            if not math.isfinite(number) and key != "gradient":
+                                raise RunFailure(f"{task.name}: {key} is not a number at step {step}")
+                            curves.add_scalar(f"train/{key}", number, step)
+                    if step % schedule.validate_every == 0 or ends:
                         scores = self._validate()
-                        curves.add(step, {"validation": scores})
-                    if step % self._schedule.checkpoint_every == 0 or step == last or time_is_up:
-                        self._save(step, elapsed_s, setting)
-                    if time_is_up:
+                        for key, score in scores.items():
+                            curves.add_scalar(f"validation/{key}", score, step)
+                    if step % schedule.checkpoint_every == 0 or ends:
+                        state = TrainingState(
+                            step=step,
+                            elapsed_s=before_s + seconds,
+                            scaler=self._scaler.state_dict(),
+                            setting=dict(setting),
+                        )
+                        write_checkpoint(self._output, state, task.model, self._optimizer)
+                    if ends:
                         break
             except KeyboardInterrupt:
                 raise KeyboardInterrupt(
                     f"interrupted at step {step}; the same command resumes from the last checkpoint"
                 ) from None
-        return TrainingOutcome(
-            step, step == last, before_s + perf_counter() - start, scores or self._validate()
-        )
-
-    def _time_is_up(self, seconds: float) -> bool:
-        limit = self._schedule.time_limit_s
-        return limit is not None and seconds >= limit
-
-    def _resume(self, setting: Mapping[str, Any]) -> tuple[int, float]:
-        """Load the checkpoint, if there is one. Returns the steps done and the seconds used."""
-        state = read_checkpoint(
-            self._output, setting, self._schedule.steps, self._task.model, self._optimizer
-        )
-        if state is None:
-            return 0, 0.0
-        # the scale of another precision does not fit, and finds its value again by itself
-        if state.scaler.keys() == self._scaler.state_dict().keys():
-            self._scaler.load_state_dict(state.scaler)
-        return state.step, state.elapsed_s
-
-    def _save(self, step: int, elapsed_s: float, setting: Mapping[str, Any]) -> None:
-        state = TrainingState(
-            step=step, elapsed_s=elapsed_s, scaler=self._scaler.state_dict(), setting=dict(setting)
-        )
-        write_checkpoint(self._output, state, self._task.model, self._optimizer)
+        elapsed_s = before_s + time.perf_counter() - start
+        return TrainingOutcome(step, step == last, elapsed_s, scores or self._validate())
 
     def _batches(self, start: int, stop: int) -> Iterator[Batch]:
         """The batches of the steps; for a GPU, which is faster than they are, processes prepare them."""
         if self._device.type != "cuda":
             yield from (self._task.batch(step) for step in range(start, stop))
-            return
-        if start == stop:
-            return
-        # The first one shows here, rather than in another process, what is wrong with the data.
-        yield self._task.batch(start)
-        yield from prepared_batches(self._task, start + 1, stop, self._workers)
+        elif start < stop:
+            # The first one shows here, rather than in another process, what is wrong with the data.
+            yield self._task.batch(start)
+            yield from prepared_batches(self._task, start + 1, stop, self._workers)
 
     def _step(self, step: int, batch: Batch) -> Mapping[str, Tensor]:
         torch.manual_seed(self._seed * 1_000_003 + step)
@@ -177,16 +186,27 @@ class TrainingLoop:
             return {name: float(value) for name, value in self._task.validate().items()}
 
 
+class _Batches(Dataset[Batch]):
+    """The batches of steps, counted from ``start``."""
+
+    def __init__(self, task: Task, start: int, stop: int) -> None:
+        self._task, self._start, self._stop = task, start, stop
+
+    def __len__(self) -> int:
+        return self._stop - self._start
+
+    def __getitem__(self, index: int) -> Batch:
+        return self._task.batch(self._start + index)
+
+
 def prepared_batches(task: Task, start: int, stop: int, workers: int) -> Iterable[Batch]:
     """The batches of the steps in their order, from ``workers`` processes."""
-    pinned = torch.cuda.is_available()
-    batches = Batches(task, start, stop)
     return DataLoader(
-        batches,
+        _Batches(task, start, stop),
         None,
         num_workers=workers,
         prefetch_factor=PREFETCHED,
-        pin_memory=pinned,
+        pin_memory=torch.cuda.is_available(),
         multiprocessing_context="fork",
         worker_init_fn=_one_thread,
     )
@@ -202,14 +222,6 @@ def learning_rate(schedule: Schedule, step: int) -> float:
         return schedule.learning_rate * (step + 1) / schedule.warmup_steps
     done = (step - schedule.warmup_steps) / max(1, schedule.steps - schedule.warmup_steps)
     return schedule.learning_rate * 0.5 * (1.0 + math.cos(math.pi * min(1.0, done)))
-
-
-def _numbers(name: str, step: int, terms: Mapping[str, Tensor]) -> dict[str, float]:
-    numbers = {key: float(value.detach()) for key, value in terms.items()}
-    for key, value in numbers.items():
-        if not math.isfinite(value) and key != "gradient":
-            raise RunFailure(f"{name}: {key} is not a number at step {step}")
-    return numbers
 
 
 def device_of(schedule: Schedule) -> torch.device:

@@ -157,6 +157,22 @@ def textured(image: Image) -> Bools:
     return np.asarray(np.abs(cv2.Scharr(smooth, cv2.CV_32F, 1, 0)) / 32.0 > MIN_GRADIENT)
 
 
+def plane_of_most(A: Array, d: Array, allowed: Array | float, known: Array, lead: float = 1.0) -> Array:
+    """The plane (3,) through three of the points A @ plane = d (n,) that has most within the ``allowed``
+    distance (RANSAC); the ``known`` one unless another has ``lead`` times as many."""
+    random = np.random.default_rng(0)
+    best, most = known, lead * float(np.count_nonzero(np.abs(A @ known - d) < allowed))
+    for _ in range(TRIALS):
+        chosen = random.choice(len(d), 3, replace=False)
+        if abs(np.linalg.det(A[chosen])) < 1.0:
+            continue
+        plane = np.asarray(np.linalg.solve(A[chosen], d[chosen]), dtype=np.float64)
+        count = np.count_nonzero(np.abs(A @ plane - d) < allowed)
+        if count > most:
+            best, most = plane, float(count)
+    return best
+
+
 def find_far_plane(
     left: Image, right: Image, offset_px: float, seen: tuple[Bools, Bools] | None = None
 ) -> FarPlane | None:
@@ -177,23 +193,14 @@ def find_far_plane(
     if len(u) < MIN_MATCHES:
         return None
     A, d = np.column_stack([u, v, np.ones(len(u))]).astype(np.float64), there[v, u].astype(np.float64)
-    random = np.random.default_rng(0)
-    best = np.array([0.0, 0.0, offset_px / scale])
-    most = 1.05 * float(np.count_nonzero(np.abs(A @ best - d) < INLIER_PX))
-    infinite = True
-    for _ in range(TRIALS):
-        chosen = random.choice(len(u), 3, replace=False)
-        if abs(np.linalg.det(A[chosen])) < 1.0:
-            continue
-        plane = np.linalg.solve(A[chosen], d[chosen])
-        count = np.count_nonzero(np.abs(A @ plane - d) < INLIER_PX)
-        if count > most:
-            best, most, infinite = plane, float(count), False
+    infinity = np.array([0.0, 0.0, offset_px / scale])
+    best = plane_of_most(A, d, INLIER_PX, infinity, 1.05)
+    infinite = best is infinity
     inlier = np.abs(A @ best - d) < INLIER_PX
     if inlier.mean() < 0.5:
         return None
     if not infinite:
         for _ in range(3):
-            best = np.linalg.lstsq(A[inlier], d[inlier])[0]
+            best = np.asarray(np.linalg.lstsq(A[inlier], d[inlier])[0], dtype=np.float64)
             inlier = np.abs(A @ best - d) < INLIER_PX
     return FarPlane(float(best[0]), float(best[1]), float(best[2])).enlarged(scale)

@@ -93,18 +93,22 @@ class Background:
 
 def find_background(sequence: StereoSequence, rectifier: Rectifier) -> Background | None:
     """The background of a sequence; None: the sky is dark, masks are given, or no plane is found."""
-    frames = _without_masks(sequence)
-    if not frames:
-        return None
-    bright = []
-    for k in frames:
-        image = rectifier(sequence.read_left(k)[0], 0)
-        bright.append(lit_border(image, rectifier.borders[0]) > MIN_LIT_BORDER)
-    if sum(bright) < 0.5 * len(bright):
+    spread = np.unique(np.linspace(0, len(sequence) - 1, EXAMINED).round().astype(int)).tolist()
+    frames = [k for k in spread if sequence.read_left(k)[1] is None]
+    bright = [
+        lit_border(rectifier(sequence.read_left(k)[0], 0), rectifier.borders[0]) > MIN_LIT_BORDER
+        for k in frames
+    ]
+    if not frames or sum(bright) < 0.5 * len(bright):
         return None
     planes: dict[int, FarPlane] = {}
     for k in frames:
-        plane = _far_plane(sequence, rectifier, k)
+        offset_px = rectifier.rig.disparity_offset_px
+        if sequence.has_ranges:
+            plane = range_plane(frame_disparity(sequence, rectifier, k), offset_px)
+        else:
+            raw = sequence.read_pair(k)
+            plane = find_far_plane(rectifier(raw.left, 0), rectifier(raw.right, 1), offset_px, rectifier.seen)
         if plane is not None:
             planes[k] = plane
     found = _common_background(sequence, rectifier, planes, len(frames))
@@ -127,21 +131,6 @@ def _still(sequence: StereoSequence, rectifier: Rectifier) -> Background | None:
     if not (is_still(looks[0], left, shown[0]) and is_still(looks[1], right, shown[1])):
         return None
     return Background(np.zeros(3), (left, right))
-
-
-def _far_plane(sequence: StereoSequence, rectifier: Rectifier, k: int) -> FarPlane | None:
-    """The background's plane in pair k, by its ranges or by stereo."""
-    offset_px = rectifier.rig.disparity_offset_px
-    if sequence.has_ranges:
-        return range_plane(frame_disparity(sequence, rectifier, k), offset_px)
-    pair = sequence.read_pair(k)
-    return find_far_plane(rectifier(pair.left, 0), rectifier(pair.right, 1), offset_px, rectifier.seen)
-
-
-def _without_masks(sequence: StereoSequence) -> list[int]:
-    """Frames spread over the sequence that have no mask."""
-    spread = np.linspace(0, len(sequence) - 1, EXAMINED).round().astype(int)
-    return [k for k in np.unique(spread).tolist() if sequence.read_left(k)[1] is None]
 
 
 def _common_background(
@@ -178,58 +167,44 @@ def find_masks(
     First each pair is examined alone, then with the background that the pairs around it show. Ranges show the
     target at once.
     """
-    masks: dict[int, tuple[bytes, bytes]] = {}
-    quality: dict[int, MaskQuality] = {}
-    if sequence.has_ranges:
-        by_ranges = partial(_masks_by_ranges, sequence, rectifier, background)
-        for k, found in zip(frames, in_order(by_ranges, frames, workers), strict=True):
-            masks[k], quality[k] = found
+    found: list[tuple[tuple[bytes, bytes], MaskQuality]] = []
+    if sequence.has_ranges or background.still is not None:
+        alone = partial(_masks_alone, sequence, rectifier, background)
+        for each in in_order(alone, frames, workers):
+            found.append(each)
             tick()
-        return _unless_empty(masks, quality)
-    if background.still is not None:
-        by_change = partial(_masks_by_change, sequence, rectifier, background.still)
-        for k, found in zip(frames, in_order(by_change, frames, workers), strict=True):
-            masks[k], quality[k] = found
-            tick()
-        return _unless_empty(masks, quality)
-    examine = partial(_first_looks, sequence, rectifier, background)
-    finish = partial(_masks_of, sequence, rectifier, background)
-    looks: dict[int, FirstLooks] = {}
-    for start in range(0, len(frames), BLOCK):
-        block = range(start, min(start + BLOCK, len(frames)))
-        around = {n: frames_around(n, len(frames)) for n in block}
-        missing = sorted({j for n in block for j in (n, *around[n])} - looks.keys())
-        for j, look in zip(missing, in_order(examine, [frames[j] for j in missing], workers), strict=True):
-            looks[j] = look
-        items = [(frames[n], looks[n], [(frames[j], looks[j]) for j in around[n]]) for n in block]
-        for item, found in zip(items, in_order(finish, items, workers), strict=True):
-            masks[item[0]], quality[item[0]] = found
-            tick()
-        looks = {j: look for j, look in looks.items() if j >= block.stop - 2 * REACH_FRAMES}
-    return _unless_empty(masks, quality)
-
-
-def _unless_empty(
-    masks: dict[int, tuple[bytes, bytes]], quality: dict[int, MaskQuality]
-) -> FoundMasks | None:
-    if np.median([each.area for each in quality.values()]) < MIN_AREA:
+    else:
+        examine = partial(_first_looks, sequence, rectifier, background)
+        finish = partial(_masks_of, sequence, rectifier, background)
+        looks: dict[int, FirstLooks] = {}
+        for start in range(0, len(frames), BLOCK):
+            block = range(start, min(start + BLOCK, len(frames)))
+            around = {n: frames_around(n, len(frames)) for n in block}
+            missing = sorted({j for n in block for j in (n, *around[n])} - looks.keys())
+            looked = in_order(examine, [frames[j] for j in missing], workers)
+            looks |= dict(zip(missing, looked, strict=True))
+            items = [(frames[n], looks[n], [(frames[j], looks[j]) for j in around[n]]) for n in block]
+            for each in in_order(finish, items, workers):
+                found.append(each)
+                tick()
+            looks = {j: look for j, look in looks.items() if j >= block.stop - 2 * REACH_FRAMES}
+    if np.median([quality.area for _, quality in found]) < MIN_AREA:
         return None
-    return FoundMasks(masks, quality)
+    masks, quality = zip(*found, strict=True)
+    return FoundMasks(dict(zip(frames, masks, strict=True)), dict(zip(frames, quality, strict=True)))
 
 
-def _masks_by_ranges(
+def _masks_alone(
     sequence: StereoSequence, rectifier: Rectifier, background: Background, k: int
 ) -> tuple[tuple[bytes, bytes], MaskQuality]:
-    plane = plane_seen_from(background.m_N, rectifier.rig, sequence.X_NC[k] @ rectifier.X_CR)
-    layer = near_range_layer(frame_disparity(sequence, rectifier, k), plane)
-    return (encoded(layer.left), encoded(layer.right)), layer.quality
-
-
-def _masks_by_change(
-    sequence: StereoSequence, rectifier: Rectifier, still: tuple[BackgroundImage, BackgroundImage], k: int
-) -> tuple[tuple[bytes, bytes], MaskQuality]:
-    raw = sequence.read_pair(k)
-    layer = changed_layer(rectifier(raw.left, 0), rectifier(raw.right, 1), still, rectifier.seen)
+    """The layer of pair k by its ranges, or by what differs from the still background."""
+    if background.still is None:
+        plane = plane_seen_from(background.m_N, rectifier.rig, sequence.X_NC[k] @ rectifier.X_CR)
+        layer = near_range_layer(frame_disparity(sequence, rectifier, k), plane)
+    else:
+        raw = sequence.read_pair(k)
+        images = rectifier(raw.left, 0), rectifier(raw.right, 1)
+        layer = changed_layer(*images, background.still, rectifier.seen)
     return (encoded(layer.left), encoded(layer.right)), layer.quality
 
 

@@ -132,7 +132,8 @@ def near_layer(
     by_time = by_time_moved = None
     if behind is not None:
         by_time, in_right = (evidence_of_change(*each) for each in zip((small, other), behind, strict=True))
-        by_time_moved = _moved_values(in_right, far)[:, ::-1]
+        v, u = np.mgrid[: far.shape[0], : far.shape[1]].astype(np.float32)
+        by_time_moved = np.asarray(cv2.remap(in_right, u - far, v, cv2.INTER_LINEAR), np.float32)[:, ::-1]
     of_left = _labels(small, moved, there, back, inside, by_time)
     of_moved = _labels(
         _flipped(moved), _flipped(small), _flipped(back), _flipped(there), _flipped(inside), by_time_moved
@@ -144,8 +145,11 @@ def near_layer(
         contradicted=_contradicted(of_left, right_target),
         far_share=far_share,
     )
-    plane = FarPlane(plane.a, plane.b, plane.c + offset * scale)
-    target_right = _in_right_image(right_target, plane.reduced(scale))
+    # the moved image's mask in the right image itself
+    behind_it = FarPlane(plane.a, plane.b, plane.c + offset * scale).reduced(scale)
+    v, u = np.mgrid[: small.shape[0], : small.shape[1]].astype(np.float32)
+    columns = ((u + behind_it.b * v + behind_it.c) / (1.0 - behind_it.a)).astype(np.float32)
+    target_right = cv2.remap(right_target.astype(np.uint8), columns, v, cv2.INTER_NEAREST) > 0
     return NearLayer(refined(left, of_left.target, scale), refined(right, target_right, scale), quality)
 
 
@@ -174,21 +178,6 @@ def _moved(right: Image, far: Floats) -> tuple[Image, Bools]:
     columns = u - far
     moved = cv2.remap(right, columns, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(moved, dtype=np.uint8), np.asarray((columns >= 0) & (columns <= far.shape[1] - 1))
-
-
-def _moved_values(right: Floats, far: Floats) -> Floats:
-    """Values (h, w) of the right image, moved likewise; 0 beyond its border."""
-    v, u = np.mgrid[: far.shape[0], : far.shape[1]].astype(np.float32)
-    return np.asarray(cv2.remap(right, u - far, v, cv2.INTER_LINEAR), dtype=np.float32)
-
-
-def _in_right_image(moved: Bools, plane: FarPlane) -> Bools:
-    """A mask (h, w) of the moved right image, in the right image itself."""
-    height, width = moved.shape
-    v, u = np.mgrid[:height, :width].astype(np.float32)
-    columns = (u + plane.b * v + plane.c) / (1.0 - plane.a)
-    found = cv2.remap(moved.astype(np.uint8), columns.astype(np.float32), v, cv2.INTER_NEAREST)
-    return np.asarray(found, dtype=np.uint8) > 0
 
 
 def _labels(

@@ -8,11 +8,11 @@ is what is nearer by more than the noise, closed over the dropouts along its edg
 import cv2
 import numpy as np
 
-from polhode.frontend.background.far_plane import FarPlane, border_ring
+from polhode.frontend.background.far_plane import FarPlane, border_ring, plane_of_most
 from polhode.frontend.background.near_layer import NearLayer, filled, large_parts
 from polhode.frontend.found_masks import MaskQuality
 from polhode.frontend.rectification import MeasuredDisparity
-from polhode.geometry.lie import Array, Bools
+from polhode.geometry.lie import Bools
 
 MIN_RETURNS = 0.2
 """Share of the border's pixels with a range, below which the background returns nothing."""
@@ -23,7 +23,7 @@ INLIER_SIGMAS = 3.0
 UNEVEN_PX = 0.3
 """part of the disparity by which a real wall is not a plane [px]."""
 MIN_INLIERS = 0.5
-TRIALS, POINTS = 60, 4000
+POINTS = 4000
 CLOSED_PX = 3
 """Radius over which dropouts along edges are closed."""
 
@@ -42,7 +42,8 @@ def range_plane(measured: MeasuredDisparity, offset_px: float) -> FarPlane | Non
     A = np.column_stack([u, v, np.ones(len(u))]).astype(np.float64)
     d, sigma = (image[v, u].astype(np.float64) for image in (measured.disparity_px, measured.sigma_px))
     allowed = np.hypot(INLIER_SIGMAS * sigma, UNEVEN_PX)
-    inlier = _most_agreeing(A, d, allowed)
+    nowhere = np.array([0.0, 0.0, -1e9])
+    inlier = np.abs(A @ plane_of_most(A, d, allowed, nowhere) - d) < allowed
     if inlier.mean() < MIN_INLIERS:
         return None
     for _ in range(3):
@@ -50,19 +51,6 @@ def range_plane(measured: MeasuredDisparity, offset_px: float) -> FarPlane | Non
         plane = np.linalg.lstsq(A[inlier] * weight[:, None], d[inlier] * weight)[0]
         inlier = np.abs(A @ plane - d) < allowed
     return FarPlane(float(plane[0]), float(plane[1]), float(plane[2]))
-
-
-def _most_agreeing(A: Array, d: Array, allowed: Array) -> Bools:
-    """The points (n,) near the plane through three of them that has most (RANSAC)."""
-    random, best = np.random.default_rng(0), np.zeros(len(d), dtype=np.bool_)
-    for _ in range(TRIALS):
-        chosen = random.choice(len(d), 3, replace=False)
-        if abs(np.linalg.det(A[chosen])) < 1.0:
-            continue
-        near = np.abs(A @ np.linalg.solve(A[chosen], d[chosen]) - d) < allowed
-        if near.sum() > best.sum():
-            best = near
-    return best
 
 
 def near_range_layer(measured: MeasuredDisparity, plane: FarPlane) -> NearLayer:

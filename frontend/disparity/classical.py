@@ -15,8 +15,6 @@ surroundings agree (iteratively reweighted least squares); the plane's covarianc
 extrapolated.
 """
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -91,18 +89,24 @@ def refine_dense(
     u = np.arange(w, dtype=np.float32)[None, :] + margin_px - filled
     v = np.broadcast_to(np.arange(h, dtype=np.float32)[:, None], (h, w)).copy()
     other = right.astype(np.float32)
-    warped = _sample(other, u, v, cv2.INTER_CUBIC)
-    slope = _slope(other)
-    slope_right = _sample(slope, u, v, cv2.INTER_LINEAR)
-    slope_left = _slope(left.astype(np.float32))[:, margin_px : margin_px + w]
+    warped = np.asarray(cv2.remap(other, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.float32)
+    # derivatives along the rows [1/px]
+    difference = np.array([[-0.5, 0.0, 0.5]], dtype=np.float32)
+    slope = cv2.filter2D(other, cv2.CV_32F, difference)
+    slope_right = np.asarray(
+        cv2.remap(slope, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32
+    )
+    slope_left = np.asarray(cv2.filter2D(left.astype(np.float32), cv2.CV_32F, difference), np.float32)
+    slope_left = slope_left[:, margin_px : margin_px + w]
     gradient = 0.5 * (slope_left + slope_right)
-
+    # means over a square window; pixels outside the image count as 0
+    window, beside = (WINDOW_PX, WINDOW_PX), cv2.BORDER_CONSTANT
     weight = known.astype(np.float32)
-    count = _mean(weight)
+    count = np.asarray(cv2.blur(weight, window, borderType=beside), np.float32)
     safe = np.maximum(count, 1e-6)
 
     def mean(image: Floats) -> Floats:
-        return np.asarray(_mean(weight * image) / safe, dtype=np.float32)
+        return np.asarray(cv2.blur(weight * image, window, borderType=beside) / safe, dtype=np.float32)
 
     m_left, m_warped, m_gradient = mean(reference), mean(warped), mean(gradient)
     var_left = mean(reference * reference) - m_left * m_left
@@ -132,24 +136,6 @@ def refine_dense(
     )
 
 
-def _sample(image: Floats, u: Floats, v: Floats, interpolation: int) -> Floats:
-    """Values at sub-pixel positions."""
-    sampled = cv2.remap(image, u, v, interpolation, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(sampled, dtype=np.float32)
-
-
-def _slope(image: Floats) -> Floats:
-    """Derivative along the row [1/px]: central differences."""
-    kernel = np.array([[-0.5, 0.0, 0.5]], dtype=np.float32)
-    return np.asarray(cv2.filter2D(image, cv2.CV_32F, kernel), dtype=np.float32)
-
-
-def _mean(image: Floats) -> Floats:
-    """Mean over a square window; pixels outside the image count as 0."""
-    blurred = cv2.blur(image, (WINDOW_PX, WINDOW_PX), borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(blurred, dtype=np.float32)
-
-
 def fit_planes(
     disparity: Floats, sigma: Floats, radius_px: int, correlated_px2: float
 ) -> tuple[Floats, Floats]:
@@ -161,13 +147,20 @@ def fit_planes(
     known = np.isfinite(disparity) & np.isfinite(sigma)
     d = np.where(known, disparity, 0.0).astype(np.float64)
     weight = np.where(known, 1.0 / (np.square(np.where(known, sigma, 1.0), dtype=np.float64) + 0.05**2), 0.0)
-    plane, _, _ = _best_plane(d, weight, radius_px, correlated_px2)
+
+    def best_plane(weight: Array, radius_px: int) -> tuple[Array, Array, Bools]:
+        """Value of the best window's plane at each pixel, its variance, and whether there is one."""
+        planes = plane_per_window(d, weight, radius_px, correlated_px2)
+        value, variance, score = best_window(planes, max(1, round(0.7 * radius_px)))
+        return value, variance, np.asarray(np.isfinite(score))
+
+    plane, _, _ = best_plane(weight, radius_px)
     limit = _OUTLIER_SIGMAS * np.hypot(np.where(known, sigma, 1.0), 0.1)
     robust = np.where(np.abs(d - plane) < limit, weight, 0.01 * weight)
-    plane, variance, good = _best_plane(d, robust, radius_px, correlated_px2)
+    plane, variance, good = best_plane(robust, radius_px)
     rough = cv2.blur(np.square(d - plane) * weight, (5, 5)) > _ROUGH_CHI2
     if rough.any():
-        near, near_variance, near_good = _best_plane(d, robust, max(radius_px // 2, 1), correlated_px2)
+        near, near_variance, near_good = best_plane(robust, max(radius_px // 2, 1))
         rough &= near_good
         plane, variance = np.where(rough, near, plane), np.where(rough, near_variance, variance)
         good |= rough
@@ -176,15 +169,6 @@ def fit_planes(
         np.where(out, plane, np.nan).astype(np.float32),
         np.where(out, np.sqrt(variance), np.nan).astype(np.float32),
     )
-
-
-def _best_plane(
-    d: Array, weight: Array, radius_px: int, correlated_px2: float
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Value of the best window's plane at each pixel, its variance, and whether there is such a window."""
-    planes = plane_per_window(d, weight, radius_px, correlated_px2)
-    value, variance, score = best_window(planes, max(1, round(0.7 * radius_px)))
-    return value, variance, np.isfinite(score)
 
 
 @compiled_fused_ieee
@@ -285,21 +269,6 @@ def best_window(planes: Array, step_px: int) -> tuple[Array, Array, Array]:
     return value, variance, score
 
 
-@dataclass(frozen=True)
-class _Plane:
-    """d = value + a (u - u0) + b (v - v0), with the covariance of (value, a, b)."""
-
-    theta: Array
-    covariance: Array
-    centre: tuple[float, float]
-
-    def at(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """Disparity and sigma (n,) [px] at pixels."""
-        basis = np.stack([np.ones_like(u), u - self.centre[0], v - self.centre[1]], axis=1)
-        variance = np.einsum("ni,ij,nj->n", basis, self.covariance, basis)
-        return basis @ self.theta, np.sqrt(variance + _MODEL_PX**2)
-
-
 def textureless_patches(image: Image, inside: Bools) -> tuple[NDArray[np.int32], int]:
     """Labels (h, w) of connected patches of nearly constant intensity, 0 elsewhere; and their number."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)
@@ -316,19 +285,22 @@ def textureless_patches(image: Image, inside: Bools) -> tuple[NDArray[np.int32],
     return labels, count
 
 
-def fit_facets(
-    image: Image,
-    inside: Bools,
-    disparity: Floats,
-    sigma: Floats,
-    correlated_px2: float,
-    darkest: float,
-) -> tuple[Floats, Floats]:
-    """Disparity and sigma (h, w) [px] on textureless planar patches of the image; NaN elsewhere.
+def crop_facets(crop: StereoCrop, disparity: Floats, sigma: Floats) -> tuple[Floats, Floats]:
+    """Disparity and sigma (h, w) [px] on textureless planar patches of a crop; NaN elsewhere.
 
-    inside (h, w): lit pixels of the target; disparity, sigma (h, w): of every pixel by its own window, NaN
-    where there is none; correlated_px2: as for ``fit_planes``; darkest: intensity below which facets are
-    omitted.
+    disparity, sigma (h, w): of every pixel by its own window, NaN where there is none.
+    """
+    return fit_facets(
+        crop.image, crop.lit, disparity, sigma, float(WINDOW_PX**2), crop.sky + 2.0 * MIN_INTENSITY
+    )
+
+
+def fit_facets(
+    image: Image, inside: Bools, disparity: Floats, sigma: Floats, correlated_px2: float, darkest: float
+) -> tuple[Floats, Floats]:
+    """The same of an image, whose lit pixels of the target are ``inside`` (h, w).
+
+    correlated_px2: as for ``fit_planes``; darkest: intensity below which facets are omitted.
     """
     labels, count = textureless_patches(image, inside)
     value = np.full(disparity.shape, np.nan, dtype=np.float32)
@@ -340,42 +312,35 @@ def fit_facets(
             continue
         rows, columns = np.nonzero(labels[bounds] == label)
         rows, columns = rows + bounds[0].start, columns + bounds[1].start
+        # A flat facet in sunlight has one brightness, a curved one is shaded; dark pixels show nothing.
+        low, middle, high = np.percentile(image[rows, columns], [5.0, 50.0, 95.0])
+        if not (middle > darkest and high - low < _MAX_BRIGHTNESS_RANGE * middle + 4.0):
+            continue
         box = (
             slice(max(rows.min() - _EDGE_PX, 0), rows.max() + _EDGE_PX + 1),
             slice(max(columns.min() - _EDGE_PX, 0), columns.max() + _EDGE_PX + 1),
         )
-        if not _uniformly_lit(image[rows, columns], darkest):
-            continue
         patch = cv2.dilate((labels[box] == label).astype(np.uint8), kernel) > 0
         v, u = np.nonzero(patch & known[box])
         v, u = v + box[0].start, u + box[1].start
-        plane = _fit(u, v, disparity[v, u], sigma[v, u], correlated_px2)
-        if plane is not None:
-            at = plane.at(columns.astype(np.float64), rows.astype(np.float64))
-            value[rows, columns], value_sigma[rows, columns] = at
+        fitted = _fit(u, v, disparity[v, u], sigma[v, u], correlated_px2)
+        if fitted is not None:
+            theta, covariance = fitted
+            basis = np.stack([np.ones(len(rows)), columns - u.mean(), rows - v.mean()], axis=1)
+            variance = np.einsum("ni,ij,nj->n", basis, covariance, basis)
+            value[rows, columns] = basis @ theta
+            value_sigma[rows, columns] = np.sqrt(variance + _MODEL_PX**2)
     return value, value_sigma
-
-
-def crop_facets(crop: StereoCrop, disparity: Floats, sigma: Floats) -> tuple[Floats, Floats]:
-    """``fit_facets`` of a crop, given disparity and sigma (h, w) [px] of every pixel by its own window."""
-    darkest = crop.sky + 2.0 * MIN_INTENSITY
-    return fit_facets(crop.image, crop.lit, disparity, sigma, float(WINDOW_PX**2), darkest)
-
-
-def _uniformly_lit(intensity: Image, darkest: float) -> bool:
-    """A flat facet in sunlight has one brightness, a curved one is shaded; dark pixels show nothing."""
-    low, middle, high = np.percentile(intensity, [5.0, 50.0, 95.0])
-    return bool(middle > darkest and high - low < _MAX_BRIGHTNESS_RANGE * middle + 4.0)
 
 
 def _fit(
     u: NDArray[np.int64], v: NDArray[np.int64], d: Floats, sigma: Floats, correlated_px2: float
-) -> _Plane | None:
-    """The plane on which most of the information agrees, or None."""
+) -> tuple[Array, Array] | None:
+    """The plane d = value + a (u - mean u) + b (v - mean v) on which most of the information agrees: (value,
+    a, b) and their covariance; None: there is none."""
     if len(u) < _MIN_AREA_PX:
         return None
-    centre = (float(u.mean()), float(v.mean()))
-    basis = np.stack([np.ones(len(u)), u - centre[0], v - centre[1]], axis=1).astype(np.float64)
+    basis = np.stack([np.ones(len(u)), u - u.mean(), v - v.mean()], axis=1)
     information = 1.0 / (sigma.astype(np.float64) ** 2 + 0.05**2)
     weight = information
     values = d.astype(np.float64)
@@ -389,5 +354,4 @@ def _fit(
         return None
     normal = (basis * weight[:, None]).T @ basis + 1e-9 * np.eye(3)
     scatter = float(np.sum(weight * residual**2) / max(len(u) - 3, 1))
-    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64) * correlated_px2 * max(1.0, scatter)
-    return _Plane(theta, covariance, centre)
+    return theta, np.linalg.inv(normal) * correlated_px2 * max(1.0, scatter)

@@ -184,13 +184,34 @@ def input_channels(start: InitialDisparity) -> Tensor:
     # The products of difference and slope, and the squared slopes, are the terms that least squares sum.
     slope = warped[middle - 1] - warped[middle + 1]
     alternatives = ((guess[1:] - guess[:1]) / _ALTERNATIVE_SCALE_PX).clamp(-2.0, 2.0)
+    log_left, log_right = (
+        torch.log1p(torch.from_numpy(np.ascontiguousarray(image)).clamp(min=0.0) / _GREY_SCALE)
+        for image in (start.left, start.right)
+    )
+    brighter = warp_right(log_right, guess[:1], start.margin_px)[0] - log_left
+    # the first hypothesis relative to its mean, and its slopes
+    first, target = guess[0], torch.from_numpy(np.ascontiguousarray(start.target))
+    mean = first[target].mean() if bool(target.any()) else first.mean()
+    around = ((first - mean) / _PLANE_SCALE_PX).clamp(-2.0, 2.0)
+    du = torch.nn.functional.pad((first[:, 2:] - first[:, :-2]) / 2.0, (1, 1))
+    dv = torch.nn.functional.pad((first[2:] - first[:-2]) / 2.0, (0, 0, 1, 1))
+    known = np.isfinite(start.sigma)
+    certainty: list[NDArray[np.generic]] = [
+        known,
+        np.log(np.clip(np.where(known, start.sigma, 2.0), 0.01, 2.0)) / 2.0,
+        start.lit,
+        start.target,
+        np.clip((start.near - start.far) / _ALTERNATIVE_SCALE_PX, 0.0, 2.0),
+        np.clip(np.abs(start.unchecked - start.filled), 0.0, 2.0),
+        start.facet_trust,
+    ]
     channels = [
         cost,
         alternatives,
         torch.stack([left, difference.clamp(-3.0, 3.0), (difference * slope).clamp(-4.0, 4.0), slope**2]),
-        _grey(start, guess[:1]),
-        _shape(guess[0], torch.from_numpy(np.ascontiguousarray(start.target))),
-        _certainty(start),
+        torch.stack([log_left - 1.0, brighter]),
+        torch.stack([around, (2.0 * du).clamp(-1.0, 1.0), (2.0 * dv).clamp(-1.0, 1.0)]),
+        torch.from_numpy(np.stack([each.astype(np.float32) for each in certainty])),
     ]
     return torch.cat(channels)[None]
 
@@ -234,45 +255,6 @@ def shift_rows(right: Floats, disparity: Floats, margin_px: int) -> Floats:
     return out
 
 
-def _grey(start: InitialDisparity, disparity: Tensor) -> Tensor:
-    """(2, h, w) logarithmic brightness, and by how much the right image is brighter."""
-    left = _log(torch.from_numpy(np.ascontiguousarray(start.left)))
-    right = _log(torch.from_numpy(np.ascontiguousarray(start.right)))
-    warped = warp_right(right, disparity, start.margin_px)
-    return torch.stack([left - 1.0, warped[0] - left])
-
-
-def _log(levels: Tensor) -> Tensor:
-    return torch.log1p(levels.clamp(min=0.0) / _GREY_SCALE)
-
-
-def _shape(disparity: Tensor, target: Tensor) -> Tensor:
-    """(3, h, w) the first hypothesis relative to its mean, and its slopes."""
-    mean = disparity[target].mean() if bool(target.any()) else disparity.mean()
-    du = torch.nn.functional.pad((disparity[:, 2:] - disparity[:, :-2]) / 2.0, (1, 1))
-    dv = torch.nn.functional.pad((disparity[2:] - disparity[:-2]) / 2.0, (0, 0, 1, 1))
-    around = ((disparity - mean) / _PLANE_SCALE_PX).clamp(-2.0, 2.0)
-    return torch.stack([around, (2.0 * du).clamp(-1.0, 1.0), (2.0 * dv).clamp(-1.0, 1.0)])
-
-
-def _certainty(start: InitialDisparity) -> Tensor:
-    """(7, h, w) matched, log sigma, lit, target, range of the alternatives, effect of the check, facet."""
-    known = np.isfinite(start.sigma)
-    spread = np.log(np.clip(np.where(known, start.sigma, 2.0), 0.01, 2.0)) / 2.0
-    reach = np.clip((start.near - start.far) / _ALTERNATIVE_SCALE_PX, 0.0, 2.0)
-    moved = np.clip(np.abs(start.unchecked - start.filled), 0.0, 2.0)
-    flags: list[NDArray[np.generic]] = [
-        known,
-        spread,
-        start.lit,
-        start.target,
-        reach,
-        moved,
-        start.facet_trust,
-    ]
-    return torch.from_numpy(np.stack([flag.astype(np.float32) for flag in flags]))
-
-
 @dataclass(frozen=True)
 class RefinedDisparity:
     """Estimates at the target's pixels (h, w), also where the initial disparity is unknown; NaN elsewhere."""
@@ -312,8 +294,18 @@ def refine(network: DisparityNet, start: InitialDisparity) -> RefinedDisparity:
         mixture = mixture_from_outputs(outputs, guess).strongest(_COMPONENTS)
         mode = mixture.mode()
         values = (mode, mixture.sigma(mode), torch.sigmoid(mixture.visible))
-    disparity, sigma, visible = (_as_image(each[0], start.target) for each in values)
-    refined = _refine_subpixel(start, disparity, sigma)
+    disparity, sigma, visible = images = [np.full((h, w), np.nan, dtype=np.float32) for _ in values]
+    for image, each in zip(images, values, strict=True):
+        # the padding contains no target
+        image[start.target] = each[0].numpy()
+    left = np.pad(start.left, ((0, 0), (start.margin_px, start.margin_px)), mode="edge")
+    measured, sigma_window = refine_dense(left, start.right, disparity, start.margin_px)
+    weight = sigma**2 / (sigma**2 + sigma_window**2 + SIGMA_FLOOR_PX**2)
+    mean = (disparity + weight * (measured - disparity)).astype(np.float32)
+    mean_sigma = (sigma * np.sqrt(1.0 - weight)).astype(np.float32)
+    plane, _ = fit_planes(mean, mean_sigma, PLANE_RADIUS_PX, _CORRELATED_PX2)
+    # Where no window holds enough of one surface, the pixel keeps its own value.
+    refined = np.where(np.isfinite(plane), plane, mean).astype(np.float32)
     return RefinedDisparity(refined, float(network.sigma_scale) * sigma, visible)
 
 
@@ -326,23 +318,3 @@ def disparity_network(path: str | None) -> DisparityNet:
     network = DisparityNet()
     load_weights(network, shipped_path(NAME) if path is None else Path(path))
     return network
-
-
-def _as_image(values: Tensor, target: Bools) -> Floats:
-    """Values (n,) of the target's pixels as an image, NaN elsewhere; the padding contains no target."""
-    image = np.full(target.shape, np.nan, dtype=np.float32)
-    image[target] = values.numpy()
-    return image
-
-
-def _refine_subpixel(start: InitialDisparity, disparity: Floats, sigma: Floats) -> Floats:
-    """Disparity (h, w) [px] from the network's disparity and sigma; NaN stays NaN."""
-    margin = ((0, 0), (start.margin_px, start.margin_px))
-    left = np.pad(start.left, margin, mode="edge")
-    measured, sigma_window = refine_dense(left, start.right, disparity, start.margin_px)
-    weight = sigma**2 / (sigma**2 + sigma_window**2 + SIGMA_FLOOR_PX**2)
-    mean = (disparity + weight * (measured - disparity)).astype(np.float32)
-    mean_sigma = (sigma * np.sqrt(1.0 - weight)).astype(np.float32)
-    plane, _ = fit_planes(mean, mean_sigma, PLANE_RADIUS_PX, _CORRELATED_PX2)
-    # Where no window holds enough of one surface, the pixel keeps its own value.
-    return np.where(np.isfinite(plane), plane, mean).astype(np.float32)

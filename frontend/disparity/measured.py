@@ -7,13 +7,12 @@ ones, do not count. Where few pixels agree with the plane, as at jumps of depth,
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from polhode.frontend.disparity.classical import fit_planes
 from polhode.frontend.disparity.depth import depth_of_disparity, discontinuities
 from polhode.frontend.rectification import MeasuredDisparity, RectifiedPair
 from polhode.geometry.camera import RectifiedRig
-from polhode.geometry.lie import Array, Bools
+from polhode.geometry.lie import Array
 from polhode.records.surface import DepthMap
 
 WINDOW_RADIUS_PX = 5
@@ -57,12 +56,23 @@ def disparity_at(measured: MeasuredDisparity, uv_px: Array) -> tuple[Array, Arra
     far2 = du**2 + dv**2
     window = np.exp(-far2 / (2.0 * (WINDOW_SIGMA * r) ** 2))
     weight = np.where(known, window, 0.0)
-    level = _first_level(d, known, far2)
+    # the first level is the median of the measured pixels nearest to a point
+    nearest = np.argsort(np.where(known, far2, np.inf), axis=1, kind="stable")[:, :NEAREST]
+    measured_there, value = (np.take_along_axis(each, nearest, axis=1) for each in (known, d))
+    values = np.where(measured_there, value, np.nan)
+    level, some = np.full(n, np.nan), known.any(axis=1)
+    level[some] = np.nanmedian(values[some], axis=1)
     keep = np.abs(d - level[:, None]) < JUMP_SIGMAS * sigma + MAX_SLOPE * np.sqrt(far2)
     A = np.stack([np.ones_like(du), du, dv], axis=-1)
     for _ in range(4):
         information = np.where(keep, weight / sigma**2, 0.0)
-        plane, covariance = _weighted_planes(A, information, weight, sigma, keep, d)
+        Aw = A * information[..., None]
+        # the regularisation keeps windows with too few pixels solvable; they are rejected afterwards
+        inverse = np.linalg.inv(np.swapaxes(Aw, 1, 2) @ A + np.diag([1e-9, 1e-6, 1e-6]))
+        plane = (inverse @ (np.swapaxes(Aw, 1, 2) @ d[..., None]))[..., 0]
+        # the weights are not the inverse variances: those fall with the distance
+        scatter = A * (np.where(keep, weight / sigma, 0.0))[..., None]
+        covariance = inverse @ (np.swapaxes(scatter, 1, 2) @ scatter) @ inverse
         residual = (d - np.einsum("nka,na->nk", A, plane)) / sigma
         keep = known & (np.abs(residual) < OUTLIER_SIGMAS)
     support = (weight * keep).sum(axis=1) / window.sum(axis=1)
@@ -74,30 +84,6 @@ def disparity_at(measured: MeasuredDisparity, uv_px: Array) -> tuple[Array, Arra
     return np.where(good, plane[:, 0], np.nan), np.where(good, np.hypot(spread, SHARED_ERROR * usual), np.nan)
 
 
-def _first_level(d: Array, known: Bools, far2: Array) -> Array:
-    """Median (n,) of the measured pixels nearest to each point; NaN where there are none."""
-    nearest = np.argsort(np.where(known, far2, np.inf), axis=1, kind="stable")[:, :NEAREST]
-    has = np.take_along_axis(known, nearest, axis=1)
-    values = np.where(has, np.take_along_axis(d, nearest, axis=1), np.nan)
-    level = np.full(len(d), np.nan)
-    some = has.any(axis=1)
-    level[some] = np.nanmedian(values[some], axis=1)
-    return level
-
-
-def _weighted_planes(
-    A: Array, information: Array, weight: Array, sigma: Array, keep: Bools, d: Array
-) -> tuple[Array, Array]:
-    """Planes (n, 3) by weighted least squares, and their covariances (n, 3, 3) for independent pixels."""
-    Aw = A * information[..., None]
-    # the regularisation keeps windows with too few pixels solvable; they are rejected afterwards
-    inverse = np.linalg.inv(np.swapaxes(Aw, 1, 2) @ A + np.diag([1e-9, 1e-6, 1e-6]))
-    plane = (inverse @ (np.swapaxes(Aw, 1, 2) @ d[..., None]))[..., 0]
-    # the weights are not the inverse variances: those fall with the distance
-    scatter = A * (np.where(keep, weight / sigma, 0.0))[..., None]
-    return np.asarray(plane), np.asarray(inverse @ (np.swapaxes(scatter, 1, 2) @ scatter) @ inverse)
-
-
 def measured_depth(pair: RectifiedPair, rig: RectifiedRig, max_sigma_px: float) -> DepthMap:
     """Depth map of the target in the rectified left camera, by its ranges; local planes reduce their noise.
 
@@ -107,16 +93,11 @@ def measured_depth(pair: RectifiedPair, rig: RectifiedRig, max_sigma_px: float) 
     assert measured is not None
     # pixels that mix two surfaces differ from both: they go with the jump before planes could spread them
     on_target = np.where(pair.mask_left, measured.disparity_px, np.float32(np.nan))
-    clean = np.where(
-        discontinuities(on_target, pair.mask_left, RIM_PX, _jump_px(measured)), np.float32(np.nan), on_target
-    )
+    # what noise and slope do not explain among a pixel's neighbours
+    jump_px = np.sqrt(2.0) * JUMP_SIGMAS * np.nan_to_num(measured.sigma_px) + 2.0 * MAX_SLOPE
+    jumps = discontinuities(on_target, pair.mask_left, RIM_PX, jump_px.astype(np.float32))
+    clean = np.where(jumps, np.float32(np.nan), on_target)
     disparity, sigma = fit_planes(clean, measured.sigma_px, SMOOTHING_RADIUS_PX, 1.0)
     sigma = np.hypot(sigma, np.float32(SHARED_ERROR) * measured.sigma_px)
     kept = np.isfinite(disparity) & (sigma < max_sigma_px)
     return depth_of_disparity(disparity, sigma, kept, pair.left, pair.mask_left, rig)
-
-
-def _jump_px(measured: MeasuredDisparity) -> NDArray[np.float32]:
-    """(H, W) difference of disparity among a pixel's neighbours that noise and slope do not explain."""
-    noise = np.nan_to_num(measured.sigma_px)
-    return np.asarray(np.sqrt(2.0) * JUMP_SIGMAS * noise + 2.0 * MAX_SLOPE, dtype=np.float32)

@@ -105,10 +105,13 @@ def match_left_right(crop: StereoCrop, config: Depth) -> tuple[Floats, Floats]:
     n = crop.search_px
     left = _match(crop.left, crop.right, n, config.block_px)
     # The right image's disparities come from the mirrored pair.
-    right = _match(_mirrored(crop.right), _mirrored(crop.left), n, config.block_px)[:, ::-1]
+    mirrored = [np.ascontiguousarray(image[:, ::-1]) for image in (crop.right, crop.left)]
+    right = _match(mirrored[0], mirrored[1], n, config.block_px)[:, ::-1]
     w = crop.target.shape[1]
     left = left[:, n : n + w]
-    agrees = _agree(left, right, n)
+    columns = np.arange(w)[None, :] + n - np.round(left).astype(np.int64)
+    back = np.take_along_axis(right, np.clip(columns, 0, right.shape[1] - 1), axis=1)
+    agrees = (left > 0) & (back > 0) & (np.abs(left - back) <= CONSISTENCY_PX)
     disparity = np.where(agrees & crop.lit, left, -1.0).astype(np.float32)
     speckled = np.round(disparity * 16).astype(np.int16)
     cv2.filterSpeckles(speckled, -16, SPECKLE_PX, 16)
@@ -153,15 +156,3 @@ def _match(image: Image, other: Image, disparities: int, block: int, uniqueness:
         mode=cv2.STEREO_SGBM_MODE_HH,
     )
     return np.asarray(matcher.compute(image, other), dtype=np.float32) / np.float32(16.0)
-
-
-def _mirrored(image: Image) -> Image:
-    return np.ascontiguousarray(image[:, ::-1])
-
-
-def _agree(left: Floats, right: Floats, margin_px: int) -> Bools:
-    """Pixels whose match in the right image (H, w + 2 margin) has the same disparity."""
-    w = left.shape[1]
-    columns = np.arange(w)[None, :] + margin_px - np.round(left).astype(np.int64)
-    back = np.take_along_axis(right, np.clip(columns, 0, right.shape[1] - 1), axis=1)
-    return np.asarray((left > 0) & (back > 0) & (np.abs(left - back) <= CONSISTENCY_PX))

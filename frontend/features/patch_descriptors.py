@@ -23,7 +23,7 @@ from polhode.frontend.features.patches import (
     root_image,
     rotate_affines,
 )
-from polhode.frontend.networks.descriptor import DIMENSIONS, DescriptorNet
+from polhode.frontend.networks.descriptor import DIMENSIONS, DescriptorNet, DescriptorOutput
 from polhode.frontend.networks.precision import multiplies_in_bfloat16
 from polhode.frontend.networks.weights import load_weights, shipped_path
 from polhode.frontend.rectification import Image
@@ -32,7 +32,7 @@ from polhode.geometry.lie import Array
 NAME = "descriptor"
 """Name of the shipped weights."""
 NETWORK_BATCH = 128
-"""Patches in one pass of the network: their features stay in the processor's cache."""
+"""Patches or points in one pass of a network: their features stay in the processor's cache."""
 _SIFT_BATCH = 256
 
 
@@ -93,10 +93,15 @@ def descriptor_network(path: Path | None = None) -> DescriptorNet:
 
 def describe(network: DescriptorNet, patches: Patches) -> PatchDescriptions:
     """Describe patches (n, 1, 32, 32) of grey values 0..255."""
-    if len(patches) == 0:
+    return described(network, patches)
+
+
+def described(network: Callable[[torch.Tensor], DescriptorOutput], given: Patches) -> PatchDescriptions:
+    """Descriptions by a network of n patches, or whatever it takes of each."""
+    if len(given) == 0:
         return PatchDescriptions(np.zeros((0, DIMENSIONS), dtype=np.float32), np.zeros(0), np.zeros(0))
     with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=multiplies_in_bfloat16()):
-        parts = [network(some) for some in torch.from_numpy(patches).split(NETWORK_BATCH)]
+        parts = [network(some) for some in torch.from_numpy(given).split(NETWORK_BATCH)]
     descriptor, reliability, direction = (torch.cat(each).float() for each in zip(*parts, strict=True))
     return PatchDescriptions(
         descriptor.numpy(),

@@ -74,19 +74,15 @@ class CoarseDescriptors:
         """Rounded: a coordinate of ``LARGEST_COORDINATE`` becomes 127."""
         whole = np.round(descriptors * np.float32(127.0 / LARGEST_COORDINATE))
         np.clip(whole, -127.0, 127.0, out=whole)
-        return cls._filled(whole.astype(np.int8), np.sum(whole * whole, axis=1))
-
-    @classmethod
-    def _filled(cls, whole: NDArray[np.int8], square: NDArray[np.float32]) -> "CoarseDescriptors":
-        rows = -len(whole) % COARSE_ROWS
-        return cls(
-            np.concatenate([whole, np.zeros((rows, whole.shape[1]), np.int8)]),
-            np.concatenate([square, np.full(rows, np.inf, np.float32)]),
-        )
+        return cls(whole.astype(np.int8), np.sum(whole * whole, axis=1)).some(np.arange(len(whole)))
 
     def some(self, rows: Ints) -> "CoarseDescriptors":
-        """Those of some features."""
-        return self._filled(self.whole[rows], self.square[rows])
+        """Those of some features, filled up."""
+        more = -len(rows) % COARSE_ROWS
+        return CoarseDescriptors(
+            np.concatenate([self.whole[rows], np.zeros((more, self.whole.shape[1]), np.int8)]),
+            np.concatenate([self.square[rows], np.full(more, np.inf, np.float32)]),
+        )
 
 
 @dataclass(frozen=True)
@@ -161,7 +157,7 @@ class RootSift:
             planes = local_planes(pair.measured.disparity_px, found.uvd_px[:, :2])
             return with_rough_axes(found, np.nan_to_num(planes[:, 1:]), rig)
         right = self._key_points(pair.right, pair.mask_right)
-        found, slopes = _matched(pair.left, pair.right, left, right, rig)
+        found, slopes = match_stereo(pair.left, pair.right, left, right, rig)
         return with_rough_axes(found, slopes, rig)
 
     def _key_points(self, image: Image, mask: Bools) -> KeyPoints:
@@ -170,23 +166,12 @@ class RootSift:
 
 
 def match_stereo(
-    left: Image,
-    right: Image,
-    points_left: KeyPoints,
-    points_right: KeyPoints,
-    rig: RectifiedRig,
-) -> StereoFeatures:
-    """Stereo measurements of one rectified pair."""
-    return _matched(left, right, points_left, points_right, rig)[0]
-
-
-def _matched(
     left: Image, right: Image, points_left: KeyPoints, points_right: KeyPoints, rig: RectifiedRig
 ) -> tuple[StereoFeatures, Array]:
     """Stereo measurements of one rectified pair, and the slopes (n, 2) of their disparities along u and v."""
-    index_left, disparity = _match_on_lines(points_left, points_right, rig)
+    index_left, disparity = match_on_lines(points_left, points_right, rig)
     uv = points_left.uv_px[index_left]
-    refined, slopes, sigma_d, correlation = _refine_planes(left, right, uv, disparity)
+    refined, sigma_d, correlation, slopes = refine_disparity(left, right, uv, disparity)
     depth_positive = refined - rig.disparity_offset_px > MIN_DISPARITY_PX
     near_start = np.abs(refined - disparity) < 1.5
     good = (correlation > MIN_CORRELATION) & near_start & depth_positive
@@ -263,7 +248,7 @@ def _noise_levels(image: Image) -> float:
     return max(float(np.sqrt(np.pi / 2.0)) * quiet / 6.0, MIN_NOISE_LEVELS)
 
 
-def _match_on_lines(left: KeyPoints, right: KeyPoints, rig: RectifiedRig) -> tuple[Ints, Array]:
+def match_on_lines(left: KeyPoints, right: KeyPoints, rig: RectifiedRig) -> tuple[Ints, Array]:
     """Mutually best descriptors among the candidates on the epipolar line: left index (m,), disparity
     (m,)."""
     gate_px = ROW_GATE_PX * np.maximum(1.0, 0.4 * left.scale_px)
@@ -280,27 +265,15 @@ def refine_disparity(
     disparity_px: Array,
     iterations: int = 8,
     slope: Array | None = None,
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array]:
     """Least-squares disparity at points uv (n, 2) from initial values (n,), and slopes (n, 2) if known.
 
     Model: left(u + x, v + y) = gain * right(u + x - d - a x - b y, v + y) + offset over a square window.
-    Returns disparity (n,) [px], its sigma from the residuals (n,) [px], normalised correlation (n,).
+    Returns disparity (n,) [px], its sigma from the residuals (n,) [px], normalised correlation (n,), and the
+    refined slopes (n, 2).
     """
-    refined, _, sigma, correlation = _refine_planes(left, right, uv_px, disparity_px, iterations, slope)
-    return refined, sigma, correlation
-
-
-def _refine_planes(
-    left: Image,
-    right: Image,
-    uv_px: Array,
-    disparity_px: Array,
-    iterations: int = 8,
-    slope: Array | None = None,
-) -> tuple[Array, Array, Array, Array]:
-    """As ``refine_disparity``, with the refined slopes (n, 2) after the disparity."""
     if len(uv_px) == 0:
-        return np.zeros(0), np.zeros((0, 2)), np.zeros(0), np.zeros(0)
+        return np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 2))
     centre, spline, row = _row_spline(right, uv_px)
     warp = np.column_stack([disparity_px, np.zeros((len(uv_px), 2))])
     if slope is not None:
@@ -310,7 +283,7 @@ def _refine_planes(
     at = centre - np.array([0, row])
     spread, scatter, correlation = fit_windows(left[row:][: len(spline)], spline, at, arm, warp, iterations)
     # The whole-pixel centre is up to half a pixel from the key point: extrapolate along the slope.
-    return warp[:, 0] + np.sum(warp[:, 1:] * arm, axis=1), warp[:, 1:], scatter * spread, correlation
+    return warp[:, 0] + np.sum(warp[:, 1:] * arm, axis=1), scatter * spread, correlation, warp[:, 1:]
 
 
 def _row_spline(image: Image, uv_px: Array) -> tuple[Ints, Array, int]:

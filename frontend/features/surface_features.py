@@ -21,7 +21,7 @@ measure it: variance = floor^2 + gain * sigma_ls. (With the square of sigma_ls, 
 sigmas of sharp textures are too small on new bodies.) The confidence of a match adds information. The numbers
 are those that
 
-    python -m polhode.train.feature_noise configs/train/features.yaml [--surface-descriptor surface]
+    python -m lab.frontend.feature_noise configs/train/features.yaml [--surface-descriptor surface]
 
 prints: maximum likelihood over the true residuals of matches that pass the geometric check, on the training
 bodies, with equal weight for each scene. The form of the model was chosen among four by their results on
@@ -193,10 +193,16 @@ def with_patch_size(config: Frontend, sequence: StereoSequence, rectifier: Recti
     if config.features.method != "polhode" or config.features.patch_half_m is not None:
         return config
     frames = np.unique(np.round(np.linspace(0, len(sequence) - 1, _SIZE_SAMPLES)).astype(int))
-    distance = np.array([_distance_m(config, sequence, rectifier, int(k)) for k in frames])
-    if not np.isfinite(distance).any():
+    distances, rig = list[float](), rectifier.rig
+    for k in frames.tolist():
+        disparity = matched_disparity(rectified_pair(sequence, rectifier, k), rig, config.depth)
+        offset = disparity - np.float32(rig.disparity_offset_px)
+        known = offset[np.isfinite(offset) & (offset > 0.5)]
+        if len(known):
+            distances.append(rig.focal_px * rig.baseline_m / float(np.median(known)))
+    if not distances:
         return config
-    half_m = patch_half_m(float(np.nanmedian(distance)), rectifier.rig)
+    half_m = patch_half_m(float(np.median(distances)), rig)
     features = config.features.model_copy(update={"patch_half_m": half_m})
     return config.model_copy(update={"features": features})
 
@@ -221,15 +227,6 @@ def matched_disparity(pair: RectifiedPair, rig: RectifiedRig, config: Depth) -> 
     return disparity
 
 
-def _distance_m(config: Frontend, sequence: StereoSequence, rectifier: Rectifier, k: int) -> float:
-    """Median distance of the target in pair k [m]; NaN when the target is out of view."""
-    rig = rectifier.rig
-    disparity = matched_disparity(rectified_pair(sequence, rectifier, k), rig, config.depth)
-    offset = disparity - np.float32(rig.disparity_offset_px)
-    known = offset[np.isfinite(offset) & (offset > 0.5)]
-    return rig.focal_px * rig.baseline_m / float(np.median(known)) if len(known) else float("nan")
-
-
 def _measure(
     pair: RectifiedPair,
     candidates: FeatureCandidates,
@@ -247,7 +244,7 @@ def _measure(
         sigma_ls, is_seen = texture_sigma(pair.left, uv), np.isfinite(refined)
         sigma = np.column_stack([feature_sigma(sigma_ls)[:, :2], sigma_d])
     else:
-        refined, sigma_ls, correlation = refine_disparity(
+        refined, sigma_ls, correlation, _ = refine_disparity(
             pair.left, pair.right, uv, plane[:, 0], _REFINEMENTS, plane[:, 1:]
         )
         sigma, is_seen = feature_sigma(sigma_ls), correlation > MIN_CORRELATION

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from polhode.frontend.features.keypoints import FeatureCandidates
 from polhode.frontend.features.landmark_places import find_places
-from polhode.frontend.features.patch_descriptors import PatchDescriptions
-from polhode.frontend.networks.descriptor import DIMENSIONS
+from polhode.frontend.features.patch_descriptors import PatchDescriptions, described
 from polhode.frontend.networks.precision import multiplies_in_bfloat16
 from polhode.frontend.networks.surface import (
     ANGLES,
@@ -39,8 +38,6 @@ NAME = "surface"
 """Name of the shipped weights."""
 LARGEST_PX = 640
 """Longest side of what the network looks at; larger targets are reduced [px]."""
-NETWORK_BATCH = 128
-"""Points in one pass of the network: their features stay in the processor's cache."""
 SCALE_PX = 1.5
 """Scale of a landmark, as of a blob [px]."""
 CELL_PX = 0.75
@@ -99,27 +96,17 @@ class SurfaceLook:
         sigma = np.exp(found.log_sigma.numpy().astype(np.float64))[first] / self._zoom
         response = torch.sigmoid(found.score).numpy().astype(np.float64)[first]
         scale = np.full(len(first), SCALE_PX / self._zoom)
-        return FeatureCandidates(self._in_image(uv[first]), scale, response), sigma
+        uv = (uv[first] + 0.5) / self._zoom - 0.5 + self._corner
+        return FeatureCandidates(uv, scale, response), sigma
 
     def describe(self, uv_px: Array, affine_px: Array) -> PatchDescriptions:
         """The surface around points (n, 2), by maps (n, 2, 2) of their upright patches."""
         if len(uv_px) == 0:
-            return PatchDescriptions(np.zeros((0, DIMENSIONS), np.float32), np.zeros(0), np.zeros(0))
-        rings = cut_rings(self._dense.channels[0], self._in_part(uv_px), affine_px * self._zoom)
-        with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=multiplies_in_bfloat16()):
-            parts = [self._network.describe(some) for some in torch.from_numpy(rings).split(NETWORK_BATCH)]
-        descriptor, reliability, direction = (torch.cat(each).float() for each in zip(*parts, strict=True))
-        return PatchDescriptions(
-            descriptor.numpy(),
-            torch.atan2(direction[:, 1], direction[:, 0]).numpy().astype(np.float64),
-            torch.sigmoid(reliability).numpy().astype(np.float64),
+            return described(self._network.describe, np.zeros((0, CHANNELS, RINGS, ANGLES), np.float32))
+        uv = (uv_px - self._corner + 0.5) * self._zoom - 0.5
+        return described(
+            self._network.describe, cut_rings(self._dense.channels[0], uv, affine_px * self._zoom)
         )
-
-    def _in_image(self, uv_px: Array) -> Array:
-        return np.asarray((uv_px + 0.5) / self._zoom - 0.5 + self._corner)
-
-    def _in_part(self, uv_px: Array) -> Array:
-        return np.asarray((uv_px - self._corner + 0.5) * self._zoom - 0.5)
 
 
 def cut_rings(channels: torch.Tensor, uv_px: Array, affine_px: Array) -> Floats:

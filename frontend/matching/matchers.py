@@ -195,12 +195,12 @@ def motion_modes(
         if waiting[seed] <= 0.0:
             break
         waiting[seed] = 0.0
-        mode = _refined(agrees[seed] & free, free, p_A, p_B, weight, gate_m)
-        if mode is not None:
-            modes.append(mode)
+        R, t, inlier = _fit_in_rounds(agrees[seed] & free, free, p_A, p_B, weight, gate_m)
+        if inlier.sum() >= 3:
+            modes.append(MotionMode(make_pose(R, t), inlier, float(weight[inlier].sum())))
             # The agreeing matches would draw every other proposal to the same motion.
-            free &= ~mode.inlier
-            waiting[mode.inlier] = 0.0
+            free &= ~inlier
+            waiting[inlier] = 0.0
     return sorted(modes, key=lambda mode: -mode.weight)
 
 
@@ -281,22 +281,15 @@ def _agreement(a: Floats, b: Floats, R: Floats, trace: Floats, gate_m: Floats) -
     return agrees
 
 
-def _refined(
-    start: Bools, free: Bools, p_A: Array, p_B: Array, weight: Array, gate_m: Array
-) -> MotionMode | None:
-    """Fit to the agreeing matches, then repeatedly to the free matches within a shrinking gate of the fit."""
-    R, t, inlier = _fit_in_rounds(start, free, p_A, p_B, weight, gate_m)
-    if inlier.sum() < 3:
-        return None
-    return MotionMode(make_pose(R, t), inlier, float(weight[inlier].sum()))
-
-
 @compiled_fused_ieee
 def _fit_in_rounds(
     start: Bools, free: Bools, p_A: Array, p_B: Array, weight: Array, gate_m: Array
 ) -> tuple[Array, Array, Bools]:
-    """R (3, 3) and t (3,) of the last round's fit, as ``polhode.geometry.rigid_fit``, and its inliers; none
-    of these if a round has fewer than three."""
+    """Fit to the agreeing matches, then repeatedly to the free matches within a shrinking gate of the fit.
+
+    Returns R (3, 3) and t (3,) of the last round, as ``polhode.geometry.rigid_fit``, and its inliers; none of
+    these if a round has fewer than three.
+    """
     inlier = start.copy()
     R, t = np.eye(3), np.zeros(3)
     for shrink in _SHRINK:
@@ -350,11 +343,10 @@ class SoftmaxMatcher:
         if min(len(a), len(b)) < 2:
             return Matches.none()
         pairs, probability = self._probable(a, b)
-        R_AS, R_BS = a.proposing_R_RS, b.proposing_R_RS
-        if R_AS is None or R_BS is None or a.metres_per_px is None:
+        if a.proposing_R_RS is None or b.proposing_R_RS is None or a.metres_per_px is None:
             likely = probability >= self._min_confidence
             return _matches(pairs[likely], probability[likely])
-        modes, gate_m = _modes(a, b, R_AS, R_BS, a.metres_per_px, pairs, probability)
+        modes, gate_m = _modes(a, b, pairs, probability)
         if not modes:
             return Matches.none()
         i, j = pairs[:PROPOSING_PAIRS].T
@@ -372,7 +364,7 @@ class SoftmaxMatcher:
         if R_AS is None or R_BS is None or a.metres_per_px is None or min(len(a), len(b)) < 2:
             return [self(a, b)]
         pairs, probability = self._probable(a, b)
-        modes, gate_m = _modes(a, b, R_AS, R_BS, a.metres_per_px, pairs, probability)
+        modes, gate_m = _modes(a, b, pairs, probability)
         return [_matches_of(mode, a, b, pairs, probability, gate_m) for mode in modes[:count]]
 
     def _probable(self, a: StereoFeatures, b: StereoFeatures) -> tuple[Ints, Array]:
@@ -394,15 +386,12 @@ def _matches(pairs: Ints, probability: Array) -> Matches:
 
 
 def _modes(
-    a: StereoFeatures,
-    b: StereoFeatures,
-    R_AS: Array,
-    R_BS: Array,
-    metres_per_px: Array,
-    pairs: Ints,
-    probability: Array,
+    a: StereoFeatures, b: StereoFeatures, pairs: Ints, probability: Array
 ) -> tuple[list[MotionMode], Array]:
     """Motions that the most probable of the pairs (m, 2) support, and the gate (m,) [m] of each pair."""
+    R_AS, R_BS, metres_per_px = a.proposing_R_RS, b.proposing_R_RS, a.metres_per_px
+    # a method that estimates axes knows the scale, too
+    assert R_AS is not None and R_BS is not None and metres_per_px is not None
     i, j = pairs.T
     gate_m = np.maximum(GATE_PX * metres_per_px[i, 0], GATE_DISPARITY_PX * metres_per_px[i, 1])
     some = slice(0, PROPOSING_PAIRS)

@@ -102,20 +102,32 @@ def match_rows(
 
 
 def _match_row(
-    frames: Sequence[StereoFeatures],
-    partners: Sequence[Ints],
+    frames: Sequence[StereoFeatures] | Mapping[int, StereoFeatures],
+    partners: Sequence[Ints] | Mapping[int, Ints],
     rig: RectifiedRig,
     config: Frontend,
     seed: int,
     hypotheses: int,
     i: int,
 ) -> list[PairMatch]:
-    """Matches of frame i with its partners."""
-    return [
-        match
-        for j in partners[i].tolist()
-        for match in _match_hypotheses(frames, i, j, rig, config, seed, hypotheses)
-    ]
+    """Matches of frame i with its partners, for each of several motions, that pass the geometric check."""
+    method, found = match_method(config), list[PairMatch]()
+    for j in partners[i].tolist():
+        if min(len(frames[i]), len(frames[j])) < MIN_INLIERS:
+            continue
+        if hypotheses > 1 and isinstance(method, HypothesisMethod):
+            candidates = method.hypotheses(frames[i], frames[j], hypotheses)
+        else:
+            candidates = [method(frames[i], frames[j])]
+        rng = np.random.default_rng([seed, i, j])
+        for pairs in (candidate.features for candidate in candidates):
+            if len(pairs) < MIN_INLIERS:
+                continue
+            a, b = pairs.T
+            fit = ransac_rigid(frames[i].uvd_px[a], frames[i].p_R[a], frames[j].p_R[b], rig, rng)
+            if fit.inlier.sum() >= MIN_INLIERS:
+                found.append(PairMatch(i, j, fit.X_RiRj, pairs[fit.inlier]))
+    return found
 
 
 def match_pair(
@@ -130,36 +142,7 @@ def match_pair(
 
     It depends on these two frames and (seed, i, j) only, whenever it is made.
     """
-    found = _match_hypotheses(frames, i, j, rig, config, seed, 1)
-    return found[0] if found else None
-
-
-def _match_hypotheses(
-    frames: Sequence[StereoFeatures] | Mapping[int, StereoFeatures],
-    i: int,
-    j: int,
-    rig: RectifiedRig,
-    config: Frontend,
-    seed: int,
-    hypotheses: int,
-) -> list[PairMatch]:
-    """The match of frames i < j, or of each of several motions, as far as they pass the geometric check."""
-    if min(len(frames[i]), len(frames[j])) < MIN_INLIERS:
-        return []
-    method = match_method(config)
-    if hypotheses > 1 and isinstance(method, HypothesisMethod):
-        candidates = method.hypotheses(frames[i], frames[j], hypotheses)
-    else:
-        candidates = [method(frames[i], frames[j])]
-    found, rng = [], np.random.default_rng([seed, i, j])
-    for pairs in (candidate.features for candidate in candidates):
-        if len(pairs) < MIN_INLIERS:
-            continue
-        a, b = pairs.T
-        fit = ransac_rigid(frames[i].uvd_px[a], frames[i].p_R[a], frames[j].p_R[b], rig, rng)
-        if fit.inlier.sum() >= MIN_INLIERS:
-            found.append(PairMatch(i, j, fit.X_RiRj, pairs[fit.inlier]))
-    return found
+    return next(iter(_match_row(frames, {i: np.array([j])}, rig, config, seed, 1, i)), None)
 
 
 def relative_poses(matches: Sequence[PairMatch]) -> RelativePoses:
@@ -184,9 +167,8 @@ def pairs_to_match(frames: Sequence[StereoFeatures], config: PairMatching, seed:
     wanted = np.zeros((n, n), dtype=bool)
     for step in range(1, min(config.neighbours, n - 1) + 1):
         wanted[np.arange(n - step), np.arange(step, n)] = True
-    for i, similar in enumerate(
-        most_similar(frame_vectors(frames, seed), config.neighbours, config.retrieved)
-    ):
+    vectors = frame_vectors(frames, seed)
+    for i, similar in enumerate(most_similar(vectors, config.neighbours, config.retrieved)):
         wanted[np.minimum(i, similar), np.maximum(i, similar)] = True
     return [np.flatnonzero(wanted[i]).astype(np.int64) for i in range(n)]
 
@@ -258,8 +240,30 @@ def combine_features(
 
     Surface axes are NaN for a method that does not estimate them.
     """
-    width = _width(first), _width(second)
-    return [_joined(a, b, width) for a, b in zip(first, second, strict=True)]
+    # A frame without features has descriptors of arbitrary width.
+    width, wider = (
+        max((frame.descriptors.shape[1] for frame in frames if len(frame)), default=0)
+        for frames in (first, second)
+    )
+    combined = []
+    for a, b in zip(first, second, strict=True):
+        descriptors = np.zeros((len(a) + len(b), width + wider), dtype=np.float32)
+        if len(a):
+            descriptors[: len(a), :width] = a.descriptors
+        if len(b):
+            descriptors[len(a) :, width:] = b.descriptors
+        R_RS = [np.full((len(f), 3, 3), np.nan) if f.R_RS is None else f.R_RS for f in (a, b)]
+        combined.append(
+            StereoFeatures(
+                np.concatenate([a.uvd_px, b.uvd_px]),
+                np.concatenate([a.sigma_px, b.sigma_px]),
+                np.concatenate([a.p_R, b.p_R]),
+                np.concatenate([a.scale_px, b.scale_px]),
+                descriptors,
+                R_RS=np.concatenate(R_RS),
+            )
+        )
+    return combined
 
 
 def offset_matches(matches: Sequence[PairMatch], first: Sequence[StereoFeatures]) -> list[PairMatch]:
@@ -271,30 +275,3 @@ def offset_matches(matches: Sequence[PairMatch], first: Sequence[StereoFeatures]
 def is_from_second(match: PairMatch, first: Sequence[StereoFeatures]) -> bool:
     """Whether a match with the indices of ``combine_features`` is from the second method."""
     return bool(match.features[0, 0] >= len(first[match.i]))
-
-
-def _joined(a: StereoFeatures, b: StereoFeatures, width: tuple[int, int]) -> StereoFeatures:
-    n = len(a)
-    descriptors = np.zeros((n + len(b), sum(width)), dtype=np.float32)
-    # A frame without features has descriptors of arbitrary width.
-    if n:
-        descriptors[:n, : width[0]] = a.descriptors
-    if len(b):
-        descriptors[n:, width[0] :] = b.descriptors
-    return StereoFeatures(
-        np.concatenate([a.uvd_px, b.uvd_px]),
-        np.concatenate([a.sigma_px, b.sigma_px]),
-        np.concatenate([a.p_R, b.p_R]),
-        np.concatenate([a.scale_px, b.scale_px]),
-        descriptors,
-        R_RS=np.concatenate([_axes(a), _axes(b)]),
-    )
-
-
-def _width(frames: Sequence[StereoFeatures]) -> int:
-    """Length of the descriptors of a method; 0 if it found no features in any frame."""
-    return max((frame.descriptors.shape[1] for frame in frames if len(frame)), default=0)
-
-
-def _axes(features: StereoFeatures) -> Array:
-    return np.full((len(features), 3, 3), np.nan) if features.R_RS is None else features.R_RS

@@ -48,6 +48,10 @@ def ransac_rigid(
     (u, v) and of the disparity: the gate is in pixels, so it is valid at every distance. ``uvd_i``:
     measurements of frame i.
     """
+
+    def inliers(X: Array) -> Bools:
+        return np.asarray(reprojection_error_px(transform_points(X, p_Rj), uvd_i, rig) < GATE_PX)
+
     triples = _sample_triples(len(uvd_i), rng)
     camera = rig.focal_px, rig.cx_px, rig.cy_px, rig.baseline_m, rig.disparity_offset_px
     p_Ri, p_Rj = np.ascontiguousarray(p_Ri), np.ascontiguousarray(p_Rj)
@@ -55,7 +59,7 @@ def ransac_rigid(
     support = _best_motion(
         triples, p_Ri, p_Rj, np.ascontiguousarray(p_Rj.T), np.ascontiguousarray(uvd_i.T), *camera, X
     )
-    inlier = _inliers(transform_points(X, p_Rj), uvd_i, rig)
+    inlier = inliers(X)
     if support < MIN_SUPPORT:
         return RigidFit(X, inlier)
     for _ in range(4):
@@ -63,7 +67,7 @@ def ransac_rigid(
             break
         # The error of stereo is largest along the ray, and proportional to the square of the range.
         X = fit_rigid(p_Ri[inlier], p_Rj[inlier], 1.0 / np.maximum(p_Ri[inlier, 2], 1e-6) ** 4)
-        update = _inliers(transform_points(X, p_Rj), uvd_i, rig)
+        update = inliers(X)
         if np.array_equal(update, inlier):
             break
         inlier = update
@@ -71,7 +75,7 @@ def ransac_rigid(
         if inlier.sum() < 4:
             break
         X = fit_noisy(X, p_Ri[inlier], p_Rj[inlier], rig)
-        inlier = _inliers(transform_points(X, p_Rj), uvd_i, rig)
+        inlier = inliers(X)
     return RigidFit(X, inlier)
 
 
@@ -262,10 +266,6 @@ def _triad(a: Array, b: Array, c: Array, axes: Array) -> None:
     axes[0, 0], axes[1, 0], axes[2, 0] = ex, ey, ez
     axes[0, 1], axes[1, 1], axes[2, 1] = ny * ez - nz * ey, nz * ex - nx * ez, nx * ey - ny * ex
     axes[0, 2], axes[1, 2], axes[2, 2] = nx, ny, nz
-
-
-def _inliers(p_Ri: Array, uvd_i: Array, rig: RectifiedRig) -> Bools:
-    return np.asarray(reprojection_error_px(p_Ri, uvd_i, rig) < GATE_PX)
 
 
 def _sample_triples(n: int, rng: np.random.Generator) -> np.ndarray[tuple[int, int], np.dtype[np.intp]]:

@@ -37,12 +37,32 @@ class DescriptorOutput(NamedTuple):
     """(n, 2) cosine and sine of an angle in the patch, from x (right) to y (down), which rotates with it"""
 
 
-class DescriptorNet(nn.Module):
+class RotationFree(nn.Module):
+    """The end of a network that describes what is around a point."""
+
+    cosines: Tensor
+    sines: Tensor
+    direction: nn.Module
+    project: nn.Module
+    reliability: nn.Module
+
+    def described(self, around: Tensor) -> DescriptorOutput:
+        """Outputs by the features (n, c, angles) around n points."""
+        with torch.autocast(around.device.type, enabled=False):
+            # Angles need full precision.
+            features = around.float()
+            invariant, direction, strength = rotation_removed(
+                features, self.direction(features), self.cosines, self.sines
+            )
+        descriptor = functional.normalize(self.project(invariant.flatten(1)).float(), dim=1)
+        summary = torch.cat([around.mean(dim=2), around.amax(dim=2), strength[:, None]], dim=1)
+        return DescriptorOutput(descriptor, self.reliability(summary)[:, 0], direction)
+
+
+class DescriptorNet(RotationFree):
     """Descriptor, reliability and direction of patches (n, 1, 32, 32) of grey values 0..255."""
 
     sampler: Tensor
-    cosines: Tensor
-    sines: Tensor
 
     def __init__(self) -> None:
         super().__init__()
@@ -71,16 +91,7 @@ class DescriptorNet(nn.Module):
         """Describe patches (n, 1, 32, 32) of grey values 0..255."""
         logarithm = 32.0 * torch.log1p(patches.clamp(min=0.0) / 4.0)
         seen = torch.cat([normalise_patches(patches), normalise_patches(logarithm)], dim=1)
-        around = self.whole(self.layers(sample_rings(seen, self.sampler)))[:, :, 0]
-        with torch.autocast(patches.device.type, enabled=False):
-            # Angles need full precision.
-            features = around.float()
-            invariant, direction, strength = rotation_removed(
-                features, self.direction(features), self.cosines, self.sines
-            )
-        descriptor = functional.normalize(self.project(invariant.flatten(1)).float(), dim=1)
-        summary = torch.cat([around.mean(dim=2), around.amax(dim=2), strength[:, None]], dim=1)
-        return DescriptorOutput(descriptor, self.reliability(summary)[:, 0], direction)
+        return self.described(self.whole(self.layers(sample_rings(seen, self.sampler)))[:, :, 0])
 
 
 def rotation_removed(

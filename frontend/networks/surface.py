@@ -26,8 +26,8 @@ from polhode.frontend.networks.descriptor import (
     HARMONICS,
     DescriptorOutput,
     RingConvolution,
+    RotationFree,
     harmonics,
-    rotation_removed,
 )
 from polhode.frontend.networks.grouping import Grouping
 
@@ -66,11 +66,8 @@ class DenseOutput(NamedTuple):
     """(b, c, H, W) for the rings"""
 
 
-class SurfaceNet(nn.Module):
+class SurfaceNet(RotationFree):
     """``dense`` on images, then ``describe`` on the rings around points."""
-
-    cosines: Tensor
-    sines: Tensor
 
     def __init__(self) -> None:
         super().__init__()
@@ -134,16 +131,7 @@ class SurfaceNet(nn.Module):
 
     def describe(self, rings: Tensor) -> DescriptorOutput:
         """Describe points by their rings (n, c, rings, angles)."""
-        around = self.whole(self.rings(normalise_rings(rings)))[:, :, 0]
-        with torch.autocast(rings.device.type, enabled=False):
-            # Angles need full precision.
-            features = around.float()
-            invariant, direction, strength = rotation_removed(
-                features, self.direction(features), self.cosines, self.sines
-            )
-        descriptor = functional.normalize(self.project(invariant.flatten(1)).float(), dim=1)
-        summary = torch.cat([around.mean(dim=2), around.amax(dim=2), strength[:, None]], dim=1)
-        return DescriptorOutput(descriptor, self.reliability(summary)[:, 0], direction)
+        return self.described(self.whole(self.rings(normalise_rings(rings)))[:, :, 0])
 
 
 def image_channels(images: Tensor) -> Tensor:

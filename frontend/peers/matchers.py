@@ -25,7 +25,7 @@ from polhode.frontend.features.keypoints import enlarge
 from polhode.frontend.features.stereo import ImageCrop, StereoFeatures
 from polhode.frontend.matching.methods import Matches, mutual_best
 from polhode.frontend.peers.detectors import image_tensor
-from polhode.frontend.peers.weights import State, fill, load_weights
+from polhode.frontend.peers.weights import fill
 from polhode.frontend.rectification import Crop
 from polhode.geometry.lie import Array, Ints
 from polhode.runtime.errors import InputError
@@ -49,12 +49,11 @@ class LightGlueMatcher:
                 f"there are weights for {', '.join(FEATURES)}"
             )
         name = FEATURES[method]
-        setting = f"lightglue_{name}"
         arguments = {key: value for key, value in LightGlue.features[name].items() if key != "weights"}
         arguments["filter_threshold"] = config.pairs.min_confidence
         # Without a name of features nothing is downloaded. Kornia documents None, but its type excludes it.
         self._network = LightGlue(features=None, **arguments)  # type: ignore[arg-type]
-        fill(self._network, _renamed(load_weights(setting, config.weights)), setting, config.weights)
+        fill(self._network, f"lightglue_{name}", config.weights, _kornia_name)
 
     def __call__(self, a: StereoFeatures, b: StereoFeatures) -> Matches:
         """Matches with at least the configured confidence."""
@@ -83,10 +82,9 @@ def _side(frame: StereoFeatures, size_px: Array) -> dict[str, torch.Tensor]:
     return side
 
 
-def _renamed(state: State) -> State:
+def _kornia_name(name: str) -> str:
     """Published names of tensors -> Kornia's: ``self_attn.3.x`` becomes ``transformers.3.self_attn.x``."""
-    names = {key: re.sub(r"^(self|cross)_attn\.(\d+)\.", r"transformers.\2.\1_attn.", key) for key in state}
-    return {name.removeprefix("matcher."): state[key] for key, name in names.items()}
+    return re.sub(r"^(self|cross)_attn\.(\d+)\.", r"transformers.\2.\1_attn.", name).removeprefix("matcher.")
 
 
 class LoftrMatcher:
@@ -97,7 +95,7 @@ class LoftrMatcher:
         settings: dict[str, Any] = deepcopy(default_cfg)
         settings["match_coarse"]["thr"] = config.pairs.min_confidence
         self._network = LoFTR(pretrained=None, config=settings)
-        fill(self._network, load_weights("loftr", config.weights), "loftr", config.weights)
+        fill(self._network, "loftr", config.weights)
 
     def __call__(self, a: StereoFeatures, b: StereoFeatures) -> Matches:
         """Matches of points that have a feature in both frames."""

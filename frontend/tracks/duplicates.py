@@ -62,12 +62,31 @@ def merge_duplicates(
     views = _views(model, connected, len(frames), np.unique(np.concatenate([first, second])))
     distance = np.array(
         [
-            _descriptor_distance(views[a], views[b], config)
+            _descriptor_distance(views[a], views[b])
             for a, b in zip(first.tolist(), second.tolist(), strict=True)
         ]
     )
-    name = _joined(first, second, distance, views, association.n_landmarks, config.max_distance)
-    return _renamed(association, name)
+    name = np.arange(association.n_landmarks, dtype=np.int64)
+
+    def root(k: int) -> int:
+        while name[k] != k:
+            k = int(name[k])
+        return k
+
+    # the most similar pairs are joined first, never two that one frame observes
+    for pair in np.argsort(distance, kind="stable").tolist():
+        if not distance[pair] < config.max_distance:
+            break
+        a, b = root(int(first[pair])), root(int(second[pair]))
+        if a != b and not np.any(views[a].frames & views[b].frames):
+            name[b] = a
+            views[a].frames[:] |= views[b].frames
+    dense = (
+        np.unique([root(k) for k in range(len(name))], return_inverse=True)[1].reshape(-1).astype(np.int64)
+    )
+    return Association(
+        tuple(np.where(labels >= 0, dense[np.maximum(labels, 0)], -1) for labels in association.landmark)
+    )
 
 
 def _coincident(model: LandmarkMap, floor_m: float) -> tuple[Ints, Ints]:
@@ -102,7 +121,7 @@ def _views(model: LandmarkMap, connected: Sequence[int], n_frames: int, landmark
     return views
 
 
-def _descriptor_distance(a: _Views, b: _Views, config: GuidedMatching) -> float:
+def _descriptor_distance(a: _Views, b: _Views) -> float:
     """Smallest descriptor distance of two landmarks over observations from similar directions.
 
     Infinite if no directions are similar, or one frame observes both.
@@ -114,34 +133,3 @@ def _descriptor_distance(a: _Views, b: _Views, config: GuidedMatching) -> float:
         return float("inf")
     similarity = float(np.max((a.descriptors @ b.descriptors.T)[like]))
     return float(np.sqrt(max(2.0 - 2.0 * similarity, 0.0)))
-
-
-def _joined(
-    first: Ints, second: Ints, distance: Array, views: dict[int, _Views], n: int, max_distance: float
-) -> Ints:
-    """New label (L,) of each landmark after joining the most similar pairs first, never two of one frame."""
-    name = np.arange(n, dtype=np.int64)
-    shown = {landmark: view.frames.copy() for landmark, view in views.items()}
-    for pair in np.argsort(distance, kind="stable").tolist():
-        if not distance[pair] < max_distance:
-            break
-        a, b = _root(name, int(first[pair])), _root(name, int(second[pair]))
-        if a == b or np.any(shown[a] & shown[b]):
-            continue
-        name[b] = a
-        shown[a] |= shown[b]
-    return np.array([_root(name, k) for k in range(n)], dtype=np.int64)
-
-
-def _root(name: Ints, k: int) -> int:
-    while name[k] != k:
-        k = int(name[k])
-    return k
-
-
-def _renamed(association: Association, name: Ints) -> Association:
-    """Labels 0..L-1 without gaps."""
-    dense = np.unique(name, return_inverse=True)[1].reshape(-1).astype(np.int64)
-    return Association(
-        tuple(np.where(labels >= 0, dense[np.maximum(labels, 0)], -1) for labels in association.landmark)
-    )

@@ -94,39 +94,26 @@ def reconnect(
     for k in known.tolist():
         add_observations(model, frames[k], labels[k], X_RG[k], rig)
     for k in sorted(waiting, key=lambda frame: int(np.min(np.abs(known - frame)))):
-        X_found = _relocalise(model, frames[k], X_RG[k], rig, config, np.random.default_rng([seed, k]))
-        if X_found is None:
+        X_found, rng = X_RG[k], np.random.default_rng([seed, k])
+        for share in GATE_FACTORS:
+            # In a smaller window fewer other landmarks look similar, so more associations are unambiguous.
+            feature, landmark = _search(model, frames[k], X_found, rig, config, share * COARSE_GATE_PX)
+            if len(feature) < MIN_INLIERS:
+                break
+            p_R, p_G = frames[k].p_R[feature], model.p_G[landmark]
+            fit = ransac_rigid(frames[k].uvd_px[feature], p_R, p_G, rig, rng)
+            if fit.inlier.sum() < MIN_INLIERS:
+                break
+            X_found = fit_noisy(fit.X_RiRj, p_R, p_G, rig)
+        else:
+            X_RG[k], connected[k] = X_found, True
+        if not connected[k]:
             continue
-        X_RG[k], connected[k] = X_found, True
         feature, landmark = _search(model, frames[k], X_found, rig, config, FINE_GATE_PX)
         labels[k] = np.full(len(frames[k]), -1, dtype=np.int64)
         labels[k][feature] = landmark
         add_observations(model, frames[k], labels[k], X_found, rig)
     return GuidedResult(Association(tuple(labels)), InitialMotion(X_RG, connected))
-
-
-def _relocalise(
-    model: LandmarkMap,
-    features: StereoFeatures,
-    X_RG: Array,
-    rig: RectifiedRig,
-    config: GuidedMatching,
-    rng: np.random.Generator,
-) -> Array | None:
-    """Measured pose of a frame near its predicted one, or None when too few landmarks agree."""
-    X_found = X_RG
-    for share in GATE_FACTORS:
-        # In a smaller window fewer other landmarks look similar, so more associations are unambiguous.
-        gate_px = share * COARSE_GATE_PX
-        feature, landmark = _search(model, features, X_found, rig, config, gate_px)
-        if len(feature) < MIN_INLIERS:
-            return None
-        p_R, p_G = features.p_R[feature], model.p_G[landmark]
-        fit = ransac_rigid(features.uvd_px[feature], p_R, p_G, rig, rng)
-        if fit.inlier.sum() < MIN_INLIERS:
-            return None
-        X_found = fit_noisy(fit.X_RiRj, p_R, p_G, rig)
-    return X_found
 
 
 def _search(
@@ -149,7 +136,8 @@ def _search(
     # The window is narrower in disparity than in the image, since the depth is predicted better.
     squeeze = np.array([1.0, 1.0, max(1.0, min(4.0, gate_px / 6.0))])
     near = cKDTree(uvd * squeeze).query_ball_point(features.uvd_px * squeeze, gate_px)
-    feature, landmark = _flatten(near)
+    feature = np.repeat(np.arange(len(near), dtype=np.int64), [len(each) for each in near])
+    landmark = np.fromiter((x for each in near for x in each), dtype=np.int64, count=len(feature))
     if len(feature) == 0:
         return nothing, nothing
     distance = descriptor_distance(model, observed, features, direction_G, feature, landmark, config, X_RG)
@@ -175,11 +163,3 @@ def match_improbability(distance: Array, feature: Ints, landmark: Ints) -> Array
     along_feature = np.bincount(feature, similarity) + none
     along_landmark = np.bincount(landmark, similarity) + none
     return np.asarray(1.0 - similarity**2 / (along_feature[feature] * along_landmark[landmark]))
-
-
-def _flatten(near: Sequence[Sequence[int]]) -> tuple[Ints, Ints]:
-    """Neighbour lists -> pairs (feature, landmark)."""
-    counts = np.array([len(n) for n in near])
-    feature = np.repeat(np.arange(len(near)), counts)
-    landmark = np.fromiter((x for n in near for x in n), dtype=np.int64, count=int(counts.sum()))
-    return feature.astype(np.int64), landmark

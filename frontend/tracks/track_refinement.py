@@ -13,6 +13,7 @@ its shift does, so the sigma of the fit is a lower bound.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -215,11 +216,10 @@ def refine_tracks(
     templates = np.zeros((association.n_landmarks, 1, PATCH_PX, PATCH_PX), np.uint8)
     # The workers do not need the descriptors, which are gigabytes for a long sequence.
     bare = tuple(replace(found, descriptors=found.descriptors[:, :0]) for found in frames)
-    cut = _TemplateJob(sequence, rectifier, bare, references, half_m)
-    for k, patches in enumerate(in_order(cut, range(len(frames)), workers)):
+    views = _Views(sequence, rectifier, bare, references, half_m, association, motion, config)
+    for k, patches in enumerate(in_order(views.templates, range(len(frames)), workers)):
         templates[references.frame == k] = np.round(patches)
-    job = _AlignJob(cut, association, motion, templates, config)
-    refined = list(in_order(job, range(len(frames)), workers))
+    refined = list(in_order(partial(views.refined, templates), range(len(frames)), workers))
     described = [
         replace(found, descriptors=known.descriptors)
         for (found, _), known in zip(refined, frames, strict=True)
@@ -228,14 +228,19 @@ def refine_tracks(
 
 
 @dataclass(frozen=True)
-class _TemplateJob:
+class _Views:
+    """What the workers need."""
+
     sequence: StereoSequence
     rectifier: Rectifier
     frames: tuple[StereoFeatures, ...]
     references: ReferenceObservations
     half_m: float
+    association: Association
+    motion: InitialMotion
+    config: Frontend
 
-    def __call__(self, k: int) -> Patches:
+    def templates(self, k: int) -> Patches:
         """Patches of the landmarks whose reference is in frame k."""
         found, feature = self.frames[k], self.references.feature[self.references.frame == k]
         if len(feature) == 0 or found.R_RS is None:
@@ -244,18 +249,9 @@ class _TemplateJob:
         affine = axes_affines(found.p_R[feature], found.R_RS[feature], self.rectifier.rig, self.half_m)
         return cut_patches(image, found.uvd_px[feature, :2], affine)
 
-
-@dataclass(frozen=True)
-class _AlignJob:
-    cut: _TemplateJob
-    association: Association
-    motion: InitialMotion
-    templates: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
-    config: Frontend
-
-    def __call__(self, k: int) -> tuple[StereoFeatures, Ints]:
+    def refined(self, templates: NDArray[np.uint8], k: int) -> tuple[StereoFeatures, Ints]:
         """Refined features of frame k, and the landmarks (n,) that they observe."""
-        found, references = self.cut.frames[k], self.cut.references
+        found, references = self.frames[k], self.references
         label = self.association.landmark[k]
         if not self.motion.connected[k] or found.R_RS is None:
             return found, label
@@ -265,20 +261,29 @@ class _AlignJob:
         uvd, sigma, kept = found.uvd_px.copy(), found.sigma_px.copy(), label.copy()
         sigma[feature[~moving], :2] = MIN_SIGMA_PX
         if moving.any():
-            self._align(k, found, feature[moving], (uvd, sigma, kept))
-        p_R = self.cut.rectifier.rig.triangulate(uvd)
+            self._align(k, templates, feature[moving], (uvd, sigma, kept))
+        p_R = self.rectifier.rig.triangulate(uvd)
         return replace(found, uvd_px=uvd, sigma_px=sigma, p_R=p_R), kept
 
-    def _align(self, k: int, found: StereoFeatures, feature: Ints, result: tuple[Array, Array, Ints]) -> None:
+    def _align(
+        self, k: int, templates: NDArray[np.uint8], feature: Ints, result: tuple[Array, Array, Ints]
+    ) -> None:
         """Write the result for the features (m,) into uvd (n, 3), sigma (n, 3) and landmarks (n,)."""
-        cut, rig = self.cut, self.cut.rectifier.rig
+        found, references, rig = self.frames[k], self.references, self.rectifier.rig
         uvd, sigma, kept = result
-        pair = rectified_pair(cut.sequence, cut.rectifier, k)
+        pair = rectified_pair(self.sequence, self.rectifier, k)
         landmark = kept[feature]
-        axes = self._axes(k, landmark)
-        affine = axes_affines(found.p_R[feature], axes, rig, cut.half_m)
+        # surface axes of the landmarks' references, in frame k
+        axes = np.zeros((len(landmark), 3, 3))
+        for r in np.unique(references.frame[landmark]):
+            mine = references.frame[landmark] == r
+            R_RS = self.frames[r].R_RS
+            assert R_RS is not None  # ReferenceObservations have surface axes.
+            X = self.motion.X_RG[k] @ inverse_pose(self.motion.X_RG[r])
+            axes[mine] = X[:3, :3] @ R_RS[references.feature[landmark[mine]]]
+        affine = axes_affines(found.p_R[feature], axes, rig, self.half_m)
         uv = found.uvd_px[feature, :2]
-        template = self.templates[landmark].astype(np.float32)
+        template = templates[landmark].astype(np.float32)
         aligned = align_patches(template, root_image(pair.left), uv, affine)
         slope = disparity_slopes(found.p_R[feature], axes[:, :, 2], rig)
         shift = aligned.uv_px - uv
@@ -287,7 +292,7 @@ class _AlignJob:
             refined, sigma_d = disparity_at(pair.measured, aligned.uv_px)
             is_seen = np.isfinite(refined)
         else:
-            refined, sigma_ls, correlation = refine_disparity(
+            refined, sigma_ls, correlation, _ = refine_disparity(
                 pair.left, pair.right, aligned.uv_px, start, 4, slope
             )
             sigma_d, is_seen = feature_sigma(sigma_ls)[:, 2], correlation > stereo.MIN_CORRELATION
@@ -302,18 +307,6 @@ class _AlignJob:
         uvd[feature[good]] = np.column_stack([aligned.uv_px, refined])[good]
         sigma[feature[good]] = np.column_stack([sigma_uv, sigma_uv, sigma_d[good]])
         kept[feature[~good]] = -1
-
-    def _axes(self, k: int, landmark: Ints) -> Array:
-        """Surface axes (m, 3, 3) of the landmarks' references, in frame k."""
-        references = self.cut.references
-        axes = np.zeros((len(landmark), 3, 3))
-        for r in np.unique(references.frame[landmark]):
-            mine = references.frame[landmark] == r
-            R_RS = self.cut.frames[r].R_RS
-            assert R_RS is not None  # ReferenceObservations have surface axes.
-            X = self.motion.X_RG[k] @ inverse_pose(self.motion.X_RG[r])
-            axes[mine] = X[:3, :3] @ R_RS[references.feature[landmark[mine]]]
-        return axes
 
 
 def position_sigma(aligned: PatchAlignment) -> Array:

@@ -49,9 +49,17 @@ def join_matches(frames: Sequence[StereoFeatures], matches: Sequence[PairMatch])
     _, component = connected_components(graph, directed=False)
     links = np.bincount(a, minlength=n) + np.bincount(b, minlength=n)
     frame_of = np.repeat(np.arange(len(frames)), np.diff(offset))
-    keep = _one_per_frame(component, frame_of, links)
-    label = np.where(keep & (links > 0), component, -1)
-    return _relabel(label, offset)
+    # of one component in one frame, the feature with most matches
+    order = np.lexsort((-links, frame_of, component))
+    first = np.ones(len(order), dtype=bool)
+    same = (component[order][1:] == component[order][:-1]) & (frame_of[order][1:] == frame_of[order][:-1])
+    first[1:] = ~same
+    used = np.zeros(n, dtype=bool)
+    used[order] = first
+    used &= links > 0
+    label = np.full(n, -1, dtype=np.int64)
+    label[used] = np.unique(component[used], return_inverse=True)[1].reshape(-1)
+    return Association(tuple(label[offset[k] : offset[k + 1]] for k in range(len(frames))))
 
 
 def to_tracks(
@@ -104,25 +112,6 @@ def _longest_tracks(label: Ints, frame: Ints, n_frames: int, config: Tracks) -> 
             count[seen] += 1
             kept.append(landmarks[index])
     return np.array(kept, dtype=np.int64)
-
-
-def _one_per_frame(component: Ints, frame_of: Ints, links: Ints) -> Ints:
-    """True for the feature with most matches among those of one component in one frame."""
-    order = np.lexsort((-links, frame_of, component))
-    first = np.ones(len(order), dtype=bool)
-    same = (component[order][1:] == component[order][:-1]) & (frame_of[order][1:] == frame_of[order][:-1])
-    first[1:] = ~same
-    keep = np.zeros(len(order), dtype=bool)
-    keep[order] = first
-    return keep
-
-
-def _relabel(label: Ints, offset: Ints) -> Association:
-    """Labels 0..L-1 without gaps, per frame."""
-    used = label >= 0
-    dense = np.full(len(label), -1, dtype=np.int64)
-    dense[used] = np.unique(label[used], return_inverse=True)[1].reshape(-1)
-    return Association(tuple(dense[offset[k] : offset[k + 1]] for k in range(len(offset) - 1)))
 
 
 @dataclass

@@ -6,4 +6,7 @@ In: configs/frontend_test/ and configs/depth_test/. Out: correct matches, motion
     scenes      what the simulator knows of features
     disparity   dense disparity
     masks       masks before Earth and wall
+    networks    scores of the trained networks, and their landmarks
+    feature_noise      constants of the noise model of surface features
+    training_curves    the figure of a training
 """

@@ -39,6 +39,7 @@ REMOVED = frozenset(
         *(f"train.descriptor.{name}" for name in ("strays", "most_turn_deg", "half_px", "scale_noise")),
         *(f"train.descriptor.{name}_weight" for name in ("reliability", "direction", "matching", "motion")),
         *("train.descriptor.late_from", "train.corpus.first_body_seed"),
+        *("train.surface.albedos", "train.surface.loss.consensus", "train.surface.loss.albedo"),
     }
 )
 """Settings of earlier versions that are constants now; the configuration of an old run may contain them."""

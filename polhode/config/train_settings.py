@@ -172,11 +172,6 @@ class SurfaceLoss(Section):
     """Factor on the terms of matches and motion."""
     consistency: float = Field(0.3, ge=0, le=1e6)
     """Of the places of one landmark in two images."""
-    consensus: float = Field(0.0, ge=0, le=1e6)
-    """Of the places of one landmark in three images; 0: no third image is drawn."""
-    albedo: float = Field(0.3, ge=0, le=1e6)
-    """Of descriptors of one place under two albedos, which should differ; without effect where shapes have
-    one albedo."""
 
 
 class MoreBodies(Section):
@@ -186,8 +181,6 @@ class MoreBodies(Section):
     """What they are drawn from."""
     bodies: int = Field(ge=1, le=100_000)
     """Number of bodies: the first ones of the corpus."""
-    albedos: int = Field(1, ge=1, le=100)
-    """Albedos of each shape."""
     weight: int = Field(1, ge=1, le=100)
     """How many times as often as the others these bodies are drawn."""
 
@@ -200,8 +193,6 @@ class SurfaceTraining(Section):
     more: tuple[MoreBodies, ...] = ()
     """Bodies of other corpora, which are learned from beside those of ``train.corpus``; those held out are
     left out."""
-    albedos: int = Field(1, ge=1, le=100)
-    """Albedos of each shape: textures, contrast and material, from the same poses under the same Suns."""
     suns: int = Field(3, ge=2, le=100)
     """Suns, each with an exposure and other lights of its own, under which every pose is rendered."""
     poses: int = Field(3, ge=2, le=100)

@@ -13,9 +13,9 @@ from polhode.config.train_settings import Schedule
 from polhode.runtime.errors import RunFailure
 from polhode.runtime.progress import Silent
 from polhode.train.checkpoint import CHECKPOINT
-from polhode.train.curves import draw_curves, joined, main, read_curves
 from polhode.train.task import Batch
 from polhode.train.training_loop import TrainingLoop, learning_rate, prepared_batches
+from tests.train.curves import read_curves
 
 SETTING = {"seed": 1}
 SCHEDULE = Schedule(
@@ -34,15 +34,8 @@ class Line:
     def __init__(self, stop_at: int | None = None, spoilt_at: int | None = None) -> None:
         torch.manual_seed(0)
         self.stop_at, self.spoilt_at = stop_at, spoilt_at
-        self._model = nn.Sequential(nn.Linear(1, 16), nn.ReLU(), nn.Dropout(0.1), nn.Linear(16, 1))
-
-    @property
-    def model(self) -> nn.Module:
-        return self._model
-
-    @property
-    def network(self) -> nn.Module:
-        return self._model
+        layers = nn.Linear(1, 16), nn.ReLU(), nn.Dropout(0.1), nn.Linear(16, 1)
+        self.model = self.network = nn.Sequential(*layers)
 
     def batch(self, step: int) -> Batch:
         if step == self.stop_at:
@@ -52,29 +45,32 @@ class Line:
         return {"x": x, "y": 2 * x - 1 if step != self.spoilt_at else x * torch.nan}
 
     def loss(self, batch: Batch) -> tuple[Tensor, Mapping[str, Tensor]]:
-        error = self._model(batch["x"]) - batch["y"]
+        error = self.model(batch["x"]) - batch["y"]
         return (error**2).mean(), {"largest": error.abs().max()}
 
     def validate(self) -> Mapping[str, float]:
-        assert not self._model.training
-        x = torch.linspace(-1, 1, 11, device=next(self._model.parameters()).device)[:, None]
-        return {"error": float((self._model(x) - (2 * x - 1)).abs().mean())}
+        assert not self.model.training
+        x = torch.linspace(-1, 1, 11, device=next(self.model.parameters()).device)[:, None]
+        return {"error": float((self.model(x) - (2 * x - 1)).abs().mean())}
 
 
 def weights(task: Line) -> Tensor:
     return torch.cat([p.detach().cpu().flatten() for p in task.model.parameters()])
 
 
-def test_it_learns(tmp_path: Path) -> None:
+def test_it_learns_and_is_not_done_again(tmp_path: Path) -> None:
     outcome = TrainingLoop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
     assert outcome.finished
     assert outcome.step == 60
     assert outcome.scores["error"] < 0.3
     loss = read_curves(tmp_path)["train/loss"]
     assert loss[-10:, 1].mean() < 0.2 * loss[:5, 1].mean()
+    again = TrainingLoop(Line(stop_at=0), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
+    assert again.finished
+    assert again.scores == outcome.scores
 
 
-def test_an_interrupted_training_ends_with_the_same_weights(tmp_path: Path) -> None:
+def test_an_interrupted_training_ends_with_the_same_weights_and_curves(tmp_path: Path) -> None:
     whole = Line()
     TrainingLoop(whole, IN_THIS_PROCESS, tmp_path / "whole", 1).run(SETTING, Silent())
     (tmp_path / "parts").mkdir()
@@ -83,46 +79,9 @@ def test_an_interrupted_training_ends_with_the_same_weights(tmp_path: Path) -> N
     taken_up = Line()
     TrainingLoop(taken_up, IN_THIS_PROCESS, tmp_path / "parts", 1).run(SETTING, Silent())
     assert torch.equal(weights(whole), weights(taken_up))
-
-
-def test_curves_of_a_resumed_training_have_each_step_once(tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        TrainingLoop(Line(stop_at=37), IN_THIS_PROCESS, tmp_path, 1).run(SETTING, Silent())
-    TrainingLoop(Line(), IN_THIS_PROCESS, tmp_path, 1).run(SETTING, Silent())
-    curves = read_curves(tmp_path)
+    curves = read_curves(tmp_path / "parts")
     assert curves["train/loss"][:, 0].tolist() == list(range(1, 61))
     assert curves["validation/error"][:, 0].tolist() == [20, 40, 60]
-    draw_curves([joined([tmp_path])], tmp_path / "curves.png")
-    assert (tmp_path / "curves.png").stat().st_size > 5000
-
-
-def test_curves_of_trainings_that_continue_one_another_are_counted_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in ("first", "second"):
-        TrainingLoop(Line(), SCHEDULE, tmp_path / name, 1).run(SETTING, Silent())
-    parts = [tmp_path / "first", tmp_path / "second"]
-    row = joined(parts)
-    steps = row.curves["train/loss"][:, 0]
-    assert steps.tolist() == list(range(1, 121))
-    assert row.joints == (60.0,)
-    np.testing.assert_array_equal(
-        row.curves["validation/error"][3:, 1], read_curves(parts[1])["validation/error"][:, 1]
-    )
-    picture = tmp_path / "curves.png"
-    main([*map(str, parts), "-o", str(picture), "--parts", "--only", "loss", "error"])
-    assert picture.stat().st_size > 5000
-    with pytest.raises(SystemExit) as refused:
-        main([str(parts[0]), "-o", str(picture), "--only", "lose"])
-    assert refused.value.code == 2
-    assert "no curve is called lose" in capsys.readouterr().err
-
-
-def test_a_finished_training_is_not_done_again(tmp_path: Path) -> None:
-    first = TrainingLoop(Line(), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
-    again = TrainingLoop(Line(stop_at=0), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
-    assert again.finished
-    assert again.scores == first.scores
 
 
 def test_the_time_limit_leaves_a_checkpoint(tmp_path: Path) -> None:
@@ -151,7 +110,7 @@ def test_the_learning_rate_grows_then_falls_to_nothing() -> None:
     assert rates[-1] < 1e-3 * 0.05
 
 
-def test_batches_from_processes_are_those_of_one(tmp_path: Path) -> None:
+def test_batches_from_processes_are_those_of_one() -> None:
     task = Line()
     prepared = list(prepared_batches(task, 3, 9, workers=2))
     assert len(prepared) == 6

@@ -6,7 +6,7 @@ there to the other frames. The points are stored beside the corpus.
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,6 @@ from polhode.config.frontend_settings import Features
 from polhode.config.loader import load_config
 from polhode.config.scene_settings import Product
 from polhode.config.train_settings import Corpus
-from polhode.files.array_files import read_arrays, require_arrays
-from polhode.files.atomic import replaced
 from polhode.files.images import Grey
 from polhode.files.output.single_file import remove_all_partials
 from polhode.frontend.features.keypoints import detect, no_key_points
@@ -42,8 +40,8 @@ from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.dataset.sequence import SCENE_FILE
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.rendering.render import Renderer
-from polhode.simulation.stereo_camera import Camera
 from polhode.train.corpus import scene_digest, scene_folder
+from polhode.train.stored import array, read_record, write_record
 
 VERSION = 2
 """Version of the files; those of another version are not used."""
@@ -57,83 +55,68 @@ RIM_PX = 3.0
 """The patches of key points this close to a silhouette or a depth discontinuity show another surface [px]."""
 JUMP = 0.03
 """Relative difference of depth between neighbours that counts as a discontinuity."""
+TRUTHS: tuple[Product, ...] = ("depth", "normals", "mask", "shadow")
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class ScenePoints:
     """N key points of F frames, and M sightings of them in other frames."""
 
-    grey: Grey
+    grey: Grey = array("u", 3)
     """(F, H, W) left images"""
-    focal_px: Array
+    focal_px: Array = array("f", 0)
     """()"""
-    centre_px: Array
+    centre_px: Array = array("f", 1)
     """(2,) principal point"""
-    X_KG: Array
+    X_KG: Array = array("f", 3)
     """(F, 4, 4) body in the left camera"""
-    frame: Ints
+    frame: Ints = array("iu", 1)
     """(N,)"""
-    uv_px: Array
+    uv_px: Array = array("f", 2)
     """(N, 2)"""
-    p_K: Array
+    p_K: Array = array("f", 2)
     """(N, 3) [m] in the camera of its frame"""
-    normal_K: Array
+    normal_K: Array = array("f", 2)
     """(N, 3) unit, towards the camera"""
-    on_shadow: Bools
+    on_shadow: Bools = array("b", 1)
     """(N,) on the edge of a cast shadow"""
-    on_rim: Bools
+    on_rim: Bools = array("b", 1)
     """(N,) near a silhouette"""
-    sift: NDArray[np.float16]
+    sift: NDArray[np.float16] = array("f", 2)
     """(N, 128) RootSIFT of the same key points, for comparison"""
-    point: Ints
+    point: Ints = array("iu", 1)
     """(M,) key point that another frame sees"""
-    other: Ints
+    other: Ints = array("iu", 1)
     """(M,) the other frame"""
-    again: Ints
+    again: Ints = array("iu", 1)
     """(M,) key point there within ``REPEAT_PX`` of the true position; -1: none was detected"""
-    uv_other_px: Array
+    uv_other_px: Array = array("f", 2)
     """(M, 2) true position there"""
-    angle_rad: Array
+    angle_rad: Array = array("f", 1)
     """(M,) between the two views, at the point"""
-
-
-_DIMENSIONS = {
-    "grey": ("u", 3),
-    "focal_px": ("f", 0),
-    "centre_px": ("f", 1),
-    "X_KG": ("f", 3),
-    "frame": ("iu", 1),
-    "uv_px": ("f", 2),
-    "p_K": ("f", 2),
-    "normal_K": ("f", 2),
-    "on_shadow": ("b", 1),
-    "on_rim": ("b", 1),
-    "sift": ("f", 2),
-    "point": ("iu", 1),
-    "other": ("iu", 1),
-    "again": ("iu", 1),
-    "uv_other_px": ("f", 2),
-    "angle_rad": ("f", 1),
-}
-"""Kind of dtype and number of dimensions of each field of ScenePoints."""
-_MADE_FROM = "made_from"
-"""In the file beside them: the digest of the scene."""
-_log = logging.getLogger(__name__)
 
 
 def prepare_points(
     corpus: Corpus, scenes: Sequence[int], progress: Progress, workers: int
 ) -> dict[int, ScenePoints]:
     """The points of the scenes, by their numbers; missing ones are computed and stored."""
-    there = {i: _stored(corpus, i) for i in scenes}
-    missing = [i for i, points in there.items() if points is None]
+    known: dict[int, ScenePoints] = {}
+    for i in scenes:
+        path = points_path(corpus, i)
+        if path.is_file():
+            points, made_from = read_record(path, ScenePoints)
+            if made_from == scene_digest(scene_folder(corpus, i)):
+                known[i] = points
+            else:
+                _log.warning("%s: was made from another scene; it is made again", path)
+    missing = [(corpus, i) for i in scenes if i not in known]
     if missing:
         remove_all_partials(points_path(corpus, 0).parent)
         with progress.stage("finding surface points", len(missing)) as advance:
-            work = [(corpus, i) for i in missing]
-            for _ in in_order(_make, work, workers):
+            for _ in in_order(_make, missing, workers):
                 advance()
-    return {i: points or read_points(points_path(corpus, i))[0] for i, points in there.items()}
+    return {i: known.get(i) or read_record(points_path(corpus, i), ScenePoints)[0] for i in scenes}
 
 
 def points_path(corpus: Corpus, index: int) -> Path:
@@ -141,163 +124,104 @@ def points_path(corpus: Corpus, index: int) -> Path:
     return Path(corpus.folder) / "points" / f"{index:04d}-v{VERSION}.npz"
 
 
-def _stored(corpus: Corpus, index: int) -> ScenePoints | None:
-    """The points in the scene's file; None: there is no file, or it was made from another scene."""
-    path = points_path(corpus, index)
-    if not path.is_file():
-        return None
-    points, made_from = read_points(path)
-    if made_from == scene_digest(scene_folder(corpus, index)):
-        return points
-    _log.warning("%s: was made from another scene; it is made again", path)
-    return None
-
-
-def read_points(path: Path) -> tuple[ScenePoints, str]:
-    """Read what ``write_points`` wrote. Raises InputError for anything else."""
-    try:
-        arrays: dict[str, Any] = read_arrays(path)
-        require_arrays(path, arrays, {**_DIMENSIONS, _MADE_FROM: ("U", 0)})
-    except InputError as error:
-        raise InputError(f"{error}; remove this file, and it is made again") from None
-    return ScenePoints(**{name: arrays[name] for name in _DIMENSIONS}), str(arrays[_MADE_FROM])
-
-
-def write_points(path: Path, points: ScenePoints, made_from: str) -> None:
-    """Write the whole file or nothing; ``made_from``: digest of the scene."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    arrays: dict[str, Any] = {each.name: getattr(points, each.name) for each in fields(points)}
-    with replaced(path) as partial:
-        np.savez_compressed(partial, **arrays | {_MADE_FROM: np.array(made_from)})
-
-
 def _make(work: tuple[Corpus, int]) -> None:
-    corpus, index = work
-    folder = scene_folder(corpus, index)
-    write_points(points_path(corpus, index), find_points(folder), scene_digest(folder))
+    folder = scene_folder(*work)
+    write_record(points_path(*work), find_points(folder), scene_digest(folder))
+
+
+def plan_of(folder: Path) -> SequencePlan:
+    """The plan of a simulated sequence. Raises InputError: it was not simulated."""
+    if not (folder / SCENE_FILE).is_file():
+        raise InputError(f"{folder} contains no {SCENE_FILE}: give a sequence of polhode simulate")
+    config = load_config(folder / SCENE_FILE)
+    assert config.scene is not None  # the file that ``simulate`` wrote
+    return plan_sequence(config.scene, config.seed)
 
 
 def find_points(folder: Path) -> ScenePoints:
-    """The points of a simulated sequence with a rectified rig."""
-    config = load_config(folder / SCENE_FILE)
-    assert config.scene is not None  # the file that ``simulate`` wrote
-    plan = plan_sequence(config.scene, config.seed)
-    caster = RayCaster(plan.body)
-    views = [view_of(plan, k, 0) for k in range(config.scene.frames)]
-    grey = np.stack([_read_grey(folder, plan, k) for k in range(len(views))])
-    return points_of_frames(caster, views, grey, _truths(folder, plan))
+    """The points of a simulated sequence with a rectified rig. Raises as ``plan_of``."""
+    plan = plan_of(folder)
+    frames, camera, stamps = range(plan.scene.frames), plan.cameras[0], plan.target.timestamps_ns
+    images = [image_path(folder / "mav0" / "cam0", int(stamps[k])) for k in frames]
+    grey = np.stack([np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), np.uint8) for path in images])
+    stored = [products_path(folder / "mav0", 0, int(stamps[k])) for k in frames]
+    if all(path.is_file() for path in stored):
+        truths = [read_products(path) for path in stored]
+    else:
+        renderer = Renderer(plan.body, plan.scene, plan.seed)
+        truths = [
+            render_products(renderer, camera, plan.X_NC[k], plan.target.X_NG[k], TRUTHS) for k in frames
+        ]
+    return points_of_frames(RayCaster(plan.body), [view_of(plan, k, 0) for k in frames], grey, truths)
 
 
 def points_of_frames(
     caster: RayCaster, views: Sequence[CameraView], grey: Grey, truths: Sequence[Products]
 ) -> ScenePoints:
     """The points of images (F, H, W) of one body, each with its view and the truth of its pixels."""
-    found = [_detected(views[k].camera, grey[k], truths[k], k) for k in range(len(views))]
+    found = [_detected(view, image, truth) for view, image, truth in zip(views, grey, truths, strict=True)]
     trees = [cKDTree(each["uv_px"]) if len(each["uv_px"]) else None for each in found]
     start = np.cumsum([0, *(len(each["uv_px"]) for each in found)])
-    seen = [
-        _seen_again(caster, views, k, b, found[k]["uv_px"], trees[b], int(start[k]), int(start[b]))
-        for k in range(len(views))
-        for b in range(len(views))
-        if b != k and len(found[k]["uv_px"])
-    ]
+    seen: list[dict[str, NDArray[Any]]] = []
+    for a, own in enumerate(found):
+        for b, tree in enumerate(trees):
+            if b == a or len(own["uv_px"]) == 0:
+                continue
+            there = correspond(caster, views[a], views[b], own["uv_px"])
+            point = np.flatnonzero(there.visible)
+            uv_b = there.uv_b_px[point]
+            again = np.full(len(point), -1)
+            if tree is not None and len(point):
+                distance, nearest = tree.query(uv_b)
+                again = np.where(distance < REPEAT_PX, start[b] + nearest, -1)
+            seen.append({
+                "point": start[a] + point,
+                "other": np.full(len(point), b),
+                "again": again,
+                "uv_other_px": uv_b,
+                "angle_rad": there.angle_rad[point],
+            })  # fmt: skip
     camera = views[0].camera
-    per_point = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
-    per_sighting = {name: np.concatenate([each[name] for each in seen]) for name in seen[0]}
     return ScenePoints(
         grey=grey,
         focal_px=np.array(camera.K[0, 0]),
         centre_px=camera.K[:2, 2],
         X_KG=np.stack([inverse_pose(view.X_GK) for view in views]),
-        **per_point,
-        **per_sighting,
+        frame=np.concatenate([np.full(len(each["uv_px"]), k) for k, each in enumerate(found)]),
+        **{name: np.concatenate([each[name] for each in found]) for name in found[0]},
+        **{name: np.concatenate([each[name] for each in seen]) for name in seen[0]},
     )
 
 
-def _read_grey(folder: Path, plan: SequencePlan, k: int) -> Grey:
-    path = image_path(folder / "mav0" / "cam0", int(plan.target.timestamps_ns[k]))
-    return np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
-
-
-def _truths(folder: Path, plan: SequencePlan) -> list[Products]:
-    """The ground truth of the left images' pixels, read from disk if it is complete, otherwise rendered."""
-    paths = [products_path(folder / "mav0", 0, int(ns)) for ns in plan.target.timestamps_ns]
-    if all(path.is_file() for path in paths[: plan.scene.frames]):
-        return [read_products(path) for path in paths[: plan.scene.frames]]
-    renderer, camera = Renderer(plan.body, plan.scene, plan.seed), plan.cameras[0]
-    names: tuple[Product, ...] = ("depth", "normals", "mask", "shadow")
-    poses = zip(plan.X_NC, plan.target.X_NG[: plan.scene.frames], strict=True)
-    return [render_products(renderer, camera, X_NC, X_NG, names) for X_NC, X_NG in poses]
-
-
-def _detected(camera: Camera, grey: Grey, truth: Products, k: int) -> dict[str, NDArray[Any]]:
-    """Key points of frame k on the target, one per position, with the true properties of their surface."""
-    assert truth.mask is not None
-    assert truth.depth is not None
-    assert truth.normals is not None
-    crop = target_crop(truth.mask)
-    points = no_key_points() if crop is None else detect(grey, truth.mask, crop, DETECTOR)
+def _detected(view: CameraView, grey: Grey, truth: Products) -> dict[str, NDArray[Any]]:
+    """Key points of a frame on the target, one per position, with the true properties of their surface."""
+    depth, normals, mask, shadow = truth.depth, truth.normals, truth.mask, truth.shadow
+    assert depth is not None and normals is not None and mask is not None and shadow is not None
+    crop = target_crop(mask)
+    points = no_key_points() if crop is None else detect(grey, mask, crop, DETECTOR)
     places, first = np.unique(np.round(points.uv_px * 2.0), axis=0, return_index=True)
     uv = points.uv_px[first]
-    pixel = np.round(uv).astype(int).reshape(-1, 2)
-    depth_m = truth.depth[pixel[:, 1], pixel[:, 0]]
-    rays = camera.directions(uv) if len(places) else np.zeros((0, 3))
+    column, row = np.round(uv).astype(int).reshape(-1, 2).T
+    rays = view.camera.directions(uv) if len(places) else np.zeros((0, 3))
+    lit = ((shadow == 0) & mask).astype(np.uint8)
+    edge = (shadow == CAST_SHADOW) & (cv2.dilate(lit, np.ones((3, 3), np.uint8)) > 0)
     return {
-        "frame": np.full(len(uv), k),
         "uv_px": uv,
-        "p_K": rays / rays[:, 2:] * depth_m[:, None],
-        "normal_K": truth.normals[pixel[:, 1], pixel[:, 0]],
-        "on_shadow": _near_shadow_edge(truth)[pixel[:, 1], pixel[:, 0]],
-        "on_rim": _near_rim(truth)[pixel[:, 1], pixel[:, 0]],
+        "p_K": rays / rays[:, 2:] * depth[row, column][:, None],
+        "normal_K": normals[row, column],
+        "on_shadow": within(edge, SHADOW_PX)[row, column],
+        "on_rim": near_rim(depth, RIM_PX)[row, column],
         "sift": points.descriptors[first].astype(np.float16),
     }
 
 
-def _near_shadow_edge(truth: Products) -> Bools:
-    """Pixels (H, W) near the edge of a cast shadow."""
-    assert truth.shadow is not None
-    assert truth.mask is not None
-    cast, lit = truth.shadow == CAST_SHADOW, (truth.shadow == 0) & truth.mask
-    touching = np.ones((3, 3), np.uint8)
-    edge = cast & (cv2.dilate(lit.astype(np.uint8), touching) > 0)
-    return _within(edge, SHADOW_PX)
+def near_rim(depth_m: NDArray[np.floating[Any]], distance_px: float) -> Bools:
+    """Pixels (H, W) near the silhouette or a jump of depth; NaN off the target."""
+    far = np.where(np.isfinite(depth_m), depth_m, 1e6).astype(np.float32)
+    return within(far > cv2.erode(far, np.ones((3, 3), np.uint8)) * (1.0 + JUMP), distance_px)
 
 
-def _near_rim(truth: Products) -> Bools:
-    """Pixels (H, W) near the silhouette or a jump of depth."""
-    assert truth.depth is not None
-    far = np.where(np.isfinite(truth.depth), truth.depth, 1e6).astype(np.float32)
-    nearest = cv2.erode(far, np.ones((3, 3), np.uint8))
-    return _within(far > nearest * (1.0 + JUMP), RIM_PX)
-
-
-def _within(marked: Bools, distance_px: float) -> Bools:
+def within(marked: Bools, distance_px: float) -> Bools:
+    """Pixels (H, W) this close to marked ones."""
     away = cv2.distanceTransform((~marked).astype(np.uint8), cv2.DIST_L2, 3)
     return np.asarray(away <= distance_px)
-
-
-def _seen_again(
-    caster: RayCaster,
-    views: Sequence[CameraView],
-    a: int,
-    b: int,
-    uv_px: Array,
-    tree: cKDTree | None,
-    start_a: int,
-    start_b: int,
-) -> dict[str, NDArray[Any]]:
-    """Key points of frame a that frame b sees: their positions, and the corresponding key points of b."""
-    found = correspond(caster, views[a], views[b], uv_px)
-    seen = np.flatnonzero(found.visible)
-    uv_b = found.uv_b_px[seen]
-    again = np.full(len(seen), -1)
-    if tree is not None and len(seen):
-        distance, nearest = tree.query(uv_b)
-        again = np.where(distance < REPEAT_PX, start_b + nearest, -1)
-    return {
-        "point": start_a + seen,
-        "other": np.full(len(seen), b),
-        "again": again,
-        "uv_other_px": uv_b,
-        "angle_rad": found.angle_rad[seen],
-    }

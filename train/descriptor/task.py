@@ -23,9 +23,9 @@ from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress
 from polhode.train.corpus import render_corpus, split
 from polhode.train.descriptor.batches import PatchBatches
+from polhode.train.descriptor.lit_points import prepare_lit_points
 from polhode.train.descriptor.scores import ValidationPair, describe_patches, score, validation_pairs
 from polhode.train.descriptor.surface_points import prepare_points
-from polhode.train.light.lit_points import prepare_lit_points
 from polhode.train.task import Batch
 
 RELIABILITY_WEIGHT = DIRECTION_WEIGHT = 0.3
@@ -60,6 +60,13 @@ class Heads(nn.Module):
         """Divisor of the similarities, at least 0.02."""
         return self.logarithm.exp().clamp(min=0.02)
 
+    def matcher_parameters(self) -> dict[str, float]:
+        """The matcher's temperature and dustbin, for the scores."""
+        return {
+            "matcher_temperature": float(self.matcher.log_temperature.detach().exp()),
+            "matcher_dustbin": float(self.matcher.dustbin.detach()),
+        }
+
 
 def descriptor_loss(
     described: DescriptorOutput, batch: Batch, heads: Heads
@@ -70,7 +77,9 @@ def descriptor_loss(
     m = len(batch["pair"])
     descriptors = described.descriptor
     a, b, distractor = descriptors[:m].float(), descriptors[m : 2 * m].float(), descriptors[2 * m :].float()
-    same = _same_place(batch)
+    # Different pairs that show nearly the same point are not negatives of each other.
+    near = sum(torch.cdist(batch[uv], batch[uv]) < SAME_POINT_PX for uv in ("uv_a", "uv_b")) > 0
+    same = (near & (batch["pair"][:, None] == batch["pair"][None, :])).fill_diagonal_(False)
     forward = (a @ b.T).masked_fill(same, -1.0)
     backward = forward.T.masked_fill(same.T, -1.0)
     # Distractors were found in the second frames: they compete with the second patches.
@@ -86,8 +95,7 @@ def descriptor_loss(
     rotation_error = (1.0 - rotation_agreement(direction[:m], direction[m : 2 * m], batch["rotation"])).mean()
     assignment, motion = matching_loss(described, batch, heads.matcher)
     loss = contrast + RELIABILITY_WEIGHT * trust + DIRECTION_WEIGHT * rotation_error
-    end_to_end = MATCHING_WEIGHT * assignment + MOTION_WEIGHT * motion
-    loss = loss + batch["late"] * end_to_end
+    loss = loss + batch["late"] * (MATCHING_WEIGHT * assignment + MOTION_WEIGHT * motion)
     return loss, {
         "contrast": contrast,
         "reliability": trust,
@@ -106,16 +114,6 @@ def rotation_agreement(first: Tensor, second: Tensor, turn_rad: Tensor) -> Tenso
     return (expected * second).sum(dim=1)
 
 
-def _same_place(batch: Batch) -> Tensor:
-    """(m, m): different pairs that show nearly the same point."""
-    together = batch["pair"][:, None] == batch["pair"][None, :]
-    near = torch.zeros_like(together)
-    for name in ("uv_a", "uv_b"):
-        near |= torch.cdist(batch[name], batch[name]) < SAME_POINT_PX
-    same: Tensor = together & near
-    return same.fill_diagonal_(False)
-
-
 def matching_loss(described: DescriptorOutput, batch: Batch, matcher: DualSoftmax) -> tuple[Tensor, Tensor]:
     """Loss of the assignment and loss of the motion: means over the frame pairs of a ``PatchBatches``
     batch."""
@@ -131,8 +129,13 @@ def matching_loss(described: DescriptorOutput, batch: Batch, matcher: DualSoftma
     enough = points >= MIN_POINTS
     # the second points of the pairs come before the distractors
     hits = firsts.sums(log_p[pair, firsts.rank, firsts.rank]) / points.clamp(min=1)
+    # logarithm of the probability that a second point has no partner among the first ones
+    sharpness = torch.exp(-matcher.log_temperature)
+    score = (descriptors[1] @ descriptors[0].transpose(1, 2)) * sharpness
+    score = score.masked_fill(~known[0][:, None, :], EXCLUDED_SCORE)
+    none = matcher.dustbin * sharpness
+    alone = none - torch.logaddexp(torch.logsumexp(score, dim=2), none)
     lost = Grouping(owner, seconds.rank[m:], count, seconds.longest)
-    alone = _log_without_partner(*descriptors, known[0], matcher)
     alone = lost.sums(lost.gather(alone)) / lost.sums(torch.ones_like(owner)).clamp(min=1)
     assignment = -0.5 * hits - alone
     motion = motion_loss(
@@ -181,15 +184,6 @@ def _motion_error(
     return error
 
 
-def _log_without_partner(a: Tensor, others: Tensor, known: Tensor, matcher: DualSoftmax) -> Tensor:
-    """Log probability (c, m) that the others (c, m, d) are assigned to the dustbin rather than to one of a
-    (c, n, d), of which only the ``known`` (c, n) exist."""
-    none = matcher.dustbin * torch.exp(-matcher.log_temperature)
-    score = (others @ a.transpose(1, 2)) * torch.exp(-matcher.log_temperature)
-    score = score.masked_fill(~known[:, None, :], EXCLUDED_SCORE)
-    return none - torch.logaddexp(torch.logsumexp(score, dim=2), none)
-
-
 class DescriptorTask:
     """The task ``descriptor``."""
 
@@ -197,20 +191,9 @@ class DescriptorTask:
 
     def __init__(self, batches: PatchBatches, trials: list[ValidationPair], late_from: int) -> None:
         """``late_from``: first step whose loss contains matches and motion."""
-        self._batches, self._trials = batches, trials
-        self._late_from = late_from
-        self._network, self._heads = DescriptorNet(), Heads()
-        self._model = nn.ModuleDict({"network": self._network, "heads": self._heads})
-
-    @property
-    def model(self) -> nn.Module:
-        """The network and the heads."""
-        return self._model
-
-    @property
-    def network(self) -> nn.Module:
-        """The descriptor network, whose weights are written."""
-        return self._network
+        self._batches, self._trials, self._late_from = batches, trials, late_from
+        self.network, self._heads = DescriptorNet(), Heads()
+        self.model = nn.ModuleDict({"network": self.network, "heads": self._heads})
 
     def batch(self, step: int) -> Batch:
         """Patches of step ``step``."""
@@ -218,18 +201,15 @@ class DescriptorTask:
 
     def loss(self, batch: Batch) -> tuple[Tensor, Mapping[str, Tensor]]:
         """Contrast, reliability and direction; in later steps also matches and motion."""
-        described = self._network(batch["patches"])
+        described = self.network(batch["patches"])
         with torch.autocast(batch["patches"].device.type, enabled=False):
             # Similarities over a small temperature, and fits, need full precision.
             return descriptor_loss(described, batch, self._heads)
 
     def validate(self) -> Mapping[str, float]:
         """Scores on the held-out bodies, and the matcher's parameters."""
-        matcher = self._heads.matcher
-        return score(self._trials, lambda patches: describe_patches(self._network, patches)) | {
-            "matcher_temperature": float(matcher.log_temperature.exp()),
-            "matcher_dustbin": float(matcher.dustbin),
-        }
+        found = score(self._trials, lambda patches: describe_patches(self.network, patches))
+        return found | self._heads.matcher_parameters()
 
 
 def make_task(train: Train, seed: int, progress: Progress, workers: int) -> DescriptorTask:
@@ -248,6 +228,4 @@ def make_task(train: Train, seed: int, progress: Progress, workers: int) -> Desc
         )
     held_out = {i: scenes[i] for i in halves.validation}
     held_out |= {LIT + i: points for i, points in lit.items() if train.corpus.is_validation(i)}
-    trials = validation_pairs(held_out, seed)
-    late_from = round(LATE_FROM * train.schedule.steps)
-    return DescriptorTask(batches, trials, late_from)
+    return DescriptorTask(batches, validation_pairs(held_out, seed), round(LATE_FROM * train.schedule.steps))

@@ -23,7 +23,6 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from polhode.config.frontend_settings import Depth
 from polhode.files.array_files import read_arrays, require_arrays
@@ -45,6 +44,7 @@ from polhode.records.dataset import StereoCalibration, StereoSequence, open_sequ
 from polhode.runtime.errors import InputError
 from polhode.simulation.dataset.frame_renderer import products_path, read_products
 from polhode.train.corpus import scene_digest
+from polhode.train.task import Batch
 
 MAX_LIST_BYTES = MIB
 _NAME = re.compile(r"[^/]+_\d{3,}m?\.npz")
@@ -72,13 +72,15 @@ def true_disparities(
     sequence: StereoSequence, rectifier: Rectifier, k: int
 ) -> tuple[TrueDisparity, TrueDisparity]:
     """True disparities of the left and the right image of pair k. Raises InputError: the truth is missing."""
-    depth, shadow = zip(*(_products(sequence.folder, side, sequence, k) for side in (0, 1)), strict=True)
-    rig = rectifier.rig
-    disparity, sunlit = [], []
+    rig, disparity, sunlit = rectifier.rig, [], []
     for side in (0, 1):
-        z = rectified_depth(depth[side], sequence.calibration, rectifier, side)
+        path = products_path(sequence.folder / "mav0", side, int(sequence.timestamps_ns[k]))
+        found = read_products(path)
+        if found.depth is None or found.shadow is None:
+            raise InputError(f"{path}: contains no depth or no shadow; simulate with scene.render.products")
+        z = rectified_depth(found.depth, sequence.calibration, rectifier, side)
         disparity.append((rig.focal_px * rig.baseline_m / z + rig.disparity_offset_px).astype(np.float32))
-        shadowed = _resampled(shadow[side].astype(np.float32), rectifier, side)
+        shadowed = _resampled(found.shadow.astype(np.float32), rectifier, side)
         sunlit.append(np.isfinite(z) & (shadowed == 0))
     return (
         TrueDisparity(disparity[0], _visible(disparity[0], disparity[1], 1), sunlit[0]),
@@ -98,14 +100,6 @@ def rectified_depth(depth: Array, calibration: StereoCalibration, rectifier: Rec
         X_CD = inverse_pose(calibration.X_BC0) @ calibration.X_BC1
         R_KR = X_CD[:3, :3].T @ R_KR
     return np.asarray(own_depth / (ray_R @ R_KR[2]))
-
-
-def _products(folder: Path, side: int, sequence: StereoSequence, k: int) -> tuple[Array, NDArray[np.uint8]]:
-    path = products_path(folder / "mav0", side, int(sequence.timestamps_ns[k]))
-    found = read_products(path)
-    if found.depth is None or found.shadow is None:
-        raise InputError(f"{path}: contains no depth or no shadow; simulate with scene.render.products")
-    return found.depth, found.shadow
 
 
 def _resampled(image: Floats, rectifier: Rectifier, side: int) -> Floats:
@@ -227,17 +221,13 @@ def write_sample(path: Path, sample: DisparitySample) -> None:
 
 def read_sample(path: Path) -> DisparitySample:
     """Read a file of ``write_sample``. Raises InputError for anything else."""
-    try:
-        return _read_sample(path)
-    except InputError as error:
-        raise InputError(f"{error}; remove this file, and it is made again") from None
-
-
-def _read_sample(path: Path) -> DisparitySample:
-    arrays: dict[str, Any] = read_arrays(path)
     names = [f.name for f in fields(InitialDisparity) if f.name != "margin_px"]
     images = {f"start_{name}": ("fb", 2) for name in names} | {"truth": ("f", 2), "visible": ("b", 2)}
-    require_arrays(path, arrays, images | {"start_margin_px": ("iu", 0)})
+    try:
+        arrays: dict[str, Any] = read_arrays(path)
+        require_arrays(path, arrays, images | {"start_margin_px": ("iu", 0)})
+    except InputError as error:
+        raise InputError(f"{error}; remove this file, and it is made again") from None
     values = {name: arrays[f"start_{name}"] for name in names}
     start = InitialDisparity(**values, margin_px=int(arrays["start_margin_px"]))
     return DisparitySample(start, arrays["truth"], arrays["visible"])
@@ -245,7 +235,14 @@ def _read_sample(path: Path) -> DisparitySample:
 
 def random_crop(sample: DisparitySample, size: tuple[int, int], rng: np.random.Generator) -> DisparitySample:
     """A rectangle (h, w) around a random pixel of the target; a smaller sample is first padded with sky."""
-    sample = _pad_to(sample, size)
+    more = [max(wanted - side, 0) for wanted, side in zip(size, sample.truth.shape, strict=True)]
+    if any(more):
+        pads = ((0, more[0]), (0, more[1]))
+        sample = DisparitySample(
+            sample.start.padded((more[0], more[1])),
+            np.pad(sample.truth, pads, constant_values=np.nan),
+            np.pad(sample.visible, pads),
+        )
     v, u = (int(i) for i in rng.choice(np.argwhere(sample.start.target)))
     h, w = sample.truth.shape
     top = int(np.clip(v - rng.integers(0, size[0]), 0, h - size[0]))
@@ -253,62 +250,30 @@ def random_crop(sample: DisparitySample, size: tuple[int, int], rng: np.random.G
     return sample.part(slice(top, top + size[0]), slice(first, first + size[1]))
 
 
-def _pad_to(sample: DisparitySample, size: Sequence[int]) -> DisparitySample:
-    h, w = sample.truth.shape
-    more = (max(size[0] - h, 0), max(size[1] - w, 0))
-    if more == (0, 0):
-        return sample
-    start = sample.start.padded(more)
-    pads = ((0, more[0]), (0, more[1]))
-    return DisparitySample(
-        start,
-        np.pad(sample.truth, pads, constant_values=np.nan),
-        np.pad(sample.visible, pads),
-    )
-
-
-@dataclass(frozen=True)
-class DisparityBatch:
-    """Stacked crops, batch first."""
-
-    channels: Tensor
-    """(B, CHANNELS, h, w)"""
-    hypotheses: Tensor
-    """(B, 6, h, w) [px]"""
-    truth: Tensor
-    """(B, h, w) [px]; NaN outside the target"""
-    visible: Tensor
-    """(B, h, w) bool: both cameras see the surface"""
-    lit: Tensor
-    """(B, h, w) bool: bright enough for matching"""
-    target: Tensor
-    """(B, h, w) bool: the target by the front end's segmentation"""
-
-    def tensors(self) -> dict[str, Tensor]:
-        """The batch for the training loop; ``DisparityBatch(**tensors)`` is the inverse."""
-        return dict(vars(self))
-
-
-def random_batch(files: Sequence[Path], size: int, crop_px: int, rng: np.random.Generator) -> DisparityBatch:
+def random_batch(files: Sequence[Path], size: int, crop_px: int, rng: np.random.Generator) -> Batch:
     """``size`` augmented crops of random samples."""
     chosen = rng.choice(len(files), size, replace=len(files) < size)
     return stack([augment(random_crop(read_sample(files[i]), (crop_px, crop_px), rng), rng) for i in chosen])
 
 
-def stack(samples: Sequence[DisparitySample]) -> DisparityBatch:
-    """A batch of samples of equal size."""
+def stack(samples: Sequence[DisparitySample]) -> Batch:
+    """A batch of B samples of equal size.
 
-    def joined(arrays: list[NDArray[np.generic]]) -> Tensor:
-        return torch.from_numpy(np.stack(arrays))
-
-    return DisparityBatch(
-        torch.cat([input_channels(sample.start) for sample in samples]),
-        torch.stack([hypotheses(sample.start) for sample in samples]),
-        joined([sample.truth for sample in samples]),
-        joined([sample.visible for sample in samples]),
-        joined([sample.start.lit for sample in samples]),
-        joined([sample.start.target for sample in samples]),
-    )
+    ``channels`` (B, CHANNELS, h, w); ``hypotheses`` (B, 6, h, w) [px]; (B, h, w): ``truth`` [px], NaN outside
+    the target; ``visible``: both cameras see the surface; ``lit``: bright enough for matching; ``target``: by
+    the front end's segmentation.
+    """
+    images: dict[str, list[NDArray[np.generic]]] = {
+        "truth": [sample.truth for sample in samples],
+        "visible": [sample.visible for sample in samples],
+        "lit": [sample.start.lit for sample in samples],
+        "target": [sample.start.target for sample in samples],
+    }
+    return {
+        "channels": torch.cat([input_channels(sample.start) for sample in samples]),
+        "hypotheses": torch.stack([hypotheses(sample.start) for sample in samples]),
+        **{name: torch.from_numpy(np.stack(each)) for name, each in images.items()},
+    }
 
 
 def augment(sample: DisparitySample, rng: np.random.Generator) -> DisparitySample:

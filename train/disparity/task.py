@@ -4,7 +4,6 @@ The loss is the log density of the true disparity, and the visibility.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -23,7 +22,6 @@ from polhode.runtime.processes import in_order
 from polhode.runtime.progress import Progress
 from polhode.train.corpus import render_corpus, scene_folder, split
 from polhode.train.disparity.samples import (
-    DisparityBatch,
     DisparitySample,
     build_samples,
     random_batch,
@@ -43,31 +41,21 @@ bounded."""
 _VISIBLE_WEIGHT = 0.3
 
 
-@dataclass(frozen=True)
-class LossPixels:
-    """The pixels (n,) of a batch that the loss sums over: true target, or segmented as target."""
-
-    truth: Tensor
-    """[px]; NaN outside the target"""
-    visible: Tensor
-    lit: Tensor
-    target: Tensor
-
-
-def loss_pixels(raw: Tensor, batch: DisparityBatch) -> tuple[DisparityMixture, LossPixels]:
-    """Distribution at these pixels, from the network's raw outputs (B, OUTPUTS, h, w), and the truth."""
-    chosen = torch.isfinite(batch.truth) | batch.target
-    outputs, guess = (tensor.permute(0, 2, 3, 1)[chosen] for tensor in (raw, batch.hypotheses))
-    pixels = LossPixels(batch.truth[chosen], batch.visible[chosen], batch.lit[chosen], batch.target[chosen])
+def loss_pixels(raw: Tensor, batch: Batch) -> tuple[DisparityMixture, Batch]:
+    """Distribution at the pixels (n,) that are true or segmented target, from the network's raw outputs
+    (B, OUTPUTS, h, w), and the images of the batch there."""
+    chosen = torch.isfinite(batch["truth"]) | batch["target"]
+    outputs, guess = (tensor.permute(0, 2, 3, 1)[chosen] for tensor in (raw, batch["hypotheses"]))
+    pixels = {name: batch[name][chosen] for name in ("truth", "visible", "lit", "target")}
     return mixture_from_outputs(outputs, guess), pixels
 
 
-def disparity_loss(mixture: DisparityMixture, pixels: LossPixels) -> Tensor:
+def disparity_loss(mixture: DisparityMixture, pixels: Batch) -> Tensor:
     """Scalar loss: mean negative log density of the true disparity, mean negative log probability of its
     vicinity, and cross entropy of the visibility.
     """
-    known = torch.isfinite(pixels.truth)
-    truth = torch.where(known, pixels.truth, 0.0)
+    known = torch.isfinite(pixels["truth"])
+    truth = torch.where(known, pixels["truth"], 0.0)
     density = mixture.log_density(truth).exp()
     cost = -torch.log((1.0 - _OUTLIER_SHARE) * density + _OUTLIER_SHARE / _OUTLIER_WIDTH_PX)
     # An error below one pixel is rewarded separately: a wrong surface is worse than a coarse fit of the right
@@ -75,13 +63,13 @@ def disparity_loss(mixture: DisparityMixture, pixels: LossPixels) -> Tensor:
     near = mixture.mass_within(truth, torch.full_like(truth, _NEAR_PX))
     cost = cost - _NEAR_WEIGHT * torch.log((1.0 - _OUTLIER_SHARE) * near + _OUTLIER_SHARE)
     weight = known.float()
-    weight = weight * torch.where(pixels.visible, 1.0, _HIDDEN_WEIGHT)
-    weight = weight * torch.where(pixels.lit, 1.0, _DARK_WEIGHT)
+    weight = weight * torch.where(pixels["visible"], 1.0, _HIDDEN_WEIGHT)
+    weight = weight * torch.where(pixels["lit"], 1.0, _DARK_WEIGHT)
     accuracy = (weight * cost).sum() / weight.sum().clamp(min=1.0)
     seen = functional.binary_cross_entropy_with_logits(
-        mixture.visible, pixels.visible.float(), reduction="none"
+        mixture.visible, pixels["visible"].float(), reduction="none"
     )
-    segmented = pixels.target.float()
+    segmented = pixels["target"].float()
     return accuracy + _VISIBLE_WEIGHT * (seen * segmented).sum() / segmented.sum().clamp(min=1.0)
 
 
@@ -104,28 +92,23 @@ class DisparityTask:
         # The same samples in every validation, evenly spaced over the held-out scenes.
         step = max(1, len(held_out) // settings.validation_samples)
         self._held_out = list(held_out)[::step][: settings.validation_samples]
-        self.model = DisparityNet()
-
-    @property
-    def network(self) -> DisparityNet:
-        return self.model
+        self.model = self.network = DisparityNet()
 
     def batch(self, step: int) -> Batch:
         rng = np.random.default_rng([self._seed, step])
         settings = self._settings
-        return random_batch(self._training, settings.batch, settings.crop_px, rng).tensors()
+        return random_batch(self._training, settings.batch, settings.crop_px, rng)
 
     def loss(self, batch: Batch) -> tuple[Tensor, Mapping[str, Tensor]]:
-        given = DisparityBatch(**batch)
-        channels = given.channels.contiguous(memory_format=torch.channels_last)
+        channels = batch["channels"].contiguous(memory_format=torch.channels_last)
         on_cpu = channels.device.type == "cpu"
         with torch.autocast("cpu", torch.bfloat16, enabled=on_cpu and self._settings.half_on_cpu):
             raw = self.model(channels)
-        mixture, pixels = loss_pixels(raw, given)
+        mixture, pixels = loss_pixels(raw, batch)
         loss = disparity_loss(mixture, pixels)
         with torch.no_grad():
             likeliest = mixture.mean.gather(1, mixture.log_weight.argmax(dim=1, keepdim=True))[:, 0]
-            off = (likeliest - pixels.truth).abs()[pixels.visible & pixels.lit]
+            off = (likeliest - pixels["truth"]).abs()[pixels["visible"] & pixels["lit"]]
         return loss, {"off_by_more_than_1_px": (off > 1.0).float().mean()}
 
     def validate(self) -> Mapping[str, float]:

@@ -1,9 +1,8 @@
-"""Training of the surface network. In: bodies of the corpus. Out: the task ``surface``.
+"""Training of the surface network. In: the corpus. Out: batches of image pairs, loss and scores.
 
-lit_bodies.py      images of bodies from several poses under several Suns, with the truth of their pixels
-landmarks.py       marks of the surface that are found again whatever the light
-known_bodies.py    both for all bodies, stored beside the corpus
-batches.py         pairs of images, targets of the network, and patches
-task.py            the loss
-scores.py          scores on held-out bodies
+task.py         the task ``surface`` and its loss
+lit_bodies.py   images of one body from several poses under several Suns
+landmarks.py    marks of the surface that other images show again; the bodies with them, stored
+batches.py      pairs of images with their landmarks
+scores.py       scores on held-out bodies
 """

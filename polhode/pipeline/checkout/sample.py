@@ -162,7 +162,7 @@ def examine(sequence: StereoSequence, rectifier: Rectifier, config: Frontend, k:
     most_px = rig.focal_px * np.deg2rad(1.0)
     rows = row_offsets(left, right, rig.width_px, most_px)
     image, right = _level_rows(pair.right, right, rows)
-    features = match_stereo(pair.left, image, left, right, rig)
+    features, _ = match_stereo(pair.left, image, left, right, rig)
     uv, d = features.uvd_px[:, :2], features.uvd_px[:, 2]
     return ExaminedPair(
         frame=k,

@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 
 from polhode.frontend.background.far_plane import FarPlane, plane_seen_from
 from polhode.frontend.background.find_masks import (
-    MIN_AREA,
-    Background,
     doubtful_frames,
     find_background,
     find_masks,
 )
-from polhode.frontend.found_masks import FoundMasks, MaskQuality, decoded, encoded
+from polhode.frontend.found_masks import FoundMasks, MaskQuality, encoded
 from polhode.frontend.rectification import Rectifier, make_rectifier, rectified_left, rectified_pair
 from polhode.frontend.segmentation import target_mask
 from polhode.geometry.lie import Array, Bools, exp_so3, make_pose
@@ -89,26 +87,19 @@ def test_a_wall_is_found_where_it_is_in_N_and_the_target_before_it(moving: bool)
     assert doubtful_frames(found) == []
 
 
-def test_the_earth_is_found_at_infinity() -> None:
+def test_the_earth_is_found_at_infinity_and_nothing_before_a_dark_sky_or_a_turning_plane() -> None:
     background = find_background(at_rest([INFINITY] * 3), RECTIFIER)
     assert background is not None and background.at_infinity
     assert background.description == "at infinity"
-
-
-def test_a_plane_that_turns_is_the_target_and_not_the_background() -> None:
-    planes = [FarPlane(0.02 * k, -0.01 * k, 20.0 - 5.0 * k) for k in range(4)]
-    assert find_background(at_rest(planes), RECTIFIER) is None
-
-
-def test_before_a_dark_sky_or_with_masks_nothing_is_looked_for() -> None:
-    assert find_background(at_rest([INFINITY] * 3, far=np.full_like(FAR, 2.0)), RECTIFIER) is None
-    assert find_background(at_rest([INFINITY] * 3, masked=True), RECTIFIER) is None
-
-
-def test_a_background_with_nothing_before_it_gives_no_masks() -> None:
-    sequence = at_rest([INFINITY] * 3, radius_px=0.0)
-    assert find_masks(sequence, RECTIFIER, Background(np.zeros(3)), range(3), 1, lambda: None) is None
-    assert MIN_AREA > 0.0
+    turning = [FarPlane(0.02 * k, -0.01 * k, 20.0 - 5.0 * k) for k in range(4)]
+    for sequence in (
+        at_rest(turning),
+        at_rest([INFINITY] * 3, far=np.full_like(FAR, 2.0)),
+        at_rest([INFINITY] * 3, masked=True),
+    ):
+        assert find_background(sequence, RECTIFIER) is None
+    alone = at_rest([INFINITY] * 3, radius_px=0.0)
+    assert find_masks(alone, RECTIFIER, background, range(3), 1, lambda: None) is None
 
 
 def test_the_sample_is_before_a_dark_sky_and_keeps_its_masks() -> None:
@@ -142,11 +133,6 @@ def test_found_masks_black_the_background_out_and_given_ones_come_first() -> Non
     assert overlap(given.mask_left, mask) < 0.9
 
 
-def test_a_mask_survives_its_encoding() -> None:
-    mask = np.random.default_rng(0).random((37, 53)) < 0.5
-    np.testing.assert_array_equal(decoded(encoded(mask)), mask)
-
-
 def _found(*quality: MaskQuality) -> FoundMasks:
     return FoundMasks({}, dict(enumerate(quality)))
 
@@ -166,8 +152,6 @@ def _found(*quality: MaskQuality) -> FoundMasks:
 def test_a_pair_that_stands_out_is_doubtful(changes: dict[str, float]) -> None:
     assert doubtful_frames(_found(*[GOOD] * 6)) == []
     assert doubtful_frames(_found(GOOD, GOOD, GOOD, replace(GOOD, **changes), GOOD, GOOD)) == [3]
-
-
-def test_a_target_that_is_out_of_view_is_not_doubtful() -> None:
+    # a target that is out of view is not doubtful
     away = replace(GOOD, area=0.0, agreement=np.nan, contradicted=np.nan)
     assert doubtful_frames(_found(*[GOOD] * 5, *[away] * 5)) in ([], [4], [5], [4, 5])

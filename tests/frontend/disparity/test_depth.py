@@ -67,20 +67,17 @@ def test_a_textured_plane_is_found_to_a_few_hundredths_of_a_pixel(
     assert abs(np.median(error)) < 0.02
 
 
-def test_sigma_tells_the_size_of_the_error(mask: Bools) -> None:
+def test_sigma_tells_the_size_of_the_error_and_nothing_is_known_beside_the_target(mask: Bools) -> None:
     true = slanted(50.3, 0.05, 0.03)
     left, right = pair_of(true, mask)
     depth = compute_depth(left, right, mask, RIG, CONFIG)
     known = np.isfinite(depth.depth_m)
+    rim = mask & ~(cv2.erode(mask.astype(np.uint8), np.ones((3, 3))) > 0)
+    assert not known[~mask | rim].any()
+    np.testing.assert_array_equal(known, np.isfinite(depth.sigma_m))
     error = np.abs(depth.depth_m[known] - RIG.focal_px * RIG.baseline_m / true[known])
     assert 0.5 < np.mean(error < depth.sigma_m[known]) < 0.99
     assert np.mean(error < 3 * depth.sigma_m[known]) > 0.97
-
-
-def test_weak_texture_means_larger_sigma(mask: Bools) -> None:
-    true = slanted(50.3, 0.0, 0.0)
-    strong, weak = (compute_depth(*pair_of(true, mask, c), mask, RIG, CONFIG) for c in (1.0, 0.15))
-    assert np.nanmedian(weak.sigma_m) > 1.5 * np.nanmedian(strong.sigma_m)
 
 
 def test_no_depth_without_texture_or_light(mask: Bools) -> None:
@@ -95,40 +92,26 @@ def test_no_depth_without_texture_or_light(mask: Bools) -> None:
     assert np.isfinite(depth.depth_m[mask]).mean() > 0.4
 
 
-def test_nothing_outside_the_mask_and_nothing_on_the_rim(mask: Bools) -> None:
-    left, right = pair_of(slanted(50.0, 0.0, 0.0), mask)
-    depth = compute_depth(left, right, mask, RIG, CONFIG)
-    rim = mask & ~(cv2.erode(mask.astype(np.uint8), np.ones((3, 3))) > 0)
-    assert not np.isfinite(depth.depth_m[~mask | rim]).any()
-    np.testing.assert_array_equal(np.isfinite(depth.depth_m), np.isfinite(depth.sigma_m))
-
-
-@pytest.mark.parametrize("base_px", [12.0, 40.0, 90.0])
-def test_the_range_of_disparity_is_found(base_px: float, mask: Bools) -> None:
-    true = slanted(base_px, 0.05, 0.0)
-    found = find_disparity_range(*pair_of(true, mask), mask, CONFIG)
-    assert found is not None
-    assert found[0] <= true[mask].min() + 1
-    assert found[1] >= true[mask].max() - 1
-    assert found[1] - found[0] < 40
-
-
-@pytest.mark.parametrize("base_px", [-60.0, -8.0, 50.0])
-def test_the_range_is_found_where_converging_axes_cross(base_px: float, mask: Bools) -> None:
-    """Infinity lies 554 px off, out of both images."""
+@pytest.mark.parametrize(
+    ("base_px", "infinity_px"), [(12.0, 0.0), (90.0, 0.0), (-60.0, -554.0), (-8.0, -554.0), (50.0, -554.0)]
+)
+def test_the_range_is_found_also_where_converging_axes_cross(
+    base_px: float, infinity_px: float, mask: Bools
+) -> None:
+    """Infinity may lie 554 px off, out of both images."""
     true = slanted(base_px, 0.05, 0.0)
     left, right = pair_of(true, mask)
-    found = find_disparity_range(left, right, mask, CONFIG, -554.0)
+    found = find_disparity_range(left, right, mask, CONFIG, infinity_px)
     assert found is not None
     assert found[0] <= true[mask].min() + 1
     assert found[1] >= true[mask].max() - 1
     assert found[1] - found[0] < 40
-    rig = replace(RIG, disparity_offset_px=-554.0)
-    depth = compute_depth(left, right, mask, rig, CONFIG)
-    known = np.isfinite(depth.depth_m)
-    assert known[mask].mean() > 0.85
-    expected = RIG.focal_px * RIG.baseline_m / (true + 554.0)
-    np.testing.assert_allclose(depth.depth_m[known], expected[known], rtol=2e-3)
+    if infinity_px < 0.0:
+        depth = compute_depth(left, right, mask, replace(RIG, disparity_offset_px=infinity_px), CONFIG)
+        known = np.isfinite(depth.depth_m)
+        assert known[mask].mean() > 0.85
+        expected = RIG.focal_px * RIG.baseline_m / (true - infinity_px)
+        np.testing.assert_allclose(depth.depth_m[known], expected[known], rtol=2e-3)
 
 
 def test_a_target_at_the_images_edge_is_no_special_case() -> None:
@@ -142,26 +125,11 @@ def test_a_target_at_the_images_edge_is_no_special_case() -> None:
     assert np.median(np.abs(error)) < 0.05
 
 
-def test_an_offset_of_the_principal_points_is_taken_out(mask: Bools) -> None:
-    true = slanted(50.0, 0.0, 0.0)
-    rig = RectifiedRig(400.0, 159.5, 119.5, 0.1, 320, 240, disparity_offset_px=10.0)
-    depth = compute_depth(*pair_of(true, mask), mask, rig, CONFIG)
-    assert np.nanmedian(depth.depth_m) == pytest.approx(1.0, rel=2e-3)
-
-
 def test_an_empty_mask_and_a_black_pair_give_no_depth(mask: Bools) -> None:
     black = np.zeros((240, 320), dtype=np.uint8)
     for inside in (mask, np.zeros_like(mask)):
         depth = compute_depth(black, black, inside, RIG, CONFIG)
         assert not np.isfinite(depth.depth_m).any()
-
-
-def test_the_same_pair_gives_the_same_bytes(mask: Bools) -> None:
-    pair = pair_of(slanted(50.0, 0.03, 0.0), mask)
-    first = compute_depth(*pair, mask, RIG, CONFIG)
-    second = compute_depth(*pair, mask, RIG, CONFIG)
-    assert first.depth_m.tobytes() == second.depth_m.tobytes()
-    assert first.sigma_m.tobytes() == second.sigma_m.tobytes()
 
 
 @pytest.mark.parametrize("known", [True, False])

@@ -1,6 +1,5 @@
 """Key points: where they are, and that they do not care about exposure."""
 
-import cv2
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -43,15 +42,6 @@ def test_key_points_follow_a_sub_pixel_shift() -> None:
     np.testing.assert_allclose(np.median(shift, axis=0), [0.37, -0.21], atol=0.02)
 
 
-def test_key_points_outside_the_mask_are_left_out() -> None:
-    image = texture()
-    mask = np.zeros(image.shape, dtype=bool)
-    mask[:, :100] = True
-    points = detect(image, mask, WHOLE, Features())
-    assert len(points) > 0
-    assert points.uv_px[:, 0].max() < 100
-
-
 def test_descriptors_do_not_depend_on_exposure() -> None:
     bright, dark = texture(), (texture() * 0.35).astype(np.uint8)
     points = [found(image) for image in (bright, dark)]
@@ -67,9 +57,3 @@ def test_the_strongest_are_kept() -> None:
     few, all_points = found(texture(), max_features=50), found(texture(), max_features=100000)
     assert len(few) == 50 < len(all_points)
     np.testing.assert_array_equal(few.uv_px, all_points.uv_px[:50])
-
-
-def test_the_crop_of_a_large_target_is_enlarged_less() -> None:
-    image = np.asarray(cv2.resize(texture(), (880, 800), interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
-    small_crop = found(image, Crop(0, 0, 880, 800), max_crop_px=900)
-    assert 0 < len(small_crop) < len(found(image, Crop(0, 0, 880, 800), max_crop_px=1800))

@@ -10,8 +10,7 @@ from polhode.config.frontend_settings import Features
 from polhode.frontend.features.keypoints import KeyPoints, detect
 from polhode.frontend.features.patches import image_jacobian, surface_normals
 from polhode.frontend.features.stereo import (
-    _match_on_lines,
-    _matched,
+    match_on_lines,
     match_stereo,
     refine_disparity,
     texture_sigma,
@@ -55,7 +54,7 @@ def test_refined_disparity_is_unbiased_and_its_sigma_is_true(slope: float, gain:
     uv = np.column_stack([rng.uniform(110, 300, 400), rng.uniform(20, 220, 400)])
     truth = 40.3 + slope * (uv[:, 0] - 160) + 0.05 * (uv[:, 1] - 120)
     start = truth + rng.uniform(-0.8, 0.8, 400)
-    refined, sigma, correlation = refine_disparity(left, right, uv, start)
+    refined, sigma, correlation, _ = refine_disparity(left, right, uv, start)
     good = correlation > 0.9
     error = (refined - truth)[good]
     assert good.mean() > 0.95
@@ -73,7 +72,7 @@ def test_the_sigma_of_a_texture_is_that_of_two_images_of_it(noise: float) -> Non
         for _ in range(2)
     )
     uv = np.column_stack([rng.uniform(20, 300, 400), rng.uniform(20, 220, 400)])
-    _, by_two, _ = refine_disparity(left, right, uv, np.zeros(400))
+    _, by_two, _, _ = refine_disparity(left, right, uv, np.zeros(400))
     by_one = texture_sigma(left, uv)
     assert 0.8 < np.median(by_one / by_two) < 1.2
     assert np.corrcoef(np.log(by_one), np.log(by_two))[0, 1] > 0.9
@@ -83,7 +82,7 @@ def test_the_sigma_of_a_texture_is_that_of_two_images_of_it(noise: float) -> Non
 def test_a_window_without_texture_is_refused() -> None:
     flat = np.full((240, 320), 100, dtype=np.uint8)
     noisy = (flat + np.random.default_rng(0).integers(0, 3, flat.shape)).astype(np.uint8)
-    _, _, correlation = refine_disparity(noisy, flat, np.array([[160.0, 120.0]]), np.array([40.0]))
+    _, _, correlation, _ = refine_disparity(noisy, flat, np.array([[160.0, 120.0]]), np.array([40.0]))
     assert correlation[0] < 0.85
 
 
@@ -96,7 +95,7 @@ def test_a_match_is_refused_when_the_second_best_descriptor_is_nearly_as_near(
     looks = np.stack([np.cos(turn), np.sin(turn)], axis=1).astype(np.float32)
     uv = np.array([[200.0, 100.0], [160.0, 100.0], [150.0, 100.0]])
     points = [KeyPoints(uv[k], np.full(n, 2.0), np.zeros(n), looks[k]) for k, n in (([0], 1), ([1, 2], 2))]
-    left, disparity = _match_on_lines(points[0], points[1], RIG)
+    left, disparity = match_on_lines(points[0], points[1], RIG)
     assert (left.tolist(), disparity.tolist()) == (([0], [40.0]) if kept else ([], []))
 
 
@@ -106,7 +105,7 @@ def test_matches_lie_on_the_surface() -> None:
     crop = target_crop(mask)
     assert crop is not None
     points = [detect(image, mask, crop, Features()) for image in (left, right)]
-    found = match_stereo(left, right, points[0], points[1], RIG)
+    found, _ = match_stereo(left, right, points[0], points[1], RIG)
     truth = 40.3 + 0.1 * (found.uvd_px[:, 0] - 160) + 0.05 * (found.uvd_px[:, 1] - 120)
     wrong = np.abs(found.uvd_px[:, 2] - truth) > 0.5
     assert len(found) > 200
@@ -124,7 +123,7 @@ def test_converging_cameras_match_what_both_see(shift_px: float) -> None:
     crop = target_crop(mask)
     assert crop is not None
     points = [detect(image, mask, crop, Features()) for image in (left, right)]
-    near = match_stereo(left, right, points[0], points[1], replace(RIG, disparity_offset_px=-554.0))
+    near, _ = match_stereo(left, right, points[0], points[1], replace(RIG, disparity_offset_px=-554.0))
     assert len(near) > 200
     assert abs(np.median(near.uvd_px[:, 2]) - shift_px) < 1.0
     np.testing.assert_allclose(np.median(near.p_R[:, 2]), 467.0 * 0.09 / (shift_px + 554.0), rtol=0.01)
@@ -135,7 +134,7 @@ def test_parallel_cameras_see_nothing_nearer_than_their_images_overlap() -> None
     uv = np.array([[300.0, 100.0], [300.0, 50.0]])
     shift = np.array([[0.69 * RIG.width_px, 0.0], [0.71 * RIG.width_px, 0.0]])
     left, right = (KeyPoints(at, np.full(2, 2.0), np.zeros(2), looks) for at in (uv, uv - shift))
-    assert _match_on_lines(left, right, RIG)[0].tolist() == [0]
+    assert match_on_lines(left, right, RIG)[0].tolist() == [0]
 
 
 def test_an_empty_image_gives_no_features() -> None:
@@ -145,7 +144,7 @@ def test_an_empty_image_gives_no_features() -> None:
     assert crop is not None
     points = detect(black, mask, crop, Features())
     assert len(points) == 0
-    assert len(match_stereo(black, black, points, points, RIG)) == 0
+    assert len(match_stereo(black, black, points, points, RIG)[0]) == 0
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.15])
@@ -155,7 +154,7 @@ def test_key_points_know_roughly_how_their_surface_lies(slope: float) -> None:
     crop = target_crop(mask)
     assert crop is not None
     points = [detect(image, mask, crop, Features()) for image in (left, right)]
-    measured, slopes = _matched(left, right, points[0], points[1], RIG)
+    measured, slopes = match_stereo(left, right, points[0], points[1], RIG)
     features = with_rough_axes(measured, slopes, RIG)
     assert len(features) > 100
     assert not features.on_surface.any()

@@ -10,14 +10,12 @@ from polhode.frontend.features.keypoints import find_candidates
 from polhode.frontend.features.stereo import RootSift, StereoFeatures
 from polhode.frontend.features.surface_features import (
     SurfaceFeatureMethod,
-    confidence_logit,
     feature_sigma,
     match_sigma,
     with_patch_size,
 )
 from polhode.frontend.rectification import RectifiedPair, Rectifier, make_rectifier, rectified_pair
 from polhode.records.dataset import StereoSequence, open_sequence
-from polhode.train.feature_noise import MatchResiduals, fit_noise, normalised_variance
 
 SAMPLE = Path(__file__).parents[3] / "examples" / "sample"
 CONFIG = Frontend(features=Features(method="polhode", surface_descriptor="rootsift"))
@@ -58,12 +56,6 @@ def test_axes_are_rotations_and_normals_face_the_camera(pair: RectifiedPair, rec
     assert np.allclose(np.linalg.det(found.R_RS), 1.0)
     assert np.all(np.einsum("ni,ni->n", found.R_RS[:, :, 2], found.p_R) < 0.0)
     assert np.allclose(np.linalg.norm(found.descriptors, axis=1), 1.0, atol=1e-3)
-
-
-def test_the_same_image_gives_the_same_features(pair: RectifiedPair, rectifier: Rectifier) -> None:
-    one, two = (SurfaceFeatureMethod(CONFIG)(pair, rectifier.rig) for _ in range(2))
-    assert np.array_equal(one.uvd_px, two.uvd_px)
-    assert np.array_equal(one.descriptors, two.descriptors)
 
 
 def test_an_empty_image_has_no_features(rectifier: Rectifier) -> None:
@@ -117,42 +109,3 @@ def test_a_sure_match_is_more_certain_than_a_doubtful_one() -> None:
     doubtful, sure = match_sigma(a, b, np.array([[0, 1], [1, 0]]), np.array([0.01, 0.9]))
     assert np.all(sure < doubtful)
     assert np.all(np.isfinite(match_sigma(a, b, np.array([[0, 0], [1, 1]]), np.array([0.0, 1.0]))))
-
-
-def test_the_fit_finds_the_noise_that_was_put_in() -> None:
-    """Two scenes of different sharpness; floor 0.2 px, gain 2 px, and less noise for sure matches."""
-    rng = np.random.default_rng(0)
-    scenes = []
-    for middle in (0.04, 0.12):
-        sharp = middle * np.exp(rng.normal(0.0, 0.4, (6000, 2)))
-        logit = rng.normal(0.0, 2.0, 6000)
-        variance = (0.08 + 2.0 * np.sum(sharp, axis=1)) * np.exp(-0.2 * logit)
-        residual = rng.normal(size=(6000, 3)) * np.sqrt(variance)[:, None]
-        scenes.append(
-            MatchResiduals(
-                residual, np.sqrt(np.repeat(variance[:, None], 3, axis=1)), sharp, np.zeros_like(sharp), logit
-            )
-        )
-    found = fit_noise(scenes, (0, 1))
-    # Without the confidence its mean effect, exp(0.08), is in the gain; the confidence takes it back.
-    assert abs(found.gain_px * np.exp(found.confidence[0]) - 2.0) < 0.1
-    assert abs(found.floor_px * np.exp(0.5 * found.confidence[0]) - 0.2) < 0.03
-    assert abs(found.confidence[1] + 0.2) < 0.02
-    assert all(abs(value - 1.0) < 0.06 for scene in scenes for value in normalised_variance(scene))
-
-
-def test_the_logit_is_finite_everywhere() -> None:
-    assert np.isfinite(confidence_logit(np.array([0.0, 0.5, 1.0]))).all()
-    assert confidence_logit(np.array([0.5]))[0] == 0.0
-
-
-def test_the_gain_of_the_network_s_sigmas_is_found_again() -> None:
-    rng = np.random.default_rng(8)
-    place = rng.uniform(0.1, 0.8, size=(6000, 2))
-    variance = np.sum(0.1**2 + 1.7 * place**2, axis=1)
-    residual = rng.normal(size=(6000, 3)) * np.sqrt(variance)[:, None]
-    scene = MatchResiduals(residual, np.ones((6000, 3)), np.zeros_like(place), place, np.zeros(6000))
-    found = fit_noise([scene], (0, 1), by_place=True)
-    assert abs(found.gain_px - 1.7) < 0.1
-    assert found.floor_px < 0.2
-    assert abs(found.confidence[0]) < 0.05

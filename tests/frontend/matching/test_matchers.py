@@ -1,7 +1,6 @@
 """Matching: soft assignment can be differentiated; few right matches among many wrong ones are found."""
 
 from dataclasses import replace
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -17,7 +16,6 @@ from polhode.frontend.matching.matchers import (
     SoftmaxMatcher,
     _listed_support,
     likely_pairs,
-    motion_modes,
     rigid_fit,
 )
 from polhode.frontend.matching.methods import one_to_one
@@ -131,11 +129,9 @@ def test_the_rigid_fit_is_exact_and_has_the_right_gradient() -> None:
     torch.testing.assert_close(torch.cat([R, t[..., None]], dim=-1), torch.from_numpy(twin[:, :3]))
     inputs = (noisy.requires_grad_(), torch.from_numpy(p_B).requires_grad_(), weight.requires_grad_())
     assert torch.autograd.gradcheck(rigid_fit, inputs)
-
-
-def test_the_rigid_fit_of_a_mirrored_scene_is_still_a_rotation() -> None:
-    p = torch.from_numpy(np.random.default_rng(2).normal(size=(6, 3)))
-    R, _ = rigid_fit(p * torch.tensor([1.0, 1.0, -1.0]), p, torch.ones(6, dtype=torch.double))
+    # the fit of a mirrored scene is still a rotation
+    p = torch.from_numpy(p_B[0])
+    R, _ = rigid_fit(p * torch.tensor([1.0, 1.0, -1.0]), p, torch.ones(7, dtype=torch.double))
     assert torch.allclose(torch.det(R), torch.ones((), dtype=torch.double))
 
 
@@ -145,11 +141,12 @@ def test_a_dozen_right_matches_among_two_hundred_wrong_ones_are_found() -> None:
     assert set(matches.features[matches.features[:, 0] < 12, 1]) == set(range(12))
     assert len(matches.features) < 24
     assert len(np.unique(matches.features[:, 0])) == len(matches.features)
-
-
-def test_chance_agrees_on_no_motion_of_any_strength() -> None:
-    a, b = _frames(0, 300)
-    assert len(SoftmaxMatcher(Frontend())(a, b).features) < 12
+    # rough axes propose motions as well
+    rough = [replace(frame, R_RS=None, rough_R_RS=frame.R_RS) for frame in (a, b)]
+    assert np.array_equal(SoftmaxMatcher(Frontend())(*rough).features, matches.features)
+    assert not rough[0].on_surface.any()
+    # chance agrees on no motion of any strength
+    assert len(SoftmaxMatcher(Frontend())(*_frames(0, 300)).features) < 12
 
 
 def test_features_without_axes_are_matched_by_looks() -> None:
@@ -157,22 +154,12 @@ def test_features_without_axes_are_matched_by_looks() -> None:
     plain = [_features(frame.p_R, None, frame.descriptors) for frame in (a, b)]
     matches = SoftmaxMatcher(Frontend())(*plain)
     assert np.array_equal(matches.features, np.column_stack([np.arange(40)] * 2))
-    assert (
-        len(
-            SoftmaxMatcher(Frontend())(
-                plain[0], _features(np.zeros((0, 3)), None, np.zeros((0, 128)))
-            ).features
-        )
-        == 0
-    )
-
-
-def test_rough_axes_propose_motions_as_well() -> None:
-    a, b = _frames(12, 200)
-    rough = [replace(frame, R_RS=None, rough_R_RS=frame.R_RS) for frame in (a, b)]
-    matches = SoftmaxMatcher(Frontend())(*rough)
-    assert set(matches.features[matches.features[:, 0] < 12, 1]) == set(range(12))
-    assert not rough[0].on_surface.any()
+    nothing = _features(np.zeros((0, 3)), None, np.zeros((0, 128)))
+    assert len(SoftmaxMatcher(Frontend())(plain[0], nothing).features) == 0
+    # nearest neighbours know one motion without axes
+    nearest = MutualNearest(Frontend())
+    (only,) = nearest.hypotheses(plain[0], plain[1], 6)
+    assert np.array_equal(only.features, nearest(a, b).features)
 
 
 def _symmetric_frames(
@@ -205,7 +192,7 @@ def _symmetric_frames(
 
 
 @pytest.mark.parametrize("method", ["nearest", "polhode"])
-@pytest.mark.parametrize("fold", [2, 3, 4, 6])
+@pytest.mark.parametrize("fold", [2, 3, 6])
 @pytest.mark.parametrize(("clutter", "sigma_px"), [(5, 0.0), (100, 0.3)])
 def test_of_a_body_with_equal_parts_every_motion_is_found(
     method: Literal["nearest", "polhode"], fold: int, clutter: int, sigma_px: float
@@ -226,14 +213,6 @@ def test_of_a_body_with_equal_parts_every_motion_is_found(
         # the strongest motions of a body of equal parts have all its points
         assert len(match) > 0.8 * 12 * fold
     assert not missed
-
-
-def test_nearest_neighbours_without_axes_know_one_motion() -> None:
-    a, b = _frames(40, 0)
-    plain = [_features(frame.p_R, None, frame.descriptors) for frame in (a, b)]
-    matcher = MutualNearest(Frontend())
-    (only,) = matcher.hypotheses(plain[0], plain[1], 6)
-    assert np.array_equal(only.features, matcher(a, b).features)
 
 
 def test_unsure_matches_of_rootsift_do_not_count_unless_all_motions_are_kept() -> None:
@@ -266,19 +245,11 @@ def test_what_stands_still_gives_way_to_what_turns() -> None:
     rest = np.arange(25, 65)
     p_A, R_AS = a.p_R.copy(), np.asarray(a.R_RS).copy()
     p_A[rest], R_AS[rest] = b.p_R[rest], np.asarray(b.R_RS)[rest]
-    matches = SoftmaxMatcher(Frontend())(_features(p_A, R_AS, a.descriptors), b)
-    assert np.mean(matches.features[:, 0] < 25) > 0.9
-    # A target at rest stays at rest.
-    still = SoftmaxMatcher(Frontend())(b, b)
-    assert np.array_equal(still.features, np.column_stack([np.arange(95)] * 2))
-
-
-def test_each_motion_of_two_frames_keeps_its_matches() -> None:
-    a, b = _frames(25, 70, seed=7)
-    rest = np.arange(25, 65)
-    p_A, R_AS = a.p_R.copy(), np.asarray(a.R_RS).copy()
-    p_A[rest], R_AS[rest] = b.p_R[rest], np.asarray(b.R_RS)[rest]
     matcher, both = SoftmaxMatcher(Frontend()), _features(p_A, R_AS, a.descriptors)
+    assert np.mean(matcher(both, b).features[:, 0] < 25) > 0.9
+    # a target at rest stays at rest
+    assert np.array_equal(matcher(b, b).features, np.column_stack([np.arange(95)] * 2))
+    # each motion keeps its matches
     still, turning = matcher.hypotheses(both, b, 6)[:2]
     assert np.array_equal(still.features[:, 0], rest)
     assert set(turning.features[:, 0]) >= set(range(25)) and np.mean(turning.features[:, 0] < 25) > 0.9
@@ -291,15 +262,6 @@ def test_each_motion_of_two_frames_keeps_its_matches() -> None:
     # without axes of the surface there is one
     plain = [_features(frame.p_R, None, frame.descriptors) for frame in (a, b)]
     assert len(matcher.hypotheses(plain[0], plain[1], 6)) == 1
-
-
-def test_modes_are_found_strongest_first() -> None:
-    a, b = _frames(20, 30)
-    gate = np.full(50, 0.005)
-    modes = motion_modes(a.p_R, b.p_R, np.asarray(a.R_RS), np.asarray(b.R_RS), np.ones(50), gate)
-    assert modes[0].inlier[:20].all()
-    assert np.allclose(modes[0].X_AB, X_AB, atol=1e-6)
-    assert all(first.weight >= second.weight for first, second in pairwise(modes))
 
 
 def test_no_feature_has_two_partners() -> None:

@@ -45,12 +45,6 @@ def test_a_long_sequence_tries_few_pairs_and_closes_its_loops(world: World) -> N
     assert np.sum(links.j - links.i >= REVOLUTION - 2) > 100
 
 
-def test_the_same_seed_gives_the_same_pairs(world: World) -> None:
-    first, second = (pairs_to_match(world.frames, LONG, 5) for _ in range(2))
-    for a, b in zip(first, second, strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
 def test_frames_without_features_are_no_obstacle(world: World) -> None:
     one = world.frames[3]
     nothing = replace(

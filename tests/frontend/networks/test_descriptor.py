@@ -1,14 +1,11 @@
 """The descriptor of patches: blind to turns and exposure, its direction turns; the file of its weights."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import save_file
 from torch import Tensor
 
-from polhode.frontend.features.patch_descriptors import describe, descriptor_network
+from polhode.frontend.features.patch_descriptors import describe
 from polhode.frontend.features.patches import cut_patches, rotate_affines, upright_affines
 from polhode.frontend.networks.descriptor import DescriptorNet, normalise_patches
 
@@ -102,10 +99,3 @@ def test_describe_takes_any_number_of_patches(network: DescriptorNet) -> None:
     assert describe(network, patches[:0]).descriptors.shape == (0, 128)
     some = describe(network, patches[140:])
     assert np.allclose(some.descriptors, described.descriptors[140:], atol=1e-2)
-
-
-def test_weights_come_back_from_their_file(network: DescriptorNet, tmp_path: Path) -> None:
-    path = tmp_path / "own.safetensors"
-    save_file(contiguous(network), path)
-    loaded = descriptor_network(path)
-    assert all(torch.equal(a, b) for a, b in zip(network.parameters(), loaded.parameters(), strict=True))

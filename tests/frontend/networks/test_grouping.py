@@ -20,11 +20,6 @@ def test_sums_are_those_of_the_groups() -> None:
     assert Grouping.of(GROUP, 4).sums(torch.arange(1.0, 6.0)).tolist() == [7.0, 0.0, 8.0, 0.0]
 
 
-def test_no_rows_make_empty_groups() -> None:
-    groups = Grouping.of(torch.zeros(0, dtype=torch.long), 3)
-    assert groups.spread(torch.zeros(0, 2)).shape == (3, 0, 2)
-
-
 def test_gradients_pass_both_ways() -> None:
     rows = torch.randn(5, 2, dtype=torch.double, requires_grad=True)
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from polhode.frontend.networks.descriptor import DescriptorNet
 from polhode.frontend.networks.tensor_file import TensorFileError, read_tensors
-from polhode.frontend.networks.weights import load_weights, shipped_path
+from polhode.frontend.networks.weights import load_weights
 from polhode.runtime.errors import InputError
 
 EXPECTED = {"a": torch.zeros(2, 3), "n": torch.zeros((), dtype=torch.int64)}
@@ -83,12 +83,5 @@ def test_weights_that_are_not_finite_are_refused(tmp_path: Path) -> None:
         InputError, match=r"x\.safetensors: project\.bias holds NaN or infinity; give weights"
     ):
         load_weights(network, written(tmp_path, state))
-
-
-def test_a_folder_is_no_file_of_weights(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="this is a folder; give a file of weights"):
-        load_weights(DescriptorNet(), tmp_path)
-
-
-def test_the_shipped_weights_are_read() -> None:
-    load_weights(DescriptorNet(), shipped_path("descriptor"))
+        load_weights(network, tmp_path)

@@ -22,9 +22,9 @@ from polhode.geometry.lie import Array, exp_so3
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Silent
 from polhode.train.checkpoint import CHECKPOINT
-from polhode.train.curves import read_curves
 from polhode.train.descriptor.batches import (
     PatchBatches,
+    SurfacePoints,
     correlation,
     patch_rotation,
     same_appearance,
@@ -34,6 +34,7 @@ from polhode.train.descriptor.scores import area_under_curve, score, validation_
 from polhode.train.descriptor.surface_points import REPEAT_PX, ScenePoints, points_path, prepare_points
 from polhode.train.descriptor.task import Heads, descriptor_loss, matching_loss, rotation_agreement
 from polhode.train.task import Batch
+from tests.train.curves import read_curves
 
 EXACT = DescriptorTraining(
     batch=60, frame_pairs=2, normal_noise_deg=0.0, fronto_parallel=0.0, place_noise_px=0.0
@@ -81,25 +82,22 @@ def test_a_roll_of_the_camera_is_the_turn_of_the_patch(points: ScenePoints) -> N
     affine = tangent_affines(p, normal, scene_rig(points), np.array([0.02]))
     for roll in (-2.0, 0.3, 1.5):
         R_ba = exp_so3(np.array([0.0, 0.0, roll]))
-        found = patch_rotation(affine, affine, p, normal, R_ba, p, scene_rig(points))
+        at = SurfacePoints(np.zeros((1, 2)), p, normal)
+        found = patch_rotation(affine, affine, at, p, R_ba, scene_rig(points))
         assert found == pytest.approx([roll])
 
 
-def test_a_batch_depends_on_seed_and_step_alone(points: ScenePoints) -> None:
+def test_a_batch_has_pairs_and_distractors_by_seed_and_step_alone(points: ScenePoints) -> None:
     first, second = (PatchBatches({0: points}, EXACT, 1) for _ in range(2))
     second.batch(3)
     a, b = first.batch(7), second.batch(7)
     assert all(torch.equal(a[name], b[name]) for name in a)
     assert not torch.equal(a["patches"][:10], first.batch(8)["patches"][:10])
-
-
-def test_a_batch_has_pairs_and_strays(points: ScenePoints) -> None:
-    batch = PatchBatches({0: points}, EXACT, 1).batch(0)
-    m, k = len(batch["pair"]), len(batch["distractors"])
+    m, k = len(a["pair"]), len(a["distractors"])
     assert 30 <= m <= 60
     assert 0 < k <= 16
-    assert batch["patches"].shape == (2 * m + k, 1, 32, 32)
-    assert batch["rotation"].shape == (m,)
+    assert a["patches"].shape == (2 * m + k, 1, 32, 32)
+    assert a["rotation"].shape == (m,)
 
 
 def made_up(m: int, distractors: int) -> Batch:

@@ -1,6 +1,5 @@
 """The disparity network's samples, batches, loss and task, on pairs painted for the purpose."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,12 +25,12 @@ from polhode.train.disparity.samples import (
 )
 from polhode.train.disparity.task import (
     DisparityTask,
-    LossPixels,
     disparity_loss,
     loss_pixels,
     scores,
     validation_errors,
 )
+from polhode.train.task import Batch
 
 SETTINGS = DepthTraining(batch=2, crop_px=64, validation_samples=1)
 
@@ -105,9 +104,9 @@ def test_parts_have_the_size_asked_for_also_of_small_samples(sample: DisparitySa
 
 def test_a_batch_is_the_same_again_from_the_same_seed(files: list[Path]) -> None:
     first, second = (random_batch(files, 2, 64, np.random.default_rng([7, 3])) for _ in range(2))
-    assert first.channels.shape == (2, CHANNELS, 64, 64)
-    for name, tensor in first.tensors().items():
-        assert torch.equal(torch.nan_to_num(tensor), torch.nan_to_num(second.tensors()[name])), name
+    assert first["channels"].shape == (2, CHANNELS, 64, 64)
+    for name, tensor in first.items():
+        assert torch.equal(torch.nan_to_num(tensor), torch.nan_to_num(second[name])), name
 
 
 def mixture_at(mean: torch.Tensor, scale: float) -> DisparityMixture:
@@ -117,33 +116,29 @@ def mixture_at(mean: torch.Tensor, scale: float) -> DisparityMixture:
 
 
 @pytest.fixture(scope="module")
-def asked(sample: DisparitySample) -> LossPixels:
+def asked(sample: DisparitySample) -> Batch:
     batch = stack([sample])
     raw = torch.zeros(1, OUTPUTS, *sample.truth.shape)
     mixture, found = loss_pixels(raw, batch)
-    assert len(mixture.mean) == len(found.truth) == int(sample.start.target.sum())
+    assert len(mixture.mean) == len(found["truth"]) == int(sample.start.target.sum())
     return found
 
 
-def test_the_loss_prefers_the_truth_and_an_honest_scale(asked: LossPixels) -> None:
-    truth = torch.nan_to_num(asked.truth)
-    off = truth + 0.5
-    right, wrong = (float(disparity_loss(mixture_at(mean, 0.3), asked)) for mean in (truth, off))
-    assert right < wrong
-    by_scale = [float(disparity_loss(mixture_at(off, scale), asked)) for scale in (0.05, 0.5, 5.0)]
-    assert np.argmin(by_scale) == 1
+def test_the_loss_prefers_the_truth_and_an_honest_scale_and_has_a_bound(asked: Batch) -> None:
+    truth = torch.nan_to_num(asked["truth"])
+
+    def loss(off: float, scale: float) -> float:
+        return float(disparity_loss(mixture_at(truth + off, scale), asked))
+
+    assert loss(0.0, 0.3) < loss(0.5, 0.3)
+    assert np.argmin([loss(0.5, scale) for scale in (0.05, 0.5, 5.0)]) == 1
+    assert loss(1e3, 0.02) == loss(1e6, 0.02) < 15.0
 
 
-def test_no_pixel_costs_without_bound(asked: LossPixels) -> None:
-    truth = torch.nan_to_num(asked.truth)
-    far, farther = (float(disparity_loss(mixture_at(truth + off, 0.02), asked)) for off in (1e3, 1e6))
-    assert far == farther < 15.0
-
-
-def test_pixels_without_truth_teach_nothing_about_place(asked: LossPixels) -> None:
-    thinned = replace(asked, truth=asked.truth.clone())
-    thinned.truth[:100] = torch.nan
-    mean = torch.nan_to_num(asked.truth).requires_grad_()
+def test_pixels_without_truth_teach_nothing_about_place(asked: Batch) -> None:
+    thinned = asked | {"truth": asked["truth"].clone()}
+    thinned["truth"][:100] = torch.nan
+    mean = torch.nan_to_num(asked["truth"]).requires_grad_()
     disparity_loss(mixture_at(mean + 0.1, 0.3), thinned).backward()
     assert mean.grad is not None
     assert (mean.grad[:100] == 0).all()
@@ -164,21 +159,9 @@ def test_the_loss_falls_as_the_network_learns(files: list[Path]) -> None:
     assert losses[-1] < losses[0] - 0.3
 
 
-def test_scores_compare_at_the_density_of_the_classical_start(
+def test_validation_compares_at_the_density_of_the_classical_start_and_makes_sigma_hold_68_percent(
     sample: DisparitySample, files: list[Path]
 ) -> None:
-    task = DisparityTask(SETTINGS, files, files, seed=0)
-    task.model.eval()
-    found = task.validate()
-    errors = validation_errors(sample, task.model)
-    again = scores([errors])
-    assert again["bad_refined"] == found["bad_refined"]
-    better = {**errors, "refined": 0.5 * errors["refined"]}
-    assert scores([better])["median_refined_px"] < again["median_refined_px"]
-    assert found["bad_everywhere"] == float(np.mean(errors["refined"] > 1.0))
-
-
-def test_validation_makes_sigma_hold_68_percent(files: list[Path]) -> None:
     task = DisparityTask(SETTINGS, files, files, seed=0)
     task.model.eval()
     found = task.validate()
@@ -186,3 +169,9 @@ def test_validation_makes_sigma_hold_68_percent(files: list[Path]) -> None:
     assert found["sigma_scale"] == pytest.approx(float(task.model.sigma_scale))
     # A second look finds nothing left to scale.
     assert task.validate()["sigma_scale"] == pytest.approx(found["sigma_scale"], rel=1e-4)
+    errors = validation_errors(sample, task.model)
+    again = scores([errors])
+    assert again["bad_refined"] == found["bad_refined"]
+    better = {**errors, "refined": 0.5 * errors["refined"]}
+    assert scores([better])["median_refined_px"] < again["median_refined_px"]
+    assert found["bad_everywhere"] == float(np.mean(errors["refined"] > 1.0))

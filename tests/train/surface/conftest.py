@@ -1,18 +1,15 @@
 """Three small bodies from two poses under two Suns each, rendered once."""
 
-import shutil
 from pathlib import Path
 
 import pytest
 
 from polhode.config.train_settings import Corpus, SurfaceTraining
 from polhode.runtime.progress import Silent
-from polhode.train.surface.batches import KnownBody
-from polhode.train.surface.known_bodies import prepare_bodies
+from polhode.train.surface.landmarks import KnownBody, prepare_bodies
 from tests.conftest import MakeOnce
 
 CONFIG = SurfaceTraining(bodies=3, suns=2, poses=2, pairs=2, points=40, crop_px=96)
-WITH_ALBEDOS = CONFIG.model_copy(update={"bodies": 1, "albedos": 2})
 
 
 @pytest.fixture(scope="session")
@@ -25,17 +22,6 @@ def lit_body_corpus(make_once: MakeOnce) -> Corpus:
 @pytest.fixture(scope="session")
 def bodies(lit_body_corpus: Corpus) -> dict[int, KnownBody]:
     return prepare_bodies(lit_body_corpus, CONFIG, Silent(), 1)
-
-
-@pytest.fixture(scope="session")
-def two_albedos(make_once: MakeOnce, lit_body_corpus: Corpus) -> dict[int, KnownBody]:
-    """The first body with two albedos."""
-
-    def make(folder: Path) -> None:
-        shutil.copytree(lit_body_corpus.folder, folder, dirs_exist_ok=True)
-        prepare_bodies(_corpus(folder), WITH_ALBEDOS, Silent(), 1)
-
-    return prepare_bodies(_corpus(make_once("lit_albedos", make)), WITH_ALBEDOS, Silent(), 1)
 
 
 def _corpus(folder: Path) -> Corpus:

@@ -1,21 +1,40 @@
-"""Landmarks: marks of the surface, not of the light, at places that single detections scatter around."""
+"""Lit bodies and their landmarks: marks of the surface, not of the light, that single detections scatter
+around."""
+
+import shutil
+from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
-from polhode.train.surface.batches import KnownBody
+from polhode.config.train_settings import Corpus
+from polhode.geometry.lie import transform_points
+from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Silent
+from polhode.train.descriptor.surface_points import near_rim
+from polhode.train.stored import read_record
 from polhode.train.surface.landmarks import (
     GATHER_PX,
     MIN_IMAGES,
     MIN_SHARE,
+    RIM_PX,
+    KnownBody,
     find_landmarks,
-    near_rim,
+    prepare_bodies,
     seen_in,
     surface_at,
 )
-from polhode.train.surface.lit_bodies import LIT, SKY, LitBody
-
-FOCAL_PX, DEPTH_M = 400.0, 2.0
+from polhode.train.surface.lit_bodies import (
+    CAST_SHADOW,
+    FACING_AWAY,
+    LIT,
+    SKY,
+    LitBody,
+    lit_body_path,
+    render_lit_body,
+)
+from tests.train.surface.conftest import CONFIG
 
 
 def dots(places: NDArray[np.float64], side: int = 90) -> NDArray[np.uint8]:
@@ -30,52 +49,48 @@ def dots(places: NDArray[np.float64], side: int = 90) -> NDArray[np.uint8]:
 
 def plane_body(images: list[NDArray[np.uint8]], suns: int) -> LitBody:
     """A square that faces the camera in every image."""
-    poses = len(images) // suns
-    side = len(images[0])
+    poses, side = len(images) // suns, len(images[0])
     depth = np.full((poses, side, side), np.nan, np.float32)
-    depth[:, 8:-8, 8:-8] = DEPTH_M
+    depth[:, 8:-8, 8:-8] = 2.0
     normal = np.full((poses, side, side, 3), np.nan, np.float16)
     normal[:, 8:-8, 8:-8] = [0.0, 0.0, -1.0]
     light = np.where(np.isfinite(depth), LIT, SKY).astype(np.uint8)
-    middle = np.array([side / 2.0, side / 2.0])
     return LitBody(
         grey=np.stack(images),
         light=np.concatenate([light] * suns),
         depth_m=depth,
         normal_K=normal,
-        right=np.stack(images[:poses]),
-        shift_px=np.zeros(poses, int),
         corner_px=np.zeros((poses, 2), int),
         X_KG=np.tile(np.eye(4), (poses, 1, 1)),
-        focal_px=np.array(FOCAL_PX),
-        centre_px=middle,
-        baseline_m=np.array(0.2),
+        focal_px=np.array(400.0),
+        centre_px=np.array([side / 2.0, side / 2.0]),
     )
 
 
 def test_what_stays_is_a_landmark_and_what_moves_with_the_light_is_none() -> None:
     rng = np.random.default_rng(3)
     marks = np.array([[25.0, 30.0], [60.0, 28.0], [44.0, 62.0]])
+    light = np.array([[20.0 + 7 * k, 48.0] for k in range(4)])
     images = [
-        dots(np.concatenate([marks + rng.normal(0.0, 0.15, marks.shape), [[20.0 + 7 * k, 48.0]]]))
-        for k in range(4)
+        dots(np.concatenate([marks + rng.normal(0.0, 0.15, marks.shape), [moving]])) for moving in light
     ]
     body = plane_body(images, suns=4)
     found = find_landmarks(body)
     good = np.flatnonzero(~found.is_weak)
-    seen = seen_in(body, 0, found.p_G[good], found.normal_G[good])
-    distance = np.linalg.norm(seen.uv_px[:, None] - marks[None], axis=2)
+    _, seen = seen_in(body, 0, found.p_G[good], found.normal_G[good])
     # every mark is a landmark, more exactly than any single detection of it
-    assert (distance.min(axis=0) < 0.3).all()
-    light = np.array([[20.0 + 7 * k, 48.0] for k in range(4)])
+    assert (np.linalg.norm(seen.uv_px[:, None] - marks[None], axis=2).min(axis=0) < 0.3).all()
     assert np.linalg.norm(seen.uv_px[:, None] - light[None], axis=2).min() > 4.0
     moving = np.linalg.norm(found.uv_px - [20.0, 48.0], axis=1) < 1.0
     assert moving.any()
     assert (found.landmark[moving & (found.view == 0)] == -1).all()
+    # a body that shows nothing has none
+    none = find_landmarks(plane_body([np.zeros((60, 60), np.uint8)] * 4, suns=2))
+    assert len(none.p_G) == len(none.view) == 0
 
 
-def test_shares_count_the_images_that_see_a_place(bodies: dict[int, KnownBody]) -> None:
-    landmarks = bodies[0].landmarks
+def test_landmarks_are_near_their_detections_in_a_share_of_the_images(bodies: dict[int, KnownBody]) -> None:
+    body, landmarks = bodies[0].body, bodies[0].landmarks
     good = ~landmarks.is_weak
     assert good.sum() > 30
     assert landmarks.share[good].min() >= MIN_SHARE
@@ -83,35 +98,65 @@ def test_shares_count_the_images_that_see_a_place(bodies: dict[int, KnownBody]) 
     detections = np.bincount(landmarks.landmark[landmarks.landmark >= 0], minlength=len(landmarks.p_G))
     assert detections[good].min() >= MIN_IMAGES
     assert detections[~good].max(initial=0) == 0
-
-
-def test_detections_are_near_the_landmark_that_they_show(bodies: dict[int, KnownBody]) -> None:
-    body, landmarks = bodies[0].body, bodies[0].landmarks
     for view in range(len(body.grey)):
         own = np.flatnonzero((landmarks.view == view) & (landmarks.landmark >= 0))
         at = landmarks.landmark[own]
-        seen = seen_in(body, view, landmarks.p_G[at], landmarks.normal_G[at])
-        off = np.linalg.norm(seen.uv_px - landmarks.uv_px[own[seen.index]], axis=1)
+        index, seen = seen_in(body, view, landmarks.p_G[at], landmarks.normal_G[at])
+        off = np.linalg.norm(seen.uv_px - landmarks.uv_px[own[index]], axis=1)
         assert len(off) > 10
         assert off.max() < 2.5 * GATHER_PX
-
-
-def test_places_beside_the_target_have_no_surface(bodies: dict[int, KnownBody]) -> None:
-    body = bodies[0].body
-    p_K, _ = surface_at(body, 0, np.array([[0.0, 0.0]]))
-    assert np.isnan(p_K).all()
 
 
 def test_rims_are_around_jumps_of_depth() -> None:
     depth = np.full((30, 30), 2.0, np.float32)
     depth[:, 15:] = 2.5
-    rim = near_rim(depth)
+    rim = near_rim(depth, RIM_PX)
     assert rim[:, 14:17].all()
     assert not rim[:, :11].any()
     assert not rim[:, 20:].any()
 
 
-def test_a_body_that_shows_nothing_has_no_landmarks() -> None:
-    body = plane_body([np.zeros((60, 60), np.uint8)] * 4, suns=2)
-    found = find_landmarks(body)
-    assert len(found.p_G) == len(found.view) == 0
+def test_images_of_one_pose_differ_in_their_light_alone(bodies: dict[int, KnownBody]) -> None:
+    body = bodies[0].body
+    assert [body.pose_of(view) for view in range(4)] == [0, 1, 0, 1]
+    assert [body.sun_of(view) for view in range(4)] == [0, 0, 1, 1]
+    mask = body.on_target(0)
+    np.testing.assert_array_equal(body.light[0] == SKY, body.light[2] == SKY)
+    np.testing.assert_array_equal(body.light[0] != SKY, mask)
+    assert np.abs(body.grey[0].astype(float) - body.grey[2])[mask].mean() > 10.0
+    grey, light = body.grey[0].astype(float), body.light[0]
+    shadow = np.isin(light, (CAST_SHADOW, FACING_AWAY))
+    assert shadow.sum() > 50
+    assert (light == LIT).sum() > 500
+    assert grey[light == LIT].mean() > 2.0 * grey[shadow].mean()
+    assert grey[light == SKY].mean() < 5.0
+
+
+def test_the_surface_of_one_pose_is_that_of_the_other(bodies: dict[int, KnownBody]) -> None:
+    body = bodies[0].body
+    assert np.isnan(surface_at(body, 0, np.array([[0.0, 0.0]])).p_K).all()
+    v, u = np.nonzero(body.on_target(0))
+    own = surface_at(body, 0, np.column_stack([u, v])[::31].astype(float))
+    own = own[np.isfinite(own.p_K).all(axis=1)]
+    np.testing.assert_allclose(np.linalg.norm(own.normal_K, axis=1), 1.0, atol=1e-3)
+    p_B = transform_points(body.X_between(1, 0), own.p_K)
+    other = surface_at(body, 1, body.rig(1).project(p_B)[:, :2])
+    # the rest is hidden in the other pose
+    assert (np.abs(other.p_K[:, 2] - p_B[:, 2]) < 2e-3).mean() > 0.6
+
+
+def test_a_body_depends_on_its_number_alone_and_is_rendered_once(
+    lit_body_corpus: Corpus, bodies: dict[int, KnownBody], tmp_path: Path
+) -> None:
+    again = render_lit_body(lit_body_corpus.model_copy(update={"scenes": 2}), CONFIG, 1)
+    np.testing.assert_array_equal(again.grey, bodies[1].body.grey)
+    copy = tmp_path / "bodies"
+    shutil.copytree(lit_body_corpus.folder, copy)
+    corpus = lit_body_corpus.model_copy(update={"folder": str(copy)})
+    path = lit_body_path(corpus, CONFIG, 2)
+    before = path.stat().st_mtime_ns
+    assert len(prepare_bodies(corpus, CONFIG, Silent(), 1)) == 3
+    assert path.stat().st_mtime_ns == before
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(InputError, match="remove this file, and it is made again"):
+        read_record(path, LitBody)

@@ -10,24 +10,19 @@ from polhode.config.train_settings import Corpus, DescriptorTraining
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Silent
 from polhode.train.descriptor.batches import PatchBatches
+from polhode.train.descriptor.lit_points import lit_points_path, prepare_lit_points
 from polhode.train.descriptor.scores import validation_pairs
 from polhode.train.descriptor.surface_points import ScenePoints
-from polhode.train.light.lit_points import lit_points_path, main, pose_of, prepare_lit_points, sun_of
-from tests.train.light.conftest import STUDY
+from tests.train.descriptor.conftest import STUDY
 
 
 def test_frames_of_one_pose_differ_in_their_light_alone(lit_points: ScenePoints) -> None:
-    assert pose_of(lit_points, STUDY).tolist() == [0, 1, 0, 1]
-    assert sun_of(lit_points, STUDY).tolist() == [0, 0, 1, 1]
     np.testing.assert_array_equal(lit_points.X_KG[0], lit_points.X_KG[2])
     assert not np.allclose(lit_points.X_KG[0], lit_points.X_KG[1])
     lit = (lit_points.grey[0] > 30) | (lit_points.grey[2] > 30)
     assert np.abs(lit_points.grey[0].astype(float) - lit_points.grey[2])[lit].mean() > 10.0
-
-
-def test_under_another_sun_the_true_place_is_the_same_pixel(lit_points: ScenePoints) -> None:
-    pose = pose_of(lit_points, STUDY)
-    same = pose[lit_points.frame[lit_points.point]] == pose[lit_points.other]
+    # under another Sun the true place is the same pixel
+    same = lit_points.frame[lit_points.point] % STUDY.poses == lit_points.other % STUDY.poses
     own = lit_points.uv_px[lit_points.point[same]]
     assert len(own) > 200
     np.testing.assert_allclose(lit_points.uv_other_px[same], own, atol=1e-4)
@@ -47,7 +42,7 @@ def test_pairs_that_differ_in_light_alone_are_learned_from_and_scored(lit_points
 
 
 def test_only_missing_bodies_are_rendered_and_a_damaged_file_is_refused(
-    lit_corpus: Corpus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    lit_corpus: Corpus, tmp_path: Path
 ) -> None:
     folder = tmp_path / "copy"
     shutil.copytree(lit_corpus.folder, folder)
@@ -58,10 +53,6 @@ def test_only_missing_bodies_are_rendered_and_a_damaged_file_is_refused(
     assert path.stat().st_mtime_ns == before
     none = STUDY.model_copy(update={"bodies": 0})
     assert prepare_lit_points(corpus, none, Silent(), 1) == {}
-    config = tmp_path / "config.yaml"
-    config.write_text(f"train: {{corpus: {corpus.model_dump_json()}, light: {STUDY.model_dump_json()}}}")
-    main([str(config), "--workers", "1"])
-    assert capsys.readouterr().out == f"2 bodies: {folder}\n"
     path.write_bytes(path.read_bytes()[:-40])
     with pytest.raises(InputError, match=r"remove this file, and it is made again"):
         prepare_lit_points(corpus, STUDY, Silent(), 1)

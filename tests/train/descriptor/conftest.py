@@ -6,8 +6,8 @@ import pytest
 
 from polhode.config.train_settings import Corpus, LightStudy
 from polhode.runtime.progress import Silent
+from polhode.train.descriptor.lit_points import prepare_lit_points
 from polhode.train.descriptor.surface_points import ScenePoints
-from polhode.train.light.lit_points import prepare_lit_points
 from tests.conftest import MakeOnce
 
 STUDY = LightStudy(bodies=2, suns=2, poses=2)
