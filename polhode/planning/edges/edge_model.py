@@ -27,6 +27,11 @@ from polhode.planning.edges.orientation import (
 from polhode.runtime.errors import InputError
 
 
+def unit_rows(vectors: Array) -> Array:
+    """Vectors (..., k) divided by their lengths; zero where there is none."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300))
+
+
 class Occluder:
     """A mesh in G that blocks rays."""
 

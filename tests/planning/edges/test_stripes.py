@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from polhode.geometry.lie import Array
 from polhode.planning.edges.edge_model import edge_model
-from polhode.planning.edges.stripe_profiles import _BLURRED_ROOT, _blurred_root
+from polhode.planning.edges.stripe_profiles import BLUR_PX, _root_column
 from polhode.planning.edges.stripes import (
     LINES,
     SAMPLED_PX,
@@ -161,6 +161,7 @@ def test_the_blurred_root_is_the_integral_and_its_derivative(z: float) -> None:
         value, _ = quad(lambda s: 2.0 * s * s * norm.pdf(s * s + z), 0.0, peak + 4.0, points=[peak])
         return float(value)
 
-    value, slope = _blurred_root(z, _BLURRED_ROOT)
-    assert value == pytest.approx(root(z), abs=1e-5)
-    assert slope == pytest.approx((root(z + 1e-3) - root(z - 1e-3)) / 2e-3, abs=2e-3)
+    found, by_shift = _root_column(np.array([[z * BLUR_PX]]), np.array([True]))
+    assert found.item() == pytest.approx(root(z), abs=1e-5)
+    slope = (root(z + 1e-3) - root(z - 1e-3)) / 2e-3
+    assert by_shift.item() == pytest.approx(-slope / BLUR_PX, abs=2e-3)
