@@ -185,21 +185,6 @@ def times_measured(points: ControlPoints, own: ControlPoints) -> Array:
     return np.asarray(np.isfinite(offset_px).sum(axis=1), dtype=np.float64)
 
 
-def median_scale(residual: Array, weight: Array) -> float:
-    """Sigma of residuals (m,) from their weighted median size, in their unit."""
-    size = np.abs(residual)
-    order = np.argsort(size)
-    half = int(np.searchsorted(np.cumsum(weight[order]), 0.5 * float(weight.sum())))
-    return MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]])
-
-
-def robust_weight(u: Array, narrow: bool) -> Array:
-    """Weights of residuals in sigmas: Tukey's, which forgets what is far off; Cauchy's until near."""
-    if narrow:
-        return np.asarray(np.where(np.abs(u) < TUKEY, (1.0 - (u / TUKEY) ** 2) ** 2, 0.0))
-    return np.asarray(1.0 / (1.0 + (u / CAUCHY) ** 2))
-
-
 @dataclass(frozen=True)
 class MeasuredStripes:
     """The stripes across m control points, measured."""
@@ -229,8 +214,14 @@ class MeasuredStripes:
         """
         residual = np.where(self.counts, self.residual(place), 0.0)
         length = self.length / self.sigma_px**2
-        scale = max(median_scale(residual[self.counts], length[self.counts]), 1.0)
-        weight = length * robust_weight(residual / scale, narrow) * self.counts
+        size, share = np.abs(residual[self.counts]), length[self.counts]
+        order = np.argsort(size)
+        half = int(np.searchsorted(np.cumsum(share[order]), 0.5 * float(share.sum())))
+        scale = max(MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]]), 1.0)
+        u = residual / scale
+        # Tukey's weights forget what is far off; Cauchy's, until the pose is near, do not
+        tukey = np.where(np.abs(u) < TUKEY, (1.0 - (u / TUKEY) ** 2) ** 2, 0.0)
+        weight = length * (tukey if narrow else 1.0 / (1.0 + (u / CAUCHY) ** 2)) * self.counts
         return self.weighted(weight / scale**2), weight, scale
 
     def weighted(self, weight: Array) -> StripeInformation:
