@@ -43,7 +43,8 @@ def gradient_extrema(image: Levels, points: ControlPoints, range_px: float, min_
     # a step of height one answers with one
     kernel /= kernel[reach + 1 :].sum()
     side = int(np.ceil(range_px / STEP_PX)) + 1
-    grey = _read(image, points, STEP_PX * np.arange(-side - reach, side + reach + 1), np.nan)
+    offset = np.asarray(STEP_PX * np.arange(-side - reach, side + reach + 1), dtype=np.float64)
+    grey = _read(image, points, offset, np.nan)
     response = np.nan_to_num(sliding_window_view(grey, len(kernel), axis=1) @ kernel)
     here = np.abs(response[:, 1:-1])
     before, after = (np.sign(response[:, 1:-1]) * each for each in (response[:, :-2], response[:, 2:]))

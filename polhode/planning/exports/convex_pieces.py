@@ -90,7 +90,7 @@ class OutwardDistance:
 
     def inside(self, points: Array) -> Array:
         """Those of the points (n, 3) that are not outside."""
-        return points[self.of(points)[0] == 0.0]
+        return np.asarray(points[self.of(points)[0] == 0.0])
 
 
 @dataclass(frozen=True)
