@@ -7,12 +7,13 @@ import numpy as np
 
 from polhode.geometry.lie import Array
 from polhode.mapping.mesh_files import read_ply
+from polhode.mapping.visibility import Caster
 from polhode.planning.approach.approach_path import POSES, ApproachPath, along_corridor, towards_centre
 from polhode.planning.approach.corridor import Corridor, corridor
 from polhode.planning.approach.surface_speed import SurfaceSpeed, surface_speed
 from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions, keep_out, member_times
 from polhode.planning.predict import last_body, require_horizon, undetermined_names
-from polhode.planning.prediction import FinalEstimate, nominal_motion
+from polhode.planning.prediction import BodyMotion, FinalEstimate, nominal_motion
 from polhode.records.mesh_metrics import distance_to_surface, encloses
 from polhode.records.surface import SurfaceModel
 from polhode.run_directory.archives import read_measurements
@@ -37,6 +38,11 @@ class Docking:
     stand_off_m: float
     half_angle_deg: float
     isp_s: float
+
+    def corridor(self, motion: BodyMotion) -> Corridor:
+        """At the instants of a motion."""
+        half_angle_rad = np.deg2rad(self.half_angle_deg)
+        return corridor(motion, self.point_G, self.axis_G, self.stand_off_m, half_angle_rad)
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,7 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
         notes.append(f"The run does not determine {names}: the sampled motions agree with the observed one.")
     if ranges := describe_intervals(summary):
         notes.append(f"By the hull of the body: {'; '.join(ranges)}.")
-    found, speed, surface = None, None, None
+    found, speed, surface, path, approach, camera_N = None, None, None, None, None, None
     motion = nominal_motion(estimate, np.concatenate([[0.0], member_times(estimate, options.horizon_s)]))
     try:
         surface = surface_of(run)
@@ -101,25 +107,38 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
         left_out["keepout"] = left_out["surface_speed"] = str(error)
     doubts = [] if docking is None else _check_docking(docking, surface, run)
     if surface is not None:
-        found = _keep_out(surface, estimate, options)
-        notes += _describe_coverage(found, summary)
-        mesh = surface.mesh
-        speed = surface_speed(
-            motion, np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), estimate.last.covariance
+        found, mesh = _keep_out(surface, estimate, options), surface.mesh
+        rims = f"open boundaries span {found.body.open_share:.1%} of its area"
+        notes.append(
+            f"Keep-out applies to the convex hull of the mesh ({rims}), so concavities are filled."
+            if found.body.covers == "hull"
+            else f"Keep-out applies to the measured surface and what it encloses ({rims})."
         )
-    path = None
+        seen = (
+            summary.coverage.words if summary.coverage is not None else "the run does not say what was seen"
+        )
+        notes.append(f"Parts that protrude where nothing was seen are not covered: {seen}.")
+        vertices, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
+        speed = surface_speed(motion, vertices, normals, estimate.last.covariance)
     if docking is None:
         left_out["corridor"] = "no --dock-point and --dock-axis"
     else:
         notes += doubts
-        path = corridor(
-            motion, docking.point_G, docking.axis_G, docking.stand_off_m, np.deg2rad(docking.half_angle_deg)
-        )
-    approach, camera_N = None, None
+        path = docking.corridor(motion)
     try:
+        # the camera's path from its last pose to the docking point, or towards the centre of mass
         X_NR = read_measurements(run / "measurements.npz").X_NR[-1]
         camera_N = X_NR[:3, 3]
-        approach = _approach(X_NR, estimate, options.horizon_s, found, docking)
+        ahead = nominal_motion(estimate, np.linspace(0.0, options.horizon_s, POSES))
+        if docking is not None:
+            approach = along_corridor(ahead, docking.corridor(ahead), X_NR, docking.stand_off_m)
+        elif found is not None:
+            farthest_m = np.linalg.norm(found.body.points_G - estimate.com_G, axis=1).max()
+            end_m = APPROACH_RADII * float(farthest_m + found.instant.margin_m().max())
+            approach = towards_centre(ahead, X_NR, end_m)
+        else:
+            why = "no surface, whose size decides how near the camera may come, and no --dock-point"
+            left_out["approach"] = why
     except InputError as error:
         left_out["approach"] = str(error)
     return Plan(
@@ -128,24 +147,6 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
         notes=tuple(notes),
         intervals=summary.intervals,
     )
-
-
-def _approach(
-    X_NR: Array, estimate: FinalEstimate, horizon_s: float, found: KeepOut | None, docking: Docking | None
-) -> ApproachPath:
-    """The camera's path from its last pose X_NR (4, 4) to the docking point, or towards the centre of mass.
-
-    Raises InputError: the run has neither a surface nor a docking point.
-    """
-    motion = nominal_motion(estimate, np.linspace(0.0, horizon_s, POSES))
-    if docking is not None:
-        half_angle_rad = np.deg2rad(docking.half_angle_deg)
-        path = corridor(motion, docking.point_G, docking.axis_G, docking.stand_off_m, half_angle_rad)
-        return along_corridor(motion, path, X_NR, docking.stand_off_m)
-    if found is None:
-        raise InputError("no surface, whose size decides how near the camera may come, and no --dock-point")
-    farthest_m = np.linalg.norm(found.body.points_G - estimate.com_G, axis=1).max()
-    return towards_centre(motion, X_NR, APPROACH_RADII * float(farthest_m + found.instant.margin_m().max()))
 
 
 def keep_out_of_run(run: Path, options: KeepOutOptions) -> KeepOut:
@@ -172,49 +173,29 @@ def _check_docking(docking: Docking, surface: SurfaceModel | None, run: Path) ->
     """Doubts about the docking point and axis. Raises InputError for a point far from the target."""
     if surface is not None:
         points, what = np.asarray(surface.mesh.vertices), "surface"
+        away = float(distance_to_surface(surface.mesh, docking.point_G[None])[0])
     else:
         file = run / "landmarks.ply"
         points, what = read_landmarks(file).p_G if file.is_file() else np.zeros((0, 3)), "nearest landmark"
+        away = float(np.linalg.norm(points - docking.point_G, axis=1).min(initial=np.inf))
     if len(points) == 0:
         return ["Whether the docking point lies on the target is unknown: the run has no surface."]
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    away = (
-        float(distance_to_surface(surface.mesh, docking.point_G[None])[0])
-        if surface is not None
-        else float(np.linalg.norm(points - docking.point_G, axis=1).min())
-    )
     point = " ".join(f"{x:g}" for x in docking.point_G)
     distance = f"--dock-point {point} is {away:.3g} m from the {what}, and the target is {size:.2g} m across"
     if away > MAX_DOCK_DISTANCE * size:
         raise InputError(f"{distance}: give metres in G, the frame of mesh.ply")
     found = []
     if away > DOUBTFUL_DOCK_DISTANCE * size:
-        if surface is not None and encloses(surface.mesh, docking.point_G):
-            found.append(
-                f"--dock-point {point} is inside the body, {away:.3g} m below its surface: give a point on "
-                "the surface; is it in G, in metres?"
-            )
-        else:
-            found.append(
-                f"{distance}: the corridor belongs to a point off the target; is it in G, in metres?"
-            )
+        found.append(
+            f"--dock-point {point} is inside the body, {away:.3g} m below its surface: give a point on "
+            "the surface; is it in G, in metres?"
+            if surface is not None and encloses(surface.mesh, docking.point_G)
+            else f"{distance}: the corridor belongs to a point off the target; is it in G, in metres?"
+        )
     if surface is not None:
-        from polhode.mapping.visibility import Caster
-
         axis = docking.axis_G / np.linalg.norm(docking.axis_G)
         start = docking.point_G + (away + DOUBTFUL_DOCK_DISTANCE * size) * axis
         if np.isfinite(Caster(surface.mesh).first(start, axis[None])[0]).all():
             found.append("The docking axis runs into the target: it should point outwards.")
     return found
-
-
-def _describe_coverage(found: KeepOut, summary: Summary) -> list[str]:
-    body = found.body
-    rims = f"open boundaries span {body.open_share:.1%} of its area"
-    notes = [
-        f"Keep-out applies to the convex hull of the mesh ({rims}), so concavities are filled."
-        if body.covers == "hull"
-        else f"Keep-out applies to the measured surface and what it encloses ({rims})."
-    ]
-    seen = summary.coverage.words if summary.coverage is not None else "the run does not say what was seen"
-    return [*notes, f"Parts that protrude where nothing was seen are not covered: {seen}."]

@@ -5,7 +5,7 @@ No picture is a result: if one cannot be made, there is a warning.
 
 import json
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -21,13 +21,12 @@ from matplotlib.patheffects import withStroke
 from polhode.files.output.marked_folder import marked_folder, write_files
 from polhode.files.ply import binary_ply
 from polhode.geometry.lie import Array
-from polhode.mapping.visibility import MeshView, MeshViewer
+from polhode.mapping.visibility import Caster, MeshView, MeshViewer
 from polhode.planning.approach.approach_path import ApproachPath
 from polhode.planning.approach.corridor import Corridor
 from polhode.planning.approach.surface_speed import SurfaceSpeed, slowest_points
 from polhode.planning.approach.tumbling_threshold import fuel_share
 from polhode.planning.exports.ccsds import tum
-from polhode.planning.keep_out.volumes import KeepOut
 from polhode.planning.plan import Plan
 from polhode.records.surface import SurfaceModel
 from polhode.report.pictures.body_views import (
@@ -57,32 +56,33 @@ VOLUME, NOW, END = (np.array(rgb) for rgb in ((0.27, 0.45, 0.72), (0.93, 0.93, 0
 VEIL = 0.35
 """Opacity of the volume in front of a body."""
 SPEED_MAP = "viridis"
+GRAPPLES, MIN_SEPARATION_SHARE = 5, 0.15
+"""Grapple points, and the distance between two of them over the body's size."""
 
 _log = logging.getLogger(__name__)
 
 
 def plan_pictures(plan: Plan, grapples: Sequence[Any]) -> dict[str, bytes]:
     """PNG by name, of what the plan has; ``grapples`` as in planning.json."""
-    makers: dict[str, Callable[[], bytes]] = {}
-    keep, surface, speed, path = plan.keep_out, plan.surface, plan.speed, plan.corridor
-    if keep is not None and surface is not None:
-        makers["keepout.png"] = lambda: draw_keepout(keep, surface, plan.horizon_s, plan.confidence)
-    if speed is not None and surface is not None:
-        makers["surface_speed.png"] = lambda: draw_speed(surface, speed, grapples, plan.horizon_s)
-    if path is not None and plan.docking is not None:
-        makers["corridor.png"] = lambda: draw_corridor(plan)
     pictures = {}
-    for name, make in makers.items():
+    for name, has, make in (
+        ("keepout.png", plan.keep_out, draw_keepout),
+        ("surface_speed.png", plan.speed, lambda plan: draw_speed(plan, grapples)),
+        ("corridor.png", plan.corridor, draw_corridor),
+    ):
         try:
-            pictures[name] = make()
+            if has is not None:
+                pictures[name] = make(plan)
         except Exception as error:  # noqa: BLE001  a picture is no result: the plan goes on without it
             _log.warning("no picture: %s (%s: %s)", name, type(error).__name__, error)
     return pictures
 
 
 @default_style
-def draw_keepout(keep: KeepOut, surface: SurfaceModel, horizon_s: float, confidence: float) -> bytes:
-    """The volume in N from four sides, with the body at the last pair and at the horizon."""
+def draw_keepout(plan: Plan) -> bytes:
+    """The volume in N from four sides, with the body at the last pair and at the horizon seen through it."""
+    keep, surface = plan.keep_out, plan.surface
+    assert keep is not None and surface is not None
     volume, motion = keep.swept.mesh, keep.instant.motion
     around, body = MeshViewer(volume), MeshViewer(surface.mesh)
     normal_G, normal_N = np.asarray(surface.mesh.vertex_normals), np.asarray(volume.vertex_normals)
@@ -91,50 +91,41 @@ def draw_keepout(keep: KeepOut, surface: SurfaceModel, horizon_s: float, confide
     corners = np.asarray(volume.vertices) - middle
     half = 1.05 * max(float(np.abs(corners @ np.stack([d.right, d.up]).T).max()) for d in sides)
     figure, all_axes = _page(
-        *(2, 2, f"Keep-out volume over {horizon_s:g} s at {confidence:.1%}"),
+        *(2, 2, f"Keep-out volume over {plan.horizon_s:g} s at {plan.confidence:.1%}"),
         f"Blue: the volume, {1e3 * keep.swept.volume_m3:.3g} litres, shown translucent. White: the target at "
         "the last pair; orange: at the horizon, as predicted.",
     )
     for axes, side in zip(all_axes, sides, strict=True):
         outer = around.orthographic(middle, side.right, side.up, half, SIDE_PX)
-        layers = []
+        blue = _shade(outer, normal_N, side, VOLUME)
+        image, nearest = np.where(outer.hit[..., None], blue, GROUND), np.full(outer.hit.shape, np.inf)
         for k, colour in ((0, NOW), (-1, END)):
             R, p = motion.R_NG[k], motion.p_NG[k]
             view = body.orthographic(R.T @ (middle - p), R.T @ side.right, R.T @ side.up, half, SIDE_PX)
-            layers.append((view, _shade(view, normal_G @ R.T, side, colour)))
-        image = _draw_through_volume(outer, _shade(outer, normal_N, side, VOLUME), layers)
+            colours = _shade(view, normal_G @ R.T, side, colour)
+            first = view.hit & (np.nan_to_num(view.depth_m, nan=np.inf) < nearest)
+            nearest = np.where(first, view.depth_m, nearest)
+            veiled = (1.0 - VEIL) * colours + VEIL * np.where(outer.hit[..., None], blue, colours)
+            image = np.where(first[..., None], veiled, image)
         _show(axes, image, f"from {side.name} of N", half)
     return png(figure)
 
 
-def _draw_through_volume(outer: MeshView, blue: Array, layers: list[tuple[MeshView, Array]]) -> Array:
-    """The nearer body, seen through the volume."""
-    image = np.where(outer.hit[..., None], blue, GROUND)
-    nearest = np.full(outer.hit.shape, np.inf)
-    for view, colours in layers:
-        first = view.hit & (np.nan_to_num(view.depth_m, nan=np.inf) < nearest)
-        nearest = np.where(first, view.depth_m, nearest)
-        veiled = (1.0 - VEIL) * colours + VEIL * np.where(outer.hit[..., None], blue, colours)
-        image = np.where(first[..., None], veiled, image)
-    return np.asarray(image)
-
-
 @default_style
-def draw_speed(
-    surface: SurfaceModel, speed: SurfaceSpeed, grapples: Sequence[Any], horizon_s: float
-) -> bytes:
+def draw_speed(plan: Plan, grapples: Sequence[Any]) -> bytes:
     """The mesh from six sides of G by the largest speed over the horizon, the slowest points marked."""
+    surface, speed = plan.surface, plan.speed
+    assert surface is not None and speed is not None
     viewer, V = MeshViewer(surface.mesh), np.asarray(surface.mesh.vertices)
     normal = np.asarray(surface.mesh.vertex_normals)
     middle = 0.5 * (V.min(axis=0) + V.max(axis=0))
     axes_of_views = np.concatenate([[d.right, d.up] for d in ALONG_AXES])
     half = 1.08 * float(np.abs((V - middle) @ axes_of_views.T).max())
     values = 1e3 * speed.largest_m_s
-    scale = ScalarMappable(
-        Normalize(float(values.min()), float(max(values.max(), values.min() + 1e-9))), SPEED_MAP
-    )
+    top = float(max(values.max(), values.min() + 1e-9))
+    scale = ScalarMappable(Normalize(float(values.min()), top), SPEED_MAP)
     figure, all_axes = _page(
-        *(2, 3, f"Largest speed of the surface over {horizon_s:g} s"),
+        *(2, 3, f"Largest speed of the surface over {plan.horizon_s:g} s"),
         "Numbers: the slowest points that are reachable along their normal, as in planning.json.",
     )
     for axes, side in zip(all_axes, ALONG_AXES, strict=True):
@@ -226,11 +217,6 @@ def _show(axes: Axes, image: Array, title: str, half_m: float) -> None:
     add_scale_bar(axes, 2e3 * half_m, SIDE_PX)
 
 
-GRAPPLES = 5
-MIN_SEPARATION_SHARE = 0.15
-"""Share of the body's size between two grapple points."""
-
-
 def plan_folder(path: Path) -> AbstractContextManager[Path]:
     """The folder of the results, links followed; checked before the work, and locked until it is written.
 
@@ -242,8 +228,7 @@ def plan_folder(path: Path) -> AbstractContextManager[Path]:
 def write_plan(plan: Plan, folder: Path) -> list[str]:
     """keepout.ply, keepout.glb, surface_speed.ply, corridor.csv, plan.txt, pictures, planning.json: all or
     none; the names of those written. Raises InputError, RunFailure."""
-    files: dict[str, bytes] = {}
-    summary = summary_of(plan)
+    files, summary = dict[str, bytes](), summary_of(plan)
     if plan.keep_out is not None:
         for kind in ("ply", "glb"):
             content = plan.keep_out.swept.mesh.export(file_type=kind)
@@ -255,8 +240,7 @@ def write_plan(plan: Plan, folder: Path) -> list[str]:
         files["corridor.csv"] = corridor_csv(plan.corridor, plan.camera_N).encode()
     if plan.approach is not None:
         files["plan.txt"] = approach_text(plan.approach).encode()
-    grapples = summary["surface_speed"]["grapples"] if summary["surface_speed"] else []
-    files |= plan_pictures(plan, grapples)
+    files |= plan_pictures(plan, summary["surface_speed"]["grapples"] if summary["surface_speed"] else [])
     files["planning.json"] = (json.dumps(summary, indent=1) + "\n").encode()
     write_files(folder, COMMAND, files, FILES.__contains__)
     return list(files)
@@ -310,52 +294,52 @@ def is_in_N(file: Path) -> bool:
 
 def summary_of(plan: Plan) -> dict[str, Any]:
     """The content of planning.json: SI units."""
-    out: dict[str, Any] = {
+    keep, path, docking, approach = plan.keep_out, plan.corridor, plan.docking, plan.approach
+    keepout = corridor = approaching = speed = None
+    if keep is not None:
+        keepout = {
+            "frame": "N",
+            "volume_m3": keep.swept.volume_m3,
+            "cell_m": keep.swept.level.step_m,
+            "sigmas_of_pose": keep.swept.factor,
+            "added_m": keep.swept.added_m,
+            "sigmas_of_surface": keep.body.sigmas,
+            "covers": keep.body.covers,
+            "open_share": keep.body.open_share,
+            "body_margin_m": _ends(keep.instant.margin_m()),
+        }
+    if plan.speed is not None and plan.surface is not None:
+        speed = _grapples(plan.surface, plan.speed)
+    if path is not None and docking is not None:
+        acceleration = np.linalg.norm(path.acceleration_N, axis=1)
+        corridor = {
+            "stand_off_m": docking.stand_off_m,
+            "half_angle_deg": docking.half_angle_deg,
+            "acceleration_m_s2": {"least": float(acceleration.min()), "largest": float(acceleration.max())},
+            "delta_v_m_s": path.delta_v_m_s,
+            "isp_s": docking.isp_s,
+            "fuel_share": fuel_share(path.delta_v_m_s, docking.isp_s),
+            "resting_camera": None if plan.camera_N is None else _in_cone(path, plan.camera_N),
+        }
+    if approach is not None:
+        approaching = {
+            "frame": "N",
+            "looks_at": "docking point" if docking is not None else "centre of mass",
+            "poses": len(approach.time_s),
+            "distance_m": _ends(approach.distance_m),
+        }
+    return {
         "schema": "polhode-planning/1",
         "horizon_s": plan.horizon_s,
         "confidence": plan.confidence,
-        "keepout": None,
-        "surface_speed": None,
-        "corridor": None,
-        "approach": None,
+        "keepout": keepout,
+        "surface_speed": speed,
+        "corridor": corridor,
+        "approach": approaching,
         "left_out": plan.left_out,
         "notes": list(plan.notes),
         "intervals": None if plan.intervals is None else plan.intervals.model_dump(mode="json"),
     }
-    if plan.keep_out is not None:
-        found = plan.keep_out
-        out["keepout"] = {
-            "frame": "N",
-            "volume_m3": found.swept.volume_m3,
-            "cell_m": found.swept.level.step_m,
-            "sigmas_of_pose": found.swept.factor,
-            "added_m": found.swept.added_m,
-            "sigmas_of_surface": found.body.sigmas,
-            "covers": found.body.covers,
-            "open_share": found.body.open_share,
-            "body_margin_m": _ends(found.instant.margin_m()),
-        }
-    if plan.speed is not None and plan.surface is not None:
-        out["surface_speed"] = _grapples(plan.surface, plan.speed)
-    if plan.corridor is not None and plan.docking is not None:
-        acceleration = np.linalg.norm(plan.corridor.acceleration_N, axis=1)
-        out["corridor"] = {
-            "stand_off_m": plan.docking.stand_off_m,
-            "half_angle_deg": plan.docking.half_angle_deg,
-            "acceleration_m_s2": {"least": float(acceleration.min()), "largest": float(acceleration.max())},
-            "delta_v_m_s": plan.corridor.delta_v_m_s,
-            "isp_s": plan.docking.isp_s,
-            "fuel_share": fuel_share(plan.corridor.delta_v_m_s, plan.docking.isp_s),
-            "resting_camera": None if plan.camera_N is None else _in_cone(plan.corridor, plan.camera_N),
-        }
-    if plan.approach is not None:
-        out["approach"] = {
-            "frame": "N",
-            "looks_at": "docking point" if plan.docking is not None else "centre of mass",
-            "poses": len(plan.approach.time_s),
-            "distance_m": _ends(plan.approach.distance_m),
-        }
-    return out
 
 
 def _ends(values: Array) -> dict[str, float]:
@@ -371,9 +355,7 @@ def _in_cone(path: Corridor, camera_N: Array) -> dict[str, Any]:
     return {
         "least_angle_deg": float(angle_deg[nearest]),
         "least_angle_at_s": float(path.time_s[nearest]),
-        "in_cone_s": [
-            [float(path.time_s[a]), float(path.time_s[b - 1])] for a, b in zip(begins, ends, strict=True)
-        ],
+        "in_cone_s": np.stack([path.time_s[begins], path.time_s[ends - 1]], axis=1).tolist(),
     }
 
 
@@ -384,18 +366,14 @@ def _grapples(surface: SurfaceModel, speed: SurfaceSpeed) -> dict[str, Any]:
     size = float(np.linalg.norm(mesh.extents))
     order = np.argsort(speed.largest_m_s, kind="stable")
     order = order[(surface.views > 0)[order]]
-    names = ("now_m_s", "largest_m_s", "normal_m_s", "sigma_m_s")
-    chosen: list[int] = []
-    for start in range(0, len(order), 4000):
-        part = order[start : start + 4000]
-        free = part[_reachable(mesh, p[part], normal[part], size)]
-        both = np.concatenate([np.array(chosen, dtype=np.int64), free])
-        chosen = [
-            int(both[k])
-            for k in slowest_points(speed.largest_m_s[both], p[both], MIN_SEPARATION_SHARE * size, GRAPPLES)
-        ]
+    caster, chosen = Caster(mesh), np.zeros(0, dtype=np.int64)
+    for part in np.split(order, range(4000, len(order), 4000)):
+        blocked = np.isfinite(caster.first(p[part] + 0.01 * size * normal[part], normal[part])[0])
+        both = np.concatenate([chosen, part[~blocked]])
+        chosen = both[slowest_points(speed.largest_m_s[both], p[both], MIN_SEPARATION_SHARE * size, GRAPPLES)]
         if len(chosen) == GRAPPLES:
             break
+    names = ("now_m_s", "largest_m_s", "normal_m_s", "sigma_m_s")
     return {
         "frame": "G",
         "least_m_s": float(speed.largest_m_s.min()),
@@ -408,29 +386,20 @@ def _grapples(surface: SurfaceModel, speed: SurfaceSpeed) -> dict[str, Any]:
     }
 
 
-def _reachable(mesh: trimesh.Trimesh, p: Array, normal: Array, size: float) -> Array:
-    from polhode.mapping.visibility import Caster
-
-    distance, _ = Caster(mesh).first(p + 0.01 * size * normal, normal)
-    return ~np.isfinite(distance)
-
-
 def format_plan(plan: Plan) -> str:
     """A few lines for the screen."""
-    found, lines = summary_of(plan), []
+    found, lines, over = summary_of(plan), [], f"over {plan.horizon_s:g} s"
     if (keep := found["keepout"]) is not None:
+        start, end = (1e3 * keep["body_margin_m"][k] for k in ("start", "end"))
         lines.append(
-            f"Keep-out over {plan.horizon_s:g} s at {plan.confidence:.1%}: "
-            f"{1e3 * keep['volume_m3']:.4g} litres; "
-            f"around the body {1e3 * keep['body_margin_m']['start']:.3g} mm now, "
-            f"{1e3 * keep['body_margin_m']['end']:.3g} mm at the end"
+            f"Keep-out {over} at {plan.confidence:.1%}: {1e3 * keep['volume_m3']:.4g} litres; "
+            f"around the body {start:.3g} mm now, {end:.3g} mm at the end"
         )
     if (speed := found["surface_speed"]) is not None:
         lines.append(
-            f"The surface moves at {1e3 * speed['least_m_s']:.3g} to "
-            f"{1e3 * speed['largest_m_s']:.3g} mm/s at most; "
-            "the slowest points that are reachable along their normal, by their largest speed over "
-            f"{plan.horizon_s:g} s (along the normal: + outwards, now):"
+            f"The surface moves at {1e3 * speed['least_m_s']:.3g} to {1e3 * speed['largest_m_s']:.3g} mm/s "
+            "at most; the slowest points that are reachable along their normal, by their largest speed "
+            f"{over} (along the normal: + outwards, now):"
         )
         for one in speed["grapples"]:
             place = " ".join(f"{x:+.3f}" for x in one["p_G"])
@@ -442,31 +411,25 @@ def format_plan(plan: Plan) -> str:
         least, largest = (1e3 * path["acceleration_m_s2"][k] for k in ("least", "largest"))
         lines.append(
             f"Corridor: {least:.3g} to {largest:.3g} mm/s^2 to stay at {path['stand_off_m']:g} m, "
-            f"{path['delta_v_m_s']:.3g} m/s over {plan.horizon_s:g} s, {path['fuel_share']:.2%} of the mass "
+            f"{path['delta_v_m_s']:.3g} m/s {over}, {path['fuel_share']:.2%} of the mass "
             f"at an Isp of {path['isp_s']:g} s"
         )
         if (camera := path["resting_camera"]) is not None:
-            lines.append(_describe_cone(camera, path["half_angle_deg"], plan.horizon_s))
+            who = "A camera that rests where it was at the last pair is"
+            cone, times = f"in the cone of {path['half_angle_deg']:g} deg", camera["in_cone_s"]
+            shown = ", ".join(f"from {a:.1f} to {b:.1f} s" for a, b in times[:4])
+            more = f", and {len(times) - 4} more times" if len(times) > 4 else ""
+            lines.append(
+                f"{who} {cone} {shown}{more}"
+                if times
+                else f"{who} never {cone} {over}: its least angle from the axis is "
+                f"{camera['least_angle_deg']:.3g} deg, at {camera['least_angle_at_s']:.1f} s"
+            )
     if (approach := found["approach"]) is not None:
         distance = approach["distance_m"]
         lines.append(
             f"Approach (plan.txt, frame N): from {distance['start']:.3g} to {distance['end']:.3g} m from the "
-            f"{approach['looks_at']} over {plan.horizon_s:g} s"
+            f"{approach['looks_at']} {over}"
         )
     lines += [f"Left out: {name}: {why}" for name, why in plan.left_out.items()]
     return "\n".join([*lines, *plan.notes])
-
-
-def _describe_cone(camera: dict[str, Any], half_angle_deg: float, horizon_s: float) -> str:
-    """When a camera at rest is in the cone, as by ``_in_cone``."""
-    who = "A camera that rests where it was at the last pair is"
-    cone = f"in the cone of {half_angle_deg:g} deg"
-    times = camera["in_cone_s"]
-    if not times:
-        return (
-            f"{who} never {cone} over {horizon_s:g} s: its least angle from the axis is "
-            f"{camera['least_angle_deg']:.3g} deg, at {camera['least_angle_at_s']:.1f} s"
-        )
-    shown = ", ".join(f"from {a:.1f} to {b:.1f} s" for a, b in times[:4])
-    more = f", and {len(times) - 4} more times" if len(times) > 4 else ""
-    return f"{who} {cone} {shown}{more}"

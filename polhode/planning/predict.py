@@ -98,12 +98,12 @@ def _predict_motion(
     shown = Silent() if progress is None or len(time_s) <= LONG_ROWS else progress
     with shown.stage("prediction", math.ceil(len(time_s) / ROWS_AT_ONCE)) as advance:
         states = predict(last, time_s, summary.noise.accel_psd, summary.noise.torque_psd, advance)
-    joint = read_covariance(run_folder).last_joint[:12, :12]
-    parts = summary.identifiable_components
+    joint, parts = read_covariance(run_folder).last_joint[:12, :12], summary.identifiable_components
     lost = undetermined_components(joint, ~np.array(parts.com_P), ~np.array(parts.axes_P), states)
-    covariance = states.covariance
-    covariance[:, np.arange(12), np.arange(12)] = np.where(lost, np.inf, np.diagonal(covariance, 0, 1, 2))
-    for rows in np.array_split(np.arange(len(time_s)), math.ceil(len(time_s) / LONG_ROWS)):
+    covariance, diagonal = states.covariance, np.arange(12)
+    covariance[:, diagonal, diagonal] = np.where(lost, np.inf, covariance[:, diagonal, diagonal])
+    for start in range(0, len(time_s), LONG_ROWS):
+        rows = slice(start, start + LONG_ROWS)
         covariance[rows] = undetermined_as_inf(covariance[rows])
     return _motion_of(states, summary, timestamps_ns)
 
@@ -271,20 +271,14 @@ def _is_prediction(path: Path, run_folder: Path) -> bool:
             return False
     except (InputError, ValueError, OSError):
         return False
-    if len(found.timestamps_ns) == 1:
-        after = found.timestamps_ns[0] > own.timestamps_ns[-1]
-        return bool(after) and _is_free_motion(
-            np.append(own.timestamps_ns[-1:], found.timestamps_ns),
-            np.vstack([own.r_N[-1:], found.r_N]),
-            np.vstack([own.v_N[-1:], found.v_N]),
-        )
-    return _is_free_motion(found.timestamps_ns, found.r_N, found.v_N)
-
-
-def _is_free_motion(timestamps_ns: Ints, r_N: Array, v_N: Array) -> bool:
-    """Whether rows (T,), (T, 3), (T, 3) have one velocity, positions that follow from it, and one step; the
-    last step may be shorter, as it ends at the horizon."""
-    steps_ns, time_s = np.diff(timestamps_ns), (timestamps_ns - timestamps_ns[0]) * 1e-9
+    stamps, r_N, v_N = found.timestamps_ns, found.r_N, found.v_N
+    if len(stamps) == 1:
+        if stamps[0] <= own.timestamps_ns[-1]:
+            return False
+        stamps = np.append(own.timestamps_ns[-1:], stamps)
+        r_N, v_N = np.vstack([own.r_N[-1:], r_N]), np.vstack([own.v_N[-1:], v_N])
+    # one velocity, positions that follow from it, and one step, but the last one, which ends at the horizon
+    steps_ns, time_s = np.diff(stamps), (stamps - stamps[0]) * 1e-9
     travelled = v_N[0] * time_s[:, None]
     scale = np.abs(r_N).max() + np.abs(travelled).max()
     # timestamps are rounded to nanoseconds
@@ -323,21 +317,32 @@ def format_prediction(prediction: PredictedMotion, is_written: bool, marks: bool
     """
     sigma = standard_deviations(prediction.covariance_of_marks if marks else prediction.covariance)
     q = continuous_wxyz(wxyz_from_matrix(prediction.R_NP))
-    sigmas_of = "the body itself (--marks)" if marks else "the centre of mass and the principal axes"
-    centre = _table("Centre of mass", "time [s]", "r_N x y z [m]", "± [mm]", "v_N x y z [mm/s]", "± [mm/s]")
-    turn = _table("Rotation", "time [s]", "q_NP w x y z", "± [deg]", "w_P x y z [deg/s]", "± [deg/s]")
-    for table, first, second, scale, rates, start in (
-        (centre, prediction.r_N, 1e3 * prediction.v_N, 1e3, slice(3, 6), slice(0, 3)),
-        (turn, q, np.rad2deg(prediction.w_P), np.rad2deg(1.0), slice(9, 12), slice(6, 9)),
-    ):
-        for k in shown_rows(prediction.time_s):
-            worst = [f"{(scale * sigma[k, part]).max():.2g}" for part in (start, rates)]
-            cells = (_numbers(first[k], 4), worst[0], _numbers(second[k], 3), worst[1])
-            table.add_row(f"{prediction.time_s[k]:.6g}", *cells)
+    deg = np.rad2deg(1.0)
     console = Console(width=120, file=StringIO(), force_terminal=False)
     with console.capture() as capture:
-        console.print(centre)
-        console.print(turn)
+        for title, columns, first, second, scale, parts in (
+            (
+                "Centre of mass",
+                ("r_N x y z [m]", "± [mm]", "v_N x y z [mm/s]", "± [mm/s]"),
+                *(prediction.r_N, 1e3 * prediction.v_N, 1e3, (slice(0, 3), slice(3, 6))),
+            ),
+            (
+                "Rotation",
+                ("q_NP w x y z", "± [deg]", "w_P x y z [deg/s]", "± [deg/s]"),
+                *(q, np.rad2deg(prediction.w_P), deg, (slice(6, 9), slice(9, 12))),
+            ),
+        ):
+            table = Table(title=title)
+            for name in ("time [s]", *columns):
+                table.add_column(escape(name), justify="right", no_wrap=True)
+            for k in shown_rows(prediction.time_s):
+                cells = [f"{prediction.time_s[k]:.6g}"]
+                for values, digits, part in zip((first, second), (4, 3), parts, strict=True):
+                    cells.append(" ".join(f"{x:.{digits}f}" for x in values[k]))
+                    cells.append(f"{(scale * sigma[k, part]).max():.2g}")
+                table.add_row(*cells)
+            console.print(table)
+    sigmas_of = "the body itself (--marks)" if marks else "the centre of mass and the principal axes"
     words = f"Seconds after the last pair; ±: one standard deviation, worst axis, of {sigmas_of}.\n"
     if prediction.undetermined:
         shown = "the sigmas are those of the body itself"
@@ -359,14 +364,3 @@ def shown_rows(time_s: Array) -> Ints:
     fitting = [shown for shown in range(4, 9) if count % shown == 0]
     step = -(-count // min(fitting, key=lambda shown: abs(shown - 6), default=6))
     return np.unique(np.append(np.arange(step - 1, count, step), count - 1)).astype(np.int64)
-
-
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title)
-    for name in columns:
-        table.add_column(escape(name), justify="right", no_wrap=True)
-    return table
-
-
-def _numbers(values: Array, digits: int) -> str:
-    return " ".join(f"{x:.{digits}f}" for x in values)

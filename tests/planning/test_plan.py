@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,16 +23,22 @@ from tests.pipeline.stored_run import stored
 pytestmark = pytest.mark.usefixtures("coarse_keep_out")
 
 Capture = pytest.CaptureFixture[str]
+ORIGIN = ["--dock-point", "0", "0", "0", "--dock-axis"]
 DOCK = ["--dock-point", "0.06", "0", "0", "--dock-axis", "1", "0", "0", "--stand-off", "0.3"]
 AHEAD = ["--horizon", "2", "--confidence", "0.97", "--members", "100"]
 
 
-def test_everything_is_written_and_opens_again(example: Example, tmp_path: Path, capsys: Capture) -> None:
-    run, out = stored(tmp_path / "run", example, example.surface), tmp_path / "out"
-    assert main(["plan", str(run), "-o", str(out), *AHEAD, *DOCK]) == 0
-    shown = capsys.readouterr().out
-    assert "Keep-out over 2 s at 97.0%" in shown and "Corridor" in shown and shown.rstrip().endswith(str(out))
-    found = json.loads((out / "planning.json").read_text())
+def planned(run: Path, out: Path, capsys: Capture, *words: str) -> tuple[dict[str, Any], str]:
+    """planning.json and what is printed, in one line."""
+    assert main(["plan", str(run), "-o", str(out), *AHEAD, *words]) == 0
+    return json.loads((out / "planning.json").read_text()), " ".join(capsys.readouterr().out.split())
+
+
+def test_everything_is_written_and_opens_again(
+    run: Path, example: Example, tmp_path: Path, capsys: Capture
+) -> None:
+    found, shown = planned(run, out := tmp_path / "out", capsys, *DOCK)
+    assert "Keep-out over 2 s at 97.0%" in shown and "Corridor" in shown and shown.endswith(str(out))
     mesh = trimesh.load_mesh(out / "keepout.ply")
     assert mesh.is_watertight and mesh.volume == pytest.approx(found["keepout"]["volume_m3"], rel=1e-3)
     assert found["keepout"]["volume_m3"] > 0.12 * 0.20 * 0.24
@@ -39,9 +46,8 @@ def test_everything_is_written_and_opens_again(example: Example, tmp_path: Path,
     speed = trimesh.load_mesh(out / "surface_speed.ply", process=False)
     columns = speed.metadata["_ply_raw"]["vertex"]["data"]
     assert len(columns) == len(example.surface.mesh.vertices)
-    assert float(columns["largest_m_s"].max()) == pytest.approx(
-        found["surface_speed"]["largest_m_s"], rel=1e-5
-    )
+    largest = found["surface_speed"]["largest_m_s"]
+    assert float(columns["largest_m_s"].max()) == pytest.approx(largest, rel=1e-5)
     rows = (out / "corridor.csv").read_text().splitlines()
     assert rows[0] == ",".join(CORRIDOR_COLUMNS)
     last = np.array(rows[-1].split(","), dtype=float)
@@ -54,11 +60,12 @@ def test_everything_is_written_and_opens_again(example: Example, tmp_path: Path,
         picture = imread(out / name)
         assert picture.shape[0] > 400 and len(np.unique(picture[..., :3].reshape(-1, 3), axis=0)) > 500
     # the whole body of the last pair is inside
-    estimate = example.estimate
-    p_N = np.asarray(example.surface.mesh.vertices) @ estimate.X_NG[-1, :3, :3].T + estimate.X_NG[-1, :3, 3]
+    X_NG = example.estimate.X_NG[-1]
+    p_N = np.asarray(example.surface.mesh.vertices) @ X_NG[:3, :3].T + X_NG[:3, 3]
     assert mesh.contains(p_N).all() if trimesh.ray.has_embree else True
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_intervals_are_said_and_bound_the_members(
     undetermined: Example, tmp_path: Path, capsys: Capture
 ) -> None:
@@ -71,111 +78,85 @@ def test_intervals_are_said_and_bound_the_members(
     estimate, _ = final_estimate(run)
     assert estimate.com_range_G is not None
     np.testing.assert_allclose(estimate.com_range_G[0], com_G - 0.05)
-    assert main(["plan", str(run), "-o", str(tmp_path / "out"), *AHEAD]) == 0
-    words = "By the hull of the body: k1 from 0.00 to 0.60; k2 from 0.00 to 2.00; centre of mass along"
-    assert words in capsys.readouterr().out
-    found = json.loads((tmp_path / "out" / "planning.json").read_text())
+    found, shown = planned(run, tmp_path / "out", capsys)
+    assert (
+        "By the hull of the body: k1 from 0.00 to 0.60; k2 from 0.00 to 2.00; centre of mass along" in shown
+    )
     assert found["intervals"]["com_shift_P"] == [None, [-0.05, 0.04], None]
 
 
 def test_without_a_mesh_the_rest_is_given_and_the_reason_said(
-    example: Example, tmp_path: Path, capsys: Capture
+    bare: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    run, out = stored(tmp_path / "run", example), tmp_path / "out"
-    assert main(["plan", str(run), "-o", str(out), *AHEAD, *DOCK]) == 0
-    assert "Left out: keepout:" in capsys.readouterr().out
-    found = json.loads((out / "planning.json").read_text())
+    found, shown = planned(bare, out := tmp_path / "out", capsys, *DOCK)
+    assert "Left out: keepout:" in shown
     assert found["keepout"] is None and "no mesh" in found["left_out"]["keepout"]
-    assert sorted(file.name for file in out.iterdir() if file.name != MARK) == [
-        "corridor.csv",
-        "corridor.png",
-        "plan.txt",
-        "planning.json",
-    ]
+    files = {file.name for file in out.iterdir() if file.name != MARK}
+    assert files == {"corridor.csv", "corridor.png", "plan.txt", "planning.json"}
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_observability_reads_the_approach(
-    example: Example, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    run: Path, example: Example, tmp_path: Path, capsys: Capture
 ) -> None:
-    monkeypatch.setattr("polhode.planning.plan_files.plan_pictures", lambda *_: {})
-    for name in ("draw_metric", "draw_views", "draw_contributions"):
-        monkeypatch.setattr(f"polhode.planning.observability.pictures.{name}", lambda *_: b"png")
-    run, out = stored(tmp_path / "run", example, example.surface), tmp_path / "out"
-    assert main(["plan", str(run), "-o", str(out), *AHEAD]) == 0
-    assert "Approach (plan.txt, frame N): from" in capsys.readouterr().out
-    poses = read_poses(out / "plan.txt")
-    assert (poses.time_s[0], poses.time_s[-1], len(poses.time_s)) == (0.0, 2.0, POSES)
-    np.testing.assert_allclose(poses.X_FR[0, :3, 3], example.tracks.X_NR[-1, :3, 3], atol=1e-9)
-    words = ["--trajectory", str(out / "plan.txt"), "--frame", "inertial"]
-    assert main(["observability", str(run), "-o", str(out), *words]) == 0
-    assert f"Metric of {POSES} poses" in capsys.readouterr().out
-    table = (out / "observability.csv").read_bytes()
+    _, shown = planned(run, out := tmp_path / "out", capsys)
+    assert "Approach (plan.txt, frame N): from" in shown
+    time_s, X_NR = read_poses(out / "plan.txt")
+    assert (time_s[0], time_s[-1], len(time_s)) == (0.0, 2.0, POSES)
+    np.testing.assert_allclose(X_NR[0, :3, 3], example.tracks.X_NR[-1, :3, 3], atol=1e-9)
+    tables = []
     # the file says in which frame its poses are
-    assert main(["observability", str(run), "-o", str(out), *words[:2]]) == 0
-    assert (out / "observability.csv").read_bytes() == table
-    assert not is_in_N(tmp_path / "missing.txt")
-    assert (out / "observability.json").is_file() and (out / "planning.json").is_file()
+    for frame in (["--frame", "inertial"], []):
+        words = ["observability", str(run), "-o", str(out), "--trajectory", str(out / "plan.txt"), *frame]
+        assert main(words) == 0
+        tables.append((out / "observability.csv").read_bytes())
+    assert tables[0] == tables[1] and f"Metric of {POSES} poses" in capsys.readouterr().out
+    assert not is_in_N(tmp_path / "missing.txt") and (out / "planning.json").is_file()
 
 
-@pytest.mark.parametrize("mesh", [True, False])
+@pytest.mark.usefixtures("no_pictures")
 def test_a_docking_point_off_the_target_is_told_of(
-    mesh: bool, example: Example, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    run: Path, bare: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    # drawing takes most of the time
-    monkeypatch.setattr("polhode.planning.plan_files.plan_pictures", lambda *_: {})
-    run = stored(tmp_path / "run", example, example.surface if mesh else None)
     dock = ["--dock-point", "0.3", "0", "0", "--dock-axis", "-1", "0", "0"]
-    assert main(["plan", str(run), "-o", str(tmp_path / "out"), *AHEAD, *dock]) == 0
-    shown = " ".join(capsys.readouterr().out.split())
-    notes = " ".join(json.loads((tmp_path / "out" / "planning.json").read_text())["notes"])
-    for words in (shown, notes):
-        assert "--dock-point 0.3 0 0 is 0." in words and "off the target" in words
-        # towards the target
-        assert ("runs into the target" in words) == mesh
-    inside = ["--dock-point", "0", "0", "0", "--dock-axis", "1", "0", "0"]
-    if mesh:
-        assert main(["plan", str(run), "-o", str(tmp_path / "out"), *AHEAD, *inside]) == 0
-        shown = " ".join(capsys.readouterr().out.split())
-        assert "--dock-point 0 0 0 is inside the body, 0.06 m below its surface" in shown
-        assert "off the target" not in shown
+    for source in (run, bare):
+        found, shown = planned(source, tmp_path / "out", capsys, *dock)
+        for words in (shown, " ".join(found["notes"])):
+            assert "--dock-point 0.3 0 0 is 0." in words and "off the target" in words
+            # towards the target
+            assert ("runs into the target" in words) == (source == run)
+    _, shown = planned(run, tmp_path / "out", capsys, *ORIGIN, "1", "0", "0")
+    assert "--dock-point 0 0 0 is inside the body, 0.06 m below its surface" in shown
+    assert "off the target" not in shown
     # far in any unit: refused, and before any work
     dock[1] = "100"
-    assert main(["plan", str(run), "-o", str(tmp_path / "none"), *AHEAD, *dock]) == 2
+    assert main(["plan", str(bare), "-o", str(tmp_path / "none"), *AHEAD, *dock]) == 2
     assert "give metres in G" in capsys.readouterr().err and not (tmp_path / "none").exists()
 
 
+@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("half_angle_deg", [5.0, 89.0])
 def test_the_half_angle_decides_when_the_resting_camera_is_in_the_cone(
-    half_angle_deg: float,
-    example: Example,
-    tmp_path: Path,
-    capsys: Capture,
-    monkeypatch: pytest.MonkeyPatch,
+    half_angle_deg: float, bare: Path, example: Example, tmp_path: Path, capsys: Capture
 ) -> None:
-    monkeypatch.setattr("polhode.planning.plan_files.plan_pictures", lambda *_: {})
-    run, out = stored(tmp_path / "run", example), tmp_path / "out"
     # towards the camera when half of the horizon has passed
-    estimate, _ = final_estimate(run)
-    motion = nominal_motion(estimate, np.array([1.0]))
-    point_G = np.array([0.06, 0.0, 0.0])
+    motion = nominal_motion(final_estimate(bare)[0], np.array([1.0]))
     camera_N = example.tracks.X_NR[-1, :3, 3]
-    axis_G = motion.R_NG[0].T @ (camera_N - motion.p_NG[0]) - point_G
+    axis_G = motion.R_NG[0].T @ (camera_N - motion.p_NG[0]) - [0.06, 0.0, 0.0]
     dock = ["--dock-point", "0.06", "0", "0", "--dock-axis", *(f"{x:.12g}" for x in axis_G)]
-    words = [*AHEAD, *dock, "--half-angle-deg", f"{half_angle_deg:g}"]
-    assert main(["plan", str(run), "-o", str(out), *words]) == 0
-    shown = " ".join(capsys.readouterr().out.split())
+    out = tmp_path / "out"
+    found, shown = planned(bare, out, capsys, *dock, "--half-angle-deg", f"{half_angle_deg:g}")
     table = np.genfromtxt(out / "corridor.csv", delimiter=",", names=True)
-    offset = camera_N - np.stack([table[f"tip_N_{a}"] for a in "xyz"], axis=1)
-    axis = np.stack([table[f"axis_N_{a}"] for a in "xyz"], axis=1)
+    tip, axis = (np.stack([table[f"{each}_N_{a}"] for a in "xyz"], axis=1) for each in ("tip", "axis"))
+    offset = camera_N - tip
     chord = np.linalg.norm(offset / np.linalg.norm(offset, axis=1, keepdims=True) - axis, axis=1)
     angle_deg = np.rad2deg(2.0 * np.arcsin(0.5 * chord))
     np.testing.assert_allclose(table["camera_angle_deg"], angle_deg, atol=1e-4)
     inside = table["camera_in_cone"] == 1.0
     np.testing.assert_array_equal(inside, table["camera_angle_deg"] <= half_angle_deg)
-    assert inside.any()
-    found = json.loads((out / "planning.json").read_text())["corridor"]["resting_camera"]
-    assert found["least_angle_at_s"] == pytest.approx(1.0, abs=0.1)
-    ((first, last),) = found["in_cone_s"]
+    camera = found["corridor"]["resting_camera"]
+    assert camera["least_angle_at_s"] == pytest.approx(1.0, abs=0.1)
+    ((first, last),) = camera["in_cone_s"]
     assert (first, last) == pytest.approx(tuple(table["time_s"][inside][[0, -1]]))
     assert f"is in the cone of {half_angle_deg:g} deg from {first:.1f} to {last:.1f} s" in shown
     assert "over 2 s" in shown and "of the mass at an Isp of 230 s" in shown
@@ -195,23 +176,19 @@ def test_the_half_angle_decides_when_the_resting_camera_is_in_the_cone(
         (["--confidence", "nan"], "--confidence nan"),
         (["--dock-point", "0", "0", "1e308", "--dock-axis", "1", "0", "0"], "--dock-point 0 0 1e308: give 3"),
         (["--dock-point", "0", "0", "nan", "--dock-axis", "1", "0", "0"], "--dock-point 0 0 nan: give 3"),
-        (["--dock-point", "0", "0", "0", "--dock-axis", "1e308", "0", "0"], "--dock-axis: give a direction"),
-        (["--dock-point", "0", "0", "0", "--dock-axis", "nan", "0", "0"], "--dock-axis: give a direction"),
+        ([*ORIGIN, "1e308", "0", "0"], "--dock-axis: give a direction"),
+        ([*ORIGIN, "nan", "0", "0"], "--dock-axis: give a direction"),
         ([*DOCK, "--stand-off", "1e308"], "--stand-off 1e308: give a number"),
         ([*DOCK, "--half-angle-deg", "180"], "--half-angle-deg 180"),
         ([*DOCK, "--isp-s", "1e-308"], "--isp-s 1e-308"),
-        (["--dock-point", "0", "0", "0"], "--dock-axis"),
-        (["--dock-point", "0", "0", "0", "--dock-axis", "0", "0", "0"], "--dock-axis"),
-        (
-            ["--dock-point", "60", "0", "0", "--dock-axis", "1", "0", "0"],
-            "--dock-point 60 0 0 is 59.9 m from",
-        ),
+        (ORIGIN[:4], "--dock-axis"),
+        ([*ORIGIN, "0", "0", "0"], "--dock-axis"),
+        (["--dock-point", "60", *DOCK[2:]], "--dock-point 60 0 0 is 59.9 m from"),
     ],
 )
 def test_wrong_words_are_one_line(
-    example: Example, tmp_path: Path, capsys: Capture, words: list[str], named: str
+    run: Path, tmp_path: Path, capsys: Capture, words: list[str], named: str
 ) -> None:
-    run = stored(tmp_path / "run", example, example.surface)
     assert main(["plan", str(run), "-o", str(tmp_path / "out"), *words]) == 2
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1 and named in captured.err

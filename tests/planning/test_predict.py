@@ -70,9 +70,9 @@ def simulated_run(folder: Path, w_G: tuple[float, float, float]) -> tuple[Path, 
 
 
 def test_the_table_goes_on_where_the_trajectory_ends(
-    example: Example, tmp_path: Path, capsys: Capture
+    bare: Path, example: Example, tmp_path: Path, capsys: Capture
 ) -> None:
-    run, file = stored(tmp_path / "run", example), tmp_path / "ahead.csv"
+    run, file = bare, tmp_path / "ahead.csv"
     assert main(["predict", str(run), "--horizon", "10", "-o", str(file)]) == 0
     shown = capsys.readouterr().out
     assert all(f"[{unit}]" in shown for unit in ("s", "m", "mm", "mm/s", "deg", "deg/s"))
@@ -102,25 +102,22 @@ def test_the_table_goes_on_where_the_trajectory_ends(
     assert np.all(np.isfinite(path.sigma_theta)) and np.all(np.diff(path.sigma_r[:, 0]) > 0.0)
 
 
-@pytest.mark.parametrize(
-    ("count", "seconds"),
-    [
+def test_the_rows_on_the_screen_are_at_even_steps_to_the_horizon() -> None:
+    for count, seconds in (
         (60, [5.0, 10.0, 15.0, 20.0, 25.0, 30.0]),
         (40, [4.0, 8.0, 12.0, 16.0, 20.0]),
         (3, [0.5, 1.0, 1.5]),
         (1, [0.5]),
         (61, [5.5, 11.0, 16.5, 22.0, 27.5, 30.5]),
-    ],
-)
-def test_the_rows_on_the_screen_are_at_even_steps_to_the_horizon(count: int, seconds: list[float]) -> None:
-    time_s = 0.5 * np.arange(1, count + 1, dtype=np.float64)
-    assert time_s[shown_rows(time_s)].tolist() == seconds
+    ):
+        time_s = 0.5 * np.arange(1, count + 1, dtype=np.float64)
+        assert time_s[shown_rows(time_s)].tolist() == seconds
 
 
 def test_the_archive_holds_full_covariances_and_the_same_bytes_again(
-    example: Example, tmp_path: Path
+    bare: Path, example: Example, tmp_path: Path
 ) -> None:
-    run = stored(tmp_path / "run", example)
+    run = bare
     files = [tmp_path / name for name in ("a.npz", "b.npz")]
     for file in files:
         assert main(["predict", str(run), "--horizon", "3", "--step-s", "0.7", "-o", str(file)]) == 0
@@ -189,19 +186,16 @@ def test_an_undetermined_inertia_predicts_the_body_all_the_same(tmp_path: Path, 
         (["--horizon", "10", "-o", "/dev/null/all.csv"], "part of this path is a file"),
     ],
 )
-def test_mistakes_are_one_line(
-    arguments: list[str], words: str, example: Example, tmp_path: Path, capsys: Capture
-) -> None:
-    run = stored(tmp_path / "run", example)
-    assert main(["predict", str(run), *arguments]) == 2
+def test_mistakes_are_one_line(arguments: list[str], words: str, bare: Path, capsys: Capture) -> None:
+    assert main(["predict", str(bare), *arguments]) == 2
     stderr = capsys.readouterr().err
     assert words in stderr and stderr.count("\n") == 1
 
 
 def test_a_prediction_of_many_rows_shows_its_progress(
-    example: Example, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    bare: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run, file = stored(tmp_path / "run", example), tmp_path / "ahead.oem"
+    run, file = bare, tmp_path / "ahead.oem"
     monkeypatch.setattr("polhode.planning.predict.LONG_ROWS", 100)
     for command in (["predict"], ["export", "--to", "oem", "-o", str(file)]):
         for step_s, shown in (("0.1", False), ("0.04", True)):

@@ -27,6 +27,11 @@ from polhode.planning.edges.orientation import (
 from polhode.runtime.errors import InputError
 
 
+def unit_rows(vectors: Array) -> Array:
+    """Vectors (..., k) divided by their lengths; zero where there is none."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300))
+
+
 class Occluder:
     """A mesh in G that blocks rays."""
 
@@ -76,29 +81,21 @@ def chains_of(edges: Ints) -> Iterator[tuple[Ints, Ints]]:
     for number, (a, b) in enumerate(edges.tolist()):
         at[a].append(number)
         at[b].append(number)
-    used = np.zeros(len(edges), dtype=bool)
-    knots = [vertex for vertex, around in at.items() if len(around) != 2]
-    for vertex in [*sorted(knots), *edges[:, 0].tolist()]:
-        for number in at[vertex]:
-            if not used[number]:
-                yield _follow(edges, at, used, vertex, number)
-
-
-def _follow(
-    edges: Ints, at: dict[int, list[int]], used: Bools, vertex: int, number: int
-) -> tuple[Ints, Ints]:
-    """Walk from a vertex along an unused edge to the chain's end."""
-    chain, members = [vertex], []
-    while True:
-        used[number] = True
-        members.append(number)
-        a, b = edges[number].tolist()
-        vertex = b if a == vertex else a
-        chain.append(vertex)
-        onward = [n for n in at[vertex] if not used[n]]
-        if len(at[vertex]) != 2 or not onward:
-            return np.array(chain), np.array(members)
-        number = onward[0]
+    unused = set(range(len(edges)))
+    knots = sorted(vertex for vertex, around in at.items() if len(around) != 2)
+    for start in [*knots, *edges[:, 0].tolist()]:
+        for first in at[start]:
+            vertex, onward, chain, members = start, [first] if first in unused else [], [start], list[int]()
+            while onward:
+                number = onward[0]
+                unused.remove(number)
+                members.append(number)
+                a, b = edges[number].tolist()
+                vertex = b if a == vertex else a
+                chain.append(vertex)
+                onward = [n for n in at[vertex] if n in unused] if len(at[vertex]) == 2 else []
+            if members:
+                yield np.array(chain), np.array(members)
 
 
 def straight_pieces(points: Array, tolerance_m: float) -> list[tuple[int, int]]:
@@ -108,43 +105,28 @@ def straight_pieces(points: Array, tolerance_m: float) -> list[tuple[int, int]]:
     first one.
     """
     last = len(points) - 1
+    waiting, done = [(0, last)], list[tuple[int, int]]()
     if np.array_equal(points[0], points[last]):
         far = int(np.argmax(np.linalg.norm(points - points[0], axis=1)))
-        open_pieces = [(0, far), (far, last)]
-    else:
-        open_pieces = [(0, last)]
-    done: list[tuple[int, int]] = []
-    while open_pieces:
-        a, b = open_pieces.pop()
+        waiting = [(0, far), (far, last)]
+    while waiting:
+        a, b = waiting.pop()
         if b <= a:
             continue
-        middle, off = _farthest(points, a, b)
-        if off <= tolerance_m:
+        away = points[a + 1 : b] - points[a]
+        along = points[b] - points[a]
+        length = float(np.linalg.norm(along))
+        off = np.linalg.norm(away if length < 1e-12 else np.cross(away, along / length), axis=1)
+        if off.max(initial=0.0) <= tolerance_m:
             done.append((a, b))
         else:
-            open_pieces += [(a, middle), (middle, b)]
+            middle = a + 1 + int(np.argmax(off))
+            waiting += [(a, middle), (middle, b)]
     return sorted(done)
 
 
-def _farthest(points: Array, a: int, b: int) -> tuple[int, float]:
-    """Index of the point between a and b farthest from their line, and its distance [m]."""
-    if b - a < 2:
-        return a, 0.0
-    along = points[b] - points[a]
-    length = float(np.linalg.norm(along))
-    away = points[a + 1 : b] - points[a]
-    if length < 1e-12:
-        off = np.linalg.norm(away, axis=1)
-    else:
-        off = np.linalg.norm(np.cross(away, along / length), axis=1)
-    at = int(np.argmax(off))
-    return a + 1 + at, float(off[at])
-
-
-ROUND_TURN_DEG = 30.0
-"""Consecutive pieces with a smaller angle between them, and of similar length, approximate an arc."""
-ROUND_LENGTHS = 3.0
-"""Largest ratio of the lengths of consecutive pieces of an arc."""
+ROUND_TURN_DEG, ROUND_LENGTHS = 30.0, 3.0
+"""Consecutive pieces with a smaller angle between them and a smaller ratio of lengths are of an arc."""
 
 
 def tangents_along(knots: Array) -> Array:
@@ -155,22 +137,17 @@ def tangents_along(knots: Array) -> Array:
     real corners and beside long straight pieces the tangent is the piece's own direction.
     """
     pieces = np.diff(knots, axis=0)
-    length = np.linalg.norm(pieces, axis=1)
-    along = pieces / np.maximum(length, 1e-12)[:, None]
+    length, along = np.linalg.norm(pieces, axis=1), unit_rows(pieces)
     tangents = np.stack([along, along], axis=1)
     closed = len(pieces) > 2 and bool(np.array_equal(knots[0], knots[-1]))
-    before = np.arange(len(pieces)) if closed else np.arange(len(pieces) - 1)
+    before = np.arange(len(pieces) - (not closed))
     after = (before + 1) % len(pieces)
     turn = np.einsum("kc,kc->k", along[before], along[after])
-    like = np.maximum(length[before], length[after]) <= ROUND_LENGTHS * np.minimum(
-        length[before], length[after]
-    )
-    round_ = (turn > np.cos(np.radians(ROUND_TURN_DEG))) & like
-    before, after = before[round_], after[round_]
-    tangent = along[before] * length[after, None] + along[after] * length[before, None]
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    tangents[before, 1] = tangent
-    tangents[after, 0] = tangent
+    longer, shorter = (each(length[before], length[after]) for each in (np.maximum, np.minimum))
+    arc = (turn > np.cos(np.radians(ROUND_TURN_DEG))) & (longer <= ROUND_LENGTHS * shorter)
+    before, after = before[arc], after[arc]
+    tangents[before, 1] = unit_rows(along[before] * length[after, None] + along[after] * length[before, None])
+    tangents[after, 0] = tangents[before, 1]
     return tangents
 
 
@@ -178,10 +155,13 @@ CREASE_DEG = 30.0
 """Faces that meet at more than this angle form an edge."""
 FLAT_DEG = 0.5
 """A part whose normals deviate less from their mean is flat."""
-TOLERANCE = 5e-4
-"""Deviation of a straight piece from the edge, as a share of the body's diameter."""
-MIN_LENGTH = 0.01
-"""Shorter edges, as a share of the body's diameter, are omitted; an arc counts as a whole."""
+TOLERANCE, MIN_LENGTH = 5e-4, 0.01
+"""Deviation of a straight piece from the edge, and length below which edges are omitted (an arc counts as a
+whole), as shares of the body's diameter."""
+MANY_EDGES = 2000
+"""A mesh with more edges, most of them sharp, is rough or noisy."""
+SEPARATE_FACES = 50
+"""A mesh of more faces, most of whose edges have one face, does not connect its faces."""
 
 
 class EdgeKind(IntEnum):
@@ -235,10 +215,8 @@ class EdgeModel:
     @cached_property
     def lift_G(self) -> Array:
         """(n, 3) outwards, from a segment to the arc that it approximates: a chord lies inside."""
-        outward = self.sides_G[:, 0] + self.sides_G[:, 1]
-        outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
         lift = np.where(self.kind == EdgeKind.BOUNDARY, 0.0, 1.5 * self.tolerance_m)
-        return np.asarray(lift[:, None] * outward)
+        return np.asarray(lift[:, None] * unit_rows(self.sides_G[:, 0] + self.sides_G[:, 1]))
 
     @cached_property
     def outlined_faces(self) -> Bools:
@@ -277,8 +255,7 @@ class EdgeModel:
         hit = hits.face >= 0
         face, u, v = hits.face[hit], hits.u[hit], hits.v[hit]
         weight = np.stack([1.0 - u - v, u, v], axis=1)
-        smooth_G = np.einsum("hc,hck->hk", weight, self.corner_normals_G[face])
-        smooth_G /= np.maximum(np.linalg.norm(smooth_G, axis=1, keepdims=True), 1e-12)
+        smooth_G = unit_rows(np.einsum("hc,hck->hk", weight, self.corner_normals_G[face]))
         flat_G = np.asarray(self.surface.face_normals)[face]
         # an open sheet is also seen from behind
         behind = np.einsum("hk,hk->h", flat_G, direction_G[hit]) > 0.0
@@ -333,16 +310,21 @@ def edge_model(
     diameter = float(np.linalg.norm(np.ptp(surface.bounds, axis=0)))
     tolerance_m = TOLERANCE * diameter if tolerance_m is None else tolerance_m
     min_length_m = MIN_LENGTH * diameter if min_length_m is None else min_length_m
-    edges, sides, kind, soft = _sharp_edges(surface, crease_deg)
-    part = _smooth_parts(len(surface.faces), soft[:, 2:])
-    ends, tangents, normals, kinds = _segments(surface, edges, sides, kind, tolerance_m, min_length_m)
+
+    edges, n = mesh_edges(surface), np.asarray(surface.face_normals)
+    cosine = np.einsum("nk,nk->n", n[edges.first], n[edges.second])
+    rim = edges.count == 1
+    sharp = (cosine < np.cos(np.radians(crease_deg))) | (edges.count > 2) | rim
+    sides = np.stack([n[edges.first], n[edges.second]], axis=1)[sharp]
+    kind = np.where(rim, EdgeKind.BOUNDARY, EdgeKind.CREASE)[sharp]
+    soft = np.column_stack([edges.vertices, edges.first, edges.second])[~sharp]
+    count = len(surface.faces)
+    joined = coo_matrix((np.ones(len(soft)), (soft[:, 2], soft[:, 3])), shape=(count, count))
+    part = np.asarray(connected_components(joined, directed=False)[1], dtype=np.int64)
     corners = _corner_normals(surface, part)
     curved = _is_curved(surface, corners, part, flat_deg)
     return EdgeModel(
-        ends,
-        tangents,
-        normals,
-        kinds,
+        *_segments(surface, edges.vertices[sharp], sides, kind, tolerance_m, min_length_m),
         surface,
         corners,
         np.where(curved, np.cumsum(curved) - 1, -1)[part],
@@ -352,17 +334,11 @@ def edge_model(
         faceted,
         orientation.closed,
         occluder,
-        _notes(orientation, kind, len(soft)),
+        _doubts(orientation, kind, len(soft)),
     )
 
 
-MANY_EDGES = 2000
-"""A mesh with more edges, most of them sharp, is rough or noisy."""
-SEPARATE_FACES = 50
-"""A mesh of more faces, most of whose edges have one face, does not connect its faces."""
-
-
-def _notes(orientation: Orientation, sharp: Ints, soft: int) -> tuple[str, ...]:
+def _doubts(orientation: Orientation, sharp: Ints, soft: int) -> tuple[str, ...]:
     """A sentence for each doubt about the mesh; ``sharp``: kinds of the sharp edges."""
     notes, faces = [], len(orientation.reverse)
     turned, one_sided = int(orientation.reverse.sum()), int(orientation.one_sided.sum())
@@ -390,28 +366,6 @@ def _notes(orientation: Orientation, sharp: Ints, soft: int) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _sharp_edges(surface: trimesh.Trimesh, crease_deg: float) -> tuple[Ints, Array, Ints, Ints]:
-    """Edges (m, 2), normals of their sides (m, 2, 3), kinds (m,); the others, as in ``EdgeModel.soft``."""
-    edges = mesh_edges(surface)
-    n = np.asarray(surface.face_normals)
-    cosine = np.einsum("nk,nk->n", n[edges.first], n[edges.second])
-    crease = (cosine < np.cos(np.radians(crease_deg))) | (edges.count > 2)
-    rim = edges.count == 1
-    sharp = crease | rim
-    soft = ~sharp
-    sides = np.stack([n[edges.first], n[edges.second]], axis=1)
-    kind = np.where(rim, EdgeKind.BOUNDARY, EdgeKind.CREASE)
-    others = np.column_stack([edges.vertices[soft], edges.first[soft], edges.second[soft]])
-    return edges.vertices[sharp], sides[sharp], kind[sharp], others
-
-
-def _smooth_parts(faces: int, joined: Ints) -> Ints:
-    """Number (f,) of the smooth part of each face."""
-    graph = coo_matrix((np.ones(len(joined)), (joined[:, 0], joined[:, 1])), shape=(faces, faces))
-    _, part = connected_components(graph, directed=False)
-    return np.asarray(part, dtype=np.int64)
-
-
 def _corner_normals(surface: trimesh.Trimesh, part: Ints) -> Array:
     """Mean normal of the faces around a vertex within its smooth part (f, 3, 3).
 
@@ -419,9 +373,7 @@ def _corner_normals(surface: trimesh.Trimesh, part: Ints) -> Array:
     exact for vertices on a sphere.
     """
     triangles = np.asarray(surface.triangles)
-    flat = np.broadcast_to(np.asarray(surface.face_normals)[:, None, :], triangles.shape)
-    onward = np.roll(triangles, -1, axis=1) - triangles
-    back = np.roll(triangles, 1, axis=1) - triangles
+    onward, back = (np.roll(triangles, step, axis=1) - triangles for step in (-1, 1))
     squares = np.einsum("fck,fck->fc", onward, onward) * np.einsum("fck,fck->fc", back, back)
     weighted = np.cross(onward, back) / np.maximum(squares, 1e-300)[..., None]
     key = np.asarray(surface.faces) * (part.max() + 1) + part[:, None]
@@ -429,19 +381,15 @@ def _corner_normals(surface: trimesh.Trimesh, part: Ints) -> Array:
     total = np.zeros((corner.max() + 1, 3))
     np.add.at(total, corner.reshape(-1), weighted.reshape(-1, 3))
     normal = total[corner.reshape(-1)].reshape(-1, 3, 3)
-    length = np.linalg.norm(normal, axis=2, keepdims=True)
-    return np.where(length > 0.0, normal / np.maximum(length, 1e-300), flat)
+    flat = np.asarray(surface.face_normals)[:, None, :]
+    return np.where(normal.any(axis=2, keepdims=True), unit_rows(normal), flat)
 
 
 def _is_curved(surface: trimesh.Trimesh, corners: Array, part: Ints, flat_deg: float) -> Bools:
     """(parts,) whether any corner normal of a part deviates from the part's mean by more than this."""
-    count = int(part.max()) + 1
-    mean = np.zeros((count, 3))
+    mean, lowest = np.zeros((int(part.max()) + 1, 3)), np.ones(int(part.max()) + 1)
     np.add.at(mean, part, np.asarray(surface.area_faces)[:, None] * np.asarray(surface.face_normals))
-    length = np.linalg.norm(mean, axis=1, keepdims=True)
-    mean = np.where(length > 0.0, mean / np.maximum(length, 1e-300), 0.0)
-    lowest = np.ones(count)
-    np.minimum.at(lowest, part, np.einsum("fck,fk->fc", corners, mean[part]).min(axis=1))
+    np.minimum.at(lowest, part, np.einsum("fck,fk->fc", corners, unit_rows(mean)[part]).min(axis=1))
     return np.asarray(lowest < np.cos(np.radians(flat_deg)))
 
 
@@ -450,7 +398,7 @@ def _segments(
 ) -> tuple[Array, Array, Array, Ints]:
     """Chains of sharp edges, cut into straight pieces: ends, tangents, sides (n, 2, 3), kinds (n,)."""
     vertices = np.asarray(surface.vertices)
-    ends, tangents, normals, kinds = [], [], [], []
+    ends, tangents, normals, kinds = [], [np.zeros((0, 2, 3))], [], []
     for which in EdgeKind.CREASE, EdgeKind.BOUNDARY:
         own = np.flatnonzero(kind == which)
         for chain, members in chains_of(edges[own]):
@@ -461,20 +409,15 @@ def _segments(
             tangents.append(tangents_along(knots))
             for a, b in pieces:
                 ends.append(vertices[[chain[a], chain[b]]])
-                normals.append(_mean_sides(sides[own[members[a:b]]]))
+                # the order of the sides may differ from edge to edge
+                two = sides[own[members[a:b]]]
+                swapped = (two[:, 0] - two[:, 1]) @ (two[0, 0] - two[0, 1]) < 0.0
+                normals.append(unit_rows(np.where(swapped[:, None, None], two[:, ::-1], two).mean(axis=0)))
                 kinds.append(int(which))
+    shape = (-1, 2, 3)
     return (
-        np.array(ends).reshape(-1, 2, 3),
-        np.concatenate(tangents) if tangents else np.zeros((0, 2, 3)),
-        np.array(normals).reshape(-1, 2, 3),
+        np.array(ends).reshape(shape),
+        np.concatenate(tangents),
+        np.array(normals).reshape(shape),
         np.array(kinds, dtype=np.int64),
     )
-
-
-def _mean_sides(sides: Array) -> Array:
-    """Two mean normals (2, 3) of (m, 2, 3), whose order may differ from edge to edge."""
-    first = sides[0]
-    swapped = np.einsum("mk,k->m", sides[:, 0] - sides[:, 1], first[0] - first[1]) < 0.0
-    ordered = np.where(swapped[:, None, None], sides[:, ::-1], sides)
-    mean = ordered.mean(axis=0)
-    return np.asarray(mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12))

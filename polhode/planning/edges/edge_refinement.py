@@ -16,8 +16,8 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from polhode.geometry.camera import RectifiedRig
-from polhode.geometry.lie import Array, Bools, Ints
-from polhode.planning.edges.edge_model import EdgeModel
+from polhode.geometry.lie import Array, Ints
+from polhode.planning.edges.edge_model import EdgeModel, unit_rows
 from polhode.planning.edges.image_profiles import Levels, gradient_extrema
 from polhode.planning.edges.observability_metric import edge_motion
 from polhode.planning.edges.stripes import CAUCHY
@@ -80,17 +80,44 @@ def refined_edges(
     """
     if not images:
         return RefinedEdges(model.only(np.zeros(0, dtype=np.int64)), np.zeros((0, 6, 6)))
-    start, axes = model, _across(model.ends_G)
-    prior = np.zeros((len(model.ends_G), 4, 4))
-    prior[:, np.arange(4), np.arange(4)] = np.repeat(_sigma_of_ends(model, mesh, sigma_m), 2, axis=1) ** -2.0
-    moved = np.zeros((len(model.ends_G), 4))
+    start, n = model, len(model.ends_G)
+    # two unit directions across each segment (n, 3, 2), along which its ends move
+    along = unit_rows(model.ends_G[:, 1] - model.ends_G[:, 0])
+    one = unit_rows(np.cross(along, np.eye(3)[np.argmin(np.abs(along), axis=1)]))
+    axes = np.stack([one, np.cross(along, one)], axis=2)
+    # the prior is that of the mesh and of its simplification
+    finite = sigma_m[np.isfinite(sigma_m)]
+    largest = float(finite.max()) if len(finite) else model.tolerance_m
+    _, near = cKDTree(mesh.vertices).query(model.ends_G.reshape(-1, 3), k=NEIGHBOURS)
+    sigma = np.hypot(np.median(np.minimum(sigma_m[near], largest), axis=1).reshape(-1, 2), model.tolerance_m)
+    prior = np.repeat(sigma, 2, axis=1)[:, :, None] ** -2.0 * np.eye(4)
+    moved = np.zeros((n, 4))
     for range_px, sigma_px in zip(RANGES_PX, SIGMAS_PX, strict=True):
-        rows = _rows(model, axes, rig, images, range_px)
-        moved, _ = _solve(rows, prior, moved, sigma_px)
-        model = _displaced(start, np.einsum("nij,nej->nei", axes, moved.reshape(-1, 2, 2)))
+        moved, _ = _solve(_rows(model, axes, rig, images, range_px), prior, moved, sigma_px)
+        ends = start.ends_G + np.einsum("nij,nej->nei", axes, moved.reshape(-1, 2, 2))
+        turn = unit_rows(ends[:, 1] - ends[:, 0]) - along
+        model = replace(start, ends_G=ends, tangents_G=unit_rows(start.tangents_G + turn[:, None]))
+
     rows = _rows(model, axes, rig, images, RANGES_PX[-1])
     _, information = _solve(rows, prior, moved, SIGMAS_PX[-1])
-    return _confirmed(model, axes, rows, prior, information)
+    segment = rows.segment
+    agrees = np.abs(np.nan_to_num(rows.nearest(np.zeros(len(segment))), nan=np.inf)) < AGREEMENT_PX
+    points = np.bincount(segment, minlength=n)
+    share = np.bincount(segment[agrees], minlength=n) / np.maximum(points, 1)
+    views, agreeing_views = (
+        np.bincount(np.unique(np.column_stack(pair), axis=0)[:, 0], minlength=n)
+        for pair in ((segment, rows.image), (segment[agrees], rows.image[agrees]))
+    )
+    # residuals of one edge in one image are not independent: its images count, not its points
+    points_per_view = np.maximum(points / np.maximum(views, 1), 1.0)
+    C = np.linalg.inv(prior + information / points_per_view[:, None, None])
+    A = np.zeros((n, 6, 4))
+    A[:, :3, :2] = A[:, 3:, 2:] = axes
+    across_m = np.sqrt(np.einsum("nii->n", C) / 4.0)
+    confirmed = (share >= MIN_AGREEING_SHARE) & (agreeing_views >= MIN_VIEWS)
+    confirmed &= across_m < MAX_SIGMA * model.radius_m
+    covariance = np.einsum("nij,njk,nlk->nil", A, C, A)
+    return RefinedEdges(model.only(np.flatnonzero(confirmed)), covariance[confirmed])
 
 
 @dataclass(frozen=True)
@@ -150,67 +177,10 @@ def _solve(rows: _Rows, prior: Array, moved: Array, sigma_px: float) -> tuple[Ar
     return place, N - prior
 
 
-def _confirmed(model: EdgeModel, axes: Array, rows: _Rows, prior: Array, information: Array) -> RefinedEdges:
-    """The segments that most of their control points agree with, in several images."""
-    n, segment = len(model.ends_G), rows.segment
-    agrees = np.abs(np.nan_to_num(rows.nearest(np.zeros(len(segment))), nan=np.inf)) < AGREEMENT_PX
-    points = np.bincount(segment, minlength=n)
-    share = np.bincount(segment[agrees], minlength=n) / np.maximum(points, 1)
-    views, agreeing_views = (
-        np.bincount(np.unique(np.column_stack(pair), axis=0)[:, 0], minlength=n)
-        for pair in ((segment, rows.image), (segment[agrees], rows.image[agrees]))
-    )
-    # residuals of one edge in one image are not independent: its images count, not its points
-    points_per_view = np.maximum(points / np.maximum(views, 1), 1.0)
-    C = np.linalg.inv(prior + information / points_per_view[:, None, None])
-    A = np.zeros((n, 6, 4))
-    A[:, :3, :2] = A[:, 3:, 2:] = axes
-    ends = np.einsum("nij,njk,nlk->nil", A, C, A)
-    sigma_m = np.sqrt(np.einsum("nii->n", C) / 4.0)
-    confirmed: Bools = (
-        (share >= MIN_AGREEING_SHARE) & (agreeing_views >= MIN_VIEWS) & (sigma_m < MAX_SIGMA * model.radius_m)
-    )
-    return RefinedEdges(model.only(np.flatnonzero(confirmed)), ends[confirmed])
-
-
-def _displaced(model: EdgeModel, by_G: Array) -> EdgeModel:
-    """The model with its ends moved (n, 2, 3); the directions of its edges turn with them."""
-    ends = model.ends_G + by_G
-    turn = _directions(ends) - _directions(model.ends_G)
-    tangents = model.tangents_G + turn[:, None]
-    tangents /= np.maximum(np.linalg.norm(tangents, axis=2, keepdims=True), 1e-12)
-    return replace(model, ends_G=ends, tangents_G=tangents)
-
-
-def _directions(ends_G: Array) -> Array:
-    """(n, 3) unit, from one end to the other."""
-    along = ends_G[:, 1] - ends_G[:, 0]
-    return np.asarray(along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12))
-
-
-def _sigma_of_ends(model: EdgeModel, mesh: trimesh.Trimesh, sigma_m: Array) -> Array:
-    """(n, 2) of the mesh and of its simplification [m]."""
-    finite = sigma_m[np.isfinite(sigma_m)]
-    largest = float(finite.max()) if len(finite) else model.tolerance_m
-    _, near = cKDTree(mesh.vertices).query(model.ends_G.reshape(-1, 3), k=NEIGHBOURS)
-    sigma = np.median(np.minimum(sigma_m[near], largest), axis=1).reshape(-1, 2)
-    return np.asarray(np.hypot(sigma, model.tolerance_m))
-
-
-def _across(ends_G: Array) -> Array:
-    """(n, 3, 2) two unit directions across each segment."""
-    along = _directions(ends_G)
-    least = np.eye(3)[np.argmin(np.abs(along), axis=1)]
-    one = np.cross(along, least)
-    one /= np.linalg.norm(one, axis=1, keepdims=True)
-    return np.stack([one, np.cross(along, one)], axis=2)
-
-
 def _by_ends(points: ControlPoints, ends_G: Array) -> Array:
+    """Derivative (m, 3, 6) of points of segments by the ends of theirs."""
     a, b = np.moveaxis(ends_G[points.feature], 1, 0)
     along = b - a
     length = np.maximum(np.einsum("mk,mk->m", along, along), 1e-18)
-    share = np.clip(np.einsum("mk,mk->m", points.p_G - a, along) / length, 0.0, 1.0)
-    return np.asarray(
-        np.concatenate([(1.0 - share)[:, None, None] * np.eye(3), share[:, None, None] * np.eye(3)], axis=2)
-    )
+    share = np.clip(np.einsum("mk,mk->m", points.p_G - a, along) / length, 0.0, 1.0)[:, None, None]
+    return np.concatenate([(1.0 - share) * np.eye(3), share * np.eye(3)], axis=2)

@@ -21,7 +21,7 @@ import numpy as np
 
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, inverse_pose
-from polhode.planning.edges.edge_model import EdgeModel
+from polhode.planning.edges.edge_model import EdgeModel, unit_rows
 from polhode.planning.edges.observability_metric import (
     EdgeObservability,
     edge_motion,
@@ -124,65 +124,47 @@ def expected_tracking(
     """
     light = light or around_camera()
     o_G = model.centre_G if about_G is None else about_G
-    points = _thinned(control_points(model, rig, X_RG, SPACING_PX) if points is None else points)
+    points = control_points(model, rig, X_RG, SPACING_PX) if points is None else points
+    # few of them, evenly over the edges, stand for all
+    chosen = points[np.arange(0, len(points), max(-(-len(points) // MAX_POINTS), 1))]
+    points = replace(chosen, weight=chosen.weight * (len(points) / max(len(chosen), 1)))
     own = every_point(model, rig, X_RG, SAMPLED_PX)
     every = own if known is None or known is model else every_point(known, rig, X_RG, SAMPLED_PX)
     stripes = stripes_across(points, every, X_RG, HALF_PX + MAX_SHIFT_PX)
     f = edge_motion(points, rig, X_RG, o_G)
     length = points.weight / np.maximum(times_measured(points, own), 1.0)
-    C, displacement = [], []
-    place = places(HALF_PX)
-    for grey in expected_profiles(model, points, rig, X_RG, light):
-        seen = fitted(place, grey, stripes).of(stripes, f, length, floor_px)
-        if not seen.counts.any():
-            C.append(np.zeros((6, 6)))
-            displacement.append(np.zeros(6))
-            continue
-        equations, _, _ = seen.normal_equations(seen.settled_places(), narrow=True)
-        C.append(equations.C)
-        displacement.append(observable_covariance(equations.C, model.radius_m) @ equations.pull)
-    information = EdgeObservability(np.mean(C, axis=0), model.radius_m, len(points))
-    return ExpectedTracking(information, np.array(displacement))
-
-
-def _thinned(points: ControlPoints) -> ControlPoints:
-    """At most ``MAX_POINTS``, evenly over the edges, which stand for all."""
-    step = -(-len(points) // MAX_POINTS) if len(points) else 1
-    chosen = points[np.arange(0, len(points), step)]
-    return replace(chosen, weight=chosen.weight * (len(points) / max(len(chosen), 1)))
+    C, displacement = np.zeros((len(light.sun_R), 6, 6)), np.zeros((len(light.sun_R), 6))
+    for k, grey in enumerate(expected_profiles(model, points, rig, X_RG, light)):
+        seen = fitted(places(HALF_PX), grey, stripes).of(stripes, f, length, floor_px)
+        if seen.counts.any():
+            equations, _, _ = seen.normal_equations(seen.settled_places(), narrow=True)
+            C[k] = equations.C
+            displacement[k] = observable_covariance(equations.C, model.radius_m) @ equations.pull
+    return ExpectedTracking(EdgeObservability(C.mean(axis=0), model.radius_m, len(points)), displacement)
 
 
 def expected_profiles(
     model: EdgeModel, points: ControlPoints, rig: RectifiedRig, X_RG: Array, light: ExpectedLight
 ) -> Array:
-    """Grey levels (k, m, n) under k Suns along the normals of m points, at ``places(HALF_PX)``, blurred."""
+    """Grey levels (k, m, n) under k Suns along the normals of m points, at ``places(HALF_PX)``, blurred.
+
+    Lambertian, one albedo, black sky, shadows of the Sun.
+    """
     place = places(HALF_PX)
     # between the samples of a profile: a ray through the edge itself would see one side or the other
     ray = places(HALF_PX + BEYOND_PX)[:-1] + 0.5 * STEP_PX
     kernel = np.exp(-0.5 * ((place[:, None] - ray) / BLUR_PX) ** 2)
     kernel /= kernel.sum(axis=1, keepdims=True)
-    uv = points.uv_px[:, None] + ray[:, None] * points.normal_px[:, None]
-    grey = _grey_levels(model, uv.reshape(-1, 2), rig, X_RG, light)
-    return np.ascontiguousarray(grey.reshape(len(light.sun_R), len(points), len(ray)) @ kernel.T)
-
-
-def _grey_levels(
-    model: EdgeModel, uv_px: Array, rig: RectifiedRig, X_RG: Array, light: ExpectedLight
-) -> Array:
-    """(k, r) of pixels (r, 2) under k Suns: Lambertian, one albedo, black sky, shadows of the Sun."""
+    uv = (points.uv_px[:, None] + ray[:, None] * points.normal_px[:, None]).reshape(-1, 2)
     X_GR = inverse_pose(X_RG)
     R_GR, eye_G = X_GR[:3, :3], X_GR[:3, 3]
-    ray_R = np.column_stack([(uv_px - [rig.cx_px, rig.cy_px]) / rig.focal_px, np.ones(len(uv_px))])
-    ray_G = ray_R @ R_GR.T
-    ray_G /= np.linalg.norm(ray_G, axis=1, keepdims=True)
-    hit, p_G, facing_G, normal_G = model.seen(eye_G, ray_G)
-    out = np.zeros((len(light.sun_R), len(uv_px)))
-    for level, sun_R, earth_R in zip(out, light.sun_R, light.earth_R, strict=True):
+    ray_R = np.column_stack([(uv - [rig.cx_px, rig.cy_px]) / rig.focal_px, np.ones(len(uv))])
+    hit, p_G, facing_G, normal_G = model.seen(eye_G, unit_rows(ray_R @ R_GR.T))
+    grey, lift_m = np.zeros((len(light.sun_R), len(uv))), SHADOW_LIFT * model.radius_m
+    for level, sun_R, earth_R in zip(grey, light.sun_R, light.earth_R, strict=True):
         sun_G, earth_G = R_GR @ sun_R, R_GR @ earth_R
-        towards = (facing_G @ sun_G > 0.0) & (normal_G @ sun_G > 0.0)
-        lift_m = SHADOW_LIFT * model.radius_m
-        start_G = p_G[towards] + lift_m * facing_G[towards]
-        towards[towards] = ~model.occluder.shades(sun_G, start_G, 0.5 * lift_m)
-        sunlight = np.where(towards, normal_G @ sun_G, 0.0)
+        lit = (facing_G @ sun_G > 0.0) & (normal_G @ sun_G > 0.0)
+        lit[lit] = ~model.occluder.shades(sun_G, p_G[lit] + lift_m * facing_G[lit], 0.5 * lift_m)
+        sunlight = np.where(lit, normal_G @ sun_G, 0.0)
         level[hit] = WHITE_DN * (sunlight + light.earth * 0.5 * (1.0 + normal_G @ earth_G))
-    return out
+    return grey.reshape(len(light.sun_R), len(points), len(ray)) @ kernel.T

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from polhode.geometry.lie import Array, Ints
+from polhode.geometry.lie import Array
 from polhode.planning.edges.edge_model import EdgeModel, edge_model
 
 REDUCTION = 0.6
@@ -17,13 +17,10 @@ REDUCTION = 0.6
 MIN_FACES = 60
 MIN_AGREEMENT = 0.95
 """Smallest share of either surface that is within the tolerance of the other."""
-MEASURED_TOLERANCE = 2e-3
-"""Smallest tolerance for a measured mesh, as a share of its diameter."""
-MEASURED_MIN_LENGTH = 0.025
-"""Shorter edges of a measured mesh are noise, as a share of its diameter."""
+MEASURED_TOLERANCE, MEASURED_MIN_LENGTH = 2e-3, 0.025
+"""Smallest tolerance for a measured mesh, and length of an edge that is no noise: shares of its diameter."""
 MEASURED_FLAT_DEG = 20.0
 """The normals of a measured plane deviate by less from their mean."""
-_SAMPLES = 20_000
 
 
 def measured_edge_model(mesh: trimesh.Trimesh, sigma_m: Array) -> EdgeModel:
@@ -53,35 +50,28 @@ def simplified(mesh: trimesh.Trimesh, tolerance_m: float) -> trimesh.Trimesh:
     tree = cKDTree(points)
     faces = REDUCTION * len(mesh.faces)
     while faces >= MIN_FACES:
-        tried = _reduced(best, int(faces))
-        # Below what quadric simplification can reach, it returns the mesh nearly unchanged.
-        if len(tried.faces) == 0 or len(tried.faces) > 0.98 * len(best.faces):
+        vertices, triangles = fast_simplification.simplify(
+            np.asarray(best.vertices, dtype=np.float32),
+            np.asarray(best.faces, dtype=np.int32),
+            target_count=int(faces),
+            agg=3,
+        )
+        # below what quadric simplification can reach, it returns the mesh nearly unchanged
+        if len(triangles) == 0 or len(triangles) > 0.98 * len(best.faces):
             break
+        tried = trimesh.Trimesh(vertices, triangles, process=False)
         own, own_normals = _samples(tried)
-        back = _distance(cKDTree(own), own, own_normals, points)
-        distances = _distance(tree, points, normals, own), back
-        if min(float((d <= tolerance_m).mean()) for d in distances) < MIN_AGREEMENT:
+        there, back = _distance(tree, points, normals, own), _distance(cKDTree(own), own, own_normals, points)
+        if min((there <= tolerance_m).mean(), (back <= tolerance_m).mean()) < MIN_AGREEMENT:
             break
-        best = tried
-        faces *= REDUCTION
+        best, faces = tried, faces * REDUCTION
     return best
-
-
-def _reduced(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
-    vertices, triangles = fast_simplification.simplify(
-        np.asarray(mesh.vertices, dtype=np.float32),
-        np.asarray(mesh.faces, dtype=np.int32),
-        target_count=faces,
-        agg=3,
-    )
-    return trimesh.Trimesh(vertices, triangles, process=False)
 
 
 def _samples(mesh: trimesh.Trimesh) -> tuple[Array, Array]:
     """Points (n, 3) sampled on the surface, the normals of their faces (n, 3); deterministic."""
-    points, face = trimesh.sample.sample_surface(mesh, _SAMPLES, seed=0)
-    which: Ints = np.asarray(face)
-    return np.asarray(points), np.asarray(mesh.face_normals)[which]
+    points, face = trimesh.sample.sample_surface(mesh, 20_000, seed=0)
+    return np.asarray(points), np.asarray(mesh.face_normals)[face]
 
 
 def _distance(tree: cKDTree, points: Array, normals: Array, other: Array) -> Array:

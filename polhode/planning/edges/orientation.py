@@ -79,13 +79,21 @@ class Orientation:
 
 def outward_orientation(surface: trimesh.Trimesh, shaded: Shaded) -> Orientation:
     """Consistent faces with normals outward, where sides of the surface are unequally visible."""
-    count = len(surface.faces)
+    count, area = len(surface.faces), np.asarray(surface.area_faces)
     edges = mesh_edges(surface)
-    patch, same_as_first, one_sided = _patches(count, edges)
-    area = np.asarray(surface.area_faces)
+    # A graph in which each face occurs twice, as given and reversed: the components of a patch are two mirror
+    # images, or one where the patch is one-sided.
+    pair = edges.count == 2
+    a, b, agree = edges.first[pair], edges.second[pair], edges.agree[pair]
+    rows = np.concatenate([a, a + count])
+    columns = np.concatenate([np.where(agree, b, b + count), np.where(agree, b + count, b)])
+    graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(2 * count, 2 * count))
+    given_label, turned_label = connected_components(graph, directed=False)[1].reshape(2, count)
+    patch = np.unique(np.minimum(given_label, turned_label), return_inverse=True)[1].reshape(-1)
+    same_as_first, one_sided = given_label <= turned_label, given_label == turned_label
+
     sense = np.where(same_as_first, 1.0, -1.0)
-    given = np.bincount(patch, area * sense)
-    total = np.bincount(patch, area)
+    given, total = np.bincount(patch, area * sense), np.bincount(patch, area)
     consistent = np.abs(given) > (1.0 - 1e-9) * total
     front, back = _visibility(surface, patch, shaded)
     # of the orientation in which faces with a sense of 1 remain as they are
@@ -101,48 +109,25 @@ def outward_orientation(surface: trimesh.Trimesh, shaded: Shaded) -> Orientation
     return Orientation(np.asarray(reverse), one_sided, np.asarray(closed[patch] & ~one_sided))
 
 
-def _patches(faces: int, edges: MeshEdges) -> tuple[Ints, Bools, Bools]:
-    """Number (f,) of each face's patch, whether it agrees with the patch's first face, one-sided faces.
-
-    Components of a graph in which each face occurs twice, as given and reversed: those of a patch are two
-    mirror images, or one where the patch is one-sided.
-    """
-    pair = edges.count == 2
-    a, b = edges.first[pair], edges.second[pair]
-    reversed_b = np.where(edges.agree[pair], b, b + faces)
-    other_b = np.where(edges.agree[pair], b + faces, b)
-    rows, columns = np.concatenate([a, a + faces]), np.concatenate([reversed_b, other_b])
-    graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(2 * faces, 2 * faces))
-    _, label = connected_components(graph, directed=False)
-    as_given, turned = label[:faces], label[faces:]
-    _, patch = np.unique(np.minimum(as_given, turned), return_inverse=True)
-    return np.asarray(patch.reshape(-1)), np.asarray(as_given <= turned), np.asarray(as_given == turned)
-
-
 def _visibility(surface: trimesh.Trimesh, patch: Ints, shaded: Shaded) -> tuple[Array, Array]:
     """(f,) light of the whole sky that reaches front and back of sampled faces, times their areas."""
     order = np.argsort(patch, kind="stable")
     size = np.bincount(patch)
     number = np.arange(len(patch)) - np.repeat(np.cumsum(size) - size, size)
-    step = -(-size // SAMPLES)
-    chosen = order[number % step[patch[order]] == 0]
+    chosen = order[number % (-(-size // SAMPLES))[patch[order]] == 0]
     centre, normal = np.asarray(surface.triangles_center)[chosen], np.asarray(surface.face_normals)[chosen]
     clearance_m = CLEARANCE * float(np.linalg.norm(np.ptp(surface.bounds, axis=0)))
-    front, back = np.zeros(len(patch)), np.zeros(len(patch))
-    for direction in evenly_over_the_sphere(DIRECTIONS):
-        lit = ~shaded(direction, centre, clearance_m)
-        cosine = np.where(lit, normal @ direction, 0.0)
-        front[chosen] += np.maximum(cosine, 0.0)
-        back[chosen] += np.maximum(-cosine, 0.0)
-    area = np.asarray(surface.area_faces)
-    return front * area, back * area
-
-
-def evenly_over_the_sphere(count: int) -> Array:
-    """Unit vectors (count, 3) along a spiral of the golden angle."""
-    k = np.arange(count) + 0.5
-    z, around = 1.0 - 2.0 * k / count, np.pi * (3.0 - np.sqrt(5.0)) * k
-    return np.column_stack([np.sqrt(1 - z**2) * np.cos(around), np.sqrt(1 - z**2) * np.sin(around), z])
+    both = np.zeros((2, len(patch)))
+    # directions along a spiral of the golden angle
+    k = np.arange(DIRECTIONS) + 0.5
+    z, around = 1.0 - 2.0 * k / DIRECTIONS, np.pi * (3.0 - np.sqrt(5.0)) * k
+    for direction in np.column_stack(
+        [np.sqrt(1 - z**2) * np.cos(around), np.sqrt(1 - z**2) * np.sin(around), z]
+    ):
+        cosine = np.where(shaded(direction, centre, clearance_m), 0.0, normal @ direction)
+        both[:, chosen] += np.maximum([cosine, -cosine], 0.0)
+    front, back = both * np.asarray(surface.area_faces)
+    return front, back
 
 
 def winding_number(triangles: Array, p: Array) -> float:

@@ -18,10 +18,8 @@ import numpy as np
 
 from polhode.geometry.lie import Array, Ints
 
-STEPS = 60
-"""Of Frank and Wolfe"""
-HALVINGS = 8
-"""Of the interval in which the length of a step is sought"""
+STEPS, HALVINGS = 60, 8
+"""Of Frank and Wolfe, and of the interval in which the length of a step is sought"""
 CLOSE = 1e-9
 """Gap between value and bound at which the steps end"""
 
@@ -56,38 +54,28 @@ def greedy(scaled: Array, count: int) -> EdgeSelection:
     return EdgeSelection(np.array(chosen, dtype=np.int64), value)
 
 
-def upper_bound(scaled: Array, count: int, steps: int = STEPS) -> float:
+def upper_bound(scaled: Array, count: int) -> float:
     """Upper bound of the value of any set of ``count`` features of (T, n, 6, 6)."""
     n = scaled.shape[1]
     w, bound = np.full(n, min(1.0, count / n)), np.inf
-    for _ in range(steps):
+    for _ in range(STEPS):
         M = np.eye(6) + np.einsum("n,tnij->tij", w, scaled)
-        slope = _slope(scaled, M)
+        inverse = np.linalg.inv(M)
+        # derivative of the value with respect to the fractions
+        slope = np.einsum("tij,tnji->n", inverse @ inverse, scaled, optimize=True) / len(M)
         corner = np.zeros(n)
         corner[np.argsort(-slope, kind="stable")] = np.clip(count - np.arange(n), 0.0, 1.0)
         gap = float(slope @ (corner - w))
         bound = min(bound, float(value_of(M)) + gap)
         if gap < CLOSE:
             break
+        # the step length in [0, 1] that maximizes the value: bisection on the slope
         step = np.einsum("n,tnij->tij", corner - w, scaled)
-        w = w + _step_length(M, step) * (corner - w)
+        low, high = 0.0, 1.0
+        for _ in range(HALVINGS):
+            s = 0.5 * (low + high)
+            inverse = np.linalg.inv(M + s * step)
+            uphill = float(np.einsum("tij,tji->", inverse @ inverse, step)) > 0.0
+            low, high = (s, high) if uphill else (low, s)
+        w = w + 0.5 * (low + high) * (corner - w)
     return bound
-
-
-def _slope(scaled: Array, M: Array) -> Array:
-    """Derivative (n,) of the value with respect to the fractions."""
-    inverse = np.linalg.inv(M)
-    return np.asarray(np.einsum("tij,tnji->n", inverse @ inverse, scaled, optimize=True) / len(M))
-
-
-def _step_length(M: Array, step: Array) -> float:
-    """Step length in [0, 1] that maximizes the value along M + s step: bisection on the slope."""
-    low, high = 0.0, 1.0
-    for _ in range(HALVINGS):
-        s = 0.5 * (low + high)
-        inverse = np.linalg.inv(M + s * step)
-        if float(np.einsum("tij,tji->", inverse @ inverse, step)) > 0.0:
-            low = s
-        else:
-            high = s
-    return 0.5 * (low + high)

@@ -27,10 +27,8 @@ MAX_EXCHANGES = 400_000
 """Pairs and the features that replace them, beyond which no exchange is tried"""
 MANY_CANDIDATES = 600
 """Among more candidates, sets are built from several edges at a time."""
-STEPS = 200
-"""Number of such steps from none to all"""
-CUTS = 20
-"""Tangents of each limit"""
+STEPS, CUTS = 200, 20
+"""Number of such steps from none to all, and of tangents of each limit"""
 
 
 @dataclass(frozen=True)
@@ -88,71 +86,57 @@ class SigmaLimits:
 def smallest_set(information: FeatureInformation, factor: float = FACTOR) -> SmallestSet:
     """A small set within the factor, and a lower bound of its size."""
     limits = SigmaLimits(information, factor)
-    first = _backward_elimination(limits, _forward_greedy(limits))
     many = len(limits.candidates) > MANY_CANDIDATES
-    second = first if many else _backward_elimination(limits, limits.candidates.tolist())
-    best = _exchange_pairs(limits, min((second, first), key=len))
-    features = np.array(sorted(best), dtype=np.int64)
+    together = len(limits.candidates) // STEPS if many else 1
+    best = _without_redundant(limits, _forward_greedy(limits, together), together)
+    if not many:
+        best = min(_without_redundant(limits, limits.candidates.tolist(), 1), best, key=len)
+    features = np.array(sorted(_exchange_pairs(limits, best)), dtype=np.int64)
     return SmallestSet(features, limits.ratio(limits.of(features)), min_number(limits))
 
 
 def min_number(limits: SigmaLimits) -> int:
     """Lower bound of the number of features: the least sum of fractions, from below, rounded up."""
-    return max(1, int(np.ceil(_least_fractions(limits) - 1e-6)))
-
-
-def _least_fractions(limits: SigmaLimits) -> float:
-    """Lower bound of the sum of fractions of the candidates within the limits."""
-    n = len(limits.candidates)
+    C, total = limits.C[:, limits.candidates], limits.sum[limits.degrees]
+    n = C.shape[1]
     # with equal fractions every variance rises by their inverse
     w = np.full(n, limits.factor**-2)
     rows, right, bound = [], [], 0.0
     for _ in range(CUTS):
-        value, gradient = _excess_and_slope(limits, w)
-        rows.append(gradient)
-        right.append(gradient @ w - value)
+        # excess (d,) of the relative variances over the limits, and its derivative (d, n)
+        inverse = np.linalg.inv(np.einsum("n,tnij->tij", w, C) + 1e-9 * np.eye(6))
+        own = np.where(limits.observable, np.diagonal(inverse, axis1=1, axis2=2), 0.0).sum(axis=0)
+        each = np.einsum("tdi,tnij,tjd->tnd", inverse, C, inverse, optimize=True)
+        part = np.where(limits.observable[:, None], each, 0.0).sum(axis=0)
+        excess = own[limits.degrees] / total - limits.factor**2
+        rows.append(-(part[:, limits.degrees] / total).T)
+        right.append(rows[-1] @ w - excess)
         found = linprog(np.ones(n), np.vstack(rows), np.concatenate(right), bounds=(0.0, 1.0), method="highs")
         if found.x is None:
             break
         bound = max(bound, float(found.fun))
         # halfway: the optima of the first programs are far from the solution
         w = 0.5 * (np.clip(found.x, 0.0, 1.0) + w)
-    return bound
+    return max(1, int(np.ceil(bound - 1e-6)))
 
 
-def _excess_and_slope(limits: SigmaLimits, w: Array) -> tuple[Array, Array]:
-    """Excess (d,) of relative variances over the limits for fractions w (n,), and its derivative (d, n)."""
-    C = limits.C[:, limits.candidates]
-    inverse = np.linalg.inv(np.einsum("n,tnij->tij", w, C) + 1e-9 * np.eye(6))
-    own = np.where(limits.observable, np.diagonal(inverse, axis1=1, axis2=2), 0.0).sum(axis=0)
-    each = np.einsum("tdi,tnij,tjd->tnd", inverse, C, inverse, optimize=True)
-    part = np.where(limits.observable[:, None], each, 0.0).sum(axis=0)
-    total = limits.sum[limits.degrees]
-    excess = own[limits.degrees] / total - limits.factor**2
-    return np.asarray(excess), np.asarray(-(part[:, limits.degrees] / total).T)
-
-
-def _forward_greedy(limits: SigmaLimits) -> list[int]:
-    """Forward greedy from the empty set until all limits are met."""
+def _forward_greedy(limits: SigmaLimits, together: int) -> list[int]:
+    """From the empty set until all limits are met, ``together`` features at a time."""
     chosen: list[int] = []
     total = np.zeros_like(limits.C[:, 0])
-    free = limits.candidates.tolist()
-    together = len(free) // STEPS if len(free) > MANY_CANDIDATES else 1
-    while not bool(limits.meets(total)) and free:
+    free = limits.candidates
+    while not bool(limits.meets(total)) and len(free):
         excess = limits.excess(total + np.swapaxes(limits.C[:, free], 0, 1))
         best = np.argsort(excess, kind="stable")[:together]
-        added = [free[at] for at in best]
-        free = np.delete(free, best).tolist()
-        chosen += added
-        total = total + limits.of(added)
+        chosen += free[best].tolist()
+        total = total + limits.of(free[best])
+        free = np.delete(free, best)
     return chosen
 
 
-def _backward_elimination(limits: SigmaLimits, chosen: list[int]) -> list[int]:
-    """Backward elimination: remove the least important feature while the limits are met."""
-    chosen = list(chosen)
+def _without_redundant(limits: SigmaLimits, chosen: list[int], together: int) -> list[int]:
+    """Backward elimination: the least important features are removed while the limits are met."""
     total = limits.of(chosen)
-    together = len(limits.candidates) // STEPS if len(limits.candidates) > MANY_CANDIDATES else 1
     while len(chosen) > 1:
         left = total - np.swapaxes(limits.C[:, chosen], 0, 1)
         ratio = np.nan_to_num(limits.ratio(left)[:, limits.degrees], nan=np.inf).max(axis=1)

@@ -16,7 +16,6 @@ import numpy as np
 
 from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
 from polhode.planning.edges.visible_edges import ControlPoints
-from polhode.runtime.compiled import compiled_ieee
 
 LINES = 6
 """Stripes across a point that are kept, the nearest"""
@@ -77,74 +76,49 @@ def stripes_across(points: ControlPoints, every: ControlPoints, X_RG: Array, rea
     """
     light, side = light_classes(points, X_RG)
     offset, width, slope = _lines_across(points, every, reach_px)
-    return Stripes(offset, width, slope, light, side, _on_curved_surface(points, X_RG))
-
-
-def _lines_across(points: ControlPoints, every: ControlPoints, reach_px: float) -> Array:
-    """Offset, width and slope (3, m, LINES)."""
-    out = np.full((3, len(points), LINES), np.nan)
-    order = np.argsort(every.uv_px[:, 0])
-    uv, normal = every.uv_px[order], every.normal_px[order]
-    _gather(points.uv_px, points.normal_px, uv, normal, reach_px, out)
-    return out
-
-
-def _on_curved_surface(points: ControlPoints, X_RG: Array) -> Bools:
-    """(m,) whether both sides have the same normal, perpendicular to the line of sight."""
+    # an outline has the same normal on both sides, perpendicular to the line of sight
     alike = (points.sides_G[:, 0] == points.sides_G[:, 1]).all(axis=1)
     ray = points.p_G - inverse_pose(X_RG)[:3, 3]
     sine = np.einsum("mk,mk->m", points.sides_G[:, 0], ray) / np.linalg.norm(ray, axis=1)
-    return np.asarray(alike & (np.abs(sine) < _GRAZING))
+    return Stripes(offset, width, slope, light, side, np.asarray(alike & (np.abs(sine) < _GRAZING)))
 
 
-@compiled_ieee
-def _gather(
-    uv: Array, normal: Array, every_uv: Array, every_normal: Array, reach_px: float, out: Array
-) -> None:
-    """Offset, width and slope (3, m, LINES) of the stripes across points; ``every_uv`` ascends in u."""
-    offset, slope = np.zeros(len(every_uv) + 1), np.zeros(len(every_uv) + 1)
-    middle = np.zeros(len(every_uv) + 1)
-    radius = np.hypot(reach_px, _ALONG_PX)
-    for i in range(len(uv)):
-        n0, n1 = normal[i, 0], normal[i, 1]
-        # its own line
-        offset[0], slope[0], count = 0.0, 0.0, 1
-        k = np.searchsorted(every_uv[:, 0], uv[i, 0] - radius)
-        while k < len(every_uv) and every_uv[k, 0] <= uv[i, 0] + radius:
-            du, dv = every_uv[k, 0] - uv[i, 0], every_uv[k, 1] - uv[i, 1]
-            along = n0 * dv - n1 * du
-            cosine = every_normal[k, 0] * n0 + every_normal[k, 1] * n1
-            if abs(along) < _ALONG_PX and abs(cosine) >= _STEEPEST:
-                tangent = (n0 * every_normal[k, 1] - n1 * every_normal[k, 0]) / cosine
-                there = du * n0 + dv * n1 + along * tangent
-                if abs(there) <= reach_px:
-                    # in ascending order
-                    at = count
-                    while at > 0 and offset[at - 1] > there:
-                        offset[at], slope[at] = offset[at - 1], slope[at - 1]
-                        at -= 1
-                    offset[at], slope[at] = there, abs(tangent)
-                    count += 1
-            k += 1
-        stripes, first = 0, 0
-        for at in range(1, count + 1):
-            if at == count or offset[at] - offset[at - 1] > JOINED_PX:
-                here, width = 0.5 * (offset[first] + offset[at - 1]), offset[at - 1] - offset[first]
-                steepest = slope[first]
-                for each in range(first, at):
-                    steepest = max(steepest, slope[each])
-                # the nearest ones, in ascending order of their distance
-                place = min(stripes, LINES)
-                while place > 0 and middle[place - 1] > abs(here):
-                    if place < LINES:
-                        middle[place] = middle[place - 1]
-                        out[:, i, place] = out[:, i, place - 1]
-                    place -= 1
-                if place < LINES:
-                    middle[place] = abs(here)
-                    out[0, i, place], out[1, i, place], out[2, i, place] = here, width, steepest
-                stripes += 1
-                first = at
+def _lines_across(points: ControlPoints, every: ControlPoints, reach_px: float) -> Array:
+    """Offset, width and slope (3, m, LINES) of the nearest stripes."""
+    out = np.full((3, len(points), LINES), np.nan)
+    if len(points) == 0:
+        return out
+    # pairs of points and what may lie across them: in a column of the image, then along the normal
+    radius, order = np.hypot(reach_px, _ALONG_PX), np.argsort(every.uv_px[:, 0])
+    u = every.uv_px[order, 0]
+    first = np.searchsorted(u, points.uv_px[:, 0] - radius)
+    count = np.searchsorted(u, points.uv_px[:, 0] + radius, side="right") - first
+    point = np.repeat(np.arange(len(points)), count)
+    other = order[np.arange(len(point)) - np.repeat(np.cumsum(count) - count - first, count)]
+    (du, dv), (n0, n1) = (every.uv_px[other] - points.uv_px[point]).T, points.normal_px[point].T
+    o0, o1 = every.normal_px[other].T
+    along, cosine = n0 * dv - n1 * du, o0 * n0 + o1 * n1
+    tangent = (n0 * o1 - n1 * o0) / np.where(cosine == 0.0, 1.0, cosine)
+    there = du * n0 + dv * n1 + along * tangent
+    near = (np.abs(along) < _ALONG_PX) & (np.abs(cosine) >= _STEEPEST) & (np.abs(there) <= reach_px)
+    # with the point's own line, in ascending order for each point
+    own = np.arange(len(points))
+    point = np.concatenate([own, point[near]])
+    there = np.concatenate([0.0 * own, there[near]])
+    slope = np.concatenate([0.0 * own, np.abs(tangent[near])])
+    order = np.lexsort((there, point))
+    point, there, slope = point[order], there[order], slope[order]
+    begins = np.append(True, (np.diff(point) > 0) | (np.diff(there) > JOINED_PX))
+    first, last = np.flatnonzero(begins), np.flatnonzero(np.append(begins[1:], True))
+    middle, owner = 0.5 * (there[first] + there[last]), point[first]
+    stripes = np.stack([middle, there[last] - there[first], np.maximum.reduceat(slope, first)])
+    # the nearest ones, in ascending order of their distance
+    order = np.lexsort((np.abs(middle), owner))
+    owner = owner[order]
+    rank = np.arange(len(owner)) - np.searchsorted(owner, owner)
+    kept = rank < LINES
+    out[:, owner[kept], rank[kept]] = stripes[:, order[kept]]
+    return out
 
 
 def light_classes(points: ControlPoints, X_RG: Array) -> tuple[Ints, Array]:
@@ -211,21 +185,6 @@ def times_measured(points: ControlPoints, own: ControlPoints) -> Array:
     return np.asarray(np.isfinite(offset_px).sum(axis=1), dtype=np.float64)
 
 
-def median_scale(residual: Array, weight: Array) -> float:
-    """Sigma of residuals (m,) from their weighted median size, in their unit."""
-    size = np.abs(residual)
-    order = np.argsort(size)
-    half = int(np.searchsorted(np.cumsum(weight[order]), 0.5 * float(weight.sum())))
-    return MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]])
-
-
-def robust_weight(u: Array, narrow: bool) -> Array:
-    """Weights of residuals in sigmas: Tukey's, which forgets what is far off; Cauchy's until near."""
-    if narrow:
-        return np.asarray(np.where(np.abs(u) < TUKEY, (1.0 - (u / TUKEY) ** 2) ** 2, 0.0))
-    return np.asarray(1.0 / (1.0 + (u / CAUCHY) ** 2))
-
-
 @dataclass(frozen=True)
 class MeasuredStripes:
     """The stripes across m control points, measured."""
@@ -255,8 +214,14 @@ class MeasuredStripes:
         """
         residual = np.where(self.counts, self.residual(place), 0.0)
         length = self.length / self.sigma_px**2
-        scale = max(median_scale(residual[self.counts], length[self.counts]), 1.0)
-        weight = length * robust_weight(residual / scale, narrow) * self.counts
+        size, share = np.abs(residual[self.counts]), length[self.counts]
+        order = np.argsort(size)
+        half = int(np.searchsorted(np.cumsum(share[order]), 0.5 * float(share.sum())))
+        scale = max(MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]]), 1.0)
+        u = residual / scale
+        # Tukey's weights forget what is far off; Cauchy's, until the pose is near, do not
+        tukey = np.where(np.abs(u) < TUKEY, (1.0 - (u / TUKEY) ** 2) ** 2, 0.0)
+        weight = length * (tukey if narrow else 1.0 / (1.0 + (u / CAUCHY) ** 2)) * self.counts
         return self.weighted(weight / scale**2), weight, scale
 
     def weighted(self, weight: Array) -> StripeInformation:

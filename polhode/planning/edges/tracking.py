@@ -33,7 +33,6 @@ from polhode.planning.edges.stripes import (
     MAX_SIGMA_PX,
     SAMPLED_PX,
     MeasuredStripes,
-    StripeInformation,
     stripes_across,
     times_measured,
 )
@@ -123,24 +122,21 @@ def track_edges(
     """
     options = options or TrackingOptions()
     tracker = _Tracker(model, known or model, rig, as_levels(image), options)
-    found = [tracker.from_guess(X_RG)]
+    found = tracker.run(X_RG, options.ranges_px, [])
     rng = np.random.default_rng(0)
-    for number in range(options.restarts):
-        best = _best(found)
-        if not len(best.points) or (best.converged and best.agreement >= SUFFICIENT_AGREEMENT):
+    for number in range(options.restarts + 1):
+        # the one that converged and that the image confirms most of: of edges, not of its own expectation
+        best = max(found, key=lambda each: (each.converged, each.confirmed))
+        sure = best.converged and best.agreement >= SUFFICIENT_AGREEMENT
+        if number == options.restarts or not len(best.points) or sure:
             break
         # in turn from the best pose and from the guess, which it may have left for good
         near = (X_RG, best.X_RG)[number % 2]
         f = edge_motion(best.points, rig, near, model.centre_G)
         step = rng.standard_normal(6)
         step *= RESTART_PX / max(float(np.sqrt(np.mean((f @ step) ** 2))), 1e-12)
-        found += tracker.from_another_start(moved(near, step, model.centre_G), found)
-    return _best(found)
-
-
-def _best(found: Sequence[TrackedPose]) -> TrackedPose:
-    """The one that converged and that the image confirms most of: of edges, not of its own expectation."""
-    return max(found, key=lambda each: (each.converged, each.confirmed))
+        found += tracker.run(moved(near, step, model.centre_G), NEAR_RANGES_PX, found)
+    return best
 
 
 @dataclass(frozen=True)
@@ -186,55 +182,43 @@ class _Tracker:
         segments = [ends.tobytes() in own for ends in self.known.ends_G]
         return np.append(np.array(segments, dtype=bool), self.model.outlined)
 
-    def from_guess(self, X_RG: Array) -> TrackedPose:
-        """From where the pose is thought to be."""
-        if transform_points(X_RG, self.model.centre_G[None])[0, 2] <= 0.0:
-            return self._no_pose(X_RG, "the target is behind the camera")
-        return self._result(self._settle(self._approach(self._search(X_RG, self.options.ranges_px))))
+    def run(self, X_RG: Array, ranges_px: Sequence[float], found: Sequence[TrackedPose]) -> list[TrackedPose]:
+        """The pose from a start; none where it leads to one that has been found.
 
-    def from_another_start(self, X_RG: Array, found: Sequence[TrackedPose]) -> list[TrackedPose]:
-        """From a start beside it; nothing where it leads to a pose that has been found."""
-        iterate = self._search(X_RG, NEAR_RANGES_PX)
-        for onward in self._approach, self._settle:
-            if not iterate.failure and any(
-                self._distance_px(each, iterate.X_RG) < SAME_POSE_PX for each in found
-            ):
+        First each point takes the displacement within a range that explains its profile best; then the pose
+        goes on from where the edges are, with weights that forget nothing; and at last without what is far
+        off, in the end by half steps, as poses may go to and fro.
+        """
+        if transform_points(X_RG, self.model.centre_G[None])[0, 2] <= 0.0:
+            return [self._no_pose(X_RG, "the target is behind the camera")]
+        iterate = _Iterate(X_RG)
+        for phase in range(3):
+            if phase and any(self._is_near(each, iterate) for each in found):
                 return []
-            iterate = onward(iterate)
+            if phase == 0:
+                for range_px in ranges_px:
+                    iterate = self._step(iterate, range_px, narrow=False)
+            elif phase == 1:
+                for _ in range(CAUCHY_STEPS):
+                    iterate = self._step(iterate, None, narrow=False)
+            else:
+                for number in range(TUKEY_STEPS):
+                    half = 2 * number >= TUKEY_STEPS
+                    iterate = self._step(iterate, None, narrow=True, share=0.5 if half else 1.0)
         return [self._result(iterate)]
 
-    def _distance_px(self, found: TrackedPose, X_RG: Array) -> float:
-        """Between a pose that was found and another one: root mean square across the edges."""
-        if not len(found.points):
-            return np.inf
+    def _is_near(self, found: TrackedPose, iterate: _Iterate) -> bool:
+        """Whether a pose that was found and another one agree: root mean square across the edges."""
+        if iterate.failure or not len(found.points):
+            return False
         f = edge_motion(found.points, self.rig, found.X_RG, self.model.centre_G)
-        return float(np.sqrt(np.mean((f @ pose_error(X_RG, found.X_RG, self.model.centre_G)) ** 2)))
-
-    def _search(self, X_RG: Array, ranges_px: tuple[float, ...]) -> _Iterate:
-        """Each point takes the displacement within a range that explains its profile best."""
-        iterate = _Iterate(X_RG)
-        for range_px in ranges_px:
-            if not iterate.failure:
-                iterate = self._step(iterate, range_px, narrow=False)
-        return iterate
-
-    def _approach(self, iterate: _Iterate) -> _Iterate:
-        """On from where the edges are, with weights that forget nothing."""
-        for _ in range(CAUCHY_STEPS):
-            iterate = iterate if iterate.failure else self._step(iterate, None, narrow=False)
-        return iterate
-
-    def _settle(self, iterate: _Iterate) -> _Iterate:
-        """To the end, without what is far off; at last by half steps, as poses may go to and fro."""
-        for number in range(TUKEY_STEPS):
-            if iterate.failure or iterate.settled:
-                break
-            share = 1.0 if 2 * number < TUKEY_STEPS else 0.5
-            iterate = self._step(iterate, None, narrow=True, share=share)
-        return iterate
+        off_px = f @ pose_error(iterate.X_RG, found.X_RG, self.model.centre_G)
+        return float(np.sqrt(np.mean(off_px**2))) < SAME_POSE_PX
 
     def _step(self, iterate: _Iterate, range_px: float | None, narrow: bool, share: float = 1.0) -> _Iterate:
         """A share of one step of the pose; ``narrow``: with weights that forget what is far off."""
+        if iterate.failure or iterate.settled:
+            return iterate
         view, drift_px = iterate.view, iterate.drift_px
         if view is None or drift_px > RECOMPUTED_PX:
             view, drift_px = self._view(iterate.X_RG), 0.0
@@ -247,23 +231,20 @@ class _Tracker:
         if range_px is not None or len(place) != measured.stripes.classes:
             place = np.zeros(measured.stripes.classes)
         equations, _, _ = measured.normal_equations(place, narrow=narrow)
-        step = share * self._solve(equations, iterate.X_RG)
+        C, pull, prior = equations.C, equations.pull, self.options.prior
+        if prior is not None:
+            C = C + prior.information
+            pull = pull - prior.information @ pose_error(iterate.X_RG, prior.X_RG, self.model.centre_G)
+        # least squares in the directions that are seen; a step of half a radius is a sigma too far
+        values, directions, seen = spectrum(C, self.model.radius_m)
+        unit = motion_scale(self.model.radius_m)
+        part = np.where(seen, directions.T @ (unit * pull) / (np.maximum(values, 0.0) + 4.0), 0.0)
+        step = share * unit * (directions @ part)
         if range_px is None:
             place = equations.places(step)
         motion_px = float(np.sqrt(np.mean((measured.f @ step) ** 2)))
         X_RG = moved(iterate.X_RG, step, self.model.centre_G)
         return _Iterate(X_RG, view, drift_px + motion_px, place, narrow and motion_px < SETTLED_PX)
-
-    def _solve(self, equations: StripeInformation, X_RG: Array) -> Array:
-        """Least squares (6,) in the directions that are seen; a step of half a radius is a sigma too far."""
-        C, pull, prior = equations.C, equations.pull, self.options.prior
-        if prior is not None:
-            C = C + prior.information
-            pull = pull - prior.information @ pose_error(X_RG, prior.X_RG, self.model.centre_G)
-        values, directions, seen = spectrum(C, self.model.radius_m)
-        unit = motion_scale(self.model.radius_m)
-        part = np.where(seen, directions.T @ (unit * pull) / (np.maximum(values, 0.0) + 4.0), 0.0)
-        return np.asarray(unit * (directions @ part))
 
     def _view(self, X_RG: Array, known: ControlPoints | None = None) -> _View:
         """``known``: the points of all edges that are known there, if they are at hand."""
@@ -285,20 +266,16 @@ class _Tracker:
         stripes = stripes_across(points, every, X_RG, reach_px + MAX_SHIFT_PX)
         f = edge_motion(points, self.rig, X_RG, self.model.centre_G)
         place, grey = profiles(self.grey, points, reach_px)
-        if range_px is None:
-            displacement = fitted(place, grey, stripes)
-            return points, displacement.of(stripes, f, view.length, self._floor_px(points, X_RG))
-        shift, good = searched(place, grey, stripes, range_px)
-        sigma, none = np.full(len(points), MAX_SIGMA_PX), np.zeros(len(points))
-        return points, MeasuredStripes(stripes, f, shift, sigma, none, good, view.length)
-
-    def _floor_px(self, points: ControlPoints, X_RG: Array) -> Array | float:
-        """Sigma of the edges' places in the image, with that of the model's segments (m,)."""
-        sigma_m = self.options.sigma_m
-        if sigma_m is None:
-            return self.options.floor_px
-        z = transform_points(X_RG, points.p_G)[:, 2]
-        return np.asarray(np.hypot(self.options.floor_px, self.rig.focal_px * sigma_m[points.feature] / z))
+        if range_px is not None:
+            shift, good = searched(place, grey, stripes, range_px)
+            sigma, none = np.full(len(points), MAX_SIGMA_PX), np.zeros(len(points))
+            return points, MeasuredStripes(stripes, f, shift, sigma, none, good, view.length)
+        floor_px: Array | float = self.options.floor_px
+        if self.options.sigma_m is not None:
+            # with that of the model's segments, in the image
+            z = transform_points(X_RG, points.p_G)[:, 2]
+            floor_px = np.hypot(floor_px, self.rig.focal_px * self.options.sigma_m[points.feature] / z)
+        return points, fitted(place, grey, stripes).of(stripes, f, view.length, floor_px)
 
     def _result(self, iterate: _Iterate) -> TrackedPose:
         """The record of the last pose, where its points are measured a last time."""

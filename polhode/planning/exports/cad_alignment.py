@@ -72,88 +72,68 @@ def align_surfaces(scan: trimesh.Trimesh, model: trimesh.Trimesh, start: Array |
 
     Deterministic. The scan may be a part of the model.
     """
-    points, face = trimesh.sample.sample_surface(model, MODEL_POINTS, seed=0)
-    target = _Target(cKDTree(points), np.asarray(points), np.asarray(model.face_normals)[face])
-    few, few_normals = _sampled(scan, FIRST_POINTS)
-    many, many_normals = _sampled(scan, LAST_POINTS)
+    points, normals = _sampled(model, MODEL_POINTS, 0)
+    target = cKDTree(points), points, normals
+    few, many = _sampled(scan, FIRST_POINTS, 1), _sampled(scan, LAST_POINTS, 1)
     if start is not None:
-        X, rms = _fit(start, many, many_normals, target, LAST_STEPS)
-        return CadAlignment(X, rms, None)
-    first = [_fit(X, few, few_normals, target, FIRST_STEPS) for X in _starts(scan, model)]
-    first.sort(key=lambda each: each[1])
-    last = [_fit(X, many, many_normals, target, LAST_STEPS) for X, _ in _distinct(first)[:FINALISTS]]
-    last.sort(key=lambda each: each[1])
-    best, rms = last[0]
-    rival = next(
-        (_degrees(best, X) for X, other in _distinct(last)[1:] if other < AMBIGUITY_FACTOR * rms), None
+        return CadAlignment(*_fit(start, *many, *target, LAST_STEPS), None)
+    # centroid on centroid; rotations of octahedron and icosahedron between the principal frames
+    frames = []
+    for mesh in (scan, model):
+        points, _ = _sampled(mesh, 4_000, 2)
+        _, _, Vt = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+        frames.append((Vt.T * [1.0, 1.0, np.linalg.det(Vt)], points.mean(axis=0)))
+    (R_scan, mean_scan), (R_model, mean_model) = frames
+    rotations = (
+        R_model @ np.concatenate([Rotation.create_group(each).as_matrix() for each in "OI"]) @ R_scan.T
     )
+    starts = make_pose(rotations, mean_model - rotations @ mean_scan)
+    first = _distinct([_fit(X, *few, *target, FIRST_STEPS) for X in starts])
+    last = _distinct([_fit(X, *many, *target, LAST_STEPS) for X, _ in first[:FINALISTS]])
+    (best, rms), *others = last
+    rival = next((_degrees(best, X) for X, other in others if other < AMBIGUITY_FACTOR * rms), None)
     return CadAlignment(best, rms, rival)
 
 
-@dataclass(frozen=True)
-class _Target:
-    tree: cKDTree
-    points: Array
-    normals: Array
-
-
-def _sampled(mesh: trimesh.Trimesh, count: int) -> tuple[Array, Array]:
-    points, face = trimesh.sample.sample_surface(mesh, count, seed=1)
+def _sampled(mesh: trimesh.Trimesh, count: int, seed: int) -> tuple[Array, Array]:
+    """Points (n, 3) of a surface and normals (n, 3)."""
+    points, face = trimesh.sample.sample_surface(mesh, count, seed=seed)
     return np.asarray(points), np.asarray(mesh.face_normals)[face]
 
 
-def _starts(scan: trimesh.Trimesh, model: trimesh.Trimesh) -> list[Array]:
-    """Centroid on centroid; rotations of octahedron and icosahedron between the principal frames."""
-    rotations = np.concatenate([Rotation.create_group(name).as_matrix() for name in ("O", "I")])
-    R_scan, mean_scan = _principal(scan)
-    R_model, mean_model = _principal(model)
-    found = []
-    for rotation in rotations:
-        R = R_model @ rotation @ R_scan.T
-        found.append(make_pose(R, mean_model - R @ mean_scan))
-    return found
-
-
-def _principal(mesh: trimesh.Trimesh) -> tuple[Array, Array]:
-    points, _ = trimesh.sample.sample_surface(mesh, 4_000, seed=2)
-    mean = np.asarray(points).mean(axis=0)
-    _, _, Vt = np.linalg.svd(np.asarray(points) - mean, full_matrices=False)
-    return np.asarray(Vt.T * [1.0, 1.0, np.linalg.det(Vt)]), mean
-
-
-def _fit(X: Array, points: Array, normals: Array, target: _Target, steps: int) -> tuple[Array, float]:
+def _fit(
+    X: Array, points: Array, normals: Array, tree: cKDTree, to: Array, to_normals: Array, steps: int
+) -> tuple[Array, float]:
     """The pose after some steps, and the root mean square distance of the better part of the points."""
     for _ in range(steps):
         moved, rotated = transform_points(X, points), normals @ X[:3, :3].T
-        distance, near = target.tree.query(moved)
-        n = target.normals[near]
+        distance, near = tree.query(moved)
+        n = to_normals[near]
         # the other side of a thin panel is no counterpart
-        same = np.sum(rotated * n, axis=1) > 0.0
-        use = same & (distance <= np.quantile(distance, KEPT_SHARE))
+        use = (np.sum(rotated * n, axis=1) > 0.0) & (distance <= np.quantile(distance, KEPT_SHARE))
         if use.sum() < 12:
             break
         middle = moved[use].mean(axis=0)
         A = np.hstack([np.cross(moved[use] - middle, n[use]), n[use]])
-        gap = np.sum((target.points[near[use]] - moved[use]) * n[use], axis=1)
+        gap = np.sum((to[near[use]] - moved[use]) * n[use], axis=1)
         # nothing moves along what the surface does not determine (rotations of a sphere)
         x = np.linalg.lstsq(A, gap, rcond=1e-6)[0]
         R = exp_so3(x[:3])
-        step = make_pose(R, middle - R @ middle + x[3:])
-        X = step @ X
+        X = make_pose(R, middle - R @ middle + x[3:]) @ X
         if np.linalg.norm(x[:3]) < 1e-8 and np.linalg.norm(x[3:]) < 1e-9:
             break
     moved = transform_points(X, points)
-    distance, near = target.tree.query(moved)
-    flat = np.abs(np.sum((target.points[near] - moved) * target.normals[near], axis=1))
+    distance, near = tree.query(moved)
+    flat = np.abs(np.sum((to[near] - moved) * to_normals[near], axis=1))
     # near the samples of the model the distance to the plane counts; far from them, that to the point
     residual = np.sort(np.where(distance < 3.0 * np.median(distance), flat, distance))
     return X, float(np.sqrt(np.mean(residual[: int(KEPT_SHARE * len(residual))] ** 2)))
 
 
 def _distinct(fits: list[tuple[Array, float]]) -> list[tuple[Array, float]]:
-    """Those that are not within DISTINCT_DEG of a better one."""
+    """Those that are not within DISTINCT_DEG of a better one, the best first."""
     kept: list[tuple[Array, float]] = []
-    for X, rms in fits:
+    for X, rms in sorted(fits, key=lambda each: each[1]):
         if all(_degrees(X, other) > DISTINCT_DEG for other, _ in kept):
             kept.append((X, rms))
     return kept

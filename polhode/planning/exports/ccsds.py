@@ -9,7 +9,7 @@ conventions): with A = N and B = F its four numbers are those of our Hamilton q_
 """
 
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,8 @@ from polhode.geometry.lie import Array, Ints, continuous_wxyz, wxyz_from_matrix
 from polhode.planning.prediction import PredictedMotion
 
 KM_PER_M = 1e-3
+FRAME, CENTER = "LOCAL_INERTIAL_N", "INSPECTOR_START"
+"""Names of N and of its origin"""
 COMMENT_WIDTH = 120
 """Both standards allow 254 characters a line."""
 
@@ -28,9 +30,6 @@ class MessageHeader:
 
     object_name: str
     object_id: str
-    center_name: str
-    frame_name: str
-    """Name of N"""
     epoch: np.datetime64
     """UTC at timestamp 0, in nanoseconds"""
     created: str
@@ -54,7 +53,7 @@ def oem(motion: PredictedMotion, header: MessageHeader) -> str:
             "determine the centre of mass itself in every direction"
         )
     times = utc(motion.timestamps_ns, header.epoch)
-    frame = [f"REF_FRAME = {header.frame_name}"]
+    frame = [f"REF_FRAME = {FRAME}"]
     interpolation = ["INTERPOLATION = HERMITE", "INTERPOLATION_DEGREE = 3"]
     lines = [*_metadata("OEM", header, [note], frame, times, interpolation), ""]
     states = KM_PER_M * np.hstack([motion.r_N, motion.v_N])
@@ -63,7 +62,7 @@ def oem(motion: PredictedMotion, header: MessageHeader) -> str:
         return "\n".join(lines) + "\n"
     lines += ["", "COVARIANCE_START"]
     for time, matrix in zip(times, KM_PER_M**2 * covariance, strict=True):
-        lines += [f"EPOCH = {time}", f"COV_REF_FRAME = {header.frame_name}"]
+        lines += [f"EPOCH = {time}", f"COV_REF_FRAME = {FRAME}"]
         lines += [_numbers(matrix[k, : k + 1]) for k in range(6)]
     return "\n".join([*lines, "COVARIANCE_STOP"]) + "\n"
 
@@ -78,7 +77,7 @@ def aem(
 ) -> str:
     """Attitude of F in N and its angular velocity along F, given in rad/s and written in deg/s."""
     times = utc(timestamps_ns, header.epoch)
-    frames = [f"REF_FRAME_A = {header.frame_name}", f"REF_FRAME_B = {body_frame}"]
+    frames = [f"REF_FRAME_A = {FRAME}", f"REF_FRAME_B = {body_frame}"]
     attitude = ["ATTITUDE_TYPE = QUATERNION/ANGVEL", f"ANGVEL_FRAME = {body_frame}"]
     lines = [*_metadata("AEM", header, comments, frames, times, attitude), "", "DATA_START"]
     wxyz = continuous_wxyz(wxyz_from_matrix(R_NF))
@@ -114,31 +113,25 @@ def _metadata(
     more: list[str],
 ) -> list[str]:
     """Header and metadata section of a message."""
-    frame_comments = (
-        f"{header.frame_name} is a local inertial frame, by agreement: the left camera at the first frame "
-        "(x right, y down, z forward), or the frame of the inspector's poses where those were given",
-        f"{header.center_name} is its origin",
-    )
+
+    def commented(*texts: str) -> list[str]:
+        return [f"COMMENT {line}" for text in texts for line in textwrap.wrap(text, COMMENT_WIDTH)]
+
     return [
-        f"CCSDS_{kind}_VERS = 2.0",
-        *_comments(header.comments),
-        f"CREATION_DATE = {header.created}",
-        "ORIGINATOR = POLHODE",
-        "",
-        "META_START",
-        *_comments((*frame_comments, *comments)),
-        f"OBJECT_NAME = {header.object_name}",
-        f"OBJECT_ID = {header.object_id}",
-        f"CENTER_NAME = {header.center_name}",
-        *frames,
+        *(f"CCSDS_{kind}_VERS = 2.0", *commented(*header.comments)),
+        *(f"CREATION_DATE = {header.created}", "ORIGINATOR = POLHODE", "", "META_START"),
+        *commented(
+            f"{FRAME} is a local inertial frame, by agreement: the left camera at the first frame "
+            "(x right, y down, z forward), or the frame of the inspector's poses where those were given",
+            f"{CENTER} is its origin",
+            *comments,
+        ),
+        *(f"OBJECT_NAME = {header.object_name}", f"OBJECT_ID = {header.object_id}"),
+        *(f"CENTER_NAME = {CENTER}", *frames),
         *("TIME_SYSTEM = UTC", f"START_TIME = {times[0]}", f"STOP_TIME = {times[-1]}"),
         *more,
         "META_STOP",
     ]
-
-
-def _comments(texts: Iterable[str]) -> list[str]:
-    return [f"COMMENT {line}" for text in texts for line in textwrap.wrap(text, COMMENT_WIDTH)]
 
 
 def _numbers(values: Array) -> str:

@@ -19,14 +19,14 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull, QhullError, cKDTree
+from trimesh.sample import sample_surface
 
 from polhode.geometry.lie import Array, Bools, Ints
 from polhode.planning.exports.records import ExportShape
 from polhode.runtime.optional_parts import missing_message
 
-CUT_FACES = 12_000
-"""Of the simplified mesh that V-HACD decomposes."""
-VOXELS = 400_000
+CUT_FACES, VOXELS = 12_000, 400_000
+"""Faces of the simplified mesh that V-HACD decomposes, and its resolution."""
 FIRST_PIECES = 32
 """Of V-HACD; those that protrude too far are split further."""
 MIN_VOLUME_PERCENT = 0.5
@@ -39,10 +39,20 @@ SAMPLED_PROTRUSION_FACTOR = 0.9
 """Of that, as the protrusion is evaluated at some points only."""
 MAX_GROWTH = 10.0
 """Volume of a piece over that of its seed."""
-INNER_SAMPLES = 200
+INNER_SAMPLES, SECTION_POINTS = 200, 60
+"""Points inside a piece, and inside a plane that splits it."""
 ROUNDING_SHARE = 2e-6
 """Each piece is enlarged by this share of the body's size: more than the rounding to single precision."""
-SAMPLES = 20_000
+SURFACE_SAMPLES, SAMPLES = 100_000, 20_000
+"""Points of the surface and of all pieces together, for the distances between them."""
+PIECE_SAMPLES, FINAL_SAMPLES = 250, 2_000
+"""Points of a piece at which its protrusion is evaluated at each split, and before it is accepted."""
+DIRECTIONS = trimesh.creation.icosphere(1).vertices
+"""Rays that decide whether a point lies inside."""
+AREA_WEIGHT = 2.0
+"""Weight of the mean protrusion against the largest, when planes are compared."""
+PANEL_THICKNESS_SHARE = 1e-3
+"""Thickness of a flat piece, over the body's size."""
 
 
 class OutwardDistance:
@@ -55,34 +65,32 @@ class OutwardDistance:
         V = np.asarray(mesh.vertices) - self._centre
         self._mesh = trimesh.Trimesh(V, np.asarray(mesh.faces), process=False)
         self.size_m = float(np.ptp(V, axis=0).max())
-        points, face = trimesh.sample.sample_surface(mesh, SURFACE_SAMPLES, seed=0)
+        points, face = sample_surface(mesh, SURFACE_SAMPLES, seed=0)
         # slivers and needles have no area to be sampled
         self._on = np.concatenate([np.asarray(points), np.asarray(mesh.vertices)])
         self._normal = np.concatenate([np.asarray(mesh.face_normals)[face], np.asarray(mesh.vertex_normals)])
         self._tree = cKDTree(self._on)
 
-    def of(self, points: Array, by_rays: bool = False) -> tuple[Array, Array, Array]:
+    def of(self, points: Array) -> tuple[Array, Array, Array]:
         """Of points (n, 3): distance (n,) [m], nearest surface point (n, 3), normal there (n, 3).
 
-        A point is outside if it lies in front of the nearest surface point; ``by_rays``: and if at most half
-        of the rays from it hit the surface's back, as the nearest normal errs deep inside, beside edges and
-        fragments.
+        A point is outside if it lies in front of the nearest surface point, and if at most half of the rays
+        from it hit the surface's back, as the nearest normal errs deep inside, beside edges and fragments.
         """
         distance, near = self._tree.query(points)
         before = np.sum((points - self._on[near]) * self._normal[near], axis=1) > 0.0
-        if by_rays:
-            far = np.flatnonzero(before & (distance > 0.002 * self.size_m))
-            before[far] = self._in_front(points[far])
-        return np.where(before, distance, 0.0), self._on[near], self._normal[near]
-
-    def _in_front(self, points: Array) -> Bools:
-        """Whether at most half of the rays hit the surface's back."""
-        start = np.repeat(points - self._centre, len(DIRECTIONS), axis=0)
-        along = np.tile(DIRECTIONS, (len(points), 1))
+        far = np.flatnonzero(before & (distance > 0.002 * self.size_m))
+        start = np.repeat(points[far] - self._centre, len(DIRECTIONS), axis=0)
+        along = np.tile(DIRECTIONS, (len(far), 1))
         face = self._mesh.ray.intersects_first(start, along)
         facing = np.einsum("ij,ij->i", self._mesh.face_normals[face], along)
-        back = ((face >= 0) & (facing > 0.0)).reshape(len(points), len(DIRECTIONS))
-        return np.asarray(back.mean(axis=1) <= 0.5)
+        back = ((face >= 0) & (facing > 0.0)).reshape(len(far), len(DIRECTIONS))
+        before[far] = back.mean(axis=1) <= 0.5
+        return np.where(before, distance, 0.0), self._on[near], self._normal[near]
+
+    def inside(self, points: Array) -> Array:
+        """Those of the points (n, 3) that are not outside."""
+        return np.asarray(points[self.of(points)[0] == 0.0])
 
 
 @dataclass(frozen=True)
@@ -136,28 +144,30 @@ class Decomposition:
 
 def decompose(shape: ExportShape, max_pieces: int) -> Decomposition:
     """Decompose, grow, split. Raises ValueError when the points are coplanar: there is no volume."""
-    points = shape.vertices[np.unique(shape.faces)]
+    points, mesh = shape.vertices[np.unique(shape.faces)], shape.mesh()
     try:
         corners = points[ConvexHull(points).vertices]
     except QhullError as error:
         raise ValueError("the surface is flat: it has no convex hull with a volume") from error
     diameter = float(max(np.linalg.norm(corners - each, axis=1).max() for each in corners))
-    outward = OutwardDistance(shape.mesh())
-    seeds, words = _initial_pieces(shape.mesh(), min(max(max_pieces // 4, 2), FIRST_PIECES, max_pieces))
+    outward = OutwardDistance(mesh)
+    seeds, words = _initial_pieces(mesh, min(max(max_pieces // 4, 2), FIRST_PIECES, max_pieces))
     pieces = [corners]
     if seeds:
-        grown = split_until_near(
-            _grown_pieces(shape, seeds, outward),
-            outward,
-            SAMPLED_PROTRUSION_FACTOR * MAX_PROTRUSION_SHARE * diameter,
-            max_pieces,
-        )
+        within_m = SAMPLED_PROTRUSION_FACTOR * MAX_PROTRUSION_SHARE * diameter
+        grown = split_until_near(_grown_pieces(shape, seeds, outward), outward, within_m, max_pieces)
         pieces = [each.corners for each in grown]
-    hulls = tuple(_hull(each, ROUNDING_SHARE * outward.size_m) for each in pieces)
+    hulls = []
+    for each in pieces:
+        # each vertex is moved away from the centroid
+        corners = each[ConvexHull(each).vertices]
+        away = corners - corners.mean(axis=0)
+        away *= ROUNDING_SHARE * outward.size_m / np.linalg.norm(away, axis=1, keepdims=True)
+        hulls.append(trimesh.convex.convex_hull(corners + away))
     count = "the convex hull" if len(hulls) == 1 else f"{len(hulls)} convex pieces"
     beyond = _beyond(hulls, outward)
     return Decomposition(
-        hulls,
+        tuple(hulls),
         f"collision geometry: {count} {words}",
         float(np.quantile(beyond, 0.95)),
         float(beyond.max()),
@@ -186,8 +196,8 @@ def _initial_pieces(mesh: trimesh.Trimesh, max_pieces: int) -> tuple[list[Array]
         asyncACD=False,
     )
     thickness_m = PANEL_THICKNESS_SHARE * float(np.ptp(np.asarray(mesh.vertices), axis=0).max())
-    found = [with_volume(np.asarray(vertices, dtype=np.float64), thickness_m) for vertices, _ in parts]
-    found = [vertices for vertices in found if has_volume(vertices)]
+    found = [_with_volume(np.asarray(vertices, dtype=np.float64), thickness_m) for vertices, _ in parts]
+    found = [vertices for vertices in found if _has_volume(vertices)]
     return found, "by V-HACD, grown until they contain the surface and split where they protrude far from it"
 
 
@@ -213,29 +223,17 @@ def _grown_pieces(shape: ExportShape, seeds: list[Array], outward: OutwardDistan
         if sound.all() or not sound.any():
             break
         kept = kept[sound]
-    rng = np.random.default_rng(1)
-    pieces = []
+    rng, pieces = np.random.default_rng(1), []
     for k in kept:
-        inner = np.concatenate(
-            [seeds[k], rng.dirichlet(np.full(len(seeds[k]), 0.3), INNER_SAMPLES) @ seeds[k]]
-        )
-        inner = inner[outward.of(inner, by_rays=True)[0] == 0.0]
+        mixed = rng.dirichlet(np.full(len(seeds[k]), 0.3), INNER_SAMPLES) @ seeds[k]
+        inner = outward.inside(np.concatenate([seeds[k], mixed]))
         triangles = points[corner[owner == k]]
         if len(triangles) or len(inner) > 3:
-            pieces.append(convex_piece(triangles, inner, outward))
+            pieces.append(_convex_piece(triangles, inner, outward))
     return pieces
 
 
-def _hull(points: Array, margin_m: float) -> trimesh.Trimesh:
-    """The convex hull, each vertex moved away from the centroid by ``margin_m``."""
-    corners = points[ConvexHull(points).vertices]
-    away = corners - corners.mean(axis=0)
-    corners = corners + margin_m * away / np.linalg.norm(away, axis=1, keepdims=True)
-    hull: trimesh.Trimesh = trimesh.convex.convex_hull(corners)
-    return hull
-
-
-def _beyond(hulls: tuple[trimesh.Trimesh, ...], outward: OutwardDistance) -> Array:
+def _beyond(hulls: list[trimesh.Trimesh], outward: OutwardDistance) -> Array:
     """Protrusion from the surface [m] of points on the pieces that no other piece covers."""
     planes = [ConvexHull(np.asarray(hull.vertices)).equations for hull in hulls]
     boxes = np.stack([np.asarray(hull.bounds) for hull in hulls])
@@ -243,39 +241,30 @@ def _beyond(hulls: tuple[trimesh.Trimesh, ...], outward: OutwardDistance) -> Arr
     found = []
     for k, hull in enumerate(hulls):
         count = max(20, round(SAMPLES * areas[k] / areas.sum()))
-        points = np.asarray(trimesh.sample.sample_surface(hull, count, seed=0)[0])
-        covered = np.zeros(len(points), dtype=bool)
+        points = np.asarray(sample_surface(hull, count, seed=0)[0])
         meets = (boxes[:, 0] <= boxes[k, 1]).all(axis=1) & (boxes[:, 1] >= boxes[k, 0]).all(axis=1)
+        meets[k] = False
+        covered: Bools = np.zeros(len(points), dtype=bool)
         for other in np.flatnonzero(meets):
-            if other != k:
-                covered |= outside(points, planes[other]) < 0.0
-        found.append(outward.of(points[~covered], by_rays=True)[0])
+            covered |= outside(points, planes[other]) < 0.0
+        found.append(outward.of(points[~covered])[0])
     return np.concatenate(found)
 
 
-SURFACE_SAMPLES = 100_000
-PIECE_SAMPLES = 250
-"""Points of a piece at which its protrusion is evaluated at each split."""
-FINAL_SAMPLES = 2_000
-"""The same before a piece is accepted."""
-DIRECTIONS = trimesh.creation.icosphere(1).vertices
-"""Rays that decide whether a point lies inside."""
-AREA_WEIGHT = 2.0
-"""Weight of the mean protrusion against the largest, when planes are compared."""
-SECTION_POINTS = 60
-PANEL_THICKNESS_SHARE = 1e-3
-"""Thickness of a flat piece, over the body's size."""
-
-
-def convex_piece(
+def _convex_piece(
     triangles: Array, inner: Array, outward: OutwardDistance, samples: int = PIECE_SAMPLES
 ) -> ConvexPiece:
     """Raises QhullError when there are too few points."""
-    points = with_volume(
-        np.concatenate([triangles.reshape(-1, 3), inner]), PANEL_THICKNESS_SHARE * outward.size_m
-    )
-    hull = ConvexHull(points)
-    beyond, nearest, normal = outward.of(_on_hull(hull, samples), by_rays=True)
+    points = np.concatenate([triangles.reshape(-1, 3), inner])
+    hull = ConvexHull(_with_volume(points, PANEL_THICKNESS_SHARE * outward.size_m))
+    # points on its faces, the same for the same hull
+    corner = hull.points[hull.simplices]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    rng = np.random.default_rng(0)
+    a, b, c = np.swapaxes(corner[rng.choice(len(corner), samples, p=area / area.sum())], 0, 1)
+    share = rng.random((samples, 2))
+    share = np.where(share.sum(axis=1, keepdims=True) > 1.0, 1.0 - share, share)
+    beyond, nearest, normal = outward.of(a + share[:, :1] * (b - a) + share[:, 1:] * (c - a))
     k = int(beyond.argmax())
     return ConvexPiece(triangles, inner, hull, float(beyond[k]), float(beyond.mean()), nearest[k], normal[k])
 
@@ -289,68 +278,56 @@ def split_until_near(
     number, done, confirmed = len(waiting), list[ConvexPiece](), set[int]()
     while waiting and len(waiting) + len(done) < most:
         worst, own, piece = heapq.heappop(waiting)
-        if -worst <= within_m and own in confirmed:
-            done.append(piece)
-            continue
-        if -worst > within_m and len(piece.triangles) == 0:
+        if -worst <= within_m:
+            if own in confirmed:
+                done.append(piece)
+                continue
+            halves = [_convex_piece(piece.triangles, piece.inner, outward, FINAL_SAMPLES)]
+            confirmed.add(number)
+        elif len(piece.triangles) == 0:
             # without a part of the surface it only fills the inside, as others do
             continue
-        halves: list[ConvexPiece] | None
-        if -worst > within_m:
-            halves = _best_split(piece, outward)
         else:
-            halves = [convex_piece(piece.triangles, piece.inner, outward, FINAL_SAMPLES)]
-            confirmed.add(number)
-        if halves is None:
-            done.append(piece)
-            continue
+            halves = _best_split(piece, outward)
+            if not halves:
+                done.append(piece)
         for half in halves:
             heapq.heappush(waiting, (-half.worst_m, number, half))
             number += 1
     return done + [each[2] for each in sorted(waiting, key=lambda each: each[1])]
 
 
-def _best_split(piece: ConvexPiece, outward: OutwardDistance) -> list[ConvexPiece] | None:
-    """By the best of some planes; None: none splits it."""
+def _best_split(piece: ConvexPiece, outward: OutwardDistance) -> list[ConvexPiece]:
+    """By the best of some planes; empty: none splits it. Inside the body both halves extend to the plane."""
     corners = piece.corners
     centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     axes = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)[2]
     along = np.linalg.svd(piece.dent_normal[None])[2][1:]
     planes = [(n, float(n @ at)) for n in axes for at in (piece.dent, centre)]
     planes += [(n, float(n @ piece.dent)) for n in along]
-    best, found = np.inf, None
+    best, found = np.inf, list[ConvexPiece]()
     for n, offset in planes:
         height = corners @ n - offset
         if min(height.max(), -height.min()) < PANEL_THICKNESS_SHARE * outward.size_m:
             continue
+        below, above = clip(piece.triangles, n, offset)
+        height = piece.inner @ n - offset
+        low, high = piece.inner[height <= 0.0], piece.inner[height > 0.0]
+        if count := min(len(low), len(high), SECTION_POINTS):
+            a, b = low[:count], high[-count:]
+            section = outward.inside(a + ((offset - a @ n) / ((b - a) @ n))[:, None] * (b - a))
+            low, high = np.concatenate([section, low]), np.concatenate([high, section])
+        sides = [each for each in ((below, low), (above, high)) if len(each[0]) or len(each[1]) > 3]
         try:
-            halves = _split(piece, n, offset, outward)
+            halves = [_convex_piece(triangles, inner, outward) for triangles, inner in sides]
         except QhullError:
             continue
-        if not halves:
-            continue
-        mean = sum(half.mean_m * half.hull.area for half in halves) / piece.hull.area
-        cost = max(half.worst_m for half in halves) + AREA_WEIGHT * mean
-        if cost < best:
-            best, found = cost, halves
+        if halves:
+            mean = sum(half.mean_m * half.hull.area for half in halves) / piece.hull.area
+            cost = max(half.worst_m for half in halves) + AREA_WEIGHT * mean
+            if cost < best:
+                best, found = cost, halves
     return found
-
-
-def _split(piece: ConvexPiece, n: Array, offset: float, outward: OutwardDistance) -> list[ConvexPiece]:
-    """Both sides of the plane; inside the body both extend up to it."""
-    below, above = clip(piece.triangles, n, offset)
-    height = piece.inner @ n - offset
-    low, high = piece.inner[height <= 0.0], piece.inner[height > 0.0]
-    count = min(len(low), len(high), SECTION_POINTS)
-    if count:
-        a, b = low[:count], high[-count:]
-        share = (offset - a @ n) / ((b - a) @ n)
-        section = a + share[:, None] * (b - a)
-        section = section[outward.of(section, by_rays=True)[0] == 0.0]
-        low, high = np.concatenate([section, low]), np.concatenate([high, section])
-    sides = [(below, low), (above, high)]
-    kept = [(tri, inner) for tri, inner in sides if len(tri) or len(inner) > 3]
-    return [convex_piece(tri, inner, outward) for tri, inner in kept]
 
 
 def clip(triangles: Array, n: Array, offset: float) -> tuple[Array, Array]:
@@ -376,16 +353,15 @@ def clip(triangles: Array, n: Array, offset: float) -> tuple[Array, Array]:
     return np.concatenate(below), np.concatenate(above)
 
 
-def with_volume(points: Array, thickness_m: float) -> Array:
+def _with_volume(points: Array, thickness_m: float) -> Array:
     """The points; those of a panel seen from one side, which has no volume, as two sheets."""
-    if has_volume(points):
+    if _has_volume(points):
         return points
     across = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
     return np.concatenate([points - 0.5 * thickness_m * across, points + 0.5 * thickness_m * across])
 
 
-def has_volume(points: Array) -> bool:
-    """Whether their hull does."""
+def _has_volume(points: Array) -> bool:
     try:
         return bool(ConvexHull(points).volume > 0.0)
     except (QhullError, ValueError):
@@ -395,20 +371,6 @@ def has_volume(points: Array) -> bool:
 def outside(points: Array, planes: Array) -> Array:
     """(V,) largest signed distance to the planes (K, 4) of a hull; <= 0 inside."""
     out = np.full(len(points), -np.inf)
-    for start in range(0, len(planes), 64):
-        some = planes[start : start + 64]
+    for some in np.split(planes, range(64, len(planes), 64)):
         out = np.maximum(out, (points @ some[:, :3].T + some[:, 3]).max(axis=1))
     return out
-
-
-def _on_hull(hull: ConvexHull, count: int) -> Array:
-    """Points (count, 3) on its faces; the same for the same hull."""
-    corner = hull.points[hull.simplices]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    rng = np.random.default_rng(0)
-    face = rng.choice(len(corner), count, p=area / area.sum())
-    share = rng.random((count, 2))
-    over = share.sum(axis=1) > 1.0
-    share[over] = 1.0 - share[over]
-    a, b, c = corner[face, 0], corner[face, 1], corner[face, 2]
-    return np.asarray(a + share[:, :1] * (b - a) + share[:, 1:] * (c - a))

@@ -6,6 +6,7 @@ allows no infinity. A point cloud is drawn as points.
 """
 
 import json
+import struct
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -38,46 +39,56 @@ class _Buffer:
     views: list[dict[str, Any]] = field(default_factory=list)
     accessors: list[dict[str, Any]] = field(default_factory=list)
 
-    def add(
-        self, array: NDArray[Any], target: int | None = None, limits: bool = False, normalized: bool = False
-    ) -> int:
-        """Append an array (n,) or (n, k); the number of its accessor."""
+    def add(self, array: NDArray[Any], target: int | None = None, **more: Any) -> int:
+        """Append an array (n,) or (n, k); the number of its accessor, which has the fields ``more``, too."""
         view = {"buffer": 0, "byteOffset": len(self.content), "byteLength": array.nbytes}
         self.views.append(view if target is None else view | {"target": target})
         self.content += array.tobytes()
         self.content += b"\0" * (-len(self.content) % 4)
-        kind = "SCALAR" if array.ndim == 1 else f"VEC{array.shape[1]}"
-        accessor: dict[str, Any] = {
+        accessor = {
             "bufferView": len(self.views) - 1,
             "componentType": _TYPES[array.dtype.str],
             "count": len(array),
-            "type": kind,
+            "type": "SCALAR" if array.ndim == 1 else f"VEC{array.shape[1]}",
         }
-        if normalized:
-            accessor["normalized"] = True
-        if limits:
-            accessor["min"] = np.atleast_1d(array.min(axis=0)).tolist()
-            accessor["max"] = np.atleast_1d(array.max(axis=0)).tolist()
-        self.accessors.append(accessor)
+        self.accessors.append(accessor | more)
         return len(self.accessors) - 1
+
+    def add_with_limits(self, array: NDArray[Any], target: int | None = None) -> int:
+        """The same, with the least and the largest values."""
+        limits = (np.atleast_1d(each).tolist() for each in (array.min(axis=0), array.max(axis=0)))
+        return self.add(array, target, **dict(zip(("min", "max"), limits, strict=True)))
 
 
 def glb(
     shape: ExportShape, extras: dict[str, Any], per_m: float, unit: str, animation: Animation | None = None
 ) -> bytes:
     """The file. ``extras`` stand in the asset; with an animation the target's node moves in N."""
-    buffer = _Buffer()
-    meshes = []
-    if len(shape.faces):
-        parts = [("surface", shape.faces[~shape.invented]), ("invented", shape.faces[shape.invented])]
-        for name, faces in parts:
-            if len(faces):
-                meshes.append({"name": name, "primitives": [_triangles(buffer, shape, faces, per_m, unit)]})
-    else:
-        every = np.arange(len(shape.vertices))
-        attributes = _attributes(buffer, shape, every, per_m, unit, normals=False)
-        primitive = {"attributes": attributes, "material": 0, "mode": _POINTS}
-        meshes.append({"name": "landmarks", "primitives": [primitive]})
+    buffer, meshes = _Buffer(), list[dict[str, Any]]()
+    parts = {"surface": shape.faces[~shape.invented], "invented": shape.faces[shape.invented]}
+    parts = {name: faces for name, faces in parts.items() if len(faces)}
+    for name, faces in parts.items() or [("landmarks", None)]:
+        used = np.arange(len(shape.vertices))
+        if faces is not None:
+            used, index = np.unique(faces, return_inverse=True)
+        attributes = dict[str, int]()
+        position = (per_m * shape.vertices[used]).astype("<f4")
+        attributes["POSITION"] = buffer.add_with_limits(position, _VERTICES)
+        if faces is not None:
+            n = shape.normals[used]
+            length = np.linalg.norm(n, axis=1, keepdims=True)
+            # the standard asks for unit length; a vertex of no area has none of its own
+            n = np.where(length > 0.5, n / np.where(length > 0.0, length, 1.0), [0.0, 0.0, 1.0])
+            attributes["NORMAL"] = buffer.add(n.astype("<f4"), _VERTICES)
+        rgba = np.ascontiguousarray(shape.rgba[used])
+        attributes["COLOR_0"] = buffer.add(rgba, _VERTICES, normalized=True)
+        sigma = np.where(np.isfinite(shape.sigma_m), per_m * shape.sigma_m, -1.0)[used].astype("<f4")
+        attributes[f"_SIGMA_{unit.upper()}"] = buffer.add(sigma, _VERTICES)
+        primitive: dict[str, Any] = {"attributes": attributes}
+        if faces is not None:
+            primitive["indices"] = buffer.add(index.reshape(-1).astype("<u4"), _INDICES)
+        primitive |= {"material": 0, "mode": _POINTS if faces is None else _TRIANGLES}
+        meshes.append({"name": name, "primitives": [primitive]})
     target: dict[str, Any] = {"name": "target", "children": list(range(1, len(meshes) + 1))}
     content: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "polhode", "extras": extras},
@@ -94,68 +105,23 @@ def glb(
         ],
     }
     if animation is not None:
-        content["animations"] = [_tumble(buffer, animation, per_m, target)]
+        # channels of the target's node, which is at its first pose; both have the same key times
+        wxyz = continuous_wxyz(wxyz_from_matrix(animation.X_NF[:, :3, :3]))
+        paths = {"rotation": wxyz[:, [1, 2, 3, 0]], "translation": per_m * animation.X_NF[:, :3, 3]}
+        keys = buffer.add_with_limits(animation.time_s.astype("<f4"))
+        samplers, channels = list[dict[str, Any]](), list[dict[str, Any]]()
+        for k, (path, exact) in enumerate(paths.items()):
+            values = exact.astype("<f4")
+            target[path] = values[0].tolist()
+            samplers.append({"input": keys, "interpolation": "LINEAR", "output": buffer.add(values)})
+            channels.append({"sampler": k, "target": {"node": 0, "path": path}})
+        content["animations"] = [{"name": "tumble", "samplers": samplers, "channels": channels}]
     content |= {
         "accessors": buffer.accessors,
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": len(buffer.content)}],
     }
-    return _container(content, bytes(buffer.content))
-
-
-def _triangles(
-    buffer: _Buffer, shape: ExportShape, faces: NDArray[np.int64], per_m: float, unit: str
-) -> dict[str, Any]:
-    used, index = np.unique(faces, return_inverse=True)
-    return {
-        "attributes": _attributes(buffer, shape, used, per_m, unit, normals=True),
-        "indices": buffer.add(index.reshape(-1).astype("<u4"), _INDICES),
-        "material": 0,
-        "mode": _TRIANGLES,
-    }
-
-
-def _attributes(
-    buffer: _Buffer, shape: ExportShape, used: NDArray[np.int64], per_m: float, unit: str, normals: bool
-) -> dict[str, int]:
-    sigma = np.where(np.isfinite(shape.sigma_m), per_m * shape.sigma_m, -1.0)[used].astype("<f4")
-    found = {"POSITION": buffer.add((per_m * shape.vertices[used]).astype("<f4"), _VERTICES, limits=True)}
-    if normals:
-        n = shape.normals[used]
-        length = np.linalg.norm(n, axis=1, keepdims=True)
-        # the standard asks for unit length; a vertex of no area has none of its own
-        n = np.where(length > 0.5, n / np.where(length > 0.0, length, 1.0), [0.0, 0.0, 1.0])
-        found["NORMAL"] = buffer.add(n.astype("<f4"), _VERTICES)
-    found["COLOR_0"] = buffer.add(np.ascontiguousarray(shape.rgba[used]), _VERTICES, normalized=True)
-    found[f"_SIGMA_{unit.upper()}"] = buffer.add(sigma, _VERTICES)
-    return found
-
-
-def _tumble(buffer: _Buffer, animation: Animation, per_m: float, target: dict[str, Any]) -> dict[str, Any]:
-    """Channels of the target's node, which is at its first pose; both have the same key times."""
-    wxyz = continuous_wxyz(wxyz_from_matrix(animation.X_NF[:, :3, :3]))
-    xyzw = wxyz[:, [1, 2, 3, 0]].astype("<f4")
-    position = (per_m * animation.X_NF[:, :3, 3]).astype("<f4")
-    target["rotation"], target["translation"] = xyzw[0].tolist(), position[0].tolist()
-    keys = buffer.add(animation.time_s.astype("<f4"), limits=True)
-    samplers = [
-        {"input": keys, "interpolation": "LINEAR", "output": buffer.add(values)}
-        for values in (xyzw, position)
-    ]
-    channels = [
-        {"sampler": k, "target": {"node": 0, "path": path}}
-        for k, path in enumerate(("rotation", "translation"))
-    ]
-    return {"name": "tumble", "samplers": samplers, "channels": channels}
-
-
-def _container(content: dict[str, Any], binary: bytes) -> bytes:
     text = json.dumps(content, separators=(",", ":"), allow_nan=False).encode("ascii")
-    text += b" " * (-len(text) % 4)
-    length = 12 + 8 + len(text) + 8 + len(binary)
-    head = b"glTF" + np.array([2, length], dtype="<u4").tobytes()
-    chunks = [
-        np.array([len(chunk)], dtype="<u4").tobytes() + kind + chunk
-        for kind, chunk in ((b"JSON", text), (b"BIN\0", binary))
-    ]
-    return head + b"".join(chunks)
+    chunks = ((b"JSON", text + b" " * (-len(text) % 4)), (b"BIN\0", bytes(buffer.content)))
+    body = b"".join(struct.pack("<I", len(chunk)) + kind + chunk for kind, chunk in chunks)
+    return b"glTF" + struct.pack("<II", 2, 12 + len(body)) + body

@@ -89,21 +89,13 @@ class ExportJob:
 
         Raises InputError when the run has no motion.
         """
-        self._require_motion()
+        if self.no_motion:
+            raise InputError(f"{self.folder}: {self.no_motion}")
         try:
             return predict_run(self.folder, self.options.horizon, step_s, True, self.progress)
         except NoCovariance as error:
             self.leave_out(f"covariances of the motion are left out: {error}")
             return predict_without_covariance(self.folder, self.options.horizon, step_s)
-
-    def trajectory(self) -> Trajectory:
-        """The states at the frames. Raises InputError when the run has no motion."""
-        self._require_motion()
-        return read_trajectory(self.folder)
-
-    def _require_motion(self) -> None:
-        if self.no_motion:
-            raise InputError(f"{self.folder}: {self.no_motion}")
 
     def check_epoch(self, first_ns: int) -> None:
         """Note when the first time in the file is far from --epoch: the timestamps count from elsewhere."""
@@ -156,21 +148,23 @@ class ExportJob:
         return shape_of_surface(surfaces[-1 if level is None else level], self.at)
 
     def inertial(self) -> Inertial | None:
-        """Mass and inertia; None, with a warning, if neither run nor mesh determines them."""
+        """Mass and inertia; None, with a warning, if neither run nor mesh determines them.
+
+        Raises InputError for a mass or a moment that is far from fitting the mesh.
+        """
         solid: Solid | None = None
-        reason = "this run has no mesh"
+        no_solid = "this run has no mesh"
         if self.surface is not None:
-            solid, reason = solid_of(self.surface.mesh)
-        inertial = inertial_of(self.summary, solid, reason, self.at, self.options)
-        if inertial is None:
-            self.leave_out(f"mass properties are left out: this run has no estimate of them, and {reason}")
+            solid, no_solid = solid_of(self.surface.mesh)
+        found = inertial_of(self.summary, solid, no_solid, self.at, self.options)
+        if found is None:
+            self.leave_out(f"mass properties are left out: this run has no estimate of them, and {no_solid}")
         elif self.surface is not None:
             vertices_F = transform_points(self.at.X_FG, self.surface.mesh.vertices)
-            for warning in (contradiction(inertial, vertices_F), impossible_density(inertial, solid)):
-                if warning:
-                    self.leave_out(warning)
-        self.written = inertial
-        return inertial
+            for warning in _contradictions(found, solid, vertices_F):
+                self.leave_out(warning)
+        self.written = found
+        return found
 
 
 def open_job(folder: Path, options: ExportOptions, progress: Progress) -> ExportJob:
@@ -210,10 +204,21 @@ def inertial_of(
 
     ``solid``: the mesh at density 1; ``no_solid``: why there is none.
     """
-    mass, mass_is, notes = _mass(summary, options.mass_kg)
+    found, moment = summary.inertia, options.middle_moment_kg_m2
+    mass, mass_is = 1.0, "relative"
+    note = "mass: relative, set to 1: the run does not determine it; give it by --mass-kg"
+    if options.mass_kg is not None:
+        mass, mass_is, note = options.mass_kg, "given", f"mass: {options.mass_kg:g} kg as given"
+    elif found is not None and found.mass_kg is not None and found.sigma_mass_kg is not None:
+        mass, mass_is = found.mass_kg, "determined"
+        note = f"mass: {mass:.6g} kg from the known forces (standard deviation {found.sigma_mass_kg:.2g})"
+    elif summary.assumed is not None:
+        mass, mass_is = summary.assumed.mass_kg, "assumed"
+        note = f"mass: {mass:.6g} kg, from the mass or density that the run was given"
+    notes, restated = [note], [note] if mass_is == "given" else []
     uniform_is = "relative" if mass_is == "relative" else "assumed"
-    restated = notes[:1] if mass_is == "given" else []
-    if summary.inertia is None or summary.R_GP is None or summary.com_G is None:
+
+    if found is None or summary.R_GP is None or summary.com_G is None:
         if solid is None:
             return None
         moments, R_GP = principal_axes(mass / solid.volume_m3 * solid.inertia)
@@ -223,12 +228,34 @@ def inertial_of(
             "estimate of them"
         )
     else:
-        scale, scale_is, note = _scale(summary, solid, no_solid, mass, uniform_is, options)
+        if moment is not None:
+            scale, scale_is = moment, "given"
+            note = f"inertia: scaled to the middle moment as given, {moment:g} kg m^2"
+            restated.append(note)
+        elif found.scale_kg_m2 is not None and found.sigma_scale_kg_m2 is not None:
+            scale, scale_is = found.scale_kg_m2, "determined"
+            note = (
+                f"inertia: scale determined by the known torques, middle moment {scale:.6g} kg m^2 "
+                f"(standard deviation {found.sigma_scale_kg_m2:.2g})"
+            )
+        elif solid is not None:
+            # the same trace: the sum of the mean square distances does not depend on the axes
+            trace = mass / solid.volume_m3 * float(np.trace(solid.inertia))
+            scale, scale_is = trace / float(np.sum(found.moments)), uniform_is
+            note = (
+                "inertia: ratios and axes by the motion; their scale is assumed, that of uniform density at "
+                f"this mass in the {solid.words}"
+            )
+        else:
+            scale, scale_is = 1.0, "relative"
+            note = (
+                "inertia: relative, the middle moment is 1: the run does not determine its scale, a mass "
+                f"alone does not set it, and no volume does ({no_solid}); give it by --middle-moment-kg-m2"
+            )
         # the scale of the moments as stored: the middle one is 1
-        moments = scale * np.array(summary.inertia.moments)
+        moments = scale * np.array(found.moments)
         R_GP, (com_G, moved_m) = np.array(summary.R_GP), possible_com(summary)
         notes.append(note)
-        restated += [note] if scale_is == "given" else []
         if moved_m > 0.0:
             notes.append(
                 f"centre of mass: moved by {1e3 * moved_m:.3g} mm into the body, as nothing determines it"
@@ -237,7 +264,19 @@ def inertial_of(
             notes.append(
                 "free motion is right at any scale; reactions to forces, torques and contacts are not"
             )
-        notes += _undetermined(summary)
+        names = {"k1": "k1", "k2": "k2", "axes": "the principal axes", "com": "the centre of mass"}
+        known = summary.identifiable
+        if (
+            lost := []
+            if known is None
+            else [words for name, words in names.items() if not getattr(known, name)]
+        ):
+            notes.append(
+                f"not determined by the motion: {', '.join(lost)}; the numbers here are the best finite "
+                "ones, which repeat the motion that was seen"
+            )
+            if ranges := describe_intervals(summary):
+                notes.append(f"possible by the hull of the body: {'; '.join(ranges)}")
     return Inertial(
         mass_kg=mass,
         com_F=transform_points(at.X_FG, com_G[None])[0],
@@ -250,112 +289,35 @@ def inertial_of(
     )
 
 
-def contradiction(inertial: Inertial, vertices_F: Array) -> str:
-    """A warning when a mass or moment that was given does not fit the mesh (V, 3); empty: they fit.
+def _contradictions(inertial: Inertial, solid: Solid | None, vertices_F: Array) -> list[str]:
+    """A warning for what was given and does not fit the mesh (V, 3).
 
     Mass within the surface has a radius of gyration, the root of moment over mass, between 0 and the distance
-    from the centre of mass to the farthest vertex. Raises InputError when it is far outside.
+    from the centre of mass to the farthest vertex; and a density. Raises InputError when the radius is far
+    outside.
     """
+    found, mass = [], inertial.mass_kg
     origins = (inertial.mass_is, inertial.scale_is)
-    if "given" not in origins or not set(origins) <= {"given", "determined"}:
-        return ""
-    mass, moment = inertial.mass_kg, float(inertial.moments_kg_m2.max())
-    radius = float(np.sqrt(moment / mass))
-    farthest = float(np.linalg.norm(vertices_F - inertial.com_F, axis=1).max())
-    least, most = (share * farthest for share in USUAL_RADII)
-    if least <= radius <= most:
-        return ""
-    reason = (
-        f"a mass of {mass:g} kg with a largest moment of {moment:.3g} kg m^2 has a radius of gyration of "
-        f"{radius:.3g} m, and the mesh reaches {farthest:.3g} m from the centre of mass: check --mass-kg "
-        "[kg] and --middle-moment-kg-m2 [kg m^2]"
-    )
-    if not least / FAR_OUTSIDE <= radius <= FAR_OUTSIDE * most:
-        raise InputError(reason)
-    return reason
-
-
-def impossible_density(inertial: Inertial, solid: Solid | None) -> str:
-    """A warning when a mass that was given makes the body lighter than air or denser than any metal, in the
-    volume of the mesh; empty: it does not, or there is no volume."""
-    if inertial.mass_is != "given" or solid is None:
-        return ""
-    density_kg_m3 = inertial.mass_kg / solid.volume_m3
-    least, most = USUAL_DENSITIES_KG_M3
-    if least <= density_kg_m3 <= most:
-        return ""
-    bound = "less than that of air" if density_kg_m3 < least else "more than that of gold"
-    return (
-        f"a density of {density_kg_m3:.3g} kg/m^3, {bound}: {inertial.mass_kg:g} kg in "
-        f"{solid.volume_m3:.3g} m^3, the {solid.words}; check --mass-kg [kg] and the units of the calibration"
-    )
-
-
-def _mass(summary: Summary, given: float | None) -> tuple[float, str, list[str]]:
-    """Mass [kg], its origin, and a sentence about it."""
-    if given is not None:
-        return given, "given", [f"mass: {given:g} kg as given"]
-    found = summary.inertia
-    if found is not None and found.mass_kg is not None and found.sigma_mass_kg is not None:
-        note = f"mass: {found.mass_kg:.6g} kg from the known forces"
-        return found.mass_kg, "determined", [f"{note} (standard deviation {found.sigma_mass_kg:.2g})"]
-    if summary.assumed is not None:
-        mass = summary.assumed.mass_kg
-        return mass, "assumed", [f"mass: {mass:.6g} kg, from the mass or density that the run was given"]
-    note = "mass: relative, set to 1: the run does not determine it; give it by --mass-kg"
-    return 1.0, "relative", [note]
-
-
-def _scale(
-    summary: Summary,
-    solid: Solid | None,
-    no_solid: str,
-    mass_kg: float,
-    uniform_is: str,
-    options: ExportOptions,
-) -> tuple[float, str, str]:
-    """Middle moment [kg m^2], its origin, and a sentence about it."""
-    found, given = summary.inertia, options.middle_moment_kg_m2
-    assert found is not None
-    if given is not None:
-        return given, "given", f"inertia: scaled to the middle moment as given, {given:g} kg m^2"
-    if found.scale_kg_m2 is not None and found.sigma_scale_kg_m2 is not None:
-        return (
-            found.scale_kg_m2,
-            "determined",
-            f"inertia: scale determined by the known torques, middle moment {found.scale_kg_m2:.6g} kg m^2 "
-            f"(standard deviation {found.sigma_scale_kg_m2:.2g})",
+    if "given" in origins and set(origins) <= {"given", "determined"}:
+        moment = float(inertial.moments_kg_m2.max())
+        radius = float(np.sqrt(moment / mass))
+        farthest = float(np.linalg.norm(vertices_F - inertial.com_F, axis=1).max())
+        least, most = (share * farthest for share in USUAL_RADII)
+        reason = (
+            f"a mass of {mass:g} kg with a largest moment of {moment:.3g} kg m^2 has a radius of gyration of "
+            f"{radius:.3g} m, and the mesh reaches {farthest:.3g} m from the centre of mass: check --mass-kg "
+            "[kg] and --middle-moment-kg-m2 [kg m^2]"
         )
-    if solid is not None:
-        # the same trace: the sum of the mean square distances does not depend on the axes
-        trace = mass_kg / solid.volume_m3 * float(np.trace(solid.inertia))
-        return (
-            trace / float(np.sum(found.moments)),
-            uniform_is,
-            "inertia: ratios and axes by the motion; their scale is assumed, that of uniform density at this "
-            f"mass in the {solid.words}",
-        )
-    return (
-        1.0,
-        "relative",
-        "inertia: relative, the middle moment is 1: the run does not determine its scale, a mass alone "
-        f"does not set it, and no volume does ({no_solid}); give it by --middle-moment-kg-m2",
-    )
-
-
-def _undetermined(summary: Summary) -> list[str]:
-    """A note about what the motion does not determine."""
-    known = summary.identifiable
-    if known is None:
-        return []
-    names = {"k1": "k1", "k2": "k2", "axes": "the principal axes", "com": "the centre of mass"}
-    lost = [words for name, words in names.items() if not getattr(known, name)]
-    if not lost:
-        return []
-    notes = [
-        f"not determined by the motion: {', '.join(lost)}; the numbers here are the best finite ones, which "
-        "repeat the motion that was seen"
-    ]
-    if ranges := describe_intervals(summary):
-        notes.append(f"possible by the hull of the body: {'; '.join(ranges)}")
-    return notes
+        if not least / FAR_OUTSIDE <= radius <= FAR_OUTSIDE * most:
+            raise InputError(reason)
+        if not least <= radius <= most:
+            found.append(reason)
+    if inertial.mass_is == "given" and solid is not None:
+        density, (least, most) = mass / solid.volume_m3, USUAL_DENSITIES_KG_M3
+        if not least <= density <= most:
+            bound = "less than that of air" if density < least else "more than that of gold"
+            found.append(
+                f"a density of {density:.3g} kg/m^3, {bound}: {mass:g} kg in {solid.volume_m3:.3g} m^3, the "
+                f"{solid.words}; check --mass-kg [kg] and the units of the calibration"
+            )
+    return found

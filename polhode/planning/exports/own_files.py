@@ -15,25 +15,20 @@ from polhode.planning.exports.options import ExportOptions
 
 COMMAND = "export"
 SURFACE_FILE = "surface.obj"
-_XML = rb'<\?xml version="1\.0" encoding="utf-8"\?>\n<%s="[^"<>]*">\n  <!-- polhode export of the run '
-_CCSDS = rb"CCSDS_%s_VERS = [12]\.0\nCOMMENT polhode export of the run\s"
-SIGNS: dict[str, bytes] = {
-    "glb": rb'glTF\x02\0\0\0.{8}JSON\{"asset":\{"version":"2\.0","generator":"polhode","extras":'
+SIGNS = (
+    rb'glTF\x02\0\0\0.{8}JSON\{"asset":\{"version":"2\.0","generator":"polhode","extras":'
     rb'\{"comments":\["polhode export of the run ',
-    "ply": rb"ply\nformat binary_little_endian 1\.0\ncomment polhode export of the run [^\n]*\n"
-    rb"comment frame: ",
-    "stl": rb"(?=.{80})binary STL; (polhode export, )?frame (G|P|cad), m?m +(?<=\A.{80})",
-    "obj": rb"# polhode export of the run [^\n]*\n# frame: [^\n]*\n# unit: m?m\n",
-    "urdf": _XML % b"robot name",
-    "mjcf": _XML % b"mujoco model",
-    "sdf": _XML % b"sdf version",
-    "aem": _CCSDS % b"AEM",
-    "oem": _CCSDS % b"OEM",
-    "tum": rb"# polhode export of the run [^\n]*\n# frame: [^\n]*\n"
+    rb"ply\nformat binary_little_endian 1\.0\ncomment polhode export of the run [^\n]*\ncomment frame: ",
+    rb"(?=.{80})binary STL; (polhode export, )?frame (G|P|cad), m?m +(?<=\A.{80})",
+    rb"# polhode export of the run [^\n]*\n# frame: [^\n]*\n# unit: m?m\n",
+    rb'<\?xml version="1\.0" encoding="utf-8"\?>\n<(robot name|mujoco model|sdf version)="[^"<>]*">\n'
+    rb"  <!-- polhode export of the run ",
+    rb"CCSDS_[AO]EM_VERS = [12]\.0\nCOMMENT polhode export of the run\s",
+    rb"# polhode export of the run [^\n]*\n# frame: [^\n]*\n"
     rb"# poses of the frame in N \[m\], (predicted from |estimated at the frames of the run\n)",
-    "json": rb'\{\n "schema": "polhode-export/1",\n "run_status": "',
-}
-"""How a file of each format begins, in this and in earlier versions: what else only mentions us."""
+    rb'\{\n "schema": "polhode-export/1",\n "run_status": "',
+)
+"""How a file of one of our formats begins, in this and in earlier versions: what else only mentions us."""
 
 
 @contextmanager
@@ -84,4 +79,4 @@ def write_export(files: Files, output: Path) -> None:
 
 def _is_export(path: Path) -> bool:
     beginning = beginning_of(path)
-    return any(re.match(sign, beginning, re.DOTALL) for sign in SIGNS.values())
+    return any(re.match(sign, beginning, re.DOTALL) for sign in SIGNS)

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from polhode.geometry.lie import Array, Bools, Ints, transform_points
+from polhode.geometry.lie import Array, Bools, Ints, make_pose, transform_points
 from polhode.records.estimate import Landmarks
 from polhode.records.surface import SurfaceModel
 
@@ -74,6 +74,11 @@ class Inertial:
     restated: tuple[str, ...] = ()
     """Those of the notes that only repeat what the user gave"""
 
+    @property
+    def X_FP(self) -> Array:
+        """(4, 4)"""
+        return make_pose(self.R_FP, self.com_F)
+
 
 @dataclass(frozen=True)
 class LastState:
@@ -92,16 +97,15 @@ def shape_of_surface(surface: SurfaceModel, at: Placement) -> ExportShape:
     """The dense model in F."""
     mesh = surface.mesh
     colours = getattr(mesh.visual, "vertex_colors", np.full((1, 4), 128))
-    count = len(mesh.vertices)
     return ExportShape(
-        vertices=transform_points(at.X_FG, np.asarray(mesh.vertices)),
-        faces=np.asarray(mesh.faces, dtype=np.int64),
-        normals=np.asarray(mesh.vertex_normals) @ at.R_FG.T,
-        rgba=np.broadcast_to(np.asarray(colours, dtype=np.uint8), (count, 4)),
-        sigma_m=surface.sigma_m,
-        views=surface.views,
-        coverage=surface.coverage_classes,
-        invented=surface.is_invented,
+        transform_points(at.X_FG, np.asarray(mesh.vertices)),
+        np.asarray(mesh.faces, dtype=np.int64),
+        np.asarray(mesh.vertex_normals) @ at.R_FG.T,
+        np.broadcast_to(np.asarray(colours, dtype=np.uint8), (len(mesh.vertices), 4)),
+        surface.sigma_m,
+        surface.views,
+        surface.coverage_classes,
+        surface.is_invented,
     )
 
 
@@ -109,12 +113,12 @@ def shape_of_landmarks(landmarks: Landmarks, at: Placement) -> ExportShape:
     """The sparse map in F: points without faces."""
     count = len(landmarks.p_G)
     return ExportShape(
-        vertices=transform_points(at.X_FG, landmarks.p_G),
-        faces=np.zeros((0, 3), dtype=np.int64),
-        normals=np.zeros((count, 3)),
-        rgba=np.tile(np.array([160, 160, 160, 255], dtype=np.uint8), (count, 1)),
-        sigma_m=landmarks.sigma_m,
-        views=landmarks.observations,
-        coverage=np.full(count, 2, dtype=np.uint8),
-        invented=np.zeros(0, dtype=bool),
+        transform_points(at.X_FG, landmarks.p_G),
+        np.zeros((0, 3), dtype=np.int64),
+        np.zeros((count, 3)),
+        np.tile(np.array([160, 160, 160, 255], dtype=np.uint8), (count, 1)),
+        landmarks.sigma_m,
+        landmarks.observations,
+        np.full(count, 2, dtype=np.uint8),
+        np.zeros(0, dtype=bool),
     )

@@ -6,16 +6,15 @@ URDF: wiki.ros.org/urdf/XML. MJCF: mujoco.readthedocs.io, XML reference. SDF 1.9
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from xml.etree.ElementTree import SubElement
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from polhode.geometry.lie import Array, wxyz_from_matrix
 from polhode.planning.exports.records import Inertial, LastState
-
-Attributes = dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -25,8 +24,8 @@ class Robot:
     name: str
     folder: str
     """Of the mesh files, relative to the XML"""
-    visual: str | None
-    """File name of the surface; None: there is none"""
+    visual: tuple[str, ...]
+    """File name of the surface, if there is one"""
     collision: tuple[str, ...]
     """File names of the convex pieces"""
     inertial: Inertial | None
@@ -35,97 +34,104 @@ class Robot:
     """None: no motion is known; the body rests at the origin"""
     comments: tuple[str, ...]
 
+    @property
+    def X_NF(self) -> Array:
+        """(4, 4)"""
+        return np.eye(4) if self.state is None else self.state.X_NF
+
+    @property
+    def parts(self) -> list[tuple[str, str, str]]:
+        """Kind, name and file of each mesh."""
+        kinds = (("visual", self.visual), ("collision", self.collision))
+        return [(kind, file.partition(".")[0], file) for kind, files in kinds for file in files]
+
+    @property
+    def inertia(self) -> dict[str, str]:
+        """Of the centre of mass, along P."""
+        if self.inertial is None:
+            return {}
+        xx, yy, zz = map(repr, self.inertial.moments_kg_m2.tolist())
+        return {"ixx": xx, "iyy": yy, "izz": zz, "ixy": "0", "ixz": "0", "iyz": "0"}
+
 
 def urdf(robot: Robot) -> str:
     """A floating joint carries the link in N, at the last pose of the run."""
-    root = ET.Element("robot", name=robot.name)
-    _comments(root, robot.comments)
+    root = _root("robot", robot, name=robot.name)
     # MuJoCo otherwise looks for meshes beside the file, not in their folder
-    compiler = ET.SubElement(ET.SubElement(root, "mujoco"), "compiler")
-    compiler.attrib |= {"strippath": "false", "balanceinertia": "false"}
+    SubElement(SubElement(root, "mujoco"), "compiler", strippath="false", balanceinertia="false")
     # simulators know this name; the link is N
-    ET.SubElement(root, "link", name="world")
-    joint = ET.SubElement(root, "joint", name="N_to_target", type="floating")
-    X_NF = np.eye(4) if robot.state is None else robot.state.X_NF
-    ET.SubElement(joint, "origin", _xyz_rpy(X_NF[:3, 3], X_NF[:3, :3]))
-    ET.SubElement(joint, "parent", link="world")
-    ET.SubElement(joint, "child", link=robot.name)
-    link = ET.SubElement(root, "link", name=robot.name)
+    SubElement(root, "link", name="world")
+    joint = SubElement(root, "joint", name="N_to_target", type="floating")
+    SubElement(joint, "origin", _xyz_rpy(robot.X_NF))
+    SubElement(joint, "parent", link="world")
+    SubElement(joint, "child", link=robot.name)
+    link = SubElement(root, "link", name=robot.name)
     if robot.inertial is not None:
-        own = ET.SubElement(link, "inertial")
-        ET.SubElement(own, "origin", _xyz_rpy(robot.inertial.com_F, robot.inertial.R_FP))
-        ET.SubElement(own, "mass", value=repr(robot.inertial.mass_kg))
-        ET.SubElement(own, "inertia", _moments(robot.inertial))
-    for tag, files in (("visual", _visual(robot)), ("collision", robot.collision)):
-        for file in files:
-            part = ET.SubElement(link, tag, name=file.partition(".")[0])
-            ET.SubElement(part, "origin", xyz="0 0 0", rpy="0 0 0")
-            ET.SubElement(ET.SubElement(part, "geometry"), "mesh", filename=f"{robot.folder}/{file}")
+        own = SubElement(link, "inertial")
+        SubElement(own, "origin", _xyz_rpy(robot.inertial.X_FP))
+        SubElement(own, "mass", value=repr(robot.inertial.mass_kg))
+        SubElement(own, "inertia", robot.inertia)
+    for kind, name, file in robot.parts:
+        part = SubElement(link, kind, name=name)
+        SubElement(part, "origin", xyz="0 0 0", rpy="0 0 0")
+        SubElement(SubElement(part, "geometry"), "mesh", filename=f"{robot.folder}/{file}")
     return _text(root)
 
 
 def mjcf(robot: Robot) -> str:
     """A free body without gravity; the key frame ``last`` is the last state of the run."""
-    root = ET.Element("mujoco", model=robot.name)
-    _comments(root, robot.comments)
-    from_geometry = "true" if robot.inertial is None else "false"
-    ET.SubElement(root, "compiler", angle="radian", meshdir=robot.folder, inertiafromgeom=from_geometry)
-    ET.SubElement(root, "option", gravity="0 0 0", integrator="RK4", timestep="0.002")
-    files = [*_visual(robot), *robot.collision]
-    if files:
-        asset = ET.SubElement(root, "asset")
-        for file in files:
-            kind = "convex" if file in robot.collision else "shell"
-            ET.SubElement(asset, "mesh", name=file.partition(".")[0], file=file, inertia=kind)
-    state = robot.state
-    X_NF = np.eye(4) if state is None else state.X_NF
-    world = ET.SubElement(root, "worldbody")
-    body = ET.SubElement(world, "body", {"name": robot.name} | _pos_quat(X_NF[:3, 3], X_NF[:3, :3]))
-    ET.SubElement(body, "freejoint", name=f"N_to_{robot.name}")
-    if robot.inertial is not None:
-        own, at = robot.inertial, _pos_quat(robot.inertial.com_F, robot.inertial.R_FP)
-        values = {"mass": repr(own.mass_kg), "diaginertia": _row(own.moments_kg_m2)}
-        ET.SubElement(body, "inertial", at | values)
-        ET.SubElement(body, "site", {"name": "P"} | at | {"size": "0.005"})
+    root, own = _root("mujoco", robot, model=robot.name), robot.inertial
+    from_geometry = "true" if own is None else "false"
+    SubElement(root, "compiler", angle="radian", meshdir=robot.folder, inertiafromgeom=from_geometry)
+    SubElement(root, "option", gravity="0 0 0", integrator="RK4", timestep="0.002")
+    if robot.parts:
+        asset = SubElement(root, "asset")
+        for kind, name, file in robot.parts:
+            inertia = "convex" if kind == "collision" else "shell"
+            SubElement(asset, "mesh", name=name, file=file, inertia=inertia)
+    world = SubElement(root, "worldbody")
+    body = SubElement(world, "body", {"name": robot.name} | _pos_quat(robot.X_NF))
+    SubElement(body, "freejoint", name=f"N_to_{robot.name}")
+    if own is not None:
+        at, moments = _pos_quat(own.X_FP), _row(own.moments_kg_m2)
+        SubElement(body, "inertial", at | {"mass": repr(own.mass_kg), "diaginertia": moments})
+        SubElement(body, "site", {"name": "P"} | at | {"size": "0.005"})
     shown = {"group": "2", "contype": "0", "conaffinity": "0"}
-    for file in files:
-        name, more = file.partition(".")[0], {"group": "3"} if file in robot.collision else shown
-        ET.SubElement(body, "geom", {"name": name, "type": "mesh", "mesh": name} | more)
-    if state is not None:
-        pose = np.concatenate([X_NF[:3, 3], wxyz_from_matrix(X_NF[:3, :3])])
+    for kind, name, _ in robot.parts:
+        more = {"group": "3"} if kind == "collision" else shown
+        SubElement(body, "geom", {"name": name, "type": "mesh", "mesh": name} | more)
+    if robot.state is not None:
+        pose = np.concatenate([robot.X_NF[:3, 3], wxyz_from_matrix(robot.X_NF[:3, :3])])
         # a free joint's rates: velocity of the body's origin along the world, angular velocity along the body
-        rates = np.concatenate([state.v_N, state.w_F])
-        keys = ET.SubElement(root, "keyframe")
-        ET.SubElement(keys, "key", name="last", qpos=_row(pose), qvel=_row(rates))
+        rates = np.concatenate([robot.state.v_N, robot.state.w_F])
+        SubElement(SubElement(root, "keyframe"), "key", name="last", qpos=_row(pose), qvel=_row(rates))
     return _text(root)
 
 
 def sdf(robot: Robot) -> str:
     """A model with one link, without gravity, at the last pose; the frame ``P`` is attached to it."""
-    root = ET.Element("sdf", version="1.9")
-    _comments(root, robot.comments)
-    model = ET.SubElement(root, "model", name=robot.name)
-    X_NF = np.eye(4) if robot.state is None else robot.state.X_NF
-    ET.SubElement(model, "pose").text = _sdf_pose(X_NF[:3, 3], X_NF[:3, :3])
-    link = ET.SubElement(model, "link", name="link")
-    ET.SubElement(link, "gravity").text = "false"
-    if robot.inertial is not None:
-        own = robot.inertial
-        tag = ET.SubElement(link, "inertial")
-        ET.SubElement(tag, "pose").text = _sdf_pose(own.com_F, own.R_FP)
-        ET.SubElement(tag, "mass").text = repr(own.mass_kg)
-        inertia = ET.SubElement(tag, "inertia")
-        for key, value in _moments(own).items():
-            ET.SubElement(inertia, key).text = value
-    for kind, files in (("visual", _visual(robot)), ("collision", robot.collision)):
-        for file in files:
-            part = ET.SubElement(link, kind, name=file.partition(".")[0])
-            mesh = ET.SubElement(ET.SubElement(part, "geometry"), "mesh")
-            ET.SubElement(mesh, "uri").text = f"{robot.folder}/{file}"
-    if robot.inertial is not None:
-        frame = ET.SubElement(model, "frame", name="P", attached_to="link")
-        ET.SubElement(frame, "pose").text = _sdf_pose(robot.inertial.com_F, robot.inertial.R_FP)
+    root, own = _root("sdf", robot, version="1.9"), robot.inertial
+    model = SubElement(root, "model", name=robot.name)
+    SubElement(model, "pose").text = " ".join(_xyz_rpy(robot.X_NF).values())
+    link = SubElement(model, "link", name="link")
+    SubElement(link, "gravity").text = "false"
+    if own is not None:
+        tag = SubElement(link, "inertial")
+        SubElement(tag, "pose").text = " ".join(_xyz_rpy(own.X_FP).values())
+        SubElement(tag, "mass").text = repr(own.mass_kg)
+        inertia = SubElement(tag, "inertia")
+        for key, value in robot.inertia.items():
+            SubElement(inertia, key).text = value
+    for kind, name, file in robot.parts:
+        mesh = SubElement(SubElement(SubElement(link, kind, name=name), "geometry"), "mesh")
+        SubElement(mesh, "uri").text = f"{robot.folder}/{file}"
+    if own is not None:
+        frame = SubElement(model, "frame", name="P", attached_to="link")
+        SubElement(frame, "pose").text = " ".join(_xyz_rpy(own.X_FP).values())
     return _text(root)
+
+
+WRITERS: dict[str, Callable[[Robot], str]] = {"urdf": urdf, "mjcf": mjcf, "sdf": sdf}
 
 
 def describe_state(state: LastState) -> str:
@@ -136,41 +142,25 @@ def describe_state(state: LastState) -> str:
     )
 
 
-def _visual(robot: Robot) -> tuple[str, ...]:
-    return () if robot.visual is None else (robot.visual,)
-
-
-def _comments(root: ET.Element, comments: Sequence[str]) -> None:
-    for text in comments:
+def _root(tag: str, robot: Robot, **attributes: str) -> ET.Element:
+    root = ET.Element(tag, attributes)
+    for text in robot.comments:
         # XML allows no double hyphen inside a comment: options lose theirs
         root.append(ET.Comment(f" {text.replace('--', '')} "))
+    return root
 
 
 def _row(values: Array) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _pos_quat(p: Array, R: Array) -> Attributes:
-    return {"pos": _row(p), "quat": _row(wxyz_from_matrix(R))}
+def _pos_quat(X: Array) -> dict[str, str]:
+    return {"pos": _row(X[:3, 3]), "quat": _row(wxyz_from_matrix(X[:3, :3]))}
 
 
-def _rpy(R: Array) -> Array:
-    """Roll, pitch, yaw about the fixed axes x, y, z [rad]."""
-    return np.asarray(Rotation.from_matrix(R).as_euler("xyz"))
-
-
-def _xyz_rpy(p: Array, R: Array) -> Attributes:
-    return {"xyz": _row(p), "rpy": _row(_rpy(R))}
-
-
-def _sdf_pose(p: Array, R: Array) -> str:
-    return f"{_row(p)} {_row(_rpy(R))}"
-
-
-def _moments(inertial: Inertial) -> Attributes:
-    zero = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
-    names = ("ixx", "iyy", "izz")
-    return dict(zip(names, map(repr, inertial.moments_kg_m2.tolist()), strict=True)) | zero
+def _xyz_rpy(X: Array) -> dict[str, str]:
+    """With roll, pitch, yaw about the fixed axes x, y, z [rad]."""
+    return {"xyz": _row(X[:3, 3]), "rpy": _row(Rotation.from_matrix(X[:3, :3]).as_euler("xyz"))}
 
 
 def _text(root: ET.Element) -> str:

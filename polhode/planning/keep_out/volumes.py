@@ -239,28 +239,21 @@ def _instant(
     grid = body.grid
     points = thinned_vertices(trimesh.Trimesh(body.points_G), INSTANT_POINTS_CELLS * grid.step_m)
 
-    def scores(part: Ensemble, factors: Array) -> Array:
-        return protrusion_at_instants(
-            factors,
-            np.ascontiguousarray(part.R_NG[:, chosen]),
-            np.ascontiguousarray(part.p_NG[:, chosen]),
-            motion.R_NG[chosen],
-            motion.p_NG[chosen],
-            P[chosen],
-            grid.values,
-            grid.origin,
-            grid.step_m,
-            points,
-        )
+    def bound(part: Ensemble, factors: Array) -> Array:
+        R, p = np.ascontiguousarray(part.R_NG[:, chosen]), np.ascontiguousarray(part.p_NG[:, chosen])
+        scores = protrusion_at_instants(
+            factors, R, p, motion.R_NG[chosen], motion.p_NG[chosen], P[chosen],
+            grid.values, grid.origin, grid.step_m, points,
+        )  # fmt: skip
+        return conformal(scores, options.pose_miss)
 
-    first = conformal(scores(halves[0], FACTORS), options.pose_miss)
+    first = bound(halves[0], FACTORS)
     lever = np.sqrt(np.mean(np.sum(points**2, axis=1)) / 3.0)
     typical = np.sqrt((np.trace(P[:, :3, :3], axis1=1, axis2=2) / 3.0).mean()) + lever * np.sqrt(
         (np.trace(P[:, 3:, 3:], axis1=1, axis2=2) / 3.0).mean()
     )
     best = int(np.argmin(first + FACTORS * typical))
-    chosen_factor = FACTORS[best : best + 1]
-    added = max(float(conformal(scores(halves[1], chosen_factor), options.pose_miss)[0]), 0.0)
+    added = max(float(bound(halves[1], FACTORS[best : best + 1])[0]), 0.0)
     return InstantKeepOut(body, motion, P, float(FACTORS[best]), added)
 
 
@@ -273,7 +266,7 @@ def _swept(
     options: KeepOutOptions,
 ) -> SweptKeepOut:
     centres = np.concatenate([half.p_NG + half.R_NG @ body.centre_G for half in halves])
-    radius = body.radius_m
+    radius, grid = body.radius_m, body.grid
     low, high = centres.min(axis=(0, 1)) - radius, centres.max(axis=(0, 1)) + radius
     step = float((high - low).max()) / options.cells
     low, high = low - 4.0 * step, high + 4.0 * step
@@ -285,20 +278,19 @@ def _swept(
     at = np.clip(np.searchsorted(motion.time_s, fine), 0, len(motion.time_s) - 1)
     states = nominal_motion(estimate, fine)
     fields = np.full((*shape, len(FACTORS)), FAR, dtype=np.float32)
-    grid = body.grid
     sweep(
         fields, low, step, FACTORS, states.R_NG, states.p_NG, P[at], FACTORS[-1] * spread_m[at],
         grid.values, grid.origin, grid.step_m, body.centre_G, radius,
     )  # fmt: skip
     pairs = points_near_surface(fields[..., 0], low, step, motion, body.points_G, BAND_SIGMAS * spread_m)
-    first, second = halves
-    beyond = protrusion(fields, low, step, first.R_NG, first.p_NG, pairs, body.points_G)
-    allowed = np.maximum(conformal(beyond, options.pose_miss), -step)
-    cells = [int((fields[..., c] <= allowed[c]).sum()) for c in range(len(FACTORS))]
-    best = int(np.argmin(cells))
-    one = np.ascontiguousarray(fields[..., best : best + 1])
-    beyond = protrusion(one, low, step, second.R_NG, second.p_NG, pairs, body.points_G)
-    added = max(float(conformal(beyond, options.pose_miss)[0]), -step)
+
+    def bound(fields: Floats, half: Ensemble) -> Array:
+        beyond = protrusion(fields, low, step, half.R_NG, half.p_NG, pairs, body.points_G)
+        return np.maximum(conformal(beyond, options.pose_miss), -step)
+
+    allowed = bound(fields, halves[0])
+    best = int(np.argmin([int((fields[..., c] <= allowed[c]).sum()) for c in range(len(FACTORS))]))
+    added = float(bound(np.ascontiguousarray(fields[..., best : best + 1]), halves[1])[0])
     level = fields[..., best] - np.float32(added)
     level = np.where(cavities(level), -np.float32(step), level)
     # bounded values: finite slopes at the surface between far cells and near ones

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -67,17 +67,7 @@ class Subject:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class TimedPoses:
-    """Poses of the camera in a frame F that the user names."""
-
-    time_s: Array
-    """(k,) increasing"""
-    X_FR: Array
-    """(k, 4, 4)"""
-
-
-DEFAULT_CAMERA = (800.0, 640, 480)
+DEFAULT_RIG = RectifiedRig(800.0, 319.5, 239.5, 1.0, 640, 480)
 
 
 def subject_of(
@@ -91,74 +81,79 @@ def subject_of(
     unit_m: float,
 ) -> Subject:
     """Raises InputError, one line, for unreadable or inconsistent input."""
+    notes: list[str] = []
     if path.is_dir():
         if unit_m != 1.0:
             raise InputError("--unit is for a mesh; a run is in metres")
         if crease_deg != CREASE_DEG:
             raise InputError("--crease-deg is for a mesh; that of a run follows from its errors")
-        return _of_run(path, trajectory, frame, camera, about_G, sun)
-    if not path.is_file():
-        raise InputError(f"{path}: no such run or mesh")
-    if trajectory is None:
-        raise InputError(f"{path}: a mesh needs --trajectory FILE, the poses of the camera in its frame")
-    if frame != "G":
-        raise InputError("--frame inertial is for a run, whose target tumbles; a mesh has only its own frame")
-    model = edge_model(read_mesh(path, unit_m), crease_deg)
-    poses = read_poses(trajectory)
-    o_G, about = (
-        (model.centre_G, "the centre of the bounding box") if about_G is None else (about_G, "--about")
-    )
-    X_RG = inverse_pose(poses.X_FR)
-    sun_G = None if sun is None else np.tile(sun, (len(X_RG), 1))
-    rig = _rig(camera, None)
-    return Subject(str(path), model, rig, poses.time_s, X_RG, about, o_G, sun_G, model.notes)
-
-
-def _of_run(
-    run: Path,
-    trajectory: Path | None,
-    frame: str,
-    camera: CameraOptions,
-    about_G: Array | None,
-    sun_N: Array | None,
-) -> Subject:
-    summary = read_summary(run)
-    surface = surface_of(run)
-    model = measured_edge_model(surface.mesh, surface.sigma_m)
-    notes = [
-        *model.notes,
-        "what is expected of a tracker takes the edges of the mesh as exact; those of a measured mesh are "
-        "not, and the errors of a tracker that uses them are larger, possibly by far",
-    ]
-    if surface.coverage is not None:
-        seen = float((surface.views > 0).mean())
+        summary, surface = read_summary(path), surface_of(path)
+        model = measured_edge_model(surface.mesh, surface.sigma_m)
         notes.append(
-            f"{seen:.0%} of the mesh's vertices were measured: edges never seen are not in the model"
+            "what is expected of a tracker takes the edges of the mesh as exact; those of a measured mesh "
+            "are not, and the errors of a tracker that uses them are larger, possibly by far"
         )
-    tracks = read_measurements(run / "measurements.npz")
-    R_NG = None
-    if trajectory is None:
-        if frame != "G":
-            raise InputError("--frame inertial: give --trajectory FILE with the camera's poses in N")
-        time_s, X_RG, R_NG = _poses_of_run(run, summary, tracks.X_NR)
+        if surface.coverage is not None:
+            seen = float((surface.views > 0).mean())
+            notes.append(
+                f"{seen:.0%} of the mesh's vertices were measured: edges never seen are not in the model"
+            )
+        tracks = read_measurements(path / "measurements.npz")
+        rig, R_NG = tracks.rig, None
+        if trajectory is None:
+            if frame != "G":
+                raise InputError("--frame inertial: give --trajectory FILE with the camera's poses in N")
+            time_s, X_RG, R_NG = _poses_of_run(path, summary, tracks.X_NR)
+        else:
+            time_s, X_FR = read_poses(trajectory)
+            X_RG = inverse_pose(X_FR)
+            if frame == "N":
+                if time_s[0] < 0.0:
+                    raise InputError(
+                        f"{trajectory}: with --frame inertial times are seconds after the run's last pair; "
+                        "one is negative"
+                    )
+                motion = nominal_motion(final_estimate(path)[0], time_s)
+                X_RG, R_NG = X_RG @ motion.X_NG, motion.R_NG
+        if sun is not None and R_NG is None:
+            raise InputError(
+                "--sun is in N, and poses in G do not give the attitude of the target in N: --frame inertial "
+                "does"
+            )
+        sun_G = None if sun is None or R_NG is None else sun @ R_NG
+        centre = summary.com_G if summary.com_G is not None and np.isfinite(summary.com_G).all() else None
     else:
-        poses = read_poses(trajectory)
-        time_s, X_RG = poses.time_s, inverse_pose(poses.X_FR)
-        if frame == "N":
-            X_RG, R_NG = _poses_of_predicted_target(run, trajectory, poses)
-    if sun_N is not None and R_NG is None:
-        raise InputError(
-            "--sun is in N, and poses in G do not give the attitude of the target in N: --frame inertial does"
-        )
-    sun_G = None if sun_N is None or R_NG is None else sun_N @ R_NG
+        if not path.is_file():
+            raise InputError(f"{path}: no such run or mesh")
+        if trajectory is None:
+            raise InputError(f"{path}: a mesh needs --trajectory FILE, the poses of the camera in its frame")
+        if frame != "G":
+            raise InputError(
+                "--frame inertial is for a run, whose target tumbles; a mesh has only its own frame"
+            )
+        model, rig, centre = edge_model(read_mesh(path, unit_m), crease_deg), DEFAULT_RIG, None
+        time_s, X_FR = read_poses(trajectory)
+        X_RG = inverse_pose(X_FR)
+        sun_G = None if sun is None else np.tile(sun, (len(X_RG), 1))
     if about_G is not None:
         o_G, about = about_G, "--about"
-    elif summary.com_G is not None and np.isfinite(summary.com_G).all():
-        o_G, about = np.array(summary.com_G), "the run's centre of mass"
+    elif centre is not None:
+        o_G, about = np.array(centre), "the run's centre of mass"
     else:
         o_G, about = model.centre_G, "the centre of the bounding box"
-    rig = _rig(camera, tracks.rig)
-    return Subject(str(run), model, rig, time_s, X_RG, about, o_G, sun_G, tuple(notes))
+    # the values that the user gives; the middle of an image of another size is its principal point
+    for name, value in vars(camera).items():
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number above 0")
+    given = {name: value for name, value in vars(camera).items() if value is not None}
+    given |= {
+        middle: 0.5 * (given[size] - 1)
+        for middle, size in (("cx_px", "width_px"), ("cy_px", "height_px"))
+        if size in given
+    }
+    rig = replace(rig, disparity_offset_px=0.0, **given)
+    notes = [*model.notes, *notes]
+    return Subject(str(path), model, rig, time_s, X_RG, about, o_G, sun_G, tuple(notes))
 
 
 def refined_edges_of_run(run: Path, sequence: Path) -> RefinedEdges:
@@ -174,16 +169,12 @@ def refined_edges_of_run(run: Path, sequence: Path) -> RefinedEdges:
     if not np.isin(tracks.timestamps_ns, images.timestamps_ns).all():
         raise InputError(f"{sequence}: lacks images of {run}; give the sequence that the run was made from")
     rectifier = make_rectifier(images.calibration)
-    return refined_edges(
-        measured_edge_model(surface.mesh, surface.sigma_m),
-        surface.mesh,
-        surface.sigma_m,
-        tracks.rig,
-        [
-            PosedImage(as_levels(rectifier(images.read_left(int(frame))[0], 0)), pose)
-            for frame, pose in zip(frames, X_RG, strict=True)
-        ],
-    )
+    posed = [
+        PosedImage(as_levels(rectifier(images.read_left(int(frame))[0], 0)), pose)
+        for frame, pose in zip(frames, X_RG, strict=True)
+    ]
+    model = measured_edge_model(surface.mesh, surface.sigma_m)
+    return refined_edges(model, surface.mesh, surface.sigma_m, tracks.rig, posed)
 
 
 def _poses_of_run(run: Path, summary: Summary, X_NR: Array) -> tuple[Array, Array, Array]:
@@ -193,33 +184,6 @@ def _poses_of_run(run: Path, summary: Summary, X_NR: Array) -> tuple[Array, Arra
     table = read_trajectory(run)
     X_NG = target_poses(table, np.array(summary.R_GP), np.array(summary.com_G))
     return table.time_s, inverse_pose(X_NR) @ X_NG, X_NG[:, :3, :3]
-
-
-def _poses_of_predicted_target(run: Path, file: Path, poses: TimedPoses) -> tuple[Array, Array]:
-    """X_RG (k, 4, 4) and R_NG (k, 3, 3) of the predicted target, seen from camera poses in N."""
-    if poses.time_s[0] < 0.0:
-        raise InputError(
-            f"{file}: with --frame inertial times are seconds after the run's last pair; one is negative"
-        )
-    estimate, _ = final_estimate(run)
-    motion = nominal_motion(estimate, poses.time_s)
-    return inverse_pose(poses.X_FR) @ make_pose(motion.R_NG, motion.p_NG), motion.R_NG
-
-
-def _rig(camera: CameraOptions, own: RectifiedRig | None) -> RectifiedRig:
-    """The run's camera, or the default, with the values that the user gives."""
-    focal, width, height = DEFAULT_CAMERA if own is None else (own.focal_px, own.width_px, own.height_px)
-    cx, cy = (0.5 * (width - 1), 0.5 * (height - 1)) if own is None else (own.cx_px, own.cy_px)
-    for name in ("focal_px", "width_px", "height_px"):
-        value = getattr(camera, name)
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number above 0")
-    focal = focal if camera.focal_px is None else camera.focal_px
-    if camera.width_px is not None:
-        width, cx = camera.width_px, 0.5 * (camera.width_px - 1)
-    if camera.height_px is not None:
-        height, cy = camera.height_px, 0.5 * (camera.height_px - 1)
-    return RectifiedRig(focal, cx, cy, 1.0 if own is None else own.baseline_m, width, height)
 
 
 def sun_direction(sun: Sequence[float] | None) -> Array | None:
@@ -247,14 +211,11 @@ def check_numbers(sigma_px: float, spacing_px: float, edges: int | None) -> None
 
 UNIT_WITHIN = 1e-2
 """How far a quaternion's length may be from 1."""
-MAX_POSES = 100_000
-MAX_EDGES = 1_000_000
-MAX_COORDINATE_M = 1e12
-"""Largest valid coordinate [m]."""
+MAX_POSES, MAX_EDGES, MAX_COORDINATE_M = 100_000, 1_000_000, 1e12
 
 
-def read_poses(path: Path) -> TimedPoses:
-    """Poses of a TUM file. Raises InputError, one line, for any other content."""
+def read_poses(path: Path) -> tuple[Array, Array]:
+    """Increasing times (k,) and poses (k, 4, 4) of a TUM file. Raises InputError for other content."""
     rows = [row for _, row in number_rows(path, 8, "timestamp tx ty tz qx qy qz qw", MAX_POSES)]
     if not rows:
         raise InputError(f"{path}: contains no pose; a line is: timestamp tx ty tz qx qy qz qw")
@@ -265,11 +226,11 @@ def read_poses(path: Path) -> TimedPoses:
     if (np.abs(table[:, 1:]) > MAX_COORDINATE_M).any():
         raise InputError(f"{path}: has a coordinate or quaternion above {MAX_COORDINATE_M:g}")
     length = np.linalg.norm(table[:, 4:], axis=1)
-    if (np.abs(length - 1.0) > UNIT_WITHIN).any():
-        bad = int(np.argmax(np.abs(length - 1.0)))
+    bad = int(np.argmax(np.abs(length - 1.0)))
+    if abs(length[bad] - 1.0) > UNIT_WITHIN:
         raise InputError(f"{path}: the quaternion of pose {bad + 1} has length {length[bad]:.3g}, not 1")
     wxyz = table[:, [7, 4, 5, 6]] / length[:, None]
-    return TimedPoses(table[:, 0], make_pose(matrix_from_wxyz(wxyz), table[:, 1:4]))
+    return table[:, 0], make_pose(matrix_from_wxyz(wxyz), table[:, 1:4])
 
 
 MAX_VIEWS = 20
@@ -284,14 +245,14 @@ class Choice:
 
     views: int
     """number of views that the selection rests on; 0: no selection was requested"""
-    smallest: SmallestSet | None
+    smallest: SmallestSet | None = None
     """with each sigma at most 10 % above that of all edges; None: not requested, or not possible"""
-    best: EdgeSelection | None
+    best: EdgeSelection | None = None
     """of the requested number of edges, or of all that are seen; None when not requested or not possible"""
-    best_ratio: Array | None
+    best_ratio: Array | None = None
     """(6,) its sigma over that of all edges; inf where the set does not determine it, NaN where not even
     all edges do"""
-    bound: float | None
+    bound: float | None = None
     """upper bound of the value of any set of this size"""
     wanted: int | None = None
     """requested number of edges"""
@@ -341,47 +302,42 @@ def assess(
             f"{len(subject.X_RG)} poses of {subject.model.size} edges take {size_mib:.0f} MiB: "
             f"give fewer poses{fewer_edges}"
         )
-    views, C = [], []
+    model, views, C = subject.model, list[EdgeView](), []
     expected: list[ExpectedTracking] = []
     with progress.stage("evaluating views", len(subject.X_RG)) as advance:
-        for view in views_along(
-            subject.model, subject.rig, subject.X_RG, subject.o_G, spacing_px, subject.sun_G
-        ):
+        for view in views_along(model, subject.rig, subject.X_RG, subject.o_G, spacing_px, subject.sun_G):
+            # under the Sun that the user gives, or under some around the camera
+            light = points = None
+            if subject.sun_G is not None:
+                light = lit_from(view.X_RG[:3, :3] @ subject.sun_G[len(views)])
+            elif spacing_px == SPACING_PX:
+                points = view.points
+            at = model, subject.rig, view.X_RG, light
+            expected.append(expected_tracking(*at, about_G=subject.o_G, points=points))
             views.append(view)
-            C.append(by_feature(view.points, view.f, subject.model.size))
-            expected.append(_expected_at(subject, view, len(expected), spacing_px))
+            C.append(by_feature(view.points, view.f, model.size))
             advance()
-    information = FeatureInformation(np.stack(C), subject.model.radius_m)
+    information = FeatureInformation(np.stack(C), model.radius_m)
     with progress.stage("selecting edges", 1) as advance:
         choice = choose(information, few, fewest)
         advance()
     return Assessment(subject, views, expected, contributions(information), choice, spacing_px, sigma_px)
 
 
-def _expected_at(subject: Subject, view: EdgeView, pose: int, spacing_px: float) -> ExpectedTracking:
-    """Under the Sun that the user gives, or under some around the camera."""
-    light = points = None
-    if subject.sun_G is not None:
-        light = lit_from(view.X_RG[:3, :3] @ subject.sun_G[pose])
-    elif spacing_px == SPACING_PX:
-        points = view.points
-    return expected_tracking(subject.model, subject.rig, view.X_RG, light, about_G=subject.o_G, points=points)
-
-
 def choose(information: FeatureInformation, edges: int | None, fewest: bool) -> Choice:
     """The best set of ``edges`` and the smallest set, where requested and possible."""
     if edges is None and not fewest:
-        return Choice(0, None, None, None, None)
+        return Choice(0)
     count = len(information.C)
     views = np.unique(np.linspace(0, count - 1, min(count, MAX_VIEWS)).round().astype(int))
     few = FeatureInformation(information.C[views], information.radius_m)
     try:
         limits = SigmaLimits(few)
     except InputError:
-        return Choice(len(views), None, None, None, None, edges)
+        return Choice(len(views), wanted=edges)
     smallest = smallest_set(few) if fewest else None
     if edges is None:
-        return Choice(len(views), smallest, None, None, None)
+        return Choice(len(views), smallest)
     best = greedy(few.scaled, edges)
-    bound = upper_bound(few.scaled, edges)
-    return Choice(len(views), smallest, best, limits.ratio(limits.of(best.features)), bound, edges)
+    ratio, bound = limits.ratio(limits.of(best.features)), upper_bound(few.scaled, edges)
+    return Choice(len(views), smallest, best, ratio, bound, edges)

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from polhode.planning.edges.edge_model import EdgeKind
 from polhode.planning.edges.expected_tracking import SUN_ANGLE_DEG
 from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM
 from polhode.planning.observability import pictures
-from polhode.planning.observability.assess import Assessment, Choice
+from polhode.planning.observability.assess import Assessment
 from polhode.planning.observability.notes import (
     notes_of,
     selection_lines,
@@ -49,27 +50,23 @@ def assessment_folder(path: Path) -> AbstractContextManager[Path]:
 
 def write_assessment(assessment: Assessment, folder: Path) -> list[str]:
     """Write all files or none; returns their names. Raises InputError, RunFailure."""
-    model, shares = assessment.subject.model, assessment.edges.share
-    files: dict[str, bytes] = {
+    files = {
         "observability.csv": table(assessment).encode(),
         "edges.csv": edge_table(assessment).encode(),
+        "metric.png": pictures.draw_metric(assessment),
     }
-    best = max(range(len(assessment.views)), key=lambda k: len(assessment.views[k].points))
-    files["metric.png"] = pictures.draw_metric(assessment)
+    best, legend = max(range(len(assessment.views)), key=lambda k: len(assessment.views[k].points)), None
     if len(assessment.views[best].points):
         files["views.png"] = pictures.draw_views(assessment)
         files["contributions.png"] = pictures.draw_contributions(assessment, best)
-        overall = np.nan_to_num(shares).max(axis=1)
-        coloured, legend = coloured_body(model, overall)
+        overall = np.nan_to_num(assessment.edges.share).max(axis=1)
+        coloured, legend = coloured_body(assessment.subject.model, overall)
         for suffix in "ply", "glb":
             content = coloured.export(file_type=suffix)
             assert isinstance(content, bytes)
             files[f"edges.{suffix}"] = content
-    else:
-        legend = None
-    files["observability.json"] = (
-        json.dumps(document(assessment, legend), indent=1, allow_nan=False) + "\n"
-    ).encode()
+    text = json.dumps(document(assessment, legend), indent=1, allow_nan=False) + "\n"
+    files["observability.json"] = text.encode()
     write_files(folder, COMMAND, files, FILES.__contains__)
     return list(files)
 
@@ -79,6 +76,7 @@ def pose_rows(assessment: Assessment) -> list[dict[str, Any]]:
 
     sigma (6,) and expected_sigma (6,) are inf where the visible edges do not determine them.
     """
+    along = assessment.subject.time_s, assessment.sigma, assessment.expected_sigma, assessment.views
     return [
         {
             "time_s": float(time),
@@ -94,76 +92,87 @@ def pose_rows(assessment: Assessment) -> list[dict[str, Any]]:
             "condition": view.metric.condition,
             "not_told": view.describe_unobservable(),
         }
-        for time, sigma, expected, view in zip(
-            assessment.subject.time_s,
-            assessment.sigma,
-            assessment.expected_sigma,
-            assessment.views,
-            strict=True,
-        )
+        for time, sigma, expected, view in zip(*along, strict=True)
     ]
 
 
 def table(assessment: Assessment) -> str:
     """observability.csv: one row per pose."""
-    text = io.StringIO()
-    out = csv.writer(text, lineterminator="\n")
-    for number, row in enumerate(pose_rows(assessment)):
-        cells = {"time_s": f"{row['time_s']:.9f}"}
+    rows = []
+    for row in pose_rows(assessment):
+        cells = {"time_s": f"{row.pop('time_s'):.9f}"}
         for name, value in row.items():
             if isinstance(value, np.ndarray):
                 cells |= {f"{name}_{each}": f"{part:.6g}" for each, part in zip(NAMES, value, strict=True)}
-            elif name not in cells:
+            else:
                 cells[name] = f"{value:.6g}" if isinstance(value, float) else str(value)
-        if number == 0:
-            out.writerow(cells)
-        out.writerow(cells.values())
-    return text.getvalue()
+        rows.append(cells)
+    return _csv([list(rows[0]), *(list(each.values()) for each in rows)])
 
 
 def edge_table(assessment: Assessment) -> str:
     """edges.csv: one row per feature of the model; shares and rises of the variances along the trajectory."""
-    model, edges = assessment.subject.model, assessment.edges
-    text = io.StringIO()
-    out = csv.writer(text, lineterminator="\n")
-    ends = [f"{end}_{axis}_m" for end in ("a", "b") for axis in "xyz"]
-    dofs = [name.removesuffix("_m").removesuffix("_rad") for name in NAMES]
-    out.writerow(
+    model, edges, choice = assessment.subject.model, assessment.edges, assessment.choice
+    sets = [set() if each is None else set(each.features.tolist()) for each in (choice.smallest, choice.best)]
+    segments = len(model.ends_G)
+    kinds = [EdgeKind(kind).name.lower() for kind in model.kind] + ["outline"] * len(model.outlined)
+    segment = np.column_stack([model.lengths_m, model.ends_G.reshape(-1, 6)])
+    rows: list[list[object]] = [
         [
-            *("edge", "kind", "length_m", *ends),
-            *(f"share_{d}" for d in dofs),
-            *(f"rise_{d}" for d in dofs),
+            *("edge", "kind", "length_m", *(f"{end}_{axis}_m" for end in "ab" for axis in "xyz")),
+            *(f"{what}_{name.rsplit('_', 1)[0]}" for what in ("share", "rise") for name in NAMES),
             *("in_smallest_set", "in_best"),
         ]
-    )
-    smallest, best = assessment.choice.smallest, assessment.choice.best
-    sets = [set() if each is None else set(each.features.tolist()) for each in (smallest, best)]
-    lengths_m = model.lengths_m
-    kinds = [EdgeKind(kind).name.lower() for kind in model.kind] + ["outline"] * len(model.outlined)
+    ]
     for k, kind in enumerate(kinds):
-        if k >= len(model.ends_G) and not model.outlined[k - len(model.ends_G)]:
-            continue
-        segment: list[str] = [""] * 7
-        if k < len(model.ends_G):
-            segment = [
-                f"{lengths_m[k]:.6g}",
-                *(f"{value:.6g}" for value in model.ends_G[k].reshape(-1)),
-            ]
-        shares = (f"{value:.6g}" for value in (*edges.share[k], *edges.rise[k]))
-        out.writerow([k, kind, *segment, *shares, *(int(k in each) for each in sets)])
+        if k < segments or model.outlined[k - segments]:
+            place = [f"{value:.6g}" for value in segment[k]] if k < segments else [""] * 7
+            shares = (f"{value:.6g}" for value in (*edges.share[k], *edges.rise[k]))
+            rows.append([k, kind, *place, *shares, *(int(k in each) for each in sets)])
+    return _csv(rows)
+
+
+def _csv(rows: Iterable[Sequence[object]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
 
 
 def document(assessment: Assessment, legend: Legend | None) -> dict[str, Any]:
     """observability.json. Infinite or unknown values are null, with a description of the reason."""
-    subject, model = assessment.subject, assessment.subject.model
-    rig = subject.rig
+    subject, model, choice = assessment.subject, assessment.subject.model, assessment.choice
+    camera = ("focal_px", "cx_px", "cy_px", "width_px", "height_px")
+    painted = smallest = best = None
+    if legend is not None:
+        painted = {
+            "words": "largest share of a degree of freedom's variance",
+            "values": legend.values.tolist(),
+            "rgb": legend.rgb.tolist(),
+        }
+    # sets of edges: numbers as in edges.csv; ratios of sigma to that of all edges
+    if choice.smallest is not None:
+        smallest = {
+            "words": "each sigma at most 10 % above that of all edges, root mean square over the views",
+            "edges": choice.smallest.features.tolist(),
+            "ratio": _numbers(choice.smallest.ratio),
+            "at_least": choice.smallest.at_least,
+        }
+    if choice.best is not None and choice.best_ratio is not None:
+        best = {
+            "words": "6 minus the mean trace of C^-1 (lengths in radii, with a prior of 1), greedy; no set "
+            "of this size has a value above the bound",
+            "edges": choice.best.features.tolist(),
+            "ratio": _numbers(choice.best_ratio),
+            "value": choice.best.value,
+            "bound": choice.bound,
+        }
+    # over the views that determine a degree of freedom, and how many do not
+    sigma = assessment.sigma
+    determined = np.isfinite(sigma)
     return {
         "schema": SCHEMA,
         "source": subject.source,
-        "camera": {
-            name: getattr(rig, name) for name in ("focal_px", "cx_px", "cy_px", "width_px", "height_px")
-        },
+        "camera": {name: getattr(subject.rig, name) for name in camera},
         "model": {
             "segments": len(model.ends_G),
             "smooth_parts": int(model.outlined.sum()),
@@ -192,62 +201,23 @@ def document(assessment: Assessment, legend: Legend | None) -> dict[str, Any]:
             }
             for row, view in zip(pose_rows(assessment), assessment.views, strict=True)
         ],
-        "along": along(assessment),
-        "edges": {
-            "file": "edges.csv",
-            "painted": None
-            if legend is None
-            else {
-                "words": "largest share of a degree of freedom's variance",
-                "values": legend.values.tolist(),
-                "rgb": legend.rgb.tolist(),
+        "along": {
+            "sigma": {
+                name: {
+                    "median": _numbers(np.median(own[known]) if known.any() else np.inf),
+                    "best": _numbers(own.min()),
+                    "worst": _numbers(own.max()),
+                    "poses_that_do_not_tell": int((~known).sum()),
+                }
+                for name, own, known in zip(NAMES, sigma.T, determined.T, strict=True)
             },
+            "poses": len(sigma),
+            "poses_that_tell_all": int(determined.all(axis=1).sum()),
         },
-        "choice": choice_of(assessment.choice),
+        "edges": {"file": "edges.csv", "painted": painted},
+        "choice": {"views": choice.views, "smallest_set": smallest, "best": best},
         "notes": list(notes_of(assessment)),
     }
-
-
-def choice_of(choice: Choice) -> dict[str, Any]:
-    """Sets of edges: numbers as in edges.csv; ratios of sigma to that of all edges."""
-    smallest, best = choice.smallest, choice.best
-    return {
-        "views": choice.views,
-        "smallest_set": None
-        if smallest is None
-        else {
-            "words": "each sigma at most 10 % above that of all edges, root mean square over the views",
-            "edges": smallest.features.tolist(),
-            "ratio": _numbers(smallest.ratio),
-            "at_least": smallest.at_least,
-        },
-        "best": None
-        if best is None or choice.best_ratio is None
-        else {
-            "words": "6 minus the mean trace of C^-1 (lengths in radii, with a prior of 1), greedy; no set "
-            "of this size has a value above the bound",
-            "edges": best.features.tolist(),
-            "ratio": _numbers(choice.best_ratio),
-            "value": best.value,
-            "bound": choice.bound,
-        },
-    }
-
-
-def along(assessment: Assessment) -> dict[str, Any]:
-    """Summary of the trajectory: over the views that determine a degree of freedom, and how many do not."""
-    sigma = assessment.sigma
-    determined = np.isfinite(sigma)
-    values = {
-        name: {
-            "median": _numbers(np.median(sigma[determined[:, k], k]) if determined[:, k].any() else np.inf),
-            "best": _numbers(sigma[:, k].min()),
-            "worst": _numbers(sigma[:, k].max()),
-            "poses_that_do_not_tell": int((~determined[:, k]).sum()),
-        }
-        for k, name in enumerate(NAMES)
-    }
-    return {"sigma": values, "poses": len(sigma), "poses_that_tell_all": int(determined.all(axis=1).sum())}
 
 
 def _numbers(value: Any) -> Any:

@@ -18,8 +18,7 @@ from polhode.planning.edges.edge_refinement import (
 )
 from polhode.planning.edges.image_profiles import as_levels
 from polhode.planning.edges.visible_edges import control_points
-from tests.planning.edges.pictures import RIG, drawn
-from tests.planning.edges.views import block, poses
+from tests.planning.edges.scenes import RIG, block, drawn, poses
 
 SIGMA_M = 4e-3
 PHANTOMS = 4
@@ -116,12 +115,6 @@ def test_directions_turn_with_the_edges(result: tuple[EdgeModel, EdgeModel, Refi
     np.testing.assert_allclose(model.tangents_G, np.stack([along, along], axis=1), atol=1e-12)
 
 
-def test_without_images_there_is_no_edge(result: tuple[EdgeModel, EdgeModel, RefinedEdges]) -> None:
-    _, wrong, _ = result
-    mesh = trimesh.Trimesh(wrong.surface.vertices, wrong.surface.faces, process=False)
-    assert len(refined_edges(wrong, mesh, np.full(len(mesh.vertices), SIGMA_M), RIG, []).sigma_m) == 0
-
-
 def test_places_depend_on_the_ends_as_the_derivative_says(
     result: tuple[EdgeModel, EdgeModel, RefinedEdges], images: list[PosedImage]
 ) -> None:
@@ -134,7 +127,11 @@ def test_places_depend_on_the_ends_as_the_derivative_says(
 
 
 def test_what_no_image_shows_is_left_out(result: tuple[EdgeModel, EdgeModel, RefinedEdges]) -> None:
-    _, wrong, _ = result
-    mesh = trimesh.Trimesh(wrong.surface.vertices, wrong.surface.faces, process=False)
+    wrong, mesh = (
+        result[1],
+        trimesh.Trimesh(result[1].surface.vertices, result[1].surface.faces, process=False),
+    )
     black = [PosedImage(as_levels(np.zeros((480, 640))), make_pose(np.eye(3), [0.0, 0.0, 3.0]))]
-    assert refined_edges(wrong, mesh, np.full(len(mesh.vertices), SIGMA_M), RIG, black).model.size == 0
+    for images in (black, []):
+        found = refined_edges(wrong, mesh, np.full(len(mesh.vertices), SIGMA_M), RIG, images)
+        assert found.model.size == len(found.sigma_m) == 0
