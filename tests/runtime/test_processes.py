@@ -247,11 +247,11 @@ def test_processes_end_with_their_parent_whatever_they_are_doing(doing: str, tmp
 
 
 def test_a_started_program_ends_with_its_parent(tmp_path: Path) -> None:
-    code = (
-        "import subprocess, sys; from polhode.runtime.parent_death import tied;"
-        "child = subprocess.Popen(tied(['sleep', '600'])); print(child.pid, flush=True); child.wait()"
+    parent = program(
+        tmp_path,
+        "import subprocess\nfrom polhode.runtime.parent_death import tied\n"
+        "child = subprocess.Popen(tied(['sleep', '600']))\nprint(child.pid, flush=True)\nchild.wait()\n",
     )
-    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     assert parent.stdout is not None
     child = int(parent.stdout.readline())
     assert _eventually(lambda: "sleep" in Path(f"/proc/{child}/cmdline").read_text())
