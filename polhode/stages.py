@@ -203,7 +203,7 @@ def depth_maps(context: RunContext, features: Sequence[StereoFeatures]) -> Itera
 def fuse_depth(
     context: RunContext, maps: Iterable[DepthMap], tracks: StereoTracks, estimate: MotionEstimate
 ) -> SurfaceModel:
-    """Fuse depth maps of every frame, in order, moved into G by the poses X_NG (F, 4, 4), in a distance field.
+    """Fuse depth maps of every frame, moved into G by the poses X_NG (F, 4, 4), in a distance field.
 
     Returns:
         The mesh in G [m] with ``sigma_m`` and ``views`` of each vertex; empty when nothing was seen.

@@ -79,6 +79,7 @@ def parse_yaml(text: str, source: str) -> Any:
     nested deeper than any file of ours, repeats a key, or has a type that none has.
     """
     count = _Count()
+    event: Any
     try:
         for event in yaml.parse(text, Loader=_Loader):
             try:
@@ -123,7 +124,7 @@ class _Count:
             if closed.anchor is not None:
                 self.behind[closed.anchor] = closed.values
             self._add(closed.values)
-        if not isinstance(event, yaml.NodeEvent):
+        if not isinstance(event, yaml.AliasEvent | yaml.ScalarEvent | yaml.CollectionStartEvent):
             return
         inner = self.open[-1] if self.open else None
         keys = None
@@ -143,10 +144,9 @@ class _Count:
         if event.tag not in (None, "!", f"{_CORE}str"):
             kind = event.tag.removeprefix(_CORE)[:40]
             raise _Refused(f"a type, '{kind}'; write the plain value alone")
-        is_scalar = isinstance(event, yaml.ScalarEvent)
         if event.anchor is not None:
-            self.behind[event.anchor] = 1 if is_scalar else None
-        if is_scalar:
+            self.behind[event.anchor] = 1 if isinstance(event, yaml.ScalarEvent) else None
+        if isinstance(event, yaml.ScalarEvent):
             self._check_scalar(event, keys)
             return
         if keys is not None:

@@ -282,8 +282,9 @@ class Lines(_Stages):
 class Quiet(Lines):
     """Nothing is shown."""
 
-    def _watch(self) -> AbstractContextManager[object]:
-        return nullcontext()
+    @contextmanager
+    def _watch(self) -> Iterator[None]:
+        yield
 
     def _print(self, text: str) -> None:
         del text
