@@ -100,7 +100,9 @@ def rectified_pair(context: RunContext, k: int) -> RectifiedPair:
     Raises:
         InputError: there is no such pair, or its images have changed since the sequence was opened.
     """
-    _require_pair(context, k)
+    count = len(context.sequence)
+    if not 0 <= k < count:
+        raise InputError(f"pair {k}: the sequence has pairs 0 to {count - 1}")
     return rectify_and_mask(context.sequence, context.rectifier, k)
 
 
@@ -126,11 +128,7 @@ def extract_features(context: RunContext) -> list[StereoFeatures]:
 
 @single_threaded
 def match_features(context: RunContext, features: Sequence[StereoFeatures]) -> Correspondences:
-    """Match the features of every frame with those of every other, or of similar ones, without a motion.
-
-    Args:
-        context: of the sequence.
-        features: of every frame, F.
+    """Match the features of every frame, F, with those of every other, or of similar ones, without a motion.
 
     Returns:
         ``matches`` that pass the geometric check and contradict no others; ``links``, the relative poses that
@@ -194,10 +192,6 @@ def depth_map(context: RunContext, pair: RectifiedPair, features: StereoFeatures
 def depth_maps(context: RunContext, features: Sequence[StereoFeatures]) -> Iterator[DepthMap]:
     """The depth maps of all F pairs, in order, each made when it is asked for or a little before.
 
-    Args:
-        context: of the sequence.
-        features: of every frame, F.
-
     Raises:
         InputError: there are not as many features as the context has frames.
     """
@@ -209,13 +203,7 @@ def depth_maps(context: RunContext, features: Sequence[StereoFeatures]) -> Itera
 def fuse_depth(
     context: RunContext, maps: Iterable[DepthMap], tracks: StereoTracks, estimate: MotionEstimate
 ) -> SurfaceModel:
-    """Fuse depth maps, moved into G by the motion, in a distance field.
-
-    Args:
-        context: of the sequence.
-        maps: of every frame, F, in order.
-        tracks: of the estimate.
-        estimate: whose poses X_NG (F, 4, 4) and their covariances place the maps.
+    """Fuse depth maps of every frame, moved into G by the poses X_NG (F, 4, 4), in a distance field.
 
     Returns:
         The mesh in G [m] with ``sigma_m`` and ``views`` of each vertex; empty when nothing was seen.
@@ -240,9 +228,3 @@ def _require_every_frame(context: RunContext, features: Sequence[StereoFeatures]
             f"features of {len(features)} frames for a context of {len(context.sequence)}: give those of "
             "every frame, or the context of these by context.of_frames"
         )
-
-
-def _require_pair(context: RunContext, k: int) -> None:
-    count = len(context.sequence)
-    if not 0 <= k < count:
-        raise InputError(f"pair {k}: the sequence has pairs 0 to {count - 1}")

@@ -42,8 +42,8 @@ def completion_script(shell: Shell, commands: Mapping[str, type[Command]]) -> st
     """The script for these commands."""
     if shell == "fish":
         return "\n".join(_fish(commands))
-    start = ["#compdef polhode", "autoload -U +X bashcompinit && bashcompinit"] if shell == "zsh" else []
-    return "\n".join([*start, *_bash(commands)])
+    start = "#compdef polhode\nautoload -U +X bashcompinit && bashcompinit\n" if shell == "zsh" else ""
+    return start + _bash(commands)
 
 
 def configuration_options() -> list[Option]:
@@ -51,66 +51,67 @@ def configuration_options() -> list[Option]:
     return [option for _, option in settings_of(Config(scene=Scene(), train=Train()))]
 
 
-def _bash(commands: Mapping[str, type[Command]]) -> Iterator[str]:
+BASH = """\
+_polhode() {{
+  local cur="${{COMP_WORDS[COMP_CWORD]}}" prev="${{COMP_WORDS[COMP_CWORD-1]}}" words="" keys=""
+  COMPREPLY=()
+  if (( COMP_CWORD == 1 )); then
+    words="{commands} --help --version"
+  else
+    case "${{COMP_WORDS[1]}} $prev" in
+{values}
+    esac
+    if [[ -z "$words" && "$cur" == -* ]]; then
+      keys="{keys}"
+      case "${{COMP_WORDS[1]}}" in
+{options}
+      esac
+    fi
+  fi
+  [[ -n "$words" ]] && COMPREPLY=($(compgen -W "$words" -- "$cur"))
+}}
+complete -o default -F _polhode polhode"""
+"""Where there is no word to offer, the shell completes file names."""
+
+
+def _bash(commands: Mapping[str, type[Command]]) -> str:
     general, keys = options_of(GeneralOptions).values(), configuration_options()
-    yield "_polhode() {"
-    yield '  local cur="${COMP_WORDS[COMP_CWORD]}" prev="${COMP_WORDS[COMP_CWORD-1]}" words="" keys=""'
-    yield "  COMPREPLY=()"
-    yield "  if (( COMP_CWORD == 1 )); then"
-    yield f'    words="{" ".join([*commands, "--help", "--version"])}"'
-    yield "  else"
-    yield '    case "${COMP_WORDS[1]} $prev" in'
+    values, options = [], []
     for name, command in commands.items():
-        for option in options_of(command).values():
-            if option.choices and not option.is_positional:
-                pattern = "|".join(f'"{name} {each}"' for each in option.names)
-                yield f'      {pattern}) words="{" ".join(option.choices)}" ;;'
-            if option.choices and option.is_positional:
-                yield f'      "{name} {name}") words="{" ".join(option.choices)}" ;;'
+        own = options_of(command).values()
+        for option in own:
+            if option.choices:
+                before = [name] if option.is_positional else option.names
+                pattern = "|".join(f'"{name} {each}"' for each in before)
+                values.append(f'      {pattern}) words="{" ".join(option.choices)}" ;;')
+        more = " $keys" if issubclass(command, ConfiguredCommand) else ""
+        options.append(f'        {name}) words="{_words([*own, *general])} -h --help{more}" ;;')
     for option in keys:
         if option.choices:
-            yield f'      *" {option.names[0]}") words="{" ".join(option.choices)}" ;;'
-    yield "    esac"
-    yield '    if [[ -z "$words" && "$cur" == -* ]]; then'
-    yield f'      keys="{_words(keys)}"'
-    yield '      case "${COMP_WORDS[1]}" in'
-    for name, command in commands.items():
-        more = " $keys" if issubclass(command, ConfiguredCommand) else ""
-        words = _words([*options_of(command).values(), *general])
-        yield f'        {name}) words="{words} -h --help{more}" ;;'
-    yield "      esac"
-    yield "    fi"
-    yield "  fi"
-    yield '  [[ -n "$words" ]] && COMPREPLY=($(compgen -W "$words" -- "$cur"))'
-    yield "}"
-    # where there is no word to offer, the shell completes file names
-    yield "complete -o default -F _polhode polhode"
+            values.append(f'      *" {option.names[0]}") words="{" ".join(option.choices)}" ;;')
+    found = {"commands": " ".join(commands), "keys": _words(keys)}
+    return BASH.format(**found, values="\n".join(values), options="\n".join(options))
 
 
 def _fish(commands: Mapping[str, type[Command]]) -> Iterator[str]:
     yield f'complete -c polhode -f -n __fish_use_subcommand -a "{" ".join(commands)}"'
-    for option in options_of(GeneralOptions).values():
-        yield _fish_line("", option)
-    for name, command in commands.items():
-        condition = f'-n "__fish_seen_subcommand_from {name}"'
-        for option in options_of(command).values():
-            yield _fish_line(condition, option)
-    configured = " ".join(
-        name for name, command in commands.items() if issubclass(command, ConfiguredCommand)
-    )
-    for option in configuration_options():
-        yield _fish_line(f'-n "__fish_seen_subcommand_from {configured}"', option)
-
-
-def _fish_line(condition: str, option: Option) -> str:
-    words = ["complete -c polhode", condition]
-    if not option.is_positional:
-        words += [f"-l {name[2:]}" if name.startswith("--") else f"-s {name[1:]}" for name in option.names]
-    if not option.is_flag and not option.is_positional:
-        words.append("-r")
-    if option.choices:
-        words.append(f'-f -a "{" ".join(option.choices)}"')
-    return " ".join(filter(None, words))
+    configured = [name for name, command in commands.items() if issubclass(command, ConfiguredCommand)]
+    for names, options in (
+        ([], options_of(GeneralOptions).values()),
+        *(([name], options_of(command).values()) for name, command in commands.items()),
+        (configured, configuration_options()),
+    ):
+        condition = f'-n "__fish_seen_subcommand_from {" ".join(names)}"' if names else ""
+        for option in options:
+            words = ["complete -c polhode", condition]
+            if not option.is_positional:
+                words += [
+                    f"-l {each[2:]}" if each.startswith("--") else f"-s {each[1:]}" for each in option.names
+                ]
+                words += [] if option.is_flag else ["-r"]
+            if option.choices:
+                words.append(f'-f -a "{" ".join(option.choices)}"')
+            yield " ".join(filter(None, words))
 
 
 def _words(options: Iterable[Option]) -> str:

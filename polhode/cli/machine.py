@@ -33,7 +33,7 @@ def wrong_packages() -> list[str]:
 
 def processors() -> int:
     """Those that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return len(os.sched_getaffinity(0))
 
 
 def load_average() -> float | None:
@@ -56,23 +56,16 @@ def memory_gib() -> tuple[float | None, float | None]:
         if path.is_file() and (text := path.read_text().strip()).isdigit():
             limits.append(int(text))
     soft, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if soft != resource.RLIM_INFINITY:
-        limits.append(soft)
-    usable = min(limits, default=None)
-    free = known.get("MemAvailable")
-    if free is not None and usable is not None:
-        free = min(free, usable)
-    return (None if usable is None else usable / GIB), (None if free is None else free / GIB)
+    usable = min([*limits, *([soft] if soft != resource.RLIM_INFINITY else [])], default=None)
+    free = min((each for each in (known.get("MemAvailable"), usable) if each is not None), default=None)
+    is_known = "MemAvailable" in known
+    return usable and usable / GIB, free / GIB if free is not None and is_known else None
 
 
-def scratch_folder() -> Path:
-    """Where temporary files go."""
-    return Path(tempfile.gettempdir())
-
-
-def scratch_gib() -> float:
-    """Free space there [GiB]."""
-    return shutil.disk_usage(scratch_folder()).free / GIB
+def scratch() -> tuple[Path, float]:
+    """Where temporary files go, and the free space there [GiB]."""
+    folder = Path(tempfile.gettempdir())
+    return folder, shutil.disk_usage(folder).free / GIB
 
 
 def python() -> str:

@@ -126,8 +126,11 @@ def _outcome(words: list[str], general: GeneralOptions) -> Outcome:
     except KeyboardInterrupt as stop:
         number = received()
         by = f" by {number.name}" if number is not None else ""
-        code = 128 + (number or signal.SIGINT)
-        return _error(command, code, _interrupted(command, by, stop), stop, general.debug)
+        # what is kept, in the words of the room or of the command
+        kept = str(stop).removeprefix("interrupted") if str(stop).startswith("interrupted") else ""
+        kept = kept or f"; {RESUMES.get(command, 'nothing was written or replaced')}"
+        message = f"{command} interrupted{by}{kept}".lstrip()
+        return _error(command, 128 + (number or signal.SIGINT), message, stop, general.debug)
     except Exception as error:  # noqa: BLE001  last resort: one line instead of a traceback
         return _error(command, *explained(error, is_working(), *words[:1]), error, general.debug)
     failure = None if answer is None else answer.failure
@@ -140,13 +143,6 @@ def _error(command: str, code: int, message: str, error: BaseException, debug: b
     return Outcome(command, code, error=message)
 
 
-def _interrupted(command: str, by: str, stop: KeyboardInterrupt) -> str:
-    """What was interrupted, and what is kept, in the words of the room or of the command."""
-    kept = str(stop).removeprefix("interrupted") if str(stop).startswith("interrupted") else ""
-    kept = kept or f"; {RESUMES.get(command, 'nothing was written or replaced')}"
-    return " ".join(filter(None, [command, f"interrupted{by}{kept}"]))
-
-
 def _dispatch(words: list[str]) -> Answer | None:
     """Run the command that the words name; None: its help was printed."""
     if words == ["--version"]:
@@ -154,16 +150,29 @@ def _dispatch(words: list[str]) -> Answer | None:
 
         return Answer(f"polhode {version('polhode')}", figures={"version": version("polhode")})
     asked_help = next((word for word in words if word in ("-h", "--help")), None)
-    if asked_help is not None and words[0] not in COMMANDS:
+    names = ", ".join(COMMANDS)
+    if words and words[0] not in COMMANDS and asked_help is None:
+        hint = suggestion(words[0], list(COMMANDS))
+        raise InputError(f"unknown command '{words[0]}';{hint} commands: {names}; see polhode --help")
+    if not words:
+        raise InputError(f"a command is missing: {names}; see polhode --help")
+    if words[0] not in COMMANDS:
         about = "Motion, mass properties and shape of a tumbling target, from a stereo camera."
-        return Answer(overview(about, _topics(), COMMANDS))
-    _require_command(words)
+        known = {name for topic in TOPICS.values() for name in topic}
+        others = tuple(name for name in COMMANDS if name not in known)
+        return Answer(overview(about, TOPICS | ({"others": others} if others else {}), COMMANDS))
     name, *rest = words
     if asked_help is not None:
         # Help wins over everything else on the line, even over mistakes.
         print_help(name, COMMANDS[name], everything=asked_help == "--help")
         return None
-    _require_no_empty_word(words)
+    before = f"polhode {name}"
+    for word in rest:
+        # An empty path would be the current folder, and no option takes an empty text.
+        if not word or (word.startswith("-") and word.endswith("=")):
+            where = word.rstrip("=") or before
+            raise InputError(f"{where}: an empty value was given; is a variable of the shell not set?")
+        before = word if word.startswith("-") else f"polhode {name}"
     command, overrides = parse(name, COMMANDS[name], rest)
     require_no_settings_of_numba()
     if isinstance(command, ConfiguredCommand):
@@ -173,32 +182,6 @@ def _dispatch(words: list[str]) -> Answer | None:
     elif overrides:
         raise InputError(f"'{name}' reads no configuration: remove --{next(iter(overrides))}")
     return command.execute()
-
-
-def _topics() -> dict[str, list[str]]:
-    """The commands by topic, each once."""
-    known = {name for names in TOPICS.values() for name in names}
-    others = [name for name in COMMANDS if name not in known]
-    return {title: list(names) for title, names in TOPICS.items()} | ({"others": others} if others else {})
-
-
-def _require_no_empty_word(words: list[str]) -> None:
-    """Raise InputError: an empty path would be the current folder, and no option takes an empty text."""
-    before = ""
-    for word in words:
-        if not word or (word.startswith("-") and word.endswith("=")):
-            where = word.rstrip("=") or (before if before.startswith("-") else f"polhode {words[0]}")
-            raise InputError(f"{where}: an empty value was given; is a variable of the shell not set?")
-        before = word
-
-
-def _require_command(words: list[str]) -> None:
-    names = ", ".join(COMMANDS)
-    if not words:
-        raise InputError(f"a command is missing: {names}; see polhode --help")
-    if words[0] not in COMMANDS:
-        hint = suggestion(words[0], list(COMMANDS))
-        raise InputError(f"unknown command '{words[0]}';{hint} commands: {names}; see polhode --help")
 
 
 def _error_line(message: str) -> str:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
 
-from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.fields import FieldInfo
 
@@ -95,6 +94,11 @@ class Option:
         return union_members(self.field.annotation)
 
     @property
+    def takes_many(self) -> bool:
+        """Whether several words are its value."""
+        return any(get_origin(kind) is tuple for kind in self.kinds)
+
+    @property
     def required(self) -> bool:
         """Whether it must be given."""
         return self.field.is_required()
@@ -138,12 +142,9 @@ class Option:
 
 def _limits(metadata: Sequence[Any]) -> str:
     """The range of a number, as words that follow it; empty: any."""
-    words = ((Ge, "ge", "from"), (Gt, "gt", "above"), (Le, "le", "to"), (Lt, "lt", "below"))
+    words = (("ge", "from"), ("gt", "above"), ("le", "to"), ("lt", "below"))
     found = {
-        word: f"{getattr(each, name):g}"
-        for kind, name, word in words
-        for each in metadata
-        if isinstance(each, kind)
+        word: f"{getattr(each, name):g}" for name, word in words for each in metadata if hasattr(each, name)
     }
     if found.keys() == {"from"}:
         return f" of at least {found['from']}"

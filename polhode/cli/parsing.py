@@ -59,22 +59,40 @@ def _parsed(command: type[C], words: Sequence[str]) -> tuple[C, dict[str, Any]]:
         field = fields.get(name.replace("_", "-")) or fields.get(word[:2])
         path = _key_of(name)
         if field is not None:
+            option = options[field]
             if name.replace("_", "-") not in fields:  # -oDIR
                 name, equals, joined = word[:2], "=", word[2:]
             names[field] = name
-            given[field] = [joined] if equals else _take_values(options[field], rest)
-            if not given[field] and not options[field].is_flag:
-                raise _Misunderstood(f"{name}: a value is missing; give {options[field].wanted}")
+            given[field] = [joined] if equals else _take_values(option, rest)
+            if not given[field] and not option.is_flag:
+                raise _Misunderstood(f"{name}: a value is missing; give {option.wanted}")
         elif path is not None:
             of_key = [joined] if equals else _take_setting(path, rest)
             if not of_key:
                 raise _Misunderstood(f"{name}: a value is missing")
             settings[dotted(path)] = _setting(path, of_key)
         else:
-            raise _Misunderstood(_unknown_option(command, name))
-    given |= _arguments(options, loose)
-    _require_all(options, given)
-    values = {field: _value(options[field], words) for field, words in given.items()}
+            known = [*fields, *(setting_names() if issubclass(command, ConfiguredCommand) else [])]
+            raise _Misunderstood(f"unknown option '{name}';{suggestion(name, known)}".rstrip(";"))
+    for field, option in options.items():
+        if option.is_positional and (option.takes_many or loose):
+            count = len(loose) if option.takes_many else 1
+            given[field], loose = loose[:count], loose[count:]
+    if loose:
+        raise _Misunderstood(f"unexpected argument '{loose[0]}'")
+    lacking = [
+        f"{option.invocation} ({_beginning(option.description)})"
+        for field, option in options.items()
+        if option.required and field not in given
+    ]
+    if lacking:
+        *others, last = lacking
+        raise _Misunderstood(
+            f"{', '.join(others)} and {last} are missing" if others else f"{last} is missing"
+        )
+    values: dict[str, Any] = {}
+    for field, found in given.items():
+        values[field] = found if options[field].takes_many else found[0] if found else True
     try:
         return command.model_validate(values), settings
     except ValidationError as error:
@@ -87,13 +105,6 @@ def _is_option(word: str) -> bool:
     return word.startswith("-") and word != "-" and not _NUMBER.match(word)
 
 
-def _value(option: Option, words: list[str]) -> Any:
-    if option.is_flag and not words:
-        return True
-    many = any(get_origin(kind) is tuple for kind in option.kinds)
-    return words if many else words[0]
-
-
 def _take_values(option: Option, rest: list[str]) -> list[str]:
     """Take the words of an option's value off ``rest``, never another option."""
     if option.is_flag:
@@ -103,43 +114,13 @@ def _take_values(option: Option, rest: list[str]) -> list[str]:
     taken: list[str] = []
     while rest and not _is_option(rest[0]) and (kinds or not taken):
         # of numbers, one too many is taken as well, so that the error names the option
-        if is_vector and len(taken) >= len(get_args(kinds[0])) and not _is_number(rest[0]):
-            break
+        if is_vector and len(taken) >= len(get_args(kinds[0])):
+            try:
+                float(rest[0])
+            except ValueError:
+                break
         taken.append(rest.pop(0))
     return taken
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
-def _arguments(options: dict[str, Option], loose: list[str]) -> dict[str, list[str]]:
-    """The words without a name, by the argument that they are."""
-    found: dict[str, list[str]] = {}
-    for field, option in options.items():
-        if option.is_positional and any(get_origin(kind) is tuple for kind in option.kinds):
-            found[field], loose = loose, []
-        elif option.is_positional and loose:
-            found[field], loose = loose[:1], loose[1:]
-    if loose:
-        raise _Misunderstood(f"unexpected argument '{loose[0]}'")
-    return found
-
-
-def _require_all(options: dict[str, Option], given: dict[str, list[str]]) -> None:
-    lacking = [
-        f"{option.invocation} ({_beginning(option.description)})"
-        for field, option in options.items()
-        if option.required and field not in given
-    ]
-    if lacking:
-        *others, last = lacking
-        message = f"{', '.join(others)} and {last} are missing" if others else f"{last} is missing"
-        raise _Misunderstood(message)
 
 
 def _beginning(description: str) -> str:
@@ -147,13 +128,6 @@ def _beginning(description: str) -> str:
     beginning = re.split(r"\.(?:\s|$)|:\s|\s\(", description)[0]
     is_abbreviation = beginning[:2].isupper()
     return beginning if is_abbreviation else beginning[:1].lower() + beginning[1:]
-
-
-def _unknown_option(command: type[Command], name: str) -> str:
-    known = [each for option in options_of(command).values() for each in option.names]
-    if issubclass(command, ConfiguredCommand):
-        known += setting_names()
-    return f"unknown option '{name}';{suggestion(name, known)}".rstrip(";")
 
 
 def setting_names() -> list[str]:

@@ -35,10 +35,7 @@ class RunCommand(ConfiguredCommand):
 
     EXAMPLES: ClassVar = (
         ("polhode run --data SEQ -o RUN", "with the defaults, which fit any calibrated sequence"),
-        (
-            "polhode run configs/default.yaml --data examples/sample -o runs/demo --overwrite",
-            "the shipped sample again",
-        ),
+        ("polhode run --data examples/sample -o runs/demo --overwrite", "the shipped sample again"),
     )
     GROUPS: ClassVar = {"live stream": ("live", "rate", "patience_s"), "viewer": ("view", "view_save")}
 

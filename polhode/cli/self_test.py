@@ -6,6 +6,7 @@ Every check raises an exception, or returns what it found in words.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from time import perf_counter
+from typing import Any
 
 from polhode.runtime.errors import one_line
 from polhode.runtime.progress import Progress, Silent
@@ -40,17 +41,10 @@ def rendering_check() -> str:
     from polhode.simulation.dataset.frame_renderer import FrameRenderer
     from polhode.simulation.dataset.plan import plan_sequence
 
-    scene = Scene.model_validate(
-        {
-            "frames": 1,
-            "truth_horizon_s": 0,
-            "rig": {"width_px": 48, "height_px": 36, "focal_px": 35.0},
-            "motion": {"position_m": [0.04, 0.0, 0.6]},
-            "light": {"earth": 0.0},
-            "render": {"samples": 1, "bounces": 0},
-        }
-    )
-    image, picture = FrameRenderer(plan_sequence(scene, 0)).render_image(0, 0)
+    settings: dict[str, Any] = {"frames": 1, "truth_horizon_s": 0, "motion": {"position_m": [0.04, 0.0, 0.6]}}
+    settings["rig"] = {"width_px": 48, "height_px": 36, "focal_px": 35.0}
+    settings |= {"light": {"earth": 0.0}, "render": {"samples": 1, "bounces": 0}}
+    image, picture = FrameRenderer(plan_sequence(Scene.model_validate(settings), 0)).render_image(0, 0)
     covered = float((picture.covered > 0.5).mean())
     if not 0.02 < covered < 0.98 or not image.max() > image.min():
         raise RuntimeError(f"the target covers {covered:.0%} of a rendered image")

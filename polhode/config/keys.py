@@ -53,18 +53,14 @@ def annotation_at(root: type[BaseModel], path: Sequence[Step]) -> Any:
     """The type at ``path``; None for a path that does not exist. A mapping takes any key."""
     annotation: Any = root
     for step in path:
-        annotation = _below(annotation, step)
+        section = section_of(annotation)
+        if section is not None:
+            field = section.model_fields.get(str(step))
+            annotation = field.annotation if field else None
+        else:
+            mappings = [option for option in options_of(annotation) if get_origin(option) is dict]
+            annotation = get_args(mappings[0])[1] if mappings else None
     return annotation
-
-
-def _below(annotation: Any, step: Step) -> Any:
-    """The type of a key of a section, or of a mapping; None: there is no such key."""
-    section = section_of(annotation)
-    if section is not None:
-        field = section.model_fields.get(str(step))
-        return field.annotation if field else None
-    mappings = [option for option in options_of(annotation) if get_origin(option) is dict]
-    return get_args(mappings[0])[1] if mappings else None
 
 
 def is_structured(annotation: Any) -> bool:
@@ -104,52 +100,40 @@ def arrange(annotation: Any, words: Sequence[str]) -> Any:
         size = count_of(arguments[0]) if get_origin(option) is tuple and arguments[-1:] == (...,) else None
         if size is not None and size > 1 and len(words) % size == 0:
             return [arrange(arguments[0], words[k : k + size]) for k in range(0, len(words), size)]
-    if len(words) == 1 and count_of(annotation) == 1:
-        return _choice(annotation, words[0])
-    return list(words)
-
-
-def _choice(annotation: Any, word: str) -> Any:
-    """The choice that the word names: for numbers such as 1, 4, 9 the number, which a text would not
-    match."""
+    if len(words) != 1 or count_of(annotation) != 1:
+        return list(words)
+    # of numbers such as 1, 4, 9 the number, which a text would not match
     choices = [
-        choice
+        each
         for option in options_of(annotation)
         if get_origin(option) is Literal
-        for choice in get_args(option)
+        for each in get_args(option)
     ]
-    return next((choice for choice in choices if str(choice) == word), word)
+    return next((choice for choice in choices if str(choice) == words[0]), words[0])
+
+
+WORDS = {int: "a whole number", float: "a number", str: "a text", bool: "true or false", type(None): "null"}
 
 
 def describe(annotation: Any) -> str:
     """Description of a type, for an error: 'a number', 'one of a, b'."""
-    return " or ".join(dict.fromkeys(_describe_one(option) for option in options_of(annotation)))
 
+    def one(option: Any) -> str:
+        origin, arguments = get_origin(option), get_args(option)
+        if option in WORDS:
+            return WORDS[option]
+        if origin is Literal:
+            return f"one of {', '.join(str(choice) for choice in arguments)}"
+        if origin is dict:
+            return f"a mapping of names, each {describe(arguments[1])}"
+        if origin in (tuple, list):
+            is_fixed = origin is tuple and arguments[-1] is not ...
+            return f"a list{f' of {len(arguments)}' if is_fixed else ''}, each {describe(arguments[0])}"
+        if isinstance(option, type) and issubclass(option, BaseModel):
+            return f"a section with keys {', '.join(option.model_fields)}"
+        return str(option)
 
-def _describe_one(option: Any) -> str:
-    words = {
-        int: "a whole number",
-        float: "a number",
-        str: "a text",
-        bool: "true or false",
-        type(None): "null",
-    }
-    if option in words:
-        return words[option]
-    origin, arguments = get_origin(option), get_args(option)
-    if origin is Literal:
-        return f"one of {', '.join(str(choice) for choice in arguments)}"
-    if origin is tuple and arguments[-1:] == (...,):
-        return f"a list, each {describe(arguments[0])}"
-    if origin is tuple:
-        return f"a list of {len(arguments)}, each {describe(arguments[0])}"
-    if origin is dict:
-        return f"a mapping of names, each {describe(arguments[1])}"
-    if origin is list:
-        return f"a list, each {describe(arguments[0])}"
-    if isinstance(option, type) and issubclass(option, BaseModel):
-        return f"a section with keys {', '.join(option.model_fields)}"
-    return str(option)
+    return " or ".join(dict.fromkeys(map(one, options_of(annotation))))
 
 
 def elsewhere(root: type[BaseModel], name: str) -> str:

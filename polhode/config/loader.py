@@ -5,7 +5,7 @@ An error names the file (or the option) that set the value, the dotted key, and 
 
 import logging
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -44,6 +44,8 @@ REMOVED = frozenset(
 )
 """Settings of earlier versions that are constants now; the configuration of an old run may contain them."""
 EXTENDS = "extends"
+MAX_FILES = 16
+"""Of a chain of ``extends``"""
 COMMAND_LINE = "command line"
 _RANGES = {
     "greater_than": ("above", "gt"),
@@ -61,29 +63,27 @@ class _Layered:
     values: dict[str, Any] = field(default_factory=dict)
     source: dict[config_keys.Path, str] = field(default_factory=dict)
 
-    def merge(self, update: Mapping[str, Any], source: str) -> None:
-        self._merge_into(self.values, update, (), source)
+    def merge(self, update: Mapping[str, Any], source: str) -> "_Layered":
+        """Lay values over those of before."""
+
+        def into(target: dict[str, Any], update: Mapping[str, Any], path: config_keys.Path) -> None:
+            self.source[path] = source
+            for key, value in update.items():
+                if isinstance(value, dict):
+                    base = target.get(key)
+                    target[key] = dict(base) if isinstance(base, dict) else {}
+                    into(target[key], value, (*path, key))
+                else:
+                    target[key] = value
+                    self.source[(*path, key)] = source
+
+        into(self.values, update, ())
+        return self
 
     def source_of(self, path: Sequence[config_keys.Step]) -> str:
         """Source of the key or of the closest section above it."""
-        for length in range(len(path), -1, -1):
-            if tuple(path[:length]) in self.source:
-                return self.source[tuple(path[:length])]
-        return "configuration"
-
-    def _merge_into(
-        self, target: dict[str, Any], update: Mapping[str, Any], path: config_keys.Path, source: str
-    ) -> None:
-        self.source[path] = source
-        for key, value in update.items():
-            here = (*path, key)
-            if isinstance(value, dict):
-                base = target.get(key)
-                target[key] = dict(base) if isinstance(base, dict) else {}
-                self._merge_into(target[key], value, here, source)
-            else:
-                target[key] = value
-                self.source[here] = source
+        above = (tuple(path[:length]) for length in range(len(path), -1, -1))
+        return next((self.source[each] for each in above if each in self.source), "configuration")
 
 
 def load_config(
@@ -96,9 +96,7 @@ def load_config(
     Raises InputError: a missing file, a YAML syntax error with its line, a circular ``extends``, an
     unknown key, a wrong type, a value out of range.
     """
-    layered = _Layered()
-    for file, values in () if path is None else _chain(path, ()):
-        layered.merge(values, str(file))
+    layered = _Layered() if path is None else _of_files(path)
     for key, value in (overrides or {}).items():
         layered.merge(_nested(key.split("."), value), source)
     return _config_of(layered)
@@ -106,10 +104,7 @@ def load_config(
 
 def read_settings(path: Path) -> dict[str, Any]:
     """What ``path`` and the files that it extends set, unchecked. Raises InputError."""
-    layered = _Layered()
-    for file, values in _chain(path, ()):
-        layered.merge(values, str(file))
-    return layered.values
+    return _of_files(path).values
 
 
 def config_with(
@@ -120,8 +115,7 @@ def config_with(
     A number in a dotted key names an element of a list: "scene.motion.spin_rpm.1". Raises InputError as
     ``load_config``, with the source of what is wrong.
     """
-    layered = _Layered()
-    layered.merge(values, source)
+    layered = _Layered().merge(values, source)
     for key, value in changes.items():
         layered.merge(_at(layered.values, key.split("."), value), source_of_changes)
     return _config_of(layered)
@@ -129,9 +123,7 @@ def config_with(
 
 def validated(model: type[Model], values: Mapping[str, Any], source: str) -> Model:
     """A section that stands alone in a file, from its ``values``. Raises InputError as ``load_config``."""
-    layered = _Layered()
-    layered.merge(values, source)
-    return _validate(layered, model)
+    return _validate(_Layered().merge(values, source), model)
 
 
 def plain_settings(config: BaseModel) -> dict[str, Any]:
@@ -151,32 +143,38 @@ def dump_config(config: Config, keys: Collection[str] | None = None) -> str:
     return header + yaml.dump(plain, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1000)
 
 
-def _chain(path: Path, above: tuple[Path, ...]) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """The files of an ``extends`` chain, base first."""
-    if path.resolve() in (other.resolve() for other in above):
-        circle = " -> ".join(str(each) for each in (*above, path))
-        raise InputError(f"{above[0]}: '{EXTENDS}' is circular: {circle}")
-    if len(above) >= 16:
-        raise InputError(f"{above[0]}: '{EXTENDS}' goes on over more than {16} files; join some of them")
-    values = _read_section(path, above)
-    base = values.pop(EXTENDS, None)
-    if base is not None:
-        if not isinstance(base, str):
-            raise InputError(f"{path}: '{EXTENDS}': expected the path of one file, got {_shown(base)}")
-        yield from _chain(path.parent / base, (*above, path))
-    yield path, values
-
-
-def _read_section(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
-    named = f", which {above[-1]} extends," if above else ""
-    loaded = read_yaml(path, f"{path}{named} is missing: give an existing configuration file")
-    if loaded is None:
-        return {}
-    if not isinstance(loaded, dict):
-        # A configuration of someone else may extend any file: what stands in it is not repeated.
-        got = "something else" if above else _shown(loaded)
-        raise InputError(f"{path}{named}: expected keys such as 'frontend:' at the top, got {got}")
-    return loaded
+def _of_files(path: Path) -> _Layered:
+    """A file laid over those that it extends, base first."""
+    chain: list[Path] = []
+    layers: list[dict[str, Any]] = []
+    base: Any = path.name
+    while base is not None:
+        if chain:
+            if not isinstance(base, str):
+                got = _shown(base)
+                raise InputError(f"{path}: '{EXTENDS}': expected the path of one file, got {got}")
+            path = path.parent / base
+        if path.resolve() in (other.resolve() for other in chain):
+            circle = " -> ".join(str(each) for each in (*chain, path))
+            raise InputError(f"{chain[0]}: '{EXTENDS}' is circular: {circle}")
+        if len(chain) >= MAX_FILES:
+            raise InputError(
+                f"{chain[0]}: '{EXTENDS}' goes on over more than {MAX_FILES} files; join some of them"
+            )
+        named = f", which {chain[-1]} extends," if chain else ""
+        loaded = read_yaml(path, f"{path}{named} is missing: give an existing configuration file")
+        values = {} if loaded is None else loaded
+        if not isinstance(values, dict):
+            # A configuration of someone else may extend any file: what stands in it is not repeated.
+            got = "something else" if chain else _shown(loaded)
+            raise InputError(f"{path}{named}: expected keys such as 'frontend:' at the top, got {got}")
+        base = values.pop(EXTENDS, None)
+        chain.append(path)
+        layers.append(values)
+    layered = _Layered()
+    for file, values in zip(reversed(chain), reversed(layers), strict=True):
+        layered.merge(values, str(file))
+    return layered
 
 
 def _at(values: Any, path: Sequence[str], value: Any) -> dict[str, Any]:
@@ -186,19 +184,13 @@ def _at(values: Any, path: Sequence[str], value: Any) -> dict[str, Any]:
         step, rest = path[length], path[length + 1 :]
         if isinstance(values, list) and step.isdecimal() and int(step) < len(values):
             changed, position = list(values), int(step)
-            changed[position] = _within(changed[position], rest, value)
+            if rest:
+                layered = _Layered().merge({"element": changed[position]}, "")
+                layered.merge(_at(layered.values, ["element", *rest], value), "")
+                value = layered.values["element"]
+            changed[position] = value
             return _nested(path[:length], changed)
     return _nested(path, value)
-
-
-def _within(element: Any, path: Sequence[str], value: Any) -> Any:
-    """An element of a list in which one value is set."""
-    if not path:
-        return value
-    layered = _Layered()
-    layered.merge({"element": element}, "")
-    layered.merge(_at(layered.values, ["element", *path], value), "")
-    return layered.values["element"]
 
 
 def _nested(path: Sequence[str], value: Any) -> dict[str, Any]:
@@ -230,12 +222,10 @@ def _drop_removed(layered: _Layered) -> None:
             found.setdefault(layered.source_of(tuple(key.split("."))), []).append(f"'{key}'")
             del values[name]
     for source, keys in found.items():
-        what, them = (
-            ("is no longer a setting and is", "it")
-            if len(keys) == 1
-            else ("are no longer settings and are", "them")
-        )
-        _log.warning("%s: %s %s ignored; remove %s", source, ", ".join(keys), what, them)
+        what = "is no longer a setting and is ignored; remove it"
+        if len(keys) > 1:
+            what = "are no longer settings and are ignored; remove them"
+        _log.warning("%s: %s %s", source, ", ".join(keys), what)
 
 
 def _config_of(layered: _Layered) -> Config:
@@ -279,8 +269,8 @@ def _one_line(model: type[BaseModel], layered: _Layered, problem: dict[str, Any]
     if problem["type"] == "too_long":
         return f"{where}: more than {problem['ctx']['max_length']} values; give fewer"
     if problem["type"] == "literal_error":
-        hint = _choice_hint(model, path, problem["input"])
-        return f"{where}: {_expected(model, path)}, got {got};{hint}".rstrip(";")
+        choices = _expected(model, path).removeprefix("expected one of ").split(", ")
+        got = f"{got};{config_keys.suggestion(str(problem['input']), choices)}".rstrip(";")
     return f"{where}: {_expected(model, path)}, got {got}"
 
 
@@ -306,11 +296,6 @@ def _expected(model: type[BaseModel], path: config_keys.Path) -> str:
         steps.pop()
     annotation = config_keys.annotation_at(model, steps)
     return f"expected {config_keys.describe(annotation)}" if annotation is not None else "not valid"
-
-
-def _choice_hint(model: type[BaseModel], path: config_keys.Path, value: Any) -> str:
-    words = config_keys.describe(config_keys.annotation_at(model, path)).removeprefix("one of ").split(", ")
-    return config_keys.suggestion(str(value), words)
 
 
 def _shown(value: Any) -> str:
@@ -353,8 +338,6 @@ class _Dumper(yaml.SafeDumper):
     """Sections as blocks, lists on one line."""
 
 
-def _list_on_one_line(dumper: yaml.SafeDumper, values: list[Any]) -> yaml.Node:
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=True)
-
-
-_Dumper.add_representer(list, _list_on_one_line)
+_Dumper.add_representer(
+    list, lambda dumper, values: dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=True)
+)

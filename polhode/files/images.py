@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageFile, UnidentifiedImageError
 
 from polhode.files.foreign_files import MIB, MissingFile, open_regular
-from polhode.geometry.lie import Array, Bools
+from polhode.geometry.lie import Bools
 from polhode.runtime.errors import InputError
 
 Grey = NDArray[np.uint8]
@@ -66,6 +66,20 @@ def parallel_decodes(width_px: int, height_px: int) -> int:
 
 
 @contextmanager
+def _errors_named() -> Iterator[None]:
+    """Errors of opening and decoding are UnreadableImage, with the reason."""
+    try:
+        yield
+    except UnreadableImage:
+        raise
+    except UnidentifiedImageError:
+        raise UnreadableImage("not an image in PNG, TIFF, JPEG, BMP or PGM") from None
+    except Exception as error:
+        # Pillow reports damage by errors of any type.
+        raise UnreadableImage("damaged or truncated") from error
+
+
+@contextmanager
 def _opened(path: Path, width_px: int, height_px: int) -> Iterator[ImageFile.ImageFile]:
     """The image file, for decoding its first frame in the block. Raises UnreadableImage."""
     limit = _BYTES_PER_PIXEL * width_px * height_px + _MORE_BYTES
@@ -82,34 +96,22 @@ def _opened(path: Path, width_px: int, height_px: int) -> Iterator[ImageFile.Ima
 @contextmanager
 def _decodable(stream: BinaryIO, width_px: int, height_px: int) -> Iterator[ImageFile.ImageFile]:
     """The same for an opened file."""
-    try:
-        with Image.open(stream, formats=FORMATS) as image:
-            if image.size != (width_px, height_px):
-                wrong = f"{image.size[0]}x{image.size[1]} px instead of {width_px}x{height_px} px"
-                raise UnreadableImage(f"wrong size, {wrong}")
-            assert isinstance(image, ImageFile.ImageFile)
-            if image.format == "JPEG":
-                _require_few_scans(stream)
-            _require_known_pixels(image)
-            yield image
-    except UnreadableImage:
-        raise
-    except UnidentifiedImageError:
-        raise UnreadableImage("not an image in PNG, TIFF, JPEG, BMP or PGM") from None
-    except Exception as error:
-        # Pillow reports damage by errors of any type.
-        raise UnreadableImage("damaged or truncated") from error
-
-
-def _require_few_scans(stream: BinaryIO) -> None:
-    """Raises UnreadableImage. Within compressed data no byte 0xff is followed by 0xda."""
-    position = stream.tell()
-    stream.seek(0)
-    scans = stream.read().count(b"\xff\xda")
-    stream.seek(position)
-    # Of a progressive JPEG; usual ones have ten, and each costs a pass over the whole image.
-    if scans > 100:
-        raise UnreadableImage(f"a JPEG of {scans} scans, where {100} are allowed; save it again")
+    with _errors_named(), Image.open(stream, formats=FORMATS) as image:
+        if image.size != (width_px, height_px):
+            wrong = f"{image.size[0]}x{image.size[1]} px instead of {width_px}x{height_px} px"
+            raise UnreadableImage(f"wrong size, {wrong}")
+        assert isinstance(image, ImageFile.ImageFile)
+        if image.format == "JPEG":
+            # Within compressed data no byte 0xff is followed by 0xda.
+            position = stream.tell()
+            stream.seek(0)
+            scans = stream.read().count(b"\xff\xda")
+            stream.seek(position)
+            # Of a progressive JPEG; usual ones have ten, and each costs a pass over the whole image.
+            if scans > 100:
+                raise UnreadableImage(f"a JPEG of {scans} scans, where {100} are allowed; save it again")
+        _require_known_pixels(image)
+        yield image
 
 
 def _require_known_pixels(image: ImageFile.ImageFile) -> None:
@@ -129,17 +131,12 @@ def _require_known_pixels(image: ImageFile.ImageFile) -> None:
     if image.mode not in GREY_OR_COLOUR and not image.mode.startswith("I"):
         raise UnreadableImage(f"colours of the kind {image.mode}; save it as grey or RGB")
     if image.format == "TIFF":
-        _require_plain_tiff(image)
-
-
-def _require_plain_tiff(image: Image.Image) -> None:
-    """Raises UnreadableImage for those values that Pillow misreads: it ignores what two tags say of them."""
-    tags = getattr(image, "tag_v2", {})
-    inverted, signed = tags.get(262) == 0, 2 in tuple(tags.get(339, ()))
-    if inverted and image.mode.startswith("I"):
-        raise UnreadableImage("16-bit grey where zero is white; save it with zero as black")
-    if signed and image.mode == "L":
-        raise UnreadableImage("signed 8-bit values; save it with unsigned ones")
+        # Pillow ignores what two tags say of the values.
+        tags = getattr(image, "tag_v2", {})
+        if tags.get(262) == 0 and image.mode.startswith("I"):
+            raise UnreadableImage("16-bit grey where zero is white; save it with zero as black")
+        if 2 in tuple(tags.get(339, ())) and image.mode == "L":
+            raise UnreadableImage("signed 8-bit values; save it with unsigned ones")
 
 
 def read_raw(path: Path, width_px: int, height_px: int) -> Raw:
@@ -159,13 +156,8 @@ def decode_raw(content: bytes, width_px: int, height_px: int) -> Raw:
 
 def size_in_header(content: bytes) -> tuple[int, int]:
     """Width and height [px] by the header of an image file's content. Raises UnreadableImage."""
-    try:
-        with Image.open(BytesIO(content), formats=FORMATS) as image:
-            return image.size
-    except UnidentifiedImageError:
-        raise UnreadableImage("not an image in PNG, TIFF, JPEG, BMP or PGM") from None
-    except Exception as error:
-        raise UnreadableImage("damaged or truncated") from error
+    with _errors_named(), Image.open(BytesIO(content), formats=FORMATS) as image:
+        return image.size
 
 
 def _raw_of(image: ImageFile.ImageFile) -> Raw:
@@ -189,12 +181,10 @@ def _strips(image: Image.Image) -> Iterator[tuple[slice, Image.Image]]:
     image.load()
     width, height = image.size
     step = max(1, 4_000_000 // width)
-    if step >= height:
-        yield slice(None), image
-        return
     for top in range(0, height, step):
         bottom = min(top + step, height)
-        yield slice(top, bottom), image.crop((0, top, width, bottom))
+        whole = (top, bottom) == (0, height)
+        yield slice(top, bottom), image if whole else image.crop((0, top, width, bottom))
 
 
 def bit_depth(largest_value: int) -> int:
@@ -228,7 +218,10 @@ def has_content(grey: Grey) -> bool:
     Works on means of 4x4 blocks, where noise of a few levels is averaged out: content is a handful of
     blocks well above the median, or a wide spread over the image.
     """
-    blocks = _block_means(grey)
+    rows, columns = (max(size // BLOCK_PX, 1) for size in grey.shape)
+    cut = grey[: rows * BLOCK_PX, : columns * BLOCK_PX]
+    parts = cut.reshape(rows, cut.shape[0] // rows, columns, cut.shape[1] // columns)
+    blocks = parts.mean(axis=(1, 3), dtype=np.float64)
     median = float(np.median(blocks))
     scatter = 1.4826 * float(np.median(np.abs(blocks - median)))
     bright = blocks > median + max(8.0, 5.0 * scatter)
@@ -236,11 +229,3 @@ def has_content(grey: Grey) -> bool:
         return True
     low, high = np.percentile(blocks, [2.0, 98.0])
     return bool(high - low > 24.0)
-
-
-def _block_means(grey: Grey) -> Array:
-    rows, columns = (max(size // BLOCK_PX, 1) for size in grey.shape)
-    cut = grey[: rows * BLOCK_PX, : columns * BLOCK_PX]
-    height, width = cut.shape
-    blocks = cut.reshape(rows, height // rows, columns, width // columns)
-    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64))

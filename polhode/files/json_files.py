@@ -22,6 +22,7 @@ def read_json(path: Path, kind: str, limit_bytes: int = JSON_BYTES) -> Any:
     valid JSON, or ambiguous: a key given twice, NaN, infinity.
     """
     text = read_text(path, limit_bytes, kind)
+    too_deep = f"{path}: nested more than {MAX_DEPTH} deep; not a file that polhode wrote"
     try:
         content = json.loads(
             text,
@@ -33,10 +34,19 @@ def read_json(path: Path, kind: str, limit_bytes: int = JSON_BYTES) -> Any:
     except json.JSONDecodeError as error:
         raise InputError(f"{path} line {error.lineno}: not valid JSON: {error.msg}") from None
     except RecursionError:
-        raise _too_deep(path) from None
+        raise InputError(too_deep) from None
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
-    _require_shallow(path, content)
+    level = [content]
+    for _ in range(MAX_DEPTH + 1):
+        inner = [
+            each.values() if isinstance(each, dict) else each
+            for each in level
+            if isinstance(each, dict | list)
+        ]
+        level = [part for parts in inner for part in parts]
+    if level:
+        raise InputError(too_deep)
     return content
 
 
@@ -64,21 +74,3 @@ def _whole(text: str) -> int:
     if len(text) > MAX_NUMBER_LENGTH:
         raise ValueError(f"a number of {len(text)} digits; give at most {MAX_NUMBER_LENGTH}")
     return int(text)
-
-
-def _require_shallow(path: Path, content: Any) -> None:
-    level = [content]
-    for _ in range(MAX_DEPTH + 1):
-        level = [
-            inner
-            for outer in level
-            if isinstance(outer, dict | list)
-            for inner in (outer.values() if isinstance(outer, dict) else outer)
-        ]
-        if not level:
-            return
-    raise _too_deep(path)
-
-
-def _too_deep(path: Path) -> InputError:
-    return InputError(f"{path}: nested more than {MAX_DEPTH} deep; not a file that polhode wrote")

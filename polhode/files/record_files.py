@@ -14,6 +14,7 @@ import hashlib
 import json
 import types
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -30,8 +31,6 @@ T = TypeVar("T")
 Arrays = dict[str, NDArray[Any]]
 
 _TREE, _CHECKSUM = "tree", "sha256"
-_KINDS = "biuf"
-_MESH = ("vertices", "faces", "vertex_colors")
 
 
 class UnfitRecord(Exception):
@@ -41,9 +40,51 @@ class UnfitRecord(Exception):
 def pack(value: object) -> Arrays:
     """The record as arrays, one for each dtype and ``tree``. Raises UnfitRecord."""
     parts: dict[str, list[NDArray[Any]]] = {}
-    tree = _Packer(parts, {}).tree(value)
-    text: NDArray[np.uint8] = np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8)
+    filled: dict[str, int] = {}
+
+    def tree(value: object) -> object:
+        """What JSON can hold of a value; an array as where it is: dtype, first element, shape."""
+        held = _held(value)
+        if isinstance(held, np.ndarray):
+            name = held.dtype.newbyteorder("=").name
+            start = filled.get(name, 0)
+            filled[name] = start + held.size
+            parts.setdefault(name, []).append(np.ascontiguousarray(held).reshape(-1))
+            return [name, start, list(held.shape)]
+        if isinstance(held, dict):
+            return {name: tree(part) for name, part in held.items()}
+        return [tree(part) for part in held] if isinstance(held, list) else held
+
+    text: NDArray[np.uint8] = np.frombuffer(json.dumps(tree(value)).encode(), dtype=np.uint8)
     return {**{name: np.concatenate(some) for name, some in sorted(parts.items())}, _TREE: text}
+
+
+def _held(value: object) -> Any:
+    """What a value holds, one level of it: None, a boolean, number, text or array; a list of parts; or parts
+    by name, as a dict. Raises UnfitRecord."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.ndarray):
+        if value.dtype.kind not in "biuf":
+            raise UnfitRecord(f"an array of {value.dtype} is no part of a record")
+        return value
+    if isinstance(value, bytes):
+        return np.frombuffer(value, dtype=np.uint8)
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, trimesh.Trimesh):
+        return list(mesh_parts(value))
+    if isinstance(value, BaseModel):
+        return {name: getattr(value, name) for name in type(value).model_fields}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {each.name: getattr(value, each.name) for each in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return [list(each) for each in value.items()]
+    if isinstance(value, Sequence):
+        return list(value)
+    raise UnfitRecord(f"{type(value).__name__} is no part of a record")
 
 
 def unpack(kind: type[T], arrays: Mapping[str, NDArray[Any]]) -> T:
@@ -92,8 +133,31 @@ def digest_of(*values: object) -> str:
     that is no record and states nothing.
     """
     digest = hashlib.sha256()
-    for part in _parts(values):
-        digest.update(part)
+
+    def add(value: object) -> None:
+        stated = getattr(value, "content_digest", None)
+        if stated is not None:
+            digest.update(f"digest {type(value).__qualname__} {stated};".encode())
+            return
+        held = _held(value)
+        if isinstance(held, np.ndarray):
+            kind = "bytes" if isinstance(value, bytes) else "array"
+            digest.update(f"{kind} {held.dtype.str} {held.shape};".encode())
+            digest.update(np.ascontiguousarray(held).data.cast("B") if held.size else b"")
+        elif isinstance(held, dict):
+            digest.update(f"{type(value).__qualname__} {list(held)};".encode())
+            for part in held.values():
+                add(part)
+        elif isinstance(held, list):
+            kind = "mapping" if isinstance(value, Mapping) else "sequence"
+            digest.update(f"{kind} {len(held)};".encode())
+            for part in held:
+                add(part)
+        else:
+            text = f"{type(held).__name__} {held!r};"
+            digest.update(text.encode(errors="surrogatepass"))
+
+    add(values)
     return digest.hexdigest()
 
 
@@ -105,48 +169,6 @@ def _checksum(key: str, arrays: Mapping[str, NDArray[Any]]) -> bytes:
     return digest.digest()
 
 
-class _Packer:
-    """Collects the elements of all arrays, by dtype."""
-
-    def __init__(self, parts: dict[str, list[NDArray[Any]]], filled: dict[str, int]) -> None:
-        self._parts, self._filled = parts, filled
-
-    def tree(self, value: object) -> object:
-        """What JSON can hold of a value; an array as where it is."""
-        if value is None or isinstance(value, bool | str):
-            return value
-        if isinstance(value, np.ndarray):
-            return self._array(value)
-        if isinstance(value, np.generic):
-            return self.tree(value.item())
-        if isinstance(value, int | float):
-            return value
-        if isinstance(value, bytes):
-            return self._array(np.frombuffer(value, dtype=np.uint8))
-        if isinstance(value, Path):
-            return str(value)
-        if isinstance(value, trimesh.Trimesh):
-            return [self.tree(np.asarray(part)) for part in mesh_parts(value)]
-        if isinstance(value, BaseModel):
-            return {name: self.tree(getattr(value, name)) for name in type(value).model_fields}
-        if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            return {each.name: self.tree(getattr(value, each.name)) for each in dataclasses.fields(value)}
-        if isinstance(value, Mapping):
-            return [[self.tree(key), self.tree(each)] for key, each in value.items()]
-        if isinstance(value, Sequence):
-            return [self.tree(each) for each in value]
-        raise UnfitRecord(f"{type(value).__name__} is no part of a record")
-
-    def _array(self, array: NDArray[Any]) -> object:
-        if array.dtype.kind not in _KINDS:
-            raise UnfitRecord(f"an array of {array.dtype} is no part of a record")
-        name = array.dtype.newbyteorder("=").name
-        start = self._filled.get(name, 0)
-        self._filled[name] = start + array.size
-        self._parts.setdefault(name, []).append(np.ascontiguousarray(array).reshape(-1))
-        return [name, start, list(array.shape)]
-
-
 def _value(kind: Any, tree: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
     """The value of a type, which annotations state, from its tree."""
     # NumPy 2.5 has NDArray as an alias (PEP 695), which stands for its type without being it.
@@ -154,7 +176,13 @@ def _value(kind: Any, tree: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
         kind = meant
     origin, inner = get_origin(kind) or kind, get_args(kind)
     if origin in (Union, types.UnionType):
-        return _of_union(inner, tree, arrays)
+        if tree is None and type(None) in inner:
+            return None
+        for each in inner:
+            if each is not type(None):
+                with suppress(UnfitRecord, TypeError, ValueError, KeyError):
+                    return _value(each, tree, arrays)
+        raise UnfitRecord(f"none of {inner}")
     if origin is Literal or kind is Any or kind is object:
         return tree
     if kind is type(None):
@@ -193,19 +221,6 @@ def _value(kind: Any, tree: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
     raise UnfitRecord(f"{kind} is no type of a record")
 
 
-def _of_union(kinds: Sequence[Any], tree: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
-    """None, or the first of the other types that fits."""
-    if tree is None and type(None) in kinds:
-        return None
-    for kind in kinds:
-        if kind is not type(None):
-            try:
-                return _value(kind, tree, arrays)
-            except (UnfitRecord, TypeError, ValueError, KeyError):
-                continue
-    raise UnfitRecord(f"none of {kinds}")
-
-
 def _array_of(place: Any, arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
     name, start, shape = place
     size = int(np.prod(shape, dtype=np.int64))
@@ -222,51 +237,3 @@ def _require(fits: bool, kind: Any) -> None:
 def mesh_parts(mesh: trimesh.Trimesh) -> tuple[NDArray[Any], ...]:
     """What a record holds of a mesh: vertices, faces, colours of the vertices."""
     return np.asarray(mesh.vertices), np.asarray(mesh.faces), np.asarray(mesh.visual.vertex_colors)  # type: ignore[union-attr]
-
-
-def _parts(value: object) -> Iterable[bytes | memoryview]:
-    """The bytes of a value for its digest; different values have different ones."""
-    stated = getattr(value, "content_digest", None)
-    if stated is not None:
-        yield f"digest {type(value).__qualname__} {stated};".encode()
-    elif isinstance(value, np.ndarray):
-        if value.dtype.kind not in _KINDS:
-            raise UnfitRecord(f"an array of {value.dtype} has no digest")
-        yield f"array {value.dtype.str} {value.shape};".encode()
-        yield np.ascontiguousarray(value).data.cast("B") if value.size else b""
-    elif isinstance(value, np.generic):
-        yield from _parts(value.item())
-    elif value is None or isinstance(value, bool | int | float):
-        yield f"{type(value).__name__} {value!r};".encode()
-    elif isinstance(value, str | bytes):
-        content = value.encode() if isinstance(value, str) else value
-        yield f"{type(value).__name__} {len(content)};".encode()
-        yield content
-    elif isinstance(value, Path):
-        yield from _parts(str(value))
-    elif isinstance(value, trimesh.Trimesh):
-        yield b"mesh;"
-        for part in mesh_parts(value):
-            yield from _parts(part)
-    elif isinstance(value, BaseModel):
-        yield from _named_parts(value, type(value).model_fields)
-    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
-        yield from _named_parts(value, [each.name for each in dataclasses.fields(value)])
-    elif isinstance(value, Mapping):
-        yield f"mapping {len(value)};".encode()
-        for key, each in value.items():
-            yield from _parts(key)
-            yield from _parts(each)
-    elif isinstance(value, Sequence):
-        yield f"sequence {len(value)};".encode()
-        for each in value:
-            yield from _parts(each)
-    else:
-        raise UnfitRecord(f"{type(value).__name__} has no digest")
-
-
-def _named_parts(value: object, names: Iterable[str]) -> Iterable[bytes | memoryview]:
-    yield f"{type(value).__qualname__};".encode()
-    for name in names:
-        yield f"{name}:".encode()
-        yield from _parts(getattr(value, name))

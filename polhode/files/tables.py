@@ -8,6 +8,7 @@ import io
 import re
 from array import array
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -55,7 +56,13 @@ def read_table(path: Path, columns: int, finite: bool = True, docs: str = DATASE
     lines, stamps, values = array("q"), array("q"), array("d")
     for number, fields in _rows(path, docs):
         stamps.append(_later_stamp(path, number, fields[0], stamps[-1] if stamps else None))
-        values.extend(_numbers(path, number, fields, columns, docs))
+        if len(fields) <= columns:
+            found = f"{len(fields)} columns, expected {columns + 1}"
+            raise InputError(f"{path} line {number}: {found} (see {docs})")
+        try:
+            values.extend([plain_number(field) for field in fields[1 : columns + 1]])
+        except ValueError:
+            raise InputError(f"{path} line {number}: not a number in {_shown(','.join(fields))}") from None
         lines.append(number)
     numbers = np.array(values, dtype=np.float64).reshape(len(stamps), columns)
     bad = ~np.isfinite(numbers).all(axis=1)
@@ -116,8 +123,10 @@ def number_rows(path: Path, columns: int, what: str, limit: int) -> Iterator[tup
     for number, line in _lines(path):
         if not line or line.startswith("#"):
             continue
-        fields = line.replace(",", " ").split()
-        values = [value for field in fields if (value := _number_or_none(field)) is not None]
+        fields, values = line.replace(",", " ").split(), []
+        for field in fields:
+            with suppress(ValueError):
+                values.append(plain_number(field))
         if not values and not rows:
             continue
         if not len(values) == len(fields) == columns or not np.isfinite(values).all():
@@ -126,13 +135,6 @@ def number_rows(path: Path, columns: int, what: str, limit: int) -> Iterator[tup
         if rows > limit:
             raise InputError(f"{path} line {number}: more than {limit} rows; give fewer")
         yield number, values
-
-
-def _number_or_none(text: str) -> float | None:
-    try:
-        return plain_number(text)
-    except ValueError:
-        return None
 
 
 def _rows(path: Path, docs: str = DATASET_DOCS) -> Iterator[tuple[int, list[str]]]:
@@ -189,15 +191,6 @@ def _later_stamp(path: Path, number: int, field: str, before: int | None) -> int
         wrong = "repeats" if stamp == before else "goes back from"
         raise InputError(f"{path} line {number}: timestamp {stamp} {wrong} {before}; sort the rows by time")
     return stamp
-
-
-def _numbers(path: Path, number: int, fields: list[str], columns: int, docs: str) -> list[float]:
-    if len(fields) <= columns:
-        raise InputError(f"{path} line {number}: {len(fields)} columns, expected {columns + 1} (see {docs})")
-    try:
-        return [plain_number(field) for field in fields[1 : columns + 1]]
-    except ValueError:
-        raise InputError(f"{path} line {number}: not a number in {_shown(','.join(fields))}") from None
 
 
 def plain_number(text: str) -> float:

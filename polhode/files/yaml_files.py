@@ -7,7 +7,6 @@ section is an error.
 """
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -79,11 +78,25 @@ def parse_yaml(text: str, source: str) -> Any:
     Raises InputError, one line that begins with ``source`` and the line, for what is not valid, is larger or
     nested deeper than any file of ours, repeats a key, or has a type that none has.
     """
+    count = _Count()
+    event: Any
     try:
-        _check(yaml.parse(text, Loader=_Loader), source)
+        for event in yaml.parse(text, Loader=_Loader):
+            try:
+                count.take(event)
+            except _Refused as error:
+                raise InputError(f"{source} line {event.start_mark.line + 1}: {error}") from None
         return yaml.load(text, Loader=_Loader)  # noqa: S506  a safe loader, restricted further
     except yaml.YAMLError as error:
-        raise _invalid(error, source) from None
+        mark = getattr(error, "problem_mark", None)
+        where = f" line {mark.line + 1}" if mark is not None else ""
+        problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "syntax error"
+        words = " ".join(problem.split())[:200]
+        raise InputError(f"{source}{where}: not valid YAML: {words}") from None
+
+
+class _Refused(Exception):
+    """What is wrong with an event of the parser."""
 
 
 @dataclass
@@ -91,7 +104,6 @@ class _Open:
     """A section or list that the parser is in."""
 
     anchor: str | None
-    line: int
     keys: set[str] | None
     """None: a list"""
     at_key: bool = True
@@ -102,89 +114,65 @@ class _Open:
 class _Count:
     """Values that stand behind each anchor; None while it is open."""
 
-    source: str
     open: list[_Open] = field(default_factory=list)
     behind: dict[str, int | None] = field(default_factory=dict)
 
-    def fail(self, line: int, what: str) -> InputError:
-        return InputError(f"{self.source} line {line + 1}: {what}")
+    def take(self, event: Any) -> None:
+        """Check an event, and count its values. Raises _Refused."""
+        if isinstance(event, yaml.CollectionEndEvent):
+            closed = self.open.pop()
+            if closed.anchor is not None:
+                self.behind[closed.anchor] = closed.values
+            self._add(closed.values)
+        if not isinstance(event, yaml.AliasEvent | yaml.ScalarEvent | yaml.CollectionStartEvent):
+            return
+        inner = self.open[-1] if self.open else None
+        keys = None
+        if inner is not None and inner.keys is not None:
+            # of a key, what follows then is its value
+            keys = inner.keys if inner.at_key else None
+            inner.at_key = not inner.at_key
+        if isinstance(event, yaml.AliasEvent):
+            if keys is not None:
+                raise _Refused("an alias as a key; write the key as text")
+            if event.anchor in self.behind:
+                behind = self.behind[event.anchor]
+                if behind is None:
+                    raise _Refused(f"alias '{event.anchor[:40]}' stands for a section that contains it")
+                self._add(behind)
+            return
+        if event.tag not in (None, "!", f"{_CORE}str"):
+            kind = event.tag.removeprefix(_CORE)[:40]
+            raise _Refused(f"a type, '{kind}'; write the plain value alone")
+        if event.anchor is not None:
+            self.behind[event.anchor] = 1 if isinstance(event, yaml.ScalarEvent) else None
+        if isinstance(event, yaml.ScalarEvent):
+            self._check_scalar(event, keys)
+            return
+        if keys is not None:
+            raise _Refused("a list or a section as a key; write the key as text")
+        if len(self.open) >= MAX_DEPTH:
+            raise _Refused(f"nested more than {MAX_DEPTH} deep")
+        self.open.append(_Open(event.anchor, set() if isinstance(event, yaml.MappingStartEvent) else None))
 
-    def add(self, values: int, line: int) -> None:
+    def _check_scalar(self, event: yaml.ScalarEvent, keys: set[str] | None) -> None:
+        text = event.value
+        if _CONTROL.search(text):
+            raise _Refused("a control character; write it out, or remove it")
+        is_number = event.tag is None and event.style in (None, "") and text[:1] in tuple("-+.0123456789")
+        if is_number and len(text) > MAX_NUMBER_LENGTH:
+            raise _Refused(f"a number of {len(text)} characters; give at most {MAX_NUMBER_LENGTH}")
+        if keys is not None:
+            if len(text) > MAX_KEY_LENGTH:
+                raise _Refused(f"a key of {len(text)} characters; give at most {MAX_KEY_LENGTH}")
+            if text in keys:
+                raise _Refused(f"key '{text}' is given twice in one section; keep one of them")
+            keys.add(text)
+        self._add(1)
+
+    def _add(self, values: int) -> None:
         """Count in the innermost section; all of them are counted when it closes."""
         if self.open:
             self.open[-1].values += values
             if self.open[-1].values > MAX_VALUES:
-                raise self.fail(line, f"more than {MAX_VALUES} values, with those that aliases repeat")
-
-    def next_is_key(self) -> bool:
-        """Whether the node that begins is a key, and what follows then is its value."""
-        if not self.open or self.open[-1].keys is None:
-            return False
-        self.open[-1].at_key = not self.open[-1].at_key
-        return not self.open[-1].at_key
-
-
-def _check(events: Iterator[Any], source: str) -> None:
-    count = _Count(source)
-    for event in events:
-        line = event.start_mark.line
-        if isinstance(event, yaml.NodeEvent):
-            is_key = count.next_is_key()
-            _check_node(count, event, is_key, line)
-        elif isinstance(event, yaml.CollectionEndEvent):
-            closed = count.open.pop()
-            if closed.anchor is not None:
-                count.behind[closed.anchor] = closed.values
-            count.add(closed.values, closed.line)
-
-
-def _check_node(count: _Count, event: Any, is_key: bool, line: int) -> None:
-    if isinstance(event, yaml.AliasEvent):
-        if is_key:
-            raise count.fail(line, "an alias as a key; write the key as text")
-        if event.anchor in count.behind:
-            behind = count.behind[event.anchor]
-            if behind is None:
-                raise count.fail(line, f"alias '{event.anchor[:40]}' stands for a section that contains it")
-            count.add(behind, line)
-        return
-    if event.tag not in (None, "!", f"{_CORE}str"):
-        raise count.fail(line, f"a type, '{event.tag.removeprefix(_CORE)[:40]}'; write the plain value alone")
-    if event.anchor is not None:
-        count.behind[event.anchor] = 1 if isinstance(event, yaml.ScalarEvent) else None
-    if isinstance(event, yaml.ScalarEvent):
-        _check_scalar(count, event, is_key, line)
-        return
-    if is_key:
-        raise count.fail(line, "a list or a section as a key; write the key as text")
-    if len(count.open) >= MAX_DEPTH:
-        raise count.fail(line, f"nested more than {MAX_DEPTH} deep")
-    count.open.append(_Open(event.anchor, line, set() if isinstance(event, yaml.MappingStartEvent) else None))
-
-
-def _check_scalar(count: _Count, event: yaml.ScalarEvent, is_key: bool, line: int) -> None:
-    text = event.value
-    if _CONTROL.search(text):
-        raise count.fail(line, "a control character; write it out, or remove it")
-    if len(text) > MAX_NUMBER_LENGTH and _is_number(event):
-        raise count.fail(line, f"a number of {len(text)} characters; give at most {MAX_NUMBER_LENGTH}")
-    if is_key:
-        keys = count.open[-1].keys
-        assert keys is not None
-        if len(text) > MAX_KEY_LENGTH:
-            raise count.fail(line, f"a key of {len(text)} characters; give at most {MAX_KEY_LENGTH}")
-        if text in keys:
-            raise count.fail(line, f"key '{text}' is given twice in one section; keep one of them")
-        keys.add(text)
-    count.add(1, line)
-
-
-def _is_number(event: yaml.ScalarEvent) -> bool:
-    return event.tag is None and event.style in (None, "") and event.value[:1] in tuple("-+.0123456789")
-
-
-def _invalid(error: yaml.YAMLError, source: str) -> InputError:
-    mark = getattr(error, "problem_mark", None)
-    where = f" line {mark.line + 1}" if mark is not None else ""
-    problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "syntax error"
-    return InputError(f"{source}{where}: not valid YAML: {' '.join(problem.split())[:200]}")
+                raise _Refused(f"more than {MAX_VALUES} values, with those that aliases repeat")

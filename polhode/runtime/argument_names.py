@@ -8,6 +8,7 @@ import functools
 import inspect
 import re
 from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from typing import ParamSpec, TypeVar
 
 from polhode.runtime.errors import InputError, RunFailure
@@ -45,9 +46,8 @@ def errors_name_arguments(
             try:
                 return function(*args, **kwargs)
             except (InputError, RunFailure) as error:
-                text = str(error)
-                changed = in_words_of_python(text, arguments, flags, words or {})
-                if changed == text:
+                changed = in_words_of_python(str(error), arguments, flags, words or {})
+                if changed == str(error):
                     raise
                 raise type(error)(changed) from error
 
@@ -72,18 +72,11 @@ def in_words_of_python(
         name = arguments.get(option)
         if name is None:
             return match[0]
-        if value is not None and value in words:
+        if value in words:
             return f"{name}={words[value]!r}"
-        if value is not None and _is_number(value):
+        with suppress(TypeError, ValueError):
+            float(value)
             return f"{name}={value}"
         return f"{name}=True{after}" if name in flags else name + after
 
     return _OPTION.sub(renamed, text)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

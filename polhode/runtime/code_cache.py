@@ -5,11 +5,11 @@ write would run their code with the rights of whoever reads it.
 """
 
 import logging
+import math
 import multiprocessing
 import os
 import stat
 import tempfile
-from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -18,12 +18,6 @@ from polhode.runtime.errors import InputError
 
 NUMBA_SETTINGS = Path(".numba_config.yaml")
 """Read by numba from the current folder when it is imported."""
-
-_UNUSABLE: tuple[tuple[str, Callable[[int], bool], str], ...] = (
-    ("NUMBA_DISABLE_JIT", lambda value: value == 0, "without compiled functions polhode cannot work"),
-    ("NUMBA_NUM_THREADS", lambda value: value > 0, "numba needs one thread at least"),
-)
-"""Variables of numba, and the values with which it works"""
 
 _log = logging.getLogger(__name__)
 
@@ -39,11 +33,14 @@ def require_no_settings_of_numba() -> None:
             f"{NUMBA_SETTINGS} in the current folder has settings of numba, which would change the results: "
             "start polhode in another folder, or remove it"
         )
-    for name, is_usable, reason in _UNUSABLE:
+    for name, least, most, reason in (
+        ("NUMBA_DISABLE_JIT", 0, 0, "without compiled functions polhode cannot work"),
+        ("NUMBA_NUM_THREADS", 1, math.inf, "numba needs one thread at least"),
+    ):
         value = os.environ.get(name, "")
         # numba, too, takes no notice of what is no number
         with suppress(ValueError):
-            if not is_usable(int(value)):
+            if not least <= int(value) <= most:
                 raise InputError(f"{name}={value} in the environment: {reason}; unset it")
 
 
@@ -69,9 +66,12 @@ def _folder(package: Path, given: str) -> Path | None:
     beside = package / "__pycache__"
     if _writable(beside) and _guarded_as(beside, package):
         return beside
-    own = _own_folder()
-    if own is not None and is_private(own) and _writable(own):
-        return own
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    with suppress(RuntimeError):
+        # a relative one is to be ignored (XDG Base Directory Specification)
+        own = (Path(base) if Path(base).is_absolute() else Path.home() / ".cache") / "polhode"
+        if is_private(own) and _writable(own):
+            return own
     _say_once("compiled code is not kept, as no folder for it is writable by you alone: set NUMBA_CACHE_DIR")
     return None
 
@@ -118,15 +118,6 @@ def _writable(folder: Path) -> bool:
             return True
     except OSError:
         return False
-
-
-def _own_folder() -> Path | None:
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    try:
-        # a relative one is to be ignored (XDG Base Directory Specification)
-        return (Path(base) if Path(base).is_absolute() else Path.home() / ".cache") / "polhode"
-    except RuntimeError:
-        return None
 
 
 @cache

@@ -8,7 +8,7 @@ import logging
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from time import perf_counter
 
@@ -118,25 +118,37 @@ class _Stages:
         def advance() -> None:
             raise_if_received()
             stage.steps += 1
-            self._reach(stage.steps / max(total, stage.steps))
+            if self._left is not None:
+                self._left.advance(stage.steps / max(total, stage.steps))
             self._show_step()
 
         with self.watched(), self._open(stage):
             yield advance
-            self._reach(1.0)
+            if self._left is not None:
+                self._left.advance(1.0)
         seconds = perf_counter() - stage.start
         self._show_end(stage, seconds)
         _command.finished.append(title)
         _log.info("%s: %.1f s", title, seconds)
 
-    def _reach(self, done: float) -> None:
-        if self._left is not None:
-            self._left.advance(done)
+    @contextmanager
+    def line(self) -> Iterator[Show]:
+        """Show a line of text, which the next one replaces or follows."""
+        with self._text() as show:
+
+            def checked(text: str) -> None:
+                raise_if_received()
+                show(printable(text))
+
+            yield checked
 
     def _watch(self) -> AbstractContextManager[object]:
         raise NotImplementedError
 
     def _open(self, stage: _Stage) -> AbstractContextManager[object]:
+        raise NotImplementedError
+
+    def _text(self) -> AbstractContextManager[Show]:
         raise NotImplementedError
 
     def _show_step(self) -> None:
@@ -185,15 +197,9 @@ class Bars(_Stages):
             self._whole.update(self._whole.task_ids[0], completed=self._left.share)
 
     @contextmanager
-    def line(self) -> Iterator[Show]:
-        """Keep one line at the bottom of the terminal, and its last text when the block ends."""
+    def _text(self) -> Iterator[Show]:
         with Live(Text(""), console=Console(file=sys.stdout), refresh_per_second=8) as live:
-
-            def show(text: str) -> None:
-                raise_if_received()
-                live.update(Text(printable(text)))
-
-            yield show
+            yield lambda text: live.update(Text(text))
 
 
 class _LeftColumn(ProgressColumn):
@@ -231,8 +237,14 @@ class Lines(_Stages):
 
         def watch() -> None:
             while not done.wait(max(self._printed + SILENCE_S - perf_counter(), 0.01)):
-                if perf_counter() - self._printed >= SILENCE_S:
-                    self._print(self._state())
+                if perf_counter() - self._printed < SILENCE_S:
+                    continue
+                text = f"working, {duration(perf_counter() - self._start)} since the start"
+                if self._stages:
+                    stage = self._stages[-1]
+                    count = f"{stage.steps} of {stage.total}" if stage.total else "working"
+                    text = f"{stage.title}: {count} after {duration(perf_counter() - stage.start)}"
+                self._print(text + self._time_left())
 
         self._printed = perf_counter()
         watcher = threading.Thread(target=watch, daemon=True)
@@ -255,23 +267,8 @@ class Lines(_Stages):
         count = f"{stage.steps} in " if stage.steps else ""
         self._print(f"{stage.title}: {count}{seconds:.1f} s{self._time_left()}")
 
-    def _state(self) -> str:
-        """What is being done, and how far it is."""
-        if not self._stages:
-            return f"working, {duration(perf_counter() - self._start)} since the start{self._time_left()}"
-        stage = self._stages[-1]
-        count = f"{stage.steps} of {stage.total}" if stage.total else "working"
-        return f"{stage.title}: {count} after {duration(perf_counter() - stage.start)}{self._time_left()}"
-
-    @contextmanager
-    def line(self) -> Iterator[Show]:
-        """Print every text on a line of its own."""
-
-        def show(text: str) -> None:
-            raise_if_received()
-            self._print(printable(text))
-
-        yield show
+    def _text(self) -> AbstractContextManager[Show]:
+        return nullcontext(self._print)
 
     def _time_left(self) -> str:
         seconds = None if self._left is None or self._left.share >= 1.0 else self._left.seconds()

@@ -73,10 +73,7 @@ OPTIONAL_PARTS: tuple[OptionalPart, ...] = (
 
 def part_with(module: str) -> OptionalPart:
     """The part that a module belongs to. Raises KeyError: it belongs to none."""
-    for part in OPTIONAL_PARTS:
-        if module in part.modules:
-            return part
-    raise KeyError(module)
+    return {name: part for part in OPTIONAL_PARTS for name in part.modules}[module]
 
 
 def require_part(module: str, what: str) -> None:
@@ -96,7 +93,8 @@ def missing_part(module: str) -> str | None:
 
 def missing_message(module: str) -> str:
     """That a module is not installed, and the command that adds it where an optional part has the module."""
-    if not any(module in part.modules for part in OPTIONAL_PARTS):
+    try:
+        part = part_with(module)
+    except KeyError:
         return f"{module} is not installed"
-    part = part_with(module)
     return f"{part.modules[module]} is not installed ({part.how_to_install})"

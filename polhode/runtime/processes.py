@@ -42,15 +42,14 @@ SERVER_PAUSES = (0.02, 0.1, 0.5)
 BACKGROUND_NICENESS = 10
 """Of a process beside this one: it leaves the processor to what is waited for."""
 
+_log = logging.getLogger(__name__)
+_pools: list[ProcessPoolExecutor] = []
+"""Those at work."""
+
 
 def worker_count(workers: int) -> int:
     """Parallel processes for ``runtime.workers``: 0 means one per core that this process may use."""
     return workers or len(os.sched_getaffinity(0))
-
-
-_log = logging.getLogger(__name__)
-_pools: list[ProcessPoolExecutor] = []
-"""Those at work."""
 
 
 def in_order(
@@ -137,18 +136,22 @@ class _Yielding(Generic[T, U]):
     """Work that leaves the processor to every other process."""
 
     def __init__(self, work: Callable[[T], U], niceness: int) -> None:
-        self._work, self._niceness, self._begun = work, niceness, False
+        self._work, self._niceness = work, niceness
 
     def __call__(self, item: T) -> U:
-        if not self._begun:
-            self._begun = True
-            os.nice(self._niceness)
+        os.nice(self._niceness)
+        self._niceness = 0
         return self._work(item)
 
 
-def worker_killed() -> RunFailure:
+def worker_killed(what: str = "a worker process") -> RunFailure:
     """What a run ends with when a process that works for it is killed."""
-    return _killed("a worker process")
+    return RunFailure(f"{what} was killed, perhaps for lack of memory: use fewer --runtime.workers")
+
+
+@cache
+def _warn_once(warning: str) -> None:
+    _log.warning(warning)
 
 
 def log_without_processes(error: OSError) -> None:
@@ -162,26 +165,27 @@ def kill_workers() -> None:
         _kill(pool)
 
 
-@cache
-def _warn_once(warning: str) -> None:
-    _log.warning(warning)
+def _kill(pool: ProcessPoolExecutor) -> None:
+    for process in list((pool._processes or {}).values()):
+        process.kill()
 
 
 def _pool(work: Callable[[T], U], workers: int, preload: Sequence[str] = ()) -> ProcessPoolExecutor:
     """Processes that will call ``work``. Raises OSError where there can be none."""
     if multiprocessing.current_process().daemon:
         raise OSError("a worker process may have none of its own")
+    modules = {getattr(part, "__module__", None) or type(part).__module__ for part in _parts(work)}
     # The tracker of shared resources, which starts here, must not end by SIGHUP.
     with _signals_blocked():
-        return ProcessPoolExecutor(workers, _context((*preload, *_modules_of(work))), _begin, (work,))
+        context = _context((*preload, *(modules - {"__main__", "builtins"})))
+        return ProcessPoolExecutor(workers, context, _begin, (work,))
 
 
-def _modules_of(work: Any) -> set[str]:
-    """The modules that define a function and what it is given, but for the caller's script."""
-    parts = (work.func, *work.args, *work.keywords.values()) if isinstance(work, partial) else ()
-    if parts:
-        return set().union(*map(_modules_of, parts))
-    return {getattr(work, "__module__", None) or type(work).__module__} - {"__main__", "builtins"}
+def _parts(work: Any) -> list[Any]:
+    """A function and what it is given."""
+    if not isinstance(work, partial):
+        return [work]
+    return [part for each in (work.func, *work.args, *work.keywords.values()) for part in _parts(each)]
 
 
 def _has_server() -> bool:
@@ -189,7 +193,7 @@ def _has_server() -> bool:
 
 
 def _begun(
-    work: Callable[[T], U], item: T, workers: int, preload: Sequence[str] = ()
+    work: Callable[[T], U], item: T, workers: int, preload: Sequence[str]
 ) -> tuple[ProcessPoolExecutor, Future[Any]]:
     """A pool that works on the first item. Raises OSError where there can be none, and RunFailure.
 
@@ -203,7 +207,7 @@ def _begun(
         except _ServerLost:
             pool.shutdown(cancel_futures=True)
         time.sleep(pause)
-    raise _killed("the process that starts the workers")
+    raise worker_killed("the process that starts the workers")
 
 
 def _results(
@@ -219,13 +223,11 @@ def _results(
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
-    except BrokenProcessPool:
+    except (BrokenProcessPool, _ServerLost) as error:
         # The others ignore the signal by which the pool would end them.
         _kill(pool)
-        raise _killed("a worker process") from None
-    except _ServerLost:
-        _kill(pool)
-        raise _killed("the process that starts the workers") from None
+        is_server = isinstance(error, _ServerLost)
+        raise worker_killed(*(["the process that starts the workers"] if is_server else [])) from None
     except KeyboardInterrupt:
         _kill(pool)
         raise
@@ -252,15 +254,6 @@ def _submitted(pool: ProcessPoolExecutor, item: Any) -> Future[Any]:
         raise _ServerLost from error
 
 
-def _killed(what: str) -> RunFailure:
-    return RunFailure(f"{what} was killed, perhaps for lack of memory: use fewer --runtime.workers")
-
-
-def _kill(pool: ProcessPoolExecutor) -> None:
-    for process in list((pool._processes or {}).values()):
-        process.kill()
-
-
 def _context(preload: Sequence[str]) -> BaseContext:
     """Forks of a server that has imported the libraries and does nothing else, where that is supported.
 
@@ -276,27 +269,11 @@ def _context(preload: Sequence[str]) -> BaseContext:
 
 
 @contextlib.contextmanager
-def _environment(name: str, value: str) -> Iterator[None]:
-    """A variable of the environment, for processes that are started in the block."""
-    before = os.environ.get(name)
-    os.environ[name] = value
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[name]
-        else:
-            os.environ[name] = before
-
-
-@contextlib.contextmanager
 def _script_hidden(work: Callable[..., Any]) -> Iterator[None]:
     """Processes that are started in the block do not import the caller's script, unless the work needs it."""
-    if _needs_script(work):
-        yield
-        return
     script = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
+    if not _needs_script(work):
+        sys.modules["__main__"] = ModuleType("__main__")
     try:
         yield
     finally:
@@ -305,13 +282,8 @@ def _script_hidden(work: Callable[..., Any]) -> Iterator[None]:
 
 def _needs_script(work: Any) -> bool:
     """Whether a function, or what it is given, is defined in the caller's script."""
-    if isinstance(work, partial):
-        return any(map(_needs_script, (work.func, *work.args, *work.keywords.values())))
-    return any(map(_is_of_script, (work, *getattr(work, "__dict__", {}).values())))
-
-
-def _is_of_script(value: Any) -> bool:
-    return "__main__" in (getattr(value, "__module__", ""), type(value).__module__)
+    held = [each for part in _parts(work) for each in (part, *getattr(part, "__dict__", {}).values())]
+    return any("__main__" in (getattr(each, "__module__", ""), type(each).__module__) for each in held)
 
 
 @contextlib.contextmanager
@@ -321,7 +293,9 @@ def _signals_blocked() -> Iterator[None]:
     Nor do they look for modules in the current folder, which may be another person's: Python starts them as
     ``python -c``, which would put that folder first.
     """
-    with interrupts_delayed(), _environment("PYTHONSAFEPATH", "1"):
+    safe_path = os.environ.get("PYTHONSAFEPATH")
+    with interrupts_delayed():
+        os.environ["PYTHONSAFEPATH"] = "1"
         previous = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         # The tracker of shared resources lets interrupts through again when it has started: hence before the
         # server of the workers, which would print a traceback if one came while it imports.
@@ -333,6 +307,9 @@ def _signals_blocked() -> Iterator[None]:
             yield
         finally:
             os.environ.pop(fork_server.PARENT, None)
+            os.environ.pop("PYTHONSAFEPATH")
+            if safe_path is not None:
+                os.environ["PYTHONSAFEPATH"] = safe_path
             signal.pthread_sigmask(signal.SIG_SETMASK, previous)
 
 

@@ -3,7 +3,8 @@
 import hashlib
 import os
 import platform
-from collections.abc import Iterable
+from collections.abc import Collection
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -41,16 +42,13 @@ def code_digest() -> str:
     return digest.hexdigest()
 
 
-def versions_of(libraries: Iterable[str]) -> str:
+def versions_of(libraries: Collection[str]) -> str:
     """Names and versions of packages; of one that is not installed, its name alone."""
-    return "".join(f"{library} {_version(library)};" for library in libraries)
-
-
-def _version(library: str) -> str:
-    try:
-        return version(library)
-    except PackageNotFoundError:
-        return ""
+    found = {}
+    for library in libraries:
+        with suppress(PackageNotFoundError):
+            found[library] = version(library)
+    return "".join(f"{library} {found.get(library, '')};" for library in libraries)
 
 
 def processor() -> str:

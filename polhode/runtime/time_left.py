@@ -59,11 +59,7 @@ class TimeLeft:
         known = [share for share in self._shares if share.title == name]
         self._stage = known[min(self._seen[name], len(known) - 1)] if known else None
         self._seen[name] += 1
-        self._reach(0.0)
-
-    def advance(self, done: float) -> None:
-        """So much of the stage is done, from 0 to 1."""
-        self._reach(min(done, 1.0))
+        self.advance(0.0)
 
     def seconds(self) -> float | None:
         """Until the end of the whole; None: not known yet."""
@@ -74,7 +70,8 @@ class TimeLeft:
         at_least = self._left_s * (1.0 - reached) / (1.0 - self.share) if self.share < 1.0 else 0.0
         return max(self._left_s - (self._now() - self._as_of), at_least)
 
-    def _reach(self, done: float) -> None:
+    def advance(self, done: float) -> None:
+        """So much of the stage is done, from 0 to 1."""
         if self._stage is None:
             return
         now = self._now()

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -16,79 +17,83 @@ from polhode.config.compare_settings import Motion
 from polhode.files.output.marked_folder import MARK, write_mark
 from polhode.run_directory.archives import write_measurements
 from polhode.runtime.errors import InputError
-from polhode.simulation.monte_carlo import SyntheticSequence, generate
+from polhode.simulation.monte_carlo import generate
+from tests.conftest import MakeOnce
 from tests.figures_of_page import text_of_figures
 from tests.trap import trap
 
 Capture = pytest.CaptureFixture[str]
 SOLVERS = ["--compare.solvers", "gauss_newton,odometry"]
+Compare = Callable[..., int]
 
 
 @pytest.fixture(scope="module")
-def sequence() -> SyntheticSequence:
-    return generate(replace(SCENES["flip"], frames=16, landmarks=250, min_inliers=6), 0)
+def run(make_once: MakeOnce) -> Path:
+    def fill(folder: Path) -> None:
+        folder.mkdir()
+        sequence = generate(replace(SCENES["flip"], frames=16, landmarks=250, min_inliers=6), 0)
+        write_measurements(sequence.tracks, folder / "measurements.npz", sequence.relative)
+
+    return make_once("stored", fill)
 
 
 @pytest.fixture
-def config(tmp_path: Path) -> Path:
-    path = tmp_path / "config.yaml"
-    path.write_text("compare: {limit_s: 60, total_s: 200}\n")
-    return path
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "out"
 
 
 @pytest.fixture
-def run(tmp_path: Path, sequence: SyntheticSequence) -> Path:
-    folder = tmp_path / "stored"
-    folder.mkdir()
-    write_measurements(sequence.tracks, folder / "measurements.npz", sequence.relative)
-    return folder
+def compare(run: Path, out: Path, tmp_path: Path) -> Compare:
+    """The command, with what follows its configuration, run and folder."""
+    (tmp_path / "config.yaml").write_text("compare: {limit_s: 60, total_s: 200}\n")
+
+    def call(*more: str, source: tuple[str, ...] = ("--run", str(run)), place: Path = out) -> int:
+        return main(["compare", str(tmp_path / "config.yaml"), *source, "-o", str(place), *more])
+
+    return call
 
 
-def test_a_stored_run_gives_table_csv_json_and_page(
-    config: Path, run: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    out = tmp_path / "out"
-    command = ["compare", str(config), "--run", str(run), "-o", str(out), *SOLVERS]
-    assert main(command) == 0
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_stored_run_gives_table_csv_json_and_page(compare: Compare, out: Path, capsys: Capture) -> None:
+    assert compare(*SOLVERS) == 0
     printed = capsys.readouterr()
     assert printed.err == ""
     done = re.findall(
         r"^note: (\w+): (\w+) \(cold start\): (\w+), .*\d s, (\d of \d)$", printed.out, re.MULTILINE
     )
     assert [row[1:] for row in done] == [("gauss_newton", "ok", "1 of 2"), ("odometry", "baseline", "2 of 2")]
-    assert "gauss_newton" in printed.out and printed.out.rstrip().endswith(str(out / "compare.html"))
+    assert printed.out.rstrip().endswith(str(out / "compare.html"))
     found = read_comparison(out / "compare.json")
-    assert [(row.solver, row.status) for row in found.rows] == [
-        ("gauss_newton", "ok"),
-        ("odometry", "baseline"),
-    ]
+    statuses = [(row.solver, row.status) for row in found.rows]
+    assert statuses == [("gauss_newton", "ok"), ("odometry", "baseline")]
     assert found.problems[0].frames == 16
     page = (out / "compare.html").read_text()
     assert "Pareto front" in text_of_figures(page)
-    # nothing is loaded from elsewhere
-    assert re.search(r"(src|href)\s*=\s*[\"']?https?:", page) is None
+    assert re.search(r"(src|href)\s*=\s*[\"']?https?:", page) is None, "nothing is loaded from elsewhere"
     assert len((out / "compare.csv").read_text().splitlines()) == 3
 
     # the same command again reads what it measured
     before = json.loads((out / "compare.json").read_text())["rows"]
-    assert main([*command, "--quiet"]) == 0
+    assert compare(*SOLVERS, "--quiet") == 0
     assert capsys.readouterr().out == f"Comparison: {out / 'compare.html'}\n"
     assert json.loads((out / "compare.json").read_text())["rows"] == before
 
 
 def test_the_comparison_of_another_person_runs_no_code(
-    config: Path, run: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    compare: Compare, out: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Everything in the folder that a comparison reads or once read is a trap, or not what it should be."""
-    out, sprung = tmp_path / "out", tmp_path / "sprung"
     claim(out)
-    pickled = trap(sprung)
+    pickled = trap(tmp_path / "sprung")
     for name in ("stored.pickle", "stored.problem.npz", "stored.npz"):
         (out / "problems" / name).write_bytes(pickled)
     (out / "rows" / "stored.gauss_newton.cold0.json").write_text("[" * 100_000)
     (out / "rows" / "stored.odometry.cold0.json").write_text("[]")
-    assert main(["compare", str(config), "--run", str(run), "-o", str(out), *SOLVERS]) == 0
-    assert not sprung.exists()
+    assert compare(*SOLVERS) == 0
+    assert not (tmp_path / "sprung").exists()
     assert [row.status for row in read_comparison(out / "compare.json").rows] == ["ok", "baseline"]
     named = [each.getMessage() for each in caplog.records if "stored.pickle" in each.getMessage()]
     assert len(named) == 1 and "not read" in named[0]
@@ -96,162 +101,108 @@ def test_the_comparison_of_another_person_runs_no_code(
 
 
 def test_rows_are_not_written_through_a_link(
-    config: Path, run: Path, tmp_path: Path, capsys: Capture
+    compare: Compare, out: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
-    elsewhere.mkdir()
     claim(out)
+    (tmp_path / "elsewhere").mkdir()
     (out / "rows").rmdir()
-    (out / "rows").symlink_to(elsewhere)
-    assert main(["compare", str(config), "--run", str(run), "-o", str(out), *SOLVERS]) == 2
+    (out / "rows").symlink_to(tmp_path / "elsewhere")
+    assert compare(*SOLVERS) == 2
     assert "rows: this is a link" in capsys.readouterr().err
-    assert list(elsewhere.iterdir()) == []
+    assert list((tmp_path / "elsewhere").iterdir()) == []
 
 
-def test_what_has_no_time_left_is_a_row(config: Path, run: Path, tmp_path: Path, capsys: Capture) -> None:
-    out = tmp_path / "out"
-    command = [
-        "compare",
-        str(config),
-        "--run",
-        str(run),
-        "-o",
-        str(out),
-        *SOLVERS,
-        "--compare.total-s",
-        "0.001",
-    ]
-    assert main(command) == 1
+def test_what_has_no_time_left_is_a_row(compare: Compare, out: Path, capsys: Capture) -> None:
+    assert compare(*SOLVERS, "--compare.total-s", "0.001") == 1
     assert "no solver converged" in capsys.readouterr().err
     assert {row.status for row in read_comparison(out / "compare.json").rows} == {"timeout"}
 
 
-MISTAKES: dict[str, tuple[list[str], str]] = {
-    "unknown solver": (["--compare.solvers", "cerez"], "unknown solver 'cerez'; did you mean ceres?"),
-    "both sources": (["--data", "."], "give --data or --run, not both"),
-    "solver twice": (
-        ["--compare.solvers", "ipopt,ceres,ipopt"],
-        "key 'compare': solvers: ipopt is named twice; name it once",
-    ),
-    "frames twice": (
-        ["--compare.monte-carlo.frames", "20,20"],
-        "key 'compare.monte_carlo': frames: 20 is named twice; name it once",
-    ),
-    "motion twice": (
-        ["--compare.monte-carlo.motions", "flip,flip"],
-        "key 'compare.monte_carlo': motions: flip is named twice; name it once",
-    ),
-    "no starts": (
-        ["--compare.cold", "False"],
-        "key 'compare': no start is selected: set cold to true, or perturbed or near to at least 1",
-    ),
-    "truth of nothing": (["--truth", "."], ".: has no truth (mav0/target0); give the sequence"),
-    "no such truth": (["--truth", "nowhere"], "nowhere: no such folder"),
+MISTAKES = {
+    "--compare.solvers cerez": "unknown solver 'cerez'; did you mean ceres?",
+    "--data .": "give --data or --run, not both",
+    "--compare.solvers ipopt,ceres,ipopt": "key 'compare': solvers: ipopt is named twice; name it once",
+    "--compare.monte-carlo.frames 20,20": "'compare.monte_carlo': frames: 20 is named twice; name it once",
+    "--compare.monte-carlo.motions flip,flip": "'compare.monte_carlo': motions: flip is named twice; name",
+    "--compare.cold False": "no start is selected: set cold to true, or perturbed or near to at least 1",
+    "--truth .": ".: has no truth (mav0/target0); give the sequence",
+    "--truth nowhere": "nowhere: no such folder",
 }
 
 
-@pytest.mark.parametrize("name", MISTAKES)
-def test_mistakes_are_one_line(name: str, config: Path, run: Path, tmp_path: Path, capsys: Capture) -> None:
-    more, expected = MISTAKES[name]
-    assert main(["compare", str(config), "--run", str(run), "-o", str(tmp_path / "out"), *more]) == 2
+@pytest.mark.parametrize("words", MISTAKES)
+def test_mistakes_are_one_line(words: str, compare: Compare, capsys: Capture) -> None:
+    assert compare(*words.split()) == 2
     stderr = capsys.readouterr().err
-    assert expected in stderr and stderr.count("\n") == 1
+    assert MISTAKES[words] in stderr and stderr.count("\n") == 1
 
 
-def test_a_folder_of_other_things_is_not_touched(
-    config: Path, run: Path, tmp_path: Path, capsys: Capture
+def test_a_folder_of_other_things_is_not_touched_and_our_own_is_gone_on_with(
+    compare: Compare, tmp_path: Path, capsys: Capture
 ) -> None:
     # a folder rows/ or a config.yaml of somebody else's does not make it ours
     for name in ("letter.txt", "rows/notes.json", "config.yaml", "compare.json", ".polhode-compare"):
         other = tmp_path / f"other-{name.replace('/', '-')}"
         (other / name).parent.mkdir(parents=True)
         (other / name).write_text("dear")
-        assert main(["compare", str(config), "--run", str(run), "-o", str(other)]) == 2
+        assert compare(place=other) == 2
         stderr = capsys.readouterr().err
-        (first, *_) = name.split("/")
+        first = name.split("/")[0]
         assert f"{first}, which polhode compare did not write" in stderr and stderr.count("\n") == 1
-        assert [path for path in other.rglob("*") if path.is_file()] == [other / name]
-        assert (other / name).read_text() == "dear"
-    missing = ["compare", str(config), "--run", str(tmp_path / "no"), "-o", str(tmp_path / "new")]
-    assert main(missing) == 2
-    assert "no such folder" in capsys.readouterr().err
-    assert not (tmp_path / "new").exists()
-
-
-def test_our_own_folder_is_gone_on_with_and_a_new_one_is_marked(tmp_path: Path) -> None:
-    claim(tmp_path / "out")
-    assert (tmp_path / "out" / MARK).is_file()
-    (tmp_path / "out" / "mine.txt").write_text("kept")
-    claim(tmp_path / "out")
-    assert (tmp_path / "out" / "mine.txt").read_text() == "kept"
-    (tmp_path / "empty").mkdir()
-    claim(tmp_path / "empty")
+        assert contents(other) == {other / name: b"dear"}
+    assert compare(source=("--run", str(tmp_path / "no")), place=tmp_path / "new") == 2
+    assert "no such folder" in capsys.readouterr().err and not (tmp_path / "new").exists()
+    own = tmp_path / "own"
+    claim(own)
+    (own / "mine.txt").write_text("kept")
+    claim(own)
+    assert (own / MARK).is_file() and (own / "mine.txt").read_text() == "kept"
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="this is a file"):
         claim(tmp_path / "file")
 
 
-def test_a_row_of_another_version_is_measured_again(
-    config: Path, run: Path, tmp_path: Path, capsys: Capture
+def test_a_row_that_was_changed_or_is_of_another_version_is_measured_again(
+    compare: Compare, out: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    out = tmp_path / "out"
-    command = ["compare", str(config), "--run", str(run), "-o", str(out), "--compare.solvers", "odometry"]
-    assert main(command) == 0
-    (file,) = (out / "rows").iterdir()
-    stored = json.loads(file.read_text())
-    before = Row.model_validate(stored["row"]).model_copy(update={"message": "of before"})
-    store_row(file, stored["stamp"], before)
-    assert main(command) == 0
-    assert read_comparison(out / "compare.json").rows[0].message == "of before"
-    stored["stamp"]["versions"]["scipy"] = "0.1"
-    store_row(file, stored["stamp"], before)
-    assert main(command) == 0
-    assert read_comparison(out / "compare.json").rows[0].message != "of before"
-    capsys.readouterr()
-
-
-def test_a_row_that_was_changed_is_measured_again(
-    config: Path, run: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    out = tmp_path / "out"
-    command = ["compare", str(config), "--run", str(run), "-o", str(out), "--compare.solvers", "odometry"]
-    assert main(command) == 0
+    words = ("--compare.solvers", "odometry")
+    assert compare(*words) == 0
     (file,) = (out / "rows").iterdir()
     measured = json.loads(file.read_text())
-    assert main(command) == 0
-    assert "measured again" not in caplog.text
+    before = Row.model_validate(measured["row"]).model_copy(update={"message": "of before"})
+    stamp = measured["stamp"]
+    other = {**stamp, "versions": {**stamp["versions"], "scipy": "0.1"}}
+    for stored, is_used in ((stamp, True), (other, False)):
+        store_row(file, stored, before)
+        assert compare(*words) == 0 and "measured again" not in caplog.text
+        assert (read_comparison(out / "compare.json").rows[0].message == "of before") == is_used
     for change in ({"row": {**measured["row"], "status": "ok", "cost": 1.0}}, {"digest": None}):
         file.write_text(json.dumps({**measured, **change}))
         caplog.clear()
-        assert main(command) == 0
+        assert compare(*words) == 0
         assert f"{file}: was changed since it was measured; it is measured again" in caplog.text
         (row,) = read_comparison(out / "compare.json").rows
         assert (row.status, row.cost) == ("baseline", measured["row"]["cost"])
 
 
-def test_input_that_is_refused_leaves_nothing(tmp_path: Path, capsys: Capture) -> None:
-    data, out = tmp_path / "data", tmp_path / "a" / "out"
-    (data / "mav0" / "cam0").mkdir(parents=True)
-    assert main(["compare", "--data", str(data), "-o", str(out), *SOLVERS]) == 2
-    assert not out.parent.exists()
-    out.mkdir(parents=True)
-    write_mark(out, {"plan": ["planning.json"]})
-    marked = (out / MARK).read_text()
-    assert main(["compare", "--data", str(data), "-o", str(out), *SOLVERS]) == 2
-    assert [path.name for path in out.iterdir()] == [MARK] and (out / MARK).read_text() == marked
-    assert capsys.readouterr().err.count("\n") == 2
-
-
-def test_input_that_is_refused_leaves_an_earlier_comparison_as_it_was(
-    config: Path, run: Path, tmp_path: Path
+def test_input_that_is_refused_leaves_everything_as_it_was(
+    compare: Compare, out: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    data, out = tmp_path / "data", tmp_path / "out"
-    (data / "mav0" / "cam0").mkdir(parents=True)
-    command = ["compare", str(config), "-o", str(out), "--compare.solvers", "odometry"]
-    assert main([*command, "--run", str(run)]) == 0
-    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
-    assert main([*command, "--data", str(data), "--seed", "9"]) == 2
-    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+    (tmp_path / "data" / "mav0" / "cam0").mkdir(parents=True)
+    bad = ("--data", str(tmp_path / "data"))
+    deep = tmp_path / "a" / "out"
+    assert compare(*SOLVERS, source=bad, place=deep) == 2
+    assert not deep.parent.exists()
+    deep.mkdir(parents=True)
+    write_mark(deep, {"plan": ["planning.json"]})
+    marked = contents(deep)
+    assert compare(*SOLVERS, source=bad, place=deep) == 2
+    assert contents(deep) == marked and list(deep.iterdir()) == [deep / MARK]
+    assert capsys.readouterr().err.count("\n") == 2
+    assert compare("--compare.solvers", "odometry") == 0
+    before = contents(out)
+    assert compare("--compare.solvers", "odometry", "--seed", "9", source=bad) == 2
+    assert contents(out) == before
 
 
 def test_every_motion_of_the_configuration_has_a_scene() -> None:

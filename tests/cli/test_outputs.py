@@ -85,10 +85,9 @@ class Scene:
 
     def __init__(self, name: str, stage: Stage, area: Path, own: Path) -> None:
         self.name, self.stage, self.writer = name, stage, WRITERS[name]
-        self.area, self._own = area, own
-        self.output = area / self.writer.target
-        self.place = self.output
-        """Where it leads"""
+        self.area, self.own = area, own
+        self.output = self.place = area / self.writer.target
+        """What -o names, and where it leads"""
         self.more: list[str] = []
         self.kept: list[Path] = []
         """Of the user, at the place"""
@@ -101,6 +100,11 @@ class Scene:
         self.rival: Path | None = None
         """What another process is writing, which lives"""
 
+    @property
+    def beside(self) -> Path | None:
+        """The folder that the command writes beside its file."""
+        return self.place.with_name(f"{self.place.name}_meshes") if self.writer.beside else None
+
     def overwrite(self) -> None:
         """Give --overwrite where there is one."""
         self.more = ["--overwrite"] if self.writer.overwrite else []
@@ -108,35 +112,27 @@ class Scene:
     def make_own(self, place: Path) -> None:
         """An earlier result of the same command."""
         place.parent.mkdir(parents=True, exist_ok=True)
-        source = self._own / self.writer.target
-        if self.writer.is_folder:
-            shutil.copytree(source, place)
-        else:
-            shutil.copy(source, place)
+        source = self.own / self.writer.target
+        shutil.copytree(source, place) if self.writer.is_folder else shutil.copy(source, place)
         if self.writer.beside:
-            shutil.copytree(self._own / self.writer.beside, place.with_name(f"{place.name}_meshes"))
-
-    def own_file(self) -> Path:
-        """A file that an earlier call of the same command wrote, elsewhere."""
-        return self._own / self.writer.target
+            shutil.copytree(self.own / self.writer.beside, place.with_name(f"{place.name}_meshes"))
 
     def make_foreign(self, place: Path) -> None:
         """Something of the user."""
-        if self.writer.is_folder:
-            place.mkdir(parents=True)
-            (place / "notes.txt").write_text(NOTES)
-            (place / "results").mkdir()
-            (place / "results" / "table.csv").write_text("1,2\n")
-        else:
+        if not self.writer.is_folder:
             place.write_text(NOTES)
-
-    def call(self) -> int:
-        return main(self.words or self.stage.words(self.name, self.output, *self.more))
+            return
+        (place / "results").mkdir(parents=True)
+        (place / "notes.txt").write_text(NOTES)
+        (place / "results" / "table.csv").write_text("1,2\n")
 
     def written(self) -> list[Path]:
         """All that the command may write or replace."""
-        beside = self.place.with_name(f"{self.place.name}_meshes")
-        return [self.place, *([beside] if self.writer.beside else []), *self.cleared]
+        return [self.place, *([self.beside] if self.beside else []), *self.cleared]
+
+
+def call(scene: Scene) -> int:
+    return main(scene.words or scene.stage.words(scene.name, scene.output, *scene.more))
 
 
 def nothing(scene: Scene) -> None:
@@ -152,10 +148,9 @@ def foreign(scene: Scene) -> None:
 
 
 def foreign_with_our_names(scene: Scene) -> None:
-    if scene.writer.beside:
-        meshes = scene.area / scene.writer.beside
-        meshes.mkdir()
-        (meshes / "surface.obj").write_text(NOTES)
+    if scene.beside:
+        scene.beside.mkdir()
+        (scene.beside / "surface.obj").write_text(NOTES)
         return
     scene.make_foreign(scene.place)
     shutil.copy(scene.stage.run / "summary.json", scene.place)
@@ -185,7 +180,7 @@ def own_overwrite(scene: Scene) -> None:
 
 def own_and_foreign(scene: Scene) -> None:
     own_overwrite(scene)
-    folder = scene.area / scene.writer.beside if scene.writer.beside else scene.place
+    folder = scene.beside or scene.place
     (folder / "notes.txt").write_text(NOTES)
     (folder / "mine").mkdir()
     (folder / "mine" / "more.txt").write_text(NOTES)
@@ -198,7 +193,7 @@ def own_and_our_name(scene: Scene) -> None:
     name = {"run": "pushes.csv", "plan": "corridor.csv", "export urdf": "u.urdf_meshes/collision_007.obj"}[
         scene.name
     ]
-    (scene.place.parent / name if scene.writer.beside else scene.place / name).write_text(NOTES)
+    (scene.area / name if scene.beside else scene.place / name).write_text(NOTES)
 
 
 def name_of_run(scene: Scene) -> None:
@@ -315,14 +310,14 @@ def busy(scene: Scene) -> None:
     if scene.name in ("export", "predict", "report", "view"):
         place = scene.place
         scene.rival = place.with_name(f".{place.stem}.partial-{os.getppid()}{place.suffix}")
-        shutil.copy(scene.own_file(), scene.rival)
+        shutil.copy(scene.own / scene.writer.target, scene.rival)
         return
     if scene.name in STAGED:
         folder = scene.place.with_name(f".{scene.place.name}.partial")
         folder.mkdir()
     else:
         scene.make_own(scene.place)
-        folder = scene.area / scene.writer.beside if scene.writer.beside else scene.place
+        folder = scene.beside or scene.place
     fcntl.flock(os.open(folder, os.O_RDONLY), fcntl.LOCK_EX)
 
 
@@ -417,7 +412,7 @@ def test_cell(
     main_file = (scene.current or Path()) / scene.output / scene.writer.main_file
     earlier = main_file.stat().st_ino if main_file.is_file() else None
     with condition(surface, scene.area, monkeypatch):
-        code = scene.call()
+        code = call(scene)
     monkeypatch.undo()
     printed = capsys.readouterr()
     assert digest(stage.inputs) == inputs
@@ -441,7 +436,7 @@ def test_cell(
         # the other one ends, and is replaced in turn
         scene.rival.replace(scene.place)
         make_quick(monkeypatch, stage)
-        assert scene.call() == 0
+        assert call(scene) == 0
 
 
 WORK = {
@@ -477,37 +472,29 @@ def test_a_second_process_cannot_begin_in_a_folder_until_the_first_has_ended(
     assert not (tmp_path / "new").exists()
 
 
-def refused(line: str, capsys: Capture, code: int = 2) -> None:
+def refused(line: str, capsys: Capture) -> None:
     """One line with these words, and nothing else on standard error."""
     stderr = capsys.readouterr().err
-    assert line in stderr and stderr.count("\n") == 1, (code, stderr)
+    assert line in stderr and stderr.count("\n") == 1, stderr
 
 
 def test_a_copy_of_a_runs_result_is_no_prediction_page_or_export(
     stage: Stage, tmp_path: Path, capsys: Capture
 ) -> None:
-    copies = {
-        "trajectory.csv": ["predict", str(stage.run), "--horizon", "5"],
-        "covariance.npz": ["predict", str(stage.run), "--horizon", "5"],
-        "mesh.ply": ["export", str(stage.run), "--to", "ply"],
-        "mesh.glb": ["export", str(stage.run), "--to", "glb"],
-        "summary.json": ["export", str(stage.run), "--to", "json"],
-    }
-    for name, words in copies.items():
-        shutil.copy(stage.run / name, tmp_path / f"my_{name}")
-        assert main([*words, "-o", str(tmp_path / f"my_{name}")]) == 2
-        refused("so it stays; choose another -o", capsys)
-        assert (tmp_path / f"my_{name}").read_bytes() == (stage.run / name).read_bytes()
+    run = str(stage.run)
+    for name, words in {
+        "trajectory.csv": ["predict", run, "--horizon", "5"],
+        "covariance.npz": ["predict", run, "--horizon", "5"],
+        "mesh.ply": ["export", run, "--to", "ply"],
+        "mesh.glb": ["export", run, "--to", "glb"],
+        "summary.json": ["export", run, "--to", "json"],
+    }.items():
+        copy = shutil.copy(stage.run / name, tmp_path / f"my_{name}")
+        stays([*words, "-o", str(copy)], copy, capsys)
 
 
-@pytest.mark.parametrize("to", [*FORMATS])
-def test_every_export_knows_its_own_files(to: str, stage: Stage, tmp_path: Path, capsys: Capture) -> None:
-    file = tmp_path / f"target.{to}"
-    words = ["export", str(stage.run), "--to", to, "--pieces", "1", "-o", str(file)]
-    assert main(words) == 0
-    assert main(words) == 0
-    # the same text further down makes a file of the user
-    file.write_bytes(b"# mine\n" + file.read_bytes())
+def stays(words: list[str], file: Path, capsys: Capture) -> None:
+    """The command refuses to replace the file."""
     before = file.read_bytes()
     capsys.readouterr()
     assert main(words) == 2
@@ -515,68 +502,43 @@ def test_every_export_knows_its_own_files(to: str, stage: Stage, tmp_path: Path,
     assert file.read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "#!/bin/sh\n# my notes\npolhode export D --to stl -o t.stl\n",
-        "polhode export of the run D: to be done on Monday\n",
-        "# polhode export of the run D\n\nto be done on Monday\n",
-        '{"notes": "polhode-export/1"}\n',
-        '{\n "schema": "polhode-export/1"\n}\n',
-    ],
+MENTIONS = (
+    "#!/bin/sh\n# my notes\npolhode export D --to stl -o t.stl\n",
+    "polhode export of the run D: to be done on Monday\n",
+    "# polhode export of the run D\n\nto be done on Monday\n",
+    '{"notes": "polhode-export/1"}\n',
+    '{\n "schema": "polhode-export/1"\n}\n',
 )
-@pytest.mark.parametrize("to", ["json", "tum", "urdf", "stl"])
-def test_a_file_that_only_mentions_exports_stays(
-    to: str, text: str, stage: Stage, tmp_path: Path, capsys: Capture
-) -> None:
-    notes = tmp_path / "notes"
-    notes.write_text(text)
-    assert main(["export", str(stage.run), "--to", to, "-o", str(notes)]) == 2
-    refused("so it stays; choose another -o", capsys)
-    assert notes.read_text() == text
 
 
-def test_an_stl_of_an_earlier_version_is_an_export(stage: Stage, tmp_path: Path, capsys: Capture) -> None:
-    file = tmp_path / "target.stl"
-    file.write_bytes(b"binary STL; frame cad, mm".ljust(80) + bytes(4))
-    assert main(["export", str(stage.run), "--to", "stl", "-o", str(file)]) == 0
-    assert file.stat().st_size > 84
-    capsys.readouterr()
+@pytest.mark.parametrize("to", [*FORMATS])
+def test_every_export_knows_its_own_files(to: str, stage: Stage, tmp_path: Path, capsys: Capture) -> None:
+    file = tmp_path / f"target.{to}"
+    words = ["export", str(stage.run), "--to", to, "--pieces", "1", "-o", str(file)]
+    assert main(words) == main(words) == 0
+    # the same text further down, or a mention of exports, makes a file of the user
+    for content in (b"# mine\n" + file.read_bytes(), *(each.encode() for each in MENTIONS)):
+        file.write_bytes(content)
+        stays(words, file, capsys)
+    if to == "stl":  # of an earlier version
+        file.write_bytes(b"binary STL; frame cad, mm".ljust(80) + bytes(4))
+        assert main(words) == 0 and file.stat().st_size > 84
+    if to == "ply":
+        file.unlink()
+        assert main(words) == 0
+        assert main([*words, "--frame", "cad", "--cad", str(file)]) == 2
+        refused("this command reads that file", capsys)
 
 
-def test_predictions_know_each_other_whatever_their_run_and_step(
-    stage: Stage, tmp_path: Path, capsys: Capture
-) -> None:
-    words = ["predict", str(stage.run), "-o"]
+def test_predictions_know_each_other_whatever_their_run_and_step(stage: Stage, tmp_path: Path) -> None:
+    steps = ("5", "9 --step-s 3 --marks", "0.5", "100 --step-s 30", "1 --step-s 0.3333333337", "1")
     for name in ("ahead.csv", "ahead.npz"):
-        for more in (
-            ["--horizon", "5"],
-            ["--horizon", "9", "--step-s", "3", "--marks"],
-            ["--horizon", "0.5"],
-            ["--horizon", "100", "--step-s", "30"],
-            ["--horizon", "1", "--step-s", "0.3333333337"],
-            ["--horizon", "1"],
-        ):
-            assert main([*words, str(tmp_path / name), *more]) == 0
-    capsys.readouterr()
+        for more in steps:
+            words = ["predict", str(stage.run), "-o", str(tmp_path / name), "--horizon", *more.split()]
+            assert main(words) == 0
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        "one row, elsewhere",
-        "one row, long ago",
-        "one row of the run",
-        "rows of the run",
-        "a position",
-        "a gap",
-        "a format",
-        "a comment",
-    ],
-)
-def test_a_table_of_the_same_columns_is_no_prediction(
-    change: str, stage: Stage, tmp_path: Path, capsys: Capture
-) -> None:
+def test_a_table_of_the_same_columns_is_no_prediction(stage: Stage, tmp_path: Path, capsys: Capture) -> None:
     file = tmp_path / "mine.csv"
     words = ["predict", str(stage.run), "--horizon", "3", "-o", str(file)]
     assert main(words) == 0
@@ -587,22 +549,18 @@ def test_a_table_of_the_same_columns_is_no_prediction(
         stamp, x, *more = row.split(",")
         return ",".join([stamp, repr(float(x) + 0.01), *more])
 
-    rows = {
-        "one row, elsewhere": [moved(rows[2])],
-        "one row, long ago": [",".join(["17", *rows[2].split(",")[1:]])],
-        "one row of the run": [own[3]],
-        "rows of the run": own[3:],
-        "a position": [*rows[:2], moved(rows[2]), *rows[3:]],
-        "a gap": [*rows[:2], *rows[3:]],
-        "a format": [rows[0].replace(",", ", "), *rows[1:]],
-        "a comment": ["# mine", *rows],
-    }[change]
-    file.write_text("\n".join([header, *rows]) + "\n")
-    before = file.read_bytes()
-    capsys.readouterr()
-    assert main(words) == 2
-    refused("so it stays; choose another -o", capsys)
-    assert file.read_bytes() == before
+    for changed in (
+        [moved(rows[2])],
+        [",".join(["17", *rows[2].split(",")[1:]])],
+        [own[3]],
+        own[3:],
+        [*rows[:2], moved(rows[2]), *rows[3:]],
+        [*rows[:2], *rows[3:]],
+        [rows[0].replace(",", ", "), *rows[1:]],
+        ["# mine", *rows],
+    ):
+        file.write_text("\n".join([header, *changed]) + "\n")
+        stays(words, file, capsys)
 
 
 def test_the_report_of_a_run_is_renewed_by_that_run_alone(
@@ -620,6 +578,10 @@ def test_the_report_of_a_run_is_renewed_by_that_run_alone(
         assert main(["report", *map(str, runs), "-o", str(other / "report.html")]) == 2
         refused("belongs to the results of the run", capsys)
     assert (other / "report.html").read_text() == "<html>"
+    for again in (str(run), f"{run}/.", str(tmp_path / "link")):
+        assert main(["report", str(run), again, "-o", str(tmp_path / "page.html")]) == 2
+        refused("are the same run: give each run once", capsys)
+    assert not (tmp_path / "page.html").exists()
 
 
 def test_a_folder_above_the_current_one_is_not_replaced(
@@ -635,46 +597,23 @@ def test_a_folder_above_the_current_one_is_not_replaced(
     assert digest(tmp_path) == before
 
 
-def test_a_run_that_is_given_twice_is_not_compared_with_itself(
-    stage: Stage, tmp_path: Path, capsys: Capture
-) -> None:
-    (tmp_path / "link").symlink_to(stage.run)
-    for again in (str(stage.run), f"{stage.run}/.", str(tmp_path / "link")):
-        assert main(["report", str(stage.run), again, "-o", str(tmp_path / "page.html")]) == 2
-        refused("are the same run: give each run once", capsys)
-    assert not (tmp_path / "page.html").exists()
-
-
-def test_what_an_export_reads_is_not_replaced_by_it(stage: Stage, tmp_path: Path, capsys: Capture) -> None:
-    model = tmp_path / "model.ply"
-    words = ["export", str(stage.run), "--to", "ply", "-o", str(model)]
-    assert main(words) == 0
-    before = model.read_bytes()
-    assert main([*words, "--frame", "cad", "--cad", str(model)]) == 2
-    refused("this command reads that file", capsys)
-    assert model.read_bytes() == before
-
-
-@pytest.mark.parametrize("what", ["read-only", "full", "a folder for its file", "a folder for its page"])
+@pytest.mark.parametrize("what", ["read-only", "full", "metrics.json", "report.html"])
 def test_evaluate_into_a_run_that_cannot_be_written(
     what: str, stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     run = tmp_path / "run"
     shutil.copytree(stage.run, run)
-    if "a folder" in what:
-        file = run / ("metrics.json" if what.endswith("file") else "report.html")
-        file.unlink(missing_ok=True)
-        file.mkdir()
+    is_folder = what not in REASON
+    if is_folder:  # in the place of the file
+        (run / what).unlink(missing_ok=True)
+        (run / what).mkdir()
     monkeypatch.setattr("polhode.report.page.evaluate", lambda run, data: {})
     before = digest(tmp_path)
-    surface = {"full": "a place that is full"}.get(what, what)
-    with condition(surface, tmp_path, monkeypatch):
-        assert main(["evaluate", str(run), str(tmp_path)]) == (1 if "folder" in what else 2)
+    with condition("a place that is full" if what == "full" else what, tmp_path, monkeypatch):
+        assert main(["evaluate", str(run), str(tmp_path)]) == (1 if is_folder else 2)
     monkeypatch.undo()
     remedy = "; make the run writable, or evaluate a copy of it" if what == "read-only" else ""
-    refused(
-        "cannot be written" if "folder" in what else f"cannot write here ({REASON[what]}){remedy}", capsys
-    )
+    refused("cannot be written" if is_folder else f"cannot write here ({REASON[what]}){remedy}", capsys)
     assert digest(tmp_path) == before
 
 
@@ -694,32 +633,19 @@ def test_a_name_that_is_not_utf8_is_refused_at_once(
 
 
 def test_a_run_whose_name_is_not_utf8_is_shown_with_escapes(
-    stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+    stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run, shown = tmp_path / NOT_UTF8, "bad\\udcff"
+    run, shown, page = tmp_path / NOT_UTF8, "bad\\udcff", tmp_path / "page.html"
     shutil.copytree(stage.run, run)
     monkeypatch.setattr("polhode.report.page.evaluate", lambda run, data: {"rmse_position_m": 1.0})
+    (run / ".report.partial-999999999.html").write_text("half")
     assert main(["evaluate", str(run), str(tmp_path)]) == 0
     assert f"<title>{shown}" in (run / "report.html").read_text()
-    page = tmp_path / "page.html"
+    assert not list(run.glob(".report*")), "what a killed evaluation left is removed"
     for runs in ([run], [run, stage.run]):
         assert main(["report", *map(str, runs), "-o", str(page)]) == 0
         assert shown in page.read_text()
     for to in FORMATS:
-        file = tmp_path / f"target.{to}"
-        for _ in range(2):
-            assert main(["export", str(run), "--to", to, "--pieces", "1", "-o", str(file)]) == 0
+        words = ["export", str(run), "--to", to, "--pieces", "1", "-o", str(tmp_path / f"target.{to}")]
+        assert main(words) == main(words) == 0
     assert f"the run {shown} " in (tmp_path / "target.urdf").read_text()
-    capsys.readouterr()
-
-
-def test_evaluate_removes_what_a_killed_one_was_writing(
-    stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run = tmp_path / "run"
-    shutil.copytree(stage.run, run)
-    (run / ".report.partial-999999999.html").write_text("half")
-    monkeypatch.setattr("polhode.report.page.evaluate", lambda run, data: {})
-    monkeypatch.setattr("polhode.report.page.write_evaluation", lambda run, metrics: None)
-    assert main(["evaluate", str(run), str(tmp_path)]) == 0
-    assert not list(run.glob(".report*"))

@@ -15,32 +15,26 @@ from polhode.simulation.dataset.frame_renderer import FrameRenderer
 
 Capture = pytest.CaptureFixture[str]
 ENDING = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
-WORDS: dict[str, list[str]] = {
-    "simulate": ["C", "-o", "S"],
-    "calibrate": ["C", "-o", "D", "--board", "9x6", "--square-mm", "20"],
-    "checkout": ["S", "-o", "D"],
-    "import": ["C", "-o", "S"],
-    "run": ["C", "--data", "S", "-o", "R"],
-    "evaluate": ["R", "S"],
-    "compare": ["C", "-o", "D"],
-    "sweep": ["C", "-o", "D"],
-    "predict": ["R", "--horizon", "60"],
-    "threshold": [
-        *("--radius-m", "2", "--mass-kg", "100", "--force-n", "1"),
-        *("--isp-s", "220", "--duration-s", "60", "--fuel-fraction", "0.1"),
-    ],
-    "expect": [
-        *("--rules", "F", "--size", "1", "--range", "4", "--rpm", "2"),
-        *("--focal-px", "600", "--baseline", "0.1"),
-    ],
-    "plan": ["R", "-o", "D"],
-    "observability": ["R", "-o", "D"],
-    "export": ["R", "--to", "stl", "-o", "F"],
-    "report": ["R", "-o", "F"],
-    "view": ["R"],
-    "train": ["C"],
-    "doctor": [],
-    "completion": ["bash"],
+WORDS = {
+    "simulate": "C -o S",
+    "calibrate": "C -o D --board 9x6 --square-mm 20",
+    "checkout": "S -o D",
+    "import": "C -o S",
+    "run": "C --data S -o R",
+    "evaluate": "R S",
+    "compare": "C -o D",
+    "sweep": "C -o D",
+    "predict": "R --horizon 60",
+    "threshold": "--radius-m 2 --mass-kg 100 --force-n 1 --isp-s 220 --duration-s 60 --fuel-fraction 0.1",
+    "expect": "--rules F --size 1 --range 4 --rpm 2 --focal-px 600 --baseline 0.1",
+    "plan": "R -o D",
+    "observability": "R -o D",
+    "export": "R --to stl -o F",
+    "report": "R -o F",
+    "view": "R",
+    "train": "C",
+    "doctor": "",
+    "completion": "bash",
 }
 KEPT = {
     "compare": "finished rows are kept",
@@ -49,8 +43,10 @@ KEPT = {
 }
 
 
-@pytest.mark.parametrize("number", ENDING)
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    ("command", "number"),
+    [*((command, signal.SIGTERM) for command in COMMANDS), *(("run", number) for number in ENDING)],
+)
 def test_each_command_ends_in_order_by_each_signal(
     command: str, number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
@@ -68,7 +64,7 @@ def test_each_command_ends_in_order_by_each_signal(
             cleaned.append(1)
 
     monkeypatch.setattr(COMMANDS[command], "execute", interrupted)
-    assert main([command, *WORDS[command]]) == ENDING[number]
+    assert main([command, *WORDS[command].split()]) == ENDING[number]
     kept = KEPT.get(command, "nothing was written or replaced")
     error = capsys.readouterr().err
     assert error.startswith(f"polhode: error: {command} interrupted by {number.name}; {kept}")
@@ -84,11 +80,9 @@ def test_an_interrupted_run_leaves_nothing_and_what_was_there(
     monkeypatch: pytest.MonkeyPatch,
     capsys: Capture,
 ) -> None:
-
-    def interrupted(*_: Any) -> None:
-        os.kill(os.getpid(), number)
-
-    monkeypatch.setattr("polhode.pipeline.correspondences.extract_features", interrupted)
+    monkeypatch.setattr(
+        "polhode.pipeline.correspondences.extract_features", lambda *_: os.kill(os.getpid(), number)
+    )
     before = sorted(tmp_path.iterdir())
     assert main(["run", "--data", str(small_sequence), "-o", str(tmp_path / "R")]) == ENDING[number]
     assert sorted(tmp_path.iterdir()) == before

@@ -31,21 +31,16 @@ def scene(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_reader_that_goes_away_is_not_noticed(scene: Path) -> None:
-    assert shell(NO_READER.format(SIMULATE), scene).stderr == "0\n"
+EVALUATE = f"{sys.executable} -m polhode evaluate R S"
+
+
+def test_a_reader_that_goes_away_is_not_noticed_however_much_is_printed(scene: Path) -> None:
+    for words in (SIMULATE, THRESHOLD, f"{sys.executable} -m polhode run --help"):
+        assert shell(NO_READER.format(words), scene).stderr == "0\n"
     assert len(list(scene.glob("S/mav0/cam0/data/*.png"))) == 1
     assert sorted(path.name for path in scene.iterdir()) == ["S", "scene.yaml"]
-
-
-@pytest.mark.parametrize("words", [THRESHOLD, f"{sys.executable} -m polhode run --help"])
-def test_a_reader_that_goes_away_is_not_noticed_however_much_is_printed(words: str, tmp_path: Path) -> None:
-    assert shell(NO_READER.format(words), tmp_path).stderr == "0\n"
-
-
-def test_an_error_without_a_reader_keeps_its_exit_code(tmp_path: Path) -> None:
-    words = f"{sys.executable} -m polhode evaluate R S"
-    done = shell(f"(sleep 0.2; exec {words}) 2>&1 >/dev/null | true; echo ${{PIPESTATUS[0]}}", tmp_path)
-    assert done.stdout == "2\n"
+    done = shell(f"(sleep 0.2; exec {EVALUATE}) 2>&1 >/dev/null | true; echo ${{PIPESTATUS[0]}}", scene)
+    assert done.stdout == "2\n", "an error without a reader keeps its exit code"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
@@ -54,24 +49,22 @@ def test_a_full_output_ends_with_one_line_after_the_work(scene: Path) -> None:
     lost = "No space left on device: what was printed is lost, the work is complete"
     assert (done.returncode, done.stderr) == (1, f"polhode: error: standard output: {lost}\n")
     assert len(list(scene.glob("S/mav0/cam0/data/*.png"))) == 1
-    done = shell(f"{sys.executable} -m polhode evaluate R S > /dev/full", scene)
+    done = shell(f"{EVALUATE} > /dev/full", scene)
     assert done.returncode == 2 and done.stderr.count("\n") == 1
-    assert shell(f"{sys.executable} -m polhode evaluate R S 2> /dev/full", scene).returncode == 2
+    assert shell(f"{EVALUATE} 2> /dev/full", scene).returncode == 2
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&-", "<&- >&- 2>&-"])
 def test_closed_streams_do_not_matter(closed: str, scene: Path) -> None:
     done = shell(f"{THRESHOLD} {closed}", scene)
     assert (done.returncode, done.stderr) == (0, "")
-    assert shell(f"{sys.executable} -m polhode evaluate R S {closed}", scene).returncode == 2
+    assert shell(f"{EVALUATE} {closed}", scene).returncode == 2
+    if closed.count("&") == 3:
+        assert shell(f"{SIMULATE} {closed}", scene).returncode == 0
+        assert len(list(scene.glob("S/mav0/cam0/data/*.png"))) == 1
 
 
-def test_a_simulation_needs_no_open_stream(scene: Path) -> None:
-    assert shell(f"{SIMULATE} <&- >&- 2>&-", scene).returncode == 0
-    assert len(list(scene.glob("S/mav0/cam0/data/*.png"))) == 1
-
-
-def test_what_the_encoding_cannot_show_is_escaped(tmp_path: Path) -> None:
+def test_what_the_encoding_cannot_show_is_escaped() -> None:
     code = "from polhode.cli.streams import tolerant_streams\nwith tolerant_streams(): print('\\xb1 \\udcff')"
     environment = os.environ | {"PYTHONIOENCODING": "ascii"}
     words = [sys.executable, "-c", code]

@@ -74,30 +74,23 @@ def test_without_rerun_the_line_has_the_command_that_installs_it(
     assert not (small_sequence / "R").exists()
 
 
-def test_a_finished_run_is_recorded_after_it_is_written(
+def test_a_finished_run_is_recorded_and_is_complete_though_it_cannot_be_shown(
     run: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(polhode.pipeline.run, "run", partial(run_of_stored_files, run))
     none = SimpleNamespace(has_ranges=False)
-    monkeypatch.setattr("polhode.viewer.show_run.open_sequence", lambda folder: none)
-    monkeypatch.setattr("polhode.viewer.show_run.pictures_of", lambda *_: lambda k: None)
-    folder, file = tmp_path / "R", tmp_path / "R.rrd"
-    words = ["run", "--data", "none", "-o", str(folder), "--view-save", str(file)]
-    assert main(words) == 0
-    assert capsys.readouterr().out.splitlines()[-1].endswith(str(folder / "report.html"))
+    for name in ("unseen", "seen"):
+        if name == "seen":
+            monkeypatch.setattr("polhode.viewer.show_run.open_sequence", lambda folder: none)
+            monkeypatch.setattr("polhode.viewer.show_run.pictures_of", lambda *_: lambda k: None)
+        folder, file = tmp_path / name, tmp_path / f"{name}.rrd"
+        words = ["run", "--data", str(tmp_path), "-o", str(folder), "--view-save", str(file)]
+        assert main(words) == 0
+        printed = capsys.readouterr()
+        assert printed.out.splitlines()[-1].endswith(str(folder / "report.html")) and printed.err == ""
+        not_shown = "the run is complete, but it could not be shown: " in printed.out
+        assert not_shown == (name == "unseen")
     assert len(values_of(file, "/N/target", "Transform3D:translation")) == N_FRAMES
-
-
-def test_a_run_is_complete_though_it_cannot_be_shown(
-    run: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(polhode.pipeline.run, "run", partial(run_of_stored_files, run))
-    folder = tmp_path / "R"
-    words = ["run", "--data", str(tmp_path), "-o", str(folder), "--view-save", str(tmp_path / "R.rrd")]
-    assert main(words) == 0
-    printed = capsys.readouterr()
-    assert "the run is complete, but it could not be shown: " in printed.out and printed.err == ""
-    assert printed.out.splitlines()[-1].endswith("report.html")
 
 
 def test_a_stream_is_recorded_even_if_no_motion_is_found(

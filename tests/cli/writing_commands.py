@@ -72,6 +72,8 @@ class Writer:
     """A name of what -o names"""
     main_file: str
     """In the folder, or "" for the file itself: it tells that the command has written"""
+    arguments: str
+    """RUN, MAV0 and INPUTS stand for places of the stage"""
     option: str = "-o"
     overwrite: bool = False
     """Whether it has --overwrite"""
@@ -85,21 +87,24 @@ class Writer:
 
 
 WRITERS: Mapping[str, Writer] = {
-    "run": Writer("run", "R", "summary.json", overwrite=True),
-    "simulate": Writer("simulate", "S", "scene.yaml", overwrite=True),
-    "import": Writer("import", "I", "import.json", overwrite=True),
-    "compare": Writer("compare", "C", "compare.json"),
-    "sweep": Writer("sweep", "W", "table.parquet"),
-    "train": Writer("train", "T", "scores.json"),
-    "calibrate": Writer("calibrate", "B", "calibration.json"),
-    "checkout": Writer("checkout", "K", "checkout.json"),
-    "plan": Writer("plan", "P", "planning.json"),
-    "observability": Writer("observability", "O", "observability.json"),
-    "export": Writer("export", "target.stl", ""),
-    "export urdf": Writer("export", "u.urdf", "", beside="u.urdf_meshes"),
-    "predict": Writer("predict", "ahead.csv", ""),
-    "report": Writer("report", "page.html", ""),
-    "view": Writer("view", "shown.rrd", "", option="--save"),
+    "run": Writer("run", "R", "summary.json", "--data INPUTS/none", overwrite=True),
+    "simulate": Writer("simulate", "S", "scene.yaml", "INPUTS/scene.yaml", overwrite=True),
+    "import": Writer("import", "I", "import.json", "INPUTS/recording", overwrite=True),
+    "compare": Writer("compare", "C", "compare.json", "--run RUN"),
+    "sweep": Writer("sweep", "W", "table.parquet", "INPUTS/study.yaml"),
+    "train": Writer("train", "T", "scores.json", "INPUTS/train.yaml"),
+    "calibrate": Writer(
+        *("calibrate", "B", "calibration.json"),
+        "--left MAV0/cam0/data --right MAV0/cam1/data --board 9x6 --square-mm 30",
+    ),
+    "checkout": Writer("checkout", "K", "checkout.json", "INPUTS/none"),
+    "plan": Writer("plan", "P", "planning.json", "RUN"),
+    "observability": Writer("observability", "O", "observability.json", "RUN"),
+    "export": Writer("export", "target.stl", "", "RUN --to stl"),
+    "export urdf": Writer("export", "u.urdf", "", "RUN --to urdf --pieces 1", beside="u.urdf_meshes"),
+    "predict": Writer("predict", "ahead.csv", "", "RUN --horizon 30"),
+    "report": Writer("report", "page.html", "", "RUN"),
+    "view": Writer("view", "shown.rrd", "", "RUN", option="--save"),
 }
 
 
@@ -112,30 +117,13 @@ class Stage:
 
     def words(self, name: str, output: Path, *more: str) -> list[str]:
         """The command line of a writer."""
-        writer, run = WRITERS[name], str(self.run)
-        arguments = {
-            "run": ["--data", str(self.inputs / "none")],
-            "simulate": [str(self.inputs / "scene.yaml")],
-            "import": [str(self.inputs / "recording")],
-            "compare": ["--run", run],
-            "sweep": [str(self.inputs / "study.yaml")],
-            "train": [str(self.inputs / "train.yaml")],
-            "calibrate": self._board_images(),
-            "checkout": [str(self.inputs / "none")],
-            "plan": [run],
-            "observability": [run],
-            "export": [run, "--to", "stl"],
-            "export urdf": [run, "--to", "urdf", "--pieces", "1"],
-            "predict": [run, "--horizon", "30"],
-            "report": [run],
-            "view": [run],
-        }[name]
+        writer = WRITERS[name]
+        places = {"RUN": self.run, "MAV0": self.inputs / "recording" / "mav0", "INPUTS": self.inputs}
+        arguments = []
+        for word in writer.arguments.split():
+            place, *rest = word.split("/")
+            arguments.append(str(places[place].joinpath(*rest)) if place in places else word)
         return [writer.command, *arguments, writer.option, str(output), *more]
-
-    def _board_images(self) -> list[str]:
-        mav0 = self.inputs / "recording" / "mav0"
-        sides = ["--left", str(mav0 / "cam0" / "data"), "--right", str(mav0 / "cam1" / "data")]
-        return [*sides, "--board", "9x6", "--square-mm", "30"]
 
     def call(self, name: str, output: Path, *more: str) -> int:
         """Run a writer as the user does."""

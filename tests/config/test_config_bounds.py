@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import pytest
 import yaml
-from annotated_types import Ge, Gt, Le, Lt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
@@ -63,17 +62,14 @@ def _in(
         if get_origin(option) is Annotated:
             yield from _in(option, limits, path, around)
         elif option in (int, float):
-            least = [
-                limit.ge if isinstance(limit, Ge) else limit.gt
+            ends = {
+                name: getattr(limit, name)
                 for limit in limits
-                if isinstance(limit, Ge | Gt)
-            ]
-            most = [
-                limit.le if isinstance(limit, Le) else limit.lt
-                for limit in limits
-                if isinstance(limit, Le | Lt)
-            ]
-            yield Number(path, option, _only(least), _only(most), around)
+                for name in ("ge", "gt", "le", "lt")
+                if hasattr(limit, name)
+            }
+            least, most = (ends.get(one, ends.get(other)) for one, other in (("ge", "gt"), ("le", "lt")))
+            yield Number(path, option, least, most, around)
         elif get_origin(option) is tuple and section_of(get_args(option)[0]) is None:
             arguments = get_args(option)
             length = 1 if arguments[-1] is ... else len(arguments)
@@ -89,10 +85,6 @@ def _in(
 def members(annotation: Any) -> tuple[Any, ...]:
     """Of a union; a single type is a union of one."""
     return get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else (annotation,)
-
-
-def _only(limits: list[Any]) -> float | None:
-    return float(limits[0]) if limits else None
 
 
 NUMBERS = list(numbers(Config))

@@ -30,33 +30,29 @@ def message_of(path: Path, overrides: dict[str, Any] | None = None) -> str:
     return message
 
 
-def test_an_empty_file_gives_the_defaults(tmp_path: Path) -> None:
-    assert load_config(write(tmp_path / "c.yaml", "# nothing\n")) == Config()
+@pytest.mark.parametrize(
+    ("text", "changed"),
+    [
+        ("# nothing\n", {}),
+        ("backend:\n  # accel_psd: 1\nseed: 3\n", {"seed": 3}),
+        # PyYAML reads 1e-8 as text, as YAML 1.1 says.
+        ("backend: {accel_psd: 1e-8}", {"backend": {"accel_psd": 1e-8}}),
+    ],
+)
+def test_what_a_file_leaves_out_has_its_default(text: str, changed: dict[str, Any], tmp_path: Path) -> None:
+    assert load_config(write(tmp_path / "c.yaml", text)) == Config.model_validate(changed)
 
 
-def test_a_section_left_empty_keeps_its_defaults(tmp_path: Path) -> None:
-    assert load_config(write(tmp_path / "c.yaml", "backend:\n  # accel_psd: 1\nseed: 3\n")) == Config(seed=3)
-
-
-def test_a_number_without_a_dot_in_scientific_notation_is_a_number(tmp_path: Path) -> None:
-    # PyYAML reads 1e-8 as text, as YAML 1.1 says.
-    assert load_config(write(tmp_path / "c.yaml", "backend: {accel_psd: 1e-8}")).backend.accel_psd == 1e-8
-
-
-def test_extends_is_relative_to_the_file_and_merges_deeply(tmp_path: Path) -> None:
+def test_extends_is_relative_to_the_file_and_merges_deeply_and_overrides_win(tmp_path: Path) -> None:
     write(tmp_path / "base.yaml", "seed: 1\nbackend: {accel_psd: 1.0e-5, torque_psd: 1.0e-5}\n")
     write(tmp_path / "a" / "middle.yaml", "extends: ../base.yaml\nbackend: {torque_psd: 2.0e-5}\n")
     top = write(tmp_path / "a" / "top.yaml", "extends: middle.yaml\nbackend: {robust_scale: 2.5}\n")
     config = load_config(top)
-    assert config.seed == 1
     backend = config.backend
+    assert config.seed == 1
     assert (backend.accel_psd, backend.torque_psd, backend.robust_scale) == (1e-5, 2e-5, 2.5)
-
-
-def test_overrides_win_over_files(tmp_path: Path) -> None:
-    path = write(tmp_path / "c.yaml", "backend: {inertia: second_moments, accel_psd: 1.0e-5}")
-    backend = load_config(path, {"backend.inertia": "ratios_axes", "backend.accel_psd": "1e-3"}).backend
-    assert (backend.inertia, backend.accel_psd) == ("ratios_axes", 1e-3)
+    backend = load_config(top, {"backend.inertia": "ratios_axes", "backend.accel_psd": "1e-3"}).backend
+    assert (backend.inertia, backend.accel_psd, backend.torque_psd) == ("ratios_axes", 1e-3, 2e-5)
 
 
 def test_the_resolved_configuration_reads_back_equal_and_complete(tmp_path: Path) -> None:
@@ -188,23 +184,19 @@ def test_a_part_of_the_configuration_is_written_and_read_back_alone() -> None:
     assert Config.model_validate(yaml.safe_load(text)) == config
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (
-            "frontend: {guided: {fine_gate_px: 2.0}, depth: {block_px: 5}}",
-            "'frontend.guided.fine_gate_px' is no longer a setting and is ignored; remove it",
-        ),
-        (
-            "frontend: {stereo: {ratio: 0.9}, depth: {facets: false, block_px: 5}}",
-            "'frontend.depth.facets', 'frontend.stereo' are no longer settings and are ignored; remove them",
-        ),
-    ],
-)
+OLD = "frontend: {guided: {fine_gate_px: 2.0}, depth: {block_px: 5}}"
+OLDER = "frontend: {stereo: {ratio: 0.9}, depth: {facets: false, block_px: 5}}"
+IGNORED = {
+    OLD: "'frontend.guided.fine_gate_px' is no longer a setting and is ignored; remove it",
+    OLDER: "'frontend.depth.facets', 'frontend.stereo' are no longer settings and are ignored; remove them",
+}
+
+
+@pytest.mark.parametrize("text", IGNORED)
 def test_settings_of_an_earlier_version_are_ignored_with_one_warning(
-    text: str, said: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    text: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The resolved configuration of an older run goes on to be read."""
     file = write(tmp_path / "old.yaml", text)
     assert load_config(file).frontend.depth.block_px == 5
-    assert [record.getMessage() for record in caplog.records] == [f"{file}: {said}"]
+    assert [record.getMessage() for record in caplog.records] == [f"{file}: {IGNORED[text]}"]

@@ -37,14 +37,11 @@ def test_the_new_file_takes_the_place_only_when_it_is_whole(tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_line_feeds_and_umlauts_are_written_as_given(tmp_path: Path) -> None:
+def test_line_feeds_are_written_as_given_and_a_pipe_is_not_replaced(tmp_path: Path) -> None:
     write_text(tmp_path / "a", "ω\n")
     assert (tmp_path / "a").read_bytes() == b"\xcf\x89\n"
-
-
-def test_a_pipe_is_not_replaced(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     with pytest.raises(InputError, match="is a device or a pipe"):
         write_text(pipe, "words")
-    assert pipe.is_fifo() and list(tmp_path.iterdir()) == [pipe]
+    assert pipe.is_fifo() and len(list(tmp_path.iterdir())) == 2

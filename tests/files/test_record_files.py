@@ -57,18 +57,16 @@ def example() -> Outer:
     )
 
 
-def bits(value: Any) -> str:
-    return digest_of(value)
-
-
 def test_a_record_is_the_same_bit_for_bit_after_a_file(tmp_path: Path) -> None:
     value = example()
     write_record(tmp_path / "r.npz", KEY, value)
     found = read_record(tmp_path / "r.npz", KEY, Outer)
-    assert found is not None and bits(found) == bits(value)
+    assert found is not None and digest_of(found) == digest_of(value)
     assert isinstance(found.many, tuple) and list(found.found) == ["b", "a"]
     assert found.many[1].flags is None and found.masks == {7: (b"left", b"")}
     assert found.pixels.flags.c_contiguous and found.pixels.flags.writeable
+    write_record(tmp_path / "again.npz", KEY, example())
+    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "r.npz").read_bytes()
 
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -88,12 +86,6 @@ def test_arrays_may_be_annotated_by_an_alias(tmp_path: Path) -> None:
     found = read_record(tmp_path / "r.npz", KEY, Aliased)
     assert found is not None and found.maybe is not None
     assert found.values.tolist() == [0.0, 1.0, 2.0] and found.maybe.tolist() == [1.0, 1.0]
-
-
-def test_the_same_record_gives_the_same_bytes(tmp_path: Path) -> None:
-    for name in ("a.npz", "b.npz"):
-        write_record(tmp_path / name, KEY, example())
-    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
 def test_what_is_passed_on_has_the_layout_of_what_is_read() -> None:
@@ -131,19 +123,13 @@ def test_a_damaged_or_shortened_file_is_no_record(position: float, tmp_path: Pat
     assert read_record(path, KEY, Inner) is None
 
 
-def test_a_file_whose_numbers_were_changed_is_no_record(tmp_path: Path) -> None:
+def test_a_record_of_another_key_type_or_content_is_none(tmp_path: Path) -> None:
     path, other = tmp_path / "r.npz", tmp_path / "other.npz"
     write_record(path, KEY, Inner(np.ones(4)))
     with np.load(path) as stored:
-        arrays = dict(stored)
-    np.savez(other, **{**arrays, "float64": np.zeros(4)})
-    assert read_record(other, KEY, Inner) is None
-
-
-def test_a_record_of_another_key_or_type_is_none(tmp_path: Path) -> None:
-    path = tmp_path / "r.npz"
-    write_record(path, KEY, Inner(np.ones(4)))
+        np.savez(other, **{**stored, "float64": np.zeros(4)})
     assert read_record(path, KEY, Inner) is not None
+    assert read_record(other, KEY, Inner) is None
     assert read_record(path, "stage 4567", Inner) is None
     assert read_record(path, KEY, Outer) is None
     assert read_record(tmp_path / "missing.npz", KEY, Inner) is None

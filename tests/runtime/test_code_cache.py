@@ -38,6 +38,20 @@ def source(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def beside(source: Path) -> Path:
+    """Python's own folder beside the module."""
+    folder = source.parent / "__pycache__"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture
+def own() -> Path:
+    """The folder in the user's caches."""
+    return Path(os.environ["XDG_CACHE_HOME"]) / "polhode"
+
+
 def belongs_to_another(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if os.geteuid() == 0:
         os.chown(folder, ANOTHER, -1)
@@ -46,61 +60,47 @@ def belongs_to_another(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(os, "geteuid", lambda: mine + 1)
 
 
-def test_it_lies_beside_the_module_as_pythons_own(source: Path) -> None:
-    assert code_cache(source) == source.parent / "__pycache__"
-
-
-@pytest.mark.parametrize("mode", [0o777, 0o1777, 0o775, 0o757])
-def test_a_folder_beside_the_module_that_others_may_write_to_is_not_used(mode: int, source: Path) -> None:
+def test_it_lies_beside_the_module_as_pythons_own_also_if_its_group_may_write_there(source: Path) -> None:
     beside = source.parent / "__pycache__"
-    beside.mkdir()
-    beside.chmod(mode)
-    own = Path(os.environ["XDG_CACHE_HOME"]) / "polhode"
+    assert code_cache(source) == beside
+    for folder in (source.parent, beside):
+        folder.chmod(0o775)
+    module._folder.cache_clear()
+    assert code_cache(source) == beside
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o1777, 0o775, 0o757, None])
+def test_a_folder_beside_the_module_that_others_may_write_to_is_not_used(
+    mode: int | None, source: Path, beside: Path, own: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if mode is None:
+        if os.geteuid() != 0:
+            pytest.skip("only root can give a folder away")
+        belongs_to_another(beside, monkeypatch)
+    else:
+        beside.chmod(mode)
     assert code_cache(source) == own
     assert own.stat().st_mode & 0o777 == 0o700
 
 
-def test_a_group_that_may_write_the_package_may_write_its_cache(source: Path) -> None:
-    beside = source.parent / "__pycache__"
-    beside.mkdir()
-    for folder in (source.parent, beside):
-        folder.chmod(0o775)
-    assert code_cache(source) == beside
-
-
-def test_a_folder_of_another_user_beside_the_module_is_not_used(
-    source: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    beside = source.parent / "__pycache__"
-    beside.mkdir()
-    if os.geteuid() != 0:
-        pytest.skip("only root can give a folder away")
-    belongs_to_another(beside, monkeypatch)
-    assert code_cache(source) == Path(os.environ["XDG_CACHE_HOME"]) / "polhode"
-
-
-@pytest.mark.parametrize("mode", [0o720, 0o702, 0o777, 0o1777])
+@pytest.mark.parametrize("mode", [0o720, 0o702, 0o777, 0o1777, None])
 def test_an_own_folder_that_others_may_write_to_is_not_used(
-    mode: int, source: Path, caplog: pytest.LogCaptureFixture
+    mode: int | None,
+    source: Path,
+    own: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     (source.parent / "__pycache__").write_text("in the way")
-    own = Path(os.environ["XDG_CACHE_HOME"]) / "polhode"
-    own.mkdir(parents=True)
-    own.chmod(mode)
+    own.mkdir(parents=True, mode=0o700)
+    if mode is None:
+        belongs_to_another(own, monkeypatch)
+    else:
+        own.chmod(mode)
     assert code_cache(source) is None
     assert code_cache(source) is None
     assert [each.levelno for each in caplog.records] == [logging.WARNING]
     assert "set NUMBA_CACHE_DIR" in caplog.text and "\n" not in caplog.records[0].getMessage()
-
-
-def test_an_own_folder_that_another_user_made_is_not_used(
-    source: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (source.parent / "__pycache__").write_text("in the way")
-    own = Path(os.environ["XDG_CACHE_HOME"]) / "polhode"
-    own.mkdir(parents=True, mode=0o700)
-    belongs_to_another(own, monkeypatch)
-    assert code_cache(source) is None
 
 
 def test_what_lies_in_a_folder_that_others_may_rename_is_not_private(tmp_path: Path) -> None:
@@ -110,16 +110,10 @@ def test_what_lies_in_a_folder_that_others_may_rename_is_not_private(tmp_path: P
     assert is_private(inner)
     outer.chmod(0o777)
     assert not is_private(inner)
+    (tmp_path / "link").symlink_to(outer)
+    assert not is_private(tmp_path / "link"), "a link is as private as what it leads to"
     outer.chmod(0o1777)
     assert is_private(inner), "in a sticky folder only the owner can replace it"
-
-
-def test_a_link_is_as_private_as_what_it_leads_to(tmp_path: Path) -> None:
-    shared = tmp_path / "shared"
-    shared.mkdir()
-    shared.chmod(0o777)
-    (tmp_path / "link").symlink_to(shared)
-    assert not is_private(tmp_path / "link")
 
 
 def test_a_folder_that_the_user_names_is_used_if_it_is_private(

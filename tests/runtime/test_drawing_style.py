@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from polhode.runtime.drawing_style import default_style
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[2] / "polhode"
 FOREIGN: dict[Any, Any] = {
     "text.usetex": True,
     "figure.facecolor": "red",

@@ -40,32 +40,35 @@ class Square:
         return k * k
 
 
+def program(folder: Path, script: str, **options: Any) -> subprocess.Popen[str]:
+    """A script that runs in its own process, with the modules of its folder."""
+    (folder / "start.py").write_text(script)
+    environment = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{folder}"}
+    environment.pop("PYTHONSAFEPATH", None)
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "cwd": folder} | options
+    command = [sys.executable, str(folder / "start.py")]
+    return subprocess.Popen(command, env=environment, text=True, **options)
+
+
 def test_an_interrupt_while_the_server_imports_is_left_to_the_program(tmp_path: Path) -> None:
     """As Ctrl-C does it: the signal goes to all processes of the terminal."""
-    begun = tmp_path / "begun"
-    (tmp_path / "slow.py").write_text(f"import time\nopen({str(begun)!r}, 'w').close()\ntime.sleep(2)\n")
+    (tmp_path / "slow.py").write_text("import time\nopen('begun', 'w').close()\ntime.sleep(2)\n")
     script = (
         "import time\nfrom polhode.runtime.processes import start_server\nstart_server(('slow',), 2)\n"
         "try:\n    time.sleep(60)\nexcept KeyboardInterrupt:\n    print('ended')\n"
     )
-    program = subprocess.Popen(
-        [sys.executable, "-c", script],
-        env=os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+    started = program(
+        tmp_path,
+        script,
         start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     try:
-        while not begun.exists():
-            assert program.poll() is None
-            sleep(0.01)
-        os.killpg(program.pid, signal.SIGINT)
-        printed = program.communicate(timeout=60)
+        assert _eventually((tmp_path / "begun").exists)
+        os.killpg(started.pid, signal.SIGINT)
+        assert started.communicate(timeout=60) == ("ended\n", "")
     finally:
-        program.kill()
-    assert printed == ("ended\n", "")
+        started.kill()
 
 
 def test_an_interrupt_while_abandoned_results_are_cleaned_up_is_neither_printed_nor_lost(
@@ -94,13 +97,9 @@ def test_an_interrupt_while_abandoned_results_are_cleaned_up_is_neither_printed_
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3])
-def test_results_come_in_order(workers: int) -> None:
+def test_results_come_in_order_and_an_error_after_the_results_before_it(workers: int) -> None:
     assert list(in_order(Square(), range(20), workers)) == [k * k for k in range(20)]
     assert list(in_order(Square(), [], workers)) == []
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_an_error_reaches_the_caller_after_the_results_before_it(workers: int) -> None:
     results = in_order(Square(bad=5), range(9), workers)
     assert [next(results) for _ in range(5)] == [0, 1, 4, 9, 16]
     with pytest.raises(ValueError, match="frame 5"):
@@ -160,29 +159,24 @@ def test_a_killed_server_of_the_workers_costs_at_most_this_work() -> None:
 
 
 @pytest.mark.parametrize("error", [EOFError, BrokenPipeError, ConnectionRefusedError])
-def test_a_server_that_is_killed_before_it_starts_a_worker_is_reported(
+def test_a_server_that_is_killed_before_it_starts_a_worker_is_replaced_or_reported(
     error: type[Exception], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def lost(*_: object) -> None:
-        raise error
-
-    monkeypatch.setattr("multiprocessing.forkserver.connect_to_new_process", lost)
-    with pytest.raises(RunFailure, match="the process that starts the workers was killed, perhaps for lack"):
-        list(in_order(Square(), range(4), 2))
-
-
-def test_a_server_whose_end_is_noticed_only_now_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
     real, calls = multiprocessing.forkserver.connect_to_new_process, []
 
-    def lost_once(*arguments: Any) -> Any:
+    def lost(*arguments: Any) -> Any:
         calls.append(arguments)
-        if len(calls) == 1:
-            raise ConnectionRefusedError
+        if len(calls) <= losses:
+            raise error
         return real(*arguments)
 
-    monkeypatch.setattr("multiprocessing.forkserver.connect_to_new_process", lost_once)
-    assert list(in_order(Square(), range(4), 2)) == [0, 1, 4, 9]
-    assert len(calls) > 1
+    monkeypatch.setattr("multiprocessing.forkserver.connect_to_new_process", lost)
+    losses = 1  # its end is noticed only now
+    assert list(in_order(Square(), range(4), 2)) == [0, 1, 4, 9] and len(calls) > 1
+    calls.clear()
+    losses = 100
+    with pytest.raises(RunFailure, match="the process that starts the workers was killed, perhaps for lack"):
+        list(in_order(Square(), range(4), 2))
 
 
 def threads_and_interrupts(k: int) -> tuple[int, int]:
@@ -199,94 +193,65 @@ def test_a_worker_uses_one_thread_and_leaves_interrupts_to_its_parent() -> None:
     assert os.getpid() not in {process for _, process in found}
 
 
-WORKS = {
-    "asleep": "time.sleep(600)",
-    # One long call of C, which lets no other thread of the process run.
-    "holding the interpreter": "re.match(r'(a+)+b', 'a' * 60)",
-}
-
-
-@pytest.mark.parametrize("work", WORKS)
-def test_processes_end_with_their_parent_whatever_they_are_doing(work: str, tmp_path: Path) -> None:
-    (tmp_path / "endless.py").write_text(
-        "import os, re, time\n"
-        "from pathlib import Path\n"
-        "from polhode.runtime.processes import in_order\n\n\n"
-        "def wait(k: int) -> None:\n"
-        "    Path(f'{k}.pid').write_text(str(os.getpid()))\n"
-        f"    {WORKS[work]}\n\n\n"
-        "if __name__ == '__main__':\n"
-        "    list(in_order(wait, range(2), 2))\n"
-    )
-    environment = os.environ | {"PYTHONPATH": str(Path.cwd())}
-    parent = subprocess.Popen([sys.executable, "endless.py"], cwd=tmp_path, env=environment)
-    try:
-        assert _eventually(lambda: len(_numbers(tmp_path)) == 2)
-        family = descendants(parent.pid)
-        assert len(family) == 4  # two workers, the server that forks them, the tracker of their semaphores
-    finally:
-        parent.kill()
-        parent.wait()
-    assert _eventually(lambda: not any(_is_there(number) for number in family), limit_s=10.0)
-
-
 def test_workers_import_no_module_from_the_current_folder(tmp_path: Path) -> None:
     """It may be the dataset of another person."""
-    ours, theirs = tmp_path / "ours", tmp_path / "theirs"
-    for folder in (ours, theirs):
-        folder.mkdir()
-    (ours / "start.py").write_text(
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    for module in ("multiprocessing", "selectors", "yaml", "polhode"):
+        (theirs / f"{module}.py").write_text("open('sprung', 'a').write(__name__)\n")
+    script = (
         "import os\nfrom polhode.runtime.processes import in_order\n\nif __name__ == '__main__':\n"
         "    assert list(in_order(abs, range(3), 2, ['yaml'])) == [0, 1, 2]\n"
         "    print('PYTHONSAFEPATH' in os.environ)\n"
     )
-    for module in ("multiprocessing", "selectors", "yaml", "polhode"):
-        (theirs / f"{module}.py").write_text("open('sprung', 'a').write(__name__)\n")
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
-    environment.pop("PYTHONSAFEPATH", None)
-    command = [sys.executable, str(ours / "start.py")]
-    done = subprocess.run(command, cwd=theirs, env=environment, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "False\n", "")
+    assert program(tmp_path, script, cwd=theirs).communicate() == ("False\n", "")
     assert not (theirs / "sprung").exists()
 
 
-SLOW = (
-    "import os, time\nfrom pathlib import Path\nPath('1.pid').write_text(str(os.getpid()))\ntime.sleep(600)\n"
+ENDLESS = (
+    "import os, re, time\nfrom pathlib import Path\n\n\ndef wait(k: int) -> None:\n"
+    "    Path(f'{k}.pid').write_text(str(os.getpid()))\n"
 )
+FAMILIES = {
+    "asleep": ("time.sleep(600)", "wait", "[]"),
+    # One long call of C, which lets no other thread of the process run.
+    "holding the interpreter": ("re.match(r'(a+)+b', 'a' * 60)", "wait", "[]"),
+    "a server that imports": ("", "abs", "['slow']"),
+    "a worker that imports": ("", "Work()", "[]"),
+}
 
 
-@pytest.mark.parametrize("who", ["the server", "a worker"])
-def test_processes_end_with_their_parent_even_amid_their_imports(who: str, tmp_path: Path) -> None:
-    (tmp_path / "slow.py").write_text(SLOW)
+@pytest.mark.parametrize("doing", FAMILIES)
+def test_processes_end_with_their_parent_whatever_they_are_doing(doing: str, tmp_path: Path) -> None:
+    line, work, preload = FAMILIES[doing]
+    (tmp_path / "slow.py").write_text(f"{ENDLESS}    time.sleep(600)\n\n\nwait(1)\n")
     (tmp_path / "work.py").write_text(
         "class Work:\n"
         "    def __call__(self, k: int) -> None: ...\n"
         "    def __reduce__(self): return (__import__, ('slow',))\n"
     )
-    work, preload = ("abs", "['slow']") if who == "the server" else ("Work()", "[]")
-    (tmp_path / "start.py").write_text(
-        "from polhode.runtime.processes import in_order\nfrom work import Work\n\n"
-        "if __name__ == '__main__':\n"
-        f"    list(in_order({work}, range(2), 2, {preload}))\n"
+    script = (
+        f"from work import Work\nfrom polhode.runtime.processes import in_order\n{ENDLESS}    {line}\n\n\n"
+        f"if __name__ == '__main__':\n    list(in_order({work}, range(2), 2, {preload}))\n"
     )
-    environment = os.environ | {"PYTHONPATH": f"{Path.cwd()}{os.pathsep}{tmp_path}"}
-    parent = subprocess.Popen([sys.executable, "start.py"], cwd=tmp_path, env=environment)
+    parent = program(tmp_path, script)
     try:
-        assert _eventually(lambda: len(_numbers(tmp_path)) == 1)
+        assert _eventually(lambda: len(_numbers(tmp_path)) == (2 if line else 1))
         family = descendants(parent.pid)
+        # two workers, the server that forks them, the tracker of their semaphores
+        assert len(family) == 4 if line else _numbers(tmp_path)[0] in family
     finally:
         parent.kill()
-        parent.wait()
-    assert _numbers(tmp_path)[0] in family
+        parent.communicate()
     assert _eventually(lambda: not any(_is_there(number) for number in family), limit_s=10.0)
 
 
 def test_a_started_program_ends_with_its_parent(tmp_path: Path) -> None:
-    code = (
-        "import subprocess, sys; from polhode.runtime.parent_death import tied;"
-        "child = subprocess.Popen(tied(['sleep', '600'])); print(child.pid, flush=True); child.wait()"
+    parent = program(
+        tmp_path,
+        "import subprocess\nfrom polhode.runtime.parent_death import tied\n"
+        "child = subprocess.Popen(tied(['sleep', '600']))\nprint(child.pid, flush=True)\nchild.wait()\n",
     )
-    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     assert parent.stdout is not None
     child = int(parent.stdout.readline())
     assert _eventually(lambda: "sleep" in Path(f"/proc/{child}/cmdline").read_text())

@@ -6,10 +6,9 @@ from typing import Any
 
 from polhode.files.foreign_meshes.unsound import Unsound, require_pieces
 
-_MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _JSON_BYTES = 8 << 20
 _BYTES = 128 << 20
-"""Of all views, and of all accessors: trimesh copies each."""
+"""Of all views, and of all accessors"""
 _COMPONENT = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _MAX_NODES, _MAX_DEPTH, _MAX_VERTICES = 20_000, 200, 4_000_000
@@ -29,12 +28,26 @@ def require_sound_glb(content: bytes, most_faces: int) -> None:
     for name in document.get("extensionsRequired", []):
         if not str(name).startswith(_EXTENSIONS):
             raise Unsound(f"the extension {str(name)[:60]} is required: save it without compression")
-    for item in (*document.get("buffers", []), *document.get("images", [])):
-        if "uri" in item:
-            raise Unsound("data in other files or in addresses: embed them")
-    views = _views(document, binary)
-    counts = _accessors(document, views)
-    _require_few(document, counts, most_faces)
+    if any("uri" in item for item in (*document.get("buffers", []), *document.get("images", []))):
+        raise Unsound("data in other files or in addresses: embed them")
+    counts = _accessors(document, binary)
+    meshes = []
+    for mesh in document.get("meshes", []):
+        primitives = mesh["primitives"]
+        if any("KHR_draco_mesh_compression" in each.get("extensions", {}) for each in primitives):
+            raise Unsound("compressed by Draco: save it without compression")
+        vertices = sum(counts[_count(each["attributes"]["POSITION"])] for each in primitives)
+        indices = sum(counts[_count(each["indices"])] for each in primitives if "indices" in each)
+        meshes.append((len(primitives), (indices + vertices) // 3, vertices))
+    nodes = document.get("nodes", [])
+    used = [meshes[_count(node["mesh"])] for node in nodes if "mesh" in node]
+    most = [max(sum(each[k] for each in some) for some in (meshes, used)) for k in range(3)]
+    require_pieces(most[0])
+    if most[1] > most_faces:
+        raise Unsound(f"more than {most_faces} triangles")
+    if most[2] > _MAX_VERTICES:
+        raise Unsound(f"more than {_MAX_VERTICES} vertices")
+    _require_trees([[_count(child) for child in node.get("children", [])] for node in nodes])
 
 
 def _chunks(content: bytes) -> tuple[dict[str, Any], int]:
@@ -42,7 +55,7 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], int]:
     if len(content) < 20:
         raise Unsound("no header of a GLB")
     magic, version, length, size, kind = struct.unpack_from("<5I", content)
-    if magic != _MAGIC or version != 2 or kind != _JSON:
+    if (magic, version, kind) != (0x46546C67, 2, 0x4E4F534A):
         raise Unsound("no header of a GLB of version 2")
     if length > len(content) or 20 + size > length:
         raise Unsound(f"{length} bytes stated, {len(content)} there")
@@ -57,67 +70,38 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], int]:
         position += 8 + size
         if position > length:
             raise Unsound("a chunk that is longer than the file")
-        binary += [size] if kind == _BIN else []
+        binary += [size] if kind == 0x004E4942 else []
     if len(binary) > 1 or len(document.get("buffers", [])) > 1:
         raise Unsound("more than one buffer")
     return document, sum(binary)
 
 
-def _views(document: dict[str, Any], binary: int) -> list[int]:
-    """Length of each view [bytes]."""
-    lengths = []
-    for view in document.get("bufferViews", []):
-        start, length = _count(view.get("byteOffset", 0)), _count(view["byteLength"])
-        if view["buffer"] != 0 or start + length > binary:
+def _accessors(document: dict[str, Any], binary: int) -> list[int]:
+    """Number of items of each accessor, each within its view, and that within the binary chunk."""
+    views = document.get("bufferViews", [])
+    lengths = [_count(view["byteLength"]) for view in views]
+    for view, length in zip(views, lengths, strict=True):
+        if view["buffer"] != 0 or _count(view.get("byteOffset", 0)) + length > binary:
             raise Unsound(f"a view of {length} bytes that is not within the {binary} of the file")
-        lengths.append(length)
-    if sum(lengths) > _BYTES:
-        raise Unsound(f"views of {sum(lengths)} bytes together")
-    return lengths
-
-
-def _accessors(document: dict[str, Any], views: list[int]) -> list[int]:
-    """Number of items of each accessor."""
     counts, total = [], 0
     for accessor in document.get("accessors", []):
         if "sparse" in accessor or "bufferView" not in accessor:
             raise Unsound("an accessor without values of its own (sparse or compressed): save it plainly")
-        count = _count(accessor["count"])
+        count, index = _count(accessor["count"]), _count(accessor["bufferView"])
         item = _COMPONENT[accessor["componentType"]] * _COMPONENTS[accessor["type"]]
-        index = _count(accessor["bufferView"])
-        step = max(_count(document["bufferViews"][index].get("byteStride", item)), 1)
+        step = max(_count(views[index].get("byteStride", item)), 1)
         needed = _count(accessor.get("byteOffset", 0)) + (step * (count - 1) + item if count else 0)
-        if needed > views[index]:
+        if needed > lengths[index]:
             raise Unsound(
-                f"an accessor of {count} items that needs {needed} of the {views[index]} bytes there"
+                f"an accessor of {count} items that needs {needed} of the {lengths[index]} bytes there"
             )
         total += count * item
         counts.append(count)
-    if total > _BYTES:
-        raise Unsound(f"accessors of {total} bytes together")
+    # trimesh copies each
+    for what, size in (("views", sum(lengths)), ("accessors", total)):
+        if size > _BYTES:
+            raise Unsound(f"{what} of {size} bytes together")
     return counts
-
-
-def _require_few(document: dict[str, Any], counts: list[int], most_faces: int) -> None:
-    """Meshes, their instances and the depth of the nodes are limited."""
-    vertices, faces, pieces = [], [], []
-    for mesh in document.get("meshes", []):
-        primitives = mesh["primitives"]
-        pieces.append(len(primitives))
-        positions = [counts[_count(each["attributes"]["POSITION"])] for each in primitives]
-        indices = [counts[_count(each["indices"])] for each in primitives if "indices" in each]
-        vertices.append(sum(positions))
-        faces.append((sum(indices) + sum(positions)) // 3)
-        if any("KHR_draco_mesh_compression" in each.get("extensions", {}) for each in primitives):
-            raise Unsound("compressed by Draco: save it without compression")
-    nodes = document.get("nodes", [])
-    used = [_count(node["mesh"]) for node in nodes if "mesh" in node]
-    require_pieces(max(sum(pieces), sum(pieces[index] for index in used)))
-    if max(sum(faces), sum(faces[index] for index in used)) > most_faces:
-        raise Unsound(f"more than {most_faces} triangles")
-    if max(sum(vertices), sum(vertices[index] for index in used)) > _MAX_VERTICES:
-        raise Unsound(f"more than {_MAX_VERTICES} vertices")
-    _require_trees([[_count(child) for child in node.get("children", [])] for node in nodes])
 
 
 def _require_trees(children: list[list[int]]) -> None:
@@ -131,8 +115,6 @@ def _require_trees(children: list[list[int]]) -> None:
     for _ in range(_MAX_DEPTH):
         seen += len(level)
         level = [child for node in level for child in children[node]]
-        if not level:
-            break
     if seen != len(children):
         raise Unsound(f"nodes that are their own ancestors, or nested deeper than {_MAX_DEPTH}")
 

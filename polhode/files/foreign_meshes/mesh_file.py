@@ -1,9 +1,8 @@
 """Opening a mesh file of others: limits, structure, then trimesh; what comes out is finite and sound."""
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -60,11 +59,10 @@ class MeshFile:
         """
         scene = self.scene(process=False, skip_materials=True)
         try:
-            for name in [
-                name for name, each in scene.geometry.items() if not isinstance(each, trimesh.Trimesh)
-            ]:
-                scene.delete_geometry(name)
-            for each in scene.geometry.values():
+            for name, each in list(scene.geometry.items()):
+                if not isinstance(each, trimesh.Trimesh):
+                    scene.delete_geometry(name)
+                    continue
                 require_coordinates(each)
                 each.process()
             mesh: trimesh.Trimesh = scene.to_mesh()
@@ -95,37 +93,35 @@ def open_mesh(path: Path, limits: MeshLimits = FOREIGN) -> MeshFile:
         raise unreadable(path, Unsound("its name ends with none of .ply, .stl, .obj, .glb"))
     content = read_bytes(path, limits.binary_bytes, "a mesh")
     try:
-        if _is_text(kind, content):
+        is_text = kind == "obj" or (kind == "ply" and b"format ascii" in content[:200])
+        if is_text or (kind == "stl" and not is_binary_stl(content)):
             if len(content) > TEXT_BYTES:
                 raise Unsound(f"a text of {amount(len(content))}, where {amount(TEXT_BYTES)} are allowed")
             content = plain(content)
-        _structure(limits)[kind](content)
+        match kind:
+            case "ply":
+                require_sound_ply(content, limits.rows)
+            case "stl":
+                require_sound_stl(content)
+            case "obj":
+                require_sound_obj(content)
+            case _:
+                require_sound_glb(content, limits.faces)
     except Exception as error:  # noqa: BLE001  a document of another structure
         raise unreadable(path, error) from None
     return MeshFile(path, kind, content, FilesBeside(path), limits)
-
-
-def _structure(limits: MeshLimits) -> Mapping[str, Callable[[bytes], None]]:
-    """The structure that each kind must have."""
-    return {
-        "ply": partial(require_sound_ply, most_rows=limits.rows),
-        "stl": require_sound_stl,
-        "obj": require_sound_obj,
-        "glb": partial(require_sound_glb, most_faces=limits.faces),
-    }
-
-
-def _is_text(kind: str, content: bytes) -> bool:
-    if kind == "stl":
-        return not is_binary_stl(content)
-    return kind == "obj" or (kind == "ply" and b"format ascii" in content[:200])
 
 
 def _require_sound(mesh: Any, most_faces: int) -> None:
     """Raises Unsound for faces of vertices that do not exist, and for too many. Clouds of points may pass."""
     if not isinstance(mesh, trimesh.Trimesh):
         return
-    _require_even_lists(mesh.metadata.get("_ply_raw", {}))
+    for element in mesh.metadata.get("_ply_raw", {}).values():
+        rows = element.get("data")
+        for name in (rows.dtype.names or ()) if isinstance(rows, np.ndarray) else ():
+            # trimesh takes the length of the first list of a binary PLY for that of all
+            if rows[name].dtype.names == ("f0", "f1") and np.ptp(rows[name]["f0"].astype(np.int64)) != 0:
+                raise Unsound("lists of several lengths in a binary PLY: save it as triangles")
     faces = np.asarray(mesh.faces)
     if np.shape(mesh.vertices)[1:] != (3,) or faces.shape[1:] != (3,):
         raise Unsound("vertices without three coordinates, or faces without three corners")
@@ -133,17 +129,6 @@ def _require_sound(mesh: Any, most_faces: int) -> None:
         raise Unsound(f"{len(faces)} triangles, where {most_faces} are allowed")
     if len(faces) and (faces.min() < 0 or faces.max() >= len(mesh.vertices)):
         raise Unsound("faces refer to vertices that do not exist")
-
-
-def _require_even_lists(elements: Mapping[str, Any]) -> None:
-    """Raises Unsound: trimesh takes the length of the first list of a binary PLY for that of all."""
-    for element in elements.values():
-        rows = element.get("data")
-        if not isinstance(rows, np.ndarray) or not rows.dtype.names:
-            continue
-        for name in rows.dtype.names:
-            if rows[name].dtype.names == ("f0", "f1") and np.ptp(rows[name]["f0"].astype(np.int64)) != 0:
-                raise Unsound("lists of several lengths in a binary PLY: save it as triangles")
 
 
 def require_coordinates(mesh: trimesh.Trimesh) -> None:

@@ -63,15 +63,14 @@ class FilesBeside(Resolver):
     def _beside(self, name: str) -> Path:
         """Where the path leads outside, the file of the same name in the folder itself."""
         folder = self._folder.resolve()
-        for candidate in (name, PureWindowsPath(name).name):
-            path = folder / plain(candidate.encode()).decode()
-            if "\0" not in candidate and path.is_file() and path.resolve().is_relative_to(folder):
-                return path
         wanted = PureWindowsPath(name).name
-        for path in folder.iterdir():
-            # ``plain`` was applied to the name in the mesh as well
-            same = plain(path.name.encode(errors="replace")).decode() == wanted
-            if same and path.is_file() and path.resolve().is_relative_to(folder):
+        named = [folder / plain(each.encode()).decode() for each in (name, wanted) if "\0" not in each]
+        # ``plain`` was applied to the name in the mesh as well
+        alike = (
+            each for each in folder.iterdir() if plain(each.name.encode(errors="replace")).decode() == wanted
+        )
+        for path in (*named, *alike):
+            if path.is_file() and path.resolve().is_relative_to(folder):
                 return path
         raise FileNotFoundError(name)
 

@@ -13,75 +13,63 @@ _SIZES = {
 _FORMATS = ("ascii", "binary_little_endian", "binary_big_endian")
 _TEXT_ROWS = 400_000
 _HEADER_BYTES, _HEADER_LINES, _ELEMENTS = 1 << 18, 2_000, 20
-_INTEGERS = tuple(name for name in _SIZES if "int" in name or "char" in name or "short" in name)
 
 
 @dataclass
 class _Element:
     name: str
     count: int
-    properties: list[str] = field(default_factory=list)
+    properties: set[str] = field(default_factory=set)
     fixed_bytes: int = 0
     """Of one row, with the counts of its lists and without their items"""
 
 
 def require_sound_ply(content: bytes, most_rows: int) -> None:
     """Raises Unsound: no PLY, an unknown type, or more rows than are allowed or fit the file."""
-    ascii_body, elements, body = _header(content)
-    rows = sum(element.count for element in elements)
-    if rows > (_TEXT_ROWS if ascii_body else most_rows):
-        raise Unsound(f"{rows} rows, where {most_rows} are allowed, and {_TEXT_ROWS} as text")
-    if ascii_body:
-        lines = content.count(b"\n", body) + 1
-        if not rows <= lines <= rows + 1_000:
-            raise Unsound(f"{rows} rows stated, {lines} lines there")
-        return
-    least = sum(element.count * element.fixed_bytes for element in elements)
-    if least > len(content) - body:
-        raise Unsound(
-            f"{rows} rows stated, which need {least} bytes or more; {len(content) - body} are there"
-        )
-
-
-def _header(content: bytes) -> tuple[bool, list[_Element], int]:
-    """Whether the body is text, the elements, and where the body begins."""
     end = content.find(b"end_header", 0, _HEADER_BYTES)
-    newline = content.find(b"\n", end, end + 100)
-    if not content.startswith(b"ply") or end < 0 or newline < 0:
+    body = content.find(b"\n", end, end + 100) + 1
+    if not content.startswith(b"ply") or end < 0 or body < 1:
         raise Unsound("no header of a PLY")
-    lines = content[:end].decode("ascii", errors="replace").splitlines()
+    lines = [line.split() for line in content[:end].decode("ascii", errors="replace").splitlines()]
     if len(lines) > _HEADER_LINES:
         raise Unsound(f"a header of {len(lines)} lines, where {_HEADER_LINES} are allowed")
-    words = [line.split() for line in lines]
-    if len(words) < 2 or len(words[1]) != 3 or words[1][0] != "format" or words[1][1] not in _FORMATS:
+    if len(lines) < 2 or len(lines[1]) != 3 or lines[1][0] != "format" or lines[1][1] not in _FORMATS:
         raise Unsound("no format that is ascii or binary")
+    elements = _elements(lines[2:])
+    is_text, rows = lines[1][1] == "ascii", sum(element.count for element in elements)
+    if rows > (_TEXT_ROWS if is_text else most_rows):
+        raise Unsound(f"{rows} rows, where {most_rows} are allowed, and {_TEXT_ROWS} as text")
+    there = content.count(b"\n", body) + 1 if is_text else len(content) - body
+    least = sum(element.count * element.fixed_bytes for element in elements)
+    if is_text and not rows <= there <= rows + 1_000:
+        raise Unsound(f"{rows} rows stated, {there} lines there")
+    if not is_text and least > there:
+        raise Unsound(f"{rows} rows stated, which need {least} bytes or more; {there} are there")
+
+
+def _elements(lines: list[list[str]]) -> list[_Element]:
+    """The elements that the lines of a header state."""
     elements: list[_Element] = []
-    for line in words[2:]:
-        _add(line, elements)
+    for line in lines:
+        match line:
+            case ["comment" | "obj_info", *_]:
+                pass
+            case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 19:
+                elements.append(_Element(name, int(count)))
+            case ["property", *kinds, name] if elements and _first_size(kinds):
+                if name in elements[-1].properties:
+                    raise Unsound(f"two properties {name[:40]}")
+                elements[-1].properties.add(name)
+                elements[-1].fixed_bytes += _first_size(kinds)
+            case _:
+                raise Unsound(f"a header with the line '{' '.join(line)[:60]}'")
     if len(elements) > _ELEMENTS or len({element.name for element in elements}) < len(elements):
         raise Unsound("too many elements, or two of one name")
-    return words[1][1] == "ascii", elements, newline + 1
+    return elements
 
 
-def _add(line: list[str], elements: list[_Element]) -> None:
-    """Take in a line of the header."""
-    match line:
-        case ["comment" | "obj_info", *_]:
-            pass
-        case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 19:
-            elements.append(_Element(name, int(count)))
-        case ["property", "list", counts, items, name] if (
-            elements and counts in _INTEGERS and items in _SIZES
-        ):
-            _add_property(elements[-1], name, _SIZES[counts])
-        case ["property", kind, name] if elements and kind in _SIZES:
-            _add_property(elements[-1], name, _SIZES[kind])
-        case _:
-            raise Unsound(f"a header with the line '{' '.join(line)[:60]}'")
-
-
-def _add_property(element: _Element, name: str, size: int) -> None:
-    if name in element.properties:
-        raise Unsound(f"two properties {name[:40]}")
-    element.properties.append(name)
-    element.fixed_bytes += size
+def _first_size(kinds: list[str]) -> int:
+    """Bytes of a value, or of the count of a list; 0: no such types."""
+    if len(kinds) == 3 and kinds[0] == "list" and kinds[2] in _SIZES and "float" not in kinds[1]:
+        return _SIZES.get(kinds[1], 0) if kinds[1] != "double" else 0
+    return _SIZES.get(kinds[0], 0) if len(kinds) == 1 else 0

@@ -19,9 +19,6 @@ IsOwn = Callable[[str], bool]
 """Whether a file is ours, by its name relative to the folder, with "/"."""
 
 
-_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
-
-
 def entries(folder: Path) -> Iterator[tuple[str, bool]]:
     """Every file and folder below ``folder``, without following links: relative name, whether a folder.
 
@@ -33,9 +30,8 @@ def entries(folder: Path) -> Iterator[tuple[str, bool]]:
             raise error
 
     for root, folders, files in os.walk(folder, topdown=False, onerror=fail):
-        base = Path(root)
         for name in (*files, *folders):
-            path = base / name
+            path = Path(root) / name
             yield path.relative_to(folder).as_posix(), name in folders and not path.is_symlink()
 
 
@@ -47,10 +43,7 @@ def foreign(folder: Path, is_own: IsOwn) -> list[str]:
     found: list[str] = []
     filled: set[str] = set()
     for name, is_folder in entries(folder):
-        if is_folder:
-            if name not in filled:
-                found.append(name)
-        elif not (is_own(name) and is_regular(folder / name)):
+        if name not in filled if is_folder else not (is_own(name) and is_regular(folder / name)):
             found.append(name)
         filled.update(parent.as_posix() for parent in Path(name).parents)
     return sorted(found)
@@ -65,15 +58,21 @@ def carry(names: list[str], source: Path, destination: Path) -> None:
         if path.is_dir() and not path.is_symlink():
             new.mkdir(exist_ok=True)
             shutil.copystat(path, new)
-        else:
-            _link(path, new)
+            continue
+        try:
+            os.link(path, new, follow_symlinks=False)
+        except FileExistsError:
+            raise
+        except OSError:
+            if not (path.is_symlink() or is_regular(path)):
+                raise
+            shutil.copy2(path, new, follow_symlinks=False)
 
 
 def exchange(new: Path, place: Path) -> Path:
     """Let the folder ``new`` and the one at ``place`` change places; where the old one is now.
 
-    Where they cannot in one step, the old one steps aside first: ``restore`` repairs what a kill between the
-    two steps leaves.
+    Where they cannot in one step, the old one waits at ``aside_of(place)`` between the two steps.
     """
     if _renameat2(new, place):
         return new
@@ -129,16 +128,14 @@ def move(names: list[str], source: Path, destination: Path) -> None:
 
 
 def sync_all(folder: Path) -> None:
-    """Wait until a folder with all its files is on the disk."""
+    """Wait until a folder with all its files is on the disk; of many, all that the system holds back."""
     names = [name for name, _ in entries(folder)]
-    # of many files, all that the system holds back is written at once
     if len(names) > 200:
         os.sync()
         return
-    for name in names:
-        if is_regular(folder / name) or (folder / name).is_dir():
-            sync(folder / name)
-    sync(folder)
+    for path in (*(folder / name for name in names), folder):
+        if path.is_dir() or is_regular(path):
+            sync(path)
 
 
 def _renameat2(one: Path, other: Path) -> bool:
@@ -147,8 +144,10 @@ def _renameat2(one: Path, other: Path) -> bool:
         call = ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError):
         return False
-    paths = os.fsencode(one), os.fsencode(other)
-    return bool(call(_AT_FDCWD, paths[0], _AT_FDCWD, paths[1], _RENAME_EXCHANGE) == 0)
+    current_folder, exchange_flag = -100, 2
+    return bool(
+        call(current_folder, os.fsencode(one), current_folder, os.fsencode(other), exchange_flag) == 0
+    )
 
 
 def _make_folders(name: Path, source: Path, destination: Path) -> None:
@@ -156,17 +155,6 @@ def _make_folders(name: Path, source: Path, destination: Path) -> None:
         if not (destination / part).is_dir():
             (destination / part).mkdir()
             shutil.copystat(source / part, destination / part)
-
-
-def _link(path: Path, new: Path) -> None:
-    try:
-        os.link(path, new, follow_symlinks=False)
-    except FileExistsError:
-        raise
-    except OSError:
-        if not (path.is_symlink() or is_regular(path)):
-            raise
-        shutil.copy2(path, new, follow_symlinks=False)
 
 
 def is_regular(path: Path) -> bool:
@@ -180,7 +168,7 @@ def is_same(path: Path, other: Path) -> bool:
         one, two = path.lstat(), other.lstat()
     except OSError:
         return False
-    if (one.st_dev, one.st_ino) == (two.st_dev, two.st_ino):
+    if os.path.samestat(one, two):
         return True
     alike = (one.st_mode, one.st_size, one.st_mtime_ns) == (two.st_mode, two.st_size, two.st_mtime_ns)
     return alike and (stat.S_ISLNK(one.st_mode) or path.read_bytes() == other.read_bytes())

@@ -14,8 +14,7 @@ from polhode.runtime.errors import InputError
 def at_work(folder: Path, shown: Path) -> Iterator[None]:
     """Lock an existing folder while the block runs. Raises InputError: another process has locked it."""
     with opened(folder) as handle:
-        if not lock(handle):
-            raise _busy(shown)
+        _require_lock(handle, shown)
         yield
 
 
@@ -26,14 +25,27 @@ def occupied(folder: Path, shown: Path) -> Iterator[None]:
 
     Raises InputError: another process has locked it, or it cannot be made.
     """
-    missing = make_folders(folder, shown)
-    with locked(folder, shown):
-        try:
-            yield
-        finally:
-            for each in reversed(missing):
-                with suppress(OSError):
-                    each.rmdir()
+    with folders_made(folder, shown), locked(folder, shown):
+        yield
+
+
+@contextmanager
+def folders_made(folder: Path, shown: Path) -> Iterator[None]:
+    """Make a folder and those above it; those that were missing and are empty at the end are removed.
+
+    Raises InputError: they cannot be made.
+    """
+    missing = [each for each in (folder, *folder.parents) if not each.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(shown, error) from error
+    try:
+        yield
+    finally:
+        for each in missing:
+            with suppress(OSError):
+                each.rmdir()
 
 
 @contextmanager
@@ -51,22 +63,13 @@ def locked(path: Path, shown: Path) -> Iterator[None]:
         except OSError as error:
             raise unwritable(shown, error) from error
         try:
-            if not lock(handle):
-                raise _busy(shown)
+            _require_lock(handle, shown)
             # The process that held the lock may have moved or removed this folder.
-            if not _is_still(handle, path):
-                continue
-            yield
-            return
+            if path.exists() and os.path.samestat(os.fstat(handle), path.lstat()):
+                yield
+                return
         finally:
             os.close(handle)
-
-
-def _is_still(handle: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(handle), path.lstat())
-    except FileNotFoundError:
-        return False
 
 
 @contextmanager
@@ -93,20 +96,8 @@ def lock(handle: int, wait: bool = False) -> bool:
     return True
 
 
-def _busy(shown: Path) -> InputError:
-    return InputError(
-        f"{shown}: another polhode is at work there; wait until it ends, stop it, or choose another place"
-    )
-
-
-def make_folders(folder: Path, shown: Path) -> list[Path]:
-    """Make a folder and those above it; returns those that were missing, from the top down.
-
-    Raises InputError: they cannot be made.
-    """
-    missing = [each for each in (folder, *folder.parents) if not each.exists()][::-1]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise unwritable(shown, error) from error
-    return missing
+def _require_lock(handle: int, shown: Path) -> None:
+    if not lock(handle):
+        raise InputError(
+            f"{shown}: another polhode is at work there; wait until it ends, stop it, or choose another place"
+        )

@@ -52,21 +52,21 @@ def marked_folder(path: Path, command: str, is_name: IsName, shown: Path | None 
 
 
 def _require_ours(place: Path, command: str, is_name: IsName, shown: Path) -> None:
-    if place.is_dir() and any(place.iterdir()):
-        listed = read_mark(place)
-        if listed is None:
-            example = min(each.name for each in place.iterdir())
+    there = sorted(place.iterdir()) if place.is_dir() else []
+    if not there:
+        return
+    listed = read_mark(place)
+    if listed is None:
+        raise InputError(
+            f"{shown}: contains {there[0].name}, which polhode {command} did not write; "
+            "choose a new or empty folder"
+        )
+    own = {MARK, *listed.get(command, ())}
+    for each in there:
+        if is_name(each.name) and not (each.name in own and is_regular(each)):
             raise InputError(
-                f"{shown}: contains {example}, which polhode {command} did not write; "
-                "choose a new or empty folder"
-            )
-        own = {MARK, *listed.get(command, ())}
-        there = [each for each in sorted(place.iterdir()) if is_name(each.name)]
-        others = [each.name for each in there if not (each.name in own and is_regular(each))]
-        if others:
-            raise InputError(
-                f"{shown}: {others[0]} was not written by polhode {command}, so it stays; "
-                "choose another folder"
+                f"{shown}: {each.name} was not written by polhode {command}, so it stays; choose another "
+                "folder"
             )
 
 
@@ -94,25 +94,18 @@ def withdrawn_if_refused(
     try:
         yield
     except InputError:
-        if is_new:
+        folders = [place / part for part in parts if (place / part).is_dir()]
+        is_used = any((place / name).exists() for name in names) or any(
+            any(each.iterdir()) for each in folders
+        )
+        others = read_mark(place)
+        if is_new and not is_used and others is not None and command in others:
+            del others[command]
             with suppress(OSError, RunFailure):
-                _withdraw(place, command, names, parts)
+                for folder in folders:
+                    folder.rmdir()
+                write_mark(place, others) if others else (place / MARK).unlink()
         raise
-
-
-def _withdraw(place: Path, command: str, names: Sequence[str], parts: Sequence[str]) -> None:
-    folders = [place / part for part in parts if (place / part).is_dir()]
-    if any((place / name).exists() for name in names) or any(any(each.iterdir()) for each in folders):
-        return
-    others = read_mark(place)
-    if others is None or others.pop(command, None) is None:
-        return
-    for folder in folders:
-        folder.rmdir()
-    if others:
-        write_mark(place, others)
-    else:
-        (place / MARK).unlink()
 
 
 def write_files(place: Path, command: str, files: Mapping[str, bytes], is_name: IsName) -> None:
@@ -145,10 +138,12 @@ def read_mark(folder: Path) -> dict[str, list[str]] | None:
         if not mark.is_file() or mark.stat().st_size > 2**20:
             return None
         content = json.loads(mark.read_text(encoding="utf-8"))
-        if content["schema"] != SCHEMA:
-            return None
-        files = content["files"]
-        return {str(command): [str(name) for name in names] for command, names in files.items()}
+        files = content["files"] if content["schema"] == SCHEMA else None
+        return (
+            None
+            if files is None
+            else {str(command): [str(name) for name in names] for command, names in files.items()}
+        )
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
 

@@ -111,29 +111,13 @@ def _resolved(path: Path, shown: Path) -> Path:
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
             raise InputError(f"{shown} is a device or a pipe; choose another place")
     place = Path(os.path.realpath(path))
-    if not (_is_text(path.name) and _is_text(place.name)):
+    try:
+        f"{path.name}{place.name}".encode()
+    except UnicodeEncodeError:
         raise InputError(
             f"{shown}: this name is not UTF-8, as results that contain it must be; choose another"
-        )
+        ) from None
     return place
-
-
-def _is_text(name: str) -> bool:
-    try:
-        name.encode("utf-8")
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
-def _run_of(place: Path) -> Path | None:
-    """The folder of the run among whose own results ``place`` would be; None: it would be no such name."""
-    for folder in place.parents:
-        name = place.relative_to(folder).as_posix()
-        is_ours = is_run_file(name) or name.split("/")[0] == PICTURES
-        if is_ours and begins_with(folder / SUMMARY, SCHEMA):
-            return folder
-    return None
 
 
 def _dataset_of(place: Path, path: Path) -> Path | None:
@@ -166,6 +150,10 @@ def _require_outside(place: Path, path: Path, shown: Path) -> None:
         raise InputError(
             f"{shown}: inside the dataset {dataset}, where nothing is written; choose another place"
         )
-    run = _run_of(place)
-    if run is not None:
-        raise InputError(f"{shown}: this name belongs to the results of the run {run}; choose another place")
+    for folder in place.parents:
+        name = place.relative_to(folder).as_posix()
+        is_of_run = is_run_file(name) or name.split("/")[0] == PICTURES
+        if is_of_run and begins_with(folder / SUMMARY, SCHEMA):
+            raise InputError(
+                f"{shown}: this name belongs to the results of the run {folder}; choose another place"
+            )

@@ -50,16 +50,12 @@ def make_parent(place: Path, shown: Path) -> None:
         place.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise unwritable(shown, error) from error
-    remove_partials(place)
-
-
-def remove_partials(place: Path) -> None:
-    """Remove the temporary files of processes that were killed while they wrote this file."""
     _remove_dead(place.parent, re.escape(place.stem), re.escape(place.suffix))
 
 
 def remove_all_partials(folder: Path) -> None:
-    """The same for all files of a folder of ours; its folders are left alone. It need not exist."""
+    """Remove the temporary files of killed processes in a folder of ours; its folders are left alone. It need
+    not exist."""
     if folder.is_dir():
         _remove_dead(folder, ".+", r"(?:\.\w+)?")
 
@@ -68,17 +64,13 @@ def _remove_dead(folder: Path, stem: str, suffix: str) -> None:
     name = re.compile(rf"\.{stem}\.partial-(\d+){suffix}")
     for entry in os.scandir(folder):
         found = name.fullmatch(entry.name)
-        if found and entry.is_file(follow_symlinks=False) and not _is_alive(int(found[1])):
+        if found is None or not entry.is_file(follow_symlinks=False):
+            continue
+        try:
+            os.kill(int(found[1]), 0)
+        except (ProcessLookupError, OverflowError):
             with suppress(OSError):
                 Path(entry.path).unlink()
                 _log.warning(LEFT_BEHIND, entry.path)
-
-
-def _is_alive(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except PermissionError:
-        pass
-    return True
+        except PermissionError:
+            pass

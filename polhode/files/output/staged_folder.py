@@ -26,7 +26,7 @@ from polhode.files.output.exchange import (
     remove,
     sync_all,
 )
-from polhode.files.output.locks import lock, locked, make_folders, opened
+from polhode.files.output.locks import folders_made, lock, locked, opened
 from polhode.files.output.place import LEFT_BEHIND, require_not_current, require_writable
 from polhode.runtime.errors import InputError
 
@@ -57,8 +57,9 @@ class StagedFolder:
             def goes(name: str) -> bool:
                 return self.is_own(name) and not (kept is not None and kept(name))
 
-            left = empty(self.path, goes, self.place)
-            left = [name for name in left if not (kept is not None and kept(name))]
+            left = [
+                name for name in empty(self.path, goes, self.place) if not (kept is not None and kept(name))
+            ]
             if left:
                 raise InputError(
                     f"{self.path}: contains {left[0]}, which polhode did not write there; move it, or choose "
@@ -125,19 +126,13 @@ def staged_folder(
         raise InputError(f"{shown}: the root of a file system cannot be replaced; give a folder inside it")
     require_not_current(place, shown)
     path = place.with_name(f".{place.name}.partial")
-    made = make_folders(place.parent, shown)
-    try:
-        with locked(path, shown):
-            staged = StagedFolder(path, place, is_own)
-            try:
-                _mend(place, is_own, is_whole)
-                yield staged
-            finally:
-                staged.end()
-    finally:
-        for folder in reversed(made):
-            with suppress(OSError):
-                folder.rmdir()
+    with folders_made(place.parent, shown), locked(path, shown):
+        staged = StagedFolder(path, place, is_own)
+        try:
+            _mend(place, is_own, is_whole)
+            yield staged
+        finally:
+            staged.end()
 
 
 def _mend(place: Path, is_own: IsOwn, is_whole: Callable[[Path], bool]) -> None:

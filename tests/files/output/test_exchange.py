@@ -32,15 +32,12 @@ def folder(tmp_path: Path) -> Path:
 FOREIGN = ["empty", "link", "notes.txt", "pipe", "sub/notes.txt"]
 
 
-def test_what_is_not_ours_is_named(folder: Path) -> None:
+def test_what_is_not_ours_is_named_also_our_name_on_a_link_or_a_folder(folder: Path, tmp_path: Path) -> None:
     assert foreign(folder, ours) == FOREIGN
-
-
-def test_our_name_on_a_link_or_a_folder_is_not_ours(tmp_path: Path) -> None:
-    (tmp_path / "sub").mkdir()
-    (tmp_path / "a.csv").symlink_to(tmp_path / "sub")
-    (tmp_path / "sub" / "b.csv").mkdir()
-    assert foreign(tmp_path, ours) == ["a.csv", "sub/b.csv"]
+    other = tmp_path / "other"
+    (other / "sub" / "b.csv").mkdir(parents=True)
+    (other / "a.csv").symlink_to(folder)
+    assert foreign(other, ours) == ["a.csv", "sub/b.csv"]
 
 
 def test_only_what_is_ours_is_removed_and_links_are_not_followed(folder: Path, tmp_path: Path) -> None:
@@ -73,19 +70,13 @@ def test_what_is_not_ours_goes_along_as_links_or_copies(
     assert empty(folder, ours, new) == []
 
 
-def test_a_file_of_the_same_name_is_never_replaced(folder: Path, tmp_path: Path) -> None:
-    new = tmp_path / "new"
-    new.mkdir()
-    (new / "notes.txt").write_text("new")
-    with pytest.raises(FileExistsError):
-        carry(["notes.txt"], folder, new)
-    assert (new / "notes.txt").read_text() == "new"
-
-
-def test_another_file_of_the_same_name_is_no_twin(folder: Path, tmp_path: Path) -> None:
+def test_another_file_of_the_same_name_is_no_twin_and_never_replaced(folder: Path, tmp_path: Path) -> None:
     twin = tmp_path / "twin"
     shutil.copytree(folder, twin, symlinks=True, ignore=shutil.ignore_patterns("pipe"))
     (twin / "notes.txt").write_text("another one")
+    with pytest.raises(FileExistsError):
+        carry(["notes.txt"], folder, twin)
+    assert (twin / "notes.txt").read_text() == "another one"
     assert empty(folder, ours, twin) == ["notes.txt", "pipe"]
 
 

@@ -8,15 +8,16 @@ from polhode.files.output.locks import at_work, locked, occupied
 from polhode.runtime.errors import InputError
 
 
-def test_a_folder_that_is_there_is_locked(tmp_path: Path) -> None:
-    with (
-        at_work(tmp_path, tmp_path),
-        pytest.raises(InputError, match="another polhode"),
-        at_work(tmp_path, tmp_path),
-    ):
-        pass
-    with at_work(tmp_path, tmp_path):
-        pass
+def test_a_folder_that_is_there_is_locked_and_stays(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    for lock in (at_work, occupied):
+        with (
+            lock(tmp_path / "mine", tmp_path),
+            pytest.raises(InputError, match="another polhode"),
+            at_work(tmp_path / "mine", tmp_path),
+        ):
+            pass
+    assert (tmp_path / "mine").is_dir()
 
 
 def test_a_folder_that_is_missing_is_made_and_stays_if_something_is_in_it(tmp_path: Path) -> None:
@@ -30,13 +31,6 @@ def test_a_folder_that_is_missing_is_made_and_stays_if_something_is_in_it(tmp_pa
     with occupied(place, place):
         (place / "one.csv").write_text("1")
     assert (place / "one.csv").read_text() == "1"
-
-
-def test_an_empty_folder_of_the_user_stays(tmp_path: Path) -> None:
-    (tmp_path / "mine").mkdir()
-    with occupied(tmp_path / "mine", tmp_path / "mine"):
-        pass
-    assert (tmp_path / "mine").is_dir()
 
 
 def test_a_folder_whose_parents_another_process_removes_meanwhile_is_made_again(tmp_path: Path) -> None:
