@@ -118,8 +118,7 @@ def check_physics(
     if offset_G is not None:
         com_sigma_m = _com_sigma_m(mass, offset_G)
         least_m = max(
-            MESH_SHARE * float(np.linalg.norm(mesh.extents)),
-            float(np.linalg.norm(solid.com_G - other.com_G)),
+            MESH_SHARE * float(np.linalg.norm(mesh.extents)), float(np.linalg.norm(solid.com_G - other.com_G))
         )
         words.append(_com_words(mass, offset_G, com_sigma_m, least_m, bool(mesh.is_volume)))
     if axes is not None:

@@ -103,10 +103,7 @@ def test_velocities_are_those_of_the_moving_body(stored: polhode.Run) -> None:
 
 def test_velocities_at_many_times_are_those_at_each_time(stored: polhode.Run) -> None:
     p_G, times = np.array([[0.06, 0.0, 0.1], [0.0, 0.1, 0.0], [0.0, 0.0, 0.0]]), np.linspace(0.0, 60.0, 5)
-    velocity, covariance = (
-        stored.points_velocity(p_G, times),
-        stored.points_velocity_covariance(p_G, times),
-    )
+    velocity, covariance = (stored.points_velocity(p_G, times), stored.points_velocity_covariance(p_G, times))
     assert velocity.shape == (5, 3, 3) and covariance.shape == (5, 3, 3, 3)
     for k, time_s in enumerate(times):
         np.testing.assert_allclose(velocity[k], stored.points_velocity(p_G, time_s), atol=1e-8)

@@ -44,10 +44,7 @@ def checkout_folder(path: Path) -> AbstractContextManager[Path]:
 
 def write_checkout(done: Checkout, name: str, folder: Path) -> None:
     """Both files, or none. Raises InputError, RunFailure."""
-    files = {
-        "checkout.json": json_text(done.result).encode(),
-        "checkout.html": render(done, name).encode(),
-    }
+    files = {"checkout.json": json_text(done.result).encode(), "checkout.html": render(done, name).encode()}
     write_files(folder, COMMAND, files, FILES.__contains__)
 
 

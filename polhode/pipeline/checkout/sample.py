@@ -12,19 +12,9 @@ from polhode.frontend.features.keypoints import KeyPoints, detect, no_key_points
 from polhode.frontend.features.row_offsets import RowOffsets, row_offsets
 from polhode.frontend.features.stereo import StereoFeatures, match_stereo, with_ranges
 from polhode.frontend.matching.pairs import PairMatch, match_pairs
-from polhode.frontend.rectification import (
-    Image,
-    Rectifier,
-    rectified_pair,
-    target_crop,
-)
+from polhode.frontend.rectification import Image, Rectifier, rectified_pair, target_crop
 from polhode.geometry.lie import Array, Bools, Ints
-from polhode.pipeline.checkout.image_quality import (
-    ImageQuality,
-    RangeQuality,
-    image_quality,
-    range_quality,
-)
+from polhode.pipeline.checkout.image_quality import ImageQuality, RangeQuality, image_quality, range_quality
 from polhode.records.dataset import StereoSequence
 from polhode.runtime.processes import in_order
 from polhode.runtime.progress import Progress

@@ -129,9 +129,7 @@ def frame_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
             f"%.",
         ),
         make_check(
-            "gap",
-            float(dt[longest]) / usual,
-            f"{dt[longest]:.4g} s, {at:.4g} s after the first {noun[:-1]}.",
+            "gap", float(dt[longest]) / usual, f"{dt[longest]:.4g} s, {at:.4g} s after the first {noun[:-1]}."
         ),
     ]
 

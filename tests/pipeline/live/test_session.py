@@ -75,9 +75,7 @@ def test_a_state_does_not_depend_on_later_pairs(
                 np.testing.assert_array_equal(getattr(state, each.name), getattr(again, each.name))
 
 
-def test_the_states_follow_the_motion(
-    whole: tuple[list[LiveState], Path, tuple[str, ...]],
-) -> None:
+def test_the_states_follow_the_motion(whole: tuple[list[LiveState], Path, tuple[str, ...]]) -> None:
     states, run_folder, warnings = whole
     assert not warnings
     assert states[0].status == "searching" and not np.isfinite(np.diagonal(states[0].covariance)).any()
@@ -92,9 +90,7 @@ def test_the_states_follow_the_motion(
     assert known.any() and (np.abs(apart) < 4.0 * sigma).all() and np.linalg.norm(apart[known]) < 0.01
 
 
-def test_the_run_has_the_record_of_the_stream(
-    whole: tuple[list[LiveState], Path, tuple[str, ...]],
-) -> None:
+def test_the_run_has_the_record_of_the_stream(whole: tuple[list[LiveState], Path, tuple[str, ...]]) -> None:
     states, run_folder, _ = whole
     online = read_online(run_folder / "online.npz")
     assert isinstance(online, OnlineEstimate) and len(online.timestamps_ns) == len(states)
