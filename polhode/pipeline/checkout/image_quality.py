@@ -71,7 +71,8 @@ def image_quality(image: Image, given: Bools | None, surroundings: bool = False)
     crop = target_crop(mask, margin_px=0)
     if crop is None:
         return quality
-    part, inside = (each[crop.v0 : crop.v1, crop.u0 : crop.u1] for each in (image, mask))
+    part = image[crop.v0 : crop.v1, crop.u0 : crop.u1]
+    inside = mask[crop.v0 : crop.v1, crop.u0 : crop.u1]
     noise = noise_level(part, inside)
     width_px, by_direction_px = edge_widths(part, inside, noise)
     return replace(
@@ -128,8 +129,8 @@ def edge_widths(image: Image, inside: Bools, noise: float) -> tuple[float, tuple
     v, u = np.indices(size.shape).astype(np.float32)
     scale = np.maximum(size, 1e-6)
     for sign in (-1.0, 1.0):
-        beside = [(at + sign * g / scale).astype(np.float32) for at, g in ((u, gx), (v, gy))]
-        edge &= size >= cv2.remap(size, *beside, cv2.INTER_LINEAR)
+        u1, v1 = ((at + sign * g / scale).astype(np.float32) for at, g in ((u, gx), (v, gy)))
+        edge &= size >= cv2.remap(size, u1, v1, cv2.INTER_LINEAR)
     ratio = size[edge] / np.maximum(size_again[edge], 1e-6)
     width = REBLUR_PX / np.sqrt(np.maximum(ratio**2 - 1.0, 1e-2))
     angle = np.arctan2(gy[edge], gx[edge]) % np.pi

@@ -63,10 +63,10 @@ def rig_checks(
         each.rows if each.rows is not None and len(each.rows.offset_px) >= MIN_MATCHES else None
         for each in features
     ]
-    behind = [
+    behind = np.array([
         np.nan if rows is None else np.mean(rows.disparity_px < rig.disparity_offset_px) for rows in matches
-    ]
-    exchanged = np.flatnonzero(np.array(behind) > EXCHANGED_SHARE)
+    ])  # fmt: skip
+    exchanged = np.flatnonzero(behind > EXCHANGED_SHARE)
     checks = [
         make_check(
             "exchanged images",
