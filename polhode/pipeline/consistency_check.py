@@ -82,26 +82,15 @@ def _scatter_of_shared(
     tracks: StereoTracks, estimate: MotionEstimate, first_tracks: StereoTracks, first: MotionEstimate
 ) -> float:
     """Median image residual of the shared observations, relative to the first solution's; 1 if none is
-    shared."""
-    rows, first_rows = _match_rows(tracks, first_tracks)
-    if len(rows) == 0:
-        return 1.0
-    after, before = (
-        float(np.median(np.abs(r[:, :2])))
-        for r in (estimate.residuals_px[rows], first.residuals_px[first_rows])
+    shared. Their coordinates are equal to the last bit."""
+    keys, first_keys = (
+        list(zip(each.frame.tolist(), map(tuple, each.uvd_px.tolist()), strict=True))
+        for each in (tracks, first_tracks)
     )
+    row_of = {key: row for row, key in enumerate(first_keys)}
+    rows = [row for row, key in enumerate(keys) if key in row_of]
+    if not rows:
+        return 1.0
+    after = float(np.median(np.abs(estimate.residuals_px[rows][:, :2])))
+    before = float(np.median(np.abs(first.residuals_px[[row_of[keys[row]] for row in rows]][:, :2])))
     return after / max(before, 1e-9)
-
-
-def _match_rows(a: StereoTracks, b: StereoTracks) -> tuple[list[int], list[int]]:
-    """Rows of a and of b with the same observation: its coordinates are equal to the last bit."""
-    row_of = {
-        (frame, *uvd): row
-        for row, (frame, uvd) in enumerate(zip(b.frame.tolist(), b.uvd_px.tolist(), strict=True))
-    }
-    rows = [
-        (row, row_of.get((frame, *uvd)))
-        for row, (frame, uvd) in enumerate(zip(a.frame.tolist(), a.uvd_px.tolist(), strict=True))
-    ]
-    shared = [(row_a, row_b) for row_a, row_b in rows if row_b is not None]
-    return [row for row, _ in shared], [row for _, row in shared]

@@ -1,7 +1,7 @@
 """What every stage works with: the images, the configuration, progress for the user."""
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from polhode.config import Config
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.frontend.rectification import Image, Rectifier, make_rectifier
+from polhode.frontend.rectification import Rectifier, make_rectifier
 from polhode.frontend.segmentation import has_surroundings
 from polhode.frontend.tracks.tracks import Association, to_tracks
 from polhode.geometry.camera import RectifiedRig
@@ -68,7 +68,18 @@ class RunContext:
 
         Raises InputError: other numbers, or none.
         """
-        chosen = _ascending(frames, len(self.sequence))
+        numbers, count = np.asarray(frames), len(self.sequence)
+        if numbers.ndim != 1 or not numbers.size or not np.issubdtype(numbers.dtype, np.integer):
+            raise InputError("frames: give one or more whole numbers, as a list or an array (n,)")
+        outside = numbers[(numbers < 0) | (numbers >= count)]
+        if outside.size:
+            last = count - 1
+            raise InputError(f"frames: there is no frame {outside[0]}; the sequence has frames 0 to {last}")
+        back = np.flatnonzero(np.diff(numbers.astype(np.int64)) <= 0)
+        if back.size:
+            before, after = numbers[back[0]], numbers[back[0] + 1]
+            raise InputError(f"frames: {after} follows {before}; give each frame once, in ascending order")
+        chosen = numbers.astype(np.int64)
         found = self.rectifier.found
         rectifier = self.rectifier if found is None else replace(self.rectifier, found=found.part(chosen))
         return replace(self, sequence=self.sequence.part(chosen), rectifier=rectifier)
@@ -76,31 +87,10 @@ class RunContext:
     def tracks(self, features: Sequence[StereoFeatures], association: Association) -> StereoTracks:
         """The measurements of associated features, as the back end takes them."""
         sequence = self.sequence
-        tracks = to_tracks(
-            features,
-            association,
-            self.rig,
-            sequence.timestamps_ns,
-            self.X_NR,
-            self.config.frontend.tracks,
-            (sequence.sigma_camera_p_m, sequence.sigma_camera_theta_rad),
-        )
+        seen = self.rig, sequence.timestamps_ns, self.X_NR, self.config.frontend.tracks
+        sigmas = sequence.sigma_camera_p_m, sequence.sigma_camera_theta_rad
+        tracks = to_tracks(features, association, *seen, sigmas)
         return replace(tracks, X_BR=sequence.calibration.X_BC0 @ self.rectifier.X_CR, wrench=sequence.wrench)
-
-
-def _ascending(frames: Ints | Sequence[int], count: int) -> Ints:
-    """The numbers of frames (n,) as an array. Raises InputError unless they are 0 <= k < count, ascending."""
-    numbers = np.asarray(frames)
-    if numbers.ndim != 1 or not numbers.size or not np.issubdtype(numbers.dtype, np.integer):
-        raise InputError("frames: give one or more whole numbers, as a list or an array (n,)")
-    outside = numbers[(numbers < 0) | (numbers >= count)]
-    if outside.size:
-        raise InputError(f"frames: there is no frame {outside[0]}; the sequence has frames 0 to {count - 1}")
-    back = np.flatnonzero(np.diff(numbers.astype(np.int64)) <= 0)
-    if back.size:
-        before, after = numbers[back[0]], numbers[back[0] + 1]
-        raise InputError(f"frames: {after} follows {before}; give each frame once, in ascending order")
-    return numbers.astype(np.int64)
 
 
 def open_context(sequence_folder: Path, config: Config, progress: Progress) -> RunContext:
@@ -126,13 +116,7 @@ def open_context(sequence_folder: Path, config: Config, progress: Progress) -> R
 def rectifier_of(sequence: StereoSequence) -> Rectifier:
     """The rectifier of a sequence, which leaves dim surroundings out of masks. Raises InputError."""
     rectifier = make_rectifier(sequence.calibration)
-    surroundings = has_surroundings(_without_masks(sequence, rectifier), rectifier.borders[0])
-    return replace(rectifier, surroundings=surroundings)
-
-
-def _without_masks(sequence: StereoSequence, rectifier: Rectifier) -> Iterator[Image]:
-    """Rectified left images of some frames that come without a mask, spread over the sequence."""
-    for k in np.unique(np.linspace(0, len(sequence) - 1, SAMPLED_IMAGES).round().astype(int)).tolist():
-        image, mask = sequence.read_left(k)
-        if mask is None:
-            yield rectifier(image, 0)
+    sampled = np.unique(np.linspace(0, len(sequence) - 1, SAMPLED_IMAGES).round().astype(int)).tolist()
+    left = (sequence.read_left(k) for k in sampled)
+    images = (rectifier(image, 0) for image, mask in left if mask is None)
+    return replace(rectifier, surroundings=has_surroundings(images, rectifier.borders[0]))

@@ -1,7 +1,7 @@
 """Features of every frame, and the frames that match: without knowledge of the motion, or guided by it."""
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +25,7 @@ from polhode.frontend.matching.pairs import (
 )
 from polhode.frontend.rectification import RectifiedPair
 from polhode.frontend.tracks.tracks import join_matches
-from polhode.geometry.lie import Array, Ints
+from polhode.geometry.lie import Array, Bools, Ints
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.runner import stage
 from polhode.pipeline.streamed import Streamed
@@ -110,7 +110,7 @@ def match_features(
         left = streamed.untried(partners)
         matches = streamed.with_found(_match(context, features, left, config.frontend))
     _, matches = _of_the_body(context, features, partners, matches, config.frontend)
-    return Correspondences(features, _without_contradictions(context, matches))
+    return _without_contradictions(context, features, matches)
 
 
 def add_second_method(
@@ -135,7 +135,7 @@ def add_second_method(
         known, matches = _agreeing_with_motion(context, features, partners, matches, second, known, X_RG)
     both = combine_features(first.features, features)
     together = [*known, *offset_matches(matches, first.features)]
-    return Correspondences(both, _without_contradictions(context, sorted(together, key=lambda m: (m.i, m.j))))
+    return _without_contradictions(context, both, sorted(together, key=lambda m: (m.i, m.j)))
 
 
 def _extract(context: RunContext, frontend: Frontend) -> list[StereoFeatures]:
@@ -154,13 +154,17 @@ def features_in_turn(context: RunContext, frontend: Frontend) -> Iterator[Stereo
 
     Raises InputError at once: weights that extraction, matching or, later, depth need are missing or wrong.
     """
-    sequence, rectifier = context.sequence, context.rectifier
+    sequence, rectifier, stages = context.sequence, context.rectifier, context.stages
     require_weights(frontend)
     settings = _with_patch_size(context, frontend)
-    return context.stages.each(
+    # what the features of each pair depend on: its images, how they are rectified, the settings
+    alike = digest_of(replace(rectifier, found=None), settings.with_digests)
+    masks = {} if rectifier.found is None else rectifier.found.encoded
+    keys = [stages.key(alike, sequence.digest_of_pair(k), masks.get(k)) for k in range(len(sequence))]
+    return stages.each(
         "features",
         StereoFeatures,
-        _feature_keys(context, settings),
+        keys,
         lambda pairs: extract_features(sequence, rectifier, settings, context.workers, pairs),
     )
 
@@ -170,30 +174,6 @@ def _with_patch_size(context: RunContext, frontend: Frontend) -> Frontend:
     return with_patch_size(frontend.for_features, context.sequence, context.rectifier)
 
 
-def _feature_keys(context: RunContext, settings: Frontend) -> list[str]:
-    """What the features of each pair depend on: its images, how they are rectified, the settings."""
-    sequence, rectifier, stages = context.sequence, context.rectifier, context.stages
-    alike = digest_of(replace(rectifier, found=None), settings.with_digests)
-    masks = {} if rectifier.found is None else rectifier.found.encoded
-    return [stages.key(alike, sequence.digest_of_pair(k), masks.get(k)) for k in range(len(sequence))]
-
-
-def _match_keys(
-    context: RunContext,
-    features: Sequence[StereoFeatures],
-    partners: Sequence[Ints],
-    settings: Frontend,
-    hypotheses: int,
-) -> list[str]:
-    """What the matches of each frame depend on: its features and those of its partners."""
-    known = [digest_of(each) for each in features]
-    alike = digest_of(context.rig, settings.with_digests, context.config.seed, hypotheses)
-    return [
-        context.stages.key(alike, i, known[i], row, [known[j] for j in row.tolist()])
-        for i, row in enumerate(partners)
-    ]
-
-
 def _match(
     context: RunContext,
     features: Sequence[StereoFeatures],
@@ -201,17 +181,21 @@ def _match(
     frontend: Frontend,
     hypotheses: int = 1,
 ) -> list[PairMatch]:
-    seed, workers, settings = context.config.seed, context.workers, frontend.for_matching
+    rig, seed, workers, settings = context.rig, context.config.seed, context.workers, frontend.for_matching
+    # what the matches of each frame depend on: its features and those of its partners
+    known = [digest_of(each) for each in features]
+    alike = digest_of(rig, settings.with_digests, seed, hypotheses)
+    keys = [
+        context.stages.key(alike, i, known[i], row, [known[j] for j in row.tolist()])
+        for i, row in enumerate(partners)
+    ]
+
+    def compute(rows: list[int]) -> Iterable[list[PairMatch]]:
+        return match_rows(features, partners, rig, settings, seed, workers, rows, hypotheses)
+
     matches: list[PairMatch] = []
     with context.progress.stage("matching frames", len(features)) as advance:
-        for found in context.stages.each(
-            "matches",
-            list[PairMatch],
-            _match_keys(context, features, partners, settings, hypotheses),
-            lambda rows: match_rows(
-                features, partners, context.rig, settings, seed, workers, rows, hypotheses
-            ),
-        ):
+        for found in context.stages.each("matches", list[PairMatch], keys, compute):
             matches.extend(found)
             advance()
     pairs = {(match.i, match.j) for match in matches}
@@ -250,11 +234,7 @@ def _of_the_body(
     )
     if chosen is None:
         return unchanged
-    old, new = chosen[: len(first)], chosen[len(first) :]
-    return (
-        [match for match, good in zip(first, old, strict=True) if good],
-        [match for match, good in zip(several, new, strict=True) if good],
-    )
+    return _selected(first, chosen[: len(first)]), _selected(several, chosen[len(first) :])
 
 
 def _agreeing_with_motion(
@@ -286,14 +266,17 @@ def _agreeing_with_motion(
         *(100.0 * np.mean(off), len(nearest)),
     )
     agree = rotation_errors(relative_poses(first), X_RG) < MAX_DIFFERENCE_RAD
-    return (
-        [match for match, good in zip(first, agree, strict=True) if good],
-        [several[k] for k in sorted(nearest.values())],
-    )
+    return _selected(first, agree), [several[k] for k in sorted(nearest.values())]
 
 
-def _without_contradictions(context: RunContext, matches: Sequence[PairMatch]) -> list[PairMatch]:
+def _without_contradictions(
+    context: RunContext, features: Sequence[StereoFeatures], matches: Sequence[PairMatch]
+) -> Correspondences:
     """Without the matches that contradict others."""
     good = consistent_links(relative_poses(matches), context.time_s, context.X_NR[:, :3, :3])
     _log.info("%d of %d matched pairs contradict others and are dropped", np.sum(~good), len(matches))
+    return Correspondences(features, _selected(matches, good))
+
+
+def _selected(matches: Sequence[PairMatch], good: Bools) -> list[PairMatch]:
     return [match for match, kept in zip(matches, good, strict=True) if kept]

@@ -7,6 +7,7 @@ soon as the pair has come. It is stored as the pixels of the target's surroundin
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from polhode.frontend.extract import depth_of_pair, extract_depth
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.rectification import Crop, RectifiedPair, Rectifier, rectified_pair, target_crop
 from polhode.pipeline.context import RunContext
-from polhode.pipeline.runner import stage
+from polhode.pipeline.runner import MadeByPair, stage
 from polhode.pipeline.streamed import Streamed
 from polhode.records.dataset import StereoSequence
 from polhode.records.surface import DepthMap
@@ -79,7 +80,7 @@ class PackedDepth:
 
 
 @dataclass(frozen=True)
-class DepthMaps(Sequence[DepthMap]):
+class DepthMaps(MadeByPair):
     """Depth maps of all pairs of a run, in order; what is not stored is computed when it is asked for."""
 
     sequence: StereoSequence
@@ -99,7 +100,7 @@ class DepthMaps(Sequence[DepthMap]):
     def __iter__(self) -> Iterator[DepthMap]:
         return (packed.unpacked() for packed in self._packed(range(len(self))))
 
-    def __getitem__(self, k: int) -> DepthMap:  # type: ignore[override]
+    def __getitem__(self, k: Any) -> DepthMap:
         return next(self._packed([k])).unpacked()
 
     def jobs(self) -> Iterator[Callable[[RunContext], int]]:

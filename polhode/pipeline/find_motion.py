@@ -1,7 +1,7 @@
 """From correspondences to the motion: solve, match again with the motion found, keep what fits better."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -102,9 +102,27 @@ def initial_motion(context: RunContext, correspondences: Correspondences) -> Att
 @stage("backend", ["frontend", "backend.for_motion", "seed"])
 def first_motion(context: RunContext, correspondences: Correspondences, initial: Attempt) -> Attempt:
     """The motion with dynamics from the first feature method, matched again while that recovers frames."""
-    return (
-        initial if initial.initial is None else _solve_repeatedly(context, correspondences, initial.initial)
-    )
+    motion = initial.initial
+    if motion is None:
+        return initial
+    config, guided, features = context.config, context.config.frontend.guided, correspondences.features
+    matches = consistent_matches(correspondences.matches, features, motion, context.rig, CONSISTENCY_PX)
+    association, attempt = join_matches(features, matches), Attempt(motion)
+    for number in range(guided.rounds):
+        before = motion.connected
+        try:
+            relocated = reconnect(features, association, motion, context.rig, guided, config.seed)
+            association, motion = relocated.association, relocated.motion
+            tracks = context.tracks(features, association)
+            _log.info("round %d: %d of %d frames connected", number + 1, motion.connected.sum(), len(before))
+            if number > 0 and np.array_equal(motion.connected, before):
+                break
+            estimate = estimate_motion(tracks, motion, config.backend, progress=context.progress)
+        except RunFailure as error:
+            return replace(attempt, failure=str(error))
+        motion = InitialMotion(pose_RG(tracks, estimate), motion.connected)
+        attempt = Attempt(attempt.initial, SolvedTracks(association, motion, tracks, estimate))
+    return attempt
 
 
 @stage("frontend", ["frontend", "seed"], is_stored=False)
@@ -115,13 +133,19 @@ def second_correspondences(
 
     None: they are not needed, or the second method adds nothing.
     """
-    second, solved = context.config.frontend.second_method, attempt.solved
+    frontend, solved = context.config.frontend, attempt.solved
+    second = frontend.second_method
     if second is None or (solved is not None and attempt.failure):
         return None
     if solved is None:
         _log.info("%s; the second feature method is tried", attempt.failure)
-    elif not _has_too_few_observations(context, solved, first):
-        return None
+    elif solved.estimate.solver.converged:
+        has_features = np.array([len(features) > 0 for features in first.features])
+        observations = np.bincount(solved.tracks.frame, minlength=len(has_features))[has_features]
+        lost = np.sum(has_features & ~solved.motion.connected)
+        enough = np.median(observations) >= frontend.features.second_below
+        if enough and lost <= MAX_LOST_SHARE * np.sum(has_features):
+            return None
     try:
         both = add_second_method(context, first, second, None if solved is None else solved.motion.X_RG)
         if any(is_from_second(match, first.features) for match in both.matches):
@@ -160,28 +184,11 @@ def best_motion(
     return MotionSolution(solved.tracks, solved.estimate, first.links)
 
 
-def _has_too_few_observations(
-    context: RunContext, solved: SolvedTracks, correspondences: Correspondences
-) -> bool:
-    """Whether frames with features have few observations, or many of them no pose, or the solver did not
-    converge."""
-    if not solved.estimate.solver.converged:
-        return True
-    has_features = np.array([len(features) > 0 for features in correspondences.features])
-    observations = np.bincount(solved.tracks.frame, minlength=len(has_features))[has_features]
-    lost = np.sum(has_features & ~solved.motion.connected)
-    return bool(
-        np.median(observations) < context.config.frontend.features.second_below
-        or lost > MAX_LOST_SHARE * np.sum(has_features)
-    )
-
-
 def _solve_with_second_method(
     context: RunContext, first: SolvedTracks | None, both: Correspondences
 ) -> SolvedTracks | None:
     """The solution from both methods; None if it fits worse or connects fewer frames than the first one's."""
-    initial = initial_motion(context, both)
-    attempt = first_motion(context, both, initial)
+    attempt = first_motion(context, both, initial_motion(context, both))
     if attempt.solved is None:
         _log.info("with the second feature method: %s", attempt.failure)
         return None
@@ -198,42 +205,25 @@ def _solve_with_second_method(
     return None if fewer or contradicts else solved
 
 
-def _solve_repeatedly(
-    context: RunContext, correspondences: Correspondences, motion: InitialMotion
-) -> Attempt:
-    """Solve, match again with the solved motion, and repeat while lost frames are recovered."""
-    config, guided, features = context.config, context.config.frontend.guided, correspondences.features
-    matches = consistent_matches(correspondences.matches, features, motion, context.rig, CONSISTENCY_PX)
-    association, attempt = join_matches(features, matches), Attempt(motion)
-    for number in range(guided.rounds):
-        before = motion.connected
-        try:
-            relocated = reconnect(features, association, motion, context.rig, guided, config.seed)
-            association, motion = relocated.association, relocated.motion
-            tracks = context.tracks(features, association)
-            _log.info("round %d: %d of %d frames connected", number + 1, motion.connected.sum(), len(before))
-            if number > 0 and np.array_equal(motion.connected, before):
-                break
-            estimate = estimate_motion(tracks, motion, config.backend, progress=context.progress)
-        except RunFailure as error:
-            return replace(attempt, failure=str(error))
-        motion = InitialMotion(pose_RG(tracks, estimate), motion.connected)
-        attempt = Attempt(attempt.initial, SolvedTracks(association, motion, tracks, estimate))
-    return attempt
-
-
-ChangedTracks = tuple[Sequence[StereoFeatures], Association]
-RefinementStep = Callable[[RunContext, Sequence[StereoFeatures], SolvedTracks], ChangedTracks | None]
-
-
 def _refine(context: RunContext, features: Sequence[StereoFeatures], solved: SolvedTracks) -> SolvedTracks:
-    """Merge duplicate landmarks, then refine the tracks' positions; a step that fits worse is undone."""
-    steps: tuple[RefinementStep, ...] = (_merge_duplicate_landmarks, _refine_track_positions)
-    for step in steps:
-        changed = step(context, features, solved)
-        if changed is None:
+    """Merge duplicate landmarks, then align each landmark to the same surface point in every view, where the
+    surface is known; a step that fits worse is undone."""
+    frontend, shown = context.config.frontend, (context.sequence, context.rectifier)
+    for step in ("merge", "align"):
+        before, changed = solved.association, features
+        if step == "merge":
+            association = merge_duplicates(features, before, solved.motion, context.rig, frontend.guided)
+            n_merged = before.n_landmarks - association.n_landmarks
+            _log.info("%d of %d landmarks are duplicates and merged", n_merged, before.n_landmarks)
+            if n_merged == 0:
+                continue
+        elif any(seen.on_surface.any() for seen in features):
+            changed, association = refine_tracks(
+                *shown, features, before, solved.motion, frontend, context.workers
+            )
+        else:
             continue
-        tracks = context.tracks(*changed)
+        tracks = context.tracks(changed, association)
         try:
             estimate = estimate_motion(
                 tracks, solved.motion, context.config.backend, progress=context.progress
@@ -244,28 +234,7 @@ def _refine(context: RunContext, features: Sequence[StereoFeatures], solved: Sol
         if fits_worse(estimate, solved.estimate):
             _log.info("these tracks fit worse and are not used")
             continue
-        features, association = changed
+        features = changed
         motion = InitialMotion(pose_RG(tracks, estimate), solved.motion.connected)
         solved = SolvedTracks(association, motion, tracks, estimate)
     return solved
-
-
-def _merge_duplicate_landmarks(
-    context: RunContext, features: Sequence[StereoFeatures], solved: SolvedTracks
-) -> ChangedTracks | None:
-    """Merge landmarks that the motion shows to be the same point; None: there are none."""
-    before, guided = solved.association, context.config.frontend.guided
-    merged = merge_duplicates(features, before, solved.motion, context.rig, guided)
-    n_merged = before.n_landmarks - merged.n_landmarks
-    _log.info("%d of %d landmarks are duplicates and merged", n_merged, before.n_landmarks)
-    return (features, merged) if n_merged else None
-
-
-def _refine_track_positions(
-    context: RunContext, features: Sequence[StereoFeatures], solved: SolvedTracks
-) -> ChangedTracks | None:
-    """Align each landmark to the same surface point in every view; None: the surface is not known there."""
-    if not any(seen.on_surface.any() for seen in features):
-        return None
-    shown, config = (context.sequence, context.rectifier), context.config.frontend
-    return refine_tracks(*shown, features, solved.association, solved.motion, config, context.workers)

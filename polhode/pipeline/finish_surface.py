@@ -4,15 +4,15 @@ Every step is optional: if one fails, its result is left out with a warning, and
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import product
 from typing import TypeVar
 
 import numpy as np
 
 from polhode.frontend.rectification import rectified_left
-from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, transform_points
 from polhode.mapping.finishing.albedo import Colouring, divide_shading
 from polhode.mapping.finishing.detail_levels import DetailLevel, levels_of
@@ -41,10 +41,10 @@ _log = logging.getLogger(__name__)
 T = TypeVar("T")
 Sentences = tuple[str, ...]
 
-MAX_FRAMES = 60
-MAX_PIXELS = 40e6
-"""Of all frames that are used, together."""
-_MARGIN_PX = 6
+MAX_FRAMES, MAX_PIXELS = 60, 40e6
+"""Frames that are read again, and the pixels of all of them together."""
+MARGIN_PX = 6
+"""Around the target in them"""
 
 
 @dataclass(frozen=True)
@@ -97,14 +97,52 @@ def finish_surface(context: RunContext, fused: SurfaceModel, motion: MotionSolut
     return FinishedSurface(coloured.surface, levels[0], findings)
 
 
+def _attempt(what: str, step: Callable[[], T], otherwise: T) -> tuple[T, Sentences]:
+    """The result of an optional step; ``otherwise``, and a warning, if it fails."""
+    try:
+        return step(), ()
+    except (ValueError, ArithmeticError, LookupError, RuntimeError, TypeError, MemoryError) as error:
+        _log.warning("%s failed: %s", what, error, exc_info=_log.isEnabledFor(logging.DEBUG))
+        return otherwise, (f"{what} failed and was left out: {error}",)
+
+
 @stage("fusion", is_stored=False)
 def views_of_surface(context: RunContext, fused: SurfaceModel, motion: MotionSolution) -> Views:
     """Frames evenly spread over the run, each cropped to the target; none for an empty surface."""
     if len(fused.mesh.faces) == 0:
         return Views([], ())
-    X_RG = fused_poses(fused, motion)
-    none: list[FrameView] = []
+    X_RG, none = fused_poses(fused, motion), list[FrameView]()
     return Views(*_attempt("reading the images again", lambda: _views(context, fused, X_RG), none))
+
+
+def _views(context: RunContext, surface: SurfaceModel, X_RG: Array) -> list[FrameView]:
+    rig, R_NR, size = context.rig, context.X_NR[:, :3, :3], (context.rig.width_px, context.rig.height_px)
+    most = int(np.clip(MAX_PIXELS // (size[0] * size[1]), 8, MAX_FRAMES))
+    usable = np.flatnonzero(np.isfinite(X_RG).all(axis=(1, 2)))
+    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), most)).round().astype(int))]
+    corners, views = np.array(list(product(*np.transpose(surface.mesh.bounds)))), []
+    for k in chosen.tolist():
+        corners_R = transform_points(X_RG[k], corners)
+        if corners_R[:, 2].min() <= 1e-3:
+            continue
+        uv = rig.project(corners_R)[:, :2]
+        u0, v0 = np.maximum(np.floor(uv.min(axis=0)).astype(int) - MARGIN_PX, 0).tolist()
+        u1, v1 = np.minimum(np.ceil(uv.max(axis=0)).astype(int) + MARGIN_PX, size).tolist()
+        if min(u1 - u0, v1 - v0) <= 2:
+            continue
+        left, mask = rectified_left(context.sequence, context.rectifier, k)
+        views.append(
+            FrameView(
+                image=left[v0:v1, u0:u1].copy(),
+                silhouette=mask[v0:v1, u0:u1].copy(),
+                X_RG=X_RG[k],
+                R_NR=R_NR[k],
+                u0=u0,
+                v0=v0,
+                lit_above=light_level(left),
+            )
+        )
+    return views
 
 
 @stage("fusion", ["mapping.hole_share", "mapping.divide_shading", "seed"])
@@ -143,12 +181,10 @@ def colour_surface(context: RunContext, fused: SurfaceModel, views: Views) -> Co
 @stage("fusion", ["mapping.levels", "seed"])
 def lighter_meshes(context: RunContext, coloured: Coloured) -> tuple[list[DetailLevel], Sentences]:
     """One for each share of the faces, and the warning of a failure."""
-    config, none = context.config, list[DetailLevel]()
-    if len(coloured.surface.mesh.faces) == 0:
+    surface, config, none = coloured.surface, context.config, list[DetailLevel]()
+    if len(surface.mesh.faces) == 0:
         return none, ()
-    return _attempt(
-        "lighter meshes", lambda: levels_of(coloured.surface, config.mapping.levels, config.seed), none
-    )
+    return _attempt("lighter meshes", lambda: levels_of(surface, config.mapping.levels, config.seed), none)
 
 
 @stage("fusion")
@@ -186,95 +222,44 @@ def describe_shape(
     compared: tuple[Physics | None, Sentences],
 ) -> ShapeFindings:
     """What the summary says of the shape."""
-    coverage, levels, physics = covered[0], lighter[0], compared[0]
-    assumed, doubts = assumed_properties(motion.estimate.mass, coloured.surface, context.config.backend)
-    if len(coloured.surface.mesh.faces) == 0:
+    coverage, surface, mesh = covered[0], coloured.surface, coloured.surface.mesh
+    assumed, doubts = assumed_properties(motion.estimate.mass, surface, context.config.backend)
+    if len(mesh.faces) == 0:
         return ShapeFindings(assumed=assumed, warnings=tuple(doubts))
     failed = *views.warnings, *coloured.warnings, *covered[1], *lighter[1], *compared[1]
     warnings = *doubts, *failed, *(warnings_of(coverage) if coverage is not None else ())
-    return ShapeFindings(_describe(coloured, levels), coverage, physics, assumed, warnings)
-
-
-def _attempt(what: str, step: Callable[[], T], otherwise: T) -> tuple[T, Sentences]:
-    """The result of an optional step; ``otherwise``, and a warning, if it fails."""
-    try:
-        return step(), ()
-    except (ValueError, ArithmeticError, LookupError, RuntimeError, TypeError, MemoryError) as error:
-        _log.warning("%s failed: %s", what, error, exc_info=_log.isEnabledFor(logging.DEBUG))
-        return otherwise, (f"{what} failed and was left out: {error}",)
-
-
-def _views(context: RunContext, surface: SurfaceModel, X_RG: Array) -> list[FrameView]:
-    """Frames evenly spread over the run, each cropped to the target."""
-    rig, R_NR = context.rig, context.X_NR[:, :3, :3]
-    most = int(np.clip(MAX_PIXELS // (rig.width_px * rig.height_px), 8, MAX_FRAMES))
-    usable = np.flatnonzero(np.isfinite(X_RG).all(axis=(1, 2)))
-    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), most)).round().astype(int))]
-    low, high = surface.mesh.bounds
-    corners = np.array(
-        [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-    )
-    views = []
-    for k in chosen.tolist():
-        box = _box(transform_points(X_RG[k], corners), rig)
-        if box is None:
-            continue
-        left, mask = rectified_left(context.sequence, context.rectifier, k)
-        u0, u1, v0, v1 = box
-        views.append(
-            FrameView(
-                image=left[v0:v1, u0:u1].copy(),
-                silhouette=mask[v0:v1, u0:u1].copy(),
-                X_RG=X_RG[k],
-                R_NR=R_NR[k],
-                u0=u0,
-                v0=v0,
-                lit_above=light_level(left),
-            )
-        )
-    return views
-
-
-def _box(corners_R: Array, rig: RectifiedRig) -> tuple[int, int, int, int] | None:
-    """Columns u0..u1 and rows v0..v1 of the body's bounding box; None: out of view, or not all in front."""
-    if corners_R[:, 2].min() <= 1e-3:
-        return None
-    uv = rig.project(corners_R)[:, :2]
-    u0, v0 = np.maximum(np.floor(uv.min(axis=0)).astype(int) - _MARGIN_PX, 0)
-    u1, v1 = np.minimum(np.ceil(uv.max(axis=0)).astype(int) + _MARGIN_PX, (rig.width_px, rig.height_px))
-    return (int(u0), int(u1), int(v0), int(v1)) if u1 - u0 > 2 and v1 - v0 > 2 else None
-
-
-def _errors(surface: SurfaceModel) -> MeshErrors | None:
-    known = surface.sigma_m[np.isfinite(surface.sigma_m)]
-    if surface.errors is None or len(known) == 0:
-        return None
-    return MeshErrors(
-        sigma_median_m=float(np.median(known)),
-        noise_scale=surface.errors.scale,
-        landmarks=surface.errors.landmarks,
-        correlation=tuple(
-            MeshErrorShare(share=each.share, length_m=each.length_m if np.isfinite(each.length_m) else None)
-            for each in surface.errors.correlation
-        ),
-    )
-
-
-def _describe(coloured: Coloured, levels: Sequence[DetailLevel]) -> Mesh:
-    surface, light = coloured.surface, coloured.sun
-    mesh, invented = surface.mesh, surface.is_invented
-    sun = None
-    if light is not None:
+    sun = errors = None
+    if (light := coloured.sun) is not None:
         x, y, z = (float(part) for part in light.direction_N)
-        # Where the reflection law does not fit, its sigma is meaningless.
-        sigma = float(np.rad2deg(light.sigma_rad)) if coloured.divided else None
         sun = Sun(
             direction_N=(x, y, z),
-            sigma_deg=sigma,
+            # Where the reflection law does not fit, its sigma is meaningless.
+            sigma_deg=float(np.rad2deg(light.sigma_rad)) if coloured.divided else None,
             explained=light.explained,
             frames_in_light=int(light.sunny.sum()),
         )
-    return Mesh(
+    known = surface.sigma_m[np.isfinite(surface.sigma_m)]
+    if (found := surface.errors) is not None and len(known):
+        lengths = [(each.share, each.length_m) for each in found.correlation]
+        errors = MeshErrors(
+            sigma_median_m=float(np.median(known)),
+            noise_scale=found.scale,
+            landmarks=found.landmarks,
+            correlation=tuple(
+                MeshErrorShare(share=share, length_m=m if np.isfinite(m) else None) for share, m in lengths
+            ),
+        )
+    levels = tuple(
+        MeshLevel(
+            file=f"mesh_lod{n}.glb",
+            faces=len(level.surface.mesh.faces),
+            largest_distance_m=level.largest_m,
+            mean_distance_m=level.mean_m,
+        )
+        for n, level in enumerate(lighter[0], start=1)
+    )
+    invented, aligned = surface.is_invented, surface.aligned
+    described = Mesh(
         vertices=len(mesh.vertices),
         faces=len(mesh.faces),
         closed=bool(mesh.is_volume),
@@ -285,16 +270,9 @@ def _describe(coloured: Coloured, levels: Sequence[DetailLevel]) -> Mesh:
         colour="albedo" if coloured.divided else "intensity",
         grey_per_albedo=coloured.grey_per_albedo,
         sun=sun,
-        frames_doubtful=0 if surface.aligned is None else surface.aligned.doubtful,
-        frames_aligned=0 if surface.aligned is None else len(surface.aligned.frames),
-        errors=_errors(surface),
-        levels=tuple(
-            MeshLevel(
-                file=f"mesh_lod{n}.glb",
-                faces=len(level.surface.mesh.faces),
-                largest_distance_m=level.largest_m,
-                mean_distance_m=level.mean_m,
-            )
-            for n, level in enumerate(levels, start=1)
-        ),
+        frames_doubtful=0 if aligned is None else aligned.doubtful,
+        frames_aligned=0 if aligned is None else len(aligned.frames),
+        errors=errors,
+        levels=levels,
     )
+    return ShapeFindings(described, coverage, compared[0], assumed, warnings)

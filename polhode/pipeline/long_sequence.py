@@ -18,13 +18,13 @@ from polhode.backend.between import first_states, smooth_between
 from polhode.backend.initialization.multistart import KnownMotion
 from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.geometry.lie import Array, Ints, inverse_pose
+from polhode.geometry.lie import Ints, inverse_pose
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.correspondences import features_in_turn
 from polhode.pipeline.find_motion import MotionSolution
 from polhode.pipeline.runner import stage
 from polhode.pipeline.stream.stream import CameraMotion, Extracted, Stream
-from polhode.pipeline.streamed import Observations, Streamed
+from polhode.pipeline.streamed import Streamed
 from polhode.records.estimate import InitialMotion, OnlineEstimate
 from polhode.records.tracks import RelativePoses, StereoTracks
 from polhode.runtime.errors import RunFailure
@@ -34,9 +34,8 @@ MIN_KEY_VIEWS = 2
 """Key frames that see a landmark of the map"""
 MIN_OBSERVATIONS = 8
 """Of landmarks that other key frames see: with fewer, a frame is no key frame."""
-NO_LINKS = RelativePoses(
-    np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 4, 4)), np.zeros(0, dtype=np.int64)
-)
+NONE = np.zeros(0, dtype=np.int64)
+NO_LINKS = RelativePoses(NONE, NONE, np.zeros((0, 4, 4)), NONE)
 """The tracks of a stream connect the frames of a long sequence."""
 _log = logging.getLogger(__name__)
 
@@ -87,7 +86,10 @@ def solve_long(context: RunContext, streamed: Streamed) -> LongSolution:
     """Key frames, then all frames. Raises RunFailure when no consistent motion is found."""
     config, times_ns = context.config, context.sequence.timestamps_ns
     tracks = _tracks(context, streamed)
-    keys, features = _key_frames(tracks, streamed)
+    # those whose poses the window found
+    seen, every = np.bincount(tracks.frame, minlength=tracks.n_frames), streamed.key_frames
+    good = np.flatnonzero((every >= streamed.found_from) & (seen[every] >= MIN_OBSERVATIONS))
+    keys, features = every[good], [streamed.features[n] for n in good.tolist()]
     if len(keys) < MIN_KEY_FRAMES:
         raise RunFailure(f"no consistent motion: only {len(keys)} key frames share landmarks with others")
     _log.info("%d of %d frames are key frames", len(keys), len(times_ns))
@@ -112,31 +114,23 @@ def _tracks(context: RunContext, streamed: Streamed) -> StereoTracks:
     used = np.flatnonzero(views[label] >= MIN_KEY_VIEWS)
     landmark = np.unique(label[used], return_inverse=True)[1].reshape(-1)
 
-    def values(name: str) -> Array:
-        parts: Sequence[Observations] = streamed.observations
-        return np.concatenate([getattr(seen, name) for seen in parts])[used].astype(np.float64)
-
+    uvd_px, sigma_px = (
+        np.concatenate([getattr(seen, name) for seen in streamed.observations])[used].astype(np.float64)
+        for name in ("uvd_px", "sigma_px")
+    )
     return StereoTracks(
         rig=context.rig,
         timestamps_ns=sequence.timestamps_ns,
         X_NR=context.X_NR,
         frame=frame[used].astype(np.int64),
         landmark=landmark.astype(np.int64),
-        uvd_px=values("uvd_px"),
-        sigma_px=values("sigma_px"),
+        uvd_px=uvd_px,
+        sigma_px=sigma_px,
         sigma_camera_p_m=sequence.sigma_camera_p_m,
         sigma_camera_theta_rad=sequence.sigma_camera_theta_rad,
         X_BR=sequence.calibration.X_BC0 @ context.rectifier.X_CR,
         wrench=sequence.wrench,
     )
-
-
-def _key_frames(tracks: StereoTracks, streamed: Streamed) -> tuple[Ints, list[StereoFeatures]]:
-    """Key frames (K,) whose poses the window found, and their features."""
-    seen = np.bincount(tracks.frame, minlength=tracks.n_frames)
-    keys = streamed.key_frames
-    good = np.flatnonzero((keys >= streamed.found_from) & (seen[keys] >= MIN_OBSERVATIONS))
-    return keys[good], [streamed.features[n] for n in good.tolist()]
 
 
 def _solve_keys(

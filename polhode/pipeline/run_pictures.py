@@ -4,7 +4,7 @@ None of them is a result: if one cannot be made, it is left out with a warning.
 """
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -36,9 +36,6 @@ from polhode.runtime.progress import Advance
 
 STILLS = 4
 """Frames of the animation that the report shows."""
-MODEL_HEADER = "frame,timestamp_ns,measured,iou,covered,rms_grey,gain,offset_grey,sunlit"
-"""Of model.csv; a missing value is nan."""
-
 INLIER_BGR = (233, 180, 86)
 OUTLIER_BGR = (0, 94, 213)
 """Sky blue and vermillion of Okabe and Ito, which colour-blind readers tell apart"""
@@ -117,21 +114,18 @@ def _animate(
             if number in still:
                 stills[f"model_{comparison.frame:04d}.jpg"] = picture, caption(comparison)
             advance()
-    write_text(target / "model.csv", _table(rows, tracks, sunlit))
+    # a missing value is nan
+    lines = ["frame,timestamp_ns,measured,iou,covered,rms_grey,gain,offset_grey,sunlit"]
+    for each in rows:
+        start = f"{each.frame},{tracks.timestamps_ns[each.frame]},{int(each.measured)}"
+        numbers = (each.overlap, each.covered, each.rms_grey, each.gain, each.offset)
+        lines.append(",".join([start, *(f"{number:.4f}" for number in numbers), str(int(sunlit))]))
+    write_text(target / "model.csv", "\n".join(lines) + "\n")
     for name, (picture, words) in stills.items():
         write_picture(folder, name, jpeg(picture[..., ::-1]), words)
     overlap = [each.overlap for each in rows if np.isfinite(each.overlap)]
     if overlap:
         _log.info("silhouettes of model and image overlap by %.2f (median)", float(np.median(overlap)))
-
-
-def _table(rows: Sequence[FrameComparison], tracks: StereoTracks, sunlit: bool) -> str:
-    lines = [MODEL_HEADER]
-    for each in rows:
-        numbers = (each.overlap, each.covered, each.rms_grey, each.gain, each.offset)
-        start = f"{each.frame},{tracks.timestamps_ns[each.frame]},{int(each.measured)}"
-        lines.append(",".join([start, *(f"{number:.4f}" for number in numbers), str(int(sunlit))]))
-    return "\n".join(lines) + "\n"
 
 
 @contextmanager
@@ -158,16 +152,12 @@ def track_pictures(
         inlier = estimate.inlier_weight[here] > 0.5
         counts = f"{int(inlier.sum())} inliers (blue), {int((~inlier).sum())} outliers (orange)"
         words = f"frame {k}, {float(tracks.time_s[k]):.1f} s: {counts}"
-        pictures[words] = _draw(left, crop, tracks.uvd_px[here, :2], inlier)
+        patch = left[crop.v0 : crop.v1, crop.u0 : crop.u1]
+        zoom = SIDE_PX / max(patch.shape)
+        size = (round(patch.shape[1] * zoom), round(patch.shape[0] * zoom))
+        canvas = cv2.cvtColor(cv2.resize(patch, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR)
+        places = ((tracks.uvd_px[here, :2] - [crop.u0, crop.v0] + 0.5) * zoom).round().astype(int)
+        for place, good in zip(places.tolist(), inlier.tolist(), strict=True):
+            cv2.circle(canvas, place, 2, INLIER_BGR if good else OUTLIER_BGR, -1, cv2.LINE_AA)
+        pictures[words] = jpeg(np.asarray(canvas, dtype=np.uint8))
     return pictures
-
-
-def _draw(image: np.ndarray, crop: Crop, uv_px: Array, inlier: np.ndarray) -> bytes:
-    patch = image[crop.v0 : crop.v1, crop.u0 : crop.u1]
-    zoom = SIDE_PX / max(patch.shape)
-    size = (round(patch.shape[1] * zoom), round(patch.shape[0] * zoom))
-    canvas = cv2.cvtColor(cv2.resize(patch, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR)
-    places = ((uv_px - [crop.u0, crop.v0] + 0.5) * zoom).round().astype(int)
-    for place, good in zip(places.tolist(), inlier.tolist(), strict=True):
-        cv2.circle(canvas, place, 2, INLIER_BGR if good else OUTLIER_BGR, -1, cv2.LINE_AA)
-    return jpeg(np.asarray(canvas, dtype=np.uint8))

@@ -57,27 +57,20 @@ def report_run(
 
 
 def _result_of(summary: Summary, estimate: MotionEstimate, written: RunFolder) -> RunResult:
-    report = written.published / "report.html"
-    failure = summary.warnings[0] if summary.status == "failed" else None
-    place = report if report.is_file() else written.published
-    return RunResult(summary.status, place, _sentence(summary, estimate), failure, written.note)
-
-
-def _sentence(summary: Summary, estimate: MotionEstimate) -> str:
-    """The result in one line."""
     rate_rpm = float(np.median(np.linalg.norm(estimate.w_P, axis=1))) * 30.0 / np.pi
-    known, bounded = estimate.mass.identifiable, summary.intervals
-    ratios = []
-    for name, value, variance, determined in (
-        ("k1", estimate.mass.k1, estimate.mass.cov_k[0, 0], known.k1),
-        ("k2", estimate.mass.k2, estimate.mass.cov_k[1, 1], known.k2),
-    ):
-        spread = f"{value:.4f} +- {np.sqrt(variance):.4f}" if determined else "not determined by this motion"
-        interval = None if determined or bounded is None else getattr(bounded, name)
-        if interval is not None:
-            spread += f" (from {interval[0]:.2f} to {interval[1]:.2f} is possible)"
-        ratios.append(f"{name} {spread}")
-    return (
+    mass, bounded, ratios = estimate.mass, summary.intervals, []
+    for n, name in enumerate(("k1", "k2")):
+        if getattr(mass.identifiable, name):
+            ratios.append(f"{name} {getattr(mass, name):.4f} +- {np.sqrt(mass.cov_k[n, n]):.4f}")
+            continue
+        ratios.append(f"{name} not determined by this motion")
+        if bounded is not None and (interval := getattr(bounded, name)) is not None:
+            ratios[-1] += f" (from {interval[0]:.2f} to {interval[1]:.2f} is possible)"
+    sentence = (
         f"{summary.frames_used} of {summary.frames} frames: the target rotates at {rate_rpm:.2f} RPM; "
         f"{', '.join(ratios)}; {summary.landmarks} landmarks"
     )
+    report = written.published / "report.html"
+    failure = summary.warnings[0] if summary.status == "failed" else None
+    place = report if report.is_file() else written.published
+    return RunResult(summary.status, place, sentence, failure, written.note)

@@ -10,25 +10,17 @@ this process has nothing else to do is done here.
 import logging
 import logging.handlers
 import threading
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import partial, update_wrapper
+from operator import attrgetter
 from pathlib import Path
 from time import perf_counter
 from types import SimpleNamespace
-from typing import (
-    Any,
-    Concatenate,
-    Generic,
-    ParamSpec,
-    Protocol,
-    TypeVar,
-    cast,
-    get_type_hints,
-    runtime_checkable,
-)
+from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, cast, get_type_hints
 
 from polhode.config import Config
 from polhode.files.record_files import digest_of, normal
@@ -86,6 +78,8 @@ class Stage(Generic[P, T]):
         update_wrapper(self, make)
         self.make, self.clock, self.sees = make, clock, tuple(sees)
         self.is_stored, self.writes = is_stored, writes
+        self.name = make.__name__
+        """Of the function, and of the folder of stored results"""
 
     def __call__(self, context: RunContext, *inputs: P.args, **named: P.kwargs) -> T:
         """The result as a run passes it on: the same whether it is computed or read."""
@@ -96,14 +90,13 @@ class Stage(Generic[P, T]):
         return self.make.__qualname__
 
     @property
-    def name(self) -> str:
-        """Of the function, and of the folder of stored results."""
-        return self.make.__name__
-
-    @property
     def kind(self) -> type[T]:
         """Type of the result, from the annotation of the function."""
         return cast(type[T], get_type_hints(self.make)["return"])
+
+    def settings(self, config: Config) -> list[tuple[str, Any]]:
+        """The settings that the stage declares, by name."""
+        return [(name, attrgetter(name)(config)) for name in self.sees]
 
     def seen(self, context: RunContext) -> RunContext:
         """The context without the settings that the stage does not declare."""
@@ -111,19 +104,11 @@ class Stage(Generic[P, T]):
         for name, value in self.settings(context.config):
             section, _, part = name.partition(".")
             if part and not part.startswith("for_"):
-                value, part_of = getattr(config, section, SimpleNamespace()), {part: value}
-                vars(value).update(part_of)
-            setattr(config, section, value)
+                vars(config).setdefault(section, SimpleNamespace())
+                setattr(getattr(config, section), part, value)
+            else:
+                setattr(config, section, value)
         return replace(context, config=cast(Config, config))
-
-    def settings(self, config: Config) -> list[tuple[str, Any]]:
-        """The settings that the stage declares, by name."""
-        found = []
-        for name in self.sees:
-            section, _, part = name.partition(".")
-            whole = getattr(config, section)
-            found.append((name, getattr(whole, part) if part else whole))
-        return found
 
 
 def stage(
@@ -137,36 +122,52 @@ def stage(
     return lambda make: Stage(make, clock, sees, is_stored and not writes, writes)
 
 
-@runtime_checkable
-class MadeByPair(Protocol):
+class MadeByPair(Sequence[Any]):
     """A result that is complete when its items, one for each pair, have been asked for."""
 
     max_stored_bytes: int
     """Of all items"""
 
-    def __len__(self) -> int: ...
-
-    def __iter__(self) -> Iterator[Any]: ...
-
-    def __getitem__(self, k: int) -> Any: ...
-
+    @abstractmethod
     def jobs(self) -> Iterator[Job]:
         """What makes the missing items and stores them, each returning the bytes of its file."""
-        ...
+
+
+class _Counted(Sequence[Any]):
+    """A result made by pair; the time until an item is there counts for the stage whose result it is."""
+
+    def __init__(self, items: MadeByPair, clock: Callable[[], Any]) -> None:
+        self.items, self.clock = items, clock
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def __getitem__(self, k: Any) -> Any:
+        with self.clock():
+            return self.items[k]
+
+    def __iter__(self) -> Iterator[Any]:
+        items = iter(self.items)
+        for _ in range(len(self.items)):
+            with self.clock():
+                item = next(items)
+            yield item
 
 
 class Result(Generic[T]):
     """Of a stage in a run, there or not yet."""
 
-    def __init__(self, made_by: Stage[..., T], inputs: Sequence[Any], key: str) -> None:
+    def __init__(
+        self, made_by: Stage[..., T], inputs: Sequence[Any], key: str, found: T | None = None
+    ) -> None:
         self.stage, self.inputs, self.key = made_by, inputs, key
         self.before = [each for each in inputs if isinstance(each, Result)]
         self.length: int = 1 + max((each.length for each in self.before), default=0)
         """Stages of the longest chain that ends here"""
-        self.is_begun = self.is_done = False
+        self.is_begun = self.is_done = found is not None
         self.is_used = self.is_complete = False
         """Whether this process has begun to ask for the items of a result made by pair, and has them all"""
-        self.value = cast(T, None)
+        self.value = cast(T, found)
         """Once it is done"""
 
     @property
@@ -197,32 +198,32 @@ class Runner:
             known = [each.key if isinstance(each, Result) else each for each in inputs]
             known = [each for each in known if not isinstance(each, Path)]
             key = store.key(made_by.name, settings, weights, self._images, known)
-        result = Result(made_by, inputs, key)
-        if made_by.is_stored and store.has(made_by.name, key):
-            found = store.find(made_by.name, key, made_by.kind)
-            if found is not None:
-                result.value, result.is_begun, result.is_done = found, True, True
+        is_there = made_by.is_stored and store.has(made_by.name, key)
+        found = store.find(made_by.name, key, made_by.kind) if is_there else None
+        result = Result(made_by, inputs, key, found)
         self._results.append(result)
-        return result
-
-    def given(self, value: T) -> Result[T]:
-        """A record that is there as a result."""
-        key = digest_of(value) if self.context.stages.folder is not None else ""
-        result: Result[T] = Result(_given, (), key)
-        result.value, result.is_begun, result.is_done = value, True, True
         return result
 
     def parts(self, made_by: Stage[..., Any], *inputs: object) -> list[Result[Any]]:
         """The fields of a stage's result, which is computed now."""
-        value = self.value(self(made_by, *inputs))
-        return [self.given(getattr(value, each.name)) for each in fields(value)]
+        value, found = self.value(self(made_by, *inputs)), []
+        for each in fields(value):
+            part = getattr(value, each.name)
+            key = digest_of(part) if self.context.stages.folder is not None else ""
+            found.append(Result[Any](made_by, (), key, part))
+        return found
 
     def value(self, result: Result[T]) -> T:
         """The result, which is computed here if it is not there yet."""
         if not result.is_done:
             result.is_begun = True
-            inputs = [self._counted(each) for each in result.inputs]
-            made_by = result.stage
+            inputs, made_by = [], result.stage
+            for given in result.inputs:
+                value = self.value(given) if isinstance(given, Result) else given
+                if isinstance(value, MadeByPair):
+                    # the time until an item of it is made is not this stage's
+                    given.is_used, value = True, _Counted(value, partial(self.clock, given.stage.clock))
+                inputs.append(value)
             with self.clock(made_by.clock):
                 found = made_by(made_by.seen(self.context), *inputs)
             self._settle(result, found)
@@ -250,16 +251,6 @@ class Runner:
                 while (result := self._next_here(None)) is not None:
                     self.value(result)
                     advance()
-
-    def _counted(self, given: Any) -> Any:
-        """An input of a stage of this process; the time until an item of it is made is not the stage's."""
-        if not isinstance(given, Result):
-            return given
-        value = self.value(given)
-        if not isinstance(value, MadeByPair):
-            return value
-        given.is_used = True
-        return _Counted(value, partial(self.clock, given.stage.clock))
 
     def _settle(self, result: Result[T], value: T) -> None:
         made_by = result.stage
@@ -365,33 +356,6 @@ class Runner:
                     else:
                         self._failure = error
                     self._changed.notify_all()
-
-
-@stage("", is_stored=False)
-def _given(context: RunContext) -> Any:
-    raise NotImplementedError
-
-
-@dataclass(frozen=True)
-class _Counted:
-    """A result made by pair; the time until an item is there counts for the stage whose result it is."""
-
-    items: MadeByPair
-    clock: Callable[[], Any]
-
-    def __len__(self) -> int:
-        return len(self.items)
-
-    def __getitem__(self, k: int) -> Any:
-        with self.clock():
-            return self.items[k]
-
-    def __iter__(self) -> Iterator[Any]:
-        items = iter(self.items)
-        for _ in range(len(self.items)):
-            with self.clock():
-                item = next(items)
-            yield item
 
 
 def _make(made_by: Stage[..., Any], inputs: Sequence[Any], context: RunContext) -> Any:

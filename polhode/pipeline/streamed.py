@@ -30,9 +30,7 @@ class Observations:
 def observations_of(features: StereoFeatures, landmark: Ints) -> Observations:
     """The observations that a frame's features (m) with their landmarks (m,) are."""
     return Observations(
-        landmark.astype(np.int32),
-        features.uvd_px.astype(np.float32),
-        features.sigma_px.astype(np.float32),
+        landmark.astype(np.int32), features.uvd_px.astype(np.float32), features.sigma_px.astype(np.float32)
     )
 
 

@@ -4,7 +4,7 @@ The user gives the mass or a density. The volume and the uniform inertia are tho
 convex hull where the mesh is open. The inertia that the motion determines up to scale is scaled by them.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import trimesh
@@ -20,58 +20,6 @@ from polhode.records.estimate import MassProperties
 from polhode.records.surface import SurfaceModel
 from polhode.run_directory.summary_schema import Assumed, Physics
 
-
-def assumed_properties(
-    mass: MassProperties, surface: SurfaceModel, config: Backend
-) -> tuple[Assumed | None, list[str]]:
-    """The assumed part of the summary, and warnings; (None, []) when neither mass nor density is given."""
-    if config.mass_kg is None and config.density_kg_m3 is None:
-        return None, []
-    solid, reason = solid_of(surface.mesh)
-    if solid is None:
-        return None, [f"nothing is assumed from the given mass or density: {reason}"]
-    if config.mass_kg is not None:
-        kilograms, density = config.mass_kg, config.mass_kg / solid.volume_m3
-        source = f"mass {kilograms:.6g} kg as given (backend.mass_kg)"
-    else:
-        assert config.density_kg_m3 is not None
-        density, kilograms = config.density_kg_m3, config.density_kg_m3 * solid.volume_m3
-        source = f"mass {kilograms:.4g} kg: density {density:.6g} kg/m^3 as given (backend.density_kg_m3)"
-    known, uniform = mass.identifiable, density * solid.inertia
-    shape_known = known.k1 and known.k2 and known.axes
-    # the same trace: the sum of the mean square distances does not depend on the axes
-    scale = np.trace(uniform) / np.trace(mass.J_G)
-    inertia = scale * mass.J_G if shape_known else uniform
-    words = [solid.words, source]
-    words.append(
-        "inertia: ratios and axes as the motion determines them, scaled to the trace of uniform density"
-        if shape_known
-        else "inertia: uniform density, as the motion does not determine all ratios and axes"
-    )
-    moments, R_GP = principal_axes(uniform)
-    for name, determined in (("k1", known.k1), ("k2", known.k2), ("axes", known.axes), ("com", known.com)):
-        if not determined:
-            words.append(f"{name}: uniform density, as the motion does not determine it")
-    found = {
-        "words": words,
-        "volume_m3": solid.volume_m3,
-        "density_kg_m3": density,
-        "mass_kg": kilograms,
-        "inertia_kg_m2": inertia,
-        "com_G": None if known.com else _complete_com(mass, solid),
-        "k1": None if known.k1 else float(np.log(moments[0] / moments[1])),
-        "k2": None if known.k2 else float(np.log(moments[1] / moments[2])),
-        "R_GP": None if known.axes else R_GP,
-    }
-    return Assumed.model_validate(found), []
-
-
-def _complete_com(mass: MassProperties, solid: Solid) -> Array:
-    """The estimate, its undetermined components along the principal axes taken from the solid."""
-    lost = mass.R_GP[:, ~mass.identifiable.com_P]
-    return np.asarray(mass.com_G + lost @ (lost.T @ (solid.com_G - mass.com_G)))
-
-
 CLEAR_SIGMAS = 3.0
 """A difference is significant above this number of standard deviations."""
 MIN_LOG_RATIO = 0.03
@@ -82,8 +30,54 @@ MIN_LIDDED_SHARE = 0.3
 """The volume of an open mesh is unknown if, its openings closed flat, it is a smaller share of its hull."""
 
 
-@dataclass(frozen=True)
-class _Axes:
+def assumed_properties(
+    mass: MassProperties, surface: SurfaceModel, config: Backend
+) -> tuple[Assumed | None, list[str]]:
+    """The assumed part of the summary, and warnings; (None, []) when neither mass nor density is given."""
+    kilograms, density = config.mass_kg, config.density_kg_m3
+    if kilograms is None and density is None:
+        return None, []
+    solid, reason = solid_of(surface.mesh)
+    if solid is None:
+        return None, [f"nothing is assumed from the given mass or density: {reason}"]
+    if kilograms is not None:
+        density = kilograms / solid.volume_m3
+        source = f"mass {kilograms:.6g} kg as given (backend.mass_kg)"
+    else:
+        assert density is not None
+        kilograms = density * solid.volume_m3
+        source = f"mass {kilograms:.4g} kg: density {density:.6g} kg/m^3 as given (backend.density_kg_m3)"
+    known, uniform = mass.identifiable, density * solid.inertia
+    inertia, words = uniform, [solid.words, source]
+    if known.k1 and known.k2 and known.axes:
+        # the same trace: the sum of the mean square distances does not depend on the axes
+        inertia = np.trace(uniform) / np.trace(mass.J_G) * mass.J_G
+        words.append(
+            "inertia: ratios and axes as the motion determines them, scaled to the trace of uniform density"
+        )
+    else:
+        words.append("inertia: uniform density, as the motion does not determine all ratios and axes")
+    for name in ("k1", "k2", "axes", "com"):
+        if not getattr(known, name):
+            words.append(f"{name}: uniform density, as the motion does not determine it")
+    moments, R_GP = principal_axes(uniform)
+    # the estimate, its undetermined components along the principal axes taken from the solid
+    lost = mass.R_GP[:, ~known.com_P]
+    found = {
+        "words": words,
+        "volume_m3": solid.volume_m3,
+        "density_kg_m3": density,
+        "mass_kg": kilograms,
+        "inertia_kg_m2": inertia,
+        "com_G": None if known.com else mass.com_G + lost @ (lost.T @ (solid.com_G - mass.com_G)),
+        "k1": None if known.k1 else float(np.log(moments[0] / moments[1])),
+        "k2": None if known.k2 else float(np.log(moments[1] / moments[2])),
+        "R_GP": None if known.axes else R_GP,
+    }
+    return Assumed.model_validate(found), []
+
+
+class _Axes(NamedTuple):
     """The principal axes that can be compared, and the angle between them."""
 
     words: str
@@ -96,40 +90,43 @@ def check_physics(
     mass: MassProperties, surface: SurfaceModel, caster: Caster | None = None
 ) -> Physics | None:
     """Compare; None where the surface has no volume. ``caster``: of its mesh, if there is one already."""
-    mesh = surface.mesh
+    mesh, known = surface.mesh, mass.identifiable
     solid, _ = solid_of(mesh, caster)
     if solid is None:
         return None
     _, R_GP = principal_axes(solid.inertia)
-    k, known = _ratios(solid), mass.identifiable
+    k = _ratios(solid)
     other = solid if mesh.is_volume else _close_openings(mesh)
     words = [f"compared with uniform density in the {solid.words}"]
-    clear = other.volume_m3 > MIN_LIDDED_SHARE * solid.volume_m3
-    offset_G = _com_offset(mass, solid.com_G) if clear and known.com_P.any() else None
-    about = known.axes_P & np.array([k[1] > MIN_LOG_RATIO, k[0] + k[1] > MIN_LOG_RATIO, k[0] > MIN_LOG_RATIO])
-    axes = _between(mass.R_GP, R_GP, about) if clear else None
-    differences = [
-        value - uniform if flag and clear else None
-        for value, uniform, flag in zip((mass.k1, mass.k2), k, (known.k1, known.k2), strict=True)
-    ]
-    if not clear:
+    offset_G = com_sigma_m = angle_deg = axes_sigma_deg = None
+    differences: list[float | None] = [None, None]
+    if other.volume_m3 <= MIN_LIDDED_SHARE * solid.volume_m3:
         words.append("the hull is too far from the open mesh to compare the motion's mass properties with it")
-    com_sigma_m = axes_sigma_rad = None
-    if offset_G is not None:
-        com_sigma_m = _com_sigma_m(mass, offset_G)
-        least_m = max(
-            MESH_SHARE * float(np.linalg.norm(mesh.extents)),
-            float(np.linalg.norm(solid.com_G - other.com_G)),
-        )
-        words.append(_com_words(mass, offset_G, com_sigma_m, least_m, bool(mesh.is_volume)))
-    if axes is not None:
-        axes_sigma_rad = _sigma_along(mass.cov_R_GP, axes.about_P)
-        closing = _between(R_GP, principal_axes(other.inertia)[1], about)
-        least_deg = max(MESH_DEG, float(np.rad2deg(closing.angle_rad)) if closing is not None else np.inf)
-        words += _axes_words(axes, axes_sigma_rad, least_deg)
-    words += _ratio_words(
-        mass, differences, k, max(MESH_K, float(np.abs(np.subtract(k, _ratios(other))).max()))
-    )
+    else:
+        if known.com_P.any():
+            # estimate minus uniform, what the motion does not determine left out
+            axes_G = mass.R_GP[:, known.com_P]
+            offset_G = axes_G @ (axes_G.T @ (mass.com_G - solid.com_G))
+            com_sigma_m = _com_sigma_m(mass, offset_G)
+            size_m = float(np.linalg.norm(mesh.extents))
+            volume_m = max(MESH_SHARE * size_m, float(np.linalg.norm(solid.com_G - other.com_G)))
+            words.append(_com_words(mass, offset_G, com_sigma_m, volume_m, bool(mesh.is_volume)))
+        distinct = np.array([k[1] > MIN_LOG_RATIO, k[0] + k[1] > MIN_LOG_RATIO, k[0] > MIN_LOG_RATIO])
+        about = known.axes_P & distinct
+        if (axes := _between(mass.R_GP, R_GP, about)) is not None:
+            angle_deg = np.rad2deg(axes.angle_rad)
+            axes_sigma_deg = np.rad2deg(_sigma_along(mass.cov_R_GP, axes.about_P))
+            closing = _between(R_GP, principal_axes(other.inertia)[1], about)
+            volume_deg = max(
+                MESH_DEG, float(np.rad2deg(closing.angle_rad)) if closing is not None else np.inf
+            )
+            words += _axes_words(axes, axes_sigma_deg, volume_deg)
+        volume_k = max(MESH_K, float(np.abs(np.subtract(k, _ratios(other))).max()))
+        for n, name in enumerate(("k1", "k2")):
+            if getattr(known, name):
+                differences[n] = difference = getattr(mass, name) - k[n]
+                sigma = float(np.sqrt(mass.cov_k[n, n]))
+                words.append(_ratio_words(name, difference, k[n], sigma, volume_k))
     return Physics.model_validate(
         {
             "words": words,
@@ -138,8 +135,8 @@ def check_physics(
             "com_offset_G": offset_G,
             "com_offset_sigma_m": com_sigma_m,
             "R_GP_uniform": R_GP,
-            "axes_angle_deg": None if axes is None else np.rad2deg(axes.angle_rad),
-            "axes_angle_sigma_deg": None if axes_sigma_rad is None else np.rad2deg(axes_sigma_rad),
+            "axes_angle_deg": angle_deg,
+            "axes_angle_sigma_deg": axes_sigma_deg,
             "k1_uniform": k[0],
             "k2_uniform": k[1],
             "k1_difference": differences[0],
@@ -151,11 +148,9 @@ def check_physics(
 def _close_openings(mesh: trimesh.Trimesh) -> Solid:
     """The mesh with every opening closed by a fan from its middle: another estimate of the volume."""
     vertices, faces = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)]
-    count = len(mesh.vertices)
-    for loop in boundary_loops(faces[0]):
+    for count, loop in enumerate(boundary_loops(faces[0]), start=len(mesh.vertices)):
         vertices.append(vertices[0][loop].mean(axis=0, keepdims=True))
         faces.append(np.column_stack([loop, np.roll(loop, -1), np.full(len(loop), count)]))
-        count += 1
     return solid_body(trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False), "")
 
 
@@ -163,12 +158,6 @@ def _ratios(solid: Solid) -> tuple[float, float]:
     moments, _ = principal_axes(solid.inertia)
     moments = np.maximum(moments, 1e-12 * max(float(moments[0]), 1e-300))
     return float(np.log(moments[0] / moments[1])), float(np.log(moments[1] / moments[2]))
-
-
-def _com_offset(mass: MassProperties, com_G: Array) -> Array:
-    """Estimate minus uniform (3,), what the motion does not determine left out."""
-    axes = mass.R_GP[:, mass.identifiable.com_P]
-    return np.asarray(axes @ (axes.T @ (mass.com_G - com_G)))
 
 
 def _com_sigma_m(mass: MassProperties, offset_G: Array) -> float:
@@ -185,20 +174,6 @@ def _sigma_along(covariance: Array, direction: Array) -> float:
     unit = direction / max(float(np.linalg.norm(direction)), 1e-300)
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
     return float(np.sqrt(max(float(unit @ finite @ unit), 0.0)))
-
-
-def _com_words(mass: MassProperties, offset_G: Array, sigma_m: float, volume_m: float, closed: bool) -> str:
-    length, least = float(np.linalg.norm(offset_G)), max(CLEAR_SIGMAS * sigma_m, volume_m)
-    lost = [axis for axis, flag in zip("xyz", mass.identifiable.com_P, strict=True) if not flag]
-    undetermined = f"; along {' and '.join(lost)} of P is not determined by the motion" if lost else ""
-    if length <= least:
-        return f"the centre of mass agrees with the volume's centre within {_mm(least)}{undetermined}"
-    return (
-        f"the centre of mass is {_mm(length)} off the volume's centre "
-        f"along {describe_direction(offset_G)} of G "
-        f"(sigma {_mm(sigma_m)}; the volume's centre is known to about {_mm(volume_m)}): "
-        f"mass is not spread evenly{'' if closed else ', or the hull is not the body'}{undetermined}"
-    )
 
 
 def _between(R_GP: Array, R_GP_other: Array, about: Bools) -> _Axes | None:
@@ -219,9 +194,23 @@ def _between(R_GP: Array, R_GP_other: Array, about: Bools) -> _Axes | None:
     return None
 
 
-def _axes_words(axes: _Axes, sigma_rad: float, volume_deg: float) -> list[str]:
-    angle_deg, sigma_deg = np.rad2deg(axes.angle_rad), np.rad2deg(sigma_rad)
-    least, many = max(CLEAR_SIGMAS * sigma_deg, volume_deg), axes.words == "axes"
+def _com_words(mass: MassProperties, offset_G: Array, sigma_m: float, volume_m: float, closed: bool) -> str:
+    length, least = float(np.linalg.norm(offset_G)), max(CLEAR_SIGMAS * sigma_m, volume_m)
+    lost = [axis for axis, flag in zip("xyz", mass.identifiable.com_P, strict=True) if not flag]
+    undetermined = f"; along {' and '.join(lost)} of P is not determined by the motion" if lost else ""
+    if length <= least:
+        return f"the centre of mass agrees with the volume's centre within {_mm(least)}{undetermined}"
+    return (
+        f"the centre of mass is {_mm(length)} off the volume's centre "
+        f"along {describe_direction(offset_G)} of G "
+        f"(sigma {_mm(sigma_m)}; the volume's centre is known to about {_mm(volume_m)}): "
+        f"mass is not spread evenly{'' if closed else ', or the hull is not the body'}{undetermined}"
+    )
+
+
+def _axes_words(axes: _Axes, sigma_deg: float, volume_deg: float) -> list[str]:
+    angle_deg, many = np.rad2deg(axes.angle_rad), axes.words == "axes"
+    least = max(CLEAR_SIGMAS * sigma_deg, volume_deg)
     if least > 20.0:
         return []
     if angle_deg <= least:
@@ -233,24 +222,14 @@ def _axes_words(axes: _Axes, sigma_rad: float, volume_deg: float) -> list[str]:
     ]
 
 
-def _ratio_words(
-    mass: MassProperties, differences: list[float | None], k: tuple[float, float], volume_k: float
-) -> list[str]:
-    words = []
-    for n, (name, difference) in enumerate(zip(("k1", "k2"), differences, strict=True)):
-        if difference is None:
-            continue
-        sigma = float(np.sqrt(mass.cov_k[n, n]))
-        least = max(CLEAR_SIGMAS * sigma, volume_k)
-        if abs(difference) <= least:
-            words.append(f"{name} agrees with the volume's {k[n]:.3f} within {least:.2g}")
-        else:
-            side = "larger" if difference > 0.0 else "smaller"
-            words.append(
-                f"{name} is {abs(difference):.3f} {side} than the volume's {k[n]:.3f} "
-                f"(sigma {sigma:.2g}; the volume's known to about {volume_k:.2g})"
-            )
-    return words
+def _ratio_words(name: str, difference: float, uniform: float, sigma: float, volume_k: float) -> str:
+    least = max(CLEAR_SIGMAS * sigma, volume_k)
+    if abs(difference) <= least:
+        return f"{name} agrees with the volume's {uniform:.3f} within {least:.2g}"
+    return (
+        f"{name} is {abs(difference):.3f} {'larger' if difference > 0.0 else 'smaller'} than the volume's "
+        f"{uniform:.3f} (sigma {sigma:.2g}; the volume's known to about {volume_k:.2g})"
+    )
 
 
 def _mm(metres: float) -> str:

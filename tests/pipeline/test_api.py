@@ -49,6 +49,9 @@ def test_a_stored_run_is_what_was_estimated(stored: polhode.Run, example: Exampl
     np.testing.assert_allclose(mass.cov_com_G, estimate.mass.cov_com_G)
     np.testing.assert_allclose(mass.J_G, estimate.mass.J_G)
     assert mass.identifiable.com and mass.mass_kg is None
+    np.testing.assert_array_equal(stored.covariance_of_marks, example.estimate.covariance_of_marks)
+    np.testing.assert_array_equal(stored.links.i, example.relative.i)
+    np.testing.assert_array_equal(stored.links.X_RiRj, example.relative.X_RiRj)
 
 
 def test_what_is_undetermined_has_infinite_variance(undetermined: Example, tmp_path: Path) -> None:
@@ -58,10 +61,9 @@ def test_what_is_undetermined_has_infinite_variance(undetermined: Example, tmp_p
     assert np.isinf(np.diagonal(mass.cov_k)).all()
     np.testing.assert_array_equal(np.isinf(np.diagonal(mass.cov_com_G)), [False, True, False])
     assert not mass.identifiable.com
-
-
-def test_the_covariance_of_the_body_is_finite_in_every_frame(stored: polhode.Run, example: Example) -> None:
-    np.testing.assert_array_equal(stored.covariance_of_marks, example.estimate.covariance_of_marks)
+    run = polhode.load(tmp_path / "run")
+    assert "k1 not determined, k2 not determined" in repr(run)
+    assert "not determined in every direction" in run._repr_html_()
 
 
 def test_a_run_of_an_earlier_version_says_that_it_has_it_for_the_last_frame_alone(
@@ -103,10 +105,7 @@ def test_velocities_are_those_of_the_moving_body(stored: polhode.Run) -> None:
 
 def test_velocities_at_many_times_are_those_at_each_time(stored: polhode.Run) -> None:
     p_G, times = np.array([[0.06, 0.0, 0.1], [0.0, 0.1, 0.0], [0.0, 0.0, 0.0]]), np.linspace(0.0, 60.0, 5)
-    velocity, covariance = (
-        stored.points_velocity(p_G, times),
-        stored.points_velocity_covariance(p_G, times),
-    )
+    velocity, covariance = (stored.points_velocity(p_G, times), stored.points_velocity_covariance(p_G, times))
     assert velocity.shape == (5, 3, 3) and covariance.shape == (5, 3, 3, 3)
     for k, time_s in enumerate(times):
         np.testing.assert_allclose(velocity[k], stored.points_velocity(p_G, time_s), atol=1e-8)
@@ -213,14 +212,6 @@ def test_a_run_that_is_there_is_replaced_by_an_argument(
         polhode.run(small_sequence, stored.folder, progress=False)
 
 
-def test_the_table_of_the_trajectory_is_that_of_the_file(stored: polhode.Run) -> None:
-    table = stored.to_pandas()
-    of_file = pd.read_csv(stored.folder / "trajectory.csv")
-    pd.testing.assert_frame_equal(table, of_file, rtol=1e-12)
-    with pytest.raises(InputError, match=r"trajectory_online.csv"):
-        stored.to_pandas("online")
-
-
 def test_tables_have_the_numbers_of_the_records(stored: polhode.Run) -> None:
     landmarks, observations, checks = (
         stored.to_pandas(name) for name in ("landmarks", "observations", "checks")
@@ -240,6 +231,11 @@ def test_tables_have_the_numbers_of_the_records(stored: polhode.Run) -> None:
     assert list(checks["name"]) == [check.name for check in stored.verdict.checks]
     with pytest.raises(InputError, match="no table 'forces'; there are trajectory, online"):
         stored.to_pandas("forces")  # type: ignore[arg-type]
+    table = stored.to_pandas()
+    of_file = pd.read_csv(stored.folder / "trajectory.csv")
+    pd.testing.assert_frame_equal(table, of_file, rtol=1e-12)
+    with pytest.raises(InputError, match=r"trajectory_online.csv"):
+        stored.to_pandas("online")
 
 
 def test_observations_of_a_run_without_an_estimate_have_no_residuals(
@@ -275,11 +271,6 @@ def test_a_map_of_another_run_is_refused(stored: polhode.Run, example: Example) 
         stored.landmark_numbers  # noqa: B018
 
 
-def test_links_are_the_relative_poses_that_were_measured(stored: polhode.Run, example: Example) -> None:
-    np.testing.assert_array_equal(stored.links.i, example.relative.i)
-    np.testing.assert_array_equal(stored.links.X_RiRj, example.relative.X_RiRj)
-
-
 def test_a_run_says_what_was_found_in_a_line_and_in_a_table(stored: polhode.Run) -> None:
     mass = stored.mass
     ratio = f"k1 {mass.k[0]:.4f} +- {np.sqrt(mass.cov_k[0, 0]):.4f}"
@@ -288,14 +279,6 @@ def test_a_run_says_what_was_found_in_a_line_and_in_a_table(stored: polhode.Run)
     assert shown.startswith("<table>") and len(shown) < 3000
     rate_rpm = np.median(np.linalg.norm(stored.trajectory.w_P, axis=1)) * 30.0 / np.pi
     assert f"{rate_rpm:.2f} RPM" in shown and f"{ratio[3:]}" in shown
-
-
-def test_what_is_not_determined_is_called_so(undetermined: Example, tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir()
-    write_example(tmp_path / "run", undetermined)
-    run = polhode.load(tmp_path / "run")
-    assert "k1 not determined, k2 not determined" in repr(run)
-    assert "not determined in every direction" in run._repr_html_()
 
 
 def test_the_verdict_is_a_few_lines_that_name_what_does_not_hold(stored: polhode.Run) -> None:
@@ -314,9 +297,6 @@ def test_the_verdict_is_a_few_lines_that_name_what_does_not_hold(stored: polhode
     ]
     assert repr(verdict) == str(verdict)
     assert str(stored.verdict).startswith("ok: ") and len(str(stored.verdict)) < 1000
-
-
-def test_the_table_of_a_notebook_escapes_what_files_say(stored: polhode.Run) -> None:
     verdict = Verdict(status="degraded", reasons=("<script>alert(1)</script>",), checks=())
     summary = stored.summary.model_copy(update={"status": "degraded", "verdict": verdict})
     shown = card_html(Path("/runs/<b>"), summary, None)
@@ -356,9 +336,6 @@ def test_a_run_without_an_answer_raises_and_leaves_no_temporary_folder(
     assert not list(tmp_path.glob("polhode-*"))
     with pytest.raises(InputError, match="missing is not a folder"):
         polhode.run(tmp_path / "missing", progress=False)
-
-
-def test_the_scene_is_what_a_simulation_needs(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no 'scene'"):
         polhode.simulate(None, tmp_path / "seq", progress=False)
 

@@ -70,11 +70,14 @@ def test_the_code_of_the_page_runs_from_top_to_bottom(page: SimpleNamespace) -> 
     assert [path.name for path in page.files] == ["run.tum"]
     made = {path.name for path in page.folder.iterdir()}
     assert made == {"SEQ", "RUN", "SIMULATED", "motion.tum", "run.tum", "page.py"}
-
-
-def test_every_pair_has_the_inputs_that_it_has_in_a_run(page: SimpleNamespace) -> None:
-    """Then its results are the run's: each was found under the digest of its inputs, none was computed."""
     assert page.results.stored == 0 and page.results.found > 2 * len(page.features)
+    assert 0 < len(page.observations) <= len(page.run.measurements.frame)
+    assert set(page.observations["landmark"]) == set(page.run.landmark_numbers)
+    assert page.initial.connected.all()
+    shift_m = page.other.r_N - page.run.trajectory.r_N
+    # Along what so few frames do not determine, the two forms differ; by much less than the sigmas there.
+    assert np.abs(shift_m).max() > 0.0
+    assert (np.abs(shift_m) < 0.5 * page.run.trajectory.sigma_r).all()
 
 
 def test_stage_by_stage_the_files_are_those_of_the_run(page: SimpleNamespace, tmp_path: Path) -> None:
@@ -158,17 +161,3 @@ def test_every_record_and_field_of_the_table_exists(page: SimpleNamespace) -> No
         for field in re.findall(r"`(\w+)`", names):
             assert hasattr(examples[record], field), f"{record}.{field}"
     assert seen == set(examples)
-
-
-def test_the_back_end_alone_finds_the_motion_of_the_run(page: SimpleNamespace) -> None:
-    """With another form of the inertia, which so few frames do not determine."""
-    assert page.initial.connected.all()
-    shift_m = page.other.r_N - page.run.trajectory.r_N
-    # Along what so few frames do not determine, the two forms differ; by much less than the sigmas there.
-    assert np.abs(shift_m).max() > 0.0
-    assert (np.abs(shift_m) < 0.5 * page.run.trajectory.sigma_r).all()
-
-
-def test_observations_and_landmarks_are_joined_by_their_number(page: SimpleNamespace) -> None:
-    assert 0 < len(page.observations) <= len(page.run.measurements.frame)
-    assert set(page.observations["landmark"]) == set(page.run.landmark_numbers)

@@ -47,10 +47,7 @@ def context(monkeypatch: pytest.MonkeyPatch) -> Any:
         return found
 
     monkeypatch.setattr(correspondences, "_match", several)
-    return SimpleNamespace(
-        time_s=0.5 * np.arange(float(FRAMES)),
-        X_NR=np.tile(np.eye(4), (FRAMES, 1, 1)),
-    )
+    return SimpleNamespace(time_s=0.5 * np.arange(float(FRAMES)), X_NR=np.tile(np.eye(4), (FRAMES, 1, 1)))
 
 
 def test_a_known_motion_selects_among_the_motions_of_two_frames(context: Any) -> None:

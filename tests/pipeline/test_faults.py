@@ -3,18 +3,14 @@
 import json
 import shutil
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from polhode.backend import estimate_motion
 from polhode.cli.main import main
 from polhode.frontend.tracks.guided_matching import GuidedResult, reconnect
-from polhode.records.estimate import InitialMotion, MotionEstimate
-from polhode.records.tracks import StereoTracks
 from polhode.run_directory.trajectory_file import read_trajectory
 from polhode.runtime.errors import RunFailure
 from tests.front_end_results import SharedFrontEnd
@@ -56,23 +52,6 @@ def test_a_target_at_rest_is_a_complete_answer_with_a_warning(
     assert len(trajectory.timestamps_ns) == REST_FRAMES
     assert np.linalg.norm(trajectory.w_P, axis=1).max() < np.deg2rad(2.0)
     assert capsys.readouterr().out.splitlines()[-1].endswith("report.html")
-
-
-def test_measurements_without_a_consistent_motion_fail_the_run_and_stay(
-    at_rest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    def of_outliers(
-        tracks: StereoTracks, motion: InitialMotion, *more: Any, **services: Any
-    ) -> MotionEstimate:
-        rng = np.random.default_rng(0)
-        uvd_px = rng.uniform(20.0, 200.0, tracks.uvd_px.shape)
-        return estimate_motion(replace(tracks, uvd_px=uvd_px), motion, *more, **services)
-
-    monkeypatch.setattr("polhode.pipeline.find_motion.estimate_motion", of_outliers)
-    assert run(at_rest, tmp_path / "run", *QUICK) == 1
-    assert "no consistent motion" in capsys.readouterr().err
-    assert summary_of(tmp_path / "run")["status"] == "failed"
-    assert {"measurements.npz", "report.html"} <= {path.name for path in (tmp_path / "run").iterdir()}
 
 
 def test_what_an_earlier_round_found_stays_when_a_later_one_fails(

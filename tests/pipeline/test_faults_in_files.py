@@ -59,27 +59,23 @@ def repeated(file: Path) -> None:
     file.write_text("\n".join([*lines[:3], lines[2], *lines[3:]]) + "\n")
 
 
-IN_SEQUENCE: dict[str, tuple[str, Damage, str]] = {
-    "left times repeat": ("cam0/data.csv", repeated, "line 4: timestamp 1600000000500000000 repeats"),
-    "right times repeat": ("cam1/data.csv", repeated, "repeats"),
-    "poses' times repeat": ("inspector0/data.csv", repeated, "repeats"),
-    "forces' times repeat": ("wrench0/data.csv", repeated, "repeats"),
-    "NaN as a time": ("cam1/data.csv", cell(1, 0, "nan"), "line 3: timestamp 'nan'"),
-    "NaN in a pose": ("inspector0/data.csv", cell(1, 2, "nan"), "line 3: NaN or infinity"),
-    "NaN in a quaternion": ("inspector0/data.csv", cell(1, 4, "NaN"), "line 3: NaN or infinity"),
-    "NaN in a force": ("wrench0/data.csv", cell(1, 1, "nan"), "line 3: NaN or infinity"),
-    "infinite torque": ("wrench0/data.csv", cell(0, 6, "-inf"), "line 2: NaN or infinity"),
-    "NaN in the intrinsics": ("cam0/sensor.yaml", text("[50.0", "[.nan"), "'intrinsics': contains NaN"),
-    "NaN in T_BS": ("cam1/sensor.yaml", text("0.09", ".nan"), "'T_BS': contains NaN"),
-    "NaN in the distortion": (
-        "cam1/sensor.yaml",
-        text("-0.1", ".nan"),
-        "'distortion_coefficients': contains NaN",
-    ),
-    "NaN in the resolution": ("cam0/sensor.yaml", text("[64,", "[.nan,"), "'resolution': contains NaN"),
-    "NaN as bits": ("cam0/sensor.yaml", text("rate_hz", "bits: .nan\nrate_hz"), "'bits'"),
-    "NaN as the poses' sigma": ("inspector0/sensor.yaml", text("0.001", ".nan"), "'sigma_p_m': contains NaN"),
-}
+IN_SEQUENCE: tuple[tuple[str, Damage, str], ...] = (
+    ("cam0/data.csv", repeated, "line 4: timestamp 1600000000500000000 repeats"),
+    ("cam1/data.csv", repeated, "repeats"),
+    ("inspector0/data.csv", repeated, "repeats"),
+    ("wrench0/data.csv", repeated, "repeats"),
+    ("cam1/data.csv", cell(1, 0, "nan"), "line 3: timestamp 'nan'"),
+    ("inspector0/data.csv", cell(1, 2, "nan"), "line 3: NaN or infinity"),
+    ("inspector0/data.csv", cell(1, 4, "NaN"), "line 3: NaN or infinity"),
+    ("wrench0/data.csv", cell(1, 1, "nan"), "line 3: NaN or infinity"),
+    ("wrench0/data.csv", cell(0, 6, "-inf"), "line 2: NaN or infinity"),
+    ("cam0/sensor.yaml", text("[50.0", "[.nan"), "'intrinsics': contains NaN"),
+    ("cam1/sensor.yaml", text("0.09", ".nan"), "'T_BS': contains NaN"),
+    ("cam1/sensor.yaml", text("-0.1", ".nan"), "'distortion_coefficients': contains NaN"),
+    ("cam0/sensor.yaml", text("[64,", "[.nan,"), "'resolution': contains NaN"),
+    ("cam0/sensor.yaml", text("rate_hz", "bits: .nan\nrate_hz"), "'bits'"),
+    ("inspector0/sensor.yaml", text("0.001", ".nan"), "'sigma_p_m': contains NaN"),
+)
 
 
 @pytest.fixture
@@ -92,11 +88,10 @@ def whole_sequence(small_sequence: Path) -> Path:
     return small_sequence
 
 
-@pytest.mark.parametrize("name", IN_SEQUENCE)
+@pytest.mark.parametrize(("where", "damage", "words"), IN_SEQUENCE)
 def test_a_table_or_calibration_is_refused_and_nothing_is_written(
-    whole_sequence: Path, tmp_path: Path, capsys: Capture, name: str
+    whole_sequence: Path, tmp_path: Path, capsys: Capture, where: str, damage: Damage, words: str
 ) -> None:
-    where, damage, words = IN_SEQUENCE[name]
     file = whole_sequence / "mav0" / where
     damage(file)
     arguments = ["run", "configs/default.yaml", "--data", str(whole_sequence), "-o", str(tmp_path / "run")]
@@ -151,66 +146,27 @@ def shortened(path: Path) -> None:
     path.write_text("\n".join(path.read_text().splitlines()[:4]))
 
 
-IN_RUN: dict[str, tuple[str, Damage, str, tuple[str, ...]]] = {
-    "measurement": ("measurements.npz", array("uvd_px", np.nan), f"uvd_px holds {NAN}", (REPORT,)),
-    "measurement's sigma": (
-        "measurements.npz",
-        array("sigma_px", np.inf),
-        f"sigma_px holds {NAN}",
-        (REPORT,),
-    ),
-    "camera pose": ("measurements.npz", array("X_NR", np.nan), f"X_NR holds {NAN}", (REPORT,)),
-    "body's camera": ("measurements.npz", array("X_BR", np.nan), f"X_BR holds {NAN}", (REPORT,)),
-    "focal length": (
-        "measurements.npz",
-        array("rig_focal_px", np.nan),
-        f"rig_focal_px holds {NAN}",
-        (REPORT,),
-    ),
-    "frame's number": ("measurements.npz", array("frame", np.nan), "frame holds float64", (REPORT,)),
-    "residual": ("measurements.npz", array("residuals_px", np.nan), f"residuals_px holds {NAN}", (REPORT,)),
-    "state": (
-        "trajectory.csv",
-        cell(3, 1, "nan"),
-        "line 5: a state that is NaN",
-        (REPORT, PREDICT, EVALUATE),
-    ),
-    "sigma": (
-        "trajectory.csv",
-        cell(3, -1, "nan"),
-        "line 5: a standard deviation",
-        (REPORT, PREDICT, EVALUATE),
-    ),
-    "time": (
-        "trajectory.csv",
-        cell(3, 0, "nan"),
-        "timestamp 'nan' is not a whole number",
-        (REPORT, PREDICT, EVALUATE),
-    ),
-    "rows": (
-        "trajectory.csv",
-        shortened,
-        "trajectory.csv: not the file that this run wrote",
-        (REPORT, PREDICT, EVALUATE),
-    ),
-    "covariance": ("covariance.npz", array("covariance", np.nan), "holds NaN", (REPORT, PREDICT, EVALUATE)),
-    "last state": ("covariance.npz", array("last_body", np.inf), "last_body holds NaN", (REPORT, PREDICT)),
-    "ratio": (
-        "summary.json",
-        text('"k1": ', '"k1": NaN, "_": '),
-        "NaN is no number of JSON",
-        (REPORT, PREDICT, EVALUATE),
-    ),
-    "causal state": ("online.npz", array("r_N", np.nan), "r_N holds NaN in row 0", (REPORT,)),
-    "landmark": ("landmarks.ply", point, "NaN or infinity in point 0", (REPORT,)),
-    "surface": ("mesh.ply", point, "NaN or infinite", (REPORT, EVALUATE)),
-    "configuration": (
-        "config.yaml",
-        text("accel_psd: ", "accel_psd: .nan #"),
-        "accel_psd",
-        (PREDICT, EVALUATE),
-    ),
-}
+ALL, TABLES = (REPORT, PREDICT, EVALUATE), "measurements.npz"
+IN_RUN: tuple[tuple[str, Damage, str, tuple[str, ...]], ...] = (
+    (TABLES, array("uvd_px", np.nan), f"uvd_px holds {NAN}", (REPORT,)),
+    (TABLES, array("sigma_px", np.inf), f"sigma_px holds {NAN}", (REPORT,)),
+    (TABLES, array("X_NR", np.nan), f"X_NR holds {NAN}", (REPORT,)),
+    (TABLES, array("X_BR", np.nan), f"X_BR holds {NAN}", (REPORT,)),
+    (TABLES, array("rig_focal_px", np.nan), f"rig_focal_px holds {NAN}", (REPORT,)),
+    (TABLES, array("frame", np.nan), "frame holds float64", (REPORT,)),
+    (TABLES, array("residuals_px", np.nan), f"residuals_px holds {NAN}", (REPORT,)),
+    ("trajectory.csv", cell(3, 1, "nan"), "line 5: a state that is NaN", ALL),
+    ("trajectory.csv", cell(3, -1, "nan"), "line 5: a standard deviation", ALL),
+    ("trajectory.csv", cell(3, 0, "nan"), "timestamp 'nan' is not a whole number", ALL),
+    ("trajectory.csv", shortened, "trajectory.csv: not the file that this run wrote", ALL),
+    ("covariance.npz", array("covariance", np.nan), "holds NaN", ALL),
+    ("covariance.npz", array("last_body", np.inf), "last_body holds NaN", (REPORT, PREDICT)),
+    ("summary.json", text('"k1": ', '"k1": NaN, "_": '), "NaN is no number of JSON", ALL),
+    ("online.npz", array("r_N", np.nan), "r_N holds NaN in row 0", (REPORT,)),
+    ("landmarks.ply", point, "NaN or infinity in point 0", (REPORT,)),
+    ("mesh.ply", point, "NaN or infinite", (REPORT, EVALUATE)),
+    ("config.yaml", text("accel_psd: ", "accel_psd: .nan #"), "accel_psd", (PREDICT, EVALUATE)),
+)
 
 
 @pytest.fixture(scope="module")
@@ -255,11 +211,10 @@ def command(name: str, folder: Path) -> list[str]:
     }[name]
 
 
-@pytest.mark.parametrize("name", IN_RUN)
+@pytest.mark.parametrize(("where", "damage", "words", "commands"), IN_RUN)
 def test_a_file_of_a_run_is_refused_by_every_command_that_reads_it(
-    run_and_truth: Path, capsys: Capture, name: str
+    run_and_truth: Path, capsys: Capture, where: str, damage: Damage, words: str, commands: tuple[str, ...]
 ) -> None:
-    where, damage, words, commands = IN_RUN[name]
     damage(run_and_truth / "run" / where)
     for each in commands:
         refused(command(each, run_and_truth), run_and_truth / "run" / where, words, capsys)

@@ -11,6 +11,8 @@ from trimesh.visual import ColorVisuals
 
 from polhode.config import Config
 from polhode.config.mapping_settings import Mapping
+from polhode.frontend.rectification import Rectifier
+from polhode.geometry.lie import make_pose
 from polhode.mapping.finishing.detail_levels import DetailLevel
 from polhode.mapping.mesh_files import write_ply
 from polhode.pipeline import finish_surface as module
@@ -129,7 +131,16 @@ def test_an_empty_surface_stays_empty(seen: Any, example: Any) -> None:
 
 
 def test_frames_are_cut_to_the_body() -> None:
-    # 6 px around columns 79.5 - 45.7 to 79.5 + 33.1 and rows 59.5 - 45.7 to 59.5 + 33.1
-    corners = np.array([[-0.08, -0.08, 0.42], [0.08, 0.08, 0.58]])
-    assert module._box(corners, RIG) == (27, 119, 7, 99)
-    assert module._box(corners - np.array([0.0, 0.0, 0.6]), RIG) is None
+    image = np.full((RIG.height_px, RIG.width_px), 200, dtype=np.uint8)
+    sequence: Any = SimpleNamespace(
+        X_NC=np.tile(np.eye(4), (3, 1, 1)), read_left=lambda k: (image, image > 0)
+    )
+    size = (RIG.width_px, RIG.height_px)
+    context = RunContext(sequence, Rectifier(RIG, np.eye(4), None, (size, size)), CONFIG, Silent())
+    surface: Any = SimpleNamespace(mesh=trimesh.creation.box((0.16, 0.16, 0.16)))
+    # the last one is not all in front of the camera
+    X_RG = make_pose(np.tile(np.eye(3), (3, 1, 1)), [[0.0, 0.0, 0.5], [0.05, 0.0, 0.5], [0.0, 0.0, -0.1]])
+    views = module._views(context, surface, X_RG)
+    # 6 px around columns 79.5 +- 45.7 and rows 59.5 +- 45.7; the second one is cut by the border
+    assert [(view.u0, view.v0, *view.image.shape) for view in views] == [(27, 7, 105, 105), (56, 7, 105, 104)]
+    assert all(view.silhouette.all() and view.image.shape == view.silhouette.shape for view in views)

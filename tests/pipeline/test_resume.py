@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 import polhode.run_directory.stages as stages_module
-from lab.robustness.results import contents
 from polhode.cli.main import main
 from polhode.files.record_files import write_record
 from tests.conftest import MakeOnce
+from tests.pipeline.run_contents import contents
 
 Capture = pytest.CaptureFixture[str]
 FAST = (
@@ -28,10 +28,6 @@ INTERRUPTED_BY_SIGINT = 130
 
 def words(sequence: Path, place: Path, *more: str) -> list[str]:
     return ["run", "--data", str(sequence), "-o", str(place / "R"), *FAST, *more]
-
-
-def results(place: Path) -> dict[str, str]:
-    return contents(place, ("R",))
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +67,7 @@ def test_an_interrupted_run_says_so_and_the_resumed_one_has_the_same_bytes(
         assert [path.name for path in tmp_path.iterdir()] == [".R.partial"]
     assert main(words(at_rest, tmp_path, "--resume")) == 0
     assert "resuming: 13 results of stages are there" in capsys.readouterr().out
-    assert results(tmp_path) == results(undisturbed)
+    assert contents(tmp_path) == contents(undisturbed)
     assert [path.name for path in tmp_path.iterdir()] == ["R"]
 
 
@@ -94,7 +90,7 @@ def test_a_killed_run_resumes_to_the_same_bytes(undisturbed: Path, at_rest: Path
     stored[0].write_bytes(stored[0].read_bytes()[:1000])
     stored[0].with_name(f".{stored[0].stem}.partial-123.npz").write_bytes(b"half")
     assert main(words(at_rest, tmp_path, "--resume")) == 0
-    found, wanted = results(tmp_path), results(undisturbed)
+    found, wanted = contents(tmp_path), contents(undisturbed)
     assert found == wanted
     assert [path.name for path in tmp_path.iterdir()] == ["R"]
 
@@ -110,8 +106,8 @@ def test_another_configuration_computes_only_what_it_changes(
             patch.setattr(f"polhode.pipeline.{name}", lambda *_: pytest.fail("computed again"))
         patch.setattr("polhode.pipeline.depth_maps.extract_depth", lambda *_: pytest.fail("computed again"))
         assert main(words(at_rest, tmp_path, *more, "--resume")) == 0
-    assert results(tmp_path) == results(tmp_path / "new")
-    assert results(tmp_path) != results(undisturbed)
+    assert contents(tmp_path) == contents(tmp_path / "new")
+    assert contents(tmp_path) != contents(undisturbed)
 
 
 def test_where_there_is_nothing_to_resume_all_is_computed_and_stages_need_not_be_kept(
@@ -120,8 +116,8 @@ def test_where_there_is_nothing_to_resume_all_is_computed_and_stages_need_not_be
     assert main(words(at_rest, tmp_path, "--resume", "--runtime.stages", "while_running")) == 0
     assert "there is nothing to resume: all is computed" in capsys.readouterr().out
     assert not (tmp_path / "R" / "stages").exists()
-    whole = results(undisturbed)
-    ours = {name: digest for name, digest in results(tmp_path).items() if name != "R/config.yaml"}
+    whole = contents(undisturbed)
+    ours = {name: digest for name, digest in contents(tmp_path).items() if name != "R/config.yaml"}
     assert ours.items() <= whole.items()
     assert {name for name in whole.keys() - ours.keys() if "/stages/" not in name} == {"R/config.yaml"}
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from polhode.config import Config
 from polhode.geometry.lie import Ints
 from polhode.pipeline.context import RunContext
-from polhode.pipeline.runner import Job, Result, Runner, Stopwatch, stage
+from polhode.pipeline.runner import Job, MadeByPair, Result, Runner, Stopwatch, stage
 from polhode.run_directory.stages import StageStore
 from polhode.runtime.errors import RunFailure
 from polhode.runtime.progress import Silent
@@ -156,7 +156,7 @@ def test_what_goes_wrong_beside_this_process_is_raised_here(
 
 
 @dataclass(frozen=True)
-class Items:
+class Items(MadeByPair):
     """Files with their number, each made by whoever comes first."""
 
     folder: Path
@@ -168,7 +168,7 @@ class Items:
     def __iter__(self) -> Iterator[int]:
         return (self[k] for k in range(len(self)))
 
-    def __getitem__(self, k: int) -> int:
+    def __getitem__(self, k: Any) -> int:
         file = self.folder / f"item{k}"
         return int(file.read_text()) if file.is_file() else os.getpid()
 

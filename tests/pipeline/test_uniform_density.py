@@ -46,18 +46,17 @@ def sentence(found: Physics, start: str) -> str:
 
 
 def test_a_given_mass_scales_the_inertia_that_the_motion_determines(example: Any) -> None:
-    found, warnings = assumed_properties(example.estimate.mass, example.surface, GIVEN)
+    mass = example.estimate.mass
+    assert assumed_properties(mass, example.surface, Backend()) == (None, [])
+    found, warnings = assumed_properties(mass, example.surface, GIVEN)
     assert found is not None and warnings == []
     assert found.mass_kg == 4.5 and found.volume_m3 == pytest.approx(np.prod(BOX_M), rel=1e-9)
     np.testing.assert_allclose(np.diag(found.inertia_kg_m2), moments_of_a_box(4.5), rtol=1e-9)
     # what the motion determines stays its own
     assert (found.k1, found.k2, found.com_G, found.R_GP) == (None, None, None, None)
     assert "as given" in found.words[1]
-
-
-def test_the_estimated_ratios_are_kept_where_the_mass_is_not_uniform(example: Any) -> None:
     other = np.diag([1.4, 1.0, 0.7])
-    found, _ = assumed_properties(replace(example.estimate.mass, J_G=other), example.surface, GIVEN)
+    found, _ = assumed_properties(replace(mass, J_G=other), example.surface, GIVEN)
     assert found is not None
     inertia = np.array(found.inertia_kg_m2)
     np.testing.assert_allclose(inertia / inertia[1, 1], other, atol=1e-12)
@@ -65,9 +64,8 @@ def test_the_estimated_ratios_are_kept_where_the_mass_is_not_uniform(example: An
 
 
 def test_a_density_tells_mass_and_all_that_the_motion_does_not(example: Any) -> None:
-    mass = partly_known(
-        example.estimate.mass, k1=False, axes=False, com=False, com_P=np.array([True, False, True])
-    )
+    lost = np.array([True, False, True])
+    mass = partly_known(example.estimate.mass, k1=False, axes=False, com=False, com_P=lost)
     found, _ = assumed_properties(mass, example.surface, Backend(density_kg_m3=1000.0))
     assert found is not None
     assert found.mass_kg == pytest.approx(1000.0 * np.prod(BOX_M), rel=1e-9)
@@ -79,102 +77,59 @@ def test_a_density_tells_mass_and_all_that_the_motion_does_not(example: Any) -> 
     assert {text.split(":")[0] for text in found.words} >= {"k1", "axes", "com", "inertia"}
 
 
-def test_an_open_mesh_is_taken_as_its_hull_and_said_to_be(example: Any) -> None:
-    box = trimesh.creation.box(BOX_M).subdivide().subdivide()
-    opened = trimesh.Trimesh(box.vertices, box.faces[20:], process=False)
-    solid, _ = solid_of(opened)
+def test_an_open_mesh_is_its_hull_and_one_side_or_nothing_has_no_volume(example: Any) -> None:
+    box, mass = trimesh.creation.box(BOX_M).subdivide().subdivide(), example.estimate.mass
+    solid, _ = solid_of(trimesh.Trimesh(box.vertices, box.faces[20:], process=False))
     assert solid is not None and "convex hull" in solid.words and "open" in solid.words
     assert solid.volume_m3 == pytest.approx(np.prod(BOX_M), rel=0.02)
-
-
-def test_a_surface_seen_from_one_side_has_no_volume(example: Any) -> None:
-    box = trimesh.creation.box(BOX_M).subdivide().subdivide()
     seen = (box.triangles_center[:, 2] > 0.119) | (box.triangles_center[:, 0] > 0.059)
     bowl = trimesh.Trimesh(box.vertices, box.faces[seen], process=False)
-    found, warnings = assumed_properties(example.estimate.mass, surface_of(bowl), GIVEN)
-    assert found is None and len(warnings) == 1 and "covers only" in warnings[0]
-    nothing, why = assumed_properties(example.estimate.mass, surface_of(trimesh.Trimesh()), GIVEN)
-    assert nothing is None and "no surface" in why[0]
-
-
-def test_coverage_is_the_share_of_directions() -> None:
+    for mesh, words in ((bowl, "covers only"), (trimesh.Trimesh(), "no surface")):
+        found, warnings = assumed_properties(mass, surface_of(mesh), GIVEN)
+        assert found is None and len(warnings) == 1 and words in warnings[0]
+    assert check_physics(mass, surface_of(trimesh.Trimesh())) is None
     ball = trimesh.creation.icosphere(3)
     assert coverage(Caster(ball), np.zeros(3)) == 1.0
     half = trimesh.Trimesh(ball.vertices, ball.faces[ball.triangles_center[:, 2] > 0.0], process=False)
     assert coverage(Caster(half), np.zeros(3)) == pytest.approx(0.5, abs=0.03)
 
 
-def test_nothing_is_assumed_unless_the_user_gives_a_mass_or_a_density(example: Any) -> None:
-    assert assumed_properties(example.estimate.mass, example.surface, Backend()) == (None, [])
-
-
-def test_an_offset_centre_of_mass_is_told_in_words(example: Any) -> None:
-    mass = replace(example.estimate.mass, com_G=np.array([0.009, 0.0, 0.0]), cov_com_G=np.eye(3) * 1.6e-7)
-    found = compared(mass)
-    assert found.com_uniform_G == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
-    assert found.com_offset_G == pytest.approx((0.009, 0.0, 0.0), abs=1e-9)
-    assert found.com_offset_sigma_m == pytest.approx(4e-4)
-    text = sentence(found, "the centre of mass")
-    assert text.startswith("the centre of mass is 9 mm off the volume's centre along +x of G (sigma 0.4 mm")
-    assert text.endswith("mass is not spread evenly")
-
-
-def test_uniform_density_agrees(example: Any) -> None:
-    mass = replace(example.estimate.mass, com_G=np.zeros(3))
-    found = compared(mass)
+def test_uniform_density_agrees_and_what_differs_is_told(example: Any) -> None:
+    mass = example.estimate.mass
+    found = compared(replace(mass, com_G=np.zeros(3)))
     assert found.volume_m3 == pytest.approx(np.prod(BOX_M))
     assert found.axes_angle_deg == pytest.approx(0.0, abs=1e-6)
     assert found.k1_difference == pytest.approx(0.0, abs=1e-9) == found.k2_difference
     assert "agrees with the volume's centre within" in sentence(found, "the centre of mass")
     assert "axes agree" in sentence(found, "the principal axes")
     assert all("agrees" in sentence(found, name) for name in ("k1", "k2"))
-
-
-def test_turned_axes_are_told_and_half_turns_are_none(example: Any) -> None:
-    mass = example.estimate.mass
+    found = compared(replace(mass, com_G=np.array([0.009, 0.0, 0.0]), cov_com_G=np.eye(3) * 1.6e-7))
+    assert found.com_uniform_G == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    assert found.com_offset_G == pytest.approx((0.009, 0.0, 0.0), abs=1e-9)
+    assert found.com_offset_sigma_m == pytest.approx(4e-4)
+    text = sentence(found, "the centre of mass")
+    assert text.startswith("the centre of mass is 9 mm off the volume's centre along +x of G (sigma 0.4 mm")
+    assert text.endswith("mass is not spread evenly")
     for half_turn in ((1.0, 1.0, 1.0), (-1.0, -1.0, 1.0)):
-        turned = replace(mass, R_GP=exp_so3([0.0, 0.0, np.deg2rad(10.0)]) * np.array(half_turn))
-        found = compared(turned)
+        R_GP = exp_so3([0.0, 0.0, np.deg2rad(10.0)]) * np.array(half_turn)
+        found = compared(replace(mass, R_GP=R_GP))
         assert found.axes_angle_deg == pytest.approx(10.0, abs=1e-6)
         assert "axes are rotated by 10 deg" in sentence(found, "the principal axes")
-
-
-def test_ratios_that_differ_are_told(example: Any) -> None:
-    mass = replace(example.estimate.mass, k1=example.estimate.mass.k1 + 0.2)
-    found = compared(mass)
+    found = compared(replace(mass, k1=mass.k1 + 0.2))
     assert found.k1_difference == pytest.approx(0.2)
     assert "k1 is 0.200 larger than the volume's" in sentence(found, "k1")
 
 
-def test_nothing_is_said_of_what_the_motion_does_not_determine(example: Any) -> None:
-    mass = example.estimate.mass
-    none = np.zeros(3, dtype=bool)
-    lost = replace(
-        partly_known(mass, k1=False, k2=False, com=False, axes=False, com_P=none, axes_P=none),
-        cov_k=np.diag([np.inf, np.inf]),
-    )
-    found = compared(lost)
+def test_what_the_motion_does_not_determine_is_left_out(example: Any) -> None:
+    mass, none, inf = example.estimate.mass, np.zeros(3, dtype=bool), np.diag([np.inf] * 3)
+    lost = partly_known(mass, k1=False, k2=False, com=False, axes=False, com_P=none, axes_P=none)
+    found = compared(replace(lost, cov_k=inf[:2, :2]))
     assert len(found.words) == 1
     assert found.com_offset_G is None and found.axes_angle_deg is None
     assert found.k1_difference is None and found.k2_difference is None
-
-
-def test_one_lost_component_is_left_out(example: Any) -> None:
-    mass = example.estimate.mass
-    x_lost = np.array([False, True, True])
-    partly = replace(
-        mass,
-        com_G=np.array([0.05, 0.01, 0.0]),
-        cov_com_G=np.diag([np.inf, np.inf, np.inf]),
-        identifiable=replace(
-            mass.identifiable,
-            com=False,
-            axes=False,
-            com_P=x_lost,
-            axes_P=np.array([True, True, False]),
-            sigma=np.full(8, 1e-4),
-        ),
-    )
+    x_lost, z_lost = np.array([False, True, True]), np.array([True, True, False])
+    flags = {"com": False, "axes": False, "com_P": x_lost, "axes_P": z_lost, "sigma": np.full(8, 1e-4)}
+    partly = replace(partly_known(mass, **flags), com_G=np.array([0.05, 0.01, 0.0]), cov_com_G=inf)
     found = compared(partly)
     assert found.com_offset_G == pytest.approx((0.0, 0.01, 0.0), abs=1e-9)
     assert found.com_offset_sigma_m == pytest.approx(1e-4)
@@ -187,16 +142,10 @@ def test_one_lost_component_is_left_out(example: Any) -> None:
 
 def test_an_open_mesh_is_compared_by_its_hull_as_well_as_that_tells(example: Any) -> None:
     mass = replace(example.estimate.mass, com_G=np.array([0.0, 0.0, 0.02]))
-    opened = trimesh.Trimesh(BOX.vertices, BOX.faces[40:], process=False)
-    found = compared(mass, opened)
+    found = compared(mass, trimesh.Trimesh(BOX.vertices, BOX.faces[40:], process=False))
     assert "convex hull" in found.words[0]
     assert sentence(found, "the centre of mass").endswith("or the hull is not the body")
     # two plates: their hull is a box, they themselves enclose nothing
     sides = np.abs(BOX.triangles_center[:, 0]) > 0.059
-    plates = trimesh.Trimesh(BOX.vertices, BOX.faces[sides], process=False)
-    result = check_physics(mass, surface_of(plates))
+    result = check_physics(mass, surface_of(trimesh.Trimesh(BOX.vertices, BOX.faces[sides], process=False)))
     assert result is None or result.com_offset_G is None or "hull" in result.words[0]
-
-
-def test_no_surface_has_no_volume(example: Any) -> None:
-    assert check_physics(example.estimate.mass, surface_of(trimesh.Trimesh())) is None

@@ -169,11 +169,7 @@ def make_check(
     row = CHECK_TABLE[key]
     limit, fail_limit = limits or (row.limit, row.fail_limit)
     return judge(
-        row.group,
-        name or row.name,
-        value,
-        row.unit,
-        limit,
+        *(row.group, name or row.name, value, row.unit, limit),
         fail_limit=fail_limit,
         sigma=sigma,
         at_least=row.at_least,

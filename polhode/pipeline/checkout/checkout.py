@@ -7,7 +7,6 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from polhode.config.frontend_settings import Frontend
 from polhode.frontend.rectification import RectifiedPair, Rectifier, rectified_pair
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Ints
@@ -80,7 +79,7 @@ def checkout(
     sequence to look at, the result has the checks of the stamps alone, and fails. Raises InputError for
     anything else that ``polhode run`` refuses.
     """
-    rig: Literal["sequence", "given"] = "given" if rig_folder is not None else "sequence"
+    rig: Literal["sequence", "given"] = "sequence" if rig_folder is None else "given"
     given = None if rig_folder is None else _read_rig(rig_folder, sequence_folder)
     try:
         sequence = open_sequence(sequence_folder)
@@ -98,20 +97,23 @@ def checkout(
     stamps = read_stamps(sequence_folder)
     if given is not None:
         sequence = _with_calibration(sequence, given)
-    frames, shown, processes = (
-        places(sequence.timestamps_ns, count),
-        progress or Silent(),
-        worker_count(workers),
-    )
-    rectifier = rectifier_of(sequence)
+    frames, shown = places(sequence.timestamps_ns, count), progress or Silent()
+    rectifier, processes = rectifier_of(sequence), worker_count(workers)
     rectifier = with_found_masks(sequence, rectifier, frames.tolist(), processes, shown)
     findings = find(sequence, rectifier, frames, processes, shown)
+    seen = [np.prod(p.left.extent_px) for p in findings.sample.pairs if min(p.left.extent_px) > 0.0]
+    size = RunSize(
+        frames=len(sequence),
+        image_mpx=1e-6 * rectifier.rig.width_px * rectifier.rig.height_px,
+        target_mpx=1e-6 * float(np.median(seen)) if seen else 0.0,
+        noun=findings.sample.noun,
+    )
     checks = [
         *image_checks(findings),
         *stamp_checks(stamps),
         *frame_checks(sequence),
         *inspector_checks(sequence),
-        *cost_checks(_run_size(findings)),
+        *cost_checks(size),
     ]
     checks.sort(key=lambda check: get_args(Group).index(check.group))
     result = CheckoutResult(
@@ -127,6 +129,21 @@ def _read_rig(folder: Path, sequence_folder: Path) -> StereoCalibration:
     except InputError:
         has_ranges = False
     return read_range_calibration(folder) if has_ranges else read_calibration(folder)
+
+
+def _with_calibration(sequence: StereoSequence, given: StereoCalibration) -> StereoSequence:
+    """The sequence, its images taken to be those of another rig. Raises InputError: other resolutions."""
+    own = sequence.calibration
+    for camera in (0, 1):
+        of_rig, of_images = given.size_px(camera), own.size_px(camera)
+        if of_rig != of_images:
+            raise InputError(
+                f"--rig: its cam{camera} has {of_rig[0]}x{of_rig[1]} px, the images have {of_images[0]}x"
+                f"{of_images[1]}; give the calibration of these cameras"
+            )
+    if sequence.has_ranges:
+        given = with_baseline(given, float(np.linalg.norm((own.X_BC1 - own.X_BC0)[:3, 3])))
+    return replace(sequence, calibration=given)
 
 
 def warn_before_run(sequence: StereoSequence, rectifier: Rectifier) -> None:
@@ -161,18 +178,11 @@ def find(
     sequence: StereoSequence, rectifier: Rectifier, frames: Ints, workers: int, progress: Progress
 ) -> Findings:
     """Examine the pairs of these indices."""
-    rig = rectifier.rig
-    sample = take_sample(sequence, rectifier, Frontend(), frames, workers, progress)
-    shown = len(frames) // 2
-    return Findings(
-        sequence,
-        rig,
-        sample,
-        fit_rows(sample, rig),
-        turns_of(sequence, sample),
-        rectified_pair(sequence, rectifier, int(frames[shown])),
-        shown,
-    )
+    rig, middle = rectifier.rig, len(frames) // 2
+    sample = take_sample(sequence, rectifier, frames, workers, progress)
+    rows, turns = fit_rows(sample, rig), turns_of(sequence, sample)
+    shown = rectified_pair(sequence, rectifier, int(frames[middle]))
+    return Findings(sequence, rig, sample, rows, turns, shown, middle)
 
 
 def image_checks(findings: Findings) -> list[CheckoutCheck]:
@@ -185,31 +195,3 @@ def image_checks(findings: Findings) -> list[CheckoutCheck]:
         *exposure_checks(sample),
         *background_checks(sample),
     ]
-
-
-def _with_calibration(sequence: StereoSequence, given: StereoCalibration) -> StereoSequence:
-    """The sequence, its images taken to be those of another rig. Raises InputError: other resolutions."""
-    own = sequence.calibration
-    for camera in (0, 1):
-        of_rig, of_images = given.size_px(camera), own.size_px(camera)
-        if of_rig != of_images:
-            raise InputError(
-                f"--rig: its cam{camera} has {of_rig[0]}x{of_rig[1]} px, the images have {of_images[0]}x"
-                f"{of_images[1]}; give the calibration of these cameras"
-            )
-    if sequence.has_ranges:
-        given = with_baseline(given, float(np.linalg.norm((own.X_BC1 - own.X_BC0)[:3, 3])))
-    return replace(sequence, calibration=given)
-
-
-def _run_size(findings: Findings) -> RunSize:
-    extents = [
-        np.prod(pair.left.extent_px) for pair in findings.sample.pairs if min(pair.left.extent_px) > 0.0
-    ]
-    rig = findings.rig
-    return RunSize(
-        frames=len(findings.sequence),
-        image_mpx=1e-6 * rig.width_px * rig.height_px,
-        target_mpx=1e-6 * float(np.median(extents)) if extents else 0.0,
-        noun=findings.sample.noun,
-    )

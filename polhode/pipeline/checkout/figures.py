@@ -5,9 +5,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.frontend.features.row_offsets import RowOffsets
-from polhode.frontend.rectification import Image, MeasuredDisparity, RectifiedPair
+from polhode.frontend.rectification import Image, RectifiedPair
 from polhode.geometry.camera import RectifiedRig
-from polhode.geometry.lie import Array
 from polhode.pipeline.checkout.check_table import limit_of
 from polhode.pipeline.checkout.checkout import Checkout, Findings
 from polhode.pipeline.checkout.exposure import frame_gains
@@ -45,40 +44,25 @@ def checkout_figures(done: Checkout) -> list[tuple[str, list[Figure]]]:
     sections: list[tuple[str, list[Figure]]] = []
     found = done.findings
     if found is not None:
-        if found.rows is not None:
-            sections.append(("Rows of left and right image", row_figures(found.rows, found.rig)))
+        if (rows := found.rows) is not None:
+            both = [_map(rows, found.rig), _slopes(rows, found.rig)]
+            sections.append(("Rows of left and right image", both))
         sections.append(("Range and motion", [*_ranges(found), *_motion(found)]))
         sections.append(("Images", [_images(found)]))
-    times = _times(done.stamps)
-    return [*sections, *([("Times", times)] if times else [])]
-
-
-def row_figures(fit: RowFit, rig: RectifiedRig) -> list[Figure]:
-    """Vertical disparity over the image, and along columns and rows."""
-    return [_map(fit, rig), _slopes(fit, rig)]
+    return [*sections, *([("Times", [_times(done.stamps)])] if len(done.stamps.left) >= 2 else [])]
 
 
 def _map(fit: RowFit, rig: RectifiedRig) -> Figure:
     offset_px, uv_px = fit.offset_px[fit.good], fit.uv_px[fit.good]
     limit = max(limit_of("rows"), float(np.percentile(np.abs(offset_px), 98.0)))
     median, count = regions(fit, rig, fit.offset_px)
-    marker: Layout = {
-        "color": packed(offset_px),
-        "colorscale": DIVERGING,
-        "cmin": -limit,
-        "cmax": limit,
-        "size": 5,
-    }
-    marker |= {"line": {"color": FAINT, "width": 0.3}, "colorbar": color_bar("px")}
+    marker: Layout = {"color": packed(offset_px), "colorscale": DIVERGING, "cmin": -limit, "cmax": limit}
+    marker |= {"size": 5, "line": {"color": FAINT, "width": 0.3}, "colorbar": color_bar("px")}
     points: Trace = {"type": "scatter", "mode": "markers", "x": packed(uv_px[:, 0]), "y": packed(uv_px[:, 1])}
     points |= {"marker": marker, "showlegend": False, **on(1)}
     width, height = rig.width_px, rig.height_px
-    style: Layout = {
-        "xref": "x",
-        "yref": "y",
-        "bgcolor": "rgba(255,255,255,0.75)",
-        "font": {"size": 12, "color": INK},
-    }
+    style: Layout = {"xref": "x", "yref": "y", "bgcolor": "rgba(255,255,255,0.75)"}
+    style |= {"font": {"size": 12, "color": INK}}
     words = [
         note(
             f"<b>{median[row, column]:+.2f}</b> ({count[row, column]})",
@@ -88,16 +72,12 @@ def _map(fit: RowFit, rig: RectifiedRig) -> Figure:
         )
         for row, column in np.argwhere(count)
     ]
-    edges = [
-        edge
-        for k in range(1, REGIONS)
-        for u, v in ((k * width / REGIONS, k * height / REGIONS),)
-        for edge in ((u, u, 0, height), (0, width, v, v))
-    ]
-    grid: list[Layout] = [
-        {"type": "line", "x0": x0, "x1": x1, "y0": y0, "y1": y1, "line": {"color": "#c3ccd4", "width": 1}}
-        for x0, x1, y0, y1 in edges
-    ]
+    grid: list[Layout] = []
+    for k in range(1, REGIONS):
+        u, v = k * width / REGIONS, k * height / REGIONS
+        for x0, x1, y0, y1 in ((u, u, 0, height), (0, width, v, v)):
+            ends = {"x0": x0, "x1": x1, "y0": y0, "y1": y1}
+            grid.append({"type": "line", **ends, "line": {"color": "#c3ccd4", "width": 1}})
     drawing = layout(
         xaxis=axis("u [px]", range=[0, width], showgrid=False),
         yaxis=axis("v [px]", range=[height, 0], scaleanchor="x", constrain="domain", showgrid=False),
@@ -116,12 +96,11 @@ def _map(fit: RowFit, rig: RectifiedRig) -> Figure:
 def _slopes(fit: RowFit, rig: RectifiedRig) -> Figure:
     """The offsets along u and along v, with the fit's part that depends on it."""
     uv, offset_px, d = fit.uv_px[fit.good], fit.offset_px[fit.good], fit.disparity_px[fit.good]
-    drawing = panels([("row offset [px]",), ("row offset [px]",)], "")
+    drawing = panels([("row offset [px]",), ("row offset [px]",)], "", showlegend=False)
     drawing["xaxis"] = axis("u in the right image [px]", domain=[0, 1], anchor="y")
     drawing["xaxis2"] = axis("v [px]", domain=[0, 1], anchor="y2")
     drawing["yaxis"] |= {"domain": [0.60, 1.0]}
     drawing["yaxis2"] |= {"domain": [0.0, 0.40]}
-    drawing["showlegend"] = False
     data: list[Trace] = []
     style = {"color": FAINT, "size": 3, "opacity": 0.6}
     for panel, x in ((1, uv[:, 0] - d), (2, uv[:, 1])):
@@ -130,7 +109,7 @@ def _slopes(fit: RowFit, rig: RectifiedRig) -> Figure:
         at, middle_d = np.linspace(x.min(), x.max(), 50), np.full(50, float(np.median(d)))
         point = np.tile(np.median(uv, axis=0), (50, 1))
         point[:, panel - 1] = at + middle_d if panel == 1 else at
-        fitted = design(rig, point, middle_d)[:, :3] @ np.array([fit.pitch_rad, fit.roll_rad, fit.stretch])
+        fitted = design(rig, point, middle_d)[:, :3] @ fit.tilt
         data.append(line(at, fitted, "fit", RIGHT, panel, mode="lines", line={"color": RIGHT, "width": 2}))
     caption = (
         "Upper: along the rows. An offset of all is a pitch of the right camera (or a vertical displacement "
@@ -166,32 +145,28 @@ def _motion(found: Findings) -> list[Figure]:
     if len(turns.time_s) == 0:
         return []
     drawing = panels([("turn [deg]",), ("matches",)], TIME_TITLE, showlegend=False)
-    drawing["yaxis"] |= {"rangemode": "tozero"}
-    drawing["yaxis2"] |= {"rangemode": "tozero"}
+    for each in ("yaxis", "yaxis2"):
+        drawing[each] |= {"rangemode": "tozero"}
     data = [
         line(turns.time_s, turns.turn_deg, "turn", ACCENT),
         dashed(turns.time_s[[0, -1]], 2 * [limit_of("rotation")], "limit"),
         line(turns.time_s, turns.matches, "matches", ACCENT, 2),
     ]
     caption = "As the camera sees it, and the matches that agree with it; a gap: the two frames do not match."
-    return [
-        Figure("turns", "Turn between successive frames", caption, data, drawing, height_px=360, wide=False)
-    ]
+    title = "Turn between successive frames"
+    return [Figure("turns", title, caption, data, drawing, height_px=360, wide=False)]
 
 
 def _images(found: Findings) -> Figure:
     sample, sequence = found.sample, found.sequence
     t = (sequence.timestamps_ns - sequence.timestamps_ns[0]) * 1e-9
     time_s = t[[pair.frame for pair in sample.pairs]]
-    drawing = panels(
-        [
-            ("brightest [levels]", "saturated [%]"),
-            ("width of edges [px]", "noise [levels]"),
-            ("brightness, later / earlier", "border not dark [%]"),
-        ],
-        TIME_TITLE,
-    )
-    data: list[Trace] = []
+    rows = [
+        ("brightest [levels]", "saturated [%]"),
+        ("width of edges [px]", "noise [levels]"),
+        ("brightness, later / earlier", "border not dark [%]"),
+    ]
+    drawing, data = panels(rows, TIME_TITLE), list[Trace]()
     two = all(pair.right is not None for pair in sample.pairs)
     for side, (name, color) in enumerate((("left", LEFT), ("right", RIGHT)) if two else (("camera", LEFT),)):
         images = [pair.images[side] for pair in sample.pairs]
@@ -214,13 +189,10 @@ def _images(found: Findings) -> Figure:
     return Figure("images", "Exposure, sharpness, noise, surroundings", caption, data, drawing, height_px=560)
 
 
-def _times(stamps: Stamps) -> list[Figure]:
-    if len(stamps.left) < 2:
-        return []
+def _times(stamps: Stamps) -> Figure:
     time_s = (stamps.left - stamps.left[0]) * 1e-9
-    drawing = panels(
-        [("interval [s]",), (f"{stamps.second} minus {stamps.first} [us]",)], TIME_TITLE, showlegend=False
-    )
+    rows = [("interval [s]",), (f"{stamps.second} minus {stamps.first} [us]",)]
+    drawing = panels(rows, TIME_TITLE, showlegend=False)
     drawing["yaxis"] |= {"rangemode": "tozero"}
     differences_us = stamps.differences_ns() * 1e-3
     data = [
@@ -232,19 +204,28 @@ def _times(stamps: Stamps) -> list[Figure]:
         f"By data.csv of the {stamps.first}; below, the difference of the stamps of each pair. A constant "
         "one is taken for an offset of the clocks."
     )
-    return [Figure("times", title, caption, data, drawing, height_px=360)]
+    return Figure("times", title, caption, data, drawing, height_px=360)
 
 
 def draw_pair(pair: RectifiedPair, rows: RowOffsets) -> NDArray[np.uint8]:
     """Left and right image side by side (H, 2 W, 3) as rectified: guides along the rows, matches joined.
 
-    As the astronauts' second screen (thesis figure 5-25): the lines must be as level as the guides.
+    As the astronauts' second screen (thesis figure 5-25): the lines must be as level as the guides. Or the
+    image beside its range image: near is bright, black is not measured.
     """
+
+    def grey(image: Image) -> NDArray[np.uint8]:
+        bright = image.astype(np.float64) * (235.0 / max(float(np.percentile(image, 99.7)), 16.0))
+        return np.repeat(np.clip(bright, 0.0, 255.0).astype(np.uint8)[..., None], 3, axis=2)
+
     if pair.measured is not None:
-        return _draw_ranges(pair.left, pair.measured)
-    both = np.hstack([_stretch_contrast(pair.left), _stretch_contrast(pair.right)])
-    picture = np.repeat(both[..., None], 3, axis=2)
-    height, width = pair.left.shape
+        d = pair.measured.disparity_px
+        known = np.isfinite(d)
+        low, high = np.percentile(d[known], [1.0, 99.0]) if known.any() else (0.0, 1.0)
+        level = np.clip((np.where(known, d, low) - low) / max(high - low, 1e-6), 0.0, 1.0)
+        colours = cv2.applyColorMap((255.0 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1]
+        return np.hstack([grey(pair.left), np.where(known[..., None], colours, 0).astype(np.uint8)])
+    picture, (height, width) = np.hstack([grey(pair.left), grey(pair.right)]), pair.left.shape
     for row in np.linspace(0, height, 9 + 2)[1:-1].astype(int).tolist():
         cv2.line(picture, (0, row), (2 * width, row), (0, 158, 115), 1)
     order = np.argsort(rows.uv_px[:, 1], kind="stable")
@@ -258,20 +239,3 @@ def draw_pair(pair: RectifiedPair, rows: RowOffsets) -> NDArray[np.uint8]:
         for end in (a, b):
             cv2.circle(picture, end, 3 * 16, color, 1, cv2.LINE_AA, shift=4)
     return np.asarray(picture, dtype=np.uint8)
-
-
-def _draw_ranges(left: Image, measured: MeasuredDisparity) -> NDArray[np.uint8]:
-    """The image beside its range image (H, 2 W, 3): near is bright, black is not measured."""
-    d = measured.disparity_px
-    known = np.isfinite(d)
-    low, high = np.percentile(d[known], [1.0, 99.0]) if known.any() else (0.0, 1.0)
-    level = np.clip((np.where(known, d, low) - low) / max(high - low, 1e-6), 0.0, 1.0)
-    colours = cv2.applyColorMap((255.0 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1]
-    grey = np.repeat(_stretch_contrast(left)[..., None], 3, axis=2)
-    return np.hstack([grey, np.where(known[..., None], colours, 0).astype(np.uint8)])
-
-
-def _stretch_contrast(image: Image) -> Image:
-    high = max(float(np.percentile(image, 99.7)), 16.0)
-    bright: Array = np.clip(image.astype(np.float64) * (235.0 / high), 0.0, 255.0)
-    return np.asarray(bright, dtype=np.uint8)

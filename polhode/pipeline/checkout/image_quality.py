@@ -11,7 +11,6 @@ from polhode.frontend.rectification import Image, MeasuredDisparity, target_crop
 from polhode.frontend.segmentation import border_of, sky_level, target_mask
 from polhode.geometry.lie import Bools
 
-Floats = NDArray[np.float32]
 SATURATED = 254
 """Grey levels of 8 bits from which on a pixel is taken as saturated."""
 REBLUR_PX = 1.0
@@ -23,6 +22,7 @@ NOISE_OF_GRADIENT = float(np.sqrt(12.0) / 8.0)
 """Of Sobel's derivative along one axis, for noise of one grey level."""
 NO_PLANE = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0])
 """A mask that annuls planes; its squares add up to 36 (Immerkaer, "Fast noise variance estimation", 1996)."""
+NAN = float("nan")
 
 
 @dataclass(frozen=True)
@@ -31,24 +31,24 @@ class ImageQuality:
 
     target_share: float
     """Of the image's pixels that are target."""
-    extent_px: tuple[float, float]
-    """Width and height of the target's bounding box; 0: the target is not seen"""
     touches_border: bool
     """Whether the target reaches the border of the image"""
     border_bright: float
     """Share of the image's border that is brighter than the sky"""
     around_bright: float
     """Share of the pixels outside the target that are brighter than the sky"""
-    saturated: float
+    extent_px: tuple[float, float] = (0.0, 0.0)
+    """Width and height of the target's bounding box; 0: the target is not seen"""
+    saturated: float = NAN
     """Share of the target's pixels"""
-    bright_level: float
+    bright_level: float = NAN
     """99.5th percentile of the grey levels of the target: what feature detection stretches to full scale"""
-    noise: float
+    noise: float = NAN
     """Standard deviation of the noise on the target [grey levels]"""
-    edge_px: float
+    edge_px: float = NAN
     """Median width of the edges: standard deviation of the Gaussian that blurs them, with the 0.6 px of the
     derivative [px]"""
-    edge_by_direction_px: tuple[float, ...]
+    edge_by_direction_px: tuple[float, ...] = (NAN,) * DIRECTIONS
     """The same for edges whose gradient points along 0, 45, 90 and 135 degrees; NaN: too few edges"""
 
 
@@ -59,39 +59,30 @@ def image_quality(image: Image, given: Bools | None, surroundings: bool = False)
     """
     edge = border_of(np.ones(image.shape, dtype=np.bool_))
     mask = target_mask(image, given, edge if surroundings else None)
-    crop = target_crop(mask, margin_px=0)
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), 1.5), dtype=np.uint8)
     bright = smooth > sky_level(smooth)
-    near = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
-    around = ~near
-    nan = float("nan")
-    nothing = ImageQuality(
+    around = ~(cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0)
+    quality = ImageQuality(
         target_share=float(mask.mean()),
-        extent_px=(0.0, 0.0),
         touches_border=bool(mask[edge].any()),
         border_bright=float(bright[edge].mean()),
-        around_bright=float(bright[around].mean()) if around.any() else nan,
-        saturated=nan,
-        bright_level=nan,
-        noise=nan,
-        edge_px=nan,
-        edge_by_direction_px=(nan,) * DIRECTIONS,
+        around_bright=float(bright[around].mean()) if around.any() else NAN,
     )
+    crop = target_crop(mask, margin_px=0)
     if crop is None:
-        return nothing
+        return quality
     part = image[crop.v0 : crop.v1, crop.u0 : crop.u1]
     inside = mask[crop.v0 : crop.v1, crop.u0 : crop.u1]
-    levels = part[inside]
     noise = noise_level(part, inside)
-    widths = edge_widths(part, inside, noise)
+    width_px, by_direction_px = edge_widths(part, inside, noise)
     return replace(
-        nothing,
+        quality,
         extent_px=(float(crop.width_px), float(crop.height_px)),
-        saturated=float(np.mean(levels >= SATURATED)),
-        bright_level=float(np.percentile(levels, 99.5)),
+        saturated=float(np.mean(part[inside] >= SATURATED)),
+        bright_level=float(np.percentile(part[inside], 99.5)),
         noise=noise,
-        edge_px=widths[0],
-        edge_by_direction_px=widths[1],
+        edge_px=width_px,
+        edge_by_direction_px=by_direction_px,
     )
 
 
@@ -101,20 +92,19 @@ def noise_level(image: Image, inside: Bools) -> float:
     In each block the mean magnitude of what is no plane; of the blocks the lowest decile, where texture adds
     least. NaN: the target is too small, or saturated.
     """
-    response = np.abs(np.asarray(cv2.filter2D(image.astype(np.float32), -1, NO_PLANE)))
     n = 8
     rows, columns = (size // n for size in image.shape)
     if min(rows, columns) == 0:
-        return float("nan")
+        return NAN
 
     def blocks(values: NDArray[Any]) -> NDArray[Any]:
         cut = values[: rows * n, : columns * n].reshape(rows, n, columns, n)
         return np.asarray(cut.transpose(0, 2, 1, 3).reshape(rows * columns, n * n))
 
-    usable = inside & (image < SATURATED) & (image > 2)
-    whole = blocks(usable).all(axis=1)
+    response = np.abs(np.asarray(cv2.filter2D(image.astype(np.float32), -1, NO_PLANE)))
+    whole = blocks(inside & (image < SATURATED) & (image > 2)).all(axis=1)
     if whole.sum() < 5:
-        return float("nan")
+        return NAN
     sigma = np.sqrt(np.pi / 2.0) / 6.0 * blocks(response)[whole].mean(axis=1)
     return float(np.percentile(sigma, 10.0))
 
@@ -126,43 +116,30 @@ def edge_widths(image: Image, inside: Bools, noise: float) -> tuple[float, tuple
     was (Zhuo and Sim, "Defocus map estimation from a single image", 2011). Saturated ones do not count.
     """
     values = image.astype(np.float32)
-    gx, gy = _gradient(values)
-    size = np.hypot(gx, gy)
-    size_again = np.hypot(*_gradient(np.asarray(cv2.GaussianBlur(values, (0, 0), REBLUR_PX), np.float32)))
+    again = np.asarray(cv2.GaussianBlur(values, (0, 0), REBLUR_PX), np.float32)
+    (gx, gy), gradient_again = (
+        [np.asarray(cv2.Sobel(z, cv2.CV_32F, *d, scale=0.125), np.float32) for d in ((1, 0), (0, 1))]
+        for z in (values, again)
+    )
+    size, size_again = np.hypot(gx, gy), np.hypot(*gradient_again)
     clear = max(CLEAR_EDGE * (noise if np.isfinite(noise) else 1.0) * NOISE_OF_GRADIENT, 2.0)
     saturated = cv2.dilate((image >= SATURATED).astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
-    edge = _ridge(size, gx, gy) & (size > clear) & inside & ~saturated
+    edge = (size > clear) & inside & ~saturated
+    # where the gradient is largest along its own direction
+    v, u = np.indices(size.shape).astype(np.float32)
+    scale = np.maximum(size, 1e-6)
+    for sign in (-1.0, 1.0):
+        u1, v1 = ((at + sign * g / scale).astype(np.float32) for at, g in ((u, gx), (v, gy)))
+        edge &= size >= cv2.remap(size, u1, v1, cv2.INTER_LINEAR)
     ratio = size[edge] / np.maximum(size_again[edge], 1e-6)
     width = REBLUR_PX / np.sqrt(np.maximum(ratio**2 - 1.0, 1e-2))
     angle = np.arctan2(gy[edge], gx[edge]) % np.pi
     sector = np.round(angle / (np.pi / DIRECTIONS)).astype(np.int64) % DIRECTIONS
-    return _median(width), tuple(_median(width[sector == k]) for k in range(DIRECTIONS))
 
+    def median(part: NDArray[Any]) -> float:
+        return float(np.median(part)) if len(part) >= 40 else NAN
 
-def _median(width: NDArray[Any]) -> float:
-    return float(np.median(width)) if len(width) >= 40 else float("nan")
-
-
-def _gradient(values: Floats) -> tuple[Floats, Floats]:
-    """Derivatives (H, W) of an image along its rows and columns."""
-    gx, gy = (cv2.Sobel(values, cv2.CV_32F, *d, scale=0.125) for d in ((1, 0), (0, 1)))
-    return np.asarray(gx, dtype=np.float32), np.asarray(gy, dtype=np.float32)
-
-
-def _ridge(size: Floats, gx: Floats, gy: Floats) -> Bools:
-    """Whether the gradient is largest there along its own direction (H, W)."""
-    v, u = np.indices(size.shape).astype(np.float32)
-    scale = np.maximum(size, 1e-6)
-    out = np.ones(size.shape, dtype=np.bool_)
-    for sign in (-1.0, 1.0):
-        beside = cv2.remap(
-            size,
-            (u + sign * gx / scale).astype(np.float32),
-            (v + sign * gy / scale).astype(np.float32),
-            cv2.INTER_LINEAR,
-        )
-        out &= size >= beside
-    return out
+    return median(width), tuple(median(width[sector == k]) for k in range(DIRECTIONS))
 
 
 @dataclass(frozen=True)
@@ -179,11 +156,10 @@ def range_quality(measured: MeasuredDisparity, target: Bools) -> RangeQuality:
     """What the ranges of one frame show on the target (H, W); the scatter is a median, which edges do not
     move."""
     if not target.any():
-        return RangeQuality(float("nan"), float("nan"))
+        return RangeQuality(NAN, NAN)
     known = target & np.isfinite(measured.disparity_px)
     response = cv2.filter2D(np.where(known, measured.disparity_px, 0.0).astype(np.float64), -1, NO_PLANE)
-    whole = cv2.erode(known.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    ratio = float("nan")
+    whole, ratio = cv2.erode(known.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0, NAN
     if whole.sum() >= 50:
         scatter = np.abs(np.asarray(response)[whole]) / 6.0 / measured.sigma_px[whole]
         # half of a normal law is within 0.6745 sigmas

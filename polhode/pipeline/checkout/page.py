@@ -44,11 +44,8 @@ def checkout_folder(path: Path) -> AbstractContextManager[Path]:
 
 def write_checkout(done: Checkout, name: str, folder: Path) -> None:
     """Both files, or none. Raises InputError, RunFailure."""
-    files = {
-        "checkout.json": json_text(done.result).encode(),
-        "checkout.html": render(done, name).encode(),
-    }
-    write_files(folder, COMMAND, files, FILES.__contains__)
+    contents = json_text(done.result).encode(), render(done, name).encode()
+    write_files(folder, COMMAND, dict(zip(FILES, contents, strict=True)), FILES.__contains__)
 
 
 def format_checkout(done: Checkout) -> str:
@@ -68,16 +65,16 @@ def format_checkout(done: Checkout) -> str:
 
 def render(done: Checkout, name: str) -> str:
     """The whole page."""
-    result, found = done.result, done.findings
-    groups = [
-        (title, [check_row(check) for check in result.checks if check.group == group])
+    result, found, picture = done.result, done.findings, None
+    rows = {
+        title: [check_row(check) for check in result.checks if check.group == group]
         for group, title in GROUPS.items()
-        if any(check.group == group for check in result.checks)
-    ]
-    picture = None
+    }
     if found is not None:
-        rows = found.sample.pairs[found.shown_index].rows
-        picture = _jpeg(Image.fromarray(draw_pair(found.shown, rows)))
+        stream = io.BytesIO()
+        drawn = draw_pair(found.shown, found.sample.pairs[found.shown_index].rows)
+        Image.fromarray(drawn).save(stream, "JPEG", quality=86)
+        picture = f"data:image/jpeg;base64,{base64.b64encode(stream.getvalue()).decode('ascii')}"
     return fill(
         "checkout.html.j2",
         title=f"Checkout of {printable(name)}",
@@ -85,7 +82,7 @@ def render(done: Checkout, name: str) -> str:
         result=result,
         words=WORDS[result.status],
         notes=[f"{check.status}: {in_a_line(check)}" for check in result.checks if check.status != "PASS"],
-        groups=groups,
+        groups=[(title, found_rows) for title, found_rows in rows.items() if found_rows],
         sections=checkout_figures(done),
         picture=picture,
         has_ranges=found is not None and found.sequence.has_ranges,
@@ -114,9 +111,3 @@ def check_row(check: CheckoutCheck) -> dict[str, str]:
         "finding": check.finding,
         "advice": check.advice if check.status != "PASS" else "",
     }
-
-
-def _jpeg(picture: Image.Image) -> str:
-    stream = io.BytesIO()
-    picture.save(stream, "JPEG", quality=86)
-    return f"data:image/jpeg;base64,{base64.b64encode(stream.getvalue()).decode('ascii')}"

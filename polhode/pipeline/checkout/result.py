@@ -18,7 +18,6 @@ from polhode.run_directory.summary_schema import Finite, StrictModel, Variance, 
 SCHEMA_FILE = Path(__file__).with_name("checkout.schema.json")
 Verdict = Literal["PASS", "WARN", "FAIL"]
 Group = Literal["rig", "range", "motion", "images", "time", "background", "inspector", "cost"]
-_ORDER: tuple[Verdict, ...] = ("PASS", "WARN", "FAIL")
 
 
 class CheckoutCheck(StrictModel):
@@ -60,10 +59,7 @@ class CheckoutResult(StrictModel):
 
     def named(self, name: str) -> CheckoutCheck:
         """The check of this name. Raises KeyError."""
-        for check in self.checks:
-            if check.name == name:
-                return check
-        raise KeyError(name)
+        return {check.name: check for check in self.checks}[name]
 
 
 def judge(
@@ -84,11 +80,10 @@ def judge(
 
     ``not_possible``: the status when ``value`` is None or not finite.
     """
-    if value is None or not np.isfinite(value):
-        value, status = None, not_possible
-    else:
+    status, known = not_possible, value is not None and np.isfinite(value)
+    if value is not None and known:
         # what is printed is what is judged
-        value = _rounded(float(value))
+        value = float(f"{value:.6g}")
         beyond = [
             each is not None and (value < each if at_least else value > each) for each in (limit, fail_limit)
         ]
@@ -96,25 +91,22 @@ def judge(
     return CheckoutCheck(
         group=group,
         name=name,
-        value=value,
+        value=value if known else None,
         unit=unit,
         limit=limit,
         fail_limit=fail_limit,
         at_least=at_least,
-        sigma=None if sigma is None or value is None else _rounded(sigma),
+        sigma=None if sigma is None or not known else float(f"{sigma:.6g}"),
         status=status,
         finding=finding,
         advice="Nothing to do." if status == "PASS" else advice,
     )
 
 
-def _rounded(value: float) -> float:
-    return float(f"{value:.6g}")
-
-
 def worst(checks: Iterable[CheckoutCheck]) -> Verdict:
     """The status of all together."""
-    return _ORDER[max((_ORDER.index(check.status) for check in checks), default=0)]
+    found = {check.status for check in checks}
+    return "FAIL" if "FAIL" in found else "WARN" if "WARN" in found else "PASS"
 
 
 if __name__ == "__main__":

@@ -44,11 +44,10 @@ class RowFit:
     """(n,) of the fit"""
     good: Bools
     """(n,) no outlier"""
-    pitch_rad: float
-    roll_rad: float
-    stretch: float
+    tilt: Array
+    """(3,) pitch [rad], roll [rad], stretch"""
     sigma: Array
-    """(3,) of pitch [rad], roll [rad], stretch"""
+    """(3,) of these"""
     sigma_yaw_rad: float
     """Of a yaw, if it were solved for as well"""
 
@@ -73,44 +72,36 @@ def fit_rows(sample: Sample, rig: RectifiedRig) -> RowFit | None:
         for name in ("uv_px", "disparity_px", "offset_px")
     )
     pair = np.concatenate([np.full(len(each.offset_px), k) for k, each in rows])
-    A = design(rig, uv, d)
-    solution, good = np.array([0.0, 0.0, 0.0]), np.ones(len(y), dtype=np.bool_)
-    residual = y - np.median(y)
+    A, tilt, residual = design(rig, uv, d), np.zeros(3), y - np.median(y)
     for _ in range(5):
         good = np.abs(residual) <= 3.0 * max(1.4826 * float(np.median(np.abs(residual))), 0.05)
-        solution = np.linalg.lstsq(A[good, :3], y[good])[0]
-        residual = y - A[:, :3] @ solution
-    sigma = _sigma(A[good, :3], residual[good], pair[good])
-    with_yaw = np.linalg.lstsq(A[good], y[good])[0]
-    sigma_yaw = _sigma(A[good], y[good] - A[good] @ with_yaw, pair[good])[3]
-    pitch, roll, stretch = map(float, solution)
-    return RowFit(uv, d, y, residual, good, pitch, roll, stretch, sigma, float(sigma_yaw))
+        tilt = np.linalg.lstsq(A[good, :3], y[good])[0]
+        residual = y - A[:, :3] @ tilt
 
+    def sigmas(A: Array, residual: Array) -> Array:
+        """By the scatter between pairs, and at least those of independent errors."""
+        inverse = np.linalg.pinv(A.T @ A)
+        labels, index = np.unique(pair[good], return_inverse=True)
+        score = np.zeros((len(labels), A.shape[1]))
+        np.add.at(score, index, A * residual[:, None])
+        among = len(labels) / max(len(labels) - 1, 1)
+        grouped = np.diagonal(inverse @ (score.T @ score) @ inverse) * among
+        return np.sqrt(np.maximum(grouped, np.diagonal(inverse) * float(np.var(residual))))
 
-def _sigma(A: Array, residual: Array, pair: Ints) -> Array:
-    """Standard deviations (k,) by the scatter between pairs, and at least those of independent errors."""
-    inverse = np.linalg.pinv(A.T @ A)
-    labels, index = np.unique(pair, return_inverse=True)
-    score = np.zeros((len(labels), A.shape[1]))
-    np.add.at(score, index, A * residual[:, None])
-    among = len(labels) / max(len(labels) - 1, 1)
-    grouped = np.diagonal(inverse @ (score.T @ score) @ inverse) * among
-    independent = np.diagonal(inverse) * float(np.var(residual))
-    return np.sqrt(np.maximum(grouped, independent))
+    with_yaw = y[good] - A[good] @ np.linalg.lstsq(A[good], y[good])[0]
+    sigma = sigmas(A[good, :3], residual[good])
+    return RowFit(uv, d, y, residual, good, tilt, sigma, float(sigmas(A[good], with_yaw)[3]))
 
 
 def regions(fit: RowFit, rig: RectifiedRig, values: Array) -> tuple[Array, Ints]:
     """Median of values (n,) in each part (3, 3) of the image, rows from the top, and number of matches."""
     size = np.array([rig.width_px, rig.height_px]) / REGIONS
     at = np.clip((fit.uv_px // size).astype(np.int64), 0, REGIONS - 1)
-    median = np.full((REGIONS, REGIONS), np.nan)
-    count = np.zeros((REGIONS, REGIONS), dtype=np.int64)
-    for row in range(REGIONS):
-        for column in range(REGIONS):
-            here = fit.good & (at[:, 0] == column) & (at[:, 1] == row)
-            count[row, column] = here.sum()
-            if here.any():
-                median[row, column] = np.median(values[here])
+    median, count = np.full((REGIONS, REGIONS), np.nan), np.zeros((REGIONS, REGIONS), dtype=np.int64)
+    for row, column in np.ndindex(median.shape):
+        here = fit.good & (at[:, 0] == column) & (at[:, 1] == row)
+        count[row, column] = here.sum()
+        median[row, column] = np.median(values[here]) if here.any() else np.nan
     return median, count
 
 
@@ -121,27 +112,23 @@ def tilt_checks(sample: Sample, rig: RectifiedRig, fit: RowFit | None) -> list[C
     """
     if all(pair.right is None for pair in sample.pairs):
         return []
-    return [_exchanged(sample, rig), *_rows_checks(sample, rig, fit)]
-
-
-def _exchanged(sample: Sample, rig: RectifiedRig) -> CheckoutCheck:
     counted = [pair.rows.disparity_px for pair in sample.pairs if len(pair.rows.disparity_px) >= MIN_MATCHES]
-    negative = [float(np.mean(d < rig.disparity_offset_px)) > EXCHANGED_SHARE for d in counted]
-    return make_check(
-        "exchanged",
-        100.0 * float(np.mean(negative)) if counted else None,
-        f"In {sum(negative)} of {len(counted)} pairs most points would be behind the cameras."
-        if counted
-        else "Left and right image have too little in common to say.",
-    )
+    behind = [float(np.mean(d < rig.disparity_offset_px)) > EXCHANGED_SHARE for d in counted]
+    share, finding = None, "Left and right image have too little in common to say."
+    if counted:
+        share = 100.0 * float(np.mean(behind))
+        finding = f"In {sum(behind)} of {len(counted)} pairs most points would be behind the cameras."
+    exchanged = make_check("exchanged", share, finding)
 
+    def angle(px: float, arm: float = 1.0) -> float:
+        """That moves rows by so many pixels, at an arm of 1 / ``arm`` focal lengths [deg]."""
+        return float(f"{np.rad2deg(arm * px / rig.focal_px):.3g}")
 
-def _rows_checks(sample: Sample, rig: RectifiedRig, fit: RowFit | None) -> list[CheckoutCheck]:
     warn_px, fail_px = limit_of("rows"), 0.8
     limits: dict[str, Limits] = {
         "rows": (warn_px, fail_px),
-        "pitch": (_tilt_limit(rig, warn_px), _tilt_limit(rig, fail_px)),
-        "roll": (_tilt_limit(rig, warn_px, 4.0), None),
+        "pitch": (angle(warn_px), angle(fail_px)),
+        "roll": (angle(warn_px, 4.0), None),
         "focal lengths": (limit_of("focal lengths"), None),
         "region": (limit_of("region"), None),
     }
@@ -149,76 +136,58 @@ def _rows_checks(sample: Sample, rig: RectifiedRig, fit: RowFit | None) -> list[
         count = sum(len(pair.rows.offset_px) for pair in sample.pairs)
         why = f"Left and right image have {count} matches in {len(sample.pairs)} pairs, too few to judge."
         advice = "Check that both cameras show the target in focus and that their images belong together."
-        return [make_check(key, None, why, limits=each, advice=advice) for key, each in limits.items()]
-    checks = []
+        none = [make_check(key, None, why, limits=each, advice=advice) for key, each in limits.items()]
+        return [exchanged, *none]
+    checks = [exchanged]
     for (key, (limit, fail)), (value, sigma, finding) in zip(limits.items(), _values(fit, rig), strict=True):
         # limits are raised where the standard deviation would let chance cross them
         least = 0.0 if sigma is None else CLEAR_SIGMAS * sigma
-        raised = tuple(None if each is None else max(each, least) for each in (limit, fail))
+        raised = [None if each is None else max(each, least) for each in (limit, fail)]
         checks.append(make_check(key, value, finding, limits=(raised[0], raised[1]), sigma=sigma))
     return checks
 
 
-def _tilt_limit(rig: RectifiedRig, px: float, arm: float = 1.0) -> float:
-    """The angle [deg] that moves rows by so many pixels, at an arm of 1 / ``arm`` focal lengths."""
-    return float(f"{np.rad2deg(arm * px / rig.focal_px):.3g}")
-
-
 def _values(fit: RowFit, rig: RectifiedRig) -> list[tuple[float, float | None, str]]:
-    """Value, sigma and finding of each check."""
-    pitch, roll = np.rad2deg([fit.pitch_rad, fit.roll_rad])
-    sigma_pitch, sigma_roll = np.rad2deg(fit.sigma[:2])
-    n, offset = int(fit.good.sum()), fit.offset_px[fit.good]
-    middle = float(np.median(offset))
-    scatter = 1.4826 * float(np.median(np.abs(fit.residual_px[fit.good])))
-    common = float(np.sqrt(np.mean((offset - fit.residual_px[fit.good]) ** 2)))
-    range_m = _range_m(fit, rig)
-    vertical_mm = 1e3 * abs(fit.pitch_rad) * range_m
+    """Value, sigma and finding of each check of the rows."""
+    pitch, roll, stretch = np.rad2deg(fit.tilt[0]), np.rad2deg(fit.tilt[1]), 100.0 * fit.tilt[2]
+    sigma_pitch, sigma_roll, sigma_stretch = *np.rad2deg(fit.sigma[:2]), 100.0 * fit.sigma[2]
+    offset, residual = fit.offset_px[fit.good], fit.residual_px[fit.good]
+    scatter = 1.4826 * float(np.median(np.abs(residual)))
+    common = float(np.sqrt(np.mean((offset - residual) ** 2)))
+    ahead = fit.disparity_px[fit.good] - rig.disparity_offset_px
+    ahead = ahead[ahead > 0.5]
+    range_m = rig.focal_px * rig.baseline_m / float(np.median(ahead)) if len(ahead) else 0.0
     yaw_mm, yaw_deg = 1e3 * np.deg2rad(0.1) * range_m**2 / rig.baseline_m, np.rad2deg(fit.sigma_yaw_rad)
-    up, clockwise = "up" if pitch > 0 else "down", "clockwise" if roll > 0 else "anticlockwise"
-    longer = "longer" if fit.stretch > 0 else "shorter"
     median, count = regions(fit, rig, fit.residual_px)
     enough = count >= MIN_IN_REGION
     worst = float(np.nanmax(np.abs(median[enough]))) if enough.any() else float("nan")
+    rows = (
+        f"Rows of left and right image differ by {np.median(offset):+.2f} px (median of {len(offset)} "
+        f"matches), and by {common:.2f} px (root mean square) as a tilt explains it; the rest scatters by "
+        f"{scatter:.2f} px."
+    )
+    up = (
+        f"The right camera looks {abs(pitch):.3f} deg {'up' if pitch > 0 else 'down'} against its "
+        f"calibration (sigma {sigma_pitch:.3f} deg), or lies {1e3 * abs(fit.tilt[0]) * range_m:.2g} mm off "
+        f"vertically. A yaw would not show: these rows leave it open to {3 * yaw_deg:.2g} deg, and 0.1 deg "
+        f"of it shifts the range by {yaw_mm:.2g} mm."
+    )
+    clockwise = (
+        f"The right camera is turned {abs(roll):.3f} deg {'clockwise' if roll > 0 else 'anticlockwise'} "
+        f"about its viewing direction (sigma {sigma_roll:.3f} deg)."
+    )
+    longer = (
+        f"The right focal length is {abs(stretch):.2f} % {'longer' if stretch > 0 else 'shorter'} against "
+        f"the left one than calibrated (sigma {sigma_stretch:.2f} %)."
+    )
+    parts = (
+        f"{int(enough.sum())} of {REGIONS * REGIONS} parts of the image have {MIN_IN_REGION} matches or "
+        "more; the largest median of what the tilt leaves there."
+    )
     return [
-        (
-            common,
-            None,
-            f"Rows of left and right image differ by {middle:+.2f} px (median of {n} matches), and by "
-            f"{common:.2f} px (root mean square) as a tilt explains it; the rest scatters by {scatter:.2f} "
-            f"px.",
-        ),
-        (
-            abs(float(pitch)),
-            float(sigma_pitch),
-            f"The right camera looks {abs(pitch):.3f} deg {up} against its calibration (sigma "
-            f"{sigma_pitch:.3f} deg), or lies {vertical_mm:.2g} mm off vertically. A yaw would not show: "
-            f"these rows leave it open to {3 * yaw_deg:.2g} deg, and 0.1 deg of it shifts the range by "
-            f"{yaw_mm:.2g} mm.",
-        ),
-        (
-            abs(float(roll)),
-            float(sigma_roll),
-            f"The right camera is turned {abs(roll):.3f} deg {clockwise} about its viewing direction (sigma "
-            f"{sigma_roll:.3f} deg).",
-        ),
-        (
-            100.0 * abs(fit.stretch),
-            100.0 * float(fit.sigma[2]),
-            f"The right focal length is {100 * abs(fit.stretch):.2f} % {longer} against the left one than "
-            f"calibrated (sigma {100 * fit.sigma[2]:.2f} %).",
-        ),
-        (
-            worst,
-            None,
-            f"{int(enough.sum())} of {REGIONS * REGIONS} parts of the image have {MIN_IN_REGION} matches or "
-            "more; the largest median of what the tilt leaves there.",
-        ),
+        (common, None, rows),
+        (abs(float(pitch)), float(sigma_pitch), up),
+        (abs(float(roll)), float(sigma_roll), clockwise),
+        (abs(float(stretch)), float(sigma_stretch), longer),
+        (worst, None, parts),
     ]
-
-
-def _range_m(fit: RowFit, rig: RectifiedRig) -> float:
-    """Median range of the matches in front of the camera [m]; 0: none are."""
-    ahead = fit.disparity_px[fit.good] - rig.disparity_offset_px
-    ahead = ahead[ahead > 0.5]
-    return rig.focal_px * rig.baseline_m / float(np.median(ahead)) if len(ahead) else 0.0

@@ -7,18 +7,13 @@ lab.checkout.run_cost`` prints the constants, and how far runs lie from the esti
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from polhode.config.frontend_settings import PairMatching
 from polhode.pipeline.checkout.check_table import make_check
 from polhode.pipeline.checkout.result import CheckoutCheck
 
-S_PER_FRAME = 1.2
-"""[s]"""
-S_PER_MPX = 2.0
-"""Per frame and million pixels of the target's bounding box [s]."""
-S_PER_PAIR = 0.03
-"""Per pair of frames that is matched [s]."""
+S_PER_FRAME, S_PER_MPX, S_PER_PAIR = 1.2, 2.0, 0.03
+"""Per frame; per frame and million pixels of the target's bounding box; per pair of frames that is matched
+[s]"""
 SPREAD = 2.0
 """Nine of ten runs take between the estimate divided by this and multiplied by it."""
 GIB_BASE, GIB_PER_FRAME, GIB_PER_MPX = 2.0, 0.005, 0.2
@@ -51,20 +46,15 @@ def seconds(size: RunSize) -> float:
     return size.frames * (S_PER_FRAME + S_PER_MPX * size.target_mpx) + S_PER_PAIR * size.matched_pairs
 
 
-def gibibytes(size: RunSize) -> float:
-    """Memory of all its processes together [GiB]."""
-    return GIB_BASE + GIB_PER_FRAME * size.frames + GIB_PER_MPX * size.image_mpx
-
-
 def cost_checks(size: RunSize) -> list[CheckoutCheck]:
     """Estimates, each with a limit from which on a user may want to know."""
-    minutes, memory = seconds(size) / 60.0, gibibytes(size)
+    minutes = seconds(size) / 60.0
+    memory_gib = GIB_BASE + GIB_PER_FRAME * size.frames + GIB_PER_MPX * size.image_mpx
+    finding = (
+        f"An estimate for two cores: {size.frames} {size.noun}, {size.matched_pairs} pairs of frames to "
+        f"match; nine of ten runs take {minutes / SPREAD:.2g} to {minutes * SPREAD:.2g} min."
+    )
     return [
-        make_check(
-            "run time",
-            float(np.round(minutes, 1)),
-            f"An estimate for two cores: {size.frames} {size.noun}, {size.matched_pairs} pairs of frames to "
-            f"match; nine of ten runs take {minutes / SPREAD:.2g} to {minutes * SPREAD:.2g} min.",
-        ),
-        make_check("memory", float(np.round(memory, 1)), "An estimate for two worker processes."),
+        make_check("run time", round(minutes, 1), finding),
+        make_check("memory", round(memory_gib, 1), "An estimate for two worker processes."),
     ]

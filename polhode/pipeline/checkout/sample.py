@@ -12,19 +12,9 @@ from polhode.frontend.features.keypoints import KeyPoints, detect, no_key_points
 from polhode.frontend.features.row_offsets import RowOffsets, row_offsets
 from polhode.frontend.features.stereo import StereoFeatures, match_stereo, with_ranges
 from polhode.frontend.matching.pairs import PairMatch, match_pairs
-from polhode.frontend.rectification import (
-    Image,
-    Rectifier,
-    rectified_pair,
-    target_crop,
-)
+from polhode.frontend.rectification import Image, Rectifier, rectified_pair, target_crop
 from polhode.geometry.lie import Array, Bools, Ints
-from polhode.pipeline.checkout.image_quality import (
-    ImageQuality,
-    RangeQuality,
-    image_quality,
-    range_quality,
-)
+from polhode.pipeline.checkout.image_quality import ImageQuality, RangeQuality, image_quality, range_quality
 from polhode.records.dataset import StereoSequence
 from polhode.runtime.processes import in_order
 from polhode.runtime.progress import Progress
@@ -36,10 +26,6 @@ MAX_STEP = 1.5
 MIN_ROWS, LEVELLED_PX = 12, 0.3
 """With so many matches whose rows differ by more, they are levelled before stereo matching, so that the other
 checks still work."""
-PRELOADED = ("polhode.pipeline.checkout.sample",)
-"""Modules that the processes import."""
-PATCH_PX = 7
-"""Side of the window whose brightness is compared."""
 
 
 @dataclass(frozen=True)
@@ -56,17 +42,21 @@ class ExaminedPair:
     """(n,) mean grey level around each feature in the left image"""
     level_right: Array
     """(n,) in the right image"""
-    left: ImageQuality
-    right: ImageQuality | None
-    """None: range images take the place of a second camera"""
+    images: tuple[ImageQuality, ...]
+    """Of the left and the right camera; of the left one where range images take the place of a second one"""
     has_masks: tuple[bool, ...]
     """Of the images"""
     ranges: RangeQuality | None = None
 
     @property
-    def images(self) -> tuple[ImageQuality, ...]:
-        """Of the cameras that there are."""
-        return (self.left,) if self.right is None else (self.left, self.right)
+    def left(self) -> ImageQuality:
+        """Of the left image."""
+        return self.images[0]
+
+    @property
+    def right(self) -> ImageQuality | None:
+        """Of the right image, if there is one."""
+        return self.images[1] if len(self.images) > 1 else None
 
 
 @dataclass(frozen=True)
@@ -110,19 +100,12 @@ def places(timestamps_ns: Ints, count: int = PLACES) -> Ints:
 
 
 def take_sample(
-    sequence: StereoSequence,
-    rectifier: Rectifier,
-    config: Frontend,
-    frames: Ints,
-    workers: int,
-    progress: Progress,
+    sequence: StereoSequence, rectifier: Rectifier, frames: Ints, workers: int, progress: Progress
 ) -> Sample:
     """Examine the pairs of these indices, and match those that are successive."""
-    pairs = []
+    pairs, look = [], partial(examine, sequence, rectifier)
     with progress.stage("pairs", len(frames)) as advance:
-        for pair in in_order(
-            partial(examine, sequence, rectifier, config), frames.tolist(), workers, PRELOADED
-        ):
+        for pair in in_order(look, frames.tolist(), workers, (__name__,)):
             pairs.append(pair)
             advance()
     step, usual = np.diff(sequence.timestamps_ns[frames]), np.median(np.diff(sequence.timestamps_ns))
@@ -130,7 +113,7 @@ def take_sample(
     successive = np.stack([first, first + 1], axis=1)
     features = [pair.features for pair in pairs]
     partners = [successive[successive[:, 0] == k, 1] for k in range(len(pairs))]
-    matches = match_pairs(features, partners, rectifier.rig, config, 0, 1, lambda: None)
+    matches = match_pairs(features, partners, rectifier.rig, Frontend(), 0, 1, lambda: None)
     known = {(match.i, match.j): match for match in matches}
     links = tuple(known.get((int(i), int(j))) for i, j in successive)
     found = rectifier.found
@@ -138,29 +121,36 @@ def take_sample(
     return Sample(tuple(pairs), successive, links, rectifier.surroundings, doubtful)
 
 
-def examine(sequence: StereoSequence, rectifier: Rectifier, config: Frontend, k: int) -> ExaminedPair:
+def examine(sequence: StereoSequence, rectifier: Rectifier, k: int) -> ExaminedPair:
     """Measure pair k."""
-    raw, pair = sequence.read_pair(k), rectified_pair(sequence, rectifier, k)
-    rig = rectifier.rig
+    raw, pair, rig = sequence.read_pair(k), rectified_pair(sequence, rectifier, k), rectifier.rig
+
+    def quality(side: int, image: Image, given: Bools | None) -> ImageQuality:
+        """Of an image as recorded or, where its mask was found, as rectified."""
+        mask = rectifier.found.mask(k, side) if rectifier.found is not None and given is None else None
+        if mask is not None:
+            return image_quality(rectifier(image, side), mask)
+        return image_quality(image, given, rectifier.surroundings)
+
+    def key_points(image: Image, mask: Bools) -> KeyPoints:
+        crop = target_crop(mask)
+        return no_key_points() if crop is None else detect(image, mask, crop, Frontend().features)
+
+    left, of_left = key_points(pair.left, pair.mask_left), quality(0, raw.left, raw.mask_left)
     if pair.measured is not None:
-        features = with_ranges(pair.measured, _key_points(pair.left, pair.mask_left, config), rig)
+        features = with_ranges(pair.measured, left, rig)
         return ExaminedPair(
             frame=k,
             features=features,
             rows=RowOffsets(np.zeros((0, 2)), np.zeros(0), np.zeros(0)),
             level_left=_levels(pair.left, features.uvd_px[:, :2]),
             level_right=np.zeros(len(features)),
-            left=_quality(rectifier, k, 0, raw.left, raw.mask_left),
-            right=None,
+            images=(of_left,),
             has_masks=(raw.mask_left is not None,),
             ranges=range_quality(pair.measured, pair.mask_left),
         )
-    left, right = (
-        _key_points(image, mask, config)
-        for image, mask in ((pair.left, pair.mask_left), (pair.right, pair.mask_right))
-    )
-    most_px = rig.focal_px * np.deg2rad(1.0)
-    rows = row_offsets(left, right, rig.width_px, most_px)
+    right = key_points(pair.right, pair.mask_right)
+    rows = row_offsets(left, right, rig.width_px, rig.focal_px * np.deg2rad(1.0))
     image, right = _level_rows(pair.right, right, rows)
     features, _ = match_stereo(pair.left, image, left, right, rig)
     uv, d = features.uvd_px[:, :2], features.uvd_px[:, 2]
@@ -170,23 +160,9 @@ def examine(sequence: StereoSequence, rectifier: Rectifier, config: Frontend, k:
         rows=rows,
         level_left=_levels(pair.left, uv),
         level_right=_levels(image, uv - np.column_stack([d, np.zeros(len(d))])),
-        left=_quality(rectifier, k, 0, raw.left, raw.mask_left),
-        right=_quality(rectifier, k, 1, raw.right, raw.mask_right),
+        images=(of_left, quality(1, raw.right, raw.mask_right)),
         has_masks=(raw.mask_left is not None, raw.mask_right is not None),
     )
-
-
-def _quality(rectifier: Rectifier, k: int, side: int, raw: Image, given: Bools | None) -> ImageQuality:
-    """Of an image as recorded or, where its mask was found, as rectified."""
-    mask = rectifier.found.mask(k, side) if rectifier.found is not None and given is None else None
-    if mask is not None:
-        return image_quality(rectifier(raw, side), mask)
-    return image_quality(raw, given, rectifier.surroundings)
-
-
-def _key_points(image: Image, mask: Bools, config: Frontend) -> KeyPoints:
-    crop = target_crop(mask)
-    return no_key_points() if crop is None else detect(image, mask, crop, config.features)
 
 
 def _level_rows(image: Image, points: KeyPoints, rows: RowOffsets) -> tuple[Image, KeyPoints]:
@@ -214,8 +190,7 @@ def _level_rows(image: Image, points: KeyPoints, rows: RowOffsets) -> tuple[Imag
 
 
 def _levels(image: Image, uv_px: Array) -> Array:
-    """Mean grey level (n,) of the windows around points (n, 2)."""
-    mean = cv2.blur(image.astype(np.float32), (PATCH_PX, PATCH_PX))
-    height, width = image.shape
+    """Mean grey level (n,) of the windows of 7 pixels around points (n, 2)."""
+    mean, (height, width) = cv2.blur(image.astype(np.float32), (7, 7)), image.shape
     at = np.clip(np.round(uv_px).astype(np.int64), 0, [width - 1, height - 1])
     return np.asarray(mean[at[:, 1], at[:, 0]], dtype=np.float64)

@@ -10,13 +10,7 @@ from polhode.geometry.lie import Array, hat, inverse_pose, log_so3
 from polhode.pipeline.checkout.check_table import limit_of, make_check
 from polhode.pipeline.checkout.result import CheckoutCheck
 from polhode.pipeline.checkout.sample import Sample
-from polhode.pipeline.checks.data_checks.rig_check import (
-    MIN_MATCHES,
-    CameraDelay,
-    RowSpeeds,
-    delay_by_rows,
-    row_speeds,
-)
+from polhode.pipeline.checks.data_checks.rig_check import MIN_MATCHES, delay_by_rows, row_speeds
 from polhode.records.dataset import StereoSequence
 
 CLEAR_DELAY = 8.0
@@ -61,79 +55,47 @@ def motion_checks(
     """Number of features, rotation between frames, matches, share that matches; of two cameras the delay
     between them."""
     features = np.array([len(pair.features) for pair in sample.pairs])
-    few, matches, matched = int(np.sum(features < MIN_INLIERS)), turns.matches, np.isfinite(turns.turn_deg)
-    ranges = sequence.has_ranges
-    return [
-        make_check(
-            "features",
-            float(np.median(features)),
-            f"{few} of {len(features)} examined {sample.noun} have fewer than {MIN_INLIERS}; from "
-            f"{features.min()} to {features.max()}.",
-            name="median number of features with a range per image" if sample.has_ranges else "",
-        ),
-        _rotation(turns),
-        make_check(
-            "matches",
-            float(np.median(matches)) if len(matches) else None,
-            f"From {matches.min():.0f} to {matches.max():.0f} matches agree with a rigid motion."
-            if len(matches)
-            else f"No two examined {sample.noun} are successive.",
-            name="median number of matches between successive images" if ranges else "",
-        ),
-        make_check(
-            "matched",
-            100.0 * float(matched.mean()) if len(matched) else None,
-            f"{int(matched.sum())} of {len(matched)} examined pairs of successive frames match.",
-            name=f"successive {sample.noun} that match",
-        ),
-        *([] if ranges else [_delay(sequence, sample, rig)]),
-    ]
-
-
-def _rotation(turns: Turns) -> CheckoutCheck:
-    known = np.isfinite(turns.turn_deg)
-    if not known.any():
-        advice = "Record at a higher frame rate; if the target turns slowly, see the checks of the images."
-        return make_check("rotation", None, "No two successive frames match.", advice=advice)
-    turn, rate = turns.turn_deg[known], turns.turn_deg[known] / turns.interval_s[known]
-    factor = float(np.median(turn)) / limit_of("rotation")
-    return make_check(
-        "rotation",
-        float(np.median(turn)),
-        f"The target turns by {turn.min():.2g} to {turn.max():.2g} deg as the camera sees it, "
-        f"{float(np.median(rate)):.3g} deg/s; its features move by {np.nanmedian(turns.moved_px):.0f} px.",
-        advice=f"Record at a frame rate {max(factor, 1.0):.1f} times as high, or use every frame if some "
-        "were left out.",
+    matches, matched, ranges = turns.matches, np.isfinite(turns.turn_deg), sequence.has_ranges
+    finding = (
+        f"{int(np.sum(features < MIN_INLIERS))} of {len(features)} examined {sample.noun} have fewer than "
+        f"{MIN_INLIERS}; from {features.min()} to {features.max()}."
     )
+    name = "median number of features with a range per image" if ranges else ""
+    checks = [make_check("features", float(np.median(features)), finding, name=name)]
+    if matched.any():
+        turn, rate = turns.turn_deg[matched], turns.turn_deg[matched] / turns.interval_s[matched]
+        middle = float(np.median(turn))
+        finding = (
+            f"The target turns by {turn.min():.2g} to {turn.max():.2g} deg as the camera sees it, "
+            f"{float(np.median(rate)):.3g} deg/s; its features move by {np.nanmedian(turns.moved_px):.0f} px."
+        )
+        faster = max(middle / limit_of("rotation"), 1.0)
+        advice = (
+            f"Record at a frame rate {faster:.1f} times as high, or use every frame if some were left out."
+        )
+        checks.append(make_check("rotation", middle, finding, advice=advice))
+    else:
+        advice = "Record at a higher frame rate; if the target turns slowly, see the checks of the images."
+        finding = "No two successive frames match."
+        checks.append(make_check("rotation", None, finding, advice=advice))
+    count, share, finding = None, None, f"No two examined {sample.noun} are successive."
+    if len(matches):
+        count, share = float(np.median(matches)), 100.0 * float(matched.mean())
+        finding = f"From {matches.min():.0f} to {matches.max():.0f} matches agree with a rigid motion."
+    name = "median number of matches between successive images" if ranges else ""
+    checks.append(make_check("matches", count, finding, name=name))
+    finding = f"{int(matched.sum())} of {len(matched)} examined pairs of successive frames match."
+    checks.append(make_check("matched", share, finding, name=f"successive {sample.noun} that match"))
+    return checks if ranges else [*checks, _delay(sequence, sample, rig)]
 
 
 def _delay(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) -> CheckoutCheck:
-    found = camera_delay(sequence, sample, rig)
-    if found is None:
-        finding = "The motion does not show it: too few matches, or none that moves across the rows."
-        return make_check("delay", None, finding)
-    size, late, sigma_ms = (
-        1e3 * abs(found.seconds),
-        "late" if found.seconds > 0.0 else "early",
-        1e3 * found.sigma_s,
-    )
-    return make_check(
-        "delay",
-        size,
-        f"By the rows of moving points the right image is {size:.2g} ms {late} (sigma {sigma_ms:.2g} ms).",
-        limits=(1e3 * max(CLEAR_DELAY * found.sigma_s, found.limit_s), None),
-        sigma=sigma_ms,
-    )
-
-
-def camera_delay(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) -> CameraDelay | None:
     """Time of the right camera minus that of the left one, as ``rig_check`` finds it.
 
     The velocities of the points follow from the relative poses of successive pairs, at least three with 20
     matches.
     """
-    parts: list[RowSpeeds] = []
-    links = 0
+    parts, links = [], 0
     for (i, j), link in zip(sample.successive, sample.links, strict=True):
         if link is None or len(link.features) < 20:
             continue
@@ -148,7 +110,17 @@ def camera_delay(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) ->
             of_pair = row_speeds(sample.pairs[k].rows, rig, k, velocity)
             if len(of_pair.offset_px) >= MIN_MATCHES:
                 parts.append(of_pair)
-    return None if links < 3 else delay_by_rows(parts)
+    found = None if links < 3 else delay_by_rows(parts)
+    if found is None:
+        finding = "The motion does not show it: too few matches, or none that moves across the rows."
+        return make_check("delay", None, finding)
+    size_ms, sigma_ms = 1e3 * abs(found.seconds), 1e3 * found.sigma_s
+    finding = (
+        f"By the rows of moving points the right image is {size_ms:.2g} ms "
+        f"{'late' if found.seconds > 0.0 else 'early'} (sigma {sigma_ms:.2g} ms)."
+    )
+    limit_ms = 1e3 * max(CLEAR_DELAY * found.sigma_s, found.limit_s)
+    return make_check("delay", size_ms, finding, limits=(limit_ms, None), sigma=sigma_ms)
 
 
 def twist(X: Array, seconds: float) -> tuple[Array, Array]:

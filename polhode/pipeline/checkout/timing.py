@@ -32,16 +32,6 @@ class Stamps:
         """As a run pairs them."""
         return pair_by_time(self.left, self.right)
 
-    @property
-    def unpaired(self) -> int:
-        """Images of either camera without a partner."""
-        return len(self.left) + len(self.right) - 2 * len(self.pairing.left)
-
-    @property
-    def listed(self) -> int:
-        """Pairs, and images without a partner."""
-        return len(self.pairing.left) + self.unpaired
-
     def differences_ns(self) -> Ints:
         """(p,) right minus left, of the pairs."""
         return self.right[self.pairing.right] - self.left[self.pairing.left]
@@ -53,46 +43,36 @@ def read_stamps(folder: Path) -> Stamps:
     left, right = (
         np.array(list(read_listing(cameras.folder(side) / "data.csv")), dtype=np.int64) for side in (0, 1)
     )
-    if cameras.has_ranges:
-        return Stamps(left, right, "range images", "camera")
-    return Stamps(left, right)
+    return Stamps(left, right, "range images", "camera") if cameras.has_ranges else Stamps(left, right)
 
 
 def stamp_checks(stamps: Stamps) -> list[CheckoutCheck]:
     """Offset of the clocks, and images without a partner, by the lists alone."""
     pairing, differences = stamps.pairing, stamps.differences_ns()
-    allowed = time_in_words(pairing.tolerance_ns)
+    allowed, of_ranges = time_in_words(pairing.tolerance_ns), stamps.second != "right camera"
     offset_us = None
     finding = f"No stamp of the {stamps.first} is near enough to one of the {stamps.second}."
     if len(differences):
-        offset_us = 1e-3 * abs(pairing.offset_ns)
-        scatter = float(np.abs(differences - pairing.offset_ns).max())
-        first = "the left one" if stamps.first == "left camera" else f"the {stamps.first}"
-        words = offset_in_words(pairing.offset_ns, pairing.interval_ns, f"the {stamps.second}", first)
-        words = (
-            f"{words[0].upper()}{words[1:]}, throughout"
-            if pairing.offset_ns
-            else "There is no constant difference"
-        )
-        finding = f"{words}; single ones deviate by up to {time_in_words(scatter)}, {allowed} are allowed."
-    of_ranges = stamps.second != "right camera"
-    return [
-        make_check(
-            "clock offset",
-            offset_us,
-            finding,
-            name=f"clock offset of the {stamps.second}",
-            advice="If image and ranges were taken together, this is an offset of their clocks, which a run "
+        offset_us, words = 1e-3 * abs(pairing.offset_ns), "There is no constant difference"
+        if pairing.offset_ns:
+            first = f"the {stamps.first}" if of_ranges else "the left one"
+            words = offset_in_words(pairing.offset_ns, pairing.interval_ns, f"the {stamps.second}", first)
+            words = f"{words[0].upper()}{words[1:]}, throughout"
+        scatter = time_in_words(float(np.abs(differences - pairing.offset_ns).max()))
+        finding = f"{words}; single ones deviate by up to {scatter}, {allowed} are allowed."
+    advice = ""
+    if of_ranges:
+        advice = (
+            "If image and ranges were taken together, this is an offset of their clocks, which a run "
             "removes; if not, depth and motion are wrong."
-            if of_ranges
-            else "",
-        ),
-        make_check(
-            "unpaired",
-            100.0 * stamps.unpaired / max(stamps.listed, 1),
-            f"{stamps.unpaired} of {len(stamps.left) + len(stamps.right)} listed images have no partner "
-            f"within {allowed}.",
-        ),
+        )
+    name = f"clock offset of the {stamps.second}"
+    images, pairs = len(stamps.left) + len(stamps.right), len(pairing.left)
+    unpaired = images - 2 * pairs
+    alone = f"{unpaired} of {images} listed images have no partner within {allowed}."
+    return [
+        make_check("clock offset", offset_us, finding, name=name, advice=advice),
+        make_check("unpaired", 100.0 * unpaired / max(pairs + unpaired, 1), alone),
     ]
 
 
@@ -104,35 +84,24 @@ def frame_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
     uneven = 50.0 * float(np.ptp(np.percentile(near, [5.0, 95.0]))) / usual if len(near) else 0.0
     at = (sequence.timestamps_ns[longest] - sequence.timestamps_ns[0]) * 1e-9
     unreadable = [reason for _, reason in sequence.dropped if not reason.startswith("only in")]
-    example = f" (first: {unreadable[0]})" if unreadable else ""
-    repeated = int(sequence.repeated.sum())
+    repeated, count, listed = int(sequence.repeated.sum()), len(sequence), sequence.n_listed
     noun, what = "pairs", "pairs have an image of the pair before"
     if sequence.has_ranges:
         noun, what = "images", "images or their ranges are those before"
+    missing = f"{len(unreadable)} of {listed} {noun}"
+    missing += f" (first: {unreadable[0]})." if unreadable else "."
+    again = f"{repeated} of {count} {what}, bit for bit."
+    again += f" All {noun} are the same." if sequence.frozen else ""
+    rate = (
+        f"{1.0 / usual:.4g} {noun} per second ({usual:.4g} s), 90 % of the intervals within {uneven:.2g} %."
+    )
+    gap = f"{dt[longest]:.4g} s, {at:.4g} s after the first {noun[:-1]}."
+    advice = f"A camera or the recorder stood still: such {noun} are not used; find the cause."
     return [
-        make_check(
-            "unreadable",
-            100.0 * len(unreadable) / sequence.n_listed,
-            f"{len(unreadable)} of {sequence.n_listed} {noun}{example}.",
-        ),
-        make_check(
-            "repeated",
-            100.0 * repeated / len(sequence),
-            f"{repeated} of {len(sequence)} {what}, bit for bit."
-            + (f" All {noun} are the same." if sequence.frozen else ""),
-            advice=f"A camera or the recorder stood still: such {noun} are not used; find the cause.",
-        ),
-        make_check(
-            "jitter",
-            uneven,
-            f"{1.0 / usual:.4g} {noun} per second ({usual:.4g} s), 90 % of the intervals within {uneven:.2g} "
-            f"%.",
-        ),
-        make_check(
-            "gap",
-            float(dt[longest]) / usual,
-            f"{dt[longest]:.4g} s, {at:.4g} s after the first {noun[:-1]}.",
-        ),
+        make_check("unreadable", 100.0 * len(unreadable) / listed, missing),
+        make_check("repeated", 100.0 * repeated / count, again, advice=advice),
+        make_check("jitter", uneven, rate),
+        make_check("gap", float(dt[longest]) / usual, gap),
     ]
 
 
@@ -142,8 +111,7 @@ def inspector_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
     if not folder.is_dir():
         at_rest = "the camera is" if sequence.has_ranges else "the cameras are"
         return [make_check("inspector", None, f"There is no inspector0: {at_rest} taken to be at rest.")]
-    stamps = read_table(folder / "data.csv", columns=7).timestamps_ns
-    frames = sequence.timestamps_ns
+    stamps, frames = read_table(folder / "data.csv", columns=7).timestamps_ns, sequence.timestamps_ns
     after = np.clip(np.searchsorted(stamps, frames), 0, len(stamps) - 1)
     before = np.clip(after - 1, 0, len(stamps) - 1)
     distance = np.minimum(np.abs(stamps[after] - frames), np.abs(stamps[before] - frames))
@@ -153,12 +121,8 @@ def inspector_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
     stated = "no sigma, so as exact"
     if sigma_p or sigma_deg:
         stated = f"sigmas {1e3 * sigma_p:.3g} mm and {sigma_deg:.3g} deg"
-    moves = "moves" if sequence.inspector_moves else "stays at one pose"
-    return [
-        make_check(
-            "inspector",
-            float(distance.max()) / usual,
-            f"The inspector {moves}; {len(stamps)} poses, {rate:.4g} per second for {1e9 / usual:.4g} "
-            f"images, are given with {stated}.",
-        )
-    ]
+    finding = (
+        f"The inspector {'moves' if sequence.inspector_moves else 'stays at one pose'}; {len(stamps)} poses, "
+        f"{rate:.4g} per second for {1e9 / usual:.4g} images, are given with {stated}."
+    )
+    return [make_check("inspector", float(distance.max()) / usual, finding)]

@@ -96,10 +96,7 @@ class _Bodies:
         about = [_components(np.outer(axis, axis)) for axis in (axes[:, 1:] @ AXES_ACROSS).T]
         rows = sign * np.stack(about) @ self.J / self.unit
         below = np.concatenate(
-            [
-                np.pad(self._below, ((0, 0), (0, 1))),
-                np.pad(rows, ((0, 0), (0, 1)), constant_values=-sign),
-            ]
+            [np.pad(self._below, ((0, 0), (0, 1))), np.pad(rows, ((0, 0), (0, 1)), constant_values=-sign)]
         )
         single = _components(np.outer(axes[:, 0], axes[:, 0])) @ self.J / self.unit
         # k1: the single moment less ratio times the middle one; k2: the middle one less ratio times it

@@ -43,13 +43,7 @@ class MotionLimits:
 
 
 def motion_limits(
-    com_G: Array,
-    R_GP: Array,
-    J_G: Array,
-    J_jacobian: Array,
-    covariance: Array,
-    w_G: Array,
-    reach_m: float,
+    com_G: Array, R_GP: Array, J_G: Array, J_jacobian: Array, covariance: Array, w_G: Array, reach_m: float
 ) -> MotionLimits:
     """The limits of an estimate.
 

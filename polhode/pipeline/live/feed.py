@@ -41,18 +41,14 @@ class Feed:
     """The queue between a source and the estimate."""
 
     def __init__(
-        self,
-        source: Callable[[Callable[[], bool]], Iterator[SourcePair | Passed]],
-        rate: float | None,
-        size: int = QUEUE_PAIRS,
+        self, source: Callable[[Callable[[], bool]], Iterator[SourcePair | Passed]], rate: float | None
     ) -> None:
         """source: its items until it is stopped; rate: of the replay, 0 as fast as it is processed, None:
         pairs come when they come."""
-        self._source, self._rate, self._size = source, rate, size
+        self._source, self._rate = source, rate
         self._waiting: deque[Item] = deque()
         self._changed = threading.Condition()
-        self._stopped = False
-        self._ended = False
+        self._stopped = self._ended = False
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._read, name="polhode-feed", daemon=True)
 
@@ -90,25 +86,21 @@ class Feed:
             return self._ended and not self._waiting and self._error is None
 
     def _read(self) -> None:
+        start, first_ns = perf_counter(), None
         try:
-            self._pass_on()
+            for item in self._source(lambda: self._stopped):
+                if isinstance(item, SourcePair) and self._rate:
+                    if first_ns is None:
+                        start, first_ns = perf_counter(), item.stamps_ns[0]
+                    self._wait_until(start + (item.stamps_ns[0] - first_ns) * 1e-9 / self._rate)
+                self._put(item)
+                if self._stopped:
+                    break
         except Exception as error:  # noqa: BLE001  raised where the pairs are taken
             self._error = error
         with self._changed:
             self._ended = True
             self._changed.notify_all()
-
-    def _pass_on(self) -> None:
-        start, first_ns = perf_counter(), None
-        for item in self._source(lambda: self._stopped):
-            if isinstance(item, SourcePair):
-                if first_ns is None:
-                    start, first_ns = perf_counter(), item.stamps_ns[0]
-                if self._rate:
-                    self._wait_until(start + (item.stamps_ns[0] - first_ns) * 1e-9 / self._rate)
-            self._put(item)
-            if self._stopped:
-                return
 
     def _wait_until(self, when: float) -> None:
         with self._changed:
@@ -117,23 +109,13 @@ class Feed:
 
     def _put(self, item: SourcePair | Passed) -> None:
         with self._changed:
-            if self._rate == 0.0:
-                while len(self._waiting) >= READ_AHEAD and not self._stopped:
-                    self._changed.wait()
+            while self._rate == 0.0 and len(self._waiting) >= READ_AHEAD and not self._stopped:
+                self._changed.wait()
             if self._stopped:
                 return
-            if isinstance(item, Passed):
-                self._waiting.append(item)
-            else:
-                self._waiting.append(Arrived(item, perf_counter()))
-                self._drop_oldest()
+            self._waiting.append(item if isinstance(item, Passed) else Arrived(item, perf_counter()))
+            pairs = [(n, each) for n, each in enumerate(self._waiting) if isinstance(each, Arrived)]
+            if self._rate != 0.0 and len(pairs) > QUEUE_PAIRS:
+                n, oldest = pairs[0]
+                self._waiting[n] = Dropped(oldest.pair.stamps_ns[0])
             self._changed.notify_all()
-
-    def _drop_oldest(self) -> None:
-        if self._rate == 0.0:
-            return
-        pairs = [n for n, each in enumerate(self._waiting) if isinstance(each, Arrived)]
-        if len(pairs) > self._size:
-            oldest = self._waiting[pairs[0]]
-            assert isinstance(oldest, Arrived)
-            self._waiting[pairs[0]] = Dropped(oldest.pair.stamps_ns[0])

@@ -12,14 +12,12 @@ from typing import Any
 import numpy as np
 
 from polhode.config import Config
-from polhode.files.images import bit_depth, has_content, to_grey
 from polhode.frontend.rectification import Rectifier
 from polhode.geometry.lie import Array
-from polhode.pipeline.live.arrivals import Arrivals
+from polhode.pipeline.live.arrivals import Arrivals, require_pairs
 from polhode.pipeline.live.feed import WAIT_S, Arrived, Dropped, Feed
 from polhode.pipeline.live.folder_source import FolderSource, SourcePair
 from polhode.pipeline.live.recording import FileRecording
-from polhode.pipeline.live.session import RepeatedImages, require_pairs, unmeasured
 from polhode.pipeline.live.warm_up import warm_up_stream
 from polhode.pipeline.run import RunResult, fill_run_folder
 from polhode.pipeline.stream.live_state import LiveState
@@ -82,14 +80,6 @@ class WatchedPair:
 Watch = Callable[[WatchedPair], None]
 
 
-@dataclass(frozen=True)
-class _Started:
-    """A pair whose features are being extracted."""
-
-    arrived: Arrived
-    extracted: Future[Extracted]
-
-
 @single_threaded
 def run_live(
     config: Config,
@@ -109,7 +99,10 @@ def run_live(
     ``watch`` is called with each pair after its state, and must not take long. Raises InputError for a wrong
     source or rate, RunFailure as ``run``.
     """
-    _require_options(rate, patience_s)
+    if rate is not None and not 0.0 <= rate <= MAX_RATE:
+        raise InputError(f"--rate {rate:g}: give 1 for the sequence's own speed, 2 for twice, 0 for no pause")
+    if not 0.0 < patience_s <= 1e6:
+        raise InputError(f"--patience-s {patience_s:g}: give seconds, above 0")
     source = FolderSource(source_folder, rate is None, patience_s)
     live = LiveReport()
     with atomic_run_folder(run_folder, overwrite, write_report, even_if_failed) as written:
@@ -119,10 +112,9 @@ def run_live(
             advance()
         recording = FileRecording(source_folder)
         try:
-            loop = _Loop(stream, recording, source, worker_count(config.runtime.workers), live, watch)
+            loop = _Loop(stream, recording, source, live, watch)
             with interrupt_noted() as interrupted, progress.line() as show:
-                last_at = loop.run(rate, interrupted, show)
-            live.interrupted = loop.interrupted
+                last_at = loop.run(rate, worker_count(config.runtime.workers), interrupted, show)
             require_pairs(len(stream), str(source_folder))
             recording.close()
             streamed = stream.streamed(loop.arrivals.warnings)
@@ -139,13 +131,6 @@ def run_live(
     return finished(written), live
 
 
-def _require_options(rate: float | None, patience_s: float) -> None:
-    if rate is not None and not 0.0 <= rate <= MAX_RATE:
-        raise InputError(f"--rate {rate:g}: give 1 for the sequence's own speed, 2 for twice, 0 for no pause")
-    if not 0.0 < patience_s <= 1e6:
-        raise InputError(f"--patience-s {patience_s:g}: give seconds, above 0")
-
-
 class _Loop:
     """Pairs from the feed through the stages; the features of the next ones are extracted meanwhile."""
 
@@ -154,78 +139,66 @@ class _Loop:
         stream: Stream,
         recording: FileRecording,
         source: FolderSource,
-        workers: int,
         live: LiveReport,
         watch: Watch | None,
     ) -> None:
-        self._stream, self._recording, self._source, self._live = stream, recording, source, live
-        self._bits = source.calibration.bits
-        self._repeated = RepeatedImages()
-        self._workers, self._watch = workers, watch
-        self.arrivals = Arrivals()
-        self.interrupted = False
+        self.stream, self.recording, self.source, self.live, self.watch = (
+            stream,
+            recording,
+            source,
+            live,
+            watch,
+        )
+        self.arrivals = Arrivals(source.calibration.bits)
         self.processor_s = 0.0
         """Of this process, when the last pair came"""
-        self._prepared = False
+        self.n_started = 0
 
-    def run(self, rate: float | None, interrupted: Callable[[], bool], show: Callable[[str], None]) -> float:
+    def run(
+        self, rate: float | None, workers: int, interrupted: Callable[[], bool], show: Callable[[str], None]
+    ) -> float:
         """Process all pairs; returns when the last one came. Raises InputError of the source."""
-        started: deque[_Started] = deque()
-        last_at = perf_counter()
-        with ThreadPoolExecutor(self._workers) as pool, Feed(self._source.items, rate) as feed:
+        started, last_at = deque[tuple[Arrived, Future[Extracted]]](), perf_counter()
+        with ThreadPoolExecutor(workers) as pool, Feed(self.source.items, rate) as feed:
             while not (feed.ended and not started):
-                if interrupted() and not self.interrupted:
-                    self.interrupted = True
+                if interrupted() and not self.live.interrupted:
+                    self.live.interrupted = True
                     feed.stop()
                     show("interrupted: the pairs that have come are finished")
-                busy = len(started) >= self._workers or bool(started and started[0].extracted.done())
+                busy = len(started) >= workers or bool(started and started[0][1].done())
                 item = None if busy else feed.next(BESIDE_S if started else WAIT_S)
                 if isinstance(item, Arrived):
                     last_at, self.processor_s = item.at, process_time()
-                    if (future := self._start(item.pair, pool)) is not None:
-                        started.append(_Started(item, future))
+                    if self.arrivals.accepts(item.pair.stamps_ns[0]):
+                        started.append((item, pool.submit(self.stream.extract, self._images(item.pair))))
                 elif isinstance(item, Dropped):
-                    self._live.dropped += 1
+                    self.live.dropped += 1
                     self.arrivals.note("dropped", f"{item.timestamp_ns} ns")
                 elif item is not None:
                     self.arrivals.note("unusable", item.what)
                 elif started and (busy or feed.ended):
-                    show(self._finish(started.popleft()))
+                    show(self._finish(*started.popleft()))
         return last_at
 
-    def _start(self, pair: SourcePair, pool: ThreadPoolExecutor) -> Future[Extracted] | None:
-        """Begin the extraction of a pair; None: it is not used."""
-        if not self.arrivals.accepts(pair.stamps_ns[0]):
-            return None
-        if self._bits is None:
-            self._bits = bit_depth(int(max(pair.left.max(), pair.right.max())))
-        images = StereoImages(to_grey(pair.left, self._bits), to_grey(pair.right, self._bits), *pair.masks)
-        shows = has_content(images.left), has_content(images.right)
-        if self._repeated(pair.left, pair.right, shows):
-            self.arrivals.note("repeated", f"{pair.stamps_ns[0]} ns")
-            images = unmeasured(images)
-        elif not self._prepared:
-            self._stream.prepare(images)
-            self._prepared = True
-        return pool.submit(self._stream.extract, images)
+    def _images(self, pair: SourcePair) -> StereoImages:
+        images = self.arrivals.images(pair.stamps_ns[0], pair.left, pair.right, pair.masks)
+        if self.n_started == 0:
+            self.stream.prepare(images)
+        self.n_started += 1
+        return images
 
-    def _finish(self, started: _Started) -> str:
+    def _finish(self, arrived: Arrived, future: Future[Extracted]) -> str:
         """The state of a pair, and the line that shows it."""
-        pair, extracted = started.arrived.pair, started.extracted.result()
-        X_NC = np.eye(4) if pair.X_NB is None else pair.X_NB @ self._source.calibration.X_BC0
-        state = self._stream.add(pair.stamps_ns[0], X_NC, extracted)
-        self._recording.add(pair.stamps_ns, pair.names)
-        latency_s = perf_counter() - started.arrived.at
-        self._live.processed.append(Processed(state, latency_s))
-        if self._watch is not None:
-            self._watch(self._watched(state, X_NC, extracted.images))
-        return line_of(state, latency_s, self._live.dropped)
-
-    def _watched(self, state: LiveState, X_NC: Array, images: StereoImages | None) -> WatchedPair:
-        stream = self._stream
-        X_NR = X_NC @ stream.rectifier.X_CR
-        request = stream.request_surface
-        return WatchedPair(state, images, stream.rectifier, X_NR, stream.latest, stream.landmarks_G, request)
+        stream, pair, extracted = self.stream, arrived.pair, future.result()
+        X_NC = np.eye(4) if pair.X_NB is None else pair.X_NB @ self.source.calibration.X_BC0
+        state = stream.add(pair.stamps_ns[0], X_NC, extracted)
+        self.recording.add(pair.stamps_ns, pair.names)
+        latency_s = perf_counter() - arrived.at
+        self.live.processed.append(Processed(state, latency_s))
+        if self.watch is not None:
+            seen = X_NC @ stream.rectifier.X_CR, stream.latest, stream.landmarks_G, stream.request_surface
+            self.watch(WatchedPair(state, extracted.images, stream.rectifier, *seen))
+        return line_of(state, latency_s, self.live.dropped)
 
 
 def line_of(state: LiveState, latency_s: float, dropped: int) -> str:

@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.config import Config
-from polhode.files.images import bit_depth, has_content, to_grey
 from polhode.geometry.lie import Array, Bools
-from polhode.pipeline.live.arrivals import Arrivals
+from polhode.pipeline.live.arrivals import Arrivals, require_pairs
 from polhode.pipeline.live.recording import ImageRecording
 from polhode.pipeline.run import RunResult, run
 from polhode.pipeline.stream.live_state import LiveState
 from polhode.pipeline.stream.stream import CameraMotion, Stream
-from polhode.records.dataset import StereoImages
 from polhode.records.rig_calibration import StereoCalibration
 from polhode.records.surface import SurfaceModel
 from polhode.runtime.argument_names import errors_name_arguments
@@ -24,23 +22,8 @@ from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress, Silent
 from polhode.runtime.threads import single_threaded
 
-MIN_PAIRS = 3
 MAX_TIME_S = 4e9
 """Seconds since 1970, until the year 2096: the difference of two times in ns fits 64 bits."""
-
-
-class RepeatedImages:
-    """Whether an image is that of the pair before, bit for bit: no sensor repeats its noise."""
-
-    def __init__(self) -> None:
-        self._before: tuple[bytes, bytes] | None = None
-
-    def __call__(self, left: NDArray[Any], right: NDArray[Any], shows: tuple[bool, bool]) -> bool:
-        """Judge the next pair; ``shows``: whether each image has content."""
-        before, self._before = self._before, (left.tobytes(), right.tobytes())
-        return before is not None and any(
-            seen and a == b for seen, a, b in zip(shows, before, self._before, strict=True)
-        )
 
 
 class Session:
@@ -63,11 +46,9 @@ class Session:
         """
         self.config, self.calibration = config, calibration
         self._stream = Stream(config, calibration, CameraMotion(sigma_p_m, sigma_theta_rad))
-        self._arrivals = Arrivals()
-        self._repeated = RepeatedImages()
+        self._arrivals = Arrivals(calibration.bits)
         self._recording = ImageRecording(calibration, (sigma_p_m, sigma_theta_rad))
         self._moves: bool | None = None
-        self._bits = calibration.bits
 
     def __enter__(self) -> Self:
         return self
@@ -116,8 +97,16 @@ class Session:
         if not np.isfinite(time) or abs(time) > MAX_TIME_S:
             raise InputError(f"time {time:g}: give seconds, finite and at most {MAX_TIME_S:g}")
         timestamp_ns = round(time * 1e9)
-        for camera, (image, mask) in enumerate(zip((left, right), masks, strict=True)):
-            self._require_image(camera, image, mask)
+        sides = zip(("left", "right"), (left, right), masks, strict=True)
+        for camera, (name, image, mask) in enumerate(sides):
+            width, height = self.calibration.size_px(camera)
+            if image.dtype not in (np.uint8, np.uint16) or image.shape != (height, width):
+                raise InputError(
+                    f"{name} image: {image.dtype} of shape {image.shape}; give uint8 or uint16 of shape "
+                    f"({height}, {width}), as calibrated"
+                )
+            if mask is not None and (mask.dtype != np.bool_ or mask.shape != (height, width)):
+                raise InputError(f"mask of the {name} image: give booleans of shape ({height}, {width})")
         if self._moves is not None and self._moves != (X_NB is not None):
             raise InputError("X_NB: give the inspector's pose with every pair, or with none")
         if X_NB is not None and (np.shape(X_NB) != (4, 4) or not np.isfinite(X_NB).all()):
@@ -125,15 +114,9 @@ class Session:
         if not self._arrivals.accepts(timestamp_ns):
             return None
         self._moves = X_NB is not None
-        self._recording.add(timestamp_ns, (left, right), (masks[0], masks[1]), X_NB)
-        if self._bits is None:
-            self._bits = bit_depth(int(max(left.max(), right.max())))
-        images = StereoImages(to_grey(left, self._bits), to_grey(right, self._bits), masks[0], masks[1])
-        shows = has_content(images.left), has_content(images.right)
-        if self._repeated(left, right, shows):
-            self._arrivals.note("repeated", f"{timestamp_ns} ns")
-            images = unmeasured(images)
-        elif len(self) == 0:
+        self._recording.add_images(timestamp_ns, (left, right), (masks[0], masks[1]), X_NB)
+        images = self._arrivals.images(timestamp_ns, left, right, (masks[0], masks[1]))
+        if len(self) == 0:
             self._stream.prepare(images)
         # Without poses, N is the left camera itself.
         X_NC = np.eye(4) if X_NB is None else X_NB @ self.calibration.X_BC0
@@ -150,39 +133,10 @@ class Session:
         require_pairs(len(self), "the session")
         self._recording.close()
         streamed = self._stream.streamed(self.warnings)
-        return run(
-            self.config,
-            self._recording.folder,
-            run_folder,
-            progress or Silent(),
-            overwrite,
-            streamed=streamed,
-        )
+        shown = progress or Silent()
+        return run(self.config, self._recording.folder, run_folder, shown, overwrite, streamed=streamed)
 
     def close(self) -> None:
         """Remove the pairs that were kept."""
         self._stream.close()
         self._recording.remove()
-
-    def _require_image(self, camera: int, image: NDArray[Any], mask: Bools | None) -> None:
-        width, height = self.calibration.size_px(camera)
-        name = ("left", "right")[camera]
-        if image.dtype not in (np.uint8, np.uint16) or image.shape != (height, width):
-            raise InputError(
-                f"{name} image: {image.dtype} of shape {image.shape}; give uint8 or uint16 of shape "
-                f"({height}, {width}), as calibrated"
-            )
-        if mask is not None and (mask.dtype != np.bool_ or mask.shape != (height, width)):
-            raise InputError(f"mask of the {name} image: give booleans of shape ({height}, {width})")
-
-
-def unmeasured(images: StereoImages) -> StereoImages:
-    """The pair with empty masks, in which nothing is measured."""
-    left, right = (np.zeros(image.shape, dtype=np.bool_) for image in (images.left, images.right))
-    return StereoImages(images.left, images.right, left, right)
-
-
-def require_pairs(n_pairs: int, where: str) -> None:
-    """Raise InputError when too few pairs have come for a motion."""
-    if n_pairs < MIN_PAIRS:
-        raise InputError(f"{where}: {n_pairs} pairs have come; at least {MIN_PAIRS} are needed")

@@ -1,7 +1,7 @@
 """What is known after a pair has come, and what it took."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -41,26 +41,3 @@ class LiveState(OnlineState):
     def sigma_rate_rpm(self) -> float:
         """Its standard deviation; inf: unknown."""
         return self.sigma_rate * RPM
-
-
-def live_state(
-    estimate: OnlineState,
-    number: int,
-    observations: int,
-    restarts: int,
-    sigma_rate: float,
-    seconds: Mapping[str, float],
-) -> LiveState:
-    """The state with what is known of its pair."""
-    status: Status = "measured" if observations else "predicted"
-    if not np.isfinite(np.diagonal(estimate.covariance)).any():
-        status = "searching"
-    return LiveState(
-        **{each.name: getattr(estimate, each.name) for each in fields(OnlineState)},
-        number=number,
-        status=status,
-        observations=observations,
-        restarts=restarts,
-        sigma_rate=sigma_rate,
-        seconds=seconds,
-    )

@@ -30,7 +30,7 @@ from polhode.frontend.segmentation import has_surroundings
 from polhode.frontend.tracks.causal_tracks import CausalTracks
 from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
 from polhode.pipeline.stream.ahead import Ahead, ComingPair
-from polhode.pipeline.stream.live_state import LiveState, live_state
+from polhode.pipeline.stream.live_state import LiveState
 from polhode.pipeline.streamed import Observations, Streamed, observations_of
 from polhode.records.dataset import StereoImages
 from polhode.records.estimate import OnlineEstimate
@@ -102,19 +102,17 @@ class Stream:
         self.rectifier = make_rectifier(calibration)
         self._camera = camera or CameraMotion()
         self._X_CR = self.rectifier.X_CR
-        self._seed = config.seed
-        self._frontend, self._backend = config.frontend, config.backend
+        self._frontend = config.frontend
         feature_method(self._frontend), match_method(self._frontend)
-        self._window = SlidingWindow(
-            self.rectifier.rig,
-            config.backend,
-            CameraNoise(self._camera.sigma_p_m, self._camera.sigma_theta_rad, calibration.X_BC0 @ self._X_CR),
-        )
+        X_BR = calibration.X_BC0 @ self._X_CR
+        noise = CameraNoise(self._camera.sigma_p_m, self._camera.sigma_theta_rad, X_BR)
+        self._window = SlidingWindow(self.rectifier.rig, config.backend, noise)
         self._tracks = CausalTracks()
         self._past = _Past()
         self._config = config
         self._ahead: Ahead | None = None
-        self._latest = Observed(np.zeros((0, 2)), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_))
+        self.latest = Observed(np.zeros((0, 2)), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_))
+        """What the latest pair observes"""
 
     def __len__(self) -> int:
         return len(self._past.timestamps_ns)
@@ -152,14 +150,23 @@ class Stream:
         state = self._estimate(timestamp_ns, X_NR, extracted.features, landmark)
         past.states.append(state)
         agrees = np.isin(landmark, self._window.accepted_landmarks)
-        self._latest = Observed(extracted.features.uvd_px[:, :2], landmark, agrees)
+        self.latest = Observed(extracted.features.uvd_px[:, :2], landmark, agrees)
         if self.is_long:
             self._let_go()
         done = perf_counter()
         seconds = {"features": extracted.seconds, "matching": matched - begin, "window": done - matched}
         window = self._window
         self._work_ahead(k, extracted, X_NR, state)
-        return live_state(state, k, window.accepted, window.restarts, window.sigma_rate, seconds)
+        known = np.isfinite(np.diagonal(state.covariance)).any()
+        return LiveState(
+            **{each.name: getattr(state, each.name) for each in fields(OnlineState)},
+            number=k,
+            status="searching" if not known else "measured" if window.accepted else "predicted",
+            observations=window.accepted,
+            restarts=window.restarts,
+            sigma_rate=window.sigma_rate,
+            seconds=seconds,
+        )
 
     def _work_ahead(self, k: int, extracted: Extracted, X_NR: Array, state: OnlineState) -> None:
         """Pass the pair on to the process that does what the batch will want."""
@@ -170,11 +177,8 @@ class Stream:
         images, tried = extracted.images, [i for i, j in self._past.tried if j == k]
         measured = images.mask_left is None or bool(images.mask_left.any())
         X_RG = inverse_pose(X_NR) @ state.X_NG if self._window.accepted else None
-        self._ahead.add(
-            ComingPair(
-                k, images if measured else None, extracted.features, tried, X_RG, self._window.restarts
-            )
-        )
+        seen, restarts = images if measured else None, self._window.restarts
+        self._ahead.add(ComingPair(k, seen, extracted.features, tried, X_RG, restarts))
 
     def surface(self) -> SurfaceModel | None:
         """The surface that the pairs so far have shown, in the present frame G; None: with one process only,
@@ -186,11 +190,6 @@ class Stream:
         return None if self._ahead is None else self._ahead.request_surface()
 
     @property
-    def latest(self) -> Observed:
-        """What the latest pair observes."""
-        return self._latest
-
-    @property
     def landmarks_G(self) -> Array:
         """(L, 3) landmarks of the present window, in the present frame G [m]."""
         return self._window.landmarks_G
@@ -200,32 +199,30 @@ class Stream:
         if self._ahead is not None:
             self._ahead.remove()
 
-    def _try(self, i: int, j: int) -> PairMatch | None:
-        found = match_pair(self._past.features, i, j, self.rectifier.rig, self._frontend, self._seed)
-        if not self.is_long:
-            self._past.tried[i, j] = found
-        return found
-
     def _match_earlier(self, timestamp_ns: int, X_NR: Array) -> list[PairMatch]:
-        k, X_NG = len(self) - 1, self._window.predict(timestamp_ns)
+        k, X_NG, past = len(self) - 1, self._window.predict(timestamp_ns), self._past
         predicted = None if X_NG is None else viewing_direction_G(X_NR, X_NG)
-        views = np.array(self._past.views_G).reshape(k, 3)
-        found = (self._try(int(i), k) for i in earlier_frames(views, predicted))
-        return [match for match in found if match is not None]
+        matches = []
+        for i in map(int, earlier_frames(np.array(past.views_G).reshape(k, 3), predicted)):
+            match = match_pair(past.features, i, k, self.rectifier.rig, self._frontend, self._config.seed)
+            if not self.is_long:
+                past.tried[i, k] = match
+            if match is not None:
+                matches.append(match)
+        return matches
 
     def _estimate(
         self, timestamp_ns: int, X_NR: Array, features: StereoFeatures, landmark: Ints
     ) -> OnlineState:
-        restarts = self._window.restarts
-        state = self._window.add(
+        window, past, restarts = self._window, self._past, self._window.restarts
+        state = window.add(
             FrameMeasurements(timestamp_ns, X_NR, landmark, features.uvd_px, features.sigma_px)
         )
-        if self._window.restarts > restarts:
+        if window.restarts > restarts:
             # The views of the frames so far are in a frame G that is gone.
-            self._past.views_G = [UNKNOWN] * len(self._past.views_G)
-            self._past.found_from = len(self._past.views_G)
-        seen = viewing_direction_G(X_NR, state.X_NG) if self._window.accepted else UNKNOWN
-        self._past.views_G.append(seen)
+            past.views_G = [UNKNOWN] * len(past.views_G)
+            past.found_from = len(past.views_G)
+        past.views_G.append(viewing_direction_G(X_NR, state.X_NG) if window.accepted else UNKNOWN)
         return self._with_systematic(state, X_NR)
 
     def _with_systematic(self, state: OnlineState, X_NR: Array) -> OnlineState:
@@ -236,7 +233,7 @@ class Stream:
         rows, X = [state], [X_NR]
         if past.first_known is not None:
             rows, X = [past.first_known[0], state], [past.first_known[1], X_NR]
-        online = online_estimate(rows, self.rectifier.rig, np.stack(X), self._backend)
+        online = online_estimate(rows, self.rectifier.rig, np.stack(X), self._config.backend)
         if self._camera.wrench is not None:
             online = without_claims_after_torques(online, self._camera.wrench)
         names = [each.name for each in fields(OnlineEstimate) if each.name != "timestamps_ns"]

@@ -1,6 +1,7 @@
 """Rows of left and right image: each tilt of the right camera is found with its size, a yaw is not."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,29 +10,23 @@ import pytest
 from polhode.frontend.features.row_offsets import RowOffsets
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import exp_so3
-from polhode.pipeline.checkout.result import CheckoutCheck
 from polhode.pipeline.checkout.rig_tilt import fit_rows, regions, tilt_checks
 from polhode.pipeline.checkout.sample import Sample
 
 RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480, 12.0)
-PAIRS, POINTS = 8, 60
-
-
-class Pair:
-    """The part of ``ExaminedPair`` that the check reads."""
-
-    def __init__(self, rows: RowOffsets) -> None:
-        self.rows, self.right = rows, object()
+PITCH, ROLL, STRETCH = (
+    "pitch of the right camera",
+    "roll of the right camera",
+    "difference of the focal lengths",
+)
 
 
 def sample(
-    tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0), stretch: float = 0.0, points: int = POINTS
+    tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0), stretch: float = 0.0, points: int = 60
 ) -> Any:
     """Points before a right camera that is turned by these angles about its x, y and z."""
-    rng = np.random.default_rng(5)
-    R = exp_so3(np.deg2rad(tilt_deg))
-    pairs = []
-    for _ in range(PAIRS):
+    rng, R, pairs = np.random.default_rng(5), exp_so3(np.deg2rad(tilt_deg)), []
+    for _ in range(8):
         p = rng.uniform([-0.4, -0.3, 0.8], [0.4, 0.3, 1.1], (points, 3))
         uvd = RIG.project(p)
         # in the turned camera
@@ -41,26 +36,29 @@ def sample(
         offset = uvd[:, 1] - v + 0.15 * rng.standard_normal(points)
         wrong = rng.random(points) < 0.1
         offset[wrong] += rng.uniform(-5.0, 5.0, int(wrong.sum()))
-        pairs.append(Pair(RowOffsets(uvd[:, :2], uvd[:, 0] - u, offset)))
-    return Sample(tuple(pairs), np.zeros((0, 2), np.int64), ())  # type: ignore[arg-type]
+        pairs.append(RowOffsets(uvd[:, :2], uvd[:, 0] - u, offset))
+    return of_rows(pairs)
 
 
-def checks(data: Any) -> dict[str, CheckoutCheck]:
+def of_rows(rows: list[RowOffsets]) -> Any:
+    pairs: Any = tuple(SimpleNamespace(rows=each, right=object()) for each in rows)
+    return Sample(pairs, np.zeros((0, 2), np.int64), ())
+
+
+def checks(data: Any) -> dict[str, Any]:
     return {check.name: check for check in tilt_checks(data, RIG, fit_rows(data, RIG))}
 
 
-def test_a_rig_as_calibrated_passes_with_sigmas_that_hold() -> None:
-    found = checks(sample())
-    assert {check.status for check in found.values()} == {"PASS"}
-    for name in ("pitch of the right camera", "roll of the right camera", "difference of the focal lengths"):
-        value, sigma = found[name].value, found[name].sigma
-        assert value is not None and sigma is not None and 0.0 <= value < 4.0 * sigma
+def test_a_rig_as_calibrated_passes_and_a_yaw_does_not_show_which_is_said() -> None:
+    found, yaw = checks(sample()), checks(sample((0.0, 0.2, 0.0)))
+    assert {check.status for check in (*found.values(), *yaw.values())} == {"PASS"}
+    assert all(0.0 <= found[name].value < 4.0 * found[name].sigma for name in (PITCH, ROLL, STRETCH))
+    assert "A yaw would not show" in yaw[PITCH].finding
 
 
 @pytest.mark.parametrize("degrees", [0.06, 0.2, -0.2, 0.6])
 def test_pitch_is_found_with_its_sign(degrees: float) -> None:
-    check = checks(sample((degrees, 0.0, 0.0)))["pitch of the right camera"]
-    assert check.value is not None and check.sigma is not None
+    check = checks(sample((degrees, 0.0, 0.0)))[PITCH]
     assert abs(check.value - abs(degrees)) < 4.0 * check.sigma + 1e-3
     assert check.status == ("FAIL" if abs(degrees) > 0.1 else "WARN")
     assert ("up" if degrees > 0 else "down") in check.finding
@@ -68,46 +66,28 @@ def test_pitch_is_found_with_its_sign(degrees: float) -> None:
 
 
 @pytest.mark.parametrize("degrees", [0.4, -0.4])
-def test_roll_is_found_with_its_sign_beside_a_pitch(degrees: float) -> None:
+def test_roll_beside_a_pitch_and_a_difference_of_focal_lengths_are_found(degrees: float) -> None:
     found = checks(sample((0.1, 0.0, degrees)))
-    roll, pitch = found["roll of the right camera"], found["pitch of the right camera"]
-    assert roll.value == pytest.approx(abs(degrees), abs=0.03) and roll.status == "WARN"
-    assert (" clockwise" if degrees > 0 else "anticlockwise") in roll.finding
-    assert pitch.value == pytest.approx(0.1, abs=0.01)
+    assert found[ROLL].value == pytest.approx(abs(degrees), abs=0.03) and found[ROLL].status == "WARN"
+    assert (" clockwise" if degrees > 0 else "anticlockwise") in found[ROLL].finding
+    assert found[PITCH].value == pytest.approx(0.1, abs=0.01)
+    check = checks(sample(stretch=np.sign(degrees) * 0.01))[STRETCH]
+    assert check.value == pytest.approx(1.0, abs=0.05) and check.status == "WARN"
+    assert ("longer" if degrees > 0 else "shorter") in check.finding
 
 
-def test_a_difference_of_focal_lengths_is_found_and_a_yaw_does_not_show_which_is_said() -> None:
-    check = checks(sample(stretch=0.01))["difference of the focal lengths"]
-    assert check.value == pytest.approx(1.0, abs=0.05)
-    assert check.status == "WARN" and "longer" in check.finding
-    found = checks(sample((0.0, 0.2, 0.0)))
-    assert {check.status for check in found.values()} == {"PASS"}
-    assert "A yaw would not show" in found["pitch of the right camera"].finding
-
-
-def test_a_part_of_the_image_that_differs_is_named() -> None:
-    data = sample()
-    moved = []
-    for pair in data.pairs:
-        rows = pair.rows
-        corner = (rows.uv_px < [640 / 3, 480 / 3]).all(axis=1)
-        moved.append(Pair(replace(rows, offset_px=rows.offset_px + 0.6 * corner)))
-    data = replace(data, pairs=tuple(moved))
-    fit = fit_rows(data, RIG)
+def test_a_part_of_the_image_that_differs_exchanged_images_and_too_few_matches() -> None:
+    rows = [pair.rows for pair in sample().pairs]
+    corner = [0.6 * (each.uv_px < [640 / 3, 480 / 3]).all(axis=1) for each in rows]
+    moved = of_rows([replace(a, offset_px=a.offset_px + b) for a, b in zip(rows, corner, strict=True)])
+    fit = fit_rows(moved, RIG)
     assert fit is not None
     median, count = regions(fit, RIG, fit.offset_px)
     assert median[0, 0] == pytest.approx(0.6, abs=0.15) and abs(median[2, 2]) < 0.15 and count.sum() > 300
-    assert checks(data)["residual vertical disparity of the worst region of the image"].status == "WARN"
-
-
-def test_exchanged_images_fail() -> None:
-    data = sample()
-    turned = [Pair(replace(pair.rows, disparity_px=24.0 - pair.rows.disparity_px)) for pair in data.pairs]
-    found = checks(replace(data, pairs=tuple(turned)))["pairs with left and right exchanged"]
-    assert (found.value, found.status) == (100.0, "FAIL")
-
-
-def test_too_few_matches_are_not_judged() -> None:
-    found = checks(sample(points=4))
-    assert {(check.value, check.status) for check in found.values()} == {(None, "WARN")}
-    assert "too few" in found["vertical disparity"].finding
+    assert checks(moved)["residual vertical disparity of the worst region of the image"].status == "WARN"
+    turned = of_rows([replace(each, disparity_px=24.0 - each.disparity_px) for each in rows])
+    exchanged = checks(turned)["pairs with left and right exchanged"]
+    assert (exchanged.value, exchanged.status) == (100.0, "FAIL")
+    few = checks(sample(points=4))
+    assert {(check.value, check.status) for check in few.values()} == {(None, "WARN")}
+    assert "too few" in few["vertical disparity"].finding

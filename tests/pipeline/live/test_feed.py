@@ -1,21 +1,46 @@
-"""The queue: at the pace that was asked for, bounded, and it says what it drops."""
+"""Pairs on their way: what becomes of late, repeated and missing ones, and the queue before the estimate."""
 
+import logging
 from collections.abc import Callable, Iterator
 from time import sleep
+from typing import Any
 
 import numpy as np
 import pytest
 
-from polhode.pipeline.live.feed import QUEUE_PAIRS, Arrived, Dropped, Feed, Item
+from polhode.pipeline.live.arrivals import NAMED, Arrivals
+from polhode.pipeline.live.feed import QUEUE_PAIRS, Arrived, Dropped, Feed
 from polhode.pipeline.live.folder_source import Passed, SourcePair
 from polhode.runtime.errors import InputError
 
 STEP_NS = 100_000_000
 GREY = np.zeros((2, 2), dtype=np.uint8)
+Items = Iterator[SourcePair | Passed]
 
 
-def source(count: int) -> Callable[[Callable[[], bool]], Iterator[SourcePair | Passed]]:
-    def pairs(stopped: Callable[[], bool]) -> Iterator[SourcePair | Passed]:
+def test_late_pairs_are_refused_and_gaps_named_in_a_sentence_that_counts(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    arrivals = Arrivals()
+    with caplog.at_level(logging.WARNING):
+        taken = [arrivals.accepts(stamp) for stamp in (10, 20, 15, 20, 30)]
+    assert taken == [True, True, False, False, True]
+    assert "15 ns" in caplog.text and "20 ns" in caplog.text
+    late, same = arrivals.warnings
+    assert "earlier than the pair before (1): 15 ns" in late and "the time of the pair before (1)" in same
+    # a gap is named once the usual interval is known
+    gaps = Arrivals()
+    assert all(gaps.accepts(k * STEP_NS) for k in (0, 1, 2, 3, 4, 7, 8))
+    assert gaps.warnings[0].endswith(f"{7 * STEP_NS} ns (about 2)") and len(gaps.warnings) == 1
+    many = Arrivals()
+    for k in range(NAMED + 3):
+        many.note("dropped", f"{k} ns")
+    (line,) = many.warnings
+    assert f"({NAMED + 3})" in line and line.endswith(f"{NAMED - 1} ns, ...")
+
+
+def source(count: int) -> Callable[[Callable[[], bool]], Items]:
+    def pairs(stopped: Callable[[], bool]) -> Items:
         for k in range(count):
             if stopped():
                 return
@@ -24,48 +49,39 @@ def source(count: int) -> Callable[[Callable[[], bool]], Iterator[SourcePair | P
     return pairs
 
 
-def drain(feed: Feed) -> list[Item]:
-    found = []
+def drain(feed: Feed) -> tuple[list[int], list[int], list[Any]]:
+    """Numbers of the pairs that arrived and of those that were dropped, and the former."""
+    found: list[Any] = []
     while not feed.ended:
         if (item := feed.next()) is not None:
             found.append(item)
-    return found
+    arrived = [each for each in found if isinstance(each, Arrived)]
+    dropped = [each.timestamp_ns // STEP_NS for each in found if isinstance(each, Dropped)]
+    return [each.pair.stamps_ns[0] // STEP_NS for each in arrived], dropped, arrived
 
 
-def numbers(found: list[Item], kind: type) -> list[int]:
-    return [
-        (each.pair.stamps_ns[0] if isinstance(each, Arrived) else each.timestamp_ns) // STEP_NS
-        for each in found
-        if isinstance(each, kind) and not isinstance(each, Passed)
-    ]
-
-
-def test_without_a_pace_nothing_is_dropped() -> None:
+def test_without_a_pace_nothing_is_dropped_and_a_replay_keeps_its_pace() -> None:
     with Feed(source(30), 0.0) as feed:
         sleep(0.1)
-        found = drain(feed)
-    assert numbers(found, Arrived) == list(range(30)) and not numbers(found, Dropped)
-
-
-def test_a_replay_keeps_its_pace() -> None:
+        assert drain(feed)[:2] == (list(range(30)), [])
     with Feed(source(5), 2.0) as feed:
-        found = drain(feed)
-    arrived = [each.at for each in found if isinstance(each, Arrived)]
-    assert len(arrived) == 5
+        _, _, arrived = drain(feed)
     # four steps of 0.1 s at twice the speed; a busy machine may add to them
-    assert arrived[-1] - arrived[0] >= 0.19
+    assert len(arrived) == 5 and arrived[-1].at - arrived[0].at >= 0.19
 
 
-def test_the_oldest_that_waits_is_dropped_and_named() -> None:
+def test_the_oldest_that_waits_is_dropped_and_named_and_stopping_ends_the_source() -> None:
     with Feed(source(QUEUE_PAIRS + 3), None) as feed:
         sleep(0.5)
-        found = drain(feed)
-    assert numbers(found, Dropped) == [0, 1, 2]
-    assert numbers(found, Arrived) == list(range(3, QUEUE_PAIRS + 3))
+        assert drain(feed)[:2] == (list(range(3, QUEUE_PAIRS + 3)), [0, 1, 2])
+    with Feed(source(10_000), 1.0) as feed:
+        assert feed.next(2.0) is not None
+        feed.stop()
+    assert len(drain(feed)[0]) < 10_000
 
 
 def test_an_error_of_the_source_arrives_after_what_came_before() -> None:
-    def broken(stopped: Callable[[], bool]) -> Iterator[SourcePair | Passed]:
+    def broken(stopped: Callable[[], bool]) -> Items:
         yield from source(1)(stopped)
         raise InputError("data.csv line 2: no number")
 
@@ -74,10 +90,3 @@ def test_an_error_of_the_source_arrives_after_what_came_before() -> None:
         assert isinstance(feed.next(), Arrived)
         with pytest.raises(InputError, match="line 2"):
             feed.next(2.0)
-
-
-def test_stopping_ends_it_before_its_source_ends() -> None:
-    with Feed(source(10_000), 1.0) as feed:
-        assert feed.next(2.0) is not None
-        feed.stop()
-    assert len(drain(feed)) < 10_000

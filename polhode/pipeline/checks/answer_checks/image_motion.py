@@ -48,17 +48,18 @@ class ImageMotion:
 
     def compare(self, maps: Sequence[DepthMap]) -> None:
         """Compare some pairs of successive frames. maps: of all frames, in order."""
-        for k in self._frames().tolist():
-            self._compare(k, maps[k - 1], maps[k])
-
-    def _compare(self, k: int, before: DepthMap, current: DepthMap) -> None:
-        X = self.X_RG[k] @ inverse_pose(self.X_RG[k - 1])
-        displacement = residual_displacement(before, current, X, self.rig)
-        if len(displacement) >= MIN_PIXELS:
-            self.shares.append(float(np.mean(displacement > 2.0)))
-        view = pair_view(before, current, (self.X_RG[k - 1], self.X_RG[k]), self.rig)
-        if view is not None:
-            self.views.append(view)
+        R = self.X_RG[:, :3, :3]
+        turn_deg = angle_deg(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+        fit = 1 + np.flatnonzero((turn_deg < MAX_TURN_DEG) & self.measured[:-1] & self.measured[1:])
+        at = np.linspace(0, len(fit) - 1, min(MAX_PAIRS, len(fit))).round().astype(np.int64)
+        for k in fit[at].tolist():
+            before, current, poses = maps[k - 1], maps[k], (self.X_RG[k - 1], self.X_RG[k])
+            X = poses[1] @ inverse_pose(poses[0])
+            displacement = residual_displacement(before, current, X, self.rig)
+            if len(displacement) >= MIN_PIXELS:
+                self.shares.append(float(np.mean(displacement > 2.0)))
+            if (view := pair_view(before, current, poses, self.rig)) is not None:
+                self.views.append(view)
 
     def checks(self, interval_s: float) -> list[Check]:
         """Whether the images move as the motion says, and show the rotation of a body of revolution.
@@ -67,14 +68,6 @@ class ImageMotion:
         """
         share = 100.0 * float(np.median(self.shares)) if len(self.shares) >= MIN_PAIRS else None
         return [make_check("image motion", share), rotation_check(self.views, self.rig, interval_s)]
-
-    def _frames(self) -> NDArray[np.int64]:
-        """Second frames of the pairs that are compared."""
-        R = self.X_RG[:, :3, :3]
-        turn_deg = angle_deg(np.swapaxes(R[:-1], 1, 2) @ R[1:])
-        fit = 1 + np.flatnonzero((turn_deg < MAX_TURN_DEG) & self.measured[:-1] & self.measured[1:])
-        at = np.linspace(0, len(fit) - 1, min(MAX_PAIRS, len(fit))).round().astype(np.int64)
-        return np.asarray(fit[at])
 
 
 def residual_displacement(first: DepthMap, second: DepthMap, X: Array, rig: RectifiedRig) -> Array:

@@ -124,10 +124,7 @@ Difference = tuple[Array, Array, Array]
 
 
 def _differences(a: MotionEstimate, b: MotionEstimate, at: Ints) -> Iterator[tuple[str, list[Difference]]]:
-    for name, part, d in (
-        ("position", slice(0, 3), a.r_N - b.r_N),
-        ("velocity", slice(3, 6), a.v_N - b.v_N),
-    ):
+    for name, part, d in (("position", slice(0, 3), a.r_N - b.r_N), ("velocity", slice(3, 6), a.v_N - b.v_N)):
         yield name, [(d[k], a.covariance[k, part, part], b.covariance[k, part, part]) for k in at]
     P_a, P_b = a.covariance_last_body, b.covariance_last_body
     if P_a is not None and P_b is not None:

@@ -8,6 +8,7 @@ would bend them.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -44,8 +45,7 @@ class SeenPath:
     """(n, 3, 3) [m^2]"""
 
 
-@dataclass(frozen=True)
-class Centre:
+class Centre(NamedTuple):
     """The centre of mass that makes a path straight."""
 
     com_G: Array
@@ -83,42 +83,32 @@ class CentreChange:
 
 def seen_path(tracks: StereoTracks, estimate: MotionEstimate) -> SeenPath:
     """Each frame's pose by itself: least squares over the landmarks where the estimate has them."""
-    step = frame_step(tracks.n_frames)
-    p_G, known = _landmarks(tracks, estimate)
-    noise = estimate.noise
+    used, noise, com_G = np.flatnonzero(estimate.inlier_weight > 0.0), estimate.noise, estimate.mass.com_G
+    X = (inverse_pose(estimate.X_NG) @ tracks.X_NR)[tracks.frame[used]]
+    p_R = tracks.rig.triangulate(tracks.uvd_px[used] - estimate.residuals_px[used])
+    p_G, known = np.zeros((tracks.n_landmarks, 3)), np.zeros(tracks.n_landmarks, dtype=np.bool_)
+    p_G[tracks.landmark[used]] = np.einsum("nij,nj->ni", X[:, :3, :3], p_R) + X[:, :3, 3]
+    known[tracks.landmark[used]] = True
     sigma_px = np.maximum([noise.pixel_sigma_px, noise.pixel_sigma_px, noise.disparity_sigma_px], 1e-6)
-    X_RG, com_G = inverse_pose(tracks.X_NR) @ estimate.X_NG, estimate.mass.com_G
+    X_RG = inverse_pose(tracks.X_NR) @ estimate.X_NG
     found = []
-    for k in range(0, tracks.n_frames, step):
+    for k in range(0, tracks.n_frames, frame_step(tracks.n_frames)):
         rows = np.flatnonzero((tracks.frame == k) & known[tracks.landmark])
         if len(rows) < 8:
             continue
-        landmarks_G, uvd_px = p_G[tracks.landmark[rows]], tracks.uvd_px[rows]
-        fitted = fit_view(tracks.rig, X_RG[k], landmarks_G, uvd_px, sigma_px, with_offset=False)
-        if fitted is None:
+        seen = p_G[tracks.landmark[rows]], tracks.uvd_px[rows]
+        if (fitted := fit_view(tracks.rig, X_RG[k], *seen, sigma_px, with_offset=False)) is None:
             continue
-        X, cov = fitted.X_BA, fitted.covariance
-        at_R, R_NR = transform_points(X, com_G[None])[0], tracks.X_NR[k, :3, :3]
+        at_R, R_NR = transform_points(fitted.X_BA, com_G[None])[0], tracks.X_NR[k, :3, :3]
         J = R_NR @ np.hstack([np.eye(3), -hat(at_R)])
-        found.append((k, R_NR @ X[:3, :3], transform_points(tracks.X_NR[k], at_R[None])[0], J @ cov @ J.T))
+        p_N = transform_points(tracks.X_NR[k], at_R[None])[0]
+        found.append((k, R_NR @ fitted.X_BA[:3, :3], p_N, J @ fitted.covariance @ J.T))
     frame = np.array([each[0] for each in found], dtype=np.int64)
     R_NG, p_N, cov_p_N = (
         np.array([each[n] for each in found]).reshape(-1, *shape)
         for n, shape in ((1, (3, 3)), (2, (3,)), (3, (3, 3)))
     )
     return SeenPath(frame, tracks.time_s[frame], R_NG, p_N, com_G, cov_p_N)
-
-
-def _landmarks(tracks: StereoTracks, estimate: MotionEstimate) -> tuple[Array, Bools]:
-    """Landmarks (L, 3) in G as the estimate has them, and which it has (L,)."""
-    used = np.flatnonzero(estimate.inlier_weight > 0.0)
-    X_GR = inverse_pose(estimate.X_NG) @ tracks.X_NR
-    p_R = tracks.rig.triangulate(tracks.uvd_px[used] - estimate.residuals_px[used])
-    p_G, known = np.zeros((tracks.n_landmarks, 3)), np.zeros(tracks.n_landmarks, dtype=np.bool_)
-    X = X_GR[tracks.frame[used]]
-    p_G[tracks.landmark[used]] = np.einsum("nij,nj->ni", X[:, :3, :3], p_R) + X[:, :3, 3]
-    known[tracks.landmark[used]] = True
-    return p_G, known
 
 
 def centre_of(path: SeenPath, rows: Bools) -> Centre:

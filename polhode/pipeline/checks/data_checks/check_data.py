@@ -1,6 +1,6 @@
 """All checks of the data, one after the other."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,8 +46,8 @@ def check_data(
     """Doubts about the rig, the clock, the poses and the constancy of the target."""
     seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
     config, has_ranges = context.config.backend, context.sequence.has_ranges
+    X_NR, X_NG, limits = tracks.X_NR, estimate.X_NG, list[str]()
     checks = attempt_checks(lambda: [make_check("identical images", float(context.sequence.frozen))])
-    limits: list[str] = []
 
     def calibration() -> list[Check]:
         correction = best_correction(tracks, estimate)
@@ -62,8 +62,7 @@ def check_data(
         limits.extend(unseen)
         return found
 
-    X_NR, X_NG = tracks.X_NR, estimate.X_NG
-    steps: tuple[Callable[[], list[Check]], ...] = (
+    for step in (
         lambda: rig_checks(context, features, tracks, estimate),
         calibration,
         lambda: [clock_check(tracks.time_s, X_NG[:, :3, :3], seen)],
@@ -72,8 +71,7 @@ def check_data(
         mass,
         lambda: [connection_check(tracks, estimate)],
         lambda: mask_checks(context.rectifier.found),
-    )
-    for step in steps:
+    ):
         checks.extend(attempt_checks(step))
     return Findings(checks, limits)
 

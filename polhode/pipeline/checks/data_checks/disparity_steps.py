@@ -6,7 +6,7 @@ pair together. A step in the calibration shows in every pair across it; a frame 
 not. No estimate of the motion is needed, whose outliers such a step would hide in.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -28,26 +28,31 @@ def disparity_steps(tracks: StereoTracks, sigma_px: tuple[float, float]) -> tupl
     sigma_px: of image coordinates and of disparities. NaN where neighbouring frames share too little. The
     median of all pairs across the place, weighted; the sigma includes the scatter of all pairs.
     """
-    first, last, change, sigma = _changes(tracks, np.asarray(sigma_px)[[0, 0, 1]])
+    rows = [np.flatnonzero(tracks.frame == k) for k in range(tracks.n_frames)]
+    sigma3_px, pairs = np.asarray(sigma_px)[[0, 0, 1]], []
+    for i, j in _pairs(tracks):
+        _, a, b = np.intersect1d(tracks.landmark[rows[i]], tracks.landmark[rows[j]], return_indices=True)
+        uvd = tracks.uvd_px[rows[i][a]], tracks.uvd_px[rows[j][b]]
+        if (offset := disparity_change(tracks.rig, *uvd, sigma3_px)) is not None:
+            pairs.append((i, j, *offset))
+    first, last, change, sigma = np.array(pairs, dtype=np.float64).reshape(-1, 4).T
     steps = np.full((2, max(tracks.n_frames - 1, 0)), np.nan)
     if len(change) == 0:
         return steps[0], steps[1]
     sigma = np.hypot(sigma, 1.4826 * float(np.median(np.abs(change))))
     for k in range(tracks.n_frames - 1):
         across = (first <= k) & (last > k)
-        parts = [across, across & (first < k), across & (last > k + 1)]
-        found = [_median(change[part], sigma[part]) for part in parts if part.sum() >= 2]
+        found = []
+        for part in (across, across & (first < k), across & (last > k + 1)):
+            if part.sum() >= 2:
+                weight = float(np.sum(1.0 / sigma[part] ** 2))
+                median = weighted_median(change[part], sigma[part])
+                found.append((median, float(np.sqrt(min(part.sum(), 3) / weight))))
         if found:
             least = min(found, key=lambda each: abs(each[0]))
             # a frame that is bad for itself is no step: without it nothing is left
             steps[:, k] = least if abs(least[0]) < 0.5 * abs(found[0][0]) else found[0]
     return steps[0], steps[1]
-
-
-def _median(values: Array, sigma: Array) -> tuple[float, float]:
-    """Weighted median and its sigma."""
-    weight = float(np.sum(1.0 / sigma**2))
-    return weighted_median(values, sigma), float(np.sqrt(min(len(values), 3) / weight))
 
 
 def weighted_median(values: Array, sigma: Array) -> float:
@@ -57,26 +62,10 @@ def weighted_median(values: Array, sigma: Array) -> float:
     return float(values[order][np.searchsorted(weight, 0.5 * weight[-1])])
 
 
-def _changes(tracks: StereoTracks, sigma_px: Array) -> tuple[Array, Array, Array, Array]:
-    """First and last frame of each pair, change of its disparities and sigma [px], (pairs,) each."""
-    rows = [np.flatnonzero(tracks.frame == k) for k in range(tracks.n_frames)]
-    found = []
-    for i, j in _pairs(tracks):
-        _, a, b = np.intersect1d(tracks.landmark[rows[i]], tracks.landmark[rows[j]], return_indices=True)
-        uvd = tracks.uvd_px[rows[i][a]], tracks.uvd_px[rows[j][b]]
-        offset = disparity_change(tracks.rig, *uvd, sigma_px)
-        if offset is not None:
-            found.append((i, j, *offset))
-    first, last, change, sigma = np.array(found, dtype=np.float64).reshape(-1, 4).T
-    return first, last, change, sigma
-
-
 def _pairs(tracks: StereoTracks) -> list[tuple[int, int]]:
     """Pairs of frames that share enough: across each place, those whose frames are nearest to each other."""
-    seen = csr_array(
-        (np.ones(len(tracks.frame)), (tracks.frame, tracks.landmark)),
-        shape=(tracks.n_frames, tracks.n_landmarks),
-    )
+    shape = tracks.n_frames, tracks.n_landmarks
+    seen = csr_array((np.ones(len(tracks.frame)), (tracks.frame, tracks.landmark)), shape=shape)
     shared = (seen @ seen.T).tocoo()
     enough = (shared.data >= 12) & (shared.row < shared.col)
     enough &= shared.col - shared.row <= MAX_SPAN
@@ -95,14 +84,18 @@ def disparity_change(
     uvd (n, 3) of the same points, sigma_px (3,). Gauss-Newton over the rigid motion and the offset, with
     Cauchy weights; the noise of A counts as much as that of B.
     """
-    p_A = rig.triangulate(uvd_A_px)
-    X_BA = _rigid_start(p_A, rig.triangulate(uvd_B_px))
+    p_A, p_B = rig.triangulate(uvd_A_px), rig.triangulate(uvd_B_px)
+    weight = np.ones(len(p_A))
+    for _ in range(5):
+        # by the points alone, without the worst of them
+        X_BA = fit_rigid(p_B, p_A, weight)
+        distance = np.linalg.norm(p_B - transform_points(X_BA, p_A), axis=1)
+        weight = 1.0 / (1.0 + (distance / max(1.5 * float(np.median(distance)), 1e-12)) ** 2)
     fitted = fit_view(rig, X_BA, p_A, uvd_B_px, np.sqrt(2.0) * sigma_px, with_offset=True)
     return None if fitted is None else (fitted.offset_px, float(np.sqrt(fitted.covariance[6, 6])))
 
 
-@dataclass(frozen=True)
-class FittedView:
+class FittedView(NamedTuple):
     """Where points are in a view."""
 
     X_BA: Array
@@ -152,13 +145,3 @@ def offset_jacobian(rig: RectifiedRig, X_BA: Array, p_A: Array) -> Array:
     by_point = np.linalg.inv(rig.triangulation_jacobian(p_B))
     by_offset = np.broadcast_to(np.array([[0.0], [0.0], [1.0]]), (len(p_B), 3, 1))
     return np.concatenate([by_point, -by_point @ hat(p_B), by_offset], axis=2)
-
-
-def _rigid_start(p_A: Array, p_B: Array) -> Array:
-    """X_BA by the points alone, without the worst of them."""
-    weight = np.ones(len(p_A))
-    for _ in range(5):
-        X_BA = fit_rigid(p_B, p_A, weight)
-        distance = np.linalg.norm(p_B - transform_points(X_BA, p_A), axis=1)
-        weight = 1.0 / (1.0 + (distance / max(1.5 * float(np.median(distance)), 1e-12)) ** 2)
-    return X_BA

@@ -13,6 +13,7 @@ What no image can show is in docs/trust.md.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,16 +46,8 @@ sigma at most."""
 EXCHANGED_SHARE = 0.7
 """Share of negative disparities in a pair whose images are exchanged."""
 
-
-@dataclass(frozen=True)
-class Step:
-    """The difference between the values before and after one place."""
-
-    place: int
-    """Index of the first value after it"""
-    size: float
-    """Median after it minus median before it"""
-    sigma: float
+Matches = Sequence[RowOffsets | None]
+"""Matches across rows of each frame; None: too few"""
 
 
 def rig_checks(
@@ -65,34 +58,57 @@ def rig_checks(
     features: those of the first method, one a frame. Where range images take the place of a second camera,
     none of the checks is possible: its rows are missing, and its disparities are no angles.
     """
+    rig, time_s, focal_px = context.rig, context.time_s, context.rig.focal_px
     matches = [
         each.rows if each.rows is not None and len(each.rows.offset_px) >= MIN_MATCHES else None
         for each in features
     ]
-    rig, time_s = context.rig, context.time_s
-    middle_px, slope, sigma_middle_px, sigma_slope = row_lines(matches)
-    return [
-        _exchange_check(matches, rig, time_s),
-        _row_check("step of rows", largest_step(middle_px, sigma_middle_px), CLEAR_SIGMAS, time_s, rig),
-        _row_check("step of roll", largest_step(slope, sigma_slope), 4.0, time_s, rig),
-        _delay_check(camera_delay(context, matches, estimate)),
-        _yaw_check(context, tracks, estimate),
-    ]
-
-
-Matches = Sequence[RowOffsets | None]
-"""Matches across rows of each frame; None: too few"""
-
-
-def _exchange_check(matches: Matches, rig: RectifiedRig, time_s: Array) -> Check:
-    share = np.array([
+    behind = np.array([
         np.nan if rows is None else np.mean(rows.disparity_px < rig.disparity_offset_px) for rows in matches
     ])  # fmt: skip
-    if np.isnan(share).all():
-        return make_check("exchanged images", None)
-    negative = np.flatnonzero(share > EXCHANGED_SHARE)
-    first_s = time_s[negative[0]] if len(negative) else 0.0
-    return make_check("exchanged images", len(negative), pairs=len(matches), first_s=first_s)
+    exchanged = np.flatnonzero(behind > EXCHANGED_SHARE)
+    checks = [
+        make_check(
+            "exchanged images",
+            None if np.isnan(behind).all() else len(exchanged),
+            pairs=len(matches),
+            first_s=time_s[exchanged[0]] if len(exchanged) else 0.0,
+        )
+    ]
+    middle_px, slope, sigma_middle_px, sigma_slope = row_lines(matches)
+    for key, step, clear, unit in (
+        ("step of rows", largest_step(middle_px, sigma_middle_px), CLEAR_SIGMAS, 1.0),
+        ("step of roll", largest_step(slope, sigma_slope), 4.0, np.rad2deg(1.0)),
+    ):
+        if step is None:
+            checks.append(make_check(key, None))
+            continue
+        limit = max(CHECK_TABLE[key].limit or 0.0, unit * (clear * step.sigma))
+        degrees = np.rad2deg(abs(step.size) / focal_px)
+        facts = {"step_px": step.size, "from_s": time_s[step.place], "degrees": degrees}
+        checks.append(make_check(key, unit * abs(step.size), limit, **facts))
+    delay = camera_delay(context, matches, estimate)
+    if delay is None:
+        checks.append(make_check("camera delay", None))
+    else:
+        late, size_ms = "late" if delay.seconds > 0 else "early", 1e3 * abs(delay.seconds)
+        facts = {"late": late, "sigma_ms": 1e3 * delay.sigma_s}
+        checks.append(make_check("camera delay", size_ms, 1e3 * delay.limit_s, **facts))
+    return [*checks, _yaw_check(context, tracks, estimate)]
+
+
+def _yaw_check(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> Check:
+    focal_px, key, noise = context.rig.focal_px, "step of disparities", estimate.noise
+    if not context.sequence.has_ranges:
+        step_px, sigma_px = disparity_steps(tracks, (noise.pixel_sigma_px, noise.disparity_sigma_px))
+        limit_px = np.maximum(MAX_YAW_RAD * focal_px, CLEAR_YAW_SIGMAS * sigma_px)
+        excess = np.abs(step_px) / limit_px
+        if np.isfinite(excess).any():
+            place = int(np.nanargmax(excess))
+            degrees = np.rad2deg(abs(step_px[place]) / focal_px)
+            facts = {"step_px": step_px[place], "from_s": context.time_s[place + 1], "degrees": degrees}
+            return make_check(key, abs(step_px[place]), limit_px[place], **facts)
+    return make_check(key, None, MAX_YAW_RAD * focal_px)
 
 
 def row_lines(matches: Matches) -> Array:
@@ -120,21 +136,20 @@ def row_lines(matches: Matches) -> Array:
     return out
 
 
-def _row_check(key: str, step: Step | None, clear: float, time_s: Array, rig: RectifiedRig) -> Check:
-    """Of a step of the rows [px], or of their inclination [rad] in degrees."""
-    if step is None:
-        return make_check(key, None)
-    unit = np.rad2deg(1.0) if key == "step of roll" else 1.0
-    limit = max(CHECK_TABLE[key].limit or 0.0, unit * (clear * step.sigma))
-    degrees = np.rad2deg(abs(step.size) / rig.focal_px)
-    facts = {"step_px": step.size, "from_s": time_s[step.place], "degrees": degrees}
-    return make_check(key, unit * abs(step.size), limit, **facts)
+class Step(NamedTuple):
+    """The difference between the medians of the values before and after one place."""
+
+    place: int
+    """Index of the first value after it"""
+    size: float
+    sigma: float
 
 
 def largest_step(values: Array, sigma: Array) -> Step | None:
     """The step whose two weighted medians fit values (n,) best, by absolute residuals in their sigmas (n,).
 
-    NaN do not count; None where there are too few. The sigma is that of a difference of medians.
+    NaN do not count; None where there are too few. The sigma is that of a difference of medians, by the
+    sigmas or the scatter where it is larger; a few values may agree by chance, so at least that of all.
     """
     known = np.flatnonzero(np.isfinite(values))
     v, s = values[known], sigma[known]
@@ -143,25 +158,12 @@ def largest_step(values: Array, sigma: Array) -> Step | None:
         medians = weighted_median(v[:n], s[:n]), weighted_median(v[n:], s[n:])
         residuals = np.abs(v - np.repeat(medians, (n, len(known) - n))) / s
         if residuals.sum() < least:
-            least = float(residuals.sum())
-            sides = (slice(None, n), slice(n, None))
-            sigmas = [_sigma_of_median(residuals[side], s[side], residuals) for side in sides]
+            least, sigmas = float(residuals.sum()), []
+            for side in (slice(None, n), slice(n, None)):
+                scatter = 1.4826 * float(max(np.median(residuals[side]), np.median(residuals)))
+                sigmas.append(1.25 * max(scatter, 1.0) / float(np.sqrt(np.sum(1.0 / s[side] ** 2))))
             best = Step(int(known[n]), medians[1] - medians[0], float(np.linalg.norm(sigmas)))
     return best
-
-
-def _sigma_of_median(residuals: Array, sigma: Array, all_residuals: Array) -> float:
-    """By the sigmas, or the scatter where it is larger; a few values may agree by chance, so at least that of
-    all."""
-    scatter = max(1.4826 * float(max(np.median(residuals), np.median(all_residuals))), 1.0)
-    return 1.25 * scatter / float(np.sqrt(np.sum(1.0 / sigma**2)))
-
-
-def _delay_check(found: "CameraDelay | None") -> Check:
-    if found is None:
-        return make_check("camera delay", None)
-    facts = {"late": "late" if found.seconds > 0 else "early", "sigma_ms": 1e3 * found.sigma_s}
-    return make_check("camera delay", 1e3 * abs(found.seconds), 1e3 * found.limit_s, **facts)
 
 
 @dataclass(frozen=True)
@@ -180,8 +182,7 @@ class CameraDelay:
         return max(trigger_s, CLEAR_SIGMAS * self.sigma_s, MIN_DELAY_PX / max(self.speed_px_s, 1e-9))
 
 
-@dataclass(frozen=True)
-class RowSpeeds:
+class RowSpeeds(NamedTuple):
     """Row offsets of n points whose images move."""
 
     speed_px_s: Array
@@ -200,7 +201,7 @@ def camera_delay(context: RunContext, matches: Matches, estimate: MotionEstimate
     The velocities of the points follow from the estimated motion.
     """
     X_NR, time_s = context.X_NR, context.time_s
-    found: list[RowSpeeds] = []
+    found = []
     for k, rows in enumerate(matches):
         if rows is None:
             continue
@@ -238,10 +239,7 @@ def delay_by_rows(parts: Sequence[RowSpeeds]) -> CameraDelay | None:
     """
     if not parts:
         return None
-    x, y, frame, uvd_px = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("speed_px_s", "offset_px", "frame", "uvd_px")
-    )
+    x, y, frame, uvd_px = (np.concatenate(each) for each in zip(*parts, strict=True))
     u, v, d = ((uvd_px - uvd_px.mean(axis=0)) / np.maximum(uvd_px.std(axis=0), 1e-9)).T
     known = np.column_stack([np.ones(len(u)), u, v, d, u * u, u * v, v * v])
     good = np.ones(len(x), dtype=np.bool_)
@@ -258,19 +256,3 @@ def delay_by_rows(parts: Sequence[RowSpeeds]) -> CameraDelay | None:
     by_frame = np.bincount(frame[good], x0[good] * residual[good])
     sigma_s = float(np.sqrt(np.sum(by_frame**2)) / np.sum(x0[good] ** 2))
     return CameraDelay(-slope, sigma_s, float(np.std(x0[good])))
-
-
-def _yaw_check(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> Check:
-    focal_px, key = context.rig.focal_px, "step of disparities"
-    if context.sequence.has_ranges:
-        return make_check(key, None, MAX_YAW_RAD * focal_px)
-    noise = estimate.noise
-    step_px, sigma_px = disparity_steps(tracks, (noise.pixel_sigma_px, noise.disparity_sigma_px))
-    limit_px = np.maximum(MAX_YAW_RAD * focal_px, CLEAR_YAW_SIGMAS * sigma_px)
-    excess = np.abs(step_px) / limit_px
-    if not np.isfinite(excess).any():
-        return make_check(key, None, MAX_YAW_RAD * focal_px)
-    place = int(np.nanargmax(excess))
-    degrees = np.rad2deg(abs(step_px[place]) / focal_px)
-    facts = {"step_px": step_px[place], "from_s": context.time_s[place + 1], "degrees": degrees}
-    return make_check(key, abs(step_px[place]), limit_px[place], **facts)

@@ -8,12 +8,7 @@ import pytest
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.geometry.rigid_body import propagate
-from polhode.pipeline.checks.data_checks.centre_check import (
-    MIN_FRAMES,
-    SeenPath,
-    centre_change,
-    centre_of,
-)
+from polhode.pipeline.checks.data_checks.centre_check import MIN_FRAMES, SeenPath, centre_change, centre_of
 from polhode.pipeline.checks.data_checks.disparity_steps import fit_view
 
 RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)

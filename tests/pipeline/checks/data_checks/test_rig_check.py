@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +10,6 @@ import pytest
 from polhode.backend import estimate_motion
 from polhode.config.backend_settings import Backend
 from polhode.frontend.features.row_offsets import RowOffsets
-from polhode.frontend.features.stereo import StereoFeatures
 from polhode.geometry.lie import Array
 from polhode.pipeline.checks.data_checks.rig_check import (
     RowSpeeds,
@@ -38,14 +37,6 @@ SCENE = SyntheticScene(
 )  # fmt: skip
 
 
-class Context:
-    """The part of ``RunContext`` that the check reads."""
-
-    def __init__(self, tracks: StereoTracks) -> None:
-        self.rig, self.time_s, self.X_NR = tracks.rig, tracks.time_s, tracks.X_NR
-        self.sequence = SimpleNamespace(has_ranges=False)
-
-
 def solved(sequence: SyntheticSequence, tracks: StereoTracks) -> MotionEstimate:
     """From the true poses."""
     X_RG = np.linalg.inv(sequence.tracks.X_NR) @ sequence.X_NG
@@ -63,54 +54,41 @@ def estimate(sequence: SyntheticSequence) -> MotionEstimate:
     return solved(sequence, sequence.tracks)
 
 
-def features(
-    tracks: StereoTracks, offset_px: Array | None = None, exchanged: tuple[int, ...] = ()
-) -> list[StereoFeatures]:
-    """Of each frame; offset_px (M,) of the rows of the observations."""
-    rng = np.random.default_rng(4)
-    none = np.zeros((0, 3))
-    out = []
+def features(tracks: StereoTracks, offset_px: Any = 0.0, exchanged: tuple[int, ...] = ()) -> list[Any]:
+    """Rows of each frame; offset_px (M,) of the observations."""
+    rng, out = np.random.default_rng(4), []
+    offset_px = offset_px + 0.2 * rng.standard_normal(len(tracks.frame))
     for k in range(tracks.n_frames):
         rows = np.flatnonzero(tracks.frame == k)
-        uvd = tracks.uvd_px[rows]
-        scatter = 0.2 * rng.standard_normal(len(rows))
-        offset = scatter if offset_px is None else scatter + offset_px[rows]
-        sign = -1.0 if k in exchanged else 1.0
-        seen = RowOffsets(uvd[:, :2], sign * uvd[:, 2], offset)
-        out.append(StereoFeatures(none, none, none, np.zeros(0), np.zeros((0, 8), np.float32), rows=seen))
+        uvd, sign = tracks.uvd_px[rows], -1.0 if k in exchanged else 1.0
+        out.append(SimpleNamespace(rows=RowOffsets(uvd[:, :2], sign * uvd[:, 2], offset_px[rows])))
     return out
 
 
-def reasons(sequence: SyntheticSequence, estimate: MotionEstimate, seen: list[StereoFeatures]) -> list[str]:
-    context: Any = Context(sequence.tracks)
-    return reasons_of(rig_checks(context, seen, sequence.tracks, estimate))
+def reasons(
+    tracks: StereoTracks, estimate: MotionEstimate, seen: list[Any], ranges: bool = False
+) -> list[str]:
+    context: Any = SimpleNamespace(
+        rig=tracks.rig, time_s=tracks.time_s, X_NR=tracks.X_NR, sequence=SimpleNamespace(has_ranges=ranges)
+    )
+    return reasons_of(rig_checks(context, seen, tracks, estimate))
 
 
-def test_nothing_is_said_of_a_good_rig_or_where_nothing_is_measured(
-    sequence: SyntheticSequence, estimate: MotionEstimate
-) -> None:
-    seen = features(sequence.tracks)
-    assert reasons(sequence, estimate, seen) == []
-    assert reasons(sequence, estimate, [replace(each, rows=None) for each in seen]) == []
-
-
-def test_a_camera_that_was_knocked_up_or_down_is_named(
-    sequence: SyntheticSequence, estimate: MotionEstimate
-) -> None:
-    focal = sequence.tracks.rig.focal_px
-    after = np.deg2rad(0.2) * focal * (sequence.tracks.frame >= 10)
-    said = reasons(sequence, estimate, features(sequence.tracks, after))
-    assert len(said) == 1 and "as if one camera had turned by 0.20 deg" in said[0]
-    assert f"from {sequence.tracks.time_s[10]:g} s" in said[0]
-
-
-def test_a_camera_that_was_knocked_about_its_axis_is_named(
+def test_a_good_rig_passes_and_knocks_and_exchanged_images_are_named(
     sequence: SyntheticSequence, estimate: MotionEstimate
 ) -> None:
     tracks = sequence.tracks
-    turned = np.deg2rad(0.2) * (tracks.uvd_px[:, 0] - tracks.rig.cx_px) * (tracks.frame >= 10)
-    said = reasons(sequence, estimate, features(tracks, turned))
-    assert said and "deg more from 5 s on, as if one camera had turned about its axis" in said[-1]
+    seen, rig = features(tracks), tracks.rig
+    assert reasons(tracks, estimate, seen) == []
+    assert reasons(tracks, estimate, [SimpleNamespace(rows=None) for _ in seen]) == []
+    later, angle = tracks.frame >= 10, np.deg2rad(0.2)
+    (up,) = reasons(tracks, estimate, features(tracks, angle * rig.focal_px * later))
+    assert "as if one camera had turned by 0.20 deg" in up and f"from {tracks.time_s[10]:g} s" in up
+    rolled = features(tracks, angle * (tracks.uvd_px[:, 0] - rig.cx_px) * later)
+    roll = reasons(tracks, estimate, rolled)[-1]
+    assert "deg more from 5 s on, as if one camera had turned about its axis" in roll
+    (exchanged,) = reasons(tracks, estimate, features(tracks, exchanged=(2, 9)))
+    assert f"2 of {FRAMES} pairs are exchanged, left for right" in exchanged
 
 
 def test_cameras_that_look_at_different_times_are_named_with_the_time(
@@ -124,11 +102,11 @@ def test_cameras_that_look_at_different_times_are_named_with_the_time(
     v_R = np.einsum("nji,nj->ni", tracks.X_NR[k][:, :3, :3], v_N)
     rows_px_s = tracks.rig.focal_px * (v_R[:, 1] - v_R[:, 2] * p_R[:, 1] / p_R[:, 2]) / p_R[:, 2]
     seen = features(tracks, -0.020 * rows_px_s)
-    context: Any = Context(tracks)
+    context: Any = SimpleNamespace(rig=tracks.rig, time_s=tracks.time_s, X_NR=tracks.X_NR)
     found = camera_delay(context, [each.rows for each in seen], estimate)
     assert found is not None and found.seconds == pytest.approx(0.020, abs=0.002)
-    said = reasons(sequence, estimate, seen)
-    assert len(said) == 1 and "the right camera's images are" in said[0] and "ms late" in said[0]
+    (said,) = reasons(tracks, estimate, seen)
+    assert "the right camera's images are" in said and "ms late" in said
 
 
 def test_rows_that_an_imperfect_calibration_inclines_are_no_delay() -> None:
@@ -136,77 +114,54 @@ def test_rows_that_an_imperfect_calibration_inclines_are_no_delay() -> None:
     spinning = generate(replace(SCENE, w_G=(0.0, 0.0, 0.4)), 4)
     tracks, estimate = spinning.tracks, solved(spinning, spinning.tracks)
     u, v, _ = ((tracks.uvd_px - tracks.uvd_px.mean(axis=0)) / tracks.uvd_px.std(axis=0)).T
-    said = reasons(spinning, estimate, features(tracks, 0.2 * u - 0.1 * v + 0.1 * u * v))
+    said = reasons(tracks, estimate, features(tracks, 0.2 * u - 0.1 * v + 0.1 * u * v))
     assert not any("ms late" in each or "ms early" in each for each in said)
 
 
 def test_a_delay_that_hardly_displaces_the_rows_is_not_named() -> None:
     """At little speed a feature's inaccuracy would be a delay of hundreds of milliseconds."""
-    rng = np.random.default_rng(5)
-    n = 4000
-    uvd = rng.uniform(0.0, 100.0, size=(n, 3))
-    speed, frame = 0.06 * rng.normal(size=n), np.arange(n) // 100
-    slight, clear = (
-        delay_by_rows(
-            [RowSpeeds(factor * speed, -0.3 * factor * speed + 0.01 * rng.normal(size=n), frame, uvd)]
-        )
-        for factor in (1.0, 3.0)
-    )
-    assert slight is not None and clear is not None
-    assert slight.seconds == pytest.approx(0.3, abs=0.03) and slight.sigma_s < 0.03
-    assert slight.seconds < slight.limit_s
-    assert clear.seconds == pytest.approx(0.3, abs=0.03) and clear.seconds > clear.limit_s
-
-
-def test_exchanged_images_are_counted(sequence: SyntheticSequence, estimate: MotionEstimate) -> None:
-    said = reasons(sequence, estimate, features(sequence.tracks, exchanged=(2, 9)))
-    assert len(said) == 1 and f"2 of {FRAMES} pairs are exchanged, left for right" in said[0]
+    rng, n = np.random.default_rng(5), 4000
+    uvd, frame = rng.uniform(0.0, 100.0, size=(n, 3)), np.arange(n) // 100
+    speed = 0.06 * rng.normal(size=n)
+    for factor in (1.0, 3.0):
+        offset = -0.3 * factor * speed + 0.01 * rng.normal(size=n)
+        found = delay_by_rows([RowSpeeds(factor * speed, offset, frame, uvd)])
+        assert found is not None and found.seconds == pytest.approx(0.3, abs=0.03) and found.sigma_s < 0.03
+        assert (found.seconds > found.limit_s) == (factor > 1.0)
 
 
 @pytest.mark.parametrize("fault", ["knocked sideways", "drifting"])
 def test_disparities_that_step_or_drift_are_named(sequence: SyntheticSequence, fault: str) -> None:
-    tracks = sequence.tracks
+    tracks, uvd = sequence.tracks, sequence.tracks.uvd_px.copy()
     step = np.deg2rad(0.2) * tracks.rig.focal_px * (tracks.frame >= 12)
-    uvd = tracks.uvd_px.copy()
     uvd[:, 2] += step if fault == "knocked sideways" else 2.0 * tracks.frame / FRAMES
     wrong = replace(tracks, uvd_px=uvd)
-    estimate, context = solved(sequence, wrong), cast(Any, Context(wrong))
-    (said,) = reasons_of(rig_checks(context, features(tracks), wrong, estimate))
+    estimate, seen = solved(sequence, wrong), features(tracks)
+    (said,) = reasons(wrong, estimate, seen)
     assert "all disparities are +" in said
     if fault == "knocked sideways":
         assert "from 6 s on all disparities are +1." in said
         assert "turned sideways by 0.1" in said or "turned sideways by 0.2" in said
     # ranges that change are not two cameras that turn
-    context.sequence = SimpleNamespace(has_ranges=True)
-    assert reasons_of(rig_checks(context, features(tracks), wrong, estimate)) == []
+    assert reasons(wrong, estimate, seen, ranges=True) == []
 
 
-def test_a_step_needs_frames_on_both_sides() -> None:
-    values = np.zeros(20)
-    values[18:] = 5.0
-    step = largest_step(values, np.ones(20))
-    assert step is not None and step.size == 0.0
-    assert largest_step(np.full(20, np.nan), np.ones(20)) is None
+def test_steps_need_frames_on_both_sides_clear_values_and_count_by_sigmas() -> None:
+    def step(values: Array, sigma: Array) -> Any:
+        return largest_step(values, sigma)
 
-
-def test_a_few_values_that_scatter_are_no_step() -> None:
+    late = np.where(np.arange(20) < 18, 0.0, 5.0)
+    assert step(late, np.ones(20)).size == 0.0 and step(np.full(20, np.nan), np.ones(20)) is None
     # inclinations of the rows [deg] that an upper stage with few features gave, undisturbed
-    quiet = np.tile([-0.05, 0.05, 0.1, -0.1, 0.0], 6)
-    sigma = np.full(35, 0.05)
-    loose = largest_step(np.concatenate([quiet, [5.6, 0.45, 2.6, 0.5, 0.15]]), sigma)
-    firm = largest_step(np.concatenate([quiet, [0.55, 0.45, 0.6, 0.5, 0.4]]), sigma)
-    assert loose is not None and firm is not None and loose.place == firm.place == 30
-    assert abs(loose.size) < 3.0 * loose.sigma
-    assert abs(firm.size) > 5.0 * firm.sigma
-
-
-def test_values_count_by_their_sigmas() -> None:
-    rng = np.random.default_rng(4)
+    quiet, sigma = np.tile([-0.05, 0.05, 0.1, -0.1, 0.0], 6), np.full(35, 0.05)
+    loose = step(np.concatenate([quiet, [5.6, 0.45, 2.6, 0.5, 0.15]]), sigma)
+    firm = step(np.concatenate([quiet, [0.55, 0.45, 0.6, 0.5, 0.4]]), sigma)
+    assert loose.place == firm.place == 30
+    assert abs(loose.size) < 3.0 * loose.sigma and abs(firm.size) > 5.0 * firm.sigma
     sigma = np.where(np.arange(40) % 4 == 0, 0.1, 2.0)
-    values = sigma * rng.normal(size=40) + np.where(np.arange(40) < 20, 0.0, 0.6)
-    step, blind = largest_step(values, sigma), largest_step(values, np.full(40, float(np.median(sigma))))
-    assert step is not None and blind is not None
-    assert abs(step.size - 0.6) < 4.0 * step.sigma and abs(step.size) > 5.0 * step.sigma
+    values = sigma * np.random.default_rng(4).normal(size=40) + np.where(np.arange(40) < 20, 0.0, 0.6)
+    known, blind = step(values, sigma), step(values, np.full(40, float(np.median(sigma))))
+    assert abs(known.size - 0.6) < 4.0 * known.sigma and abs(known.size) > 5.0 * known.sigma
     assert abs(blind.size) < 4.0 * blind.sigma
 
 
@@ -214,11 +169,10 @@ def test_values_count_by_their_sigmas() -> None:
 def test_a_wrong_focal_length_is_named_with_its_size(sequence: SyntheticSequence, factor: float) -> None:
     rig = sequence.tracks.rig
     wrong = replace(sequence.tracks, rig=replace(rig, focal_px=factor * rig.focal_px))
-    estimate = solved(sequence, wrong)
-    found = best_correction(wrong, estimate)
+    found = best_correction(wrong, solved(sequence, wrong))
     assert found is not None and found.focal == pytest.approx(1.0 / factor - 1.0, abs=0.008)
-    said = reasons_of([focal_check(found)])
-    assert len(said) == 1 and f"{'longer' if factor < 1 else 'shorter'} than calibrated" in said[0]
+    (said,) = reasons_of([focal_check(found)])
+    assert f"{'longer' if factor < 1 else 'shorter'} than calibrated" in said
 
 
 def test_the_error_that_the_images_would_hide_is_told_where_it_matters(
