@@ -143,7 +143,9 @@ def read_trajectory(path: Path) -> Trajectory:
     return Trajectory(table.timestamps_ns, *parts)
 
 
-def require_same_frames(folder: Path, trajectory: Trajectory | States, timestamps_ns: Ints, other: str) -> None:
+def require_same_frames(
+    folder: Path, trajectory: Trajectory | States, timestamps_ns: Ints, other: str
+) -> None:
     """Raise InputError unless the rows of the trajectory are those of another file of the run."""
     if not np.array_equal(trajectory.timestamps_ns, timestamps_ns):
         raise InputError(
