@@ -304,7 +304,7 @@ def truth_of_frames(sequence_folder: Path, timestamps_ns: Ints) -> Truth | None:
         return None
     truth = read_truth(sequence_folder)
     at = truth_at(truth, timestamps_ns)
-    states = {"r_N": at.r_N, "R_NP": at.R_NP, "v_N": at.v_N, "w_P": at.w_P}
+    states: Metrics = {"r_N": at.r_N, "R_NP": at.R_NP, "v_N": at.v_N, "w_P": at.w_P}
     return replace(truth, timestamps_ns=timestamps_ns, mesh=None, **states)
 
 

@@ -10,6 +10,7 @@ from polhode.report.plot_style import (
     INK,
     TIME_TITLE,
     Figure,
+    Layout,
     gap_shapes,
     line,
     line_with_band,
@@ -64,7 +65,8 @@ def motion_figures(content: StoredRun) -> list[Figure]:
         "deviations of the attitude error about each principal axis. "
         f"{_median_sigma(sigma_deg, 'attitude', 'deg')}{grey}"
     )
-    figure, narrow = partial(Figure, clock="time"), {"height_px": 520, "wide": False}
+    figure = partial(Figure, clock="time")
+    narrow: Layout = {"height_px": 520, "wide": False}
     return [
         figure("centre-of-mass", "Centre of mass", com_caption, of_com, com_layout, height_px=560),
         figure("angular-velocity", "Angular velocity", rate_caption, of_rate, rate_layout, **narrow),
@@ -86,7 +88,7 @@ def straight_line_residual(time_s: Array, p: Array, sigma: Array) -> Array:
 
 def _median_sigma(sigma: Array, what: str, unit: str) -> str:
     known = np.isfinite(sigma)
-    lost = [name for name, some in zip("xyz", known.any(axis=0), strict=True) if not some]
+    lost = [name for name, some in zip("xyz", known.T, strict=True) if not some.any()]
     if lost:
         return f"The {what} along {', '.join(lost)} is not determined by the data: no band is drawn."
     values = ", ".join(f"{np.median(sigma[known[:, k], k]):.2g}" for k in range(3))

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polhode.geometry.lie import Array, Bools
+from polhode.geometry.lie import Array, Bools, Ints
 
 Trace = dict[str, Any]
 Layout = dict[str, Any]
@@ -125,7 +125,7 @@ def points3d(points: ArrayLike, name: str, **more: Any) -> Trace:
     return {"type": "scatter3d", "mode": "markers", **columns("xyz", points), "name": name, **more}
 
 
-def mesh3d(vertices: ArrayLike, faces: Array, name: str, **more: Any) -> Trace:
+def mesh3d(vertices: ArrayLike, faces: Array | Ints, name: str, **more: Any) -> Trace:
     """Triangles of a scene, vertices (V, 3) and faces (T, 3), without a text under the pointer."""
     corners = columns("ijk", faces.astype(np.uint16))
     hidden = {"name": name, "showlegend": True, "hoverinfo": "skip"}
@@ -309,7 +309,7 @@ def axis_arrows(origin: Array, R: Array, length: float, names: Sequence[str]) ->
     """Three coloured lines from an origin (3,), along the columns of R (3, 3), named at their ends."""
     arrows = []
     for tip, name, color in zip(origin + length * R.T, names, AXIS_COLORS, strict=True):
-        style = {"textfont": {"color": color, "size": 13}, "line": {"color": color, "width": 6}}
+        style: Layout = {"textfont": {"color": color, "size": 13}, "line": {"color": color, "width": 6}}
         style |= {"mode": "lines+text", "text": ["", name], "hoverinfo": "name"}
         arrows.append(points3d(np.stack([origin, tip]), f"principal axis {name}", **style))
     return arrows

@@ -143,13 +143,21 @@ def draw_landmarks(landmarks: Landmarks, frame: BodyFrame) -> bytes:
             (facing[known[facing]], {"c": sigma_mm[facing[known[facing]]], "cmap": SIGMA_MAP, "norm": norm}),
         ):
             size = 9.0 if len(p_mm) < 3000 else 4.0
-            axes.scatter(*p_mm[chosen][:, plane].T, s=size, linewidths=0, **colours)
+            across, upward = p_mm[chosen][:, plane].T
+            axes.scatter(across, upward, s=size, linewidths=0, **colours)
         for axis, along in zip(plane, 0.5 * half_mm * np.eye(2), strict=True):
-            arrow = {"arrowstyle": "-|>", "color": AXIS_COLORS[axis], "linewidth": 1.8}
+            arrow: dict[str, Any] = {"arrowstyle": "-|>", "color": AXIS_COLORS[axis], "linewidth": 1.8}
             arrow |= {"shrinkA": 0, "shrinkB": 0}
             axes.annotate("", xy=tuple(along), xytext=(0.0, 0.0), arrowprops=arrow, zorder=4)
-            style = {"color": AXIS_COLORS[axis], "size": 12, "weight": "bold", "ha": "center", "va": "center"}
-            label = axes.text(*(1.14 * along).tolist(), "xyz"[axis], zorder=5, **style)
+            font: dict[str, Any] = {
+                "color": AXIS_COLORS[axis],
+                "size": 12,
+                "weight": "bold",
+                "ha": "center",
+                "va": "center",
+            }
+            x, y = (1.14 * along).tolist()
+            label = axes.text(x, y, "xyz"[axis], zorder=5, **font)
             label.set_path_effects([withStroke(linewidth=3, foreground="white")])
         axes.plot(0.0, 0.0, marker="D", markersize=6, color=INK, markeredgecolor="white", zorder=6)
         # An axis that points to the left counts to the left.
@@ -170,12 +178,12 @@ def draw_landmarks(landmarks: Landmarks, frame: BodyFrame) -> bytes:
     outside = int((np.abs(p_mm).max(axis=1) > half_mm).sum())
     notes = [f"Beyond the drawing: {outside}."] if outside else []
     notes += [f"Without a standard deviation (grey): {int((~known).sum())}."] if not known.all() else []
-    for height, text, style in (
+    for y, text, style in (
         (0.965, f"{len(p_mm)} landmarks from six sides", {"size": 14, "weight": "bold"}),
         (0.937, f"{frame.description} Each view shows the half that faces the eye.", {"size": 10}),
         (0.015, " ".join(notes), {"size": 9}),
     ):
-        figure.text(0.055, height, text, color=INK, va="center", **style)
+        figure.text(0.055, y, text, color=INK, va="center", **style)
     return png(figure)
 
 
