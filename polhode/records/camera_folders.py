@@ -49,8 +49,17 @@ def find_cameras(mav0: Path) -> CameraFolders:
     """
     if all((mav0 / name).is_dir() for name in USUAL):
         return CameraFolders(mav0, USUAL)
-    folders = mav0.iterdir() if mav0.is_dir() else ()
-    found = sorted((each.name for each in folders if _is_camera(each)), key=_natural)
+    found = [
+        folder.name
+        for folder in (mav0.iterdir() if mav0.is_dir() else ())
+        if folder.name != RANGE_FOLDER
+        and (folder / "data").is_dir()
+        and all((folder / name).is_file() for name in ("sensor.yaml", "data.csv"))
+    ]
+    # cam2 before cam10
+    found.sort(
+        key=lambda name: [(int(n), "") if n.isdigit() else (-1, n) for n in re.split(r"(\d+)", name) if n]
+    )
     if len(found) > 2:
         raise InputError(
             f"{mav0} has {len(found)} cameras, {', '.join(found[:6])}: call the left one of the pair cam0 "
@@ -65,10 +74,16 @@ def find_cameras(mav0: Path) -> CameraFolders:
             f"{missing} is missing: a sequence needs mav0/cam0 and mav0/cam1, or mav0/{RANGE_FOLDER} in the "
             "place of a second camera (see docs/dataset.md)"
         )
-    sides = [_side(name) for name in found]
-    if sides == ["right", "left"] or (sides != ["left", "right"] and _is_right_of(mav0, found)):
-        found.reverse()
-    return CameraFolders(mav0, (found[0], found[1]))
+    sides = [next((side for side in ("left", "right") if side in name.lower()), None) for name in found]
+    is_swapped = sides == ["right", "left"]
+    if not is_swapped and sides != ["left", "right"]:
+        # Whether the first camera is on the right of the second, by their T_BS; two that are one above the
+        # other are taken in the order of their names.
+        first, second = (read_camera_pose(mav0 / name / "sensor.yaml") for name in found)
+        to_second = (inverse_pose(first) @ second)[:3, 3]
+        is_swapped = bool(to_second[0] < -0.5 * np.linalg.norm(to_second))
+    left, right = reversed(found) if is_swapped else found
+    return CameraFolders(mav0, (left, right))
 
 
 def left_camera(mav0: Path) -> Path:
@@ -77,30 +92,3 @@ def left_camera(mav0: Path) -> Path:
         return find_cameras(mav0).folder(0)
     except (InputError, OSError):
         return mav0 / USUAL[0]
-
-
-def _is_camera(folder: Path) -> bool:
-    """Whether a folder has what a camera's has: a calibration, a list, and images."""
-    return (
-        folder.name != RANGE_FOLDER
-        and (folder / "data").is_dir()
-        and all((folder / name).is_file() for name in ("sensor.yaml", "data.csv"))
-    )
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """cam2 before cam10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name) if part]
-
-
-def _side(name: str) -> str | None:
-    """The side that a name says."""
-    return next((side for side in ("left", "right") if side in name.lower()), None)
-
-
-def _is_right_of(mav0: Path, names: list[str]) -> bool:
-    """Whether the first camera is on the right of the second, by their T_BS."""
-    first, second = (read_camera_pose(mav0 / name / "sensor.yaml") for name in names)
-    to_second = (inverse_pose(first) @ second)[:3, 3]
-    # two that are one above the other are taken in the order of their names
-    return bool(to_second[0] < -0.5 * np.linalg.norm(to_second))

@@ -9,6 +9,7 @@ Every image is decoded once when the sequence is opened, so that damage is found
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from hashlib import blake2b
@@ -43,7 +44,7 @@ from polhode.files.tables import (
 )
 from polhode.geometry.lie import Array, Bools, Ints, make_pose
 from polhode.records.camera_folders import CameraFolders, find_cameras
-from polhode.records.pairing import Pairing, offset_in_words, pair_by_time, time_in_words
+from polhode.records.pairing import offset_in_words, pair_by_time, time_in_words
 from polhode.records.range_images import RANGE_FOLDER, RangeModel, read_range_model, why_no_ranges
 from polhode.records.rig_calibration import (
     StereoCalibration,
@@ -56,15 +57,8 @@ from polhode.runtime.errors import InputError
 
 MIN_PAIRS = 3
 MAX_LOSS = 0.6
-MIN_INTERVAL_S, MAX_INTERVAL_S = 1e-4, 86400.0
-"""Between frames, usually: microseconds or seconds given as nanoseconds lie outside."""
-LONG_GAP_S, LONG_GAP = 3600.0, 100.0
-"""An interval that is longer than an hour and than so many usual ones is odd."""
 PAIRS_AHEAD = 64
 """Pairs that are checked at a time when a sequence is opened."""
-BORDER_SHARE, NEAR_PERCENTILE = 0.5, 5.0
-"""Where more of a range image's border than this has a range, there is a background, and the usual range is
-this percentile: that of a target which covers a twentieth of the image or more."""
 
 __all__ = ["StereoCalibration", "StereoImages", "StereoSequence", "open_sequence"]
 
@@ -188,9 +182,8 @@ class StereoSequence:
         try:
             raw = read_raw(file, *self.calibration.size_px(camera))
         except UnreadableImage as error:
-            raise InputError(
-                f"{self.folder}: pair {self.timestamps_ns[k]} ns changed while in use: {error}"
-            ) from None
+            stamp = self.timestamps_ns[k]
+            raise InputError(f"{self.folder}: pair {stamp} ns changed while in use: {error}") from None
         if _digest(raw) != self._digests[k][camera]:
             raise InputError(f"{file}: changed while in use: leave the sequence alone, and run again")
         return raw
@@ -199,51 +192,12 @@ class StereoSequence:
         width, height = self.calibration.size_px(camera)
         if self.repeated[k]:
             return np.zeros((height, width), dtype=np.bool_)
-        right_ns = int(self._right_ns[k])
-        path = _mask_file(self._cameras, camera, int(self.timestamps_ns[k]), right_ns)
+        path = _mask_file(self._cameras, camera, int(self.timestamps_ns[k]), int(self._right_ns[k]))
         try:
             return read_mask(path, width, height)
         except UnreadableImage:
             # open_sequence has warned of it.
             return None
-
-
-@dataclass(frozen=True)
-class InspectorPoses:
-    """Pose of the inspector's body B in N at each frame, and how well it is known."""
-
-    X_NB: Array
-    """(F, 4, 4)"""
-    sigma_p_m: float
-    sigma_theta_rad: float
-    moves: bool
-    warnings: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class _Pair:
-    """The files of a pair."""
-
-    left: Path
-    right: Path
-    right_ns: int
-    """Timestamp of the right image"""
-
-
-@dataclass(frozen=True)
-class _Checked:
-    """Result of decoding one pair."""
-
-    reason: str | None
-    content: bool
-    bright: bool
-    """Whether more than half of an image is in the upper half of the range"""
-    largest_16_bit: int
-    bad_masks: tuple[str, ...]
-    digests: tuple[bytes, ...] = ()
-    """Of both images"""
-    shows: tuple[bool, ...] = ()
-    """Whether each has content: a black one has none"""
 
 
 def open_sequence(folder: Path) -> StereoSequence:
@@ -255,70 +209,69 @@ def open_sequence(folder: Path) -> StereoSequence:
     mask has the wrong size, no range image has a measurement, or ``inspector0`` or ``wrench0`` is wrong or
     does not cover the frames.
     """
-    mav0 = _require_mav0(folder)
+    mav0 = folder / "mav0"
+    if not folder.is_dir():
+        raise InputError(
+            f"{folder} is not a folder: give the folder that contains mav0/ (see docs/dataset.md)"
+        )
+    if not mav0.exists() and (folder / "cam0").is_dir():
+        raise InputError(f"{folder} is the folder mav0 itself: give the folder that contains it")
     cameras = find_cameras(mav0)
     ranges = read_range_model(cameras.folder(1)) if cameras.has_ranges else None
     if ranges is None:
         calibration = read_calibration(mav0, cameras.names)
     else:
         calibration = read_range_calibration(mav0, cameras.names[0])
-    bits = calibration.bits
-    left, right = (read_listing(cameras.folder(camera) / "data.csv") for camera in (0, 1))
-    left_ns, right_ns = (np.array(list(names), dtype=np.int64) for names in (left, right))
-    _require_overlap(cameras, left_ns, right_ns)
-    pairing = pair_by_time(left_ns, right_ns)
-    partner = dict(zip(left_ns[pairing.left].tolist(), right_ns[pairing.right].tolist(), strict=True))
-    reasons = _unpaired(cameras, left_ns, right_ns, pairing)
-    listed = sorted(partner.keys() | reasons.keys())
-    names = {stamp: (left[stamp], right[other]) for stamp, other in partner.items()}
-    reasons |= _without_files(cameras, names)
+    listings = tuple(read_listing(cameras.folder(camera) / "data.csv") for camera in (0, 1))
+    files, right_of, reasons, warnings = _pair_files(cameras, *listings)
+    n_listed = len(files) + len(reasons)
     # Images are decoded only while enough frames can remain.
-    _require_enough(folder, reasons, len(listed))
-    paired = [stamp for stamp in listed if stamp not in reasons]
-    files = {
-        stamp: _Pair(
-            cameras.folder(0) / "data" / left[stamp],
-            cameras.folder(1) / "data" / right[partner[stamp]],
-            partner[stamp],
-        )
-        for stamp in paired
-    }
+    _require_enough(folder, reasons, n_listed)
     checked: dict[int, _Checked] = {}
-    for stamp, check in zip(paired, _check_pairs(cameras, files, calibration, bits), strict=True):
-        checked[stamp] = check
-        if check.reason is not None:
-            reasons[stamp] = check.reason
-            _require_enough(folder, reasons, len(listed), unchecked=len(paired) - len(checked))
-    usable = [stamp for stamp in paired if stamp not in reasons]
-    dropped = tuple(sorted(reasons.items()))
-    if not any(checked[stamp].content for stamp in usable):
-        if any(checked[stamp].bright for stamp in usable):
+    for number, check in enumerate(_check_pairs(cameras, files, right_of, calibration), start=1):
+        if check.reason is None:
+            checked[check.stamp] = check
+        else:
+            reasons[check.stamp] = check.reason
+            _require_enough(folder, reasons, n_listed, unchecked=len(files) - number)
+    usable = list(checked.values())
+    if not any(check.content for check in usable):
+        if any(check.bright for check in usable):
             raise InputError(
                 f"{folder}: all frames are saturated or uniformly bright; check exposure and gain"
             )
         message = "all frames are black: no image shows anything above the noise"
         raise InputError(f"{folder}: {message}; check exposure and lens cap")
-    measured = [k for k, stamp in enumerate(usable) if checked[stamp].shows[1]]
+    measured = [k for k, check in enumerate(usable) if check.shows[1]]
     if ranges is not None and not measured:
         raise InputError(
             f"{cameras.folder(1)}: no image has a measurement, all pixels are 0; record the ranges again"
         )
-    of_cameras = _repeated([checked[stamp] for stamp in usable])
-    frozen = bool(of_cameras[1:].all())
-    repeated = np.asarray(of_cameras.any(axis=1)) & (not frozen)
-    still = np.flatnonzero(of_cameras[1:].all(axis=0))
-    if len(still) and not frozen:
-        raise InputError(
-            f"{cameras.folder(int(still[0]))}: all images are the same, bit for bit: the camera or the "
-            "recorder stood still; record the sequence again"
-        )
-    timestamps_ns = np.array(usable, dtype=np.int64)
-    folder_of_poses, folder_of_wrench = mav0 / "inspector0", mav0 / "wrench0"
-    inspector = read_inspector(folder_of_poses, timestamps_ns) if folder_of_poses.is_dir() else None
+    timestamps_ns = np.array(list(checked), dtype=np.int64)
+    repeated, frozen = _repeated(cameras, usable)
     # Without inspector0, N is the left camera itself.
+    poses = mav0 / "inspector0"
+    inspector = read_inspector(poses, timestamps_ns) if poses.is_dir() else None
     X_NC = inspector.X_NB @ calibration.X_BC0 if inspector else np.tile(np.eye(4), (len(usable), 1, 1))
-    bad_masks = [bad for stamp in usable for bad in checked[stamp].bad_masks]
-    bits = bits or bit_depth(max(checked[stamp].largest_16_bit for stamp in usable))
+    if not cameras.has_ranges and (mav0 / RANGE_FOLDER).is_dir():
+        warnings.insert(
+            0,
+            f"{mav0 / RANGE_FOLDER} is not used, since there are two cameras; to use the ranges, take "
+            f"{cameras.names[1]} out of {mav0}",
+        )
+    if reasons:
+        example = f"(first: {min(reasons)} ns, {reasons[min(reasons)]})"
+        warnings.append(f"{len(reasons)} of {n_listed} frames dropped: unpaired or unreadable {example}")
+    if bad := [words for check in usable for words in check.bad_masks]:
+        warnings.append(f"{len(bad)} masks are missing or unreadable and not used (first: {bad[0]})")
+    warnings += inspector.warnings if inspector is not None else ()
+    warnings += _odd_times(timestamps_ns)
+    if repeated.any():
+        warnings.append(
+            f"{int(repeated.sum())} of {len(repeated)} pairs have an image of the pair before, bit for bit "
+            f"(first: {timestamps_ns[repeated][0]} ns): a camera or recorder stood still; they are not used"
+        )
+    wrench = mav0 / "wrench0"
     sequence = StereoSequence(
         folder=folder,
         timestamps_ns=timestamps_ns,
@@ -327,23 +280,17 @@ def open_sequence(folder: Path) -> StereoSequence:
         inspector_moves=inspector is not None and inspector.moves,
         sigma_camera_p_m=inspector.sigma_p_m if inspector else 0.0,
         sigma_camera_theta_rad=inspector.sigma_theta_rad if inspector else 0.0,
-        n_listed=len(listed),
-        dropped=dropped,
-        warnings=(
-            *_unused_ranges(cameras),
-            *_offset_warning(cameras, pairing),
-            *_warnings(dropped, len(listed), bad_masks, inspector),
-            *_odd_times(timestamps_ns),
-            *_repeats(timestamps_ns, repeated),
-        ),
-        wrench=read_wrench(folder_of_wrench, timestamps_ns) if folder_of_wrench.is_dir() else None,
+        n_listed=n_listed,
+        dropped=tuple(sorted(reasons.items())),
+        warnings=tuple(warnings),
+        wrench=read_wrench(wrench, timestamps_ns) if wrench.is_dir() else None,
         repeated=repeated,
         frozen=frozen,
-        _files=tuple((files[stamp].left, files[stamp].right) for stamp in usable),
-        _digests=tuple(checked[stamp].digests for stamp in usable),
+        _files=tuple(files[stamp] for stamp in checked),
+        _digests=tuple(check.digests for check in usable),
         _cameras=cameras,
-        _right_ns=np.array([files[stamp].right_ns for stamp in usable], dtype=np.int64),
-        _bits=bits,
+        _right_ns=np.array([right_of[stamp] for stamp in checked], dtype=np.int64),
+        _bits=calibration.bits or bit_depth(max(check.largest_16_bit for check in usable)),
         range_model=ranges,
     )
     return sequence if ranges is None else _with_virtual_camera(sequence, ranges, measured)
@@ -352,73 +299,43 @@ def open_sequence(folder: Path) -> StereoSequence:
 def _with_virtual_camera(sequence: StereoSequence, model: RangeModel, measured: list[int]) -> StereoSequence:
     """The sequence with the virtual right camera where the noise of the ranges asks for it.
 
-    measured: pairs whose range image has a measurement.
+    measured: pairs whose range image has a measurement. The range of the target in an image is the median of
+    what the mask or the dark background leaves. Where more than half of the border has a range there is a
+    background and no mask, and the target, which covers a twentieth of the image or more, is nearer.
     """
     usual = []
     for index in np.unique(np.linspace(0, len(measured) - 1, 24).round().astype(int)).tolist():
-        mask = sequence._read_mask(0, measured[index])
-        here_m = _usual_range(sequence.read_range(measured[index]), mask)
-        if np.isfinite(here_m):
-            usual.append(here_m)
+        mask, range_m = sequence._read_mask(0, measured[index]), sequence.read_range(measured[index])
+        known = range_m[np.isfinite(range_m) if mask is None else mask & np.isfinite(range_m)]
+        border = np.concatenate([range_m[0], range_m[-1], range_m[:, 0], range_m[:, -1]])
+        has_background = mask is None and np.isfinite(border).mean() > 0.5
+        if len(known):
+            usual.append(float(np.percentile(known, 5.0 if has_background else 50.0)))
     if not usual:
         raise InputError(
             f"{sequence.folder / 'mav0' / RANGE_FOLDER}: no pixel of the target, as the masks give it, has a "
             "measurement; masks and ranges must be of the same pixels"
         )
-    calibration = sequence.calibration
-    focal_px = float(np.mean(calibration.K0[[0, 1], [0, 1]]))
+    focal_px = float(np.mean(sequence.calibration.K0[[0, 1], [0, 1]]))
     baseline_m = model.virtual_baseline_m(focal_px, float(np.median(usual)))
-    return replace(sequence, calibration=with_baseline(calibration, baseline_m))
+    return replace(sequence, calibration=with_baseline(sequence.calibration, baseline_m))
 
 
-def _usual_range(range_m: NDArray[np.float32], mask: Bools | None) -> float:
-    """That of the target in a range image (H, W) [m], roughly; NaN: it has none.
-
-    Without a mask, what lies along the border is a background, and the target is nearer.
-    """
-    on_target = range_m if mask is None else range_m[mask]
-    known = on_target[np.isfinite(on_target)]
-    if len(known) == 0:
-        return float("nan")
-    border = np.concatenate([range_m[0], range_m[-1], range_m[:, 0], range_m[:, -1]])
-    has_background = mask is None and np.isfinite(border).mean() > BORDER_SHARE
-    return float(np.percentile(known, NEAR_PERCENTILE if has_background else 50.0))
-
-
-def _unused_ranges(cameras: CameraFolders) -> Iterator[str]:
-    if not cameras.has_ranges and (cameras.mav0 / RANGE_FOLDER).is_dir():
-        yield (
-            f"{cameras.mav0 / RANGE_FOLDER} is not used, since there are two cameras; to use the ranges, "
-            f"take {cameras.names[1]} out of {cameras.mav0}"
-        )
-
-
-def _require_mav0(folder: Path) -> Path:
-    if not folder.is_dir():
-        raise InputError(
-            f"{folder} is not a folder: give the folder that contains mav0/ (see docs/dataset.md)"
-        )
-    mav0 = folder / "mav0"
-    if not mav0.exists() and (folder / "cam0").is_dir():
-        raise InputError(f"{folder} is the folder mav0 itself: give the folder that contains it")
-    return mav0
-
-
-def _require_overlap(cameras: CameraFolders, left_ns: Ints, right_ns: Ints) -> None:
-    """Raise InputError for two recordings that have no time in common."""
+def _pair_files(
+    cameras: CameraFolders, left: dict[int, str], right: dict[int, str]
+) -> tuple[dict[int, tuple[Path, Path]], dict[int, int], dict[int, str], list[str]]:
+    """By the timestamp [ns] of the pair, ascending: its files; the stamp of its right image; the reason why a
+    listed frame is no pair. And warnings. Raises InputError for recordings without a time in common."""
+    first, second = cameras.names
+    left_ns, right_ns = (np.array(list(names), dtype=np.int64) for names in (left, right))
     gap_ns = max(int(right_ns[0] - left_ns[-1]), int(left_ns[0] - right_ns[-1]))
     if gap_ns > 0 and min(len(left_ns), len(right_ns)) > 1:
-        first, second = cameras.names
         late, early = (second, first) if right_ns[0] > left_ns[-1] else (first, second)
         raise InputError(
             f"{cameras.mav0}: the images of {first} and {second} have no time in common: {late} begins "
             f"{time_in_words(gap_ns)} after {early} ends; give both the stamps of one clock"
         )
-
-
-def _unpaired(cameras: CameraFolders, left_ns: Ints, right_ns: Ints, pairing: Pairing) -> dict[int, str]:
-    """Timestamp [ns] -> reason, of the images that have no partner."""
-    first, second = cameras.names
+    pairing = pair_by_time(left_ns, right_ns)
     lone = np.delete(np.arange(len(right_ns)), pairing.right)
     # in the left clock, where none can be the stamp of a pair
     reasons = {int(stamp): f"only in {second}" for stamp in right_ns[lone] - pairing.offset_ns}
@@ -431,70 +348,86 @@ def _unpaired(cameras: CameraFolders, left_ns: Ints, right_ns: Ints, pairing: Pa
                 f"only in {first}: the nearest image of {second} is {time_in_words(off_ns)} away{beyond}, "
                 f"{time_in_words(pairing.tolerance_ns)} are allowed; polhode import --tolerance-s allows more"
             )
-    return reasons
-
-
-def _offset_warning(cameras: CameraFolders, pairing: Pairing) -> Iterator[str]:
-    """The constant offset between the stamps of the two cameras."""
-    first, second = cameras.names
+    warnings = []
     if pairing.offset_ns:
         offset = offset_in_words(pairing.offset_ns, pairing.interval_ns, second, first)
-        yield (
+        warnings.append(
             f"{offset}: taken for an offset of the clocks; pairs have the stamps of {first}; if the cameras "
             "were not triggered together, depth and motion are wrong"
         )
-
-
-def _without_files(cameras: CameraFolders, names: dict[int, tuple[str, str]]) -> dict[int, str]:
-    """Timestamp [ns] -> reason, of the pairs that lack one of the two images."""
-    reasons: dict[int, str] = {}
-    for index, camera in enumerate(cameras.names):
-        data = cameras.folder(index) / "data"
-        present = _names_in(data)
-        for stamp, pair in names.items():
+    folders = [cameras.folder(camera) / "data" for camera in (0, 1)]
+    present: list[set[str]] = [set(), set()]
+    for camera in (0, 1):
+        with suppress(OSError):
+            present[camera] = {entry.name for entry in os.scandir(folders[camera])}
+    files: dict[int, tuple[Path, Path]] = {}
+    right_of = dict(zip(left_ns[pairing.left].tolist(), right_ns[pairing.right].tolist(), strict=True))
+    for stamp, other in right_of.items():
+        for camera, name in enumerate((left[stamp], right[other])):
             # A name with a folder is looked up by itself.
-            if (
-                stamp not in reasons
-                and pair[index] not in present
-                and ("/" not in pair[index] or not (data / pair[index]).exists())
-            ):
-                reasons[stamp] = f"{camera} image: file missing"
-    return reasons
+            if name not in present[camera] and ("/" not in name or not (folders[camera] / name).exists()):
+                reasons[stamp] = f"{cameras.names[camera]} image: file missing"
+                break
+        else:
+            files[stamp] = (folders[0] / left[stamp], folders[1] / right[other])
+    return files, right_of, reasons, warnings
 
 
-def _names_in(folder: Path) -> set[str]:
-    """Names of the files in a folder; none when it cannot be read."""
-    try:
-        return {entry.name for entry in os.scandir(folder)}
-    except OSError:
-        return set()
+@dataclass(frozen=True)
+class _Checked:
+    """Result of decoding one pair."""
+
+    stamp: int
+    reason: str | None = None
+    """Why it cannot be used; None: it can"""
+    bright: bool = False
+    """Whether more than half of an image is in the upper half of the range"""
+    largest_16_bit: int = 0
+    bad_masks: tuple[str, ...] = ()
+    digests: tuple[bytes, ...] = ()
+    """Of both images"""
+    shows: tuple[bool, ...] = ()
+    """Whether each has content: a black one has none"""
+    content: bool = False
 
 
 def _check_pairs(
-    cameras: CameraFolders, files: dict[int, _Pair], calibration: StereoCalibration, bits: int | None
+    cameras: CameraFolders,
+    files: dict[int, tuple[Path, Path]],
+    right_of: dict[int, int],
+    calibration: StereoCalibration,
 ) -> Iterator[_Checked]:
     """What is found out about each pair, in order; never more than a few are decoded ahead."""
     rest = iter(files.items())
     at_once = min(parallel_decodes(*calibration.size_px(camera)) for camera in (0, 1))
     with ThreadPoolExecutor(max_workers=min(os.cpu_count() or 1, 16, at_once)) as pool:
         while some := list(islice(rest, PAIRS_AHEAD)):
-            yield from pool.map(lambda each: _check_pair(cameras, each[0], each[1], calibration, bits), some)
+            yield from pool.map(
+                lambda pair: _check_pair(cameras, pair[0], right_of[pair[0]], pair[1], calibration), some
+            )
 
 
 def _check_pair(
-    cameras: CameraFolders, stamp: int, pair: _Pair, calibration: StereoCalibration, bits: int | None
+    cameras: CameraFolders,
+    stamp: int,
+    right_ns: int,
+    files: tuple[Path, Path],
+    calibration: StereoCalibration,
 ) -> _Checked:
-    bright, largest, digests, shows = False, 0, [], []
-    for camera, path in enumerate((pair.left, pair.right)):
+    bits, bright, largest = calibration.bits, False, 0
+    digests: list[bytes] = []
+    shows: list[bool] = []
+    bad_masks = []
+    for camera, path in enumerate(files):
         try:
             raw = read_raw(path, *calibration.size_px(camera))
         except UnreadableImage as error:
-            return _Checked(f"{cameras.names[camera]} image: {error}", False, False, 0, ())
+            return _Checked(stamp, f"{cameras.names[camera]} image: {error}")
+        digests.append(_digest(raw))
         if camera == 1 and cameras.has_ranges:
             if wrong := why_no_ranges(raw):
-                return _Checked(f"{cameras.names[camera]} image: {wrong}", False, False, 0, ())
+                return _Checked(stamp, f"{cameras.names[camera]} image: {wrong}")
             shows.append(bool(raw.any()))
-            digests.append(_digest(raw))
             continue
         if raw.dtype == np.uint16:
             largest = max(largest, int(raw.max()))
@@ -505,10 +438,17 @@ def _check_pair(
         grey = to_grey(raw, bits or bit_depth(int(raw.max())))
         shows.append(has_content(grey))
         bright = bright or bool(np.median(grey) > 127)
-        digests.append(_digest(raw))
-    bad_masks = tuple(_bad_masks(cameras, stamp, pair.right_ns, calibration))
+    for camera in (0,) if cameras.has_ranges else (0, 1):
+        mask = _mask_file(cameras, camera, stamp, right_ns)
+        if mask.parent.is_dir():
+            try:
+                read_mask(mask, *calibration.size_px(camera))
+            except UnreadableImage as error:
+                if "wrong size" in str(error):
+                    raise InputError(f"{mask}: {error}; masks must have the size of the images") from None
+                bad_masks.append(f"{mask}: {error}")
     content = shows[0] if cameras.has_ranges else any(shows)
-    return _Checked(None, content, bright, largest, bad_masks, tuple(digests), tuple(shows))
+    return _Checked(stamp, None, bright, largest, tuple(bad_masks), tuple(digests), tuple(shows), content)
 
 
 def _digest(image: NDArray[Any]) -> bytes:
@@ -517,35 +457,15 @@ def _digest(image: NDArray[Any]) -> bytes:
 
 def _mask_file(cameras: CameraFolders, camera: int, stamp: int, right_ns: int) -> Path:
     """A mask has the timestamp of its pair; one of the right camera may have that of its image."""
-    folder = cameras.masks(camera)
-    path = folder / f"{stamp}.png"
+    path = cameras.masks(camera) / f"{stamp}.png"
     if camera == 1 and right_ns != stamp and not path.exists():
-        return folder / f"{right_ns}.png"
+        return path.with_name(f"{right_ns}.png")
     return path
-
-
-def _bad_masks(
-    cameras: CameraFolders, stamp: int, right_ns: int, calibration: StereoCalibration
-) -> Iterator[str]:
-    for camera in (0,) if cameras.has_ranges else (0, 1):
-        path = _mask_file(cameras, camera, stamp, right_ns)
-        if not path.parent.is_dir():
-            continue
-        try:
-            read_mask(path, *calibration.size_px(camera))
-        except UnreadableImage as error:
-            if "wrong size" in str(error):
-                raise InputError(f"{path}: {error}; masks must have the size of the images") from None
-            yield f"{path}: {error}"
 
 
 def _require_enough(folder: Path, reasons: dict[int, str], n_listed: int, unchecked: int = 0) -> None:
     """Raise InputError when the frames lost so far, of which ``reasons`` tells, leave too few."""
-    if not reasons:
-        example = ""
-    else:
-        first = min(reasons)
-        example = f" (first: {first} ns, {reasons[first]})"
+    example = f" (first: {min(reasons)} ns, {reasons[min(reasons)]})" if reasons else ""
     at_least = "at least " if unchecked else ""
     if len(reasons) > MAX_LOSS * n_listed:
         message = (
@@ -557,50 +477,41 @@ def _require_enough(folder: Path, reasons: dict[int, str], n_listed: int, unchec
         raise InputError(f"{folder}: {message}; at least {MIN_PAIRS} are needed")
 
 
-def _warnings(
-    dropped: tuple[tuple[int, str], ...],
-    n_listed: int,
-    bad_masks: list[str],
-    inspector: InspectorPoses | None,
-) -> Iterator[str]:
-    if dropped:
-        stamp, reason = dropped[0]
-        example = f"(first: {stamp} ns, {reason})"
-        yield f"{len(dropped)} of {n_listed} frames dropped: unpaired or unreadable {example}"
-    if bad_masks:
-        yield f"{len(bad_masks)} masks are missing or unreadable and not used (first: {bad_masks[0]})"
-    if inspector is not None:
-        yield from inspector.warnings
+def _repeated(cameras: CameraFolders, checked: list[_Checked]) -> tuple[Bools, bool]:
+    """(F,) pairs with an image of the pair before, since no sensor repeats its noise; whether all are alike.
 
-
-def _repeated(checked: list[_Checked]) -> Bools:
-    """(F, 2) whether each camera's image is that of the pair before: no sensor repeats its noise."""
+    Raises InputError where one camera alone stood still throughout.
+    """
     same = [
         [shows and a == b for shows, a, b in zip(after.shows, before.digests, after.digests, strict=True)]
         for before, after in pairwise(checked)
     ]
-    return np.array([[False, False], *same], dtype=np.bool_)
-
-
-def _repeats(timestamps_ns: Ints, repeated: Bools) -> Iterator[str]:
-    if repeated.any():
-        yield (
-            f"{int(repeated.sum())} of {len(repeated)} pairs have an image of the pair before, bit for bit "
-            f"(first: {timestamps_ns[repeated][0]} ns): a camera or recorder stood still; they are not used"
+    of_cameras = np.array([[False, False], *same], dtype=np.bool_)
+    frozen = bool(of_cameras[1:].all())
+    still = np.flatnonzero(of_cameras[1:].all(axis=0))
+    if len(still) and not frozen:
+        raise InputError(
+            f"{cameras.folder(int(still[0]))}: all images are the same, bit for bit: the camera or the "
+            "recorder stood still; record the sequence again"
         )
+    return np.asarray(of_cameras.any(axis=1)) & (not frozen), frozen
 
 
-def _odd_times(timestamps_ns: Ints) -> Iterator[str]:
+def _odd_times(timestamps_ns: Ints) -> list[str]:
     """Intervals that suggest another unit, or a stamp of another recording."""
     intervals_s = 1e-9 * np.diff(timestamps_ns)
     usual_s, longest = float(np.median(intervals_s)), int(np.argmax(intervals_s))
-    if not MIN_INTERVAL_S <= usual_s <= MAX_INTERVAL_S:
-        yield f"the frames are {usual_s:.3g} s apart: check that the timestamps in data.csv are nanoseconds"
-    elif intervals_s[longest] > max(LONG_GAP_S, LONG_GAP * usual_s):
-        yield (
+    # Microseconds or seconds given as nanoseconds lie outside.
+    if not 1e-4 <= usual_s <= 86400.0:
+        return [
+            f"the frames are {usual_s:.3g} s apart: check that the timestamps in data.csv are nanoseconds"
+        ]
+    if intervals_s[longest] > max(3600.0, 100.0 * usual_s):
+        return [
             f"frame {timestamps_ns[longest + 1]} ns comes {intervals_s[longest]:.3g} s after the one before "
             f"it, where {usual_s:.3g} s is usual: check the timestamps in data.csv"
-        )
+        ]
+    return []
 
 
 def read_wrench(folder: Path, timestamps_ns: Ints) -> Wrench:
@@ -620,38 +531,51 @@ def read_wrench(folder: Path, timestamps_ns: Ints) -> Wrench:
     return Wrench(stamps, values[:, :3], values[:, 3:])
 
 
+@dataclass(frozen=True)
+class InspectorPoses:
+    """Pose of the inspector's body B in N at each frame, and how well it is known."""
+
+    X_NB: Array
+    """(F, 4, 4)"""
+    sigma_p_m: float
+    sigma_theta_rad: float
+    moves: bool
+    warnings: tuple[str, ...]
+
+
 def read_inspector(folder: Path, timestamps_ns: Ints) -> InspectorPoses:
     """Read ``inspector0`` and interpolate it to the frames (F,): linear in position, slerp in attitude.
 
     Raises InputError when a pose is NaN, a quaternion is not of unit length, or a frame has no pose
     within one interval between frames.
     """
-    path = folder / "data.csv"
+    path, frames = folder / "data.csv", timestamps_ns
     table = read_table(path, columns=7)
-    stamps, values = table.timestamps_ns, table.values
+    stamps, p_N = table.timestamps_ns, table.values[:, :3]
     require_below(table, 1e12, "a coordinate [m]")
-    R_NB = attitudes_of(table, values[:, 3:], "q_RS")
-    interpolated = _require_cover(path, stamps, timestamps_ns)
-    sigma_p_m, sigma_theta_rad, warnings = read_sigmas(folder / "sensor.yaml")
-    X_NB = _interpolate(stamps, values[:, :3], R_NB, timestamps_ns)
-    if interpolated:
-        warnings = (*warnings, f"{path}: {interpolated} frames lack a pose of their own; it was interpolated")
-    moved = np.abs(X_NB - X_NB[0])
-    moves = bool(moved[:, :3, 3].max() > 1e-9 or moved[:, :3, :3].max() > 1e-9)
-    return InspectorPoses(X_NB, sigma_p_m, sigma_theta_rad, moves, warnings)
-
-
-def _require_cover(path: Path, stamps: Ints, frames: Ints) -> int:
-    """Raise unless each frame has a pose within one frame interval; count those far from any pose."""
+    R_NB = attitudes_of(table, table.values[:, 3:], "q_RS")
     interval_ns = float(np.median(np.diff(frames)))
     after = np.clip(np.searchsorted(stamps, frames), 0, len(stamps) - 1)
     before = np.clip(after - 1, 0, len(stamps) - 1)
-    distance = np.minimum(abs(stamps[after] - frames), abs(stamps[before] - frames))
-    far = distance > interval_ns * 1.001
+    distance_ns = np.minimum(abs(stamps[after] - frames), abs(stamps[before] - frames))
+    far = distance_ns > interval_ns * 1.001
     if far.any():
         message = f"{path} does not cover {int(far.sum())} of {len(frames)} frames, first {frames[far][0]} ns"
         raise InputError(f"{message}; give a pose for every frame, or remove inspector0/ if it is at rest")
-    return int((distance > 0.5 * interval_ns).sum())
+    sigma_p_m, sigma_theta_rad, warnings = read_sigmas(folder / "sensor.yaml")
+    if interpolated := int((distance_ns > 0.5 * interval_ns).sum()):
+        warnings = (*warnings, f"{path}: {interpolated} frames lack a pose of their own; it was interpolated")
+    if len(stamps) == 1:
+        X_NB = np.repeat(make_pose(R_NB, p_N), len(frames), axis=0)
+    else:
+        # Before the first and after the last pose, the nearest one. Differences in int64 first: nanoseconds
+        # since 1970 do not fit the 53 bits of a double.
+        t_poses = (stamps - stamps[0]).astype(np.float64)
+        t_frames = np.clip((frames - stamps[0]).astype(np.float64), t_poses[0], t_poses[-1])
+        at_frames = np.stack([np.interp(t_frames, t_poses, column) for column in p_N.T], axis=-1)
+        X_NB = make_pose(Slerp(t_poses, Rotation.from_matrix(R_NB))(t_frames).as_matrix(), at_frames)
+    moves = bool(np.abs(X_NB - X_NB[0])[:, :3].max() > 1e-9)
+    return InspectorPoses(X_NB, sigma_p_m, sigma_theta_rad, moves, warnings)
 
 
 def read_sigmas(path: Path) -> tuple[float, float, tuple[str, ...]]:
@@ -678,14 +602,3 @@ def read_sigmas(path: Path) -> tuple[float, float, tuple[str, ...]]:
             f"{path}: T_BS is not applied; data.csv must have the pose of the body B that cameras refer to",
         )
     return sigmas[0], sigmas[1], warnings
-
-
-def _interpolate(stamps: Ints, p_N: Array, R: Array, frames: Ints) -> Array:
-    """Poses (F, 4, 4) at the frames; before the first and after the last pose, the nearest one."""
-    if len(stamps) == 1:
-        return np.repeat(make_pose(R, p_N), len(frames), axis=0)
-    # Differences in int64 first: nanoseconds since 1970 do not fit the 53 bits of a double.
-    t_poses = (stamps - stamps[0]).astype(np.float64)
-    t_frames = np.clip((frames - stamps[0]).astype(np.float64), t_poses[0], t_poses[-1])
-    at_frames = np.stack([np.interp(t_frames, t_poses, column) for column in p_N.T], axis=-1)
-    return make_pose(Slerp(t_poses, Rotation.from_matrix(R))(t_frames).as_matrix(), at_frames)

@@ -35,11 +35,6 @@ class Pairing:
     nearest_ns: Ints
     """(L,) difference of each left stamp to the nearest right one, right minus left, without the offset"""
 
-    @property
-    def offset_frames(self) -> float:
-        """The offset as a share of the usual interval."""
-        return self.offset_ns / self.interval_ns if self.interval_ns else 0.0
-
 
 def pair_by_time(
     left_ns: Ints, right_ns: Ints, tolerance_ns: int | None = None, offset_ns: int | None = None
@@ -51,11 +46,15 @@ def pair_by_time(
     that would be more than ``MAX_OFFSET`` intervals. Stamps alone leave whole intervals open.
     """
     left_ns, right_ns = np.asarray(left_ns, np.int64), np.asarray(right_ns, np.int64)
-    interval_ns = _usual_interval_ns(left_ns) or _usual_interval_ns(right_ns)
+    stamps = left_ns if len(left_ns) > 1 else right_ns
+    interval_ns = int(np.median(np.diff(stamps))) if len(stamps) > 1 else 0
     if tolerance_ns is None:
         tolerance_ns = int(TOLERANCE * interval_ns)
     if offset_ns is None:
-        offset_ns = _offset_ns(left_ns, right_ns)
+        left, right = _mutually_nearest(left_ns, right_ns)
+        # a difference that occurs, so that equal stamps have no offset at all
+        differences = np.sort(right_ns[right] - left_ns[left])
+        offset_ns = int(differences[(len(differences) - 1) // 2]) if len(left) else 0
         if abs(offset_ns) > MAX_OFFSET * interval_ns:
             offset_ns = 0
     left, right = _mutually_nearest(left_ns, right_ns - offset_ns)
@@ -81,19 +80,6 @@ def offset_in_words(offset_ns: float, interval_ns: float, camera: str = "cam1", 
     frames = f" ({abs(offset_ns) / interval_ns:.2g} frames)" if interval_ns else ""
     order = "after" if offset_ns > 0 else "before"
     return f"the stamps of {camera} are {time_in_words(offset_ns)}{frames} {order} those of {other}"
-
-
-def _usual_interval_ns(stamps_ns: Ints) -> int:
-    return int(np.median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else 0
-
-
-def _offset_ns(left_ns: Ints, right_ns: Ints) -> int:
-    left, right = _mutually_nearest(left_ns, right_ns)
-    if not len(left):
-        return 0
-    differences = np.sort(right_ns[right] - left_ns[left])
-    # one that occurs, so that equal stamps have no offset at all
-    return int(differences[(len(differences) - 1) // 2])
 
 
 def _mutually_nearest(left_ns: Ints, right_ns: Ints) -> tuple[Ints, Ints]:

@@ -14,132 +14,96 @@ from polhode.report.plot_style import (
     Trace,
     band,
     dashed,
+    key_of,
     line,
-    on,
     panels,
 )
-from polhode.run_directory.stored_run import StoredMotion, StoredRun
+from polhode.run_directory.stored_run import StoredRun
 from polhode.run_directory.trajectory_file import standard_deviations
 
 DEG = float(np.rad2deg(1.0))
-STATES = (
-    ("position", 1e3, "mm"),
-    ("velocity", 1e3, "mm/s"),
-    ("attitude", DEG, "deg"),
-    ("rate", DEG, "deg/s"),
-)
-"""Blocks of the state's covariance: name, scale from SI units, unit."""
-MIN_PANEL_SIGMAS = 8.0
-"""A panel shows at least this many final standard deviations on both sides of the final value."""
 
 
 def convergence_figures(content: StoredRun) -> list[Figure]:
     """Mass properties and states against the number of frames; nothing without online.npz."""
-    if content.online is None or content.motion is None or len(content.online.timestamps_ns) < 2:
+    motion, online, inertia = content.motion, content.online, content.summary.inertia
+    if online is None or motion is None or inertia is None or len(online.timestamps_ns) < 2:
         return []
-    motion, online = content.motion, content.online
-    return [_mass(content, motion, online), _states(motion, online), _differences(motion, online)]
+    path, n_frames = motion.trajectory, len(online.timestamps_ns)
+    frames = np.arange(1.0, n_frames + 1.0)
+    causal, smooth = standard_deviations(online.covariance), standard_deviations(motion.covariance.covariance)
 
-
-def _mass(content: StoredRun, motion: StoredMotion, online: OnlineEstimate) -> Figure:
-    """Ratios, centre of mass and axes with their bands, above; their standard deviations, below."""
-    inertia = content.summary.inertia
-    assert inertia is not None
-    layout = panels(
-        [
-            ("k<sub>1</sub>", "k<sub>2</sub>", "com − final [mm]", "axes − final [deg]"),
-            ("σ of k<sub>1</sub>", "σ of k<sub>2</sub>", "σ of com [mm]", "σ of axes [deg]"),
-        ],
-        "frames",
-    )
-    k_sigma, com_sigma = (
-        np.where(determined, standard_deviations(covariance), np.inf)
-        for covariance, determined in (
-            (online.cov_k, online.determined[:, :2]),
-            (online.cov_com_G, online.determined[:, 2:3]),
-        )
-    )
-    turn = log_so3(motion.R_GP.T @ online.R_GP)
-    rows = (
+    k_sigma = np.where(online.determined[:, :2], standard_deviations(online.cov_k), np.inf)
+    com_sigma = np.where(online.determined[:, 2:3], standard_deviations(online.cov_com_G), np.inf)
+    # the causal centre of mass along the final G
+    in_final = np.linalg.inv(motion.X_NG) @ online.X_NG
+    com_shift = transform_points(in_final, online.com_G[:, None])[:, 0] - motion.com_G
+    axes_shift = log_so3(motion.R_GP.T @ online.R_GP)
+    quantities = (
         (("k1",), online.k[:, :1], k_sigma[:, :1], inertia.k1),
         (("k2",), online.k[:, 1:], k_sigma[:, 1:], inertia.k2),
-        ("xyz", 1e3 * _offset_in_final_G(motion, online), 1e3 * com_sigma, 0.0),
-        ("xyz", DEG * turn, DEG * standard_deviations(online.cov_R_GP), 0.0),
+        ("xyz", 1e3 * com_shift, 1e3 * com_sigma, 0.0),
+        ("xyz", DEG * axes_shift, DEG * standard_deviations(online.cov_R_GP), 0.0),
     )
-    data: list[Trace] = []
-    for panel, (names, value, sigma, final) in enumerate(rows, start=1):
-        colors = AXIS_COLORS if len(names) == 3 else (INK,)
-        data += _history(layout, panel, value, sigma, names, final)
-        below, frames = panel + 4, np.arange(1.0, len(value) + 1.0)
-        data += [line(frames, sigma[:, k], name, colors[k], below) for k, name in enumerate(names)]
-        layout[_y(below)]["type"] = "log"
-    return Figure(
-        "convergence-mass",
-        "Inertia, centre of mass and principal axes as the frames came",
+    of_mass: list[Trace] = []
+    titles = [
+        ("k<sub>1</sub>", "k<sub>2</sub>", "com − final [mm]", "axes − final [deg]"),
+        ("σ of k<sub>1</sub>", "σ of k<sub>2</sub>", "σ of com [mm]", "σ of axes [deg]"),
+    ]
+    mass_layout = panels(titles, "frames")
+    for panel, (names, value, sigma, final) in enumerate(quantities, start=1):
+        of_mass += _history(mass_layout, panel, value, sigma, names, final)
+        colors, below = AXIS_COLORS if len(names) == 3 else (INK,), panel + 4
+        of_mass += [line(frames, sigma[:, k], name, colors[k], below) for k, name in enumerate(names)]
+        mass_layout[key_of("y", below)]["type"] = "log"
+
+    differences = (
+        ("position", 1e3, "mm", online.r_N - path.r_N),
+        ("velocity", 1e3, "mm/s", online.v_N - path.v_N),
+        ("attitude", DEG, "deg", log_so3(np.swapaxes(path.R_NP, 1, 2) @ online.R_NP)),
+        ("rate", DEG, "deg/s", online.w_P - path.w_P),
+    )
+    of_states: list[Trace] = []
+    of_differences: list[Trace] = []
+    names = [f"{name} [{unit}]" for name, _, unit, _ in differences]
+    state_layout, difference_layout = (
+        panels([[before + each for each in pair] for pair in (names[:2], names[2:])], "frames")
+        for before in ("σ of ", "")
+    )
+    for panel, (_, scale, _, difference) in enumerate(differences, start=1):
+        block = slice(3 * panel - 3, 3 * panel)
+        for name, sigma, color in (("causal", causal, AXIS_COLORS[0]), ("smoothed", smooth, INK)):
+            of_states.append(line(frames, scale * sigma[:, block].max(axis=1), name, color, panel))
+        state_layout[key_of("y", panel)]["type"] = "log"
+        sigma = scale * causal[:, block]
+        of_differences += _history(difference_layout, panel, scale * difference, sigma, "xyz", 0.0)
+    for layout in (state_layout, difference_layout):
+        layout["xaxis"]["range"] = [1, n_frames]
+    mass_title = "Inertia, centre of mass and principal axes as the frames came"
+    mass_caption = (
         "The causal estimate after each frame, with bands of three standard deviations; dashed: the final "
         "smoothed value. Centre of mass along G, axes as small rotations about x, y, z of P. Below, the "
         "standard deviations. Nothing is drawn while the motion seen so far does "
-        f"not determine a quantity. {_describe_determined(online)}",
-        data,
-        layout,
-        height_px=520,
-        clock="frames",
+        f"not determine a quantity. {_describe_determined(online)}"
     )
-
-
-def _states(motion: StoredMotion, online: OnlineEstimate) -> Figure:
-    """Standard deviations of the state, worst axis: when its frame came, and after smoothing."""
-    causal, smooth = standard_deviations(online.covariance), standard_deviations(motion.covariance.covariance)
-    frames = np.arange(1.0, len(causal) + 1.0)
-    layout = _state_panels("σ of ", len(causal))
-    data = []
-    for n, (_, scale, _) in enumerate(STATES):
-        for name, sigma, color in (("causal", causal, AXIS_COLORS[0]), ("smoothed", smooth, INK)):
-            data.append(line(frames, scale * sigma[:, 3 * n : 3 * n + 3].max(axis=1), name, color, n + 1))
-        layout[_y(n + 1)]["type"] = "log"
-    return Figure(
-        "convergence-states",
-        "The state when its frame came, and in the end",
+    state_title = "The state when its frame came, and in the end"
+    state_caption = (
         "Standard deviation along the worst axis: of the current state as each frame came, and of the same "
-        "state after smoothing over the whole run.",
-        data,
-        layout,
-        height_px=480,
-        clock="frames",
+        "state after smoothing over the whole run."
     )
-
-
-def _differences(motion: StoredMotion, online: OnlineEstimate) -> Figure:
-    """The causal state minus the smoothed one of the same frame, with the bands of the causal one."""
-    causal, path = standard_deviations(online.covariance), motion.trajectory
-    layout = _state_panels("", len(causal))
-    differences = (
-        online.r_N - path.r_N,
-        online.v_N - path.v_N,
-        log_so3(np.swapaxes(path.R_NP, 1, 2) @ online.R_NP),
-        online.w_P - path.w_P,
-    )
-    data: list[Trace] = []
-    for n, (difference, (_, scale, _)) in enumerate(zip(differences, STATES, strict=True)):
-        sigma = scale * causal[:, 3 * n : 3 * n + 3]
-        data += _history(layout, n + 1, scale * difference, sigma, "xyz", 0.0)
-    return Figure(
-        "convergence-differences",
-        "The state when its frame came, minus the smoothed one",
+    difference_title = "The state when its frame came, minus the smoothed one"
+    difference_caption = (
         "Components x, y, z, with three standard deviations of the causal estimate: position and velocity "
-        "along N, attitude and angular velocity along P.",
-        data,
-        layout,
-        height_px=480,
-        clock="frames",
+        "along N, attitude and angular velocity along P."
     )
-
-
-def _state_panels(before: str, n_frames: int) -> Layout:
-    titles = [f"{before}{name} [{unit}]" for name, _, unit in STATES]
-    layout = panels([titles[:2], titles[2:]], "frames")
-    layout["xaxis"]["range"] = [1, n_frames]
-    return layout
+    return [
+        Figure(f"convergence-{key}", title, caption, data, layout, height_px, clock="frames")
+        for key, title, caption, data, layout, height_px in (
+            ("mass", mass_title, mass_caption, of_mass, mass_layout, 520),
+            ("states", state_title, state_caption, of_states, state_layout, 480),
+            ("differences", difference_title, difference_caption, of_differences, difference_layout, 480),
+        )
+    ]
 
 
 def _history(
@@ -147,7 +111,8 @@ def _history(
 ) -> list[Trace]:
     """Columns of value (F, n) with the bands of sigma (F, n), gaps where that is infinite, and a final value.
 
-    The panel shows what the later half of the determined estimates and their bands fill.
+    The panel shows what the later half of the determined estimates and their bands fill, and at least eight
+    final standard deviations on both sides of the final value.
     """
     frames = np.arange(1.0, len(value) + 1.0)
     data: list[Trace] = []
@@ -163,16 +128,10 @@ def _history(
         if known.any():
             late = np.flatnonzero(known)[int(known.sum()) // 2 :]
             filled = np.max(np.abs(value[late, k] - final) + 3.0 * sigma[late, k])
-            reach = max(reach, float(filled), MIN_PANEL_SIGMAS * float(sigma[late[-1], k]))
+            reach = max(reach, float(filled), 8.0 * float(sigma[late[-1], k]))
     reach = 1.1 * reach or 1.0
-    layout[_y(panel)]["range"] = [final - reach, final + reach]
+    layout[key_of("y", panel)]["range"] = [final - reach, final + reach]
     return data
-
-
-def _offset_in_final_G(motion: StoredMotion, online: OnlineEstimate) -> Array:
-    """Causal minus final centre of mass (F, 3) [m], along the final G."""
-    in_final = np.linalg.inv(motion.X_NG) @ online.X_NG
-    return transform_points(in_final, online.com_G[:, None])[:, 0] - motion.com_G
 
 
 def _describe_determined(online: OnlineEstimate) -> str:
@@ -182,7 +141,3 @@ def _describe_determined(online: OnlineEstimate) -> str:
         first = int(np.max(np.flatnonzero(~known), initial=-1)) + 2
         parts.append(f"{name} from frame {first} on" if known[-1] else f"{name} never")
     return f"Determined: {', '.join(parts)}."
-
-
-def _y(panel: int) -> str:
-    return on(panel)["yaxis"].replace("y", "yaxis", 1)

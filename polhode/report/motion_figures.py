@@ -10,7 +10,7 @@ from polhode.report.plot_style import (
     INK,
     TIME_TITLE,
     Figure,
-    Trace,
+    Layout,
     gap_shapes,
     line,
     line_with_band,
@@ -23,71 +23,55 @@ def motion_figures(content: StoredRun) -> list[Figure]:
     """Position and velocity, attitude, angular velocity; nothing without an estimate."""
     if content.motion is None:
         return []
-    path, seen = content.motion.trajectory, None
+    path, seen = content.motion.trajectory, np.ones(len(content.motion.trajectory.time_s), dtype=bool)
     if content.tracks is not None:
         seen = np.isin(np.arange(content.tracks.n_frames), content.tracks.frame)
-    shapes = partial(gap_shapes, path.time_s, np.ones(len(path.time_s), dtype=bool) if seen is None else seen)
+    time_s, shapes = path.time_s, partial(gap_shapes, path.time_s, seen)
     grey = " Grey: frames without measurements, bridged by the dynamics." if shapes() else ""
-    figure = partial(Figure, clock="time")
-    off_line_mm = 1e3 * straight_line_residual(path.time_s, path.r_N, path.sigma_r)
-    sigma_r_mm, sigma_v_mm_s = 1e3 * path.sigma_r, 1e3 * path.sigma_v
-    columns = ((path.r_N, path.sigma_r), (off_line_mm, sigma_r_mm), (1e3 * path.v_N, sigma_v_mm_s))
-    data: list[Trace] = []
-    for k, name in enumerate("xyz"):
-        for column, (value, sigma) in enumerate(columns):
-            data += line_with_band(
-                path.time_s, value[:, k], sigma[:, k], name, AXIS_COLORS[k], 3 * k + column + 1
-            )
+    off_line_mm = 1e3 * straight_line_residual(time_s, path.r_N, path.sigma_r)
+    r_mm, v_mm_s = 1e3 * path.sigma_r, 1e3 * path.sigma_v
+    w_deg_s, sigma_w, sigma_deg = map(np.rad2deg, (path.w_P, path.sigma_w, path.sigma_theta))
+
+    columns = ((path.r_N, path.sigma_r), (off_line_mm, r_mm), (1e3 * path.v_N, v_mm_s))
+    of_com, of_rate, of_attitude = [], [], []
+    for k, (name, color) in enumerate(zip("xyz", AXIS_COLORS, strict=True)):
+        for column, (value, sigma) in enumerate(columns, start=1):
+            of_com += line_with_band(time_s, value[:, k], sigma[:, k], name, color, 3 * k + column)
+        of_rate += line_with_band(time_s, w_deg_s[:, k], sigma_w[:, k], name, color, k + 1)
+        of_attitude.append(line(time_s, 3 * sigma_deg[:, k], name, color, 2, mode="lines"))
+    quaternion = zip(path.q_NP_wxyz.T, "wxyz", (INK, *AXIS_COLORS), strict=True)
+    of_attitude = [*(line(time_s, q, name, color) for q, name, color in quaternion), *of_attitude]
+
     titles = [(f"r<sub>{a}</sub> [m]", f"Δr<sub>{a}</sub> [mm]", f"v<sub>{a}</sub> [mm/s]") for a in "xyz"]
     above = ("position in N", "position minus a straight line", "velocity in N")
-    centre_of_mass = figure(
-        "centre-of-mass",
-        "Centre of mass",
+    com_layout = panels(titles, TIME_TITLE, above, shapes=shapes(columns=3))
+    rate_layout = panels([(f"ω<sub>{a}</sub> [deg/s]",) for a in "xyz"], TIME_TITLE, shapes=shapes())
+    rows = [("quaternion q<sub>NP</sub>",), ("3σ of attitude [deg]",)]
+    attitude_layout = panels(rows, TIME_TITLE, shapes=shapes())
+    attitude_layout["yaxis2"]["rangemode"] = "tozero"
+    com_caption = (
         "Position and velocity in the inertial frame N, with bands of three standard deviations. The "
         "middle column takes away the straight line at constant speed that fits best: what is left shows "
         "disturbances and errors at the scale of the bands. "
-        f"{_median_sigma(sigma_r_mm, 'position', 'mm')} "
-        f"{_median_sigma(sigma_v_mm_s, 'velocity', 'mm/s')}{grey}",
-        data,
-        panels(titles, TIME_TITLE, above, shapes=shapes(columns=3)),
-        height_px=560,
+        f"{_median_sigma(r_mm, 'position', 'mm')} {_median_sigma(v_mm_s, 'velocity', 'mm/s')}{grey}"
     )
-
-    w_deg_s, sigma_w_deg_s = np.rad2deg(path.w_P), np.rad2deg(path.sigma_w)
-    data = []
-    for k, name in enumerate("xyz"):
-        data += line_with_band(path.time_s, w_deg_s[:, k], sigma_w_deg_s[:, k], name, AXIS_COLORS[k], k + 1)
-    angular_velocity = figure(
-        "angular-velocity",
-        "Angular velocity",
+    rate_caption = (
         "Of the target relative to N, along its principal axes x, y, z (largest, middle and smallest "
         "moment), with bands of three standard deviations. "
-        f"{_median_sigma(sigma_w_deg_s, 'angular velocity', 'deg/s')}{grey}",
-        data,
-        panels([(f"ω<sub>{a}</sub> [deg/s]",) for a in "xyz"], TIME_TITLE, shapes=shapes()),
-        height_px=520,
-        wide=False,
+        f"{_median_sigma(sigma_w, 'angular velocity', 'deg/s')}{grey}"
     )
-
-    sigma_deg = np.rad2deg(path.sigma_theta)
-    colors = (INK, *AXIS_COLORS)
-    data = [line(path.time_s, path.q_NP_wxyz[:, k], name, colors[k]) for k, name in enumerate("wxyz")]
-    for k, name in enumerate("xyz"):
-        data.append(line(path.time_s, 3 * sigma_deg[:, k], name, AXIS_COLORS[k], 2, mode="lines"))
-    layout = panels([("quaternion q<sub>NP</sub>",), ("3σ of attitude [deg]",)], TIME_TITLE, shapes=shapes())
-    layout["yaxis2"]["rangemode"] = "tozero"
-    attitude = figure(
-        "attitude",
-        "Attitude",
+    attitude_caption = (
         "Above: the attitude of the principal axes, Hamilton quaternion, scalar first. Below: three standard "
         "deviations of the attitude error about each principal axis. "
-        f"{_median_sigma(sigma_deg, 'attitude', 'deg')}{grey}",
-        data,
-        layout,
-        height_px=520,
-        wide=False,
+        f"{_median_sigma(sigma_deg, 'attitude', 'deg')}{grey}"
     )
-    return [centre_of_mass, angular_velocity, attitude]
+    figure = partial(Figure, clock="time")
+    narrow: Layout = {"height_px": 520, "wide": False}
+    return [
+        figure("centre-of-mass", "Centre of mass", com_caption, of_com, com_layout, height_px=560),
+        figure("angular-velocity", "Angular velocity", rate_caption, of_rate, rate_layout, **narrow),
+        figure("attitude", "Attitude", attitude_caption, of_attitude, attitude_layout, **narrow),
+    ]
 
 
 def straight_line_residual(time_s: Array, p: Array, sigma: Array) -> Array:
@@ -104,7 +88,7 @@ def straight_line_residual(time_s: Array, p: Array, sigma: Array) -> Array:
 
 def _median_sigma(sigma: Array, what: str, unit: str) -> str:
     known = np.isfinite(sigma)
-    lost = [name for k, name in enumerate("xyz") if not known[:, k].any()]
+    lost = [name for name, some in zip("xyz", known.T, strict=True) if not some.any()]
     if lost:
         return f"The {what} along {', '.join(lost)} is not determined by the data: no band is drawn."
     values = ", ".join(f"{np.median(sigma[known[:, k], k]):.2g}" for k in range(3))

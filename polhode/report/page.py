@@ -48,14 +48,6 @@ _log = logging.getLogger(__name__)
 REPORT = "report.html"
 OVERVIEW = ("polhode", "mesh")
 """Figures that stand beside the film, where the slider moves all of them."""
-FILM_SHARE = 0.42
-"""Of what figures and words leave for film and pictures"""
-WORDS_OF_PICTURES_BYTES = 8_000
-"""Headings and captions of film and pictures; with longer captions the pictures are made again, smaller."""
-FIRST_DATE_NS = 946_684_800 * 10**9
-"""Timestamps before the year 2000 count from something else, and are no dates."""
-MAX_STOPS = 600
-"""Frames of a long run at which the slider stops, evenly spread"""
 
 
 def page_file(path: Path, folders: Sequence[Path]) -> Path:
@@ -68,11 +60,8 @@ def page_file(path: Path, folders: Sequence[Path]) -> Path:
     if is_run and not own.is_dir() and own == Path(os.path.realpath(path)):
         require_writable(own.parent, path)
         return own
-    return output_file(path, "report", REPORT, _is_page)
-
-
-def _is_page(path: Path) -> bool:
-    return begins_with(path, '<meta name="generator" content="polhode report">')
+    mark = '<meta name="generator" content="polhode report">'
+    return output_file(path, "report", REPORT, lambda path: begins_with(path, mark))
 
 
 def write_report(folder: Path, path: Path | None = None, name: str | None = None) -> None:
@@ -128,15 +117,14 @@ def finish_run(folder: Path, summary: Summary) -> Summary:
     seconds = perf_counter() - start
     times = summary.timing_s
     timing = times.model_copy(update={"report": times.report + seconds, "total": times.total + seconds})
-    timed = summary.model_copy(update={"timing_s": timing})
-    timed = with_files(timed, folder)
+    timed = with_files(summary.model_copy(update={"timing_s": timing}), folder)
     write_summary(timed, folder / "summary.json")
     return timed
 
 
 def render(content: StoredRun) -> str:
     """The whole page, of at most ``PAGE_BYTES``: what figures and words leave is for the pictures."""
-    summary, motion = content.summary, content.motion
+    summary, motion, metrics = content.summary, content.motion, content.metrics
     no_estimate = "The run did not reach an estimate of the"
     parts = [
         ("Motion", motion_figures(content), f"{no_estimate} motion."),
@@ -148,52 +136,55 @@ def render(content: StoredRun) -> str:
     figures = figures_within([each for _, figures, _ in parts for each in figures], figure_text)
     drawn = {each.key: each for each in figures}
     date = data_date(content)
+    values: dict[str, Any] = {
+        "title": content.name,
+        "name": content.name,
+        "data_date": date,
+        "head": f"polhode, run {content.name}, {f'data of {date}' if date else 'data without a date'}",
+        "finding": tables.finding(summary, motion.trajectory if motion else None),
+        "summary": summary,
+        "checks": tables.check_panel(summary),
+        "assumed_rows": tables.assumed_rows(summary.assumed),
+        "motion_rows": tables.motion_rows(motion),
+        "sigma_rows": tables.sigma_rows(content),
+        "run_rows": tables.run_rows(content),
+        "metric_rows": tables.metric_rows(metrics),
+        "nees_sentences": tables.nees_sentences(metrics),
+        "overview": [each for each in figures if each.key in OVERVIEW],
+        "sections": [
+            (title, [drawn[each.key] for each in found if each.key not in OVERVIEW], words)
+            for title, found, words in parts
+        ],
+        "sunlit": content.film is not None and content.film.sunlit,
+        "has_surface": content.surface is not None,
+        "config_text": content.config_text,
+    }
+    for of_summary in (
+        tables.inertia_rows, tables.intervals_rest_on, tables.absolute_rows, tables.disturbance_rows,
+        tables.mesh_rows, tables.mesh_sentences, tables.timing_rows,
+    ):  # fmt: skip
+        values[of_summary.__name__] = of_summary(summary)
 
     def page(film: Sequence[FilmFrame], pictures: Sequence[EmbeddedPicture]) -> str:
         line = timeline(content, film)
         return fill(
             "report.html.j2",
-            title=content.name,
-            name=content.name,
-            data_date=date,
-            head=f"polhode, run {content.name}, {f'data of {date}' if date else 'data without a date'}",
-            finding=tables.finding(summary, motion.trajectory if motion else None),
-            summary=summary,
-            checks=tables.check_panel(summary),
-            inertia_rows=tables.inertia_rows(summary),
-            intervals_rest_on=tables.intervals_rest_on(summary),
-            absolute_rows=tables.absolute_rows(summary),
-            disturbance_rows=tables.disturbance_rows(summary),
-            assumed_rows=tables.assumed_rows(summary.assumed),
-            mesh_rows=tables.mesh_rows(summary),
-            mesh_sentences=tables.mesh_sentences(summary),
-            motion_rows=tables.motion_rows(motion),
-            sigma_rows=tables.sigma_rows(content),
-            run_rows=tables.run_rows(content),
-            timing_rows=tables.timing_rows(summary),
-            metric_rows=tables.metric_rows(content.metrics),
-            nees_sentences=tables.nees_sentences(content.metrics),
-            overview=[each for each in figures if each.key in OVERVIEW],
-            sections=[
-                (title, [drawn[each.key] for each in found if each.key not in OVERVIEW], words)
-                for title, found, words in parts
-            ],
             film=film,
             film_uris=json_text([each.uri for each in film]),
-            sunlit=content.film is not None and content.film.sunlit,
             timeline_text=deflated(json.dumps(line, separators=(",", ":"))) if line else "",
-            has_surface=content.surface is not None,
             sheets=[each for each in pictures if each.name in SHEETS],
             stills=[each for each in pictures if each.name.startswith("model")],
             masks=[each for each in pictures if each.name == "masks.jpg"],
             pictures=[each for each in pictures if each.name[0].isdigit()],
-            config_text=content.config_text,
+            **values,
         )
 
-    left = PAGE_BYTES - WORDS_OF_PICTURES_BYTES - len(page([], []).encode())
-    film = film_frames(content.film, min(MAX_FILM_BYTES, round(FILM_SHARE * left)))
+    # 8 kB for headings and captions of film and pictures; of what is left the film gets 42 %.
+    left = PAGE_BYTES - 8_000 - len(page([], []).encode())
+    film = film_frames(content.film, min(MAX_FILM_BYTES, round(0.42 * left)))
     left -= sum(len(each.uri) for each in [*film, *film[:1]])
     while True:
+        # With longer captions the pictures are made again, smaller.
         whole = page(film, embed_pictures(content.pictures, left))
         excess = len(whole.encode()) - PAGE_BYTES
         if excess <= 0 or left <= 0:
@@ -202,7 +193,7 @@ def render(content: StoredRun) -> str:
 
 
 def timeline(content: StoredRun, film: Sequence[FilmFrame]) -> dict[str, Any] | None:
-    """Stops of the page's slider, as plain data; None without an estimate of at least two frames.
+    """Stops of the page's slider, at most 600, as plain data; None without an estimate of two frames.
 
     time [s] since the first frame and frame number of each stop; picture: index of the nearest in time in
     ``film``; rate: angular velocity along P [deg/s]; eye and up: direction from the body to the left camera
@@ -212,7 +203,7 @@ def timeline(content: StoredRun, film: Sequence[FilmFrame]) -> dict[str, Any] | 
         return None
     path = content.motion.trajectory
     count = len(path.time_s)
-    stops = np.unique(np.linspace(0, count - 1, min(count, MAX_STOPS)).round().astype(int))
+    stops = np.unique(np.linspace(0, count - 1, min(count, 600)).round().astype(int))
     out: dict[str, Any] = {
         "time": path.time_s[stops].round(3).tolist(),
         "frame": stops.tolist(),
@@ -239,8 +230,8 @@ def camera_views(content: StoredRun) -> tuple[Array, Array] | None:
 
 
 def data_date(content: StoredRun) -> str:
-    """The day of the first frame (UTC); empty where the timestamps are no dates."""
-    if content.tracks is None or content.tracks.timestamps_ns[0] < FIRST_DATE_NS:
+    """The day of the first frame (UTC); empty where the timestamps, being before 2000, are no dates."""
+    if content.tracks is None or content.tracks.timestamps_ns[0] < 946_684_800 * 10**9:
         return ""
     return f"{datetime.fromtimestamp(int(content.tracks.timestamps_ns[0]) // 10**9, UTC):%d %B %Y}"
 

@@ -54,8 +54,14 @@ def embed_pictures(pictures: Sequence[StoredPicture], most_bytes: int) -> list[E
 
     def embed(picture: StoredPicture, sharpness: tuple[int, int, int]) -> EmbeddedPicture:
         width_px, of_sheet, of_other = sharpness
-        quality = of_sheet if picture.name in SHEETS else of_other
-        return EmbeddedPicture(picture.name, picture.caption, _uri(picture.content, width_px, quality))
+        content = picture.content
+        # What cannot be decoded stays as it is, for the browser to judge.
+        with contextlib.suppress(Exception):
+            image = Image.open(io.BytesIO(content), formats=("PNG", "JPEG"))
+            if math.prod(image.size) <= MAX_PIXELS:
+                image.thumbnail((width_px, width_px), Image.Resampling.LANCZOS)
+                content = _webp(image.convert("RGB"), of_sheet if picture.name in SHEETS else of_other)
+        return EmbeddedPicture(picture.name, picture.caption, _data_uri(content))
 
     found = _fitting(pictures, SHARPNESS, embed, most_bytes)
     if len(found) < len(pictures):
@@ -70,14 +76,26 @@ def film_frames(film: StoredFilm | None, most_bytes: int = MAX_FILM_BYTES) -> li
     """
     if film is None:
         return []
+    panels = []
     try:
-        panels = _panels(film)
+        with Image.open(io.BytesIO(film.gif), formats=("GIF",)) as gif:
+            count = int(getattr(gif, "n_frames", 1))
+            shown = film.frames[:: math.ceil(len(film.frames) / count)]
+            width, height = gif.size
+            if len(shown) != count or width * height > MAX_PIXELS:
+                raise ValueError(f"it has {count} pictures of {width}x{height} for {len(film.frames)} frames")
+            top, side = round(GIF_SCALE * HEAD_PX), round(GIF_SCALE * PANEL_PX)
+            box = (0, top, round(GIF_SCALE * (3 * PANEL_PX + 2 * GAP_PX)), top + side)
+            most = min(count, MAX_FILM_FRAMES)
+            for k in (round(n * (count - 1) / max(most - 1, 1)) for n in range(most)):
+                gif.seek(k)
+                panels.append((shown[k], gif.convert("RGB").crop(box)))
     except Exception as error:  # noqa: BLE001  a damaged or a hostile file: the page goes on without it
         _log.warning("the film of the run is left out: %s: %s", type(error).__name__, error)
         return []
 
     def embed(item: tuple[int, Image.Image], quality: int) -> FilmFrame:
-        return FilmFrame(item[0], data_uri(webp(item[1], quality)))
+        return FilmFrame(item[0], _data_uri(_webp(item[1], quality)))
 
     return _fitting(panels, FILM_QUALITIES, embed, most_bytes)
 
@@ -95,42 +113,12 @@ def _fitting(
     return []
 
 
-def _uri(content: bytes, width_px: int, quality: int) -> str:
-    """What cannot be decoded stays as it is, for the browser to judge."""
-    with contextlib.suppress(Exception):
-        image = Image.open(io.BytesIO(content), formats=("PNG", "JPEG"))
-        if math.prod(image.size) <= MAX_PIXELS:
-            image.thumbnail((width_px, width_px), Image.Resampling.LANCZOS)
-            content = webp(image.convert("RGB"), quality)
-    return data_uri(content)
-
-
-def webp(image: Image.Image, quality: int) -> bytes:
-    """The same bytes for the same picture."""
+def _webp(image: Image.Image, quality: int) -> bytes:
     stream = io.BytesIO()
     image.save(stream, "WEBP", quality=quality, method=4)
     return stream.getvalue()
 
 
-def data_uri(image: bytes) -> str:
-    """An address that is its own content."""
+def _data_uri(image: bytes) -> str:
     kind = {b"\x89PNG": "png", b"RIFF": "webp"}.get(image[:4], "jpeg")
     return f"data:image/{kind};base64,{base64.b64encode(image).decode('ascii')}"
-
-
-def _panels(film: StoredFilm) -> list[tuple[int, Image.Image]]:
-    """Chosen frames of the run and the panels of their pictures. Raises ValueError."""
-    with Image.open(io.BytesIO(film.gif), formats=("GIF",)) as gif:
-        count = int(getattr(gif, "n_frames", 1))
-        shown = film.frames[:: math.ceil(len(film.frames) / count)]
-        width, height = gif.size
-        if len(shown) != count or width * height > MAX_PIXELS:
-            raise ValueError(f"it has {count} pictures of {width}x{height} for {len(film.frames)} frames")
-        top = round(GIF_SCALE * HEAD_PX)
-        box = (0, top, round(GIF_SCALE * (3 * PANEL_PX + 2 * GAP_PX)), top + round(GIF_SCALE * PANEL_PX))
-        most = min(count, MAX_FILM_FRAMES)
-        found = []
-        for k in (round(n * (count - 1) / max(most - 1, 1)) for n in range(most)):
-            gif.seek(k)
-            found.append((shown[k], gif.convert("RGB").crop(box)))
-        return found

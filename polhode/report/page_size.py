@@ -21,8 +21,6 @@ POINTS_PER_CURVE = (1200, 800, 560, 400, 280, 200, 140, 100, 70)
 """The first number with which the figures are small enough, else the last one."""
 CLOUD_FACTOR = 8
 """Points of a cloud for each point of a curve"""
-MIN_POINTS_OF_PATH = 900
-"""A path in space is not thinned further: the wires of an ellipsoid have fewer points."""
 THINNED_NOTE = " Drawn with fewer points than there are, with every peak; the files of the run have all."
 
 
@@ -68,14 +66,19 @@ def _thin_trace(trace: Trace, most: int) -> Trace:
     if not isinstance(y, np.ndarray) or kind == "mesh3d" or ("fill" in trace and not is_band):
         return trace
     if kind == "heatmap":
-        return _thin_heatmap(trace, most)
+        # of marks (0, 1): a column of the new one has the marks of all those that it stands for
+        if len(trace["x"]) <= most:
+            return trace
+        starts = np.unique(np.linspace(0, len(trace["x"]), most, endpoint=False).astype(int))
+        return trace | {"x": trace["x"][starts], "z": np.maximum.reduceat(trace["z"], starts, axis=1)}
     if is_band:
         # its outline goes there along the upper edge and back along the lower one
         half = len(y) // 2
         there, back = extremes(y[:half], most), len(y) - 1 - extremes(y[half:][::-1], most)
         chosen = np.concatenate([there, back[::-1]])
     elif kind == "scatter3d":
-        drawn = CLOUD_FACTOR * most if trace["mode"] == "markers" else max(2 * most, MIN_POINTS_OF_PATH)
+        # A path in space keeps 900 points: the wires of an ellipsoid have fewer.
+        drawn = CLOUD_FACTOR * most if trace["mode"] == "markers" else max(2 * most, 900)
         chosen = np.unique(np.linspace(0, len(y) - 1, min(drawn, len(y))).round().astype(int))
     else:
         chosen = extremes(y, most)
@@ -91,11 +94,3 @@ def _thin_trace(trace: Trace, most: int) -> Trace:
     thinned: Trace = choose(trace)
     # Bars close the gaps that the missing ones leave.
     return thinned | ({"width": trace["width"] * len(y) / len(chosen)} if "width" in trace else {})
-
-
-def _thin_heatmap(trace: Trace, most: int) -> Trace:
-    """A heat map of marks (0, 1): a column of the new one has the marks of all those that it stands for."""
-    if len(trace["x"]) <= most:
-        return trace
-    starts = np.unique(np.linspace(0, len(trace["x"]), most, endpoint=False).astype(int))
-    return trace | {"x": trace["x"][starts], "z": np.maximum.reduceat(trace["z"], starts, axis=1)}

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polhode.geometry.lie import Array, Bools
+from polhode.geometry.lie import Array, Bools, Ints
 
 Trace = dict[str, Any]
 Layout = dict[str, Any]
@@ -27,31 +27,14 @@ SCENE_GROUND, SCENE_GRID = "#fafbfc", "#dde3e8"
 WIRE, SHEET, REGION = "#7a8b99", "#9fc5de", "#5d6b78"
 """Wires and sheet of the ellipsoids; region of the possible bodies"""
 DARK: dict[str, str] = {
-    AXIS_COLORS[0]: "#f5893d",
-    AXIS_COLORS[1]: "#e9a3cb",
-    AXIS_COLORS[2]: "#56b4e9",
-    INK: "#e6ebef",
-    FAINT: "#93a0ab",
-    GRID: "#29323a",
-    PAPER: "#171d23",
-    EDGE: "#4a5661",
-    STRIP: "#34404a",
-    SCENE_GROUND: "#1c242b",
-    SCENE_GRID: "#36424c",
-    WIRE: "#a7b4bf",
-    SHEET: "#35566d",
-    REGION: "#a9b6c1",
-}
+    AXIS_COLORS[0]: "#f5893d", AXIS_COLORS[1]: "#e9a3cb", AXIS_COLORS[2]: "#56b4e9", INK: "#e6ebef",
+    FAINT: "#93a0ab", GRID: "#29323a", PAPER: "#171d23", EDGE: "#4a5661", STRIP: "#34404a",
+    SCENE_GROUND: "#1c242b", SCENE_GRID: "#36424c", WIRE: "#a7b4bf", SHEET: "#35566d", REGION: "#a9b6c1",
+}  # fmt: skip
 """What a colour becomes in the dark scheme; others are the same in both."""
-NARROW_PANEL_PX = 190
-"""Height of a panel where they stand one below the other, on a phone."""
-LEGEND_ABOVE_TITLES = 1.06
-"""Height of a legend, on the paper of a drawing, over titles of columns"""
 BAND = "± 3σ"
 """Name of a band of three standard deviations in a legend"""
 TIME_SCALE = [[0.0, "#3b0f70"], [0.35, "#b5367a"], [0.7, "#fb8861"], [1.0, "#f6d746"]]
-EYE_DISTANCE = 2.3
-"""In sizes of the scene: far enough that no axis leaves the drawing."""
 SIGMA_SCALE = [[0.0, "#fde725"], [0.33, "#35b779"], [0.66, "#31688e"], [1.0, "#440154"]]
 
 
@@ -108,16 +91,13 @@ def packed(values: ArrayLike, dtype: str = "") -> dict[str, str]:
     dtype: single precision and ``i4`` unless given; ``u1`` and ``u2`` stay.
     """
     array = np.asarray(values)
-    dtype = dtype or {"u1": "u1", "u2": "u2"}.get(
-        array.dtype.str[1:], "f4" if array.dtype.kind == "f" else "i4"
-    )
+    if not dtype and (dtype := array.dtype.str[1:]) not in ("u1", "u2"):
+        dtype = "f4" if array.dtype.kind == "f" else "i4"
     if dtype.startswith("f"):
         array = np.where(np.isfinite(array), array, np.nan)
     array = np.ascontiguousarray(array, dtype="<" + dtype)
     out = {"dtype": dtype, "bdata": base64.b64encode(array.tobytes()).decode("ascii")}
-    if array.ndim > 1:
-        out["shape"] = ", ".join(map(str, array.shape))
-    return out
+    return out | ({"shape": ", ".join(map(str, array.shape))} if array.ndim > 1 else {})
 
 
 def translucent(color: str, alpha: float) -> str:
@@ -127,17 +107,11 @@ def translucent(color: str, alpha: float) -> str:
 
 def line(x: ArrayLike, y: ArrayLike, name: str, color: str, panel: int = 1, **more: Any) -> Trace:
     """A line through the points, on the axes of one panel."""
-    return {
-        "type": "scatter",
-        "mode": "lines+markers",
-        "x": np.asarray(x, dtype=np.float64),
-        "y": np.asarray(y, dtype=np.float64),
-        "name": name,
-        "line": {"color": color, "width": 1.6},
-        "marker": {"color": color, "size": 3.5},
-        **on(panel),
-        **more,
-    }
+    x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    style = {"line": {"color": color, "width": 1.6}, "marker": {"color": color, "size": 3.5}}
+    return (
+        {"type": "scatter", "mode": "lines+markers", "x": x, "y": y, "name": name} | style | on(panel) | more
+    )
 
 
 def dashed(x: ArrayLike, y: ArrayLike, name: str, panel: int = 1) -> Trace:
@@ -151,6 +125,13 @@ def points3d(points: ArrayLike, name: str, **more: Any) -> Trace:
     return {"type": "scatter3d", "mode": "markers", **columns("xyz", points), "name": name, **more}
 
 
+def mesh3d(vertices: ArrayLike, faces: Array | Ints, name: str, **more: Any) -> Trace:
+    """Triangles of a scene, vertices (V, 3) and faces (T, 3), without a text under the pointer."""
+    corners = columns("ijk", faces.astype(np.uint16))
+    hidden = {"name": name, "showlegend": True, "hoverinfo": "skip"}
+    return {"type": "mesh3d", **columns("xyz", vertices), **corners, **hidden, **more}
+
+
 def columns(names: str, rows: ArrayLike) -> dict[str, Array]:
     """The columns of an array (n, k) by names of a letter each."""
     return dict(zip(names, np.asarray(rows).T, strict=True))
@@ -158,19 +139,17 @@ def columns(names: str, rows: ArrayLike) -> dict[str, Array]:
 
 def band(x: ArrayLike, y: ArrayLike, half: ArrayLike, color: str, panel: int = 1, **more: Any) -> list[Trace]:
     """The strip y - half .. y + half; nothing where half is not finite."""
-    y, half = np.asarray(y, dtype=np.float64), np.asarray(half, dtype=np.float64)
-    x, known = np.asarray(x, dtype=np.float64), np.isfinite(half)
+    x, y, half = (np.asarray(each, dtype=np.float64) for each in (x, y, half))
+    known = np.isfinite(half)
     # A fill across a gap goes astray: each stretch without gaps is an outline of its own.
     stretches = np.split(np.arange(len(x)), np.flatnonzero(np.diff(known)) + 1)
     style = {"line": {"width": 0}, "fillcolor": translucent(color, 0.22), **more}
+    there_and_back = [np.concatenate([k, k[::-1]]) for k in stretches if len(k) and known[k[0]]]
+    signed = [half[k] * np.repeat([1.0, -1.0], len(k) // 2) for k in there_and_back]
     return [
-        outline(
-            np.concatenate([x[k], x[k][::-1]]), np.concatenate([(y + half)[k], (y - half)[k][::-1]]), BAND,
-            panel, **style,
-        )
-        for k in stretches
-        if len(k) and known[k[0]]
-    ]  # fmt: skip
+        outline(x[k], y[k] + offset, BAND, panel, **style)
+        for k, offset in zip(there_and_back, signed, strict=True)
+    ]
 
 
 def outline(x: Array, y: Array, name: str, panel: int = 1, **more: Any) -> Trace:
@@ -187,37 +166,32 @@ def line_with_band(
 
 
 def on(panel: int) -> dict[str, str]:
-    """Name the axes of a panel, counted from 1."""
+    """Name the axes of a panel, counted from 1, as a trace names them."""
     suffix = "" if panel == 1 else str(panel)
     return {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
+
+
+def key_of(letter: str, panel: int) -> str:
+    """Name of the x or y axis of a panel, counted from 1, as a layout names it."""
+    return f"{letter}axis{'' if panel == 1 else panel}"
 
 
 def axis(title: str = "", **more: Any) -> Layout:
     """The common look of an axis."""
     return {
         "title": {"text": title, "font": {"size": 12}, "standoff": 6},
-        "gridcolor": GRID,
-        "zeroline": False,
-        "linecolor": EDGE,
-        "showline": True,
-        "ticks": "outside",
-        "ticklen": 3,
-        "tickcolor": EDGE,
-        "automargin": True,
-        "exponentformat": "power",
-        "minexponent": 5,
+        **{"gridcolor": GRID, "zeroline": False, "linecolor": EDGE, "showline": True},
+        **{"ticks": "outside", "ticklen": 3, "tickcolor": EDGE},
+        **{"automargin": True, "exponentformat": "power", "minexponent": 5},
         **more,
     }
 
 
 def layout(**more: Any) -> Layout:
     """The common look of a drawing."""
+    family = "Inter, 'Segoe UI', Roboto, Helvetica, Arial, sans-serif"
     return {
-        "font": {
-            "family": "Inter, 'Segoe UI', Roboto, Helvetica, Arial, sans-serif",
-            "size": 12,
-            "color": INK,
-        },
+        "font": {"family": family, "size": 12, "color": INK},
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": PAPER,
         "margin": {"l": 64, "r": 16, "t": 28, "b": 46},
@@ -238,24 +212,20 @@ def panels(
     out = layout(**more)
     gap_x, gap_y = 0.09, 0.05
     width, height = (1 - gap_x * (columns - 1)) / columns, (1 - gap_y * (rows - 1)) / rows
-    for row in range(rows):
-        for column in range(columns):
-            panel = row * columns + column + 1
-            name = on(panel)
-            left, top = column * (width + gap_x), 1 - row * (height + gap_y)
-            last = row == rows - 1
-            x = axis(x_title if last else "", domain=[left, left + width], anchor=name["yaxis"])
-            x |= {"matches": "x", "showticklabels": last} if panel > 1 else {"showticklabels": last}
-            y = axis(y_titles[row][column], domain=[top - height, top], anchor=name["xaxis"])
-            out[name["xaxis"].replace("x", "xaxis", 1)] = x
-            out[name["yaxis"].replace("y", "yaxis", 1)] = y
+    for panel in range(1, rows * columns + 1):
+        row, column = divmod(panel - 1, columns)
+        left, top, last = column * (width + gap_x), 1 - row * (height + gap_y), row == rows - 1
+        x, y, name = key_of("x", panel), key_of("y", panel), on(panel)
+        out[x] = axis(x_title if last else "", domain=[left, left + width], anchor=name["yaxis"])
+        out[x] |= {"matches": "x", "showticklabels": last} if panel > 1 else {"showticklabels": last}
+        out[y] = axis(y_titles[row][column], domain=[top - height, top], anchor=name["xaxis"])
     if column_titles:
         # The legend stands above them.
-        out["legend"] = out["legend"] | {"y": LEGEND_ABOVE_TITLES}
-    centres = [column * (width + gap_x) + width / 2 for column in range(len(column_titles))]
+        out["legend"] = out["legend"] | {"y": 1.06}
+    style = {"yanchor": "bottom", "yshift": 6, "font": {"size": 13, "color": INK}}
     out["annotations"] = [
-        note(title, centre, 1.0, yanchor="bottom", yshift=6, font={"size": 13, "color": INK})
-        for title, centre in zip(column_titles, centres, strict=True)
+        note(title, column * (width + gap_x) + width / 2, 1.0, **style)
+        for column, title in enumerate(column_titles)
     ]
     return out
 
@@ -271,7 +241,7 @@ def stack_panels(wide: Layout) -> Layout:
     if len(starts) < 2:
         return {}
     height, notes = 1.0 / len(names), list(wide.get("annotations", []))
-    out: Layout = {"height": NARROW_PANEL_PX * len(names) + 90, "legend": {"y": 1.0}, "annotations": notes}
+    out: Layout = {"height": 190 * len(names) + 90, "legend": {"y": 1.0}, "annotations": notes}
     # Sorting is stable: the panels of a column stay in their order, from the top.
     for row, name in enumerate(sorted(names, key=left.__getitem__)):
         top, column = 1.0 - (row + 0.2) * height, starts.index(left[name])
@@ -297,22 +267,12 @@ def gap_shapes(time_s: Array, seen: Bools, columns: int = 1) -> list[Layout]:
         return []
     edges = np.concatenate([time_s[:1], 0.5 * (time_s[1:] + time_s[:-1]), time_s[-1:]])
     runs = np.split(bridged, np.flatnonzero(np.diff(bridged) > 1) + 1)
+    look = {"type": "rect", "layer": "below", "fillcolor": STRIP, "opacity": 0.6, "line": {"width": 0}}
+    look |= {"name": "no measurements: bridged by the dynamics", "y0": 0, "y1": 1, "yref": "paper"}
     return [
-        {
-            "type": "rect",
-            "layer": "below",
-            "x0": float(edges[run[0]]),
-            "x1": float(edges[run[-1] + 1]),
-            "xref": on(column)["xaxis"],
-            "y0": 0,
-            "y1": 1,
-            "yref": "paper",
-            "fillcolor": STRIP,
-            "opacity": 0.6,
-            "line": {"width": 0},
-            "name": "no measurements: bridged by the dynamics",
-            "showlegend": number == 0 and column == 1,
-        }
+        look
+        | {"x0": float(edges[run[0]]), "x1": float(edges[run[-1] + 1]), "xref": on(column)["xaxis"]}
+        | {"showlegend": number == 0 and column == 1}
         for number, run in enumerate(runs)
         for column in range(1, columns + 1)
     ]
@@ -324,54 +284,32 @@ def color_bar(title: str) -> Layout:
     return {"title": {"text": title, "side": "top", "font": {"size": 12}}, "outlinewidth": 0, **where}
 
 
-def scene(
-    unit: str, names: Sequence[str] = ("x", "y", "z"), eye: ArrayLike = (1.4, -1.5, 0.9), **more: Any
+def scene_layout(
+    unit: str, names: Sequence[str] = ("x", "y", "z"), eye: ArrayLike = (1.4, -1.5, 0.9)
 ) -> Layout:
-    """Three axes of equal scale, seen from the direction ``eye`` (3,)."""
-    look = {
-        "backgroundcolor": SCENE_GROUND,
-        "gridcolor": SCENE_GRID,
-        "showbackground": True,
-        "zeroline": False,
-        "tickfont": {"size": 10.5},
-        "nticks": 6,
-    }
+    """A drawing that is one scene: three axes of equal scale, seen from the direction ``eye`` (3,)."""
+    look = {"backgroundcolor": SCENE_GROUND, "gridcolor": SCENE_GRID, "showbackground": True}
+    look |= {"zeroline": False, "tickfont": {"size": 10.5}, "nticks": 6}
+    # In sizes of the scene: far enough that no axis leaves the drawing.
     toward = np.asarray(eye, dtype=np.float64)
-    toward = EYE_DISTANCE * toward / np.linalg.norm(toward)
-    axes = {
+    toward = 2.3 * toward / np.linalg.norm(toward)
+    scene: Layout = {
         f"{k}axis": {"title": {"text": f"{name} [{unit}]"}, **look}
         for k, name in zip("xyz", names, strict=True)
     }
-    return {
-        **axes,
-        # The legend stands below.
-        "domain": {"x": [0.0, 1.0], "y": [0.07, 1.0]},
-        "aspectmode": "data",
-        "camera": {
-            "eye": dict(zip("xyz", toward.tolist(), strict=True)),
-            "center": {"x": 0.0, "y": 0.0, "z": -0.07},
-        },
-        **more,
-    }
+    # The legend stands below.
+    scene |= {"domain": {"x": [0.0, 1.0], "y": [0.07, 1.0]}, "aspectmode": "data"}
+    eye_of_scene = dict(zip("xyz", toward.tolist(), strict=True))
+    scene["camera"] = {"eye": eye_of_scene, "center": {"x": 0.0, "y": 0.0, "z": -0.07}}
+    margin, legend = {"l": 0, "r": 0, "t": 8, "b": 0}, {"orientation": "h", "x": 0, "y": 0}
+    return layout(scene=scene, margin=margin, legend=legend)
 
 
 def axis_arrows(origin: Array, R: Array, length: float, names: Sequence[str]) -> list[Trace]:
     """Three coloured lines from an origin (3,), along the columns of R (3, 3), named at their ends."""
-    return [
-        points3d(
-            np.stack([origin, tip]),
-            f"principal axis {name}",
-            mode="lines+text",
-            text=["", name],
-            textfont={"color": color, "size": 13},
-            line={"color": color, "width": 6},
-            hoverinfo="name",
-        )
-        for tip, name, color in zip((origin + length * R.T), names, AXIS_COLORS, strict=True)
-    ]
-
-
-def scene_layout(**more: Any) -> Layout:
-    """A drawing that is one scene, with its legend below."""
-    margin, legend = {"l": 0, "r": 0, "t": 8, "b": 0}, {"orientation": "h", "x": 0, "y": 0}
-    return layout(scene=scene(**more), margin=margin, legend=legend)
+    arrows = []
+    for tip, name, color in zip(origin + length * R.T, names, AXIS_COLORS, strict=True):
+        style: Layout = {"textfont": {"color": color, "size": 13}, "line": {"color": color, "width": 6}}
+        style |= {"mode": "lines+text", "text": ["", name], "hoverinfo": "name"}
+        arrows.append(points3d(np.stack([origin, tip]), f"principal axis {name}", **style))
+    return arrows

@@ -1,5 +1,7 @@
 """Figures of the measurements: residuals against their noise, per frame, and who was seen when."""
 
+from functools import partial
+
 import numpy as np
 
 from polhode.geometry.lie import Array
@@ -24,24 +26,43 @@ from polhode.run_directory.stored_run import StoredRun
 from polhode.run_directory.summary_schema import Noise
 
 NAMES = ("u", "v", "disparity")
-ONE_SIGMA = 0.6827
-"""Share of a Gaussian within one standard deviation"""
-CORE_TOLERANCE = 0.05
 INLIER_WEIGHT = 0.5
 """A measurement with less weight in the robust kernel counts as an outlier here."""
+
+_figure = partial(Figure, height_px=380, wide=False)
 
 
 def measurement_figures(content: StoredRun) -> list[Figure]:
     """Residuals (histogram, history), observations per frame, landmarks over time: those that exist."""
-    if content.tracks is None or len(content.tracks.frame) == 0:
+    tracks, residuals = content.tracks, content.residuals
+    if tracks is None or len(tracks.frame) == 0:
         return []
     figures = []
-    if content.residuals is not None and len(content.residuals.residuals_px) == len(content.tracks.frame):
+    if residuals is not None and len(residuals.residuals_px) == len(tracks.frame):
+        noise = content.summary.noise
+        stated, larger = "", ""
+        if noise is not None:
+            stated = (
+                f" ({noise.pixel_sigma_px:.3f} px of u and v, "
+                f"{noise.disparity_sigma_px:.3f} px of the disparity)"
+            )
+            larger = (
+                f" They are smaller than the noise{stated}, which is corrected for what the fit follows and "
+                "counts larger residuals too."
+            )
+        caption = (
+            "Root mean square of the residuals as they are, of the inliers only. A frame that stands out "
+            f"points at light, blur or a wrong association.{larger}"
+        )
+        rms = rms_per_frame(tracks, residuals)
+        data = [line(tracks.time_s, rms[:, k], name, AXIS_COLORS[k]) for k, name in enumerate(NAMES)]
+        y = axis("residual, root mean square [px]", rangemode="tozero")
+        rms_layout = layout(xaxis=axis(TIME_TITLE), yaxis=y)
         figures = [
-            _histogram(content, content.tracks, content.residuals),
-            _rms_per_frame(content.tracks, content.residuals, content.summary.noise),
+            _histogram(content, tracks, residuals, stated),
+            _figure("residual-rms", "Residuals per frame", caption, data, rms_layout, clock="time"),
         ]
-    return [*figures, _observations(content.tracks), _landmarks_over_time(content.tracks)]
+    return [*figures, _observations(tracks), _landmarks_over_time(tracks)]
 
 
 def rms_per_frame(tracks: StereoTracks, residuals: MeasurementResiduals) -> Array:
@@ -66,15 +87,12 @@ def sigma_found(tracks: StereoTracks, noise: Noise | None) -> Array:
     return np.asarray(tracks.sigma_px * [uv, uv, noise.disparity_sigma_px / disparity])
 
 
-def _histogram(content: StoredRun, tracks: StereoTracks, residuals: MeasurementResiduals) -> Figure:
-    noise = content.summary.noise
-    normalised = residuals.residuals_px / sigma_found(tracks, noise)
+def _histogram(
+    content: StoredRun, tracks: StereoTracks, residuals: MeasurementResiduals, stated: str
+) -> Figure:
+    normalised = residuals.residuals_px / sigma_found(tracks, content.summary.noise)
     edges = np.linspace(-5, 5, 1 + int(np.clip(np.sqrt(len(normalised)), 20, 80)))
     centres, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
-    figure = layout(
-        xaxis=axis("residual / standard deviation of the noise", range=[-5, 5]),
-        yaxis=axis("density", rangemode="tozero"),
-    )
     data: list[Trace] = []
     for k, name in enumerate(NAMES):
         density = np.histogram(normalised[:, k], edges)[0] / (len(normalised) * width)
@@ -88,35 +106,27 @@ def _histogram(content: StoredRun, tracks: StereoTracks, residuals: MeasurementR
     solver = content.summary.solver
     chi2 = solver.reduced_chi2 if solver else None
     counted = "" if chi2 is None else f" Reduced chi-squared, which counts the unknowns, is {chi2:.3g}."
-    levels = f" ({_describe(noise)})" if noise else ""
-    core = _core(normalised[residuals.inlier_weight > 0.0], tracks)
-    return Figure(
-        "residual-histogram",
-        "Residuals against their noise",
-        f"Measured minus predicted, over the noise that the estimate found{levels}; dotted: a "
-        f"Gaussian of that noise. {core}{counted} {100 * outliers:.1f} % of the "
-        " measurements have less than half their weight in the robust kernel; "
-        f"{100 * beyond:.1f} % lie outside the drawing.",
-        data,
-        figure,
-        height_px=380,
-        wide=False,
+    caption = (
+        f"Measured minus predicted, over the noise that the estimate found{stated}; dotted: a Gaussian of "
+        f"that noise. {_core(normalised[residuals.inlier_weight > 0.0], tracks)}{counted} "
+        f"{100 * outliers:.1f} % of the measurements have less than half their weight in the robust kernel; "
+        f"{100 * beyond:.1f} % lie outside the drawing."
     )
-
-
-def _describe(noise: Noise) -> str:
-    return f"{noise.pixel_sigma_px:.3f} px of u and v, {noise.disparity_sigma_px:.3f} px of the disparity"
+    x = axis("residual / standard deviation of the noise", range=[-5, 5])
+    drawing = layout(xaxis=x, yaxis=axis("density", rangemode="tozero"))
+    return _figure("residual-histogram", "Residuals against their noise", caption, data, drawing)
 
 
 def _core(kept: Array, tracks: StereoTracks) -> str:
     """In words: how wide the middle of the normalised residuals (K, 3) is, and why it may be narrower."""
     if len(kept) == 0:
         return ""
-    width, tails = float(np.quantile(np.abs(kept), ONE_SIGMA)), float(np.mean(np.abs(kept) > 3.0))
+    # 68.27 % of a Gaussian lie within one standard deviation.
+    width, tails = float(np.quantile(np.abs(kept), 0.6827)), float(np.mean(np.abs(kept) > 3.0))
     words = f"68 % of the residuals lie within {width:.2f} of it"
-    if width > 1.0 + CORE_TOLERANCE:
+    if width > 1.05:
         return f"{words}, more than the noise explains: heavy tails, or a noise that varies."
-    if width >= 1.0 - CORE_TOLERANCE:
+    if width >= 0.95:
         return f"{words}, as they should."
     unknowns = 3 * len(np.unique(tracks.landmark)) + 6 * len(np.unique(tracks.frame))
     return (
@@ -127,40 +137,14 @@ def _core(kept: Array, tracks: StereoTracks) -> str:
     )
 
 
-def _rms_per_frame(tracks: StereoTracks, residuals: MeasurementResiduals, noise: Noise | None) -> Figure:
-    rms = rms_per_frame(tracks, residuals)
-    figure = layout(
-        xaxis=axis(TIME_TITLE),
-        yaxis=axis("residual, root mean square [px]", rangemode="tozero"),
-    )
-    data = [line(tracks.time_s, rms[:, k], name, AXIS_COLORS[k]) for k, name in enumerate(NAMES)]
-    larger = (
-        f" They are smaller than the noise ({_describe(noise)}), which is corrected for what the fit follows "
-        "and counts larger residuals too."
-        if noise
-        else ""
-    )
-    return Figure(
-        "residual-rms",
-        "Residuals per frame",
-        "Root mean square of the residuals as they are, of the inliers only. A frame that stands out points "
-        f"at light, blur or a wrong association.{larger}",
-        data,
-        figure,
-        height_px=380,
-        wide=False,
-        clock="time",
-    )
-
-
 def _observations(tracks: StereoTracks) -> Figure:
     count = np.bincount(tracks.frame, minlength=tracks.n_frames)
     length = np.bincount(tracks.landmark, minlength=tracks.n_landmarks)
     lengths = np.bincount(length)[1:]
-    figure = panels([("landmarks seen",)], TIME_TITLE)
-    figure["xaxis"] |= {"domain": [0, 0.52]}
-    figure["xaxis2"] = axis("observations of a landmark", domain=[0.69, 1], anchor="y2")
-    figure["yaxis2"] = axis("landmarks", anchor="x2")
+    drawing = panels([("landmarks seen",)], TIME_TITLE)
+    drawing["xaxis"] |= {"domain": [0, 0.52]}
+    drawing["xaxis2"] = axis("observations of a landmark", domain=[0.69, 1], anchor="y2")
+    drawing["yaxis2"] = axis("landmarks", anchor="x2")
     spacing_s = float(np.median(np.diff(tracks.time_s))) if tracks.n_frames > 1 else 1.0
     per_frame = {"name": "per frame", "x": tracks.time_s, "y": count, "width": 0.8 * spacing_s}
     by_number = {"name": "by number of observations", "x": np.arange(1, len(lengths) + 1), "y": lengths}
@@ -169,33 +153,23 @@ def _observations(tracks: StereoTracks) -> Figure:
         {"type": "bar", "marker": {"color": FAINT}, **by_number, **on(2)},
     ]
     unseen = int(np.sum(count == 0))
-    return Figure(
-        "observations",
-        "Observations",
-        f"Left: measurements per frame (median {np.median(count):.0f}"
-        + (f"; {unseen} without any, bridged by the dynamics" if unseen else "")
-        + f"). Right: how often each of the {tracks.n_landmarks} landmarks was seen (median "
-        f"{np.median(length):.0f}).",
-        data,
-        figure,
-        height_px=380,
-        wide=False,
-        clock="time",
+    bridged = f"; {unseen} without any, bridged by the dynamics" if unseen else ""
+    caption = (
+        f"Left: measurements per frame (median {np.median(count):.0f}{bridged}). Right: how often each of "
+        f"the {tracks.n_landmarks} landmarks was seen (median {np.median(length):.0f})."
     )
+    return _figure("observations", "Observations", caption, data, drawing, clock="time")
 
 
 def _landmarks_over_time(tracks: StereoTracks) -> Figure:
     first = np.full(tracks.n_landmarks, tracks.n_frames)
     np.minimum.at(first, tracks.landmark, tracks.frame)
-    rank = np.empty(tracks.n_landmarks, dtype=np.int64)
-    rank[np.argsort(first, kind="stable")] = np.arange(tracks.n_landmarks)
+    rank = np.argsort(np.argsort(first, kind="stable"))
     rows = min(tracks.n_landmarks, 600)
     seen = np.zeros((rows, tracks.n_frames), dtype=np.uint8)
     seen[rank[tracks.landmark] * rows // tracks.n_landmarks, tracks.frame] = 1
-    figure = layout(
-        xaxis=axis(TIME_TITLE, showgrid=False),
-        yaxis=axis("landmarks, by first observation", showgrid=False, autorange="reversed"),
-    )
+    y = axis("landmarks, by first observation", showgrid=False, autorange="reversed")
+    drawing = layout(xaxis=axis(TIME_TITLE, showgrid=False), yaxis=y)
     marks = {"x": tracks.time_s, "y": (np.arange(rows) + 0.5) * tracks.n_landmarks / rows, "z": seen}
     style = {"colorscale": [[0, PAPER], [1, ACCENT]], "showscale": False, "hoverinfo": "skip"}
     # A heat map has no entry of its own in a legend: that of a trace without points.
@@ -204,15 +178,9 @@ def _landmarks_over_time(tracks: StereoTracks) -> Figure:
         {"type": "heatmap", **marks, **style, **on(1)},
         {"type": "scatter", "mode": "markers", "x": [None], "y": [None], **entry, **on(1)},
     ]
-    return Figure(
-        "landmarks-over-time",
-        "Landmarks over time",
+    caption = (
         "Each row is a landmark (or a few), each dark cell a frame that saw it. Rows that go dark again "
         "after a gap are landmarks recognised when the body had turned around: this loop closure is what "
-        "fixes the inertia.",
-        data,
-        figure,
-        height_px=380,
-        wide=False,
-        clock="time",
+        "fixes the inertia."
     )
+    return _figure("landmarks-over-time", "Landmarks over time", caption, data, drawing, clock="time")

@@ -1,27 +1,13 @@
 """Figures of the shape, in the geometric frame G: the sparse map and the surface."""
 
-from typing import Any
-
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from trimesh.visual.color import ColorVisuals
 
 from polhode.geometry.lie import Array, Ints, inverse_pose
-from polhode.records.estimate import Landmarks
-from polhode.report.plot_style import (
-    ACCENT,
-    INK,
-    SIGMA_SCALE,
-    TIME_SCALE,
-    Figure,
-    Trace,
-    axis_arrows,
-    color_bar,
-    columns,
-    points3d,
-    scene_layout,
-)
+from polhode.report import plot_style as style
+from polhode.report.plot_style import Figure, Layout, Trace, color_bar, points3d
 from polhode.run_directory.stored_run import StoredRun
 
 MAX_FACES = 14_000
@@ -32,7 +18,7 @@ def shape_figures(content: StoredRun) -> list[Figure]:
     """Map and mesh: those that exist."""
     figures = []
     if content.landmarks is not None and len(content.landmarks.p_G):
-        figures.append(_map(content, content.landmarks))
+        figures.append(_map(content, 1e3 * content.landmarks.p_G, 1e3 * content.landmarks.sigma_m))
     if content.surface is not None and len(content.surface.mesh.faces):
         figures.append(_mesh(content, content.surface.mesh))
     return figures
@@ -48,29 +34,25 @@ def thin_mesh(mesh: trimesh.Trimesh, max_faces: int) -> tuple[Array, Ints, Ints]
     faces = np.asarray(mesh.faces, dtype=np.int64)
     if len(faces) <= max_faces:
         return vertices, faces, np.arange(len(vertices))
+
+    def numbers(rows: Ints) -> Ints:
+        """One whole number for each row (n, 3): NumPy sorts numbers ten times faster than rows."""
+        return np.asarray(np.ravel_multi_index(tuple(rows.T), tuple(rows.max(axis=0, initial=0) + 1)))
+
     # A surface has about two triangles a cell that it crosses.
     cell = float(np.sqrt(mesh.area / max_faces))
     while True:
-        keys = _numbers_of(np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64))
+        keys = numbers(np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64))
         _, first, group = np.unique(keys, return_index=True, return_inverse=True)
         merged = group[faces]
         merged = merged[(merged != np.roll(merged, 1, axis=1)).all(axis=1)]
-        _, keep = np.unique(_numbers_of(np.sort(merged, axis=1)), return_index=True)
+        _, keep = np.unique(numbers(np.sort(merged, axis=1)), return_index=True)
         if len(keep) <= max_faces:
             break
         cell *= 1.15
     count = np.bincount(group)
     centres = np.stack([np.bincount(group, weights=vertices[:, k]) / count for k in range(3)], axis=1)
     return centres, merged[np.sort(keep)], first
-
-
-def _numbers_of(rows: Ints) -> Ints:
-    """(n,) numbers in the order of rows (n, 3) of whole numbers >= 0, whose ranges' product is below 2^63.
-
-    NumPy sorts numbers ten times faster than rows.
-    """
-    widths = rows.max(axis=0, initial=0) + 1
-    return np.asarray((rows[:, 0] * widths[1] + rows[:, 1]) * widths[2] + rows[:, 2])
 
 
 def cameras_in_target(content: StoredRun) -> Array | None:
@@ -80,80 +62,49 @@ def cameras_in_target(content: StoredRun) -> Array | None:
     return np.asarray(inverse_pose(content.motion.X_NG) @ content.tracks.X_NR)
 
 
-def _map(content: StoredRun, landmarks: Landmarks) -> Figure:
-    p_mm, sigma_mm = 1e3 * landmarks.p_G, 1e3 * landmarks.sigma_m
+def _map(content: StoredRun, p_mm: Array, sigma_mm: Array) -> Figure:
     known = np.isfinite(sigma_mm)
     top = float(np.quantile(sigma_mm[known], 0.95)) if np.any(known) else 1.0
-    data: list[Trace] = [
-        points3d(
-            round_to_binary(p_mm),
-            "landmarks",
-            marker={
-                "size": 2.6 if len(p_mm) < 3000 else 1.7,
-                "color": np.where(known, np.minimum(sigma_mm, top), top),
-                "colorscale": SIGMA_SCALE,
-                "cmin": 0,
-                "cmax": top,
-                "colorbar": color_bar("σ [mm]"),
-            },
-            hovertemplate="(%{x:.1f}, %{y:.1f}, %{z:.1f}) mm<extra></extra>",
-        ),
-        *_body_axes(content, p_mm),
-    ]
+    marker = {
+        "size": 2.6 if len(p_mm) < 3000 else 1.7,
+        "color": np.where(known, np.minimum(sigma_mm, top), top),
+        **{"colorscale": style.SIGMA_SCALE, "cmin": 0, "cmax": top, "colorbar": color_bar("σ [mm]")},
+    }
+    hover = "(%{x:.1f}, %{y:.1f}, %{z:.1f}) mm<extra></extra>"
+    points = points3d(round_to_binary(p_mm), "landmarks", marker=marker, hovertemplate=hover)
     unknown = f" {int(np.sum(~known))} have no determined σ." if not np.all(known) else ""
     median = f" Median σ {np.median(sigma_mm[known]):.2g} mm." if np.any(known) else ""
-    return Figure(
-        "sparse-map",
-        "Sparse map",
+    caption = (
         f"The {len(p_mm)} landmarks in the geometric frame G, coloured by their standard deviation (scale "
         f"ends at the 95th percentile).{median}{unknown} The lines start at the centre of mass and follow "
-        "the principal axes x (largest moment), y, z (smallest).",
-        data,
-        _body_layout(content),
-        height_px=560,
+        "the principal axes x (largest moment), y, z (smallest)."
     )
+    data = [points, *_body_axes(content, p_mm)]
+    return Figure("sparse-map", "Sparse map", caption, data, _body_layout(content), height_px=560)
 
 
 def _mesh(content: StoredRun, mesh: trimesh.Trimesh) -> Figure:
     vertices, faces, source = thin_mesh(mesh, MAX_FACES)
     p_mm = 1e3 * vertices
-    rgb = stretch_contrast(vertex_rgb(mesh))[source]
-    data: list[Trace] = [
-        {
-            "type": "mesh3d",
-            **columns("xyz", round_to_binary(p_mm)),
-            **columns("ijk", faces.astype(np.uint16)),
-            "intensity": rgb.mean(axis=1).round().astype(np.uint8),
-            "colorscale": [[0, "#000000"], [1, "#fefefe"]],
-            "cmin": 0,
-            "cmax": 255,
-            "showscale": False,
-            "lighting": {"ambient": 0.75, "diffuse": 0.55, "specular": 0.05, "roughness": 0.9},
-            "lightposition": {"x": 1000, "y": -2000, "z": 3000},
-            "name": "surface",
-            "showlegend": True,
-            "hoverinfo": "skip",
-        },
-        *_body_axes(content, p_mm),
-        *_cameras(content, p_mm),
-    ]
-    thin = (
-        f" The page shows {len(faces)} of {len(mesh.faces)} triangles; mesh.ply has all."
-        if len(faces) < len(mesh.faces)
-        else f" {len(mesh.faces)} triangles."
-    )
-    return Figure(
-        "mesh",
-        "Surface",
+    brightness = stretch_contrast(vertex_rgb(mesh))[source].mean(axis=1).round().astype(np.uint8)
+    look = {
+        "colorscale": [[0, "#000000"], [1, "#fefefe"]],
+        **{"cmin": 0, "cmax": 255, "showscale": False},
+        "lighting": {"ambient": 0.75, "diffuse": 0.55, "specular": 0.05, "roughness": 0.9},
+        "lightposition": {"x": 1000, "y": -2000, "z": 3000},
+    }
+    surface = style.mesh3d(round_to_binary(p_mm), faces, "surface", intensity=brightness, **look)
+    data = [surface, *_body_axes(content, p_mm), *_cameras(content, p_mm)]
+    shown = f"{len(mesh.faces)} triangles."
+    if len(faces) < len(mesh.faces):
+        shown = f"The page shows {len(faces)} of {len(mesh.faces)} triangles; mesh.ply has all."
+    caption = (
         "Fused from the depth maps, with the brightness of the images (without the Sun's shading where its "
         "direction was found), stretched to the full range; lines: principal axes at the centre of mass. The "
         "legend switches on from where the left camera looked at each frame: its direction, close to the "
-        f"body, and its position.{thin}",
-        data,
-        _body_layout(content),
-        height_px=520,
-        wide=False,
+        f"body, and its position. {shown}"
     )
+    return Figure("mesh", "Surface", caption, data, _body_layout(content), height_px=520, wide=False)
 
 
 def round_to_binary(points: Array) -> Array:
@@ -178,27 +129,20 @@ def stretch_contrast(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _body_axes(content: StoredRun, p_mm: Array) -> list[Trace]:
+    """Centre of mass, principal axes and, along those where it is undetermined, the range of the centre."""
     if content.motion is None:
         return []
-    com_mm = 1e3 * content.motion.com_G
+    com_mm, R_GP, intervals = 1e3 * content.motion.com_G, content.motion.R_GP, content.summary.intervals
     length = 0.75 * float(np.median(np.linalg.norm(p_mm - com_mm, axis=1))) * 2.0
-    marker = {"size": 6, "color": INK, "symbol": "diamond"}
-    centre = points3d(com_mm[None], "centre of mass", marker=marker)
-    return [centre, *_com_ranges(content, com_mm), *axis_arrows(com_mm, content.motion.R_GP, length, "xyz")]
-
-
-def _com_ranges(content: StoredRun, com_mm: Array) -> list[Trace]:
-    """Where the centre of mass can lie, a line along each principal axis along which it is undetermined."""
-    motion, intervals = content.motion, content.summary.intervals
-    if motion is None or intervals is None or intervals.com_shift_P is None:
-        return []
-    traces = []
-    for axis_G, shift in zip(motion.R_GP.T, intervals.com_shift_P, strict=True):
+    marker = {"size": 6, "color": style.INK, "symbol": "diamond"}
+    traces = [points3d(com_mm[None], "centre of mass", marker=marker)]
+    shifts = intervals.com_shift_P if intervals is not None else None
+    bar = {"mode": "lines", "line": {"color": style.ACCENT, "width": 9}}
+    for axis_G, shift in zip(R_GP.T, shifts or (None,) * 3, strict=True):
         if shift is not None:
             ends_mm = com_mm + 1e3 * np.outer(shift, axis_G)
-            style = {"mode": "lines", "line": {"color": ACCENT, "width": 9}}
-            traces.append(points3d(ends_mm, "centre of mass: possible range", **style))
-    return traces
+            traces.append(points3d(ends_mm, "centre of mass: possible range", **bar))
+    return [*traces, *style.axis_arrows(com_mm, R_GP, length, "xyz")]
 
 
 def _cameras(content: StoredRun, p_mm: Array) -> list[Trace]:
@@ -210,7 +154,7 @@ def _cameras(content: StoredRun, p_mm: Array) -> list[Trace]:
     distance = np.linalg.norm(away, axis=1, keepdims=True)
     reach = 1.35 * float(np.max(np.linalg.norm(p_mm - com_mm, axis=1)))
     close = com_mm + away / np.maximum(distance, 1e-9) * np.minimum(distance, reach)
-    marker = {"size": 3, "color": content.motion.trajectory.time_s, "colorscale": TIME_SCALE}
+    marker = {"size": 3, "color": content.motion.trajectory.time_s, "colorscale": style.TIME_SCALE}
     with_bar = marker | {"colorbar": color_bar("time [s]")}
     return [
         points3d(close, "camera direction", marker=with_bar, visible="legendonly"),
@@ -218,8 +162,8 @@ def _cameras(content: StoredRun, p_mm: Array) -> list[Trace]:
     ]
 
 
-def _body_layout(content: StoredRun) -> dict[str, Any]:
+def _body_layout(content: StoredRun) -> Layout:
     """Seen from where the left camera stood at the first frame, so that a side that was seen is in front."""
     X_GR = cameras_in_target(content)
     away = X_GR[0, :3, 3] - content.motion.com_G if X_GR is not None and content.motion else np.zeros(3)
-    return scene_layout(unit="mm", **({"eye": away} if np.any(away) else {}))
+    return style.scene_layout("mm", eye=away) if np.any(away) else style.scene_layout("mm")

@@ -1,6 +1,7 @@
 """The text and tables of the report: the finding in a sentence, values with their standard deviations."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,13 +10,7 @@ import numpy as np
 from polhode.geometry.lie import Array
 from polhode.records.metrics import ALIGNED, IN_INTERVAL, NEES, expected_range
 from polhode.run_directory.stored_run import StoredMotion, StoredRun
-from polhode.run_directory.summary_schema import (
-    SAME_MINIMUM,
-    Assumed,
-    Intervals,
-    IpoptSummary,
-    Summary,
-)
+from polhode.run_directory.summary_schema import SAME_MINIMUM, Assumed, Intervals, Summary
 from polhode.run_directory.trajectory_file import Trajectory
 
 AXIS_NAMES = ("x (largest moment)", "y (middle moment)", "z (smallest moment)")
@@ -44,27 +39,30 @@ def with_sigma(value: float, sigma: float | None) -> str:
 
 def finding(summary: Summary, trajectory: Trajectory | None) -> str:
     """What the run found, in a sentence or two."""
-    if trajectory is None or summary.inertia is None or summary.identifiable is None:
+    inertia, known = summary.inertia, summary.identifiable
+    if trajectory is None or inertia is None or known is None:
         reason = summary.warnings[0] if summary.warnings else "no estimate was reached"
         return f"No motion was found: {reason.rstrip('.')}."
-    rate = float(np.median(np.linalg.norm(trajectory.w_P, axis=1)))
+    rate = np.linalg.norm(trajectory.w_P, axis=1)
     speed_mm_s = 1e3 * float(np.median(np.linalg.norm(trajectory.v_N, axis=1)))
-    rotation = f"The target rotates at {rate * 30 / np.pi:.2f} RPM {_about(trajectory.w_P)}"
-    motion = f"{rotation} and drifts at {speed_mm_s:.1f} mm/s"
-    inertia, known = summary.inertia, summary.identifiable
-    bounded = summary.intervals or Intervals()
+    # The principal axis that is close to the angular velocity on average, if any.
+    share = np.mean(np.abs(trajectory.w_P), axis=0) / max(float(np.mean(rate)), 1e-12)
+    about = "about an axis that moves through the body"
+    if share.max() > 0.9:
+        about = f"about its principal axis {AXIS_NAMES[int(np.argmax(share))]}"
+    rpm = float(np.median(rate)) * 30 / np.pi
+    motion = f"The target rotates at {rpm:.2f} RPM {about} and drifts at {speed_mm_s:.1f} mm/s"
     ratios, unknown = [], []
     for k, name in enumerate(("k1", "k2")):
-        interval = getattr(bounded, name)
+        interval = getattr(summary.intervals, name, None)
         if getattr(known, name):
-            sigma = _root(inertia.cov[k][k])
-            ratios.append(f"{name} = {with_sigma(getattr(inertia, name), sigma)}")
+            ratios.append(f"{name} = {with_sigma(getattr(inertia, name), _root(inertia.cov[k][k]))}")
         else:
-            possible = "" if interval is None else f" ({_between('{:.2f}', *interval)} is possible)"
+            possible = "" if interval is None else f" ({_between('{:.2f}', interval)} is possible)"
             unknown.append(f"{name}{possible}")
-    ratios_found = f"its inertia ratios are {' and '.join(ratios)}" if ratios else ""
-    undetermined = f"this motion does not determine {' and '.join(unknown)}" if unknown else ""
-    return f"{motion}; {', '.join(part for part in (ratios_found, undetermined) if part)}."
+    found = [f"its inertia ratios are {' and '.join(ratios)}"] if ratios else []
+    found += [f"this motion does not determine {' and '.join(unknown)}"] if unknown else []
+    return f"{motion}; {', '.join(found)}."
 
 
 @dataclass(frozen=True)
@@ -93,16 +91,9 @@ class CheckPanel:
 
 
 def check_panel(summary: Summary) -> CheckPanel | None:
-    """None for runs of earlier versions, which have no checks."""
-    rows = check_rows(summary)
-    made = [row for row in rows if row.kind != "impossible"]
-    return CheckPanel(made, [row for row in rows if row.kind == "impossible"]) if rows else None
-
-
-def check_rows(summary: Summary) -> list[CheckRow]:
-    """The checks of data and answer, those that do not hold first; nothing for runs of earlier versions."""
+    """The checks of data and answer, those that do not hold first; None for runs of earlier versions."""
+    found: dict[str, list[CheckRow]] = {"doubt": [], "holds": [], "information": [], "impossible": []}
     verdicts = {"information": "no doubt", "impossible": "not possible with these data"}
-    rows = []
     for check in summary.checks:
         unit = f" {check.unit}" if check.unit else ""
         expected = "information"
@@ -112,8 +103,11 @@ def check_rows(summary: Summary) -> list[CheckRow]:
         if check.value is None or check.limit is None:
             kind = "impossible" if check.value is None else "information"
         value = "" if check.value is None else f"{_short(check.value)}{unit}"
-        rows.append(CheckRow(check.name, value, expected, verdicts.get(kind, kind), kind))
-    return sorted(rows, key=lambda row: ("doubt", "holds", "information", "impossible").index(row.kind))
+        found[kind].append(CheckRow(check.name, value, expected, verdicts.get(kind, kind), kind))
+    impossible = found.pop("impossible")
+    return (
+        CheckPanel([row for rows in found.values() for row in rows], impossible) if summary.checks else None
+    )
 
 
 def _short(value: float) -> str:
@@ -129,31 +123,31 @@ def inertia_rows(summary: Summary) -> list[TableRow]:
     detail, bounded = summary.identifiable_detail, summary.intervals or Intervals()
     rows = []
     for k, (name, ratio) in enumerate((("k1", "Jxx / Jyy"), ("k2", "Jyy / Jzz"))):
-        value, interval = with_sigma(getattr(inertia, name), _root(inertia.cov[k][k])), getattr(bounded, name)
-        if interval is not None:
-            value = _between("{:.2f}", *interval)
+        interval = getattr(bounded, name)
+        value = with_sigma(getattr(inertia, name), _root(inertia.cov[k][k]))
+        value = value if interval is None else _between("{:.2f}", interval)
         rows.append(_row(f"{name} = ln({ratio})", value, "", getattr(known, name), detail.get(name, "")))
     moments = " : ".join(map(with_sigma, inertia.moments, inertia.sigma_moments))
     rows.append(_row("moments Jxx : Jyy : Jzz", moments, "middle one 1", known.k1 and known.k2))
-    for k, name in enumerate("xyz"):
+    for k, axis in enumerate("xyz"):
         sigma = None if summary.cov_com_G is None else _root(summary.cov_com_G[k][k])
         value = with_sigma(1e3 * summary.com_G[k], None if sigma is None else 1e3 * sigma)
         if sigma is None and bounded.com_G is not None:
-            value = _between("{:.1f}", *(1e3 * end[k] for end in bounded.com_G))
-        rows.append(_row(f"centre of mass, {name} in G", value, "mm", sigma is not None))
-    for k, name in enumerate("xyz"):
+            value = _between("{:.1f}", [1e3 * end[k] for end in bounded.com_G])
+        rows.append(_row(f"centre of mass, {axis} in G", value, "mm", sigma is not None))
+    for k, axis in enumerate("xyz"):
         if not parts.com_P[k]:
             shift = None if bounded.com_shift_P is None else bounded.com_shift_P[k]
             value, unit = "no bound", ""
             if shift is not None:
-                value, unit = _between("{:+.1f}", *(1e3 * end for end in shift)), "mm from com_G"
-            words = detail.get(f"com_{name}", "")
-            rows.append(_row(f"centre of mass, along the principal axis {name}", value, unit, False, words))
-    for k, name in enumerate("xyz"):
+                value, unit = _between("{:+.1f}", [1e3 * end for end in shift]), "mm from com_G"
+            words = detail.get(f"com_{axis}", "")
+            rows.append(_row(f"centre of mass, along the principal axis {axis}", value, unit, False, words))
+    for k, axis in enumerate("xyz"):
         root = None if summary.cov_R_GP is None else _root(summary.cov_R_GP[k][k])
         value, unit = ("no bound", "") if root is None else (f"± {np.rad2deg(root):.2g}", "deg")
-        words = detail.get(f"axes_{name}", "")
-        rows.append(_row(f"principal axes, rotated about {name}", value, unit, parts.axes_P[k], words))
+        words = detail.get(f"axes_{axis}", "")
+        rows.append(_row(f"principal axes, rotated about {axis}", value, unit, parts.axes_P[k], words))
     return rows
 
 
@@ -165,8 +159,17 @@ def intervals_rest_on(summary: Summary) -> str:
     return f"A range is where a quantity can lie that the motion does not determine: {bounds}."
 
 
-def _between(form: str, low: float, high: float) -> str:
-    return f"from {form.format(low)} to {form.format(high)}"
+def _between(form: str, ends: Sequence[float]) -> str:
+    return f"from {form.format(ends[0])} to {form.format(ends[1])}"
+
+
+def _row(name: str, value: str, unit: str, determined: bool, reason: str = "") -> TableRow:
+    verdict = "determined" if determined else reason or "not determined by this motion"
+    return TableRow(name, value, unit, verdict, determined)
+
+
+def _root(variance: float | None) -> float | None:
+    return None if variance is None else float(np.sqrt(max(variance, 0.0)))
 
 
 def absolute_rows(summary: Summary) -> list[TableRow]:
@@ -174,32 +177,28 @@ def absolute_rows(summary: Summary) -> list[TableRow]:
     inertia, detail = summary.inertia, summary.identifiable_detail
     if inertia is None:
         return []
-    rows = []
-    for name, value, sigma, unit, key in (
-        ("mass", inertia.mass_kg, inertia.sigma_mass_kg, "kg", "mass"),
-        ("middle moment Jyy", inertia.scale_kg_m2, inertia.sigma_scale_kg_m2, "kg m²", "inertia_scale"),
-    ):
-        if value is not None:
-            known = sigma is not None
-            rows.append(_row(name, with_sigma(value, sigma), unit, known, detail.get(key, "")))
-    return rows
+    return [
+        _row(name, with_sigma(value, sigma), unit, sigma is not None, detail.get(key, ""))
+        for name, value, sigma, unit, key in (
+            ("mass", inertia.mass_kg, inertia.sigma_mass_kg, "kg", "mass"),
+            ("middle moment Jyy", inertia.scale_kg_m2, inertia.sigma_scale_kg_m2, "kg m²", "inertia_scale"),
+        )
+        if value is not None
+    ]
 
 
 def disturbance_rows(summary: Summary) -> list[TableRow]:
     """Effect of unknown forces and torques, two lines for each disturbance."""
     rows = []
     for impulse in summary.unknown_pushes:
-        when = f"from {impulse.start_s:.1f} s to {impulse.end_s:.1f} s"
-        velocity, rate = "change of velocity, along N", "change of rate, along P"
         for name, change, sigma, scale, unit in (
-            (velocity, impulse.delta_v_N, impulse.sigma_delta_v_N, 1e3, "mm/s"),
-            (rate, impulse.delta_w_P, impulse.sigma_delta_w_P, float(np.rad2deg(1.0)), "deg/s"),
+            ("velocity, along N", impulse.delta_v_N, impulse.sigma_delta_v_N, 1e3, "mm/s"),
+            ("rate, along P", impulse.delta_w_P, impulse.sigma_delta_w_P, float(np.rad2deg(1.0)), "deg/s"),
         ):
-            parts = [
-                with_sigma(scale * value, None if s is None else scale * s)
-                for value, s in zip(change, sigma, strict=True)
-            ]
-            rows.append(TableRow(f"{when}: {name}", ", ".join(parts), unit))
+            scaled = [None if s is None else scale * s for s in sigma]
+            parts = map(with_sigma, [scale * value for value in change], scaled)
+            when = f"from {impulse.start_s:.1f} s to {impulse.end_s:.1f} s"
+            rows.append(TableRow(f"{when}: change of {name}", ", ".join(parts), unit))
     return rows
 
 
@@ -232,40 +231,34 @@ def run_rows(content: StoredRun) -> list[TableRow]:
         TableRow("landmarks", f"{summary.landmarks}"),
         TableRow("observations", f"{summary.observations}"),
     ]
-    if summary.noise is not None:
-        noise = summary.noise
-        rows += [
-            TableRow("noise of u, v", f"{noise.pixel_sigma_px:.3f}", "px"),
-            TableRow("noise of the disparity", f"{noise.disparity_sigma_px:.3f}", "px"),
-        ]
+    if (noise := summary.noise) is not None:
+        rows.append(TableRow("noise of u, v", f"{noise.pixel_sigma_px:.3f}", "px"))
+        rows.append(TableRow("noise of the disparity", f"{noise.disparity_sigma_px:.3f}", "px"))
         if noise.drift_px is not None:
             rows.append(TableRow("features slide with light and view", f"{noise.drift_px:.3f}", "px"))
-        rows += [
-            TableRow("disturbance acceleration", f"{np.sqrt(noise.accel_psd):.2g}", "m/s² /√Hz"),
-            TableRow("disturbance torque / Jyy", f"{np.sqrt(noise.torque_psd):.2g}", "rad/s² /√Hz"),
-        ]
-    if summary.solver is not None:
-        solver = summary.solver
+        rows.append(TableRow("disturbance acceleration", f"{np.sqrt(noise.accel_psd):.2g}", "m/s² /√Hz"))
+        rows.append(TableRow("disturbance torque / Jyy", f"{np.sqrt(noise.torque_psd):.2g}", "rad/s² /√Hz"))
+    if (solver := summary.solver) is not None:
         ended = "converged" if solver.converged else f"stopped: {solver.message or 'not converged'}"
         rows.append(TableRow("solver", f"{solver.name}, {solver.iterations} iterations"))
         rows.append(TableRow("solver's end", ended, determined=solver.converged))
-        if solver.ipopt is not None:
-            rows.append(TableRow("IPOPT", _ipopt_in_words(solver.ipopt)))
+        if (ipopt := solver.ipopt) is not None:
+            words = f"{ipopt.status}, {ipopt.iterations} iterations"
+            words += "" if ipopt.optimality is None else f", gradient {ipopt.optimality:.1g}"
+            if ipopt.constraint_violation:
+                words += f", constraints violated by {ipopt.constraint_violation:.1g}"
+            rows.append(TableRow("IPOPT", words))
         rows.append(TableRow("cost", f"{solver.cost:.6g}"))
         if solver.reduced_chi2 is not None:
             rows.append(TableRow("reduced chi-squared", f"{solver.reduced_chi2:.3f}"))
-        rows += [TableRow(f"start from {name}", _outcome(cost)) for name, cost in solver.runner_up.items()]
+        # Not a judgement: right and wrong runs do not differ by the excess cost of another start. An
+        # ambiguity that matters is in the sigmas and the warnings.
+        for name, cost in solver.runner_up.items():
+            words = "did not converge" if cost is None else "ended in the same minimum"
+            if cost is not None and cost > SAME_MINIMUM:
+                words = f"ended in another minimum, whose cost is higher by {_short(cost)}"
+            rows.append(TableRow(f"start from {name}", words))
     return rows
-
-
-def _ipopt_in_words(end: IpoptSummary) -> str:
-    """Its status, iterations, gradient and, with constraints, their largest violation."""
-    words = [f"{end.status}, {end.iterations} iterations"]
-    if end.optimality is not None:
-        words.append(f"gradient {end.optimality:.1g}")
-    if end.constraint_violation:
-        words.append(f"constraints violated by {end.constraint_violation:.1g}")
-    return ", ".join(words)
 
 
 def motion_rows(motion: StoredMotion | None) -> list[TableRow]:
@@ -273,10 +266,11 @@ def motion_rows(motion: StoredMotion | None) -> list[TableRow]:
     if motion is None:
         return []
     path = motion.trajectory
-    rate = np.linalg.norm(path.w_P, axis=1)
+    rate_deg_s = np.rad2deg(np.median(np.linalg.norm(path.w_P, axis=1)))
+    distance_m = np.median(np.linalg.norm(path.r_N, axis=1))
     rows = [
-        TableRow("angular velocity, median", f"{np.rad2deg(np.median(rate)):.2f}", "deg/s"),
-        TableRow("distance from the origin of N", f"{np.median(np.linalg.norm(path.r_N, axis=1)):.4f}", "m"),
+        TableRow("angular velocity, median", f"{rate_deg_s:.2f}", "deg/s"),
+        TableRow("distance from the origin of N", f"{distance_m:.4f}", "m"),
     ]
     for name, _, sigma, unit in _sigmas(path):
         worst = np.max(np.median(sigma, axis=0))
@@ -295,6 +289,46 @@ def _sigmas(path: Trajectory) -> tuple[tuple[str, str, Array, str], ...]:
     )
 
 
+@dataclass(frozen=True)
+class SigmaRow:
+    """Standard deviations as text: along three axes, or one of a quantity without axes."""
+
+    name: str
+    unit: str
+    cells: tuple[str, ...]
+
+    @property
+    def along_axes(self) -> bool:
+        """Whether the cells are x, y, z."""
+        return len(self.cells) == 3
+
+
+def sigma_rows(content: StoredRun) -> list[SigmaRow]:
+    """States averaged over all frames, then the constants; nothing without an estimate."""
+    motion, summary = content.motion, content.summary
+    if motion is None or summary.inertia is None:
+        return []
+
+    def cells(sigma: Array) -> tuple[str, ...]:
+        return tuple(f"{value:.3g}" if np.isfinite(value) else "no bound" for value in sigma)
+
+    def roots(covariance: Any) -> Array:
+        """Infinite where a variance is null in summary.json."""
+        variance = np.diag(np.array(covariance, dtype=np.float64))
+        return np.where(np.isfinite(variance), np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), np.inf)
+
+    com, axes, ratios = map(roots, (summary.cov_com_G, summary.cov_R_GP, summary.inertia.cov))
+    return [
+        *(
+            SigmaRow(f"{name}, {along}, mean over the frames", unit, cells(sigma.mean(axis=0)))
+            for name, along, sigma, unit in _sigmas(motion.trajectory)
+        ),
+        SigmaRow("centre of mass, along G", "mm", cells(1e3 * com)),
+        SigmaRow("principal axes, about P", "deg", cells(np.rad2deg(axes))),
+        *(SigmaRow(f"inertia ratio k{k}", "", (cell,)) for k, cell in enumerate(cells(ratios), start=1)),
+    ]
+
+
 def timing_rows(summary: Summary) -> list[tuple[str, float, float]]:
     """(stage, seconds, share of the longest); without the report, which is timed after it is made."""
     times = {name: getattr(summary.timing_s, name) for name in type(summary.timing_s).model_fields}
@@ -310,27 +344,41 @@ def metric_rows(metrics: dict[str, Any]) -> list[TableRow]:
     """
     rows = []
     for key, value in metrics.items():
-        if isinstance(value, dict):
-            scaled = {f"{name}_m" if key.endswith("_m") else name: part for name, part in value.items()}
-            for (name, part), row in zip(value.items(), metric_rows(scaled), strict=True):
-                expected = expected_range(key, name)
-                words, holds = "", True
-                if expected is not None and part is not None:
-                    words = f"expected {expected[0]:.2g} to {expected[1]:.3g}"
-                    holds = expected[0] <= part <= expected[1]
-                elif key == IN_INTERVAL:
-                    words, holds = "expected True", bool(part)
-                aligned = f", {ALIGNED[key]}" if key in ALIGNED else ""
-                name = f"{_plain(key)}: {_member(row.name)}{aligned}"
-                rows.append(TableRow(name, row.value, words, determined=holds))
+        if not isinstance(value, dict):
+            rows.append(TableRow(_plain(key), _number(key, value)))
             continue
-        text = "–" if value is None else str(value)
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            text = f"{(1e3 if key.endswith(('_m', '_m_s')) else 1.0) * value:.4g}"
-        elif isinstance(value, list):
-            text = ", ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in value)
-        rows.append(TableRow(_plain(key), text))
+        for name, part in value.items():
+            expected = expected_range(key, name)
+            words, holds = "", True
+            if expected is not None and part is not None:
+                words = f"expected {expected[0]:.2g} to {expected[1]:.3g}"
+                holds = expected[0] <= part <= expected[1]
+            elif key == IN_INTERVAL:
+                words, holds = "expected True", bool(part)
+            member = f"{name} s after the last image" if name.isdigit() else _plain(name)
+            aligned = f", {ALIGNED[key]}" if key in ALIGNED else ""
+            text = _number(key if key.endswith("_m") else name, part)
+            rows.append(TableRow(f"{_plain(key)}: {member}{aligned}", text, words, determined=holds))
     return rows
+
+
+def _number(key: str, value: Any) -> str:
+    """A value of metrics.json as text, metres in millimetres."""
+    if isinstance(value, list):
+        return ", ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in value)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return f"{(1e3 if key.endswith(('_m', '_m_s')) else 1.0) * value:.4g}"
+    return "–" if value is None else str(value)
+
+
+def _plain(key: str) -> str:
+    """rmse_angular_velocity_deg_s -> RMSE angular velocity [deg/s]; completeness_3mm stays a share."""
+    key = re.sub(r"^(rmse|nees)(?=_|$)", lambda word: word[0].upper(), key)
+    units = {"_deg_s": "deg/s", "_m_s": "mm/s", "_deg": "deg", "_mm": "mm", "_m": "mm", "_s": "s"}
+    for suffix, unit in units.items():
+        if key.endswith(suffix):
+            return f"{key.removesuffix(suffix).replace('_', ' ')} [{unit}]"
+    return key.replace("_", " ")
 
 
 def nees_sentences(metrics: dict[str, Any]) -> list[str]:
@@ -344,69 +392,18 @@ def nees_sentences(metrics: dict[str, Any]) -> list[str]:
                 below.append(f"{words} ({value:.2g}, at least {low:.2g} is expected)")
             elif value > high:
                 above.append(f"{words} ({value:.2g}, at most {high:.3g} is expected)")
+    meaning = (
+        "the error is smaller than the stated σ let expect, which here are on the cautious side. The errors "
+        "of a run's frames depend on one another, so that this is one draw, and one in forty falls below "
+        "even if the σ are right.",
+        "the error is larger than the stated σ let expect; one draw in forty is, if they are right.",
+    )
     sentences = []
-    if below:
-        sentences.append(
-            f"Below its range is the NEES of {_listed(below)}: the error is smaller than the stated σ let "
-            "expect, which here are on the cautious side. The errors of a run's frames depend on one "
-            "another, so that this is one draw, and one in forty falls below even if the σ are right."
-        )
-    if above:
-        sentences.append(
-            f"Above its range is the NEES of {_listed(above)}: the error is larger than the stated σ let "
-            "expect; one draw in forty is, if they are right."
-        )
+    for side, some, words in zip(("Below", "Above"), (below, above), meaning, strict=True):
+        if some:
+            listed = " and ".join([", ".join(some[:-1]), some[-1]][-len(some) :])
+            sentences.append(f"{side} its range is the NEES of {listed}: {words}")
     return sentences
-
-
-def _listed(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
-
-
-def _about(w_P: Array) -> str:
-    """The principal axis that is close to the angular velocity on average, if any."""
-    share = np.mean(np.abs(w_P), axis=0) / max(float(np.mean(np.linalg.norm(w_P, axis=1))), 1e-12)
-    k = int(np.argmax(share))
-    if share[k] > 0.9:
-        return f"about its principal axis {AXIS_NAMES[k]}"
-    return "about an axis that moves through the body"
-
-
-def _row(name: str, value: str, unit: str, determined: bool, reason: str = "") -> TableRow:
-    verdict = "determined" if determined else reason or "not determined by this motion"
-    return TableRow(name, value, unit, verdict, determined)
-
-
-def _root(variance: float | None) -> float | None:
-    return None if variance is None else float(np.sqrt(max(variance, 0.0)))
-
-
-def _outcome(cost: float | None) -> str:
-    """Where another start of the inertia ended, by its excess cost over the chosen one.
-
-    Not a judgement: right and wrong runs do not differ by it (``answer_checks/estimate_checks``). An
-    ambiguity that matters is in the sigmas and the warnings.
-    """
-    if cost is None:
-        return "did not converge"
-    if cost <= SAME_MINIMUM:
-        return "ended in the same minimum"
-    return f"ended in another minimum, whose cost is higher by {_short(cost)}"
-
-
-def _member(name: str) -> str:
-    name = name.removesuffix(" [mm]") if name.split(" ")[0].isdigit() else name
-    return f"{name} s after the last image" if name.isdigit() else name
-
-
-def _plain(key: str) -> str:
-    """rmse_angular_velocity_deg_s -> RMSE angular velocity [deg/s]; completeness_3mm stays a share."""
-    key = re.sub(r"^(rmse|nees)(?=_|$)", lambda word: word[0].upper(), key)
-    units = {"_deg_s": "deg/s", "_m_s": "mm/s", "_deg": "deg", "_mm": "mm", "_m": "mm", "_s": "s"}
-    for suffix, unit in units.items():
-        if key.endswith(suffix):
-            return f"{key.removesuffix(suffix).replace('_', ' ')} [{unit}]"
-    return key.replace("_", " ")
 
 
 def mesh_rows(summary: Summary) -> list[TableRow]:
@@ -443,42 +440,3 @@ def mesh_sentences(summary: Summary) -> list[str]:
     """What was not seen, and the mass distribution compared with the volume."""
     sentences = [] if summary.coverage is None else [summary.coverage.words]
     return [*sentences, *(summary.physics.words if summary.physics is not None else ())]
-
-
-@dataclass(frozen=True)
-class SigmaRow:
-    """Standard deviations as text: along three axes, or one of a quantity without axes."""
-
-    name: str
-    unit: str
-    cells: tuple[str, ...]
-
-    @property
-    def along_axes(self) -> bool:
-        """Whether the cells are x, y, z."""
-        return len(self.cells) == 3
-
-
-def sigma_rows(content: StoredRun) -> list[SigmaRow]:
-    """States averaged over all frames, then the constants; nothing without an estimate."""
-    motion, summary = content.motion, content.summary
-    if motion is None or summary.inertia is None:
-        return []
-    rows = [
-        SigmaRow(f"{name}, {along}, mean over the frames", unit, _cells(sigma.mean(axis=0)))
-        for name, along, sigma, unit in _sigmas(motion.trajectory)
-    ]
-    com, axes, ratios = map(_roots, (summary.cov_com_G, summary.cov_R_GP, summary.inertia.cov))
-    rows.append(SigmaRow("centre of mass, along G", "mm", _cells(1e3 * com)))
-    rows.append(SigmaRow("principal axes, about P", "deg", _cells(np.rad2deg(axes))))
-    return rows + [SigmaRow(f"inertia ratio k{k + 1}", "", (cell,)) for k, cell in enumerate(_cells(ratios))]
-
-
-def _roots(covariance: Any) -> Array:
-    """Standard deviations; infinite where a variance is null in summary.json."""
-    variance = np.diag(np.array(covariance, dtype=np.float64))
-    return np.where(np.isfinite(variance), np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), np.inf)
-
-
-def _cells(sigma: Array) -> tuple[str, ...]:
-    return tuple(f"{value:.3g}" if np.isfinite(value) else "no bound" for value in sigma)

@@ -25,19 +25,29 @@ _FILES = {
 
 def fill(template: str, **values: Any) -> str:
     """A template of this package, filled with values; it also gets style, script, library and encoders."""
-    return (
-        _environment()
-        .get_template(template)
-        .render(
-            style=Markup(_FILES["page.css"]),  # noqa: S704  of this package
-            script=Markup(_FILES["page.js"]),  # noqa: S704  of this package
-            plotly_deflated=_plotly(),
-            dark_colors=json_text(DARK),
-            figure_text=figure_text,
-            css_text=css_text,
-            **values,
-        )
+    return _environment().get_template(template).render(values)
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=DictLoader(_FILES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
+    environment.globals.update(
+        style=Markup(_FILES["page.css"]),  # noqa: S704  of this package
+        script=Markup(_FILES["page.js"]),  # noqa: S704  of this package
+        # The plotting library, compressed: 40 % of its size.
+        plotly_deflated=deflated(get_plotlyjs()),
+        dark_colors=json_text(DARK),
+        figure_text=figure_text,
+        css_text=css_text,
+        find_terms=find_terms,
+    )
+    return environment
 
 
 def deflated(text: str) -> Markup:
@@ -61,36 +71,11 @@ def css_text(text: str) -> Markup:
 
     A space ends each escape: a style sheet takes one away there, even after six digits.
     """
-    escaped = "".join(each if re.match("[A-Za-z0-9 ]", each) else f"\\{ord(each):06x} " for each in text)
-    return Markup(escaped)  # noqa: S704
-
-
-@cache
-def _environment() -> Environment:
-    environment = Environment(
-        loader=DictLoader(_FILES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    # Macros see globals only.
-    environment.globals["find_terms"] = find_terms
-    return environment
+    return Markup(re.sub("[^A-Za-z0-9 ]", lambda each: f"\\{ord(each[0]):06x} ", text))  # noqa: S704
 
 
 def figure_text(figure: Figure) -> Markup:
     """A figure as the page holds it: for plotly.js, compressed."""
-    content = {
-        "data": figure.traces,
-        "layout": {**figure.layout, "height": figure.height_px},
-        "narrow": figure.narrow,
-        "clock": figure.clock,
-    }
+    drawing = figure.layout | {"height": figure.height_px}
+    content = {"data": figure.traces, "layout": drawing, "narrow": figure.narrow, "clock": figure.clock}
     return deflated(json.dumps(content, separators=(",", ":"), allow_nan=False, default=packed))
-
-
-@cache
-def _plotly() -> Markup:
-    """The library, compressed: 40 % of its size."""
-    return deflated(get_plotlyjs())

@@ -38,8 +38,6 @@ BODY_ORDER: tuple[str, ...] = tuple(name.replace("_P_", "_G_") for name in JOINT
 POSE_ORDER: tuple[str, ...] = tuple(f"{name}_G_{axis}" for name in ("shift", "turn") for axis in "xyz")
 """Rows and columns of the 6x6 covariance of X_NG."""
 
-_KINDS = {"fiu": "numbers", "iu": "whole numbers", "b": "booleans", "U": "a text"}
-
 
 @dataclass(frozen=True)
 class Covariance:
@@ -129,11 +127,10 @@ class Archive:
             raise self.wrong(f"the array {name} is missing")
         values = self.arrays[name]
         if values.dtype.kind not in kinds:
-            raise self.wrong(f"{name} holds {values.dtype}, expected {_KINDS[kinds]}")
-        fits = len(values.shape) == len(shape) and all(
-            wanted in (None, size) for wanted, size in zip(shape, values.shape, strict=True)
-        )
-        if not fits:
+            wanted = {"fiu": "numbers", "iu": "whole numbers", "b": "booleans", "U": "a text"}[kinds]
+            raise self.wrong(f"{name} holds {values.dtype}, expected {wanted}")
+        same_rank = len(values.shape) == len(shape)
+        if not same_rank or any(n not in (None, m) for n, m in zip(shape, values.shape, strict=True)):
             wanted = " x ".join("n" if size is None else str(size) for size in shape) or "one number"
             given = " x ".join(map(str, values.shape)) or "one number"
             raise self.wrong(f"{name} is {given}, expected {wanted}")
@@ -218,8 +215,19 @@ def read_measurements(path: Path) -> StereoTracks:
     sigma_px = archive.numbers("sigma_px", count, 3)
     if np.any(sigma_px <= 0.0):
         raise archive.wrong("sigma_px is not positive everywhere")
+    sizes = {name: int(archive.whole(f"rig_{name}")) for name in ("width_px", "height_px")}
+    lengths = [f.name for f in fields(RectifiedRig) if f.name not in sizes]
+    found: dict[str, Any] = {**{name: archive.number(f"rig_{name}") for name in lengths}, **sizes}
+    for name in ("focal_px", "baseline_m", "width_px", "height_px"):
+        if not found[name] > 0:
+            raise archive.wrong(f"rig_{name} is not positive")
+    wrench = None
+    if "wrench_time_ns" in archive:
+        time_ns = archive.times("wrench_time_ns")
+        vectors = (archive.numbers(f"wrench_{name}", len(time_ns), 3) for name in ("force_N", "torque_P"))
+        wrench = Wrench(time_ns, *vectors)
     return StereoTracks(
-        rig=_rig(archive),
+        rig=RectifiedRig(**found),
         timestamps_ns=timestamps_ns,
         X_NR=archive.numbers("X_NR", len(timestamps_ns), 4, 4),
         frame=frame,
@@ -229,33 +237,7 @@ def read_measurements(path: Path) -> StereoTracks:
         sigma_camera_p_m=archive.number("sigma_camera_p_m"),
         sigma_camera_theta_rad=archive.number("sigma_camera_theta_rad"),
         X_BR=archive.numbers("X_BR", 4, 4),
-        wrench=_wrench(archive),
-    )
-
-
-def _rig(archive: Archive) -> RectifiedRig:
-    names = [f.name for f in fields(RectifiedRig)]
-    found: dict[str, Any] = {
-        name: int(archive.whole(f"rig_{name}"))
-        if name in ("width_px", "height_px")
-        else archive.number(f"rig_{name}")
-        for name in names
-    }
-    rig = RectifiedRig(**found)
-    for name in ("focal_px", "baseline_m", "width_px", "height_px"):
-        if not getattr(rig, name) > 0:
-            raise archive.wrong(f"rig_{name} is not positive")
-    return rig
-
-
-def _wrench(archive: Archive) -> Wrench | None:
-    if "wrench_time_ns" not in archive:
-        return None
-    time_ns = archive.times("wrench_time_ns")
-    return Wrench(
-        time_ns=time_ns,
-        force_N=archive.numbers("wrench_force_N", len(time_ns), 3),
-        torque_P=archive.numbers("wrench_torque_P", len(time_ns), 3),
+        wrench=wrench,
     )
 
 
@@ -319,7 +301,6 @@ def read_online(path: Path) -> OnlineEstimate | None:
         values = archive.arrays.get(name)
         if values is None or values.shape[:1] != (count,):
             raise archive.wrong(f"{name} has not one row for each of {count} frames")
-        found[name] = (
-            archive.numbers(name, *values.shape, infinite=True) if values.dtype.kind == "f" else values
-        )
+        is_float = values.dtype.kind == "f"
+        found[name] = archive.numbers(name, *values.shape, infinite=True) if is_float else values
     return OnlineEstimate(**found)

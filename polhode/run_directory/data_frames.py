@@ -45,7 +45,15 @@ def columns_of(table: TableName, folder: Path, summary: Summary) -> Columns:
             "observations": landmarks.observations,
         }
     if table == "observations":
-        return _observations(folder)
+        tracks, residuals = read_measurements(folder), read_residuals(folder)
+        stamps = tracks.timestamps_ns[tracks.frame]
+        columns: Columns = {"timestamp_ns": stamps, "frame": tracks.frame, "landmark": tracks.landmark}
+        groups = {"": tracks.uvd_px, "sigma_": tracks.sigma_px}
+        groups |= {} if residuals is None else {"residual_": residuals.residuals_px}
+        for prefix, values in groups.items():
+            for name, column in zip(("u_px", "v_px", "disparity_px"), values.T, strict=True):
+                columns[f"{prefix}{name}"] = column
+        return columns if residuals is None else {**columns, "inlier_weight": residuals.inlier_weight}
     if table == "checks":
         if summary.verdict is None:
             raise InputError(f"{folder}: this run is of a version without a verdict; {REMEDY}")
@@ -79,22 +87,3 @@ def kept_landmarks(folder: Path) -> Ints:
             f"were kept: it is not the map of this run; {REMEDY}"
         )
     return kept
-
-
-def _observations(folder: Path) -> Columns:
-    tracks, residuals = read_measurements(folder), read_residuals(folder)
-    columns: Columns = {
-        "timestamp_ns": tracks.timestamps_ns[tracks.frame],
-        "frame": tracks.frame,
-        "landmark": tracks.landmark,
-    }
-    groups = {"": tracks.uvd_px, "sigma_": tracks.sigma_px}
-    if residuals is not None:
-        groups["residual_"] = residuals.residuals_px
-    for prefix, values in groups.items():
-        columns |= {
-            f"{prefix}{name}": values[:, i] for i, name in enumerate(("u_px", "v_px", "disparity_px"))
-        }
-    if residuals is not None:
-        columns["inlier_weight"] = residuals.inlier_weight
-    return columns

@@ -21,9 +21,6 @@ from polhode.run_directory.archives import (
 from polhode.run_directory.trajectory_file import read_trajectory
 from polhode.runtime.errors import InputError
 
-CONFIG = "config.yaml"
-
-
 NUMBERS: dict[str, tuple[Callable[[Path], object], ...]] = {
     "trajectory.csv": (read_trajectory,),
     "covariance.npz": (read_covariance,),
@@ -31,7 +28,7 @@ NUMBERS: dict[str, tuple[Callable[[Path], object], ...]] = {
     "online.npz": (read_online,),
 }
 """By name: the files whose numbers are used together, and their readers."""
-EDITABLE: tuple[str, ...] = (CONFIG, "landmarks.ply", "mesh.ply")
+EDITABLE: tuple[str, ...] = ("config.yaml", "landmarks.ply", "mesh.ply")
 """Files that users may change on purpose: a mesh is cleaned, a configuration is run again."""
 METRICS = "metrics.json"
 OF_SUMMARY = "summary_sha256"
@@ -43,7 +40,7 @@ _log = logging.getLogger(__name__)
 def digests(folder: Path, names: Iterable[str]) -> dict[str, str]:
     """SHA-256, hexadecimal, of those of a run's files that do not change later; pictures are left out."""
     kept = (name for name in sorted(names) if "/" not in name and not name.startswith("."))
-    return {name: _digest(folder / name) for name in kept if name == CONFIG or name not in LATER}
+    return {name: _digest(folder / name) for name in kept if name == "config.yaml" or name not in LATER}
 
 
 def require_own_results(folder: Path, recorded: Mapping[str, str] | None) -> None:
@@ -52,15 +49,22 @@ def require_own_results(folder: Path, recorded: Mapping[str, str] | None) -> Non
     Raises InputError for sound numbers that are not this run's. Damaged files are left to their readers,
     which say what is wrong with them; for surfaces, landmarks and the configuration there is a warning.
     """
-    if recorded is None:
-        return
-    for name, readers in NUMBERS.items():
-        wrong = _difference(folder / name, recorded)
-        if wrong and all(_is_sound(folder / name, read) for read in readers):
-            raise InputError(f"{wrong}; take all files of one run")
-    for name in EDITABLE:
-        if wrong := _difference(folder / name, recorded):
+    for name in () if recorded is None else (*NUMBERS, *EDITABLE):
+        file = folder / name
+        found = _readable_digest(file) if file.is_file() else None
+        if recorded is None or found is None or found == recorded.get(name):
+            continue
+        why = "has another digest" if name in recorded else "has no digest of it"
+        wrong = f"{file}: not the file that this run wrote (summary.json {why})"
+        if name in EDITABLE:
             _log.warning("%s; it was changed, or is of another run", wrong)
+            continue
+        try:
+            for read in NUMBERS[name]:
+                read(file)
+        except InputError:
+            continue
+        raise InputError(f"{wrong}; take all files of one run")
 
 
 def changed_results(folder: Path, recorded: Mapping[str, str] | None) -> set[str]:
@@ -92,29 +96,12 @@ def own_metrics(folder: Path, metrics: dict[str, Any]) -> dict[str, Any]:
     return {}
 
 
-def _difference(file: Path, recorded: Mapping[str, str]) -> str:
-    """How the file differs from that of the run; empty: it is the same, or there is none to compare."""
-    found = _readable_digest(file) if file.is_file() else None
-    if found is None or found == recorded.get(file.name):
-        return ""
-    why = "has another digest" if file.name in recorded else "has no digest of it"
-    return f"{file}: not the file that this run wrote (summary.json {why})"
-
-
 def _readable_digest(file: Path) -> str | None:
     """None: it cannot be read, or is too large."""
     try:
         return _digest(file)
     except InputError:
         return None
-
-
-def _is_sound(file: Path, read: Callable[[Path], object]) -> bool:
-    try:
-        read(file)
-    except InputError:
-        return False
-    return True
 
 
 def _digest(file: Path) -> str:

@@ -34,15 +34,10 @@ from polhode.run_directory.verdict import lower_status
 from polhode.runtime.errors import InputError, RunFailure
 
 REPORT = "report.html"
-CONFIG_SIGN, PAGE_SIGN = "# Resolved configuration", "polhode</title>"
-"""At the beginning of config.yaml and report.html of every run: names that other programs use as well."""
 RESULTS: tuple[str, ...] = ("measurements.npz", "trajectory.csv", "landmarks.ply", "mesh.ply")
 """A failed run is worth publishing if it contains one of these."""
-
 NEEDED: tuple[str, ...] = ("config.yaml", "trajectory.csv", "covariance.npz")
 """A folder without them is no run; the first is in that of a failed one, too."""
-
-INTERRUPTED = "finished stages are kept, the same command with --resume goes on from there"
 
 _log = logging.getLogger(__name__)
 
@@ -91,14 +86,16 @@ def atomic_run_folder(
     overwrite = overwrite or resume
     with staged_folder(place, path, is_run_file, lambda folder: own_files(folder) is not None) as staged:
         _require_usable(place, path, overwrite)
-        stages = KeptStages(staged.path / STAGES, place, resume)
+        stages, before = KeptStages(staged.path / STAGES, place, resume), None
         if resume:
             staged.claim(is_stage_file)
             stages.take_over()
+            with suppress(InputError):
+                before = read_summary(place / SUMMARY).data
         else:
             staged.claim()
         was_interrupted = stages.has_results
-        run = RunFolder(staged.path, path, stages, _recording_of(place) if resume else None)
+        run = RunFolder(staged.path, path, stages, before)
         try:
             with _logging_to(staged.path / "log.txt"):
                 try:
@@ -116,7 +113,8 @@ def atomic_run_folder(
             if not stages.has_results:
                 raise
             staged.keep = True
-            raise KeyboardInterrupt(f"interrupted; {INTERRUPTED}") from stop
+            kept = "finished stages are kept, the same command with --resume goes on from there"
+            raise KeyboardInterrupt(f"interrupted; {kept}") from stop
         except Exception as error:
             stages.finish()
             where = _publish_failed(run, staged, path, error, write_report, overwrite, even_if_failed)
@@ -129,14 +127,6 @@ def atomic_run_folder(
             raise
         else:
             _publish(run, staged, path, overwrite, even_if_failed)
-
-
-def _recording_of(place: Path) -> Recording | None:
-    """The recording of a published run; None: there is no run, or it does not say."""
-    try:
-        return read_summary(place / SUMMARY).data
-    except InputError:
-        return None
 
 
 def require_run_folder(folder: Path) -> None:
@@ -155,12 +145,13 @@ def own_files(folder: Path) -> IsOwn | None:
     needed = NEEDED if summary.inertia is not None else NEEDED[:1]
     if not all((folder / name).is_file() and is_regular(folder / name) for name in (SUMMARY, *needed)):
         return None
-    if not begins_with(folder / "config.yaml", CONFIG_SIGN):
+    if not begins_with(folder / "config.yaml", "# Resolved configuration"):
         return None
-    # The results of stages are many, and not listed: no other program uses their names.
+    # Other programs use the names config.yaml and report.html, too. The results of stages are many, and not
+    # listed: no other program uses their names.
     listed = None if summary.files is None else {*summary.files, *LATER}
     changed = changed_results(folder, summary.sha256)
-    has_other_page = (folder / REPORT).is_file() and not begins_with(folder / REPORT, PAGE_SIGN)
+    has_other_page = (folder / REPORT).is_file() and not begins_with(folder / REPORT, "polhode</title>")
 
     def is_own(name: str) -> bool:
         if not is_run_file(name) or name in changed or (name == REPORT and has_other_page):
@@ -178,14 +169,10 @@ def _require_usable(place: Path, shown: Path, overwrite: bool) -> None:
     if is_own is None:
         names = [name for name, is_folder in entries(place) if not is_folder] or [place.name]
         example = printable(min(names, key=lambda name: (is_run_file(name), name)))
-        raise InputError(
-            f"{shown}: contains files that are not a run and are never deleted ({example}); "
-            "choose another folder"
-        )
+        why = f"contains files that are not a run and are never deleted ({example})"
+        raise InputError(f"{shown}: {why}; {remedy}")
     if not overwrite:
-        raise InputError(
-            f"{shown}: already contains a run; choose another folder, or replace it with --overwrite"
-        )
+        raise InputError(f"{shown}: already contains a run; {remedy}, or replace it with --overwrite")
     try:
         others = foreign(place, is_own)
     except OSError as error:
@@ -216,8 +203,17 @@ def _publish(run: RunFolder, staged: StagedFolder, path: Path, overwrite: bool, 
             place, is_own = _free(place, "new"), None
         elif failed and not even_if_failed and read_summary(place / SUMMARY).status != "failed":
             run.note = f"{path} still holds the run before, as this one failed"
-            place = _place_of_failed(place)
+            # RUN.failed, where an earlier failed run may be replaced; else another name.
+            place = place.with_name(f"{place.name}.failed")
             is_own = own_files(place)
+            is_failed_run = (
+                is_own is not None
+                and not place.is_symlink()
+                and not any(is_run_file(name) for name in foreign(place, is_own))
+                and read_summary(place / SUMMARY).status == "failed"
+            )
+            if not is_failed_run and (_is_not_empty(place) or (place.exists() and not place.is_dir())):
+                place, is_own = _free(staged.place, "failed"), None
     try:
         stays = staged.publish(place, is_own)
     except OSError as error:
@@ -252,7 +248,7 @@ def _publish_failed(
     if _is_not_empty(staged.place) and not has_results:
         return f"nothing was found; {path} still holds the run before"
     try:
-        record_failure(folder, _one_line(error), run.recording)
+        record_failure(folder, " ".join(str(error).split()) or type(error).__name__, run.recording)
     except Exception as second:  # noqa: BLE001  whatever prevents it: the files are kept as they are
         _log.debug("no summary", exc_info=second)
         staged.keep = True
@@ -269,26 +265,11 @@ def _publish_failed(
     return f"{where}; {run.note}" if run.note else where
 
 
-def _place_of_failed(place: Path) -> Path:
-    """RUN.failed, where an earlier failed run may be replaced; else another name."""
-    beside = place.with_name(f"{place.name}.failed")
-    if not _is_not_empty(beside):
-        return beside if not beside.exists() or beside.is_dir() else _free(place, "failed")
-    is_own = own_files(beside)
-    clashes = is_own is None or any(is_run_file(name) for name in foreign(beside, is_own))
-    if clashes or beside.is_symlink() or read_summary(beside / SUMMARY).status != "failed":
-        return _free(place, "failed")
-    return beside
-
-
 def _free(place: Path, ending: str) -> Path:
     """A name beside the place that nothing has yet."""
-    number = 1
-    while True:
-        found = place.with_name(f"{place.name}.{ending}{f'-{number}' if number > 1 else ''}")
-        if not found.exists() and not found.is_symlink():
-            return found
-        number += 1
+    numbers = ("", *(f"-{number}" for number in range(2, 10_000)))
+    names = (place.with_name(f"{place.name}.{ending}{number}") for number in numbers)
+    return next(found for found in names if not found.exists() and not found.is_symlink())
 
 
 @contextmanager
@@ -323,10 +304,6 @@ def record_failure(folder: Path, message: str, recording: Recording | None = Non
         summary = build_summary(tracks, None, None, {}, failure=message)
     summary = summary.model_copy(update={"data": summary.data or recording})
     write_summary(with_files(summary, folder), folder / SUMMARY)
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _is_not_empty(path: Path) -> bool:

@@ -41,8 +41,6 @@ T = TypeVar("T")
 EARLIER, RECORDING = "earlier", "recording.json"
 DEPTH = "depth"
 """The stage with the depth map of each pair"""
-KEY_DIGITS = 32
-REMEDY = "give --data of the same recording, or another -o"
 
 _log = logging.getLogger(__name__)
 
@@ -91,10 +89,10 @@ class StageStore:
         """The key of the result of these inputs. Raises UnfitRecord for one of which no digest is known."""
         if self.folder is None:
             return ""
-        return digest_of(self.salt, program_digest(), inputs)[:KEY_DIGITS]
+        return digest_of(self.salt, program_digest(), inputs)[:32]
 
     def _file(self, stage: str, key: str) -> Path | None:
-        is_stored = self.folder is not None and (self.only is None or stage == self.only)
+        is_stored = self.only is None or stage == self.only
         return self.folder / stage / f"{key}.npz" if self.folder is not None and is_stored else None
 
     def has(self, stage: str, key: str) -> bool:
@@ -179,7 +177,25 @@ class KeptStages:
         """
         self.keeping = keeping
         if self.resume:
-            self._resume(before, sequence_folder)
+            earlier, refusals = self.folder / EARLIER, dict[Path, InputError]()
+            sources = {earlier: _read_recording(earlier / RECORDING), self.published: before}
+            for source, known in sources.items():
+                try:
+                    require_recording(
+                        known, sequence_folder, "give --data of the same recording, or another -o"
+                    )
+                except InputError as error:
+                    refusals[source] = error
+            if refusals and not any(known and source not in refusals for source, known in sources.items()):
+                raise next(iter(refusals.values()))
+            if earlier in refusals:
+                shutil.rmtree(earlier)
+            if self.published not in refusals:
+                _link_all(self.published / STAGES, earlier)
+            if number := sum(name.endswith(".npz") for name in _names(earlier)):
+                _log.log(NOTE, "resuming: %d results of stages are there", number)
+            else:
+                _log.log(NOTE, "there is nothing to resume: all is computed")
         self.store = StageStore(self.folder, salt)
         if keeping == "none":
             # depth maps may be more than the memory holds; they go with the run
@@ -189,29 +205,6 @@ class KeptStages:
             self.folder.mkdir(exist_ok=True)
             write_text(self.folder / RECORDING, recording.model_dump_json())
         return self.store
-
-    def _resume(self, before: Recording | None, sequence_folder: Path) -> None:
-        earlier = self.folder / EARLIER
-        interrupted = read_recording(earlier / RECORDING)
-        sources = {earlier: interrupted, self.published: before}
-        refusals: dict[Path, InputError] = {}
-        for source, known in sources.items():
-            try:
-                require_recording(known, sequence_folder, REMEDY)
-            except InputError as error:
-                refusals[source] = error
-        fitting = [source for source, known in sources.items() if known and source not in refusals]
-        if refusals and not fitting:
-            raise next(iter(refusals.values()))
-        if earlier in refusals:
-            shutil.rmtree(earlier)
-        if self.published not in refusals:
-            _link_all(self.published / STAGES, earlier)
-        number = sum(name.endswith(".npz") for name in _names(earlier))
-        if number:
-            _log.log(NOTE, "resuming: %d results of stages are there", number)
-        else:
-            _log.log(NOTE, "there is nothing to resume: all is computed")
 
     @property
     def has_results(self) -> bool:
@@ -228,7 +221,7 @@ class KeptStages:
         shutil.rmtree(self.folder if self.keeping != "kept" else self.folder / EARLIER, ignore_errors=True)
 
 
-def read_recording(path: Path) -> Recording | None:
+def _read_recording(path: Path) -> Recording | None:
     """The recording that stored results are of; None: it is not known."""
     try:
         return Recording.model_validate_json(read_bytes(path, CONFIGURATION_BYTES, "a recording"))

@@ -1,6 +1,7 @@
 """What the report is made from: the files of a run, each absent when the run did not get that far."""
 
 import logging
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -95,6 +96,9 @@ def read_stored_run(folder: Path, name: str, metrics: dict[str, Any] | None = No
         metrics = own_metrics(folder, _json(folder / METRICS, "metrics"))
     has_tracks = (folder / "measurements.npz").is_file()
     motion, tracks = read_motion(folder, summary), read_measurements(folder) if has_tracks else None
+    config_text = ""
+    with suppress(MissingFile):
+        config_text = read_text(folder / "config.yaml", CONFIGURATION_BYTES, "a configuration")
     if motion is not None and tracks is not None:
         require_same_frames(folder, motion.trajectory, tracks.timestamps_ns, "measurements.npz")
     return StoredRun(
@@ -109,7 +113,7 @@ def read_stored_run(folder: Path, name: str, metrics: dict[str, Any] | None = No
         metrics=metrics,
         pictures=_pictures(folder / "pictures"),
         film=read_film(folder / "pictures"),
-        config_text=_text(folder / "config.yaml"),
+        config_text=config_text,
     )
 
 
@@ -132,23 +136,21 @@ def read_motion(folder: Path, summary: Summary) -> StoredMotion | None:
 
 
 def _pictures(folder: Path) -> tuple[StoredPicture, ...]:
+    """The pictures in the folder itself: captions cannot name other files of the machine."""
     file = folder / "captions.json"
     captions: dict[str, str] = _json(file, "captions of pictures")
     if not all(isinstance(words, str) for words in captions.values()):
         raise InputError(f"{file}: a caption is not a text; {REMEDY}")
-    found = [StoredPicture(name, words, _content(folder, name)) for name, words in captions.items()]
-    return tuple(picture for picture in found if picture.content)
-
-
-def _content(folder: Path, name: str) -> bytes:
-    """A picture in the folder itself: captions cannot name other files of the machine. Empty: it is none."""
-    if Path(name).name != name:
-        raise InputError(f"{folder / 'captions.json'}: '{name}' is no file beside it; {REMEDY}")
-    content = read_bytes(folder / name, 32 * MIB, "a picture")
-    if content.startswith((b"\x89PNG\r\n", b"\xff\xd8\xff")):
-        return content
-    _log.warning("%s is neither PNG nor JPEG and is left out", folder / name)
-    return b""
+    found = []
+    for name, words in captions.items():
+        if Path(name).name != name:
+            raise InputError(f"{file}: '{name}' is no file beside it; {REMEDY}")
+        content = read_bytes(folder / name, 32 * MIB, "a picture")
+        if content.startswith((b"\x89PNG\r\n", b"\xff\xd8\xff")):
+            found.append(StoredPicture(name, words, content))
+        else:
+            _log.warning("%s is neither PNG nor JPEG and is left out", folder / name)
+    return tuple(found)
 
 
 def _json(file: Path, kind: str) -> dict[str, Any]:
@@ -160,10 +162,3 @@ def _json(file: Path, kind: str) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise InputError(f"{file}: not {kind} that polhode wrote; {REMEDY}")
     return content
-
-
-def _text(file: Path) -> str:
-    try:
-        return read_text(file, CONFIGURATION_BYTES, "a configuration")
-    except MissingFile:
-        return ""

@@ -16,7 +16,6 @@ from polhode.files.atomic import write_text
 from polhode.files.json_files import read_json
 from polhode.files.output.exchange import entries
 from polhode.files.output.run_files import is_run_file, is_stage_file
-from polhode.geometry.lie import Array
 from polhode.records.estimate import MotionEstimate
 from polhode.records.surface import SurfaceModel
 from polhode.records.tracks import StereoTracks
@@ -38,7 +37,6 @@ from polhode.run_directory.verdict import decide_verdict, estimate_checks
 from polhode.runtime.errors import InputError
 
 NOT_OURS = "not a summary that polhode wrote"
-MAX_LOG_RATIO = 60.0
 MAX_SIZE = 1e12
 """Of a moment over the middle one, and of com_G [m]."""
 
@@ -64,8 +62,13 @@ def build_summary(
     if estimate is not None:
         checks = [*checks, *estimate_checks(tracks, estimate, surface)]
     verdict = decide_verdict(failure, estimate, checks)
-    own = estimate.warnings if estimate is not None else ()
-    reported = [*verdict.reasons, *_undetermined_warning(estimate)]
+    own, reported = estimate.warnings if estimate is not None else (), list(verdict.reasons)
+    if estimate is not None:
+        known = estimate.mass.identifiable
+        names = [f"com_{axis}" for axis, flag in zip("xyz", known.com_P, strict=True) if not flag]
+        names += [name for name in ("k1", "k2") if not getattr(known, name)]
+        names += [f"axes_{axis}" for axis, flag in zip("xyz", known.axes_P, strict=True) if not flag]
+        reported += [f"the motion does not determine: {', '.join(names)}"] if names else []
     # A warning of the back end that begins with the same text is more detailed.
     reported = [text for text in reported if not any(more.startswith(text) for more in own)]
     shape = shape or ShapeFindings()
@@ -98,17 +101,6 @@ def build_summary(
             **(dict.fromkeys(ESTIMATE_PARTS) if estimate is None else _estimate_parts(estimate)),
         }
     )
-
-
-def _undetermined_warning(estimate: MotionEstimate | None) -> list[str]:
-    """What the motion does not determine, as one warning."""
-    if estimate is None:
-        return []
-    known = estimate.mass.identifiable
-    names = [f"com_{axis}" for axis, flag in zip("xyz", known.com_P, strict=True) if not flag]
-    names += [name for name in ("k1", "k2") if not getattr(known, name)]
-    names += [f"axes_{axis}" for axis, flag in zip("xyz", known.axes_P, strict=True) if not flag]
-    return [f"the motion does not determine: {', '.join(names)}"] if names else []
 
 
 def with_files(summary: Summary, folder: Path) -> Summary:
@@ -158,32 +150,27 @@ def read_summary(path: Path) -> Summary:
 
 def _require_sound(file: Path, summary: Summary) -> None:
     """Raise InputError for numbers that no run finds, and that no later step could use."""
-    R_GP, com_G, inertia, noise = summary.R_GP, summary.com_G, summary.inertia, summary.noise
-    wrong = ""
-    if R_GP is not None and not _is_rotation(np.array(R_GP)):
-        wrong = "R_GP: not a rotation"
-    elif com_G is not None and np.abs(com_G).max() > MAX_SIZE:
-        wrong = f"com_G: above {MAX_SIZE:g} m"
-    elif inertia is not None and not all(1.0 / MAX_SIZE <= each <= MAX_SIZE for each in inertia.moments):
-        wrong = "inertia.moments: not three positive moments about 1"
-    elif inertia is not None and not _is_inertia(np.array(inertia.J_G)):
-        wrong = "inertia.J_G: not symmetric and positive definite"
-    elif inertia is not None and max(abs(inertia.k1), abs(inertia.k2)) > MAX_LOG_RATIO:
-        wrong = f"inertia: k1 and k2 beyond {MAX_LOG_RATIO:g}"
-    elif noise is not None and not all(0.0 <= psd <= MAX_SIZE for psd in (noise.accel_psd, noise.torque_psd)):
-        wrong = f"noise: accel_psd or torque_psd is not from 0 to {MAX_SIZE:g}"
+    wrong = []
+    if summary.R_GP is not None:
+        R = np.array(summary.R_GP)
+        off = np.inf if np.abs(R).max() >= 2.0 else np.abs(R @ R.T - np.eye(3)).max()
+        wrong += ["R_GP: not a rotation"] if off >= 1e-6 or np.linalg.det(R) <= 0.0 else []
+    if summary.com_G is not None and np.abs(summary.com_G).max() > MAX_SIZE:
+        wrong.append(f"com_G: above {MAX_SIZE:g} m")
+    if (inertia := summary.inertia) is not None:
+        if not all(1.0 / MAX_SIZE <= each <= MAX_SIZE for each in inertia.moments):
+            wrong.append("inertia.moments: not three positive moments about 1")
+        J = np.array(inertia.J_G)
+        is_symmetric = np.abs(J).max() <= MAX_SIZE and np.abs(J - J.T).max() <= 1e-6 * np.abs(J).max()
+        if not is_symmetric or np.linalg.eigvalsh(J)[0] <= 0.0:
+            wrong.append("inertia.J_G: not symmetric and positive definite")
+        if max(abs(inertia.k1), abs(inertia.k2)) > 60.0:
+            wrong.append("inertia: k1 and k2 beyond 60")
+    powers = () if summary.noise is None else (summary.noise.accel_psd, summary.noise.torque_psd)
+    if not all(0.0 <= psd <= MAX_SIZE for psd in powers):
+        wrong.append(f"noise: accel_psd or torque_psd is not from 0 to {MAX_SIZE:g}")
     if wrong:
-        raise InputError(f"{file}: {wrong}; {NOT_OURS}")
-
-
-def _is_inertia(J: Array) -> bool:
-    if np.abs(J).max() > MAX_SIZE or np.abs(J - J.T).max() > 1e-6 * np.abs(J).max():
-        return False
-    return bool(np.linalg.eigvalsh(J)[0] > 0.0)
-
-
-def _is_rotation(R: Array) -> bool:
-    return bool(np.abs(R).max() < 2.0 and np.abs(R @ R.T - np.eye(3)).max() < 1e-6 and np.linalg.det(R) > 0.0)
+        raise InputError(f"{file}: {wrong[0]}; {NOT_OURS}")
 
 
 def _estimate_parts(estimate: MotionEstimate) -> dict[str, Any]:
@@ -191,6 +178,9 @@ def _estimate_parts(estimate: MotionEstimate) -> dict[str, Any]:
     mass, known, solver = estimate.mass, estimate.mass.identifiable, estimate.solver
     first_ns = int(estimate.timestamps_ns[0])
     impulses = estimate.disturbances.impulses if estimate.disturbances is not None else ()
+    ipopt = None
+    if solver.ipopt is not None:
+        ipopt = {name: getattr(solver.ipopt, name) for name in IpoptSummary.model_fields}
     return {
         "inertia": {
             **{name: getattr(mass, name) for name in ("k1", "k2", "J_G", "moments", "sigma_moments")},
@@ -207,13 +197,7 @@ def _estimate_parts(estimate: MotionEstimate) -> dict[str, Any]:
         "cov_com_G": nullable(mass.cov_com_G),
         "R_GP": mass.R_GP,
         "cov_R_GP": nullable(mass.cov_R_GP),
-        "solver": vars(solver)
-        | {
-            "converged": bool(solver.converged),
-            "ipopt": None
-            if solver.ipopt is None
-            else {name: getattr(solver.ipopt, name) for name in IpoptSummary.model_fields},
-        },
+        "solver": vars(solver) | {"converged": bool(solver.converged), "ipopt": ipopt},
         "noise": {name: getattr(estimate.noise, name) for name in Noise.model_fields},
         "unknown_pushes": [
             {

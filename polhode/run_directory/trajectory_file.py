@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from polhode.files.atomic import write_text
-from polhode.files.tables import Table, header_of, read_table
+from polhode.files.tables import header_of, read_table
 from polhode.geometry.lie import Array, Ints, continuous_wxyz, make_pose, matrix_from_wxyz, wxyz_from_matrix
 from polhode.records.estimate import MotionEstimate, OnlineEstimate, Prediction
 from polhode.records.metrics import States
@@ -138,35 +138,31 @@ def read_trajectory(path: Path) -> Trajectory:
             f"{file}: line 1 is not the header of a trajectory; it must begin with timestamp_ns,r_N_x"
         )
     table = read_table(file, len(TRAJECTORY_COLUMNS) - 1, finite=False, docs="docs/run_directory.md")
-    _require_sound(table)
-    parts = np.split(table.values, [3, 6, 10, 13, 16, 19, 22], axis=1)
-    return Trajectory(table.timestamps_ns, *parts)
-
-
-def require_same_frames(folder: Path, trajectory: Trajectory, timestamps_ns: Ints, other: str) -> None:
-    """Raise InputError unless the rows of the trajectory are those of another file of the run."""
-    if not np.array_equal(trajectory.timestamps_ns, timestamps_ns):
-        raise InputError(
-            f"{folder / 'trajectory.csv'} and {other} have different frames, so they are not of one run; "
-            "run 'polhode run' again"
-        )
-
-
-def _require_sound(table: Table) -> None:
-    """Raise InputError unless states are finite and standard deviations are numbers."""
     states, sigmas, q_wxyz = table.values[:, :13], table.values[:, 13:], table.values[:, 6:10]
     with np.errstate(invalid="ignore", over="ignore"):
+        too_large = np.isfinite(sigmas) & (sigmas > MAX_SIGMA)
         checks = {
             "a state that is NaN or infinite": ~np.isfinite(states).all(axis=1),
             f"a state above {MAX_STATE:g}": (abs(states) > MAX_STATE).any(axis=1),
             f"an angular velocity above {MAX_RATE:g} rad/s": (abs(states[:, 10:]) > MAX_RATE).any(axis=1),
             "a standard deviation that is NaN or negative": ~(sigmas >= 0.0).all(axis=1),
-            f"a finite standard deviation above {MAX_SIGMA:g}": (
-                np.isfinite(sigmas) & (sigmas > MAX_SIGMA)
-            ).any(axis=1),
+            f"a finite standard deviation above {MAX_SIGMA:g}": too_large.any(axis=1),
             "a quaternion that is not of unit length": abs(np.linalg.norm(q_wxyz, axis=1) - 1.0) > 1e-2,
         }
     for what, bad in checks.items():
         if bad.any():
             line = table.lines[int(np.argmax(bad))]
             raise InputError(f"{table.path} line {line}: {what}; run 'polhode run' again")
+    parts = np.split(table.values, [3, 6, 10, 13, 16, 19, 22], axis=1)
+    return Trajectory(table.timestamps_ns, *parts)
+
+
+def require_same_frames(
+    folder: Path, trajectory: Trajectory | States, timestamps_ns: Ints, other: str
+) -> None:
+    """Raise InputError unless the rows of the trajectory are those of another file of the run."""
+    if not np.array_equal(trajectory.timestamps_ns, timestamps_ns):
+        raise InputError(
+            f"{folder / 'trajectory.csv'} and {other} have different frames, so they are not of one run; "
+            "run 'polhode run' again"
+        )

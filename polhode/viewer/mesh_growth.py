@@ -7,7 +7,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from polhode.geometry.camera import RectifiedRig
-from polhode.geometry.lie import Array, Bools, Ints, inverse_pose, transform_points
+from polhode.geometry.lie import Array, Ints, inverse_pose, transform_points
 from polhode.mapping.visibility import Caster
 from polhode.records.surface import SurfaceModel
 from polhode.report.shape_figures import thin_mesh, vertex_rgb
@@ -48,15 +48,11 @@ def first_seen(mesh: trimesh.Trimesh, X_RG: Array, rig: RectifiedRig) -> Ints:
     caster = Caster(mesh)
     for k in np.unique(np.linspace(0, len(X_RG) - 1, MAX_FRAMES).round().astype(int)).tolist():
         unseen = np.flatnonzero(first == len(X_RG))
-        unseen = unseen[_in_image(transform_points(X_RG[k], vertices[unseen]), rig)]
+        p_R = transform_points(X_RG[k], vertices[unseen])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u, v, _ = rig.project(p_R).T
+        inside = (u >= 0) & (u <= rig.width_px - 1) & (v >= 0) & (v <= rig.height_px - 1)
+        unseen = unseen[inside & (p_R[:, 2] > 0.0)]
         eye_G = inverse_pose(X_RG[k])[:3, 3]
         first[unseen[caster.sees(eye_G, vertices[unseen], normals[unseen])]] = k
     return first
-
-
-def _in_image(p_R: Array, rig: RectifiedRig) -> Bools:
-    """(n,) whether points (n, 3) lie before the left camera and in its image."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u, v, _ = rig.project(p_R).T
-    inside = (u >= 0) & (u <= rig.width_px - 1) & (v >= 0) & (v <= rig.height_px - 1)
-    return np.asarray(inside & (p_R[:, 2] > 0.0))

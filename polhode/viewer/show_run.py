@@ -11,8 +11,6 @@ from polhode.frontend.rectification import RectifiedPair, rectified_pair
 from polhode.geometry.lie import Ints, inverse_pose
 from polhode.pipeline.context import rectifier_of
 from polhode.records.dataset import StereoSequence, open_sequence
-from polhode.records.estimate import Landmarks
-from polhode.records.surface import SurfaceModel
 from polhode.records.tracks import StereoTracks
 from polhode.report.polhode_and_inertia_figures import torque_free_path
 from polhode.report.residual_figures import INLIER_WEIGHT, rms_per_frame
@@ -55,12 +53,8 @@ def show_run(run_folder: Path, sequence_folder: Path | None, target: ViewTarget,
     rig = ShownRig.rectified(run.tracks.rig)
     trajectory, X_NR = run.motion.trajectory, run.tracks.X_NR
     distance_m = float(np.linalg.norm(trajectory.r_N[0] - X_NR[0, :3, 3]))
-    blueprint = arrangement(
-        Eyes(beside_camera(X_NR[0], distance_m), before_polhode(trajectory.w_P)),
-        has_motion=True,
-        landmarks_add_up=True,
-        has_right=has_right,
-    )
+    eyes = Eyes(beside_camera(X_NR[0], distance_m), before_polhode(trajectory.w_P))
+    blueprint = arrangement(eyes, has_motion=True, landmarks_add_up=True, has_right=has_right)
     with target.opened(run_folder.resolve().name, rig, blueprint) as recorder:
         show_stored_run(run, run.motion, run.tracks, pictures, recorder, progress)
 
@@ -87,73 +81,52 @@ def show_stored_run(
     progress: Progress,
 ) -> None:
     """Log all frames of a run, its polhode and its mesh, which grows by what the frames have seen."""
-    trajectory = motion.trajectory
-    recorder.log_polhode_path(torque_free_path(trajectory.time_s, trajectory.w_P, motion.moments))
-    grows = {}
+    path, grows = motion.trajectory, dict[int, Ints]()
+    recorder.log_polhode_path(torque_free_path(path.time_s, path.w_P, motion.moments))
     if run.surface is not None and len(run.surface.mesh.faces):
-        grows = dict(_growing_mesh(run.surface, motion, tracks, recorder))
+        vertices, rgb, faces = coloured_mesh(run.surface, MAX_FACES)
+        recorder.log_vertices(vertices, rgb)
+        light = trimesh.Trimesh(vertices, faces, process=False)
+        grows = dict(growth(light, inverse_pose(tracks.X_NR) @ motion.X_NG, tracks.rig))
     with progress.stage("recording", tracks.n_frames) as advance:
         for frame in shown_frames(run, motion, tracks, pictures):
             recorder.log_frame(frame)
-            if (faces := grows.get(frame.number)) is not None:
-                recorder.log_faces(faces)
+            if (seen := grows.get(frame.number)) is not None:
+                recorder.log_faces(seen)
             advance()
-
-
-def _growing_mesh(
-    surface: SurfaceModel, motion: StoredMotion, tracks: StereoTracks, recorder: Recorder
-) -> Iterator[tuple[int, Ints]]:
-    vertices, rgb, faces = coloured_mesh(surface, MAX_FACES)
-    recorder.log_vertices(vertices, rgb)
-    light = trimesh.Trimesh(vertices, faces, process=False)
-    return growth(light, inverse_pose(tracks.X_NR) @ motion.X_NG, tracks.rig)
 
 
 def shown_frames(
     run: StoredRun, motion: StoredMotion, tracks: StereoTracks, pictures: Pictures
 ) -> Iterator[ShownFrame]:
     """What is shown of each frame of a run."""
-    path = motion.trajectory
+    path, residuals, landmarks, online = motion.trajectory, run.residuals, run.landmarks, run.online
     order = np.argsort(tracks.frame, kind="stable")
     ends = np.searchsorted(tracks.frame[order], np.arange(tracks.n_frames + 1))
-    residuals = run.residuals
     weights = np.ones(len(tracks.frame)) if residuals is None else residuals.inlier_weight
     rms = None if residuals is None else rms_per_frame(tracks, residuals)
-    first = _first_frames(tracks, run.landmarks)
+    p_G = np.zeros((0, 3)) if landmarks is None else landmarks.p_G
+    # the first frame that observes each landmark; 0 where the tracks are those of other landmarks
+    first = np.zeros(len(p_G), dtype=np.int64)
+    if len(p_G) == tracks.n_landmarks:
+        first[:] = tracks.n_frames
+        np.minimum.at(first, tracks.landmark, tracks.frame)
     ratios = None
-    if run.online is not None and np.array_equal(run.online.timestamps_ns, tracks.timestamps_ns):
-        ratios = known_ratios(run.online.k, run.online.cov_k, run.online.determined[:, :2])
+    if online is not None and np.array_equal(online.timestamps_ns, tracks.timestamps_ns):
+        ratios = known_ratios(online.k, online.cov_k, online.determined[:, :2])
     for k in range(tracks.n_frames):
         rows, pair = order[ends[k] : ends[k + 1]], pictures(k)
+        agrees = weights[rows] >= INLIER_WEIGHT
+        states = (path.r_N[k], path.v_N[k], path.R_NP[k], path.w_P[k], motion.covariance.covariance[k])
         yield ShownFrame(
             number=k,
             time_s=float(tracks.time_s[k]),
             X_NL=tracks.X_NR[k],
             left=None if pair is None else pair.left,
             right=None if pair is None or pair.measured is not None else pair.right,
-            features=ShownFeatures(
-                tracks.uvd_px[rows, :2], tracks.landmark[rows], weights[rows] >= INLIER_WEIGHT
-            ),
-            motion=ShownMotion(
-                path.r_N[k],
-                path.v_N[k],
-                path.R_NP[k],
-                path.w_P[k],
-                motion.covariance.covariance[k],
-                motion.X_NG[k],
-                motion.moments,
-            ),
+            features=ShownFeatures(tracks.uvd_px[rows, :2], tracks.landmark[rows], agrees),
+            motion=ShownMotion(*states, motion.X_NG[k], motion.moments),
             ratios=None if ratios is None else (ratios[0][k], ratios[1][k]),
             residual_rms_px=None if rms is None else rms[k],
-            landmarks_G=np.zeros((0, 3)) if run.landmarks is None else run.landmarks.p_G[first == k],
+            landmarks_G=p_G[first == k],
         )
-
-
-def _first_frames(tracks: StereoTracks, landmarks: Landmarks | None) -> Ints:
-    """(L,) the first frame that observes each landmark; 0 where the tracks are those of other landmarks."""
-    n = 0 if landmarks is None else len(landmarks.p_G)
-    first = np.zeros(n, dtype=np.int64)
-    if n == tracks.n_landmarks:
-        first[:] = tracks.n_frames
-        np.minimum.at(first, tracks.landmark, tracks.frame)
-    return first

@@ -6,13 +6,12 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
 from time import monotonic, sleep
-from typing import IO
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -60,15 +59,13 @@ def require_target(file: Path | None, window: bool, option: str = "--save") -> V
     there is no display."""
     if window and sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
         raise InputError(f"no display for Rerun's window (DISPLAY is not set): {ELSEWHERE}")
-    return ViewTarget(None if file is None else _recording_file(file, option), window)
-
-
-def _recording_file(path: Path, option: str) -> Path:
-    place = output_file(path, "view", "recording.rrd", is_recording, option=option)
-    if path.suffix != ".rrd":
-        raise InputError(f"{path}: give a name that ends in .rrd, by which Rerun knows its recordings")
-    make_parent(place, path)
-    return place
+    if file is None:
+        return ViewTarget(None, window)
+    place = output_file(file, "view", "recording.rrd", is_recording, option=option)
+    if file.suffix != ".rrd":
+        raise InputError(f"{file}: give a name that ends in .rrd, by which Rerun knows its recordings")
+    make_parent(place, file)
+    return ViewTarget(place, window)
 
 
 def is_recording(path: Path) -> bool:
@@ -133,24 +130,17 @@ def _open_window() -> str:
             stderr=output,
             start_new_session=True,
         )
-        _wait_until(lambda: _listens(port), viewer, output)
+        end, is_open = monotonic() + START_S, False
+        while not is_open:
+            if viewer.poll() is not None or monotonic() > end:
+                output.seek(0)
+                lines = [each.strip() for each in output.read().decode(errors="replace").splitlines()]
+                said = [f" ({printable(each)})" for each in lines if each]
+                with suppress(ProcessLookupError):
+                    # the viewer is a child of what was started
+                    os.killpg(viewer.pid, signal.SIGKILL)
+                raise InputError(f"Rerun's window did not open{''.join(said[-1:])}: {ELSEWHERE}")
+            sleep(0.05)
+            with socket.socket() as probe:
+                is_open = probe.connect_ex(("127.0.0.1", port)) == 0
     return f"127.0.0.1:{port}"
-
-
-def _wait_until(ready: Callable[[], bool], viewer: "subprocess.Popen[bytes]", output: IO[bytes]) -> None:
-    end = monotonic() + START_S
-    while not ready():
-        if viewer.poll() is not None or monotonic() > end:
-            output.seek(0)
-            lines = [line for line in output.read().decode(errors="replace").splitlines() if line.strip()]
-            said = f" ({printable(lines[-1].strip())})" if lines else ""
-            with suppress(ProcessLookupError):
-                # the viewer is a child of what was started
-                os.killpg(viewer.pid, signal.SIGKILL)
-            raise InputError(f"Rerun's window did not open{said}: {ELSEWHERE}")
-        sleep(0.05)
-
-
-def _listens(port: int) -> bool:
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0

@@ -65,6 +65,7 @@ def test_what_was_not_determined_yet_is_a_gap(content: StoredRun) -> None:
     np.testing.assert_array_equal(np.flatnonzero(known), np.arange(UNKNOWN_UNTIL, len(known)))
     assert f"k1 from frame {UNKNOWN_UNTIL + 1} on" in mass.caption
     assert "the centre of mass from frame 1 on" in mass.caption and "the axes never" in mass.caption
+    assert convergence_figures(replace(content, online=None)) == []
 
 
 def test_the_causal_estimate_is_drawn_against_the_smoothed_one(content: StoredRun) -> None:
@@ -87,10 +88,6 @@ def test_the_causal_estimate_is_drawn_against_the_smoothed_one(content: StoredRu
             np.testing.assert_allclose(curve, 0.0, atol=1e-5)
         state = curves(states, panel)
         np.testing.assert_allclose(state["causal"], 2.0 * state["smoothed"], rtol=1e-5)
-
-
-def test_a_run_without_a_causal_estimate_has_no_such_figures(content: StoredRun) -> None:
-    assert convergence_figures(replace(content, online=None)) == []
 
 
 def test_final_sigmas_are_listed_with_their_units(content: StoredRun) -> None:

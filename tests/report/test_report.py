@@ -90,16 +90,12 @@ def run_folder(example: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return stored(folder, example, example.surface, pictures={"frame 3": b"\x89PNG\r\n"})
 
 
-def test_every_figure_is_there_with_data(run_folder: Path) -> None:
-    page = _page(run_folder)
+def test_every_figure_is_there_and_nothing_is_loaded_from_anywhere(run_folder: Path) -> None:
+    text, page = (run_folder / "report.html").read_text(), _page(run_folder)
     assert list(page.figures) == FIGURES
     assert all(figure["data"] for figure in page.figures.values())
     assert "tumbler" in page.words and "0.3042 ± 0.0020" in page.words
     assert "Images" in page.words and "Configuration" in page.words
-
-
-def test_the_page_loads_nothing_from_anywhere(run_folder: Path) -> None:
-    text, page = (run_folder / "report.html").read_text(), _page(run_folder)
     assert all(re.match(r"(a #|img data:image/)", load) for load in page.loads), page.loads
     assert not re.search(r"(src|href)\s*=\s*[\"'`\\]*https?://|@import|url\(\s*[\"']?http", text)
     assert "default-src 'none'" in text
@@ -162,30 +158,24 @@ def test_a_failed_run_says_why_and_what_is_missing(tracks_found: bool, example: 
     assert list(page.figures) == (["observations", "landmarks-over-time"] if tracks_found else [])
 
 
-def test_metrics_enter_when_the_report_is_made_again(example: Any, tmp_path: Path) -> None:
-    folder = stored(tmp_path / "run", example, None)
-    assert "Against the truth" not in _page(folder).words
-    metrics = {"rmse_position_m": 1.25e-4, "error_k1": 0.002, "error_k2": -0.004, "nees": {"inertia": None}}
-    (folder / "metrics.json").write_text(json.dumps(metrics))
-    write_report(folder)
-    page = _page(folder)
-    assert "Against the truth" in page.words and "RMSE position [mm]" in page.words
-    truth = [trace for trace in page.figures["inertia-ratios"]["data"] if trace.get("name") == "truth"]
-    assert len(truth) == 2
-    assert [entry.name for entry in folder.iterdir() if entry.name.startswith(".")] == []
-
-
-def test_metrics_of_another_run_are_left_out(
+def test_metrics_enter_when_the_report_is_made_again_unless_they_are_of_another_run(
     example: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     folder = stored(tmp_path / "run", example, None)
+    assert "Against the truth" not in _page(folder).words
     own = sha256((folder / "summary.json").read_bytes()).hexdigest()
-    for digest, shown in ((own, True), ("0" * 64, False)):
-        (folder / "metrics.json").write_text(json.dumps({"error_k1": 0.002, "summary_sha256": digest}))
+    metrics = {"rmse_position_m": 1.25e-4, "error_k1": 0.002, "error_k2": -0.004, "nees": {"inertia": None}}
+    for more in ({}, {"summary_sha256": own}, {"summary_sha256": "0" * 64}):
+        is_own = more.get("summary_sha256", own) == own
+        (folder / "metrics.json").write_text(json.dumps({**metrics, **more}))
         write_report(folder)
         page = _page(folder)
-        assert ("Against the truth" in page.words) == shown and "sha256" not in page.words
-        assert ("metrics.json: of another run" in caplog.text) != shown
+        truth = [each for each in page.figures["inertia-ratios"]["data"] if each.get("name") == "truth"]
+        assert len(truth) == (2 if is_own else 0) and "sha256" not in page.words
+        for words in ("Against the truth", "RMSE position [mm]"):
+            assert (words in page.words) == is_own
+        assert ("metrics.json: of another run" in caplog.text) != is_own
+    assert [entry.name for entry in folder.iterdir() if entry.name.startswith(".")] == []
 
 
 CHECKS = (
@@ -216,11 +206,6 @@ def test_the_panel_of_checks_begins_with_what_is_in_doubt_and_folds_what_is_not_
     assert f"{len(folded)} more checks are not possible with these data" in words
 
 
-def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
-        write_report(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("name", "message"),
     [
@@ -230,6 +215,8 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_captions_name_no_other_files(example: Any, tmp_path: Path, name: str, message: str) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        write_report(tmp_path)
     folder = stored(tmp_path / "run", example, None)
     pictures = folder / "pictures"
     pictures.mkdir(exist_ok=True)
@@ -249,18 +236,10 @@ def test_the_finding_names_rate_axis_and_ratios(example: Any) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("value", "sigma", "text"),
-    [
-        (0.031723, 0.00213, "0.0317 ± 0.0021"),
-        (14.238, 0.14, "14.24 ± 0.14"),
-        (1234.5, 38.0, "1234 ± 38"),
-        (0.3, None, "0.3"),
-        (0.3, float("inf"), "0.3"),
-    ],
-)
-def test_a_value_has_the_digits_that_its_sigma_allows(value: float, sigma: float | None, text: str) -> None:
-    assert with_sigma(value, sigma) == text
+def test_a_value_has_the_digits_that_its_sigma_allows() -> None:
+    assert with_sigma(0.031723, 0.00213) == "0.0317 ± 0.0021"
+    assert with_sigma(14.238, 0.14) == "14.24 ± 0.14" and with_sigma(1234.5, 38.0) == "1234 ± 38"
+    assert with_sigma(0.3, None) == with_sigma(0.3, float("inf")) == "0.3"
 
 
 def test_metrics_are_listed_with_their_units_and_what_is_expected() -> None:
@@ -334,13 +313,10 @@ def test_the_drawn_polhode_is_the_motion_of_a_free_body(example: Any) -> None:
     np.testing.assert_allclose(path, dense, atol=1e-6)
 
 
-def test_the_region_of_possible_bodies_ends_at_flat_ones() -> None:
+def test_the_region_of_possible_bodies_ends_at_flat_ones_and_the_ellipse_is_at_its_distance() -> None:
     k2 = np.array([0.0, 0.4, 2.0])
     Jxx, Jyy, Jzz = np.exp(largest_k1(k2)), 1.0, np.exp(-k2)
     np.testing.assert_allclose(Jxx, Jyy + Jzz)
-
-
-def test_the_ellipse_is_at_its_mahalanobis_distance() -> None:
     covariance = np.array([[4.0, -1.5], [-1.5, 1.0]])
     points = confidence_ellipse(np.array([1.0, 2.0]), covariance, 3.0) - [1.0, 2.0]
     distance = np.sqrt(np.einsum("ni,ij,nj->n", points, np.linalg.inv(covariance), points))
@@ -358,12 +334,9 @@ def _unpacked(array: dict[str, str]) -> np.ndarray:
     return np.frombuffer(base64.b64decode(array["bdata"]), dtype="<" + array["dtype"])
 
 
-def test_packed_arrays_hold_gaps_instead_of_infinities() -> None:
+def test_packed_arrays_hold_gaps_and_a_straight_line_leaves_no_residual() -> None:
     np.testing.assert_array_equal(_unpacked(packed([1.0, np.inf, 2.5])), [1.0, np.nan, 2.5])
     assert packed(np.zeros((2, 3)))["shape"] == "2, 3"
-
-
-def test_a_straight_line_leaves_no_residual() -> None:
     time_s = np.linspace(0, 10, 20)
     p = np.array([1.0, 2.0, 3.0]) + np.outer(time_s, [0.1, -0.2, 0.3])
     sigma = np.full((20, 3), 0.1)

@@ -39,13 +39,12 @@ def _summary(run: Any, **more: Any) -> Summary:
     return build_summary(run.tracks, run.estimate, run.surface, {"frontend": 3.0, "backend": 1.5}, **more)
 
 
-def test_the_shipped_schema_is_the_one_of_the_model() -> None:
+def test_every_kind_of_summary_fits_the_schema_and_nothing_else(
+    example: Any, undetermined: Any, tmp_path: Path
+) -> None:
     assert json.loads(SCHEMA_FILE.read_text()) == json_schema(Summary)
     Draft202012Validator.check_schema(json_schema(Summary))
-
-
-def test_every_kind_of_summary_fits_the_schema(example: Any, undetermined: Any, tmp_path: Path) -> None:
-    validator = Draft202012Validator(json.loads(SCHEMA_FILE.read_text()))
+    validator = Draft202012Validator(json_schema(Summary))
     summaries = (
         _summary(example),
         _summary(undetermined),
@@ -58,14 +57,9 @@ def test_every_kind_of_summary_fits_the_schema(example: Any, undetermined: Any, 
         validator.validate(content)
         assert content.keys() >= CONTRACT_KEYS
         assert read_summary(tmp_path) == summary
-
-
-def test_the_schema_refuses_what_is_not_a_summary(example: Any) -> None:
-    validator = Draft202012Validator(json_schema(Summary))
-    good = _summary(example).model_dump(mode="json", by_alias=True)
-    for change in ({"status": "fine"}, {"com_G": [0.0, 0.0]}, {"frames": -1}, {"surprise": 1}):
-        with pytest.raises(ValidationError):
-            validator.validate(good | change)
+        for change in ({"status": "fine"}, {"com_G": [0.0, 0.0]}, {"frames": -1}, {"surprise": 1}):
+            with pytest.raises(ValidationError):
+                validator.validate(content | change)
 
 
 def test_the_numbers_are_those_of_the_estimate(example: Any) -> None:

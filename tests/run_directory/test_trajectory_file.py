@@ -34,6 +34,8 @@ def test_reading_gives_back_every_bit(example: Any, tmp_path: Path) -> None:
     for name in vars(path):
         np.testing.assert_array_equal(getattr(again, name), getattr(path, name), err_msg=name)
     np.testing.assert_allclose(again.R_NP, example.estimate.R_NP, atol=1e-14)
+    covariance = np.diag([4.0, np.inf, np.nan, -1e-12])
+    np.testing.assert_array_equal(standard_deviations(covariance), [2.0, np.inf, np.inf, np.inf])
 
 
 def test_plain_csv_readers_see_a_row_per_pair_with_no_empty_cell(undetermined: Any, tmp_path: Path) -> None:
@@ -46,11 +48,6 @@ def test_plain_csv_readers_see_a_row_per_pair_with_no_empty_cell(undetermined: A
     assert not np.any(np.isnan(values))
     assert {row["sigma_r_y"] for row in rows} == {"inf"} == {row["sigma_theta_y"] for row in rows}
     assert all(np.isfinite(float(row["r_N_y"])) for row in rows)
-
-
-def test_sigma_is_the_root_of_the_diagonal_and_inf_where_it_is_not_a_variance() -> None:
-    covariance = np.diag([4.0, np.inf, np.nan, -1e-12])
-    np.testing.assert_array_equal(standard_deviations(covariance), [2.0, np.inf, np.inf, np.inf])
 
 
 def test_a_rotation_that_would_not_be_read_again_ends_the_run(example: Any, tmp_path: Path) -> None:

@@ -50,7 +50,9 @@ def watched(example: Example, k: int, request_surface: Surface = no_surface) -> 
     return WatchedPair(state, images, RECTIFIER, np.eye(4), observed, landmarks_G, request_surface)
 
 
-def test_states_features_and_landmarks_as_they_come(example: Example, tmp_path: Path) -> None:
+def test_states_features_and_landmarks_as_they_come(
+    example: Example, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = tmp_path / "live.rrd"
     with watching(ViewTarget(file, window=False), "live") as watch:
         for k in range(N_FRAMES):
@@ -66,6 +68,14 @@ def test_states_features_and_landmarks_as_they_come(example: Example, tmp_path: 
     landmarks = values_of(file, "/N/target/landmarks", "Points3D:positions")
     assert {len(points) for points in landmarks.values()} == {len(example.estimate.landmarks.p_G)}
     assert len(values_of(file, "/N/camera/left", "EncodedImage:blob")) > 0
+    # a viewer that falls behind shows pairs without their images
+    monkeypatch.setattr(module, "MAX_WAITING", 0)
+    file = tmp_path / "behind.rrd"
+    with watching(ViewTarget(file, window=False), "live") as watch:
+        for k in range(5):
+            watch(watched(example, k))
+    assert all("EncodedImage:blob" not in row for _, row in rows_of(file)["/N/camera/left"])
+    assert list(values_of(file, "/plots/observations", "Scalars:scalars")) == list(range(5))
 
 
 def test_the_surface_is_shown_once_it_is_made(
@@ -134,16 +144,3 @@ def test_a_viewer_that_fails_is_one_warning_and_the_stream_goes_on(
         for k in range(4):
             watch(watched(example, k))
     assert caplog.messages == ["the stream is not shown any more: the window was closed"]
-
-
-def test_a_viewer_that_falls_behind_shows_pairs_without_their_images(
-    example: Example, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "MAX_WAITING", 0)
-    file = tmp_path / "live.rrd"
-    with watching(ViewTarget(file, window=False), "live") as watch:
-        for k in range(5):
-            watch(watched(example, k))
-    cameras = rows_of(file)["/N/camera/left"]
-    assert all("EncodedImage:blob" not in row for _, row in cameras)
-    assert list(values_of(file, "/plots/observations", "Scalars:scalars")) == list(range(5))

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
-from polhode.geometry.lie import Array, Bools
+from polhode.geometry.lie import Array
 from polhode.mapping.visibility import MeshView, MeshViewer
 from polhode.records.estimate import Landmarks, MassProperties
 from polhode.records.surface import SurfaceModel
@@ -134,7 +134,43 @@ def draw_landmarks(landmarks: Landmarks, frame: BodyFrame) -> bytes:
     norm = Normalize(float(low), float(max(top, 1.001 * low, 1e-6)))
     for k, direction in enumerate(ALONG_AXES):
         axes = figure.add_subplot(grid[k // 3, k % 3])
-        _draw_side(axes, direction, p_mm, sigma_mm, known, norm, half_mm)
+        height = p_mm @ direction.eye
+        facing = np.flatnonzero(height >= 0.0)
+        facing = facing[np.argsort(height[facing], kind="stable")]
+        plane = [int(np.argmax(np.abs(each))) for each in (direction.right, direction.up)]
+        for chosen, colours in (
+            (facing[~known[facing]], {"color": FAINT}),
+            (facing[known[facing]], {"c": sigma_mm[facing[known[facing]]], "cmap": SIGMA_MAP, "norm": norm}),
+        ):
+            size = 9.0 if len(p_mm) < 3000 else 4.0
+            across, upward = p_mm[chosen][:, plane].T
+            axes.scatter(across, upward, s=size, linewidths=0, **colours)
+        for axis, along in zip(plane, 0.5 * half_mm * np.eye(2), strict=True):
+            arrow: dict[str, Any] = {"arrowstyle": "-|>", "color": AXIS_COLORS[axis], "linewidth": 1.8}
+            arrow |= {"shrinkA": 0, "shrinkB": 0}
+            axes.annotate("", xy=tuple(along), xytext=(0.0, 0.0), arrowprops=arrow, zorder=4)
+            font: dict[str, Any] = {
+                "color": AXIS_COLORS[axis],
+                "size": 12,
+                "weight": "bold",
+                "ha": "center",
+                "va": "center",
+            }
+            x, y = (1.14 * along).tolist()
+            label = axes.text(x, y, "xyz"[axis], zorder=5, **font)
+            label.set_path_effects([withStroke(linewidth=3, foreground="white")])
+        axes.plot(0.0, 0.0, marker="D", markersize=6, color=INK, markeredgecolor="white", zorder=6)
+        # An axis that points to the left counts to the left.
+        sign = float(np.sign(direction.right[plane[0]]))
+        axes.set(xlim=(-sign * half_mm, sign * half_mm), ylim=(-half_mm, half_mm), aspect="equal")
+        title = f"from {direction.name}: {len(facing)} landmarks"
+        axes.set_title(title, size=10, color=INK, loc="left", pad=4)
+        axes.grid(color=GRID, linewidth=0.7)
+        axes.set_axisbelow(True)
+        axes.tick_params(labelsize=8, color=FAINT, labelcolor=INK)
+        axes.spines[:].set_color(GRID)
+        axes.set_xlabel(f"{'xyz'[plane[0]]} [mm]", size=9, color=INK, labelpad=1)
+        axes.set_ylabel(f"{'xyz'[plane[1]]} [mm]", size=9, color=INK, labelpad=-2)
     add_scale_bar(figure.axes[0], 2.0 * half_mm, 2.0 * half_mm)
     bar_axes = figure.add_axes((0.92, 0.08, 0.014, 0.81))
     bar = figure.colorbar(ScalarMappable(norm, SIGMA_MAP), cax=bar_axes, extend="both")
@@ -142,72 +178,13 @@ def draw_landmarks(landmarks: Landmarks, frame: BodyFrame) -> bytes:
     outside = int((np.abs(p_mm).max(axis=1) > half_mm).sum())
     notes = [f"Beyond the drawing: {outside}."] if outside else []
     notes += [f"Without a standard deviation (grey): {int((~known).sum())}."] if not known.all() else []
-    for height, text, style in (
+    for y, text, style in (
         (0.965, f"{len(p_mm)} landmarks from six sides", {"size": 14, "weight": "bold"}),
         (0.937, f"{frame.description} Each view shows the half that faces the eye.", {"size": 10}),
         (0.015, " ".join(notes), {"size": 9}),
     ):
-        figure.text(0.055, height, text, color=INK, va="center", **style)
+        figure.text(0.055, y, text, color=INK, va="center", **style)
     return png(figure)
-
-
-def _draw_side(
-    axes: Axes,
-    direction: Direction,
-    p_mm: Array,
-    sigma_mm: Array,
-    known: Bools,
-    norm: Normalize,
-    half_mm: float,
-) -> None:
-    height = p_mm @ direction.eye
-    facing = np.flatnonzero(height >= 0.0)
-    facing = facing[np.argsort(height[facing], kind="stable")]
-    across, upward = int(np.argmax(np.abs(direction.right))), int(np.argmax(np.abs(direction.up)))
-    size = 9.0 if len(p_mm) < 3000 else 4.0
-    for chosen, colours in (
-        (facing[~known[facing]], {"color": FAINT}),
-        (facing[known[facing]], {"c": sigma_mm[facing[known[facing]]], "cmap": SIGMA_MAP, "norm": norm}),
-    ):
-        axes.scatter(p_mm[chosen, across], p_mm[chosen, upward], s=size, linewidths=0, **colours)
-    for axis in (across, upward):
-        _draw_axis(axes, axis, (across, upward), 0.5 * half_mm)
-    axes.plot(0.0, 0.0, marker="D", markersize=6, color=INK, markeredgecolor="white", zorder=6)
-    # An axis that points to the left counts to the left.
-    sign = float(np.sign(direction.right[across]))
-    axes.set(xlim=(-sign * half_mm, sign * half_mm), ylim=(-half_mm, half_mm), aspect="equal")
-    axes.set_title(f"from {direction.name}: {len(facing)} landmarks", size=10, color=INK, loc="left", pad=4)
-    axes.grid(color=GRID, linewidth=0.7)
-    axes.set_axisbelow(True)
-    axes.tick_params(labelsize=8, color=FAINT, labelcolor=INK)
-    for spine in axes.spines.values():
-        spine.set_color(GRID)
-    axes.set_xlabel(f"{'xyz'[across]} [mm]", size=9, color=INK, labelpad=1)
-    axes.set_ylabel(f"{'xyz'[upward]} [mm]", size=9, color=INK, labelpad=-2)
-
-
-def _draw_axis(axes: Axes, axis: int, plane: tuple[int, int], length_mm: float) -> None:
-    """An arrow from the centre of mass along one of the two axes in the plane of the drawing."""
-    colour, along = AXIS_COLORS[axis], np.array([float(axis == each) for each in plane])
-    x, y = (1.14 * length_mm * along).tolist()
-    arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.8, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", xy=tuple(length_mm * along), xytext=(0.0, 0.0), arrowprops=arrow, zorder=4)
-    label = axes.text(x, y, "xyz"[axis], color=colour, size=12, weight="bold", ha="center", va="center")
-    label.set_zorder(5)
-    label.set_path_effects([withStroke(linewidth=3, foreground="white")])
-
-
-@dataclass(frozen=True)
-class _Quantity:
-    """A row of the mesh sheet."""
-
-    title: str
-    values: Array
-    """(V, 3) colours 0..1, or numbers (V,) for the scale"""
-    ambient: float
-    """share of the light that falls on every side"""
-    scale: ScalarMappable | None = None
-    """from numbers to colours; None: ``values`` are colours"""
 
 
 @default_style
@@ -226,10 +203,31 @@ def draw_mesh(surface: SurfaceModel, viewer: MeshViewer, frame: BodyFrame) -> by
         cosine_to_light(view, normal_A, each).clip(0.0, 1.0)
         for view, each in zip(views, directions, strict=True)
     ]
-    quantities = _quantities(surface)
+    sigma_mm = 1e3 * surface.sigma_m
+    known = np.isfinite(sigma_mm)
+    top_mm = max(float(np.quantile(sigma_mm[known], 0.95)) if known.any() else 1.0, 1e-6)
+    most = max(float(np.quantile(surface.views, 0.99)), 2.0)
+    # title, colours (V, 3) or numbers (V,), the share of the light that falls on every side, scale of numbers
+    rows: tuple[tuple[str, Array, float, ScalarMappable | None], ...] = (
+        (
+            "colours of the vertices, shaded; pink: inner side, seen through holes",
+            stretch_contrast(vertex_rgb(mesh)) / 255.0,
+            *(0.45, None),
+        ),
+        (
+            "standard deviation [mm]; the scale ends at the 95th percentile",
+            np.where(known, sigma_mm, top_mm),
+            *(0.8, ScalarMappable(Normalize(0.0, top_mm), SIGMA_MAP)),
+        ),
+        (
+            "number of frames that saw it; the scale ends at the 99th percentile",
+            surface.views.astype(np.float64),
+            *(0.8, ScalarMappable(Normalize(0.0, most), "viridis")),
+        ),
+    )
     pitch_px, row_px = TILE_PX + 8, TILE_PX + 48
     # Placed by the pixel: a layout of some forty axes takes longer than the rays.
-    width_px, height_px = len(directions) * pitch_px + 78, len(quantities) * row_px + 44
+    width_px, height_px = len(directions) * pitch_px + 78, len(rows) * row_px + 44
     figure = Figure(figsize=(width_px / DPI, height_px / DPI), dpi=DPI, facecolor="white")
 
     def write(x_px: float, y_px: float, words: str, **style: Any) -> None:
@@ -242,49 +240,24 @@ def draw_mesh(surface: SurfaceModel, viewer: MeshViewer, frame: BodyFrame) -> by
 
     title = f"Mesh: {len(mesh.faces)} triangles, orthographic. {frame.description}"
     write(8, height_px - 22, title, size=13, weight="bold", va="center")
-    for row, quantity in enumerate(quantities):
+    for row, (title, quantity, ambient, scale) in enumerate(rows):
         bottom_px = height_px - 44 - (row + 1) * row_px + 8
-        write(8, bottom_px + TILE_PX + 24, quantity.title, size=10, weight="bold")
+        write(8, bottom_px + TILE_PX + 24, title, size=10, weight="bold")
         for column, (view, light, direction) in enumerate(zip(views, lights, directions, strict=True)):
             left_px = 8 + column * pitch_px
-            figure.figimage(_tile(view, light, quantity), left_px, bottom_px, origin="upper")
+            values = view.values(quantity)
+            colours = values if scale is None else np.asarray(scale.to_rgba(values))[..., :3]
+            shaded = colours * (ambient + (1.0 - ambient) * light)[..., None]
+            tile = np.where(view.hit[..., None], shaded.clip(0.0, 1.0), GROUND)
+            tile[view.hit] = np.where(view.front[:, None], tile[view.hit], INNER)
+            figure.figimage(tile, left_px, bottom_px, origin="upper")
             words = f"from {direction.name}"
             write(left_px + TILE_PX / 2, bottom_px + TILE_PX + 6, words, size=10, ha="center")
-        if quantity.scale is not None:
-            bar = figure.colorbar(quantity.scale, cax=part(8 + len(directions) * pitch_px, bottom_px, 16))
+        if scale is not None:
+            bar = figure.colorbar(scale, cax=part(8 + len(directions) * pitch_px, bottom_px, 16))
             bar.ax.tick_params(labelsize=9)
     lowest = part(8, bottom_px, TILE_PX)
     lowest.set(xlim=(0.0, TILE_PX), ylim=(0.0, TILE_PX), zorder=1)
     lowest.set_axis_off()
     add_scale_bar(lowest, 2e3 * half_m, TILE_PX)
     return png(figure)
-
-
-def _quantities(surface: SurfaceModel) -> tuple[_Quantity, ...]:
-    sigma_mm = 1e3 * surface.sigma_m
-    known = np.isfinite(sigma_mm)
-    top_mm = max(float(np.quantile(sigma_mm[known], 0.95)) if known.any() else 1.0, 1e-6)
-    most = max(float(np.quantile(surface.views, 0.99)), 2.0)
-    brightness = stretch_contrast(vertex_rgb(surface.mesh)) / 255.0
-    return (
-        _Quantity("colours of the vertices, shaded; pink: inner side, seen through holes", brightness, 0.45),
-        _Quantity(
-            "standard deviation [mm]; the scale ends at the 95th percentile",
-            np.where(known, sigma_mm, top_mm),
-            *(0.8, ScalarMappable(Normalize(0.0, top_mm), SIGMA_MAP)),
-        ),
-        _Quantity(
-            "number of frames that saw it; the scale ends at the 99th percentile",
-            surface.views.astype(np.float64),
-            *(0.8, ScalarMappable(Normalize(0.0, most), "viridis")),
-        ),
-    )
-
-
-def _tile(view: MeshView, light: Array, quantity: _Quantity) -> Array:
-    values = view.values(quantity.values)
-    colours = values if quantity.scale is None else np.asarray(quantity.scale.to_rgba(values))[..., :3]
-    shaded = colours * (quantity.ambient + (1.0 - quantity.ambient) * light)[..., None]
-    tile = np.where(view.hit[..., None], shaded.clip(0.0, 1.0), GROUND)
-    tile[view.hit] = np.where(view.front[:, None], tile[view.hit], INNER)
-    return tile

@@ -5,10 +5,9 @@ difference is the image minus the model; its root mean square is taken where bot
 """
 
 import io
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import cv2
@@ -30,12 +29,20 @@ from polhode.records.tracks import StereoTracks
 from polhode.report.shape_figures import vertex_rgb
 from polhode.run_directory.film import FOOT_PX, GAP_PX, GIF_SCALE, HEAD_PX, PANEL_PX
 
-MAX_PIXELS = 256
-"""Edge of the square that is compared; of a larger window, fewer rays are cast."""
-MARGIN = 1.12
-"""Edge of the window over what the model needs in any frame."""
-OTHER_LIGHT = 0.03
-"""Light that reaches the target from elsewhere, over the Sun's."""
+Rgb = NDArray[np.uint8]
+
+SIZE_PX = (3 * PANEL_PX + 2 * GAP_PX, HEAD_PX + PANEL_PX + FOOT_PX)
+"""(width, height), both even, as video codecs require."""
+SPAN_GREY = 64.0
+"""Differences of at least this size have the full colour [grey levels]."""
+STEPS = 64
+"""Colours on either side of zero."""
+MINUS = "\u2212"
+GROUND, TEXT, SOFT = (16, 21, 27), (236, 240, 244), (150, 162, 174)
+DARKER, EQUAL, BRIGHTER = (60, 140, 255), (48, 54, 60), (255, 140, 40)
+"""Image darker than the model, equal, brighter: blue to orange, which colour-blind readers distinguish."""
+RATE_HZ = 10
+MAX_GIF_BYTES, MIN_GIF_FRAMES = 3_000_000, 8
 
 
 @dataclass(frozen=True)
@@ -127,7 +134,8 @@ def compare_frames(
             light = (view.values(normals) @ sun_G).clip(0.0, 1.0)
             if caster is not None:
                 light[view.hit] *= caster.lit_by(sun_G, view.values(vertices_G)[view.hit])
-            model *= OTHER_LIGHT + light
+            # 3 % of the Sun's light reaches the target from elsewhere.
+            model *= 0.03 + light
         fit = fit_brightness(image[seen & modelled], model[seen & modelled])
         time_s = float(tracks.time_s[k])
         yield FrameComparison(k, time_s, bool(measured[k]), image, model, seen, modelled, *fit)
@@ -147,7 +155,8 @@ def fit_brightness(image: NDArray[np.uint8], model: Array) -> tuple[float, float
 def _window(vertices: Array, rig: RectifiedRig, X_RG: Array) -> tuple[Ints, int]:
     """First column and row (F, 2) and edge [px] of a square that follows the model and contains all of it.
 
-    Frames without the model's middle in view follow, but do not count for the size.
+    The edge is 12 % over what the model needs in any frame. Frames without the model's middle in view follow,
+    but do not count for the size.
     """
     some = vertices[:: max(1, len(vertices) // 3000)]
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
@@ -161,72 +170,79 @@ def _window(vertices: Array, rig: RectifiedRig, X_RG: Array) -> tuple[Ints, int]
         centres[k] = rig.project(p_R[0])[:2]
         if p_R[:, 2].min() > 0.0 and np.all((centres[k] >= 0.0) & (centres[k] < size)):
             half = max(half, float(np.abs(rig.project(p_R)[:, :2] - centres[k]).max()))
-    side = int(min(np.ceil(2.0 * MARGIN * half), most))
+    side = int(min(np.ceil(2.0 * 1.12 * half), most))
     return np.round(centres - 0.5 * (side - 1)).clip(-4 * most, 4 * most).astype(np.int64), side
 
 
 def _cut(
     image: NDArray[np.uint8], mask: Bools, corner: Ints, side: int
 ) -> tuple[Array, Array, NDArray[np.uint8], Bools]:
-    """Columns and rows of the cut-out, its image and its mask; black beyond the image's border."""
-    count = min(side, MAX_PIXELS)
-    step = side / count
+    """Columns and rows of the cut-out, its image and its mask; black beyond the image's border.
+
+    At most 256 pixels wide: of a larger window, fewer rays are cast.
+    """
+    count = min(side, 256)
     u0, v0 = (int(start) for start in corner)
-    place = np.asarray((np.arange(count) + 0.5) * step - 0.5, dtype=np.float64)
-    grey: NDArray[np.uint8] = np.zeros((side, side), dtype=np.uint8)
-    target: NDArray[np.uint8] = np.zeros((side, side), dtype=np.uint8)
+    place = np.asarray((np.arange(count) + 0.5) * side / count - 0.5, dtype=np.float64)
+    grey, target = np.zeros((2, side, side), dtype=np.uint8)
     height, width = image.shape
     rows, columns = slice(max(v0, 0), min(v0 + side, height)), slice(max(u0, 0), min(u0 + side, width))
     if rows.start < rows.stop and columns.start < columns.stop:
         there = (slice(rows.start - v0, rows.stop - v0), slice(columns.start - u0, columns.stop - u0))
-        grey[there], target[there] = image[rows, columns], mask[rows, columns]
+        grey[there], target[there] = image[rows, columns], 255 * mask[rows, columns]
     if count < side:
-        grey = np.asarray(cv2.resize(grey, (count, count), interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        shrunk = cv2.resize(255 * target, (count, count), interpolation=cv2.INTER_AREA)
-        return u0 + place, v0 + place, grey, np.asarray(shrunk) > 127
-    return u0 + place, v0 + place, grey, target > 0
-
-
-Rgb = NDArray[np.uint8]
-
-SIZE_PX = (3 * PANEL_PX + 2 * GAP_PX, HEAD_PX + PANEL_PX + FOOT_PX)
-"""(width, height), both even, as video codecs require."""
-SPAN_GREY = 64.0
-"""Differences of at least this size have the full colour [grey levels]."""
-STEPS = 64
-"""Colours on either side of zero."""
-BAR_PX, BAR_INSET_PX = 140, 36
-_LINES = (HEAD_PX + PANEL_PX + 16, HEAD_PX + PANEL_PX + 38)
-MINUS = "\u2212"
-GROUND, TEXT, SOFT = (16, 21, 27), (236, 240, 244), (150, 162, 174)
-DARKER, EQUAL, BRIGHTER = (60, 140, 255), (48, 54, 60), (255, 140, 40)
-"""Image darker than the model, equal, brighter: blue to orange, which colour-blind readers distinguish."""
-TITLES = ("left camera, rectified", "model at the estimated pose", "difference: camera minus model")
-SUNLIT = "model in the estimated sunlight"
+        shrunk = (cv2.resize(each, (count, count), interpolation=cv2.INTER_AREA) for each in (grey, target))
+        grey, target = (np.asarray(each, dtype=np.uint8) for each in shrunk)
+    return u0 + place, v0 + place, grey, target > 127
 
 
 def draw_frame(comparison: FrameComparison, n_frames: int, sunlit: bool = False) -> Rgb:
     """(H, W, 3) of ``SIZE_PX``. ``sunlit``: whether the Sun that was estimated lights the model."""
+    left_px = [column * (PANEL_PX + GAP_PX) for column in range(3)]
+    lines_px = (HEAD_PX + PANEL_PX + 16, HEAD_PX + PANEL_PX + 38)
     canvas = np.full((*SIZE_PX[::-1], 3), GROUND, dtype=np.uint8)
     grey = (comparison.image, np.round(comparison.model).astype(np.uint8))
     colours = signed_colours(comparison.difference, comparison.seen | comparison.modelled)
-    for column, panel in enumerate([*(np.repeat(each[..., None], 3, axis=2) for each in grey), colours]):
-        left = column * (PANEL_PX + GAP_PX)
+    for left, panel in zip(
+        left_px, [*(np.repeat(each[..., None], 3, axis=2) for each in grey), colours], strict=True
+    ):
         larger = cv2.resize(panel, (PANEL_PX, PANEL_PX), interpolation=cv2.INTER_LINEAR)
         canvas[HEAD_PX : HEAD_PX + PANEL_PX, left : left + PANEL_PX] = larger
     # the scale of the difference below its panel
-    left, top = _left(2) + BAR_INSET_PX, _LINES[0] - 4
-    scale = signed_colours(np.linspace(-SPAN_GREY, SPAN_GREY, BAR_PX), np.ones(BAR_PX, dtype=bool))
-    canvas[top : top + 9, left : left + BAR_PX] = scale
+    left, top, width = left_px[2] + 8 + 36, lines_px[0] - 4, 140
+    scale = signed_colours(np.linspace(-SPAN_GREY, SPAN_GREY, width), np.ones(width, dtype=bool))
+    canvas[top : top + 9, left : left + width] = scale
     page = Image.fromarray(canvas)
-    _write(ImageDraw.Draw(page), comparison, n_frames, sunlit)
+    draw = ImageDraw.Draw(page)
+    # The font that matplotlib ships: the same picture on every machine.
+    file = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
+    large, small = (ImageFont.truetype(file, size) for size in (15, 13))
+    pose = "" if comparison.measured else ", pose from the dynamics"
+    fit = f"gain {comparison.gain:.2f}, offset {round(comparison.offset):+d}".replace("-", MINUS)
+    for column, row_px, words in (
+        (0, HEAD_PX / 2, "left camera, rectified"),
+        (1, HEAD_PX / 2, "model in the estimated sunlight" if sunlit else "model at the estimated pose"),
+        (2, HEAD_PX / 2, "difference: camera minus model"),
+        (0, lines_px[0], f"frame {comparison.frame} of {n_frames}{pose}"),
+        (0, lines_px[1], f"{comparison.time_s:.2f} s"),
+        (1, lines_px[0], f"overlap of silhouettes (IoU): {_number(comparison.overlap, 2)}"),
+        (1, lines_px[1], f"covered by the model: {_number(comparison.covered, 2)}"),
+        (2, lines_px[1], f"rms {_number(comparison.rms_grey, 1)}; {fit}"),
+    ):
+        draw.text((left_px[column] + 8, row_px), words, TEXT, large, anchor="lm")
+    draw.text((left - 6, lines_px[0]), f"{MINUS}{SPAN_GREY:.0f}", SOFT, small, anchor="rm")
+    draw.text((left + width + 6, lines_px[0]), f"+{SPAN_GREY:.0f} grey levels", SOFT, small, anchor="lm")
     return np.asarray(page, dtype=np.uint8)
 
 
 def signed_colours(difference: Array, shown: NDArray[np.bool_]) -> Rgb:
     """Signed grey levels (...) as colours (..., 3): blue negative, orange positive, ground if not shown."""
+    share = np.linspace(-1.0, 1.0, 2 * STEPS + 1)[:, None]
+    ends = np.where(share < 0.0, np.array(DARKER, dtype=np.float64), np.array(BRIGHTER, dtype=np.float64))
+    mixed = np.array(EQUAL) + np.abs(share) * (ends - np.array(EQUAL))
+    scale = np.vstack([np.round(mixed), np.array(GROUND)]).astype(np.uint8)
     step = np.round((difference / SPAN_GREY).clip(-1.0, 1.0) * STEPS).astype(np.int64)
-    return _scale()[np.where(shown, step + STEPS, -1)]
+    return scale[np.where(shown, step + STEPS, -1)]
 
 
 def caption(comparison: FrameComparison) -> str:
@@ -237,54 +253,8 @@ def caption(comparison: FrameComparison) -> str:
     )
 
 
-def _write(draw: ImageDraw.ImageDraw, comparison: FrameComparison, n_frames: int, sunlit: bool) -> None:
-    titles = (TITLES[0], SUNLIT, TITLES[2]) if sunlit else TITLES
-    for column, title in enumerate(titles):
-        draw.text((_left(column), HEAD_PX / 2), title, TEXT, _font(15), anchor="lm")
-    pose = "" if comparison.measured else ", pose from the dynamics"
-    fit = f"gain {comparison.gain:.2f}, offset {round(comparison.offset):+d}".replace("-", MINUS)
-    lines = (
-        (0, 0, f"frame {comparison.frame} of {n_frames}{pose}"),
-        (0, 1, f"{comparison.time_s:.2f} s"),
-        (1, 0, f"overlap of silhouettes (IoU): {_number(comparison.overlap, 2)}"),
-        (1, 1, f"covered by the model: {_number(comparison.covered, 2)}"),
-        (2, 1, f"rms {_number(comparison.rms_grey, 1)}; {fit}"),
-    )
-    for column, line, words in lines:
-        draw.text((_left(column), _LINES[line]), words, TEXT, _font(15), anchor="lm")
-    middle = _left(2) + BAR_INSET_PX + BAR_PX / 2
-    for share, words in ((-1, f"{MINUS}{SPAN_GREY:.0f}"), (1, f"+{SPAN_GREY:.0f} grey levels")):
-        place = (middle + share * (BAR_PX / 2 + 6), _LINES[0])
-        draw.text(place, words, SOFT, _font(13), anchor="rm" if share < 0 else "lm")
-
-
-def _left(column: int) -> int:
-    return column * (PANEL_PX + GAP_PX) + 8
-
-
-@cache
-def _scale() -> Rgb:
-    """(2 STEPS + 2, 3) from blue to orange; the last row is the ground."""
-    share = np.linspace(-1.0, 1.0, 2 * STEPS + 1)[:, None]
-    ends = np.where(share < 0.0, np.array(DARKER, dtype=np.float64), np.array(BRIGHTER, dtype=np.float64))
-    mixed = np.array(EQUAL) + np.abs(share) * (ends - np.array(EQUAL))
-    return np.vstack([np.round(mixed), np.array(GROUND)]).astype(np.uint8)
-
-
 def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else "none"
-
-
-@cache
-def _font(size_px: int) -> ImageFont.FreeTypeFont:
-    """The font that matplotlib ships: the same picture on every machine."""
-    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size_px)
-
-
-RATE_HZ = 10
-MAX_GIF_BYTES, MIN_GIF_FRAMES = 3_000_000, 8
-GREYS, HUES = 48, 64
-"""Colours of the GIF: of the images, and of the difference."""
 
 
 @contextmanager
@@ -293,8 +263,12 @@ def film(mp4: Path, gif: Path) -> Iterator[Callable[[Rgb], None]]:
 
     Raises OSError when there is no encoder, ValueError when nothing was added.
     """
+    # The colours that occur: the background, 48 greys, and 64 of the scale of the difference.
+    grey = np.repeat(np.linspace(0, 255, 48).round().astype(np.uint8)[:, None], 3, axis=1)
+    hues = signed_colours(np.linspace(-SPAN_GREY, SPAN_GREY, 64), np.ones(64, dtype=bool))
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(np.vstack([[GROUND], grey, hues]).astype(np.uint8).tobytes())
     small: list[Image.Image] = []
-    palette = _palette()
     with replaced(mp4) as partial:
         # MPEG-4: OpenCV's packages bring no encoder of H.264, and theirs of VP9 takes 0.25 s a frame.
         code = cv2.VideoWriter.fourcc(*"mp4v")
@@ -314,25 +288,13 @@ def film(mp4: Path, gif: Path) -> Iterator[Callable[[Rgb], None]]:
             video.release()
         if not small:
             raise ValueError("no frame to show")
-        write_bytes(gif, _gif(small))
-
-
-def _gif(images: Sequence[Image.Image]) -> bytes:
-    """Every frame, or every second, fourth... one, so that the file stays small."""
-    step = 1
-    while True:
-        content, kept = io.BytesIO(), images[::step]
-        style = {"duration": step * 1000 // RATE_HZ, "loop": 0, "optimize": False}
-        kept[0].save(content, "GIF", save_all=True, append_images=kept[1:], **style)
-        if content.tell() <= MAX_GIF_BYTES or len(kept) <= MIN_GIF_FRAMES:
-            return content.getvalue()
-        step *= 2
-
-
-def _palette() -> Image.Image:
-    """The colours that occur: the background, greys, and the scale of the difference."""
-    grey = np.repeat(np.linspace(0, 255, GREYS).round().astype(np.uint8)[:, None], 3, axis=1)
-    hues = signed_colours(np.linspace(-SPAN_GREY, SPAN_GREY, HUES), np.ones(HUES, dtype=bool))
-    image = Image.new("P", (1, 1))
-    image.putpalette(np.vstack([[GROUND], grey, hues]).astype(np.uint8).tobytes())
-    return image
+        step = 1
+        while True:
+            # Every frame, or every second, fourth... one, so that the file stays small.
+            content, kept = io.BytesIO(), small[::step]
+            style = {"duration": step * 1000 // RATE_HZ, "loop": 0, "optimize": False}
+            kept[0].save(content, "GIF", save_all=True, append_images=kept[1:], **style)
+            if content.tell() <= MAX_GIF_BYTES or len(kept) <= MIN_GIF_FRAMES:
+                break
+            step *= 2
+        write_bytes(gif, content.getvalue())

@@ -169,13 +169,17 @@ def test_overlap_and_difference_of_known_squares() -> None:
     assert draw_frame(nothing, 5).shape == (SIZE_PX[1], SIZE_PX[0], 3)
 
 
-def test_gain_and_offset_are_those_of_least_squares_and_the_gain_is_never_negative() -> None:
+def test_gain_and_offset_are_those_of_least_squares_and_frames_are_spread_evenly() -> None:
     model = np.linspace(10.0, 90.0, 50)
     gain, offset = fit_brightness((2.0 * model + 15.0).astype(np.uint8), model)
     assert gain == pytest.approx(2.0, abs=0.01) and offset == pytest.approx(15.0, abs=1.0)
+    # never negative
     gain, offset = fit_brightness((200.0 - model).astype(np.uint8), model)
     assert gain == 0.0 and offset == pytest.approx(149.5, abs=1.0)
     assert fit_brightness(np.zeros(0, dtype=np.uint8), np.zeros(0)) == (1.0, 0.0)
+    assert chosen_frames(115, 60)[:3] == [0, 2, 4] and chosen_frames(115, 60)[-1] == 114
+    assert len(chosen_frames(1000, 60)) == 60
+    assert chosen_frames(3, 60) == [0, 1, 2] and chosen_frames(10, 1) == [0]
 
 
 def test_every_direction_is_a_right_handed_view_from_the_side_that_it_names() -> None:
@@ -185,6 +189,8 @@ def test_every_direction_is_a_right_handed_view_from_the_side_that_it_names() ->
         }
         expected = np.array([signs.get(name, 0) for name in "xyz"])
         np.testing.assert_allclose(direction.eye, expected / np.linalg.norm(expected), atol=1e-12)
+    # a scale bar has a round length
+    assert [round_length_mm(size) for size in (300.0, 160.0, 32.0, 0.7)] == [100.0, 50.0, 10.0, 0.2]
 
 
 def test_the_frame_of_the_views_is_p_where_it_is_known_and_g_elsewhere(
@@ -197,10 +203,6 @@ def test_the_frame_of_the_views_is_p_where_it_is_known_and_g_elsewhere(
     other = body_frame(undetermined.estimate.mass)
     assert other.name == "G" and "not fully determined" in other.description
     np.testing.assert_array_equal(other.R_GA, np.eye(3))
-
-
-def test_a_scale_bar_has_a_round_length() -> None:
-    assert [round_length_mm(size) for size in (300.0, 160.0, 32.0, 0.7)] == [100.0, 50.0, 10.0, 0.2]
 
 
 def test_all_files_are_there_open_and_have_their_sizes(run: Any, tmp_path: Path) -> None:
@@ -239,13 +241,11 @@ def test_the_same_run_gives_the_same_bytes(run: Any, tmp_path: Path) -> None:
         assert file.read_bytes() == (tmp_path / "b" / "pictures" / file.name).read_bytes(), file.name
 
 
-def test_what_is_switched_off_is_not_written(run: Any, tmp_path: Path) -> None:
-    assert make(run, tmp_path, Pictures(animation=False, views=False)) == {"captions.json"}
-
-
-def test_without_a_surface_the_landmarks_are_drawn_all_the_same(
+def test_what_is_switched_off_is_not_written_and_without_a_surface_the_landmarks_are_drawn(
     run: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
+    (tmp_path / "off").mkdir()
+    assert make(run, tmp_path / "off", Pictures(animation=False, views=False)) == {"captions.json"}
     nothing = replace(run.surface, mesh=EMPTY, sigma_m=np.zeros(0), views=np.zeros(0, dtype=np.int64))
     assert make(run, tmp_path, Pictures(), surface=nothing) == {"landmarks.png", "captions.json"}
     assert not caplog.records
@@ -265,13 +265,6 @@ def test_a_picture_that_cannot_be_made_costs_only_itself(
         "no picture: mesh.png (RuntimeError: no ink)",
         "no picture: model.mp4 (RuntimeError: no ink)",
     ]
-
-
-def test_frames_are_spread_evenly_and_never_too_many() -> None:
-    assert chosen_frames(115, 60)[:3] == [0, 2, 4] and chosen_frames(115, 60)[-1] == 114
-    assert len(chosen_frames(1000, 60)) == 60
-    assert chosen_frames(3, 60) == [0, 1, 2]
-    assert chosen_frames(10, 1) == [0]
 
 
 def test_a_gif_that_grows_too_large_keeps_fewer_frames(

@@ -1,0 +1,5 @@
+"""The runs without images of tests/pipeline."""
+
+from tests.pipeline.conftest import example, undetermined
+
+__all__ = ["example", "undetermined"]
