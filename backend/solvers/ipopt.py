@@ -195,6 +195,10 @@ class MotionProgram:
 
     def build(self, layout: "ProgramLayout", max_iterations: int, max_seconds: float) -> Any:
         """The solver as a CasADi function of the start and the parameters."""
+        return ipopt_solver("motion", self.options(max_iterations, max_seconds), *self.expressions(layout))
+
+    def expressions(self, layout: "ProgramLayout") -> tuple[Any, ...]:
+        """The program as ``program_functions`` takes it."""
         stereo = StereoTerms(self.data, layout.n_state, layout.n_dense)
         n_x, n_attitudes = stereo.n_x, 9 * self.data.n_frames
         x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", layout.n_p)
@@ -215,9 +219,8 @@ class MotionProgram:
         blocks = ca.vertcat(of_stereo[2], *[ca.vec(term.hessian) for term in terms])
         values = scatter(position, len(cells)) @ blocks
         sparsity = upper_sparsity(cells, n_x)
-        options = self.options(max_iterations, max_seconds)
         constraints = self._constraint_terms(x) if self.constraints else None
-        return ipopt_solver("motion", x, p, cost, gradient, (sparsity, values), options, constraints)
+        return x, p, cost, gradient, (sparsity, values), constraints
 
     def _constraint_terms(self, x: Any) -> tuple[Any, Any]:
         """Values and Jacobian of the constraints, at the linearization point of the solve under way."""

@@ -96,7 +96,7 @@ class IpoptSolver:
         scale = size[rows.tolist()] * size[cols.tolist()]
         values = ca.vec(Q)[(rows + n * cols).tolist()] + scale * curvature
         options = ipopt_options(TOLERANCE, STATIONARY_COST_CHANGE, MAX_ITERATIONS)
-        return ipopt_solver("window", z, p, cost, gradient, (ca.Sparsity.upper(n), values), options)
+        return ipopt_solver("window", options, z, p, cost, gradient, (ca.Sparsity.upper(n), values))
 
     def _parameters(self, problem: WindowProblem, x: Array, at: Ints, size: Array) -> Array:
         n = self.size
