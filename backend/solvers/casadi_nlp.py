@@ -52,7 +52,12 @@ class ExternalFunction(ca.Callback):
 
 
 def program_functions(
-    x: Any, p: Any, cost: Any, gradient: Any, hessian: tuple[Any, Any], constraints: tuple[Any, Any] | None = None
+    x: Any,
+    p: Any,
+    cost: Any,
+    gradient: Any,
+    hessian: tuple[Any, Any],
+    constraints: tuple[Any, Any] | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """A program, minimize ``cost`` over x, and its derivatives, as ``ca.nlpsol`` takes them.
 
@@ -60,7 +65,10 @@ def program_functions(
     and their Jacobian; limits are given at each solve. Their curvature is left out, as that of residuals is.
     """
     problem, sparsity, values = {"x": x, "p": p, "f": cost}, *hessian
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0 if constraints is None else constraints[0].numel())
+    lam_f, lam_g = (
+        ca.MX.sym("lam_f"),
+        ca.MX.sym("lam_g", 0 if constraints is None else constraints[0].numel()),
+    )
     derivatives = {
         "grad_f": ca.Function("nlp_grad_f", [x, p], [cost, gradient], ["x", "p"], ["f", "grad_f_x"]),
         "hess_lag": ca.Function(

@@ -57,7 +57,7 @@ class Iterations(ca.Callback):
 
 @dataclass
 class CasadiSolver:
-    """``backend.solvers.ipopt.MotionProgram``, solved by IPOPT or, with a solver of QPs, by the SQP method."""
+    """``backend.solvers.ipopt.MotionProgram`` by IPOPT, or by the SQP method with a solver of QPs."""
 
     qp: str = ""
 
@@ -99,7 +99,7 @@ class _MonitoredProgram(MotionProgram):
 
 
 def evaluation_s(stats: dict[str, Any]) -> float:
-    """Time of evaluations in the statistics of a CasADi solver [s]: IPOPT's, and the SQP method's joint ones."""
+    """Time of evaluations [s] in the statistics of IPOPT, or of the SQP method, which has joint ones."""
     names = ("f", "grad_f", "hess_l", "g", "jac_g", "fg", "jac_fg")
     return float(sum(stats.get(f"t_wall_nlp_{name}", 0.0) for name in names))
 
