@@ -1,4 +1,4 @@
-"""The solvers by name, as docs/compare.md describes them; each is imported only in the process that runs it."""
+"""The solvers by name (docs/compare.md); each adapter is imported only in the process that runs it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
