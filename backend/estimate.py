@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from polhode.backend.initialization.gaps import long_gaps
 from polhode.backend.initialization.initialize import robust_landmarks
 from polhode.backend.initialization.multistart import (
     N_HYPOTHESES,
@@ -18,6 +17,7 @@ from polhode.backend.initialization.multistart import (
     KnownMotion,
     initial_guesses,
     known_guess,
+    long_gaps,
     try_hypotheses,
 )
 from polhode.backend.initialization.rates import FAST_HINT, frame_rates

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from polhode.backend.window.active import ActiveWindow, Part, add_parts
 from polhode.backend.window.frame import Frame
+from polhode.backend.window.history import ActiveWindow, Part, add_parts
 from polhode.backend.window.problem import Quadratic
 from polhode.geometry.lie import Array
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polhode.backend.initialization.gaps import (
+from polhode.backend.initialization.multistart import (
     Gap,
     closing_error_rad,
     long_gaps,
