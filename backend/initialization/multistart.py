@@ -11,7 +11,7 @@ propagated across by Euler's equation with the inertia of that fit.
 """
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import compress, pairwise
 
 import numpy as np
 from scipy.linalg import LinAlgError
@@ -69,12 +69,9 @@ def long_gaps(time_s: Array, connected: Bools, w_G: Array) -> list[Gap]:
     gaps = ([Gap(None, index[0])] if index[0] > 0 else []) + gaps
     gaps += [Gap(index[-1], None)] if index[-1] < last else []
     rate = float(np.median(np.linalg.norm(w_G[index], axis=1)))
-    return [gap for gap in gaps if rate * _duration(time_s, gap) > LONG_TURN_RAD]
-
-
-def _duration(time_s: Array, gap: Gap) -> float:
-    first = 0 if gap.before is None else gap.before
-    return float(time_s[-1 if gap.after is None else gap.after] - time_s[first])
+    ends = [(0 if gap.before is None else gap.before, -1 if gap.after is None else gap.after) for gap in gaps]
+    long = [rate * float(time_s[last] - time_s[first]) > LONG_TURN_RAD for first, last in ends]
+    return list(compress(gaps, long))
 
 
 def loose_steps(n_frames: int, gaps: list[Gap]) -> Bools:
@@ -108,7 +105,10 @@ def propagate_through_gaps(
         attitude, velocity = R[start] @ turn, v[start]
         if gap.before is not None and gap.after is not None:
             share = (dt / dt[-1])[:, None]
-            left = _remaining_rotation(log_so3(attitude[-1].T @ R[gap.after]), opposite)
+            left = log_so3(attitude[-1].T @ R[gap.after])
+            angle = float(np.linalg.norm(left))
+            if opposite and angle >= AMBIGUOUS_RAD:
+                left = left * (1.0 - 2.0 * np.pi / angle)
             attitude = attitude @ exp_so3(share * left)
             rate = rate + share * (w[gap.after] - rate[-1])
             velocity = (r_N[gap.after] - r_N[start]) / dt[-1]
@@ -138,13 +138,6 @@ def _carry(w_G: Array, J_G: Array, dt_s: Array) -> tuple[Array, Array]:
     t, rates = np.abs(dt_s), np.tile(sign * w_G, (len(dt_s), 1))
     q, w, _, _ = propagate_rotations(rates, J_G, t, series_steps(rates, J_G, t, CARRY_PSD))
     return matrix_from_wxyz(q), sign * w
-
-
-def _remaining_rotation(turn: Array, opposite: bool) -> Array:
-    angle = float(np.linalg.norm(turn))
-    if not opposite or angle < AMBIGUOUS_RAD:
-        return turn
-    return np.asarray(turn * (1.0 - 2.0 * np.pi / angle))
 
 
 def gap_landmarks(tracks: StereoTracks, iterate: Iterate, initial: InitialMotion) -> Array:
@@ -325,12 +318,15 @@ def inertia_hypotheses(R_NG: Array, w_G: Array) -> dict[str, Array]:
     J = inertia_from_momentum(R_NG, w_G)
     if J is not None:
         guesses["momentum"] = second_moments_from_inertia(J)
-    axis = spin_axis(w_G)
+    # the principal direction of the rates, and the direction across it in which they vary most
+    axis = np.linalg.eigh(w_G.T @ w_G + 1e-12 * np.eye(3))[1][:, -1]
     along = np.outer(axis, axis)
+    across = w_G @ (hat(axis) @ hat(axis))
+    spread = across.T @ across + 1e-12 * np.diag([1.0, 0.9, 0.8]) - 1e3 * along
+    side = np.linalg.eigh(spread)[1][:, -1]
     # an elongated body has a large second moment along its axis and a small moment of inertia about it
     guesses["prolate"] = np.eye(3) + 1.5 * along
     guesses["oblate"] = np.eye(3) - 0.6 * along
-    side = wobble_axis(w_G, axis)
     guesses["flat across"] = np.eye(3) + 1.0 * along - 0.5 * np.outer(side, side)
     return guesses
 
@@ -356,18 +352,3 @@ def inertia_from_momentum(R_NG: Array, w_G: Array) -> Array | None:
     J = np.array([[a, d, e], [d, b, f], [e, f, c]])
     values = np.linalg.eigvalsh(J)
     return J if values[0] > 0.0 and values[0] + values[1] > values[2] else None
-
-
-def spin_axis(w_G: Array) -> Array:
-    """Principal direction (3,) of the rates."""
-    _, vectors = np.linalg.eigh(w_G.T @ w_G + 1e-12 * np.eye(3))
-    return np.asarray(vectors[:, -1])
-
-
-def wobble_axis(w_G: Array, axis: Array) -> Array:
-    """Direction (3,) across the spin in which the rates vary most."""
-    across = w_G @ (hat(axis) @ hat(axis))
-    _, vectors = np.linalg.eigh(
-        across.T @ across + 1e-12 * np.diag([1.0, 0.9, 0.8]) - 1e3 * np.outer(axis, axis)
-    )
-    return np.asarray(vectors[:, -1])

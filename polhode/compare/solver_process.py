@@ -159,7 +159,7 @@ def solve(problem_file: Path, entry: Entry, case: Values, out: Path) -> Values:
     wall, memory = monitor.elapsed(), peak_mb()
     kept, point = ("answer", result.x) if result is not None else monitor.kept()
     assessed = _assessed(problem, kept, point)
-    iterations, sigma = len(monitor.trace), [None, None, None]
+    iterations, sigma = len(monitor.trace), sigmas(problem, x, None)
     if result is not None:
         status, message = _confirmed(entry, result.converged, result.message, assessed)
         iterations, sigma = result.iterations, sigmas(problem, result.x, result.cov_constants)

@@ -130,7 +130,7 @@ Evaluate = Callable[[list[Array], list[Array | None] | None], Array]
 """(Parameters, arrays to fill with the Jacobians) -> residuals."""
 
 
-def _of_landmark(data: tuple[Array, ...], scale: float) -> Evaluate:
+def _of_landmark(data: tuple[Array, Array, Array, Array, Array, Array], scale: float) -> Evaluate:
     """data: A_ref, R_RN, t_R, uvd, 1 / sigma of a landmark's measurements, rig."""
     n = len(data[0])
     of_poses, of_landmark = np.empty((n, 3, 6)), np.empty((n, 3, 3))
