@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from polhode.backend.initialization.gaps import long_gaps
 from polhode.backend.initialization.initialize import robust_landmarks
 from polhode.backend.initialization.multistart import (
     N_HYPOTHESES,
@@ -18,6 +17,7 @@ from polhode.backend.initialization.multistart import (
     KnownMotion,
     initial_guesses,
     known_guess,
+    long_gaps,
     try_hypotheses,
 )
 from polhode.backend.initialization.rates import FAST_HINT, frame_rates
@@ -104,7 +104,7 @@ def fit(
         if fitted.agreement >= MIN_AGREEING_SHARE and stronger <= SUSPICIOUS_RATIO:
             return _with_disturbances(data, fitted, starts, config)
         found.append((fitted, starts))
-        advance = _no_progress
+        advance = lambda: None  # noqa: E731
     if not found:
         assert failure is not None
         raise failure
@@ -117,10 +117,6 @@ def disturbance_ratio(found: MotionData, accel_psd: float, torque_psd: float) ->
     return max(found.accel_psd / accel_psd, found.torque_psd / torque_psd)
 
 
-def _no_progress() -> None:
-    return None
-
-
 def _with_disturbances(data: MotionData, found: Fit, starts: list[InitialGuess], config: Backend) -> Fit:
     """The fit, repeated with nodes for unknown disturbances where these contradict free motion."""
     # once strong disturbances have a node the noise level is lower, and weak ones stand out
@@ -131,7 +127,7 @@ def _with_disturbances(data: MotionData, found: Fit, starts: list[InitialGuess],
             if disturbed is None:
                 break
             with_nodes = replace(data, nodes=disturbed[0], node_sigma=disturbed[1])
-            found = _fit(with_nodes, starts, config, _no_progress)
+            found = _fit(with_nodes, starts, config, lambda: None)
         except (RunFailure, LinAlgError):
             # keep the fit without further nodes
             break

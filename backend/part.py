@@ -17,7 +17,7 @@ from polhode.backend.outliers_and_noise.outliers import (
     whitened_residuals,
 )
 from polhode.backend.problem.inertia import second_moments_from_inertia
-from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.iterate import N_CAMERA, Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data, steps_with_nodes
 from polhode.backend.result import assemble
 from polhode.backend.solvers.gauss_newton import GaussNewton
@@ -25,7 +25,7 @@ from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.robust_kernel import most_efficient_scale
 from polhode.backend.solvers.solve import refine
 from polhode.config.backend_settings import Backend
-from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
+from polhode.geometry.lie import Bools, Ints, inverse_pose
 from polhode.records.estimate import InitialMotion, MotionEstimate
 from polhode.records.tracks import StereoTracks
 
@@ -48,11 +48,13 @@ def estimate_part(
     data = start.data
     known = InitialMotion(inverse_pose(part.X_NR) @ whole.X_NG[frames], np.ones(len(frames), dtype=np.bool_))
     every = np.ones(len(data.frame), dtype=np.bool_), np.ones(data.n_landmarks, dtype=np.bool_)
+    own = "drift" if config.correlated_errors == "slide" else config.correlated_errors
     try:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            found = PrunedFit(data, PrunedProblem(data, *every), _solved(start)[0], scales)
-            own = "drift" if config.correlated_errors == "slide" else config.correlated_errors
-            return assemble(part, found, known, own, 0.0)
+            solved = refine(GaussNewton(data, line_search=True), start.iterate, 20)[0]
+            return assemble(
+                part, PrunedFit(data, PrunedProblem(data, *every), solved, scales), known, own, 0.0
+            )
     except LinAlgError:
         return None
 
@@ -67,38 +69,25 @@ def solved_again(
     posed = _posed(tracks, whole, config, np.ones(len(tracks.frame), dtype=np.bool_), frames)
     if posed is None:
         return None
+    start = posed[2]
     try:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            found, converged = _solved(posed[2])
+            found, solution, _ = refine(GaussNewton(start.data, line_search=True), start.iterate, 20)
     except LinAlgError:
         return None
-    return MotionFit(posed[2].data, found) if converged else None
-
-
-def _solved(start: MotionFit) -> tuple[Iterate, bool]:
-    """The solution, and whether it converged. Raises LinAlgError if there is none."""
-    found, solution, _ = refine(GaussNewton(start.data, line_search=True), start.iterate, 20)
-    return found, solution.converged
+    return MotionFit(start.data, found) if solution.converged else None
 
 
 def _posed(
     tracks: StereoTracks, whole: MotionEstimate, config: Backend, rows: Bools, frames: Ints
 ) -> tuple[StereoTracks, NoiseScales, MotionFit] | None:
-    """The part's tracks, its noise, and its problem where the solution starts. None: too few observations."""
+    """The part's tracks, its noise, and its problem where the solution starts. None: too few observations.
+
+    Frames and landmarks are numbered anew. The unknowns are the whole's; a known wrench's steps are free.
+    """
     rows = rows & (whole.inlier_weight > 0.0) & np.isin(tracks.frame, frames)
     if rows.sum() < MIN_OBSERVATIONS or len(np.unique(tracks.frame[rows])) < 3:
         return None
-    part, p_G = _part_of(tracks, whole, rows, frames)
-    data, scales = data_of_part(part, whole, config)
-    start = MotionFit(data, _iterate_of(data, whole, frames, p_G))
-    scale = most_efficient_scale(np.sum(whitened_residuals(start) ** 2, axis=1), data.robust_scale)
-    return part, scales, start.with_data(robust_scale=scale)
-
-
-def _part_of(
-    tracks: StereoTracks, whole: MotionEstimate, rows: Bools, frames: Ints
-) -> tuple[StereoTracks, Array]:
-    """The measurements ``rows`` (M,), frames and landmarks numbered anew, and the landmarks (L, 3) in G."""
     frame = tracks.frame[rows]
     first, landmark = np.unique(tracks.landmark[rows], return_index=True, return_inverse=True)[1:]
     X_GR = (inverse_pose(whole.X_NG) @ tracks.X_NR)[frame[first]]
@@ -114,7 +103,14 @@ def _part_of(
         uvd_px=tracks.uvd_px[rows],
         sigma_px=tracks.sigma_px[rows],
     )
-    return part, p_G
+    data, scales = data_of_part(part, whole, config)
+    xi, R_inertia = data.form.coordinates(second_moments_from_inertia(whole.mass.J_G, 0.0))
+    X_NG, w_G = whole.X_NG[frames], whole.w_P[frames] @ whole.mass.R_GP.T
+    camera = np.zeros((len(frames), N_CAMERA)) if data.camera_is_noisy else None
+    states = X_NG[:, :3, 3].copy(), X_NG[:, :3, :3].copy(), whole.v_N[frames].copy(), w_G
+    start = MotionFit(data, Iterate(*states, whole.mass.com_G.copy(), xi, R_inertia, p_G, camera))
+    scale = most_efficient_scale(np.sum(whitened_residuals(start) ** 2, axis=1), data.robust_scale)
+    return part, scales, start.with_data(robust_scale=scale)
 
 
 def data_of_part(
@@ -134,19 +130,3 @@ def data_of_part(
         windows = tuple((1e-9 * float(a - first_ns), 1e-9 * float(b - first_ns)) for a, b in acting)
         nodes = nodes | steps_with_nodes(windows, False, data.dt_s)
     return replace(data, nodes=nodes, accel_psd=noise.accel_psd, torque_psd=noise.torque_psd), scales
-
-
-def _iterate_of(data: MotionData, whole: MotionEstimate, frames: Ints, p_G: Array) -> Iterate:
-    """The whole's estimate as a value of the part's unknowns; a known wrench's steps are left free."""
-    xi, R_inertia = data.form.coordinates(second_moments_from_inertia(whole.mass.J_G, 0.0))
-    return Iterate(
-        p_NG=whole.X_NG[frames, :3, 3].copy(),
-        R_NG=whole.X_NG[frames, :3, :3].copy(),
-        v_N=whole.v_N[frames].copy(),
-        w_G=whole.w_P[frames] @ whole.mass.R_GP.T,
-        com_G=whole.mass.com_G.copy(),
-        xi=xi,
-        R_inertia=R_inertia,
-        p_G=p_G,
-        camera=np.zeros((len(frames), 6)) if data.camera_is_noisy else None,
-    )

@@ -93,6 +93,7 @@ def assemble(
     if disturbances is not None:
         first_ns = int(tracks.timestamps_ns[0])
         warnings += [describe_impulse(impulse, first_ns) for impulse in disturbances.impulses]
+    stated = np.median(tracks.sigma_px, axis=0)
     landmark_sigma = np.sqrt(np.trace(m.landmarks, axis1=1, axis2=2) / 3.0)
     of_body, of_marks = body_jacobians(iterate, data.camera_N), mark_jacobians(iterate, R_GP, data.camera_N)
     return MotionEstimate(
@@ -111,7 +112,13 @@ def assemble(
         landmarks=Landmarks(small.iterate.p_G, landmark_sigma, np.diff(kept.data.start)),
         residuals_px=data.unsorted(residuals / data.inv_sigma),
         inlier_weight=data.unsorted(weight),
-        noise=_noise(tracks, found, correlated),
+        noise=NoiseLevels(
+            float(found.scales.uv * 0.5 * (stated[0] + stated[1])),
+            float(found.scales.disparity * stated[2]),
+            data.accel_psd,
+            data.torque_psd,
+            drift_px=0.0 if correlated is None else correlated.slow / float(np.median(data.inv_sigma[:, 0])),
+        ),
         solver=SolverOutcome("", 0, 0.0, False, reduced_chi2(small, s)),
         warnings=tuple(warnings),
         disturbances=disturbances,
@@ -189,17 +196,6 @@ def _mass(
         com_G=fit.iterate.com_G,
         cov_com_G=with_infinite(cov_com, com_lost),
         identifiable=known,
-    )
-
-
-def _noise(tracks: StereoTracks, found: PrunedFit, correlated: CorrelatedNoise | None) -> NoiseLevels:
-    stated, data = np.median(tracks.sigma_px, axis=0), found.data
-    return NoiseLevels(
-        float(found.scales.uv * 0.5 * (stated[0] + stated[1])),
-        float(found.scales.disparity * stated[2]),
-        data.accel_psd,
-        data.torque_psd,
-        drift_px=0.0 if correlated is None else correlated.slow / float(np.median(data.inv_sigma[:, 0])),
     )
 
 

@@ -3,7 +3,6 @@
 - ``initialize``: initial poses from pose graph, bundle adjustment and interpolation.
 - ``pose_graph``: one pose per frame from relative poses, by consensus and robust averaging.
 - ``rates``: body rates from attitudes, in both directions where rotations are large; attitudes that jump.
-- ``gaps``: long stretches without poses, bridged by Euler's equation.
 - ``shooting``: rates and inertia of fast bodies, from their attitudes alone.
-- ``multistart``: brief solves from several inertias and directions of rotation.
+- ``multistart``: brief solves from several inertias and directions of rotation; gaps, by Euler's equation.
 """

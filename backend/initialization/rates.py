@@ -69,25 +69,15 @@ def rate_branches(time_s: Array, X_NG: Array, connected: Bools) -> dict[str, Arr
     if np.median(np.linalg.norm(turn, axis=1)) < AMBIGUOUS_TURN_RAD:
         return {"": short}
     centre = 0.5 * (time_s[index] + time_s[index + 1])
-    both = {}
+    angle = np.linalg.norm(turn, axis=1, keepdims=True)
+    # the direction that most of the rotations share up to sign, and those against it by a revolution more
+    unit = turn / angle
+    axis, both = np.linalg.eigh(unit.T @ unit)[1][:, -1], {}
     for sign in (1.0, -1.0):
-        rate = _along(turn, sign * _axis(turn)) / dt[:, None]
+        against = turn @ (sign * axis) < 0.0
+        rate = np.where(against[:, None], turn * (1.0 - 2.0 * np.pi / angle), turn) / dt[:, None]
         both[float(np.median(np.linalg.norm(rate, axis=1)))] = interpolated_rates(time_s, centre, rate)
     return {"": both[min(both)], OPPOSITE_DIRECTION: both[max(both)]}
-
-
-def _axis(turn: Array) -> Array:
-    """Direction (3,) that most of the rotations (n, 3) share up to sign."""
-    unit = turn / np.linalg.norm(turn, axis=1, keepdims=True)
-    _, vectors = np.linalg.eigh(unit.T @ unit)
-    return np.asarray(vectors[:, -1])
-
-
-def _along(turn: Array, axis: Array) -> Array:
-    """The same rotations (n, 3), below a revolution, in the direction of the axis."""
-    angle = np.linalg.norm(turn, axis=1, keepdims=True)
-    against = turn @ axis < 0.0
-    return np.where(against[:, None], turn * (1.0 - 2.0 * np.pi / angle), turn)
 
 
 def jumping_frames(time_s: Array, R_NG: Array, connected: Bools) -> Bools:

@@ -17,7 +17,7 @@ from polhode.backend.dynamics.propagation import propagate_rotations
 from polhode.backend.dynamics.so3_exp import matrices_from_quaternions, rotation_vectors
 from polhode.backend.initialization.rates import AMBIGUOUS_TURN_RAD, OPPOSITE_DIRECTION
 from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
-from polhode.geometry.lie import Array, Bools, Ints, log_so3
+from polhode.geometry.lie import Array, Bools, log_so3
 
 FAR_RAD = np.deg2rad(60.0)
 """Median rotation between neighbouring frames above which shooting is worth its time."""
@@ -48,7 +48,8 @@ def shoot(time_s: Array, R_NG: Array, connected: Bools) -> dict[str, Shot]:
 
     time_s (F,), R_NG (F, 3, 3), connected (F,).
     """
-    run = _longest_run(connected)
+    index = np.flatnonzero(connected)
+    run = max(np.split(index, np.flatnonzero(np.diff(index) > 1) + 1), key=len)
     if len(run) < STAGES[0][0]:
         return {}
     t, R = time_s[run] - time_s[run[0]], R_NG[run]
@@ -66,12 +67,6 @@ def shoot(time_s: Array, R_NG: Array, connected: Bools) -> dict[str, Shot]:
         w_G = _rates(time_s, R_NG, connected, int(run[0]), x[:3], inertia_from_second_moments(second))
         shots[suffix] = Shot(second, w_G, misfit)
     return shots
-
-
-def _longest_run(connected: Bools) -> Ints:
-    index = np.flatnonzero(connected)
-    runs = np.split(index, np.flatnonzero(np.diff(index) > 1) + 1)
-    return max(runs, key=len)
 
 
 def _best(t: Array, R: Array, w_G: Array) -> tuple[Array, float]:

@@ -51,38 +51,45 @@ class ExternalFunction(ca.Callback):
         return 0
 
 
-def ipopt_solver(
-    name: str,
+def program_functions(
     x: Any,
     p: Any,
     cost: Any,
     gradient: Any,
     hessian: tuple[Any, Any],
-    options: dict[str, Any],
     constraints: tuple[Any, Any] | None = None,
-) -> Any:
-    """IPOPT on a program: minimize ``cost`` over x, with its derivatives given.
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A program, minimize ``cost`` over x, and its derivatives, as ``ca.nlpsol`` takes them.
 
     hessian: the sparsity of its upper triangle and the values of these entries. constraints: their values g
     and their Jacobian; limits are given at each solve. Their curvature is left out, as that of residuals is.
     """
-    g = None if constraints is None else constraints[0]
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0 if g is None else g.numel())
-    grad_f = ca.Function("nlp_grad_f", [x, p], [cost, gradient], ["x", "p"], ["f", "grad_f_x"])
-    sparsity, values = hessian
-    hess = ca.Function(
-        "nlp_hess_l",
-        [x, p, lam_f, lam_g],
-        [ca.MX(sparsity, lam_f * values)],
-        ["x", "p", "lam_f", "lam_g"],
-        ["triu_hess_gamma_x_x"],
+    problem, sparsity, values = {"x": x, "p": p, "f": cost}, *hessian
+    lam_f, lam_g = (
+        ca.MX.sym("lam_f"),
+        ca.MX.sym("lam_g", 0 if constraints is None else constraints[0].numel()),
     )
-    problem: Any = {"x": x, "p": p, "f": cost}
-    given = {**options, "grad_f": grad_f, "hess_lag": hess}
+    derivatives = {
+        "grad_f": ca.Function("nlp_grad_f", [x, p], [cost, gradient], ["x", "p"], ["f", "grad_f_x"]),
+        "hess_lag": ca.Function(
+            "nlp_hess_l",
+            [x, p, lam_f, lam_g],
+            [ca.MX(sparsity, lam_f * values)],
+            ["x", "p", "lam_f", "lam_g"],
+            ["triu_hess_gamma_x_x"],
+        ),
+    }
     if constraints is not None:
-        problem["g"] = g
-        given["jac_g"] = ca.Function("nlp_jac_g", [x, p], list(constraints), ["x", "p"], ["g", "jac_g_x"])
-    return ca.nlpsol(name, "ipopt", problem, given)
+        problem["g"] = constraints[0]
+        names = ["g", "jac_g_x"]
+        derivatives["jac_g"] = ca.Function("nlp_jac_g", [x, p], list(constraints), ["x", "p"], names)
+    return problem, derivatives
+
+
+def ipopt_solver(name: str, options: dict[str, Any], *program: Any) -> Any:
+    """IPOPT on the program of ``program_functions``."""
+    problem, derivatives = program_functions(*program)
+    return ca.nlpsol(name, "ipopt", problem, {**options, **derivatives})
 
 
 def ipopt_options(

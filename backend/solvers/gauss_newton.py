@@ -290,16 +290,37 @@ class GaussNewton:
         self, of_vision: float, fixed: LinearizationPoint, x: Array, H: Array, g: Array, prior: bool = True
     ) -> float:
         """Add all terms but the stereo measurements' to H (n, n) and g (n,); the objective, given theirs."""
-        total = of_vision + self._add_dynamics(fixed, x, H, g)
+        n, form, of_dynamics = fixed.reference.n_states, self.data.form, 0.0
+        if self.with_dynamics:
+            states, at = self.states(fixed, x)
+            dJ = inertia_derivative(form, at.xi, at.R_inertia)
+            residual, jacobian = dynamics_jacobians(states, fixed.steps, at.J_G(form), dJ)
+            add_steps(H, g, residual, jacobian, at.n_state)
+            of_dynamics = 0.5 * float(np.sum(residual**2))
+        total = of_vision + of_dynamics
         error = camera_errors(fixed, x)
         if len(error):
             slots = np.arange(len(error))[:, None] * fixed.reference.n_state + N_STATE + np.arange(N_CAMERA)
             H[slots, slots] += fixed.camera_information
             g[slots] += fixed.camera_information * error
         total += self.camera_cost(fixed, x)
-        total += self._add_wrench(fixed, x, H, g, prior)
+        residual, jacobian = self._wrench(fixed, x)
+        if not prior:
+            # the logarithms come last
+            residual, jacobian = residual[:-2], jacobian[:-2]
+        known = slice(n + 3, n + 3 + jacobian.shape[1])
+        H[known, known] += jacobian.T @ jacobian
+        g[known] += jacobian.T @ residual
+        total += 0.5 * float(np.sum(residual**2))
         if prior:
-            total += self._add_prior(fixed, x, H, g)
+            body, pose = slice(n, n + N_CONSTANTS), np.arange(N_POSE)
+            cost, gradient, hessian = self._prior(x[body], fixed.prior)
+            H[body, body] += hessian
+            g[body] += gradient
+            offset = self._gauge_offset(fixed, x)
+            H[pose, pose] += fixed.gauge_information
+            g[POSE] += fixed.gauge_information * offset
+            total += cost + 0.5 * float(np.sum(fixed.gauge_information * offset**2))
         untouched = np.diagonal(H) == 0.0
         H[untouched, untouched] = 1.0
         return total
@@ -341,16 +362,6 @@ class GaussNewton:
         marks = back_substitute(step, d.frame, d.start, system.E, C_inv, -system.h, system.n_state)
         return np.concatenate([step, marks.ravel()])
 
-    def _add_dynamics(self, fixed: LinearizationPoint, x: Array, H: Array, g: Array) -> float:
-        if not self.with_dynamics:
-            return 0.0
-        states, at = self.states(fixed, x)
-        form = self.data.form
-        dJ = inertia_derivative(form, at.xi, at.R_inertia)
-        residual, jacobian = dynamics_jacobians(states, fixed.steps, at.J_G(form), dJ)
-        add_steps(H, g, residual, jacobian, at.n_state)
-        return 0.5 * float(np.sum(residual**2))
-
     def states(self, fixed: LinearizationPoint, x: Array) -> tuple[FrameStates, Iterate]:
         """The states, and the iterate, at x."""
         at = fixed.reference.moved_to(x)
@@ -363,27 +374,6 @@ class GaussNewton:
             return np.zeros(0), np.zeros((0, N_INERTIA))
         dJ = inertia_derivative(form, at.xi, at.R_inertia)
         return wrench_residual(at.J_G(form), dJ, at.wrench, at.R_torque, fixed.bias_sigma)
-
-    def _add_wrench(self, fixed: LinearizationPoint, x: Array, H: Array, g: Array, prior: bool) -> float:
-        residual, jacobian = self._wrench(fixed, x)
-        if not prior:
-            # the logarithms come last
-            residual, jacobian = residual[:-2], jacobian[:-2]
-        at = slice(fixed.reference.n_states + 3, fixed.reference.n_states + 3 + jacobian.shape[1])
-        H[at, at] += jacobian.T @ jacobian
-        g[at] += jacobian.T @ residual
-        return 0.5 * float(np.sum(residual**2))
-
-    def _add_prior(self, fixed: LinearizationPoint, x: Array, H: Array, g: Array) -> float:
-        body = slice(fixed.reference.n_states, fixed.reference.n_states + N_CONSTANTS)
-        cost, gradient, hessian = self._prior(x[body], fixed.prior)
-        H[body, body] += hessian
-        g[body] += gradient
-        offset = self._gauge_offset(fixed, x)
-        pose = np.arange(N_POSE)
-        H[pose, pose] += fixed.gauge_information
-        g[POSE] += fixed.gauge_information * offset
-        return cost + 0.5 * float(np.sum(fixed.gauge_information * offset**2))
 
     @staticmethod
     def _gauge_offset(fixed: LinearizationPoint, x: Array) -> Array:

@@ -190,11 +190,18 @@ class MotionProgram:
         stats = self._solver.stats()
         status = str(stats["return_status"])
         good, message, count = status in OPTIMAL, MESSAGES.get(status, status), int(stats["iter_count"])
-        end = ProgramEnd(status, *_last_errors(stats), count, perf_counter() - begin)
+        # gradient of the Lagrangian and violation of the constraints at the last iterate
+        history = stats.get("iterations", {})
+        gradient, violation = (float((history.get(name) or [np.nan])[-1]) for name in ("inf_du", "inf_pr"))
+        end = ProgramEnd(status, gradient, violation, count, perf_counter() - begin)
         return Solution(np.asarray(result["x"]).ravel(), float(result["f"]), count, good, message, end)
 
     def build(self, layout: "ProgramLayout", max_iterations: int, max_seconds: float) -> Any:
         """The solver as a CasADi function of the start and the parameters."""
+        return ipopt_solver("motion", self.options(max_iterations, max_seconds), *self.expressions(layout))
+
+    def expressions(self, layout: "ProgramLayout") -> tuple[Any, ...]:
+        """The program as ``program_functions`` takes it."""
         stereo = StereoTerms(self.data, layout.n_state, layout.n_dense)
         n_x, n_attitudes = stereo.n_x, 9 * self.data.n_frames
         x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", layout.n_p)
@@ -215,9 +222,8 @@ class MotionProgram:
         blocks = ca.vertcat(of_stereo[2], *[ca.vec(term.hessian) for term in terms])
         values = scatter(position, len(cells)) @ blocks
         sparsity = upper_sparsity(cells, n_x)
-        options = self.options(max_iterations, max_seconds)
         constraints = self._constraint_terms(x) if self.constraints else None
-        return ipopt_solver("motion", x, p, cost, gradient, (sparsity, values), options, constraints)
+        return x, p, cost, gradient, (sparsity, values), constraints
 
     def _constraint_terms(self, x: Any) -> tuple[Any, Any]:
         """Values and Jacobian of the constraints, at the linearization point of the solve under way."""
@@ -277,7 +283,8 @@ class MotionProgram:
         """For each number of series: the unknowns of its steps, and the arguments of the kernel."""
         s, step, steps = at.n_state, at.step, []
         of_constants = s * self.data.n_frames + np.arange(step.n_constants)
-        for series, index in series_groups(self._series):
+        for series in np.unique(self._series).tolist():
+            index = np.flatnonzero(self._series == series)
             states = s * index[:, None] + np.arange(2 * s)
             constants = np.broadcast_to(of_constants, (len(index), step.n_constants))
             slots = np.concatenate([states, constants], axis=1)
@@ -288,13 +295,6 @@ class MotionProgram:
                 arguments.append(ca.reshape(torque, 6, series * len(index)))
             steps.append((series, slots, arguments))
         return steps
-
-
-def _last_errors(stats: dict[str, Any]) -> tuple[float, float]:
-    """Gradient of the Lagrangian and violation of the constraints at the last iterate."""
-    history = stats.get("iterations", {})
-    gradient, violation = (history.get(name) or [np.nan] for name in ("inf_du", "inf_pr"))
-    return float(gradient[-1]), float(violation[-1])
 
 
 class ProgramLayout:
@@ -345,8 +345,3 @@ def dynamics_parameters(data: MotionData, fixed: LinearizationPoint) -> Array:
         axes = np.broadcast_to(at.R_torque.T.ravel(), (n, 9))
         columns += [axes, fixed.steps.force_increments.reshape(n, 6)]
     return np.concatenate(columns, axis=1)
-
-
-def series_groups(series: Ints) -> list[tuple[int, Ints]]:
-    """Intervals that share a number of Taylor series: (number, indices)."""
-    return [(int(n), np.flatnonzero(series == n)) for n in np.unique(series)]

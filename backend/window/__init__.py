@@ -1,18 +1,14 @@
 """The sliding window: frames in, one by one, and the causal estimate at each frame out, in bounded time.
 
 - ``estimator``: the sliding window, frame by frame and over a whole sequence.
-- ``frame``: measurements of a frame, a frame while the window keeps it, slots of the landmarks.
+- ``frame``: frames and landmarks as the window keeps them; the observations, condensed to the poses.
 - ``add_frame``: pose and landmarks of a new frame.
 - ``solve``: the solves of one frame's update; the choice among several inertias.
-- ``marginalize``: key frames are chosen, other frames leave the window.
+- ``estimator_state``: frames, landmarks, constants and noise levels; key frames are chosen, others leave.
 - ``noise_levels``: noise of the pixels and level of the disturbances.
 - ``causal_state``: the state that is reported, with its covariance.
-- ``estimator_state``: frames, landmarks, constants and noise levels of the window.
-- ``history``: the first frames as a whole, until the inertia is known.
-- ``active``: the unknowns of the window and the arrival cost about them.
-- ``problem``: the nonlinear program of one update, its quadratic parts, and Gauss-Newton on it.
-- ``ipopt``: IPOPT on the same program.
-- ``vision``: the observations, condensed to information on the poses.
+- ``history``: the unknowns, the arrival cost about them, and the first frames as a whole.
+- ``problem``: the nonlinear program of one update, its quadratic parts, Gauss-Newton and IPOPT on it.
 """
 
 from polhode.backend.window.causal_state import OnlineState

@@ -13,12 +13,11 @@ from polhode.backend.problem.iterate import COM, POSITION, RATE
 from polhode.backend.uncertainty.covariance import with_infinite
 from polhode.backend.window.add_frame import first_frame, next_frame
 from polhode.backend.window.causal_state import OnlineState, iterate_of_frame, online_state, unknown_state
-from polhode.backend.window.estimator_state import EstimatorState, initial_estimator_state
+from polhode.backend.window.estimator_state import EstimatorState, initial_estimator_state, shrink_window
 from polhode.backend.window.frame import CameraNoise, FrameMeasurements, camera_noise_of, frames_of
 from polhode.backend.window.history import History
-from polhode.backend.window.ipopt import IpoptSolver
-from polhode.backend.window.marginalize import shrink_window
 from polhode.backend.window.noise_levels import estimate_levels, estimate_noise
+from polhode.backend.window.problem import IpoptSolver
 from polhode.backend.window.solve import choose_inertia, expand_arrival, solve_history, solve_window
 from polhode.config.backend_settings import Backend
 from polhode.geometry.camera import RectifiedRig

@@ -22,9 +22,9 @@ from polhode.backend.outliers_and_noise.process_level import (
     walk,
 )
 from polhode.backend.window.estimator_state import EstimatorState
+from polhode.backend.window.frame import FramePoses, WindowObservations, residuals
 from polhode.backend.window.history import History
 from polhode.backend.window.problem import DisturbanceLevels, solve_newton
-from polhode.backend.window.vision import FramePoses, WindowObservations, residuals
 from polhode.geometry.camera import stereo_jacobian
 from polhode.geometry.lie import Array
 

@@ -16,19 +16,18 @@ from polhode.backend.initialization.rates import interpolated_rates, interval_ra
 from polhode.backend.problem.inertia import inertia_from_second_moments
 from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE, RATE, ROTATION
 from polhode.backend.solvers.gauss_newton import Solution
-from polhode.backend.window.active import add_parts
 from polhode.backend.window.causal_state import last_information
 from polhode.backend.window.estimator_state import EstimatorState
-from polhode.backend.window.history import History, HistoryVision
-from polhode.backend.window.ipopt import IpoptSolver
+from polhode.backend.window.frame import STEREO_GATE, CondensedVision
+from polhode.backend.window.history import History, HistoryVision, add_parts
 from polhode.backend.window.problem import (
     NEGLIGIBLE_COST,
+    IpoptSolver,
     Quadratic,
     WindowProblem,
     eliminate,
     solve_newton,
 )
-from polhode.backend.window.vision import STEREO_GATE, CondensedVision
 from polhode.geometry.lie import Array
 
 INNER_ITERATIONS = 10

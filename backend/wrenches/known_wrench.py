@@ -8,6 +8,7 @@ candidates. Known forces and torques make mass and inertia observable in kilogra
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import permutations, product
+from typing import Any
 
 import numpy as np
 
@@ -36,29 +37,6 @@ class WrenchGuess:
     R_torque: Array
     ln_scale: float
     misfit: float
-
-
-@dataclass(frozen=True)
-class LogEstimate:
-    """Logarithm of a positive quantity, its standard deviation, and whether it is determined."""
-
-    value: float
-    sigma: float
-    determined: bool
-
-    @property
-    def absolute(self) -> tuple[float, float]:
-        """The quantity, and its standard deviation."""
-        value = float(np.exp(self.value))
-        return value, float(np.exp(self.value) * self.sigma) if self.determined else np.inf
-
-    def description(self, acts: bool, what: str) -> str:
-        """In words; ``acts``: whether a known ``what`` acts at all."""
-        if self.determined:
-            return f"determined, standard deviation about {100.0 * self.sigma:.2g} %"
-        if not acts:
-            return f"not determined: no known {what} acts"
-        return f"not determined: the effect of the known {what} is too small compared with the disturbances"
 
 
 def fit_known_wrench(fit: MotionFit) -> tuple[Iterate, dict[str, float]]:
@@ -137,42 +115,28 @@ def with_absolute_scale(
     mass: MassProperties, fit: MotionFit, m: Marginals, derivative: AxesDerivative
 ) -> MassProperties:
     """Mass properties with mass and middle moment in absolute units; unchanged without a known wrench."""
-    known = fit.data.impulses
-    if fit.iterate.wrench is None or m.wrench_information is None or known is None:
+    known, wrench, n = fit.data.impulses, fit.iterate.wrench, fit.iterate.n_states
+    if wrench is None or m.wrench_information is None or known is None:
         return mass
-    scale, kilograms = _logarithms(fit, m, derivative)
-    force, torque = (size > 0.0 for size in known.largest)
-    detail = {
-        **mass.identifiable.detail,
-        "mass": kilograms.description(force, "force"),
-        "inertia_scale": scale.description(torque, "torque"),
-    }
-    mass_kg, sigma_mass_kg = kilograms.absolute
-    inertia_scale_kg_m2, sigma_inertia_scale_kg_m2 = scale.absolute
-    return replace(
-        mass,
-        mass_kg=mass_kg,
-        sigma_mass_kg=sigma_mass_kg,
-        inertia_scale_kg_m2=inertia_scale_kg_m2,
-        sigma_inertia_scale_kg_m2=sigma_inertia_scale_kg_m2,
-        identifiable=replace(mass.identifiable, detail=detail),
-    )
-
-
-def _logarithms(fit: MotionFit, m: Marginals, derivative: AxesDerivative) -> tuple[LogEstimate, LogEstimate]:
-    """Logarithms of the middle moment [kg m^2] and of the mass [kg]."""
-    wrench, n = fit.iterate.wrench, fit.iterate.n_states
-    assert wrench is not None and m.wrench_information is not None
-    at = np.r_[n + 3 : n + 8, n + 8 + LN_SCALE]
-    along: Array = np.append(derivative.ln_middle, 1.0)
-    middle = float(np.linalg.eigvalsh(fit.iterate.J_G(fit.data.form))[1])
+    at, along = np.r_[n + 3 : n + 8, n + 8 + LN_SCALE], np.append(derivative.ln_middle, 1.0)
+    middle, of_mass = float(np.linalg.eigvalsh(fit.iterate.J_G(fit.data.form))[1]), n + 8 + LN_MASS
     # standard deviations without the prior, from the data alone
     alone = 1.0 / np.sqrt(np.maximum(np.diag(m.wrench_information), 1e-12))
-    ln_scale = LogEstimate(
-        float(wrench[LN_SCALE] + np.log(middle)),
-        float(np.sqrt(along @ m.dense[np.ix_(at, at)] @ along)),
-        bool(alone[0] < MAX_LN_SIGMA),
-    )
-    of_mass = n + 8 + LN_MASS
-    sigma = float(np.sqrt(m.dense[of_mass, of_mass]))
-    return ln_scale, LogEstimate(float(wrench[LN_MASS]), sigma, bool(alone[1] < MAX_LN_SIGMA))
+    found, detail = dict[str, Any](), dict(mass.identifiable.detail)
+    for name, field_name, what, size, ln, variance, alone_sigma in (
+        ("mass", "mass_kg", "force", known.largest[0], wrench[LN_MASS], m.dense[of_mass, of_mass], alone[1]),
+        ("inertia_scale", "inertia_scale_kg_m2", "torque", known.largest[1],
+         wrench[LN_SCALE] + np.log(middle), along @ m.dense[np.ix_(at, at)] @ along, alone[0]),
+    ):  # fmt: skip
+        sigma, determined = float(np.sqrt(variance)), bool(alone_sigma < MAX_LN_SIGMA)
+        found[field_name] = float(np.exp(ln))
+        found[f"sigma_{field_name}"] = float(np.exp(ln) * sigma) if determined else np.inf
+        if determined:
+            detail[name] = f"determined, standard deviation about {100.0 * sigma:.2g} %"
+        elif size > 0.0:
+            detail[name] = (
+                f"not determined: the effect of the known {what} is too small compared with the disturbances"
+            )
+        else:
+            detail[name] = f"not determined: no known {what} acts"
+    return replace(mass, identifiable=replace(mass.identifiable, detail=detail), **found)

@@ -154,7 +154,9 @@ def estimate_impulses(
     cov = np.stack([_covariance(T, m.dense, iterate, np.array([k])) for k in use])
     # the process noise of a step is part of the change of the state, not of the impulse
     quiet = np.repeat([data.accel_psd, data.torque_psd], 3)
-    mixed = _mixed_components(axes_known)
+    # components that a rotation about an undetermined axis mixes
+    mixed = np.array([not (axes_known[1] and axes_known[2]), not (axes_known[0] and axes_known[2]),
+                      not (axes_known[0] and axes_known[1])])  # fmt: skip
     dt = data.dt_s[use, None]
     sigma = _sigma(cov, quiet * dt, mixed) / dt
     starts, ends = timestamps_ns[use], timestamps_ns[use + 1]
@@ -214,12 +216,6 @@ def _sigma(covariance: Array, quiet: Array, mixed: Bools) -> Array:
     sigma = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1) + quiet)
     sigma[..., 3:][..., mixed] = np.inf
     return np.asarray(sigma)
-
-
-def _mixed_components(axes_known: Bools) -> Bools:
-    """(3,) components that a rotation about an undetermined axis mixes."""
-    lost = ~axes_known
-    return np.array([lost[1] | lost[2], lost[0] | lost[2], lost[0] | lost[1]])
 
 
 def describe_impulse(impulse: Impulse, first_ns: int) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from hashlib import sha256
+from itertools import product
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -24,7 +25,7 @@ from polhode.compare.ranking import performance_profiles
 from polhode.compare.registry import Entry, entries
 from polhode.compare.rows import Case, Comparison, ProblemSummary, Row, StartKind, write_comparison
 from polhode.compare.solver_process import empty_row, row_of
-from polhode.compare.tables import csv_text
+from polhode.compare.tables import csv_text, start_text
 from polhode.config import Config
 from polhode.files.atomic import write_text
 from polhode.files.foreign_files import MIB, read_text
@@ -66,7 +67,9 @@ def compare(
 def _compared(
     config: Config, folder: Path, progress: Progress, chosen: tuple[Entry, ...], wanted: Sequence[Source]
 ) -> Comparison:
-    _warn_of_pickles(folder)
+    for old in sorted((folder / "problems").glob("*.pickle")):
+        # reading such a file may execute what is in it
+        _log.warning("%s: a problem as earlier versions stored it, which is not read; delete it", old)
     # the first use on a machine compiles: that must not count as time of a solver
     with progress.stage("compiling the cost", 1) as advance:
         compile_block()
@@ -75,8 +78,12 @@ def _compared(
     problems: list[ProblemSummary] = []
     rows: list[Row] = []
     for source in wanted:
+        # written each time, and never one that the folder held before
+        file = folder / "problems" / f"{source.name}{SUFFIX}"
         try:
-            file = _prepared(source, folder, config, progress)
+            with progress.stage(f"freezing {source.name}", 1) as advance:
+                write_problem(source.problem(config, progress, folder / "problems" / source.name), file)
+                advance()
         except RunFailure as failure:
             if source is wanted[-1] and not problems:
                 raise
@@ -86,8 +93,12 @@ def _compared(
         key, cases, own = of_problem(problem), list(_cases(source.name, config, chosen)), []
         with progress.stage(f"solvers, {source.name}", len(cases)) as advance:
             for number, (entry, case) in enumerate(cases, 1):
-                own.append(_row(file, key, folder, entry, case, config, deadline))
-                _log.log(NOTE, "%s, %d of %d", _in_one_line(own[-1]), number, len(cases))
+                row = _row(file, key, folder, entry, case, config, deadline)
+                found = "" if row.cost is None else f", cost {row.cost:.6g}"
+                took = "" if row.wall_s is None else f", {row.wall_s:.1f} s"
+                text = f"{row.problem}: {row.solver} ({start_text(row)} start): {row.status}{found}{took}"
+                _log.log(NOTE, "%s, %d of %d", text, number, len(cases))
+                own.append(row)
                 advance()
         rows += own
         problems.append(_summary(source, problem, key, own))
@@ -108,23 +119,12 @@ def _compared(
 
 def _cases(problem: str, config: Config, chosen: tuple[Entry, ...]) -> Iterator[tuple[Entry, Case]]:
     wanted = config.compare
-    counts: dict[StartKind, int] = {
-        "cold": int(wanted.cold),
-        "perturbed": wanted.perturbed,
-        "near": wanted.near,
-    }
-    for entry in chosen:
-        for start, count in counts.items():
-            for seed in range(count):
-                yield entry, Case(problem=problem, solver=entry.name, start=start, seed=seed)
-
-
-def _in_one_line(row: Row) -> str:
-    """What became of a row."""
-    start = row.start if row.start == "cold" else f"{row.start} {row.seed}"
-    found = "" if row.cost is None else f", cost {row.cost:.6g}"
-    took = "" if row.wall_s is None else f", {row.wall_s:.1f} s"
-    return f"{row.problem}: {row.solver} ({start} start): {row.status}{found}{took}"
+    counts: tuple[tuple[StartKind, int], ...] = (
+        ("cold", int(wanted.cold)), ("perturbed", wanted.perturbed), ("near", wanted.near),
+    )  # fmt: skip
+    for entry, (start, count) in product(chosen, counts):
+        for seed in range(count):
+            yield entry, Case(problem=problem, solver=entry.name, start=start, seed=seed)
 
 
 def claim(folder: Path) -> Path:
@@ -143,22 +143,6 @@ def claim(folder: Path) -> Path:
         for each in (place / part, *(place / part).iterdir()):
             remove_all_partials(each)
     return place
-
-
-def _warn_of_pickles(folder: Path) -> None:
-    """Name the problems that earlier versions stored: reading such a file may execute what is in it."""
-    for old in sorted((folder / "problems").glob("*.pickle")):
-        _log.warning("%s: a problem as earlier versions stored it, which is not read; delete it", old)
-
-
-def _prepared(source: Source, folder: Path, config: Config, progress: Progress) -> Path:
-    """The file of a frozen problem, written each time and never one that the folder held before."""
-    store = folder / "problems" / source.name
-    file = folder / "problems" / f"{source.name}{SUFFIX}"
-    with progress.stage(f"freezing {source.name}", 1) as advance:
-        write_problem(source.problem(config, progress, store), file)
-        advance()
-    return file
 
 
 def _row(

@@ -1,6 +1,6 @@
 """Statistics over the rows: performance profiles, growth with size, Pareto front, success over starts."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,15 +9,9 @@ from polhode.compare.problem.assessment import AGREED
 from polhode.compare.rows import Comparison, Profile, Row, Tally, gap, least_costs
 from polhode.geometry.lie import Array
 
-CaseKey = tuple[str, str, int]
-"""Problem, start, seed."""
 FINISHED = ("ok", "baseline")
 NOISE = 0.1
 """Relative difference of times up to which they count as equal."""
-MAX_FACTOR = 100.0
-"""Largest factor of time in a profile."""
-MIN_SIZES, MIN_RANGE = 3, 2.0
-"""Smallest number of sizes for an exponent, and smallest ratio of the largest to the smallest of them."""
 
 
 def solved(row: Row, least: float | None) -> bool:
@@ -28,41 +22,35 @@ def solved(row: Row, least: float | None) -> bool:
 
 def performance_profiles(comparison: Comparison) -> list[Profile]:
     """A profile for each solver that claims convergence, over the cases that it ran."""
-    least = least_costs(comparison)
+    least, fastest = least_costs(comparison), dict[tuple[str, str, int], float]()
     rows = [row for row in comparison.rows if row.claim == "ok"]
-    fastest: dict[CaseKey, float] = {}
-    for row in rows:
-        if solved(row, least[row.problem]):
-            fastest[_case(row)] = min(fastest.get(_case(row), np.inf), row.wall_s or 0.0)
+    good = [row for row in rows if solved(row, least[row.problem])]
+    for row in good:
+        fastest[row.case] = min(fastest.get(row.case, np.inf), row.wall_s or 0.0)
+
+    def tally(own: Sequence[Row]) -> Tally:
+        ran = [row for row in own if row.ran]
+        won = sum(solved(row, least[row.problem]) for row in ran)
+        return Tally(solved=won, ran=len(ran), not_run=len(own) - len(ran))
+
     out = []
     for solver in dict.fromkeys(row.solver for row in rows):
         own = [row for row in rows if row.solver == solver]
-        good = [row for row in own if solved(row, least[row.problem])]
-        factors = sorted((row.wall_s or 0.0) / max(fastest[_case(row)], 1e-9) for row in good)
+        factors = [(row.wall_s or 0.0) / max(fastest[row.case], 1e-9) for row in good if row.solver == solver]
         kinds = dict.fromkeys(row.start for row in own)
-        starts = {kind: _tally([row for row in own if row.start == kind], least) for kind in kinds}
-        out.append(Profile(solver=solver, starts=starts, factors=factors, **_tally(own, least).model_dump()))
+        starts = {kind: tally([row for row in own if row.start == kind]) for kind in kinds}
+        out.append(Profile(solver=solver, starts=starts, factors=sorted(factors), **tally(own).model_dump()))
     return out
 
 
 def curve(profile: Profile) -> tuple[Array, Array]:
-    """Factors of time (n,) from 1, and the share of the cases solved within them (n,)."""
+    """Factors of time (n,) from 1 to at least 100, and the share of the cases solved within them (n,)."""
     factors = np.array(profile.factors)
     share = np.arange(1, len(factors) + 1) / max(profile.ran, 1)
     return (
-        np.concatenate([[1.0], factors, [max([MAX_FACTOR, *factors])]]),
+        np.concatenate([[1.0], factors, [max([100.0, *factors])]]),
         np.concatenate([[0.0], share, share[-1:] if len(share) else [0.0]]),
     )
-
-
-def _case(row: Row) -> CaseKey:
-    return row.problem, row.start, row.seed
-
-
-def _tally(rows: Sequence[Row], least: dict[str, float | None]) -> Tally:
-    ran = [row for row in rows if row.ran]
-    good = sum(solved(row, least[row.problem]) for row in ran)
-    return Tally(solved=good, ran=len(ran), not_run=len(rows) - len(ran))
 
 
 @dataclass(frozen=True)
@@ -77,10 +65,10 @@ class Growth:
 
 
 def growths(comparison: Comparison) -> list[Growth]:
-    """Growth of the solvers that solved problems of ``MIN_SIZES`` numbers of frames from the cold start.
+    """Growth of the solvers that solved problems of three numbers of frames, over a factor of two in size.
 
-    Medians over problems with equally many frames. The size is the number of observations, as landmarks that
-    are seen repeatedly add no unknowns.
+    From the cold start; medians over problems with equally many frames. The size is the number of
+    observations, as landmarks that are seen repeatedly add no unknowns.
     """
     problems = {problem.name: problem for problem in comparison.problems}
     least, out = least_costs(comparison), []
@@ -91,39 +79,28 @@ def growths(comparison: Comparison) -> list[Growth]:
             if good and solved(row, least[row.problem]):
                 problem = problems[row.problem]
                 of_size.setdefault(problem.frames, []).append((problem.observations, row.wall_s or 0.0))
-        if len(of_size) < MIN_SIZES:
+        if len(of_size) < 3:
             continue
         size, seconds = np.array([np.median(of_size[n], axis=0) for n in sorted(of_size)]).T
-        if size[-1] < MIN_RANGE * size[0]:
-            continue
-        out.append(Growth(solver, size, seconds, float(np.polyfit(np.log(size), np.log(seconds), 1)[0])))
+        if size[-1] >= 2.0 * size[0]:
+            out.append(Growth(solver, size, seconds, float(np.polyfit(np.log(size), np.log(seconds), 1)[0])))
     return out
 
 
 def front(rows: Sequence[Row], least: float | None) -> list[Row]:
     """Rows of one problem on the Pareto front of time and accuracy, by time: no other row beats them."""
     finished = [row for row in rows if row.status in FINISHED and row.wall_s is not None]
-    return _by_time(row for row in finished if not beaten_by(row, finished, least))
-
-
-def beaten_by(row: Row, rows: Sequence[Row], least: float | None) -> list[Row]:
-    """The finished rows of the same problem that beat it, by time."""
-    return _by_time(
-        other for other in rows if other is not row and other.status in FINISHED and beats(other, row, least)
-    )
-
-
-def _by_time(rows: Iterable[Row]) -> list[Row]:
-    return sorted(rows, key=lambda row: row.wall_s or 0.0)
+    best = [row for row in finished if not any(beats(other, row, least) for other in finished)]
+    return sorted(best, key=lambda row: row.wall_s or 0.0)
 
 
 def beats(row: Row, other: Row, least: float | None) -> bool:
     """Whether it is not slower and more accurate, or faster and not less accurate.
 
     Costs within ``AGREED`` of the least are equally accurate, times within ``NOISE`` equally long. A row that
-    did not finish is beaten by all that did.
+    did not finish is beaten by all that did, and beats none.
     """
-    if row.wall_s is None or row.cost is None:
+    if row.wall_s is None or row.cost is None or row.status not in FINISHED:
         return False
     if other.wall_s is None or other.status not in FINISHED:
         return True

@@ -1,4 +1,4 @@
-"""The solvers by name. Each adapter is imported only in the process that runs it."""
+"""The solvers by name (docs/compare.md); each adapter is imported only in the process that runs it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -20,7 +20,6 @@ class Entry:
     family: str
     adapter: str
     """MODULE:NAME of a class that is called with the options; the module is in ``HOME`` or has a dot"""
-    description: str
     options: dict[str, str] = field(default_factory=dict)
     claim: Claim = "ok"
     needs: str = ""
@@ -39,52 +38,22 @@ class Entry:
         return make(**self.options)
 
 
-_VARIANT, _SQP = "casadi_solvers:Variant", "casadi_solvers:Sqp"
-_EXACT, _SLACK = {"hessian": "exact"}, {"dynamics": "slack", "code": "c"}
-
+_OURS, _CASADI = "ours:Ours", "casadi_solvers:CasadiSolver"
 ENTRIES: tuple[Entry, ...] = (
-    Entry("gauss_newton", "ours", "ours:Ours", "Gauss-Newton/Levenberg, landmarks eliminated"),
-    Entry(
-        "gauss_newton_ratios", "ours", "ours:Ours", "the same, inertia as ratios and axes",
-        {"form": "ratios_axes"},
-    ),
-    Entry("ipopt", "ipopt", "casadi_solvers:Shipped", "IPOPT as polhode runs it: stereo in compiled loops"),
-    Entry("ipopt_condensed", "ipopt", "condensed:Condensed", "IPOPT, landmarks condensed"),
-    Entry("ipopt_vm", "ipopt", _VARIANT, "Gauss-Newton Hessian, virtual machine"),
-    Entry("ipopt_c", "ipopt", _VARIANT, "Gauss-Newton Hessian, generated C", {"code": "c"}),
-    Entry("ipopt_exact_vm", "ipopt", _VARIANT, "exact Hessian, virtual machine", _EXACT),
-    Entry("ipopt_exact_c", "ipopt", _VARIANT, "exact Hessian, generated C", {**_EXACT, "code": "c"}),
-    Entry(
-        "ipopt_slack", "ipopt", _VARIANT, "dynamics as equalities with slack, Gauss-Newton Hessian", _SLACK
-    ),
-    Entry(
-        "ipopt_slack_exact", "ipopt", _VARIANT, "dynamics as equalities with slack, exact Hessian",
-        {**_EXACT, **_SLACK},
-    ),
-    Entry("sqp_osqp", "sqp", _SQP, "CasADi sqpmethod, OSQP", {"qp": "osqp"}),
-    Entry("sqp_ipqp", "sqp", _SQP, "CasADi sqpmethod, its interior-point QP", {"qp": "ipqp"}),
-    Entry(
-        "scipy_trf", "scipy", "scipy_least_squares:TrustRegion", "least_squares, sparse Jacobian, LSMR"
-    ),
-    Entry("ceres", "ceres", "ceres:Ceres", "Levenberg-Marquardt, sparse Schur complement", needs="pyceres"),
-    Entry(
-        "gtsam_lm", "gtsam", "gtsam_solvers:Batch", "Levenberg-Marquardt, own stereo factors", needs="gtsam"
-    ),
-    Entry("gtsam_isam2", "gtsam", "gtsam_solvers:Incremental", "iSAM2 frame by frame", needs="gtsam"),
-    Entry(
-        "odometry", "baselines", "thesis_methods:Odometry", "no dynamics in the map (thesis 7.2)",
-        claim="baseline",
-    ),
-    Entry(
-        "dynamic_isam", "baselines", "thesis_methods:DynamicIsam", "the method of the thesis",
-        claim="baseline",
-    ),
-    Entry(
-        "belief_propagation", "baselines", "belief_propagation:BeliefPropagation",
-        "Gaussian belief propagation (thesis 7.2)",
-    ),
-    Entry("sqp_qrqp", "sqp", _SQP, "CasADi sqpmethod, its sparse QR active set", {"qp": "qrqp"}),
-)  # fmt: skip
+    Entry("gauss_newton", "ours", _OURS),
+    Entry("gauss_newton_ratios", "ours", _OURS, {"form": "ratios_axes"}),
+    Entry("ipopt", "ipopt", _CASADI),
+    Entry("ipopt_condensed", "ipopt", "condensed:Condensed"),
+    Entry("sqp_osqp", "sqp", _CASADI, {"qp": "osqp"}),
+    Entry("sqp_ipqp", "sqp", _CASADI, {"qp": "ipqp"}),
+    Entry("scipy_trf", "scipy", "scipy_least_squares:TrustRegion"),
+    Entry("ceres", "ceres", "ceres:Ceres", needs="pyceres"),
+    Entry("gtsam_lm", "gtsam", "gtsam_solvers:Batch", needs="gtsam"),
+    Entry("gtsam_isam2", "gtsam", "gtsam_solvers:Incremental", needs="gtsam"),
+    Entry("odometry", "baselines", "thesis_methods:Odometry", claim="baseline"),
+    Entry("dynamic_isam", "baselines", "thesis_methods:DynamicIsam", claim="baseline"),
+    Entry("sqp_qrqp", "sqp", _CASADI, {"qp": "qrqp"}),
+)
 """Those that may need all of their time are last."""
 
 

@@ -43,6 +43,11 @@ class Case(StrictModel):
     start: StartKind
     seed: int = Field(ge=0)
 
+    @property
+    def case(self) -> tuple[str, str, int]:
+        """Problem, start, seed: the same for all solvers."""
+        return self.problem, self.start, self.seed
+
 
 class Row(Case):
     """Result of one solver for one problem from one start."""

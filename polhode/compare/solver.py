@@ -41,20 +41,21 @@ class AdapterResult:
 
 
 class ProgressFiles:
-    """Files of one solver's process: ``stem`` with the suffixes .started, .trace, .reached, .status.
+    """Files of one solver's process: ``stem`` with the suffixes .log and .reached.
 
-    The unknowns are in a memory-mapped file with two slots that are written in turn; the first number names
-    the complete one. A write costs one copy, and a process that dies during it leaves the point before.
+    A line of the log is a time, a cost after a number of seconds, or a status. The unknowns are in a
+    memory-mapped file with two slots that are written in turn; the first number names the complete one. A
+    write costs one copy, and a process that dies during it leaves the point before.
     """
 
     def __init__(self, stem: Path, n: int) -> None:
         """Create them, for points of n unknowns."""
-        self._trace, self._status = stem.with_suffix(".trace"), stem.with_suffix(".status")
+        self._log = stem.with_suffix(".log")
         self._numbers = np.memmap(
             stem.with_suffix(".reached"), dtype=np.float64, mode="w+", shape=(1 + 2 * n,)
         )
         self._n = n
-        stem.with_suffix(".started").write_text(f"{time():.6f}")
+        self.write(f"started {time():.6f}")
 
     def point(self, x: Array, kind: Literal["best", "last"]) -> None:
         """Keep the unknowns (n,) instead of those before. Raises ValueError for another length."""
@@ -63,49 +64,42 @@ class ProgressFiles:
         self._numbers[at : at + self._n] = x.reshape(self._n)
         self._numbers[0] = slot if kind == "best" else -slot
 
-    def cost(self, seconds: float, cost: float) -> None:
-        """Append a point of the trace."""
-        with self._trace.open("a") as file:
-            file.write(f"{seconds:.6f} {cost:.17g}\n")
-
-    def status(self, status: str) -> None:
-        """Record the progress of a method that has no complete iterate before its end."""
-        self._status.write_text(status)
+    def write(self, line: str) -> None:
+        """Append a line to the log."""
+        with self._log.open("a") as file:
+            file.write(line + "\n")
 
 
-def read_point(stem: Path) -> tuple[Literal["best", "last"], Array] | None:
-    """The unknowns (n,) that were kept, and whether they are the best or the last; None: none."""
-    file = stem.with_suffix(".reached")
-    if not file.is_file():
-        return None
-    numbers = np.fromfile(file)
-    slot, n = int(abs(numbers[0])), (len(numbers) - 1) // 2
-    if slot not in (1, 2):
-        return None
-    return "best" if numbers[0] > 0.0 else "last", numbers[1 + (slot - 1) * n : 1 + slot * n]
+@dataclass(frozen=True)
+class ProcessProgress:
+    """What a process that left no result had reached."""
+
+    kept: Kept = "nothing"
+    x: Array | None = None
+    """(n,) the unknowns that were kept"""
+    wall_s: float | None = None
+    """Time since the solver's clock started [s]; None: the process ended before that"""
+    trace: tuple[tuple[float, float], ...] = ()
+    """Seconds and cost"""
+    status: str = ""
 
 
-def read_trace(stem: Path) -> list[tuple[float, float]]:
-    """Seconds and cost; an incomplete last line is left out."""
-    lines = _content(stem, ".trace").splitlines(keepends=True)
-    points = [line.split() for line in lines if line.endswith("\n")]
-    return [(float(point[0]), float(point[1])) for point in points if len(point) == 2]
-
-
-def seconds_since_start(stem: Path) -> float | None:
-    """Time since the solver's clock started [s]; None: the process ended before that."""
-    started = _content(stem, ".started")
-    return time() - float(started) if started else None
-
-
-def read_status(stem: Path) -> str:
-    """The progress that the method recorded; empty: none."""
-    return _content(stem, ".status")
-
-
-def _content(stem: Path, suffix: str) -> str:
-    file = stem.with_suffix(suffix)
-    return file.read_text() if file.is_file() else ""
+def read_progress(stem: Path) -> ProcessProgress:
+    """Read what ``ProgressFiles`` wrote; an incomplete last line is left out."""
+    log, file = stem.with_suffix(".log"), stem.with_suffix(".reached")
+    lines = log.read_text().splitlines(keepends=True) if log.is_file() else []
+    entries = [line.rstrip("\n").partition(" ")[::2] for line in lines if line.endswith("\n")]
+    started = [time() - float(text) for kind, text in entries if kind == "started"]
+    costs = [text.split() for kind, text in entries if kind == "cost"]
+    statuses = [text for kind, text in entries if kind == "status"]
+    kept: Kept = "nothing"
+    x = None
+    numbers = np.fromfile(file) if file.is_file() else np.zeros(1)
+    if slot := int(abs(numbers[0])):
+        n, kept = (len(numbers) - 1) // 2, "best" if numbers[0] > 0.0 else "last"
+        x = numbers[1 + (slot - 1) * n : 1 + slot * n]
+    trace = tuple((float(seconds), float(cost)) for seconds, cost in costs)
+    return ProcessProgress(kept, x, next(iter(started), None), trace, next(reversed(statuses), ""))
 
 
 @dataclass
@@ -173,7 +167,7 @@ class SolveMonitor:
         """
         self.trace.append((self.elapsed(), float(cost)))
         if self.files is not None:
-            self.files.cost(*self.trace[-1])
+            self.files.write("cost {:.6f} {:.17g}".format(*self.trace[-1]))
         if x is None or (common and not cost < (np.inf if self.best is None else self.best[0])):
             return
         if common:
@@ -193,7 +187,7 @@ class SolveMonitor:
         """Record the progress of a method that has no complete iterate before its end."""
         self.status = status
         if self.files is not None:
-            self.files.status(status)
+            self.files.write(f"status {status}")
 
     def check(self) -> None:
         """Raises OutOfTime when the limit is passed."""

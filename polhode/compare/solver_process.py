@@ -13,7 +13,7 @@ import subprocess
 import sys
 import traceback
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import time
@@ -24,15 +24,7 @@ from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.problem.problem_file import read_problem
 from polhode.compare.registry import Entry
 from polhode.compare.rows import Case, Row
-from polhode.compare.solver import (
-    OutOfTime,
-    ProgressFiles,
-    SolveMonitor,
-    read_point,
-    read_status,
-    read_trace,
-    seconds_since_start,
-)
+from polhode.compare.solver import OutOfTime, ProgressFiles, SolveMonitor, read_progress
 from polhode.files.atomic import write_text
 from polhode.geometry.lie import Array
 from polhode.runtime.optional_parts import missing_message
@@ -41,42 +33,26 @@ from polhode.runtime.threads import limit_threads
 
 RESERVE_S = 3.0
 """Part of the limit that is reserved for the assessment and for writing the result."""
-UNKNOWN: dict[str, Any] = dict.fromkeys(
-    ("cost", "gain_left", "iterations", "wall_s", "build_s", "evaluation_s", "linear_s", "callback_s",
-     "memory_mb", "memory_before_mb", "k1", "k2", "sigma_k1", "sigma_k2", "sigma_com_mm", "errors")
-) | {"kept": "nothing", "not_separable": "", "trace": [], "ran": True}  # fmt: skip
-ENDED = "its process ended before its times were read"
-
-
-@dataclass(frozen=True)
-class ProcessEnd:
-    """How a process ended."""
-
-    code: int | None
-    """None: it was ended at its limit"""
-    stderr: str
-    memory_mb: float | None = None
+Values = dict[str, Any]
 
 
 def row_of(problem_file: Path, entry: Entry, case: Case, limit_s: float) -> Row:
     """Solve in a new process; whatever happens to it, there is a row."""
     package = entry.missing()
     if package is not None:
-        reason = missing_message(package)
-        return empty_row(entry, case, "missing", reason)
+        return empty_row(entry, case, "missing", missing_message(package))
     with TemporaryDirectory(prefix="polhode-compare-") as folder:
-        out, begin = Path(folder) / "row.json", time()
-        timed_case = {**case.model_dump(), "limit_s": limit_s, "started": begin}
+        out = Path(folder) / "row.json"
+        timed_case = {**case.model_dump(), "limit_s": limit_s, "started": time()}
         arguments = [str(problem_file), json.dumps(asdict(entry)), json.dumps(timed_case), str(out)]
-        command = [sys.executable, "-P", "-m", "polhode.compare.solver_process", *arguments]
-        end = _run(command, limit_s)
-        if out.is_file():
-            try:
-                return _row(entry, case, storable(json.loads(out.read_text())))
-            except ValueError as error:
-                reason = f"its result cannot be read: {str(error)[:150]}"
-                return _row(entry, case, {"status": "failed", "message": reason})
-        return _row(entry, case, _partial_result(problem_file, out, end, limit_s))
+        end = _run([sys.executable, "-P", "-m", "polhode.compare.solver_process", *arguments], limit_s)
+        if not out.is_file():
+            return _row(entry, case, _partial_result(problem_file, out, limit_s, *end))
+        try:
+            return _row(entry, case, storable(json.loads(out.read_text())))
+        except ValueError as error:
+            reason = f"its result cannot be read: {str(error)[:150]}"
+            return _row(entry, case, {"status": "failed", "message": reason})
 
 
 def empty_row(entry: Entry, case: Case, status: str, message: str) -> Row:
@@ -84,27 +60,19 @@ def empty_row(entry: Entry, case: Case, status: str, message: str) -> Row:
     return _row(entry, case, {"status": status, "message": message, "ran": False})
 
 
-def _partial_result(problem_file: Path, stem: Path, end: ProcessEnd, limit_s: float) -> dict[str, Any]:
-    """The row of a process that ended without a result: the point that it had reached, assessed here."""
-    wall_s, trace = seconds_since_start(stem), drawable(read_trace(stem))
-    kept, x = read_point(stem) or ("nothing", None)
-    if end.code is None:
-        reason = out_of_time(limit_s, wall_s, read_status(stem), kept)
-        status, message = "timeout", f"ended at its limit: {reason}"
-    else:
-        status, message = "failed", _reason_of_end(end.code, end.stderr)
-    known: dict[str, Any] = {"status": status, "message": message, "not_separable": ENDED}
-    known |= {"wall_s": wall_s, "iterations": len(trace), "memory_mb": end.memory_mb, "trace": trace}
-    return storable(known | _assessed(read_problem(problem_file), kept, x))
-
-
-def _row(entry: Entry, case: Case, known: dict[str, Any]) -> Row:
+def _row(entry: Entry, case: Case, known: Values) -> Row:
+    unknown = dict.fromkeys(Row.model_fields) | {
+        "kept": "nothing",
+        "not_separable": "",
+        "trace": [],
+        "ran": True,
+    }
     own = {**case.model_dump(), "family": entry.family, "claim": entry.claim}
-    return Row.model_validate({**own, **UNKNOWN, **known})
+    return Row.model_validate({**unknown, **own, **known})
 
 
-def _run(command: list[str], limit_s: float) -> ProcessEnd:
-    """Wait until the process ends, or end it at its limit."""
+def _run(command: list[str], limit_s: float) -> tuple[int | None, str, float | None]:
+    """Wait until the process ends, or end it at its limit (no exit code): code, last words, memory [MB]."""
     # the child imports our packages from where this process has them, wherever it was started
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     environment.pop("PYTHONFAULTHANDLER", None)
@@ -118,31 +86,43 @@ def _run(command: list[str], limit_s: float) -> ProcessEnd:
         start_new_session=True,
         env=environment,
     )
+    memory = None
     try:
         _, stderr = process.communicate(timeout=limit_s)
-    except subprocess.TimeoutExpired:
+    except BaseException as error:
         memory = peak_mb(process.pid)
-        _kill(process)
-        return ProcessEnd(None, "", memory)
-    except BaseException:
-        _kill(process)
-        raise
-    return ProcessEnd(process.returncode, stderr)
-
-
-def _kill(process: "subprocess.Popen[str]") -> None:
-    """Kill the process and those that it started: it leads a session of its own."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()
-
-
-def _reason_of_end(code: int, stderr: str) -> str:
+        # with those that it started: it leads a session of its own
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        if not isinstance(error, subprocess.TimeoutExpired):
+            raise
+        return None, "", memory
     lines = [line.strip() for line in stderr.splitlines() if line.strip()]
-    last = lines[-1][:200] if lines else "no output"
-    if code < 0:
-        return f"the process died of {signal.Signals(-code).name}: {last}"
-    return f"the process ended with {code} and left no result: {last}"
+    return process.returncode, lines[-1][:200] if lines else "no output", memory
+
+
+def _partial_result(
+    problem_file: Path, stem: Path, limit_s: float, code: int | None, last: str, memory_mb: float | None
+) -> Values:
+    """The row of a process that ended without a result: the point that it had reached, assessed here."""
+    reached = read_progress(stem)
+    status, message = "failed", f"the process ended with {code} and left no result: {last}"
+    if code is None:
+        reason = out_of_time(limit_s, reached.wall_s, reached.status, reached.kept)
+        status, message = "timeout", f"ended at its limit: {reason}"
+    elif code < 0:
+        message = f"the process died of {signal.Signals(-code).name}: {last}"
+    known = {
+        "status": status,
+        "message": message,
+        "not_separable": "its process ended before its times were read",
+        "wall_s": reached.wall_s,
+        "iterations": len(reached.trace),
+        "memory_mb": memory_mb,
+        "trace": drawable(list(reached.trace)),
+    }
+    return storable(known | _assessed(read_problem(problem_file), reached.kept, reached.x))
 
 
 def main(arguments: list[str]) -> None:
@@ -158,42 +138,40 @@ def main(arguments: list[str]) -> None:
     os._exit(0)
 
 
-def solve(problem_file: Path, entry: Entry, case: dict[str, Any], out: Path) -> dict[str, Any]:
+def solve(problem_file: Path, entry: Entry, case: Values, out: Path) -> Values:
     """The parts of a row that this process knows."""
     problem = read_problem(problem_file)
     x = problem.start(case["start"], case["seed"])
     gain_left(problem, x)  # loads the compiled loops before the clock starts
     before = peak_mb()
     solver = entry.load()
-    files = ProgressFiles(out, len(x))
     left = case["limit_s"] - (time() - case["started"]) - RESERVE_S
-    monitor = SolveMonitor(max(left, 1.0), files=files)
-    result, failure = None, ""
+    monitor = SolveMonitor(max(left, 1.0), files=ProgressFiles(out, len(x)))
+    result, status, message = None, "failed", ""
     try:
         result = solver.solve(problem, x, monitor)
     except OutOfTime:
-        failure = "timeout"
+        status = "timeout"
     except Exception as error:  # noqa: BLE001  any error is a failed row
         traceback.print_exc()
-        failure = f"{type(error).__name__}: {error}"
+        message = f"{type(error).__name__}: {error}"
         monitor.not_separable = monitor.not_separable or "an error ended it before its times were read"
     wall, memory = monitor.elapsed(), peak_mb()
     kept, point = ("answer", result.x) if result is not None else monitor.kept()
     assessed = _assessed(problem, kept, point)
-    if failure == "timeout":
-        status, message = "timeout", out_of_time(case["limit_s"], wall, monitor.status, kept)
-    elif result is None:
-        status, message = "failed", failure
-    else:
+    iterations, sigma = len(monitor.trace), sigmas(problem, x, None)
+    if result is not None:
         status, message = _confirmed(entry, result.converged, result.message, assessed)
-    sigma = sigmas(problem, result.x, result.cov_constants) if result is not None else [None] * 3
+        iterations, sigma = result.iterations, sigmas(problem, result.x, result.cov_constants)
+    elif status == "timeout":
+        message = out_of_time(case["limit_s"], wall, monitor.status, kept)
     build, evaluation = monitor.seconds["build"], monitor.seconds["evaluation"]
     separable = not monitor.not_separable
     return {
         "status": status,
         "message": " ".join(message.split())[:300],
         **assessed,
-        "iterations": result.iterations if result is not None else len(monitor.trace),
+        "iterations": iterations,
         "wall_s": wall,
         "build_s": build,
         "evaluation_s": evaluation if separable else None,
@@ -202,14 +180,12 @@ def solve(problem_file: Path, entry: Entry, case: dict[str, Any], out: Path) -> 
         "callback_s": monitor.callback_s,
         "memory_mb": memory,
         "memory_before_mb": before,
-        "sigma_k1": sigma[0],
-        "sigma_k2": sigma[1],
-        "sigma_com_mm": sigma[2],
+        **dict(zip(("sigma_k1", "sigma_k2", "sigma_com_mm"), sigma, strict=True)),
         "trace": drawable(monitor.trace),
     }
 
 
-def _confirmed(entry: Entry, converged: bool, message: str, assessed: dict[str, Any]) -> tuple[str, str]:
+def _confirmed(entry: Entry, converged: bool, message: str, assessed: Values) -> tuple[str, str]:
     """Status and message of a result: what the solver claims, if the common cost confirms it."""
     if assessed["cost"] is None:
         return "failed", f"no finite cost where it stopped ({message})"
@@ -222,7 +198,7 @@ def _confirmed(entry: Entry, converged: bool, message: str, assessed: dict[str, 
     return entry.claim, message
 
 
-def _assessed(problem: MeasuredProblem, kept: str, x: Array | None) -> dict[str, Any]:
+def _assessed(problem: MeasuredProblem, kept: str, x: Array | None) -> Values:
     """The assessment of the point that is kept; None throughout without a point."""
     found = PointAssessment() if x is None else assess(problem, x)
     errors = found.errors.model_dump() if found.errors is not None else None
@@ -232,12 +208,13 @@ def _assessed(problem: MeasuredProblem, kept: str, x: Array | None) -> dict[str,
 def out_of_time(limit_s: float, own_s: float | None, status: str, kept: str) -> str:
     """Why there is no result: the limit, the solver's own share of it, its progress, and what is kept."""
     own = "" if own_s is None else f", {own_s:.1f} s of them the solver's own"
-    point = "nothing is kept: it has no complete iterate before its end"
-    parts = [f"{limit_s:g} s were not enough{own}", status]
-    return "; ".join(filter(None, [*parts, point if kept == "nothing" else f"the {kept} point is kept"]))
+    point = f"the {kept} point is kept"
+    if kept == "nothing":
+        point = "nothing is kept: it has no complete iterate before its end"
+    return "; ".join(filter(None, [f"{limit_s:g} s were not enough{own}", status, point]))
 
 
-def storable(known: dict[str, Any]) -> dict[str, Any]:
+def storable(known: Values) -> Values:
     """A row's content with null for every number that is not finite, which JSON cannot store."""
     return {
         key: storable(value)
@@ -260,9 +237,7 @@ def peak_mb(process: int | str = "self") -> float | None:
         for line in status.read_text().splitlines():
             if line.startswith("VmHWM:"):
                 return float(line.split()[1]) / 1024.0
-    if process != "self":
-        return None
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return None if process != "self" else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 if __name__ == "__main__":

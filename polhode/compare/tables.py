@@ -16,99 +16,39 @@ COLUMNS = (
 ERROR_COLUMNS = ("r mm", "v mm/s", "attitude deg", "w deg/s", "com mm", "k1", "k2")
 NOT_SEPARABLE = "n/s"
 """Shown for a time that is not separable; the reason is below the table."""
-WIDTH = 132
-"""Characters of the table where the output is no terminal."""
 
 
 def format_tables(comparison: Comparison) -> str:
     """A table for each problem, a sentence on the agreement of the solvers, and which were left out."""
     console = Console()
     if not console.is_terminal:
-        console = Console(width=WIDTH)
+        console = Console(width=132)
     with console.capture() as printed:
-        _print_tables(console, comparison)
+        for problem in comparison.problems:
+            rows = [row for row in comparison.rows if row.problem == problem.name]
+            title = (
+                f"{problem.name}: {problem.frames} frames, {problem.landmarks} landmarks, "
+                f"{problem.observations} observations"
+            )
+            console.print(_table(title, COLUMNS, [cells(row, problem.least_cost) for row in rows]))
+            errors = [
+                [row.solver, start_text(row), row.status, *error_cells(row.errors)]
+                for row in rows
+                if row.errors is not None
+            ]
+            if errors:
+                title = "Estimate minus truth, at the point that is kept"
+                console.print(_table(title, (*COLUMNS[:3], *ERROR_COLUMNS), errors))
+            ended = [
+                f"  {row.solver} ({row.start} {row.seed}): {row.message}"
+                for row in rows
+                if row.status in ("failed", "timeout", "missing")
+            ]
+            reasons = [f"  {reason}" for reason in not_separable(rows)]
+            console.print("\n".join([*ended, *reasons, verdict(rows, problem.least_cost)]), markup=False)
+        for text in tallies(comparison):
+            console.print(text, markup=False)
     return printed.get().rstrip("\n")
-
-
-def _print_tables(console: Console, comparison: Comparison) -> None:
-    for problem in comparison.problems:
-        rows = [row for row in comparison.rows if row.problem == problem.name]
-        least = problem.least_cost
-        title = (
-            f"{problem.name}: {problem.frames} frames, {problem.landmarks} landmarks, "
-            f"{problem.observations} observations"
-        )
-        console.print(_table(title, COLUMNS, [cells(row, least) for row in rows]))
-        errors = [
-            [row.solver, start_text(row), row.status, *error_cells(row.errors)]
-            for row in rows
-            if row.errors is not None
-        ]
-        if errors:
-            title = "Estimate minus truth, at the point that is kept"
-            console.print(_table(title, (*COLUMNS[:3], *ERROR_COLUMNS), errors))
-        for row in rows:
-            if row.status in ("failed", "timeout", "missing"):
-                console.print(f"  {row.solver} ({row.start} {row.seed}): {row.message}", markup=False)
-        for reason in not_separable(rows):
-            console.print(f"  {reason}", markup=False)
-        console.print(verdict(rows, least), markup=False)
-    for line in tallies(comparison):
-        console.print(line, markup=False)
-
-
-def cells(row: Row, least: float | None) -> list[str]:
-    """The row in the order of ``COLUMNS``."""
-    over = gap(row, least)
-    return [
-        row.solver,
-        start_text(row),
-        row.status,
-        "" if over is None else f"{over:.1e}",
-        "" if row.iterations is None else str(row.iterations),
-        *(_number(value, ".2f") for value in (row.wall_s, row.build_s)),
-        *(
-            NOT_SEPARABLE if row.not_separable else _number(value, ".2f")
-            for value in (row.evaluation_s, row.linear_s)
-        ),
-        _number(row.memory_mb, ".0f"),
-        _number(row.sigma_k1, ".2e"),
-        _number(row.sigma_k2, ".2e"),
-    ]
-
-
-def not_separable(rows: Sequence[Row]) -> list[str]:
-    """Why times are not separable, and for which solvers."""
-    reasons: dict[str, list[str]] = {}
-    for row in rows:
-        if row.not_separable and row.solver not in reasons.setdefault(row.not_separable, []):
-            reasons[row.not_separable].append(row.solver)
-    return [f"{NOT_SEPARABLE}, not separable ({', '.join(who)}): {why}" for why, who in reasons.items()]
-
-
-def tallies(comparison: Comparison) -> list[str]:
-    """Cases solved of those that were run, by kind of start; nothing for a single case."""
-    if len({(row.problem, row.start, row.seed) for row in comparison.rows}) < 2:
-        return []
-    return [
-        f"  {each.solver}: solved "
-        + ", ".join(f"{kind} {tally_text(tally)}" for kind, tally in each.starts.items())
-        for each in comparison.profiles
-    ]
-
-
-def tally_text(tally: Tally) -> str:
-    """As in "3 of 5 (2 not run)"."""
-    return f"{tally.solved} of {tally.ran}" + (f" ({tally.not_run} not run)" if tally.not_run else "")
-
-
-def error_cells(errors: EstimateErrors) -> list[str]:
-    """Estimate minus truth, in the order of ``ERROR_COLUMNS``."""
-    return [
-        f"{errors.position_mm:.2f}", f"{errors.velocity_mm_s:.2f}", f"{errors.attitude_deg:.3f}",
-        f"{errors.angular_velocity_deg_s:.3f}", f"{errors.com_mm:.2f}", f"{errors.k1:+.4f}",
-        f"{errors.k2:+.4f}",
-    ]  # fmt: skip
 
 
 def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
@@ -120,9 +60,62 @@ def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) ->
     return table
 
 
+def cells(row: Row, least: float | None) -> list[str]:
+    """The row in the order of ``COLUMNS``."""
+
+    def number(value: float | None, form: str) -> str:
+        return "" if value is None else format(value, form)
+
+    parts = [
+        NOT_SEPARABLE if row.not_separable else number(t, ".2f") for t in (row.evaluation_s, row.linear_s)
+    ]
+    return [
+        *(
+            row.solver,
+            start_text(row),
+            row.status,
+            number(gap(row, least), ".1e"),
+            number(row.iterations, "d"),
+        ),
+        *(number(row.wall_s, ".2f"), number(row.build_s, ".2f"), *parts, number(row.memory_mb, ".0f")),
+        *(number(row.sigma_k1, ".2e"), number(row.sigma_k2, ".2e")),
+    ]
+
+
+def error_cells(errors: EstimateErrors) -> list[str]:
+    """Estimate minus truth, in the order of ``ERROR_COLUMNS``."""
+    forms = (".2f", ".2f", ".3f", ".3f", ".2f", "+.4f", "+.4f")
+    return [format(value, form) for (_, value), form in zip(errors, forms, strict=True)]
+
+
 def start_text(row: Row) -> str:
     """Kind of start, and its seed."""
     return row.start if row.start == "cold" else f"{row.start} {row.seed}"
+
+
+def not_separable(rows: Sequence[Row]) -> list[str]:
+    """Why times are not separable, and for which solvers."""
+    reasons: dict[str, dict[str, None]] = {}
+    for row in rows:
+        if row.not_separable:
+            reasons.setdefault(row.not_separable, {})[row.solver] = None
+    return [f"{NOT_SEPARABLE}, not separable ({', '.join(who)}): {why}" for why, who in reasons.items()]
+
+
+def tallies(comparison: Comparison) -> list[str]:
+    """Cases solved of those that were run, by kind of start; nothing for a single case."""
+    if len({row.case for row in comparison.rows}) < 2:
+        return []
+    return [
+        f"  {each.solver}: solved "
+        + ", ".join(f"{kind} {tally_text(tally)}" for kind, tally in each.starts.items())
+        for each in comparison.profiles
+    ]
+
+
+def tally_text(tally: Tally) -> str:
+    """As in "3 of 5 (2 not run)"."""
+    return f"{tally.solved} of {tally.ran}" + (f" ({tally.not_run} not run)" if tally.not_run else "")
 
 
 def verdict(rows: Sequence[Row], least: float | None) -> str:
@@ -143,16 +136,10 @@ def csv_text(rows: Sequence[Row]) -> str:
     """All rows, one line each, without the traces."""
     stream = io.StringIO()
     names = [name for name in Row.model_fields if name not in ("trace", "errors")]
-    errors = tuple(EstimateErrors.model_fields)
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([*names, *(f"error_{name}" for name in errors)])
+    names += [f"error_{name}" for name in EstimateErrors.model_fields]
+    writer = csv.DictWriter(stream, names, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
     for row in rows:
-        content = row.model_dump()
-        known = content["errors"] or {}
-        values = [*(content[name] for name in names), *(known.get(name) for name in errors)]
-        writer.writerow(["" if value is None else value for value in values])
+        errors = {} if row.errors is None else {f"error_{name}": value for name, value in row.errors}
+        writer.writerow({**row.model_dump(), **errors})
     return stream.getvalue()
-
-
-def _number(value: float | None, form: str) -> str:
-    return "" if value is None else format(value, form)

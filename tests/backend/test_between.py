@@ -20,16 +20,9 @@ from tests.backend.motions import BOX
 
 CONFIG = Backend.model_validate({"window": {"solver": "gauss_newton"}, "solver": "gauss_newton"})
 SCENE = SyntheticScene(
-    frames=160,
-    landmarks=900,
-    w_G=(3.0 * 0.1047, 6.0 * 0.1047, 2.0 * 0.1047),
-    J_G=BOX,
-    sigma_uv_px=0.5,
-    sigma_d_px=0.5,
-    v_N=(0.0, 0.0, 0.0),
-    outliers=0.02,
-    links=False,
-)
+    frames=160, landmarks=900, w_G=(3.0 * 0.1047, 6.0 * 0.1047, 2.0 * 0.1047), J_G=BOX, sigma_uv_px=0.5,
+    sigma_d_px=0.5, v_N=(0.0, 0.0, 0.0), outliers=0.02, links=False,
+)  # fmt: skip
 KEYS: Ints = np.unique(np.concatenate([np.arange(0, 160, 4), [159]]))
 
 
@@ -75,69 +68,40 @@ def everywhere(
     return smooth_between(sequence.tracks, KEYS, of_keys, guess, CONFIG)
 
 
-def squared(sequence: SyntheticSequence, estimate: MotionEstimate, frames: Ints) -> np.ndarray:
-    """Errors of the positions, squared, in their own covariance (F,)."""
-    off = estimate.r_N - sequence.truth.r_N[frames]
-    covariance = estimate.covariance[:, :3, :3]
-    return np.asarray(np.einsum("fi,fij,fj->f", off, np.linalg.inv(covariance), off))
-
-
-def test_every_frame_has_a_state_as_good_as_those_of_the_key_frames(
+def test_every_frame_has_a_state_as_good_as_its_covariance_says_and_gross_errors_no_weight(
     sequence: SyntheticSequence, of_keys: MotionEstimate, everywhere: tuple[StereoTracks, MotionEstimate]
 ) -> None:
-    truth, found = sequence.truth, everywhere[1]
+    truth, (part, found) = sequence.truth, everywhere
     assert len(found.r_N) == SCENE.frames
-    keys = np.sqrt(np.mean((of_keys.r_N - truth.r_N[KEYS]) ** 2))
-    every = np.sqrt(np.mean((found.r_N - truth.r_N) ** 2))
-    assert every < 1.1 * keys
-
-
-def test_the_states_are_as_accurate_as_their_covariance_says(
-    sequence: SyntheticSequence, everywhere: tuple[StereoTracks, MotionEstimate]
-) -> None:
-    mean = float(np.mean(squared(sequence, everywhere[1], np.arange(SCENE.frames))))
-    assert 0.5 < mean < 6.0
-
-
-def test_gross_errors_get_no_weight(
-    sequence: SyntheticSequence, everywhere: tuple[StereoTracks, MotionEstimate]
-) -> None:
-    part, found = everywhere
+    keys, off = of_keys.r_N - truth.r_N[KEYS], found.r_N - truth.r_N
+    assert np.sqrt(np.mean(off**2)) < 1.1 * np.sqrt(np.mean(keys**2))
+    squared = np.einsum("fi,fij,fj->f", off, np.linalg.inv(found.covariance[:, :3, :3]), off)
+    assert 0.5 < np.mean(squared) < 6.0
     assert len(part.frame) == len(found.inlier_weight) == len(found.residuals_px)
     refused = float(np.mean(found.inlier_weight == 0.0))
     assert 0.5 * SCENE.outliers < refused < 2.0 * SCENE.outliers
 
 
-def test_a_worse_start_ends_in_the_same_states(
+def test_a_worse_start_ends_in_the_same_states_and_frames_before_a_restart_are_located_in_the_map(
     sequence: SyntheticSequence,
     online: OnlineEstimate,
     of_keys: MotionEstimate,
     everywhere: tuple[StereoTracks, MotionEstimate],
 ) -> None:
-    guess = first_states(sequence.tracks, KEYS, of_keys, online, 0, CONFIG)
+    tracks, expected = sequence.tracks, everywhere[1]
+    guess = first_states(tracks, KEYS, of_keys, online, 0, CONFIG)
     X_NG, rng = guess.X_NG.copy(), np.random.default_rng(1)
     X_NG[:, :3, 3] += rng.normal(0.0, 2e-3, (SCENE.frames, 3))
     X_NG[:, :3, :3] = X_NG[:, :3, :3] @ exp_so3(rng.normal(0.0, 0.02, (SCENE.frames, 3)))
-    worse = FrameGuess(X_NG, guess.v_N, guess.w_G)
-    found = smooth_between(sequence.tracks, KEYS, of_keys, worse, CONFIG)[1]
-    sigma = np.sqrt(np.diagonal(everywhere[1].covariance, axis1=1, axis2=2)[:, :3])
-    assert np.abs((found.r_N - everywhere[1].r_N) / sigma).max() < 0.05
-
-
-def test_frames_before_a_restart_are_located_in_the_map(
-    sequence: SyntheticSequence,
-    online: OnlineEstimate,
-    of_keys: MotionEstimate,
-    everywhere: tuple[StereoTracks, MotionEstimate],
-) -> None:
-    later = KEYS[KEYS >= 20]
-    X_NG = online.X_NG.copy()
+    found = smooth_between(tracks, KEYS, of_keys, FrameGuess(X_NG, guess.v_N, guess.w_G), CONFIG)[1]
+    sigma = np.sqrt(np.diagonal(expected.covariance, axis1=1, axis2=2)[:, :3])
+    assert np.abs((found.r_N - expected.r_N) / sigma).max() < 0.05
+    later, X_NG = KEYS[KEYS >= 20], online.X_NG.copy()
     X_NG[:20] = np.eye(4)
     names = [each for each in vars(of_keys) if np.shape(getattr(of_keys, each))[:1] == (len(KEYS),)]
     cut = replace(of_keys, **{name: getattr(of_keys, name)[KEYS >= 20] for name in names})
-    rows = np.isin(sequence.tracks.frame, KEYS)
-    kept = np.isin(sequence.tracks.frame[rows], later)
+    kept = np.isin(tracks.frame[np.isin(tracks.frame, KEYS)], later)
     cut = replace(cut, residuals_px=of_keys.residuals_px[kept], inlier_weight=of_keys.inlier_weight[kept])
-    guess = first_states(sequence.tracks, later, cut, replace(online, X_NG=X_NG), 20, CONFIG)
-    found = smooth_between(sequence.tracks, later, cut, guess, CONFIG)[1]
-    assert np.abs(found.r_N - everywhere[1].r_N)[:20].max() < 2e-3
+    guess = first_states(tracks, later, cut, replace(online, X_NG=X_NG), 20, CONFIG)
+    found = smooth_between(tracks, later, cut, guess, CONFIG)[1]
+    assert np.abs(found.r_N - expected.r_N)[:20].max() < 2e-3

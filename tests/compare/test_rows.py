@@ -7,7 +7,7 @@ import jsonschema
 import pytest
 
 from polhode.compare.page import write_page
-from polhode.compare.ranking import curve, front, growths, performance_profiles
+from polhode.compare.ranking import beats, curve, front, growths, performance_profiles
 from polhode.compare.rows import (
     SCHEMA_FILE,
     Comparison,
@@ -179,3 +179,28 @@ def test_the_front_holds_the_fastest_of_the_accurate() -> None:
     ]
     assert [each.solver for each in front(rows, 10.0)] == ["rough", "good"]
     assert "2 rows claim convergence" in verdict(rows, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("other", "wins", "loses"),
+    [
+        (row("faster and worse", 10.01, 0.1, status="baseline"), False, False),
+        (row("more accurate, slower", 10.0, 1.2), False, False),
+        (row("more accurate, as fast", 10.0, 1.05), True, False),
+        (row("faster, equal", 10.001, 0.5), True, False),
+        (row("as accurate, as fast", 10.001, 0.95), False, False),
+        (row("died", 9.0, 0.1, status="failed"), False, True),
+        (row("slow and worse", 12.0, 9.0), False, True),
+    ],
+    ids=lambda value: value.solver if isinstance(value, Row) else "",
+)
+def test_a_row_is_beaten_by_the_faster_and_by_the_more_accurate_and_as_fast(
+    other: Row, wins: bool, loses: bool
+) -> None:
+    own, unfinished = row("own", 10.001, 1.0), row("own", 10.0, 1.0, status="timeout")
+    assert (beats(other, own, 10.0), beats(own, other, 10.0)) == (wins, loses)
+    assert (own in front([own, other], 10.0)) == (not wins)
+    # noise of costs counts up to AGREED of the least
+    near = row("near", 10.0 * (1.0 + 5e-7), 1.0)
+    assert not beats(row("best", 10.0, 0.95), near, 10.0) and beats(row("best", 10.0, 0.8), near, 10.0)
+    assert not beats(unfinished, other, 10.0) and beats(other, unfinished, 10.0) == (other.status != "failed")

@@ -17,7 +17,7 @@ CASE = Case(problem="small", solver="faulty", start="cold", seed=0)
 
 
 def row(small_file: Path, how: str, limit_s: float = 60.0) -> Row:
-    entry = Entry("faulty", "tests", "tests.compare.faulty:Faulty", "misbehaves", {"how": how})
+    entry = Entry("faulty", "tests", "tests.compare.faulty:Faulty", {"how": how})
     return row_of(small_file, entry, CASE, limit_s)
 
 
@@ -75,7 +75,7 @@ def test_an_exception_is_told_in_a_line_and_the_child_takes_our_packages_whereve
 
 
 def test_a_missing_package_is_a_row_that_names_it(small_file: Path) -> None:
-    entry = Entry("x", "tests", "ours:Ours", "", needs="no_such_package_anywhere")
+    entry = Entry("x", "tests", "ours:Ours", needs="no_such_package_anywhere")
     found = row_of(small_file, entry, CASE, 10.0)
     assert found.status == "missing"
     assert "no_such_package_anywhere" in found.message

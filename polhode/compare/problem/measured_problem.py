@@ -14,7 +14,6 @@ import numpy as np
 from polhode.backend import initialize_motion
 from polhode.backend.estimate import fit
 from polhode.backend.initialization.multistart import initial_guesses
-from polhode.backend.outliers_and_noise.outliers import PrunedProblem
 from polhode.backend.problem.inertia import FORMS, unit_determinant
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import MotionData, motion_data
@@ -32,16 +31,9 @@ from polhode.runtime.errors import InputError, RunFailure
 GAUGE = 0.01
 """Standard deviation of G at the first frame [rad, body radii]: it costs nothing at the solution. With ten
 times as much, solvers move slowly along the curved valley in which G is free; with a tenth, starts fail."""
-PERTURBATION = {
-    "p_NG": 2e-3,
-    "theta": 0.02,
-    "v_N": 2e-3,
-    "w_G": 0.02,
-    "com_G": 3e-3,
-    "xi": 0.2,
-    "p_G": 2e-3,
-}
-"""Standard deviations of a perturbed start: m, rad, m/s, rad/s, m, -, m."""
+OF_STATE, OF_CONSTANTS, OF_LANDMARK = (2e-3, 0.02, 2e-3, 0.02), (3e-3, 0.2), 2e-3
+"""Standard deviations of a perturbed start: p_NG [m], theta [rad], v_N [m/s], w_G [rad/s]; com_G [m], xi;
+p_G [m]."""
 NEAR = 0.1
 """Share of these standard deviations for starts near the solution."""
 
@@ -65,13 +57,8 @@ class MeasuredProblem:
     @property
     def size(self) -> dict[str, int]:
         """Numbers of frames, landmarks, observations, unknowns."""
-        d = self.data
-        return {
-            "frames": d.n_frames,
-            "landmarks": d.n_landmarks,
-            "observations": len(d.frame),
-            "unknowns": len(self.cold),
-        }
+        numbers = self.data.n_frames, self.data.n_landmarks, len(self.data.frame), len(self.cold)
+        return dict(zip(("frames", "landmarks", "observations", "unknowns"), numbers, strict=True))
 
     def iterate(self, x: Array) -> Iterate:
         """The unknowns by name."""
@@ -83,23 +70,19 @@ class MeasuredProblem:
 
     def start(self, kind: str, seed: int) -> Array:
         """The start (n,): cold, perturbed, or near the solution."""
-        if kind == "cold":
-            return self.cold
-        if kind == "perturbed":
-            return self.perturbed(self.cold, seed)
-        return self.perturbed(self.solution, seed, NEAR)
+        if kind == "near":
+            return self.perturbed(self.solution, seed, NEAR)
+        return self.cold if kind == "cold" else self.perturbed(self.cold, seed)
 
     def perturbed(self, x: Array, seed: int, size: float = 1.0) -> Array:
-        """``x`` (n,) with random errors of ``PERTURBATION`` times size."""
+        """``x`` (n,) with random errors of the above standard deviations times size."""
         at, rng = self.iterate(x), np.random.default_rng([seed, 91])
         out, n = x.copy(), at.n_states
         states = out[:n].reshape(-1, at.n_state)
-        for columns, key in ((slice(0, 3), "p_NG"), (slice(3, 6), "theta"), (slice(6, 9), "v_N"),
-                             (slice(9, 12), "w_G")):  # fmt: skip
-            states[:, columns] += size * PERTURBATION[key] * rng.normal(size=(len(states), 3))
-        out[n : n + 3] += size * PERTURBATION["com_G"] * rng.normal(size=3)
-        out[n + 3 : n + 8] += size * PERTURBATION["xi"] * rng.normal(size=5)
-        out[at.n_dense :] += size * PERTURBATION["p_G"] * rng.normal(size=len(out) - at.n_dense)
+        for k, sigma in enumerate(OF_STATE):
+            states[:, 3 * k : 3 * k + 3] += size * sigma * rng.normal(size=(len(states), 3))
+        out[n : n + 8] += size * np.repeat(OF_CONSTANTS, [3, 5]) * rng.normal(size=8)
+        out[at.n_dense :] += size * OF_LANDMARK * rng.normal(size=len(out) - at.n_dense)
         return out
 
 
@@ -179,27 +162,21 @@ def freeze(
     start = replace(kept.restrict(start).iterate, wrench=end.wrench, R_torque=end.R_torque)
     if not np.isfinite(start.vector()).all():
         raise RunFailure(f"{name}: the first poses give no finite start")
-    fixed = _fixed_about(kept, start, end)
+    # whitening at the rates of the solution; references, gauge and prior at the start
+    at_end = linearization_point(kept.data, aligned(end, start, kept.data), GAUGE)
+    xi, R_inertia = kept.data.form.coordinates(np.eye(3))
+    fixed = replace(
+        at_end,
+        reference=replace(start, xi=xi, R_inertia=R_inertia),
+        A=kept.data.R_RN @ start.R_NG,
+        prior=np.concatenate([at_end.prior[:4], R_inertia.T.ravel()]),
+    )
     if truth is not None and len(truth.timestamps_ns) != tracks.n_frames:
         raise InputError(f"{name}: truth and measurements have different frames")
     x = coordinates(aligned(end, start, kept.data), fixed, kept.data)
     for _ in range(MAX_PASSES):
         x = GaussNewton(kept.data).solve(fixed, x, 200).x
     return MeasuredProblem(name, kept.data, fixed, start.vector(), x, truth, perf_counter() - begin)
-
-
-def _fixed_about(kept: PrunedProblem, start: Iterate, end: Iterate) -> LinearizationPoint:
-    """Whitening at the rates of ``end``; references, gauge and prior at ``start``."""
-    in_start = aligned(end, start, kept.data)
-    at_end = linearization_point(kept.data, in_start, GAUGE)
-    xi, R_inertia = kept.data.form.coordinates(np.eye(3))
-    reference = replace(start, xi=xi, R_inertia=R_inertia)
-    return replace(
-        at_end,
-        reference=reference,
-        A=kept.data.R_RN @ start.R_NG,
-        prior=np.concatenate([at_end.prior[:4], R_inertia.T.ravel()]),
-    )
 
 
 def with_form(problem: MeasuredProblem, form_name: str, at: Iterate) -> MeasuredProblem:

@@ -19,14 +19,12 @@ from polhode.compare.problem.fingerprint import BASE, code_of, versions
 from polhode.compare.problem.measured_problem import MeasuredProblem, freeze
 from polhode.config import Config
 from polhode.config.backend_settings import Backend
-from polhode.config.compare_settings import MonteCarlo, Motion
+from polhode.config.compare_settings import Motion
 from polhode.config.loader import dump_config
 from polhode.files.atomic import write_text
 from polhode.files.foreign_files import MIB, read_text
 from polhode.files.output.run_files import SUMMARY
-from polhode.geometry.lie import Ints
 from polhode.records.tracks import RelativePoses, StereoTracks
-from polhode.records.truth import Truth
 from polhode.run_directory.archives import read_measurements, read_relative_poses, write_measurements
 from polhode.run_directory.recording import require_recording
 from polhode.run_directory.summary import read_summary
@@ -82,15 +80,13 @@ class Source:
             tracks, relative = read_measurements(self.folder), read_relative_poses(self.folder)
         else:
             tracks, relative = measure(self.folder, config, progress, store)
-        return freeze(self.name, tracks, relative, backend, self._truth(tracks.timestamps_ns))
+        truth = None
+        if self.truth is not None:
+            # read by evaluation alone; it is passed to the assessment, to no solver
+            from polhode.report.evaluation import truth_of_frames
 
-    def _truth(self, timestamps_ns: Ints) -> Truth | None:
-        """Read by evaluation alone; it is passed to the assessment, to no solver."""
-        if self.truth is None:
-            return None
-        from polhode.report.evaluation import truth_of_frames
-
-        return truth_of_frames(self.truth, timestamps_ns)
+            truth = truth_of_frames(self.truth, tracks.timestamps_ns)
+        return freeze(self.name, tracks, relative, backend, truth)
 
 
 def sources(
@@ -103,31 +99,22 @@ def sources(
     if data is not None and run is not None:
         raise InputError("give --data or --run, not both")
     if truth is not None and run is None:
-        raise InputError(
-            "--truth goes with --run: a dataset's own truth is found, and so is a generated one's"
-        )
+        raise InputError("--truth goes with --run: the truth of a dataset, or a generated one, is found")
     if truth is not None and not (truth / "mav0" / "target0").is_dir():
         raise InputError(
             f"{truth}: has no truth (mav0/target0); give the sequence that the run was made from"
         )
     if data is not None:
         yield Source(data.resolve().name, f"dataset {data}", data, truth=data)
-    elif run is not None:
-        _require_of_one_run(run, truth)
-        yield Source(run.resolve().name, f"run {run}", run, is_run=True, truth=truth)
-    else:
-        yield from _generated(config.compare.monte_carlo)
-
-
-def _require_of_one_run(run: Path, truth: Path | None) -> None:
-    """Raise InputError for measurements or a truth that are not this run's; measurements alone pass."""
-    if (run / SUMMARY).is_file():
-        summary = read_summary(run)
-        if truth is not None:
+        return
+    if run is not None:
+        # measurements or a truth that are not this run's are refused; measurements alone pass
+        summary = read_summary(run) if (run / SUMMARY).is_file() else None
+        if summary is not None and truth is not None:
             require_recording(summary.data, truth)
-
-
-def _generated(wanted: MonteCarlo) -> Iterator[Source]:
+        yield Source(run.resolve().name, f"run {run}", run, is_run=True, truth=truth)
+        return
+    wanted = config.compare.monte_carlo
     for motion, frames, landmarks in product(wanted.motions, wanted.frames, wanted.landmarks):
         scene = replace(
             SCENES[motion],

@@ -126,28 +126,27 @@ class _Graph:
         return np.asarray(found.get_covariance_block(constants, constants))[:8, :8]
 
 
-LandmarkData = tuple[Array, Array, Array, Array, Array, Array]
-"""Of a landmark's measurements: A_ref, R_RN, t_R, uvd, 1 / sigma, rig."""
 Evaluate = Callable[[list[Array], list[Array | None] | None], Array]
 """(Parameters, arrays to fill with the Jacobians) -> residuals."""
 
 
-def _of_landmark(data: LandmarkData, scale: float) -> Evaluate:
+def _of_landmark(data: tuple[Array, Array, Array, Array, Array, Array], scale: float) -> Evaluate:
+    """data: A_ref, R_RN, t_R, uvd, 1 / sigma of a landmark's measurements, rig."""
     n = len(data[0])
     of_poses, of_landmark = np.empty((n, 3, 6)), np.empty((n, 3, 3))
 
     def evaluate(parameters: list[Array], out: list[Array | None] | None) -> Array:
         poses = np.array(parameters[1:])
         residual = landmark_block(poses, np.array(parameters[0]), *data, scale, of_poses, of_landmark)
-        if out is not None:
-            if out[0] is not None:
-                out[0][:] = of_landmark.ravel()
-            for m in range(n):
-                target = out[1 + m]
-                if target is not None:
-                    # rows of the other frames do not depend on this pose
-                    target[:] = 0.0
-                    target[18 * m : 18 * m + 18] = of_poses[m].ravel()
+        for m, target in enumerate(out or []):
+            if target is None:
+                continue
+            if m == 0:
+                target[:] = of_landmark.ravel()
+                continue
+            # rows of the other frames do not depend on this pose
+            target[:] = 0.0
+            target[18 * m - 18 : 18 * m] = of_poses[m - 1].ravel()
         return residual.ravel()
 
     return evaluate

@@ -112,10 +112,10 @@ class Condensed:
             outside = [ExternalFunction(f.__name__, f, (n,), size) for f, size in kinds]
             cost, gradient, second = (function(y) for function in outside)
             options = MotionProgram(problem.data).options(MAX_ITERATIONS, max(monitor.left(), 0.1))
-            iterations = Iterations((n, 0, 0), monitor, reduced.whole)
+            iterations = Iterations(n, 0, monitor, reduced.whole)
             options["iteration_callback"] = iterations
             hessian = ca.Sparsity.upper(n), second
-            solver = ipopt_solver("condensed", y, ca.MX.sym("p", 0), cost, gradient, hessian, options)
+            solver = ipopt_solver("condensed", options, y, ca.MX.sym("p", 0), cost, gradient, hessian)
         result = solver(x0=x[:n])
         stats = solver.stats()
         status = str(stats["return_status"])

@@ -1,6 +1,7 @@
 """GTSAM: Levenberg-Marquardt on the whole graph, and iSAM2 frame by frame."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import gtsam
@@ -45,9 +46,7 @@ class Batch:
             converged = before - after <= TOLERANCE * after
             before = after
         values = optimizer.values()
-        cov = _covariance(lambda: gtsam.Marginals(graph, values)) if monitor.stop() else None
-        message = "converged" if converged else "limit of iterations"
-        return AdapterResult(own.vector(values), converged, iterations, message, cov)
+        return _ended(own, values, converged, iterations, lambda: gtsam.Marginals(graph, values))
 
 
 class Incremental:
@@ -83,7 +82,8 @@ class Incremental:
         monitor.report("")
         cost, converged = np.inf, False
         for _ in range(LAST_UPDATES):
-            found = own.vector(isam.calculateEstimate())
+            values = isam.calculateEstimate()
+            found = own.vector(values)
             after = own.blocks.cost(found)
             monitor.record(after, found)
             converged = bool(abs(cost - after) <= TOLERANCE * after)
@@ -93,18 +93,19 @@ class Incremental:
             isam.update()
             iterations += 1
             monitor.check()
-        cov = _covariance(lambda: isam) if monitor.stop() else None
-        return AdapterResult(
-            found, converged, iterations, "converged" if converged else "limit of updates", cov
-        )
+        return _ended(own, values, converged, iterations, lambda: isam)
 
 
-def _covariance(solved: Callable[[], Any]) -> Array | None:
-    """(8, 8) of com_G, xi by GTSAM; None for a singular Hessian."""
-    try:
-        return np.asarray(solved().marginalCovariance(C(0)))[:8, :8]
-    except RuntimeError:
-        return None
+def _ended(
+    own: "Graph", values: Any, converged: bool, iterations: int, solved: Callable[[], Any]
+) -> AdapterResult:
+    """With the covariance (8, 8) of com_G, xi by GTSAM; None for a singular Hessian."""
+    cov = None
+    if own.monitor.stop():
+        with suppress(RuntimeError):
+            cov = np.asarray(solved().marginalCovariance(C(0)))[:8, :8]
+    message = "converged" if converged else "limit of iterations"
+    return AdapterResult(own.vector(values), converged, iterations, message, cov)
 
 
 class Graph:
@@ -115,9 +116,7 @@ class Graph:
         self.data, self.fixed = problem.data, problem.fixed
         self.X_NR = inverse_pose(make_pose(self.data.R_RN, self.data.t_R))
         self._single = SingleBlocks(self.blocks)
-        self._models: dict[tuple[float, ...], Any] = {}
-        d = self.data
-        f, cx, cy, baseline, self._offset = d.rig
+        f, cx, cy, baseline, self._offset = self.data.rig
         self._camera = gtsam.Cal3_S2Stereo(f, f, 0.0, cx, cy, baseline)
 
     def all(self, x: Array) -> Any:
@@ -132,21 +131,14 @@ class Graph:
 
     def add_stereo(self, graph: Any, k: int) -> None:
         """Measurements of frame k."""
-        d = self.data
+        d, T = self.data, np.array([[1.0, 0.0, 0.0], [1.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+        kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(d.robust_scale)
         for m in np.flatnonzero(d.frame == k):
             u, v, disparity = d.uvd_px[m]
             measured = gtsam.StereoPoint2(u, u - (disparity - self._offset), v)
-            model, keys = self._model(d.inv_sigma[m]), (X(k), L(int(d.landmark[m])))
+            base = gtsam.noiseModel.Gaussian.Covariance(T @ np.diag(d.inv_sigma[m] ** -2.0) @ T.T)
+            model, keys = gtsam.noiseModel.Robust.Create(kernel, base), (X(k), L(int(d.landmark[m])))
             graph.add(gtsam.GenericStereoFactor3D(measured, model, *keys, self._camera, False, False))
-
-    def _model(self, inv_sigma: Array) -> Any:
-        key = tuple(inv_sigma.tolist())
-        if key not in self._models:
-            T = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-            base = gtsam.noiseModel.Gaussian.Covariance(T @ np.diag(inv_sigma**-2.0) @ T.T)
-            kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(self.data.robust_scale)
-            self._models[key] = gtsam.noiseModel.Robust.Create(kernel, base)
-        return self._models[key]
 
     def add_step(self, graph: Any, k: int) -> None:
         """Dynamics from frame k to the next."""

@@ -41,7 +41,6 @@ PRIOR_SIGMA = np.array([0.5] * 3 + [3.0] * 2 + [40.0] * 3)
 LANDMARK_SIGMA_M = 1e-6
 FIRST_POSE = (1.34, 16.0)
 """Standard deviations of the first pose [m, rad]."""
-MIN_FRAMES = 2
 
 
 class DynamicIsam:
@@ -59,12 +58,13 @@ class DynamicIsam:
         fixed_landmark = int(data.landmark[data.frame == data.frame.min()][0])
         first_p_G = p_G[fixed_landmark].copy()
         monitor.report(f"none of {data.n_frames} frames were in")
-        for n in range(MIN_FRAMES, data.n_frames + 1):
+        for n in range(2, data.n_frames + 1):
             at = _grown(at, first, n, data)
             small, landmarks = _first_frames(data, n)
             new = landmarks[~seen[landmarks]]
-            # a new landmark is placed as the newest pose sees it
-            p_G[new] = _carried(first, at, n - 1, start.p_G[new])
+            # a new landmark is placed as the newest pose sees it: the first map in the G of that pose
+            p_N = first.p_NG[n - 1] + start.p_G[new] @ first.R_NG[n - 1].T
+            p_G[new] = (p_N - at.p_NG[n - 1]) @ at.R_NG[n - 1]
             seen[landmarks] = True
             begin = replace(at, p_G=p_G[landmarks])
             fixed = _fixed(problem.fixed, begin, small.R_RN)
@@ -81,17 +81,11 @@ class DynamicIsam:
             monitor.report(f"{n} of {data.n_frames} frames were in")
             monitor.check()
         assert at is not None
-        end = in_common(problem, data, replace(at, R_torque=start.R_torque))
-        frames = data.n_frames - MIN_FRAMES + 1
-        message = f"the inertia was impossible in {impossible} of {frames} frames"
-        return AdapterResult(end, True, steps, message)
-
-
-def in_common(problem: MeasuredProblem, data: MotionData, at: Iterate) -> Array:
-    """An iterate with the inertia in the form of ``data``, in the common unknowns (n,)."""
-    second = second_moments_from_inertia(inertia_from_second_moments(at.second_moments(data.form)))
-    xi, R_inertia = problem.data.form.coordinates(second)
-    return problem.vector(replace(at, xi=xi, R_inertia=R_inertia))
+        second = second_moments_from_inertia(inertia_from_second_moments(at.second_moments(data.form)))
+        xi, R_inertia = problem.data.form.coordinates(second)
+        end = replace(at, R_torque=start.R_torque, xi=xi, R_inertia=R_inertia)
+        message = f"the inertia was impossible in {impossible} of {data.n_frames - 1} frames"
+        return AdapterResult(problem.vector(end), True, steps, message)
 
 
 class _FixedLandmark(TimedGaussNewton):
@@ -159,25 +153,12 @@ def _cut(at: Iterate, n: int) -> Iterate:
     return replace(at, **parts, camera=camera)
 
 
-def _carried(first: Iterate, at: Iterate, k: int, p_G: Array) -> Array:
-    """Points of the first map, in the G in which frame k of ``at`` sees them."""
-    p_N = first.p_NG[k] + p_G @ first.R_NG[k].T
-    return np.asarray((p_N - at.p_NG[k]) @ at.R_NG[k])
-
-
 def _first_frames(data: MotionData, n: int) -> tuple[MotionData, Ints]:
     """Measurements of the first n frames, and the landmarks in them."""
     kept = data.frame < n
     landmarks, landmark = np.unique(data.landmark[kept], return_inverse=True)
-    landmark = landmark.astype(np.int64)
     small = replace(
-        data,
-        frame=data.frame[kept],
-        landmark=landmark,
-        start=np.searchsorted(landmark, np.arange(len(landmarks) + 1)).astype(np.int64),
-        uvd_px=data.uvd_px[kept],
-        inv_sigma=data.inv_sigma[kept],
-        order=data.order[kept],
+        data.select(kept, landmark.astype(np.int64), len(landmarks)),
         R_RN=data.R_RN[:n],
         t_R=data.t_R[:n],
         camera_N=data.camera_N[:n],
@@ -242,9 +223,6 @@ def _second_moments(xi: Array) -> Array:
     return np.asarray(0.5 * moments.sum() - moments)
 
 
-MAX_ITERATIONS = 100
-
-
 class Odometry:
     """Bundle adjustment without dynamics, then least squares."""
 
@@ -252,7 +230,7 @@ class Odometry:
         """One bundle adjustment, then rates, centre of mass and inertia."""
         data = problem.data
         solver = MonitoredGaussNewton(data, monitor, with_dynamics=False)
-        found = solver.solve_in_time(problem.fixed, x, MAX_ITERATIONS)
+        found = solver.solve_in_time(problem.fixed, x, 100)
         at = problem.iterate(found.x)
         time_s = np.concatenate([[0.0], np.cumsum(data.dt_s)])
         between, _ = interval_rates(time_s, at.R_NG)
@@ -262,12 +240,9 @@ class Odometry:
         second = np.eye(3) if J is None else second_moments_from_inertia(J)
         xi, R_inertia = data.form.coordinates(second)
         com_G, v_N = straight_line(at, time_s)
-        motion = replace(
-            at, v_N=np.tile(v_N, (len(time_s), 1)), w_G=w_G, com_G=com_G, xi=xi, R_inertia=R_inertia
-        )
-        message = (
-            "no possible inertia fits the rates: that of a sphere is taken" if J is None else found.message
-        )
+        v_N = np.tile(v_N, (len(time_s), 1))
+        motion = replace(at, v_N=v_N, w_G=w_G, com_G=com_G, xi=xi, R_inertia=R_inertia)
+        message = found.message if J is not None else "no possible inertia fits: that of a sphere is taken"
         return AdapterResult(problem.vector(motion), found.converged, found.iterations, message)
 
 

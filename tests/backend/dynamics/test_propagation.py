@@ -23,7 +23,7 @@ RPM = 2.0 * np.pi / 60.0
 
 
 @pytest.mark.parametrize("psd", [1e-6, 1e-9])
-@pytest.mark.parametrize("dt_s", [1e-3, 1e-2, 0.1, 0.5, 1.0, 10.0])
+@pytest.mark.parametrize("dt_s", [1e-3, 0.1, 1.0, 10.0])
 @pytest.mark.parametrize("body", BODIES)
 def test_the_error_stays_below_a_thousandth_of_the_process_noise(body: str, dt_s: float, psd: float) -> None:
     J = BODIES[body] / np.linalg.eigvalsh(BODIES[body])[1]
@@ -41,12 +41,9 @@ def test_the_error_stays_below_a_thousandth_of_the_process_noise(body: str, dt_s
 
 
 def test_fast_or_long_steps_take_more_series_and_short_ones_a_single_one() -> None:
-    w = np.array([[0.1, 1.0, 0.1]])
-    few, many = (
-        series_steps(w * rate, BODIES["box"], np.array([dt]), 1e-6)[0] for rate, dt in ((1, 0.3), (2, 10.0))
-    )
-    assert few == 1
-    assert 16 <= many <= 64
+    w, box = np.array([[0.1, 1.0, 0.1]]), BODIES["box"]
+    assert series_steps(w, box, np.array([0.3]), 1e-6)[0] == 1
+    assert 16 <= series_steps(2.0 * w, box, np.array([10.0]), 1e-6)[0] <= 64
 
 
 def test_derivatives_match_finite_differences() -> None:

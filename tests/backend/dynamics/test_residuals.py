@@ -1,4 +1,4 @@
-"""The residual of the dynamics against finite differences and against its twin in CasADi."""
+"""The residual of the dynamics: finite differences, its twin in CasADi, and an integrated motion."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from polhode.backend.dynamics.kernels import StepLayout, dynamics_kernel
+from polhode.backend.dynamics.kernels import StepLayout, dynamics_kernel, prior_kernel
 from polhode.backend.dynamics.residuals import (
     FrameStates,
     Steps,
@@ -15,7 +15,8 @@ from polhode.backend.dynamics.residuals import (
     dynamics_residuals,
 )
 from polhode.backend.problem.inertia import FORMS, inertia_derivative, inertia_from_second_moments
-from polhode.geometry.lie import Array, exp_so3, wxyz_from_matrix
+from polhode.geometry.lie import Array, exp_so3, log_so3, wxyz_from_matrix
+from polhode.geometry.rigid_body import propagate
 
 W_T = np.array([[[1.3, 0.0], [-0.4, 0.9]]])
 W_R = np.asarray(np.linalg.cholesky(np.eye(6) + 0.1 * np.ones((6, 6))), dtype=np.float64)[None]
@@ -52,9 +53,8 @@ class ResidualCase:
     def jacobian(self, x: Array) -> tuple[Array, Array]:
         states, xi = self._unpack(x)
         J = inertia_from_second_moments(self.form.second_moments(xi, self.R_ref))
-        residual, jacobian = dynamics_jacobians(
-            states, self.steps, J, inertia_derivative(self.form, xi, self.R_ref)
-        )
+        dJ = inertia_derivative(self.form, xi, self.R_ref)
+        residual, jacobian = dynamics_jacobians(states, self.steps, J, dJ)
         return residual[0], jacobian[0]
 
     def _unpack(self, x: Array) -> tuple[FrameStates, Array]:
@@ -65,58 +65,78 @@ class ResidualCase:
         return states, constants[3:8]
 
 
-@pytest.mark.parametrize(("size", "pushed"), [(12, False), (18, False), (12, True)])
+def symmetric(upper: Array, n: int) -> Array:
+    """Upper triangle by columns -> (n, n)."""
+    out, (columns, rows) = np.zeros((n, n)), np.tril_indices(n)
+    out[rows, columns] = out[columns, rows] = upper
+    return out
+
+
+@pytest.mark.parametrize(("size", "pushed"), [(12, False), (18, False), (12, True), (18, True)])
 @pytest.mark.parametrize("form", FORMS)
-def test_jacobian_matches_finite_differences(form: str, size: int, pushed: bool) -> None:
+def test_jacobian_is_that_of_finite_differences_and_of_the_nonlinear_program(
+    form: str, size: int, pushed: bool
+) -> None:
     case, step = ResidualCase(form, size, pushed), 1e-6
     residual, jacobian = case.jacobian(case.x)
     np.testing.assert_allclose(residual, case.residual(case.x), rtol=1e-12)
     columns = [(case.residual(case.x + step * e) - case.residual(case.x - step * e)) / (2.0 * step)
                for e in np.eye(len(case.x))]  # fmt: skip
-    np.testing.assert_allclose(jacobian, np.stack(columns, axis=1), rtol=1e-6, atol=1e-7)
-
-
-@pytest.mark.parametrize(("size", "pushed"), [(12, False), (18, False), (12, True), (18, True)])
-@pytest.mark.parametrize("form", FORMS)
-def test_it_is_the_residual_that_the_nonlinear_program_holds(form: str, size: int, pushed: bool) -> None:
-    case = ResidualCase(form, size, pushed)
+    np.testing.assert_allclose(jacobian, np.stack(columns, axis=1), rtol=1e-6, atol=2e-7)
     q01 = wxyz_from_matrix(case.R[0].T @ case.R[1])
-    by_columns = [M.ravel(order="F") for M in (*case.R, case.R_ref)]
     whiten = [W_T[0, 0, 0], W_T[0, 1, 0], W_T[0, 1, 1], *W_R[0].ravel(order="F")]
-    parts = [*by_columns, q01, case.steps.dt_s, whiten, *(case.camera_N if size > 12 else [])]
-    arguments = [case.x]
-    if (
-        case.R_torque is not None
-        and case.steps.force_increments is not None
-        and case.steps.torque_P is not None
-    ):
-        parts += [case.R_torque.ravel(order="F"), case.steps.force_increments.ravel()]
-        arguments.append(case.steps.torque_P.reshape(8, 6).T)
-    arguments.insert(1, np.concatenate(parts))
-    kernel = dynamics_kernel(case.form, 8, "jacobian", StepLayout(size, pushed))
-    expected = [np.asarray(out) for out in kernel(*arguments)]
-    residual, jacobian = case.jacobian(case.x)
+    by_columns = [M.ravel(order="F") for M in (*case.R, case.R_ref)]
+    parts, torque = [*by_columns, q01, case.steps.dt_s, whiten], []
+    parts += list(case.camera_N) if size > 12 else []
+    if case.R_torque is not None:
+        known = case.steps.force_increments, case.steps.torque_P
+        assert known[0] is not None and known[1] is not None
+        parts += [case.R_torque.ravel(order="F"), known[0].ravel()]
+        torque = [known[1].reshape(8, 6).T]
+    arguments, layout = [case.x, np.concatenate(parts), *torque], StepLayout(size, pushed)
+    expected = [np.asarray(out) for out in dynamics_kernel(case.form, 8, "jacobian", layout)(*arguments)]
     np.testing.assert_allclose(residual, expected[0].ravel(), atol=1e-12)
     np.testing.assert_allclose(jacobian, expected[1], atol=1e-11)
+    outputs = dynamics_kernel(case.form, 8, "quadratic", layout)(*arguments)
+    cost, gradient, hessian = (np.asarray(out).ravel() for out in outputs)
+    assert cost[0] == pytest.approx(0.5 * np.sum(residual**2))
+    np.testing.assert_allclose(gradient, jacobian.T @ residual, atol=1e-9)
+    np.testing.assert_allclose(symmetric(hessian, len(case.x)), jacobian.T @ jacobian, atol=1e-9)
 
 
-def test_an_exact_camera_gives_the_same_residual_as_none() -> None:
-    noisy, x = ResidualCase("second_moments", 18), ResidualCase("second_moments", 18).x.copy()
+@pytest.mark.parametrize("form", FORMS)
+def test_jacobian_of_the_weak_prior_is_that_of_finite_differences(form: str) -> None:
+    rng = np.random.default_rng(4)
+    xi, R_ref = FORMS[form].coordinates(np.diag([2.0, 1.0, 0.6]))
+    x = np.concatenate([rng.normal(size=3), xi + 0.1])
+    p = np.concatenate([rng.normal(size=3), [0.1], R_ref.ravel(order="F")])
+    kernel = prior_kernel(FORMS[form], "jacobian")
+    columns = [np.asarray(kernel(x + e, p)[0] - kernel(x - e, p)[0]).ravel() / 2e-6 for e in 1e-6 * np.eye(8)]
+    np.testing.assert_allclose(np.asarray(kernel(x, p)[1]), np.stack(columns, axis=1), rtol=1e-6, atol=1e-7)
+
+
+def test_the_residual_vanishes_on_the_integrated_rigid_body() -> None:
+    J, com = np.diag([0.5, 1.0, 0.8]), np.array([0.01, -0.02, 0.005])
+    R0, w0 = Rotation.random(rng=np.random.default_rng(5)).as_matrix(), np.array([0.4, 1.0, -0.3])
+    r, v, R, w = propagate([0.0, 0.5], [0.1, 0.2, 0.6], [0.01, 0.0, -0.02], R0, w0, J)
+    x = np.hstack([r - R @ com, np.zeros((2, 3)), v, w])
+    steps = Steps(np.array([0.5]), np.array([8]), np.eye(2)[None], np.eye(6)[None])
+    states = FrameStates(x, R, np.zeros((2, 3)), com)
+    assert np.abs(dynamics_residuals(states, steps, J)).max() < 1e-7
+    assert np.linalg.norm(log_so3(R[0].T @ R[1])) > 0.3
+
+
+def test_an_exact_camera_is_as_none_and_a_common_shift_of_stated_positions_cancels() -> None:
+    noisy = ResidualCase("second_moments", 18)
+    x = noisy.x.copy()
     x[12:18] = x[30:36] = 0.0
     plain = ResidualCase("second_moments", 12)
     plain.R, plain.R_ref = noisy.R, noisy.R_ref
     short = np.concatenate([x[:12], x[18:30], x[36:]])
     np.testing.assert_allclose(noisy.residual(x), plain.residual(short), atol=1e-12)
-
-
-def test_a_common_error_of_the_camera_moves_the_target_as_a_rigid_whole() -> None:
-    # the same shift of two stated positions cancels in the dynamics
-    case = ResidualCase("second_moments", 18)
-    x = case.x.copy()
-    x[12:18] = x[30:36] = 0.0
     shifted = x.copy()
     shifted[12:15] = shifted[30:33] = [0.3, -0.2, 0.1]
-    np.testing.assert_allclose(case.residual(shifted), case.residual(x), atol=1e-12)
+    np.testing.assert_allclose(noisy.residual(shifted), noisy.residual(x), atol=1e-12)
 
 
 def test_steps_add_up_in_the_dense_system() -> None:

@@ -63,58 +63,39 @@ def test_a_spin_is_found_though_three_quarters_of_the_matches_stand_still() -> N
     assert present is None or present < 2.0
     chosen = links_of_the_body(links, TIME_S, R_NR, present)
     assert chosen is not None
-    assert right[chosen].mean() > 0.95
-    assert np.sum(chosen & right) > 0.9 * np.sum(right)
+    assert right[chosen].mean() > 0.95 and np.sum(chosen & right) > 0.9 * np.sum(right)
     # of the several links of a pair of frames one is chosen
     pairs = list(zip(links.i[chosen].tolist(), links.j[chosen].tolist(), strict=True))
     assert len(pairs) == len(set(pairs))
-
-
-def test_times_and_attitude_of_the_camera_are_accounted_for() -> None:
-    X_RG = spinning()
-    links, right = links_under_light(X_RG, light=90, body=25)
-    # the camera rolls: what stands still in N turns in its images
+    # the camera rolls: what stands still in N turns in its images; the times are others
     roll = exp_so3(np.outer(np.deg2rad(4.0) * np.arange(FRAMES), [0.0, 0.0, 1.0]))
     X_NR = make_pose(roll, np.zeros((FRAMES, 3)))
-    seen = RelativePoses(
-        links.i, links.j, inverse_pose(X_NR)[links.i] @ links.X_RiRj @ X_NR[links.j], links.inliers
-    )
+    X_RiRj = inverse_pose(X_NR)[links.i] @ links.X_RiRj @ X_NR[links.j]
+    seen = RelativePoses(links.i, links.j, X_RiRj, links.inliers)
     chosen = links_of_the_body(seen, 10.0 + 3.0 * TIME_S, roll, None)
-    assert chosen is not None
-    assert right[chosen].mean() > 0.95
+    assert chosen is not None and right[chosen].mean() > 0.95
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_no_course_is_chosen_for_a_body_at_rest_or_without_links_of_a_body(seed: int) -> None:
-    at_rest, _ = links_under_light(spinning(0.0), light=90, body=0, seed=seed)
-    assert links_of_the_body(at_rest, TIME_S, R_NR, None) is None
-
-
-def test_a_clear_motion_is_not_replaced() -> None:
-    X_RG = spinning()
-    links, _ = links_under_light(X_RG, light=0, body=80)
+def test_no_course_is_chosen_for_a_body_at_rest_nor_in_place_of_a_clear_motion() -> None:
+    for seed in range(4):
+        at_rest, _ = links_under_light(spinning(0.0), light=90, body=0, seed=seed)
+        assert links_of_the_body(at_rest, TIME_S, R_NR, None) is None
+    links, _ = links_under_light(spinning(), light=0, body=80)
     present = contrast_of_links(links, TIME_S, R_NR)
     assert present is not None and present > 5.0
     assert links_of_the_body(links, TIME_S, R_NR, present) is None
 
 
-def test_contrast_is_a_ratio_of_medians_over_connected_frames() -> None:
+def test_contrast_is_a_ratio_of_medians_over_connected_frames_and_errors_are_angles() -> None:
     X_RG = spinning()
     angle = np.rad2deg(np.arccos(np.clip(X_RG[:, 2, :3] @ X_RG[:, 2, :3].T, -1.0, 1.0)))
     inliers = np.where(angle < 15.0, 60.0, 20.0)
-    everywhere = np.ones(FRAMES, dtype=bool)
-    assert contrast(X_RG, everywhere, inliers) == pytest.approx(3.0)
+    assert contrast(X_RG, np.ones(FRAMES, dtype=bool), inliers) == pytest.approx(3.0)
     # no revolution is complete: no side is seen again
     assert contrast(X_RG, np.arange(FRAMES) < 10, inliers) is None
     # the best link of a pair counts, in both orders
     links = RelativePoses(np.array([0, 0]), np.array([2, 2]), np.tile(np.eye(4), (2, 1, 1)), np.array([7, 9]))
     np.testing.assert_array_equal(best_inliers(links, 3), [[0, 0, 9], [0, 0, 0], [9, 0, 0]])
-
-
-def test_rotation_errors_are_angles() -> None:
-    X_RG = spinning()
-    off = make_pose(exp_so3([0.0, 0.0, 0.3]), np.zeros(3))
-    links = RelativePoses(
-        np.array([0]), np.array([5]), (X_RG[0] @ inverse_pose(X_RG[5]) @ off)[None], np.array([9])
-    )
+    off = X_RG[0] @ inverse_pose(X_RG[5]) @ make_pose(exp_so3([0.0, 0.0, 0.3]), np.zeros(3))
+    links = RelativePoses(np.array([0]), np.array([5]), off[None], np.array([9]))
     np.testing.assert_allclose(rotation_errors(links, X_RG), [0.3])

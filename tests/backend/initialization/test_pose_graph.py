@@ -5,7 +5,7 @@ import pytest
 
 from polhode.backend.initialization.initialize import consistent_links
 from polhode.backend.initialization.pose_graph import connect, join_components, smooth_links, triangle_support
-from polhode.geometry.lie import Array, Bools, Ints, exp_so3, inverse_pose, make_pose
+from polhode.geometry.lie import Array, Bools, exp_so3, inverse_pose, make_pose
 from polhode.records.tracks import RelativePoses
 
 
@@ -19,11 +19,6 @@ def links(X_RG: Array, pairs: list[tuple[int, int]], inliers: int = 20) -> Relat
     return RelativePoses(i, j, X_RG[i] @ inverse_pose(X_RG[j]), np.full(len(pairs), inliers))
 
 
-def alone(n: int) -> tuple[Array, Ints]:
-    """Every frame an island."""
-    return np.tile(np.eye(4), (n, 1, 1)), np.arange(n)
-
-
 def still(n: int) -> tuple[Array, Array]:
     """Times and attitudes of a camera at rest."""
     return 0.5 * np.arange(float(n)), np.tile(np.eye(3), (n, 1, 1))
@@ -33,28 +28,25 @@ def usable(relative: RelativePoses) -> Bools:
     return np.ones(len(relative.i), bool)
 
 
-def test_every_frame_of_a_chain_of_perfect_links_is_joined_in_one_frame_G() -> None:
+def assert_joined(relative: RelativePoses, X_RG: Array) -> None:
+    """From islands, all frames are joined in one frame G."""
+    n = len(X_RG)
+    X, component = np.tile(np.eye(4), (n, 1, 1)), np.arange(n)
+    join_components(relative, usable(relative), np.ones(len(relative.i)), X, component)
+    assert np.all(component == component[0])
+    G = inverse_pose(X) @ X_RG
+    np.testing.assert_allclose(G, np.broadcast_to(G[0], G.shape), atol=1e-12)
+
+
+def test_a_chain_of_perfect_links_is_joined_and_two_that_agree_outvote_a_stronger_one() -> None:
     X_RG = poses(8, 0)
     # some of the links point backwards
-    relative = links(X_RG, [(k, k + 1) if k % 2 else (k + 1, k) for k in range(7)])
-    X, component = alone(8)
-    join_components(relative, usable(relative), np.ones(7), X, component)
-    assert np.all(component == component[0])
-    G = inverse_pose(X) @ X_RG
-    np.testing.assert_allclose(G, np.broadcast_to(G[0], G.shape), atol=1e-12)
-
-
-def test_two_links_that_agree_outvote_a_stronger_one() -> None:
+    assert_joined(links(X_RG, [(k, k + 1) if k % 2 else (k + 1, k) for k in range(7)]), X_RG)
     X_RG = poses(4, 1)
-    relative = links(X_RG, [(0, 1), (2, 3), (0, 2), (1, 3), (0, 3)], 7)
-    X_ij, inliers = relative.X_RiRj.copy(), np.array([40, 40, 7, 7, 15])
+    relative = links(X_RG, [(0, 1), (2, 3), (0, 2), (1, 3), (0, 3)])
+    X_ij = relative.X_RiRj.copy()
     X_ij[4] = X_ij[4] @ make_pose(exp_so3([0.0, 0.7, 0.0]), [0.0, 0.0, 0.0])
-    relative = RelativePoses(relative.i, relative.j, X_ij, inliers)
-    X, component = alone(4)
-    join_components(relative, usable(relative), np.ones(5), X, component)
-    assert np.all(component == component[0])
-    G = inverse_pose(X) @ X_RG
-    np.testing.assert_allclose(G, np.broadcast_to(G[0], G.shape), atol=1e-12)
+    assert_joined(RelativePoses(relative.i, relative.j, X_ij, np.array([40, 40, 7, 7, 15])), X_RG)
 
 
 def test_the_triangles_of_a_wrong_link_do_not_close() -> None:
@@ -69,6 +61,16 @@ def test_the_triangles_of_a_wrong_link_do_not_close() -> None:
     apart = [n for n, pair in enumerate(pairs) if not set(pair) & set(pairs[4])]
     np.testing.assert_allclose(support[touching], 5.0 / 7.0)
     np.testing.assert_allclose(support[apart], 6.0 / 7.0)
+    # a wrong link beside a right one between the same frames takes nothing from it, nor from its neighbours
+    relative = links(X_RG, pairs)
+    wrong = relative.X_RiRj[:1] @ make_pose(exp_so3([0.0, 0.0, 2.0]), np.zeros(3))
+    both = RelativePoses(
+        *(np.append(relative.i, 0), np.append(relative.j, 1), np.concatenate([relative.X_RiRj, wrong])),
+        np.append(relative.inliers, 12),
+    )
+    alone, beside = (triangle_support(each, usable(each), 7) for each in (relative, both))
+    np.testing.assert_array_equal(beside[:-1], alone)
+    assert alone.min() >= 0.8 and beside[-1] == pytest.approx(1.0 / 7.0)
 
 
 def test_frames_without_a_link_stay_out() -> None:
@@ -110,25 +112,3 @@ def test_what_is_smooth_is_the_turn_in_N() -> None:
     # a camera that follows those attitudes sees a body that does not turn in N
     follows = np.swapaxes(X_RG[:, :3, :3], 1, 2)
     assert smooth_links(relative, usable(relative), time_s, follows).all()
-
-
-def test_two_links_between_the_same_frames_are_judged_each_by_itself() -> None:
-    """A wrong link beside a right one takes nothing from it, nor from its neighbours."""
-    n = 5
-    X = make_pose(
-        exp_so3(np.deg2rad(20.0) * np.arange(n)[:, None] * np.array([0.0, 1.0, 0.0])), [0.0, 0.0, 0.6]
-    )
-    i, j = np.triu_indices(n, 1)
-    right = X[i] @ inverse_pose(X[j])
-    wrong = right[0] @ make_pose(exp_so3(np.array([0.0, 0.0, 2.0])), np.zeros(3))
-    links = RelativePoses(i, j, right, np.full(len(i), 40))
-    both = RelativePoses(
-        np.append(i, i[0]),
-        np.append(j, j[0]),
-        np.concatenate([right, wrong[None]]),
-        np.append(links.inliers, 12),
-    )
-    alone = triangle_support(links, np.ones(len(i), dtype=np.bool_), n)
-    beside = triangle_support(both, np.ones(len(i) + 1, dtype=np.bool_), n)
-    np.testing.assert_array_equal(beside[:-1], alone)
-    assert alone.min() >= 0.8 and beside[-1] == pytest.approx(0.2)

@@ -29,18 +29,12 @@ def test_a_true_tumble_has_none(lost: range) -> None:
     connected: Bools = np.ones(75, bool)
     connected[list(lost)] = False
     noise = np.random.default_rng(1).normal(0, 0.05, (75, 3))
-    R_NG: Array = np.asarray(_tumble(1.0) @ exp_so3(noise))
-    assert not jumping_frames(TIME_S, R_NG, connected).any()
+    assert not jumping_frames(TIME_S, np.asarray(_tumble(1.0) @ exp_so3(noise)), connected).any()
 
 
-def test_when_most_is_in_doubt_nothing_is_removed() -> None:
-    """Two halves that contradict each other: neither is the odd one."""
+def test_nothing_is_removed_when_most_is_in_doubt_or_the_body_turns_far_between_frames() -> None:
     R_NG = _tumble()
+    # two halves that contradict each other: neither is the odd one
     R_NG[37:] = R_NG[37:] @ HALF_TURN
-    assert not jumping_frames(TIME_S, R_NG, np.ones(75, bool)).any()
-
-
-@pytest.mark.parametrize("turn_deg", [100.0, 140.0, 190.0])
-def test_a_tumble_that_turns_far_between_frames_has_none(turn_deg: float) -> None:
-    R_NG = _tumble(np.deg2rad(turn_deg) / 0.2)
-    assert not jumping_frames(TIME_S, R_NG, np.ones(75, bool)).any()
+    for each in (R_NG, *(_tumble(np.deg2rad(turn_deg) / 0.2) for turn_deg in (100.0, 140.0, 190.0))):
+        assert not jumping_frames(TIME_S, each, np.ones(75, bool)).any()

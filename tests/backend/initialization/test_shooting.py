@@ -37,21 +37,17 @@ def test_a_shot_finds_the_inertia_and_the_rates(turn_deg: float, suffix: str) ->
     assert shot.misfit < 1.0
 
 
-def test_short_turns_need_no_shots_and_have_one_sense() -> None:
+def test_short_turns_need_no_shots_and_of_far_ones_both_directions_are_tried() -> None:
     R_NG, w_G = _motion(25.0)
     assert shoot(TIME_S, R_NG, EVERY) == {}
     branches = rate_branches(TIME_S, make_pose(R_NG, np.zeros((30, 3))), EVERY)
     assert list(branches) == [""]
     assert np.median(np.linalg.norm(branches[""] - w_G, axis=1)) < 0.1
-
-
-@pytest.mark.parametrize("turn_deg", [130.0, 170.0, 230.0])
-def test_of_far_turns_both_senses_are_tried(turn_deg: float) -> None:
-    R_NG, _ = _motion(turn_deg, np.array([0.0, 0.0, 1.0]))
-    branches = rate_branches(TIME_S, make_pose(R_NG, np.zeros((30, 3))), EVERY)
-    short, far = (float(np.median(w @ [0.0, 0.0, 1.0])) for w in (branches[""], branches[OPPOSITE_DIRECTION]))
-    near, away = sorted([turn_deg, turn_deg - 360.0], key=abs)
-    assert np.rad2deg(0.5 * np.array([short, far])) == pytest.approx([near, away], abs=0.5)
+    z = np.array([0.0, 0.0, 1.0])
+    for turn_deg in (130.0, 170.0, 230.0):
+        branches = rate_branches(TIME_S, make_pose(_motion(turn_deg, z)[0], np.zeros((30, 3))), EVERY)
+        found = [np.rad2deg(0.5 * np.median(branches[suffix] @ z)) for suffix in ("", OPPOSITE_DIRECTION)]
+        assert found == pytest.approx(sorted([turn_deg, turn_deg - 360.0], key=abs), abs=0.5)
 
 
 def _trial(turn_deg: float, misfit: float, cost: float) -> HypothesisFit:
@@ -61,35 +57,24 @@ def _trial(turn_deg: float, misfit: float, cost: float) -> HypothesisFit:
     return HypothesisFit(Iterate(zero, R_NG, zero, w_G, zero[0], np.zeros(5), np.eye(3), zero), cost, misfit)
 
 
-def test_a_sense_is_chosen_by_the_misfit_and_the_shorter_one_when_both_fit() -> None:
-    dt_s = np.diff(TIME_S)
-    alike = {"sphere": _trial(150.0, 1000.0, 50.0), "sphere" + OPPOSITE_DIRECTION: _trial(210.0, 999.0, 10.0)}
+def test_a_direction_is_chosen_by_the_misfit_and_the_shorter_one_when_both_fit() -> None:
+    dt_s, other = np.diff(TIME_S), "sphere" + OPPOSITE_DIRECTION
+    alike = {"sphere": _trial(150.0, 1000.0, 50.0), other: _trial(210.0, 999.0, 10.0)}
     choice = choose_hypothesis(alike, dt_s)
-    assert choice.name == "sphere"
-    assert choice.turns_deg == pytest.approx((150.0, 210.0))
-    hypotheses = {
-        "sphere": _trial(150.0, 3000.0, 1.0),
-        "sphere" + OPPOSITE_DIRECTION: _trial(210.0, 1000.0, 10.0),
-    }
-    assert choose_hypothesis(hypotheses, dt_s).name == "sphere" + OPPOSITE_DIRECTION
-    assert choose_hypothesis(hypotheses, dt_s).turns_deg is None
+    assert choice.name == "sphere" and choice.turns_deg == pytest.approx((150.0, 210.0))
+    hypotheses = {"sphere": _trial(150.0, 3000.0, 1.0), other: _trial(210.0, 1000.0, 10.0)}
+    assert choose_hypothesis(hypotheses, dt_s) == HypothesisChoice(other, None)
     assert choose_hypothesis({"sphere": _trial(30.0, 5.0, 5.0)}, dt_s).turns_deg is None
-
-
-def test_a_shot_at_a_rate_beyond_the_series_leads_nowhere() -> None:
-    R, w = _carry(np.array([1e9, -2e9, 3e8]), np.diag([1.5, 1.2, 0.9]), np.array([0.5, 1.0]))
-    assert np.isfinite(R).all() and np.isfinite(w).all()
-
-
-def test_turns_beyond_what_two_senses_tell_are_open() -> None:
-    dt_s = np.diff(TIME_S)
+    # rotations beyond what two directions explain are open
     far, near, small = (_trial(turn, 100.0, 1.0) for turn in (466.0, 180.0, 60.0))
     chosen = HypothesisChoice("sphere", None)
     assert ambiguous_turns_deg(chosen, far, dt_s, False) == pytest.approx((466.0, 106.0))
     assert ambiguous_turns_deg(chosen, near, dt_s, False) is None
     assert ambiguous_turns_deg(chosen, near, dt_s, True) == pytest.approx((180.0, 180.0))
     assert ambiguous_turns_deg(chosen, small, dt_s, True) is None
-    assert ambiguous_turns_deg(HypothesisChoice("sphere", (150.0, 210.0)), small, dt_s, False) == (
-        150.0,
-        210.0,
-    )
+    assert ambiguous_turns_deg(choice, small, dt_s, False) == choice.turns_deg
+
+
+def test_a_shot_at_a_rate_beyond_the_series_leads_nowhere() -> None:
+    R, w = _carry(np.array([1e9, -2e9, 3e8]), np.diag([1.5, 1.2, 0.9]), np.array([0.5, 1.0]))
+    assert np.isfinite(R).all() and np.isfinite(w).all()

@@ -1,9 +1,12 @@
 """What observations share is measured where it is, and nowhere else."""
 
 from dataclasses import replace
+from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
 from polhode.backend.outliers_and_noise.correlated_noise import (
     CorrelatedNoise,
@@ -23,44 +26,30 @@ SCENE = SyntheticScene(
 )  # fmt: skip
 
 
+@cache
 def exact() -> tuple[MotionData, Array, Array]:
     """Measurements without noise at the truth; derivatives in the landmarks; turns between the frames."""
-    sequence = generate(replace(SCENE, sigma_uv_px=1e-9, sigma_d_px=1e-9), 5)
-    fit = at_truth(sequence)
-    inv_sigma = np.broadcast_to(1.0 / np.array([0.3, 0.3, 0.2]), fit.data.uvd_px.shape)
-    fit = fit.with_data(inv_sigma=inv_sigma)
+    fit = at_truth(generate(replace(SCENE, sigma_uv_px=1e-9, sigma_d_px=1e-9), 5))
+    fit = fit.with_data(inv_sigma=np.broadcast_to([1 / 0.3, 1 / 0.3, 1 / 0.2], fit.data.uvd_px.shape))
     R_NG = fit.iterate.R_NG
     return fit.data, observation_jacobians(fit)[1], turns_between(R_NG, fit.data.R_RN @ R_NG)
 
 
-def after_the_fit(data: MotionData, to_landmark: Array, errors: Array) -> Array:
-    """Whitened residuals that errors (M, 3) leave when each landmark is fitted to them."""
-    out = errors.copy()
-    for first, last in zip(data.start[:-1], data.start[1:], strict=True):
+def measured(errors: Array) -> CorrelatedNoise:
+    """From the residuals that errors (M, 3) leave when each landmark is fitted to them."""
+    data, to_landmark, turn_rad = exact()
+    left = errors.copy()
+    for first, last in pairwise(data.start):
         J, e = to_landmark[first:last].reshape(-1, 3), errors[first:last].ravel()
-        out[first:last] = (e - J @ np.linalg.lstsq(J, e, rcond=None)[0]).reshape(-1, 3)
-    return out
-
-
-def measured(data: MotionData, to_landmark: Array, turn_rad: Array, errors: Array) -> CorrelatedNoise:
-    found = measure_correlation(data, after_the_fit(data, to_landmark, errors), to_landmark, turn_rad)
+        left[first:last] = (e - J @ np.linalg.lstsq(J, e, rcond=None)[0]).reshape(-1, 3)
+    found = measure_correlation(data, left, to_landmark, turn_rad)
     assert found is not None
     return found
 
 
-def drift(data: MotionData, turn_rad: Array, forgetting_rad: float, rng: np.random.Generator) -> Array:
-    """Errors (M, 3) of unit variance that each landmark keeps over a turn."""
-    out = np.empty((len(data.frame), 3))
-    for first, last in zip(data.start[:-1], data.start[1:], strict=True):
-        k = data.frame[first:last]
-        alike = np.exp(-turn_rad[np.ix_(k, k)] / forgetting_rad)
-        out[first:last] = np.linalg.cholesky(alike + 1e-9 * np.eye(len(k))) @ rng.normal(size=(len(k), 3))
-    return out
-
-
 def test_independent_errors_share_nothing() -> None:
-    data, to_landmark, turn_rad = exact()
-    found = measured(data, to_landmark, turn_rad, np.random.default_rng(0).normal(size=data.uvd_px.shape))
+    data = exact()[0]
+    found = measured(np.random.default_rng(0).normal(size=data.uvd_px.shape))
     np.testing.assert_allclose(found.independent + found.drifting.sum(axis=1), 1.0, atol=0.1)
     assert found.drifting[:, 1:].sum() < 0.1
     assert (found.shared * np.exp(-3.0 / found.length_px)).max() < 0.05
@@ -69,11 +58,14 @@ def test_independent_errors_share_nothing() -> None:
 
 @pytest.mark.parametrize("forgetting_rad", [2.0, 6.0])
 def test_a_drift_is_found_with_its_size_and_its_turn(forgetting_rad: float) -> None:
-    data, to_landmark, turn_rad = exact()
-    rng = np.random.default_rng(1)
+    (data, _, turn_rad), rng = exact(), np.random.default_rng(1)
     errors = rng.normal(size=data.uvd_px.shape)
-    errors[:, :2] += 1.5 * drift(data, turn_rad, forgetting_rad, rng)[:, :2]
-    found = measured(data, to_landmark, turn_rad, errors)
+    for first, last in pairwise(data.start):
+        # errors that a landmark keeps over a turn
+        k = data.frame[first:last]
+        alike = np.exp(-turn_rad[np.ix_(k, k)] / forgetting_rad) + 1e-9 * np.eye(len(k))
+        errors[first:last, :2] += 1.5 * np.linalg.cholesky(alike) @ rng.normal(size=(len(k), 2))
+    found = measured(errors)
     # a constant error of a landmark is its position: only the change with the turn can be measured
     at = np.array([[0.0, 0.4, 1.0, 1.8]])
     covariance = found.drift_between(at)[0, 0]
@@ -84,22 +76,19 @@ def test_a_drift_is_found_with_its_size_and_its_turn(forgetting_rad: float) -> N
 
 
 def test_what_neighbours_share_is_found_and_counted_as_a_larger_error() -> None:
-    data, to_landmark, turn_rad = exact()
-    rng = np.random.default_rng(2)
+    data, rng = exact()[0], np.random.default_rng(2)
     errors = rng.normal(size=data.uvd_px.shape)
     for k in range(data.n_frames):
         own = np.flatnonzero(data.frame == k)
-        distance = np.linalg.norm(data.uvd_px[own, None, :2] - data.uvd_px[None, own, :2], axis=2)
-        alike = 0.6 * np.exp(-distance / 8.0) + 0.4 * np.eye(len(own))
-        errors[own, 2] = np.linalg.cholesky(alike) @ rng.normal(size=len(own))
-    found = measured(data, to_landmark, turn_rad, errors)
+        shared = 0.6 * np.exp(-cdist(data.uvd_px[own, :2], data.uvd_px[own, :2]) / 8.0)
+        errors[own, 2] = np.linalg.cholesky(shared + 0.4 * np.eye(len(own))) @ rng.normal(size=len(own))
+        if k == 7:
+            frame_7, expected = own, 0.4 + shared.sum(axis=1)
+    found = measured(errors)
     assert found.shared[1] == pytest.approx(0.6, abs=0.15)
     assert found.length_px[1] == pytest.approx(8.0, rel=0.3)
     assert found.shared[0] * np.exp(-3.0 / found.length_px[0]) < 0.05
-    own = np.flatnonzero(data.frame == 7)
-    distance = np.linalg.norm(data.uvd_px[own, None, :2] - data.uvd_px[None, own, :2], axis=2)
-    expected = 1.0 + 0.6 * (np.exp(-distance / 8.0).sum(axis=1) - 1.0)
-    np.testing.assert_allclose(found.variance(data)[own, 2].mean(), expected.mean(), rtol=0.2)
+    np.testing.assert_allclose(found.variance(data)[frame_7, 2].mean(), expected.mean(), rtol=0.2)
 
 
 def test_too_few_repeated_landmarks_say_nothing() -> None:

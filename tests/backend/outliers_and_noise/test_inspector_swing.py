@@ -34,28 +34,15 @@ def swing_of(
 ) -> InspectorSwing | None:
     """At the solution under a process noise, as it is estimated."""
     scene = random_scene(
-        4, frames=FRAMES, landmarks=150, detection=0.4, accel_psd=psd, torque_psd=psd, **NOISE
+        4, frames=frames, landmarks=150, detection=0.4, accel_psd=psd, torque_psd=psd, **NOISE
     )
     sequence = generate(scene, 4)
     X_NR = sequence.X_NR.copy()
     if swings:
         X_NR[:, :3, :3] = exp_so3(SWING) @ X_NR[:, :3, :3]
-    tracks, truth = sequence.tracks, sequence.truth
-    few = tracks.frame < frames
-    landmark, first = np.unique(tracks.landmark[few], return_inverse=True)
-    tracks = replace(
-        tracks,
-        X_NR=X_NR[:frames],
-        timestamps_ns=tracks.timestamps_ns[:frames],
-        sigma_camera_theta_rad=sigma_rad,
-        landmark=first.astype(np.int64),
-        **{name: getattr(tracks, name)[few] for name in ("frame", "uvd_px", "sigma_px")},
-    )
-    short = replace(truth, v_N=truth.v_N[:frames], w_P=truth.w_P[:frames])
-    part = replace(
-        sequence, tracks=tracks, truth=short, X_NG=sequence.X_NG[:frames], p_G=sequence.p_G[landmark]
-    )
-    start = at_truth(part, Backend(accel_psd=found_psd, torque_psd=10.0 * found_psd))
+    tracks = replace(sequence.tracks, X_NR=X_NR, sigma_camera_theta_rad=sigma_rad)
+    config = Backend(accel_psd=found_psd, torque_psd=10.0 * found_psd)
+    start = at_truth(replace(sequence, tracks=tracks), config)
     solution = refine(GaussNewton(start.data, line_search=True), start.iterate, 20)[0]
     return find_swing(MotionFit(start.data, solution))
 
@@ -69,10 +56,11 @@ def test_a_swing_is_found_with_its_course() -> None:
     assert np.corrcoef(found.alpha_N[:, :2].ravel(), -true[:, :2].ravel())[0, 1] > 0.9
 
 
-@pytest.mark.parametrize("psd", [1e-8, 1e-6], ids=["quiet", "strongly disturbed"])
-def test_forces_and_torques_are_no_swing(psd: float) -> None:
-    found = swing_of(False, psd, found_psd=psd)
-    assert found is not None and found.evidence_gain < 3.0
+def test_forces_and_torques_are_no_swing_and_too_few_frames_say_nothing() -> None:
+    for psd in (1e-8, 1e-6):
+        found = swing_of(False, psd, found_psd=psd)
+        assert found is not None and found.evidence_gain < 3.0
+    assert swing_of(False, frames=6) is None
 
 
 def test_a_stated_error_of_the_poses_leaves_less_to_explain() -> None:
@@ -81,19 +69,12 @@ def test_a_stated_error_of_the_poses_leaves_less_to_explain() -> None:
     assert stated.evidence_gain < 0.5 * unstated.evidence_gain
 
 
-def test_too_few_frames_say_nothing() -> None:
-    assert swing_of(False, frames=6) is None
-
-
-def test_the_functions_have_the_correlation_of_a_swing() -> None:
+def test_the_functions_have_the_correlation_of_a_swing_and_none_is_faster_than_three_frames() -> None:
     functions, roots = smooth_functions(np.full(59, 0.5))
     between = np.subtract.outer(np.arange(60.0), np.arange(60.0)) / 59.0
     for length, root in zip(CORRELATION_LENGTHS, roots, strict=True):
         spread = functions @ root
         assert spread @ spread.T == pytest.approx(np.exp(-0.5 * (between / length) ** 2), abs=3e-3)
-
-
-def test_no_function_is_faster_than_three_frames() -> None:
     functions, roots = smooth_functions(np.full(11, 0.5))
     neighbours = [float((functions @ root @ root.T @ functions.T)[5, 6]) for root in roots]
     three, longest = np.exp(-0.5 / 9.0), np.exp(-0.5 * (3.0 / 11.0) ** 2)

@@ -18,23 +18,16 @@ from tests.backend.motions import BOX, at_truth
 SCENE = SyntheticScene(frames=20, landmarks=300, detection=0.4, outliers=0.1, J_G=BOX)
 
 
-def test_the_truth_keeps_its_inliers_and_loses_gross_errors() -> None:
+def test_the_truth_loses_gross_errors_and_the_smaller_problem_holds_the_other_measurements() -> None:
     sequence = generate(SCENE, 0)
     fit = at_truth(sequence)
-    kept = prune(fit)
-    wrong = sequence.outlier[fit.data.order]
-    norm = np.linalg.norm(whitened_residuals(fit), axis=1)
-    assert np.mean(kept.observations[~wrong]) > 0.95
-    assert not np.any(kept.observations[norm > 4.5])
-
-
-def test_the_smaller_problem_holds_the_same_measurements_and_the_other_landmarks_stay() -> None:
-    fit = at_truth(generate(SCENE, 1))
-    data, iterate, kept = fit.data, fit.iterate, prune(fit)
+    data, iterate, kept, whole = fit.data, fit.iterate, prune(fit), whitened_residuals(fit)
+    assert np.mean(kept.observations[~sequence.outlier[data.order]]) > 0.95
+    assert not np.any(kept.observations[np.linalg.norm(whole, axis=1) > 4.5])
     np.testing.assert_array_equal(kept.data.uvd_px, data.uvd_px[kept.observations])
     assert kept.data.n_landmarks == kept.landmarks.sum() == kept.data.landmark.max() + 1
     assert np.all(np.diff(kept.data.start) > 0)
-    small, whole = whitened_residuals(kept.restrict(iterate)), whitened_residuals(fit)
+    small = whitened_residuals(kept.restrict(iterate))
     np.testing.assert_allclose(small, whole[kept.observations], atol=1e-12)
     moved = replace(iterate, p_G=kept.restrict(iterate).iterate.p_G + 1.0)
     p_G = kept.expand(moved, iterate).p_G
@@ -43,18 +36,15 @@ def test_the_smaller_problem_holds_the_same_measurements_and_the_other_landmarks
 
 def test_a_landmark_that_loses_most_of_its_observations_leaves() -> None:
     fit = at_truth(generate(replace(SCENE, outliers=0.0), 3))
-    start = fit.data.start
+    start, uvd = fit.data.start, fit.data.uvd_px.copy()
     mark = int(np.flatnonzero(np.diff(start) == 5)[0])
-    uvd = fit.data.uvd_px.copy()
     uvd[start[mark] : start[mark] + 3] += 30.0
     kept = prune(fit.with_data(uvd_px=uvd))
-    assert not kept.landmarks[mark]
-    assert not kept.observations[start[mark] : start[mark + 1]].any()
+    assert not kept.landmarks[mark] and not kept.observations[start[mark] : start[mark + 1]].any()
 
 
 def test_the_noise_is_found_whatever_was_stated_and_in_spite_of_outliers() -> None:
-    sequence = generate(replace(SCENE, landmarks=600, detection=0.6, sigma_uv_px=0.5, sigma_d_px=0.2), 4)
-    fit = at_truth(sequence)
+    fit = at_truth(generate(replace(SCENE, landmarks=600, detection=0.6, sigma_uv_px=0.5, sigma_d_px=0.2), 4))
     stated = replace(fit, data=fit.data.rescaled(np.array([0.6, 0.6, 2.0])))
     found = remove_outliers(stated)
     assert found.scales.uv == pytest.approx(1 / 0.6, rel=0.05)

@@ -51,63 +51,40 @@ def test_each_series_has_the_torque_s_impulse_and_first_moment() -> None:
     assert not torque[0, 1:].any()
 
 
-def test_steps_without_any_force_or_torque_are_told() -> None:
-    np.testing.assert_array_equal(impulses_of(pushes(), STAMPS).acting, [False, True, True, True])
+def test_a_wrench_acts_in_the_steps_where_it_is_not_zero_even_if_it_cancels() -> None:
+    impulses = impulses_of(pushes(), STAMPS)
+    np.testing.assert_array_equal(impulses.acting, [False, True, True, True])
     none = Wrench(STAMPS[:1], np.zeros((1, 3)), np.zeros((1, 3)))
     assert not impulses_of(none, STAMPS).acting.any()
+    # more series where a torque acts
+    series = impulses.refine_series(np.ones(4, np.int64), np.tile([0.0, 2.0, 0.0], (4, 1)), np.full(4, 0.5))
+    np.testing.assert_array_equal(series, [1, 4, 4, 4])
+    time_ns = STAMPS[0] + 100_000_000 * np.arange(4, dtype=np.int64)
+    force = np.outer([0.0, 1.0, -1.0, 0.0], [1.0, 0.0, 0.0])
+    cancels = impulses_of(Wrench(time_ns, force, np.zeros((4, 3))), STAMPS)
+    np.testing.assert_array_equal(cancels.acting, [True, False, False, False])
+    np.testing.assert_allclose(cancels.force_increments[0, 1], 0.0, atol=1e-12)
 
 
-def test_pushes_that_cancel_within_a_step_act_all_the_same() -> None:
-    time_ns = STAMPS[0] + np.array([0, 100_000_000, 200_000_000, 300_000_000], dtype=np.int64)
-    force = np.array([[0.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0], [0.0, 0, 0]])
-    impulses = impulses_of(Wrench(time_ns, force, np.zeros((4, 3))), STAMPS)
-    np.testing.assert_array_equal(impulses.acting, [True, False, False, False])
-    np.testing.assert_allclose(impulses.force_increments[0, 1], 0.0, atol=1e-12)
-
-
-def test_more_series_where_a_torque_acts() -> None:
-    refine_series = impulses_of(pushes(), STAMPS).refine_series(
-        np.ones(4, dtype=np.int64), np.tile([0.0, 2.0, 0.0], (4, 1)), np.full(4, 0.5)
-    )
-    np.testing.assert_array_equal(refine_series, [1, 4, 4, 4])
-
-
-def some_unknowns() -> tuple[Array, Array, Array, Array]:
+def test_derivatives_of_the_torque_in_the_body_and_of_the_prior() -> None:
     rng = np.random.default_rng(0)
-    M = rng.normal(size=(3, 3))
-    dJ = rng.normal(size=(5, 3, 3))
-    return (
-        rng.normal(size=N_WRENCH) * 0.3,
-        Rotation.random(rng=rng).as_matrix(),
-        M @ M.T,
-        dJ + np.swapaxes(dJ, 1, 2),
-    )
-
-
-def test_torque_in_the_body_and_its_derivatives() -> None:
-    unknowns, R_ref, _, _ = some_unknowns()
+    M, dJ = rng.normal(size=(3, 3)), rng.normal(size=(5, 3, 3))
+    unknowns, R_ref = rng.normal(size=N_WRENCH) * 0.3, Rotation.random(rng=rng).as_matrix()
+    J, dJ = M @ M.T, dJ + np.swapaxes(dJ, 1, 2)
     torque_P = np.random.default_rng(1).normal(size=(2, 3, 2, 3))
     torque, derivatives = torque_in_G(torque_P, unknowns, R_ref)
-    R = R_ref @ exp_so3(unknowns[1:4])
-    np.testing.assert_allclose(
-        torque[1, 2, 0], np.exp(-unknowns[0]) * R @ (torque_P[1, 2, 0] + unknowns[4:7])
-    )
-    np.testing.assert_allclose(torque[1, 2, 1], np.exp(-unknowns[0]) * R @ torque_P[1, 2, 1])
-    for n in range(7):
-        ends = [torque_in_G(torque_P, unknowns + s * np.eye(N_WRENCH)[n], R_ref)[0] for s in (1e-6, -1e-6)]
+    R = np.exp(-unknowns[0]) * R_ref @ exp_so3(unknowns[1:4])
+    np.testing.assert_allclose(torque[1, 2, 0], R @ (torque_P[1, 2, 0] + unknowns[4:7]))
+    np.testing.assert_allclose(torque[1, 2, 1], R @ torque_P[1, 2, 1])
+    for n, e in enumerate(1e-6 * np.eye(N_WRENCH)[:7]):
+        ends = [torque_in_G(torque_P, unknowns + s * e, R_ref)[0] for s in (1.0, -1.0)]
         np.testing.assert_allclose(derivatives[:, :, n], (ends[0] - ends[1]) / 2e-6, atol=1e-8)
-
-
-def test_what_is_known_beforehand_and_its_derivatives() -> None:
-    unknowns, R_ref, J, dJ = some_unknowns()
     _, jacobian = wrench_residual(J, dJ, unknowns, R_ref, (0.2, 0.3))
-    columns = []
-    for e in 1e-6 * np.eye(5 + N_WRENCH):
+    for n, e in enumerate(1e-6 * np.eye(5 + N_WRENCH)):
         change = np.tensordot(e[:5], dJ, 1)
         ends = [wrench_residual(J + s * change, dJ, unknowns + s * e[5:], R_ref, (0.2, 0.3))[0]
                 for s in (1.0, -1.0)]  # fmt: skip
-        columns.append((ends[0] - ends[1]) / 2e-6)
-    np.testing.assert_allclose(jacobian, np.stack(columns, axis=1), rtol=1e-6, atol=1e-4)
+        np.testing.assert_allclose(jacobian[:, n], (ends[0] - ends[1]) / 2e-6, rtol=1e-6, atol=1e-4)
 
 
 def test_principal_axes_are_aligned_in_any_order_and_others_are_not() -> None:

@@ -31,7 +31,7 @@ def test_a_file_of_options_writes_no_file(
 def test_wherever_ipopt_is_started_it_is_told_so() -> None:
     starts = [
         path
-        for folder in ("backend", "planning", "lab")
+        for folder in ("backend", "polhode/planning", "lab")
         for path in (ROOT / folder).rglob("*.py")
         if LAUNCH.search(text := path.read_text()) and '"ipopt"' in text and "casadi" in text
     ]

@@ -14,7 +14,6 @@ from polhode.backend.outliers_and_noise.process_level import (
     fit_level,
     with_level,
 )
-from polhode.backend.solvers.chain import half_log_det
 from polhode.backend.solvers.condensed import CondensedGaussNewton, VisionExpansion, without_landmarks
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, MotionFit
@@ -71,29 +70,12 @@ def test_landmarks_follow_the_poses(fitted: MotionFit) -> None:
     assert predicted == pytest.approx(actual, rel=1e-3)
 
 
-def test_the_determinant_of_the_chain_is_that_of_the_dense_matrix() -> None:
-    rng = np.random.default_rng(1)
-    n_frames, n_state, constants = 4, 12, 8
-    n = n_state * n_frames + constants
-    H = np.zeros((n, n))
-    at = np.arange(n_state * n_frames, n)
-    for k in range(n_frames - 1):
-        own = np.concatenate([np.arange(n_state * k, n_state * (k + 2)), at])
-        J = rng.normal(size=(60, len(own)))
-        H[np.ix_(own, own)] += J.T @ J
-    assert half_log_det(np.tril(H), n_frames, n_state) == pytest.approx(
-        0.5 * np.linalg.slogdet(H)[1], rel=1e-12
-    )
-
-
 def test_evidence_differs_between_levels_as_that_of_the_whole_problem(fitted: MotionFit) -> None:
     data, search = fitted.data, LevelSearch(fitted)
     levels = [(1e-8, 1e-8), (1e-9, 1e-8), (1e-8, 1e-9), (1e-7, 1e-7)]
-    condensed = [
-        search.fit(with_level(data, *level), search.start, 10).minus_log_evidence for level in levels
-    ]
-    each = [MotionFit(with_level(data, *level), fitted.iterate) for level in levels]
-    whole = [fit_level(fit, 10).minus_log_evidence for fit in each]
+    problems = [with_level(data, *level) for level in levels]
+    condensed = [search.fit(each, search.start, 10).minus_log_evidence for each in problems]
+    whole = [fit_level(MotionFit(each, fitted.iterate), 10).minus_log_evidence for each in problems]
     assert np.allclose(np.diff(condensed), np.diff(whole), atol=AGREEING_EVIDENCE)
 
 

@@ -6,48 +6,38 @@ import numpy as np
 import pytest
 
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.motion_data import MotionData, motion_data
+from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.casadi_nlp import ExternalFunction
 from polhode.backend.solvers.ipopt import StereoTerms
 from polhode.config.backend_settings import Backend
-from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
-from polhode.records.tracks import StereoTracks
+from polhode.geometry.lie import Array, exp_so3, inverse_pose, transform_points
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 
 SCENE = SyntheticScene(frames=4, landmarks=25, detection=0.7, camera_moves=True)
 
 
-def start(exact: bool = False) -> tuple[StereoTracks, MotionData, StereoTerms, Array, Array]:
-    """Tracks, their data and terms, unknowns off their references, and the attitudes that are fixed."""
+def start(exact: bool) -> tuple[StereoTerms, Array, Array, float]:
+    """Terms, unknowns off their references, attitudes that are fixed, the cost by the camera's own model."""
     sequence, rng = generate(SCENE, 0), np.random.default_rng(1)
     tracks, X_NG, p_G = sequence.tracks, sequence.X_NG, sequence.p_G
     theta = 0.2 * rng.normal(size=(SCENE.frames, 3))
-    reference = make_pose(X_NG[:, :3, :3] @ exp_so3(-theta), X_NG[:, :3, 3])
+    reference = X_NG[:, :3, :3] @ exp_so3(-theta)
+    seen = transform_points(inverse_pose(tracks.X_NR) @ X_NG, p_G)[tracks.frame, tracks.landmark]
     if exact:
-        seen = transform_points(inverse_pose(tracks.X_NR) @ X_NG, p_G)[tracks.frame, tracks.landmark]
         tracks = replace(tracks, uvd_px=tracks.rig.project(seen))
-    data = motion_data(tracks, Backend())
-    zero = np.zeros((SCENE.frames, 3))
-    it = Iterate(X_NG[:, :3, 3], reference[:, :3, :3], zero, zero, zero[0], np.zeros(5), np.eye(3), p_G)
+    data, zero = motion_data(tracks, Backend()), np.zeros((SCENE.frames, 3))
+    it = Iterate(X_NG[:, :3, 3], reference, zero, zero, zero[0], np.zeros(5), np.eye(3), p_G)
     x = it.vector()
-    x.reshape(-1)[: it.n_states].reshape(-1, it.n_state)[:, 3:6] = theta
+    x[: it.n_states].reshape(-1, it.n_state)[:, 3:6] = theta
     A = np.swapaxes(data.R_RN @ it.R_NG, 1, 2).ravel()
-    return tracks, data, StereoTerms(data, it.n_state, it.n_dense), x, A
-
-
-def test_the_cost_is_the_robust_norm_of_the_camera_model() -> None:
-    tracks, data, terms, x, A = start()
-    sequence = generate(SCENE, 0)
-    seen = transform_points(inverse_pose(tracks.X_NR) @ sequence.X_NG, sequence.p_G)[
-        tracks.frame, tracks.landmark
-    ]
     s = np.sum(((tracks.uvd_px - tracks.rig.project(seen)) / tracks.sigma_px) ** 2, axis=1)
     c2 = data.robust_scale**2
-    assert terms.cost(x, A) == pytest.approx(0.5 * c2 * np.sum(np.log1p(s / c2)), rel=1e-12)
+    return StereoTerms(data, it.n_state, it.n_dense), x, A, 0.5 * c2 * float(np.sum(np.log1p(s / c2)))
 
 
-def test_the_gradient_matches_finite_differences() -> None:
-    _, _, terms, x, A = start()
+def test_the_cost_is_the_robust_norm_of_the_camera_model_with_its_gradient() -> None:
+    terms, x, A, expected = start(exact=False)
+    assert terms.cost(x, A) == pytest.approx(expected, rel=1e-12)
     gradient, rng, step = terms.gradient(x, A), np.random.default_rng(2), 1e-6
     for _ in range(10):
         along = rng.normal(size=len(x))
@@ -56,7 +46,7 @@ def test_the_gradient_matches_finite_differences() -> None:
 
 
 def test_the_hessian_is_the_second_derivative_where_the_residuals_vanish() -> None:
-    _, _, terms, x, A = start(exact=True)
+    terms, x, A, _ = start(exact=True)
     n, step = len(x), 1e-6
     columns, rows = np.divmod(terms.keys(), n)
     assert np.all(rows <= columns)
@@ -68,9 +58,7 @@ def test_the_hessian_is_the_second_derivative_where_the_residuals_vanish() -> No
         along = rng.normal(size=n)
         slope = (terms.gradient(x + step * along, A) - terms.gradient(x - step * along, A)) / (2.0 * step)
         np.testing.assert_allclose(H @ along, slope, atol=2e-5 * np.abs(slope).max())
-
-
-def test_casadi_calls_it_with_its_own_numbers() -> None:
+    # CasADi calls such functions with its own numbers
     outside = ExternalFunction("twice", lambda x, y: 2.0 * x + y, (3, 3), 3)
     found = np.asarray(outside(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.0, 0.0]))).ravel()
     np.testing.assert_array_equal(found, [2.5, 4.0, 6.0])

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from polhode.backend.window.active import ActiveWindow, Part, add_parts
 from polhode.backend.window.frame import Frame
+from polhode.backend.window.history import ActiveWindow, Part, add_parts
 from polhode.backend.window.problem import Quadratic
 from polhode.geometry.lie import Array
 
@@ -44,9 +44,8 @@ def test_absorbing_and_forgetting_in_any_order_is_the_marginal_of_all() -> None:
         covariance = np.linalg.inv(H)[np.ix_(kept, kept)]
         np.testing.assert_allclose(np.linalg.inv(active.arrival.H), covariance, rtol=1e-6, atol=1e-9)
         best = x[kept] - np.linalg.solve(H, g)[kept]
-        np.testing.assert_allclose(
-            active.arrival.x0 - np.linalg.solve(active.arrival.H, active.arrival.g), best, atol=1e-7
-        )
+        found = active.arrival.x0 - np.linalg.solve(active.arrival.H, active.arrival.g)
+        np.testing.assert_allclose(found, best, atol=1e-7)
 
 
 def test_a_new_frame_is_unknown_to_the_arrival_cost_and_the_rest_stays() -> None:

@@ -27,12 +27,9 @@ def test_axes_do_not_flip_from_row_to_row(tumble: SyntheticSequence, feed: Feed)
         assert np.trace(a.R_GP.T @ b.R_GP) > 2.0
 
 
-def test_nothing_known_is_finite_with_infinite_sigma() -> None:
+def test_nothing_known_is_finite_with_infinite_sigma_and_without_covariance() -> None:
     state = unknown_state(5, make_pose(np.eye(3), [1.0, 0.0, 0.0]))
     assert np.isfinite(state.r_N).all() and np.all(np.isinf(np.diag(state.covariance)))
     assert not state.determined.any()
-
-
-def test_infinite_variance_has_no_covariance() -> None:
     out = with_infinite(np.ones((3, 3)), np.array([False, True, False]))
     assert np.isinf(out[1, 1]) and out[0, 1] == 0.0 and out[0, 2] == 1.0

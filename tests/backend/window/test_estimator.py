@@ -12,9 +12,6 @@ from polhode.backend import (
     initialize_motion,
     window_warnings,
 )
-from polhode.backend.problem.inertia import second_moments_from_inertia
-from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.solve import refine
 from polhode.backend.window.causal_state import OnlineState
@@ -27,12 +24,12 @@ from polhode.backend.window.estimator import (
 from polhode.backend.window.frame import FrameMeasurements, frames_of
 from polhode.config.backend_settings import Backend
 from polhode.geometry.camera import RectifiedRig
-from polhode.geometry.lie import Array, inverse_pose, log_so3, transform_points
+from polhode.geometry.lie import Array, log_so3, transform_points
 from polhode.geometry.rigid_body import HALF_TURNS
-from polhode.records.estimate import MotionEstimate, OnlineEstimate
 from polhode.records.tracks import Wrench
 from polhode.runtime.progress import Silent
 from polhode.simulation.monte_carlo import SyntheticSequence, generate
+from tests.backend.motions import at_truth
 from tests.backend.window.conftest import TUMBLE, Feed
 
 SMALL = {"frames": 6, "key_frames": 10, "history": 14}
@@ -78,14 +75,9 @@ def test_a_window_that_covers_everything_is_full_smoothing() -> None:
     )
     window = SlidingWindow(sequence.tracks.rig, config)
     state = [window.add(m) for m in frames_of(sequence.tracks)][-1]
-    data, truth = motion_data(sequence.tracks, config), sequence.truth
-    R_GP, X = truth.R_GP, sequence.X_NG
-    J_G = R_GP @ np.diag(truth.moments) @ R_GP.T
-    xi, R_inertia = data.form.coordinates(second_moments_from_inertia(J_G))
-    start = Iterate(
-        X[:, :3, 3], X[:, :3, :3], truth.v_N, truth.w_P @ R_GP.T, truth.com_G, xi, R_inertia, sequence.p_G
-    )
-    whole, _, _ = refine(GaussNewton(data), start, 50)
+    start = at_truth(sequence, config)
+    data = start.data
+    whole, _, _ = refine(GaussNewton(data), start.iterate, 50)
     J = whole.J_G(data.form)
     moments = np.linalg.eigvalsh(J)[::-1]
     k = np.log(moments[:2] / moments[1:])
@@ -107,9 +99,8 @@ def test_a_small_window_loses_little_against_the_whole_history(tumble: Synthetic
 
 
 def test_once_the_inertia_is_known_errors_are_as_large_as_the_covariance_says(feed: Feed) -> None:
-    z = np.concatenate(
-        [deviations(s, feed(s, **SMALL)[1], 24) for s in (generate(TUMBLE, 20 + n) for n in range(3))]
-    )
+    sequences = [generate(TUMBLE, 20 + n) for n in range(3)]
+    z = np.concatenate([deviations(each, feed(each, **SMALL)[1], 24) for each in sequences])
     assert 0.7 < np.sqrt(np.mean(z**2)) < 1.3
     assert np.mean(np.abs(z) < 3.0) > 0.97
 
@@ -127,13 +118,8 @@ def test_memory_is_bounded_by_the_frames_that_are_held(feed: Feed) -> None:
         )
         assert len(marks.used) <= sum(len(frame.slot) for frame in active.frames)
     assert window.state.history is None
-    keys, recent, arrival, _, slots = np.array(sizes[45:]).T
-    assert (
-        set(keys) == {10}
-        and set(recent) == {6}
-        and set(arrival) == {10 * 6 + 6 * 12 + 8}
-        and set(slots) == {1024}
-    )
+    keys, recent, arrival, _, slots = (set(each) for each in np.array(sizes[45:]).T.tolist())
+    assert (keys, recent, arrival, slots) == ({10}, {6}, {10 * 6 + 6 * 12 + 8}, {1024})
 
 
 @pytest.mark.parametrize("inertia", ["second_moments", "ratios_axes"])
@@ -183,9 +169,7 @@ def test_what_a_spin_does_not_tell_is_infinite(feed: Feed) -> None:
 
 def test_first_frames_without_anything_in_common_begin_again(tumble: SyntheticSequence, feed: Feed) -> None:
     config = Backend.model_validate({"process_noise": "given", "window": SMALL})
-    window = SlidingWindow(tumble.tracks.rig, config)
-    nothing = np.zeros((0, 3))
-    states = []
+    window, nothing, states = SlidingWindow(tumble.tracks.rig, config), np.zeros((0, 3)), []
     for k, m in enumerate(frames_of(tumble.tracks)):
         if k == 0:
             m = FrameMeasurements(m.timestamp_ns, m.X_NR, np.zeros(0, np.int64), nothing, nothing)
@@ -195,37 +179,18 @@ def test_first_frames_without_anything_in_common_begin_again(tumble: SyntheticSe
     assert np.mean(np.abs(deviations(tumble, states)) < 3.0) > 0.97
 
 
-@pytest.fixture(scope="module")
-def both(tumble: SyntheticSequence) -> tuple[OnlineEstimate, MotionEstimate]:
+def test_the_causal_estimate_in_the_conventions_of_the_final_one(tumble: SyntheticSequence) -> None:
     tracks = tumble.tracks
     final = estimate_motion(tracks, initialize_motion(tracks, tumble.relative, FAST), FAST, Silent())
-    return estimate_online(tracks, FAST, Silent()), final
-
-
-def test_one_row_per_frame_and_only_the_first_ones_unknown(
-    both: tuple[OnlineEstimate, MotionEstimate],
-) -> None:
-    online, final = both
+    online = estimate_online(tracks, FAST, Silent())
     np.testing.assert_array_equal(online.timestamps_ns, final.timestamps_ns)
     unknown = ~np.asarray(np.isfinite(online.covariance).all(axis=(1, 2)))
-    assert unknown[0] and not unknown[-15:].any()
-    assert online.determined[-1].all()
-
-
-def test_half_turns_and_frame_G_are_those_of_the_final_estimate(
-    both: tuple[OnlineEstimate, MotionEstimate],
-) -> None:
-    online, final = both
-    flipped = replace(
-        online,
-        R_NP=online.R_NP * np.array([-1.0, 1.0, -1.0]),
-        w_P=online.w_P * np.array([-1.0, 1.0, -1.0]),
-        R_GP=online.R_GP * np.array([-1.0, 1.0, -1.0]),
-    )
+    assert unknown[0] and not unknown[-15:].any() and online.determined[-1].all()
+    turn = np.array([-1.0, 1.0, -1.0])
+    flipped = replace(online, R_NP=online.R_NP * turn, w_P=online.w_P * turn, R_GP=online.R_GP * turn)
     for estimate in (online, flipped):
         aligned = align_online_estimate(estimate, final)
-        apart = np.einsum("fij,fij->f", aligned.R_NP[-15:], final.R_NP[-15:])
-        assert np.all(apart > 2.9)
+        assert np.all(np.einsum("fij,fij->f", aligned.R_NP[-15:], final.R_NP[-15:]) > 2.9)
         assert np.all(np.abs(aligned.w_P[-15:] - final.w_P[-15:]) < 0.05)
         np.testing.assert_allclose(aligned.com_G[-1], final.mass.com_G, atol=2e-3)
         np.testing.assert_allclose(aligned.X_NG[-1], final.X_NG[-1], atol=0.02)
@@ -233,32 +198,21 @@ def test_half_turns_and_frame_G_are_those_of_the_final_estimate(
         r_N = transform_points(aligned.X_NG, aligned.com_G[:, None])[:, 0]
         np.testing.assert_allclose(r_N, online.r_N, atol=1e-9)
         np.testing.assert_allclose(aligned.X_NG[:, :3, :3] @ aligned.R_GP, aligned.R_NP, atol=1e-9)
-
-
-def test_names_change_and_sigmas_with_them(both: tuple[OnlineEstimate, MotionEstimate]) -> None:
-    online, final = both
     aligned = align_online_estimate(online, final)
     before, after = (np.diagonal(e.covariance, axis1=1, axis2=2) for e in (online, aligned))
     np.testing.assert_array_equal(before, after)
     known = np.isfinite(online.cov_com_G).all(axis=(1, 2))
     trace, aligned_trace = (np.trace(e.cov_com_G[known], axis1=1, axis2=2) for e in (online, aligned))
     np.testing.assert_allclose(aligned_trace, trace, rtol=1e-9)
-    assert np.isfinite(inverse_pose(aligned.X_NG)).all()
-
-
-def test_after_a_known_torque_the_rotation_is_not_claimed(
-    both: tuple[OnlineEstimate, MotionEstimate],
-) -> None:
-    online, _ = both
+    # after a known torque the rotation is not claimed
     n = len(online.timestamps_ns)
-    times = online.timestamps_ns[[0, n // 2, n // 2 + 1]]
+    times, late = online.timestamps_ns[[0, n // 2, n // 2 + 1]], n // 2 + 1
     force, torque = np.zeros((3, 3)), np.array([[0.0] * 3, [0.0, 1e-3, 0.0], [0.0] * 3])
     claimed = without_claims_after_torques(online, Wrench(times, force, torque))
-    before = slice(0, n // 2 + 1)
-    np.testing.assert_array_equal(claimed.covariance[before], online.covariance[before])
-    sigma = np.diagonal(claimed.covariance, axis1=1, axis2=2)[n // 2 + 1 :]
+    np.testing.assert_array_equal(claimed.covariance[:late], online.covariance[:late])
+    sigma = np.diagonal(claimed.covariance, axis1=1, axis2=2)[late:]
     assert np.isinf(sigma[:, 6:]).all() and np.isfinite(sigma[:, :6]).all()
-    assert np.isinf(np.diagonal(claimed.cov_k, axis1=1, axis2=2)[n // 2 + 1 :]).all()
+    assert np.isinf(np.diagonal(claimed.cov_k, axis1=1, axis2=2)[late:]).all()
     assert without_claims_after_torques(online, Wrench(times, torque, force)) is online
 
 

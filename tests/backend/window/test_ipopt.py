@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.backend.window.ipopt import IpoptSolver
-from polhode.backend.window.problem import solve_newton
+from polhode.backend.window.problem import IpoptSolver, solve_newton
 from polhode.backend.window.solve import confirmed
 from polhode.simulation.monte_carlo import SyntheticSequence
 from tests.backend.window.conftest import Feed, problem_of

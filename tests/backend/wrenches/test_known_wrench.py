@@ -1,12 +1,14 @@
 """Known forces and torques: mass and inertia in kilograms, how the axes point, and what stays unknown."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 from polhode.geometry.lie import log_so3
-from polhode.simulation.monte_carlo import SyntheticScene, generate
+from polhode.records.estimate import MotionEstimate
+from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 from tests.backend.motions import QUIET, estimated, sigmas
 
 MOMENTS = np.array([3.0e-2, 2.4e-2, 1.8e-2])
@@ -20,15 +22,20 @@ SCENE = SyntheticScene(
 )  # fmt: skip
 
 
+@cache
+def pushed(seed: int) -> tuple[SyntheticSequence, MotionEstimate]:
+    sequence = generate(SCENE, seed)
+    return sequence, estimated(sequence, QUIET)
+
+
 def test_mass_and_inertia_come_out_within_their_sigmas() -> None:
     errors = []
     for seed in range(6):
-        mass = estimated(generate(SCENE, seed), QUIET).mass
+        mass = pushed(seed)[1].mass
         assert mass.mass_kg is not None and mass.sigma_mass_kg is not None
         assert mass.inertia_scale_kg_m2 is not None and mass.sigma_inertia_scale_kg_m2 is not None
-        assert (
-            mass.sigma_mass_kg < 0.05 * SCENE.mass_kg and mass.sigma_inertia_scale_kg_m2 < 0.01 * MOMENTS[1]
-        )
+        assert mass.sigma_mass_kg < 0.05 * SCENE.mass_kg
+        assert mass.sigma_inertia_scale_kg_m2 < 0.01 * MOMENTS[1]
         errors.append([(mass.mass_kg - SCENE.mass_kg) / mass.sigma_mass_kg,
                        (mass.inertia_scale_kg_m2 - MOMENTS[1]) / mass.sigma_inertia_scale_kg_m2])  # fmt: skip
         assert mass.identifiable.detail["mass"].startswith("determined")
@@ -37,21 +44,15 @@ def test_mass_and_inertia_come_out_within_their_sigmas() -> None:
     assert 0.2 < np.mean(np.square(errors)) < 2.2
 
 
-def test_the_torque_fixes_the_half_turn_that_is_reported() -> None:
-    sequence = generate(SCENE, 1)
-    estimate = estimated(sequence, QUIET)
+def test_the_torque_fixes_the_half_turn_and_the_motion_stays_within_its_sigmas() -> None:
+    sequence, estimate = pushed(1)
     # without it one of four is picked; with it the axes are those that the torque was given along
     assert np.abs(log_so3(np.swapaxes(estimate.R_NP, 1, 2) @ sequence.truth.R_NP)).max() < 0.1
     others = [cost for name, cost in estimate.solver.runner_up.items() if name.startswith("torque along")]
     assert len(others) == 3 and min(others) > 100.0
-
-
-def test_the_motion_stays_within_its_sigmas_through_the_pushes() -> None:
-    sequence = generate(SCENE, 2)
-    estimate, truth = estimated(sequence, QUIET), sequence.truth
-    sigma = sigmas(estimate.covariance)
+    (sequence, estimate), truth = pushed(2), pushed(2)[0].truth
     errors = np.hstack([estimate.r_N - truth.r_N, estimate.v_N - truth.v_N])
-    assert np.mean(np.abs(errors) < 3.0 * sigma[:, :6]) > 0.97
+    assert np.mean(np.abs(errors) < 3.0 * sigmas(estimate.covariance)[:, :6]) > 0.97
     # what the pushes leave is as small as the disturbances
     assert estimate.solver.reduced_chi2 == pytest.approx(1.0, abs=0.1)
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from polhode.backend.window.marginalize import least_valuable
+from polhode.backend.window.estimator_state import least_valuable
 from polhode.geometry.lie import log_so3
 from polhode.simulation.monte_carlo import generate
 from tests.backend.window.conftest import TUMBLE, Feed

@@ -15,13 +15,15 @@ from polhode.backend.solvers.gauss_newton import (
     TIME_LIMIT,
     Damping,
     GaussNewton,
+    NormalEquations,
     Solution,
 )
 from polhode.backend.solvers.ipopt import MotionProgram
-from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, MotionFit
+from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, LinearizationPoint, MotionFit
 from polhode.backend.solvers.solve import refine, solve
 from polhode.config.backend_settings import Backend
-from polhode.simulation.monte_carlo import generate
+from polhode.geometry.lie import Array
+from polhode.simulation.monte_carlo import SyntheticScene, generate
 from tests.backend.motions import FAST, TUMBLE, cold_start, estimated
 
 SCENE = replace(TUMBLE, frames=24, landmarks=200)
@@ -121,3 +123,44 @@ def test_a_step_that_goes_too_far_is_made_shorter_until_it_brings_enough(cold: M
     assert cost == solver.cost(fixed, candidate)
     # up the hill nothing is enough
     assert solver._search_along(fixed, x, system, -step)[1] == np.inf
+
+
+class WithKernelCurvature(GaussNewton):
+    """The curvature of the kernel makes an element of the diagonal negative, as far from a solution."""
+
+    def normal_equations(
+        self, fixed: LinearizationPoint, x: Array, weight: Array | None = None, prior: bool = True
+    ) -> NormalEquations:
+        system = super().normal_equations(fixed, x, weight, prior)
+        if weight is None:
+            system.H[0, 0] = -abs(system.H[0, 0])
+        return system
+
+
+def test_where_the_curvature_of_the_kernel_does_harm_the_solver_goes_on_without_it() -> None:
+    scene = SyntheticScene(frames=16, landmarks=120, detection=0.5, w_G=(0.3, 0.5, 0.35))
+    cold = cold_start(generate(scene, 3), Backend())
+    fixed, x = cold.linearized(), cold.iterate.vector()
+    usual, found = (solver(cold.data).solve(fixed, x, 20) for solver in (GaussNewton, WithKernelCurvature))
+    assert found.cost == pytest.approx(usual.cost, rel=1e-6)
+    solver = GaussNewton(cold.data)
+    system = solver.normal_equations(fixed, x)
+    system.H[0, 0] = -1.0
+    # where no damping helps a step ends with an error
+    with pytest.raises(LinAlgError):
+        solver.step(system, Damping())
+
+
+def test_dampings_grow_until_they_end_and_an_accepted_step_takes_them_back() -> None:
+    start, before = Damping(), Damping()
+    for times in range(1, 3):
+        firm, stiff = start.more(times)
+        # one lengthens nothing but the constants' share, the other damps all
+        assert firm.of_constants > before.of_constants and firm.of_all == start.of_all
+        assert stiff.of_all > before.of_all and stiff.of_constants == 0.0
+        before = Damping(stiff.of_all, firm.of_constants)
+    assert start.more(30) == []
+    damping = Damping(of_all=1e-3, of_constants=10.0)
+    for _ in range(8):
+        damping = damping.less()
+    assert damping == Damping()

@@ -9,11 +9,12 @@ from polhode.backend.problem.motion_data import motion_data, rig_vector
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import linearization_point
 from polhode.backend.solvers.robust_kernel import robust_gain
-from polhode.backend.window.frame import Frame, frames_of
-from polhode.backend.window.vision import (
+from polhode.backend.window.frame import (
+    Frame,
     FramePoses,
     ObservationModel,
     condense,
+    frames_of,
     gather_observations,
     information_of,
     inverted,
