@@ -334,7 +334,7 @@ def _parts_of_piece(
 
 
 def _part_with_charts(mesh: trimesh.Trimesh, material: Material, name: str, builder: PartBuilder) -> Part:
-    return Part(mesh, material, charts_for_mesh(mesh, material, builder, builder.texel_m), name=name)
+    return Part(mesh, material, charts_for_mesh(mesh, material, builder), name=name)
 
 
 def _connected_pieces(mesh: trimesh.Trimesh) -> list[Ints]:

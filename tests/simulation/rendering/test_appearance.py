@@ -73,13 +73,13 @@ def test_points_without_a_chart_have_no_drawing() -> None:
 def test_rows_run_along_the_direction_that_is_asked_for() -> None:
     mesh = box([0.1, 0.2, 0.3], bevel=0.0)
     faces = next(f for f in flat_facets(mesh) if mesh.face_normals[f[0], 0] > 0.99)
-    chart, _ = chart_of_facet(mesh, faces, 0.005, lambda canvas, rng: None, np.random.default_rng(0), DOWN)
+    chart, _ = chart_of_facet(mesh, faces, 0.005, lambda canvas: None, np.random.default_rng(0), DOWN)
     np.testing.assert_allclose(chart.down_G, DOWN, atol=1e-12)
     # Seen from outside, +x towards the viewer and z up, right is +y.
     np.testing.assert_allclose(chart.right_G, RIGHT, atol=1e-12)
 
 
-def _ramp(canvas: Canvas, rng: np.random.Generator) -> None:
+def _ramp(canvas: Canvas) -> None:
     """Brighter to the right, so that any jump between slices would show; a wrap at the end."""
     height, width = canvas.shape
     wave = 0.4 + 0.3 * np.cos(2 * np.pi * (np.arange(width) + 0.5) / width)
