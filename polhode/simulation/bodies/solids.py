@@ -56,7 +56,7 @@ def box(extents: ArrayLike, bevel: float = 0.06, at: ArrayLike = ORIGIN) -> trim
 
 @lru_cache(maxsize=1)
 def _box_corners() -> tuple[Array, Array, Ints]:
-    """Octant of each corner of a bevelled box (24, 3); 1 along axes in which it is set back (24, 3); faces."""
+    """Octants of a bevelled box's corners (24, 3), 1 along axes in which each is set back (24, 3), faces."""
     octants = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, -1).T
     signs, inset = np.repeat(octants, 3, axis=0), np.tile(1.0 - np.eye(3), (8, 1))
     # The hull keeps the order: its vertices are all the corners.
