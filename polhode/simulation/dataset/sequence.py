@@ -71,7 +71,6 @@ def write_sequence(
     files = "".join(
         f"# {f.name}: {f.stat().st_size} {f.stat().st_mtime_ns}\n"
         for f in _files_of_mesh(plan.scene.body.path)
-        for f in _files_of_mesh(plan.scene.body.path)
     )
     fingerprint = f"{description}# program: {_program_digest()}\n{files}"
     with staged_dataset(folder, overwrite, fingerprint) as staged:
