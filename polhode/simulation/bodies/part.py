@@ -96,8 +96,8 @@ def combined_mass(masses: Sequence[PartMass]) -> tuple[float, Array, Array]:
     inertia = np.zeros((3, 3))
     for mass, weight in zip(masses, weights, strict=True):
         d = mass.com_G - com
-        about_com = weight * (d @ d * np.eye(3) - np.outer(d, d))
-        inertia += mass.density_factor * mass.inertia_per_density + about_com
+        factor = mass.density_factor
+        inertia += factor * mass.inertia_per_density + weight * (d @ d * np.eye(3) - np.outer(d, d))
     return float(weights.sum()), np.asarray(com), inertia
 
 

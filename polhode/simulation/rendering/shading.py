@@ -86,7 +86,8 @@ def shade(
     if lights.lamp > 0:
         toward, reach = lights.lamp_from(hits.p_G)
         visible = caster.lit(hits, toward, reach)
-        level[visible] += lights.lamp / reach[visible] ** 2 * direct(toward, visible)
+        at_hit = lights.lamp / reach[visible] ** 2
+        level[visible] += at_hit * direct(toward, visible)
     return np.asarray(level)
 
 
