@@ -23,11 +23,7 @@ J_SPHERES = np.array(
     [[2.41e-2, -1.3e-4, -1.42e-4], [-1.3e-4, 2.34e-2, 5.74e-5], [-1.42e-4, 5.74e-5, 2.01e-2]]
 )
 """Inertia of the thesis's satellite (eq. 6.1) [kg m^2]: nearly equal upper moments."""
-
-
 RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)
-
-
 NO_LINKS = RelativePoses(
     np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 4, 4)), np.zeros(0, dtype=np.int64)
 )
@@ -122,9 +118,10 @@ def generate(scene: SyntheticScene, seed: int) -> SyntheticSequence:
     time_s: Array = scene.dt_s * np.arange(scene.frames, dtype=np.float64)
     r, v, R_NG, w_G = _motion(scene, J, rng)
     X_NG = make_pose(R_NG, r - R_NG @ com)
-    X_NR = _jittered(scene, _camera_path(scene, time_s, r), time_s, seed)
+    X_NR = _camera_path(scene, time_s, r, seed)
+    X_RG = inverse_pose(X_NR) @ X_NG
     points, normals = _surface(scene, rng)
-    frame, point, uvd = _observe(scene, X_NR, X_NG, points, normals, rng)
+    frame, point, uvd = _observe(scene, X_RG, points, normals, rng)
     noise = np.array([scene.sigma_uv_px, scene.sigma_uv_px, scene.sigma_d_px])
     measured = uvd + rng.normal(size=uvd.shape) * noise
     outlier = rng.random(len(uvd)) < scene.outliers
@@ -132,15 +129,26 @@ def generate(scene: SyntheticScene, seed: int) -> SyntheticSequence:
     measured[:, 2] = np.maximum(measured[:, 2], 5.0)
     relative = NO_LINKS
     if scene.links:
-        relative = _relative_poses(scene, frame, point, measured, inverse_pose(X_NR) @ X_NG, rng)
-    identity = (
-        point if scene.loop_closure else _split_by_view(scene, frame, point, X_NR, X_NG, points, normals)
-    )
+        # Absolute orientation of common landmarks, as RANSAC would give it (outliers excluded by truth).
+        i, j, X, count = pair_poses(frame, point, RIG.triangulate(measured), X_RG, 0.03, scene.min_inliers)
+        wrong = rng.random(len(X)) < scene.wrong_pairs
+        X[wrong, :3, :3] = Rotation.random(int(wrong.sum()), rng=rng).as_matrix()
+        count[wrong] = rng.integers(6, 12, int(wrong.sum()))
+        relative = RelativePoses(i, j, X, count)
+    identity = point
+    if not scene.loop_closure:
+        # Each passage of a landmark through view has a number of its own.
+        seen = np.stack([_visible(X, points, normals)[0] for X in X_RG])
+        entered = seen & ~np.vstack([np.zeros((1, seen.shape[1]), bool), seen[:-1]])
+        identity = point + len(points) * np.cumsum(entered, axis=0)[frame, point]
     used, landmark = np.unique(identity, return_inverse=True)
+    # The camera's poses as the inspector reports them.
+    reported = np.random.default_rng([seed, 78]).normal(size=(2, len(X_NR), 3))
+    R_reported = X_NR[:, :3, :3] @ exp_so3(scene.sigma_camera_theta_rad * reported[0])
     tracks = StereoTracks(
         RIG,
         np.round(time_s * 1e9).astype(np.int64),
-        _reported_poses(scene, X_NR, seed),
+        make_pose(R_reported, X_NR[:, :3, 3] + scene.sigma_camera_p_m * reported[1]),
         frame,
         landmark.astype(np.int64),
         measured,
@@ -149,7 +157,11 @@ def generate(scene: SyntheticScene, seed: int) -> SyntheticSequence:
         scene.sigma_camera_theta_rad,
         wrench=_wrench(scene),
     )
-    truth = _truth(tracks, J, com, (r, v, R_NG, w_G))
+    moments, R_GP = principal_axes(J)
+    k1, k2 = np.log(moments[0] / moments[1]), np.log(moments[1] / moments[2])
+    truth = Truth(
+        tracks.timestamps_ns, r, R_NG @ R_GP, v, w_G @ R_GP, moments, float(k1), float(k2), com, R_GP, None
+    )
     return SyntheticSequence(tracks, relative, truth, X_NG, points[used % len(points)], outlier, X_NR)
 
 
@@ -169,37 +181,25 @@ def _motion(scene: SyntheticScene, J: Array, rng: np.random.Generator) -> tuple[
     return r[::steps], v[::steps], R_all[::steps], w[::steps]
 
 
-def _reported_poses(scene: SyntheticScene, X_NR: Array, seed: int) -> Array:
-    """The camera's poses (F, 4, 4) as the inspector reports them."""
-    noise = np.random.default_rng([seed, 78]).normal(size=(2, len(X_NR), 3))
-    R = X_NR[:, :3, :3] @ exp_so3(scene.sigma_camera_theta_rad * noise[0])
-    return make_pose(R, X_NR[:, :3, 3] + scene.sigma_camera_p_m * noise[1])
-
-
-def _camera_path(scene: SyntheticScene, time_s: Array, r_N: Array) -> Array:
-    """Camera at rest at N, drifting with the target, or on a slow arc about it with a swaying attitude."""
+def _camera_path(scene: SyntheticScene, time_s: Array, r_N: Array, seed: int) -> Array:
+    """Camera at rest at N, drifting with the target, or on a slow arc about it with a swaying attitude; with
+    the limit cycles of the inspector's control, from random numbers of their own."""
     X = np.tile(np.eye(4), (len(time_s), 1, 1))
     if scene.station_keeping:
         X[:, :3, 3] = r_N - r_N[0]
-    if not scene.camera_moves:
-        return X
-    centre = np.array([0.0, 0.0, scene.r_N[2]])
-    angle = 0.6 * (1.0 - np.cos(2.0 * np.pi * time_s / max(time_s[-1], 1.0) * 0.5))
-    sway = 0.03 * np.sin(0.4 * time_s)[:, None] * np.array([1.0, 0.0, 0.5])
-    turn = exp_so3(angle[:, None] * np.array([0.0, 1.0, 0.0]))
-    position = centre - turn @ centre
-    return make_pose(turn @ exp_so3(sway), position)
-
-
-def _jittered(scene: SyntheticScene, X_NR: Array, time_s: Array, seed: int) -> Array:
-    """The path with the limit cycles of the inspector's control, from random numbers of its own."""
+    if scene.camera_moves:
+        centre = np.array([0.0, 0.0, scene.r_N[2]])
+        angle = 0.6 * (1.0 - np.cos(2.0 * np.pi * time_s / max(time_s[-1], 1.0) * 0.5))
+        sway = 0.03 * np.sin(0.4 * time_s)[:, None] * np.array([1.0, 0.0, 0.5])
+        turn = exp_so3(angle[:, None] * np.array([0.0, 1.0, 0.0]))
+        X = make_pose(turn @ exp_so3(sway), centre - turn @ centre)
     bands = [scene.deadband_m] * 3 + [scene.deadband_rad] * 3
     if not np.any(bands):
-        return X_NR
+        return X
     cycles = [limit_cycle(*band, time_s[-1], np.random.default_rng([seed, 79, axis]))
               for axis, band in enumerate(bands)]  # fmt: skip
     off = np.stack([cycle.value(time_s) for cycle in cycles], axis=1)
-    return make_pose(X_NR[:, :3, :3] @ exp_so3(off[:, 3:]), X_NR[:, :3, 3] + off[:, :3])
+    return make_pose(X[:, :3, :3] @ exp_so3(off[:, 3:]), X[:, :3, 3] + off[:, :3])
 
 
 def _surface(scene: SyntheticScene, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -218,52 +218,29 @@ def _surface(scene: SyntheticScene, rng: np.random.Generator) -> tuple[Array, Ar
     return points, normals
 
 
-def _visible(scene: SyntheticScene, X_RG: Array, points: Array, normals: Array) -> tuple[Bools, Array]:
+def _visible(X_RG: Array, points: Array, normals: Array) -> tuple[Bools, Array]:
+    """Which points (n, 3) face the camera and lie in both images, and where (n, 3) all of them do."""
     p_R = transform_points(X_RG, points)
     toward = -p_R / np.linalg.norm(p_R, axis=1, keepdims=True)
     facing = np.sum((normals @ X_RG[:3, :3].T) * toward, axis=1) > np.cos(np.deg2rad(70.0))
     uvd = RIG.project(p_R)
-    inside = (
-        (uvd[:, 0] > uvd[:, 2]) & (uvd[:, 0] < RIG.width_px) & (uvd[:, 1] > 0) & (uvd[:, 1] < RIG.height_px)
-    )
+    u, v, d = uvd.T
+    inside = (u > d) & (u < RIG.width_px) & (v > 0) & (v < RIG.height_px)
     return facing & inside & (p_R[:, 2] > 0.05), uvd
 
 
 def _observe(
-    scene: SyntheticScene, X_NR: Array, X_NG: Array, points: Array, normals: Array, rng: np.random.Generator
+    scene: SyntheticScene, X_RG: Array, points: Array, normals: Array, rng: np.random.Generator
 ) -> tuple[Ints, Ints, Array]:
     frames, marks, pixels = [], [], []
-    for k, X_RG in enumerate(inverse_pose(X_NR) @ X_NG):
-        visible, uvd = _visible(scene, X_RG, points, normals)
+    for k, X in enumerate(X_RG):
+        visible, uvd = _visible(X, points, normals)
         chosen = np.flatnonzero(visible & (rng.random(len(points)) < scene.detection))
-        if k in scene.dropped:
-            continue
-        frames.append(np.full(len(chosen), k))
-        marks.append(chosen)
-        pixels.append(uvd[chosen])
+        if k not in scene.dropped:
+            frames.append(np.full(len(chosen), k))
+            marks.append(chosen)
+            pixels.append(uvd[chosen])
     return np.concatenate(frames), np.concatenate(marks), np.concatenate(pixels)
-
-
-def _split_by_view(
-    scene: SyntheticScene, frame: Ints, point: Ints, X_NR: Array, X_NG: Array, points: Array, normals: Array
-) -> Ints:
-    """Number each passage of a landmark through view: ``point + n_points * passage``."""
-    X_RG = inverse_pose(X_NR) @ X_NG
-    seen = np.stack([_visible(scene, X, points, normals)[0] for X in X_RG])
-    entered = seen & ~np.vstack([np.zeros((1, seen.shape[1]), bool), seen[:-1]])
-    passage = np.cumsum(entered, axis=0)
-    return np.asarray(point + len(points) * passage[frame, point], dtype=np.int64)
-
-
-def _relative_poses(
-    scene: SyntheticScene, frame: Ints, point: Ints, uvd: Array, X_RG: Array, rng: np.random.Generator
-) -> RelativePoses:
-    """Absolute orientation of common landmarks, as RANSAC would give it (outliers excluded by truth)."""
-    i, j, X, count = pair_poses(frame, point, RIG.triangulate(uvd), X_RG, 0.03, scene.min_inliers)
-    wrong = rng.random(len(X)) < scene.wrong_pairs
-    X[wrong, :3, :3] = Rotation.random(int(wrong.sum()), rng=rng).as_matrix()
-    count[wrong] = rng.integers(6, 12, int(wrong.sum()))
-    return RelativePoses(i, j, X, count)
 
 
 def principal_axes(J: Array) -> tuple[Array, Array]:
@@ -290,15 +267,6 @@ def _wrench(scene: SyntheticScene) -> Wrench | None:
     time_s = np.array(sorted(edges_s))
     rows = np.array([_push(scene.pushes, float(t) + 1e-9) for t in time_s])
     return Wrench(np.round(time_s * 1e9).astype(np.int64), rows[:, 0], rows[:, 1])
-
-
-def _truth(tracks: StereoTracks, J: Array, com: Array, states: tuple[Array, Array, Array, Array]) -> Truth:
-    r, v, R_NG, w_G = states
-    moments, R_GP = principal_axes(J)
-    k1, k2 = np.log(moments[0] / moments[1]), np.log(moments[1] / moments[2])
-    return Truth(
-        tracks.timestamps_ns, r, R_NG @ R_GP, v, w_G @ R_GP, moments, float(k1), float(k2), com, R_GP, None
-    )
 
 
 def disturbed_motion(

@@ -101,20 +101,9 @@ class Earth:
         factor = sunlight(self._light, t_s)
         if factor * self._light.earth == 0.0:
             return np.zeros((camera.height_px, camera.width_px))
-        middle_N = self._middle_N(t_s)
-        return factor * self._light.earth / FULL_DISC * self._reflectance(camera, X_NK[:3, :3], middle_N)
-
-    def hides(self, direction_N: Array, t_s: float = 0.0) -> Array:
-        """Whether the Earth covers directions (n, 3), t_s after the first frame."""
-        return np.asarray(direction_N @ self._middle_N(t_s) > np.sqrt(1.0 - self._distance**-2))
-
-    def _middle_N(self, t_s: float) -> Array:
-        """Unit vector (3,) towards the Earth's centre."""
-        return _unit(earth_direction_N(self._light, t_s))
-
-    def _reflectance(self, camera: Camera, R_NK: Array, middle_N: Array) -> Array:
-        """Light (H, W) relative to a sunlit white surface; cached while neither camera nor Earth turns."""
+        R_NK, middle_N = X_NK[:3, :3], _unit(earth_direction_N(self._light, t_s))
         key = R_NK.tobytes() + camera.X_CK.tobytes() + middle_N.tobytes()
+        # Relative to a sunlit white surface; cached while neither camera nor Earth turns.
         known = self._known.get(key)
         if known is None:
             rays_N = camera.pixel_directions @ R_NK.T
@@ -125,7 +114,12 @@ class Earth:
                 self._known.clear()
             known = np.asarray(flat).reshape(camera.height_px, camera.width_px)
             self._known[key] = known
-        return known
+        return factor * self._light.earth / FULL_DISC * known
+
+    def hides(self, direction_N: Array, t_s: float = 0.0) -> Array:
+        """Whether the Earth covers directions (n, 3), t_s after the first frame."""
+        middle_N = _unit(earth_direction_N(self._light, t_s))
+        return np.asarray(direction_N @ middle_N > np.sqrt(1.0 - self._distance**-2))
 
 
 def _unit(vector: tuple[float, float, float] | Array) -> Array:
@@ -260,38 +254,27 @@ def image_of_stars(stars: Stars, camera: Camera, X_NK: Array, blur_px: float, co
     X_NK (S, 4, 4): camera poses during the exposure, each with its share of the light. ``covered`` (H, W):
     share of each pixel that hides the stars. The lens spreads a star over a Gaussian of ``blur_px``.
     """
-    image = np.zeros((camera.height_px, camera.width_px))
-    flux = 10 ** (-0.4 * stars.magnitude) / _peak(blur_px)
+    sigma = max(blur_px, 1e-6)
+
+    def share(offset_px: Array) -> Array:
+        """Share of a Gaussian line of light that falls on pixels whose centres lie at offsets from it."""
+        return np.asarray(ndtr((offset_px + 0.5) / sigma) - ndtr((offset_px - 0.5) / sigma))
+
+    height, width = camera.height_px, camera.width_px
+    image = np.zeros((height, width))
+    flux = 10 ** (-0.4 * stars.magnitude) / float(share(np.zeros(1))[0] ** 2)
     reach = int(np.ceil(4.0 * blur_px + 1.0))
+    steps = np.arange(-reach, reach + 1)
     for X in X_NK:
         uv, index = camera.project_visible(stars.direction_N @ X[:3, :3], margin_px=reach)
-        nearest = np.clip(np.rint(uv).astype(int), 0, [camera.width_px - 1, camera.height_px - 1])
+        nearest = np.clip(np.rint(uv).astype(int), 0, [width - 1, height - 1])
         seen = 1.0 - covered[nearest[:, 1], nearest[:, 0]]
-        _add_points(image, uv, flux[index] * seen / len(X_NK), blur_px, reach)
+        # Each pixel takes the light that falls on its square.
+        places = [np.rint(uv[:, axis, None]).astype(int) + steps for axis in (0, 1)]
+        along_u, along_v = (share(place - uv[:, axis, None]) for axis, place in enumerate(places))
+        u, v = places[0][:, None, :], places[1][:, :, None]
+        own = flux[index] * seen / len(X_NK)
+        light = own[:, None, None] * along_u[:, None, :] * along_v[:, :, None]
+        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        np.add.at(image.reshape(-1), (v * width + u)[inside], light[inside])
     return image
-
-
-def _add_points(image: Array, uv: Array, flux: Array, blur_px: float, reach: int) -> None:
-    """Add points of light at uv (n, 2) to the image, each pixel with the light that falls on its square."""
-    steps = np.arange(-reach, reach + 1)
-    places, shares = [], []
-    for axis in (0, 1):
-        place = np.rint(uv[:, axis, None]).astype(int) + steps
-        places.append(place)
-        shares.append(_share(place - uv[:, axis, None], blur_px))
-    u, v = places[0][:, None, :], places[1][:, :, None]
-    light = flux[:, None, None] * shares[0][:, None, :] * shares[1][:, :, None]
-    height, width = image.shape
-    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    np.add.at(image.reshape(-1), (v * width + u)[inside], light[inside])
-
-
-def _share(offset_px: Array, blur_px: float) -> Array:
-    """Share of a Gaussian line of light that falls on pixels whose centres lie at offsets from it."""
-    sigma = max(blur_px, 1e-6)
-    return np.asarray(ndtr((offset_px + 0.5) / sigma) - ndtr((offset_px - 0.5) / sigma))
-
-
-def _peak(blur_px: float) -> float:
-    """Share of a star's light in its pixel when it stands at the centre."""
-    return float(_share(np.zeros(1), blur_px)[0] ** 2)

@@ -61,14 +61,20 @@ class Camera:
         return np.stack([u, v], axis=-1).astype(np.float64)
 
     def directions(self, uv_px: Array) -> Array:
-        """Pixels (n, 2) -> unit rays (n, 3) in this camera."""
+        """Pixels (n, 2) -> unit rays (n, 3) in this camera.
+
+        Raises InputError where the distortion is not invertible: no direction, or two, map to a point.
+        """
         if self.fisheye:
             rays = fisheye.rays(uv_px, self.K, self.dist)
             if np.isnan(rays).any():
                 raise InputError(NOT_INVERTIBLE)
             return rays
-        distorted = (uv_px - self.K[:2, 2]) / self.K[[0, 1], [0, 1]]
-        flat = _undistort(distorted, self.dist)
+        flat = (uv_px - self.K[:2, 2]) / self.K[[0, 1], [0, 1]]
+        if self.dist.any():
+            flat, folded = _inverted(np.ascontiguousarray(flat), *self.dist)
+            if folded:
+                raise InputError(NOT_INVERTIBLE)
         rays = np.column_stack([flat, np.ones(len(uv_px))])
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
@@ -100,19 +106,6 @@ class Camera:
             return fisheye.project(p_K, self.K, self.dist)
         uv, _ = cv2.projectPoints(np.ascontiguousarray(p_K), np.zeros(3), np.zeros(3), self.K, self.dist)
         return np.asarray(uv, dtype=np.float64).reshape(-1, 2)
-
-
-def _undistort(distorted: Array, dist: Array) -> Array:
-    """Invert the radial-tangential model for normalised points (n, 2).
-
-    Raises InputError where the distortion is not invertible: no direction, or two, map to a point.
-    """
-    if not dist.any():
-        return np.asarray(distorted)
-    points, folded = _inverted(np.ascontiguousarray(distorted), *dist)
-    if folded:
-        raise InputError(NOT_INVERTIBLE)
-    return np.asarray(points)
 
 
 @compiled
@@ -166,24 +159,20 @@ def build_cameras(rig: config.Rig) -> tuple[Camera, Camera]:
     right_size = rig.right_size_px or left_size
     right_focal_px = rig.focal_px if rig.right_focal_px is None else rig.right_focal_px
     bent = rig.lens == "equidistant"
+
+    def K(focal_px: float, size_px: tuple[int, int], offset_px: Array) -> Array:
+        u, v = (np.array(size_px) - 1) / 2 + offset_px
+        return np.array([[focal_px, 0.0, u], [0.0, focal_px, v], [0.0, 0.0, 1.0]])
+
     return (
-        Camera(_K(rig.focal_px, _middle(left_size) + offset), dist, np.eye(4), *left_size, bent),
-        Camera(_K(right_focal_px, _middle(right_size) - offset), right_dist, X_right, *right_size, bent),
+        Camera(K(rig.focal_px, left_size, offset), dist, np.eye(4), *left_size, bent),
+        Camera(K(right_focal_px, right_size, -offset), right_dist, X_right, *right_size, bent),
     )
-
-
-def _middle(size_px: tuple[int, int]) -> Array:
-    """The centre of an image (2,) [px]."""
-    return (np.array(size_px) - 1) / 2
 
 
 def mount_pose(rig: config.Rig) -> Array:
     """X_BC (4, 4) of the left camera in the inspector's body."""
     return make_pose(exp_so3(np.deg2rad(rig.mount_rotation_deg)), rig.mount_position_m)
-
-
-def _K(focal_px: float, centre_px: Array) -> Array:
-    return np.array([[focal_px, 0.0, centre_px[0]], [0.0, focal_px, centre_px[1]], [0.0, 0.0, 1.0]])
 
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
@@ -200,7 +189,9 @@ def expose(
     # The limit of the mean lies far above any full well.
     electrons = np.minimum(light * sensor.white_dn * sensor.electrons_per_dn, 1e12)
     full_well = sensor.full_well_dn * sensor.electrons_per_dn
-    charge = spill(_count(electrons, rng), full_well, sensor.bloom)
+    counts, lit = np.zeros(electrons.shape), electrons > 0
+    counts[lit] = rng.poisson(electrons[lit])
+    charge = spill(counts, full_well, sensor.bloom)
     return digitise(charge / sensor.electrons_per_dn, sensor, rng)
 
 
@@ -254,14 +245,6 @@ def digitise(signal_dn: Array, sensor: config.Sensor, rng: np.random.Generator) 
         np.rint((signal_dn + read_dn + sensor.black_level_dn) * (highest / 255.0)), 0, highest
     )
     return codes.astype(np.uint8) if sensor.bits == 8 else codes.astype(np.uint16)
-
-
-def _count(mean: Array, rng: np.random.Generator) -> Array:
-    """Electrons (H, W), Poisson distributed about their mean."""
-    counts = np.zeros(mean.shape)
-    lit = mean > 0
-    counts[lit] = rng.poisson(mean[lit])
-    return counts
 
 
 def _blurred(light: Array, sigma_px: float) -> Array:

@@ -49,11 +49,20 @@ class Wall:
         key = X_NK.tobytes() + camera.X_CK.tobytes()
         known = self._known.get(key)
         if known is None:
-            level, there = self._view(camera, X_NK)
+            settings, shape = self._settings, (camera.height_px, camera.width_px)
+            rays_W, eye_W, reach = self._reach(camera, X_NK)
+            there = np.isfinite(reach)
+            ahead = np.where(there, reach, 0.0)
+            place = eye_W + ahead[:, None] * rays_W
+            # A pixel's side on the wall, without the foreshortening.
+            side = ahead * camera.pixel_directions[:, 2] / camera.K[0, 0]
+            unit = settings.pattern_m
+            albedo = _pattern(place[:, :2] / unit, side / unit, settings.contrast, self._seed)
+            level = np.where(there, settings.brightness * albedo, 0.0)
             # There are two cameras: a third view means that they move, and no view will recur.
             if len(self._known) >= 2:
                 self._known.clear()
-            known = level, there
+            known = level.reshape(shape), there.astype(np.float64).reshape(shape)
             self._known[key] = known
         return known
 
@@ -74,19 +83,6 @@ class Wall:
             # Along rays that nearly graze the wall, it ends at 100 times its distance from the origin of N.
             there = (reach > 0.0) & (reach < 100.0 * self._settings.distance_m)
         return rays_W, eye_W, np.where(there, reach, np.nan)
-
-    def _view(self, camera: Camera, X_NK: Array) -> tuple[Array, Array]:
-        settings, shape = self._settings, (camera.height_px, camera.width_px)
-        rays_W, eye_W, reach = self._reach(camera, X_NK)
-        there = np.isfinite(reach)
-        place = eye_W + np.where(there, reach, 0.0)[:, None] * rays_W
-        # A pixel's side on the wall, without the foreshortening.
-        side = np.where(there, reach, 0.0) * camera.pixel_directions[:, 2] / camera.K[0, 0]
-        albedo = _pattern(
-            place[:, :2] / settings.pattern_m, side / settings.pattern_m, settings.contrast, self._seed
-        )
-        level = np.where(there, settings.brightness * albedo, 0.0)
-        return level.reshape(shape), there.astype(np.float64).reshape(shape)
 
 
 @compiled

@@ -28,13 +28,10 @@ def test_variance_grows_with_the_signal_from_that_of_reading(bits: int, mean_dn:
     assert image.var() == pytest.approx(mean_dn / 10 + 1.5**2 + step_dn**2 / 12, rel=0.02)
 
 
-def test_read_noise_and_black_level_show_in_the_dark() -> None:
+def test_read_noise_and_black_level_show_in_the_dark_and_clip_below_zero() -> None:
     image = expose(np.zeros((300, 300)), _sensor(read_noise_dn=2, black_level_dn=20), RNG(0)).astype(float)
     assert image.mean() == pytest.approx(20, abs=0.05)
     assert image.std() == pytest.approx(np.sqrt(4 + 1 / 12), rel=0.02)
-
-
-def test_a_black_level_below_zero_clips_the_sky_to_zero() -> None:
     sensor = _sensor(read_noise_dn=0.8, black_level_dn=-3)
     assert (expose(np.zeros((480, 640)), sensor, RNG(0)) > 0).mean() < 1e-4
 
@@ -56,8 +53,26 @@ def test_a_grey_value_is_the_same_share_of_full_scale_at_any_depth(bits: int) ->
     np.testing.assert_allclose(grey, level * 200, atol=1.1)
 
 
-def test_a_full_well_below_full_scale_ends_the_signal() -> None:
+def test_glare_and_vignetting_take_their_shares_and_points_are_not_blurred_again() -> None:
     assert (expose(np.full((20, 20), 5.0), _sensor(full_well_dn=120.0), RNG(0)) == 120).all()
+    level = np.zeros((161, 161))
+    level[80, 80] = 100.0
+    light = through_lens(level, _sensor(glare=0.2, glare_px=12.0))
+    v, u = np.mgrid[-80:81, -80:81]
+    halo = (u != 0) | (v != 0)
+    assert light.sum() == pytest.approx(100, rel=1e-6)
+    assert light[80, 80] == pytest.approx(80, rel=1e-2)
+    assert np.sqrt((light * u**2)[halo].sum() / 20) == pytest.approx(12, rel=0.01)
+    share = vignette(61, 81, 0.3)
+    assert share[30, 40] == 1.0
+    assert [share[0, 0], share[60, 80]] == pytest.approx([0.7, 0.7])
+    assert 1 - share[30, 80] == pytest.approx(4 * (1 - share[30, 60]))
+    light = through_lens(np.ones((61, 81)), _sensor(vignetting=0.3))
+    np.testing.assert_allclose(light, share)
+    points = np.zeros((21, 21))
+    points[10, 10] = 0.5
+    light = through_lens(np.zeros((21, 21)), _sensor(blur_px=1.0), points)
+    np.testing.assert_array_equal(light, points)
 
 
 @pytest.mark.parametrize("sigma_px", [0.3, 0.4, 1.5])
@@ -70,27 +85,7 @@ def test_the_lens_spreads_light_by_its_sigma_and_loses_none(sigma_px: float) -> 
     assert np.sqrt((light.sum(axis=0) * u**2).sum() / 100) == pytest.approx(sigma_px, rel=1e-3)
 
 
-def test_glare_moves_its_share_of_the_light_into_the_halo() -> None:
-    level = np.zeros((161, 161))
-    level[80, 80] = 100.0
-    light = through_lens(level, _sensor(glare=0.2, glare_px=12.0))
-    v, u = np.mgrid[-80:81, -80:81]
-    halo = (u != 0) | (v != 0)
-    assert light.sum() == pytest.approx(100, rel=1e-6)
-    assert light[80, 80] == pytest.approx(80, rel=1e-2)
-    assert np.sqrt((light * u**2)[halo].sum() / 20) == pytest.approx(12, rel=0.01)
-
-
-def test_light_is_lost_with_the_square_of_the_distance_from_the_centre() -> None:
-    share = vignette(61, 81, 0.3)
-    assert share[30, 40] == 1.0
-    assert [share[0, 0], share[60, 80]] == pytest.approx([0.7, 0.7])
-    assert 1 - share[30, 80] == pytest.approx(4 * (1 - share[30, 60]))
-    light = through_lens(np.ones((61, 81)), _sensor(vignetting=0.3))
-    np.testing.assert_allclose(light, share)
-
-
-def test_bloom_conserves_the_charge_that_is_not_drained() -> None:
+def test_bloom_is_even_to_both_sides_conserves_its_share_and_drains_at_the_ends() -> None:
     charge = RNG(3).uniform(0, 400, (200, 30))
     charge[95:105, 10:14] = 2000.0
     excess = np.maximum(charge - 500, 0).sum()
@@ -99,9 +94,6 @@ def test_bloom_conserves_the_charge_that_is_not_drained() -> None:
         assert wells.max() <= 500
         assert (wells >= np.minimum(charge, 500) - 1e-9).all()
         assert wells.sum() == pytest.approx(charge.sum() - (1 - share) * excess, rel=1e-12)
-
-
-def test_bloom_makes_a_column_even_to_both_sides_and_leaves_its_neighbours() -> None:
     charge = np.zeros((41, 5))
     charge[20, 2] = 100 + 10 * 100.0
     wells = spill(charge, 100.0, 0.6)
@@ -109,16 +101,6 @@ def test_bloom_makes_a_column_even_to_both_sides_and_leaves_its_neighbours() -> 
     np.testing.assert_allclose(wells[17:24, 2], 100.0)
     assert (wells[:, [0, 1, 3, 4]] == 0).all()
     np.testing.assert_allclose(wells.sum(), 100 + 0.6 * 1000)
-
-
-def test_bloom_that_reaches_the_end_of_the_column_is_drained() -> None:
     charge = np.zeros((5, 1))
     charge[2] = 1e6
     np.testing.assert_allclose(spill(charge, 100.0, 1.0), 100.0)
-
-
-def test_light_of_points_is_not_blurred_again() -> None:
-    points = np.zeros((21, 21))
-    points[10, 10] = 0.5
-    light = through_lens(np.zeros((21, 21)), _sensor(blur_px=1.0), points)
-    np.testing.assert_array_equal(light, points)

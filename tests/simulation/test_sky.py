@@ -28,13 +28,10 @@ def _black(camera: Camera, covered: float = 0.0) -> RenderedLight:
     return RenderedLight(np.zeros(shape), np.full(shape, covered))
 
 
-def test_star_counts_are_those_of_the_bright_star_catalogue() -> None:
+def test_stars_follow_the_catalogue_evenly_and_a_fainter_limit_only_adds() -> None:
     magnitude = np.concatenate([star_field(6.5, seed).magnitude for seed in range(8)])
     for limit, count in ((3.0, 171), (5.0, 1602), (6.5, 9096)):
         assert np.count_nonzero(magnitude < limit) / 8 == pytest.approx(count, rel=0.15)
-
-
-def test_stars_lie_evenly_over_the_sky_and_a_fainter_limit_only_adds() -> None:
     few, many = star_field(4.0, 3), star_field(6.5, 3)
     assert np.linalg.norm(many.direction_N.mean(axis=0)) < 4 / np.sqrt(len(many.magnitude))
     np.testing.assert_array_equal(many.direction_N[: len(few.magnitude)], few.direction_N)
@@ -70,7 +67,7 @@ def test_a_star_of_magnitude_0_has_the_grey_value_of_the_scene() -> None:
         assert image.max() == expected
 
 
-def test_stars_stand_still_in_N_while_the_camera_turns_and_smear_when_it_turns_fast() -> None:
+def test_stars_smear_when_the_camera_turns_fast_and_the_target_covers_them() -> None:
     camera = _camera()
     stars = _stars_at(camera, np.array([[40.0, 30.0]]))
     turned = [make_pose(exp_so3([0.0, -shift / 70.0, 0.0]), np.zeros(3)) for shift in (2.0, 4.0, 6.0, 8.0)]
@@ -79,9 +76,6 @@ def test_stars_stand_still_in_N_while_the_camera_turns_and_smear_when_it_turns_f
     assert np.count_nonzero(image[30] > 0.1) == 4
     u = np.arange(96)
     assert (image.sum(axis=0) * u).sum() / image.sum() == pytest.approx(45.0, abs=0.2)
-
-
-def test_the_target_covers_the_stars_behind_it() -> None:
     camera = _camera()
     covered = np.zeros((72, 96))
     covered[:, 48:] = 1.0
@@ -96,15 +90,12 @@ def _earth(seed: int = 3, **light: object) -> Earth:
     return Earth(config.Light.model_validate(values), seed)
 
 
-def test_the_earths_edge_is_where_its_radius_says() -> None:
+def test_the_earths_disc_has_its_radius_its_radiance_and_a_dark_side() -> None:
     camera = _camera()
     level = _earth(sun_direction_N=(0.0, 0.0, -1.0)).level(camera, np.eye(4), 0.0)
     angle_deg = np.rad2deg(np.arccos(camera.pixel_directions[:, 2])).reshape(72, 96)
     assert (level[angle_deg < 20] > 0.02).all()
     assert (level[angle_deg > 20 + 2.0] < 1e-3).all()
-
-
-def test_the_full_disc_has_the_radiance_that_lights_the_target() -> None:
     camera = _camera()
     means = []
     for seed in range(8):
@@ -112,13 +103,12 @@ def test_the_full_disc_has_the_radiance_that_lights_the_target() -> None:
         disc = earth.hides(camera.pixel_directions).reshape(72, 96)
         means.append(earth.level(camera, np.eye(4), 0.0)[disc].mean())
     assert np.mean(means) == pytest.approx(0.3, rel=0.1)
-
-
-def test_the_side_away_from_the_sun_is_dark() -> None:
     camera = _camera()
     level = _earth(sun_direction_N=(1.0, 0.0, 0.0)).level(camera, np.eye(4), 0.0)
     assert level[20:52, 50:70].mean() > 0.02
     assert level[20:52, :40].max() < 1e-3
+    with pytest.raises(InputError, match="earth_radius_deg: 90 degrees"):
+        _earth(earth_radius_deg=90.0)
 
 
 def test_the_limb_fades_above_the_ground_as_the_air_does() -> None:
@@ -157,22 +147,14 @@ def test_an_eclipse_darkens_the_earth_and_leaves_the_stars() -> None:
     assert stars[disc.reshape(72, 96)].sum() < 0.05 * stars.sum()
 
 
-def test_the_target_stands_before_the_earth() -> None:
+def test_the_target_stands_before_the_earth_and_a_sky_that_nobody_asked_for_changes_nothing() -> None:
     scene = Scene.model_validate({"light": {"earth_direction_N": [0, 0, 1]}, "background": {"earth": True}})
     camera, sky = _camera(), Sky(scene, 3)
     free, _ = sky.background(_black(camera), camera, np.eye(4), 0.0)
     half, _ = sky.background(_black(camera, 0.5), camera, np.eye(4), 0.0)
     np.testing.assert_allclose(half, 0.5 * free)
     np.testing.assert_array_equal(sky.background(_black(camera, 1.0), camera, np.eye(4), 0.0)[0], 0.0)
-
-
-def test_a_sky_that_nobody_asked_for_changes_nothing() -> None:
     camera, picture = _camera(), _black(_camera())
     level, stars = Sky(Scene(), 3).background(picture, camera, np.eye(4), 0.0)
     assert level is picture.level
     assert stars is None
-
-
-def test_an_earth_that_fills_half_the_sky_is_refused() -> None:
-    with pytest.raises(InputError, match="earth_radius_deg: 90 degrees"):
-        _earth(earth_radius_deg=90.0)

@@ -13,14 +13,11 @@ RIG = config.Rig(
 )
 
 
-def test_rays_project_back_to_their_pixels_through_opencvs_distortion() -> None:
+def test_rays_project_back_to_their_pixels_through_opencvs_models() -> None:
     left, _ = build_cameras(RIG)
     uv = np.random.default_rng(0).uniform((0, 0), (639, 479), (500, 2))
     projected, _ = cv2.projectPoints(left.directions(uv) * 3.7, np.zeros(3), np.zeros(3), left.K, left.dist)
     np.testing.assert_allclose(projected[:, 0], uv, atol=1e-7)
-
-
-def test_rays_of_a_fisheye_project_back_through_opencvs() -> None:
     rig = config.Rig(lens="equidistant", distortion=(-0.028, 0.012, -0.009, 0.0016), focal_px=310)
     left, right = build_cameras(rig)
     uv = np.random.default_rng(0).uniform((0, 0), (639, 479), (500, 2))
@@ -32,28 +29,25 @@ def test_rays_of_a_fisheye_project_back_through_opencvs() -> None:
     assert len(index) == len(uv)
 
 
-def test_a_fisheye_that_shows_no_direction_in_a_corner_is_refused() -> None:
+def test_a_distortion_that_folds_the_image_is_refused() -> None:
     left, _ = build_cameras(config.Rig(lens="equidistant", distortion=(-0.3, 0.0, 0.0, 0.0), focal_px=310))
     with pytest.raises(InputError, match="cannot be inverted over the whole image"):
         left.directions(np.array([[0.0, 0.0]]))
+    left, _ = build_cameras(config.Rig(distortion=(-3.0, 0, 0, 0)))
+    with pytest.raises(InputError, match="distortion cannot be inverted"):
+        _ = left.pixel_directions
 
 
-def test_the_right_camera_may_have_other_pixels() -> None:
+def test_cameras_are_those_of_the_rig() -> None:
     left, right = build_cameras(config.Rig(right_size_px=(320, 200), right_focal_px=200.0))
     assert (left.width_px, left.height_px, left.K[0, 0]) == (640, 480, 467.0)
     assert (right.width_px, right.height_px, right.K[0, 0]) == (320, 200, 200.0)
     np.testing.assert_allclose(right.K[:2, 2], [159.5, 99.5])
-
-
-def test_pixel_directions_are_row_by_row() -> None:
     left, _ = build_cameras(config.Rig(width_px=20, height_px=16, focal_px=30))
     rays = left.pixel_directions.reshape(16, 20, 3)
     u = 30 * rays[5, 7, 0] / rays[5, 7, 2] + 9.5
     v = 30 * rays[5, 7, 1] / rays[5, 7, 2] + 7.5
     assert (u, v) == pytest.approx((7, 5))
-
-
-def test_a_negative_turn_about_y_toes_the_right_camera_in() -> None:
     _, right = build_cameras(config.Rig(right_rotation_deg=(0, -6, 0)))
     optical_axis_left = right.X_CK[:3, 2]
     assert optical_axis_left[0] < 0 < optical_axis_left[2]
@@ -90,16 +84,7 @@ def test_points_beside_and_behind_the_image_are_not_visible() -> None:
     pixels, index = left.project_visible(np.concatenate([outside, inside]))
     np.testing.assert_array_equal(index, 6 + np.arange(3))
     np.testing.assert_allclose(pixels, uv, atol=1e-6)
-
-
-def test_strong_distortion_brings_no_far_point_back_into_the_image() -> None:
     left, _ = build_cameras(config.Rig(distortion=(-0.15, 0.0, 0.0, 0.0)))
     far = np.array([[2.5, 0.0, 1.0], [0.0, 2.45, 1.0]])
     assert (np.abs(left.project(far) - left.K[:2, 2]) < 200).all()
     assert len(left.project_visible(far)[1]) == 0
-
-
-def test_a_distortion_that_folds_the_image_is_refused() -> None:
-    left, _ = build_cameras(config.Rig(distortion=(-3.0, 0, 0, 0)))
-    with pytest.raises(InputError, match="distortion cannot be inverted"):
-        _ = left.pixel_directions

@@ -36,13 +36,10 @@ def _finely(plan: SequencePlan, step_s: float) -> TargetMotion:
     return target_motion(fine, plan.mass, plan.seed)
 
 
-def test_velocity_is_the_derivative_of_position(plan: SequencePlan) -> None:
+def test_velocities_are_the_derivatives_of_position_and_attitude(plan: SequencePlan) -> None:
     motion = _finely(plan, 0.01)
     slope = (motion.r_N[2:] - motion.r_N[:-2]) / 0.02
     np.testing.assert_allclose(slope, motion.v_N[1:-1], atol=1e-11)
-
-
-def test_angular_velocity_is_the_derivative_of_attitude(plan: SequencePlan) -> None:
     motion = _finely(plan, 0.002)
     turn = log_so3(np.swapaxes(motion.R_NP[:-2], 1, 2) @ motion.R_NP[2:]) / 0.004
     # Central difference: the error is of second order in the step, (w dt)^2 |w| / 6 at most.

@@ -26,29 +26,23 @@ def _view(wall: Wall, camera: Camera, X_NC: Array = AT_REST) -> Array:
     return wall.level(camera, X_NC @ camera.X_CK)[0]
 
 
-def test_both_cameras_see_the_pattern_at_the_disparity_of_its_distance() -> None:
+def test_parallax_of_the_pattern_is_that_of_its_distance() -> None:
     """Focal length times baseline over distance: 7 px at 2 m."""
     left, right = (_view(_wall(), camera) for camera in (LEFT, RIGHT))
     np.testing.assert_allclose(right[:, :-7], left[:, 7:], atol=1e-9)
     assert left.std() > 0.2 * left.mean()
     assert abs(right - left).mean() > 0.1 * left.mean()
-
-
-def test_a_moving_camera_sees_the_pattern_pass_as_its_distance_says() -> None:
     wall = _wall()
     before, after = _view(wall, LEFT), _view(wall, LEFT, make_pose(np.eye(3), [0.0, 0.2, 0.0]))
     np.testing.assert_allclose(after[:-7], before[7:], atol=1e-9)
 
 
-def test_a_turned_wall_is_nearer_on_one_side() -> None:
+def test_a_turned_wall_is_nearer_on_one_side_and_has_an_end() -> None:
     wall = _wall(turn_deg=(0.0, 20.0, 0.0))
     p_N = np.array([[-0.5, 0.0, 1.0], [0.5, 0.0, 1.0], [0.0, 0.0, 2.0]])
     behind = wall.depth_behind(p_N)
     assert behind[2] == pytest.approx(0.0, abs=1e-12)
     assert behind[0] - behind[1] == pytest.approx(np.sin(np.deg2rad(20.0)))
-
-
-def test_the_wall_ends_where_the_camera_looks_past_it() -> None:
     wall = _wall(turn_deg=(0.0, 80.0, 0.0))
     level, there = wall.level(LEFT, np.eye(4))
     assert 0.0 < there.mean() < 1.0

@@ -3,8 +3,7 @@
 build.py      the body that a scene describes
 families/     spacecraft and a rock, one family a file
 mesh_file.py  bodies from mesh files
-layout.py     positions on a wall, and a fully equipped wall
-equipment.py  equipment that families share
+equipment.py  equipment that families share, and its places on walls
 textures/     texture generators, and how charts are laid onto parts
 part.py       parts, their mass, and the body that they are assembled to
 solids.py     boxes, solids of revolution, bars; plane and smooth regions of a mesh

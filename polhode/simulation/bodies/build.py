@@ -20,10 +20,10 @@ from polhode.simulation.bodies.families.upper_stage import upper_stage_parts
 from polhode.simulation.bodies.mesh_file import mesh_file_parts
 from polhode.simulation.bodies.part import Body, Part, assemble
 from polhode.simulation.bodies.textures.part_builder import (
+    GENERATORS,
     PartBuilder,
     override_material,
     texel_size_for,
-    texture_generator,
 )
 
 
@@ -32,9 +32,8 @@ def build_body(body: config.TargetBody, seed: int) -> Body:
     own = seed if body.seed is None else body.seed
     rng = np.random.default_rng([0xB0D1, own])
     texture_rng = np.random.default_rng([0x1A4C, texture_seed(body, seed)])
-    builder = PartBuilder(
-        texture_generator(body.texture), rng, texture_rng, body.size_m / TEXELS.get(body.family, 440.0)
-    )
+    texel_m = body.size_m / TEXELS.get(body.family, 440.0)
+    builder = PartBuilder(GENERATORS[body.texture], rng, texture_rng, texel_m)
     if body.family == "mesh":
         # Validated by the configuration.
         assert body.path is not None

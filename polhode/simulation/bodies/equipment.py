@@ -1,8 +1,12 @@
-"""Equipment of spacecraft. Each item is mounted on z = 0 of its own frame, z away from the wall.
+"""Equipment of spacecraft, and its places on flat walls.
 
-Feet extend slightly below z = 0, so that no two faces of a body are coplanar. The exhaust of thrusters and
-engines is along z. The root of a solar wing lies at the origin, the wing runs along x, cells face z.
+Each item is mounted on z = 0 of its own frame, z away from the wall. Feet extend slightly below z = 0, so
+that no two faces of a body are coplanar. The exhaust of thrusters and engines is along z. The root of a solar
+wing lies at the origin, the wing runs along x, cells face z.
 """
+
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -13,6 +17,7 @@ from polhode.simulation.bodies.solids import (
     ball,
     box,
     drum,
+    frame,
     pose,
     prism,
     radial,
@@ -21,31 +26,28 @@ from polhode.simulation.bodies.solids import (
     strut,
     tube,
 )
-from polhode.simulation.bodies.textures.canvas import Draw
 from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface import materials as mat
-
-SINK = 0.08
-"""Share of an item's height that lies below the wall."""
 
 
 def electronics_box(builder: PartBuilder, width_m: float, depth_m: float, height_m: float) -> list[Part]:
     """A box on a flange, with a labelled face and a row of connectors on one side."""
     rng = builder.rng
     base = float(rng.choice([0.06, 0.2, 0.35, 0.6]))
-    body = box([width_m, depth_m, height_m * (1 + SINK)], bevel=0.05, at=[0, 0, 0.5 * height_m * (1 - SINK)])
+    # A share of 0.08 of the height lies below the wall.
+    body = box([width_m, depth_m, height_m * 1.08], bevel=0.05, at=[0, 0, 0.5 * height_m * (1 - 0.08)])
     draw = builder.textures.panel(base, 0.8) if rng.random() < 0.75 else builder.textures.machined_plate()
-    parts = [builder.flat_part(body, mat.PAINT_GREY if base > 0.1 else mat.PAINT_BLACK, draw, "equipment")]
+    cover = builder.flat_part(body, mat.PAINT_GREY if base > 0.1 else mat.PAINT_BLACK, draw, "equipment")
     flange = box([1.14 * width_m, 1.14 * depth_m, 0.14 * height_m], bevel=0.1)
-    parts.append(Part(flange, mat.ANODISED, name="equipment"))
     count = int(rng.integers(2, 5))
     size = min(0.2 * height_m, 0.5 * width_m / count)
+    sockets = []
     for k in range(count):
         socket = drum(0.5 * size, 0.6 * size, 12)
         x = (k + 0.5) / count * 0.8 * width_m - 0.4 * width_m
         socket.apply_transform(pose([0, 1, 0], [x, 0.5 * depth_m - 0.1 * size, 0.5 * height_m]))
-        parts.append(Part(socket, mat.BRUSHED_METAL, name="equipment"))
-    return parts
+        sockets.append((socket, mat.BRUSHED_METAL))
+    return [cover, *named("equipment", (flange, mat.ANODISED), *sockets)]
 
 
 def star_tracker(builder: PartBuilder, size_m: float) -> list[Part]:
@@ -76,23 +78,24 @@ def sun_sensor(size_m: float) -> list[Part]:
 def camera_lens(size_m: float) -> list[Part]:
     """A barrel with a hood and a lens deep inside; size_m is the diameter."""
     s = 0.5 * size_m
-    profile = [(0, -0.2 * s), (s, -0.2 * s), (s, 0.9 * s), (1.12 * s, 0.95 * s), (1.12 * s, 1.7 * s),
-               (1.04 * s, 1.7 * s), (0.82 * s, 0.6 * s), (0, 0.6 * s)]  # fmt: skip
-    barrel = revolve(profile, 32).mesh
-    lens = revolve([(0, 0.5 * s), (0.8 * s, 0.58 * s), (0.6 * s, 0.74 * s), (0.3 * s, 0.82 * s),
-                    (0, 0.85 * s)], 32).mesh  # fmt: skip
-    ring = revolve([(0.98 * s, 0.3 * s), (1.06 * s, 0.32 * s), (1.06 * s, 0.5 * s), (0.98 * s, 0.52 * s)],
-                   32, closed=True).mesh  # fmt: skip
-    return named("lens", (barrel, mat.PAINT_BLACK), (lens, mat.GLASS), (ring, mat.BRUSHED_METAL))
+    barrel = [(0, -0.2 * s), (s, -0.2 * s), (s, 0.9 * s), (1.12 * s, 0.95 * s), (1.12 * s, 1.7 * s),
+              (1.04 * s, 1.7 * s), (0.82 * s, 0.6 * s), (0, 0.6 * s)]  # fmt: skip
+    lens = [(0, 0.5 * s), (0.8 * s, 0.58 * s), (0.6 * s, 0.74 * s), (0.3 * s, 0.82 * s), (0, 0.85 * s)]
+    collar = [(0.98 * s, 0.3 * s), (1.06 * s, 0.32 * s), (1.06 * s, 0.5 * s), (0.98 * s, 0.52 * s)]
+    return named(
+        "lens",
+        (revolve(barrel, 32).mesh, mat.PAINT_BLACK),
+        (revolve(lens, 32).mesh, mat.GLASS),
+        (revolve(collar, 32, closed=True).mesh, mat.BRUSHED_METAL),
+    )
 
 
 def handrail(length_m: float, radius_m: float) -> list[Part]:
     """A bar on two posts, along x."""
-    h = 0.5 * length_m
-    up = 5.0 * radius_m
+    h, up = 0.5 * length_m, 5.0 * radius_m
     path = [[-h, 0, -radius_m], [-h, 0, 0.8 * up], [-h + 0.2 * up, 0, up], [h - 0.2 * up, 0, up],
             [h, 0, 0.8 * up], [h, 0, -radius_m]]  # fmt: skip
-    return [Part(tube(path, radius_m, 10), mat.PAINT_WHITE, name="handrail")]
+    return named("handrail", (tube(path, radius_m, 10), mat.PAINT_WHITE))
 
 
 def grapple_pin(size_m: float) -> list[Part]:
@@ -113,19 +116,18 @@ def umbilical(builder: PartBuilder, size_m: float) -> list[Part]:
     for x in (-0.24, 0.24):
         shell = ring(0.1 * size_m, 0.17 * size_m, 0.0, 0.16 * size_m, 20).mesh
         core = drum(0.09 * size_m, 0.12 * size_m, 16)
-        for mesh, material in ((shell, mat.BRUSHED_METAL), (core, mat.PAINT_BLACK)):
+        for mesh in (shell, core):
             mesh.apply_translation([x * size_m, 0, -0.01 * size_m])
-            parts.append(Part(mesh, material, name="connector"))
+        parts += named("connector", (shell, mat.BRUSHED_METAL), (core, mat.PAINT_BLACK))
     return parts
 
 
-def cable(points: np.ndarray[tuple[int, ...], np.dtype[np.float64]], radius_m: float) -> list[Part]:
+def cable(points: Array, radius_m: float) -> list[Part]:
     """A harness along points (n, 3) with clamps at every other one."""
-    parts = [Part(tube(points, radius_m, 8), mat.PAINT_BLACK, name="harness")]
+    parts = named("harness", (tube(points, radius_m, 8), mat.PAINT_BLACK))
     for point, ahead in zip(points[1:-1:2], points[2::2], strict=False):
         clamp = box([3.4 * radius_m, 3.4 * radius_m, 1.6 * radius_m], bevel=0.1)
-        clamp.apply_transform(pose(ahead - point, point))
-        parts.append(Part(clamp, mat.BRUSHED_METAL, name="harness"))
+        parts += moved(named("harness", (clamp, mat.BRUSHED_METAL)), pose(ahead - point, point))
     return parts
 
 
@@ -137,10 +139,8 @@ def hexagonal_can(builder: PartBuilder, size_m: float) -> list[Part]:
     can = prism(outline, 1.06 * height, taper=0.92, at=[0, 0, -0.06 * height])
     lid = drum(0.3 * size_m, 0.14 * size_m, 20, at=[0, 0, 0.96 * height])
     base = float(builder.rng.choice([0.08, 0.4, 0.7]))
-    return [
-        builder.flat_part(can, mat.PAINT_GREY, builder.textures.panel(base, 1.0), "equipment"),
-        Part(lid, mat.COMPOSITE if base > 0.3 else mat.BRUSHED_METAL, name="equipment"),
-    ]
+    side = builder.flat_part(can, mat.PAINT_GREY, builder.textures.panel(base, 1.0), "equipment")
+    return [side, *named("equipment", (lid, mat.COMPOSITE if base > 0.3 else mat.BRUSHED_METAL))]
 
 
 def patch(builder: PartBuilder, size_m: float) -> list[Part]:
@@ -148,12 +148,9 @@ def patch(builder: PartBuilder, size_m: float) -> list[Part]:
     plate = box([size_m, size_m, 0.12 * size_m], bevel=0.2)
     tile = box([0.72 * size_m, 0.72 * size_m, 0.12 * size_m], bevel=0.15, at=[0, 0, 0.1 * size_m])
     feed = drum(0.04 * size_m, 0.05 * size_m, 10, at=[0.1 * size_m, 0.06 * size_m, 0.14 * size_m])
-    base = float(builder.rng.choice([0.3, 0.7]))
-    return [
-        Part(plate, mat.ANODISED, name="antenna"),
-        builder.flat_part(tile, mat.PAINT_GREY, builder.textures.plain(base), "antenna"),
-        Part(feed, mat.BRUSHED_METAL, name="antenna"),
-    ]
+    draw = builder.textures.plain(float(builder.rng.choice([0.3, 0.7])))
+    bare = named("antenna", (plate, mat.ANODISED), (feed, mat.BRUSHED_METAL))
+    return [bare[0], builder.flat_part(tile, mat.PAINT_GREY, draw, "antenna"), bare[1]]
 
 
 def helix(length_m: float, radius_m: float) -> list[Part]:
@@ -178,10 +175,10 @@ def whip(length_m: float, radius_m: float) -> list[Part]:
 def horn(size_m: float) -> list[Part]:
     """A conical horn with corrugations; size_m is its height."""
     s = size_m
-    outer = [(0, -0.05 * s), (0.16 * s, -0.05 * s), (0.16 * s, 0.2 * s), (0.32 * s, 0.7 * s),
-             (0.35 * s, 0.72 * s), (0.35 * s, 0.78 * s), (0.4 * s, s)]  # fmt: skip
-    inner = [(0.375 * s, s), (0.28 * s, 0.66 * s), (0.12 * s, 0.25 * s), (0, 0.25 * s)]
-    return [Part(revolve([*outer, *inner], 32).mesh, mat.ANODISED, name="antenna")]
+    profile = [(0, -0.05 * s), (0.16 * s, -0.05 * s), (0.16 * s, 0.2 * s), (0.32 * s, 0.7 * s),
+               (0.35 * s, 0.72 * s), (0.35 * s, 0.78 * s), (0.4 * s, s),
+               (0.375 * s, s), (0.28 * s, 0.66 * s), (0.12 * s, 0.25 * s), (0, 0.25 * s)]  # fmt: skip
+    return named("antenna", (revolve(profile, 32).mesh, mat.ANODISED))
 
 
 def paraboloid(diameter_m: float, focal_m: float, wall_m: float, sections: int, steps: int) -> Revolved:
@@ -198,28 +195,27 @@ def paraboloid(diameter_m: float, focal_m: float, wall_m: float, sections: int, 
 
 def small_dish(builder: PartBuilder, diameter_m: float) -> list[Part]:
     """A high-gain antenna on a gimballed mast: reflector with gores, feed on three struts."""
-    rng = builder.rng
-    focal, mast = 0.38 * diameter_m, 0.32 * diameter_m
-    steps = 6
-    solid = paraboloid(diameter_m, focal, 0.012 * diameter_m, 40, steps)
+    rng, d, steps = builder.rng, diameter_m, 6
+    focal, mast = 0.38 * d, 0.32 * d
+    solid = paraboloid(d, focal, 0.012 * d, 40, steps)
     base = float(rng.choice([0.75, 0.75, 0.3]))
     last = len(solid.profile) - 1
     draw = builder.textures.reflector(base, int(rng.integers(6, 13)))
     parts = [builder.revolved_part(solid, [(last - steps, last - 1, draw)], mat.PAINT_WHITE, "dish")]
     for angle in np.arange(3) * 2 * np.pi / 3 + rng.uniform(0, 2):
-        edge = 0.42 * diameter_m * radial(angle)
-        edge[2] = 0.42**2 * diameter_m**2 / (4 * focal)
-        parts.append(Part(strut(edge, [0, 0, focal], 0.008 * diameter_m), mat.PAINT_WHITE, name="dish"))
-    feed = drum(0.05 * diameter_m, 0.12 * diameter_m, 16, bevel=0.2, at=[0, 0, focal - 0.06 * diameter_m])
-    hub = ball(0.07 * diameter_m, 16, 8, at=[0, 0, -0.07 * diameter_m])
+        edge = 0.42 * d * radial(angle)
+        edge[2] = 0.42**2 * d**2 / (4 * focal)
+        parts += named("dish", (strut(edge, [0, 0, focal], 0.008 * d), mat.PAINT_WHITE))
+    feed = drum(0.05 * d, 0.12 * d, 16, bevel=0.2, at=[0, 0, focal - 0.06 * d])
+    hub = ball(0.07 * d, 16, 8, at=[0, 0, -0.07 * d])
     parts += named("dish", (feed, mat.COMPOSITE), (hub, mat.ANODISED))
-    X = pose([rng.uniform(-0.6, 0.6), rng.uniform(-0.6, 0.6), 1.0], [0, 0, mast + 0.07 * diameter_m])
-    post = strut([0, 0, -0.04 * diameter_m], [0, 0, mast], 0.03 * diameter_m, 14)
-    return [*moved(parts, X), Part(post, mat.BRUSHED_METAL, name="mast")]
+    X = pose([rng.uniform(-0.6, 0.6), rng.uniform(-0.6, 0.6), 1.0], [0, 0, mast + 0.07 * d])
+    post = strut([0, 0, -0.04 * d], [0, 0, mast], 0.03 * d, 14)
+    return moved(parts, X) + named("mast", (post, mat.BRUSHED_METAL))
 
 
 def bell(
-    throat_m: float, exit_m: float, length_m: float, wall_m: float, sections: int, steps: int = 9
+    throat_m: float, exit_m: float, length_m: float, wall_m: float, sections: int, steps: int
 ) -> Revolved:
     """A nozzle from its throat at z = 0 to its exit, with a wall of real thickness and a closed throat.
 
@@ -229,11 +225,8 @@ def bell(
     radius = throat_m + (exit_m - throat_m) * (1.55 * t - 0.55 * t * t)
     outer = np.column_stack([radius + wall_m, length_m * t])
     inner = np.column_stack([radius, length_m * t])[::-1]
-    neck = [
-        (0.0, -0.3 * length_m),
-        (throat_m + 1.5 * wall_m, -0.3 * length_m),
-        (throat_m + wall_m, -0.08 * length_m),
-    ]
+    neck = [(0.0, -0.3 * length_m), (throat_m + 1.5 * wall_m, -0.3 * length_m),
+            (throat_m + wall_m, -0.08 * length_m)]  # fmt: skip
     return revolve(np.vstack([neck, outer, inner, [(0.0, 0.0)]]), sections)
 
 
@@ -251,7 +244,7 @@ def thruster_block(builder: PartBuilder, size_m: float) -> list[Part]:
     block = box([size_m, size_m, 0.85 * size_m], bevel=0.12, at=[0, 0, 0.34 * size_m])
     draw = builder.textures.panel(float(builder.rng.choice([0.1, 0.6])), 0.6)
     parts = [builder.flat_part(block, mat.PAINT_BLACK, draw, "thruster")]
-    directions = [np.array([1.0, 0, 0.15]), np.array([-1.0, 0, 0.15]), np.array([0, 1.0, 0.15])]
+    directions = np.array([[1.0, 0, 0.15], [-1.0, 0, 0.15], [0, 1.0, 0.15]])
     for direction in directions[: int(builder.rng.integers(2, 4))]:
         at = np.array([0, 0, 0.42 * size_m]) + 0.48 * size_m * direction
         parts += moved(thruster(0.42 * size_m), pose(direction, at))
@@ -263,35 +256,29 @@ def engine(builder: PartBuilder, exit_m: float, length_m: float) -> list[Part]:
 
     exit_m is the radius of the exit, length_m the length of the bell; all ends at z = -length_m / 2.
     """
-    rng = builder.rng
-    throat = 0.2 * exit_m
-    solid = bell(throat, exit_m, length_m, 0.022 * exit_m, 56, 11)
+    rng, t, ell = builder.rng, 0.2 * exit_m, length_m
+    solid = bell(t, exit_m, ell, 0.022 * exit_m, 56, 11)
     # Points 3 .. 13 of the profile are the outer skin from the throat down to the exit.
-    parts = [
-        builder.revolved_part(solid, [(3, 13, builder.textures.nozzle_wall())], mat.DARK_METAL, "nozzle", 2.0)
-    ]
-    t, ell = throat, length_m
+    wall = [(3, 13, builder.textures.nozzle_wall())]
+    parts = [builder.revolved_part(solid, wall, mat.DARK_METAL, "nozzle", 2.0)]
     chamber = revolve([(0, -0.5 * ell), (1.3 * t, -0.5 * ell), (1.9 * t, -0.42 * ell), (1.9 * t, -0.22 * ell),
                        (1.1 * t, -0.04 * ell), (0, -0.04 * ell)], 32).mesh  # fmt: skip
-    parts.append(Part(chamber, mat.DARK_METAL, name="engine", density_factor=2.0))
+    parts += named("engine", (chamber, mat.DARK_METAL), density_factor=2.0)
     for angle in rng.uniform(0, 2 * np.pi) + np.array([0.0, 2.2, 4.0]):
         out = radial(angle)
-        pump = drum(0.9 * throat, 0.3 * length_m, 20, bevel=0.25)
-        pump.apply_transform(pose([0, 0, 1.0], 2.6 * throat * out + [0, 0, -0.48 * length_m]))
+        pump = drum(0.9 * t, 0.3 * ell, 20, bevel=0.25)
+        pump.apply_transform(pose([0, 0, 1.0], 2.6 * t * out + [0, 0, -0.48 * ell]))
         pump_material = mat.BRUSHED_METAL if rng.random() < 0.6 else mat.PAINT_BLACK
         line = np.array([2.6, 2.7, 2.0, 1.0])[:, None] * t * out
         line[:, 2] = np.array([-0.2, -0.1, 0.02, 0.06]) * ell
-        feed_line = tube(line, 0.22 * throat, 10)
-        foot, top = 4.2 * throat * out + [0, 0, -0.5 * ell], 1.8 * throat * out + [0, 0, -0.25 * ell]
-        gimbal = strut(foot, top, 0.16 * throat)
-        parts += named(
-            "engine", (pump, pump_material), (feed_line, mat.BRUSHED_METAL), (gimbal, mat.BRUSHED_METAL)
-        )
+        feed_line = tube(line, 0.22 * t, 10)
+        foot, top = 4.2 * t * out + [0, 0, -0.5 * ell], 1.8 * t * out + [0, 0, -0.25 * ell]
+        metal = [(mesh, mat.BRUSHED_METAL) for mesh in (feed_line, strut(foot, top, 0.16 * t))]
+        parts += named("engine", (pump, pump_material), *metal)
     rim = ring(1.12 * exit_m, 1.17 * exit_m, 0.0, 0.035 * exit_m, 56).mesh
     rim.apply_scale([0.885, 0.885, 1.0])
-    rim.apply_translation([0, 0, length_m - 0.036 * exit_m])
-    parts.append(Part(rim, mat.BRUSHED_METAL, name="nozzle", density_factor=2.0))
-    return parts
+    rim.apply_translation([0, 0, ell - 0.036 * exit_m])
+    return parts + named("nozzle", (rim, mat.BRUSHED_METAL), density_factor=2.0)
 
 
 def bottle(radius_m: float, rng: np.random.Generator) -> list[Part]:
@@ -313,7 +300,7 @@ def solar_wing(
     cell: int,
 ) -> list[Part]:
     """A wing of several panels, length_m long without the yoke; ``cell``: length of a cell in texels."""
-    rng = builder.rng
+    rng, w, thick = builder.rng, width_m, thickness_m
     gap = 0.02 * length_m
     each = (length_m - (panels - 1) * gap) / panels
     parts = []
@@ -323,45 +310,105 @@ def solar_wing(
         angle = rng.normal(0, 0.012)
         c, s = np.cos(angle), np.sin(angle)
         bend = make_pose(np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]), [middle, 0, 0])
-        parts += moved(_panel(builder, each, width_m, thickness_m, cell), bend)
-        if k > 0:
-            for side in (-0.3, 0.3):
-                hinge = drum(1.4 * thickness_m, 0.12 * width_m, 12)
-                at = [middle - 0.5 * (each + gap), side * width_m - 0.06 * width_m, -0.5 * thickness_m]
-                hinge.apply_transform(pose([0, 1.0, 0], at))
-                parts.append(Part(hinge, mat.BRUSHED_METAL, name="hinge"))
-    return parts + _yoke(builder, width_m, thickness_m, yoke_m)
+        parts += moved(_panel(builder, each, w, thick, cell), bend)
+        for side in (-0.3, 0.3) if k > 0 else ():
+            hinge = drum(1.4 * thick, 0.12 * w, 12)
+            at = [middle - 0.5 * (each + gap), side * w - 0.06 * w, -0.5 * thick]
+            hinge.apply_transform(pose([0, 1.0, 0], at))
+            parts += named("hinge", (hinge, mat.BRUSHED_METAL))
+    # A V of two bars from the drive to the first panel's edge.
+    radius = max(0.6 * thick, 0.012 * w)
+    drive = drum(0.05 * w + radius, 0.2 * w, 20)
+    drive.apply_transform(pose([1.0, 0, 0], [-0.1 * w, 0, 0]))
+    parts += named("hinge", (drive, mat.ANODISED))
+    for side in (-0.36, 0.36):
+        root, tip = [0.0, 0.06 * np.sign(side) * w, 0], [yoke_m + 0.01 * w, side * w, 0]
+        material = mat.COMPOSITE if rng.random() < 0.5 else mat.BRUSHED_METAL
+        parts += named("hinge", (strut(root, tip, radius, 10), material))
+    return parts
 
 
-def _panel(
-    builder: PartBuilder, length_m: float, width_m: float, thickness_m: float, cell: int
-) -> list[Part]:
-    board = box([length_m, width_m, thickness_m], bevel=0.15)
+def _panel(builder: PartBuilder, length_m: float, w: float, thick: float, cell: int) -> list[Part]:
+    """A panel: cells in front; stiffeners and a harness on the back, so that it is not a bare sheet."""
+    board = box([length_m, w, thick], bevel=0.15)
     front = builder.textures.cells(cell)
     back = builder.textures.panel(float(builder.rng.choice([0.12, 0.25, 0.35, 0.6])), 0.45)
-
-    def draw(normal: Array) -> Draw | None:
-        return front if normal[2] > 0.9 else back if normal[2] < -0.9 else None
-
-    parts = [builder.flat_part_by_side(board, mat.SOLAR_CELL, draw, "panel", 0.6, np.array([0.0, 1.0, 0.0]))]
-    # Stiffeners and a harness on the back, so that it is not a bare sheet.
-    for y in (-0.32, 0.32):
-        extents = [0.94 * length_m, 0.035 * width_m, 1.2 * thickness_m]
-        rib = box(extents, bevel=0.2, at=[0, y * width_m, -0.9 * thickness_m])
-        parts += named("panel", (rib, mat.COMPOSITE), density_factor=0.6)
-    lead = strut([-0.48 * length_m, 0.05 * width_m, -0.7 * thickness_m],
-                 [0.48 * length_m, 0.02 * width_m, -0.7 * thickness_m], 0.35 * thickness_m)  # fmt: skip
-    return parts + named("panel", (lead, mat.PAINT_BLACK), density_factor=0.6)
+    sheets = [None, None, None, None, back, front]
+    parts = [builder.flat_part(board, mat.SOLAR_CELL, sheets, "panel", 0.6, np.array([0.0, 1.0, 0.0]))]
+    extents = [0.94 * length_m, 0.035 * w, 1.2 * thick]
+    ribs = [box(extents, bevel=0.2, at=[0, y * w, -0.9 * thick]) for y in (-0.32, 0.32)]
+    lead = strut([-0.48 * length_m, 0.05 * w, -0.7 * thick], [0.48 * length_m, 0.02 * w, -0.7 * thick],
+                 0.35 * thick)  # fmt: skip
+    backs = [*((rib, mat.COMPOSITE) for rib in ribs), (lead, mat.PAINT_BLACK)]
+    return parts + named("panel", *backs, density_factor=0.6)
 
 
-def _yoke(builder: PartBuilder, width_m: float, thickness_m: float, yoke_m: float) -> list[Part]:
-    """A V of two bars from the drive to the first panel's edge."""
-    radius = max(0.6 * thickness_m, 0.012 * width_m)
-    drive = drum(0.05 * width_m + radius, 0.2 * width_m, 20)
-    drive.apply_transform(pose([1.0, 0, 0], [-0.1 * width_m, 0, 0]))
-    parts = [Part(drive, mat.ANODISED, name="hinge")]
-    for side in (-0.36, 0.36):
-        root, tip = [0.0, 0.06 * np.sign(side) * width_m, 0], [yoke_m + 0.01 * width_m, side * width_m, 0]
-        material = mat.COMPOSITE if builder.rng.random() < 0.5 else mat.BRUSHED_METAL
-        parts.append(Part(strut(root, tip, radius, 10), material, name="hinge"))
+Catalogue = list[tuple[Callable[[], list[Part]], float]]
+"""Functions that make an item, and the radius [m] that it needs."""
+
+
+class Deck:
+    """A rectangular wall in the frame X_G (4, 4): origin at its centre, z outward."""
+
+    def __init__(self, X_G: Array, width_m: float, height_m: float) -> None:
+        self.X_G, self.width_m, self.height_m = X_G, width_m, height_m
+        self._taken: list[tuple[float, float, float]] = []
+
+    def reserve(self, x_m: float, y_m: float, radius_m: float) -> None:
+        """Reserve a disc."""
+        self._taken.append((x_m, y_m, radius_m))
+
+    def put(self, parts: list[Part], x_m: float, y_m: float, turn: float = 0.0) -> list[Part]:
+        """The parts at a position on the wall, rotated about its normal [rad]."""
+        return moved(parts, self.X_G @ pose([0, 0, 1.0], [x_m, y_m, 0.0], turn))
+
+    def place(self, make: Callable[[], list[Part]], radius_m: float, rng: np.random.Generator) -> list[Part]:
+        """The parts of ``make`` at a free position, rotated by multiples of 90 degrees; none if 24 tries find
+        no room."""
+        reach = 0.5 * np.array([self.width_m, self.height_m]) - radius_m
+        for _ in range(24 if (reach > 0).all() else 0):
+            x, y = rng.uniform(-reach, reach).tolist()
+            if all(np.hypot(x - a, y - b) > radius_m + r for a, b, r in self._taken):
+                self.reserve(x, y, radius_m)
+                return self.put(make(), x, y, turn=float(rng.integers(4)) * np.pi / 2)
+        return []
+
+
+def decks_of_box(size_m: Array, centre_G: Array) -> dict[str, Deck]:
+    """The six walls of a box by the names +x, -x, +y, -y, +z, -z."""
+    decks = {}
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            z = sign * np.eye(3)[axis]
+            X = frame(np.eye(3)[(axis + 1) % 3], z, centre_G + 0.5 * size_m[axis] * z)
+            name = ("+" if sign > 0 else "-") + "xyz"[axis]
+            decks[name] = Deck(X, float(size_m[(axis + 1) % 3]), float(size_m[(axis + 2) % 3]))
+    return decks
+
+
+def fit_out(deck: Deck, size_m: float, builder: PartBuilder, boxes: int, small: int) -> list[Part]:
+    """At most that many boxes and small items on a wall, sized relative to the body, size_m [m]; then tie
+    points for cables."""
+    rng, s = builder.rng, size_m
+    parts = []
+    for _ in range(boxes):
+        w, d, h = s * rng.uniform((0.12, 0.12, 0.05), (0.26, 0.26, 0.1))
+        parts += deck.place(partial(electronics_box, builder, w, d, h), 0.6 * float(np.hypot(w, d)), rng)
+    catalogue: Catalogue = [
+        (partial(star_tracker, builder, 0.17 * s), 0.12 * s),
+        (partial(thruster_block, builder, 0.08 * s), 0.1 * s),
+        (partial(sun_sensor, 0.05 * s), 0.04 * s),
+        (partial(patch, builder, 0.11 * s), 0.08 * s),
+        (partial(handrail, 0.2 * s, 0.006 * s), 0.12 * s),
+        (partial(hexagonal_can, builder, 0.12 * s), 0.08 * s),
+        (partial(umbilical, builder, 0.14 * s), 0.1 * s),
+        (partial(helix, 0.16 * s, 0.03 * s), 0.06 * s),
+        (partial(whip, 0.3 * s, 0.004 * s), 0.03 * s),
+        (partial(grapple_pin, 0.12 * s), 0.08 * s),
+    ]
+    for _ in range(small):
+        parts += deck.place(*catalogue[int(rng.integers(len(catalogue)))], rng)
+    clamp = named("fitting", (box([0.03 * s, 0.012 * s, 0.02 * s], bevel=0.2), mat.BRUSHED_METAL))
+    for _ in range(2 * small):
+        parts += deck.place(lambda: clamp, 0.03 * s, rng)
     return parts

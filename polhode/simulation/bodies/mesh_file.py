@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import ArrayLike, NDArray
-from PIL import Image
+from numpy.typing import ArrayLike
 from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
@@ -55,17 +54,31 @@ def read_pieces(path: Path, metres_per_unit: float) -> list[FilePiece]:
     found = _geometries(path)
     if not found:
         raise InputError(f"{path}: the mesh has no faces; export it as triangles")
+    pieces = []
     try:
-        for _, _, mesh in found:
-            require_coordinates(mesh)
+        for _, _, source in found:
+            require_coordinates(source)
         with np.errstate(all="ignore"):
-            pieces = [_piece(label, name, mesh, metres_per_unit) for label, name, mesh in found]
+            for label, name, source in found:
+                source.apply_scale(metres_per_unit)
+                mesh = trimesh.Trimesh(source.vertices, source.faces, process=False)
+                # Exporters split vertices at seams of normals and textures; coincident ones are merged again.
+                mesh.merge_vertices()
+                whole = np.flatnonzero(mesh.nondegenerate_faces())
+                mesh.update_faces(whole)
+                mesh.remove_unreferenced_vertices()
+                if len(whole) > 0:
+                    corners = np.asarray(source.faces)[whole]
+                    pieces.append(FilePiece(label, name, mesh, source, corners, whole))
     except Exception as error:  # noqa: BLE001  meshes that trimesh read and cannot handle
         raise unreadable(path, error) from None
-    pieces = [piece for piece in pieces if len(piece.mesh.faces) > 0]
     if not pieces:
         raise InputError(f"{path}: all faces of the mesh have no area; repair it")
-    _require_sensible_size(path, pieces)
+    vertices: Array = np.concatenate([np.asarray(piece.mesh.vertices) for piece in pieces])
+    sides = np.ptp(vertices, axis=0)
+    if not MIN_RADIUS_M <= 0.5 * float(np.linalg.norm(sides)) <= MAX_RADIUS_M:
+        size = " x ".join(f"{side:.3g}" for side in sides)
+        raise InputError(f"{path}: the body is {size} m large; check body.metres_per_unit")
     return pieces
 
 
@@ -118,26 +131,6 @@ class _MaterialNames(FilesBeside):
             if not name.strip().lower().endswith(".mtl"):
                 raise
             return b"\n".join(b"newmtl " + own for own in self._names)
-
-
-def _piece(label: str, name: str, source: trimesh.Trimesh, metres_per_unit: float) -> FilePiece:
-    source.apply_scale(metres_per_unit)
-    mesh = trimesh.Trimesh(source.vertices, source.faces, process=False)
-    # Exporters split vertices at seams of normals and textures; coincident vertices are merged again.
-    mesh.merge_vertices()
-    whole = np.flatnonzero(mesh.nondegenerate_faces())
-    mesh.update_faces(whole)
-    mesh.remove_unreferenced_vertices()
-    return FilePiece(label, name, mesh, source, np.asarray(source.faces)[whole], whole)
-
-
-def _require_sensible_size(path: Path, pieces: list[FilePiece]) -> None:
-    corners: Array = np.concatenate([np.asarray(piece.mesh.vertices) for piece in pieces])
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    radius = 0.5 * float(np.linalg.norm(high - low))
-    if not MIN_RADIUS_M <= radius <= MAX_RADIUS_M:
-        size = " x ".join(f"{side:.3g}" for side in high - low)
-        raise InputError(f"{path}: the body is {size} m large; check body.metres_per_unit")
 
 
 REC_709 = np.array([0.2126, 0.7152, 0.0722])
@@ -198,10 +191,12 @@ def _of_texture(piece: FilePiece, visual: TextureVisuals, glb: bool) -> FileAppe
         base = None if factor is None else float(_grey(factor, not glb)[0])
         metallic, roughness = material.metallicFactor, material.roughnessFactor
     elif isinstance(material, SimpleMaterial):
-        image, metallic = material.image, None
-        given = "kd" in material.kwargs
-        base = float(_grey(material.diffuse, True)[0]) if given else None
-        roughness = _roughness_of_phong(material.kwargs.get("ns"))
+        image, metallic, exponent = material.image, None, material.kwargs.get("ns")
+        base = float(_grey(material.diffuse, True)[0]) if "kd" in material.kwargs else None
+        roughness = None
+        if isinstance(exponent, int | float) and exponent > 0:
+            # GGX roughness of a Phong exponent n: alpha^2 = 2 / (n + 2) (Walter et al. 2007).
+            roughness = float((2.0 / (exponent + 2.0)) ** 0.25)
     else:
         return FileAppearance()
     if image is not None and max(image.size) <= 2 and isinstance(material, SimpleMaterial):
@@ -213,30 +208,14 @@ def _of_texture(piece: FilePiece, visual: TextureVisuals, glb: bool) -> FileAppe
         if vertex is not None and len(vertex) == len(piece.source.vertices):
             return _varying(_grey(vertex, not glb)[piece.corners])
         return FileAppearance(None, base, metallic, roughness)
-    # A Kd that is zero or absent beside an image is an artefact of exporters, not a black surface.
-    factor_on_image = base if glb and base is not None else 1.0
-    count = len(piece.faces)
-    colours = FileColours(
-        np.full((count, 3), factor_on_image),
-        np.zeros(count, dtype=np.int64),
-        uv[piece.corners],
-        (_reflectance_of_image(image),),
-    )
-    return FileAppearance(colours, None, metallic, roughness)
-
-
-def _reflectance_of_image(image: Image.Image) -> NDArray[np.float32]:
-    table = linear_grey(np.repeat(np.arange(256)[:, None] / 255.0, 3, axis=1))
     # Decoding a byte is a table look-up; the weights add up to 1.
-    decoded = table[np.asarray(image)]
-    return np.asarray(decoded @ REC_709, dtype=np.float32)
-
-
-def _roughness_of_phong(exponent: object) -> float | None:
-    """GGX roughness of a Phong exponent: alpha^2 = 2 / (n + 2) (Walter et al. 2007), alpha = roughness^2."""
-    if not isinstance(exponent, int | float) or exponent <= 0:
-        return None
-    return float((2.0 / (exponent + 2.0)) ** 0.25)
+    table = linear_grey(np.repeat(np.arange(256)[:, None] / 255.0, 3, axis=1))
+    reflectance = np.asarray(table[np.asarray(image)] @ REC_709, dtype=np.float32)
+    # A Kd that is zero or absent beside an image is an artefact of exporters, not a black surface.
+    corners = np.full((len(piece.faces), 3), base if glb and base is not None else 1.0)
+    first = np.zeros(len(piece.faces), dtype=np.int64)
+    colours = FileColours(corners, first, uv[piece.corners], (reflectance,))
+    return FileAppearance(colours, None, metallic, roughness)
 
 
 NAMES: tuple[tuple[str, Material], ...] = (
@@ -293,58 +272,44 @@ def material_with_appearance(material: Material, appearance: FileAppearance) -> 
 
 
 def mesh_file_parts(path: Path, metres_per_unit: float, builder: PartBuilder) -> list[Part]:
-    """Parts of a mesh file. Raises InputError with one line if it contains nothing usable."""
+    """Parts of a mesh file: of each piece by its colours or its name, otherwise one for each connected
+    component. Raises InputError with one line if it contains nothing usable."""
     pieces = read_pieces(path, metres_per_unit)
     builder = replace(builder, texel_m=texel_size_for(sum(float(piece.mesh.area) for piece in pieces)))
-    glb = path.suffix.lower() in (".glb", ".gltf")
     parts: list[Part] = []
-    for piece in sorted(pieces, key=lambda piece: -piece.mesh.area):
-        parts += _parts_of_piece(piece, file_appearance(piece, glb), path.stem, not parts, builder)
-    return parts
 
-
-def _parts_of_piece(
-    piece: FilePiece, appearance: FileAppearance, stem: str, first: bool, builder: PartBuilder
-) -> list[Part]:
-    """Parts of a piece: by its colours or its name, otherwise one for each connected component."""
-    named = material_by_name(piece.name) or material_by_name(stem)
-    if appearance.colours is not None:
-        # The colours of the file are the texture; none is added.
-        plain = replace(named or mat.PAINT_GREY, grain=0.0, patch=0.0)
-        material = material_with_appearance(plain, appearance)
-        return [Part(piece.mesh, material, name=piece.label, colours=appearance.colours)]
-    if named is not None:
-        material = material_with_appearance(named, appearance)
-        return [_part_with_charts(piece.mesh, material, piece.label, builder)]
-    parts = []
-    for order, faces in enumerate(_connected_pieces(piece.mesh)):
-        piece_mesh = trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces[faces], process=False)
-        piece_mesh.remove_unreferenced_vertices()
-        if _is_rock(piece_mesh):
-            material = mat.REGOLITH
-        elif first and order == 0:
-            material = mat.WORN_PANEL
-        elif order < MAX_PIECES:
-            material = CHOICES[int(builder.rng.integers(len(CHOICES)))]
-        else:
-            material = mat.PAINT_GREY
+    def add(mesh: trimesh.Trimesh, material: Material, appearance: FileAppearance, label: str) -> None:
+        """A part in a material with the file's appearance."""
         material = material_with_appearance(material, appearance)
-        parts.append(_part_with_charts(piece_mesh, material, piece.label, builder))
+        parts.append(Part(mesh, material, charts_for_mesh(mesh, material, builder), name=label))
+
+    for piece in sorted(pieces, key=lambda piece: -piece.mesh.area):
+        appearance = file_appearance(piece, path.suffix.lower() in (".glb", ".gltf"))
+        named = material_by_name(piece.name) or material_by_name(path.stem)
+        mesh, first = piece.mesh, not parts
+        if appearance.colours is not None:
+            # The colours of the file are the texture; none is added.
+            plain = replace(named or mat.PAINT_GREY, grain=0.0, patch=0.0)
+            material = material_with_appearance(plain, appearance)
+            parts.append(Part(mesh, material, name=piece.label, colours=appearance.colours))
+            continue
+        if named is not None:
+            add(mesh, named, appearance, piece.label)
+            continue
+        labels = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
+        area = np.bincount(labels, weights=mesh.area_faces)
+        # The largest component first.
+        for order, label in enumerate(np.argsort(-area, kind="stable")):
+            component = trimesh.Trimesh(mesh.vertices, mesh.faces[labels == label], process=False)
+            component.remove_unreferenced_vertices()
+            many_faces = len(component.faces) > ROCK_FACES and component.is_watertight
+            if many_faces and not flat_regions(component, 0.002 * component.area):
+                material = mat.REGOLITH
+            elif first and order == 0:
+                material = mat.WORN_PANEL
+            elif order < MAX_PIECES:
+                material = CHOICES[int(builder.rng.integers(len(CHOICES)))]
+            else:
+                material = mat.PAINT_GREY
+            add(component, material, appearance, piece.label)
     return parts
-
-
-def _part_with_charts(mesh: trimesh.Trimesh, material: Material, name: str, builder: PartBuilder) -> Part:
-    return Part(mesh, material, charts_for_mesh(mesh, material, builder, builder.texel_m), name=name)
-
-
-def _connected_pieces(mesh: trimesh.Trimesh) -> list[Ints]:
-    """Faces of each connected component, the largest first."""
-    labels = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
-    area = np.bincount(labels, weights=mesh.area_faces)
-    order = np.argsort(labels, kind="stable")
-    islands = np.split(order, np.cumsum(np.bincount(labels))[:-1])
-    return [islands[label] for label in np.argsort(-area, kind="stable")]
-
-
-def _is_rock(mesh: trimesh.Trimesh) -> bool:
-    return len(mesh.faces) > ROCK_FACES and mesh.is_watertight and not flat_regions(mesh, 0.002 * mesh.area)

@@ -1,6 +1,7 @@
 """Parts with a material, charts and mass, and the body that they are assembled to."""
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -33,30 +34,20 @@ class PartMass:
 
 
 def masses_by_name(parts: list[tuple[str, trimesh.Trimesh, float]]) -> list[PartMass]:
-    """Mass properties of each name, from (name, mesh, density factor) of parts in any number."""
+    """Mass properties of each name, from (name, mesh, density factor) of parts in any number.
+
+    A closed mesh counts as a whole; an open one by pieces: closed ones, convex hulls of open ones, sheets.
+    """
     named: dict[str, list[PartMass]] = {}
     for name, mesh, factor in parts:
-        named.setdefault(name, []).extend(_pieces(name, mesh, factor))
-    return [_joined(name, masses) for name, masses in named.items()]
-
-
-def _pieces(name: str, mesh: trimesh.Trimesh, factor: float) -> list[PartMass]:
-    """A closed mesh as a whole; an open one by pieces: closed ones, convex hulls of open ones, sheets."""
-    if _is_solid(mesh):
-        return [_solid(name, mesh, factor)]
-    pieces = mesh.split(only_watertight=False)
-    return [_piece(name, piece, factor) for piece in pieces] or [_piece(name, mesh, factor)]
-
-
-def _piece(name: str, piece: trimesh.Trimesh, factor: float) -> PartMass:
-    if _is_solid(piece):
-        return _solid(name, piece, factor)
-    try:
-        volume = float(ConvexHull(piece.vertices).volume)
-    except QhullError:
-        return _sheet(name, piece, factor)
-    thin = volume < SHEET_THICKNESS * piece.area**1.5
-    return _sheet(name, piece, factor) if thin else _solid(name, piece.convex_hull, factor)
+        pieces = [mesh] if _is_solid(mesh) else list(mesh.split(only_watertight=False)) or [mesh]
+        named.setdefault(name, []).extend(_piece_mass(name, piece, factor) for piece in pieces)
+    joined = []
+    for name, masses in named.items():
+        weight, com, inertia = combined_mass(masses)
+        factor = weight / sum(mass.volume_m3 for mass in masses)
+        joined.append(PartMass(name, weight / factor, com, inertia / factor, factor))
+    return joined
 
 
 def _is_solid(mesh: trimesh.Trimesh) -> bool:
@@ -69,21 +60,24 @@ def _is_solid(mesh: trimesh.Trimesh) -> bool:
     return bool(abs(volume) > 1e-9 * mesh.area**1.5)
 
 
-def _solid(name: str, mesh: trimesh.Trimesh, factor: float) -> PartMass:
-    own = mesh.mass_properties
-    # A closed piece with inverted winding has volume and inertia of the opposite sign.
-    sign = -1.0 if own.volume < 0 else 1.0
-    return PartMass(
-        name, sign * float(own.volume), np.asarray(own.center_mass), sign * np.asarray(own.inertia), factor
-    )
-
-
-def _sheet(name: str, mesh: trimesh.Trimesh, factor: float) -> PartMass:
-    """A thin sheet: each face is weighted by its area."""
-    area = np.asarray(mesh.area_faces)
+def _piece_mass(name: str, piece: trimesh.Trimesh, factor: float) -> PartMass:
+    """Mass of a closed piece, of the convex hull of an open one, or of a thin sheet."""
+    solid: trimesh.Trimesh | None = piece if _is_solid(piece) else None
+    if solid is None:
+        with suppress(QhullError):
+            if float(ConvexHull(piece.vertices).volume) >= SHEET_THICKNESS * piece.area**1.5:
+                solid = piece.convex_hull
+    if solid is not None:
+        own = solid.mass_properties
+        # A closed piece with inverted winding has volume and inertia of the opposite sign.
+        sign = -1.0 if own.volume < 0 else 1.0
+        volume, com = sign * float(own.volume), np.asarray(own.center_mass)
+        return PartMass(name, volume, com, sign * np.asarray(own.inertia), factor)
+    # Each face of a sheet is weighted by its area.
+    area = np.asarray(piece.area_faces)
     thickness = SHEET_THICKNESS * np.sqrt(area.sum())
-    com = area @ mesh.triangles_center / area.sum()
-    corners = mesh.triangles - com
+    com = area @ piece.triangles_center / area.sum()
+    corners = piece.triangles - com
     # Second moment of a triangle about a point: area / 12 (sum of the corners' + that of the sum).
     total = corners.sum(axis=1)
     second = np.einsum("f,fci,fcj->ij", area, corners, corners) + np.einsum("f,fi,fj->ij", area, total, total)
@@ -94,19 +88,15 @@ def _sheet(name: str, mesh: trimesh.Trimesh, factor: float) -> PartMass:
     return PartMass(name, float(area.sum() * thickness), com, inertia, factor)
 
 
-def _joined(name: str, masses: list[PartMass]) -> PartMass:
-    weight, com, inertia = combined_mass(masses, [mass.density_factor for mass in masses])
-    factor = weight / sum(mass.volume_m3 for mass in masses)
-    return PartMass(name, weight / factor, com, inertia / factor, factor)
-
-
-def combined_mass(masses: list[PartMass], factors: list[float]) -> tuple[float, Array, Array]:
-    """Weighted volume [m^3], centre of mass (3,) [m] and inertia about it (3, 3) [m^5] of several masses."""
-    weights = np.array([mass.volume_m3 * factor for mass, factor in zip(masses, factors, strict=True)])
+def combined_mass(masses: Sequence[PartMass]) -> tuple[float, Array, Array]:
+    """Weighted volume [m^3], centre of mass (3,) [m] and inertia about it (3, 3) [m^5] of several masses,
+    each times its density factor."""
+    weights = np.array([mass.volume_m3 * mass.density_factor for mass in masses])
     com = weights @ np.stack([mass.com_G for mass in masses]) / weights.sum()
     inertia = np.zeros((3, 3))
-    for mass, weight, factor in zip(masses, weights, factors, strict=True):
+    for mass, weight in zip(masses, weights, strict=True):
         d = mass.com_G - com
+        factor = mass.density_factor
         inertia += factor * mass.inertia_per_density + weight * (d @ d * np.eye(3) - np.outer(d, d))
     return float(weights.sum()), np.asarray(com), inertia
 
@@ -137,24 +127,20 @@ class FileColours:
     def joined(pieces: "list[tuple[FileColours | None, int]]") -> "FileColours":
         """Colours of several parts, given with their numbers of faces; None: a part without colours."""
         images: list[NDArray[np.float32]] = []
-        corners, face_image, uv = [], [], []
+        rows = []
         for colours, count in pieces:
-            if colours is None:
-                colours = FileColours.absent(count)
-            corners.append(colours.corner_reflectance)
-            face_image.append(np.where(colours.face_image >= 0, colours.face_image + len(images), -1))
-            uv.append(colours.corner_uv)
+            colours = colours or FileColours.absent(count)
+            image = np.where(colours.face_image >= 0, colours.face_image + len(images), -1)
+            rows.append((colours.corner_reflectance, image, colours.corner_uv))
             images += colours.images
-        return FileColours(
-            np.concatenate(corners), np.concatenate(face_image), np.concatenate(uv), tuple(images)
-        )
+        corners, face_image, uv = (np.concatenate(column) for column in zip(*rows, strict=True))
+        return FileColours(corners, face_image, uv, tuple(images))
 
     @staticmethod
     def absent(faces: int) -> "FileColours":
         """No colour on any face."""
-        return FileColours(
-            np.full((faces, 3), np.nan), np.full(faces, -1, dtype=np.int64), np.zeros((faces, 3, 2))
-        )
+        none = np.full(faces, -1, dtype=np.int64)
+        return FileColours(np.full((faces, 3), np.nan), none, np.zeros((faces, 3, 2)))
 
 
 def packed_images(images: Sequence[NDArray[np.float32]]) -> tuple[Ints, Ints, NDArray[np.float32]]:
@@ -315,36 +301,31 @@ def assemble(parts: list[Part], texture_scale: float = 1.0) -> Body:
             layers[count, : len(chart.materials)] = [index[m] for m in chart.materials]
             count += 1
         face_chart.append(of_part)
-    masses = masses_by_name([(part.name, part.mesh, part.density_factor) for part in parts])
-    volume, com, inertia = combined_mass(masses, [mass.density_factor for mass in masses])
-    coloured = any(part.colours is not None for part in parts)
+    masses = tuple(masses_by_name([(part.name, part.mesh, part.density_factor) for part in parts]))
+    colours = None
+    if any(part.colours is not None for part in parts):
+        colours = FileColours.joined([(part.colours, len(part.mesh.faces)) for part in parts])
     return Body(
-        mesh=join([part.mesh for part in parts]),
-        corner_normals=np.concatenate([smooth_corner_normals(part.mesh) for part in parts]),
-        face_material=np.concatenate(face_material),
-        materials=materials,
-        face_chart=np.concatenate(face_chart),
-        charts=tuple(chart for _, chart in drawn),
-        chart_layers=layers,
-        colours=FileColours.joined([(part.colours, len(part.mesh.faces)) for part in parts])
-        if coloured
-        else None,
-        texture_scale=texture_scale,
-        volume_m3=volume,
-        com_G=com,
-        inertia_per_density=inertia,
-        parts=tuple(masses),
+        join([part.mesh for part in parts]),
+        np.concatenate([smooth_corner_normals(part.mesh) for part in parts]),
+        np.concatenate(face_material),
+        materials,
+        np.concatenate(face_chart),
+        tuple(chart for _, chart in drawn),
+        layers,
+        colours,
+        texture_scale,
+        *combined_mass(masses),
+        masses,
     )
 
 
 def merge_uniform_parts(parts: list[Part]) -> list[Part]:
     """The parts, with those that differ only in their meshes merged: few large meshes are fast."""
     alike: dict[tuple[str, Material, float], list[Part]] = {}
-    kept = []
+    kept = [part for part in parts if part.charts or part.colours is not None]
     for part in parts:
-        if part.charts or part.colours is not None:
-            kept.append(part)
-        else:
+        if not (part.charts or part.colours is not None):
             alike.setdefault((part.name, part.material, part.density_factor), []).append(part)
     joined = [replace(group[0], mesh=join([part.mesh for part in group])) for group in alike.values()]
     return kept + joined

@@ -13,7 +13,7 @@ import trimesh
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
-from polhode.geometry.lie import Array, Bools, Ints
+from polhode.geometry.lie import Array, Ints
 from polhode.runtime.compiled import compiled
 
 ORIGIN = (0.0, 0.0, 0.0)
@@ -34,9 +34,8 @@ def hull(points: ArrayLike) -> trimesh.Trimesh:
     """Convex hull of points (n, 3) as a closed mesh with outward faces."""
     corners = np.asarray(points, dtype=np.float64)
     shape = ConvexHull(corners)
-    used = np.unique(shape.simplices)
-    faces = np.searchsorted(used, shape.simplices)
-    vertices = corners[used]
+    used, faces = np.unique(shape.simplices, return_inverse=True)
+    faces, vertices = faces.reshape(-1, 3), corners[used]
     middle = vertices.mean(axis=0)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     inward = np.einsum("fk,fk->f", np.cross(b - a, c - a), a - middle) < 0
@@ -51,22 +50,17 @@ def box(extents: ArrayLike, bevel: float = 0.06, at: ArrayLike = ORIGIN) -> trim
     """
     half = 0.5 * np.asarray(extents, dtype=np.float64)
     cut = 2.0 * bevel * float(half.min())
-    signs, inset = _box_corners()
-    return _moved_to(at, trimesh.Trimesh(signs * (half - cut * inset), _box_faces(), process=False))
-
-
-def _box_corners() -> tuple[Array, Array]:
-    """Octant (24, 3) of each corner of a bevelled box, and (24, 3) 1 along axes in which it is set back."""
-    octants = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, -1).T
-    return np.repeat(octants, 3, axis=0), np.tile(1.0 - np.eye(3), (8, 1))
+    signs, inset, faces = _box_corners()
+    return _moved_to(at, trimesh.Trimesh(signs * (half - cut * inset), faces, process=False))
 
 
 @lru_cache(maxsize=1)
-def _box_faces() -> Ints:
-    signs, inset = _box_corners()
-    shape = hull(signs * (1.0 - 0.1 * inset))
+def _box_corners() -> tuple[Array, Array, Ints]:
+    """Octants of a bevelled box's corners (24, 3), 1 along axes in which each is set back (24, 3), faces."""
+    octants = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, -1).T
+    signs, inset = np.repeat(octants, 3, axis=0), np.tile(1.0 - np.eye(3), (8, 1))
     # The hull keeps the order: its vertices are all the corners.
-    return np.asarray(shape.faces)
+    return signs, inset, np.asarray(hull(signs * (1.0 - 0.1 * inset)).faces)
 
 
 def prism(outline: ArrayLike, height: float, taper: float = 1.0, at: ArrayLike = ORIGIN) -> trimesh.Trimesh:
@@ -91,14 +85,11 @@ def revolve(profile: ArrayLike, sections: int, closed: bool = False) -> Revolved
     rings: list[Ints] = []
     count = 0
     for radius, height in line[:-1] if closed else line:
-        if radius < 1e-12:
-            vertices.append(np.array([[0.0, 0.0, height]]))
-            rings.append(np.full(sections, count))
-            count += 1
-        else:
-            vertices.append(np.column_stack([radius * circle, np.full(sections, height)]))
-            rings.append(count + np.arange(sections))
-            count += sections
+        on_axis = radius < 1e-12
+        ring = np.column_stack([radius * circle, np.full(sections, height)])
+        vertices.append(np.array([[0.0, 0.0, height]]) if on_axis else ring)
+        rings.append(count + (np.zeros(sections, np.int64) if on_axis else np.arange(sections)))
+        count += len(vertices[-1])
     if closed:
         rings.append(rings[0])
     low, high = np.stack(rings[:-1]), np.stack(rings[1:])
@@ -124,14 +115,8 @@ def drum(
     The middle of its lower end lies at the point (3,).
     """
     cut = bevel * min(radius, height)
-    profile = [
-        (0, 0),
-        (radius - cut, 0),
-        (radius, cut),
-        (radius, height - cut),
-        (radius - cut, height),
-        (0, height),
-    ]
+    profile = [(0, 0), (radius - cut, 0), (radius, cut), (radius, height - cut), (radius - cut, height),
+               (0, height)]  # fmt: skip
     return _moved_to(at, revolve(profile, sections).mesh)
 
 
@@ -173,17 +158,13 @@ def tube(path: ArrayLike, radius: float, sections: int = 8) -> trimesh.Trimesh:
         other = np.cross(direction, side)
         rings.append(point + radius * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other))
     vertices = np.vstack([*rings, points[:1], points[-1:]])
-    first, last = len(points) * sections, len(points) * sections + 1
-    faces = []
-    for s in range(len(points) - 1):
-        for k in range(sections):
-            a, b = s * sections + k, s * sections + (k + 1) % sections
-            faces += [(a, b, b + sections), (a, b + sections, a + sections)]
-    top = (len(points) - 1) * sections
-    for k in range(sections):
-        n = (k + 1) % sections
-        faces += [(first, n, k), (last, top + k, top + n)]
-    return trimesh.Trimesh(vertices, faces, process=False)
+    first = len(points) * sections
+    top, k = first - sections, np.arange(sections)
+    n = (k + 1) % sections
+    a, b = (np.arange(len(points) - 1)[:, None] * sections + side for side in (k, n))
+    walls = np.stack([a, b, b + sections, a, b + sections, a + sections], axis=-1).reshape(-1, 3)
+    ends = np.stack([np.full_like(k, first), n, k, np.full_like(k, first + 1), top + k, top + n], axis=-1)
+    return trimesh.Trimesh(vertices, np.vstack([walls, ends.reshape(-1, 3)]), process=False)
 
 
 def strut(start: ArrayLike, end: ArrayLike, radius: float, sections: int = 8) -> trimesh.Trimesh:
@@ -225,8 +206,7 @@ def pose(direction_G: ArrayLike, position_G: ArrayLike, turn: float = 0.0) -> Ar
     return X
 
 
-SMOOTH_BELOW_DEG = 40.0
-SAME_PLANE_DEG = 1.0
+SMOOTH_BELOW_DEG, SAME_PLANE_DEG = 40.0, 1.0
 CURVED_BELOW_DEG = 30.0
 """Neighbouring facets of a curved wall meet at less than this."""
 
@@ -253,11 +233,8 @@ def _smooth(faces: Ints, face_at: Ints, start: Ints, normals: Array, area: Array
             x, y, z = 0.0, 0.0, 0.0
             for at in range(start[faces[f, c]], start[faces[f, c] + 1]):
                 g = face_at[at]
-                cosine = (
-                    normals[f, 0] * normals[g, 0]
-                    + normals[f, 1] * normals[g, 1]
-                    + normals[f, 2] * normals[g, 2]
-                )
+                n, m = normals[f], normals[g]
+                cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
                 if abs(cosine) > limit:
                     weight = area[g] if cosine > 0.0 else -area[g]
                     x += weight * normals[g, 0]
@@ -275,12 +252,10 @@ def flat_facets(mesh: trimesh.Trimesh) -> list[Ints]:
     """Coplanar faces, one array per plane, in order of the first face."""
     extent = float(np.ptp(mesh.vertices, axis=0).max())
     offset = np.einsum("fk,fk->f", mesh.face_normals, mesh.triangles[:, 0]) / extent
-    key = np.round(np.column_stack([mesh.face_normals, offset]), 5)
-    key += 0.0
-    _, group = np.unique(key, axis=0, return_inverse=True)
-    group = group.reshape(-1)
-    order = dict.fromkeys(group.tolist())
-    return [np.flatnonzero(group == g) for g in order]
+    # Adding zero turns -0 into 0.
+    key = np.round(np.column_stack([mesh.face_normals, offset]), 5) + 0.0
+    group = np.unique(key, axis=0, return_inverse=True)[1].reshape(-1)
+    return [np.flatnonzero(group == g) for g in dict.fromkeys(group.tolist())]
 
 
 def flat_regions(mesh: trimesh.Trimesh, smallest_m2: float) -> list[Ints]:
@@ -294,32 +269,25 @@ def flat_regions(mesh: trimesh.Trimesh, smallest_m2: float) -> list[Ints]:
     same = angle < np.deg2rad(0.5 * SAME_PLANE_DEG)
     labels = trimesh.graph.connected_component_labels(mesh.face_adjacency[same], node_count=len(mesh.faces))
     area = np.bincount(labels, weights=mesh.area_faces)
-    rim, soft = _rims(mesh, labels, same, angle < np.deg2rad(CURVED_BELOW_DEG))
+    # Length of each region's boundary, and of its part that is a smooth transition to another region.
+    a, b, c = (mesh.triangles[:, k] for k in range(3))
+    around = np.linalg.norm(b - a, axis=1) + np.linalg.norm(c - b, axis=1) + np.linalg.norm(a - c, axis=1)
+    ends = mesh.vertices[mesh.face_adjacency_edges]
+    edge = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    one, other = labels[mesh.face_adjacency.T]
+    inner = np.bincount(one[same], weights=2.0 * edge[same], minlength=len(area))
+    rim = np.bincount(labels, weights=around) - inner
+    bent = (angle < np.deg2rad(CURVED_BELOW_DEG)) & ~same
+    both = np.r_[one[bent], other[bent]]
+    soft = np.bincount(both, weights=np.r_[edge[bent], edge[bent]], minlength=len(area))
     regions = []
     for label in np.argsort(-area, kind="stable"):
         if area[label] < smallest_m2:
             break
         faces = np.flatnonzero(labels == label)
         normal = mesh.area_faces[faces] @ mesh.face_normals[faces]
-        length = np.linalg.norm(normal)
-        flat = length > 0 and (mesh.face_normals[faces] @ normal).min() > length * np.cos(
-            np.deg2rad(SAME_PLANE_DEG)
-        )
+        length, limit = np.linalg.norm(normal), np.cos(np.deg2rad(SAME_PLANE_DEG))
+        flat = length > 0 and (mesh.face_normals[faces] @ normal).min() > length * limit
         if flat and soft[label] <= 0.5 * rim[label]:
             regions.append(faces)
     return regions
-
-
-def _rims(mesh: trimesh.Trimesh, labels: Ints, same: Bools, smooth: Bools) -> tuple[Array, Array]:
-    """Length of each region's boundary, and of its part that is a smooth transition to another region."""
-    a, b, c = (mesh.triangles[:, k] for k in range(3))
-    around = np.linalg.norm(b - a, axis=1) + np.linalg.norm(c - b, axis=1) + np.linalg.norm(a - c, axis=1)
-    rim = np.bincount(labels, weights=around)
-    ends = mesh.vertices[mesh.face_adjacency_edges]
-    edge = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    one, other = labels[mesh.face_adjacency.T]
-    count = len(rim)
-    inner = np.bincount(one[same], weights=2.0 * edge[same], minlength=count)
-    bent = smooth & ~same
-    soft = np.bincount(np.r_[one[bent], other[bent]], weights=np.r_[edge[bent], edge[bent]], minlength=count)
-    return np.asarray(rim - inner, np.float64), np.asarray(soft, np.float64)

@@ -5,7 +5,7 @@ correspondences holds one row for each pixel of image a that shows the target: `
 ``Correspondence``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from polhode.geometry.lie import Array, Bools, inverse_pose, transform_points
 from polhode.runtime.errors import InputError
 from polhode.simulation.dataset.plan import SequencePlan
-from polhode.simulation.rendering.raycast import Hits, RayCaster
+from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.stereo_camera import Camera
 
 MIN_DISTANCE_M = 1e-6
@@ -93,10 +93,16 @@ def correspond(caster: RayCaster, a: CameraView, b: CameraView, uv_a_px: Array) 
     uv_b, p_G = np.full((count, 2), np.nan), np.full((count, 3), np.nan)
     reason = np.full(count, Reason.OFF_TARGET, np.uint8)
     angle = np.full(count, np.nan)
-    uv_b[hits.ray] = _image_of(b, hits.p_G)
     p_G[hits.ray] = hits.p_G
-    reason[hits.ray] = _reasons(caster, hits, b, uv_b[hits.ray])
+    uv_b[hits.ray] = image_b = _image_of(b, hits.p_G)
     angle[hits.ray] = _angles(hits.p_G, a, b)
+    toward = b.X_GK[:3, 3] - hits.p_G
+    distance = np.linalg.norm(toward, axis=1)
+    toward /= distance[:, None]
+    facing = np.einsum("nk,nk->n", hits.flat_normal_G, toward) > 0
+    inside, clear = _inside(b.camera, image_b), caster.clear(hits, toward, distance)
+    why = (Reason.BACK_FACING, Reason.OUTSIDE, Reason.OCCLUDED)
+    reason[hits.ray] = np.select([~facing, ~inside, ~clear], why, Reason.VISIBLE)
     return Correspondence(
         uv_b.reshape(*shape, 2),
         (reason == Reason.VISIBLE).reshape(shape),
@@ -129,18 +135,6 @@ def _inside(camera: Camera, uv_px: Array) -> Bools:
     )
 
 
-def _reasons(caster: RayCaster, hits: Hits, view: CameraView, uv_px: Array) -> NDArray[np.uint8]:
-    """Reason (n,) for each hit whose image in ``view`` would be at uv_px (n, 2)."""
-    toward = view.X_GK[:3, 3] - hits.p_G
-    distance = np.linalg.norm(toward, axis=1)
-    toward /= distance[:, None]
-    facing = np.einsum("nk,nk->n", hits.flat_normal_G, toward) > 0
-    clear = caster.clear(hits, toward, distance)
-    reason = np.where(clear, Reason.VISIBLE, Reason.OCCLUDED)
-    reason = np.where(_inside(view.camera, uv_px), reason, Reason.OUTSIDE)
-    return np.where(facing, reason, Reason.BACK_FACING).astype(np.uint8)
-
-
 def _angles(p_G: Array, a: CameraView, b: CameraView) -> Array:
     to_a, to_b = a.X_GK[:3, 3] - p_G, b.X_GK[:3, 3] - p_G
     across = np.linalg.norm(np.cross(to_a, to_b), axis=1)
@@ -150,12 +144,5 @@ def _angles(p_G: Array, a: CameraView, b: CameraView) -> Array:
 def write_correspondence(path: Path, uv_a_px: Array, found: Correspondence) -> None:
     """Write the pixels of view a (..., 2) that show the target, one row each."""
     on_target = found.reason != Reason.OFF_TARGET
-    np.savez_compressed(
-        path,
-        uv_a_px=uv_a_px[on_target],
-        uv_b_px=found.uv_b_px[on_target],
-        visible=found.visible[on_target],
-        reason=found.reason[on_target],
-        p_G=found.p_G[on_target],
-        angle_rad=found.angle_rad[on_target],
-    )
+    columns = {field.name: getattr(found, field.name)[on_target] for field in fields(found)}
+    np.savez_compressed(path, uv_a_px=uv_a_px[on_target], **columns)

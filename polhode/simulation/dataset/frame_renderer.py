@@ -5,7 +5,7 @@ timestamp: neither motion nor the lens blurs it. Off the target, numbers are NaN
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from polhode.config.scene_settings import Product
 from polhode.files.array_files import read_arrays, require_arrays
 from polhode.files.atomic import replaced
-from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
+from polhode.geometry.lie import Array, Bools, inverse_pose
 from polhode.records.dataset_writer import image_path, mask_path, write_png
 from polhode.records.range_images import RANGE_FOLDER
 from polhode.runtime.errors import InputError
@@ -25,7 +25,6 @@ from polhode.runtime.progress import Advance
 from polhode.simulation.dataset.plan import SequencePlan
 from polhode.simulation.dataset.range_images import render_ranges
 from polhode.simulation.dataset.resumable_dataset import StagedDataset
-from polhode.simulation.rendering.raycast import Hits, RayCaster
 from polhode.simulation.rendering.render import RenderedLight, Renderer
 from polhode.simulation.stereo_camera import Camera, Image, expose, sample_times
 
@@ -45,8 +44,14 @@ class FrameRenderer:
     def render_image(self, k: int, index: int) -> tuple[Image, RenderedLight]:
         """Frame k of camera ``index`` (0: left) as the sensor gives it, and the light before the lens."""
         plan, camera = self._plan, self._plan.cameras[index]
-        X_NC, X_NG = self._poses(k)
-        X_NK, t_s = X_NC @ camera.X_CK, plan.time_s(k)
+        X_NC, X_NG, t_s = plan.X_NC[k], plan.target.X_NG[k], plan.time_s(k)
+        exposure_s = 1e-3 * plan.scene.sensor.exposure_ms
+        if exposure_s > 0:
+            # (S, 4, 4), one for each sample of a pixel.
+            offsets_s = exposure_s * sample_times(plan.scene.render.samples)
+            X_NC = plan.inspector.poses_during(k, offsets_s)
+            X_NG = plan.target.poses_during(k, offsets_s)
+        X_NK = X_NC @ camera.X_CK
         picture = self._renderer.picture(camera, X_NK, X_NG, t_s)
         level, stars = plan.sky.background(picture, camera, X_NK, t_s)
         noise = np.random.default_rng([plan.seed, 0x2, k, index])
@@ -78,15 +83,6 @@ class FrameRenderer:
                 X_NK = plan.X_NC[k] @ camera.X_CK
                 products = render_products(self._renderer, camera, X_NK, plan.target.X_NG[k], asked.products)
                 write_products(products_path(mav0, index, stamp), products)
-
-    def _poses(self, k: int) -> tuple[Array, Array]:
-        """X_NC and X_NG at frame k; with an exposure time (S, 4, 4), one for each sample of a pixel."""
-        plan = self._plan
-        exposure_s = 1e-3 * plan.scene.sensor.exposure_ms
-        if exposure_s == 0:
-            return plan.X_NC[k], plan.target.X_NG[k]
-        offsets_s = exposure_s * sample_times(plan.scene.render.samples)
-        return plan.inspector.poses_during(k, offsets_s), plan.target.poses_during(k, offsets_s)
 
 
 def render_frames(
@@ -140,33 +136,26 @@ def render_products(
     hits = renderer.caster.first_hits(X_GK[:3, 3], camera.pixel_directions @ X_GK[:3, :3].T)
     sun_N = np.array(renderer.light.sun_direction_N)
     sun_G = X_GN[:3, :3] @ (sun_N / np.linalg.norm(sun_N))
-    shape = (camera.height_px, camera.width_px)
-    depth = normals = mask = shadow = albedo = None
+
+    def image(values: NDArray[T], beside: float) -> NDArray[T]:
+        """Values (n, ...) at the hits -> (H, W, ...)."""
+        flat = np.full((camera.height_px * camera.width_px, *values.shape[1:]), beside, values.dtype)
+        flat[hits.ray] = values
+        return flat.reshape(camera.height_px, camera.width_px, *values.shape[1:])
+
+    made: dict[str, Any] = {}
     if "depth" in asked:
-        along_axis = hits.distance_m * camera.pixel_directions[hits.ray, 2]
-        depth = _image(shape, hits.ray, along_axis, np.nan)
+        made["depth"] = image(hits.distance_m * camera.pixel_directions[hits.ray, 2], np.nan)
     if "normals" in asked:
-        normals = _image(shape, hits.ray, hits.flat_normal_G @ X_GK[:3, :3], np.nan)
+        made["normals"] = image(hits.flat_normal_G @ X_GK[:3, :3], np.nan)
     if "mask" in asked:
-        mask = _image(shape, hits.ray, np.ones(len(hits.ray), np.bool_), False)
+        made["mask"] = image(np.ones(len(hits.ray), np.bool_), False)
     if "shadow" in asked:
-        shadow = _image(shape, hits.ray, _shadow(renderer.caster, hits, sun_G), 0)
+        lit = np.where(renderer.caster.lit(hits, sun_G), 0, CAST_SHADOW)
+        made["shadow"] = image(np.where(hits.normal_G @ sun_G <= 0, FACING_AWAY, lit).astype(np.uint8), 0)
     if "albedo" in asked:
-        surface = renderer.appearance.at(hits)
-        albedo = _image(shape, hits.ray, surface.albedo, np.nan)
-    return Products(depth, normals, mask, shadow, albedo)
-
-
-def _shadow(caster: RayCaster, hits: Hits, sun_G: Array) -> NDArray[np.uint8]:
-    away = hits.normal_G @ sun_G <= 0
-    return np.where(away, FACING_AWAY, np.where(caster.lit(hits, sun_G), 0, CAST_SHADOW)).astype(np.uint8)
-
-
-def _image(shape: tuple[int, int], pixel: Ints, values: NDArray[T], beside: float) -> NDArray[T]:
-    """Values (n, ...) at pixels (n,), indexed row by row -> (H, W, ...)."""
-    image = np.full((shape[0] * shape[1], *values.shape[1:]), beside, values.dtype)
-    image[pixel] = values
-    return image.reshape(*shape, *values.shape[1:])
+        made["albedo"] = image(renderer.appearance.at(hits).albedo, np.nan)
+    return Products(**made)
 
 
 def products_path(mav0: Path, camera_index: int, timestamp_ns: int) -> Path:
@@ -176,7 +165,7 @@ def products_path(mav0: Path, camera_index: int, timestamp_ns: int) -> Path:
 
 def write_products(path: Path, products: Products) -> None:
     """Write the products compressed, numbers as float32; the file is complete or absent."""
-    arrays = {f.name: getattr(products, f.name) for f in fields(Products)}
+    arrays = {name: getattr(products, name) for name in _PRODUCTS}
     narrow = {
         name: values.astype(np.float32) if values.dtype == np.float64 else values
         for name, values in arrays.items()
@@ -199,9 +188,5 @@ def read_products(path: Path) -> Products:
         ) from None
     if len({values.shape[:2] for values in arrays.values()}) > 1:
         raise InputError(f"{path}: the truth of pixels has several sizes; simulate again")
-    return Products(
-        **{
-            name: values.astype(np.float64) if values.dtype == np.float32 else values
-            for name, values in arrays.items()
-        }
-    )
+    wide = {name: v.astype(np.float64) if v.dtype == np.float32 else v for name, v in arrays.items()}
+    return Products(**wide)

@@ -5,7 +5,6 @@ Scenes in which the target is never in view, or a camera comes too near to it, a
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -86,25 +85,17 @@ def plan_sequence(scene: Scene, seed: int) -> SequencePlan:
     require_target_in_view(body, plan.recording_cameras, plan.X_NC[frames], plan.target.X_NG[frames], t_s)
     if plan.sky.wall is not None:
         plan.sky.wall.require_behind(plan.target.X_NG[frames][:, :3, 3], body.radius_m)
-    _require_within_range(plan)
+    if scene.ranges is not None:
+        centre_G = np.asarray(body.mesh.bounds).mean(axis=0)
+        poses = inverse_pose(plan.X_NC) @ plan.target.X_NG[: scene.frames]
+        nearest_m = float(transform_points(poses, centre_G[None])[..., 2].min()) - body.radius_m
+        most_m = MAX_UNITS * scene.ranges.scale_m
+        if nearest_m > most_m:
+            raise InputError(
+                f"scene.range_sensor.scale_m: {scene.ranges.scale_m:g} m makes ranges up to {most_m:.3g} m, "
+                f"the target is {nearest_m:.3g} m away; give a larger unit"
+            )
     return plan
-
-
-def _require_within_range(plan: SequencePlan) -> None:
-    """Raise InputError if the target is never near enough for the 16 bits of the range images."""
-    sensor = plan.scene.ranges
-    if sensor is None:
-        return
-    centre_G = np.asarray(plan.body.mesh.bounds).mean(axis=0)
-    poses = zip(plan.X_NC, plan.target.X_NG, strict=False)
-    p_C = [transform_points(inverse_pose(X_NC) @ X_NG, centre_G[None])[0] for X_NC, X_NG in poses]
-    nearest_m = float(np.min([point[2] for point in p_C])) - plan.body.radius_m
-    most_m = MAX_UNITS * sensor.scale_m
-    if nearest_m > most_m:
-        raise InputError(
-            f"scene.range_sensor.scale_m: {sensor.scale_m:g} m makes ranges up to {most_m:.3g} m, the target "
-            f"is {nearest_m:.3g} m away; give a larger unit"
-        )
 
 
 def received_frames(sensor: config.Sensor, count: int, seed: int) -> tuple[int, ...]:
@@ -137,12 +128,10 @@ def truth_of(plan: SequencePlan) -> Truth:
     )
 
 
-MIN_DISTANCE_M = 5e-3
-MIN_DISTANCE_SHARE = 1e-3
+MIN_DISTANCE_M, MIN_DISTANCE_SHARE = 5e-3, 1e-3
 """A camera is too near if its distance is less than either, in metres or relative to the target's length."""
 ENCLOSED_SHARE = 0.9
 """A camera is inside if this share of all directions hits the target; below 1, as meshes have holes."""
-NAMES = ("left", "right")
 
 
 def require_target_in_view(
@@ -153,14 +142,15 @@ def require_target_in_view(
     X_NC, X_NG: (F, 4, 4) left camera and target at the times t_s (F,). The target may leave the view.
     """
     check = ViewCheck(body)
+    corners_G = np.asarray(trimesh.bounds.corners(body.mesh.bounds))
     seen = ahead = together = False
     for X_NC_k, X_NG_k, t in zip(X_NC, X_NG, t_s, strict=True):
         sees = []
-        for name, camera in zip(NAMES[: len(cameras)], cameras, strict=True):
+        for name, camera in zip(("left", "right")[: len(cameras)], cameras, strict=True):
             X_GK = inverse_pose(X_NG_k) @ X_NC_k @ camera.X_CK
             check.require_distance(X_GK[:3, 3], name, float(t))
             sees.append(not together and check.sees(camera, X_GK))
-            ahead = ahead or bool((transform_points(inverse_pose(X_GK), check.corners_G)[:, 2] > 0).any())
+            ahead = ahead or bool((transform_points(inverse_pose(X_GK), corners_G)[:, 2] > 0).any())
         seen, together = seen or any(sees), together or all(sees)
     if together:
         return
@@ -185,18 +175,17 @@ class ViewCheck:
         self._triangles = np.asarray(body.mesh.triangles)
         self._caster = RayCaster(body)
         low, high = np.asarray(body.mesh.bounds)
-        self.corners_G = np.asarray(trimesh.bounds.corners(body.mesh.bounds))
         self._middle_G = 0.5 * (low + high)
         self._radius_m = float(np.linalg.norm(body.mesh.vertices - self._middle_G, axis=1).max())
         self._nearest_m = max(MIN_DISTANCE_M, MIN_DISTANCE_SHARE * float((high - low).max()))
-        self._around = even_directions(256)
 
     def require_distance(self, p_G: Array, name: str, t_s: float) -> None:
         """Raise InputError if the point (3,) is inside the body or too near its surface."""
         if np.linalg.norm(p_G - self._middle_G) > self._radius_m + self._nearest_m:
             return
         hint = "move scene.motion.position_m away, or check scene.body.size_m and metres_per_unit"
-        if len(self._caster.first_hits(p_G, self._around).ray) >= ENCLOSED_SHARE * len(self._around):
+        around = even_directions(256)
+        if len(self._caster.first_hits(p_G, around).ray) >= ENCLOSED_SHARE * len(around):
             size = f"it is {2 * self._radius_m:.3g} m long"
             raise InputError(f"scene: the {name} camera is inside the target at {t_s:g} s ({size}); {hint}")
         distance_m = self.distance_m(p_G)
@@ -208,17 +197,12 @@ class ViewCheck:
 
     def distance_m(self, p_G: Array) -> float:
         """Distance from a point (3,) to the surface: exact, on the triangles that can be the nearest."""
-        centres, reach = self._spheres
+        centres = self._triangles.mean(axis=1)
+        reach = np.linalg.norm(self._triangles - centres[:, None], axis=2).max(axis=1)
         to_centre = np.linalg.norm(centres - p_G, axis=1)
         candidates = self._triangles[to_centre - reach <= to_centre.min()]
         closest = trimesh.triangles.closest_point(candidates, np.broadcast_to(p_G, (len(candidates), 3)))
         return float(np.linalg.norm(closest - p_G, axis=1).min())
-
-    @cached_property
-    def _spheres(self) -> tuple[Array, Array]:
-        """Centre (F, 3) and radius (F,) around each triangle."""
-        centres = self._triangles.mean(axis=1)
-        return centres, np.linalg.norm(self._triangles - centres[:, None], axis=2).max(axis=1)
 
     def sees(self, camera: Camera, X_GK: Array) -> bool:
         """Whether a vertex is in the image or, for faces beyond its edges, a ray of a coarse grid hits."""

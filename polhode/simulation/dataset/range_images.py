@@ -25,7 +25,6 @@ MAX_UNITS = 2**16 - 1
 EDGE_STEP_PX = 6.0
 """Neighbours whose depths differ by more than the width of so many pixels there are on two surfaces, since
 one surface would be seen at 80 degrees or flatter."""
-_NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 
 
 def model_of(sensor: RangeSensor) -> RangeModel:
@@ -87,23 +86,15 @@ def measure(
 def _other_surface(depth_m: Array, least_step_m: Array, choice: Array) -> tuple[Array, Bools]:
     """Depth (H, W) of a neighbour on another surface, one of them by ``choice`` in [0, 1), NaN beside the
     target; and whether there is one."""
-    found = []
+    # Beyond the image, that of the border.
+    padded, (height, width) = np.pad(depth_m, 1, mode="edge"), depth_m.shape
+    neighbours = np.stack(
+        [padded[v : v + height, u : u + width] for v, u in ((1, 2), (1, 0), (2, 1), (0, 1))]
+    )
     with np.errstate(invalid="ignore"):
-        for dv, du in _NEIGHBOURS:
-            beside = _shifted(depth_m, dv, du)
-            jump = np.abs(beside - depth_m) > least_step_m
-            found.append(np.isfinite(depth_m) & (jump | ~np.isfinite(beside)))
-    is_other = np.stack(found)
-    count = is_other.sum(axis=0)
-    rank = np.cumsum(is_other, axis=0)
+        jump = np.abs(neighbours - depth_m) > least_step_m
+    is_other = np.isfinite(depth_m) & (jump | ~np.isfinite(neighbours))
+    count, rank = is_other.sum(axis=0), np.cumsum(is_other, axis=0)
     chosen = (is_other & (rank == 1 + np.floor(choice * count))).argmax(axis=0)
-    neighbours = np.stack([_shifted(depth_m, dv, du) for dv, du in _NEIGHBOURS])
     other_m = np.take_along_axis(neighbours, chosen[None], axis=0)[0]
     return np.where(count > 0, other_m, np.nan), count > 0
-
-
-def _shifted(image: Array, dv: int, du: int) -> Array:
-    """out[v, u] = image[v + dv, u + du]; that of the border where it is beyond the image."""
-    padded = np.pad(image, 1, mode="edge")
-    height, width = image.shape
-    return padded[1 + dv : 1 + dv + height, 1 + du : 1 + du + width]

@@ -24,7 +24,7 @@ from polhode.runtime.progress import Progress
 from polhode.simulation.dataset.frame_renderer import render_frames
 from polhode.simulation.dataset.own_files import SCENE_FILE
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence, truth_of
-from polhode.simulation.dataset.resumable_dataset import StagedDataset, require_free, staged_dataset
+from polhode.simulation.dataset.resumable_dataset import require_free, staged_dataset
 from polhode.simulation.motion.forces import known_wrench
 from polhode.simulation.motion.inspector import reported_inspector
 from polhode.simulation.stereo_camera import mount_pose
@@ -67,9 +67,19 @@ def write_sequence(
     Raises InputError like ``simulate``, RunFailure if a worker is killed, KeyboardInterrupt with a message.
     """
     description = describe_scene(plan.scene, plan.seed)
-    with staged_dataset(folder, overwrite, _fingerprint(plan, description)) as staged:
+    # What the images depend on: the scene, the program's sources, files of the mesh by size and date.
+    files = "".join(
+        f"# {f.name}: {f.stat().st_size} {f.stat().st_mtime_ns}\n"
+        for f in _files_of_mesh(plan.scene.body.path)
+    )
+    fingerprint = f"{description}# program: {_program_digest()}\n{files}"
+    with staged_dataset(folder, overwrite, fingerprint) as staged:
+        missing = staged.missing(plan.frames)
+        there = len(plan.frames) - len(missing)
+        title = f"rendering ({there} of {len(plan.frames)} were there)" if there else "rendering"
         try:
-            _render(plan, staged, progress, workers)
+            with progress.stage(title, len(missing)) as advance:
+                render_frames(plan, staged, missing, workers, advance)
         except KeyboardInterrupt:
             there = len(plan.frames) - len(staged.missing(plan.frames))
             kept = f"; {there} of {len(plan.frames)} pairs are kept, the same command goes on from there"
@@ -84,38 +94,22 @@ def describe_scene(scene: Scene, seed: int) -> str:
     return dump_config(Config(seed=seed, scene=scene), keys=("seed", "scene"))
 
 
-def _fingerprint(plan: SequencePlan, description: str) -> str:
-    """A text that identifies what the images depend on: scene, mesh file, and the program's sources."""
-    return f"{description}# program: {_program_digest()}\n{_mesh_files(plan.scene.body.path)}"
-
-
 def sequence_digest(scene: Scene, seed: int) -> str:
     """SHA-256, hexadecimal, of all that the images and the truth depend on: scene, content of its mesh file
     and of those beside it, sources of the program, libraries."""
-    digest = sha256(f"{describe_scene(scene, seed)}{_sources_and_libraries()}".encode())
+    program = f"{_program_digest()} {versions_of(LIBRARIES)}"
+    digest = sha256(f"{describe_scene(scene, seed)}{program}".encode())
     for file in _files_of_mesh(scene.body.path):
         digest.update(f"{file.name} {sha256(file.read_bytes()).hexdigest()}".encode())
     return digest.hexdigest()
 
 
 @cache
-def _sources_and_libraries() -> str:
-    return f"{_program_digest()} {versions_of(LIBRARIES)}"
-
-
 def _program_digest() -> str:
     """Digest of the sources that the images depend on."""
     home = Path(polhode.__path__[0])
     sources = [*home.glob("*.py"), *(home / "config").rglob("*.py"), *(home / "simulation").rglob("*.py")]
-    digest = sha256()
-    for file in sorted(sources):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
-
-
-def _mesh_files(path: str | None) -> str:
-    """The mesh file and files that may give its colours, by size and date."""
-    return "".join(f"# {f.name}: {f.stat().st_size} {f.stat().st_mtime_ns}\n" for f in _files_of_mesh(path))
+    return sha256(b"".join(file.read_bytes() for file in sorted(sources))).hexdigest()
 
 
 def _files_of_mesh(path: str | None) -> list[Path]:
@@ -123,14 +117,6 @@ def _files_of_mesh(path: str | None) -> list[Path]:
         return []
     beside = Path(path).resolve().parent.iterdir()
     return sorted(file for file in beside if file.suffix.lower() in MESH_SUFFIXES)
-
-
-def _render(plan: SequencePlan, staged: StagedDataset, progress: Progress, workers: int) -> None:
-    missing = staged.missing(plan.frames)
-    there = len(plan.frames) - len(missing)
-    title = f"rendering ({there} of {len(plan.frames)} were there)" if there else "rendering"
-    with progress.stage(title, len(missing)) as advance:
-        render_frames(plan, staged, missing, workers, advance)
 
 
 def write_estimator_inputs(plan: SequencePlan, mav0: Path) -> None:

@@ -9,7 +9,6 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib
@@ -19,7 +18,7 @@ from PIL import Image, ImageDraw, ImageFont
 from rich.progress import Progress as RichProgress
 
 from polhode.config.scene_settings import Scene
-from polhode.geometry.lie import inverse_pose, transform_points
+from polhode.geometry.lie import Array, inverse_pose, transform_points
 from polhode.runtime.errors import InputError
 from polhode.runtime.processes import in_order
 from polhode.simulation.dataset.frame_renderer import FrameRenderer
@@ -27,34 +26,10 @@ from polhode.simulation.dataset.plan import SequencePlan, load_scene, plan_seque
 
 Grey = NDArray[np.uint8]
 Box = tuple[float, float, float, float]
-
-TILES = 4
-TILE_PX = (188, 141)
-GAP_PX = 3
-COLUMNS = 2
-BETWEEN_PX = 30
-MARGIN_PX = 24
-CAPTION_PX = 28
-BELOW_PX = 20
-BACK, NAME, WORDS = 14, 235, 150
-"""Grey values of paper, scene's name, and the words beside it."""
-
-_CAMERA = {
-    "drift": "drifting camera",
-    "circle": "circling camera",
-    "approach": "approaching camera",
-    "waypoints": "guided camera",
-}
-
-
-@dataclass(frozen=True)
-class Strip:
-    """One scene of the sheet."""
-
-    name: str
-    words: tuple[str, ...]
-    tiles: tuple[Grey, ...]
-    """TILES images of TILE_PX"""
+TILES, TILE_PX, GAP_PX, COLUMNS = 4, (188, 141), 3, 2
+BETWEEN_PX, MARGIN_PX, CAPTION_PX, BELOW_PX = 30, 24, 28, 20
+WIDE = TILES * TILE_PX[0] + (TILES - 1) * GAP_PX
+"""Width of a strip [px]."""
 
 
 def scene_files(sources: Sequence[Path]) -> list[Path]:
@@ -68,25 +43,32 @@ def scene_files(sources: Sequence[Path]) -> list[Path]:
     return files
 
 
-def strip_of(file: Path) -> Strip:
-    """Plan the scene of a configuration and render its frames for the sheet."""
-    return strip_of_plan(file.stem, plan_sequence(*load_scene(file)))
-
-
-def strip_of_plan(name: str, plan: SequencePlan) -> Strip:
-    """Render the frames of a planned scene for the sheet."""
-    frames = frames_to_show(plan)
-    renderer = FrameRenderer(plan)
-    images = [renderer.render_image(k, 0)[0] for k in frames]
-    boxes = boxes_around(plan, frames)
-    tiles = [tile_of(image, plan.scene, box) for image, box in zip(images, boxes, strict=True)]
-    return Strip(name, describe(plan.scene), tuple(tiles))
+def strip_of(file: Path) -> Image.Image:
+    """The caption of a scene above its frames, rendered for it."""
+    plan = plan_sequence(*load_scene(file))
+    scene, frames, renderer = plan.scene, frames_to_show(plan), FrameRenderer(plan)
+    strip = Image.new("L", (WIDE, CAPTION_PX + TILE_PX[1]), 14)
+    for place, (k, box) in enumerate(zip(frames, boxes_around(plan, frames), strict=True)):
+        grey = (renderer.render_image(k, 0)[0] >> (scene.sensor.bits - 8)).astype(np.uint8)
+        tile = Image.fromarray(grey).resize(TILE_PX, Image.Resampling.LANCZOS, box=box)
+        strip.paste(tile, (place * (TILE_PX[0] + GAP_PX), CAPTION_PX))
+    fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
+    bold, plain = (ImageFont.truetype(str(fonts / name), size)
+                   for name, size in (("DejaVuSans-Bold.ttf", 16), ("DejaVuSans.ttf", 13)))  # fmt: skip
+    draw, words = ImageDraw.Draw(strip), list(describe(scene))
+    draw.text((0, 17), file.stem, fill=235, font=bold, anchor="ls")
+    start = draw.textlength(file.stem, font=bold) + 14
+    # As many of the labels as fit.
+    while len(words) > 1 and start + draw.textlength("  ·  ".join(words), font=plain) > WIDE:
+        words.pop()
+    draw.text((start, 17), "  ·  ".join(words), fill=150, font=plain, anchor="ls")
+    return strip
 
 
 def frames_to_show(plan: SequencePlan) -> list[int]:
     """Frames evenly over the sequence, or through an eclipse, or while the target is out of view."""
     there, eclipse = np.array(plan.frames), plan.scene.light.eclipse
-    gone = np.flatnonzero([_share_in_view(plan, k) == 0.0 for k in plan.frames])
+    gone = np.flatnonzero([len(_in_view(plan, k, 200)[1]) == 0 for k in plan.frames])
     if eclipse.duration_s > 0:
         end_s = eclipse.start_s + eclipse.duration_s
         dusk_s, dawn_s = eclipse.start_s - 0.5 * eclipse.ramp_s, end_s + 0.5 * eclipse.ramp_s
@@ -101,11 +83,14 @@ def frames_to_show(plan: SequencePlan) -> list[int]:
     return [int(there[place]) for place in places]
 
 
-def _share_in_view(plan: SequencePlan, k: int) -> float:
-    """Share of the target's vertices in the left image, of 200 of them."""
-    vertices_G = plan.body.mesh.vertices[:: 1 + len(plan.body.mesh.vertices) // 200]
-    p_C = transform_points(inverse_pose(plan.X_NC[k]) @ plan.target.X_NG[k], vertices_G)
-    return len(plan.cameras[0].project_visible(p_C)[1]) / len(p_C)
+def _in_view(plan: SequencePlan, k: int, points: int | None = None) -> tuple[Array, Array]:
+    """Pixels (n, 2) of the target's vertices in the left image, and their indices; of about that many."""
+    vertices_G = plan.body.mesh.vertices
+    if points is not None:
+        vertices_G = vertices_G[:: 1 + len(vertices_G) // points]
+    return plan.cameras[0].project_visible(
+        transform_points(inverse_pose(plan.X_NC[k]) @ plan.target.X_NG[k], vertices_G)
+    )
 
 
 def boxes_around(plan: SequencePlan, frames: Sequence[int], margin: float = 0.12) -> list[Box]:
@@ -113,19 +98,15 @@ def boxes_around(plan: SequencePlan, frames: Sequence[int], margin: float = 0.12
 
     The whole image, if the target leaves it or the Earth is in the background.
     """
-    camera, vertices_G = plan.cameras[0], plan.body.mesh.vertices
-    size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
+    size = np.array([plan.cameras[0].width_px, plan.cameras[0].height_px], dtype=np.float64)
     shape = np.array(TILE_PX) / TILE_PX[0]
     largest = float((0.5 * size / shape).min())
-    middles, reach = [], 0.0
-    for k in frames:
-        p_C = transform_points(inverse_pose(plan.X_NC[k]) @ plan.target.X_NG[k], vertices_G)
-        uv, seen = camera.project_visible(p_C)
-        if len(seen) < len(p_C) or plan.scene.background.earth:
-            middles, reach = [0.5 * size] * len(frames), largest
-            break
-        middles.append(0.5 * (uv.min(axis=0) + uv.max(axis=0)))
-        reach = max(reach, float(((0.5 + margin) * np.ptp(uv, axis=0) / shape).max()))
+    middles, reach = [0.5 * size] * len(frames), largest
+    views = [_in_view(plan, k) for k in frames]
+    whole = all(len(seen) == len(plan.body.mesh.vertices) for _, seen in views)
+    if whole and not plan.scene.background.earth:
+        middles = [0.5 * (uv.min(axis=0) + uv.max(axis=0)) for uv, _ in views]
+        reach = max(float(((0.5 + margin) * np.ptp(uv, axis=0) / shape).max()) for uv, _ in views)
     reach = min(reach, largest)
     corners = [np.clip(middle, reach * shape, size - reach * shape) for middle in middles]
     return [(*(middle - reach * shape), *(middle + reach * shape)) for middle in corners]
@@ -138,11 +119,12 @@ def describe(scene: Scene) -> tuple[str, ...]:
     words = [f"{body.family.replace('_', ' ')} {body.size_m:g} m" if body.family != "mesh" else family]
     rpm = float(np.linalg.norm(motion.spin_rpm))
     words.append(f"{rpm:.2g} rpm" if rpm >= 1 else f"{6 * rpm:.2g}°/s" if rpm > 0 else "no spin")
-    if scene.inspector.profile in _CAMERA:
-        words.append(_CAMERA[scene.inspector.profile])
-    elif scene.inspector.moves:
-        words.append("camera in its dead band")
     asked = {
+        "drifting camera": scene.inspector.profile == "drift",
+        "circling camera": scene.inspector.profile == "circle",
+        "approaching camera": scene.inspector.profile == "approach",
+        "guided camera": scene.inspector.profile == "waypoints",
+        "camera in its dead band": scene.inspector.profile == "rest" and scene.inspector.moves,
         f"{light.eclipse.duration_s:g} s of eclipse": light.eclipse.duration_s > 0,
         "known pushes": bool(motion.pushes),
         "losing energy": motion.energy_loss > 0,
@@ -155,43 +137,20 @@ def describe(scene: Scene) -> tuple[str, ...]:
     return (*words, *(word for word, holds in asked.items() if holds))
 
 
-def draw_sheet(strips: Sequence[Strip]) -> Image.Image:
-    """All scenes on a dark sheet, two per row, each with a caption above its frames."""
-    wide = TILES * TILE_PX[0] + (TILES - 1) * GAP_PX
+def draw(sources: list[Path], workers: int = 1) -> Image.Image:
+    """The sheet of scenes, two per row, rendered in several processes. Raises InputError."""
+    files = scene_files(sources)
+    with RichProgress() as progress:
+        rendered = in_order(strip_of, files, workers)
+        strips = list(progress.track(rendered, len(files), description="scenes"))
+    columns, rows = min(COLUMNS, len(strips)), -(-len(strips) // COLUMNS)
     tall = CAPTION_PX + TILE_PX[1] + BELOW_PX
-    rows = -(-len(strips) // COLUMNS)
-    columns = min(COLUMNS, len(strips))
-    width = 2 * MARGIN_PX + columns * wide + (columns - 1) * BETWEEN_PX
-    sheet = Image.new("L", (width, 2 * MARGIN_PX + rows * tall - BELOW_PX), BACK)
+    width = 2 * MARGIN_PX + columns * WIDE + (columns - 1) * BETWEEN_PX
+    sheet = Image.new("L", (width, 2 * MARGIN_PX + rows * tall - BELOW_PX), 14)
     for index, strip in enumerate(strips):
         row, column = divmod(index, COLUMNS)
-        left, top = MARGIN_PX + column * (wide + BETWEEN_PX), MARGIN_PX + row * tall
-        _write_caption(ImageDraw.Draw(sheet), strip, left, top, wide)
-        for place, tile in enumerate(strip.tiles):
-            sheet.paste(Image.fromarray(tile), (left + place * (TILE_PX[0] + GAP_PX), top + CAPTION_PX))
+        sheet.paste(strip, (MARGIN_PX + column * (WIDE + BETWEEN_PX), MARGIN_PX + row * tall))
     return sheet
-
-
-def _write_caption(draw: ImageDraw.ImageDraw, strip: Strip, left: int, top: int, wide: int) -> None:
-    """The name, and beside it as many of the labels as fit."""
-    bold, plain = _font("DejaVuSans-Bold.ttf", 16), _font("DejaVuSans.ttf", 13)
-    baseline = top + 17
-    draw.text((left, baseline), strip.name, fill=NAME, font=bold, anchor="ls")
-    start = left + draw.textlength(strip.name, font=bold) + 14
-    words = list(strip.words)
-    while len(words) > 1 and start + draw.textlength("  ·  ".join(words), font=plain) > left + wide:
-        words.pop()
-    draw.text((start, baseline), "  ·  ".join(words), fill=WORDS, font=plain, anchor="ls")
-
-
-def _font(name: str, size: int) -> ImageFont.FreeTypeFont:
-    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), size)
-
-
-def tile_of(image: NDArray[np.uint8] | NDArray[np.uint16], scene: Scene, box: Box) -> Grey:
-    """A part of an image, as a tile of the sheet."""
-    grey = (image >> (scene.sensor.bits - 8)).astype(np.uint8)
-    return np.asarray(Image.fromarray(grey).resize(TILE_PX, Image.Resampling.LANCZOS, box=box))
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -212,15 +171,6 @@ def main(words: Sequence[str] | None = None) -> int:
         print(f"contact_sheet: error: {error}", file=sys.stderr)
         return 2
     return 0
-
-
-def draw(sources: list[Path], workers: int = 1) -> Image.Image:
-    """The sheet of scenes, rendered in several processes. Raises InputError."""
-    files, strips = scene_files(sources), []
-    with RichProgress() as progress:
-        for strip in progress.track(in_order(strip_of, files, workers), len(files), description="scenes"):
-            strips.append(strip)
-    return draw_sheet(strips)
 
 
 if __name__ == "__main__":

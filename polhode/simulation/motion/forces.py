@@ -11,15 +11,12 @@ from scipy.optimize import brentq
 from polhode.config import scene_settings as config
 from polhode.geometry.lie import Array, Ints
 from polhode.runtime.errors import InputError
-from polhode.simulation.motion.integrate import MAX_ROTATION_RAD, Forces, advance, body_rate, no_forces
-from polhode.simulation.motion.integrate import STEPS_PER_PERIOD as PERIOD_STEPS
+from polhode.simulation.motion import integrate
+from polhode.simulation.motion.integrate import Forces, advance, body_rate, no_forces
 from polhode.simulation.motion.mass import MassDistribution
 
 MAX_CELL_S = 0.025
 """A white disturbance is constant for at most this long, and at most 1/20 of the frames' interval."""
-_TAG = 0x30
-
-
 MAX_CELLS = 2_000_000
 """Of the disturbances, and rows of the known wrench: 14 hours of the shortest."""
 MAX_STEPS = 10_000_000
@@ -39,7 +36,7 @@ def acting_forces(
     """
     motion = scene.motion
     drag_hz, friction = loss_coefficients(motion, mass.moments, w_P)
-    cell_s = cell_length_s(scene)
+    cell_s = float(min(MAX_CELL_S, scene.interval_s / 20))
     noisy = motion.accel_psd > 0 or motion.torque_psd > 0
     cells = int(np.ceil(stop_s / cell_s)) + 1 if noisy else 0
     rows = stop_s / MAX_STEP_S if motion.pushes and motion.pushes_known else 0.0
@@ -48,22 +45,30 @@ def acting_forces(
             f"scene: disturbances or pushes over {stop_s:g} s take {max(cells, rows):.3g} steps, above "
             f"{MAX_CELLS:g}; give fewer frames, a shorter truth_horizon_s or a longer interval_s"
         )
-    white_accel_N, white_torque_P = _white(motion, mass, cells, cell_s, seed)
-    steady = [push for push in motion.pushes if push.period_s is None]
+    # White: the step of the velocity over a cell has the variance psd * cell_s on each axis.
+    unit = np.random.default_rng([seed, 0x30]).normal(size=(cells, 6)) if cells else np.zeros((1, 6))
+    white_accel_N = unit[:, :3] * np.sqrt(motion.accel_psd / cell_s)
+    white_torque_P = unit[:, 3:] * np.sqrt(motion.torque_psd / cell_s) * mass.moments[1]
     edges_s = [edge for push in motion.pushes for edge in push_interval_s(push)]
     knots_s = np.unique(np.concatenate([cell_s * np.arange(1, cells), edges_s]))
-    middles_s = _midpoints(knots_s)
+    middles_s = np.zeros(1)
+    if len(knots_s) > 0:
+        between_s = 0.5 * (knots_s[1:] + knots_s[:-1])
+        middles_s = np.concatenate([knots_s[:1] - 1.0, between_s, knots_s[-1:] + 1.0])
     cell = np.clip(np.floor(middles_s / cell_s).astype(int), 0, max(cells - 1, 0))
     accel_N, torque_P = white_accel_N[cell], white_torque_P[cell]
-    for push in steady:
+    sines = []
+    for push in motion.pushes:
         start_s, end_s = push_interval_s(push)
-        on = (start_s <= middles_s) & (middles_s < end_s)
-        accel_N[on] += np.array(push.force_N) / mass.mass_kg
-        torque_P[on] += push.torque_P
-    sines = [_sine(push, mass.mass_kg) for push in motion.pushes if push.period_s is not None]
-    forces = Forces(
-        mass.moments, knots_s, accel_N, torque_P, np.array(sines).reshape(-1, 9), drag_hz, friction
-    )
+        push_accel_N = np.array(push.force_N) / mass.mass_kg
+        if push.period_s is None:
+            on = (start_s <= middles_s) & (middles_s < end_s)
+            accel_N[on] += push_accel_N
+            torque_P[on] += push.torque_P
+        else:
+            sines.append([start_s, end_s, 2.0 * np.pi / push.period_s, *push_accel_N, *push.torque_P])
+    waves = np.array(sines).reshape(-1, 9)
+    forces = Forces(mass.moments, knots_s, accel_N, torque_P, waves, drag_hz, friction)
     _require_feasible(forces, w_P, stop_s)
     return forces
 
@@ -78,7 +83,8 @@ def _require_feasible(forces: Forces, w_P: Array, stop_s: float) -> None:
         largest += float(np.abs(amplitudes[3:]).max()) * max(min(end_s, stop_s) - start_s, 0.0)
         fastest = max(fastest, rate if start_s < stop_s else 0.0)
     rate_rad_s = float(np.abs(w_P).sum()) + largest / float(forces.moments.min())
-    per_second = rate_rad_s / MAX_ROTATION_RAD + fastest * PERIOD_STEPS / (2.0 * np.pi) + forces.drag_hz
+    per_second = rate_rad_s / integrate.MAX_ROTATION_RAD + forces.drag_hz
+    per_second += fastest * integrate.STEPS_PER_PERIOD / (2.0 * np.pi)
     if not per_second * stop_s <= MAX_STEPS:
         raise InputError(
             f"scene.motion: spin, torques and losses reach {rate_rad_s:.3g} rad/s within {stop_s:g} s, "
@@ -91,42 +97,9 @@ def is_free(motion: config.Motion) -> bool:
     return not (motion.pushes or motion.accel_psd or motion.torque_psd or motion.energy_loss)
 
 
-def cell_length_s(scene: config.Scene) -> float:
-    """Duration for which a white disturbance is constant [s]."""
-    return float(min(MAX_CELL_S, scene.interval_s / 20))
-
-
 def push_interval_s(push: config.WrenchPulse) -> tuple[float, float]:
     """Start of a push and its end, which is exclusive [s]."""
     return push.start_s, push.start_s + push.duration_s
-
-
-def _white(
-    motion: config.Motion, mass: MassDistribution, cells: int, cell_s: float, seed: int
-) -> tuple[Array, Array]:
-    """Acceleration in N and torque in P, constant within each cell: (max(cells, 1), 3) each.
-
-    The step of the velocity over a cell has the variance psd * cell_s on each axis.
-    """
-    if cells == 0:
-        return np.zeros((1, 3)), np.zeros((1, 3))
-    unit = np.random.default_rng([seed, _TAG]).normal(size=(cells, 6))
-    accel_N = unit[:, :3] * np.sqrt(motion.accel_psd / cell_s)
-    return accel_N, unit[:, 3:] * np.sqrt(motion.torque_psd / cell_s) * mass.moments[1]
-
-
-def _midpoints(knots_s: Array) -> Array:
-    """A time inside each of the n + 1 segments between n knots [s]."""
-    if len(knots_s) == 0:
-        return np.zeros(1)
-    return np.concatenate([knots_s[:1] - 1.0, 0.5 * (knots_s[1:] + knots_s[:-1]), knots_s[-1:] + 1.0])
-
-
-def _sine(push: config.WrenchPulse, mass_kg: float) -> Array:
-    assert push.period_s is not None
-    start_s, end_s = push_interval_s(push)
-    amplitudes = np.concatenate([np.array(push.force_N) / mass_kg, push.torque_P])
-    return np.array([start_s, end_s, 2.0 * np.pi / push.period_s, *amplitudes])
 
 
 def known_wrench(motion: config.Motion, timestamps_ns: Ints) -> tuple[Ints, Array, Array] | None:
@@ -136,41 +109,30 @@ def known_wrench(motion: config.Motion, timestamps_ns: Ints) -> tuple[Ints, Arra
     first to the last of them at 20 Hz or more, with 200 rows in a period of a sine, and with two rows 1 ns
     apart where the wrench jumps.
     """
-    pushes = motion.pushes
-    if not pushes or not motion.pushes_known:
+    if not motion.pushes or not motion.pushes_known:
         return None
-    rows_ns = _rows_ns(pushes, int(timestamps_ns[-1] - timestamps_ns[0]))
+    last_ns = int(timestamps_ns[-1] - timestamps_ns[0])
+    spans_ns = [tuple(round(edge * 1e9) for edge in push_interval_s(push)) for push in motion.pushes]
+
+    def evenly_spaced(start_ns: int, end_ns: int, longest_step_s: float) -> Ints:
+        steps = int(np.ceil((end_ns - start_ns) * 1e-9 / longest_step_s))
+        return np.linspace(start_ns, end_ns, steps + 1).round().astype(np.int64)
+
+    rows = [evenly_spaced(0, last_ns, MAX_STEP_S)]
+    for push, (start_ns, end_ns) in zip(motion.pushes, spans_ns, strict=True):
+        rows.append(np.array([start_ns - 1, start_ns, end_ns - 1, end_ns]))
+        if push.period_s is not None and start_ns < last_ns:
+            rows.append(evenly_spaced(start_ns, min(end_ns, last_ns), push.period_s / STEPS_PER_PERIOD))
+    rows_ns = np.unique(np.concatenate(rows))
+    rows_ns = rows_ns[(rows_ns >= 0) & (rows_ns <= last_ns)]
     force_N, torque_P = np.zeros((len(rows_ns), 3)), np.zeros((len(rows_ns), 3))
-    for push in pushes:
-        start_ns, end_ns = _span_ns(push)
+    for push, (start_ns, end_ns) in zip(motion.pushes, spans_ns, strict=True):
         shape = ((start_ns <= rows_ns) & (rows_ns < end_ns)).astype(np.float64)
         if push.period_s is not None:
             shape *= np.sin(2.0 * np.pi * (rows_ns - start_ns) * 1e-9 / push.period_s)
         force_N += shape[:, None] * push.force_N
         torque_P += shape[:, None] * push.torque_P
     return timestamps_ns[0] + rows_ns, force_N, torque_P
-
-
-def _rows_ns(pushes: tuple[config.WrenchPulse, ...], last_ns: int) -> Ints:
-    """Times after the first frame, increasing, from zero to ``last_ns``."""
-    rows = [_evenly_spaced_ns(0, last_ns, MAX_STEP_S)]
-    for push in pushes:
-        start_ns, end_ns = _span_ns(push)
-        rows.append(np.array([start_ns - 1, start_ns, end_ns - 1, end_ns]))
-        if push.period_s is not None and start_ns < last_ns:
-            rows.append(_evenly_spaced_ns(start_ns, min(end_ns, last_ns), push.period_s / STEPS_PER_PERIOD))
-    rows_ns = np.unique(np.concatenate(rows))
-    return rows_ns[(rows_ns >= 0) & (rows_ns <= last_ns)]
-
-
-def _evenly_spaced_ns(start_ns: int, end_ns: int, longest_step_s: float) -> Ints:
-    steps = int(np.ceil((end_ns - start_ns) * 1e-9 / longest_step_s))
-    return np.linspace(start_ns, end_ns, steps + 1).round().astype(np.int64)
-
-
-def _span_ns(push: config.WrenchPulse) -> tuple[int, int]:
-    start_s, end_s = push_interval_s(push)
-    return round(start_s * 1e9), round(end_s * 1e9)
 
 
 MIN_EXCESS = 1e-9
@@ -212,7 +174,14 @@ def friction_for_loss(share: float, duration_s: float, moments: Array, w_P: Arra
     """
     # The law holds up to a lag of the ball (friction times body rate over the smallest moment) of 1.
     largest = moments[2] ** 2 / max(float(np.linalg.norm(moments * w_P)), 1e-300)
-    _require_wobble(moments, w_P)
+    still_P = moments * w_P
+    energy = float(energy_of_momentum(still_P, moments))
+    rest = np.sort(0.5 * still_P**2 / moments)[:-1].sum()
+    if min(rest, float(excess_energy(still_P, moments))) <= MIN_EXCESS * energy:
+        raise InputError(
+            "scene.motion.energy_loss: friction takes no energy from a spin about a principal axis; "
+            "tilt spin_rpm or set energy_loss_by to drag"
+        )
 
     def missing(log_friction: float) -> float:
         friction = float(np.exp(log_friction))
@@ -238,14 +207,3 @@ def momentum_of_rate(w_P: Array, moments: Array, friction: float) -> Array:
     for _ in range(100):
         h_P = h_P + moments * (w_P - body_rate(h_P, moments, friction))
     return np.asarray(h_P)
-
-
-def _require_wobble(moments: Array, w_P: Array) -> None:
-    h_P = moments * w_P
-    energy = float(energy_of_momentum(h_P, moments))
-    rest = np.sort(0.5 * h_P**2 / moments)[:-1].sum()
-    if rest <= MIN_EXCESS * energy or excess_energy(h_P, moments) <= MIN_EXCESS * energy:
-        raise InputError(
-            "scene.motion.energy_loss: friction takes no energy from a spin about a principal axis; "
-            "tilt spin_rpm or set energy_loss_by to drag"
-        )

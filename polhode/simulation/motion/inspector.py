@@ -45,17 +45,14 @@ class LimitCycle:
         # The first line is evaluated from its start, so that it is exactly zero there.
         start_s, start = np.append(0.0, self.corner_s)[index], np.append(0.0, self.corner_value)[index]
         line = start + self.rate[index] * (t_s - start_s)
-        since, turn = self._pulse(t_s)
-        return np.asarray(line + turn * (0.5 * self.pulse_s - abs(since)) ** 2 / (2.0 * self.pulse_s))
-
-    def _pulse(self, t_s: Array) -> tuple[Array, Array]:
-        """Time since the nearest pulse, clipped to the pulse [s], and the change of rate by that pulse."""
         after = np.clip(np.searchsorted(self.corner_s, t_s), 0, len(self.corner_s) - 1)
         before = np.maximum(after - 1, 0)
         closer = abs(t_s - self.corner_s[before]) < abs(t_s - self.corner_s[after])
-        nearest = np.where(closer, before, after)
-        half = 0.5 * self.pulse_s
-        return np.clip(t_s - self.corner_s[nearest], -half, half), np.diff(self.rate)[nearest]
+        nearest, half = np.where(closer, before, after), 0.5 * self.pulse_s
+        since = np.clip(t_s - self.corner_s[nearest], -half, half)
+        return np.asarray(
+            line + np.diff(self.rate)[nearest] * (half - abs(since)) ** 2 / (2.0 * self.pulse_s)
+        )
 
 
 def limit_cycle(half_width: float, rate: float, stop_s: float, rng: np.random.Generator) -> LimitCycle:
@@ -74,9 +71,6 @@ def limit_cycle(half_width: float, rate: float, stop_s: float, rng: np.random.Ge
     way = np.diff(np.concatenate([[0.0], values]))
     pulse_s = min(PULSE_S, 0.5 * half_width / quickest)
     return LimitCycle(np.cumsum(way / rates[:-1]), values, rates, pulse_s)
-
-
-_TAG = 0x31
 
 
 CameraPath = Callable[[Array], Array]
@@ -115,24 +109,19 @@ def _through_waypoints(knots_s: Array, p_N: Array, R_NC: Array, t_s: Array) -> A
     Cubic in position; in attitude scipy's RotationSpline, whose angular velocity is continuous. Time on the
     splines starts and stops smoothly, so that the velocity is continuous at departure and arrival.
     """
-    clock_s = _time_on_splines(knots_s, t_s)
-    attitude = RotationSpline(knots_s, Rotation.from_matrix(R_NC))
-    return make_pose(attitude(clock_s).as_matrix(), CubicSpline(knots_s, p_N, bc_type="natural")(clock_s))
-
-
-def _time_on_splines(knots_s: Array, t_s: Array) -> Array:
-    """The true time at every knot, and between inner knots; at rest at the first and the last."""
     first, last = float(knots_s[0]), float(knots_s[-1])
     t = np.clip(t_s, first, last)
+    clock_s = t.copy()
     if len(knots_s) == 2:
         x = (t - first) / (last - first)
-        return np.asarray(first + (last - first) * x * x * (3 - 2 * x))
-    clock = t.copy()
-    for end, neighbour in ((first, knots_s[1]), (last, knots_s[-2])):
-        x = (t - end) / (neighbour - end)
-        near = x < 1.0
-        clock[near] = (end + (neighbour - end) * x * x * (2 - x))[near]
-    return clock
+        clock_s = first + (last - first) * x * x * (3 - 2 * x)
+    else:
+        for end, neighbour in ((first, knots_s[1]), (last, knots_s[-2])):
+            x = (t - end) / (neighbour - end)
+            near = x < 1.0
+            clock_s[near] = (end + (neighbour - end) * x * x * (2 - x))[near]
+    attitude = RotationSpline(knots_s, Rotation.from_matrix(R_NC))
+    return make_pose(attitude(clock_s).as_matrix(), CubicSpline(knots_s, p_N, bc_type="natural")(clock_s))
 
 
 def camera_path(scene: config.Scene) -> CameraPath:
@@ -197,10 +186,17 @@ def inspector_motion(scene: config.Scene, seed: int) -> InspectorMotion:
     The first pose is exactly the scene's, because the jitter starts at the centre of its band. Raises
     InputError for an approach that starts at the target.
     """
+    inspector = scene.inspector
     stamps = timestamps(scene)[: scene.frames]
     t_s = np.asarray((stamps - stamps[0]) / 1e9)
+    position = (inspector.deadband_mm * 1e-3, inspector.deadband_mm_s * 1e-3)
+    attitude = (np.deg2rad(inspector.deadband_deg), np.deg2rad(inspector.deadband_deg_s))
     # The jitter continues for a minute after the last frame, for long exposures.
-    return InspectorMotion(t_s, camera_path(scene), _jitter(scene.inspector, float(t_s[-1]) + 60.0, seed))
+    jitter = tuple(
+        limit_cycle(width, rate, float(t_s[-1]) + 60.0, np.random.default_rng([seed, 0x31, axis]))
+        for axis, (width, rate) in enumerate([position] * 3 + [attitude] * 3)
+    )
+    return InspectorMotion(t_s, camera_path(scene), jitter)
 
 
 def reported_inspector(scene: config.Scene, X_NC: Array, X_BC: Array, rng: np.random.Generator) -> Array:
@@ -209,13 +205,3 @@ def reported_inspector(scene: config.Scene, X_NC: Array, X_BC: Array, rng: np.ra
     noise_p_N = rng.normal(0.0, 1.0, (len(X_NB), 3)) * scene.inspector.sigma_p_m
     noise_theta = rng.normal(0.0, 1.0, (len(X_NB), 3)) * np.deg2rad(scene.inspector.sigma_theta_deg)
     return make_pose(X_NB[:, :3, :3] @ exp_so3(noise_theta), X_NB[:, :3, 3] + noise_p_N)
-
-
-def _jitter(inspector: config.Inspector, stop_s: float, seed: int) -> tuple[LimitCycle, ...]:
-    """Limit cycles of the three components of position [m] and of attitude [rad], one generator each."""
-    position = (inspector.deadband_mm * 1e-3, inspector.deadband_mm_s * 1e-3)
-    attitude = (np.deg2rad(inspector.deadband_deg), np.deg2rad(inspector.deadband_deg_s))
-    return tuple(
-        limit_cycle(width, rate, stop_s, np.random.default_rng([seed, _TAG, axis]))
-        for axis, (width, rate) in enumerate([position] * 3 + [attitude] * 3)
-    )

@@ -32,15 +32,31 @@ def mass_distribution(mass: config.Mass, body: Body) -> MassDistribution:
     Parts without a density by name have ``density_kg_m3`` times their own factor.
     ``mass_kg`` scales all densities alike. Raises InputError for an unknown part or an impossible inertia.
     """
-    masses_kg = _part_masses(mass, body)
-    scale = 1.0 if mass.mass_kg is None else mass.mass_kg / float(masses_kg.sum())
-    com_G, J_G = _com_and_inertia(body, masses_kg * scale)
+    names = [part.name for part in body.parts]
+    for name in mass.part_density_kg_m3:
+        if name not in names:
+            raise InputError(
+                f"scene.mass.part_density_kg_m3: the body has no part '{name}', only {', '.join(names)}"
+            )
+    densities = [
+        mass.part_density_kg_m3.get(part.name, mass.density_kg_m3 * part.density_factor)
+        for part in body.parts
+    ]
+    masses_kg = np.array(densities) * [part.volume_m3 for part in body.parts]
+    total_kg = float(masses_kg.sum())
+    scale = 1.0 if mass.mass_kg is None else mass.mass_kg / total_kg
+    masses_kg = masses_kg * scale
+    centres_G = np.stack([part.com_G for part in body.parts])
+    com_G = masses_kg @ centres_G / masses_kg.sum()
+    J_G = np.zeros((3, 3))
+    for part, m, d in zip(body.parts, masses_kg, centres_G - com_G, strict=True):
+        J_G += m / part.volume_m3 * part.inertia_per_density + m * (d @ d * np.eye(3) - np.outer(d, d))
     if mass.com_m is not None:
         com_G = np.array(mass.com_m)
     if mass.inertia_kg_m2 is not None:
         J_G = np.array(mass.inertia_kg_m2)
         _require_physical(J_G)
-    return MassDistribution(com_G, J_G, *principal_axes(J_G), float(masses_kg.sum() * scale))
+    return MassDistribution(com_G, J_G, *principal_axes(J_G), total_kg * scale)
 
 
 def principal_axes(J: ArrayLike) -> tuple[Array, Array]:
@@ -53,31 +69,6 @@ def principal_axes(J: ArrayLike) -> tuple[Array, Array]:
     turns = [np.diag(d) for d in ([1.0, 1, 1], [1.0, -1, -1], [-1.0, 1, -1], [-1.0, -1, 1])]
     R_GP = max((R @ turn for turn in turns), key=lambda candidate: float(np.trace(candidate)))
     return values[::-1].copy(), R_GP
-
-
-def _part_masses(mass: config.Mass, body: Body) -> Array:
-    """Mass of each of the body's parts (n,) [kg], before ``mass_kg`` scales them."""
-    names = [part.name for part in body.parts]
-    for name in mass.part_density_kg_m3:
-        if name not in names:
-            raise InputError(
-                f"scene.mass.part_density_kg_m3: the body has no part '{name}', only {', '.join(names)}"
-            )
-    densities = [
-        mass.part_density_kg_m3.get(part.name, mass.density_kg_m3 * part.density_factor)
-        for part in body.parts
-    ]
-    return np.array(densities) * [part.volume_m3 for part in body.parts]
-
-
-def _com_and_inertia(body: Body, masses_kg: Array) -> tuple[Array, Array]:
-    """Centre of mass (3,) [m] and inertia about it (3, 3) [kg m^2] of parts of the masses (n,)."""
-    centres_G = np.stack([part.com_G for part in body.parts])
-    com_G = masses_kg @ centres_G / masses_kg.sum()
-    J_G = np.zeros((3, 3))
-    for part, m, d in zip(body.parts, masses_kg, centres_G - com_G, strict=True):
-        J_G += m / part.volume_m3 * part.inertia_per_density + m * (d @ d * np.eye(3) - np.outer(d, d))
-    return com_G, J_G
 
 
 def _require_physical(J: Array) -> None:

@@ -3,10 +3,6 @@
 Poinsot: the rate circles the axis of greatest inertia where h^2 > 2 E J_middle, and that of least inertia
 where it is less. About the greatest axis the body spins against its precession, retrograde, and the body cone
 encloses the space cone; about the least axis it is prograde, and the cones lie side by side (thesis 2.5.1).
-
-H is an inertial frame with its third axis along the angular momentum and the rate at the first frame in its
-plane of x and z. The mantles of the body cone and the space cone are the lines from the centre of mass to the
-polhode and the herpolhode, which are curves of angular rates.
 """
 
 from dataclasses import dataclass
@@ -18,22 +14,15 @@ from scipy.special import ellipk, elliprj
 from polhode.geometry.lie import Array, matrix_from_wxyz
 from polhode.simulation.motion.integrate import Forces, no_forces, states_at
 
-PrecessionDirection = Literal["prograde", "retrograde", "none"]
 RELATIVE_TOLERANCE = 1e-9
 """Relative difference below which moments are equal, and the spin is steady or on the separatrix."""
-
-
-CURVE_POINTS = 361
-"""Points of a closed curve."""
-STEADY_S = 10.0
-"""Duration of the curves for a spin without precession [s]."""
 
 
 @dataclass(frozen=True)
 class Precession:
     """Torque-free motion of a rigid body, averaged over one period of the polhode."""
 
-    direction: PrecessionDirection
+    direction: Literal["prograde", "retrograde", "none"]
     """None for a steady spin, and on the separatrix"""
     axis: Literal["greatest", "least", "none"]
     """Principal axis about which the rate moves"""
@@ -55,7 +44,7 @@ def precession_of(moments: Array, w_P: Array) -> Precession:
     if order is None:
         return Precession("none", "none", (0.0, 0.0), np.inf, np.inf)
     J1, J2, J3 = moments[order]
-    two_energy, h_squared = _energy_and_momentum(moments, w_P)
+    two_energy, h_squared = float(moments @ w_P**2), float(np.sum((moments * w_P) ** 2))
     h = np.sqrt(h_squared)
     d3, d1 = two_energy * J3 - h_squared, h_squared - two_energy * J1
     rate = np.sqrt((J3 - J2) * d1 / (J1 * J2 * J3))
@@ -80,11 +69,10 @@ def precession_of(moments: Array, w_P: Array) -> Precession:
 
 def circulation_order(moments: Array, w_P: Array) -> list[int] | None:
     """Principal axes (0, 1, 2), last the one that the rate circles; None if it circles none."""
-    two_energy, h_squared = _energy_and_momentum(moments, w_P)
-    steady = np.linalg.norm(np.cross(moments * w_P, w_P)) <= RELATIVE_TOLERANCE * np.sqrt(
-        h_squared
-    ) * np.linalg.norm(w_P)
-    if steady:
+    h_P = moments * w_P
+    two_energy, h_squared = float(moments @ w_P**2), float(h_P @ h_P)
+    steady = RELATIVE_TOLERANCE * np.sqrt(h_squared) * np.linalg.norm(w_P)
+    if np.linalg.norm(np.cross(h_P, w_P)) <= steady:
         return None
     # With two equal moments the rate circles the third axis.
     if moments[1] - moments[2] <= RELATIVE_TOLERANCE * moments[0]:
@@ -97,70 +85,19 @@ def circulation_order(moments: Array, w_P: Array) -> list[int] | None:
     return [2, 1, 0] if excess > 0.0 else [0, 1, 2]
 
 
-def _energy_and_momentum(moments: Array, w_P: Array) -> tuple[float, float]:
-    """Twice the energy [J], and the square of the angular momentum [(N m s)^2]."""
-    return float(moments @ w_P**2), float(np.sum((moments * w_P) ** 2))
-
-
-@dataclass(frozen=True)
-class Poinsot:
-    """Geometry of the free motion from an initial state. Rates in rad/s."""
-
-    moments: Array
-    """(3,) sorted, greatest first [kg m^2]"""
-    two_energy: float
-    """[J]"""
-    precession: Precession
-    axis_P: Array
-    """(3,) unit: the principal axis that the rate circles, on its side; the rate itself if it is steady"""
-    R_HP: Array
-    """(3, 3) at the first frame"""
-    polhode_P: Array
-    """(n, 3) rate in the body over one period"""
-    herpolhode_H: Array
-    """(m, 3) rate in H over many periods, from the first frame on"""
-    around_H: Array
-    """(k, 3) its beginning: one revolution of the axis about the momentum"""
-
-    @property
-    def body_cone_H(self) -> Array:
-        """(n, 3) edge of the body cone, where it is at the first frame."""
-        return np.asarray(self.polhode_P @ self.R_HP.T)
-
-    @property
-    def semi_axes(self) -> Array:
-        """(3,) of the ellipsoid of rates of the same energy."""
-        return np.asarray(np.sqrt(self.two_energy / self.moments))
-
-
-def poinsot(moments: Array, w_P: Array, circuits: int = 12) -> Poinsot:
-    """The geometry of a free motion; moments (3,) sorted [kg m^2], w_P (3,) [rad/s], not zero."""
-    precession = precession_of(moments, w_P)
-    steady = precession.direction == "none"
-    period_s = STEADY_S if steady else precession.spin_period_s
-    once_s = STEADY_S if steady else precession.precession_period_s
-    long_s = max(circuits * period_s, once_s)
-    around_t = np.linspace(0.0, once_s, CURVE_POINTS)
-    later_t = np.linspace(once_s, long_s, int(np.clip((long_s - once_s) / around_t[1], 2, 40 * CURVE_POINTS)))
-    R_HP, rates_P = free_rotation(moments, w_P, np.concatenate([around_t, later_t[1:]]))
-    herpolhode_H = (R_HP @ rates_P[..., None])[..., 0]
-    polhode_P = free_rotation(moments, w_P, np.linspace(0.0, period_s, CURVE_POINTS))[1]
-    return Poinsot(
-        moments,
-        float(moments @ w_P**2),
-        precession,
-        _circled_axis(moments, w_P),
-        R_HP[0],
-        polhode_P,
-        herpolhode_H,
-        herpolhode_H[:CURVE_POINTS],
-    )
-
-
 def free_rotation(moments: Array, w_P: Array, t_s: Array) -> tuple[Array, Array]:
-    """R_HP (n, 3, 3) and w_P (n, 3) of a free body at times (n,), the first of them zero."""
+    """R_HP (n, 3, 3) and w_P (n, 3) of a free body at times (n,), the first of them zero.
+
+    H is inertial: its third axis is along the angular momentum, the first rate in its plane of x and z.
+    """
     quaternion, h_P = rotation_states(no_forces(moments), moments * w_P, t_s)
-    return _momentum_frame(moments * w_P, w_P) @ matrix_from_wxyz(quaternion), h_P / moments
+    up = h_P[0] / np.linalg.norm(h_P[0])
+    across = w_P - up * (up @ w_P)
+    if np.linalg.norm(across) <= 1e-9 * np.linalg.norm(w_P):
+        across = np.eye(3)[int(np.argmin(np.abs(up)))]
+        across = across - up * (up @ across)
+    across = across / np.linalg.norm(across)
+    return np.stack([across, np.cross(up, across), up]) @ matrix_from_wxyz(quaternion), h_P / moments
 
 
 def rotation_states(forces: Forces, h_P: Array, t_s: Array) -> tuple[Array, Array]:
@@ -169,60 +106,13 @@ def rotation_states(forces: Forces, h_P: Array, t_s: Array) -> tuple[Array, Arra
     return y[:, 6:10], y[:, 10:13]
 
 
-def polhodes(moments: Array, two_energy: float, count: int) -> list[Array]:
-    """Closed polhodes (n, 3) of one energy all over the ellipsoid, ``count`` around each end of two axes."""
-    curves = []
-    for order in ([2, 1, 0], [0, 1, 2]):
-        middle, last = moments[order[1]], moments[order[2]]
-        if middle == last:
-            continue
-        for step in range(1, count + 1):
-            # Evenly over the angle between the axis and the separatrix.
-            share = np.sin(0.5 * np.pi * step / (count + 1)) ** 2
-            h_squared = two_energy * (last + (middle - last) * share)
-            curve = _polhode(moments[order], two_energy, h_squared)
-            for side in (1.0, -1.0):
-                points = np.empty_like(curve)
-                points[:, order] = curve * [1.0, 1.0, side]
-                curves.append(points)
-    return curves
-
-
 def separatrix(moments: Array, two_energy: float) -> list[Array]:
     """The two curves (n, 3) between the polhodes around the greatest axis and those around the least."""
     J1, J2, J3 = moments
     if J1 == J2 or J2 == J3:
         return []
-    turn = np.linspace(0.0, 2.0 * np.pi, CURVE_POINTS)
+    turn = np.linspace(0.0, 2.0 * np.pi, 361)
     first = np.sqrt(two_energy * (J2 - J3) / (J1 * (J1 - J3))) * np.sin(turn)
     second = np.sqrt(two_energy / J2) * np.cos(turn)
     third = np.sqrt(two_energy * (J1 - J2) / (J3 * (J1 - J3))) * np.sin(turn)
     return [np.stack([first, second, side * third], axis=1) for side in (1.0, -1.0)]
-
-
-def _polhode(J: Array, two_energy: float, h_squared: float) -> Array:
-    """One polhode around the last of the axes, moments (3,) in their order -> (n, 3)."""
-    d3 = two_energy * J[2] - h_squared
-    turn = np.linspace(0.0, 2.0 * np.pi, CURVE_POINTS)
-    first = np.sqrt(d3 / (J[0] * (J[2] - J[0]))) * np.cos(turn)
-    second = np.sqrt(d3 / (J[1] * (J[2] - J[1]))) * np.sin(turn)
-    third = np.sqrt(np.maximum(two_energy - J[0] * first**2 - J[1] * second**2, 0.0) / J[2])
-    return np.stack([first, second, third], axis=1)
-
-
-def _circled_axis(moments: Array, w_P: Array) -> Array:
-    order = circulation_order(moments, w_P)
-    if order is None:
-        return np.asarray(w_P / np.linalg.norm(w_P))
-    return np.asarray(np.eye(3)[order[2]] * np.sign(w_P[order[2]]))
-
-
-def _momentum_frame(h_P: Array, w_P: Array) -> Array:
-    """R_HP (3, 3) at the first frame."""
-    up = h_P / np.linalg.norm(h_P)
-    across = w_P - up * (up @ w_P)
-    if np.linalg.norm(across) <= 1e-9 * np.linalg.norm(w_P):
-        across = np.eye(3)[int(np.argmin(np.abs(up)))]
-        across = across - up * (up @ across)
-    across = across / np.linalg.norm(across)
-    return np.stack([across, np.cross(up, across), up])

@@ -76,9 +76,16 @@ class IndirectAtHits:
         to_viewer_G (n, 3) unit; flat_normal_G (n, 3) of the faces.
         """
         fill, near, s = self.fill, self.near, surface
+        many, few = (
+            # The samples of a pixel share these rays, on a spiral.
+            spiral_points(
+                np.arange(rays, dtype=np.float64) * stratum.samples + stratum.sample + 0.5,
+                rays * stratum.samples,
+            )
+            for rays in (max(n // stratum.samples, 1) for n in (STRONG_LOBE_RAYS, WEAK_LOBE_RAYS))
+        )
         probes = (near.index, near.weight, fill.views, fill.nearest)
         lobe = (s.normal_G, to_viewer_G, flat_normal_G, s.roughness**2, s.specular)
-        many, few = (_lobe_samples(count, stratum) for count in (STRONG_LOBE_RAYS, WEAK_LOBE_RAYS))
         return np.asarray(_mirrored(*probes, *lobe, many, few))
 
 
@@ -118,52 +125,28 @@ class IndirectLight:
         return self._known[lights.key]
 
     def _found(self, lights: Lights) -> IndirectField:
-        probes = self._probes
-        inside = self._inside_earth(lights)
+        probes, sun_G = self._probes, lights.sun_direction_G
+        # Share of the patch of sky around each direction that the Earth's disc fills.
+        off_middle = np.arccos(np.clip(probes.directions_G @ lights.earth_direction_G, -1.0, 1.0))
+        inside = np.clip(0.5 + (lights.earth_radius_rad - off_middle) / (2.0 * CELL_RAD), 0.0, 1.0)
         share = _open_share(probes.sees, probes.normal_G, probes.directions_G, inside)
         level, clear = np.zeros((2, len(share)))
         if self._bounces:
-            sunlit, level = self._direct(lights)
+            points, normal = self._points, self._surface.normal_G
+            lit = self._caster.lit(points, sun_G)
+            irradiance = lights.sun * lit * np.maximum(normal @ sun_G, 0.0)
+            if lights.lamp > 0:
+                toward, reach = lights.lamp_from(points.p_G)
+                cosine = np.maximum(np.einsum("nk,nk->n", normal, toward), 0.0)
+                irradiance += lights.lamp / reach**2 * cosine * self._caster.lit(points, toward, reach)
+            level = probes.mean(self._reflectance * irradiance)
             cosine = probes.normal_G @ lights.earth_direction_G
             level += self._albedo * lights.earth * share * disc_irradiance(cosine, lights.earth_radius_rad)
-            clear = np.where(self._specular > 0.0, lights.sun * sunlit, 0.0)
-        bounced, views = _gather(
-            probes.sees,
-            probes.directions_G,
-            level,
-            clear,
-            lights.earth * inside,
-            probes.normal_G,
-            self._specular,
-            self._alpha2,
-            lights.sun_direction_G,
-        )
-        return IndirectField(
-            bounced.astype(np.float32), share[:, None].astype(np.float32), views, self._nearest
-        )
-
-    def _direct(self, lights: Lights) -> tuple[Array, Array]:
-        """Share (P,) of the surface around each probe that is sunlit, and its diffuse level (P,)."""
-        points, normal, mean = self._points, self._surface.normal_G, self._probes.mean
-        lit = self._caster.lit(points, lights.sun_direction_G)
-        irradiance = lights.sun * lit * np.maximum(normal @ lights.sun_direction_G, 0.0)
-        if lights.lamp > 0:
-            toward, reach = lights.lamp_from(points.p_G)
-            cosine = np.maximum(np.einsum("nk,nk->n", normal, toward), 0.0)
-            irradiance += lights.lamp / reach**2 * cosine * self._caster.lit(points, toward, reach)
-        return mean(lit.astype(np.float64)), mean(self._reflectance * irradiance)
-
-    def _inside_earth(self, lights: Lights) -> Array:
-        """Share (D,) of the patch of sky around each direction that the Earth's disc fills."""
-        off_middle = np.arccos(np.clip(self._probes.directions_G @ lights.earth_direction_G, -1.0, 1.0))
-        return np.clip(0.5 + (lights.earth_radius_rad - off_middle) / (2.0 * CELL_RAD), 0.0, 1.0)
-
-
-def _lobe_samples(count: int, stratum: Stratum) -> Array:
-    """Points (rays, 2) in a lobe: the samples of a pixel share about ``count`` of them, on a spiral."""
-    rays = max(count // stratum.samples, 1)
-    index = np.arange(rays, dtype=np.float64) * stratum.samples + stratum.sample + 0.5
-    return spiral_points(index, rays * stratum.samples)
+            clear = np.where(self._specular > 0.0, lights.sun * probes.mean(lit.astype(np.float64)), 0.0)
+        seen = (probes.sees, probes.directions_G, level, clear, lights.earth * inside)
+        bounced, views = _gather(*seen, probes.normal_G, self._specular, self._alpha2, sun_G)
+        earth_share = share[:, None].astype(np.float32)
+        return IndirectField(bounced.astype(np.float32), earth_share, views, self._nearest)
 
 
 @compiled

@@ -294,19 +294,17 @@ def _poisson_disc_sample(points: Hits, spacing_m: float, rng: np.random.Generato
     # A difference of one radian between normals separates probes like one spacing.
     features = np.hstack([points.p_G, spacing_m * points.flat_normal_G])[order]
     pairs = cKDTree(features).query_pairs(spacing_m, output_type="ndarray")
-    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    taken = _greedy(len(order), pairs)
-    return np.sort(order[taken])
+    stays = np.ones(len(order), np.bool_)
+    _drop_second(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))], stays)
+    return np.sort(order[stays])
 
 
 @compiled
-def _greedy(count: int, pairs: Ints) -> Bools:
-    """Which of ``count`` points are kept; pairs (m, 2) of near ones, i < j, sorted by i."""
-    stays = np.ones(count, np.bool_)
+def _drop_second(pairs: Ints, stays: Bools) -> None:
+    """Of each pair (m, 2), i < j, sorted by i, drop the second if the first stays."""
     for m in range(len(pairs)):
         if stays[pairs[m, 0]]:
             stays[pairs[m, 1]] = False
-    return stays
 
 
 def _seen_from(

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from polhode.config import scene_settings as config
-from polhode.geometry.lie import Array, Ints, inverse_pose
+from polhode.geometry.lie import Array, inverse_pose
 from polhode.simulation.bodies import Body
 from polhode.simulation.rendering.appearance import SurfaceAppearance
 from polhode.simulation.rendering.indirect import IndirectLight
@@ -71,9 +71,14 @@ class Renderer:
             X_GN = inverse_pose(X_NG)
             X_GK = X_GN @ X_NK
             lights = lights_in_body(self.light, X_GN, X_GK @ inverse_pose(camera.X_CK), t_s)
-            pixels = self._pixels_near_body(camera, X_GK)
+            # Pixels whose ray intersects the body's bounding sphere.
+            centre_K = inverse_pose(X_GK)[:3, 3]
+            distance_m = float(np.linalg.norm(centre_K))
+            angle = np.arcsin(min(self._body.radius_m / distance_m, 1.0)) + 2.0 / camera.K[0, 0]
+            pixels = np.flatnonzero(camera.pixel_directions @ (centre_K / distance_m) > np.cos(angle))
             place_px = scattered_offsets(pixels, offsets[i], t_s) if self._scattered else offsets[i]
-            rays_G = _directions(camera, pixels, place_px) @ X_GK[:3, :3].T
+            v, u = np.divmod(pixels, camera.width_px)
+            rays_G = camera.directions(np.stack([u, v], axis=1) + place_px) @ X_GK[:3, :3].T
             hits = self.caster.first_hits(X_GK[:3, 3], rays_G)
             surface = self.appearance.at(hits)
             to_viewer = -rays_G[hits.ray]
@@ -95,18 +100,3 @@ class Renderer:
         mirror = SpecularTracer(self.caster, self.appearance, self._indirect, self._bounces)
         mirrored = mirror.level(hits, surface, to_viewer_G, lights, around, stratum)
         return IncidentLight(around.bounced(surface.normal_G), around.earth_share(), mirrored)
-
-    def _pixels_near_body(self, camera: Camera, X_GK: Array) -> Ints:
-        """Pixels whose ray intersects the body's bounding sphere."""
-        centre_K = inverse_pose(X_GK)[:3, 3]
-        distance = float(np.linalg.norm(centre_K))
-        margin_rad = 2.0 / camera.K[0, 0]
-        angle = np.arcsin(min(self._body.radius_m / distance, 1.0)) + margin_rad
-        return np.flatnonzero(camera.pixel_directions @ (centre_K / distance) > np.cos(angle))
-
-
-def _directions(camera: Camera, pixels: Ints, offset_px: Array) -> Array:
-    """Unit rays (n, 3) in the camera, through pixels (n,), at one offset (2,) or each at its own (n, 2) from
-    their centres [px]."""
-    v, u = np.divmod(pixels, camera.width_px)
-    return camera.directions(np.stack([u, v], axis=1) + offset_px)

@@ -95,16 +95,11 @@ def scattered_offsets(pixel: Ints, offset_px: Array, t_s: float) -> Array:
 
 def rays_over_disc(direction_G: Array, radius_rad: float, stratum: Stratum) -> Array:
     """Unit directions (n, 3) to points of the disc around direction_G (3,), one for each ray."""
-    place = np.tan(radius_rad) * stratum.on_disc(use=0)
-    bent = direction_G + place @ _across(direction_G)
-    return np.asarray(bent / np.sqrt(1.0 + np.einsum("nk,nk->n", place, place))[:, None])
-
-
-def _across(direction: Array) -> Array:
-    """Two unit vectors (2, 3) perpendicular to a unit direction (3,) and to each other."""
-    right = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    right = np.cross(direction_G, np.eye(3)[np.argmin(np.abs(direction_G))])
     right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(direction, right)])
+    place = np.tan(radius_rad) * stratum.on_disc(use=0)
+    bent = direction_G + place @ np.stack([right, np.cross(direction_G, right)])
+    return np.asarray(bent / np.sqrt(1.0 + np.einsum("nk,nk->n", place, place))[:, None])
 
 
 @compiled

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from polhode.geometry.lie import Array, Bools, Ints
+from polhode.geometry.lie import Array, Bools
 from polhode.simulation.rendering.appearance import SurfaceAppearance
 from polhode.simulation.rendering.indirect import IndirectAtHits, IndirectLight
 from polhode.simulation.rendering.light import Lights, disc_irradiance
@@ -62,43 +62,33 @@ def shade(
     to_viewer_G (n, 3) unit; to_sun_G (n, 3) unit, to the point of the Sun's disc that the shadow ray
     aims at, its centre if absent; incident: indirect light, none if absent.
     """
-    level = _filled(surface, to_viewer_G, lights, incident or IncidentLight())
-    n = len(level)
-    if lights.sun > 0:
-        visible = caster.lit(hits, lights.sun_direction_G if to_sun_G is None else to_sun_G)
-        toward = np.broadcast_to(lights.sun_direction_G, (n, 3))
-        level[visible] += lights.sun * _reflected(surface, toward, to_viewer_G, visible)
-    if lights.lamp > 0:
-        toward, reach = lights.lamp_from(hits.p_G)
-        visible = caster.lit(hits, toward, reach)
-        at_hit = lights.lamp / reach[visible] ** 2
-        level[visible] += at_hit * _reflected(surface, toward, to_viewer_G, visible)
-    return level
+    incident = incident or IncidentLight()
 
+    def direct(toward_G: Array, where: Bools) -> Array:
+        """Diffuse and specular reflection of unit light at the hits ``where`` (n,)."""
+        s, albedo = surface, surface.albedo[where]
+        lobe = (s.specular[where], s.roughness[where] ** 4)
+        return np.asarray(reflected(s.normal_G[where], toward_G[where], to_viewer_G[where], albedo, *lobe))
 
-def _filled(surface: Surface, to_viewer_G: Array, lights: Lights, incident: IncidentLight) -> Array:
-    """Level (n,) of the Earth and of other parts, diffuse and specular."""
+    # The Earth and other parts, diffuse and specular.
     cosine = surface.normal_G @ lights.earth_direction_G
     earth = lights.earth * incident.earth_share * disc_irradiance(cosine, lights.earth_radius_rad)
     level = surface.albedo * (1.0 - surface.specular) * (earth + incident.bounced)
     if incident.mirrored is not None:
-        return np.asarray(level + incident.mirrored)
-    share = specular_albedo(surface, to_viewer_G) * reflected_earth(surface, to_viewer_G, lights)
-    return np.asarray(level + lights.earth * incident.earth_share * share)
-
-
-def _reflected(surface: Surface, toward_G: Array, to_viewer_G: Array, where: Bools) -> Array:
-    """Diffuse and specular reflection of unit light at the points ``where`` (n,)."""
-    return np.asarray(
-        reflected(
-            surface.normal_G[where],
-            toward_G[where],
-            to_viewer_G[where],
-            surface.albedo[where],
-            surface.specular[where],
-            surface.roughness[where] ** 4,
-        )
-    )
+        level = level + incident.mirrored
+    else:
+        share = specular_albedo(surface, to_viewer_G) * reflected_earth(surface, to_viewer_G, lights)
+        level = level + lights.earth * incident.earth_share * share
+    if lights.sun > 0:
+        visible = caster.lit(hits, lights.sun_direction_G if to_sun_G is None else to_sun_G)
+        toward = np.broadcast_to(lights.sun_direction_G, (len(level), 3))
+        level[visible] += lights.sun * direct(toward, visible)
+    if lights.lamp > 0:
+        toward, reach = lights.lamp_from(hits.p_G)
+        visible = caster.lit(hits, toward, reach)
+        at_hit = lights.lamp / reach[visible] ** 2
+        level[visible] += at_hit * direct(toward, visible)
+    return np.asarray(level)
 
 
 class SpecularTracer:
@@ -123,9 +113,8 @@ class SpecularTracer:
         share = specular_albedo(surface, to_viewer_G)
         sharp = np.flatnonzero((surface.roughness**2 < SHARP_ALPHA) & (share > MIN_TRACED_SHARE))
         if len(sharp) > 0:
-            traced = self._traced(
-                hits[sharp], _part(surface, sharp), to_viewer_G[sharp], lights, stratum[sharp]
-            )
+            part = Surface(*(getattr(surface, field.name)[sharp] for field in fields(surface)))
+            traced = self._traced(hits[sharp], part, to_viewer_G[sharp], lights, stratum[sharp])
             fade = np.minimum((share[sharp] - MIN_TRACED_SHARE) / (FULL_TRACED_SHARE - MIN_TRACED_SHARE), 1.0)
             level[sharp] += fade * (traced - level[sharp])
         return level
@@ -139,16 +128,12 @@ class SpecularTracer:
         rays, weight = lobe_rays(*lobe, LOBE_CORE * stratum.on_disc(use=1), hits.flat_normal_G)
         met = self._caster.next_hits(hits, rays)
         seen = lights.earth * earth_share_of_lobe(rays, EARTH_EDGE * alpha, lights)
-        seen[met.ray] = self._radiance(met, -rays[met.ray], lights) if self._bounces else 0.0
+        seen[met.ray] = 0.0
+        if self._bounces:
+            # The hits of traced rays, under Sun, Earth and lamp.
+            there = self._appearance.at(met)
+            there = replace(there, roughness=np.maximum(there.roughness, MIN_TRACED_ROUGHNESS))
+            incident = IncidentLight(earth_share=self._indirect.at(met, lights).earth_share())
+            back = -rays[met.ray]
+            seen[met.ray] = shade(met, there, back, lights, self._caster, incident=incident)
         return weight * seen
-
-    def _radiance(self, hits: Hits, to_viewer_G: Array, lights: Lights) -> Array:
-        """Level (n,) of hits of traced rays, under Sun, Earth and lamp."""
-        surface = self._appearance.at(hits)
-        surface = replace(surface, roughness=np.maximum(surface.roughness, MIN_TRACED_ROUGHNESS))
-        incident = IncidentLight(earth_share=self._indirect.at(hits, lights).earth_share())
-        return shade(hits, surface, to_viewer_G, lights, self._caster, incident=incident)
-
-
-def _part(surface: Surface, which: Ints) -> Surface:
-    return Surface(*(getattr(surface, field.name)[which] for field in fields(surface)))

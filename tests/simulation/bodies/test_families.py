@@ -11,7 +11,7 @@ from polhode.simulation.bodies import Body, build_body
 from polhode.simulation.bodies.build import FAMILIES
 from polhode.simulation.bodies.families.asteroid import asteroid_parts
 from polhode.simulation.bodies.part import Part, join
-from polhode.simulation.bodies.textures.part_builder import PartBuilder, texture_generator
+from polhode.simulation.bodies.textures.part_builder import GENERATORS, PartBuilder
 
 BUILT = ["free_flyer", "bus", "upper_stage", "dish", "truss", "cubesat"]
 SIZE_M = 0.4
@@ -21,8 +21,7 @@ SIZE_M = 0.4
 def _parts(family: str, seed: int = 3, texture: str = "drawn") -> list[Part]:
     rng, ink = np.random.default_rng([1, seed]), np.random.default_rng([2, seed])
     # Coarse drawings: these tests look at shapes.
-    textures = texture_generator("drawn" if texture == "drawn" else "collage")
-    return FAMILIES[family](SIZE_M, PartBuilder(textures, rng, ink, SIZE_M / 120))
+    return FAMILIES[family](SIZE_M, PartBuilder(GENERATORS[texture], rng, ink, SIZE_M / 120))
 
 
 def _overlaps(triangles: Array, normal: Array) -> Array:
@@ -110,9 +109,7 @@ def test_a_body_twice_as_large_is_the_same_in_all_proportions() -> None:
 def test_asteroids_differ_in_shape_and_are_closed() -> None:
     spread = []
     for seed in (1, 2, 3):
-        builder = PartBuilder(
-            texture_generator("drawn"), np.random.default_rng(seed), np.random.default_rng(0), 1.0
-        )
+        builder = PartBuilder(GENERATORS["drawn"], np.random.default_rng(seed), np.random.default_rng(0), 1.0)
         (part,) = asteroid_parts(0.3, builder, subdivisions=4)
         assert part.mesh.is_watertight
         spread.append(np.sort(np.linalg.eigvalsh(part.mesh.moment_inertia)))

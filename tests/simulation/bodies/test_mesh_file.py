@@ -80,7 +80,7 @@ def test_telling_names_choose_the_material(name: str, material: object) -> None:
     assert material_by_name(name) == material
 
 
-def test_an_obj_without_its_material_library_is_read_by_its_names(tmp_path: Path) -> None:
+def test_names_are_read_from_objs_without_library_and_from_scene_graphs(tmp_path: Path) -> None:
     path = tmp_path / "craft.obj"
     lines = ["mtllib gone.mtl", "o craft"]
     for k, name in enumerate(["gold_foil", "solar_cells", "gold_foil"]):
@@ -93,9 +93,6 @@ def test_an_obj_without_its_material_library_is_read_by_its_names(tmp_path: Path
     assert {part.name for part in body.parts} == {"craft_gold_foil", "craft_solar_cells"}
     assert {FOIL_GOLD, SOLAR_CELL} <= set(body.materials)
     assert sum(part.volume_m3 for part in body.parts) == pytest.approx(3.0)
-
-
-def test_a_scene_graph_keeps_its_names_and_places(tmp_path: Path) -> None:
     scene = trimesh.Scene()
     far = trimesh.transformations.translation_matrix([2.0, 0, 0])
     scene.add_geometry(_box(), node_name="solar_wing", transform=far)
@@ -146,7 +143,7 @@ def test_colours_of_vertices_are_decoded_and_interpolated(tmp_path: Path, kind: 
     np.testing.assert_allclose(_surface(path, face, weights).albedo, expected, atol=0.004)
 
 
-def test_colours_of_faces_stay_on_their_faces(tmp_path: Path) -> None:
+def test_colours_of_faces_stay_on_their_faces_in_linear_grey(tmp_path: Path) -> None:
     box = _box()
     code = np.linspace(30, 245, 12).astype(np.uint8)
     colours = np.column_stack([code, code, code, np.full(12, 255)])
@@ -155,9 +152,6 @@ def test_colours_of_faces_stay_on_their_faces(tmp_path: Path) -> None:
     box.export(path)
     albedo = _surface(path, np.arange(12), np.tile([0.2, 0.3, 0.5], (12, 1))).albedo
     np.testing.assert_allclose(albedo, linear_grey(np.repeat(code[:, None] / 255.0, 3, axis=1)), atol=1e-6)
-
-
-def test_grey_is_linear_and_weighted_as_in_rec_709() -> None:
     np.testing.assert_allclose(linear_grey(np.eye(3)), [0.2126, 0.7152, 0.0722])
     np.testing.assert_allclose(linear_grey(np.full(3, 0.5)), 0.21404, atol=1e-5)
     np.testing.assert_allclose(linear_grey(np.full(3, 0.5), encoded=False), 0.5)
@@ -184,15 +178,12 @@ def test_a_rock_is_told_by_its_shape(tmp_path: Path) -> None:
     assert _body(tmp_path / "thing.stl").materials == (REGOLITH,)
 
 
-def test_texture_fits_the_body_at_any_scale(tmp_path: Path) -> None:
+def test_texture_fits_the_body_at_any_scale_and_words_tell_its_size(tmp_path: Path) -> None:
     _box().export(tmp_path / "box.stl")
     small, large = (_body(tmp_path / "box.stl", metres_per_unit=unit) for unit in (0.1, 10.0))
     assert large.texture_scale == pytest.approx(100.0 * small.texture_scale)
     for a, b in zip(small.charts, large.charts, strict=True):
         assert a.image.shape == b.image.shape
-
-
-def test_a_body_in_words_tells_its_size(tmp_path: Path) -> None:
     _box().export(tmp_path / "box.stl")
     words = describe(_body(tmp_path / "box.stl", metres_per_unit=0.01))
     assert "0.002 x 0.003 x 0.004 m" in words and "12 faces" in words and "\n" not in words

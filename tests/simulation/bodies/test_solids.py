@@ -32,9 +32,6 @@ def test_all_solids_are_closed_and_wound_outwards() -> None:
         ring,
     ):
         assert solid.is_watertight and solid.is_winding_consistent and solid.volume > 0
-
-
-def test_a_profile_that_runs_down_is_turned_outwards_too() -> None:
     assert revolve([(0, 1.0), (1.0, 1.0), (1.0, 0.0), (0, 0)], 12).mesh.volume > 0
 
 
@@ -60,14 +57,11 @@ def test_a_bevelled_box_keeps_its_extents_and_loses_its_edges() -> None:
         assert 0 < solid.area_faces[slanted].sum() < 0.5 * solid.area
 
 
-def test_each_panel_of_a_revolved_solid_is_flat() -> None:
+def test_panels_of_a_revolved_solid_are_flat_and_a_cap_runs_from_the_axis_to_the_rim() -> None:
     solid = revolve([(0, 0), (1.0, 0.2), (0.6, 0.8), (0, 1.0)], 16)
     assert (solid.panels[[0, 2]] >= 0).sum() == 2 * 16 and (solid.panels[1] >= 0).all()
     normals = solid.mesh.face_normals[solid.panels[1]]
     np.testing.assert_allclose(normals[:, 0], normals[:, 1], atol=1e-12)
-
-
-def test_a_cap_runs_from_the_axis_to_the_rim() -> None:
     cap = ellipsoid_cap(2.0, 0.5)
     np.testing.assert_allclose(cap[[0, -1]], [[0, 0.5], [2.0, 0]], atol=1e-12)
     np.testing.assert_allclose((cap[:, 0] / 2.0) ** 2 + (cap[:, 1] / 0.5) ** 2, 1.0)
@@ -83,7 +77,7 @@ def test_poses_are_rigid_and_turn_z_to_the_direction(direction: list[float]) -> 
     np.testing.assert_allclose(frame(X[:3, 0], X[:3, 2], [1, 2, 3]), X, atol=1e-12)
 
 
-def test_a_box_has_six_sides_whatever_its_size() -> None:
+def test_flat_sides_are_those_of_boxes_and_towers_and_ends_of_curved_walls() -> None:
     for scale in (0.01, 1.0, 300.0):
         mesh = trimesh.creation.box().subdivide()
         mesh.apply_scale(scale)
@@ -91,26 +85,14 @@ def test_a_box_has_six_sides_whatever_its_size() -> None:
         regions = flat_regions(mesh, 0.5 * scale**2)
         assert sorted(len(faces) for faces in regions) == [8] * 6
         assert flat_regions(mesh, 1.5 * scale**2) == []
-
-
-def test_bevels_part_the_sides_of_a_box() -> None:
     assert len(flat_regions(box([1, 1, 1], bevel=0.05), 0.1)) == 6
-
-
-def test_the_largest_side_comes_first() -> None:
     regions = flat_regions(trimesh.creation.box([1, 2, 3]), 1.0)
     mesh = trimesh.creation.box([1, 2, 3])
     np.testing.assert_allclose([mesh.area_faces[faces].sum() for faces in regions], [6, 6, 3, 3, 2, 2])
-
-
-def test_curved_walls_have_no_sides_but_their_ends_have() -> None:
     wall = revolve([(0, 0), (1.0, 0), (1.0, 3.0), (0, 3.0)], 32).mesh
     assert len(flat_regions(wall, 0.05)) == 2
     assert flat_regions(trimesh.creation.icosphere(subdivisions=4), 1e-4) == []
     assert flat_regions(trimesh.creation.icosphere(subdivisions=2), 1e-4) == []
-
-
-def test_a_hexagonal_tower_has_sides() -> None:
     assert len(flat_regions(revolve([(0, 0), (1.0, 0), (1.0, 3.0), (0, 3.0)], 6).mesh, 0.05)) == 8
 
 

@@ -22,17 +22,21 @@ def dataset(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_dataset_of_an_earlier_version_is_recognised(dataset: Path) -> None:
+def test_one_file_more_makes_it_the_users(dataset: Path) -> None:
     assert is_whole(dataset)
-
-
-@pytest.mark.parametrize(
-    "name", ["notes.txt", "mav0/notes.txt", "mav0/cam0/data/left.png", "mav0/cam2/data/1.png", "flight.bag"]
-)
-def test_one_file_more_makes_it_the_users(name: str, dataset: Path) -> None:
-    (dataset / name).parent.mkdir(parents=True, exist_ok=True)
-    (dataset / name).write_text("mine")
-    assert why_not_ours(dataset) == f"it holds {name}"
+    for name in (
+        "notes.txt",
+        "mav0/notes.txt",
+        "mav0/cam0/data/left.png",
+        "mav0/cam2/data/1.png",
+        "flight.bag",
+    ):
+        (dataset / name).parent.mkdir(parents=True, exist_ok=True)
+        (dataset / name).write_text("mine")
+        assert why_not_ours(dataset) == f"it holds {name}"
+        (dataset / name).unlink()
+        if "cam2" in name:
+            shutil.rmtree(dataset / "mav0/cam2")
 
 
 def test_an_empty_folder_or_a_link_makes_it_the_users(dataset: Path, tmp_path: Path) -> None:
@@ -87,18 +91,9 @@ def test_a_scene_that_cannot_be_read_is_no_proof(dataset: Path) -> None:
     assert why_not_ours(dataset) == "it has no scene.yaml"
 
 
-@pytest.mark.parametrize(
-    ("name", "is_ours"),
-    [
-        (".made_by", True),
-        (".frames/3.done", True),
-        (".frames/3/cam0/data/17.png", True),
-        (".frames/3/truth0/.17.partial-44.npz", True),
-        ("mav0/cam0/data/17.png", True),
-        (".frames/3/notes.txt", False),
-        ("notes.txt", False),
-        ("mav0/cam0/data/17.txt", False),
-    ],
-)
-def test_names_in_the_hidden_folder(name: str, is_ours: bool) -> None:
-    assert is_staged_file(name) == is_ours
+def test_names_in_the_hidden_folder() -> None:
+    for name in (".made_by", ".frames/3.done", ".frames/3/cam0/data/17.png", "mav0/cam0/data/17.png",
+                 ".frames/3/truth0/.17.partial-44.npz"):  # fmt: skip
+        assert is_staged_file(name)
+    for name in (".frames/3/notes.txt", "notes.txt", "mav0/cam0/data/17.txt"):
+        assert not is_staged_file(name)

@@ -10,21 +10,16 @@ import trimesh
 
 from polhode.config import scene_settings as config
 from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose
-from polhode.records.dataset import open_sequence
 from polhode.runtime.errors import InputError
-from polhode.runtime.progress import Silent
 from polhode.simulation.bodies.part import Body, Part, assemble
 from polhode.simulation.dataset.frame_renderer import (
     CAST_SHADOW,
     FACING_AWAY,
     Products,
-    products_path,
     read_products,
     render_products,
     write_products,
 )
-from polhode.simulation.dataset.plan import plan_sequence
-from polhode.simulation.dataset.sequence import simulate
 from polhode.simulation.rendering.render import Renderer
 from polhode.simulation.stereo_camera import Camera, build_cameras
 from polhode.simulation.surface.materials import Material
@@ -96,55 +91,6 @@ def test_albedo_is_that_of_the_material_and_beside_the_target_nothing_is_known()
         assert values is not None
         assert np.isnan(values[~truth.mask]).all()
         assert np.isfinite(values[truth.mask]).all()
-
-
-def _scene(**render: object) -> config.Scene:
-    rig = {"width_px": 64, "height_px": 48, "focal_px": 50.0}
-    motion = {"position_m": [0.04, 0.0, 0.6], "spin_rpm": [1.0, 9.0, 0.0]}
-    # Without the light from part to part, which takes a second to prepare.
-    light, render = {"earth": 0.0}, {"bounces": 0, **render}
-    return config.Scene.model_validate(
-        {"frames": 3, "rig": rig, "motion": motion, "light": light, "render": render}
-    )
-
-
-def _bytes(folder: Path) -> dict[str, bytes]:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-
-
-@pytest.fixture(scope="module")
-def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A sequence with all products."""
-    folder = tmp_path_factory.mktemp("products") / "S"
-    simulate(_scene(products=ALL), 4, folder, Silent(), workers=1)
-    return folder
-
-
-def test_products_add_files_and_change_no_others(stored: Path, tmp_path: Path) -> None:
-    simulate(_scene(), 4, tmp_path / "S", Silent(), workers=1)
-    plain, full = _bytes(tmp_path / "S"), _bytes(stored)
-    same = plain.keys() - {"scene.yaml"}  # it says what was asked for
-    assert {name: full[name] for name in same} == {name: plain[name] for name in same}
-    stamps = open_sequence(stored).timestamps_ns
-    added = [f"mav0/truth{index}/{stamp}.npz" for index in (0, 1) for stamp in stamps]
-    assert sorted(full.keys() - plain.keys()) == added
-
-
-def test_a_reader_of_the_sequence_does_not_see_the_products(stored: Path) -> None:
-    sequence = open_sequence(stored)
-    assert not sequence.warnings
-    assert sequence.read_pair(0).mask_left is None
-
-
-def test_products_read_back_as_rendered(stored: Path) -> None:
-    plan = plan_sequence(_scene(), 4)
-    renderer = Renderer(plan.body, plan.scene, 4)
-    for index, camera in enumerate(plan.cameras):
-        X_NK = plan.X_NC[1] @ camera.X_CK
-        truth = render_products(renderer, camera, X_NK, plan.target.X_NG[1], ALL)
-        found = read_products(products_path(stored / "mav0", index, int(plan.target.timestamps_ns[1])))
-        for name in ALL:
-            np.testing.assert_allclose(getattr(found, name), getattr(truth, name), rtol=1e-7, atol=1e-7)
 
 
 def test_a_file_holds_what_was_asked_for(tmp_path: Path) -> None:

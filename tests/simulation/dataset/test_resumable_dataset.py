@@ -9,22 +9,14 @@ from pathlib import Path
 import pytest
 
 import polhode.simulation.dataset.sequence as sequence
-from polhode.config.scene_settings import Scene
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Advance, Silent
 from polhode.simulation.dataset.resumable_dataset import staged_dataset
 from polhode.simulation.dataset.sequence import simulate
+from tests.simulation.small_scenes import files, small_scene
 
-SCENE = Scene.model_validate(
-    {
-        "frames": 4,
-        "truth_horizon_s": 1.0,
-        "rig": {"width_px": 48, "height_px": 36, "focal_px": 35.0},
-        "motion": {"position_m": [0.04, 0.0, 0.6]},
-        "light": {"earth": 0.0},
-        "render": {"masks": True, "products": ["depth"], "samples": 1, "bounces": 0},
-    }
-)
+RIG = {"width_px": 48, "height_px": 36, "focal_px": 35.0}
+SCENE = small_scene(frames=4, rig=RIG, render={"masks": True, "products": ["depth"], "samples": 1})
 
 
 class _Listener:
@@ -38,6 +30,8 @@ class _Listener:
     def stage(self, title: str, total: int) -> Iterator[Advance]:
         del total
         self.title = title
+        if self.patience == 0:
+            raise self.error
 
         def advance() -> None:
             self.frames += 1
@@ -45,10 +39,6 @@ class _Listener:
                 raise self.error
 
         yield advance
-
-
-def _files(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
 def _names(folder: Path) -> list[str]:
@@ -59,7 +49,7 @@ def _names(folder: Path) -> list[str]:
 def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("whole") / "S"
     simulate(SCENE, 4, folder, Silent())
-    return _files(folder)
+    return files(folder)
 
 
 def test_an_interrupted_rendering_resumes_and_gives_the_same_bytes(
@@ -72,7 +62,7 @@ def test_an_interrupted_rendering_resumes_and_gives_the_same_bytes(
     simulate(SCENE, 4, tmp_path / "S", second, workers=1)
     kept = int(second.title.removeprefix("rendering (").split()[0])
     assert kept >= 2 and kept + second.frames == 4
-    assert _files(tmp_path / "S") == whole
+    assert files(tmp_path / "S") == whole
     assert _names(tmp_path) == ["S"]
 
 
@@ -100,7 +90,7 @@ def test_a_killed_rendering_resumes_and_gives_the_same_bytes(tmp_path: Path, who
     last = _Listener()
     simulate(SCENE, 4, tmp_path / "S", last)
     assert (last.title, last.frames) == ("rendering (3 of 4 were there)", 1)
-    assert _files(tmp_path / "S") == whole
+    assert files(tmp_path / "S") == whole
 
 
 def test_a_damaged_frame_is_rendered_again(tmp_path: Path, whole: dict[str, bytes]) -> None:
@@ -112,7 +102,7 @@ def test_a_damaged_frame_is_rendered_again(tmp_path: Path, whole: dict[str, byte
     last = _Listener()
     simulate(SCENE, 4, tmp_path / "S", last)
     assert last.frames >= 2
-    assert _files(tmp_path / "S") == whole
+    assert files(tmp_path / "S") == whole
 
 
 @pytest.mark.parametrize("change", ["scene", "seed", "program"])
@@ -128,38 +118,25 @@ def test_a_staged_dataset_of_another_scene_or_program_is_cleared(
     second = _Listener()
     simulate(SCENE, 4, tmp_path / "S", second)
     assert (second.title, second.frames) == ("rendering", 4)
-    assert _files(tmp_path / "S") == whole
+    assert files(tmp_path / "S") == whole
 
 
-def test_an_interrupt_before_the_first_frame_leaves_nothing(tmp_path: Path) -> None:
-    class Impatient(_Listener):
-        @contextmanager
-        def stage(self, title: str, total: int) -> Iterator[Advance]:
-            raise KeyboardInterrupt
-            yield
-
-    with pytest.raises(KeyboardInterrupt, match=r"^interrupted$"):
-        simulate(SCENE, 4, tmp_path / "S", Impatient())
+@pytest.mark.parametrize(("patience", "error"), [(0, KeyboardInterrupt), (2, InputError)])
+def test_an_interrupt_before_the_first_frame_or_a_late_input_error_leaves_nothing(
+    tmp_path: Path, patience: int, error: type[BaseException]
+) -> None:
+    with pytest.raises(error, match=r"^interrupted$" if patience == 0 else None):
+        simulate(SCENE, 4, tmp_path / "S", _Listener(patience, error))
     assert _names(tmp_path) == []
 
 
-def test_a_late_input_error_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(InputError):
-        simulate(SCENE, 4, tmp_path / "S", _Listener(2, InputError))
-    assert _names(tmp_path) == []
-
-
-def test_the_old_dataset_exists_until_the_new_one_is_complete(
+def test_the_old_dataset_exists_until_the_new_one_is_complete_and_nothing_of_it_after(
     tmp_path: Path, whole: dict[str, bytes]
 ) -> None:
     simulate(SCENE, 4, tmp_path / "S", Silent())
     with pytest.raises(KeyboardInterrupt):
         simulate(SCENE, 5, tmp_path / "S", _Listener(1), overwrite=True)
-    assert _files(tmp_path / "S") == whole
-
-
-def test_replacing_leaves_nothing_of_the_old_dataset(tmp_path: Path) -> None:
-    simulate(SCENE, 4, tmp_path / "S", Silent())
+    assert files(tmp_path / "S") == whole
     shorter = SCENE.model_copy(update={"frames": 1})
     simulate(shorter, 4, tmp_path / "S", Silent(), overwrite=True)
     assert len(list((tmp_path / "S/mav0/cam0/data").iterdir())) == 1

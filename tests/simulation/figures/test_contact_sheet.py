@@ -54,18 +54,12 @@ def test_one_command_draws_all_scenes(tmp_path: Path) -> None:
         assert np.mean(place > 40) > 0.1
 
 
-def test_frames_lie_evenly_over_those_that_arrive() -> None:
+def test_frames_show_what_arrives_the_eclipse_and_the_target_leaving() -> None:
     assert frames_to_show(_plan()) == [1, 3, 5, 7]
     assert frames_to_show(_plan(sensor={"dropped_frames": [0, 1, 2, 3]})) == [4, 5, 6, 7]
-
-
-def test_frames_of_an_eclipse_show_light_dusk_dark_and_dawn() -> None:
     light = {"eclipse": {"start_s": 10.0, "duration_s": 8.0, "ramp_s": 4.0}}
     plan = _plan(frames=60, light=light)
     assert [plan.time_s(k) for k in frames_to_show(plan)] == [5.0, 8.0, 14.0, 20.0]
-
-
-def test_frames_of_a_target_that_leaves_and_comes_back_show_it_leave_and_gone() -> None:
     poses = [{"t_s": 4.0}, {"t_s": 6.0, "attitude_deg": [0, 90, 0]}, {"t_s": 9.0, "attitude_deg": [0, 90, 0]}]
     inspector = {"profile": "waypoints", "waypoints": [*poses, {"t_s": 11.0}]}
     before, leaving, gone, after = frames_to_show(_plan(frames=30, inspector=inspector))
@@ -84,9 +78,6 @@ def test_the_parts_shown_hold_the_whole_target_at_one_scale() -> None:
         uv = plan.cameras[0].project(transform_points(X_CG, plan.body.mesh.vertices))
         assert (uv > (left, top)).all() and (uv < (right, bottom)).all()
         assert right - left < 0.6 * 96
-
-
-def test_the_whole_image_is_shown_when_the_target_leaves_it() -> None:
     away = _plan(motion={"position_m": [0.0, 0.0, 0.8], "velocity_mm_s": [500, 0, 0]})
     assert boxes_around(away, [0, 7]) == [(0.0, 0.0, 96.0, 72.0)] * 2
 

@@ -31,7 +31,7 @@ def test_the_command_writes_points_and_a_picture(tmp_path: Path, capsys: pytest.
         assert 0 < found["visible"].sum() < len(found["visible"])
         assert np.isfinite(found["p_G"]).all()
     coloured = np.asarray(Image.open(picture).convert("RGB")).astype(int)
-    assert (np.ptp(coloured, axis=-1) > 60).sum() > 100
+    assert (np.ptp(coloured, axis=-1) > 60).sum() > 1000
 
 
 @pytest.mark.parametrize(

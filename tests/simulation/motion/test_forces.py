@@ -11,7 +11,7 @@ import pytest
 
 from polhode.geometry.lie import Array
 from polhode.simulation.dataset.sequence import plan_sequence, write_estimator_inputs
-from polhode.simulation.motion.forces import cell_length_s, known_wrench
+from polhode.simulation.motion.forces import known_wrench
 from polhode.simulation.motion.target import TargetMotion, target_motion, timestamps
 from tests.simulation.motion.motion_scenes import MASS_KG, mass_of, scene_of
 
@@ -36,7 +36,7 @@ def _pushed(*pushes: dict[str, Any], interval_s: float = 0.5, frames: int = 21) 
     return target_motion(scene_of(frames, interval_s, pushes=pushes), mass_of(SPHERE), 0)
 
 
-def test_a_constant_force_changes_the_velocity_while_it_lasts() -> None:
+def test_constant_forces_sines_and_overlaps_change_velocity_by_their_integrals() -> None:
     motion = _pushed({"start_s": 1.3, "duration_s": 4.0, "force_N": [0.02, 0.0, -0.01]})
     on_s = np.clip(motion.t_s - 1.3, 0.0, 4.0)
     accel_N = np.array([0.02, 0.0, -0.01]) / MASS_KG
@@ -44,18 +44,12 @@ def test_a_constant_force_changes_the_velocity_while_it_lasts() -> None:
     way = 0.5 * on_s**2 + on_s * (motion.t_s - 1.3 - on_s) * (motion.t_s > 1.3)
     np.testing.assert_allclose(motion.r_N - motion.r_N[0], way[:, None] * accel_N, atol=1e-14)
     np.testing.assert_allclose(motion.w_P, 0.0, atol=1e-300)
-
-
-def test_a_sine_starts_at_zero_and_ends_with_its_span() -> None:
     period_s, torque = 1.7, 2e-3
     motion = _pushed({"start_s": 0.4, "duration_s": 4.0, "torque_P": [0, torque, 0], "period_s": period_s})
     rate = 2 * np.pi / period_s
     on_s = np.clip(motion.t_s - 0.4, 0.0, 4.0)
     expected = torque / SPHERE[1] * (1 - np.cos(rate * on_s)) / rate
     np.testing.assert_allclose(motion.w_P[:, 1], expected, atol=1e-13)
-
-
-def test_pushes_that_overlap_add_up() -> None:
     motion = _pushed(
         {"start_s": 0.0, "duration_s": 6.0, "force_N": [0.01, 0, 0]},
         {"start_s": 2.0, "duration_s": 8.0, "force_N": [0.03, 0, 0], "torque_P": [0, 0, 1e-3]},
@@ -94,21 +88,15 @@ def disturbed() -> TargetMotion:
     return target_motion(scene, mass_of(SPHERE), 11)
 
 
-def test_the_velocitys_steps_have_the_stated_density(disturbed: TargetMotion) -> None:
+def test_white_disturbances_have_the_stated_density(disturbed: TargetMotion) -> None:
+    """Position step minus that of the old velocity: variance psd dt^3 / 3, correlation sqrt(3)/2 with v's."""
     steps = np.diff(disturbed.v_N, axis=0)
     np.testing.assert_allclose(steps.var(axis=0), 4e-6 * 0.1, rtol=4 * np.sqrt(2 / 4000))
     assert np.abs(steps.mean(axis=0)).max() < 4 * np.sqrt(4e-7 / 4000)
     following = np.sum(steps[1:] * steps[:-1], axis=0) / np.sum(steps**2, axis=0)
     assert np.abs(following).max() < 4 / np.sqrt(4000)
-
-
-def test_the_torque_over_the_middle_moment_has_the_stated_density(disturbed: TargetMotion) -> None:
     steps = np.diff(disturbed.h_P, axis=0) / SPHERE[1]
     np.testing.assert_allclose(steps.var(axis=0), 9e-10 * 0.1, rtol=4 * np.sqrt(2 / 4000))
-
-
-def test_position_wanders_within_an_interval_as_white_acceleration_makes_it(disturbed: TargetMotion) -> None:
-    """Position step minus that of the old velocity: variance psd dt^3 / 3, correlation sqrt(3)/2 with v's."""
     step_r = np.diff(disturbed.r_N, axis=0) - 0.1 * disturbed.v_N[:-1]
     np.testing.assert_allclose(step_r.var(axis=0), 4e-6 * 0.1**3 / 3, rtol=0.1)
     for axis in range(3):
@@ -124,11 +112,10 @@ def test_unequal_moments_take_unequal_steps_of_rate() -> None:
     np.testing.assert_allclose(steps.var(axis=0), expected, rtol=4 * np.sqrt(2 / 2000))
 
 
-@pytest.mark.parametrize(("interval_s", "cell_s"), [(0.5, 0.025), (2.0, 0.025), (0.1, 0.005)])
-def test_disturbances_are_constant_for_a_twentieth_of_an_interval_at_most(
-    interval_s: float, cell_s: float
-) -> None:
-    assert cell_length_s(scene_of(interval_s=interval_s)) == pytest.approx(cell_s)
+def test_disturbances_are_constant_for_a_twentieth_of_an_interval_at_most() -> None:
+    for interval_s, cell_s in ((0.5, 0.025), (2.0, 0.025), (0.1, 0.005)):
+        motion = target_motion(scene_of(3, interval_s=interval_s, accel_psd=1e-6), mass_of(), 0)
+        assert motion.forces.knots_s[0] == pytest.approx(cell_s)
 
 
 def test_white_noise_and_pushes_and_drag_act_together() -> None:
@@ -148,21 +135,23 @@ def _rows() -> tuple[Array, Array, Array]:
     return (stamps - scene.start_ns) / 1e9, force_N, torque_P
 
 
-def test_rows_are_in_order_at_20_hz_and_more_and_cover_the_truth() -> None:
+def test_rows_cover_the_truth_at_20_hz_with_1_ns_at_jumps_and_torques_beside_forces() -> None:
     t_s, _, _ = _rows()
     assert t_s[0] == 0.0
     assert t_s[-1] == 6.0
     assert (np.diff(t_s) > 0).all()
     assert np.diff(t_s).max() <= 0.05 + 1e-9
-
-
-def test_a_jump_lies_between_two_rows_1_ns_apart() -> None:
     t_s, force_N, _ = _rows()
     for edge_s, axis, before, after in [(1.25, 0, 0.01, 0.0), (4.4, 2, 0.0, -0.01)]:
         row = int(np.searchsorted(t_s, edge_s - 1e-12))
         assert t_s[row] == pytest.approx(edge_s, abs=1e-12)
         assert t_s[row] - t_s[row - 1] == pytest.approx(1e-9, rel=1e-3)
         assert (force_N[row - 1, axis], force_N[row, axis]) == (before, after)
+    t_s, _, torque_P = _rows()
+    inside = (t_s > 1.25) & (t_s < 3.2 - 1e-12)
+    expected = 1e-3 * np.sin(2 * np.pi * (t_s[inside] - 1.2) / 0.8)
+    np.testing.assert_allclose(torque_P[inside, 2], expected, atol=1e-9)
+    np.testing.assert_array_equal(torque_P[t_s < 1.25 - 1e-12, 1], 1e-3)
 
 
 @pytest.mark.parametrize("reader", ["hold", "interpolate"])
@@ -174,14 +163,6 @@ def test_either_reading_gives_the_velocity_of_the_truth(reader: str) -> None:
     motion = target_motion(scene_of(11, 0.5, 1.0, pushes=PUSHES), mass_of(), 0)
     read = np.stack([np.interp(motion.t_s, t_s, v_N[:, axis]) for axis in range(3)], axis=1)
     np.testing.assert_allclose(read, motion.v_N, atol=2e-5 if reader == "hold" else 1e-6)
-
-
-def test_torques_are_written_beside_the_forces() -> None:
-    t_s, _, torque_P = _rows()
-    inside = (t_s > 1.25) & (t_s < 3.2 - 1e-12)
-    expected = 1e-3 * np.sin(2 * np.pi * (t_s[inside] - 1.2) / 0.8)
-    np.testing.assert_allclose(torque_P[inside, 2], expected, atol=1e-9)
-    np.testing.assert_array_equal(torque_P[t_s < 1.25 - 1e-12, 1], 1e-3)
 
 
 @pytest.mark.parametrize("motion", [{}, {"pushes": PUSHES, "pushes_known": False}])

@@ -89,14 +89,11 @@ def test_jitter_stays_within_its_bands_around_the_course(profile: str) -> None:
         assert np.abs(np.corrcoef(deviation.T) - np.eye(3)).max() < 0.9
 
 
-def test_a_drift_is_steady() -> None:
+def test_a_drift_is_steady_and_a_circle_keeps_the_target_where_the_first_frame_has_it() -> None:
     motion = _motion("drift")
     np.testing.assert_allclose(motion.X_NC[:, :3, 3], motion.t_s[:, None] * [5e-3, 2e-3, -3e-3], atol=1e-15)
     turn = log_so3(np.swapaxes(motion.X_NC[:-1, :3, :3], 1, 2) @ motion.X_NC[1:, :3, :3])
     np.testing.assert_allclose(np.rad2deg(turn), np.tile([0.1, 0.2, -0.15], (40, 1)), atol=1e-12)
-
-
-def test_a_circle_keeps_the_target_where_the_first_frame_has_it() -> None:
     motion = _motion("circle")
     p_C = [X_NC[:3, :3].T @ (TARGET_N - X_NC[:3, 3]) for X_NC in motion.X_NC]
     np.testing.assert_allclose(p_C, np.tile(p_C[0], (41, 1)), atol=1e-12)
@@ -112,6 +109,8 @@ def test_an_approach_closes_in_at_its_speed_and_stops_at_its_distance() -> None:
     np.testing.assert_allclose(distance_m[motion.t_s > 11.0], 0.5, atol=1e-12)
     assert (np.diff(distance_m) <= 1e-15).all()
     np.testing.assert_array_equal(motion.X_NC[:, :3, :3], np.tile(motion.X_NC[0, :3, :3], (41, 1, 1)))
+    with pytest.raises(InputError, match=r"scene.inspector.position_m .* must start away from it"):
+        _motion("approach", position_m=TARGET_N.tolist())
 
 
 @pytest.mark.parametrize(("stop_m", "reached_m"), [(0.9, 0.8), (0.799, 0.799)])
@@ -121,7 +120,7 @@ def test_an_approach_that_starts_near_its_stop_goes_no_further(stop_m: float, re
     np.testing.assert_allclose(_velocities(motion)[0][-1], 0.0, atol=1e-9)
 
 
-def test_waypoints_are_met_in_time_and_the_ends_hold() -> None:
+def test_waypoints_are_met_in_time_the_ends_hold_and_two_are_joined_by_a_line() -> None:
     motion = _motion("waypoints")
     for point in WAYPOINTS:
         k = round(2 * point["t_s"])
@@ -132,19 +131,11 @@ def test_waypoints_are_met_in_time_and_the_ends_hold() -> None:
         np.testing.assert_allclose(motion.X_NC[held], motion.X_NC[held][:1].repeat(5, axis=0), atol=1e-14)
         for velocity in _velocities(motion):
             np.testing.assert_allclose(velocity[held], 0.0, atol=2e-5)
-
-
-def test_two_waypoints_are_joined_by_a_straight_line() -> None:
     motion = _motion("waypoints", waypoints=WAYPOINTS[:2])
     on_line = motion.X_NC[:, :3, 3]
     np.testing.assert_array_equal(on_line[:, 1:], 0.0)
     assert (np.diff(on_line[:, 0]) >= 0).all()
     assert on_line[10, 0] == pytest.approx(0.1)
-
-
-def test_an_approach_from_the_target_itself_is_refused() -> None:
-    with pytest.raises(InputError, match=r"scene.inspector.position_m .* must start away from it"):
-        _motion("approach", position_m=TARGET_N.tolist())
 
 
 def test_reported_poses_scatter_as_the_scene_says() -> None:

@@ -19,11 +19,21 @@ def body() -> Body:
     return build_body(config.TargetBody(), 0)
 
 
-def test_without_names_the_body_has_its_own_mass_properties(body: Body) -> None:
+def test_densities_and_mass_give_the_mass_properties(body: Body) -> None:
     mass = mass_distribution(config.Mass(density_kg_m3=500.0), body)
     assert mass.mass_kg == pytest.approx(500.0 * body.volume_m3)
     np.testing.assert_allclose(mass.com_G, body.com_G, atol=1e-15)
     np.testing.assert_allclose(mass.J_G, 500.0 * body.inertia_per_density, atol=1e-12)
+    by_density = mass_distribution(config.Mass(part_density_kg_m3={"tank": 4000.0}), body)
+    by_hand = mass_distribution(config.Mass(part_density_kg_m3={"tank": 4000.0}, mass_kg=4.487), body)
+    assert by_hand.mass_kg == pytest.approx(4.487)
+    np.testing.assert_allclose(by_hand.J_G, by_density.J_G * 4.487 / by_density.mass_kg, rtol=1e-12)
+    np.testing.assert_allclose(by_hand.com_G, by_density.com_G, atol=1e-15)
+    inertia = ((3e-2, 1e-4, 0.0), (1e-4, 2e-2, 0.0), (0.0, 0.0, 2.5e-2))
+    mass = mass_distribution(config.Mass(com_m=(1e-3, 2e-3, 3e-3), inertia_kg_m2=inertia, mass_kg=7.0), body)
+    np.testing.assert_array_equal(mass.com_G, [1e-3, 2e-3, 3e-3])
+    np.testing.assert_array_equal(mass.J_G, inertia)
+    assert mass.mass_kg == pytest.approx(7.0)
 
 
 def test_a_part_of_its_own_density_adds_its_own_mass(body: Body) -> None:
@@ -48,34 +58,12 @@ def _about_origin(J_G: np.ndarray, mass_kg: float, com_G: np.ndarray) -> np.ndar
     return np.asarray(J_G + mass_kg * (com_G @ com_G * np.eye(3) - np.outer(com_G, com_G)))
 
 
-def test_the_mass_by_hand_scales_the_inertia_of_the_densities(body: Body) -> None:
-    by_density = mass_distribution(config.Mass(part_density_kg_m3={"tank": 4000.0}), body)
-    by_hand = mass_distribution(config.Mass(part_density_kg_m3={"tank": 4000.0}, mass_kg=4.487), body)
-    assert by_hand.mass_kg == pytest.approx(4.487)
-    np.testing.assert_allclose(by_hand.J_G, by_density.J_G * 4.487 / by_density.mass_kg, rtol=1e-12)
-    np.testing.assert_allclose(by_hand.com_G, by_density.com_G, atol=1e-15)
-
-
-def test_what_is_set_by_hand_stands(body: Body) -> None:
-    inertia = ((3e-2, 1e-4, 0.0), (1e-4, 2e-2, 0.0), (0.0, 0.0, 2.5e-2))
-    mass = mass_distribution(config.Mass(com_m=(1e-3, 2e-3, 3e-3), inertia_kg_m2=inertia, mass_kg=7.0), body)
-    np.testing.assert_array_equal(mass.com_G, [1e-3, 2e-3, 3e-3])
-    np.testing.assert_array_equal(mass.J_G, inertia)
-    assert mass.mass_kg == pytest.approx(7.0)
-
-
-def test_an_unknown_part_is_refused_with_the_list_of_parts(body: Body) -> None:
+def test_an_unknown_part_and_an_impossible_inertia_are_refused(body: Body) -> None:
     with pytest.raises(InputError, match=r"part_density_kg_m3: the body has no part 'wing', only .*tank"):
         mass_distribution(config.Mass(part_density_kg_m3={"wing": 1.0}), body)
-
-
-def test_an_impossible_inertia_is_refused(body: Body) -> None:
     mass = config.Mass(com_m=(0, 0, 0), inertia_kg_m2=((3, 0, 0), (0, 1, 0), (0, 0, 1)))
     with pytest.raises(InputError, match="no body has the principal moments 1, 1, 3"):
         mass_distribution(mass, body)
-
-
-def test_an_inertia_that_is_not_symmetric_is_refused(body: Body) -> None:
     mass = config.Mass(inertia_kg_m2=((3, 0.1, 0), (0, 2, 0), (0, 0, 2)))
     with pytest.raises(InputError, match="not symmetric"):
         mass_distribution(mass, body)

@@ -80,10 +80,16 @@ def _mujoco_attitude(moments: Array, R_NP: Array, w_P: Array, duration_s: float)
     return matrix_from_wxyz(data.qpos[3:7])
 
 
-def test_centre_of_mass_in_G_maps_to_its_position_in_N(ts38: config.Scene, mass: MassDistribution) -> None:
+def test_frames_cancel_and_the_first_state_is_the_scenes(ts38: config.Scene, mass: MassDistribution) -> None:
     motion = target_motion(_changed(ts38, frames=5, truth_horizon_s=2.0), mass, 0)
     np.testing.assert_allclose(transform_points(motion.X_NG, mass.com_G[None])[:, 0], motion.r_N, atol=1e-15)
     np.testing.assert_allclose(motion.X_NG[:, :3, :3] @ mass.R_GP, motion.R_NP, atol=1e-14)
+    w_P = np.array([0.2, -0.5, 0.3])
+    spin = [float(w) for w in np.rad2deg(w_P) / 6.0]
+    motion = target_motion(scene_of(2, spin_rpm=spin, **ALL_THAT_ACTS), mass_of(), 3)
+    np.testing.assert_allclose(motion.w_P[0], w_P, rtol=1e-12)
+    np.testing.assert_allclose(motion.h_P[0], TRIAXIAL * w_P, rtol=0.05)
+    np.testing.assert_array_equal(motion.r_N[0], [0.0, 0.0, 0.6])
 
 
 @pytest.mark.parametrize("acting", [{}, ALL_THAT_ACTS], ids=["free", "all acts"])
@@ -96,15 +102,12 @@ def test_poses_during_an_exposure_lie_on_the_motion_between_the_frames(acting: d
     np.testing.assert_allclose(motion.poses_during(2, [0.21]), motion.poses_during(3, [-0.29]), atol=1e-11)
 
 
-def test_a_longer_sequence_begins_with_the_same_bytes() -> None:
+def test_a_longer_sequence_begins_with_the_same_bytes_and_a_seed_changes_disturbances_alone() -> None:
     moving = {"spin_rpm": [3.0, 8.0, 2.0], **ALL_THAT_ACTS}
     short = target_motion(scene_of(4, **moving), mass_of(), 7)
     long = target_motion(scene_of(9, horizon_s=5.0, **moving), mass_of(), 7)
     for name in ("r_N", "v_N", "R_NP", "w_P", "X_NG", "h_P"):
         np.testing.assert_array_equal(getattr(short, name), getattr(long, name)[:4])
-
-
-def test_another_seed_changes_the_disturbances_and_nothing_else() -> None:
     free: dict[str, Any] = {"spin_rpm": [0, 5, 1]}
     disturbed = {**free, "accel_psd": 1e-6}
     a, b = (target_motion(scene_of(4, **free), mass_of(), seed) for seed in (1, 2))
@@ -112,12 +115,3 @@ def test_another_seed_changes_the_disturbances_and_nothing_else() -> None:
     a, b = (target_motion(scene_of(4, **disturbed), mass_of(), seed) for seed in (1, 2))
     np.testing.assert_array_equal(a.R_NP, b.R_NP)
     assert np.abs(a.r_N[-1] - b.r_N[-1]).max() > 1e-5
-
-
-def test_the_state_at_the_first_frame_is_the_scenes() -> None:
-    w_P = np.array([0.2, -0.5, 0.3])
-    spin = [float(w) for w in np.rad2deg(w_P) / 6.0]
-    motion = target_motion(scene_of(2, spin_rpm=spin, **ALL_THAT_ACTS), mass_of(), 3)
-    np.testing.assert_allclose(motion.w_P[0], w_P, rtol=1e-12)
-    np.testing.assert_allclose(motion.h_P[0], TRIAXIAL * w_P, rtol=0.05)
-    np.testing.assert_array_equal(motion.r_N[0], [0.0, 0.0, 0.6])

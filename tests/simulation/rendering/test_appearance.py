@@ -40,32 +40,23 @@ def _at(chart: Chart, row: float, column: float) -> Array:
     return np.asarray(chart.origin_G + TEXEL_M * (column * chart.right_G + row * chart.down_G))[None]
 
 
-def test_reflectance_is_interpolated_between_texels() -> None:
+def test_reflectance_relief_and_layers_are_read_from_a_chart() -> None:
     chart = _chart()
     atlas = chart_atlas((chart,))
     read = look_up(np.zeros(1, np.int64), _at(chart, 1.25, 2.5), atlas)[0][0]
     (a, b), (c, d) = chart.image[1:3, 2:4]
     assert read == pytest.approx(0.75 * (0.5 * a + 0.5 * b) + 0.25 * (0.5 * c + 0.5 * d), abs=1e-6)
-
-
-def test_a_relief_is_turned_into_the_charts_axes() -> None:
     slope = np.zeros((4, 5, 2), np.int8)
     slope[..., 0], slope[..., 1] = 30, -20
     atlas = chart_atlas((_chart(slope=slope),))
     _, slope_G, _ = look_up(np.zeros(1, np.int64), _at(_chart(), 1, 1), atlas)
     np.testing.assert_allclose(slope_G[0], SLOPE_STEP * (30 * RIGHT - 20 * DOWN), atol=1e-12)
-
-
-def test_layers_are_those_of_the_nearest_texel() -> None:
     layer = np.zeros((4, 5), np.uint8)
     layer[1, 2] = 2
     chart = _chart(layer=layer, materials=(GLASS, FOIL_GOLD))
     points = np.vstack([_at(chart, 1.4, 2.4), _at(chart, 1.6, 2.4), _at(chart, 1.4, 1.4)])
     _, _, layers = look_up(np.array([0, 0, 0]), points, chart_atlas((chart,)))
     np.testing.assert_array_equal(layers, [2, 0, 0])
-
-
-def test_points_without_a_chart_have_no_drawing() -> None:
     reflectance, slope_G, layer = look_up(np.array([-1]), np.zeros((1, 3)), chart_atlas((_chart(),)))
     assert np.isnan(reflectance[0]) and not slope_G.any() and layer[0] == 0
 
@@ -73,13 +64,13 @@ def test_points_without_a_chart_have_no_drawing() -> None:
 def test_rows_run_along_the_direction_that_is_asked_for() -> None:
     mesh = box([0.1, 0.2, 0.3], bevel=0.0)
     faces = next(f for f in flat_facets(mesh) if mesh.face_normals[f[0], 0] > 0.99)
-    chart, _ = chart_of_facet(mesh, faces, 0.005, lambda canvas, rng: None, np.random.default_rng(0), DOWN)
+    chart, _ = chart_of_facet(mesh, faces, 0.005, lambda canvas: None, np.random.default_rng(0), DOWN)
     np.testing.assert_allclose(chart.down_G, DOWN, atol=1e-12)
     # Seen from outside, +x towards the viewer and z up, right is +y.
     np.testing.assert_allclose(chart.right_G, RIGHT, atol=1e-12)
 
 
-def _ramp(canvas: Canvas, rng: np.random.Generator) -> None:
+def _ramp(canvas: Canvas) -> None:
     """Brighter to the right, so that any jump between slices would show; a wrap at the end."""
     height, width = canvas.shape
     wave = 0.4 + 0.3 * np.cos(2 * np.pi * (np.arange(width) + 0.5) / width)
@@ -152,15 +143,12 @@ def _bus(material: str) -> tuple[Body, config.TargetBody]:
     return build_body(description, 0), description
 
 
-def test_a_bus_all_in_foil_keeps_its_cells() -> None:
+def test_a_bus_all_in_foil_keeps_its_cells_and_regolith_covers_everything() -> None:
     body, description = _bus("foil")
     own = {body.materials[m] for m in np.unique(body.face_material)}
     assert own <= {FOIL_SILVER, SOLAR_CELL, GLASS} and FOIL_SILVER in own and SOLAR_CELL in own
     shiny = _on_all_faces(body, description).specular == FOIL_SILVER.specular
     assert body.mesh.area_faces[shiny].sum() > 0.2 * body.mesh.area
-
-
-def test_regolith_covers_everything() -> None:
     body, _ = _bus("regolith")
     assert body.materials == (REGOLITH,) and body.charts == ()
 

@@ -17,21 +17,15 @@ def test_lights_are_fixed_in_N_and_turn_in_the_body() -> None:
     np.testing.assert_allclose(lights.sun_direction_G, [0, -1, 0], atol=1e-12)
 
 
-def test_the_eclipse_is_dark_for_its_duration_and_bright_outside_its_ramps() -> None:
+def test_the_eclipse_is_dark_for_its_duration_fades_smoothly_and_spares_the_lamp() -> None:
     assert [sunlight(ECLIPSE, t) for t in (0.0, 8.0, 20.0, 99.0)] == [1.0] * 4
     assert [sunlight(ECLIPSE, t) for t in (10.0, 14.0, 18.0)] == [0.0] * 3
     assert sunlight(ECLIPSE, 9.0) == sunlight(ECLIPSE, 19.0) == pytest.approx(0.5)
     assert sunlight(config.Light(), 10.0) == 1.0
-
-
-def test_the_fading_is_monotonic_and_smooth_at_both_ends() -> None:
     share = np.array([sunlight(ECLIPSE, t) for t in np.linspace(8.0, 10.0, 201)])
     slope = np.diff(share)
     assert (slope < 0).all()
     assert max(abs(slope[0]), abs(slope[-1])) < 0.15 * np.abs(slope).max()
-
-
-def test_the_eclipse_dims_sun_and_earth_but_not_the_lamp() -> None:
     light = ECLIPSE.model_copy(update={"lamp": 0.4})
     lights = lights_in_body(light, np.eye(4), np.eye(4), 12.0)
     assert (lights.sun, lights.earth, lights.lamp) == (0.0, 0.0, 0.4)

@@ -15,8 +15,11 @@ LEFT, _ = build_cameras(SCENE.rig)
 X_NG = make_pose(np.eye(3), [0.0, 0.0, 0.6])
 
 
-def test_one_pose_per_sample_averages_the_pictures_of_the_poses() -> None:
-    """A body that jumps between two places for half of the samples each covers both, by halves."""
+def test_one_pose_per_sample_averages_the_pictures_and_motion_together_keeps_the_outline() -> None:
+    """A body that jumps between two places for half of the samples each covers both, by halves.
+
+    Camera and body move together: the outline stays, only the light turns.
+    """
     renderer = Renderer(build_body(SCENE.body, 3), SCENE, 3)
     shifts = np.array([-0.14, -0.14, 0.14, 0.14])
     moving = np.stack([make_pose(np.eye(3), [x, 0.0, 0.6]) for x in shifts])
@@ -26,17 +29,10 @@ def test_one_pose_per_sample_averages_the_pictures_of_the_poses() -> None:
     expected = [0.5 * picture.covered.sum() for picture in still]
     assert abs(blurred.covered.sum() / sum(expected) - 1.0) < 0.01
     assert abs(blurred.level.sum() / sum(0.5 * picture.level.sum() for picture in still) - 1.0) < 0.02
-
-
-def test_the_same_pose_for_all_samples_is_no_motion() -> None:
     renderer = Renderer(build_body(SCENE.body, 3), SCENE, 3)
     repeated = np.broadcast_to(X_NG, (4, 4, 4))
     still, held = renderer.picture(LEFT, np.eye(4), X_NG), renderer.picture(LEFT, np.eye(4), repeated)
     np.testing.assert_array_equal(still.level, held.level)
-
-
-def test_a_camera_that_turns_with_the_body_keeps_its_edges_but_not_its_light() -> None:
-    """Camera and body move together: the outline stays, only the light turns."""
     renderer = Renderer(build_body(SCENE.body, 3), SCENE, 3)
     turn = np.stack([make_pose(np.eye(3), [x, 0.0, 0.0]) for x in (-0.3, -0.1, 0.1, 0.3)])
     still, moved = renderer.picture(LEFT, np.eye(4), X_NG), renderer.picture(LEFT, turn, turn @ X_NG)

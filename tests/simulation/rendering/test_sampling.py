@@ -47,15 +47,12 @@ def test_rays_cover_the_disc_evenly(samples: int) -> None:
             assert (x > cut).mean() == pytest.approx(share, abs=0.02)
 
 
-def test_samples_of_one_pixel_are_spread_better_than_by_chance() -> None:
+def test_samples_of_a_pixel_are_spread_and_the_same_every_time() -> None:
     """The number of 16 rays on one side of a cut through the middle varies less than a binomial."""
     pixel = np.arange(2000)
     rays = [rays_over_disc(UP, 0.02, Stratum(pixel, i, 16)) for i in range(16)]
     beyond = (np.stack(rays)[..., 0] > 0).sum(axis=0)
     assert beyond.std() < 0.5 * np.sqrt(16 * 0.25)
-
-
-def test_pixels_differ_and_a_pixel_is_always_the_same() -> None:
     first = rays_over_disc(UP, 0.02, Stratum(np.arange(100), 0, 4))
     again = rays_over_disc(UP, 0.02, Stratum(np.arange(50, 100), 0, 4))
     np.testing.assert_array_equal(first[50:], again)
@@ -91,7 +88,7 @@ def test_scattered_rays_do_not_displace_an_edge(samples: int) -> None:
         assert abs(np.mean(offsets @ normal > 0.1) - area) > 0.08
 
 
-def test_the_place_of_a_scattered_ray_says_nothing_of_its_moment() -> None:
+def test_scattered_rays_stay_apart_and_say_nothing_of_their_moment() -> None:
     pixel, offsets, moment = np.arange(20_000), sample_offsets(4), sample_times(4)
     scattered = np.stack([scattered_offsets(pixel, offset, 0.0) for offset in offsets])
     assert np.abs(scattered).max() <= 0.5
@@ -99,9 +96,6 @@ def test_the_place_of_a_scattered_ray_says_nothing_of_its_moment() -> None:
         regular = np.corrcoef(offsets[:, axis], moment)[0, 1]
         place, when = scattered[..., axis].ravel(), np.repeat(moment, len(pixel))
         assert abs(np.corrcoef(place, when)[0, 1]) < 0.02 < abs(regular)
-
-
-def test_scattered_rays_of_a_pixel_stay_apart_and_change_from_frame_to_frame() -> None:
     pixel, offsets = np.arange(5000), sample_offsets(4)
     first = np.stack([scattered_offsets(pixel, offset, 0.0) for offset in offsets])
     away = np.abs(first[0] - first[1])

@@ -53,12 +53,23 @@ def test_a_matt_surface_obeys_lamberts_law_from_everywhere(angle_deg: float) -> 
     np.testing.assert_allclose(_plate_levels(matt, sun, viewers), 0.4 * np.cos(np.deg2rad(angle_deg)))
 
 
-def test_a_surface_turned_from_the_sun_is_black_without_fill() -> None:
+def test_lamp_earth_and_indirect_light_add_to_the_level() -> None:
     assert _plate_levels(Material(0.4), -UP, UP[None], sun=1.0) == 0.0
-
-
-def test_the_lamp_falls_with_the_square_of_the_distance() -> None:
     assert _plate_levels(Material(0.4, specular=0.0), UP, UP[None], sun=0.0, lamp=1.0) == pytest.approx(0.1)
+    matt, angle = Material(0.4, specular=0.0), np.deg2rad(66.0)
+    lights = {"sun": 0.0, "earth": 0.15, "earth_radius_rad": angle}
+    level = _plate_levels(matt, UP, UP[None], **lights)
+    assert level == pytest.approx(0.4 * 0.15 * np.sin(angle) ** 2)
+    matt, incident = (
+        Material(0.4, specular=0.0),
+        IncidentLight(bounced=np.full(1, 0.3), mirrored=np.full(1, 0.02)),
+    )
+    level = _plate_levels(matt, UP, UP[None], incident, sun=0.0)
+    assert level == pytest.approx(0.4 * 0.3 + 0.02)
+    hidden = _plate_levels(
+        matt, UP, UP[None], IncidentLight(earth_share=np.full(1, 0.25)), sun=0.0, earth=0.15
+    )
+    assert hidden == pytest.approx(0.25 * _plate_levels(matt, UP, UP[None], sun=0.0, earth=0.15))
 
 
 @pytest.mark.parametrize("roughness", [0.3, 0.6, 1.0])
@@ -90,26 +101,6 @@ def test_the_highlight_lies_in_the_mirror_direction() -> None:
     viewers = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=1)
     levels = _plate_levels(Material(0.01, specular=0.6, roughness=0.3), sun, viewers)
     np.testing.assert_allclose(viewers[np.argmax(levels)], [-0.6, 0, 0.8], atol=0.02)
-
-
-def test_a_plate_under_the_earth_has_the_level_of_its_disc() -> None:
-    matt, angle = Material(0.4, specular=0.0), np.deg2rad(66.0)
-    lights = {"sun": 0.0, "earth": 0.15, "earth_radius_rad": angle}
-    level = _plate_levels(matt, UP, UP[None], **lights)
-    assert level == pytest.approx(0.4 * 0.15 * np.sin(angle) ** 2)
-
-
-def test_what_arrives_by_way_of_the_body_adds_to_the_diffuse_level() -> None:
-    matt, incident = (
-        Material(0.4, specular=0.0),
-        IncidentLight(bounced=np.full(1, 0.3), mirrored=np.full(1, 0.02)),
-    )
-    level = _plate_levels(matt, UP, UP[None], incident, sun=0.0)
-    assert level == pytest.approx(0.4 * 0.3 + 0.02)
-    hidden = _plate_levels(
-        matt, UP, UP[None], IncidentLight(earth_share=np.full(1, 0.25)), sun=0.0, earth=0.15
-    )
-    assert hidden == pytest.approx(0.25 * _plate_levels(matt, UP, UP[None], sun=0.0, earth=0.15))
 
 
 def _levels(
@@ -189,21 +180,15 @@ def test_a_mirror_shows_the_part_beside_it_at_its_level(roughness: float) -> Non
     assert shown[0] == pytest.approx(exact, rel=0.06)
 
 
-def test_a_mirror_that_faces_away_from_the_part_beside_it_shows_black_sky() -> None:
+def test_a_mirror_shows_black_sky_where_it_faces_away_or_is_hidden_and_matt_nothing() -> None:
     floor = Part(_box([0.6, 0.6, 0.02], [0.3, 0.0, -0.01]), Material(0.02, 0.8, 0.35))
     wall = Part(_box([0.02, 0.6, 0.3], [-0.01, 0.0, 0.15]), MATT)
     lights = replace(DARK, sun=1.0, sun_direction_G=np.array([0.8, 0.0, 0.6]))
     assert _levels([floor, wall], lights, [0.02, 0.0, 0.4], np.array([[0.3, 0.05, 0.0]]), 4).max() < 0.02
-
-
-def test_the_earth_is_hidden_in_the_mirror_by_what_stands_before_it() -> None:
     floor = Part(_box([0.6, 0.6, 0.02], [0.3, 0.0, -0.01]), Material(0.02, 0.8, 0.1))
     wall = Part(_box([0.02, 0.6, 0.3], [-0.01, 0.0, 0.15]), Material(0.01, 0.0))
     lights = replace(DARK, earth=0.3, earth_direction_G=np.array([-0.6, 0.0, 0.8]), earth_radius_rad=1.0)
     assert _levels([floor, wall], lights, [0.5, 0.0, 0.4], np.array([[0.1, 0.0, 0.0]])).max() < 0.01
-
-
-def test_a_matt_surface_mirrors_nothing() -> None:
     lights = replace(DARK, earth=1.0, earth_radius_rad=np.pi / 2)
     plate = Part(_box([0.4, 0.4, 0.01], [0.0, 0.0, 0.0]), MATT)
     assert _levels([plate], lights, [0.1, 0.0, 0.6], np.zeros((1, 3))) == 0.0

@@ -29,7 +29,7 @@ def test_an_even_field_stays_even_and_a_slope_is_followed() -> None:
     np.testing.assert_allclose(found[:, 1], at[:, 0], atol=0.002)
 
 
-def test_the_other_side_of_a_plate_does_not_count() -> None:
+def test_the_other_side_of_a_plate_or_a_parallel_plane_does_not_count() -> None:
     points = np.concatenate([_grid(0.0), _grid(-0.001)])
     normals = np.concatenate([_facing(UP, 441), _facing(-UP, 441)])
     around = SurfaceInterpolation(points, normals, 0.025)
@@ -37,9 +37,6 @@ def test_the_other_side_of_a_plate_does_not_count() -> None:
     at = _grid(0.0)[100:200]
     assert around.near(at, _facing(UP, 100)).mean(side).max() == 0.0
     assert around.near(at, _facing(-UP, 100)).mean(side).min() > 0.999
-
-
-def test_a_step_to_a_parallel_plane_does_not_count() -> None:
     points = np.concatenate([_grid(0.0), _grid(0.012)])
     around = SurfaceInterpolation(points, _facing(UP, 882), 0.025)
     upper = np.repeat([[0.0], [1.0]], 441, axis=0).astype(np.float32)
@@ -55,16 +52,13 @@ def test_a_place_without_points_takes_the_nearest_that_faces_the_same_half() -> 
     np.testing.assert_allclose(points[near.index[0, 0]], [0.1, 0.1, 0.0])
 
 
-def test_nothing_near_is_told_and_has_no_value() -> None:
+def test_the_nearest_is_found_or_none() -> None:
     points = _grid()
     around = SurfaceInterpolation(points, _facing(UP, 441), 0.025)
     away = np.array([[0.1, 0.1, 0.04], [9.0, 9.0, 9.0], [0.1, 0.1, 0.0]])
     facing = np.array([UP, UP, [1.0, 0.0, 0.0]])
     assert (around.nearest(away, facing) == -1).all()
     assert around.near(away, facing).mean(np.ones((441, 1), np.float32)).max() == 0.0
-
-
-def test_the_nearest_is_the_nearest() -> None:
     points = _grid()
     around = SurfaceInterpolation(points, _facing(UP, 441), 0.025)
     found = around.nearest(points + np.array([0.002, -0.001, 0.0]), _facing(UP, 441))

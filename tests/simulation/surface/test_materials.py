@@ -30,9 +30,18 @@ def _points(n: int = 2000) -> Array:
     return np.random.default_rng(0).uniform(-0.1, 0.1, (n, 3)) * [1, 1, 0]
 
 
-def test_columns_are_the_fields_in_their_order() -> None:
+def test_a_drawing_counts_by_the_contrast_and_a_relief_bends_the_normal() -> None:
     for place, field in enumerate(fields(Material)):
         assert getattr(materials, field.name.upper()) == place
+    plain = Material(0.4, 0.04)
+    table = MaterialTable((plain,), 0, contrast=0.5)
+    drawn = np.array([0.8, np.nan])
+    surface = table.evaluate(np.zeros(2, np.int64), np.zeros((2, 3)), np.tile(UP, (2, 1)), drawn)
+    np.testing.assert_allclose(surface.albedo, [0.6, 0.4])
+    table = MaterialTable((Material(0.4),), 0)
+    slope = np.array([[0.5, 0.0, 0.0]])
+    surface = table.evaluate(np.zeros(1, np.int64), np.zeros((1, 3)), UP[None], slope_G=slope)
+    np.testing.assert_allclose(surface.normal_G[0], np.array([-0.5, 0, 1]) / np.sqrt(1.25))
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -56,14 +65,6 @@ def test_without_contrast_there_is_one_reflectance(collage: bool) -> None:
     np.testing.assert_array_equal(albedo, WORN_PANEL.albedo)
     spread = [_surface(WORN_PANEL, _points(), contrast=c, collage=collage).albedo.std() for c in (0.5, 1.0)]
     assert spread[1] == pytest.approx(2.0 * spread[0], rel=0.1)
-
-
-def test_a_drawing_counts_by_the_contrast() -> None:
-    plain = Material(0.4, 0.04)
-    table = MaterialTable((plain,), 0, contrast=0.5)
-    drawn = np.array([0.8, np.nan])
-    surface = table.evaluate(np.zeros(2, np.int64), np.zeros((2, 3)), np.tile(UP, (2, 1)), drawn)
-    np.testing.assert_allclose(surface.albedo, [0.6, 0.4])
 
 
 @pytest.mark.parametrize("material", [REGOLITH, FOIL_GOLD, WORN_PANEL, BRUSHED_METAL])
@@ -92,10 +93,3 @@ def test_brushed_metal_has_its_grain_along_z() -> None:
     across = _surface(flat, fine * [1.0, 0, 0]).albedo
     along = _surface(flat, fine * [0, 0, 1.0]).albedo
     assert np.abs(np.diff(across)).sum() > 3.0 * np.abs(np.diff(along)).sum()
-
-
-def test_a_relief_bends_the_normal_against_its_slope() -> None:
-    table = MaterialTable((Material(0.4),), 0)
-    slope = np.array([[0.5, 0.0, 0.0]])
-    surface = table.evaluate(np.zeros(1, np.int64), np.zeros((1, 3)), UP[None], slope_G=slope)
-    np.testing.assert_allclose(surface.normal_G[0], np.array([-0.5, 0, 1]) / np.sqrt(1.25))

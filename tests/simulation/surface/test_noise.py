@@ -57,7 +57,7 @@ def test_another_seed_gives_another_pattern() -> None:
     assert _highest_correlation(_albedo(WORN_PANEL, face, 3), _albedo(WORN_PANEL, face, 4)) < 0.65
 
 
-def test_noise_depends_on_the_point_alone() -> None:
+def test_noise_depends_on_the_point_alone_is_continuous_and_has_its_gradient() -> None:
     rng = np.random.default_rng(0)
     points, order = rng.uniform(-1, 1, (500, 3)), rng.permutation(500)
     scale, seed = np.full(500, 0.03), np.full(500, 7)
@@ -67,17 +67,11 @@ def test_noise_depends_on_the_point_alone() -> None:
     cells = np.array([cell_at(x, y, z, 7) for x, y, z in points / 0.03])
     np.testing.assert_array_equal(cells[order], [cell_at(x, y, z, 7) for x, y, z in points[order] / 0.03])
     assert np.abs(cells).max() <= 1.0
-
-
-def test_fractal_noise_is_continuous_across_lattice_planes() -> None:
     at = np.array([[0.2, 0.4, 0.6], [-0.2, 0.0, 0.2]])
     scale: Array = np.full(2, 0.2)
     seed: Ints = np.full(2, 5)
     jump = fractal(at + 1e-9, scale, seed) - fractal(at - 1e-9, scale, seed)
     assert np.abs(jump).max() < 1e-6
-
-
-def test_the_gradient_is_that_of_the_noise() -> None:
     rng = np.random.default_rng(1)
     points, direction = rng.uniform(-1, 1, (50, 3)), np.array([0.6, -0.48, 0.64])
     scale, seed, step = np.full(50, 0.5), np.full(50, 9), 1e-5

@@ -4,7 +4,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from polhode.geometry.lie import Array, Ints, exp_so3
+from polhode.geometry.lie import Array, exp_so3
 from polhode.simulation.bodies.part import Part
 from polhode.simulation.bodies.textures.part_builder import PartBuilder
 from polhode.simulation.surface.materials import REGOLITH
@@ -60,49 +60,45 @@ def _noise(direction: Array, scale: float, rng: np.random.Generator) -> Array:
     return fractal(direction, np.full(n, scale), np.full(n, int(rng.integers(1 << 20))))
 
 
-def _scattered(rng: np.random.Generator) -> Array:
-    centre = rng.normal(size=3)
-    return np.asarray(centre / np.linalg.norm(centre))
-
-
 def _craters(direction: Array, tree: cKDTree, rng: np.random.Generator, count: int) -> Array:
     """Height (n,) of bowls with raised rims, eroded to different degrees, many small and few large."""
     height = np.zeros(len(direction))
     for _ in range(count):
-        centre = _scattered(rng)
+        centre = rng.normal(size=3)
+        centre /= np.linalg.norm(centre)
         radius = min(0.05 * float(rng.uniform(0.01, 1.0)) ** -0.6, 0.55)
         wear = float(rng.uniform(0.25, 1.0))
         near = np.asarray(tree.query_ball_point(centre, 2.2 * radius), dtype=np.int64)
-        if len(near) == 0:
-            continue
-        ragged = 1.0 + 0.12 * _noise(direction[near] / radius, 0.7, rng)
-        x = np.arccos(np.clip(direction[near] @ centre, -1, 1)) / (radius * ragged)
-        bowl = np.clip(1 - x**2, 0, None) ** 0.8
-        rim = np.exp(-(((x - 1.0) / 0.25) ** 2)) + 0.25 * np.exp(-(((x - 1.3) / 0.4) ** 2))
-        height[near] += wear * radius * (0.09 * rim - 0.34 * bowl)
+        if len(near) > 0:
+            ragged = 1.0 + 0.12 * _noise(direction[near] / radius, 0.7, rng)
+            x = np.arccos(np.clip(direction[near] @ centre, -1, 1)) / (radius * ragged)
+            bowl = np.clip(1 - x**2, 0, None) ** 0.8
+            rim = np.exp(-(((x - 1.0) / 0.25) ** 2)) + 0.25 * np.exp(-(((x - 1.3) / 0.4) ** 2))
+            height[near] += wear * radius * (0.09 * rim - 0.34 * bowl)
     return height
 
 
 def _boulders(direction: Array, tree: cKDTree, rng: np.random.Generator, count: int) -> Array:
-    """Height (n,) of angular blocks; their number falls with the 2.5th power of the size."""
+    """Height (n,) of angular blocks; their number falls with the 2.5th power of the size.
+
+    A block is convex: the minimum of a top and steep side planes.
+    """
     height = np.zeros(len(direction))
     for _ in range(count):
-        centre = _scattered(rng)
+        centre = rng.normal(size=3)
+        centre /= np.linalg.norm(centre)
         radius = min(0.014 * float(rng.uniform(0.001, 1.0)) ** -0.4, 0.14)
         near = np.asarray(tree.query_ball_point(centre, 1.5 * radius), dtype=np.int64)
-        if len(near) > 0:
-            height[near] = np.maximum(height[near], radius * _block(direction, near, centre, radius, rng))
+        if len(near) == 0:
+            continue
+        east = np.cross(centre, np.eye(3)[int(np.argmin(np.abs(centre)))])
+        east /= np.linalg.norm(east)
+        flat = direction[near] @ np.stack([east, np.cross(centre, east)], axis=1) / radius
+        lid = rng.uniform(0.3, 0.6) + flat @ rng.normal(0, 0.25, 2)
+        sides = int(rng.integers(4, 7))
+        angle = 2 * np.pi * (np.arange(sides) + rng.uniform(-0.3, 0.3, sides)) / sides
+        steep, reach = rng.uniform(1.2, 2.6, sides), rng.uniform(0.6, 1.0, sides)
+        walls = steep * (reach - flat @ np.stack([np.cos(angle), np.sin(angle)]))
+        block = np.clip(np.minimum(lid, walls.min(axis=1)), 0.0, None)
+        height[near] = np.maximum(height[near], radius * block)
     return height
-
-
-def _block(direction: Array, near: Ints, centre: Array, radius: float, rng: np.random.Generator) -> Array:
-    """Height of a boulder over its radius: a convex block, the minimum of a top and steep side planes."""
-    east = np.cross(centre, np.eye(3)[int(np.argmin(np.abs(centre)))])
-    east /= np.linalg.norm(east)
-    flat = direction[near] @ np.stack([east, np.cross(centre, east)], axis=1) / radius
-    lid = rng.uniform(0.3, 0.6) + flat @ rng.normal(0, 0.25, 2)
-    sides = int(rng.integers(4, 7))
-    angle = 2 * np.pi * (np.arange(sides) + rng.uniform(-0.3, 0.3, sides)) / sides
-    steep, reach = rng.uniform(1.2, 2.6, sides), rng.uniform(0.6, 1.0, sides)
-    walls = steep * (reach - flat @ np.stack([np.cos(angle), np.sin(angle)]))
-    return np.asarray(np.clip(np.minimum(lid, walls.min(axis=1)), 0.0, None))

@@ -5,23 +5,43 @@ from functools import partial
 import numpy as np
 
 from polhode.geometry.lie import Array
-from polhode.simulation.bodies.equipment import engine, horn, small_dish, solar_wing, thruster
-from polhode.simulation.bodies.layout import Deck, decks_of_box, fit_out
+from polhode.simulation.bodies.equipment import (
+    Deck,
+    decks_of_box,
+    engine,
+    fit_out,
+    horn,
+    small_dish,
+    solar_wing,
+    thruster,
+)
 from polhode.simulation.bodies.part import Part, moved
 from polhode.simulation.bodies.solids import box, frame, pose, revolve
 from polhode.simulation.bodies.textures.canvas import Draw
-from polhode.simulation.bodies.textures.part_builder import PartBuilder, sheet_by_side
-from polhode.simulation.surface.materials import ANODISED, FOIL_BLACK, FOIL_GOLD, FOIL_SILVER, Material
+from polhode.simulation.bodies.textures.part_builder import PartBuilder
+from polhode.simulation.surface.materials import ANODISED, FOIL_BLACK, FOIL_GOLD, FOIL_SILVER
 
 
 def bus_parts(size_m: float, builder: PartBuilder) -> list[Part]:
     """Parts of a bus size_m [m] long (x); wings along +-y; G near the middle of the box."""
-    rng = builder.rng
+    rng, textures = builder.rng, builder.textures
     box_m = size_m * np.array([1.0, rng.uniform(0.6, 0.9), rng.uniform(0.65, 1.0)])
     decks = decks_of_box(box_m, np.zeros(3))
     foil = [FOIL_GOLD, FOIL_GOLD, FOIL_SILVER, FOIL_BLACK][int(rng.integers(4))]
-    parts = [_hull(box_m, foil, builder)]
-    parts += _wings(box_m, size_m, builder)
+    # Foil, a radiator on one or two walls, bare structure on the others.
+    sheets: list[Draw] = [
+        textures.blanket(foil), textures.blanket(foil), textures.blanket(foil), textures.radiator(),
+        textures.panel(float(rng.choice([0.3, 0.65])), 0.7), textures.machined_plate(),
+    ]  # fmt: skip
+    rng.shuffle(sheets)
+    parts = [builder.flat_part(box(box_m, bevel=0.02), foil, sheets, "box", 1.5)]
+    panels = int(rng.integers(1, 4))
+    length, width = size_m * (0.45 + 0.42 * panels), size_m * rng.uniform(0.55, 0.8)
+    tilt, cell = rng.uniform(-0.9, 0.9), int(rng.integers(34, 62))
+    for side in (-1.0, 1.0) if rng.random() < 0.85 else (1.0,):
+        wing = solar_wing(builder, length, width, 0.014 * size_m, panels, 0.22 * size_m, cell)
+        root = [0.0, side * 0.5 * box_m[1], 0.0]
+        parts += moved(wing, frame([0.0, side, 0.0], [np.sin(tilt), 0.0, np.cos(tilt)], root))
     parts += _aft(size_m, box_m, decks["-x"], builder)
     parts += _front(size_m, decks, builder)
     for name in ("+y", "-y"):
@@ -32,34 +52,8 @@ def bus_parts(size_m: float, builder: PartBuilder) -> list[Part]:
     return parts
 
 
-def _hull(box_m: Array, foil: Material, builder: PartBuilder) -> Part:
-    """Foil, a radiator on one or two walls, bare structure on the others."""
-    rng, textures = builder.rng, builder.textures
-    sheets: list[Draw] = [
-        textures.blanket(foil), textures.blanket(foil), textures.blanket(foil), textures.radiator(),
-        textures.panel(float(rng.choice([0.3, 0.65])), 0.7), textures.machined_plate(),
-    ]  # fmt: skip
-    rng.shuffle(sheets)
-    return builder.flat_part_by_side(box(box_m, bevel=0.02), foil, sheet_by_side(sheets), "box", 1.5)
-
-
-def _wings(box_m: Array, size_m: float, builder: PartBuilder) -> list[Part]:
-    rng = builder.rng
-    panels = int(rng.integers(1, 4))
-    length, width = size_m * (0.45 + 0.42 * panels), size_m * rng.uniform(0.55, 0.8)
-    tilt, cell = rng.uniform(-0.9, 0.9), int(rng.integers(34, 62))
-    sides = [-1.0, 1.0] if rng.random() < 0.85 else [1.0]
-    parts = []
-    for side in sides:
-        wing = solar_wing(builder, length, width, 0.014 * size_m, panels, 0.22 * size_m, cell)
-        root = [0.0, side * 0.5 * box_m[1], 0.0]
-        parts += moved(wing, frame([0.0, side, 0.0], [np.sin(tilt), 0.0, np.cos(tilt)], root))
-    return parts
-
-
 def _aft(size_m: float, box_m: Array, deck: Deck, builder: PartBuilder) -> list[Part]:
     """Launch adapter ring, main engine inside it, four thrusters in the corners."""
-    rng = builder.rng
     radius = 0.36 * float(box_m[1:].min())
     ring = revolve([(0.9 * radius, -0.01 * size_m), (radius, -0.01 * size_m), (radius, 0.05 * size_m),
                     (1.06 * radius, 0.055 * size_m), (1.06 * radius, 0.075 * size_m),
@@ -67,7 +61,7 @@ def _aft(size_m: float, box_m: Array, deck: Deck, builder: PartBuilder) -> list[
     wall = builder.textures.ring_wall(0.3)
     parts = deck.put([builder.revolved_part(ring, [(1, 2, wall)], ANODISED, "adapter")], 0, 0)
     deck.reserve(0, 0, 1.1 * radius)
-    if rng.random() < 0.8:
+    if builder.rng.random() < 0.8:
         raised = pose([0, 0, 1.0], [0, 0, 0.4 * radius])
         parts += deck.put(moved(engine(builder, 0.5 * radius, 0.9 * radius), raised), 0, 0)
     for x in (-0.42, 0.42):
