@@ -86,9 +86,7 @@ def test_times_in_names_and_tables(small_sequence: Path, tmp_path: Path) -> None
     table = small_sequence / "mav0" / "cam0" / "data.csv"
     imported(both, tmp_path / "listed", calibration=(chain,), stamps=(table,))
     require_same(data, tmp_path / "listed")
-
-
-def test_a_video_has_its_own_times(small_sequence: Path, tmp_path: Path) -> None:
+    # a video has its own times
     data = original(small_sequence)
     chain = write_kalibr(data, tmp_path / "k.yaml")
     imported([write_side_by_side(data, tmp_path / "v.mkv")], tmp_path / "back", calibration=(chain,))
@@ -108,6 +106,14 @@ def test_an_offset_of_the_clocks_is_removed_and_stated(small_sequence: Path, tmp
         require_same(data, tmp_path / f"back{later_ns}")
     record = json.loads((tmp_path / "back4000" / "import.json").read_text())
     assert record["offset_of_stamps_s"] == pytest.approx(4e-6) and record["pairs"] == N
+    # a given offset pairs clocks far apart
+    data = original(small_sequence)
+    folders = write_folders(data, tmp_path / "images", 7_200_000_000_000)
+    chain = write_kalibr(data, tmp_path / "k.yaml")
+    line = refused(folders, tmp_path / "back", calibration=(chain,))
+    assert "no time in common" in line and "give --offset-s 7200" in line
+    imported(folders, tmp_path / "back", calibration=(chain,), offset_s=7200.0)
+    require_same(data, tmp_path / "back")
 
 
 def test_a_baseline_that_looks_like_millimetres_is_doubted(small_sequence: Path, tmp_path: Path) -> None:
@@ -121,16 +127,6 @@ def test_a_baseline_that_looks_like_millimetres_is_doubted(small_sequence: Path,
     right = imported(folders, tmp_path / "right", calibration=(calibration,), unit_m=1e-3)
     assert right.notes[-1] == f"baseline: {baseline_m:.4g} m"
     assert not any("--unit" in line for line in right.warnings)
-
-
-def test_a_given_offset_pairs_clocks_far_apart(small_sequence: Path, tmp_path: Path) -> None:
-    data = original(small_sequence)
-    folders = write_folders(data, tmp_path / "images", 7_200_000_000_000)
-    chain = write_kalibr(data, tmp_path / "k.yaml")
-    line = refused(folders, tmp_path / "back", calibration=(chain,))
-    assert "no time in common" in line and "give --offset-s 7200" in line
-    imported(folders, tmp_path / "back", calibration=(chain,), offset_s=7200.0)
-    require_same(data, tmp_path / "back")
 
 
 @pytest.mark.parametrize("form", ["odometry", "PoseStamped", "tf"])

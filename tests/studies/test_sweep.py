@@ -65,6 +65,10 @@ def test_a_point_is_a_row_and_a_sequence_is_simulated_once(
     assert sorted(calls) == sorted({*frame["digest.point"], *frame["digest.sequence"]})
     sequences = sorted((tmp_path / "out" / "sequences").iterdir())
     assert [(each / "mav0" / "target0").is_dir() for each in sequences] == [True, True]
+    # sequences that no point needs any more are removed when asked
+    sweep_here(write_study(**SIMULATED, keep_sequences=False), tmp_path / "other")
+    assert list((tmp_path / "other" / "sequences").iterdir()) == []
+    assert set(polhode.load_study(tmp_path / "other")["status"]) == {"done"}
 
 
 def test_the_same_command_computes_only_what_is_missing(
@@ -130,14 +134,6 @@ def test_a_point_that_fails_is_a_row_with_its_reason_and_tried_again_when_asked(
     assert sweep_here(path, tmp_path / "out", again_failed=True).stored == 3
     assert set(frame["digest.point"][4:7]).isdisjoint(calls)
     assert set(frame["digest.point"][:3]) < set(calls)
-
-
-def test_sequences_that_no_point_needs_any_more_are_removed_when_asked(
-    write_study: WriteStudy, sweep_here: Sweep, tmp_path: Path
-) -> None:
-    sweep_here(write_study(**SIMULATED, keep_sequences=False), tmp_path / "out")
-    assert list((tmp_path / "out" / "sequences").iterdir()) == []
-    assert set(polhode.load_study(tmp_path / "out")["status"]) == {"done"}
 
 
 def test_few_points_are_in_flight_however_many_there_are(
