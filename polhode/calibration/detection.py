@@ -33,16 +33,12 @@ Kind = Literal[
     "repeated",
 ]
 """Why an image is left out."""
-MAX_SEARCH_PIXELS = 1_300_000
-"""Boards are searched in images reduced to this; corners are refined in the full one."""
 WINDOW_SHARE = 0.6
 """Half of cornerSubPix's window over the radius around the corner in which nothing else is."""
 FIT_SHARE = 0.9
 """Radius of the fitted disc over the same radius."""
 MIN_WINDOW_PX, MAX_WINDOW_PX = 2, 25
 MIN_CORNERS = 8
-MIN_SHARE = 0.8
-"""Of a chessboard's corners, which the detector has found all."""
 MAX_ASTRAY_PX = 0.5
 """From where its neighbours expect a corner, before it is looked for again."""
 MAX_MISFIT = 0.35
@@ -103,7 +99,8 @@ def refine_corners(image: Grey, uv_px: Array, free_px: Array, share: float = WIN
 
 def _reduce_image(image: Grey) -> tuple[Grey, float]:
     """The image as it is searched, and how much smaller it is."""
-    factor = max(1.0, np.sqrt(image.size / MAX_SEARCH_PIXELS))
+    # Boards are searched in images reduced to this; corners are refined in the full one
+    factor = max(1.0, np.sqrt(image.size / 1_300_000))
     if factor == 1.0:
         return image, 1.0
     height, width = image.shape
@@ -142,7 +139,8 @@ def _find_chessboard(image: Grey, board: Board) -> Found | Missed:
     uv = fit_corners(image, refine_corners(image, rough, free_px), FIT_SHARE * free_px)
     expected, astray = _expected(image, board, uv)
     good = ~astray
-    if good.sum() < max(MIN_CORNERS, MIN_SHARE * len(uv)):
+    # of a chessboard's corners, which the detector has found all
+    if good.sum() < max(MIN_CORNERS, 0.8 * len(uv)):
         words = f"{int(astray.sum())} of {len(uv)} corners are not where the others expect them"
         return Missed("outlier", words)
     if beyond := _corners_beyond(image, np.where(astray[:, None], expected, uv).reshape(grid.shape)):

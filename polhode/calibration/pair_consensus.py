@@ -20,9 +20,6 @@ from polhode.calibration.start_values import board_poses
 from polhode.geometry.lie import Array, Ints, inverse_pose, log_so3, transform_points
 from polhode.runtime.errors import InputError
 
-MAX_OFF = 0.012
-"""Of the larger side of the image: a prediction by the board's pose in the left camera alone, whose distance
-has an error, may be off by so much."""
 MIN_PAIRS = 3
 
 
@@ -64,7 +61,9 @@ def agree(
 ) -> Consensus:
     """The consensus of all pairs. Raises InputError if most do not agree."""
     # a limit [px] of the distance from the prediction
-    judge = _Judge(board, lenses, max(4.0, MAX_OFF * max(sizes_px[1])))
+    # of the larger side of the image: a prediction by the board's pose in the left camera alone, whose
+    # distance has an error, may be off by so much
+    judge = _Judge(board, lenses, max(4.0, 0.012 * max(sizes_px[1])))
     X_10 = judge.proposal(pairs)
     agreeing, spoiled = [], []
     for pair in pairs:

@@ -11,9 +11,6 @@ import trimesh
 from polhode.geometry.lie import Array
 from polhode.mapping.visibility import Caster, directions
 
-MIN_COVERAGE = 0.6
-"""Share of the directions from the centre with a surface below which no volume is given."""
-
 
 @dataclass(frozen=True)
 class Solid:
@@ -39,7 +36,8 @@ def solid_of(mesh: trimesh.Trimesh, caster: Caster | None = None) -> tuple[Solid
         return solid_body(mesh, "volume of the mesh, which is closed"), ""
     hull = mesh.convex_hull
     share = coverage(caster or Caster(mesh), np.asarray(hull.center_mass))
-    if share < MIN_COVERAGE:
+    # share of the directions from the centre with a surface below which no volume is given
+    if share < 0.6:
         return None, f"the surface is open and covers only {share:.0%} of the directions from its centre"
     filled = "" if share > 0.97 else f" (it covers {share:.0%} of the directions from its centre)"
     return solid_body(

@@ -18,10 +18,6 @@ MIN_COSINE = 0.15
 """Cosine to the normal below which, beyond 81 degrees, a point does not count as seen."""
 CLEARANCE = 2e-3
 """Distance before its point at which a ray may end, relative to the body's size."""
-LIT_OVER_SKY = 12.0
-"""Intensity above the sky's that counts as lit [8-bit levels]."""
-_MAP_CLEARANCE = 8e-3
-"""The same where a coarse depth map replaces the rays."""
 _MAP_PIXELS = 160
 """Pixels along a side of such a map."""
 
@@ -57,7 +53,8 @@ class FrameView:
 
 def light_level(left: NDArray[np.uint8]) -> float:
     """Intensity above which a pixel of a left image shows light: well above the sky's."""
-    return float(np.percentile(left, 5)) + LIT_OVER_SKY
+    # intensity above the sky's that counts as lit [8-bit levels]
+    return float(np.percentile(left, 5)) + 12.0
 
 
 class Caster:
@@ -116,7 +113,8 @@ class DepthPicture:
         self._axes = np.stack([x, np.cross(z, x), z], axis=1)
         self._eye = caster.middle if eye_G is None else np.asarray(eye_G, dtype=np.float64)
         self._parallel = eye_G is None
-        self._tolerance_m = 2.0 * _MAP_CLEARANCE * caster.radius_m
+        # the same where a coarse depth map replaces the rays
+        self._tolerance_m = 2.0 * 8e-3 * caster.radius_m
         reach = caster.radius_m
         if not self._parallel:
             distance = float(np.linalg.norm(caster.middle - self._eye))

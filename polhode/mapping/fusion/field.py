@@ -30,12 +30,8 @@ from polhode.records.surface import AlignedPoses, DepthMap, SurfaceModel
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress, Silent
 
-MOVED_VOXELS = 0.1
-"""When poses improve, a frame is fused again if its pose moves a point of the body by more."""
 ALIGN_FROM = 0.5
 """A pose is uncertain when its covariance moves the surface by more than this share of the depth's sigma."""
-ALIGN_OVERLAP = 0.3
-"""A frame is aligned if at least this share of its depth lies near known surface."""
 _log = logging.getLogger(__name__)
 
 
@@ -208,7 +204,8 @@ class Field:
         if kept.covariance_G is None:
             return None
         points = depth_points(kept.tensors, kept.X_RG, self.rig)
-        aligned = align(points, kept.covariance_G, self.lookup(), ALIGN_OVERLAP)
+        # a frame is aligned if at least this share of its depth lies near known surface
+        aligned = align(points, kept.covariance_G, self.lookup(), 0.3)
         if aligned.refused is not None:
             _log.debug("a pose is left unchanged: %s", aligned.refused)
             return None
@@ -231,7 +228,8 @@ class Field:
         corners = np.asarray(trimesh.bounds.corners([centres.min(axis=0), centres.max(axis=0)]))
         best = self._X_FG, np.ones(len(numbers), dtype=bool)
         between = inverse_pose(X_RF) @ X_RG
-        tolerance_m = MOVED_VOXELS * self._voxel_m
+        # When poses improve, a frame is fused again if its pose moves a point of the body by more
+        tolerance_m = 0.1 * self._voxel_m
         trial = self._X_FG
         for _ in range(5):
             # by how much the corners are displaced if each frame's G in F is replaced by a common one

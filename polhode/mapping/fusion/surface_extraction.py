@@ -41,8 +41,6 @@ _CHUNK = 8
 """Blocks along the edge of a chunk."""
 _EDGE = _CHUNK * EDGE + 1
 """Voxels along it: one layer is shared with the next chunk."""
-MIN_PIECE_VOXELS = 25.0
-"""Pieces of less area are removed [faces of a voxel]."""
 Floats = NDArray[np.float32]
 
 
@@ -88,7 +86,8 @@ def extract_surface(grid: BlockGrid, config: Mapping, min_views: int) -> Extract
         return None
     vertices, faces, edges, shares_of = _merge(parts)
     piece, area = piece_areas(vertices, faces)
-    faces = faces[area[piece[faces[:, 0]]] >= MIN_PIECE_VOXELS]
+    # Pieces of less area are removed [faces of a voxel]
+    faces = faces[area[piece[faces[:, 0]]] >= 25.0]
     used, renumbered = np.unique(faces, return_inverse=True)
     if len(used) == 0:
         return None

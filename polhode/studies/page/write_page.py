@@ -17,8 +17,6 @@ from polhode.studies.store import Store
 from polhode.studies.study import OpenStudy
 from polhode.studies.table import PAGE, read_table
 
-MAX_FIGURES = 80
-"""Of all metrics together: of more axes, fewer metrics are drawn"""
 MAX_ROWS = 50_000
 MIN_METRICS, MAX_METRICS = 4, 12
 
@@ -37,7 +35,8 @@ def write_page(study: OpenStudy, folder: Path) -> None:
 def render(study: OpenStudy, table: pa.Table, folder: Path) -> str:
     """The whole page."""
     store, axes, every = Store(folder), axes_of(study, table), metrics_of(table)
-    most = min(max(MAX_FIGURES // (1 + len(axes)), MIN_METRICS), MAX_METRICS)
+    # of all metrics together: of more axes, fewer metrics are drawn
+    most = min(max(80 // (1 + len(axes)), MIN_METRICS), MAX_METRICS)
     metrics = choose_metrics(every, study.settings.metrics, most)
     repeated = [name for name in study.columns if is_seed(name)]
     words = sections.words_of_points(table, axes, repeated)
