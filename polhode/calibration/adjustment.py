@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polhode.calibration.lenses import Lens, project_with_derivatives
-from polhode.geometry.lie import Array, Bools, Ints, exp_so3, hat, inverse_pose
+from polhode.geometry.lie import Array, Bools, Ints, exp_so3, hat
 
 CAUCHY = 2.385
 """Standard deviations; 95 % efficiency for normal noise."""
@@ -293,8 +293,3 @@ def _minimize(
                 break
     none = np.zeros((state.shared, state.shared))
     return Adjusted(state, tuple(system.residuals), none, tuple(sigmas), converged)
-
-
-def relative_poses(X_0B: Array, X_1B: Array) -> Array:
-    """(V, 4, 4) from the left into the right camera, by the board as each sees it."""
-    return np.asarray(X_1B @ inverse_pose(X_0B))

@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -131,15 +132,12 @@ def test_a_baseline_that_looks_like_millimetres_is_doubted(small_sequence: Path,
 
 @pytest.mark.parametrize("form", ["odometry", "PoseStamped", "tf"])
 def test_poses_of_the_inspector(form: str, small_sequence: Path, tmp_path: Path) -> None:
-    options: dict[str, str] = {}
-    contents = BagContents(odometry=X_NB, X_BC0=X_BC0)
-    if form == "PoseStamped":
-        contents, options = (
-            BagContents(posestamped=X_NB, X_BC0=X_BC0),
-            {"poses": "/pose", "pose_of": "base_link"},
-        )
-    elif form == "tf":
-        contents, options = BagContents(moving_tf=X_NB, X_BC0=X_BC0), {"poses": "tf:map"}
+    name, options = {
+        "odometry": ("odometry", {}),
+        "PoseStamped": ("posestamped", {"poses": "/pose", "pose_of": "base_link"}),
+        "tf": ("moving_tf", {"poses": "tf:map"}),
+    }[form]
+    contents: Any = BagContents(X_BC0=X_BC0, **{name: X_NB})
     bag = write_ros2(original(small_sequence), tmp_path / "bag", contents)
     done = imported([bag], tmp_path / "back", **options)
     sequence = open_sequence(tmp_path / "back")

@@ -174,31 +174,28 @@ OTHER_CODE = work.OtherCode("node7 has other code")
 KILLED = KilledWorker("point-1", cast(WorkerState, SimpleNamespace(address="tls://1")), 3)
 
 
-@pytest.mark.parametrize(
-    ("error", "said"),
-    [
-        (DISK_FULL, "No space left on device); points"),
-        (OTHER_CODE, "node7 has other code; was it changed meanwhile? Points that"),
-        (None, "the scheduler was lost; points that are done are kept"),
-        (KILLED, ""),
-    ],
-)
 def test_what_is_no_fault_of_a_point_ends_the_sweep_but_killed_workers_are_a_row(
-    error: Exception | None, said: str, write_study: WriteStudy, client: Client, tmp_path: Path
+    write_study: WriteStudy, client: Client, tmp_path: Path
 ) -> None:
     study, store = open_study(write_study(axes={"seed": [1]}, steps=[])), Store(tmp_path)
     window = flow._Window(study, store, Cluster(client, 1, ""), array("l", [0]))
-    future = SimpleNamespace(status="error" if error else "cancelled", exception=lambda: error)
-    if error is KILLED:
-        assert window._status(future, study.point(0), "") == "failed"
-        found = store.read(study.point(0).address)
-        assert found is not None
-        assert found["reason"] == "4 workers ended while computing it, perhaps for lack of memory"
-        return
-    with pytest.raises(RunFailure) as failure:
-        window._status(future, study.point(0), "")
-    assert said in str(failure.value)
-    assert store.read(study.point(0).address) is None
+    point = study.point(0)
+    for error, said in (
+        (DISK_FULL, "No space left on device); points"),
+        (OTHER_CODE, "node7 has other code; was it changed meanwhile? Points that"),
+        (None, "the scheduler was lost; points that are done are kept"),
+    ):
+        future = SimpleNamespace(
+            status="error" if error else "cancelled", exception=lambda error=error: error
+        )
+        with pytest.raises(RunFailure) as failure:
+            window._status(future, point, "")
+        assert said in str(failure.value) and store.read(point.address) is None
+    killed = SimpleNamespace(status="error", exception=lambda: KILLED)
+    assert window._status(killed, point, "") == "failed"
+    found = store.read(point.address)
+    assert found is not None
+    assert found["reason"] == "4 workers ended while computing it, perhaps for lack of memory"
 
 
 def test_an_installation_whose_versions_are_unknown_is_found_before_anything_is_computed(
