@@ -59,7 +59,7 @@ def source(write: Callable[[Original, Path], Paths], calibrated: bool = False, *
     return make
 
 
-def bag1(options: dict[str, str], **contents: Any) -> Bad:
+def bag1(options: dict[str, Any], **contents: Any) -> Bad:
     return source(lambda data, area: write_ros1(data, area / "a.bag", BagContents(**contents)), **options)
 
 

@@ -137,7 +137,8 @@ def test_poses_of_the_inspector(form: str, small_sequence: Path, tmp_path: Path)
         "PoseStamped": ("posestamped", {"poses": "/pose", "pose_of": "base_link"}),
         "tf": ("moving_tf", {"poses": "tf:map"}),
     }[form]
-    contents: Any = BagContents(X_BC0=X_BC0, **{name: X_NB})
+    poses: dict[str, Any] = {"X_BC0": X_BC0, name: X_NB}
+    contents = BagContents(**poses)
     bag = write_ros2(original(small_sequence), tmp_path / "bag", contents)
     done = imported([bag], tmp_path / "back", **options)
     sequence = open_sequence(tmp_path / "back")

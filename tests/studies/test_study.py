@@ -98,12 +98,12 @@ def test_an_address_depends_on_all_that_decides_the_result_and_on_nothing_else(
     mesh = tmp_path / "body.obj"
     body = {"family": "mesh", "path": str(mesh), "metres_per_unit": 1.0}
 
-    def address(content: str) -> str:
+    def of_content(content: str) -> str:
         mesh.write_text(content)
         study_module.file_digest.cache_clear()
         return open_study(write_study(base={"scene": {**SCENE, "body": body}}, steps=[])).point(0).address
 
-    assert address("v 0 0 0\n") != address("v 0 0 1\n")
+    assert of_content("v 0 0 0\n") != of_content("v 0 0 1\n")
 
 
 BASELINE_DRAWS = {"uniform": [1, 2], "count": 1000}
