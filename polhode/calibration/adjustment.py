@@ -21,12 +21,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polhode.calibration.lenses import Lens, project_with_derivatives
-from polhode.geometry.lie import Array, Bools, Ints, exp_so3, hat, inverse_pose
+from polhode.geometry.lie import Array, Bools, Ints, exp_so3, hat
 
 CAUCHY = 2.385
 """Standard deviations; 95 % efficiency for normal noise."""
-RAYLEIGH_MEDIAN = 1.1774
-"""Of the length of a residual, in standard deviations of one coordinate."""
 FLOOR_PX = 1e-4
 """Least standard deviation of a corner: synthetic data without noise must not divide by 0."""
 POOL_COUNTS = 20.0
@@ -163,7 +161,8 @@ def _spread(residuals: Array) -> float:
     """Robust standard deviation of a coordinate [px]."""
     lengths = np.hypot(residuals[:, 0], residuals[:, 1])
     lengths = lengths[np.isfinite(lengths)]
-    return max(float(np.median(lengths)) / RAYLEIGH_MEDIAN, FLOOR_PX) if len(lengths) else 1.0
+    # of the length of a residual, in standard deviations of one coordinate
+    return max(float(np.median(lengths)) / 1.1774, FLOOR_PX) if len(lengths) else 1.0
 
 
 def _sigmas(
@@ -294,8 +293,3 @@ def _minimize(
                 break
     none = np.zeros((state.shared, state.shared))
     return Adjusted(state, tuple(system.residuals), none, tuple(sigmas), converged)
-
-
-def relative_poses(X_0B: Array, X_1B: Array) -> Array:
-    """(V, 4, 4) from the left into the right camera, by the board as each sees it."""
-    return np.asarray(X_1B @ inverse_pose(X_0B))

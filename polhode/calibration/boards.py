@@ -49,25 +49,20 @@ class Board:
 
     @cached_property
     def points(self) -> Array:
-        """(N, 3) corners on the board [m], by their number."""
-        if self.pattern == "aprilgrid":
-            return self._grid_points()
-        columns, rows, first = self.columns, self.rows, 0.0
-        if self.pattern == "charuco":
-            columns, rows, first = columns - 1, rows - 1, 1.0
-        j, i = np.mgrid[:rows, :columns]
-        return self.square_m * np.column_stack(
-            [i.ravel() + first, j.ravel() + first, np.zeros(columns * rows)]
-        )
+        """(N, 3) corners on the board [m], by their number.
 
-    def _grid_points(self) -> Array:
-        """Kalibr's numbers: tags from the left below, along the rows; the corners of each from its left
-        below, against the clock."""
-        step = 1.0 + self.spacing
-        tag = np.arange(self.columns * self.rows)
-        origin = step * np.stack([tag % self.columns, tag // self.columns], axis=1)
-        corner = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-        flat = (origin[:, None] + corner).reshape(-1, 2)
+        Kalibr numbers tags from the left below, along the rows; the corners of each from its left below,
+        against the clock.
+        """
+        if self.pattern == "aprilgrid":
+            tag = np.arange(self.columns * self.rows)
+            origin = (1.0 + self.spacing) * np.stack([tag % self.columns, tag // self.columns], axis=1)
+            corner = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+            flat = (origin[:, None] + corner).reshape(-1, 2)
+        else:
+            first = int(self.pattern == "charuco")
+            j, i = np.mgrid[: self.rows - first, : self.columns - first]
+            flat = np.column_stack([i.ravel(), j.ravel()]) + float(first)
         return self.square_m * np.column_stack([flat, np.zeros(len(flat))])
 
     @property
@@ -126,14 +121,9 @@ def make_board(
         raise InputError(f"--marker-mm: a {kind} has no markers inside its squares; leave it out")
     if kind == "aprilgrid" and not 0.05 <= spacing <= 2.0:
         raise InputError(f"--spacing {spacing:g}: give the gap between tags over their side, 0.05 to 2")
-    return Board(kind, columns, rows, square_m, marker_m or 0.0, spacing, _dictionary(kind, dictionary))
-
-
-def _dictionary(kind: Pattern, name: str | None) -> str:
-    if name is None:
-        return APRILTAGS if kind == "aprilgrid" else "5X5_100"
+    wanted = dictionary or (APRILTAGS if kind == "aprilgrid" else "5X5_100")
     known = [each.removeprefix("DICT_") for each in dir(cv2.aruco) if each.startswith("DICT_")]
-    for each in known:
-        if each.lower() == name.lower().removeprefix("dict_"):
-            return each
-    raise InputError(f"--dictionary {name[:40]}: not known; choose one of {', '.join(known)}")
+    named = next((each for each in known if each.lower() == wanted.lower().removeprefix("dict_")), None)
+    if named is None:
+        raise InputError(f"--dictionary {wanted[:40]}: not known; choose one of {', '.join(known)}")
+    return Board(kind, columns, rows, square_m, marker_m or 0.0, spacing, named)

@@ -138,16 +138,20 @@ def calibrate(
         _leave_out_repeated(views)
     with progress.stage("adjusting", 4) as advance:
         require_enough(views)
-        alone = [_alone(views, camera, models[camera]) for camera in (0, 1)]
+        alone = _each_alone(views, models)
         advance()
         consensus = views.consensus([each.state.lenses[0] for each in alone])
         views.leave_out_spoiled(consensus)
         require_enough(views)
         if consensus.spoiled:
-            alone = [_alone(views, camera, models[camera]) for camera in (0, 1)]
+            alone = _each_alone(views, models)
         advance()
-        state = _join_cameras(views, alone, consensus.X_10)
-        state = _without_outliers(views, state)
+        # a board that only the right camera sees is placed by it
+        X_CB, X_01 = alone[0].state.X_CB.copy(), np.linalg.inv(consensus.X_10)
+        for pair in set(range(views.count)) - views.found[0].keys():
+            X_CB[pair] = X_01 @ alone[1].state.X_CB[pair]
+        lenses = (alone[0].state.lenses[0], alone[1].state.lenses[0])
+        state = _without_outliers(views, RigState(lenses, X_CB, consensus.X_10))
         require_enough(views)
         advance()
         result = _adjust_finally(views, state)
@@ -155,8 +159,13 @@ def calibrate(
     return result
 
 
+def _each_alone(views: Views, models: tuple[Model, Model]) -> list[Adjusted]:
+    """Each camera by itself."""
+    return [calibrated_alone(views.data(c), models[c], views.size_px(c), views.count) for c in (0, 1)]
+
+
 def find_views(pairs: ImagePairs, board: Board, progress: Progress) -> Views:
-    """Look for the board in all images."""
+    """Look for the board in all images. Raises InputError if the images of a camera have no usual size."""
     views = Views(board, pairs)
     total = sum(name is not None for side in pairs.names for name in side)
     with progress.stage("finding boards", total) as advance:
@@ -164,22 +173,30 @@ def find_views(pairs: ImagePairs, board: Board, progress: Progress) -> Views:
             if each.pixels is None:
                 views.missed[each.camera][each.pair] = Missed("unreadable", each.fault)
             else:
-                _look(views, each.camera, each.pair, each.pixels)
+                views.sizes_px[each.camera][each.pair] = (each.pixels.shape[1], each.pixels.shape[0])
+                found = find_board(each.pixels, board)
+                side = views.found if isinstance(found, Found) else views.missed
+                side[each.camera][each.pair] = found  # type: ignore[assignment]
+                seen = found.uv_px if isinstance(found, Found) else None
+                views.edge_px[each.camera][each.pair] = _edge_px(each.pixels, seen)
             advance()
     for camera in (0, 1):
-        _require_one_size(views, camera)
+        sizes = Counter(views.sizes_px[camera].values())
+        if not sizes:
+            raise InputError(f"none of the {SIDES[camera]} images can be read: {_first_reasons(views)}")
+        usual, count = sizes.most_common(1)[0]
+        if count < 0.6 * sizes.total():
+            said = ", ".join(f"{number} of {w}x{h}" for (w, h), number in sizes.most_common(3))
+            raise InputError(
+                f"the {SIDES[camera]} images have several sizes ({said} px): give those of one camera, as it "
+                "records them"
+            )
+        for pair, size in views.sizes_px[camera].items():
+            if size != usual:
+                said = f"{size[0]}x{size[1]} px, where the camera's other images have {usual[0]}x{usual[1]}"
+                views.found[camera].pop(pair, None)
+                views.missed[camera][pair] = Missed("other size", said)
     return views
-
-
-def _look(views: Views, camera: int, pair: int, image: Grey) -> None:
-    views.sizes_px[camera][pair] = (image.shape[1], image.shape[0])
-    found = find_board(image, views.board)
-    if isinstance(found, Missed):
-        views.missed[camera][pair] = found
-        views.edge_px[camera][pair] = _edge_px(image, None)
-    else:
-        views.found[camera][pair] = found
-        views.edge_px[camera][pair] = _edge_px(image, found.uv_px)
 
 
 def _edge_px(image: Grey, uv_px: Array | None) -> float:
@@ -191,25 +208,6 @@ def _edge_px(image: Grey, uv_px: Array | None) -> float:
     rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
     return edge_widths(image[box], inside[box], noise_level(image[box], inside[box]))[0]
-
-
-def _require_one_size(views: Views, camera: int) -> None:
-    """Leave out images of another size than the camera's. Raises InputError if it has no usual size."""
-    sizes = Counter(views.sizes_px[camera].values())
-    if not sizes:
-        raise InputError(f"none of the {SIDES[camera]} images can be read: {_first_reasons(views)}")
-    usual, count = sizes.most_common(1)[0]
-    if count < 0.6 * sizes.total():
-        said = ", ".join(f"{number} of {width}x{height}" for (width, height), number in sizes.most_common(3))
-        raise InputError(
-            f"the {SIDES[camera]} images have several sizes ({said} px): give those of one camera, as it "
-            "records them"
-        )
-    for pair, size in views.sizes_px[camera].items():
-        if size != usual:
-            said = f"{size[0]}x{size[1]} px, where the camera's other images have {usual[0]}x{usual[1]}"
-            views.found[camera].pop(pair, None)
-            views.missed[camera][pair] = Missed("other size", said)
 
 
 def require_board(views: Views) -> None:
@@ -238,13 +236,13 @@ def leave_out_blurred(views: Views) -> None:
     """Name what is blurred: images whose edges are far wider than those of the camera's usual image."""
     for camera in (0, 1):
         widths = views.edge_px[camera]
-        usual = _median([widths[pair] for pair in views.found[camera]])
-        if not np.isfinite(usual):
+        known = [widths[pair] for pair in views.found[camera] if np.isfinite(widths[pair])]
+        if not known:
             continue
-        # edges below 1.2 px are sharp, whatever the others are
-        limit = max(2.0 * usual, 1.2)
+        usual = float(np.median(known))
         for pair, width in widths.items():
-            if not width > limit:
+            # edges below 1.2 px are sharp, whatever the others are
+            if not width > max(2.0 * usual, 1.2):
                 continue
             words = f"edges are {width:.1f} px wide, and {usual:.1f} px in the usual image"
             if pair in views.found[camera]:
@@ -253,34 +251,23 @@ def leave_out_blurred(views: Views) -> None:
                 views.missed[camera][pair] = Missed("blurred", words)
 
 
-def _median(values: Sequence[float]) -> float:
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.median(known)) if known else float("nan")
-
-
 def _leave_out_repeated(views: Views) -> None:
     """Of a recording, keep one image of each place of the board: equal ones would only count twice."""
-    kept: list[tuple[Found, ...]] = []
-    for pair in range(views.count):
-        seen = tuple(views.found[camera][pair] for camera in (0, 1) if pair in views.found[camera])
-        if not seen:
-            continue
-        if any(_same_place(seen, other, max(views.size_px(0))) for other in kept):
-            views.reject(None, pair, "repeated", "the board is where an earlier image shows it")
-        else:
-            kept.append(seen)
 
-
-def _same_place(seen: tuple[Found, ...], other: tuple[Found, ...], side_px: int) -> bool:
-    if len(seen) != len(other):
-        return False
-    for one, two in zip(seen, other, strict=True):
+    def is_same(one: Found, two: Found) -> bool:
         _, a, b = np.intersect1d(one.ids, two.ids, return_indices=True)
         if len(a) < 0.8 * min(len(one.ids), len(two.ids)):
             return False
-        if np.median(np.linalg.norm(one.uv_px[a] - two.uv_px[b], axis=1)) > 0.004 * side_px:
-            return False
-    return True
+        apart_px = np.median(np.linalg.norm(one.uv_px[a] - two.uv_px[b], axis=1))
+        return bool(apart_px <= 0.004 * max(views.size_px(0)))
+
+    kept: list[list[Found]] = []
+    for pair in range(views.count):
+        seen = [views.found[camera][pair] for camera in (0, 1) if pair in views.found[camera]]
+        if any(len(seen) == len(other) and all(map(is_same, seen, other)) for other in kept if seen):
+            views.reject(None, pair, "repeated", "the board is where an earlier image shows it")
+        elif seen:
+            kept.append(seen)
 
 
 def require_enough(views: Views) -> None:
@@ -305,24 +292,6 @@ def _first_reasons(views: Views) -> str:
     return "; ".join(said[:2]) + (f"; {len(said) - 2} more" if len(said) > 2 else "") or "no images"
 
 
-def _alone(views: Views, camera: int, model: Model) -> Adjusted:
-    return calibrated_alone(views.data(camera), model, views.size_px(camera), views.count)
-
-
-def _join_cameras(views: Views, alone: Sequence[Adjusted], X_10: Array) -> RigState:
-    """The start of the common adjustment: a board that only the right camera sees is placed by it."""
-    X_CB = alone[0].state.X_CB.copy()
-    X_01 = np.linalg.inv(X_10)
-    for pair in range(views.count):
-        if pair not in views.found[0]:
-            X_CB[pair] = X_01 @ alone[1].state.X_CB[pair]
-    return RigState((alone[0].state.lenses[0], alone[1].state.lenses[0]), X_CB, X_10)
-
-
-def _all_free(state: RigState) -> Bools:
-    return np.ones(state.shared, dtype=np.bool_)
-
-
 def view_rms(residuals: Array, data: CornerData, count: int) -> Array:
     """(V,) root mean square length of the residuals of each view [px]; NaN: no corners."""
     corners = np.bincount(data.view, minlength=count)
@@ -334,7 +303,7 @@ def _without_outliers(views: Views, state: RigState) -> RigState:
     """Adjust robustly, leaving out view by view what stays far from the common solution."""
     for _ in range(6):
         data = (views.data(0), views.data(1))
-        result = adjust(data, state, _all_free(state), robust=True)
+        result = adjust(data, state, np.ones(state.shared, np.bool_), robust=True)
         state = result.state
         worst: list[tuple[float, int, int, float, float]] = []
         for camera in (0, 1):
@@ -380,7 +349,7 @@ def _alone_rms(data: CornerData, state: RigState, camera: int, pair: int) -> flo
 def _adjust_finally(views: Views, state: RigState) -> CalibratedRig:
     """Least squares of what is left, single wrong corners left out."""
     data = [views.data(0), views.data(1)]
-    result = adjust(data, state, _all_free(state), robust=True)
+    result = adjust(data, state, np.ones(state.shared, np.bool_), robust=True)
     left_out = 0
     for camera in (0, 1):
         off = np.linalg.norm(result.residuals[camera], axis=1)
@@ -388,12 +357,12 @@ def _adjust_finally(views: Views, state: RigState) -> CalibratedRig:
         good = off <= 6.0 * result.sigma_px[camera][data[camera].view]
         left_out += int((~good).sum())
         data[camera] = data[camera].kept(good)
-    result = adjust(data, result.state, _all_free(state), robust=False)
+    result = adjust(data, result.state, np.ones(state.shared, np.bool_), robust=False)
     alone = []
     for camera in (0, 1):
         poses = result.state.X_CB if camera == 0 else result.state.X_10 @ result.state.X_CB
         own = RigState((result.state.lenses[camera],), poses, np.eye(4))
-        single = adjust((data[camera],), own, _all_free(own), robust=False, by_view=False)
+        single = adjust((data[camera],), own, np.ones(own.shared, np.bool_), robust=False, by_view=False)
         alone.append(rms_px(single.residuals[0]))
     return CalibratedRig(views, result, (data[0], data[1]), (alone[0], alone[1]), left_out)
 

@@ -33,16 +33,12 @@ Kind = Literal[
     "repeated",
 ]
 """Why an image is left out."""
-MAX_SEARCH_PIXELS = 1_300_000
-"""Boards are searched in images reduced to this; corners are refined in the full one."""
 WINDOW_SHARE = 0.6
 """Half of cornerSubPix's window over the radius around the corner in which nothing else is."""
 FIT_SHARE = 0.9
 """Radius of the fitted disc over the same radius."""
 MIN_WINDOW_PX, MAX_WINDOW_PX = 2, 25
 MIN_CORNERS = 8
-MIN_SHARE = 0.8
-"""Of a chessboard's corners, which the detector has found all."""
 MAX_ASTRAY_PX = 0.5
 """From where its neighbours expect a corner, before it is looked for again."""
 MAX_MISFIT = 0.35
@@ -103,7 +99,8 @@ def refine_corners(image: Grey, uv_px: Array, free_px: Array, share: float = WIN
 
 def _reduce_image(image: Grey) -> tuple[Grey, float]:
     """The image as it is searched, and how much smaller it is."""
-    factor = max(1.0, np.sqrt(image.size / MAX_SEARCH_PIXELS))
+    # Boards are searched in images reduced to this; corners are refined in the full one
+    factor = max(1.0, np.sqrt(image.size / 1_300_000))
     if factor == 1.0:
         return image, 1.0
     height, width = image.shape
@@ -142,7 +139,8 @@ def _find_chessboard(image: Grey, board: Board) -> Found | Missed:
     uv = fit_corners(image, refine_corners(image, rough, free_px), FIT_SHARE * free_px)
     expected, astray = _expected(image, board, uv)
     good = ~astray
-    if good.sum() < max(MIN_CORNERS, MIN_SHARE * len(uv)):
+    # of a chessboard's corners, which the detector has found all
+    if good.sum() < max(MIN_CORNERS, 0.8 * len(uv)):
         words = f"{int(astray.sum())} of {len(uv)} corners are not where the others expect them"
         return Missed("outlier", words)
     if beyond := _corners_beyond(image, np.where(astray[:, None], expected, uv).reshape(grid.shape)):
@@ -162,39 +160,32 @@ def _expected(image: Grey, board: Board, uv_px: Array) -> tuple[Array, Bools]:
 
 def _grid_spacing(grid: Array) -> Array:
     """(rows, columns) least distance of each corner of a grid (rows, columns, 2) to its neighbours."""
-    out = np.full(grid.shape[:2], np.inf)
-    for axis in (0, 1):
-        step = np.linalg.norm(np.diff(grid, axis=axis), axis=2)
-        low, high = (slice(None, -1), slice(1, None))
-        first = (low, slice(None)) if axis == 0 else (slice(None), low)
-        second = (high, slice(None)) if axis == 0 else (slice(None), high)
-        out[first] = np.minimum(out[first], step)
-        out[second] = np.minimum(out[second], step)
-    return out
+    padded = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.inf)
+    neighbours = (padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:])
+    return np.asarray(np.min([np.linalg.norm(each - grid, axis=2) for each in neighbours], axis=0))
+
+
+def _sides(grid: Array) -> dict[str, Array]:
+    """A grid (rows, columns, 2), by the words for what is beyond its first line, as lines from there."""
+    turned = grid.transpose(1, 0, 2)
+    return {
+        "before the first row": grid,
+        "after the last row": grid[::-1],
+        "before the first column": turned,
+        "after the last column": turned[::-1],
+    }
 
 
 def _corners_beyond(image: Grey, grid: Array) -> str:
     """Where the corners of a grid (rows, columns, 2) go on, in words; empty: nowhere."""
-    inner = _saddle(image, grid.reshape(-1, 2), _grid_spacing(grid).ravel())
-    usual = float(np.nanmedian(inner))
-    for name, ordered in (
-        ("above", grid),
-        ("below", grid[::-1]),
-        ("left", grid.transpose(1, 0, 2)),
-        ("right", grid.transpose(1, 0, 2)[::-1]),
-    ):
+    usual = float(np.nanmedian(_saddle(image, grid.reshape(-1, 2), _grid_spacing(grid).ravel())))
+    for words, side in _sides(grid).items():
         # extrapolated along each line of corners; the third difference is left out
-        beyond = (
-            3.0 * ordered[0] - 3.0 * ordered[1] + ordered[2]
-            if len(ordered) > 2
-            else 2 * ordered[0] - ordered[1]
-        )
-        response = _saddle(image, beyond, np.linalg.norm(ordered[0] - beyond, axis=1))
+        beyond = 3.0 * side[0] - 3.0 * side[1] + side[2] if len(side) > 2 else 2 * side[0] - side[1]
+        response = _saddle(image, beyond, np.linalg.norm(side[0] - beyond, axis=1))
         seen = np.isfinite(response)
         if seen.sum() >= 3 and np.mean(response[seen] > 0.5 * usual) > 0.7:
-            return {"above": "before the first row", "below": "after the last row"}.get(
-                name, "before the first column" if name == "left" else "after the last column"
-            )
+            return words
     return ""
 
 
@@ -230,35 +221,22 @@ def _what_is_seen(small: Grey, board: Board) -> Missed:
     if not ok:
         return Missed("not found", f"no chessboard of {board.words} is seen")
     rows, columns = meta.shape[:2]
-    grid = np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)
-    if (columns, rows) in ((board.columns, board.rows), (board.rows, board.columns)):
+    seen, stated = sorted((columns, rows)), sorted((board.columns, board.rows))
+    if seen == stated:
         return Missed("not found", f"the chessboard of {board.words} is seen, but not clearly")
-    larger = max(columns, rows) > max(board.columns, board.rows) or min(columns, rows) > min(
-        board.columns, board.rows
-    )
-    if larger:
-        return Missed(
-            "other board", f"a chessboard of {columns}x{rows} inner corners is seen", (columns, rows)
-        )
-    if _reaches_border(grid, small.shape):
-        return Missed("cut off", f"only {columns}x{rows} of {board.words} are in the image")
-    if columns * rows < 0.4 * board.columns * board.rows:
-        return Missed("not found", f"only {columns}x{rows} of {board.words} are seen")
-    return Missed(
-        "covered", f"only {columns}x{rows} of {board.words} are seen, with a margin around", (columns, rows)
-    )
-
-
-def _reaches_border(grid: Array, shape: tuple[int, ...]) -> bool:
-    """Whether the squares around a grid (rows, columns, 2) of corners would leave the image."""
-    sides = (grid, grid[::-1], grid.transpose(1, 0, 2), grid.transpose(1, 0, 2)[::-1])
-    high = np.array([shape[1] - 1.0, shape[0] - 1.0])
-    for side in sides:
+    if seen[0] > stated[0] or seen[1] > stated[1]:
+        words = f"a chessboard of {columns}x{rows} inner corners is seen"
+        return Missed("other board", words, (columns, rows))
+    high = np.array([small.shape[1] - 1.0, small.shape[0] - 1.0])
+    for side in _sides(np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)).values():
         # the next line of corners, and half a square of margin
         beyond = side[0] + 1.5 * (side[0] - side[1])
         if ((beyond < 0.0) | (beyond > high)).any():
-            return True
-    return False
+            return Missed("cut off", f"only {columns}x{rows} of {board.words} are in the image")
+    words = f"only {columns}x{rows} of {board.words} are seen"
+    if columns * rows < 0.4 * board.columns * board.rows:
+        return Missed("not found", words)
+    return Missed("covered", f"{words}, with a margin around", (columns, rows))
 
 
 # --- boards with markers ---
@@ -269,26 +247,31 @@ def _find_markers(image: Grey, board: Board) -> Found | Missed:
 
 
 def _find_charuco(image: Grey, board: Board) -> Found | Missed:
-    best: tuple[int, Array, Ints, list[Array], Ints, Any] | None = None
+    best: tuple[Array, Ints, list[Array], Ints, Any] | None = None
     for legacy in (False, True) if board.rows % 2 == 0 else (False,):
         theirs = board.opencv_charuco(legacy)
-        corners, ids, markers, marker_ids = cv2.aruco.CharucoDetector(theirs).detectBoard(image)
-        count = 0 if ids is None else len(ids)
-        if best is None or count > best[0]:
-            uv = np.empty((0, 2)) if corners is None else np.asarray(corners, dtype=np.float64).reshape(-1, 2)
-            own = np.empty(0, np.int64) if ids is None else np.asarray(ids, dtype=np.int64).ravel()
-            seen = [] if marker_ids is None else [np.asarray(each, float).reshape(4, 2) for each in markers]
-            known = np.empty(0, np.int64) if marker_ids is None else np.asarray(marker_ids, np.int64).ravel()
-            best = (count, uv, own, seen, known, theirs)
+        found = cv2.aruco.CharucoDetector(theirs).detectBoard(image)
+        corners, ids, markers, marker_ids = (() if each is None else each for each in found)
+        if best is None or len(ids) > len(best[1]):
+            uv = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+            seen = [np.asarray(each, float).reshape(4, 2) for each in markers] if len(marker_ids) else []
+            numbers = (np.asarray(each, dtype=np.int64).ravel() for each in (ids, marker_ids))
+            best = (uv, next(numbers), seen, next(numbers), theirs)
     assert best is not None
-    count, uv, ids, seen, known, theirs = best
+    uv, ids, seen, known, theirs = best
     if wrong := _foreign_markers(board, known):
         return Missed("other board", wrong)
-    p_m, uv_px = _marker_corners(theirs, seen, known)
+    # corners of the markers that are seen, on OpenCV's board and in the image
+    places = {
+        int(i): np.asarray(p, dtype=np.float64)[:, :2]
+        for i, p in zip(theirs.getIds().ravel(), theirs.getObjPoints(), strict=True)
+    }
+    both = [(places[int(i)], corner) for i, corner in zip(known, seen, strict=True) if int(i) in places]
+    p_m, uv_px = (np.concatenate([np.empty((0, 2)), *(pair[k] for pair in both)]) for k in (0, 1))
     if len(known) >= 4 and (off := misfit(p_m, uv_px, board.square_m, _size(image))) > MAX_MISFIT:
         return Missed("other board", _misplaced(board, off))
-    if count < MIN_CORNERS:
-        return _too_few(count, len(known), seen, image, board)
+    if len(ids) < MIN_CORNERS:
+        return _too_few(len(ids), len(known), seen, image, board)
     return _finished(image, board, ids, uv, fitted_map(p_m, uv_px, _size(image)))
 
 
@@ -303,18 +286,6 @@ def _foreign_markers(board: Board, known: Ints) -> str:
 
 def _misplaced(board: Board, off: float) -> str:
     return f"the markers lie {off:.1f} squares from where a board of {board.words} has them"
-
-
-def _marker_corners(theirs: Any, seen: list[Array], known: Ints) -> tuple[Array, Array]:
-    """Corners (n, 2) of the markers that are seen, on OpenCV's board [m] and in the image [px]."""
-    places = {
-        int(i): np.asarray(p, dtype=np.float64)[:, :2]
-        for i, p in zip(theirs.getIds().ravel(), theirs.getObjPoints(), strict=True)
-    }
-    both = [(places[int(i)], corners) for i, corners in zip(known, seen, strict=True) if int(i) in places]
-    if not both:
-        return np.empty((0, 2)), np.empty((0, 2))
-    return np.concatenate([a for a, _ in both]), np.concatenate([b for _, b in both])
 
 
 def _too_few(count: int, markers: int, seen: list[Array], image: Grey, board: Board) -> Missed:
@@ -375,28 +346,22 @@ def _find_grid(image: Grey, board: Board) -> Found | Missed:
     if len(known) < 2:
         return _too_few(4 * len(known), len(known), tags, small, board)
     corners = _at_full_size(np.stack(tags), factor)
-    best, least = None, np.inf
+    best, least = np.empty(0, np.int64), np.inf
+    size, uv_px = _size(image), corners.reshape(-1, 2)
+    row, column = known // board.columns, known % board.columns
     for turn in range(4):
-        for upward in (True, False):
-            ids = _grid_ids(board, known, turn, upward)
-            p_m, uv_px = board.points[ids.ravel(), :2], corners.reshape(-1, 2)
-            off = misfit(p_m, uv_px, board.square_m, _size(image), bent=False)
+        for place in (row, board.rows - 1 - row):
+            # OpenCV lists the corners of each tag clockwise from the left above
+            clockwise = np.roll(np.array([3, 2, 1, 0]), turn)
+            ids = (4 * (place * board.columns + column)[:, None] + clockwise).ravel()
+            off = misfit(board.points[ids, :2], uv_px, board.square_m, size, bent=False)
             if off < 0.9 * least:
                 best, least = ids, off
-    if best is not None and least > MAX_MISFIT:
-        p_m = board.points[best.ravel(), :2]
-        least = misfit(p_m, corners.reshape(-1, 2), board.square_m, _size(image))
-    if best is None or least > MAX_MISFIT:
+    if len(best) and least > MAX_MISFIT:
+        least = misfit(board.points[best, :2], uv_px, board.square_m, size)
+    if not len(best) or least > MAX_MISFIT:
         return Missed("other board", _misplaced(board, least).replace("squares", "tags"))
-    return _finished(image, board, best.ravel(), corners.reshape(-1, 2))
-
-
-def _grid_ids(board: Board, known: Ints, turn: int, upward: bool) -> Ints:
-    """(n, 4) numbers of the corners that OpenCV lists for each tag, clockwise from the left above."""
-    row, column = known // board.columns, known % board.columns
-    place = (row if upward else board.rows - 1 - row) * board.columns + column
-    clockwise = np.roll(np.array([3, 2, 1, 0]), turn)
-    return np.asarray(4 * place[:, None] + clockwise)
+    return _finished(image, board, best, uv_px)
 
 
 def _tags(image: Grey, board: Board, border_bits: int) -> tuple[list[Array], Ints]:

@@ -1,8 +1,10 @@
 """Figures of the calibration's page, as plain data for plotly.js."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from polhode.calibration.adjustment import CornerData, RigState
 from polhode.calibration.calibrate import Views, view_rms
@@ -25,38 +27,36 @@ from polhode.report.plot_style import (
 from polhode.runtime.errors import printable
 
 COLORS = (AXIS_COLORS[2], AXIS_COLORS[0])
-DIVERGING = [[0.0, "#0072b2"], [0.5, "#e8ecf0"], [1.0, "#d55e00"]]
-COVERAGE = [[0.0, "#f7f9fb"], [0.15, "#cfe1f2"], [1.0, "#1f5a92"]]
+
+
+def page_sections(
+    views: Views, state: RigState, data: tuple[CornerData, CornerData], residuals: Sequence[Array]
+) -> dict[str, list[Figure]]:
+    """The figures of a calibration or a verification, by the titles of their sections."""
+    right_px, error = epipolar_errors(state, data)
+    sizes = (views.size_px(0), views.size_px(1))
+    return {
+        "Residuals": [
+            *(residual_figure(data[c], residuals[c], sizes[c], c) for c in (0, 1)),
+            views_figure(views, residuals, data),
+            radial_figure(state, data, residuals),
+        ],
+        "Epipolar error": [epipolar_figure(right_px, error, sizes[1]), epipolar_histogram(error)],
+        "Coverage": [coverage_figure(data[c], sizes[c], c) for c in (0, 1)],
+    }
 
 
 def residual_figure(data: CornerData, residuals: Array, size_px: tuple[int, int], camera: int) -> Figure:
-    """Residuals as arrows over the image."""
+    """Residuals as arrows over the image; the usual one has 0.02 of the image's width."""
     usual = float(np.median(np.linalg.norm(residuals, axis=1)))
-    # the usual residual's arrow has 0.02 of the image's width
-    scale = 0.02 * size_px[0] / max(usual, 1e-6)
-    scale = float(f"{scale:.1g}")
-    ends = data.uv_px + scale * residuals
-    gap = np.full((len(ends), 2), np.nan)
-    path = np.stack([data.uv_px, ends, gap], axis=1).reshape(-1, 2)
-    arrows: Trace = {
-        "type": "scattergl",
-        "mode": "lines",
-        "x": packed(path[:, 0]),
-        "y": packed(path[:, 1]),
-        "line": {"color": COLORS[camera], "width": 1.1},
-        "hoverinfo": "skip",
-        "showlegend": False,
-    }
-    heads: Trace = {
-        "type": "scattergl",
-        "mode": "markers",
-        "x": packed(data.uv_px[:, 0]),
-        "y": packed(data.uv_px[:, 1]),
-        "marker": {"color": COLORS[camera], "size": 3},
-        "text": [f"{u:+.2f}, {v:+.2f} px" for u, v in residuals.tolist()],
-        "hoverinfo": "text",
-        "showlegend": False,
-    }
+    scale = float(f"{0.02 * size_px[0] / max(usual, 1e-6):.1g}")
+    gap = np.full(residuals.shape, np.nan)
+    path = np.stack([data.uv_px, data.uv_px + scale * residuals, gap], axis=1).reshape(-1, 2)
+    color = COLORS[camera]
+    arrows = _trace("scattergl", *path.T, mode="lines", line={"color": color, "width": 1.1}, hoverinfo="skip")
+    words = [f"{u:+.2f}, {v:+.2f} px" for u, v in residuals.tolist()]
+    marker = {"color": color, "size": 3}
+    heads = _trace("scattergl", *data.uv_px.T, mode="markers", marker=marker, text=words, hoverinfo="text")
     return _over_image(
         f"residuals-{camera}",
         f"Residuals of the {SIDES[camera]} camera",
@@ -70,27 +70,22 @@ def residual_figure(data: CornerData, residuals: Array, size_px: tuple[int, int]
 
 def coverage_figure(data: CornerData, size_px: tuple[int, int], camera: int) -> Figure:
     """How many corners each part of the image has."""
-    width, height = size_px
-    step = max(size_px) / 16
-    columns, rows = max(1, round(width / step)), max(1, round(height / step))
-    count, v_edges, u_edges = np.histogram2d(
-        data.uv_px[:, 1], data.uv_px[:, 0], (rows, columns), ((0, height), (0, width))
+    u, v = (np.linspace(0.0, side, 1 + max(1, round(16 * side / max(size_px)))) for side in size_px)
+    count, *_ = np.histogram2d(data.uv_px[:, 0], data.uv_px[:, 1], (u, v))
+    heat = _trace(
+        "heatmap",
+        0.5 * (u[1:] + u[:-1]),
+        0.5 * (v[1:] + v[:-1]),
+        z=packed(count.T, "i4"),
+        colorscale=[[0.0, "#f7f9fb"], [0.15, "#cfe1f2"], [1.0, "#1f5a92"]],
+        colorbar=color_bar("corners"),
+        zmin=0,
     )
-    heat: Trace = {
-        "type": "heatmap",
-        "x": packed(0.5 * (u_edges[1:] + u_edges[:-1])),
-        "y": packed(0.5 * (v_edges[1:] + v_edges[:-1])),
-        "z": packed(count, "i4"),
-        "colorscale": COVERAGE,
-        "colorbar": color_bar("corners"),
-        "zmin": 0,
-    }
-    empty = 100.0 * float((count == 0).mean())
     return _over_image(
         f"coverage-{camera}",
         f"Coverage of the {SIDES[camera]} image",
-        f"Corners in each part of the image; {empty:.0f} % of the parts have none. Where there are none, the "
-        "distortion is extrapolated.",
+        f"Corners in each part of the image; {100 * (count == 0).mean():.0f} % of the parts have none. Where "
+        "there are none, the distortion is extrapolated.",
         [heat],
         size_px,
     )
@@ -100,28 +95,21 @@ def epipolar_figure(right_px: Array, error_px: Array, size_px: tuple[int, int]) 
     """Epipolar errors over the right image."""
     rms = float(np.sqrt(np.nanmean(error_px**2)))
     limit = max(3.0 * rms, 1e-3)
-    points: Trace = {
-        "type": "scattergl",
-        "mode": "markers",
-        "x": packed(right_px[:, 0]),
-        "y": packed(right_px[:, 1]),
-        "marker": {
-            "color": packed(error_px),
-            "colorscale": DIVERGING,
-            "cmin": -limit,
-            "cmax": limit,
-            "size": 5,
-            "line": {"color": FAINT, "width": 0.3},
-            "colorbar": color_bar("px"),
-        },
-        "showlegend": False,
+    marker = {
+        "color": packed(error_px),
+        "colorscale": [[0.0, "#0072b2"], [0.5, "#e8ecf0"], [1.0, "#d55e00"]],
+        "cmin": -limit,
+        "cmax": limit,
+        "size": 5,
+        "line": {"color": FAINT, "width": 0.3},
+        "colorbar": color_bar("px"),
     }
     return _over_image(
         "epipolar-map",
         "Epipolar error over the right image",
         f"Distance of each corner in the right image from the epipolar line of the same corner in the left "
         f"one; {rms:.3f} px rms. Stereo matching looks along these lines.",
-        [points],
+        [_trace("scattergl", *right_px.T, mode="markers", marker=marker)],
         size_px,
     )
 
@@ -131,45 +119,34 @@ def epipolar_histogram(error_px: Array) -> Figure:
     known = error_px[np.isfinite(error_px)]
     limit = max(float(np.percentile(np.abs(known), 99.5)), 1e-3)
     count, edges = np.histogram(known, np.linspace(-limit, limit, 61))
-    bars: Trace = {
-        "type": "bar",
-        "x": packed(0.5 * (edges[1:] + edges[:-1])),
-        "y": packed(count, "i4"),
-        "marker": {"color": ACCENT},
-        "showlegend": False,
-    }
     return Figure(
         "epipolar-histogram",
         "Distribution of the epipolar error",
         "Of the corners that both cameras see. A mean beside 0 would be a rotation or a displacement of the "
         "right camera that the adjustment did not remove.",
-        [bars],
+        [_trace("bar", 0.5 * (edges[1:] + edges[:-1]), count, marker={"color": ACCENT})],
         layout(xaxis=axis("epipolar error [px]"), yaxis=axis("corners"), bargap=0.05),
         height_px=460,
         wide=False,
     )
 
 
-def views_figure(
-    residuals: Sequence[Array], data: Sequence[CornerData], names: Sequence[str], count: int
-) -> Figure:
+def views_figure(views: Views, residuals: Sequence[Array], data: Sequence[CornerData]) -> Figure:
     """Root mean square residual of each image."""
-    bars: list[Trace] = []
-    numbers = np.arange(count)
-    for camera in (0, 1):
-        rms = view_rms(residuals[camera], data[camera], count)
-        bars.append(
-            {
-                "type": "bar",
-                "x": packed(numbers, "i4"),
-                "y": packed(rms),
-                "name": SIDES[camera],
-                "marker": {"color": COLORS[camera]},
-                "text": list(names),
-                "textposition": "none",
-                "hovertemplate": "%{text}: %{y:.3f} px",
-            }
+    bars = [
+        _trace(
+            "bar",
+            np.arange(views.count),
+            view_rms(residuals[camera], data[camera], views.count),
+            name=SIDES[camera],
+            marker={"color": COLORS[camera]},
+            text=[printable(each or "") for each in views.pairs.names[0]],
+            textposition="none",
+            hovertemplate="%{text}: %{y:.3f} px",
+            showlegend=True,
         )
+        for camera in (0, 1)
+    ]
     return Figure(
         "views",
         "Residuals by image",
@@ -187,31 +164,17 @@ def radial_figure(state: RigState, data: Sequence[CornerData], residuals: Sequen
         from_centre = each.uv_px - state.lenses[camera].values[2:4]
         distance = np.linalg.norm(from_centre, axis=1)
         outward = (from_centre * off).sum(axis=1) / np.maximum(distance, 1e-9)
-        traces.append(
-            {
-                "type": "scattergl",
-                "mode": "markers",
-                "x": packed(distance),
-                "y": packed(outward),
-                "marker": {"color": COLORS[camera], "size": 2.5, "opacity": 0.35},
-                "showlegend": False,
-                "hoverinfo": "skip",
-                **on(1),
-            }
-        )
+        marker = {"color": COLORS[camera], "size": 2.5, "opacity": 0.35}
+        points = _trace("scattergl", distance, outward, mode="markers", marker=marker, hoverinfo="skip")
         edges = np.quantile(distance, np.linspace(0.0, 1.0, 17))
         place = np.clip(np.searchsorted(edges, distance, "right") - 1, 0, 15)
         mean = [float(outward[place == k].mean()) if (place == k).any() else np.nan for k in range(16)]
+        style = {"color": COLORS[camera], "width": 2.5}
         middle = 0.5 * (edges[1:] + edges[:-1])
-        traces.append(
-            line(
-                middle,
-                mean,
-                f"{SIDES[camera]}, mean",
-                COLORS[camera],
-                line={"color": COLORS[camera], "width": 2.5},
-            )
-        )
+        traces += [
+            points | on(1),
+            line(middle, mean, f"{SIDES[camera]}, mean", COLORS[camera], line=style),
+        ]
     return Figure(
         "radial",
         "Radial residuals",
@@ -223,6 +186,10 @@ def radial_figure(state: RigState, data: Sequence[CornerData], residuals: Sequen
     )
 
 
+def _trace(kind: str, x: ArrayLike, y: ArrayLike, **more: Any) -> Trace:
+    return {"type": kind, "x": packed(x), "y": packed(y), "showlegend": False, **more}
+
+
 def _over_image(key: str, title: str, caption: str, traces: list[Trace], size_px: tuple[int, int]) -> Figure:
     width, height = size_px
     drawing = layout(
@@ -230,21 +197,3 @@ def _over_image(key: str, title: str, caption: str, traces: list[Trace], size_px
         yaxis=axis("v [px]", range=[height, 0], scaleanchor="x", constrain="domain", showgrid=False),
     )
     return Figure(key, title, caption, traces, drawing, height_px=460, wide=False)
-
-
-def page_sections(
-    views: Views, state: RigState, data: tuple[CornerData, CornerData], residuals: Sequence[Array]
-) -> dict[str, list[Figure]]:
-    """The figures of a calibration or a verification, by the titles of their sections."""
-    right_px, error = epipolar_errors(state, data)
-    sizes = (views.size_px(0), views.size_px(1))
-    names = [printable(each or "") for each in views.pairs.names[0]]
-    return {
-        "Residuals": [
-            *(residual_figure(data[c], residuals[c], sizes[c], c) for c in (0, 1)),
-            views_figure(residuals, data, names, views.count),
-            radial_figure(state, data, residuals),
-        ],
-        "Epipolar error": [epipolar_figure(right_px, error, sizes[1]), epipolar_histogram(error)],
-        "Coverage": [coverage_figure(data[c], sizes[c], c) for c in (0, 1)],
-    }

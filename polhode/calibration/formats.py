@@ -48,21 +48,14 @@ def rig_of(state: RigState, sizes_px: tuple[tuple[int, int], tuple[int, int]]) -
 def calibration_files(state: RigState, sizes_px: tuple[tuple[int, int], tuple[int, int]]) -> dict[str, bytes]:
     """All files by name. OpenCV's cannot state a pinhole beside a fisheye, and is then left out."""
     rig = rig_of(state, sizes_px)
-    files = sensor_files(rig)
-    files[KALIBR] = _yaml(_camchain(state, rig))
-    if rig.left.model == rig.right.model:
-        files[OPENCV] = _opencv(state, rig)
-    for name, text in zip(CAMERA_INFO, _camera_infos(state, rig), strict=True):
-        files[name] = text
-    return files
-
-
-def sensor_files(rig: Rig) -> dict[str, bytes]:
-    """``sensor.yaml`` of both cameras."""
     with TemporaryDirectory() as folder:
         # sensor.yaml has a rate, which images of a board do not show and nothing reads
         write_rig(Path(folder), rig, 1.0)
-        return {name: (Path(folder) / name).read_bytes() for name in SENSORS}
+        files = {name: (Path(folder) / name).read_bytes() for name in SENSORS}
+    files[KALIBR] = _yaml(_camchain(state, rig))
+    if rig.left.model == rig.right.model:
+        files[OPENCV] = _opencv(state, rig)
+    return files | dict(zip(CAMERA_INFO, _camera_infos(state, rig), strict=True))
 
 
 def _yaml(content: dict[str, object]) -> bytes:
@@ -110,12 +103,13 @@ def rectifying_rotations(X_10: Array) -> tuple[Array, Array]:
     along = -R_10.T @ t_10
     along /= np.linalg.norm(along)
     forward = np.array([0.0, 0.0, 1.0]) + R_10[2]
-    vertical = abs(along[1]) > abs(along[0])
-    axis = along * (np.sign(along[1]) if vertical else np.sign(along[0]))
-    other = np.cross(forward, axis) if not vertical else np.cross(axis, forward)
+    # the axis along the baseline, and the one that completes it to a right-handed frame with the third
+    first = int(abs(along[1]) > abs(along[0]))
+    axis = along * np.sign(along[first])
+    other = np.cross(axis, forward) if first else np.cross(forward, axis)
     other /= np.linalg.norm(other)
-    third = np.cross(axis, other) if not vertical else np.cross(other, axis)
-    R_left = np.stack([axis, other, third]) if not vertical else np.stack([other, axis, third])
+    third = np.cross(other, axis) if first else np.cross(axis, other)
+    R_left = np.stack([other, axis, third] if first else [axis, other, third])
     return R_left, R_left @ R_10.T
 
 
@@ -128,15 +122,10 @@ def _camera_infos(state: RigState, rig: Rig) -> list[bytes]:
     for index, camera in enumerate(rig.cameras):
         assert camera.size_px is not None
         width, height = camera.size_px
-        P = np.array(
-            [
-                [focal, 0.0, 0.5 * (width - 1), 0.0],
-                [0.0, focal, 0.5 * (height - 1), 0.0],
-                [0.0, 0.0, 1.0, 0.0],
-            ]
-        )
+        P = np.diag([focal, focal, 1.0]) @ np.eye(3, 4)
+        P[0, 2], P[1, 2] = 0.5 * (width - 1), 0.5 * (height - 1)
         if index:
-            P[0, 3], P[1, 3] = focal * offset[0], focal * offset[1]
+            P[:2, 3] = focal * offset[:2]
         model = "plumb_bob" if len(camera.distortion) == 5 else "rational_polynomial"
         content: dict[str, object] = {
             "image_width": width,

@@ -24,6 +24,8 @@ _log = logging.getLogger(__name__)
 SIDES = ("left", "right")
 MAX_PAIRS = 200
 """Of a recording, spread over it."""
+Names = tuple[tuple[str | None, ...], tuple[str | None, ...]]
+"""(K,) of the left and the right images, for messages; None: there is none"""
 
 
 @dataclass(frozen=True)
@@ -40,55 +42,35 @@ class BoardImage:
 
 @dataclass(frozen=True)
 class PairsOfFiles:
-    """Two sets of files."""
+    """Two sets of files, which are their names."""
 
     name: str
-    files: tuple[tuple[Path | None, ...], tuple[Path | None, ...]]
-    """(K,) of the left and the right images; None: there is none"""
+    names: Names
     is_dense: bool = False
     """Whether images follow each other so closely that they show the board at the same place"""
 
-    @property
-    def names(self) -> tuple[tuple[str | None, ...], tuple[str | None, ...]]:
-        """(K,) of the left and the right images for messages: the paths; None: there is none."""
-        left, right = (tuple(None if each is None else str(each) for each in side) for side in self.files)
-        return left, right
-
     def images(self) -> Iterator[BoardImage]:
         """Pair by pair."""
-        for pair in range(len(self.files[0])):
-            for camera in (0, 1):
-                path = self.files[camera][pair]
+        for pair, files in enumerate(zip(*self.names, strict=True)):
+            for camera, path in enumerate(files):
                 if path is None:
                     continue
                 try:
-                    yield BoardImage(camera, pair, _read(read_bytes(path, IMAGE_BYTES, "an image")))
+                    yield BoardImage(camera, pair, _read(read_bytes(Path(path), IMAGE_BYTES, "an image")))
                 except (UnreadableImage, InputError) as error:
                     yield BoardImage(camera, pair, None, str(error).removeprefix(f"{path} "))
 
 
 @dataclass(frozen=True)
 class PairsOfRecording:
-    """Some pairs of a recording."""
+    """Some pairs of a recording, which are named by the number of the frame."""
 
+    name: str
+    names: Names
     recording: Recording
     indices: tuple[tuple[int, ...], tuple[int, ...]]
     """(K,) of the left and the right images"""
     is_dense: bool = True
-
-    @property
-    def name(self) -> str:
-        """The recording's."""
-        return self.recording.name
-
-    @property
-    def names(self) -> tuple[tuple[str | None, ...], tuple[str | None, ...]]:
-        """By the number of the frame."""
-        left, right = (
-            tuple(f"{side} image {index}" for index in indices)
-            for side, indices in zip(SIDES, self.indices, strict=True)
-        )
-        return left, right
 
     def images(self) -> Iterator[BoardImage]:
         """In the order of the recording."""
@@ -130,16 +112,14 @@ def pairs_of_files(left: Sequence[str], right: Sequence[str]) -> PairsOfFiles:
     if set(files[0]) & set(files[1]):
         both = min(set(files[0]) & set(files[1]))
         raise InputError(f"{both} is an image of --left and of --right: give each camera its own images")
-    name = f"{' '.join(left)} and {' '.join(right)}"
-    numbers = tuple([_number(path) for path in side] for side in files)
-    if paired := _by_number(files, numbers):
-        return PairsOfFiles(name, paired)
-    if len(files[0]) != len(files[1]):
+    sides = _by_number(files) or (tuple(files[0]), tuple(files[1]))
+    if len(sides[0]) != len(sides[1]):
         raise InputError(
             f"{len(files[0])} left and {len(files[1])} right images, whose names have no numbers in common: "
             "name the images of a pair alike"
         )
-    return PairsOfFiles(name, (tuple(files[0]), tuple(files[1])))
+    names = tuple(tuple(None if path is None else str(path) for path in side) for side in sides)
+    return PairsOfFiles(f"{' '.join(left)} and {' '.join(right)}", (names[0], names[1]))
 
 
 def _files(words: Sequence[str], side: str) -> list[Path]:
@@ -162,25 +142,22 @@ def _files(words: Sequence[str], side: str) -> list[Path]:
     return sorted(found, key=lambda path: [natural_key(part) for part in path.parts])
 
 
+def _by_number(
+    files: tuple[list[Path], list[Path]],
+) -> tuple[tuple[Path | None, ...], tuple[Path | None, ...]] | None:
+    """Pairs of files with the same last number; None: the numbers do not say which belong together."""
+    left, right = ({_number(path): path for path in side} for side in files)
+    if None in left or None in right or (len(left), len(right)) != tuple(map(len, files)):
+        return None
+    if len(left.keys() & right.keys()) < 0.5 * min(len(left), len(right)):
+        return None
+    every = sorted(left.keys() | right.keys(), key=lambda number: number or 0)
+    return tuple(left.get(k) for k in every), tuple(right.get(k) for k in every)
+
+
 def _number(path: Path) -> int | None:
     digits = re.findall(r"\d+", path.stem)
     return int(digits[-1]) if digits else None
-
-
-def _by_number(
-    files: tuple[list[Path], list[Path]], numbers: Sequence[Sequence[int | None]]
-) -> tuple[tuple[Path | None, ...], tuple[Path | None, ...]] | None:
-    """Pairs of files with the same number; None: the numbers do not say which belong together."""
-    known = []
-    for side, own in zip(files, numbers, strict=True):
-        if None in own or len(set(own)) < len(own):
-            return None
-        known.append({number: path for number, path in zip(own, side, strict=True) if number is not None})
-    common = known[0].keys() & known[1].keys()
-    if len(common) < 0.5 * min(len(known[0]), len(known[1])):
-        return None
-    every = sorted(known[0].keys() | known[1].keys())
-    return tuple(known[0].get(k) for k in every), tuple(known[1].get(k) for k in every)
 
 
 @contextmanager
@@ -219,5 +196,6 @@ def _pairs_of_recording(recording: Recording, options: ImportOptions) -> PairsOf
     chosen = np.flatnonzero((since_s >= options.start_s) & (since_s <= options.end_s))[:: options.every]
     if len(chosen) > MAX_PAIRS:
         chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, MAX_PAIRS).astype(int))]
-    indices = tuple(tuple(side[chosen].tolist()) for side in (pairing.left, pairing.right))
-    return PairsOfRecording(recording, (indices[0], indices[1]))
+    left, right = (tuple(side[chosen].tolist()) for side in (pairing.left, pairing.right))
+    names = (tuple(f"left image {k}" for k in left), tuple(f"right image {k}" for k in right))
+    return PairsOfRecording(recording.name, names, recording, (left, right))

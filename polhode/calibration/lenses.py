@@ -19,9 +19,6 @@ COEFFICIENTS: dict[Model, tuple[str, ...]] = {
     "brown8": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
-RATIONAL_SIGMA = 1.0
-"""Prior of the coefficients k4, k5 and k6 about 0: a numerator and a denominator can grow together without a
-trace in the image, and only their difference is determined."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +53,10 @@ class Lens:
     @property
     def prior_sigmas(self) -> Array:
         """(4 + n,) standard deviations of the prior of the values about 0; infinite: none."""
+        # Prior of the coefficients k4, k5 and k6 about 0: a numerator and a denominator can grow together
+        # without a trace in the image, and only their difference is determined
         return np.array(
-            [
-                RATIONAL_SIGMA if name in ("k4", "k5", "k6") and not self.is_fisheye else np.inf
-                for name in self.names
-            ]
+            [1.0 if name in ("k4", "k5", "k6") and not self.is_fisheye else np.inf for name in self.names]
         )
 
     def moved(self, step: Array) -> "Lens":

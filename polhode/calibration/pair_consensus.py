@@ -20,9 +20,6 @@ from polhode.calibration.start_values import board_poses
 from polhode.geometry.lie import Array, Ints, inverse_pose, log_so3, transform_points
 from polhode.runtime.errors import InputError
 
-MAX_OFF = 0.012
-"""Of the larger side of the image: a prediction by the board's pose in the left camera alone, whose distance
-has an error, may be off by so much."""
 MIN_PAIRS = 3
 
 
@@ -64,7 +61,9 @@ def agree(
 ) -> Consensus:
     """The consensus of all pairs. Raises InputError if most do not agree."""
     # a limit [px] of the distance from the prediction
-    judge = _Judge(board, lenses, max(4.0, MAX_OFF * max(sizes_px[1])))
+    # of the larger side of the image: a prediction by the board's pose in the left camera alone, whose
+    # distance has an error, may be off by so much
+    judge = _Judge(board, lenses, max(4.0, 0.012 * max(sizes_px[1])))
     X_10 = judge.proposal(pairs)
     agreeing, spoiled = [], []
     for pair in pairs:
@@ -101,7 +100,9 @@ class _Judge:
 
     def error(self, X_10: Array, pair: Pair, scale: float = 1.0) -> tuple[float, Ints]:
         """Median distance [px] of the right corners from their prediction; the order where it is least."""
-        X_1B = X_10 @ _scale_translation(self.pose(0, pair.left), scale)
+        X_0B = self.pose(0, pair.left).copy()
+        X_0B[:3, 3] *= scale
+        X_1B = X_10 @ X_0B
         best, least = self.orders[0], np.inf
         for order in self.orders:
             p = scale * self.board.points[order[pair.right.ids]]
@@ -147,9 +148,11 @@ class _Judge:
             (swapped, None, "swapped", "left and right are exchanged: as the other camera's they fit")
         ]
         if self.board.pattern == "chessboard":
+            # where the corners are in the mirror images, numbered as on the board itself
+            ids, at = orders(self.board, mirrored=True)[0], [size[0] - 1.0 for size in sizes_px]
             left, right = (
-                self._flipped(found, size)
-                for found, size in zip((pair.left, pair.right), sizes_px, strict=True)
+                Found(ids[found.ids], np.array([middle, 0.0]) + found.uv_px * np.array([-1.0, 1.0]))
+                for found, middle in zip((pair.left, pair.right), at, strict=True)
             )
             said = "its mirror image fits the other pairs"
             for camera, trial in (
@@ -172,12 +175,6 @@ class _Judge:
             "them, or they are no pair",
         )
 
-    def _flipped(self, found: Found, size_px: tuple[int, int]) -> Found:
-        """The corners where they are in the image's mirror image, numbered as on the board itself."""
-        uv = found.uv_px.copy()
-        uv[:, 0] = size_px[0] - 1.0 - uv[:, 0]
-        return Found(orders(self.board, mirrored=True)[0][found.ids], uv)
-
     def _scale(self, X_10: Array, pair: Pair) -> float | None:
         """How many times larger the squares of this pair are, if that alone is wrong."""
         X_1B, X_B0 = self.pose(1, pair.right), inverse_pose(self.pose(0, pair.left))
@@ -188,9 +185,3 @@ class _Judge:
                 if max(scale, 1.0 / scale) > 1.03:
                     return scale
         return None
-
-
-def _scale_translation(X: Array, scale: float) -> Array:
-    out = X.copy()
-    out[:3, 3] *= scale
-    return out

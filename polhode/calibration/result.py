@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from polhode.calibration.boards import Pattern
-from polhode.calibration.calibrate import CalibratedRig, rms_px
+from polhode.calibration.calibrate import CalibratedRig, Views, rms_px
 from polhode.calibration.detection import Kind
 from polhode.calibration.epipolar import epipolar_errors
 from polhode.calibration.lenses import Model
@@ -127,6 +127,17 @@ def result_of(rig: CalibratedRig) -> CalibrationResult:
     baseline = Parameter(value=float(np.linalg.norm(t)), sigma=baseline_sigma, unit="m")
     parameters["rig"] = {"baseline": baseline}
     board = views.board
+    cameras = [
+        CameraOfResult(
+            model=state.lenses[camera].model,
+            width_px=views.size_px(camera)[0],
+            height_px=views.size_px(camera)[1],
+            images_used=len(views.found[camera]),
+            corners_used=len(rig.data[camera].view),
+            corner_sigma_px=float(np.nanmedian(rig.adjusted.sigma_px[camera])),
+        )
+        for camera in (0, 1)
+    ]
     return CalibrationResult(
         board=BoardOfResult(
             pattern=board.pattern,
@@ -137,7 +148,7 @@ def result_of(rig: CalibratedRig) -> CalibrationResult:
             spacing=board.spacing if board.pattern == "aprilgrid" else None,
             dictionary=None if board.pattern == "chessboard" else board.dictionary,
         ),
-        cameras=(_camera(rig, 0), _camera(rig, 1)),
+        cameras=(cameras[0], cameras[1]),
         pairs=len(views.found[0].keys() & views.found[1].keys()),
         rms_px=RmsOfResult(
             cam0=rig.alone_px[0], cam1=rig.alone_px[1], stereo=rms_px(np.concatenate(residuals))
@@ -150,9 +161,7 @@ def result_of(rig: CalibratedRig) -> CalibrationResult:
             for camera in (0, 1)
             if pair in views.found[camera]
         ),
-        rejected=tuple(
-            RejectedImage(file=each.file, kind=each.kind, reason=each.reason) for each in views.rejections()
-        ),
+        rejected=rejected_images(views),
         corners_left_out=rig.left_out,
         parameters=parameters,
         covariance=Covariance(names=tuple(names), matrix=tuple(map(tuple, covariance.tolist()))),
@@ -160,15 +169,10 @@ def result_of(rig: CalibratedRig) -> CalibrationResult:
     )
 
 
-def _camera(rig: CalibratedRig, camera: int) -> CameraOfResult:
-    width, height = rig.views.size_px(camera)
-    return CameraOfResult(
-        model=rig.state.lenses[camera].model,
-        width_px=width,
-        height_px=height,
-        images_used=len(rig.views.found[camera]),
-        corners_used=len(rig.data[camera].view),
-        corner_sigma_px=float(np.nanmedian(rig.adjusted.sigma_px[camera])),
+def rejected_images(views: Views) -> tuple[RejectedImage, ...]:
+    """All images that were left out, pair by pair."""
+    return tuple(
+        RejectedImage(file=each.file, kind=each.kind, reason=each.reason) for each in views.rejections()
     )
 
 

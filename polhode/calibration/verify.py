@@ -26,7 +26,7 @@ from polhode.calibration.calibrate import (
 from polhode.calibration.epipolar import common_corners, epipolar_px, rays
 from polhode.calibration.image_pairs import SIDES, ImagePairs
 from polhode.calibration.lenses import COEFFICIENTS, Lens
-from polhode.calibration.result import RejectedImage
+from polhode.calibration.result import RejectedImage, rejected_images
 from polhode.calibration.start_values import board_poses
 from polhode.geometry.lie import Array, Ints, inverse_pose, log_so3
 from polhode.importers.calibrations.read_rig import read_rig
@@ -36,17 +36,11 @@ from polhode.run_directory.summary_schema import StrictModel
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress
 
-MAX_REPROJECTION_PX, FAIL_REPROJECTION_PX = 0.5, 1.0
-MAX_EPIPOLAR_PX, FAIL_EPIPOLAR_PX = 0.3, 0.8
-"""As polhode checkout has them: stereo matching accepts rows that differ by 0.8 px."""
-MAX_PART_PX, FAIL_PART_PX = 0.3, 0.8
-MAX_LENGTH, FAIL_LENGTH = 0.5, 2.0
-"""Percent."""
-MAX_FOCAL = 0.3
-"""Percent."""
+EPIPOLAR_PX = (0.3, 0.8)
+"""A check warns beyond the first and fails beyond the second, as polhode checkout has them: stereo matching
+accepts rows that differ by 0.8 px"""
 SIGMAS = 5.0
-PARTS = 3
-RECALIBRATE = "Calibrate the rig again: polhode calibrate with these images, and more."
+"""By so many standard deviations a change is more than what the images leave open"""
 
 
 class VerificationResult(StrictModel):
@@ -103,9 +97,7 @@ def verify(
         calibration=tuple(map(str, paths)),
         pairs=len(views.found[0].keys() & views.found[1].keys()),
         checks=tuple(checks),
-        rejected=tuple(
-            RejectedImage(file=each.file, kind=each.kind, reason=each.reason) for each in views.rejections()
-        ),
+        rejected=rejected_images(views),
     )
     return Verified(result, views, held.state, data, held.residuals)
 
@@ -137,23 +129,21 @@ def _require_size(views: Views, rig: Rig) -> None:
             )
 
 
-def _require_order(seen_X_10: Array, stated_X_10: Array, source: str) -> None:
-    """Raise InputError if the images have the right camera where the calibration has the left one."""
-    seen, stated, exchanged = (X[:3, 3] for X in (seen_X_10, stated_X_10, inverse_pose(stated_X_10)))
+def _place_boards(
+    views: Views, lenses: tuple[Lens, Lens], X_10: Array, source: str
+) -> tuple[RigState, tuple[CornerData, CornerData]]:
+    """The boards before the rig; pairs that contradict most others are left out.
+
+    Raises InputError if the images have the right camera where the calibration has the left one.
+    """
+    consensus = views.consensus(lenses)
+    seen, stated, exchanged = (X[:3, 3] for X in (consensus.X_10, X_10, inverse_pose(X_10)))
     half = 0.5 * np.linalg.norm(stated)
     if np.linalg.norm(seen - exchanged) < half < np.linalg.norm(seen - stated):
         raise InputError(
             f"{source}: the images fit this calibration only with left and right exchanged; exchange --left "
             "and --right, or the cameras of the calibration"
         )
-
-
-def _place_boards(
-    views: Views, lenses: tuple[Lens, Lens], X_10: Array, source: str
-) -> tuple[RigState, tuple[CornerData, CornerData]]:
-    """The boards before the rig; pairs that contradict most others are left out."""
-    consensus = views.consensus(lenses)
-    _require_order(consensus.X_10, X_10, source)
     views.leave_out_spoiled(consensus)
     require_enough(views)
     data = (views.data(0), views.data(1))
@@ -169,72 +159,77 @@ def _checks(views: Views, held: Adjusted, data: tuple[CornerData, CornerData]) -
     state, residuals = held.state, held.residuals
     left, right = common_corners(data)
     error = epipolar_px(state, data[0].uv_px[left], data[1].uv_px[right])
-    epipolar = float(np.sqrt(np.nanmean(error**2)))
-    checks = [
-        judge(
-            "rig",
+    recalibrate = "Calibrate the rig again: polhode calibrate with these images, and more."
+    return [
+        _check(
             "reprojection error",
             rms_px(np.concatenate(residuals)),
             "px",
-            MAX_REPROJECTION_PX,
-            fail_limit=FAIL_REPROJECTION_PX,
-            finding=f"Left {rms_px(residuals[0]):.3f} px, right {rms_px(residuals[1]):.3f} px rms, of the "
-            "boards that fit both images best.",
-            advice=RECALIBRATE,
+            (0.5, 1.0),
+            f"Left {rms_px(residuals[0]):.3f} px, right {rms_px(residuals[1]):.3f} px rms, of the boards "
+            "that fit both images best.",
+            recalibrate,
         ),
-        judge(
-            "rig",
+        _check(
             "epipolar error",
-            epipolar,
+            float(np.sqrt(np.nanmean(error**2))),
             "px",
-            MAX_EPIPOLAR_PX,
-            fail_limit=FAIL_EPIPOLAR_PX,
-            finding=f"Of {len(left)} corners that both cameras see; mean {np.nanmean(error):+.3f} px.",
-            advice=RECALIBRATE,
+            EPIPOLAR_PX,
+            f"Of {len(left)} corners that both cameras see; mean {np.nanmean(error):+.3f} px.",
+            recalibrate,
         ),
         _worst_part(views, residuals, data),
         _lengths(state, data, left, right),
+        *_changes(held, data),
     ]
-    return [*checks, *_turned(held, data), *_focal_lengths(held, data)]
+
+
+def _check(
+    name: str,
+    value: float,
+    unit: str,
+    limits: tuple[float, float],
+    finding: str,
+    advice: str,
+    sigma: float | None = None,
+) -> CheckoutCheck:
+    """``limits``: beyond which it warns, and beyond which it fails."""
+    limit, fail = limits
+    return judge(
+        "rig", name, value, unit, limit, fail_limit=fail, sigma=sigma, finding=finding, advice=advice
+    )
 
 
 def _worst_part(
     views: Views, residuals: Sequence[Array], data: tuple[CornerData, CornerData]
 ) -> CheckoutCheck:
-    """The part of an image whose corners are off in common."""
+    """The part of an image, of three times three, whose corners are off in common."""
     most, words = 0.0, "No part of the images has enough corners."
     for camera, (each, off) in enumerate(zip(data, residuals, strict=True)):
         share = each.uv_px / np.array(views.size_px(camera))
-        cell = np.clip((share * PARTS).astype(int), 0, PARTS - 1)
-        for row in range(PARTS):
-            for column in range(PARTS):
-                inside = (cell == [column, row]).all(axis=1)
-                if inside.sum() < 20:
-                    continue
-                mean = np.median(off[inside], axis=0)
-                if np.linalg.norm(mean) > most:
-                    most = float(np.linalg.norm(mean))
-                    words = (
-                        f"In the {SIDES[camera]} image, part {column + 1} of {PARTS} from the left and "
-                        f"{row + 1} of {PARTS} from the top: {mean[0]:+.2f}, {mean[1]:+.2f} px in the median."
-                    )
-    return judge(
-        "rig",
-        "residual of the worst part of an image",
-        most,
-        "px",
-        MAX_PART_PX,
-        fail_limit=FAIL_PART_PX,
-        finding=words,
-        advice="The lens is not as calibrated there: calibrate with boards in that part of the image.",
-    )
+        cell = np.clip((share * 3).astype(int), 0, 2)
+        for row, column in np.ndindex(3, 3):
+            inside = (cell == [column, row]).all(axis=1)
+            mean = np.median(off[inside], axis=0) if inside.sum() >= 20 else np.zeros(2)
+            if np.linalg.norm(mean) > most:
+                most = float(np.linalg.norm(mean))
+                words = (
+                    f"In the {SIDES[camera]} image, part {column + 1} of 3 from the left and {row + 1} of 3 "
+                    f"from the top: {mean[0]:+.2f}, {mean[1]:+.2f} px in the median."
+                )
+    advice = "The lens is not as calibrated there: calibrate with boards in that part of the image."
+    return _check("residual of the worst part of an image", most, "px", (0.3, 0.8), words, advice)
 
 
 def _lengths(state: RigState, data: tuple[CornerData, CornerData], left: Ints, right: Ints) -> CheckoutCheck:
     """Distances on the board as both cameras measure them, against the true ones."""
+    # points halfway between rays from 0 along a and from t along b
     a = rays(state.lenses[0], data[0].uv_px[left])
     b = rays(state.lenses[1], data[1].uv_px[right]) @ state.X_10[:3, :3]
-    p = _triangulated(a, b, -state.X_10[:3, :3].T @ state.X_10[:3, 3])
+    t = -state.X_10[:3, :3].T @ state.X_10[:3, 3]
+    ab, at, bt = (a * b).sum(axis=1), a @ t, b @ t
+    along_a, along_b = (at - ab * bt) / (1.0 - ab**2), (ab * at - bt) / (1.0 - ab**2)
+    p = 0.5 * (along_a[:, None] * a + t + along_b[:, None] * b)
     view, on_board = data[0].view[left], data[0].p_B[left]
     ratios = []
     for k in np.unique(view):
@@ -247,95 +242,71 @@ def _lengths(state: RigState, data: tuple[CornerData, CornerData], left: Ints, r
         true = np.linalg.norm(on_board[own] - on_board[other], axis=1)
         ratios.append(float(np.median(seen / true)))
     off = 100.0 * (float(np.median(ratios)) - 1.0) if ratios else float("nan")
-    sigma = 125.0 * float(np.std(ratios)) / np.sqrt(len(ratios)) if len(ratios) > 2 else None
-    return judge(
-        "rig",
+    return _check(
         "error of lengths",
         abs(off),
         "%",
-        MAX_LENGTH,
-        fail_limit=FAIL_LENGTH,
-        sigma=sigma,
-        finding=f"Distances on the board are measured {off:+.2f} % off, in the median of {len(ratios)} "
-        "pairs.",
-        advice="Check the size of the squares of this board and of the one that was used to calibrate; if "
-        "both are right, the baseline or the yaw of the right camera is not.",
+        (0.5, 2.0),
+        f"Distances on the board are measured {off:+.2f} % off, in the median of {len(ratios)} pairs.",
+        "Check the size of the squares of this board and of the one that was used to calibrate; if both are "
+        "right, the baseline or the yaw of the right camera is not.",
+        125.0 * float(np.std(ratios)) / np.sqrt(len(ratios)) if len(ratios) > 2 else None,
     )
 
 
-def _triangulated(a: Array, b: Array, t: Array) -> Array:
-    """(n, 3) points halfway between rays from 0 along a (n, 3) and from t (3,) along b (n, 3)."""
-    ab, at, bt = (a * b).sum(axis=1), a @ t, b @ t
-    det = 1.0 - ab**2
-    along_a, along_b = (at - ab * bt) / det, (ab * at - bt) / det
-    return np.asarray(0.5 * (along_a[:, None] * a + t + along_b[:, None] * b))
-
-
-def _turned(held: Adjusted, data: tuple[CornerData, CornerData]) -> list[CheckoutCheck]:
-    """By how much the right camera is turned against its calibration."""
+def _changes(held: Adjusted, data: tuple[CornerData, CornerData]) -> list[CheckoutCheck]:
+    """By how much the right camera is turned against its calibration, and how much the focal lengths are
+    off."""
     state = held.state
     free = np.zeros(state.shared, dtype=np.bool_)
     free[-6:-3] = True
     found = adjust(data, state, free, robust=True)
-    turn = np.degrees(log_so3(state.X_10[:3, :3] @ found.state.X_10[:3, :3].T))
-    # theta is in the left camera's frame, the turn in the right one's
     R = state.X_10[:3, :3]
-    covariance = R @ found.covariance[-6:-3, -6:-3] @ R.T
-    sigma = np.degrees(np.sqrt(np.diag(covariance)))
+    turn = np.degrees(log_so3(R @ found.state.X_10[:3, :3].T))
+    # theta is in the left camera's frame, the turn in the right one's
+    sigma = np.degrees(np.sqrt(np.diag(R @ found.covariance[-6:-3, -6:-3] @ R.T)))
     focal = float(state.lenses[1].values[:2].mean())
-    out = []
+    checks = []
+    # a roll moves what is a quarter of the focal length from the axis by a quarter as much
     for name, share, value, s in zip(
         ("pitch", "yaw", "roll"), (1.0, 1.0, 4.0), turn.tolist(), sigma.tolist(), strict=True
     ):
-        # a roll moves what is a quarter of the focal length from the axis by a quarter as much
-        limit, fail = (_rounded(np.degrees(share * px / focal)) for px in (MAX_EPIPOLAR_PX, FAIL_EPIPOLAR_PX))
-        out.append(
-            judge(
-                "rig",
+        warn, fail = (np.degrees(share * px / focal) for px in EPIPOLAR_PX)
+        checks.append(
+            _check(
                 f"{name} of the right camera",
                 abs(value),
                 "deg",
-                max(limit, _rounded(SIGMAS * s)),
-                fail_limit=max(fail, _rounded(SIGMAS * s)),
-                sigma=s,
-                finding=f"Turned by {value:+.4f} deg against the calibration.",
-                advice="The rig was knocked, or is warmer than it was: fix the cameras, and calibrate.",
+                _beyond_noise(warn, fail, s),
+                f"Turned by {value:+.4f} deg against the calibration.",
+                "The rig was knocked, or is warmer than it was: fix the cameras, and calibrate.",
+                s,
             )
         )
-    return out
-
-
-def _rounded(value: float) -> float:
-    """Two digits, as a limit is stated."""
-    return float(f"{value:.2g}")
-
-
-def _focal_lengths(held: Adjusted, data: tuple[CornerData, CornerData]) -> list[CheckoutCheck]:
-    """By how much the focal lengths are off."""
-    state = held.state
-    free = np.zeros(state.shared, dtype=np.bool_)
     starts = (0, state.sizes[0])
     for start in starts:
         free[start : start + 2] = True
-    free[-6:-3] = True
     found = adjust(data, state, free, robust=True)
-    out = []
     for camera, start in enumerate(starts):
         before, after = (each.lenses[camera].values[:2] for each in (state, found.state))
         change = 100.0 * float((after / before - 1.0).mean())
         own = found.covariance[start : start + 2, start : start + 2]
-        sigma = 100.0 * float(np.sqrt(own.sum()) / 2.0 / before.mean())
-        out.append(
-            judge(
-                "rig",
+        s = 100.0 * float(np.sqrt(own.sum()) / 2.0 / before.mean())
+        checks.append(
+            _check(
                 f"focal length of the {SIDES[camera]} camera",
                 abs(change),
                 "%",
-                max(MAX_FOCAL, _rounded(SIGMAS * sigma)),
-                fail_limit=max(3.0 * MAX_FOCAL, _rounded(SIGMAS * sigma)),
-                sigma=sigma,
-                finding=f"{change:+.3f} % from the calibration, fitted with the turn of the right camera.",
-                advice="Focus or zoom was touched, or images are scaled: restore it, or calibrate.",
+                _beyond_noise(0.3, 0.9, s),
+                f"{change:+.3f} % from the calibration, fitted with the turn of the right camera.",
+                "Focus or zoom was touched, or images are scaled: restore it, or calibrate.",
+                s,
             )
         )
-    return out
+    return checks
+
+
+def _beyond_noise(warn: float, fail: float, sigma: float) -> tuple[float, float]:
+    """Limits of two digits, at least ``SIGMAS`` standard deviations."""
+    limit, fail, least = (float(f"{each:.2g}") for each in (warn, fail, SIGMAS * sigma))
+    return max(limit, least), max(fail, least)

@@ -31,9 +31,6 @@ from polhode.runtime.errors import InputError
 PAIRS = 8
 """Pairs that are looked at, spread over the recording."""
 MAX_SIGMAS = 6.0
-MIN_FRAMES = 0.05
-"""Smaller offsets [intervals between frames] are not reported; with MAX_SIGMAS none is reported where there
-is none, over eleven simulated scenes."""
 SPAN_FRAMES = 1.2
 """Offsets that are tried, either way: beyond the images before and after, a parabola says nothing."""
 TUKEY = 4.685
@@ -61,7 +58,9 @@ class ClockOffset:
     def is_apart(self) -> bool:
         """Whether the images of a pair were not taken together."""
         off = abs(self.dt_s)
-        return self.is_observable and off > max(MAX_SIGMAS * self.noise_s, MIN_FRAMES * self.interval_s)
+        # smaller offsets [intervals between frames] are not reported; with MAX_SIGMAS none is reported where
+        # there is none, over eleven simulated scenes
+        return self.is_observable and off > max(MAX_SIGMAS * self.noise_s, 0.05 * self.interval_s)
 
 
 def match_some(

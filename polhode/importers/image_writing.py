@@ -4,9 +4,10 @@ An image that is there already is not read again, so an interrupted import goes 
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -58,31 +59,34 @@ def write_images(
     Raises InputError for images of another size than the calibration's or than the one before.
     """
     written = WrittenImages()
-    stamp_of: list[dict[int, int]] = [
-        dict(zip(indices.tolist(), pairs.stamps_ns.tolist(), strict=True))
-        for indices in (pairs.left, pairs.right)
-    ]
+    stamp_of: list[dict[int, int]] = []
     missing: list[frozenset[int]] = []
-    for camera in (0, 1):
+    for camera, indices in enumerate((pairs.left, pairs.right)):
+        stamps = dict(zip(indices.tolist(), pairs.stamps_ns.tolist(), strict=True))
         there = dataset.images_there(camera)
-        for stamp in stamp_of[camera].values():
-            if (name := there.get(str(stamp))) is not None:
-                written.names[camera][stamp] = name
-        missing.append(
-            frozenset(
-                index for index, stamp in stamp_of[camera].items() if stamp not in written.names[camera]
-            )
-        )
+        names = {stamp: there[str(stamp)] for stamp in stamps.values() if str(stamp) in there}
+        written.names[camera].update(names)
+        missing.append(frozenset(index for index, stamp in stamps.items() if stamp not in names))
+        stamp_of.append(stamps)
+        (dataset.folder(camera) / "data").mkdir(parents=True, exist_ok=True)
     total = len(missing[0]) + len(missing[1])
     there_already = 2 * len(pairs.stamps_ns) - total
     title = f"images ({there_already} were there)" if there_already else "images"
+    waiting: deque[Future[None]] = deque()
     # Pillow compresses outside of the interpreter's lock
     with progress.stage(title, total) as advance, ThreadPoolExecutor(4) as pool:
-        waiting: deque[Future[None]] = deque()
         try:
             for framed in recording.images((missing[0], missing[1])):
                 stamp = stamp_of[framed.camera][framed.index]
-                _take(framed, stamp, rig, crop, dataset, written, pool, waiting)
+                try:
+                    name, write = _prepared(framed, stamp, rig, crop, written)
+                    place = dataset.folder(framed.camera) / "data" / name
+                    waiting.append(pool.submit(write, place))
+                    written.names[framed.camera][stamp] = name
+                except UnreadableImage as error:
+                    written.unreadable.append(f"{framed.name}: {error}")
+                while len(waiting) > 16:
+                    waiting.popleft().result()
                 advance()
             while waiting:
                 waiting.popleft().result()
@@ -92,51 +96,29 @@ def write_images(
     return written
 
 
-def _take(
-    framed: FramedImage,
-    stamp: int,
-    rig: Rig,
-    crop: Crop | None,
-    dataset: ImportedDataset,
-    written: WrittenImages,
-    pool: ThreadPoolExecutor,
-    waiting: "deque[Future[None]]",
-) -> None:
-    """Check an image and give it to the writers."""
+def _prepared(
+    framed: FramedImage, stamp: int, rig: Rig, crop: Crop | None, written: WrittenImages
+) -> tuple[str, Callable[[Path], None]]:
+    """Name of the file of an image, and what writes it. Raises UnreadableImage, and InputError for another
+    size than the calibration's or than that of the images before."""
     image, camera = framed.image, framed.camera
-    folder = dataset.folder(camera) / "data"
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        if isinstance(image, StoredImage):
-            size = size_in_header(image.content)
-        else:
-            size = (image.pixels.shape[1], image.pixels.shape[0])
-        _require_size(framed, size, rig, written)
-        if isinstance(image, StoredImage) and crop is None:
-            name, content = f"{stamp}{image.suffix}", image.content
-            waiting.append(pool.submit(write_bytes, folder / name, content))
-        else:
-            pixels = decode_raw(image.content, *size) if isinstance(image, StoredImage) else image.pixels
-            name = f"{stamp}.png"
-            waiting.append(pool.submit(_write_png, folder / name, _part(pixels, crop)))
-    except UnreadableImage as error:
-        written.unreadable.append(f"{framed.name}: {error}")
-        return
-    written.names[camera][stamp] = name
-    while len(waiting) > 16:
-        waiting.popleft().result()
-
-
-def _require_size(framed: FramedImage, size: tuple[int, int], rig: Rig, written: WrittenImages) -> None:
-    before = written.sizes[framed.camera]
+    if isinstance(image, StoredImage):
+        size = size_in_header(image.content)
+    else:
+        size = (image.pixels.shape[1], image.pixels.shape[0])
+    before = written.sizes[camera]
     if before is None:
-        rig.cameras[framed.camera].sized(size)
-        written.sizes[framed.camera] = size
+        rig.cameras[camera].sized(size)
+        written.sizes[camera] = size
     elif before != size:
         raise InputError(
             f"{framed.name}: {size[0]}x{size[1]} px, where the images before it have "
             f"{before[0]}x{before[1]}; import images of one size"
         )
+    if isinstance(image, StoredImage) and crop is None:
+        return f"{stamp}{image.suffix}", partial(write_bytes, content=image.content)
+    pixels = decode_raw(image.content, *size) if isinstance(image, StoredImage) else image.pixels
+    return f"{stamp}.png", partial(_write_png, pixels=_part(pixels, crop))
 
 
 def _part(pixels: NDArray[Any], crop: Crop | None) -> NDArray[Any]:

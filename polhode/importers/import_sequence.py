@@ -14,7 +14,7 @@ import numpy as np
 
 import polhode
 from polhode.files.foreign_files import MIB, read_bytes
-from polhode.files.images import Grey, UnreadableImage, bit_depth, read_raw, size_in_header, to_grey
+from polhode.files.images import Grey, Raw, UnreadableImage, bit_depth, read_raw, size_in_header, to_grey
 from polhode.importers.calibrations.read_rig import CAMERA_KINDS, KINDS, read_camera, read_rig
 from polhode.importers.calibrations.rig import Rig, require_usable, with_virtual_camera, write_rig
 from polhode.importers.image_checks import PAIRS, ClockOffset, clock_offset, match_some, require_order
@@ -32,8 +32,6 @@ from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress
 
 _log = logging.getLogger(__name__)
-USUAL_BASELINE_M = 5.0
-"""Above it the unit is asked for: a rig of 5 mm and more whose T is in millimetres."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,13 @@ def import_sequence(
         contents = recording.contents
         rig = _rig(recording, options)
         pairs = choose_pairs(recording.name, contents, options)
-        early = (*contents.warnings, *pairs.warnings, *_about_scale(rig, contents))
+        early = (*contents.warnings, *pairs.warnings)
+        # a rig of 5 mm and more whose T is in millimetres: no image would show it, all lengths follow it
+        if contents.ranges is None and rig.baseline_m > 5.0:
+            early += (
+                f"{rig.right.source}: the cameras are {rig.baseline_m:.4g} m apart; if OpenCV's T is in "
+                "millimetres, give --unit mm: all lengths scale with it",
+            )
         for line in early:
             _log.warning(line)
         has_ranges = contents.ranges is not None
@@ -71,7 +75,11 @@ def import_sequence(
             written = write_images(recording, pairs, rig, options.crop, dataset, progress)
             lost = _require_pairs(recording, pairs, written)
             whole = _sized(rig, written, dataset, options.crop)
-            rig = whole if options.crop is None else _cropped(whole, options.crop)
+            rig = whole
+            if (crop := options.crop) is not None:
+                part = (crop.left, crop.top, crop.width, crop.height)
+                rig = Rig(whole.left.cropped(*part), whole.right.cropped(*part))
+                require_usable(rig)
             try:
                 _write_others(contents, pairs, written, (whole, rig), options.crop, dataset)
             except InputError as error:
@@ -108,16 +116,6 @@ def _rig(recording: Recording, options: ImportOptions) -> Rig:
     return rig
 
 
-def _about_scale(rig: Rig, contents: Contents) -> tuple[str, ...]:
-    """A warning of a baseline that looks like millimetres: no image would show it, all lengths follow it."""
-    if contents.ranges is not None or rig.baseline_m <= USUAL_BASELINE_M:
-        return ()
-    return (
-        f"{rig.right.source}: the cameras are {rig.baseline_m:.4g} m apart; if OpenCV's T is in millimetres, "
-        "give --unit mm: all lengths scale with it",
-    )
-
-
 def _require_pairs(recording: Recording, pairs: ChosenPairs, written: WrittenImages) -> tuple[str, ...]:
     """Warnings of images that could not be read. Raises InputError if too few pairs are left."""
     if not written.unreadable:
@@ -137,24 +135,14 @@ def _sized(rig: Rig, written: WrittenImages, dataset: ImportedDataset, crop: Cro
     """The rig of the images as they were recorded. Raises InputError for a rig that no run reads."""
     cameras = []
     for index, camera in enumerate(rig.cameras):
-        size = written.sizes[index] or (camera.size_px if crop else None) or _size_there(dataset, index)
+        size = written.sizes[index] or (camera.size_px if crop else None)
+        if size is None:
+            name = next(iter(dataset.images_there(index).values()))
+            size = size_in_header(read_bytes(dataset.folder(index) / "data" / name, 2**30, "an image"))
         cameras.append(camera.sized(size))
     sized = Rig(cameras[0], cameras[1])
     require_usable(sized)
     return sized
-
-
-def _cropped(rig: Rig, crop: Crop) -> Rig:
-    """The rig of a part of its images. Raises InputError for a rig that no run reads."""
-    part = (crop.left, crop.top, crop.width, crop.height)
-    cropped = Rig(rig.left.cropped(*part), rig.right.cropped(*part))
-    require_usable(cropped)
-    return cropped
-
-
-def _size_there(dataset: ImportedDataset, camera: int) -> tuple[int, int]:
-    name = next(iter(dataset.images_there(camera).values()))
-    return size_in_header(read_bytes(dataset.folder(camera) / "data" / name, 2**30, "an image"))
 
 
 def _write_others(
@@ -193,24 +181,33 @@ def _write_others(
 def _check_images(
     recording: Recording, rig: Rig, written: WrittenImages, dataset: ImportedDataset, progress: Progress
 ) -> ClockOffset | None:
-    """What the images say of the order of the cameras and of their clocks."""
+    """What the images say of the order of the cameras and of their clocks; of ranges, whether they are
+    some."""
     stamps = written.stamps
     if len(stamps) < MIN_PAIRS:
         return None
-    if dataset.has_ranges:
-        _require_ranges(recording, rig, written, dataset)
-        return None
 
-    def read(camera: int, k: int) -> Grey:
+    def read(camera: int, k: int) -> Raw:
         size = rig.cameras[camera].size_px
         assert size is not None
-        raw = read_raw(dataset.folder(camera) / "data" / written.names[camera][stamps[k]], *size)
+        return read_raw(dataset.folder(camera) / "data" / written.names[camera][stamps[k]], *size)
+
+    def read_grey(camera: int, k: int) -> Grey:
+        raw = read(camera, k)
         return to_grey(raw, rig.cameras[camera].bits or bit_depth(int(raw.max())))
 
+    if dataset.has_ranges:
+        try:
+            wrong = why_no_ranges(read(1, 0))
+        except UnreadableImage as error:
+            wrong = str(error)
+        if wrong:
+            raise InputError(f"{recording.name}: the depth image of {stamps[0]} ns has {wrong}")
+        return None
     times = np.array(stamps, dtype=np.int64)
     with progress.stage("order and clocks of the cameras", min(PAIRS, len(stamps) - 2)) as advance:
         try:
-            matches = match_some(read, times, advance)
+            matches = match_some(read_grey, times, advance)
         except UnreadableImage as error:
             _log.warning(
                 "%s: an image cannot be decoded (%s); clocks are not compared", recording.name, error
@@ -220,30 +217,15 @@ def _check_images(
         return clock_offset(matches, rig, 1e-9 * float(np.median(np.diff(times))))
 
 
-def _require_ranges(recording: Recording, rig: Rig, written: WrittenImages, dataset: ImportedDataset) -> None:
-    """Raise InputError unless the first range image is one. Ranges say nothing of the clocks."""
-    stamp = written.stamps[0]
-    size = rig.right.size_px
-    assert size is not None
-    try:
-        wrong = why_no_ranges(read_raw(dataset.folder(1) / "data" / written.names[1][stamp], *size))
-    except UnreadableImage as error:
-        wrong = str(error)
-    if wrong:
-        raise InputError(f"{recording.name}: the depth image of {stamp} ns has {wrong}")
-
-
 def _about_clocks(offset: ClockOffset | None, pairs: ChosenPairs) -> tuple[str, ...]:
     """What the images say of the clocks, where that concerns the user."""
     if offset is None or not offset.is_observable:
-        if pairs.offset_ns:
-            return ("whether the images of a pair were taken together cannot be seen in them",)
-        return ()
+        unseen = "whether the images of a pair were taken together cannot be seen in them"
+        return (unseen,) if pairs.offset_ns else ()
     sigma = time_in_words(1e9 * offset.sigma_s)
     if not offset.is_apart:
-        if pairs.offset_ns:
-            return (f"the images of a pair were taken together, as they show to {sigma} (one sigma)",)
-        return ()
+        together = f"the images of a pair were taken together, as they show to {sigma} (one sigma)"
+        return (together,) if pairs.offset_ns else ()
     order = "after" if offset.dt_s > 0.0 else "before"
     frames = abs(offset.dt_s) / offset.interval_s
     advice = "trigger the cameras together: depth and motion will be wrong"
@@ -280,14 +262,14 @@ def _record(
 ) -> dict[str, object]:
     """The content of ``import.json``: what was imported, and what was found out."""
     defaults = vars(ImportOptions())
-    observed = offset is not None and offset.is_observable
+    observed = offset if offset is not None and offset.is_observable else None
     return {
         "sources": [str(source) for source in sources],
         "options": {name: str(value) for name, value in vars(options).items() if value != defaults[name]},
         "pairs": len(pairs.stamps_ns),
         "unpaired": list(pairs.unpaired),
         "offset_of_stamps_s": 1e-9 * pairs.offset_ns,
-        "offset_of_images_s": offset.dt_s if offset is not None and observed else None,
-        "sigma_of_that_s": offset.sigma_s if offset is not None and observed else None,
+        "offset_of_images_s": observed and observed.dt_s,
+        "sigma_of_that_s": observed and observed.sigma_s,
         "warnings": list(warnings),
     }

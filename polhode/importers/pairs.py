@@ -53,7 +53,19 @@ def choose_pairs(name: str, contents: Contents, options: ImportOptions) -> Chose
     has_ranges = contents.ranges is not None
     given_ns = None if options.offset_s is None else round(1e9 * options.offset_s)
     tolerance_ns = None if options.tolerance_s is None else round(1e9 * options.tolerance_s)
-    _require_overlap(name, left_ns, right_ns - (given_ns or 0), has_ranges)
+    first_ns, last_ns = (int(right_ns[k]) - (given_ns or 0) for k in (0, -1))
+    gap_ns = max(first_ns - int(left_ns[-1]), int(left_ns[0]) - last_ns)
+    if gap_ns > 0:
+        both = "images and depth images" if has_ranges else "the cameras"
+        early, late = ("images", "depth images") if has_ranges else ("left one", "right one")
+        begin, end = ("begin", "end") if has_ranges else ("begins", "ends")
+        if first_ns < left_ns[0]:
+            early, late = late, early
+        off_s = 1e-9 * (first_ns - int(left_ns[0]))
+        raise InputError(
+            f"{name}: {both} have no time in common: the {late} {begin} {time_in_words(gap_ns)} after the "
+            f"{early} {end}; if only their clocks differ, give --offset-s {off_s:.9g}"
+        )
     pairing = pair_by_time(left_ns, right_ns, tolerance_ns, given_ns)
     # of the camera that has fewer images, what a dataset may have lost
     if len(pairing.left) < max(MIN_PAIRS, 0.4 * min(len(left_ns), len(right_ns))):
@@ -91,24 +103,6 @@ def choose_pairs(name: str, contents: Contents, options: ImportOptions) -> Chose
     )
 
 
-def _require_overlap(name: str, left_ns: Ints, right_ns: Ints, has_ranges: bool) -> None:
-    gap_ns = max(int(right_ns[0] - left_ns[-1]), int(left_ns[0] - right_ns[-1]))
-    if gap_ns > 0:
-        off_s = 1e-9 * int(right_ns[0] - left_ns[0])
-        two = ("images", "depth images") if has_ranges else ("left", "right")
-        early, late = two if right_ns[0] > left_ns[-1] else two[::-1]
-        if has_ranges:
-            raise InputError(
-                f"{name}: images and depth images have no time in common: the {late} begin "
-                f"{time_in_words(gap_ns)} after the {early} end; if only their clocks differ, give "
-                f"--offset-s {off_s:.9g}"
-            )
-        raise InputError(
-            f"{name}: the cameras have no time in common: the {late} one begins {time_in_words(gap_ns)} "
-            f"after the {early} one ends; if only their clocks differ, give --offset-s {off_s:.9g}"
-        )
-
-
 def _too_few(name: str, pairing: Pairing, has_ranges: bool) -> InputError:
     """The line about stamps that do not fit each other."""
     raw_ns = pairing.nearest_ns + pairing.offset_ns
@@ -121,16 +115,15 @@ def _too_few(name: str, pairing: Pairing, has_ranges: bool) -> InputError:
             f"the --offset-s of {clock} clock"
         )
     middle_ns = float(np.median(near))
+    least, most, usual = (
+        ("-" if each < 0 else "") + time_in_words(each) for each in (near.min(), near.max(), middle_ns)
+    )
     needed_s = 1.05e-9 * float(np.abs(near - middle_ns).max())
     nearest, advice = "the nearest images of the two cameras", "trigger the cameras together"
     if has_ranges:
         nearest, advice = "images and their nearest depth images", "take them at the same time"
     return InputError(
         f"{name}: {len(pairing.left)} pairs within {time_in_words(pairing.tolerance_ns)} of a constant "
-        f"offset: {nearest} differ by {_signed(near.min())} to {_signed(near.max())}, {_signed(middle_ns)} "
-        f"in the median; {advice}, or give --tolerance-s {needed_s:.3g} to pair them nevertheless"
+        f"offset: {nearest} differ by {least} to {most}, {usual} in the median; {advice}, or give "
+        f"--tolerance-s {needed_s:.3g} to pair them nevertheless"
     )
-
-
-def _signed(time_ns: float) -> str:
-    return ("-" if time_ns < 0 else "") + time_in_words(time_ns)

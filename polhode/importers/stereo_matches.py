@@ -14,9 +14,6 @@ from polhode.files.images import Grey
 from polhode.geometry.lie import Array, Ints, hat, inverse_pose
 from polhode.importers.calibrations.rig import EQUIDISTANT, Camera, Rig
 
-RATIO = 0.8
-"""Lowe's ratio of the nearest to the second nearest descriptor."""
-
 
 @dataclass(frozen=True)
 class StereoMatches:
@@ -61,7 +58,8 @@ def _mutual(words_a: Array, words_b: Array) -> Ints:
     squared = np.maximum(squared, 0.0)
     nearest = squared.argmin(axis=1)
     two = np.partition(squared, 1, axis=1)[:, :2]
-    clear = (two[:, 0] < RATIO**2 * two[:, 1]) & (squared.argmin(axis=0)[nearest] == np.arange(len(words_a)))
+    # Lowe's ratio of the nearest to the second nearest descriptor
+    clear = (two[:, 0] < 0.8**2 * two[:, 1]) & (squared.argmin(axis=0)[nearest] == np.arange(len(words_a)))
     return np.stack([np.flatnonzero(clear), nearest[clear]], axis=1)
 
 

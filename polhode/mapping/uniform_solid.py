@@ -11,11 +11,6 @@ import trimesh
 from polhode.geometry.lie import Array
 from polhode.mapping.visibility import Caster, directions
 
-MIN_COVERAGE = 0.6
-"""Share of the directions from the centre with a surface below which no volume is given."""
-DIRECTIONS = 400
-NEARLY_CLOSED = 0.97
-
 
 @dataclass(frozen=True)
 class Solid:
@@ -41,9 +36,10 @@ def solid_of(mesh: trimesh.Trimesh, caster: Caster | None = None) -> tuple[Solid
         return solid_body(mesh, "volume of the mesh, which is closed"), ""
     hull = mesh.convex_hull
     share = coverage(caster or Caster(mesh), np.asarray(hull.center_mass))
-    if share < MIN_COVERAGE:
+    # share of the directions from the centre with a surface below which no volume is given
+    if share < 0.6:
         return None, f"the surface is open and covers only {share:.0%} of the directions from its centre"
-    filled = "" if share > NEARLY_CLOSED else f" (it covers {share:.0%} of the directions from its centre)"
+    filled = "" if share > 0.97 else f" (it covers {share:.0%} of the directions from its centre)"
     return solid_body(
         hull, f"volume of the mesh's convex hull, as the mesh is open{filled}: an upper bound of that volume"
     ), ""
@@ -70,5 +66,5 @@ def principal_axes(inertia: Array) -> tuple[Array, Array]:
 
 def coverage(caster: Caster, middle_G: Array) -> float:
     """Share of the directions from a point in which a ray hits the mesh."""
-    _, face = caster.first(middle_G, directions(DIRECTIONS))
+    _, face = caster.first(middle_G, directions(400))
     return float(np.mean(face >= 0))

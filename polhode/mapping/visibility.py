@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import maximum_filter, uniform_filter
 
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
@@ -18,10 +18,6 @@ MIN_COSINE = 0.15
 """Cosine to the normal below which, beyond 81 degrees, a point does not count as seen."""
 CLEARANCE = 2e-3
 """Distance before its point at which a ray may end, relative to the body's size."""
-LIT_OVER_SKY = 12.0
-"""Intensity above the sky's that counts as lit [8-bit levels]."""
-_MAP_CLEARANCE = 8e-3
-"""The same where a coarse depth map replaces the rays."""
 _MAP_PIXELS = 160
 """Pixels along a side of such a map."""
 
@@ -57,7 +53,8 @@ class FrameView:
 
 def light_level(left: NDArray[np.uint8]) -> float:
     """Intensity above which a pixel of a left image shows light: well above the sky's."""
-    return float(np.percentile(left, 5)) + LIT_OVER_SKY
+    # intensity above the sky's that counts as lit [8-bit levels]
+    return float(np.percentile(left, 5)) + 12.0
 
 
 class Caster:
@@ -110,16 +107,19 @@ class DepthPicture:
 
     def __init__(self, caster: Caster, towards: Array, eye_G: Array | None = None) -> None:
         """Looks along ``towards`` (3,), from ``eye_G`` or, without, along parallel rays."""
-        self._axes = _frame_along(towards)
+        z = np.asarray(towards, dtype=np.float64) / np.linalg.norm(towards)
+        x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
+        x /= np.linalg.norm(x)
+        self._axes = np.stack([x, np.cross(z, x), z], axis=1)
         self._eye = caster.middle if eye_G is None else np.asarray(eye_G, dtype=np.float64)
         self._parallel = eye_G is None
-        self._tolerance_m = 2.0 * _MAP_CLEARANCE * caster.radius_m
-        distance = float(np.linalg.norm(caster.middle - self._eye))
+        # the same where a coarse depth map replaces the rays
+        self._tolerance_m = 2.0 * 8e-3 * caster.radius_m
         reach = caster.radius_m
         if not self._parallel:
-            reach = caster.radius_m / float(
-                np.sqrt(max(distance**2 - caster.radius_m**2, 1e-4 * distance**2))
-            )
+            distance = float(np.linalg.norm(caster.middle - self._eye))
+            near = max(distance**2 - caster.radius_m**2, 1e-4 * distance**2)
+            reach = caster.radius_m / float(np.sqrt(near))
         self._scale = 0.5 * (_MAP_PIXELS - 1) / reach
         centre = (np.arange(_MAP_PIXELS) - 0.5 * (_MAP_PIXELS - 1)) / self._scale
         x, y = (axis.reshape(-1) for axis in np.meshgrid(centre, centre))
@@ -135,10 +135,8 @@ class DepthPicture:
             depth = found / length
         picture = depth.reshape(_MAP_PIXELS, _MAP_PIXELS).astype(np.float32)
         # A point is hidden only if all pixels around it are nearer: edges do not hide visible points.
-        framed = np.pad(picture, 1, mode="edge")
-        self._depth = np.maximum.reduce(
-            [framed[1 + dv : 1 + dv + _MAP_PIXELS, 1 + du : 1 + du + _MAP_PIXELS] for dv, du in _AROUND]
-        ).reshape(-1)
+        around = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=bool)
+        self._depth = maximum_filter(picture, footprint=around, mode="nearest").reshape(-1)
 
     def shows(self, p_G: Array | Floats) -> Bools:
         """(n,) true where points (n, 3) in G [m] are not hidden behind the mesh."""
@@ -148,17 +146,6 @@ class DepthPicture:
         cell = np.rint(flat * p.dtype.type(self._scale) + p.dtype.type(0.5 * (_MAP_PIXELS - 1)))
         column, row = cell.clip(0, _MAP_PIXELS - 1).astype(np.int32).T
         return np.asarray(z < self._depth[row * _MAP_PIXELS + column] + self._tolerance_m)
-
-
-_AROUND = ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0))
-
-
-def _frame_along(z: Array) -> Array:
-    """A rotation (3, 3) whose third column is along ``z``."""
-    z = np.asarray(z, dtype=np.float64) / np.linalg.norm(z)
-    x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=1)
 
 
 def pixels_of(view: FrameView, p_G: Array | Floats, rig: RectifiedRig) -> tuple[Ints, Ints, Bools]:

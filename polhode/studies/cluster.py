@@ -68,29 +68,43 @@ def opened_cluster(options: ClusterOptions, folder: Path, inputs: Sequence[Path]
     """Start processes, or connect with a scheduler and check its workers, until the block ends.
 
     ``folder``: of the study; ``inputs``: files and folders that the points read. Raises InputError: no
-    scheduler answers, it has no workers, or they cannot compute the study.
+    scheduler answers, it has no workers, or they cannot compute the study. What Dask says of its workers is
+    no message of the program: a point that failed has its reason.
     """
-    if options.address is None:
-        with _local(options) as cluster:
-            yield cluster
-    else:
-        with _existing(options.address, folder, inputs) as cluster:
-            yield cluster
+    logger = logging.getLogger("distributed")
+    level = logger.level
+    try:
+        if options.address is None:
+            logger.setLevel(logging.CRITICAL)
+            with _local(options) as cluster:
+                yield cluster
+        else:
+            with _connected(options.address) as client:
+                logger.setLevel(logging.CRITICAL)
+                workers = _checked_workers(client, options.address, folder, inputs)
+                yield _described(client, workers, f"{workers} workers of {options.address}")
+    finally:
+        logger.setLevel(level)
+
+
+def _described(client: Client, workers: int, description: str) -> Cluster:
+    if find_spec("bokeh") and client.dashboard_link:
+        description += f"; dashboard: {client.dashboard_link}"
+    return Cluster(client, workers, description)
 
 
 @contextmanager
 def _local(options: ClusterOptions) -> Iterator[Cluster]:
+    """Workers of this machine, which import nothing from the current folder: it may be another person's."""
     workers = worker_count(options.workers)
-    memory = None if options.memory_gb is None else int(options.memory_gb * 1e9)
     with (
         tempfile.TemporaryDirectory(prefix="polhode-sweep-", ignore_cleanup_errors=True) as scratch,
         dask.config.set(SETTINGS | {"distributed.worker.daemon": not options.own_processes}),
-        _no_module_from_here(),
-        _silent_dask(),
+        _safe_path(),
         LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
-            memory_limit=memory or "auto",
+            memory_limit="auto" if options.memory_gb is None else int(options.memory_gb * 1e9),
             host="127.0.0.1",
             security=True,
             dashboard_address="127.0.0.1:0",
@@ -99,68 +113,40 @@ def _local(options: ClusterOptions) -> Iterator[Cluster]:
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
-        described = f"{workers} worker{'s' if workers > 1 else ''} on this machine"
-        if find_spec("bokeh"):
-            described += f"; dashboard: {cluster.dashboard_link}"
         try:
-            yield Cluster(client, workers, described)
+            plural = "s" if workers > 1 else ""
+            yield _described(client, workers, f"{workers} worker{plural} on this machine")
         except BaseException:
-            # which would let each worker end its point, for up to half a minute
-            _kill(cluster)
+            # at once: otherwise each worker would end its point, for up to half a minute
+            for nanny in cluster.workers.values():
+                nanny.auto_restart = False
+                if nanny.process is not None and nanny.process.pid:
+                    with suppress(ProcessLookupError):
+                        os.kill(nanny.process.pid, signal.SIGKILL)
             raise
 
 
-def _kill(cluster: LocalCluster) -> None:
-    """End the workers at once: what they were computing is not stored."""
-    for nanny in cluster.workers.values():
-        nanny.auto_restart = False
-        if nanny.process is not None and nanny.process.pid:
-            with suppress(ProcessLookupError):
-                os.kill(nanny.process.pid, signal.SIGKILL)
-
-
 @contextmanager
-def _no_module_from_here() -> Iterator[None]:
-    """Workers import nothing from the current folder, which may be another person's."""
+def _safe_path() -> Iterator[None]:
     before = os.environ.get("PYTHONSAFEPATH")
     os.environ["PYTHONSAFEPATH"] = "1"
     try:
         yield
     finally:
-        if before is None:
-            os.environ.pop("PYTHONSAFEPATH", None)
-        else:
+        os.environ.pop("PYTHONSAFEPATH")
+        if before is not None:
             os.environ["PYTHONSAFEPATH"] = before
 
 
-@contextmanager
-def _silent_dask() -> Iterator[None]:
-    """What Dask says of its workers is no message of the program: a point that failed has its reason."""
-    logger = logging.getLogger("distributed")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
+def _connected(address: str) -> Client:
     try:
-        yield
-    finally:
-        logger.setLevel(level)
-
-
-@contextmanager
-def _existing(address: str, folder: Path, inputs: Sequence[Path]) -> Iterator[Cluster]:
-    try:
-        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+        return Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TypeError, ImportError) as error:
         said = str(error).partition("\n")[0][:120]
         raise InputError(
             f"--cluster {address}: no scheduler answers there ({said}); start one (dask scheduler), and give "
             "its address, such as tcp://HOST:8786"
         ) from None
-    with client, _silent_dask():
-        workers = _checked_workers(client, address, folder, inputs)
-        described = f"{workers} workers of {address}"
-        if find_spec("bokeh") and client.dashboard_link:
-            described += f"; dashboard: {client.dashboard_link}"
-        yield Cluster(client, workers, described)
 
 
 def _checked_workers(client: Client, address: str, folder: Path, inputs: Sequence[Path]) -> int:
@@ -223,9 +209,5 @@ def probe(file: str, token: str, inputs: Sequence[str]) -> dict[str, Any]:
 
 def probed_versions() -> dict[str, str]:
     """What must be equal on all machines."""
-    names = ("polhode", "numpy", "distributed")
-    return {
-        **{name: version(name) for name in names},
-        "python": platform.python_version(),
-        "code": code_digest(),
-    }
+    own = {"python": platform.python_version(), "code": code_digest()}
+    return {name: own.get(name) or version(name) for name in (*CHECKED, "code")}

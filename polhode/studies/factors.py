@@ -4,7 +4,8 @@ A factor is what the grid combines with every other factor: an axis, or a design
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,20 +42,14 @@ class Factor:
         """Dotted settings that any level sets."""
         return set().union(*self.changes)
 
-    def extremes(self) -> Iterator[int]:
+    def extremes(self) -> list[int]:
         """Levels that show whether all of them are valid: every listed one, and those with the least and the
         largest number of each column."""
-        numbers = [[row[k] for row in self.values] for k in range(len(self.columns)) if self._is_numeric(k)]
-        if len(numbers) < len(self.columns):
-            yield from range(len(self))
-            return
-        ends = {0}
-        for column in numbers:
-            ends |= {int(np.argmin(column)), int(np.argmax(column))}
-        yield from sorted(ends)
-
-    def _is_numeric(self, column: int) -> bool:
-        return all(type(row[column]) in (int, float) for row in self.values)
+        columns = list(zip(*self.values, strict=True))
+        if any(type(value) not in (int, float) for column in columns for value in column):
+            return list(range(len(self)))
+        ends = {int(find(column)) for column in columns for find in (np.argmin, np.argmax)}
+        return sorted({0, *ends})
 
 
 def factor_of_axis(name: str, axis: Axis, where: str) -> Factor:
@@ -73,7 +68,15 @@ def factor_of_axis(name: str, axis: Axis, where: str) -> Factor:
 def factor_of_design(design: Design) -> Factor:
     """The draws of a design."""
     names = tuple(design.settings)
-    shares = _unit_cube(design, len(names))
+    rng, dimension = np.random.default_rng(design.seed), len(names)
+    if design.method == "saltelli":
+        shares = saltelli(np.asarray(qmc.Sobol(2 * dimension, scramble=True, rng=rng).random(design.count)))
+    elif design.method == "random":
+        shares = rng.uniform(size=(design.count, dimension))
+    elif design.method == "latin_hypercube":
+        shares = np.asarray(qmc.LatinHypercube(dimension, rng=rng).random(design.count))
+    else:
+        shares = np.asarray(qmc.Sobol(dimension, scramble=True, rng=rng).random(design.count))
     columns = [_scaled(name, each, shares[:, k]) for k, (name, each) in enumerate(design.settings.items())]
     values = tuple(zip(*columns, strict=True))
     return Factor(names, values, tuple(dict(zip(names, row, strict=True)) for row in values))
@@ -101,12 +104,8 @@ def flat(settings: Mapping[str, Any], prefix: str = "") -> Changes:
 
 def _repeated(values: Sequence[Any]) -> str | None:
     """A value that comes more than once."""
-    seen: set[str] = set()
-    for text in (json.dumps(value, sort_keys=True) for value in values):
-        if text in seen:
-            return text
-        seen.add(text)
-    return None
+    counts = Counter(json.dumps(value, sort_keys=True) for value in values)
+    return next((text for text, count in counts.items() if count > 1), None)
 
 
 def _levels(name: str, axis: Axis) -> Sequence[Any]:
@@ -122,18 +121,6 @@ def _levels(name: str, axis: Axis) -> Sequence[Any]:
     shares = np.random.default_rng([axis.seed, *name.encode()]).uniform(size=count)
     drawn = Distribution(uniform=axis.uniform, log_uniform=axis.log_uniform, normal=axis.normal)
     return _scaled(name, drawn, shares)
-
-
-def _unit_cube(design: Design, dimension: int) -> Array:
-    """(points, dimension) draws in [0, 1)."""
-    rng = np.random.default_rng(design.seed)
-    if design.method == "saltelli":
-        return saltelli(np.asarray(qmc.Sobol(2 * dimension, scramble=True, rng=rng).random(design.count)))
-    if design.method == "random":
-        return rng.uniform(size=(design.count, dimension))
-    if design.method == "latin_hypercube":
-        return np.asarray(qmc.LatinHypercube(dimension, rng=rng).random(design.count))
-    return np.asarray(qmc.Sobol(dimension, scramble=True, rng=rng).random(design.count))
 
 
 def saltelli(draws: Array) -> Array:
@@ -166,16 +153,11 @@ def _scaled(name: str, wanted: Distribution, shares: Array) -> list[Any]:
 
 def _typed(name: str, values: Array) -> list[Any]:
     """Whole numbers for settings that take nothing else."""
-    if _is_whole(name):
-        return [round(each) for each in values.tolist()]
-    return list(values.tolist())
-
-
-def _is_whole(name: str) -> bool:
     path = name.split(".")
-    model = PlanOptions if path[0] == "plan" else Config
-    kinds = options_of(annotation_at(model, path[1:] if model is PlanOptions else path))
-    return int in kinds and float not in kinds
+    is_plan = path[0] == "plan"
+    kinds = options_of(annotation_at(PlanOptions if is_plan else Config, path[1:] if is_plan else path))
+    is_whole = int in kinds and float not in kinds
+    return [round(each) if is_whole else each for each in values.tolist()]
 
 
 def _plain(value: Any) -> Any:

@@ -23,42 +23,33 @@ def as_json(values: Mapping[str, Any]) -> dict[str, Any]:
     """The same as JSON has it: arrays as lists, what is not finite as None. Raises TypeError."""
     if not isinstance(values, Mapping):
         raise TypeError(f"a function that measures returns a dictionary, not {type(values).__name__}")
-    return {str(key): _plain(each) for key, each in values.items()}
+    found: dict[str, Any] = _plain(values)
+    return found
 
 
 def _plain(value: Any) -> Any:
-    value = _unwrapped(value)
+    """Models as dictionaries, arrays as lists."""
+    value = value.model_dump() if isinstance(value, BaseModel) else value
+    value = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(value, Mapping):
-        return as_json(value)
+        return {str(key): _plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(each) for each in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, str | int):
+    if value is None or isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value)):
         return value
+    if isinstance(value, float):
+        return None
     raise TypeError(f"a measured value is no number, text or list of them: {type(value).__name__}")
 
 
-def _unwrapped(value: Any) -> Any:
-    """Models as dictionaries, arrays as lists."""
-    if isinstance(value, BaseModel):
-        return value.model_dump()
-    return value.tolist() if hasattr(value, "tolist") else value
-
-
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, bool | int | float | str | None]]:
-    value = _unwrapped(value)
+    value = _plain(value)
     if isinstance(value, Mapping):
         for key, each in value.items():
             yield from _leaves(f"{name}.{key}", each)
-    elif isinstance(value, list | tuple):
-        if len(value) <= 3 and not any(isinstance(each, list | tuple | Mapping) for each in value):
-            for position, each in enumerate(value):
-                if not isinstance(each, str):
-                    yield from _leaves(f"{name}.{position}", each)
-    elif value is None or isinstance(value, bool | int):
-        yield name, value
-    elif isinstance(value, float):
-        yield name, value if math.isfinite(value) else None
-    elif isinstance(value, str) and len(value) <= 40:
+    elif isinstance(value, list):
+        # short vectors by position
+        if len(value) <= 3 and not any(isinstance(each, list | Mapping | str) for each in value):
+            yield from ((f"{name}.{position}", each) for position, each in enumerate(value))
+    elif not isinstance(value, str) or len(value) <= 40:
         yield name, value

@@ -17,8 +17,6 @@ BLOCK_BYTES = 4096
 KEPT_BYTES = {"whole": 25_000_000, "summary": 41_000, "nothing": 0}
 """Of what is kept of a run"""
 
-_FRAMES = "scene.frames"
-
 
 @dataclass(frozen=True)
 class Forecast:
@@ -49,22 +47,29 @@ def forecast(study: OpenStudy, folder: Path) -> Forecast:
     records = study.count * BLOCK_BYTES * math.ceil(record / BLOCK_BYTES)
     # compressed, a cell takes 3 bytes
     table = int(study.count * columns * 3.0)
-    pairs, sequence_bytes = _sequence(study) if study.sequences else (0.0, 0)
+    pairs, sequence = 0.0, 0
+    if study.sequences:
+        pairs = _mean_product(study, "scene.frames")
+        pixels = _mean_product(study, "scene.frames", "scene.rig.width_px", "scene.rig.height_px")
+        # half a byte a pixel before a dark sky, compressed; and the truth with its mesh
+        sequence = int(2 * pixels * 0.5) + 200_000
     kept = KEPT_BYTES[settings.keep] if "run" in steps or "compare" in steps else 0
-    found = {part: _mean_bytes(folder / part) for part in (SEQUENCES, RUNS)}
-    sequence_bytes, kept = found[SEQUENCES] or sequence_bytes, found[RUNS] or kept
-    stays = study.sequences if settings.keep_sequences else 0
+    found = [_mean_bytes(folder / part) for part in (SEQUENCES, RUNS)]
+    sequence, kept = found[0] or sequence, found[1] or kept
     return Forecast(
-        study.count,
-        {", ".join(factor.columns): len(factor) for factor in study.factors},
-        steps,
-        study.sequences,
-        round(study.sequences * pairs),
-        study.count,
-        columns,
-        table,
-        records + table + stays * sequence_bytes + study.count * kept,
-        any(found.values()),
+        points=study.count,
+        factors={", ".join(factor.columns): len(factor) for factor in study.factors},
+        steps=steps,
+        sequences=study.sequences,
+        pairs=round(study.sequences * pairs),
+        rows=study.count,
+        columns=columns,
+        table_bytes=table,
+        disk_bytes=records
+        + table
+        + study.count * kept
+        + (study.sequences * sequence if settings.keep_sequences else 0),
+        measured=any(found),
     )
 
 
@@ -83,13 +88,6 @@ def format_forecast(found: Forecast) -> str:
         f"disk        {amount(found.disk_bytes)} ({basis})",
     ]
     return "\n".join(lines)
-
-
-def _sequence(study: OpenStudy) -> tuple[float, int]:
-    """Pairs and bytes of the mean sequence."""
-    pixels = _mean_product(study, _FRAMES, "scene.rig.width_px", "scene.rig.height_px")
-    # half a byte a pixel before a dark sky, compressed; and the truth with its mesh
-    return _mean_product(study, _FRAMES), int(2 * pixels * 0.5) + 200_000
 
 
 def _mean_product(study: OpenStudy, *settings: str) -> float:

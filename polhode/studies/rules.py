@@ -145,46 +145,40 @@ class Expected:
 def fit(observations: Sequence[Observation], errors: Array, **about: object) -> Rule:
     """A rule for errors (n,) above 0, already over their scale. ``about``: quantity, unit, over, factor."""
     A, y = np.array([each.row for each in observations]), np.log(errors)
-    coefficients, sigma, inverse = _least_squares(A, y)
+    rule = Rule.model_validate(about | _least_squares(A, y) | {"held_out": len(y), "inside": 0})
     fold = np.arange(len(y)) % FOLDS
     inside = 0
     for k in range(FOLDS):
-        known = fold != k
-        found = _least_squares(A[known], y[known])
-        freedom = int(known.sum()) - A.shape[1]
-        half = [_half_band(row, found[1], found[2], freedom) for row in A[~known]]
-        inside += int((np.abs(y[~known] - A[~known] @ found[0]) <= half).sum())
-    return Rule.model_validate(
-        {
-            **about,
-            "coefficients": coefficients.tolist(),
-            "sigma": sigma,
-            "freedom": len(y) - A.shape[1],
-            "inverse": inverse.tolist(),
-            "explained": float(1.0 - np.var(y - A @ coefficients) / np.var(y)),
-            "held_out": len(y),
-            "inside": inside,
-        }
-    )
+        part = rule.model_copy(update=_least_squares(A[fold != k], y[fold != k]))
+        inside += sum(
+            _is_inside(part, row, each) for row, each in zip(A[fold == k], y[fold == k], strict=True)
+        )
+    return rule.model_copy(update={"inside": inside})
 
 
-def _least_squares(A: Array, y: Array) -> tuple[Array, float, Array]:
+def _least_squares(A: Array, y: Array) -> dict[str, object]:
+    """Of a fit: what a rule has of it."""
     coefficients = np.linalg.lstsq(A, y, rcond=None)[0]
-    residual = y - A @ coefficients
-    sigma = math.sqrt(float(residual @ residual) / (len(y) - A.shape[1]))
-    return np.asarray(coefficients, np.float64), sigma, np.asarray(np.linalg.inv(A.T @ A), np.float64)
-
-
-def _half_band(row: Array, sigma: float, inverse: Array, freedom: int) -> float:
-    """Half the band of one more run, of the logarithm."""
-    wide = float(stats.t.ppf(0.5 * (1.0 + CONFIDENCE), freedom))
-    return wide * sigma * math.sqrt(1.0 + float(row @ inverse @ row))
+    residual, freedom = y - A @ coefficients, len(y) - A.shape[1]
+    return {
+        "coefficients": tuple(coefficients.tolist()),
+        "sigma": math.sqrt(float(residual @ residual) / freedom),
+        "freedom": freedom,
+        "inverse": tuple(map(tuple, np.linalg.inv(A.T @ A).tolist())),
+        "explained": float(1.0 - np.var(residual) / np.var(y)),
+    }
 
 
 def _predicted(rule: Rule, row: Array) -> tuple[float, float]:
-    """Logarithm of the median, and half the band about it."""
-    half = _half_band(row, rule.sigma, np.array(rule.inverse), rule.freedom)
+    """Logarithm of the median, and half the band of one more run about it."""
+    wide = float(stats.t.ppf(0.5 * (1.0 + CONFIDENCE), rule.freedom))
+    half = wide * rule.sigma * math.sqrt(1.0 + float(row @ np.array(rule.inverse) @ row))
     return float(row @ np.array(rule.coefficients)), half
+
+
+def _is_inside(rule: Rule, row: Array, logarithm: float) -> bool:
+    middle, half = _predicted(rule, row)
+    return bool(abs(logarithm - middle) <= half)
 
 
 def expected(rules: Rules, observation: Observation) -> list[Expected]:
@@ -200,10 +194,8 @@ def expected(rules: Rules, observation: Observation) -> list[Expected]:
 
 def checked(rule: Rule, observations: Sequence[Observation], errors: Array) -> Rule:
     """The same rule with how many new runs are inside its band; errors (n,) above 0, over their scale."""
-    inside = 0
-    for each, error in zip(observations, errors, strict=True):
-        middle, half = _predicted(rule, each.row)
-        inside += abs(math.log(error) - middle) <= half
+    pairs = zip(observations, errors.tolist(), strict=True)
+    inside = sum(_is_inside(rule, each.row, math.log(error)) for each, error in pairs)
     return rule.model_copy(update={"new": len(errors), "new_inside": inside})
 
 
@@ -220,12 +212,12 @@ def outside(rules: Rules, observation: Observation) -> list[str]:
 def read_rules(path: Path | None = None) -> Rules:
     """Rules that a fit has written; None: those that come with this version. Raises InputError."""
     if path is None:
-        if not SHIPPED.is_file():
+        path = SHIPPED
+        if not path.is_file():
             raise InputError(
                 "no rules of thumb come with this version: give with --rules the file of python -m "
                 "lab.studies.rules_of_thumb (docs/expect.md)"
             )
-        path = SHIPPED
     content = read_yaml(path, f"{path} is missing: give the file of python -m lab.studies.rules_of_thumb")
     if not isinstance(content, dict) or "made_by" not in content:
         raise InputError(f"{path}: no rules of thumb; give the file that the fit wrote")

@@ -17,7 +17,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from polhode.config import Config
 from polhode.config.study_settings import Keep, PlanOptions, Step
@@ -31,12 +31,7 @@ from polhode.studies.measurement import MeasuredPoint, Measurement
 from polhode.studies.store import Record, Store
 from polhode.studies.study import RECORD
 
-if TYPE_CHECKING:
-    from polhode.planning.plan import Plan
-
 DONE, FAILED = "done", "failed"
-SUMMARY_FILES = ("summary.json", "metrics.json", "config.yaml", "planning.json", "compare.csv")
-"""What ``keep: summary`` keeps"""
 
 
 class OtherCode(Exception):
@@ -106,12 +101,6 @@ class _Work:
     measured: dict[str, Any] | None = None
     """What the function of the step ``measure`` found, as JSON has it"""
 
-    def named(self, reason: str) -> str:
-        """A reason without what differs between two attempts: the names of folders."""
-        for folder, name in ((self.run, "RUN"), (self.folder, "DIR"), (self.sequence, "SEQ")):
-            reason = reason.replace(str(folder), name)
-        return reason
-
     @property
     def run(self) -> Path:
         """Folder of the run."""
@@ -120,31 +109,26 @@ class _Work:
 
 def simulate_sequence(job: SequenceJob) -> SequenceOutcome:
     """Render a sequence where it is missing; what was begun is resumed."""
-    _prepare(job.code)
-    store, start = Store(job.folder), perf_counter()
-    try:
-        while not store.has_sequence(job.digest):
-            _simulate(Config.model_validate(job.config), store.sequence_folder(job.digest))
-    except Exception as error:  # noqa: BLE001  the reason of every point that needs this sequence
-        _require_disk(error)
-        folder = str(store.sequence_folder(job.digest))
-        return SequenceOutcome(f"simulate: {_reason(error)}".replace(folder, "SEQ"))
-    return SequenceOutcome(seconds=perf_counter() - start)
-
-
-def _simulate(config: Config, folder: Path) -> None:
     from polhode.simulation import simulate
 
-    assert config.scene is not None
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    _prepare(job.code)
+    store, start = Store(job.folder), perf_counter()
+    folder = store.sequence_folder(job.digest)
     try:
-        simulate(config.scene, config.seed, folder, Silent())
-    except InputError as error:
-        # a worker that lost its scheduler may be rendering the same
-        if "another polhode is at work" not in str(error):
-            raise
-        # while another process renders the same sequence
-        time.sleep(2.0)
+        config = Config.model_validate(job.config)
+        assert config.scene is not None
+        while not store.has_sequence(job.digest):
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                simulate(config.scene, config.seed, folder, Silent())
+            except InputError as error:
+                # a worker that lost its scheduler may be rendering the same
+                if "another polhode is at work" not in str(error):
+                    raise
+                time.sleep(2.0)
+    except Exception as error:  # noqa: BLE001  the reason of every point that needs this sequence
+        return SequenceOutcome(f"simulate: {_reason(error)}".replace(str(folder), "SEQ"))
+    return SequenceOutcome(seconds=perf_counter() - start)
 
 
 def compute_point(job: PointJob, sequence: SequenceOutcome | None = None) -> Record:
@@ -160,7 +144,7 @@ def compute_point(job: PointJob, sequence: SequenceOutcome | None = None) -> Rec
         work = _Work(job, Config.model_validate(job.config), where, folder)
         if sequence is not None:
             work.times["simulate_s"] = sequence.seconds
-        reason = _all_steps(work)
+        reason = _do_steps(work)
         _keep(work, store, reason)
     record = failed_record(job.address, job.values, reason, job.sequence)
     record |= {"status": FAILED if reason else DONE, "verdict": work.verdict, "doubts": work.doubts}
@@ -216,8 +200,9 @@ def _one_thread() -> None:
     limit_threads(1)
 
 
-def _all_steps(work: _Work) -> str:
-    """Do every step. Returns the reason why one failed; empty: none did."""
+def _do_steps(work: _Work) -> str:
+    """Do every step. Returns the reason why one failed, without the names of folders, which differ between
+    two attempts; empty: none did."""
     for step in work.job.steps:
         if step == "simulate":
             continue
@@ -225,26 +210,26 @@ def _all_steps(work: _Work) -> str:
         try:
             _STEPS[step](work)
         except Exception as error:  # noqa: BLE001  the reason of the row
-            _require_disk(error)
-            return work.named(f"{step}: {_reason(error)}")
+            reason = f"{step}: {_reason(error)}"
+            for folder, name in ((work.run, "RUN"), (work.folder, "DIR"), (work.sequence, "SEQ")):
+                reason = reason.replace(str(folder), name)
+            return reason
         finally:
             work.times[f"{step}_s"] = perf_counter() - start
     return ""
 
 
-def _require_disk(error: BaseException) -> None:
-    """Raise RunFailure for an error of a disk that is full or fails: it is no property of the point."""
+def _reason(error: BaseException) -> str:
+    """The reason of a row. Raises RunFailure for a disk that is full or fails: that is no property of the
+    point."""
+    is_known = isinstance(error, InputError | RunFailure)
+    said = one_line(str(error) if is_known else f"unexpected {type(error).__name__}: {error}")
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, OSError) and cause.errno in REFUSALS:
-            raise RunFailure(_reason(error)) from error
+            raise RunFailure(said) from error
         cause = cause.__cause__ or cause.__context__
-
-
-def _reason(error: BaseException) -> str:
-    if isinstance(error, InputError | RunFailure):
-        return one_line(str(error))
-    return one_line(f"unexpected {type(error).__name__}: {error}")
+    return said
 
 
 def _run(work: _Work) -> None:
@@ -279,6 +264,8 @@ def _evaluate(work: _Work) -> None:
 
 
 def _plan(work: _Work) -> None:
+    """The plan, and whether the true body leaves the keep-out volume, where truth reaches its horizon."""
+    from polhode.planning.keep_out.keep_out_truth import keep_out_truth, truth_numbers
     from polhode.planning.keep_out.volumes import KeepOutOptions
     from polhode.planning.plan import plan_run
     from polhode.planning.plan_files import plan_folder, summary_of, write_plan
@@ -292,20 +279,10 @@ def _plan(work: _Work) -> None:
     else:
         _write_json(work.run / "planning.json", summary_of(plan))
     work.metrics |= flattened("plan", summary_of(plan), frozenset({"schema", "notes", "left_out"}))
-    work.metrics |= flattened("plan.truth", _kept_out(work, plan))
-
-
-def _kept_out(work: _Work, plan: "Plan") -> Metrics:
-    """Whether the true body leaves the keep-out volume; nothing where there is no volume, or no truth that
-    reaches its horizon."""
-    from polhode.planning.keep_out.keep_out_truth import keep_out_truth, truth_numbers
-
-    if plan.keep_out is None or plan.surface is None or work.sequence is None:
-        return {}
-    try:
-        return dict(truth_numbers(keep_out_truth(plan.keep_out, plan.surface, work.run, work.sequence)))
-    except InputError:
-        return {}
+    if plan.keep_out is not None and plan.surface is not None and work.sequence is not None:
+        with suppress(InputError):
+            truth = keep_out_truth(plan.keep_out, plan.surface, work.run, work.sequence)
+            work.metrics |= flattened("plan.truth", dict(truth_numbers(truth)))
 
 
 def _compare(work: _Work) -> None:
@@ -333,10 +310,8 @@ def _measure(work: _Work) -> None:
     run = work.run if "run" in work.job.steps else None
     folder = work.folder / "measured"
     folder.mkdir()
-    found = work.job.measurement.function(
-        MeasuredPoint(work.job.case, work.config, work.sequence, run, folder)
-    )
-    work.measured = as_json(found)
+    point = MeasuredPoint(work.job.case, work.config, work.sequence, run, folder)
+    work.measured = as_json(work.job.measurement.function(point))
     work.metrics |= flattened("measure", work.measured)
     if not any(folder.iterdir()):
         folder.rmdir()
@@ -359,10 +334,10 @@ def _keep(work: _Work, store: Store, reason: str) -> None:
     if work.job.keep == "summary":
         kept = work.folder / "kept"
         kept.mkdir()
-        for folder in (work.run, work.folder / "compare"):
-            for name in SUMMARY_FILES:
-                if (folder / name).is_file():
-                    shutil.copy(folder / name, kept)
+        for name in ("summary.json", "metrics.json", "config.yaml", "planning.json", "compare.csv"):
+            for file in (work.run / name, work.folder / "compare" / name):
+                if file.is_file():
+                    shutil.copy(file, kept)
     if reason:
         with suppress(OSError):
             (kept / "reason.txt").write_text(f"{reason}\n", encoding="utf-8")

@@ -30,9 +30,6 @@ PARTS = (POINTS, SEQUENCES, RUNS, WORK)
 PACKED = "records.parquet"
 PACKED_AT_ONCE = 500
 """Records of a row group of that file: so many are in memory"""
-_SCHEMA = pa.schema([("address", pa.string()), ("record", pa.string())])
-_SHORT = 24
-"""Hexadecimal digits of the names of folders"""
 
 Record = dict[str, Any]
 Item = TypeVar("Item")
@@ -50,11 +47,11 @@ class Store:
 
     def sequence_folder(self, digest: str) -> Path:
         """Of a simulated sequence."""
-        return self.folder / SEQUENCES / digest[:_SHORT]
+        return self.folder / SEQUENCES / digest[:24]
 
     def run_folder(self, address: str) -> Path:
         """Of what is kept of a point's run."""
-        return self.folder / RUNS / address[:_SHORT]
+        return self.folder / RUNS / address[:24]
 
     def has_sequence(self, digest: str) -> bool:
         """Whether it is complete: the folder appears when it is."""
@@ -62,7 +59,7 @@ class Store:
 
     def has_records(self) -> bool:
         """Whether any point is stored, of whatever study."""
-        return bool(len(self._packed)) or next(self._files(), None) is not None
+        return bool(len(self._packed.addresses)) or next(self._files(), None) is not None
 
     def read(self, address: str) -> Record | None:
         """The record of a point; None: there is none, or it is damaged and the point is computed again.
@@ -70,14 +67,17 @@ class Store:
         Raises InputError: the file of the packed records is damaged.
         """
         with suppress(InputError, OSError, ValueError, KeyError, TypeError, RecursionError):
-            text = read_text(self.record_file(address), 4 * MIB, "a record of a study")
-            if (record := _record(text, address)) is not None:
-                return record
-        return _record(self._packed.get(address), address)
+            return _record(read_text(self.record_file(address), 4 * MIB, "a record of a study"), address)
+        packed = self._packed.get(address)
+        with suppress(ValueError, KeyError, TypeError, RecursionError):
+            return None if packed is None else _record(packed, address)
+        return None
 
     def records(self) -> Iterator[Record]:
         """All records, of whatever study: first those that are packed, in the order of their packing."""
-        for address in dict.fromkeys(self._addresses()):
+        files = (f"{file.parent.name}{file.stem}" for file in sorted(self._files()))
+        # those that are packed and have a file, too, come twice
+        for address in dict.fromkeys(chain((each.decode() for each in self._packed.addresses), files)):
             if (record := self.read(address)) is not None:
                 yield record
 
@@ -87,35 +87,27 @@ class Store:
         files = list(self._files())
         if not files and not without:
             return
+
+        def texts() -> Iterator[dict[str, str]]:
+            seen: set[str] = set()
+            for record in chain((self.read(address) for address in first), self.records()):
+                if record is not None and record["address"] not in seen:
+                    seen.add(record["address"])
+                    if record["address"] not in without:
+                        yield {"address": record["address"], "record": _text(record)}
+
+        schema = pa.schema([("address", pa.string()), ("record", pa.string())])
         with (
             replaced(self.folder / PACKED) as partial,
-            pq.ParquetWriter(partial, _SCHEMA, compression="zstd") as writer,
+            pq.ParquetWriter(partial, schema, compression="zstd") as writer,
         ):
-            for texts in batches(self._texts(first, without), PACKED_AT_ONCE):
-                columns = [pa.array(each, pa.string()) for each in zip(*texts, strict=True)]
-                writer.write_table(
-                    pa.Table.from_arrays(columns, schema=_SCHEMA), row_group_size=PACKED_AT_ONCE
-                )
+            for rows in batches(texts(), PACKED_AT_ONCE):
+                writer.write_table(pa.Table.from_pylist(rows, schema), row_group_size=PACKED_AT_ONCE)
         self.__dict__.pop("_packed", None)
         for file in files:
             file.unlink()
             with suppress(OSError):
                 file.parent.rmdir()
-
-    def _texts(self, first: Iterable[str], without: Container[str]) -> Iterator[tuple[str, str]]:
-        """Addresses with their records, each once."""
-        seen: set[str] = set()
-        for address in chain(first, self._addresses()):
-            if address in seen or address in without or (record := self.read(address)) is None:
-                continue
-            seen.add(address)
-            yield address, _text(record)
-
-    def _addresses(self) -> Iterator[str]:
-        """Of all records; those that are packed and have a file, too, come twice."""
-        yield from self._packed.addresses()
-        for file in sorted(self._files()):
-            yield f"{file.parent.name}{file.stem}"
 
     def _files(self) -> Iterator[Path]:
         return (self.folder / POINTS).glob("??/*.json")
@@ -164,67 +156,59 @@ class _Packed:
 
     def __init__(self, path: Path) -> None:
         """Raises InputError: the file is damaged."""
-        self._path = path
-        self._group = -1
-        self._texts: list[str] = []
-        try:
-            self._file = pq.ParquetFile(path) if path.is_file() else None
-            # fixed widths: a million of them take 64 MB
-            self._in_order = self._column("address").astype("S64") if self._file else np.empty(0, "S64")
-            groups = self._file.metadata if self._file else None
-            sizes = [groups.row_group(k).num_rows for k in range(groups.num_row_groups)] if groups else []
-        except (pa.ArrowException, OSError, UnicodeEncodeError) as error:
-            raise self._damaged(error) from None
+        self._path, self._group, self._texts = path, -1, list[str]()
+        self.addresses, sizes = np.empty(0, "S64"), list[int]()
+        """In the order of the file; in fixed widths, a million of them take 64 MB"""
+        with self._readable():
+            if path.is_file():
+                self._file = pq.ParquetFile(path)
+                groups = self._file.metadata
+                sizes = [groups.row_group(k).num_rows for k in range(groups.num_row_groups)]
+                self.addresses = np.array(self._file.read(["address"]).column(0).to_pylist()).astype("S64")
         self._starts = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)])
-        self._rows = np.argsort(self._in_order, kind="stable")
-
-    def __len__(self) -> int:
-        return len(self._in_order)
-
-    def addresses(self) -> Iterator[str]:
-        """In the order of the file."""
-        return (address.decode() for address in self._in_order)
+        self._rows = np.argsort(self.addresses, kind="stable")
 
     def get(self, address: str) -> str | None:
         """The text of a record; None: it is not there. Raises InputError."""
         wanted = address.encode()
-        place = int(np.searchsorted(self._in_order, wanted, sorter=self._rows))
-        if place == len(self) or self._in_order[self._rows[place]] != wanted:
+        place = int(np.searchsorted(self.addresses, wanted, sorter=self._rows))
+        if place == len(self.addresses) or self.addresses[self._rows[place]] != wanted:
             return None
         row = int(self._rows[place])
         group = int(np.searchsorted(self._starts, row, side="right")) - 1
         if group != self._group:
-            assert self._file is not None
-            try:
+            with self._readable():
                 self._texts = self._file.read_row_group(group, ["record"]).column(0).to_pylist()
-            except (pa.ArrowException, OSError) as error:
-                raise self._damaged(error) from None
             self._group = group
         return self._texts[row - int(self._starts[group])]
 
-    def _column(self, name: str) -> "np.ndarray[Any, Any]":
-        assert self._file is not None
-        return np.asarray(self._file.read([name]).column(0).to_pylist())
+    @contextmanager
+    def _readable(self) -> Iterator[None]:
+        try:
+            yield
+        except (pa.ArrowException, OSError, UnicodeEncodeError) as error:
+            said = str(error).partition("\n")[0][:120]
+            raise InputError(
+                f"{self._path} cannot be read ({said}); remove it, and its points are computed again"
+            ) from None
 
-    def _damaged(self, error: Exception) -> InputError:
-        said = str(error).partition("\n")[0][:120]
-        return InputError(
-            f"{self._path} cannot be read ({said}); remove it, and its points are computed again"
-        )
 
-
-def _record(text: str | None, address: str) -> Record | None:
-    """A record that is what was written; None: it is damaged, or of another point."""
-    with suppress(ValueError, KeyError, TypeError, RecursionError):
-        content = json.loads(text or "")
-        record = content["record"]
-        if content["digest"] == _digest(record) and record["address"] == address:
-            return dict(record)
-    return None
+def _record(text: str, address: str) -> Record:
+    """A record as it was written. Raises ValueError, KeyError, TypeError: it is damaged, or of another
+    point."""
+    content = json.loads(text)
+    record = content["record"]
+    if content["digest"] != _digest(record) or record["address"] != address:
+        raise ValueError(address)
+    return dict(record)
 
 
 def _text(record: Record) -> str:
     return json.dumps({"record": record, "digest": _digest(record)}, allow_nan=False)
+
+
+def _digest(record: Record) -> str:
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
 def batches(items: Iterable[Item], size: int) -> Iterator[list[Item]]:
@@ -232,7 +216,3 @@ def batches(items: Iterable[Item], size: int) -> Iterator[list[Item]]:
     rest = iter(items)
     while batch := list(islice(rest, size)):
         yield batch
-
-
-def _digest(record: Record) -> str:
-    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()

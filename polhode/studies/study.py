@@ -79,7 +79,8 @@ class OpenStudy:
         """Sequences that the points use, each simulated once; 0: none is simulated."""
         if "simulate" not in self.settings.steps:
             return 0
-        return math.prod(len(factor) for factor in self.factors if _changes_scene(factor))
+        changing = [f for f in self.factors if {"scene", "seed"} & {_section(s) for s in f.settings}]
+        return math.prod(len(factor) for factor in changing)
 
     def point(self, number: int) -> Point:
         """The point with this number, 0 <= number < count."""
@@ -97,35 +98,31 @@ class OpenStudy:
 
         Raises InputError: its settings contradict each other.
         """
-        return self._config(_of_configuration(point.changes))
+        changes = _of_configuration(point.changes)
+        return config_with(self.base, f"{self.source}: base", changes, f"{self.source}: axes")
 
     def plan_options(self, point: Point) -> PlanOptions:
         """Of the step ``plan``. Raises InputError."""
-        own = {key.partition(".")[2]: value for key, value in point.changes.items() if _section(key) == PLAN}
-        return validated(PlanOptions, self.settings.plan.model_dump() | own, f"{self.source}: axes")
+        own = self.settings.plan.model_dump() | _within(point.changes, PLAN)
+        return validated(PlanOptions, own, f"{self.source}: axes")
 
     def case(self, point: Point) -> dict[str, Any]:
         """Settings that are for the step ``measure`` alone."""
-        return {key.partition(".")[2]: each for key, each in point.changes.items() if _section(key) == CASE}
+        return _within(point.changes, CASE)
 
     def data(self, point: Point) -> Path | None:
         """The sequence that a point reads; None: it simulates its own, or needs none."""
         found = point.changes.get(DATA, self.settings.data)
         return None if found is None else Path(found)
 
-    def _config(self, changes: Changes) -> Config:
-        return config_with(self.base, f"{self.source}: base", changes, f"{self.source}: axes")
-
     def address_of(self, changes: Changes) -> str:
-        """Of the point with these settings."""
-        content = json.dumps([self._common, changes, self._inputs(changes)], sort_keys=True)
-        return hashlib.sha256(content.encode()).hexdigest()
-
-    def _inputs(self, changes: Changes) -> list[str]:
-        """Digests of the files that the changes name, and of the sequence."""
+        """Of the point with these settings: of them, what all points have in common, the files that the
+        changes name, and the sequence."""
         data = changes.get(DATA, self.settings.data)
-        own = [file_digest(each) for each in texts_in(_of_configuration(changes))]
-        return [*own, "" if data is None else sequence_digest(str(data))]
+        inputs = [file_digest(each) for each in texts_in(_of_configuration(changes))]
+        inputs.append("" if data is None else sequence_digest(str(data)))
+        content = json.dumps([self._common, changes, inputs], sort_keys=True)
+        return hashlib.sha256(content.encode()).hexdigest()
 
     @cached_property
     def _common(self) -> str:
@@ -146,17 +143,24 @@ class OpenStudy:
         return sorted({Path(each) for each in named if each is not None})
 
     def check(self) -> None:
-        """Try every value of every axis, each with the first ones of the others. Raises InputError."""
+        """Try every value of every axis, each with the first ones of the others. Raises InputError for one
+        that is out of range, and for fewer members than the confidence of a keep-out volume needs."""
+        from polhode.planning.keep_out.volumes import KeepOutOptions
+
         for factor in self.factors or (Factor((), ((),), ({},)),):
             others: Changes = {}
             for other in self.factors:
                 others |= {} if other is factor else other.changes[0]
             for level in factor.extremes():
-                changes = others | factor.changes[level]
-                self._config(_of_configuration(changes))
-                plan = self.plan_options(Point(0, {}, changes, ""))
-                if PLAN in self.settings.steps:
-                    _check_members(plan, self.source)
+                point = Point(0, {}, others | factor.changes[level], "")
+                self.config(point)
+                plan = self.plan_options(point)
+                needed = KeepOutOptions(plan.horizon_s, plan.confidence, members=plan.members).members_needed
+                if PLAN in self.settings.steps and plan.members < needed:
+                    raise InputError(
+                        f"{self.source}: plan: members: a confidence of {plan.confidence:g} needs {needed}, "
+                        f"not {plan.members}"
+                    )
 
     def text(self) -> str:
         """The study with its base and its variants written out: the same points, from any folder."""
@@ -230,7 +234,12 @@ def open_study(path: Path, check: bool = True, measurement: Measurement | None =
     _check_names(study)
     _check_steps(study)
     if check:
-        _check_measurement(study)
+        if (MEASURE in settings.steps) != (measurement is not None):
+            raise InputError(
+                f"--measure: {path} has no step '{MEASURE}'; add it at the end of its steps"
+                if measurement is not None
+                else f"{path}: steps: '{MEASURE}' needs a function: --measure FILE.py:FUNCTION"
+            )
         study.check()
     return study
 
@@ -256,7 +265,7 @@ def _require_few(settings: Study, path: Path) -> None:
 def _with_paths(settings: Study, path: Path) -> Study:
     """Paths relative to the study's file made absolute, variants of files read."""
     beside = path.resolve().parent
-    axes = {}
+    axes = dict(settings.axes)
     for name, axis in settings.axes.items():
         if axis.variants is not None:
             variants = {
@@ -264,12 +273,10 @@ def _with_paths(settings: Study, path: Path) -> Study:
                 for key, each in axis.variants.items()
             }
             for each in variants.values():
-                if DATA in each:
-                    each[DATA] = str(beside / str(each[DATA]))
-            axis = axis.model_copy(update={"variants": variants})
-        if name == DATA and axis.values is not None:
-            axis = axis.model_copy(update={"values": tuple(str(beside / str(each)) for each in axis.values)})
-        axes[name] = axis
+                each |= {DATA: str(beside / str(each[DATA]))} if DATA in each else {}
+            axes[name] = axis.model_copy(update={"variants": variants})
+        elif name == DATA and axis.values is not None:
+            axes[name] = axis.model_copy(update={"values": tuple(str(beside / str(v)) for v in axis.values)})
     data = None if settings.data is None else str(beside / settings.data)
     return settings.model_copy(update={"axes": axes, "data": data})
 
@@ -277,64 +284,71 @@ def _with_paths(settings: Study, path: Path) -> Study:
 def _base(base: dict[str, Any] | str, path: Path) -> Config:
     if isinstance(base, str):
         return load_config(path.resolve().parent / base)
-    values = dict(base)
+    values, where = dict(base), f"{path}: base"
     extended = values.pop("extends", None)
     if extended is None:
-        return config_with(values, f"{path}: base", {}, "")
+        return config_with(values, where, {}, "")
     if not isinstance(extended, str):
-        raise InputError(f"{path}: base.extends: expected the path of one file")
-    return config_with(
-        read_settings(path.resolve().parent / extended), extended, flat(values), f"{path}: base"
-    )
+        raise InputError(f"{where}.extends: expected the path of one file")
+    return config_with(read_settings(path.resolve().parent / extended), extended, flat(values), where)
 
 
 def _check_names(study: OpenStudy) -> None:
     """Raise InputError for a setting that no study has, or that two axes set."""
-    seen: dict[str, Factor] = {}
+    where, sections = f"{study.source}: axes", (*Config.model_fields, DATA, PLAN, CASE)
     for name, axis in study.settings.axes.items():
         own_columns = ("point", "status", "reason", "verdict", "doubts")
         if axis.variants is not None and (name in own_columns or "." in name):
             raise InputError(
-                f"{study.source}: axes.{name}: the table has a column of that name, or may have one; choose "
-                "another name for these variants, without dots"
+                f"{where}.{name}: the table has a column of that name, or may have one; choose another name "
+                "for these variants, without dots"
             )
+    seen: dict[str, Factor] = {}
     for factor in study.factors:
         for setting in sorted(factor.settings):
-            if _section(setting) not in (*Config.model_fields, DATA, PLAN, CASE):
-                known = ", ".join((*Config.model_fields, DATA, PLAN, CASE))
+            if _section(setting) not in sections:
                 raise InputError(
-                    f"{study.source}: axes: '{setting}' is no setting; it begins with one of: {known}. An "
+                    f"{where}: '{setting}' is no setting; it begins with one of: {', '.join(sections)}. An "
                     "axis with a name of its own has 'variants'"
                 )
             if _section(setting) == "runtime":
                 raise InputError(
-                    f"{study.source}: axes: '{setting}': how the machine is used does not change a result; "
-                    "remove it"
+                    f"{where}: '{setting}': how the machine is used does not change a result; remove it"
                 )
             for other, of in seen.items():
-                if of is not factor and (
-                    f"{setting}.".startswith(f"{other}.") or f"{other}.".startswith(f"{setting}.")
-                ):
+                is_part = f"{setting}.".startswith(f"{other}.") or f"{other}.".startswith(f"{setting}.")
+                if of is not factor and is_part:
                     owners = " and by ".join(", ".join(each.columns) for each in (of, factor))
-                    raise InputError(f"{study.source}: axes: '{setting}' is set by {owners}; vary it in one")
+                    raise InputError(f"{where}: '{setting}' is set by {owners}; vary it in one")
             seen[setting] = factor
 
 
 def _check_steps(study: OpenStudy) -> None:
     """Raise InputError for steps without a sequence or a scene, and for data that are missing."""
     steps, source = study.settings.steps, study.source
-    names = set().union(*(factor.settings for factor in study.factors)) if study.factors else set()
+    names = set[str]().union(*(factor.settings for factor in study.factors))
+    sections = {_section(name) for name in names}
     has_data = study.settings.data is not None or DATA in names
-    if "simulate" in steps and DATA in names:
-        raise InputError(
-            f"{source}: axes: the points simulate their own sequences; remove 'data' or the step"
-        )
-    if "run" in steps and "simulate" not in steps and not has_data:
-        raise InputError(f"{source}: a run needs a sequence: give 'data', or begin with the step 'simulate'")
-    if "simulate" in steps and study.base["scene"] is None and not any(_section(n) == "scene" for n in names):
-        raise InputError(f"{source}: base: no 'scene' to simulate; name a file of configs/scenes, or add one")
-    if MEASURE not in steps and any(_section(name) == CASE for name in names):
-        raise InputError(f"{source}: settings of '{CASE}' are for the step '{MEASURE}'; add it to the steps")
+    for is_wrong, what in (
+        (
+            "simulate" in steps and DATA in names,
+            "axes: the points simulate their own sequences; remove 'data' or the step",
+        ),
+        (
+            "run" in steps and "simulate" not in steps and not has_data,
+            "a run needs a sequence: give 'data', or begin with the step 'simulate'",
+        ),
+        (
+            "simulate" in steps and study.base["scene"] is None and "scene" not in sections,
+            "base: no 'scene' to simulate; name a file of configs/scenes, or add one",
+        ),
+        (
+            MEASURE not in steps and CASE in sections,
+            f"settings of '{CASE}' are for the step '{MEASURE}'; add it to the steps",
+        ),
+    ):
+        if is_wrong:
+            raise InputError(f"{source}: {what}")
     for path in study.inputs():
         if not path.exists():
             raise InputError(f"{source}: {path} is missing; give an existing file or sequence")
@@ -342,33 +356,13 @@ def _check_steps(study: OpenStudy) -> None:
             raise InputError(f"{source}: data: {path} is no sequence (it has no mav0/); give an existing one")
 
 
-def _check_members(plan: PlanOptions, source: str) -> None:
-    """Raise InputError for fewer members than the confidence of a keep-out volume needs."""
-    from polhode.planning.keep_out.volumes import KeepOutOptions
-
-    options = KeepOutOptions(plan.horizon_s, plan.confidence, members=plan.members)
-    if plan.members < options.members_needed:
-        raise InputError(
-            f"{source}: plan: members: a confidence of {plan.confidence:g} needs {options.members_needed}, "
-            f"not {plan.members}"
-        )
-
-
-def _check_measurement(study: OpenStudy) -> None:
-    """Raise InputError for a step ``measure`` without a function, and for a function without the step."""
-    is_step = MEASURE in study.settings.steps
-    if is_step and study.measurement is None:
-        raise InputError(f"{study.source}: steps: '{MEASURE}' needs a function: --measure FILE.py:FUNCTION")
-    if study.measurement is not None and not is_step:
-        raise InputError(f"--measure: {study.source} has no step '{MEASURE}'; add it at the end of its steps")
-
-
-def _changes_scene(factor: Factor) -> bool:
-    return any(_section(setting) in ("scene", "seed") for setting in factor.settings)
-
-
 def _of_configuration(changes: Changes) -> Changes:
     return {key: value for key, value in changes.items() if _section(key) not in (DATA, PLAN, CASE)}
+
+
+def _within(changes: Changes, section: str) -> dict[str, Any]:
+    """Settings of a section, without its name."""
+    return {key.partition(".")[2]: each for key, each in changes.items() if _section(key) == section}
 
 
 def _section(setting: str) -> str:

@@ -6,7 +6,7 @@ A point is stored by the worker that computed it, so that whatever is killed los
 import logging
 import secrets
 from array import array
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -14,6 +14,11 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
+from distributed import CancelledError, as_completed
+from distributed.comm.core import CommClosedError
+from distributed.scheduler import KilledWorker
+
+from polhode.config import Config
 from polhode.config.loader import plain_settings
 from polhode.files.atomic import write_text
 from polhode.files.output.locks import occupied
@@ -39,14 +44,12 @@ from polhode.studies.steps import (
 )
 from polhode.studies.store import PARTS, Store
 from polhode.studies.study import OpenStudy, Point
-from polhode.studies.table import COMMAND, FILES, PAGE, STUDY, TABLE, write_table
+from polhode.studies.table import COMMAND, FILES, PAGE, STUDY, TABLE, stored_rows, write_table
 
 READY_PER_WORKER = 3
 """Tasks per worker that could begin at once: one that is computed, two that wait for it"""
-
-APPEARS_S, LOOK_S = 90.0, 0.5
-"""How long a record that another machine has written may take to be seen here; between two looks"""
-
+_SEQUENCE = "sequence-"
+_KEPT = "points that are done are kept, the same command goes on from there"
 _log = logging.getLogger(__name__)
 
 
@@ -83,9 +86,9 @@ def sweep(
         versions()
         missing = _missing(study, store, again_failed, progress)
         if missing:
-            few = replace(cluster, workers=min(worker_count(cluster.workers), len(missing)))
-            wanted = few if cluster.address is None else cluster
-            with opened_cluster(wanted, store.folder, study.inputs()) as opened:
+            if cluster.address is None:
+                cluster = replace(cluster, workers=min(worker_count(cluster.workers), len(missing)))
+            with opened_cluster(cluster, store.folder, study.inputs()) as opened:
                 # from here on, the table of what was there before is that of another study
                 write_text(store.folder / STUDY, study.text())
                 for name in (TABLE, PAGE):
@@ -101,8 +104,7 @@ def sweep(
 def _claim_folder(folder: Path) -> Path:
     """Make the folder and mark it as ours. Raises InputError."""
     place = marked_place(folder, COMMAND, FILES.__contains__)
-    link = next((place / part for part in PARTS if (place / part).is_symlink()), None)
-    if link is not None:
+    for link in (place / part for part in PARTS if (place / part).is_symlink()):
         raise InputError(f"{link}: this is a link, which a study does not write through; remove it")
     claim(place, COMMAND, FILES)
     for part in PARTS:
@@ -120,16 +122,12 @@ def _missing(study: OpenStudy, store: Store, again_failed: bool, progress: Progr
     missing = array("l")
     with progress.stage("points looked up", study.count) as advance:
         for number in range(study.count):
-            if _is_missing(store, study.point(number), again_failed):
+            record = store.read(study.point(number).address)
+            if record is None or (again_failed and record["status"] == FAILED):
                 missing.append(number)
             advance()
     _log.log(NOTE, "%d of %d points are stored already", study.count - len(missing), study.count)
     return missing
-
-
-def _is_missing(store: Store, point: Point, again_failed: bool) -> bool:
-    record = store.read(point.address)
-    return record is None or (again_failed and record["status"] == FAILED)
 
 
 def _gather_results(study: OpenStudy, store: Store, computed: int, progress: Progress) -> Swept:
@@ -142,11 +140,8 @@ def _gather_results(study: OpenStudy, store: Store, computed: int, progress: Pro
             f"{store.folder}: {study.count - rows} points have no record, although all were computed; was "
             "the folder changed meanwhile? Repeat the command"
         )
-    for number in range(study.count):
-        record = store.read(study.point(number).address)
-        if record is not None and record["status"] == FAILED:
-            found.failed += 1
-            found.reasons[str(record["reason"])] += 1
+    found.reasons = Counter(row["reason"] for row in stored_rows(study, store) if row["status"] == FAILED)
+    found.failed = found.reasons.total()
     with progress.stage("page", 1) as advance:
         write_page(study, store.folder)
         advance()
@@ -173,64 +168,52 @@ class _Window:
     """
 
     def __init__(self, study: OpenStudy, store: Store, cluster: Cluster, missing: "array[int]") -> None:
-        from distributed import as_completed
-
         self._study, self._store, self._client = study, store, cluster.client
-        self._missing = iter(missing)
-        self._code = code_digest()
+        self._missing, self._workers, self._code = iter(missing), cluster.workers, code_digest()
+        self._simulates = "simulate" in study.settings.steps
         # two studies on one scheduler may have the same point, and each stores its own record
         token = secrets.token_hex(4)
         self._point_key, self._sequence_key = f"point-{token}-", f"{_SEQUENCE}{token}-"
-        self._ready_limit = READY_PER_WORKER * cluster.workers
-        self._waiting_limit = 64 * cluster.workers
         self._completed = as_completed([], loop=cluster.client.loop)
         self._points: dict[str, tuple[Point, str]] = {}
         """Key of a task -> its point and the digest of its sequence"""
         self._renders: dict[str, Any] = {}
         """Digest -> task of the sequence, while a point in flight uses it"""
         self._rendering: set[str] = set()
-        self._waiting: defaultdict[str, int] = defaultdict(int)
+        self._waiting: Counter[str] = Counter()
         """Digest -> points in flight that use the sequence"""
         self._unsimulated: dict[str, str] = {}
         """Digest -> reason why there is no sequence"""
-        self._left = self._uses(missing) if self._removes else Counter[str]()
+        self._removes = self._simulates and not study.settings.keep_sequences
+        self._left: Counter[str] = Counter()
         """Digest -> points that still need the sequence, where it is removed after the last"""
-
-    @property
-    def _removes(self) -> bool:
-        settings = self._study.settings
-        return "simulate" in settings.steps and not settings.keep_sequences
-
-    def _uses(self, missing: "array[int]") -> Counter[str]:
-        uses: Counter[str] = Counter()
-        for number in missing:
-            try:
-                uses[self._sequence_of(self._study.config(self._study.point(number)))] += 1
-            except InputError:
-                continue
-        return uses
+        for number in missing if self._removes else ():
+            with suppress(InputError):
+                self._left[self._sequence_of(study.config(study.point(number)))] += 1
 
     def outcomes(self) -> Iterator[str]:
         """The status of each point as it is stored. Raises RunFailure."""
         yield from self._fill()
         while self._points:
             future = next(self._completed)
-            if future.key in self._points:
-                yield self._finish(future)
-            else:
+            if future.key not in self._points:
                 self._note_render(future)
+            else:
+                point, digest = self._points.pop(future.key)
+                status = self._status(future, point, digest)
+                if digest:
+                    self._release(digest)
+                yield status
             del future
             yield from self._fill()
 
-    def _ready(self) -> int:
-        """Tasks that no other task holds back."""
-        held = sum(self._waiting[digest] for digest in self._rendering)
-        return len(self._rendering) + len(self._points) - held
-
     def _fill(self) -> Iterator[str]:
         """Submit points until there are enough. Yields the status of those that need no worker."""
-        while self._ready() < self._ready_limit and len(self._points) < self._waiting_limit:
-            number = next(self._missing, None)
+        while len(self._points) < 64 * self._workers:
+            # tasks that no other task holds back
+            held = sum(self._waiting[digest] for digest in self._rendering)
+            ready = len(self._rendering) + len(self._points) - held
+            number = next(self._missing, None) if ready < READY_PER_WORKER * self._workers else None
             if number is None:
                 return
             point = self._study.point(number)
@@ -242,25 +225,24 @@ class _Window:
                 yield FAILED
 
     def _submit(self, point: Point) -> None:
-        config = self._study.config(point)
-        digest, settings, plan = "", plain_settings(config), self._study.plan_options(point)
-        if "simulate" in self._study.settings.steps:
-            digest = self._sequence_of(config)
-        render = self._render_of(digest, settings) if digest else None
+        study, config = self._study, self._study.config(point)
+        settings = plain_settings(config)
+        digest = self._sequence_of(config) if self._simulates else ""
         job = PointJob(
-            self._store.folder,
-            point.address,
-            point.values,
-            self._study.settings.steps,
-            settings,
-            plan,
-            self._study.settings.keep,
-            self._code,
-            digest,
-            self._study.data(point),
-            self._study.measurement,
-            self._study.case(point),
+            folder=self._store.folder,
+            address=point.address,
+            values=point.values,
+            steps=study.settings.steps,
+            config=settings,
+            plan=study.plan_options(point),
+            keep=study.settings.keep,
+            code=self._code,
+            sequence=digest,
+            data=study.data(point),
+            measurement=study.measurement,
+            case=study.case(point),
         )
+        render = self._render_of(digest, settings) if digest else None
         key = f"{self._point_key}{point.address}"
         future = self._client.submit(compute_point, job, render, key=key, pure=False)
         self._points[key] = (point, digest)
@@ -268,7 +250,7 @@ class _Window:
             self._waiting[digest] += 1
         self._completed.add(future)
 
-    def _sequence_of(self, config: Any) -> str:
+    def _sequence_of(self, config: Config) -> str:
         assert config.scene is not None
         return sequence_digest(config.scene, config.seed)
 
@@ -276,25 +258,20 @@ class _Window:
         """What a point waits for: a task, or an outcome that is known. None: the sequence is there."""
         if digest in self._unsimulated:
             return SequenceOutcome(self._unsimulated[digest])
-        if digest in self._renders:
-            return self._renders[digest]
-        if self._store.has_sequence(digest):
-            return None
-        job = SequenceJob(self._store.folder, digest, settings, self._code)
-        future = self._client.submit(
-            simulate_sequence, job, key=f"{self._sequence_key}{digest}", pure=False, priority=1
-        )
-        self._renders[digest] = future
-        self._rendering.add(digest)
-        self._completed.add(future)
-        return future
+        if digest not in self._renders:
+            if self._store.has_sequence(digest):
+                return None
+            job = SequenceJob(self._store.folder, digest, settings, self._code)
+            key = f"{self._sequence_key}{digest}"
+            self._renders[digest] = self._client.submit(
+                simulate_sequence, job, key=key, pure=False, priority=1
+            )
+            self._rendering.add(digest)
+            self._completed.add(self._renders[digest])
+        return self._renders[digest]
 
     def _note_render(self, future: Any) -> None:
         """Remember why there is no sequence, so that it is not tried again for every point."""
-        from distributed import CancelledError
-        from distributed.comm.core import CommClosedError
-        from distributed.scheduler import KilledWorker
-
         digest, reason = future.key.removeprefix(self._sequence_key), ""
         self._rendering.discard(digest)
         if future.status == "finished":
@@ -306,17 +283,8 @@ class _Window:
         if reason:
             self._unsimulated[digest] = reason
 
-    def _finish(self, future: Any) -> str:
-        """The status of a point that a worker has stored, or that no worker could compute."""
-        point, digest = self._points.pop(future.key)
-        status = self._status(future, point, digest)
-        if digest:
-            self._release(digest)
-        return status
-
     def _status(self, future: Any, point: Point, digest: str) -> str:
-        from distributed.scheduler import KilledWorker
-
+        """The status of a point that a worker has stored, or that no worker could compute."""
         if future.status == "finished":
             # read, not asked for: the worker may be gone, and another would compute the point again
             return self._appeared(point.address)
@@ -333,12 +301,12 @@ class _Window:
         raise RunFailure(f"the scheduler was lost; {_KEPT}")
 
     def _appeared(self, address: str) -> str:
-        """The status of a record that a worker has written: network file systems may show it later."""
-        deadline = monotonic() + APPEARS_S
+        """The status of a record that a worker has written: network file systems may show it 90 s later."""
+        deadline = monotonic() + 90.0
         while (record := self._store.read(address)) is None:
             if monotonic() > deadline:
                 raise RunFailure(f"{self._store.record_file(address)} does not appear here; {_KEPT}")
-            sleep(LOOK_S)
+            sleep(0.5)
         return str(record["status"])
 
     def _release(self, digest: str) -> None:
@@ -357,7 +325,3 @@ def _reason_of_kills(error: Any) -> str:
     """The reason of a point whose workers were killed."""
     what = "simulating its sequence" if str(error.task).startswith(_SEQUENCE) else "computing it"
     return f"{error.allowed_failures + 1} workers ended while {what}, perhaps for lack of memory"
-
-
-_SEQUENCE = "sequence-"
-_KEPT = "points that are done are kept, the same command goes on from there"

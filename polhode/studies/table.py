@@ -73,34 +73,30 @@ def write_table(study: OpenStudy, store: Store, path: Path) -> int:
 def read_table(folder: Path, most: int | None = None) -> pa.Table:
     """The table of a study; of one that is not finished, the rows that are stored.
 
-    ``most``: at most so many rows, chosen at random. Raises InputError: the folder is that of no study.
+    ``most``: at most so many rows, chosen at random; of a large table no more than that is in memory. Raises
+    InputError: the folder is that of no study.
     """
-    mark = read_mark(folder) or {}
-    if COMMAND not in mark:
+    if COMMAND not in (read_mark(folder) or {}):
         raise InputError(f"{folder}: no study of polhode sweep; give the folder that -o named")
-    if (folder / TABLE).is_file():
-        try:
-            return _rows_of(folder / TABLE, most)
-        except (pa.ArrowException, OSError) as error:
-            said = str(error).partition("\n")[0][:120]
-            raise InputError(f"{folder / TABLE} cannot be read ({said}); repeat the sweep") from None
-    study, store = open_study(folder / STUDY, check=False), Store(folder)
-    rows = list(stored_rows(study, store))
-    return _table([rows[k] for k in chosen_rows(len(rows), most)], schema_of(rows))
-
-
-def _rows_of(path: Path, most: int | None) -> pa.Table:
-    """The rows of a table, at most ``most``: of a large one no more than that is in memory."""
-    with pq.ParquetFile(path) as file:
-        count = file.metadata.num_rows
-        if most is None or count <= most:
-            return file.read()
-        kept, start, parts = chosen_rows(count, most), 0, []
-        for batch in file.iter_batches(ROWS_AT_ONCE):
-            own = kept[(kept >= start) & (kept < start + batch.num_rows)] - start
-            parts.append(batch.take(pa.array(own)))
-            start += batch.num_rows
-        return pa.Table.from_batches(parts, file.schema_arrow)
+    path = folder / TABLE
+    if not path.is_file():
+        study, store = open_study(folder / STUDY, check=False), Store(folder)
+        rows = list(stored_rows(study, store))
+        return _table([rows[k] for k in chosen_rows(len(rows), most)], schema_of(rows))
+    try:
+        with pq.ParquetFile(path) as file:
+            count = file.metadata.num_rows
+            if most is None or count <= most:
+                return file.read()
+            kept, start, parts = chosen_rows(count, most), 0, []
+            for batch in file.iter_batches(ROWS_AT_ONCE):
+                own = kept[(kept >= start) & (kept < start + batch.num_rows)] - start
+                parts.append(batch.take(pa.array(own)))
+                start += batch.num_rows
+            return pa.Table.from_batches(parts, file.schema_arrow)
+    except (pa.ArrowException, OSError) as error:
+        said = str(error).partition("\n")[0][:120]
+        raise InputError(f"{path} cannot be read ({said}); repeat the sweep") from None
 
 
 def chosen_rows(count: int, most: int | None) -> Ints:
@@ -119,6 +115,10 @@ def load_study(folder: Path) -> "pd.DataFrame":
         raise InputError("pandas is not installed: pip install 'polhode[pandas]'") from None
 
 
+RESULTS = ("run.", "evaluate.", "plan.", "compare.", "measure.")
+"""Beginnings of columns, one for each step"""
+
+
 def schema_of(rows: Iterable[Row]) -> pa.Schema:
     """The columns of all rows and their types, in an order that does not depend on that of the rows' making:
     settings first, then results, then what they were made with."""
@@ -126,45 +126,29 @@ def schema_of(rows: Iterable[Row]) -> pa.Schema:
     for row in rows:
         for name, value in row.items():
             kinds[name].add(type(value))
-    order = {name: position for position, name in enumerate(kinds)}
-    names = sorted(kinds, key=lambda name: (_rank(name), order[name]))
-    return pa.schema([(name, _type(name, kinds[name])) for name in names])
+    groups = (*RESULTS, TIME, "version.", "digest.")
+    # texts, even where all rows have none
+    texts = {"status", "reason", "verdict", "doubts", "digest.sequence"}
 
+    def rank(name: str) -> int:
+        return next((k for k, prefix in enumerate(groups) if name.startswith(prefix)), -1)
 
-TEXTS = frozenset({"status", "reason", "verdict", "doubts", "digest.sequence"})
-"""Columns of texts, even where all rows have none"""
-RESULTS = ("run.", "evaluate.", "plan.", "compare.", "measure.")
-"""Beginnings of columns, one for each step"""
+    def kind(name: str) -> pa.DataType:
+        own = kinds[name] - {type(None)}
+        if own in ({bool}, {int}):
+            return pa.bool_() if own == {bool} else pa.int64()
+        return pa.float64() if own <= {int, float} and name not in texts else pa.string()
 
-
-def _rank(name: str) -> int:
-    for rank, prefix in enumerate((*RESULTS, *(TIME, "version.", "digest.")), start=1):
-        if name.startswith(prefix):
-            return rank
-    return 0
-
-
-def _type(name: str, kinds: set[type]) -> pa.DataType:
-    kinds = kinds - {type(None)}
-    if kinds == {bool}:
-        return pa.bool_()
-    if kinds == {int}:
-        return pa.int64()
-    if kinds <= {int, float} and name not in TEXTS:
-        return pa.float64()
-    return pa.string()
+    # sorting is stable
+    return pa.schema([(name, kind(name)) for name in sorted(kinds, key=rank)])
 
 
 def _table(rows: list[Row], schema: pa.Schema) -> pa.Table:
-    columns = [
-        pa.array([_cell(row.get(field.name), field.type) for row in rows], type=field.type)
-        for field in schema
-    ]
+    """Lists and sections are JSON; numbers and truths among texts likewise."""
+    columns = []
+    for field in schema:
+        cells = [row.get(field.name) for row in rows]
+        if pa.types.is_string(field.type):
+            cells = [each if each is None or isinstance(each, str) else json.dumps(each) for each in cells]
+        columns.append(pa.array(cells, type=field.type))
     return pa.Table.from_arrays(columns, schema=schema)
-
-
-def _cell(value: Any, kind: pa.DataType) -> Any:
-    """Lists and sections as JSON; numbers and truths among texts likewise."""
-    if value is None or not pa.types.is_string(kind) or isinstance(value, str):
-        return value
-    return json.dumps(value)

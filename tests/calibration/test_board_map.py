@@ -52,9 +52,7 @@ def test_a_fisheye_fits_its_own_board_and_no_board_fits_permuted_points() -> Non
     other = np.random.default_rng(1).permutation(p_m)
     assert misfit(other, uv_px, BOARD.square_m, SIZE) > 0.5
     assert misfit(p_m[:3], uv_px[:3], BOARD.square_m, SIZE) == 0.0
-
-
-def test_too_few_points_have_no_map() -> None:
+    # too few points have no map
     p_m = BOARD.points[:8, :2]
     uv_px = seen("brown5", p_m)
     uv_px[0] = np.nan

@@ -152,16 +152,11 @@ def test_the_command_writes_every_format_and_each_reads_back_the_same(
     for names in (["camchain.yaml"], ["opencv.yaml"], ["camera_info_left.yaml", "camera_info_right.yaml"]):
         back = read_rig([out / name for name in names])
         for camera, own in zip(back.cameras, rig.cameras, strict=True):
-            assert (camera.intrinsics, camera.model, camera.size_px) == (
-                own.intrinsics,
-                own.model,
-                own.size_px,
-            )
-            assert camera.distortion == own.distortion
+            for name in ("intrinsics", "model", "size_px", "distortion"):
+                assert getattr(camera, name) == getattr(own, name)
             # camera_info states the pose in two parts, which rounds
-            np.testing.assert_allclose(
-                camera.X_BC, own.X_BC, rtol=0, atol=1e-15 if len(names) == 1 else 1e-12
-            )
+            atol = 1e-15 if len(names) == 1 else 1e-12
+            np.testing.assert_allclose(camera.X_BC, own.X_BC, rtol=0, atol=atol)
     page = (out / "report.html").read_text()
     assert "Epipolar error over the right image" in page and "Coverage of the left image" in page
 

@@ -32,15 +32,20 @@ def test_pinholes_are_those_of_opencv(model: Model) -> None:
     np.testing.assert_allclose(project(each, p_C), theirs.reshape(-1, 2), atol=1e-10)
 
 
-def test_the_fisheye_is_that_of_the_shared_module_also_behind_the_camera() -> None:
+def test_lenses_are_those_of_opencv_and_the_shared_module() -> None:
     each, p_C = lens("fisheye"), points()
     p_C[::7, 2] = -0.05
     p_C[3] = [0.0, 0.0, 1.0]
     np.testing.assert_allclose(project(each, p_C), fisheye.project(p_C, each.K, each.coefficients), atol=1e-9)
+    # a point behind a pinhole and a pixel beyond its image are nan
+    each = lens("brown5")
+    assert np.isnan(project(each, np.array([[0.1, 0.1, -1.0]]))).all()
+    folded = Lens("brown5", np.array([500.0, 500.0, 320.0, 240.0, -0.6, 0.0, 0.0, 0.0, 0.0]))
+    assert np.isnan(normalized_by_newton(folded, np.array([[1200.0, 900.0]]))).all()
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_derivatives_are_those_of_differences(model: Model) -> None:
+def test_derivatives_are_those_of_differences_and_rays_lead_back(model: Model) -> None:
     each, p_C, h = lens(model), points(), 1e-6
     _, by_point, by_values = project_with_derivatives(each, p_C)
     for k in range(3):
@@ -51,16 +56,6 @@ def test_derivatives_are_those_of_differences(model: Model) -> None:
         step = h * np.eye(len(each.values))[k]
         difference = (project(each.moved(step), p_C) - project(each.moved(-step), p_C)) / (2 * h)
         np.testing.assert_allclose(by_values[:, :, k], difference, rtol=1e-5, atol=1e-4)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_rays_of_pixels_lead_back_to_the_points(model: Model) -> None:
+    # rays of pixels lead back to the points
     each, p_C = lens(model), points()
     np.testing.assert_allclose(normalized(each, project(each, p_C)), p_C[:, :2] / p_C[:, 2:], atol=1e-8)
-
-
-def test_a_point_behind_a_pinhole_and_a_pixel_beyond_its_image_are_nan() -> None:
-    each = lens("brown5")
-    assert np.isnan(project(each, np.array([[0.1, 0.1, -1.0]]))).all()
-    folded = Lens("brown5", np.array([500.0, 500.0, 320.0, 240.0, -0.6, 0.0, 0.0, 0.0, 0.0]))
-    assert np.isnan(normalized_by_newton(folded, np.array([[1200.0, 900.0]]))).all()

@@ -8,7 +8,6 @@ import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from PIL import Image
 from polhode.files.tables import read_listing
 from polhode.geometry.lie import Array, inverse_pose, wxyz_from_matrix
 from polhode.importers.sources.ros_bag import message_types
+from polhode.importers.sources.ros_messages import CAMERA_INFO, ODOMETRY, TRANSFORMS
 from polhode.records.rig_calibration import StereoCalibration, read_calibration
 
 FRAMES = ("left_optical", "right_optical")
@@ -214,44 +214,35 @@ def write_ros2(
 
 def _fill(bag: Any, store: Any, data: Original, contents: BagContents, is_ros1: bool) -> None:
     """Messages sorted by time."""
-    maker = _Maker(store, is_ros1)
+    make = _Maker(store, is_ros1)
     rows: list[tuple[int, str, str, Any]] = []
-    first = min(data.files[0])
     R, P = rectified(data)
     for camera in contents.cameras:
-        topic = TOPICS[camera]
-        base = topic.rpartition("/")[0]
-        for stamp in data.files[camera]:
+        topic, frame = TOPICS[camera], FRAMES[camera]
+        for stamp, path in data.files[camera].items():
             time = stamp + camera * contents.right_later_ns
-            pixels = data.pixels(camera, stamp)
             if contents.compressed:
-                kind, name = "sensor_msgs/msg/CompressedImage", f"{topic}/compressed"
-                message = maker.compressed(time, FRAMES[camera], data.files[camera][stamp].read_bytes())
+                png = make("sensor_msgs", "CompressedImage", make.header(time, frame), "png",
+                           np.frombuffer(path.read_bytes(), np.uint8))  # fmt: skip
+                rows.append((time, f"{topic}/compressed", "sensor_msgs/msg/CompressedImage", png))
             else:
-                kind, name, message = (
-                    "sensor_msgs/msg/Image",
-                    topic,
-                    maker.image(time, FRAMES[camera], pixels),
-                )
-            rows.append((time, name, kind, message))
+                image = make.image(time, frame, data.pixels(camera, stamp))
+                rows.append((time, topic, "sensor_msgs/msg/Image", image))
             if contents.info:
-                info = maker.camera_info(time, data, camera, R[camera], P[camera])
-                rows.append((time, f"{base}/camera_info", "sensor_msgs/msg/CameraInfo", info))
-    transforms = []
-    if contents.tf:
-        transforms.append((FRAMES[0], FRAMES[1], data.X_01))
-    if contents.X_BC0 is not None:
-        transforms.append(("base_link", FRAMES[0], contents.X_BC0))
-    if transforms:
-        rows.append((first, "/tf_static", "tf2_msgs/msg/TFMessage", maker.tf(first, transforms)))
+                info = make.camera_info(time, data, camera, R[camera], P[camera])
+                rows.append((time, f"{topic.rpartition('/')[0]}/camera_info", CAMERA_INFO, info))
     stamps = list(data.files[0])
-    for k, X in enumerate(() if contents.odometry is None else contents.odometry):
-        rows.append((stamps[k], "/odom", "nav_msgs/msg/Odometry", maker.odometry(stamps[k], X)))
-    for k, X in enumerate(() if contents.posestamped is None else contents.posestamped):
-        rows.append((stamps[k], "/pose", "geometry_msgs/msg/PoseStamped", maker.pose_stamped(stamps[k], X)))
-    for k, X in enumerate(() if contents.moving_tf is None else contents.moving_tf):
-        message = maker.tf(stamps[k], [("map", "base_link", X)])
-        rows.append((stamps[k], "/tf", "tf2_msgs/msg/TFMessage", message))
+    fixed = [(FRAMES[0], FRAMES[1], data.X_01)] if contents.tf else []
+    fixed += [] if contents.X_BC0 is None else [("base_link", FRAMES[0], contents.X_BC0)]
+    if fixed:
+        rows.append((stamps[0], "/tf_static", TRANSFORMS[0], make.tf(stamps[0], fixed)))
+    for poses, topic, kind, message in (
+        (contents.odometry, "/odom", ODOMETRY, make.odometry),
+        (contents.posestamped, "/pose", "geometry_msgs/msg/PoseStamped", make.pose_stamped),
+        (contents.moving_tf, "/tf", TRANSFORMS[0], lambda time, X: make.tf(time, [("map", "base_link", X)])),
+    ):
+        for time, X in zip(stamps, () if poses is None else poses, strict=False):
+            rows.append((time, topic, kind, message(time, X)))
     connections: dict[str, Any] = {}
     for time, topic, kind, message in sorted(rows, key=lambda row: row[:2]):
         if topic not in connections:
@@ -266,94 +257,79 @@ class _Maker:
     def __init__(self, store: Any, is_ros1: bool) -> None:
         self.types, self.is_ros1 = store.types, is_ros1
 
-    def header(self, time: int, frame: str) -> Any:
-        stamp = self.types["builtin_interfaces/msg/Time"](sec=time // 10**9, nanosec=time % 10**9)
-        more = {"seq": 0} if self.is_ros1 else {}
-        return self.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame, **more)
+    def __call__(self, package: str, kind: str, *values: Any, **named: Any) -> Any:
+        return self.types[f"{package}/msg/{kind}"](*values, **named)
 
-    def image(self, time: int, frame: str, pixels: NDArray[Any], encoding: str = "") -> Any:
+    def header(self, time: int, frame: str) -> Any:
+        stamp = self("builtin_interfaces", "Time", sec=time // 10**9, nanosec=time % 10**9)
+        return self("std_msgs", "Header", stamp=stamp, frame_id=frame, **({"seq": 0} if self.is_ros1 else {}))
+
+    def image(self, time: int, frame: str, pixels: NDArray[Any]) -> Any:
         height, width = pixels.shape[:2]
         names = {2: "mono8" if pixels.dtype == np.uint8 else "mono16", 3: "rgb8"}
         content = np.ascontiguousarray(pixels)
-        return self.types["sensor_msgs/msg/Image"](
+        return self(
+            "sensor_msgs",
+            "Image",
             header=self.header(time, frame),
             height=height,
             width=width,
-            encoding=encoding or names[pixels.ndim],
+            encoding=names[pixels.ndim],
             is_bigendian=0,
             step=content.nbytes // height,
             data=content.view(np.uint8).ravel(),
         )
 
-    def compressed(self, time: int, frame: str, content: bytes) -> Any:
-        return self.types["sensor_msgs/msg/CompressedImage"](
-            header=self.header(time, frame), format="png", data=np.frombuffer(content, np.uint8)
-        )
-
     def camera_info(self, time: int, data: Original, camera: int, R: Array, P: Array) -> Any:
-        values = {
-            "D": np.array(_five(data.dist[camera])),
-            "K": data.K[camera].ravel(),
-            "R": R.ravel(),
-            "P": P.ravel(),
-        }
+        D = _five(data.dist[camera])
+        values = {"D": np.array(D), "K": data.K[camera].ravel(), "R": R.ravel(), "P": P.ravel()}
         if not self.is_ros1:
             values = {name.lower(): value for name, value in values.items()}
-        region = self.types["sensor_msgs/msg/RegionOfInterest"](
-            x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
-        )
-        return self.types["sensor_msgs/msg/CameraInfo"](
+        return self(
+            "sensor_msgs",
+            "CameraInfo",
             header=self.header(time, FRAMES[camera]),
             height=data.calibration.height_px,
             width=data.calibration.width_px,
-            distortion_model="plumb_bob" if len(_five(data.dist[camera])) == 5 else "rational_polynomial",
+            distortion_model="plumb_bob" if len(D) == 5 else "rational_polynomial",
             binning_x=0,
             binning_y=0,
-            roi=region,
+            roi=self("sensor_msgs", "RegionOfInterest", 0, 0, 0, 0, False),
             **values,
         )
 
-    def _vector(self, kind: str, X: Array) -> Any:
+    def _parts(self, X: Array, kind: str) -> tuple[Any, Any]:
+        """Place (a Point or a Vector3) and attitude."""
         x, y, z = X[:3, 3].tolist()
-        return self.types[f"geometry_msgs/msg/{kind}"](x=x, y=y, z=z)
-
-    def _quaternion(self, X: Array) -> Any:
-        w, x, y, z = wxyz_from_matrix(X[:3, :3]).tolist()
-        return self.types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
-
-    def _pose(self, X: Array) -> Any:
-        return self.types["geometry_msgs/msg/Pose"](
-            position=self._vector("Point", X), orientation=self._quaternion(X)
-        )
+        w, i, j, k = wxyz_from_matrix(X[:3, :3]).tolist()
+        place = self("geometry_msgs", kind, x=x, y=y, z=z)
+        return place, self("geometry_msgs", "Quaternion", x=i, y=j, z=k, w=w)
 
     def tf(self, time: int, transforms: Sequence[tuple[str, str, Array]]) -> Any:
         made = []
         for parent, child, X in transforms:
-            transform = self.types["geometry_msgs/msg/Transform"](
-                translation=self._vector("Vector3", X), rotation=self._quaternion(X)
-            )
-            made.append(
-                self.types["geometry_msgs/msg/TransformStamped"](
-                    header=self.header(time, parent), child_frame_id=child, transform=transform
-                )
-            )
-        return self.types["tf2_msgs/msg/TFMessage"](transforms=made)
+            transform = self("geometry_msgs", "Transform", *self._parts(X, "Vector3"))
+            header = self.header(time, parent)
+            made.append(self("geometry_msgs", "TransformStamped", header, child, transform))
+        return self("tf2_msgs", "TFMessage", transforms=made)
 
     def odometry(self, time: int, X: Array) -> Any:
         covariance = np.diag([1e-6] * 3 + [4e-6] * 3).ravel()
-        pose = self.types["geometry_msgs/msg/PoseWithCovariance"](pose=self._pose(X), covariance=covariance)
-        zero = self._vector("Vector3", np.eye(4))
-        twist = self.types["geometry_msgs/msg/TwistWithCovariance"](
-            twist=self.types["geometry_msgs/msg/Twist"](linear=zero, angular=zero), covariance=np.zeros(36)
-        )
-        return self.types["nav_msgs/msg/Odometry"](
-            header=self.header(time, "odom"), child_frame_id="base_link", pose=pose, twist=twist
+        pose = self("geometry_msgs", "Pose", *self._parts(X, "Point"))
+        zero = self._parts(np.eye(4), "Vector3")[0]
+        twist = self("geometry_msgs", "Twist", linear=zero, angular=zero)
+        return self(
+            "nav_msgs",
+            "Odometry",
+            header=self.header(time, "odom"),
+            child_frame_id="base_link",
+            pose=self("geometry_msgs", "PoseWithCovariance", pose=pose, covariance=covariance),
+            twist=self("geometry_msgs", "TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
         )
 
     def pose_stamped(self, time: int, X: Array) -> Any:
-        return self.types["geometry_msgs/msg/PoseStamped"](
-            header=self.header(time, "odom"), pose=self._pose(X)
-        )
+        pose = self("geometry_msgs", "Pose", *self._parts(X, "Point"))
+        return self("geometry_msgs", "PoseStamped", header=self.header(time, "odom"), pose=pose)
 
 
 def write_video(images: Iterable[NDArray[Any]], path: Path, rate_hz: int = 2, codec: str = "ffv1") -> Path:
@@ -386,13 +362,6 @@ def write_stamps(data: Original, path: Path) -> Path:
     """A table of the left timestamps."""
     path.write_text("".join(f"{stamp}\n" for stamp in data.files[0]))
     return path
-
-
-def png_of(pixels: NDArray[Any]) -> bytes:
-    """An image as a PNG."""
-    stream = BytesIO()
-    Image.fromarray(pixels).save(stream, format="PNG")
-    return stream.getvalue()
 
 
 def listing(folder: Path) -> dict[str, int]:

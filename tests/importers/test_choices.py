@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -86,9 +87,7 @@ def test_times_in_names_and_tables(small_sequence: Path, tmp_path: Path) -> None
     table = small_sequence / "mav0" / "cam0" / "data.csv"
     imported(both, tmp_path / "listed", calibration=(chain,), stamps=(table,))
     require_same(data, tmp_path / "listed")
-
-
-def test_a_video_has_its_own_times(small_sequence: Path, tmp_path: Path) -> None:
+    # a video has its own times
     data = original(small_sequence)
     chain = write_kalibr(data, tmp_path / "k.yaml")
     imported([write_side_by_side(data, tmp_path / "v.mkv")], tmp_path / "back", calibration=(chain,))
@@ -108,6 +107,14 @@ def test_an_offset_of_the_clocks_is_removed_and_stated(small_sequence: Path, tmp
         require_same(data, tmp_path / f"back{later_ns}")
     record = json.loads((tmp_path / "back4000" / "import.json").read_text())
     assert record["offset_of_stamps_s"] == pytest.approx(4e-6) and record["pairs"] == N
+    # a given offset pairs clocks far apart
+    data = original(small_sequence)
+    folders = write_folders(data, tmp_path / "images", 7_200_000_000_000)
+    chain = write_kalibr(data, tmp_path / "k.yaml")
+    line = refused(folders, tmp_path / "back", calibration=(chain,))
+    assert "no time in common" in line and "give --offset-s 7200" in line
+    imported(folders, tmp_path / "back", calibration=(chain,), offset_s=7200.0)
+    require_same(data, tmp_path / "back")
 
 
 def test_a_baseline_that_looks_like_millimetres_is_doubted(small_sequence: Path, tmp_path: Path) -> None:
@@ -123,27 +130,15 @@ def test_a_baseline_that_looks_like_millimetres_is_doubted(small_sequence: Path,
     assert not any("--unit" in line for line in right.warnings)
 
 
-def test_a_given_offset_pairs_clocks_far_apart(small_sequence: Path, tmp_path: Path) -> None:
-    data = original(small_sequence)
-    folders = write_folders(data, tmp_path / "images", 7_200_000_000_000)
-    chain = write_kalibr(data, tmp_path / "k.yaml")
-    line = refused(folders, tmp_path / "back", calibration=(chain,))
-    assert "no time in common" in line and "give --offset-s 7200" in line
-    imported(folders, tmp_path / "back", calibration=(chain,), offset_s=7200.0)
-    require_same(data, tmp_path / "back")
-
-
 @pytest.mark.parametrize("form", ["odometry", "PoseStamped", "tf"])
 def test_poses_of_the_inspector(form: str, small_sequence: Path, tmp_path: Path) -> None:
-    options: dict[str, str] = {}
-    contents = BagContents(odometry=X_NB, X_BC0=X_BC0)
-    if form == "PoseStamped":
-        contents, options = (
-            BagContents(posestamped=X_NB, X_BC0=X_BC0),
-            {"poses": "/pose", "pose_of": "base_link"},
-        )
-    elif form == "tf":
-        contents, options = BagContents(moving_tf=X_NB, X_BC0=X_BC0), {"poses": "tf:map"}
+    name, options = {
+        "odometry": ("odometry", {}),
+        "PoseStamped": ("posestamped", {"poses": "/pose", "pose_of": "base_link"}),
+        "tf": ("moving_tf", {"poses": "tf:map"}),
+    }[form]
+    poses: dict[str, Any] = {"X_BC0": X_BC0, name: X_NB}
+    contents = BagContents(**poses)
     bag = write_ros2(original(small_sequence), tmp_path / "bag", contents)
     done = imported([bag], tmp_path / "back", **options)
     sequence = open_sequence(tmp_path / "back")

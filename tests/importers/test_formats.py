@@ -108,29 +108,20 @@ def turned(data: Original) -> Original:
     return replace(data, calibration=replace(data.calibration, X_BC0=np.eye(4), X_BC1=X_BC1))
 
 
-@pytest.mark.parametrize(
-    ("write", "unit_m", "atol"),
-    [
-        (lambda data, area: [write_kalibr(data, area / "k.yaml")], 1.0, 3e-16),
-        (lambda data, area: [write_opencv(data, area / "o.yml")], 1.0, 3e-16),
-        (lambda data, area: [write_opencv(data, area / "o.yml", 1e-3)], 1e-3, 3e-16),
-        (write_camera_info, 1.0, 2e-15),
-    ],
-    ids=["Kalibr", "OpenCV", "millimetres", "camera_info"],
-)
-def test_a_converging_rig_comes_back_to_rounding(
-    write: Callable[[Original, Path], Sequence[Path]],
-    unit_m: float,
-    atol: float,
-    small_sequence: Path,
-    tmp_path: Path,
-) -> None:
+def test_a_converging_rig_comes_back_to_rounding(small_sequence: Path, tmp_path: Path) -> None:
     """Formats that state the inverse pose, another unit, or a product round in the last digits."""
     data = turned(original(small_sequence))
-    rig = read_rig(write(data, tmp_path), unit_m)
-    np.testing.assert_array_equal(rig.left.X_BC, np.eye(4))
-    np.testing.assert_allclose(rig.right.X_BC, data.calibration.X_BC1, rtol=0.0, atol=atol)
-    assert rig.right.intrinsics == (50.0, 51.0, 31.5, 23.5) and rig.right.distortion == (-0.1, 0.01, 0.0, 0.0)
+    for paths, unit_m, atol in (
+        ([write_kalibr(data, tmp_path / "k.yaml")], 1.0, 3e-16),
+        ([write_opencv(data, tmp_path / "o.yml")], 1.0, 3e-16),
+        ([write_opencv(data, tmp_path / "mm.yml", 1e-3)], 1e-3, 3e-16),
+        (write_camera_info(data, tmp_path), 1.0, 2e-15),
+    ):
+        rig = read_rig(paths, unit_m)
+        np.testing.assert_array_equal(rig.left.X_BC, np.eye(4))
+        np.testing.assert_allclose(rig.right.X_BC, data.calibration.X_BC1, rtol=0.0, atol=atol)
+        assert rig.right.intrinsics == (50.0, 51.0, 31.5, 23.5)
+        assert rig.right.distortion == (-0.1, 0.01, 0.0, 0.0)
 
 
 def test_an_imu_is_the_body(small_sequence: Path, tmp_path: Path) -> None:

@@ -76,9 +76,7 @@ def test_only_an_unchanged_import_is_replaced(small_sequence: Path, tmp_path: Pa
     ):
         import_sequence([small_sequence], out, ImportOptions(), Silent(), overwrite=True)
     assert edited.read_bytes() == b"mine"
-
-
-def test_the_hidden_folder_of_somebody_else_stays(small_sequence: Path, tmp_path: Path) -> None:
-    (tmp_path / ".back.partial").mkdir()
-    (tmp_path / ".back.partial" / "notes.txt").write_text("mine")
-    assert "contains notes.txt, which polhode did not write" in refused([small_sequence], tmp_path / "back")
+    # the hidden folder of somebody else stays
+    (tmp_path / ".new.partial").mkdir()
+    (tmp_path / ".new.partial" / "notes.txt").write_text("mine")
+    assert "contains notes.txt, which polhode did not write" in refused([small_sequence], tmp_path / "new")

@@ -44,13 +44,11 @@ def test_grey_and_colour(padding: int) -> None:
     np.testing.assert_array_equal(decoded(alpha, "bgra8", padding), LUMA)
 
 
-def test_sixteen_bits_in_either_order() -> None:
+def test_sixteen_bits_in_either_order_and_brightness_beside_colours() -> None:
     deep = RNG.integers(0, 2**16, (6, 8)).astype(np.uint16)
     np.testing.assert_array_equal(decoded(deep.astype("<u2"), "mono16"), deep)
     np.testing.assert_array_equal(decoded(deep.astype(">u2"), "16UC1", is_bigendian=1), deep)
-
-
-def test_brightness_beside_colour_differences() -> None:
+    # brightness beside colour differences
     both = np.dstack([np.full_like(GREY, 128), GREY])
     np.testing.assert_array_equal(decoded(both, "yuv422"), GREY)
     np.testing.assert_array_equal(decoded(both[..., ::-1], "yuv422_yuy2"), GREY)

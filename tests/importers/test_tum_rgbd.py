@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 
 from polhode.geometry.lie import exp_so3
@@ -123,7 +122,7 @@ def test_one_camera_is_calibrated_in_any_format(folder: Path, tmp_path: Path, te
     assert not (tmp_path / "S" / "mav0" / "cam1").exists()
 
 
-def test_a_part_of_a_dataset_with_ranges_is_imported(folder: Path, tmp_path: Path) -> None:
+def test_a_part_of_a_dataset_with_ranges_is_imported_and_replaced(folder: Path, tmp_path: Path) -> None:
     imported([folder], tmp_path / "S", **rig_of(folder))
     imported([tmp_path / "S"], tmp_path / "part", every=2, crop=Crop(10, 6, 40, 36))
     whole, part = open_sequence(tmp_path / "S"), open_sequence(tmp_path / "part")
@@ -132,10 +131,7 @@ def test_a_part_of_a_dataset_with_ranges_is_imported(folder: Path, tmp_path: Pat
     np.testing.assert_array_equal(part.read_range(1), whole.read_range(2)[6:42, 10:50])
     np.testing.assert_array_equal(part.calibration.K0[:2, 2], K[:2, 2] - [10.0, 6.0])
     np.testing.assert_allclose(part.X_NC, whole.X_NC[::2], atol=1e-12)
-
-
-def test_an_import_of_ours_is_replaced_and_nothing_else(folder: Path, tmp_path: Path) -> None:
-    imported([folder], tmp_path / "S", **rig_of(folder))
+    # an import of ours is replaced and nothing else
     options = ImportOptions(**rig_of(folder))
     assert import_sequence([folder], tmp_path / "S", options, Silent(), overwrite=True).pairs == COUNT
     (tmp_path / "S" / "mav0" / "range0" / "note.txt").write_text("mine")
@@ -163,66 +159,44 @@ def test_two_folders_are_images_and_depth_where_the_unit_of_depth_is_given(
     assert "floating-point values, whose scale is unknown" in line
 
 
-def _rewritten(name: str, change: Callable[[str], str]) -> Callable[[Path], None]:
-    def apply(folder: Path) -> None:
-        path = folder / name
-        path.write_text(change(path.read_text()))
-
-    return apply
-
-
-def _depth_images(pixels: NDArray[Any]) -> Callable[[Path], None]:
-    def apply(folder: Path) -> None:
-        for path in (folder / "depth").iterdir():
-            Image.fromarray(pixels).save(path)
-
-    return apply
-
-
-GREY_OF_8_BITS = np.full((HEIGHT, WIDTH), 90, np.uint8)
-SMALL_DEPTH = np.full((24, 32), 900, np.uint16)
-BAD: dict[str, tuple[Callable[[Path], None], str]] = {
-    "no calibration": (lambda folder: shutil.rmtree(folder.parent / "rig"), "rig"),
-    "a row without a file": (_rewritten("depth.txt", lambda t: t.replace(" depth/", "#")), "depth.txt line"),
-    "a name that leads out": (
-        _rewritten("rgb.txt", lambda t: t.replace(" rgb/", " ../rgb/")),
-        "leads out of",
-    ),
-    "an empty list": (_rewritten("depth.txt", lambda t: "# timestamp filename\n"), "depth.txt is empty"),
-    "times that decrease": (
-        _rewritten("rgb.txt", lambda t: "\n".join(reversed(t.splitlines()))),
-        "does not come after",
-    ),
-    "a pose too short": (
-        _rewritten("groundtruth.txt", lambda t: t.replace(" 0.2 0.3", " 0.2")),
-        "give 8 finite",
-    ),
+BAD: dict[str, tuple[str, Callable[[str], str], str]] = {
+    "a row without a file": ("depth", lambda t: t.replace(" depth/", "#"), "depth.txt line"),
+    "a name that leads out": ("rgb", lambda t: t.replace(" rgb/", " ../rgb/"), "leads out of"),
+    "an empty list": ("depth", lambda t: "# timestamp filename\n", "depth.txt is empty"),
+    "times that decrease": ("rgb", lambda t: "\n".join(reversed(t.splitlines())), "does not come after"),
+    "a pose too short": ("groundtruth", lambda t: t.replace(" 0.2 0.3", " 0.2"), "give 8 finite"),
     "a quaternion of no length": (
-        _rewritten("groundtruth.txt", lambda t: t.replace(" 0.2 0.3 0.0 ", " 0.2 0.3 1.0 ")),
+        "groundtruth",
+        lambda t: t.replace(" 0.2 0.3 0.0 ", " 0.2 0.3 1.0 "),
         "not of unit length",
     ),
-    "depth of 8 bits": (_depth_images(GREY_OF_8_BITS), "where 16-bit grey is needed"),
-    "depth of another size": (
-        _depth_images(np.full((24, 32), 900, np.uint16)),
-        "calibrated for images of 64x48 px, but they have 32x24",
-    ),
     "other times": (
-        _rewritten("depth.txt", lambda t: t.replace("13050", "14050")),
+        "depth",
+        lambda t: t.replace("13050", "14050"),
         "images and depth images have no time in common: the depth images begin",
     ),
 }
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_bad_folders_are_refused_in_a_line(folder: Path, tmp_path: Path, name: str) -> None:
-    change, words = BAD[name]
-    change(folder)
+def test_bad_tables_are_refused_in_a_line(folder: Path, tmp_path: Path, name: str) -> None:
+    table, change, words = BAD[name]
+    path = folder / f"{table}.txt"
+    path.write_text(change(path.read_text()))
     assert words in refused([folder], tmp_path / "S", **rig_of(folder))
 
 
-def test_without_a_calibration_the_formats_are_named(folder: Path, tmp_path: Path) -> None:
+def test_bad_images_and_calibrations_are_refused_in_a_line(folder: Path, tmp_path: Path) -> None:
+    for pixels, words in (
+        (np.full((HEIGHT, WIDTH), 90, np.uint8), "where 16-bit grey is needed"),
+        (np.full((24, 32), 900, np.uint16), "calibrated for images of 64x48 px, but they have 32x24"),
+    ):
+        for path in (folder / "depth").iterdir():
+            Image.fromarray(pixels).save(path)
+        assert words in refused([folder], tmp_path / "S", **rig_of(folder))
     line = refused([folder], tmp_path / "S")
     assert "no calibration in it; give --calibration: a YAML or JSON file of OpenCV" in line
-    assert "two were given" not in line
     twice = refused([folder], tmp_path / "S", calibration=(folder, folder))
     assert "2 were given for one camera" in twice
+    shutil.rmtree(folder.parent / "rig")
+    assert "rig" in refused([folder], tmp_path / "S", **rig_of(folder))

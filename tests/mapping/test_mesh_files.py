@@ -37,7 +37,7 @@ def colours_of(mesh: trimesh.Trimesh) -> NDArray[np.uint8]:
     return np.asarray(mesh.visual.vertex_colors, dtype=np.uint8)
 
 
-def test_ply_keeps_shape_colour_sigma_and_views(surface: SurfaceModel, tmp_path: Path) -> None:
+def test_ply_keeps_what_each_vertex_and_face_has(surface: SurfaceModel, tmp_path: Path) -> None:
     write_ply(surface, tmp_path / "mesh.ply")
     again = read_ply(tmp_path / "mesh.ply")
     np.testing.assert_allclose(again.mesh.vertices, surface.mesh.vertices, atol=1e-8)
@@ -45,9 +45,7 @@ def test_ply_keeps_shape_colour_sigma_and_views(surface: SurfaceModel, tmp_path:
     np.testing.assert_array_equal(colours_of(again.mesh), colours_of(surface.mesh))
     np.testing.assert_allclose(again.sigma_m, surface.sigma_m, rtol=1e-6)
     np.testing.assert_array_equal(again.views, surface.views)
-
-
-def test_ply_keeps_normals_coverage_and_what_was_invented(surface: SurfaceModel, tmp_path: Path) -> None:
+    # ply keeps normals coverage and what was invented
     known = partly_invented(surface)
     write_ply(known, tmp_path / "mesh.ply")
     again = read_ply(tmp_path / "mesh.ply")
@@ -59,7 +57,15 @@ def test_ply_keeps_normals_coverage_and_what_was_invented(surface: SurfaceModel,
     np.testing.assert_allclose(normals, surface.mesh.vertices / 0.1, atol=0.02)
 
 
-def test_glb_holds_what_was_invented_apart(surface: SurfaceModel, tmp_path: Path) -> None:
+def test_glb_opens_with_colours_and_metres_and_what_was_invented_apart(
+    surface: SurfaceModel, tmp_path: Path
+) -> None:
+    write_glb(surface, tmp_path / "mesh.glb")
+    mesh = trimesh.load_mesh(tmp_path / "mesh.glb", process=False)
+    assert isinstance(mesh, trimesh.Trimesh)
+    np.testing.assert_allclose(mesh.extents, surface.mesh.extents, rtol=1e-5)
+    np.testing.assert_array_equal(colours_of(mesh), colours_of(surface.mesh))
+    # glb holds what was invented apart
     known = partly_invented(surface)
     write_glb(known, tmp_path / "mesh.glb")
     scene = trimesh.load_scene(tmp_path / "mesh.glb", process=False)
@@ -69,7 +75,9 @@ def test_glb_holds_what_was_invented_apart(surface: SurfaceModel, tmp_path: Path
     }
 
 
-def test_a_mesh_of_an_earlier_version_is_read(surface: SurfaceModel, tmp_path: Path) -> None:
+def test_a_mesh_of_an_earlier_version_is_read_and_an_empty_one_written(
+    surface: SurfaceModel, tmp_path: Path
+) -> None:
     mesh = surface.mesh.copy()
     mesh.vertex_attributes["sigma_m"] = surface.sigma_m.astype(np.float32)
     mesh.vertex_attributes["views"] = surface.views.astype(np.int32)
@@ -77,17 +85,7 @@ def test_a_mesh_of_an_earlier_version_is_read(surface: SurfaceModel, tmp_path: P
     again = read_ply(tmp_path / "mesh.ply")
     assert again.invented is None and not again.is_invented.any()
     np.testing.assert_array_equal(again.views, surface.views)
-
-
-def test_glb_opens_with_colours_and_metres(surface: SurfaceModel, tmp_path: Path) -> None:
-    write_glb(surface, tmp_path / "mesh.glb")
-    mesh = trimesh.load_mesh(tmp_path / "mesh.glb", process=False)
-    assert isinstance(mesh, trimesh.Trimesh)
-    np.testing.assert_allclose(mesh.extents, surface.mesh.extents, rtol=1e-5)
-    np.testing.assert_array_equal(colours_of(mesh), colours_of(surface.mesh))
-
-
-def test_an_empty_surface_is_written(tmp_path: Path) -> None:
+    # an empty surface is written
     write_ply(empty_surface(), tmp_path / "mesh.ply")
     assert (tmp_path / "mesh.ply").read_bytes().startswith(b"ply\n")
 
@@ -109,13 +107,13 @@ def test_a_run_reads_its_own_mesh_where_one_of_others_would_be_too_large(tmp_pat
     assert np.array_equal(read_ply(tmp_path / "mesh.ply").mesh.faces, faces)
 
 
-def test_a_foreign_file_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_files_that_are_no_mesh_of_a_run_are_refused_in_one_line(
+    tmp_path: Path, surface: SurfaceModel
+) -> None:
     trimesh.PointCloud(np.eye(3)).export(tmp_path / "mesh.ply")
     with pytest.raises(InputError, match=r"mesh\.ply.*without sigma_m and views"):
         read_ply(tmp_path / "mesh.ply")
-
-
-def test_a_truncated_mesh_is_refused_in_one_line(surface: SurfaceModel, tmp_path: Path) -> None:
+    # a truncated mesh is refused in one line
     write_ply(surface, tmp_path / "mesh.ply")
     whole = (tmp_path / "mesh.ply").read_bytes()
     (tmp_path / "mesh.ply").write_bytes(whole[: len(whole) // 2])

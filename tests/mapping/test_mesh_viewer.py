@@ -35,6 +35,16 @@ def test_a_box_seen_head_on_is_a_square_at_the_depth_of_its_face() -> None:
     np.testing.assert_array_equal(view.hit, expected)
     np.testing.assert_allclose(view.depth_m[view.hit], depth, rtol=1e-12)
     assert view.front.all()
+    # through a hole the inner side is told from the outer
+    mesh = box()
+    mesh.update_faces(mesh.face_normals[:, 2] > -0.5)  # the side towards the camera is open
+    view = MeshViewer(mesh).perspective(RIG, make_pose(np.eye(3), [0, 0, DISTANCE_M]), COLUMNS, ROWS)
+    assert view.hit.any() and not view.front.any()
+    # an empty mesh is nowhere seen
+    nothing = trimesh.Trimesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), process=False)
+    view = MeshViewer(nothing).perspective(RIG, make_pose(np.eye(3), [0, 0, 1]), COLUMNS, ROWS)
+    assert not view.hit.any()
+    assert not view.values(np.zeros(0)).any()
 
 
 def test_a_sphere_has_the_depths_of_the_quadratic_equation() -> None:
@@ -76,17 +86,3 @@ def test_parallel_rays_see_the_true_size_and_the_depth_from_the_plane_through_th
     np.testing.assert_allclose(view.depth_m[view.hit], -0.08, atol=1e-9)
     upward = view.values(box().vertices[:, 2])
     assert upward[60, 150] > 0.0 > upward[240, 150]
-
-
-def test_through_a_hole_the_inner_side_is_told_from_the_outer() -> None:
-    mesh = box()
-    mesh.update_faces(mesh.face_normals[:, 2] > -0.5)  # the side towards the camera is open
-    view = MeshViewer(mesh).perspective(RIG, make_pose(np.eye(3), [0, 0, DISTANCE_M]), COLUMNS, ROWS)
-    assert view.hit.any() and not view.front.any()
-
-
-def test_an_empty_mesh_is_nowhere_seen() -> None:
-    nothing = trimesh.Trimesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), process=False)
-    view = MeshViewer(nothing).perspective(RIG, make_pose(np.eye(3), [0, 0, 1]), COLUMNS, ROWS)
-    assert not view.hit.any()
-    assert not view.values(np.zeros(0)).any()

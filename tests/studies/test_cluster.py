@@ -46,12 +46,18 @@ PATIENT = Path(__file__).with_name("patient_worker.py")
 def workers_of(pid: int) -> list[psutil.Process]:
     """The workers of a program with a cluster of its own; none once the program has ended."""
     found = list[psutil.Process]()
-    with suppress(psutil.NoSuchProcess):
-        for each in psutil.Process(pid).children(recursive=True):
-            with suppress(psutil.NoSuchProcess):
-                if "spawn_main" in " ".join(each.cmdline()):
-                    found.append(each)
+    for each in below(pid):
+        with suppress(psutil.NoSuchProcess):
+            if "spawn_main" in " ".join(each.cmdline()):
+                found.append(each)
     return found
+
+
+def below(pid: int) -> list[psutil.Process]:
+    """What a process has started."""
+    with suppress(psutil.NoSuchProcess):
+        return list(psutil.Process(pid).children(recursive=True))
+    return []
 
 
 def allow(folder: Path, points: int) -> None:
@@ -64,17 +70,13 @@ def allow(folder: Path, points: int) -> None:
 @contextmanager
 def begun(*words: str) -> Iterator[subprocess.Popen[str]]:
     """A process of Python; it and what it has started are ended with the block."""
-    process = subprocess.Popen(
-        [sys.executable, *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "DASK_DISTRIBUTED__WORKER__PRELOAD": str([str(PATIENT)])},
-    )
+    env = {**os.environ, "DASK_DISTRIBUTED__WORKER__PRELOAD": str([str(PATIENT)])}
+    pipe = subprocess.PIPE
+    process = subprocess.Popen([sys.executable, *words], stdout=pipe, stderr=pipe, text=True, env=env)
     try:
         yield process
     finally:
-        for each in [*_below(process.pid), process]:
+        for each in [*below(process.pid), process]:
             each.kill()
         process.communicate()
 
@@ -82,24 +84,11 @@ def begun(*words: str) -> Iterator[subprocess.Popen[str]]:
 @contextmanager
 def beside(action: Callable[[], None], finally_: Callable[[], None]) -> Iterator[None]:
     """Do something in another thread meanwhile; whatever comes of it, the block can end."""
-
-    def done() -> None:
-        try:
-            action()
-        finally:
-            finally_()
-
     with ThreadPoolExecutor(1) as thread:
-        future = thread.submit(done)
+        future = thread.submit(action)
+        future.add_done_callback(lambda _: finally_())
         yield
         future.result()
-
-
-def _below(pid: int) -> list[psutil.Process]:
-    try:
-        return list(psutil.Process(pid).children(recursive=True))
-    except psutil.NoSuchProcess:
-        return []
 
 
 def until(holds: Callable[[], Any]) -> Any:
@@ -292,49 +281,45 @@ def test_a_worker_that_cannot_compute_the_study_is_named(tmp_path: Path) -> None
 
 
 def test_a_scheduler_without_workers_or_with_those_of_many_threads_is_refused(tmp_path: Path) -> None:
-    def nobody(count: int, timeout: float) -> None:
-        raise TimeoutError
+    threads: dict[str, int] = {}
 
-    def some(count: int, timeout: float) -> None:
-        """Waits for nobody."""
+    def wait(count: int, timeout: float) -> None:
+        if not threads:
+            raise TimeoutError
 
-    for wait, said in (
-        (nobody, "the scheduler has no workers; start some: dask worker tcp://1:2 --nworkers 2 --nthreads 1"),
+    client: Any = SimpleNamespace(wait_for_workers=wait, nthreads=lambda: threads)
+    for workers, said in (
+        ({}, "the scheduler has no workers; start some: dask worker tcp://1:2 --nworkers 2 --nthreads 1"),
         (
-            some,
+            {"tcp://1:3": 4},
             "worker tcp://1:3 has 4 threads, and a point takes a whole process; start it with --nthreads 1",
         ),
     ):
-        client: Any = SimpleNamespace(wait_for_workers=wait, nthreads=lambda: {"tcp://1:3": 4})
+        threads |= workers
         with pytest.raises(InputError) as refusal:
             cluster_module._checked_workers(client, "tcp://1:2", tmp_path, [])
         assert said in str(refusal.value) and "\n" not in str(refusal.value)
         assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--cluster", "tcp://127.0.0.1:1"], "no scheduler answers there"),
-        (["--cluster", "nonsense://x"], "no scheduler answers there"),
-        (["--cluster", "tcp://127.0.0.1:1", "--workers", "2"], "with --cluster, leave them out"),
-        (["--workers", "-1"], "give a whole number from 0 to 1024"),
-        (["--memory-gb", "0"], "--memory-gb 0: give a number above 0"),
-    ],
-)
+BAD = {
+    "--cluster tcp://127.0.0.1:1": "no scheduler answers there",
+    "--cluster nonsense://x": "no scheduler answers there",
+    "--cluster tcp://127.0.0.1:1 --workers 2": "with --cluster, leave them out",
+    "--workers -1": "give a whole number from 0 to 1024",
+    "--memory-gb 0": "--memory-gb 0: give a number above 0",
+}
+
+
+@pytest.mark.parametrize("options", BAD)
 def test_a_cluster_that_cannot_be_had_gives_one_line(
-    options: list[str],
-    said: str,
-    write_study: WriteStudy,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: Capture,
+    options: str, write_study: WriteStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     monkeypatch.setattr(cluster_module, "CONNECT_S", 0.2)
     path = write_study(axes={"seed": [1]}, steps=[])
-    assert main(["sweep", str(path), "-o", str(tmp_path / "out"), *options]) == 2
+    assert main(["sweep", str(path), "-o", str(tmp_path / "out"), *options.split()]) == 2
     printed = capsys.readouterr().err
-    assert printed.startswith("polhode: error: ") and printed.count("\n") == 1 and said in printed
+    assert printed.startswith("polhode: error: ") and printed.count("\n") == 1 and BAD[options] in printed
     assert not (tmp_path / "out").exists()
 
 

@@ -77,55 +77,34 @@ def test_it_is_given_the_configuration_and_the_sequence_of_the_point(
     assert table["measure.pairs"] == [1, 2] and table["measure.seq"] == [True, True]
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
+def test_a_function_that_there_is_not_is_named(code: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (code.parent / "broken.py").write_text("def measure(:")
+    monkeypatch.chdir(code.parent)
+    for words, said in (
         ("code.py", "give a file and a function"),
         ("code.txt:measure", "give a file and a function"),
         ("none.py:measure", "none.py is missing"),
         ("code.py:absent", "has no function 'absent'"),
         ("code.py:NUMBER", "has no function 'NUMBER'"),
         ("broken.py:measure", r"cannot be loaded \(SyntaxError"),
-    ],
-)
-def test_a_function_that_there_is_not_is_named(
-    words: str, said: str, code: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (code.parent / "broken.py").write_text("def measure(:")
-    monkeypatch.chdir(code.parent)
-    with pytest.raises(InputError, match=said):
-        measurement_of(words)
+    ):
+        with pytest.raises(InputError, match=said):
+            measurement_of(words)
 
 
-@pytest.mark.parametrize(
-    ("content", "function", "said"),
-    [
-        ({"steps": ["measure"]}, False, "steps: 'measure' needs a function: --measure"),
-        ({"steps": []}, True, "has no step 'measure'"),
-        ({"steps": [], "axes": {"case.x": [1, 2]}}, False, "settings of 'case' are for the step 'measure'"),
-        ({"steps": [], "points": [{"seed": 1}, {"seed": 1}]}, False, "points: .* comes twice"),
-        ({"steps": [], "points": [{"sed": 1}]}, False, "'sed' is no setting"),
-        ({"steps": [], "points": [{"seed": -1}]}, False, "seed"),
-        (
-            {"steps": [], "points": [{"seed": 1}], "axes": {"seed": [1]}},
-            False,
-            "is set by seed and by seed",
-        ),
-        (
-            {
-                "steps": [],
-                "points": [{"seed": 1}],
-                "design": {"count": 1, "settings": {"seed": {"values": [1]}}},
-            },
-            False,
-            "points, design: both name settings",
-        ),
-    ],
-)
-def test_a_study_that_does_not_fit_is_refused(
-    content: dict[str, Any], function: bool, said: str, write_study: WriteStudy, code: Path
-) -> None:
-    with pytest.raises(InputError, match=said):
-        open_study(
-            write_study(**content), measurement=measurement_of(f"{code}:measure") if function else None
-        )
+def test_a_study_that_does_not_fit_is_refused(write_study: WriteStudy, code: Path) -> None:
+    seed, one = {"points": [{"seed": 1}]}, {"count": 1, "settings": {"seed": {"values": [1]}}}
+    cases: tuple[tuple[dict[str, Any], str], ...] = (
+        ({"steps": ["measure"]}, "steps: 'measure' needs a function: --measure"),
+        ({"axes": {"case.x": [1, 2]}}, "settings of 'case' are for the step 'measure'"),
+        ({"points": [{"seed": 1}, {"seed": 1}]}, "points: .* comes twice"),
+        ({"points": [{"sed": 1}]}, "'sed' is no setting"),
+        ({"points": [{"seed": -1}]}, "seed"),
+        (seed | {"axes": {"seed": [1]}}, "is set by seed and by seed"),
+        (seed | {"design": one}, "points, design: both name settings"),
+    )
+    for content, said in cases:
+        with pytest.raises(InputError, match=said):
+            open_study(write_study(**{"steps": [], **content}))
+    with pytest.raises(InputError, match="has no step 'measure'"):
+        open_study(write_study(steps=[]), measurement=measurement_of(f"{code}:measure"))

@@ -47,6 +47,12 @@ def test_settings_are_laid_over_the_base_down_to_elements_of_lists(write_study: 
     assert config.backend.accel_psd == 1e-3 and config.scene.rig.width_px == 48
     # every point is computed by one process
     assert config.runtime.workers == 1
+    # steps of a point that contradict each other are found when it is made
+    axes = {"key_frames.above": [100, 600], "key_frames.number": [50, 200]}
+    study = open_study(write_study(axes=axes, steps=[]), check=False)
+    study.config(study.point(0))
+    with pytest.raises(InputError, match="200 key frames are more than above: 100"):
+        study.config(study.point(1))
 
 
 def test_base_and_variants_can_be_files_relative_to_the_study(
@@ -69,7 +75,7 @@ def test_base_and_variants_can_be_files_relative_to_the_study(
 
 
 def test_an_address_depends_on_all_that_decides_the_result_and_on_nothing_else(
-    write_study: WriteStudy, monkeypatch: pytest.MonkeyPatch
+    write_study: WriteStudy, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def address(number: int = 0, **other: Any) -> str:
         return open_study(write_study(**{**GRID, **other})).point(number).address
@@ -88,101 +94,75 @@ def test_an_address_depends_on_all_that_decides_the_result_and_on_nothing_else(
     monkeypatch.setattr(study_module, "code_digest", lambda: "of a later version")
     others.append(address())
     assert len({first, *others}) == len(others) + 1
-
-
-def test_an_address_depends_on_the_content_of_files(write_study: WriteStudy, tmp_path: Path) -> None:
+    # an address depends on the content of files
     mesh = tmp_path / "body.obj"
     body = {"family": "mesh", "path": str(mesh), "metres_per_unit": 1.0}
 
-    def address(content: str) -> str:
+    def of_content(content: str) -> str:
         mesh.write_text(content)
         study_module.file_digest.cache_clear()
         return open_study(write_study(base={"scene": {**SCENE, "body": body}}, steps=[])).point(0).address
 
-    assert address("v 0 0 0\n") != address("v 0 0 1\n")
+    assert of_content("v 0 0 0\n") != of_content("v 0 0 1\n")
 
 
-BAD: dict[str, tuple[dict[str, Any], str]] = {
-    "too few members": (
-        {"steps": ["simulate", "run", "plan"], "plan": {"members": 200}},
-        "plan: members: a confidence of 0.99 needs 226, not 200",
-    ),
-    "unknown key": ({"axis": {}}, "unknown key 'axis'; did you mean axes?"),
-    "unknown setting": ({"axes": {"scene.framez": [1]}}, "unknown key 'scene.framez'; did you mean frames?"),
-    "unknown section": ({"axes": {"scen.frames": [1]}}, "'scen.frames' is no setting; it begins with one of"),
-    "unknown kind of axis": ({"axes": {"seed": {"linear": [1, 2]}}}, "unknown key 'axes.seed.linear'"),
-    "two kinds of axis": ({"axes": {"seed": {"range": [1, 2], "values": [1]}}}, "give exactly one of"),
-    "empty list": ({"axes": {"seed": []}}, "values: the list is empty"),
-    "empty range": ({"axes": {"seed": {"range": [2, 2], "count": 3}}}, "the range from 2 to 2 is empty"),
-    "backwards": ({"axes": {"seed": {"uniform": [3, 2], "count": 3}}}, "the range from 3 to 2 is empty"),
-    "no count": ({"axes": {"seed": {"range": [1, 2]}}}, "count is missing"),
-    "logarithm of 0": ({"axes": {"seed": {"log_range": [0, 2], "count": 2}}}, "must be above 0"),
-    "value out of range": ({"axes": {"scene.frames": [3, -1]}}, "axes: key 'scene.frames': must be at least"),
-    "drawn out of range": (
-        {"axes": {"scene.body.contrast": {"normal": [0, 1], "count": 30}}},
-        "axes: key 'scene.body.contrast': must be at least 0",
-    ),
-    "wrong type": ({"axes": {"scene.frames": ["many"]}}, "expected a whole number"),
-    "a billion": (
-        {
-            "axes": {
-                "seed": {"range": [0, 9e5], "count": 10**6},
-                BASELINES: {"uniform": [1, 2], "count": 1000},
-            }
-        },
-        "1,000,000,000 points (seed 1000000 x scene.rig.baseline_m 1000) are more than 1,000,000",
-    ),
-    "not a power of two": (
-        {"design": {"method": "sobol", "count": 100, "settings": {"seed": {"uniform": [1, 2]}}}},
-        "give 64 or 128",
-    ),
-    "a billion of a design": (
-        {
-            "axes": {BASELINES: {"uniform": [1, 2], "count": 1000}},
-            "design": {"method": "saltelli", "count": 2**19, "settings": {"seed": {"uniform": [0, 1e9]}}},
-        },
-        "1,572,864,000 points (scene.rig.baseline_m 1000 x design 1572864) are more than 1,000,000",
-    ),
-    "not a power of two for Saltelli": (
-        {"design": {"method": "saltelli", "count": 3, "settings": {"seed": {"uniform": [1, 2]}}}},
-        "give 2 or 4",
-    ),
-    "empty range of a design": (
-        {"design": {"count": 4, "settings": {"seed": {"uniform": [2, 2]}}}},
-        "the range from 2 to 2 is empty",
-    ),
-    "unknown setting of a design": (
-        {"design": {"count": 4, "settings": {"scene.framez": {"uniform": [1, 2]}}}},
-        "unknown key 'scene.framez'; did you mean frames?",
-    ),
-    "set twice": (
-        {"axes": {"scene.rig": [{}], BASELINES: [0.1]}},
-        "'scene.rig.baseline_m' is set by scene.rig and by scene.rig.baseline_m",
-    ),
-    "the machine": (
-        {"axes": {"runtime.workers": [1, 2]}},
-        "how the machine is used does not change a result",
-    ),
-    "a column's name": ({"axes": {"status": {"variants": {"a": {"seed": 1}}}}}, "the table has a column"),
-    "no run": ({"steps": ["simulate", "evaluate"]}, "'evaluate' needs a run"),
-    "no sequence": ({"steps": ["run"]}, "a run needs a sequence"),
-    "no scene": ({"base": {}, "steps": ["simulate"]}, "no 'scene' to simulate"),
-    "steps in another order": ({"steps": ["run", "simulate"]}, "in this order"),
-    "unknown step": ({"steps": ["render"]}, "expected"),
-    "data and simulate": ({"data": "nowhere", "steps": ["simulate"]}, "remove it, or the step simulate"),
-    "data that are missing": ({"data": "nowhere", "steps": ["run"]}, "nowhere is missing"),
-    "base that is missing": ({"base": "nowhere.yaml"}, "nowhere.yaml is missing"),
-    "no file": ({}, "is missing: give an existing study"),
+BASELINE_DRAWS = {"uniform": [1, 2], "count": 1000}
+BAD: dict[str, dict[str, Any]] = {
+    "plan: members: a confidence of 0.99 needs 226, not 200": {
+        "steps": ["simulate", "run", "plan"],
+        "plan": {"members": 200},
+    },
+    "unknown key 'axis'; did you mean axes?": {"axis": {}},
+    "unknown key 'scene.framez'; did you mean frames?": {"axes": {"scene.framez": [1]}},
+    "'scen.frames' is no setting; it begins with one of": {"axes": {"scen.frames": [1]}},
+    "unknown key 'axes.seed.linear'": {"axes": {"seed": {"linear": [1, 2]}}},
+    "give exactly one of": {"axes": {"seed": {"range": [1, 2], "values": [1]}}},
+    "values: the list is empty": {"axes": {"seed": []}},
+    "the range from 2 to 2 is empty": {"axes": {"seed": {"range": [2, 2], "count": 3}}},
+    "the range from 3 to 2 is empty": {"axes": {"seed": {"uniform": [3, 2], "count": 3}}},
+    "the range from 4 to 4 is empty": {"design": {"count": 4, "settings": {"seed": {"uniform": [4, 4]}}}},
+    "count is missing": {"axes": {"seed": {"range": [1, 2]}}},
+    "must be above 0": {"axes": {"seed": {"log_range": [0, 2], "count": 2}}},
+    "axes: key 'scene.frames': must be at least": {"axes": {"scene.frames": [3, -1]}},
+    "axes: key 'scene.body.contrast': must be at least 0": {
+        "axes": {"scene.body.contrast": {"normal": [0, 1], "count": 30}}
+    },
+    "expected a whole number": {"axes": {"scene.frames": ["many"]}},
+    "1,000,000,000 points (seed 1000000 x scene.rig.baseline_m 1000) are more than 1,000,000": {
+        "axes": {"seed": {"range": [0, 9e5], "count": 10**6}, BASELINES: BASELINE_DRAWS}
+    },
+    "1,572,864,000 points (scene.rig.baseline_m 1000 x design 1572864) are more than 1,000,000": {
+        "axes": {BASELINES: BASELINE_DRAWS},
+        "design": {"method": "saltelli", "count": 2**19, "settings": {"seed": {"uniform": [0, 1e9]}}},
+    },
+    "give 64 or 128": {
+        "design": {"method": "sobol", "count": 100, "settings": {"seed": {"uniform": [1, 2]}}}
+    },
+    "give 2 or 4": {"design": {"method": "saltelli", "count": 3, "settings": {"seed": {"uniform": [1, 2]}}}},
+    "unknown key 'scene.framex'": {"design": {"count": 4, "settings": {"scene.framex": {"uniform": [1, 2]}}}},
+    "'scene.rig.baseline_m' is set by scene.rig and by scene.rig.baseline_m": {
+        "axes": {"scene.rig": [{}], BASELINES: [0.1]}
+    },
+    "how the machine is used does not change a result": {"axes": {"runtime.workers": [1, 2]}},
+    "the table has a column": {"axes": {"status": {"variants": {"a": {"seed": 1}}}}},
+    "'evaluate' needs a run": {"steps": ["simulate", "evaluate"]},
+    "a run needs a sequence": {"steps": ["run"]},
+    "no 'scene' to simulate": {"base": {}, "steps": ["simulate"]},
+    "in this order": {"steps": ["run", "simulate"]},
+    "expected": {"steps": ["render"]},
+    "remove it, or the step simulate": {"data": "nowhere", "steps": ["simulate"]},
+    "nowhere is missing": {"data": "nowhere", "steps": ["run"]},
+    "nowhere.yaml is missing": {"base": "nowhere.yaml"},
+    "is missing: give an existing study": {},
 }
 
 
-@pytest.mark.parametrize("name", BAD)
+@pytest.mark.parametrize("said", BAD)
 def test_a_bad_study_gives_one_line_before_anything_runs(
-    name: str, write_study: WriteStudy, tmp_path: Path, capsys: Capture
+    said: str, write_study: WriteStudy, tmp_path: Path, capsys: Capture
 ) -> None:
-    content, said = BAD[name]
-    path = write_study(**{"base": {"scene": SCENE}, "steps": [], **content})
-    if not content:
+    path = write_study(**{"base": {"scene": SCENE}, "steps": [], **BAD[said]})
+    if not BAD[said]:
         path.unlink()
     assert main(["sweep", str(path), "-o", str(tmp_path / "out")]) == 2
     printed = capsys.readouterr()
@@ -251,13 +231,3 @@ def test_a_ready_study_can_be_computed_and_all_fit_a_night(path: Path) -> None:
         assert not (study.sequences and study.settings.keep_sequences)
     assert study.settings.title
     study.config(study.point(study.count - 1))
-
-
-def test_steps_of_a_point_that_contradict_each_other_are_found_when_it_is_made(
-    write_study: WriteStudy,
-) -> None:
-    axes = {"key_frames.above": [100, 600], "key_frames.number": [50, 200]}
-    study = open_study(write_study(axes=axes, steps=[]), check=False)
-    study.config(study.point(0))
-    with pytest.raises(InputError, match="200 key frames are more than above: 100"):
-        study.config(study.point(1))

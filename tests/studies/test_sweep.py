@@ -65,6 +65,10 @@ def test_a_point_is_a_row_and_a_sequence_is_simulated_once(
     assert sorted(calls) == sorted({*frame["digest.point"], *frame["digest.sequence"]})
     sequences = sorted((tmp_path / "out" / "sequences").iterdir())
     assert [(each / "mav0" / "target0").is_dir() for each in sequences] == [True, True]
+    # sequences that no point needs any more are removed when asked
+    sweep_here(write_study(**SIMULATED, keep_sequences=False), tmp_path / "other")
+    assert list((tmp_path / "other" / "sequences").iterdir()) == []
+    assert set(polhode.load_study(tmp_path / "other")["status"]) == {"done"}
 
 
 def test_the_same_command_computes_only_what_is_missing(
@@ -132,14 +136,6 @@ def test_a_point_that_fails_is_a_row_with_its_reason_and_tried_again_when_asked(
     assert set(frame["digest.point"][:3]) < set(calls)
 
 
-def test_sequences_that_no_point_needs_any_more_are_removed_when_asked(
-    write_study: WriteStudy, sweep_here: Sweep, tmp_path: Path
-) -> None:
-    sweep_here(write_study(**SIMULATED, keep_sequences=False), tmp_path / "out")
-    assert list((tmp_path / "out" / "sequences").iterdir()) == []
-    assert set(polhode.load_study(tmp_path / "out")["status"]) == {"done"}
-
-
 def test_few_points_are_in_flight_however_many_there_are(
     write_study: WriteStudy, client: Client, tmp_path: Path
 ) -> None:
@@ -178,31 +174,28 @@ OTHER_CODE = work.OtherCode("node7 has other code")
 KILLED = KilledWorker("point-1", cast(WorkerState, SimpleNamespace(address="tls://1")), 3)
 
 
-@pytest.mark.parametrize(
-    ("error", "said"),
-    [
-        (DISK_FULL, "No space left on device); points"),
-        (OTHER_CODE, "node7 has other code; was it changed meanwhile? Points that"),
-        (None, "the scheduler was lost; points that are done are kept"),
-        (KILLED, ""),
-    ],
-)
 def test_what_is_no_fault_of_a_point_ends_the_sweep_but_killed_workers_are_a_row(
-    error: Exception | None, said: str, write_study: WriteStudy, client: Client, tmp_path: Path
+    write_study: WriteStudy, client: Client, tmp_path: Path
 ) -> None:
     study, store = open_study(write_study(axes={"seed": [1]}, steps=[])), Store(tmp_path)
     window = flow._Window(study, store, Cluster(client, 1, ""), array("l", [0]))
-    future = SimpleNamespace(status="error" if error else "cancelled", exception=lambda: error)
-    if error is KILLED:
-        assert window._status(future, study.point(0), "") == "failed"
-        found = store.read(study.point(0).address)
-        assert found is not None
-        assert found["reason"] == "4 workers ended while computing it, perhaps for lack of memory"
-        return
-    with pytest.raises(RunFailure) as failure:
-        window._status(future, study.point(0), "")
-    assert said in str(failure.value)
-    assert store.read(study.point(0).address) is None
+    point = study.point(0)
+    for error, said in (
+        (DISK_FULL, "No space left on device); points"),
+        (OTHER_CODE, "node7 has other code; was it changed meanwhile? Points that"),
+        (None, "the scheduler was lost; points that are done are kept"),
+    ):
+        future = SimpleNamespace(
+            status="error" if error else "cancelled", exception=lambda error=error: error
+        )
+        with pytest.raises(RunFailure) as failure:
+            window._status(future, point, "")
+        assert said in str(failure.value) and store.read(point.address) is None
+    killed = SimpleNamespace(status="error", exception=lambda: KILLED)
+    assert window._status(killed, point, "") == "failed"
+    found = store.read(point.address)
+    assert found is not None
+    assert found["reason"] == "4 workers ended while computing it, perhaps for lack of memory"
 
 
 def test_an_installation_whose_versions_are_unknown_is_found_before_anything_is_computed(

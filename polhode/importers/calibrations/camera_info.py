@@ -6,7 +6,7 @@ one: p_1 = R_1^T (R_0 p_0 + (P_1[0, 3] / P_1[0, 0], P_1[1, 3] / P_1[1, 1], 0)).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from polhode.files.tables import numbers_at
 from polhode.geometry.lie import Array, make_pose
-from polhode.importers.calibrations.rig import UNDISTORTED, Camera, Rig, distortion_of, pose_from_inverse
+from polhode.importers.calibrations.rig import UNDISTORTED, Camera, Rig, camera_of, pose_from_inverse
 from polhode.runtime.errors import InputError
 
 
@@ -65,13 +65,13 @@ def rig_of(infos: Sequence[CameraInfo], rectified: bool = False, X_01: Array | N
     recording give it. Raises InputError for numbers that are no calibration, and a right camera without
     baseline.
     """
-    for info in infos:
-        _require_calibrated(info)
     left, right = infos
+    cameras = [read_one(info, rectified) for info in infos]
     if X_01 is None:
-        fu, fv = right.P[0, 0], right.P[1, 1]
-        offset = np.array([_quotient(right.P[0, 3], fu), _quotient(right.P[1, 3], fv), 0.0])
-        other = np.array([_quotient(left.P[0, 3], left.P[0, 0]), _quotient(left.P[1, 3], left.P[1, 1]), 0.0])
+        other, offset = (
+            np.array([_quotient(P[0, 3], P[0, 0]), _quotient(P[1, 3], P[1, 1]), 0.0])
+            for P in (left.P, right.P)
+        )
         if not np.any(offset != other):
             raise InputError(
                 f"{right.source}: the fourth column of P is 0, so the distance of the cameras is not stated; "
@@ -82,34 +82,15 @@ def rig_of(infos: Sequence[CameraInfo], rectified: bool = False, X_01: Array | N
             raise InputError(
                 f"{right.source}: by P this is the left camera of the pair; exchange left and right"
             )
-        if rectified:
-            X_01 = pose_from_inverse(make_pose(np.eye(3), offset))
-        else:
-            R_10 = right.R.T @ left.R
-            X_01 = pose_from_inverse(make_pose(R_10, right.R.T @ offset))
-    first, second = (_camera(info, rectified, X) for info, X in zip(infos, (np.eye(4), X_01), strict=True))
-    return Rig(first, second)
+        X_10 = make_pose(np.eye(3), offset)
+        if not rectified:
+            X_10 = make_pose(right.R.T @ left.R, right.R.T @ offset)
+        X_01 = pose_from_inverse(X_10)
+    return Rig(cameras[0], replace(cameras[1], X_BC=X_01))
 
 
-def camera_of(info: CameraInfo) -> Camera:
+def read_one(info: CameraInfo, rectified: bool = False) -> Camera:
     """The camera of one camera_info, which is B itself. Raises InputError for numbers of no calibration."""
-    _require_calibrated(info)
-    return _camera(info, False, np.eye(4))
-
-
-def _quotient(product: float, factor: float) -> float:
-    """The number whose product with ``factor`` rounds to ``product``; of several, the one with fewest
-    digits."""
-    near = product / factor
-    exact = [
-        each
-        for each in (near, np.nextafter(near, np.inf), np.nextafter(near, -np.inf))
-        if each * factor == product
-    ]
-    return float(min(exact, key=lambda each: len(repr(float(each))), default=near))
-
-
-def _require_calibrated(info: CameraInfo) -> None:
     numbers = np.concatenate([np.ravel(each) for each in (info.K, info.R, info.P, info.D)])
     if not np.isfinite(numbers).all():
         raise InputError(f"{info.source}: NaN or infinity in the calibration; calibrate the camera")
@@ -117,12 +98,16 @@ def _require_calibrated(info: CameraInfo) -> None:
         raise InputError(
             f"{info.source}: a focal length of 0: this camera was not calibrated; give --calibration"
         )
+    size = (info.width_px, info.height_px)
+    if rectified:
+        return camera_of(info.source, info.P[:, :3], UNDISTORTED, (), np.eye(4), size)
+    return camera_of(info.source, info.K, info.model, info.D, np.eye(4), size)
 
 
-def _camera(info: CameraInfo, rectified: bool, X_BC: Array) -> Camera:
-    K = info.P[:, :3] if rectified else info.K
-    model, distortion = distortion_of(
-        info.source, *((UNDISTORTED, ()) if rectified else (info.model, info.D))
-    )
-    intrinsics = (float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
-    return Camera(info.source, intrinsics, model, distortion, X_BC, (info.width_px, info.height_px))
+def _quotient(product: float, factor: float) -> float:
+    """The number whose product with ``factor`` rounds to ``product``; of several, the one with fewest
+    digits."""
+    near = product / factor
+    trials = (near, np.nextafter(near, np.inf), np.nextafter(near, -np.inf))
+    exact = [each for each in trials if each * factor == product]
+    return float(min(exact, key=lambda each: len(repr(float(each))), default=near))

@@ -5,7 +5,7 @@ them. Both cameras are in one file, or the intrinsics in one and R and T in the 
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,13 @@ import numpy as np
 from polhode.files.foreign_files import CONFIGURATION_BYTES, read_text
 from polhode.files.tables import numbers_at
 from polhode.files.yaml_files import parse_yaml
-from polhode.geometry.lie import Array, make_pose
+from polhode.geometry.lie import Array, exp_so3, make_pose
 from polhode.importers.calibrations.rig import (
     EQUIDISTANT,
     RADIAL_TANGENTIAL,
     Camera,
     Rig,
-    distortion_of,
+    camera_of,
     pose_from_inverse,
 )
 from polhode.records.rig_calibration import MIN_BASELINE_M
@@ -58,33 +58,34 @@ def read_opencv(paths: Sequence[Path], unit_m: float) -> Rig:
     shown = paths[0]
     R_key, T_key = _first(values, _ROTATION), _first(values, _TRANSLATION)
     if R_key is None or T_key is None:
-        missing = "R" if R_key is None else "T"
         raise InputError(
-            f"{shown} lacks {missing}, from the left to the right camera as stereoCalibrate gives it; add "
-            "it, or give the file that has it as well: --calibration INTRINSICS EXTRINSICS"
+            f"{shown} lacks {'R' if R_key is None else 'T'}, from the left to the right camera as "
+            "stereoCalibrate gives it; add it, or give the file that has it as well: --calibration "
+            "INTRINSICS EXTRINSICS"
         )
-    R = _rotation(where[R_key], values, R_key)
+    # a matrix, or a rotation vector
+    R = numbers_at(where[R_key], values, R_key, (9, 3))
+    R = R.reshape(3, 3) if len(R) == 9 else np.asarray(exp_so3(R))
     t = numbers_at(where[T_key], values, T_key, (3,)) * unit_m
     if np.linalg.norm(t) < MIN_BASELINE_M:
         raise InputError(
             f"{where[T_key]}: {T_key} is {np.linalg.norm(t):g} m long with --unit "
             f"{'m' if unit_m == 1.0 else 'mm'}; state its unit, that of the board's squares: --unit m or mm"
         )
-    poses = (np.eye(4), pose_from_inverse(make_pose(R, t)))
-    left, right = (_camera(shown, values, side, X_BC) for side, X_BC in zip(_SIDES, poses, strict=True))
-    return Rig(left, right)
+    X_01 = pose_from_inverse(make_pose(R, t))
+    return Rig(_camera(shown, values, _SIDES[0], np.eye(4)), _camera(shown, values, _SIDES[1], X_01))
 
 
 def read_opencv_camera(path: Path) -> Camera:
     """One camera: ``camera_matrix`` and ``distortion_coefficients``, as OpenCV's sample writes them, or the
     left one of a pair. Raises InputError as ``read_opencv``."""
     values = _content(path)
-    for own in ("camera_matrix", "cameraMatrix", "mtx", "K"):
-        if own in values:
-            values.setdefault("M1", values[own])
-    for own in ("distortion_coefficients", "distCoeffs", "dist_coeffs", "dist", "D"):
-        if own in values:
-            values.setdefault("D1", values[own])
+    for own, names in (
+        ("M1", ("camera_matrix", "cameraMatrix", "mtx", "K")),
+        ("D1", ("distortion_coefficients", "distCoeffs", "dist_coeffs", "dist", "D")),
+    ):
+        if (found := _first(values, names)) is not None:
+            values.setdefault(own, values[found])
     return _camera(path, values, _SIDES[0], np.eye(4))
 
 
@@ -99,7 +100,7 @@ def _content(path: Path) -> dict[str, Any]:
     return found
 
 
-def _first(values: dict[str, Any], names: Sequence[str]) -> str | None:
+def _first(values: Mapping[str, Any], names: Sequence[str]) -> str | None:
     return next((name for name in names if name in values), None)
 
 
@@ -125,29 +126,12 @@ def _camera(shown: Path, values: dict[str, Any], side: Sequence[str], X_BC: Arra
     named = str(values.get("distortion_model", values.get("model", "")) or "")
     if not named:
         named = EQUIDISTANT if values.get("fisheye") in (True, 1) else RADIAL_TANGENTIAL
-    model, distortion = distortion_of(str(shown), named, coefficients.tolist())
-    intrinsics = (float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
-    return Camera(str(shown), intrinsics, model, distortion, X_BC, _size(shown, values, side))
-
-
-def _size(shown: Path, values: dict[str, Any], side: Sequence[str]) -> tuple[int, int] | None:
-    known = {key.lower(): key for key in values}
+    size: list[float] | None = None
+    known = {name.lower(): name for name in values}
     own = [f"{stem}{mark}{name}" for stem in ("image_size", "size") for mark in ("_", "") for name in side]
-    for name in (*own, "image_size", "imagesize", "size", "resolution"):
-        if (key := known.get(name)) is not None:
-            width, height = numbers_at(shown, values, key, (2,))
-            return int(width), int(height)
-    if "image_width" in values and "image_height" in values:
-        width, height = (numbers_at(shown, values, f"image_{side}", (1,))[0] for side in ("width", "height"))
-        return int(width), int(height)
-    return None
-
-
-def _rotation(shown: Path, values: dict[str, Any], key: str) -> Array:
-    """A matrix, or a rotation vector."""
-    numbers = numbers_at(shown, values, key, (9, 3))
-    if len(numbers) == 9:
-        return numbers.reshape(3, 3)
-    from polhode.geometry.lie import exp_so3
-
-    return np.asarray(exp_so3(numbers))
+    found = _first(known, (*own, "image_size", "imagesize", "size", "resolution"))
+    if found is not None:
+        size = numbers_at(shown, values, known[found], (2,)).tolist()
+    elif "image_width" in values and "image_height" in values:
+        size = [numbers_at(shown, values, key, (1,))[0] for key in ("image_width", "image_height")]
+    return camera_of(str(shown), K, named, coefficients, X_BC, size)

@@ -112,6 +112,27 @@ def distortion_of(source: str, name: str, coefficients: Sequence[float]) -> tupl
     return model, values
 
 
+def camera_of(
+    source: str,
+    K: ArrayLike,
+    distortion_model: str,
+    coefficients: ArrayLike,
+    X_BC: Array,
+    size_px: Sequence[float] | None,
+    bits: int | None = None,
+) -> Camera:
+    """A camera by its matrix (3, 3), or fu, fv, cu, cv (4,), and the name that a program has for its
+    distortion.
+
+    Raises InputError for a model that is not known.
+    """
+    values = np.asarray(K, dtype=np.float64)
+    fu, fv, cu, cv = (values if values.ndim == 1 else values[[0, 1, 0, 1], [0, 1, 2, 2]]).tolist()
+    model, distortion = distortion_of(source, distortion_model, np.ravel(coefficients).tolist())
+    size = None if size_px is None else (int(size_px[0]), int(size_px[1]))
+    return Camera(source, (fu, fv, cu, cv), model, distortion, X_BC, size, bits)
+
+
 def pose_from_inverse(X_CB: ArrayLike) -> Array:
     """(4, 4) pose of a camera in B from that of B in the camera; zeros have no sign."""
     return np.asarray(inverse_pose(np.asarray(X_CB, dtype=np.float64))) + 0.0

@@ -10,8 +10,8 @@ import numpy as np
 
 from polhode.files.tables import attitudes_of, read_listing, read_table
 from polhode.geometry.lie import make_pose
-from polhode.importers.calibrations.euroc import read_euroc, read_euroc_camera
-from polhode.importers.calibrations.rig import with_virtual_camera
+from polhode.importers.calibrations.euroc import read_euroc_camera
+from polhode.importers.calibrations.rig import Rig, with_virtual_camera
 from polhode.importers.sources.image_folders import ImageFiles
 from polhode.importers.sources.recording import Contents, Poses
 from polhode.records.camera_folders import find_cameras
@@ -44,7 +44,7 @@ def open_euroc(path: Path, poses: str | None) -> ImageFiles:
     if folders.has_ranges:
         rig = with_virtual_camera(read_euroc_camera(mav0, folders.names[0]))
     else:
-        rig = read_euroc(mav0, folders.names)
+        rig = Rig(*(read_euroc_camera(mav0, name) for name in folders.names))
     tables = {name: mav0 / name for name in COPIED if (mav0 / name).is_file()}
     found: Poses | None = None
     notes: tuple[str, ...] = ()
@@ -59,20 +59,11 @@ def open_euroc(path: Path, poses: str | None) -> ImageFiles:
         notes = (f"inspector poses: {ESTIMATE} (--poses none: cameras at rest)",)
     given = (folders.masks(0), None if folders.has_ranges else folders.masks(1))
     masks = [folder if folder is not None and folder.is_dir() else None for folder in given]
-    return ImageFiles(
-        str(path),
-        (files[0], files[1]),
-        Contents(
-            (stamps[0], stamps[1]),
-            rig,
-            found,
-            bits=rig.left.bits,
-            tables=tables,
-            masks=(masks[0], masks[1]),
-            ranges=read_range_model(cameras[1]) if folders.has_ranges else None,
-            notes=notes,
-        ),
+    ranges = read_range_model(cameras[1]) if folders.has_ranges else None
+    contents = Contents(
+        (stamps[0], stamps[1]), rig, found, rig.left.bits, tables, (masks[0], masks[1]), ranges, notes
     )
+    return ImageFiles(str(path), (files[0], files[1]), contents)
 
 
 def _estimate(path: Path) -> Poses:

@@ -51,29 +51,17 @@ def open_folders(left: Path, right: Path, options: ImportOptions) -> ImageFiles:
         raise InputError(
             f"{left} and {right} are the same folder: give those of the left and the right camera"
         )
-    files = (_images_in(left), _images_in(right))
-    if options.stamps:
-        both = options.stamps if len(options.stamps) == 2 else options.stamps * 2
-        stamps = tuple(
-            _from_table(folder, names, table)
-            for folder, names, table in zip((left, right), files, both, strict=True)
-        )
-    else:
-        stamps = tuple(
-            _from_names(folder, names, options.rate_hz)
-            for folder, names in zip((left, right), files, strict=True)
-        )
-    sorted_files, sorted_ns = [], []
-    for folder, names, times in zip((left, right), files, stamps, strict=True):
+    tables = options.stamps * (2 // len(options.stamps)) if options.stamps else (None, None)
+    files, stamps = [], []
+    for folder, table in zip((left, right), tables, strict=True):
+        names = _images_in(folder)
+        times = _times(folder, names, table, options.rate_hz)
         order = np.argsort(times, kind="stable")
-        sorted_files.append(tuple(names[k] for k in order))
-        sorted_ns.append(times[order])
+        files.append(tuple(names[k] for k in order))
+        stamps.append(times[order])
         require_increasing(folder, times[order])
-    return ImageFiles(
-        f"{left} and {right}",
-        (sorted_files[0], sorted_files[1]),
-        Contents((sorted_ns[0], sorted_ns[1]), None, ranges=options.range_model()),
-    )
+    contents = Contents((stamps[0], stamps[1]), None, ranges=options.range_model())
+    return ImageFiles(f"{left} and {right}", (files[0], files[1]), contents)
 
 
 def natural_key(name: str) -> list[tuple[int, str]]:
@@ -93,32 +81,27 @@ def _images_in(folder: Path) -> list[Path]:
     return sorted(found, key=lambda path: natural_key(path.name))
 
 
-def _from_table(folder: Path, files: list[Path], table: Path) -> Ints:
-    stamps = read_stamps(table)
-    if len(stamps) != len(files):
-        raise InputError(
-            f"{table}: {len(stamps)} timestamps for the {len(files)} images of {folder}; give one row an "
-            "image, in the natural order of their names"
-        )
-    return stamps
-
-
-def _from_names(folder: Path, files: list[Path], rate_hz: float | None) -> Ints:
-    if rate_hz is None:
-        times = [stamp_of_name(path.stem) for path in files]
-        if None in times:
-            wrong = files[times.index(None)].name
+def _times(folder: Path, files: list[Path], table: Path | None, rate_hz: float | None) -> Ints:
+    """(n,) times of images [ns]: from a table, from the numbers in their names and a rate, or their names."""
+    if table is not None:
+        stamps = read_stamps(table)
+        if len(stamps) != len(files):
             raise InputError(
-                f"{folder}: the name {wrong} is no time; give --rate-hz for numbered images, or --stamps FILE"
+                f"{table}: {len(stamps)} timestamps for the {len(files)} images of {folder}; give one row an "
+                "image, in the natural order of their names"
             )
-        return np.array(times, dtype=np.int64)
-    numbers = [re.findall(r"\d+", path.stem) for path in files]
-    if any(not found or len(found[-1]) > 9 for found in numbers):
-        wrong = next(
-            path.name for path, found in zip(files, numbers, strict=True) if not found or len(found[-1]) > 9
-        )
-        raise InputError(
-            f"{folder}: the name {wrong} ends in no number; give --stamps FILE instead of --rate-hz"
-        )
-    last = np.array([int(found[-1]) for found in numbers], dtype=np.int64)
-    return np.array([round(int(number) * 1e9 / rate_hz) for number in last], dtype=np.int64)
+        return stamps
+    times: list[int] = []
+    for path in files:
+        if rate_hz is None:
+            time = stamp_of_name(path.stem)
+            wrong, advice = "is no time", "give --rate-hz for numbered images, or --stamps FILE"
+        else:
+            digits = re.findall(r"\d+", path.stem)
+            is_number = bool(digits) and len(digits[-1]) <= 9
+            time = round(int(digits[-1]) * 1e9 / rate_hz) if is_number else None
+            wrong, advice = "ends in no number", "give --stamps FILE instead of --rate-hz"
+        if time is None:
+            raise InputError(f"{folder}: the name {path.name} {wrong}; {advice}")
+        times.append(time)
+    return np.array(times, dtype=np.int64)

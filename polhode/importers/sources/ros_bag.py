@@ -5,7 +5,7 @@ decoded once. Messages are read by ROS's own definitions of their types, never b
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -34,13 +34,6 @@ from polhode.runtime.errors import InputError
 from polhode.runtime.optional_parts import require_part
 from polhode.runtime.progress import Progress
 
-SAME_PLACE_M, SAME_TURN = 1e-9, 1e-9
-"""Differences between tf and camera_info that are rounding."""
-_LEFT, _RIGHT = (
-    ("left", "cam0", "camera0", "cam_0", "infra1"),
-    ("right", "cam1", "camera1", "cam_1", "infra2"),
-)
-
 
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag: a file by its suffix, or the folder that ROS 2 records."""
@@ -60,8 +53,10 @@ def opened_bag(path: Path, options: ImportOptions, progress: Progress) -> Iterat
         if len(files) != 1:
             raise InputError(f"{path}: metadata.yaml is missing; make it again: ros2 bag reindex {path}")
         path = files[0]
+    from rosbags import rosbag1, rosbag2
+
     with _readable(path):
-        reader = _reader(path)
+        reader: Any = rosbag1.Reader(path) if path.suffix == ".bag" else rosbag2.Reader(path)
         reader.open()
     try:
         yield _indexed(path, reader, options, progress)
@@ -70,59 +65,77 @@ def opened_bag(path: Path, options: ImportOptions, progress: Progress) -> Iterat
 
 
 @dataclass(frozen=True)
-class _Stream:
-    """The images of one camera."""
-
-    topic: str
-    kind: str
-    order: dict[int, int]
-    """Number of the message -> index into the sorted timestamps"""
-
-
-@dataclass(frozen=True)
 class RosBag:
     """An opened bag."""
 
     name: str
     contents: Contents
-    _path: Path = field(repr=False)
-    _reader: Any = field(repr=False)
-    _store: "_Store" = field(repr=False)
-    _streams: tuple[_Stream, _Stream] = field(repr=False)
+    _bag: "_Bag" = field(repr=False)
+    _orders: dict[str, dict[int, int]] = field(repr=False)
+    """Topic of the left and of the right camera -> number of the message -> index into sorted timestamps"""
 
     def images(self, wanted: Wanted) -> Iterator[FramedImage]:
         """The wanted images, in the order in which they were recorded."""
-        counts = [0, 0]
-        topics = [stream.topic for stream in self._streams]
-        left = len(wanted[0]) + len(wanted[1])
-        for topic, _, content in _messages(self._path, self._reader, topics):
-            camera = topics.index(topic)
-            stream, number = self._streams[camera], counts[camera]
-            counts[camera] += 1
-            index = stream.order.get(number)
+        topics = list(self._orders)
+        counts, left = dict.fromkeys(topics, 0), len(wanted[0]) + len(wanted[1])
+        for topic, _, content in self._bag.messages(topics):
+            camera, number = topics.index(topic), counts[topic]
+            counts[topic] += 1
+            index = self._orders[topic].get(number)
             if index is None or index not in wanted[camera]:
                 continue
-            name = f"{self._path}, {topic}, image {number}"
-            with _readable(self._path):
-                image = image_of(self._store.read(content, stream.kind), stream.kind, name)
+            name = f"{self.name}, {topic}, image {number}"
+            with self._bag.readable():
+                image = image_of(self._bag.decoded(topic, content), self._bag.kinds[topic], name)
             yield FramedImage(camera, index, image, name)
             left -= 1
             if not left:
                 return
 
 
-@dataclass(frozen=True)
-class _Store:
-    """ROS's definitions of the types of messages."""
+class _Bag:
+    """The messages of a bag, and the first of each topic that was read."""
 
-    is_ros1: bool
-    types: Any
+    def __init__(self, path: Path, reader: Any) -> None:
+        """Raises InputError for a bag without messages."""
+        self.path, self.is_ros1, self._reader = path, path.suffix == ".bag", reader
+        self._types = message_types(self.is_ros1)
+        self.kinds = {each.topic: str(each.msgtype) for each in reader.connections if each.msgcount}
+        self.firsts: dict[str, bytes] = {}
+        if not self.kinds:
+            raise InputError(f"{path}: an empty bag, without a single message; record it again")
 
-    def read(self, content: bytes, kind: str) -> Any:
+    def count(self, topics: Sequence[str]) -> int:
+        """Number of messages of some topics."""
+        return sum(each.msgcount for each in self._reader.connections if each.topic in topics)
+
+    def messages(self, topics: Sequence[str]) -> Iterator[tuple[str, int, bytes]]:
+        """Topic, time of recording [ns] and content of each message."""
+        with self.readable():
+            connections = [each for each in self._reader.connections if each.topic in topics]
+            messages = iter(self._reader.messages(connections=connections)) if connections else iter(())
+        while True:
+            with self.readable():
+                found = next(messages, None)
+            if found is None:
+                return
+            yield found[0].topic, int(found[1]), bytes(found[2])
+
+    def decoded(self, topic: str, content: bytes) -> Any:
         """A message; raises what the library raises for content that is none."""
+        kind = self.kinds[topic]
         kind = TRANSFORMS[0] if kind in TRANSFORMS else kind
-        read = self.types.deserialize_ros1 if self.is_ros1 else self.types.deserialize_cdr
-        return read(content, kind)
+        decode = self._types.deserialize_ros1 if self.is_ros1 else self._types.deserialize_cdr
+        return decode(content, kind)
+
+    def first(self, topic: str) -> Any:
+        """The first message of a topic that was read."""
+        with self.readable():
+            return self.decoded(topic, self.firsts[topic])
+
+    def readable(self) -> AbstractContextManager[None]:
+        """Raise InputError for whatever the library raises."""
+        return _readable(self.path)
 
 
 @contextmanager
@@ -140,16 +153,6 @@ def _readable(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _reader(path: Path) -> Any:
-    if path.suffix == ".bag":
-        from rosbags.rosbag1 import Reader as Reader1
-
-        return Reader1(path)
-    from rosbags.rosbag2 import Reader as Reader2
-
-    return Reader2(path)
-
-
 def message_types(is_ros1: bool) -> Any:
     """ROS's own definitions of the types of messages that are read here."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -160,83 +163,68 @@ def message_types(is_ros1: bool) -> Any:
     return store
 
 
-def _messages(path: Path, reader: Any, topics: Sequence[str]) -> Iterator[tuple[str, int, bytes]]:
-    """Topic, time of recording [ns] and content of each message."""
-    with _readable(path):
-        connections = [each for each in reader.connections if each.topic in topics]
-        messages = iter(reader.messages(connections=connections)) if connections else iter(())
-    while True:
-        with _readable(path):
-            found = next(messages, None)
-        if found is None:
-            return
-        yield found[0].topic, int(found[1]), bytes(found[2])
-
-
 def _indexed(path: Path, reader: Any, options: ImportOptions, progress: Progress) -> RosBag:
-    kinds = {each.topic: str(each.msgtype) for each in reader.connections if each.msgcount}
-    if not kinds:
-        raise InputError(f"{path}: an empty bag, without a single message; record it again")
-    topics = _image_topics(path, kinds, options)
-    infos = [_info_topic(topic, kinds) for topic in topics]
-    pose_topic = _pose_topic(path, kinds, options)
+    """Times, calibration and poses, by a first reading."""
+    bag = _Bag(path, reader)
+    kinds, topics = bag.kinds, _image_topics(bag, options)
+    infos = [f"{_base(topic).rpartition('/')[0]}/camera_info" for topic in topics]
+    pose_topic = _pose_topic(bag, options)
     trees = [
         topic for topic, kind in kinds.items() if kind in TRANSFORMS and plain(topic) in ("tf", "tf_static")
     ]
-    is_ros1 = path.suffix == ".bag"
-    store = _Store(is_ros1, message_types(is_ros1))
-    read = [*topics, *(info for info in infos if info), *trees, *([pose_topic] if pose_topic else [])]
-    found = _Found()
-    total = sum(each.msgcount for each in reader.connections if each.topic in read)
-    with progress.stage("reading times", total) as advance:
-        for topic, logged_ns, content in _messages(path, reader, read):
-            with _readable(path):
+    wanted = [*topics, *(each for each in infos if kinds.get(each) == CAMERA_INFO), *trees]
+    wanted += [pose_topic] if pose_topic else []
+    times_ns: dict[str, list[int]] = {topic: [] for topic in topics}
+    logged_ns: dict[str, list[int]] = {topic: [] for topic in topics}
+    frames, messages = Frames(), []
+    with progress.stage("reading times", bag.count(wanted)) as advance:
+        for topic, logged, content in bag.messages(wanted):
+            with bag.readable():
                 if topic in topics:
-                    found.times_ns.setdefault(topic, []).append(stamp_of(content, store.is_ros1))
-                    found.logged_ns.setdefault(topic, []).append(logged_ns)
-                    found.firsts.setdefault(topic, content)
-                elif kinds[topic] == CAMERA_INFO:
-                    found.firsts.setdefault(topic, content)
-                elif topic in trees:
-                    is_static = plain(topic) == "tf_static"
-                    found.frames.add(store.read(content, kinds[topic]), is_static, f"{path}, {topic}")
+                    times_ns[topic].append(stamp_of(content, bag.is_ros1))
+                    logged_ns[topic].append(logged)
+                if topic in trees:
+                    message = bag.decoded(topic, content)
+                    frames.add(message, plain(topic) == "tf_static", f"{path}, {topic}")
+                elif topic == pose_topic:
+                    messages.append(bag.decoded(topic, content))
                 else:
-                    found.poses.append(store.read(content, kinds[topic]))
+                    bag.firsts.setdefault(topic, content)
             advance()
-    streams, stamps, warnings = [], [], []
+    orders, stamps, warnings = {}, [], []
     for topic in topics:
-        stream, stamps_ns, said = _stream(path, topic, kinds[topic], found)
-        streams.append(stream)
-        stamps.append(stamps_ns)
-        warnings += said
-    notes = [f"left {topics[0]}, right {topics[1]}"]
-    rig, said = (None, []) if options.calibration else _rig(path, topics, infos, store, found)
-    frame = _camera_frame(topics[0], infos[0], kinds, store, found)
-    poses, remarks = _poses(path, options, pose_topic, kinds, found, frame, stamps[0])
+        # of messages with the same time the first one
+        times = np.array(times_ns[topic], dtype=np.int64)
+        if not len(times):
+            raise InputError(f"{path}: no image in {topic}; record it again, or choose another topic")
+        if not times.any():
+            times = np.array(logged_ns[topic], dtype=np.int64)
+            warnings.append(
+                f"{path}: {topic} has no timestamps; the times of recording are taken, which scatter"
+            )
+        unique, first = np.unique(times, return_index=True)
+        if repeated := len(times) - len(unique):
+            warnings.append(f"{path}: {repeated} images of {topic} repeat a timestamp; not used")
+        orders[topic] = {int(number): index for index, number in enumerate(first)}
+        stamps.append(unique)
+    rig, said = (None, []) if options.calibration else _rig(bag, topics, infos, frames)
+    # frame of the left camera: of its camera_info, else of its images
+    named = next((name for name in (infos[0], topics[0]) if name in bag.firsts), None)
+    camera = plain(bag.first(named).header.frame_id) if named else ""
+    poses, notes, remarks = _poses(bag, options, pose_topic, messages, frames, camera, stamps[0])
     contents = Contents(
         (stamps[0], stamps[1]),
         rig,
         poses,
-        notes=(*notes, *remarks[0]),
-        warnings=(*warnings, *said, *remarks[1]),
+        notes=(f"left {topics[0]}, right {topics[1]}", *notes),
+        warnings=(*warnings, *said, *remarks),
     )
-    return RosBag(str(path), contents, path, reader, store, (streams[0], streams[1]))
+    return RosBag(str(path), contents, bag, orders)
 
 
-@dataclass
-class _Found:
-    """What the first reading collects."""
-
-    times_ns: dict[str, list[int]] = field(default_factory=dict)
-    logged_ns: dict[str, list[int]] = field(default_factory=dict)
-    firsts: dict[str, bytes] = field(default_factory=dict)
-    """First message of each camera_info and image topic"""
-    frames: Frames = field(default_factory=Frames)
-    poses: list[Any] = field(default_factory=list)
-
-
-def _image_topics(path: Path, kinds: dict[str, str], options: ImportOptions) -> tuple[str, str]:
-    """Left and right. Raises InputError when they are not there, or cannot be remarks apart."""
+def _image_topics(bag: _Bag, options: ImportOptions) -> tuple[str, str]:
+    """Left and right. Raises InputError when they are not there, or cannot be told apart."""
+    path, kinds = bag.path, bag.kinds
     images = sorted(topic for topic, kind in kinds.items() if kind in (RAW, COMPRESSED))
     shown = ", ".join(images) or f"none among {', '.join(sorted(kinds))}"
     for option, topic in (("--left-topic", options.left_topic), ("--right-topic", options.right_topic)):
@@ -249,8 +237,8 @@ def _image_topics(path: Path, kinds: dict[str, str], options: ImportOptions) -> 
     usable = [topic for topic in usable if not (kinds[topic] == COMPRESSED and _base(topic) in usable)]
     if len(usable) < 2:
         raise InputError(f"{path}: a stereo pair needs two topics with images; topics with images: {shown}")
-    left = options.left_topic or _only(usable, _LEFT)
-    right = options.right_topic or _only(usable, _RIGHT)
+    left = options.left_topic or _only(usable, ("left", "cam0", "camera0", "cam_0", "infra1"))
+    right = options.right_topic or _only(usable, ("right", "cam1", "camera1", "cam_1", "infra2"))
     if left is None or right is None or left == right:
         raise InputError(
             f"{path}: which topic is the left camera's? give --left-topic and --right-topic; topics with "
@@ -271,129 +259,95 @@ def _base(topic: str) -> str:
     return topic.removesuffix("/compressed")
 
 
-def _is_rectified(topic: str) -> bool:
-    return "rect" in _base(topic).rpartition("/")[2]
-
-
-def _info_topic(topic: str, kinds: dict[str, str]) -> str | None:
-    """The camera_info beside an image topic."""
-    name = f"{_base(topic).rpartition('/')[0]}/camera_info"
-    return name if kinds.get(name) == CAMERA_INFO else None
-
-
-def _pose_topic(path: Path, kinds: dict[str, str], options: ImportOptions) -> str | None:
+def _pose_topic(bag: _Bag, options: ImportOptions) -> str | None:
     """The topic of the inspector's poses; without a choice of the user, odometry if there is one alone."""
-    if options.poses == "none" or (options.poses or "").startswith("tf:"):
+    known = sorted(topic for topic, kind in bag.kinds.items() if kind in POSES)
+    if options.poses is None:
+        odometry = [topic for topic in known if bag.kinds[topic] == ODOMETRY]
+        return odometry[0] if len(odometry) == 1 else None
+    if options.poses == "none" or options.poses.startswith("tf:"):
         return None
-    known = sorted(topic for topic, kind in kinds.items() if kind in POSES)
-    if options.poses is not None:
-        if options.poses not in known:
-            shown = ", ".join(known) or "none"
-            raise InputError(
-                f"{path}: --poses {options.poses} has no poses; topics with poses: {shown}; or give tf:FRAME"
-            )
-        return options.poses
-    odometry = [topic for topic in known if kinds[topic] == ODOMETRY]
-    return odometry[0] if len(odometry) == 1 else None
+    if options.poses not in known:
+        raise InputError(
+            f"{bag.path}: --poses {options.poses} has no poses; topics with poses: "
+            f"{', '.join(known) or 'none'}; or give tf:FRAME"
+        )
+    return options.poses
 
 
-def _stream(path: Path, topic: str, kind: str, found: _Found) -> tuple[_Stream, Ints, list[str]]:
-    """Messages of a camera sorted by time; of those with the same time the first one."""
-    times = np.array(found.times_ns.get(topic, []), dtype=np.int64)
-    warnings = []
-    if not len(times):
-        raise InputError(f"{path}: no image in {topic}; record it again, or choose another topic")
-    if not times.any():
-        times = np.array(found.logged_ns[topic], dtype=np.int64)
-        warnings.append(f"{path}: {topic} has no timestamps; the times of recording are taken, which scatter")
-    unique, first = np.unique(times, return_index=True)
-    if len(unique) < len(times):
-        warnings.append(f"{path}: {len(times) - len(unique)} images of {topic} repeat a timestamp; not used")
-    return _Stream(topic, kind, {int(number): index for index, number in enumerate(first)}), unique, warnings
-
-
-def _info(path: Path, topic: str, store: _Store, found: _Found) -> CameraInfo:
-    with _readable(path):
-        message = store.read(found.firsts[topic], CAMERA_INFO)
-    values = {name.upper(): np.asarray(getattr(message, name), dtype=np.float64)
-              for name in (("K", "R", "P", "D") if store.is_ros1 else ("k", "r", "p", "d"))}  # fmt: skip
-    return CameraInfo(
-        f"{path}, {topic}",
-        int(message.width),
-        int(message.height),
-        str(message.distortion_model),
-        tuple(values["D"].tolist()),
-        values["K"].reshape(3, 3),
-        values["R"].reshape(3, 3),
-        values["P"].reshape(3, 4),
-        str(message.header.frame_id),
+def _info(bag: _Bag, topic: str) -> CameraInfo:
+    message = bag.first(topic)
+    K, R, P, D = (
+        np.asarray(getattr(message, name if bag.is_ros1 else name.lower()), np.float64) for name in "KRPD"
     )
+    source, size = f"{bag.path}, {topic}", (int(message.width), int(message.height))
+    model, frame = str(message.distortion_model), str(message.header.frame_id)
+    shapes = K.reshape(3, 3), R.reshape(3, 3), P.reshape(3, 4)
+    return CameraInfo(source, *size, model, tuple(D.tolist()), *shapes, frame)
 
 
 def _rig(
-    path: Path, topics: tuple[str, str], info_topics: list[str | None], store: _Store, found: _Found
+    bag: _Bag, topics: Sequence[str], info_topics: Sequence[str], frames: Frames
 ) -> tuple[Rig, list[str]]:
     """The calibration in the bag, and warnings. Raises InputError where it has none."""
-    for topic, info in zip(topics, info_topics, strict=True):
-        if info is None:
-            name = f"{_base(topic).rpartition('/')[0]}/camera_info"
+    for topic, name in zip(topics, info_topics, strict=True):
+        if name not in bag.firsts:
             raise InputError(
-                f"{path}: {name} is missing, the calibration of {topic}; give --calibration FILE"
+                f"{bag.path}: {name} is missing, the calibration of {topic}; give --calibration FILE"
             )
-    infos = [_info(path, info, store, found) for info in info_topics if info]
-    rectified = _is_rectified(topics[0])
-    X_tf = found.frames.fixed(infos[0].frame, infos[1].frame) if not rectified else None
+    infos = [_info(bag, name) for name in info_topics]
+    rectified = "rect" in _base(topics[0]).rpartition("/")[2]
+    X_tf = frames.fixed(infos[0].frame, infos[1].frame) if not rectified else None
     if X_tf is None or not abs(X_tf[:3, 3]).any():
         return rig_of(infos, rectified), []
     if not infos[1].P[:2, 3].any():
         return rig_of(infos, X_01=X_tf + 0.0), []
     rig = rig_of(infos)
-    off = abs(rig.right.X_BC - X_tf)
-    if off[:3, 3].max() < SAME_PLACE_M and off[:3, :3].max() < SAME_TURN:
+    # smaller differences between tf and camera_info, in metres and in the matrix, are rounding
+    if abs(rig.right.X_BC - X_tf)[:3].max() < 1e-9:
         return rig_of(infos, X_01=X_tf + 0.0), []
     return rig, [
-        f"{path}: tf places the right camera "
+        f"{bag.path}: tf places the right camera "
         f"{1e3 * np.linalg.norm(rig.right.X_BC[:3, 3] - X_tf[:3, 3]):.3g} mm from where camera_info does; "
         "camera_info is used, give --calibration for another one"
     ]
 
 
-def _camera_frame(
-    topic: str, info_topic: str | None, kinds: dict[str, str], store: _Store, found: _Found
-) -> str:
-    """Frame of the left camera: of its camera_info, else of its images."""
-    name, kind = (info_topic, CAMERA_INFO) if info_topic else (topic, kinds[topic])
-    if name not in found.firsts:
-        return ""
-    with _readable(Path(topic)):
-        return plain(store.read(found.firsts[name], kind).header.frame_id)
-
-
 def _poses(
-    path: Path,
+    bag: _Bag,
     options: ImportOptions,
     topic: str | None,
-    kinds: dict[str, str],
-    found: _Found,
+    messages: Sequence[Any],
+    frames: Frames,
     camera: str,
-    frames_ns: Ints,
-) -> tuple[Poses | None, tuple[list[str], list[str]]]:
-    """The inspector's poses, and notes and warnings about them."""
+    images_ns: Ints,
+) -> tuple[Poses | None, list[str], list[str]]:
+    """The inspector's poses, and notes and warnings about them. ``camera``: frame of the left camera."""
+    path = bag.path
     if (options.poses or "").startswith("tf:"):
-        return _poses_of_tree(path, str(options.poses)[3:], found.frames, camera, frames_ns), ([], [])
+        fixed = str(options.poses)[3:]
+        at = frames.over_time(fixed, camera, images_ns)
+        if at is None:
+            known = ", ".join(frames.names()) or "none"
+            raise InputError(
+                f"{path}: tf does not link {fixed} and the left camera ({camera}); frames: {known}"
+            )
+        X_NC, covered = at
+        if not covered.any():
+            raise InputError(f"{path}: tf of {fixed} covers no image; are they of one clock?")
+        return Poses(images_ns[covered], X_NC[covered], X_BC0=np.eye(4)), [], []
     if topic is None:
-        others = sorted(name for name, kind in kinds.items() if kind in POSES)
-        if others and options.poses is None:
-            return None, ([f"poses of {', '.join(others)} are not used: the cameras are taken to be at rest "
-                           "(--poses TOPIC)"], [])  # fmt: skip
-        return None, ([], [])
-    rows = [
-        (header_ns(message), *pose_of(message, kinds[topic], f"{path}, {topic}")) for message in found.poses
-    ]
+        others = sorted(name for name, kind in bag.kinds.items() if kind in POSES)
+        if not others or options.poses is not None:
+            return None, [], []
+        unused = f"poses of {', '.join(others)} are not used: the cameras are taken to be at rest"
+        return None, [f"{unused} (--poses TOPIC)"], []
+    kind, name = bag.kinds[topic], f"{path}, {topic}"
+    rows = [(header_ns(message), *pose_of(message, kind, name)) for message in messages]
     if not rows:
         raise InputError(f"{path}: no pose in {topic}; choose another topic, or --poses none")
     body = options.pose_of or rows[0][2]
-    X_BC0 = np.eye(4) if body == "left" else found.frames.fixed(body, camera) if body else None
+    X_BC0 = np.eye(4) if body == "left" else frames.fixed(body, camera) if body else None
     if X_BC0 is None and body != "body":
         which = f"frame {body!r}" if body else "an unnamed frame"
         line = (
@@ -401,7 +355,7 @@ def _poses(
             f"({camera or 'unnamed'})"
         )
         if options.poses is None:
-            return None, ([], [f"{path}: {line}; not used, the cameras are taken to be at rest"])
+            return None, [], [f"{path}: {line}; not used, the cameras are taken to be at rest"]
         raise InputError(
             f"{path}: {line}; give --pose-of left if they are of the left camera, --pose-of body if of the "
             "body that the calibration refers to, or another frame"
@@ -409,18 +363,7 @@ def _poses(
     times, first = np.unique(np.array([row[0] for row in rows], dtype=np.int64), return_index=True)
     sigmas = _sigmas([rows[k][4] for k in first])
     poses = Poses(times, np.stack([rows[k][3] for k in first]), *sigmas, X_BC0=X_BC0)
-    return poses, ([f"inspector poses: {topic}, of {body} (--poses none: cameras at rest)"], [])
-
-
-def _poses_of_tree(path: Path, fixed: str, frames: Frames, camera: str, frames_ns: Ints) -> Poses:
-    at = frames.over_time(fixed, camera, frames_ns)
-    if at is None:
-        known = ", ".join(frames.names()) or "none"
-        raise InputError(f"{path}: tf does not link {fixed} and the left camera ({camera}); frames: {known}")
-    X_NC, covered = at
-    if not covered.any():
-        raise InputError(f"{path}: tf of {fixed} covers no image; are they of one clock?")
-    return Poses(frames_ns[covered], X_NC[covered], X_BC0=np.eye(4))
+    return poses, [f"inspector poses: {topic}, of {body} (--poses none: cameras at rest)"], []
 
 
 def _sigmas(covariances: Sequence[Array | None]) -> tuple[float, float]:
@@ -428,7 +371,5 @@ def _sigmas(covariances: Sequence[Array | None]) -> tuple[float, float]:
     diagonals = np.array([np.diag(each) for each in covariances if each is not None])
     if not len(diagonals) or not np.isfinite(diagonals).all() or (diagonals < 0.0).any():
         return 0.0, 0.0
-    p, theta = (
-        float(np.sqrt(np.median(diagonals[:, part].mean(axis=1)))) for part in (slice(0, 3), slice(3, 6))
-    )
-    return p, theta
+    variances = np.median(diagonals.reshape(-1, 2, 3).mean(axis=2), axis=0)
+    return float(np.sqrt(variances[0])), float(np.sqrt(variances[1]))

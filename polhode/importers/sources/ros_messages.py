@@ -3,6 +3,7 @@
 import struct
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -26,6 +27,13 @@ _COLOURS = {"rgb8": "RGB", "bgr8": "BGR", "8UC3": "BGR", "rgba8": "RGBA", "bgra8
 _GREYS = {"mono8": 1, "8UC1": 1, "mono16": 2, "16UC1": 2}
 _LUMA = {"yuv422": 1, "uyvy": 1, "yuv422_yuy2": 0, "yuyv": 0}
 """Position of the brightness in its two bytes."""
+_BAYER = {
+    "rggb": cv2.COLOR_BayerBG2GRAY,
+    "bggr": cv2.COLOR_BayerRG2GRAY,
+    "gbrg": cv2.COLOR_BayerGR2GRAY,
+    "grbg": cv2.COLOR_BayerGB2GRAY,
+}
+"""OpenCV calls a pattern by its second row and column."""
 _MAGIC = {b"\x89PNG": ".png", b"\xff\xd8\xff": ".jpg", b"II*\0": ".tiff", b"MM\0*": ".tiff", b"BM": ".bmp"}
 
 
@@ -62,19 +70,20 @@ def image_of(message: Any, kind: str, name: str) -> StoredImage | DecodedImage:
 def _grey(message: Any, name: str) -> Raw:
     encoding = str(message.encoding)
     height, width, step = int(message.height), int(message.width), int(message.step)
-    bayer = encoding.startswith("bayer_")
-    size = 2 if encoding.endswith("16") or _GREYS.get(encoding) == 2 else 1
+    pattern = encoding.removeprefix("bayer_").removesuffix("8").removesuffix("16")
+    is_bayer = encoding.startswith("bayer_") and pattern in _BAYER
     if encoding in _COLOURS:
         channels = len(_COLOURS[encoding])
     elif encoding in _LUMA:
         channels = 2
-    elif encoding in _GREYS or bayer:
+    elif encoding in _GREYS or is_bayer:
         channels = 1
     else:
         raise InputError(
             f"{name}: the encoding {encoding[:40]!r} is not supported; record mono8, mono16, rgb8, bgr8 or "
             "bayer"
         )
+    size = 2 if encoding.endswith("16") or _GREYS.get(encoding) == 2 else 1
     data = np.asarray(message.data, dtype=np.uint8)
     row = width * channels * size
     if width < 1 or height < 1 or step < row or len(data) < height * step:
@@ -82,41 +91,21 @@ def _grey(message: Any, name: str) -> Raw:
             f"{name}: {len(data)} bytes do not hold {width}x{height} px of {encoding}; the recording is "
             "damaged"
         )
-    rows = data[: height * step].reshape(height, step)[:, :row]
-    if size == 2:
-        order = ">u2" if message.is_bigendian else "<u2"
-        deep = np.ascontiguousarray(rows).view(order).astype(np.uint16)
-        return _demosaicked(deep, encoding, name) if bayer else deep
-    if bayer:
-        return _demosaicked(np.ascontiguousarray(rows), encoding, name)
+    pixels = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :row])
     if encoding in _LUMA:
-        return np.ascontiguousarray(rows[:, _LUMA[encoding] :: 2])
-    if channels == 1:
-        return np.ascontiguousarray(rows)
-    return grey_of_colour(rows.reshape(height, width, channels), _COLOURS[encoding])
+        return np.ascontiguousarray(pixels[:, _LUMA[encoding] :: 2])
+    if encoding in _COLOURS:
+        return grey_of_colour(pixels.reshape(height, width, channels), _COLOURS[encoding])
+    grey: Raw = pixels
+    if size == 2:
+        grey = pixels.view(">u2" if message.is_bigendian else "<u2").astype(np.uint16)
+    return cv2.cvtColor(grey, _BAYER[pattern]).astype(grey.dtype) if is_bayer else grey  # type: ignore[return-value]
 
 
 def grey_of_colour(pixels: NDArray[np.uint8], order: str) -> NDArray[np.uint8]:
     """Colour (H, W, 3 or 4) as grey (H, W), as polhode.files.images converts the colours of a file."""
     rgb = pixels[..., [order.index(colour) for colour in "RGB"]]
     return np.asarray(Image.fromarray(np.ascontiguousarray(rgb), "RGB").convert("L"))
-
-
-def _demosaicked(pixels: Raw, encoding: str, name: str) -> Raw:
-    import cv2
-
-    # OpenCV calls a pattern by its second row and column
-    codes = {
-        "rggb": cv2.COLOR_BayerBG2GRAY,
-        "bggr": cv2.COLOR_BayerRG2GRAY,
-        "gbrg": cv2.COLOR_BayerGR2GRAY,
-        "grbg": cv2.COLOR_BayerGB2GRAY,
-    }
-    pattern = encoding.removeprefix("bayer_")[:4]
-    if pattern not in codes:
-        raise InputError(f"{name}: the encoding {encoding[:40]!r} is not supported; record mono8")
-    grey = np.asarray(cv2.cvtColor(pixels, codes[pattern]))
-    return grey.astype(np.uint16) if pixels.dtype == np.uint16 else grey.astype(np.uint8)
 
 
 def pose_of(message: Any, kind: str, name: str) -> tuple[str, str, Array, Array | None]:

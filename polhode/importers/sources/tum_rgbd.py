@@ -23,7 +23,6 @@ from polhode.importers.sources.stamp_files import read_stamps
 from polhode.records.range_images import RangeModel
 from polhode.runtime.errors import InputError
 
-SCALE_M, SIGMA_M, GROWTH_PER_M = 1.0 / 5000.0, 0.5e-3, 1.425e-3
 POSES = "groundtruth.txt"
 
 
@@ -42,34 +41,22 @@ def open_tum_rgbd(path: Path, options: ImportOptions) -> ImageFiles:
         raise InputError(
             f"--poses {options.poses}: TUM RGB-D has no topics; leave it out, or give --poses none"
         )
-    model, poses = _model(options), None
-    notes: tuple[str, ...] = (f"ranges: {_in_words(model)}",)
+    given = (options.range_scale_m, options.range_sigma_m, options.range_growth_per_m)
+    usual = (1.0 / 5000.0, 0.5e-3, 1.425e-3)
+    scale, sigma, growth = (u if each is None else each for each, u in zip(given, usual, strict=True))
+    model = RangeModel(scale, sigma, growth)
+    poses = None
+    notes: tuple[str, ...] = (
+        f"ranges: {model.scale_m:g} m per unit, standard deviation {1e3 * model.sigma_m:g} mm and "
+        f"{1e3 * model.growth_per_m:g} mm at 1 m, growing with the square (--range-scale-m, --range-sigma-m, "
+        "--range-growth-per-m)",
+    )
     if options.poses is None and (path / POSES).is_file():
         poses = _poses(path / POSES)
         notes = (*notes, f"inspector poses: {POSES} (--poses none: camera at rest)")
     (colour_ns, colour), (depth_ns, depth) = listings
-    return ImageFiles(
-        str(path), (colour, depth), Contents((colour_ns, depth_ns), None, poses, notes=notes, ranges=model)
-    )
-
-
-def _model(options: ImportOptions) -> RangeModel:
-    def given_or(value: float | None, usual: float) -> float:
-        return usual if value is None else value
-
-    return RangeModel(
-        given_or(options.range_scale_m, SCALE_M),
-        given_or(options.range_sigma_m, SIGMA_M),
-        given_or(options.range_growth_per_m, GROWTH_PER_M),
-    )
-
-
-def _in_words(model: RangeModel) -> str:
-    return (
-        f"{model.scale_m:g} m per unit, standard deviation {1e3 * model.sigma_m:g} mm and "
-        f"{1e3 * model.growth_per_m:g} mm at 1 m, growing with the square (--range-scale-m, --range-sigma-m, "
-        "--range-growth-per-m)"
-    )
+    contents = Contents((colour_ns, depth_ns), None, poses, notes=notes, ranges=model)
+    return ImageFiles(str(path), (colour, depth), contents)
 
 
 def _listing(folder: Path, name: str) -> tuple[Ints, tuple[Path, ...]]:

@@ -44,18 +44,14 @@ class Videos:
 
     def images(self, wanted: Wanted) -> Iterator[FramedImage]:
         """The wanted images, in order of time; of two videos those of both in turn."""
-        if len(self._paths) == 1:
-            path = self._paths[0]
-            both = wanted[0] | wanted[1]
-            for index, pixels in _decoded(path, both):
+        beside = len(self._paths) == 1
+        for number, path in enumerate(self._paths):
+            for index, pixels in _decoded(path, wanted[0] | wanted[1] if beside else wanted[number]):
                 half = pixels.shape[1] // 2
-                for camera, part in ((0, pixels[:, :half]), (1, pixels[:, half:])):
+                parts = [(0, pixels[:, :half]), (1, pixels[:, half:])] if beside else [(number, pixels)]
+                for camera, part in parts:
                     if index in wanted[camera]:
                         yield FramedImage(camera, index, DecodedImage(part), f"{path}, frame {index}")
-            return
-        for camera, path in enumerate(self._paths):
-            for index, pixels in _decoded(path, wanted[camera]):
-                yield FramedImage(camera, index, DecodedImage(pixels), f"{path}, frame {index}")
 
 
 def open_videos(paths: Sequence[Path], options: ImportOptions, progress: Progress) -> Videos:
@@ -104,8 +100,10 @@ def _times(path: Path, progress: Progress) -> tuple[Ints, int, bool]:
 
     times: list[int] = []
     with _readable(path), av.open(str(path)) as container, progress.stage("reading times", 0) as advance:
-        stream = _stream(path, container)
-        width, base, is_deep = int(stream.width), stream.time_base, _is_deep(stream.format)
+        if not container.streams.video:
+            raise InputError(f"{path}: no video in it; give a recording of the cameras")
+        stream = container.streams.video[0]
+        width, is_deep, base = int(stream.width), _is_deep(stream.format), stream.time_base or Fraction(0)
         for packet in container.demux(stream):
             if packet.size and packet.pts is not None:
                 times.append(round(Fraction(packet.pts) * Fraction(base) * 10**9))
@@ -113,12 +111,6 @@ def _times(path: Path, progress: Progress) -> tuple[Ints, int, bool]:
     if not times:
         raise InputError(f"{path}: a video without frames; {REPAIR.format(path)}")
     return np.array(sorted(times), dtype=np.int64), width, is_deep
-
-
-def _stream(path: Path, container: Any) -> Any:
-    if not container.streams.video:
-        raise InputError(f"{path}: no video in it; give a recording of the cameras")
-    return container.streams.video[0]
 
 
 def _decoded(path: Path, wanted: frozenset[int]) -> Iterator[tuple[int, Raw]]:
@@ -131,7 +123,7 @@ def _decoded(path: Path, wanted: frozenset[int]) -> Iterator[tuple[int, Raw]]:
     with _readable(path):
         container = av.open(str(path))
     try:
-        stream = _stream(path, container)
+        stream = container.streams.video[0]
         stream.thread_type = "AUTO"
         frames = iter(container.decode(stream))
         while count <= last:

@@ -31,17 +31,9 @@ from polhode.records.surface import SurfaceModel
 
 Floats = NDArray[np.float32]
 
-SAMPLES = 3000
-MAX_VIEWS = 40
-"""Frames that the albedos of all vertices are taken from."""
 _SATURATED = 250.0
 _GRAZING = 0.25
 """Cosine between normal and ray below which a pixel mixes too much."""
-_SMOOTHINGS = 6
-_MIN_LIGHT = 0.15
-"""Minimum share of full sunlight for an observation to count for an albedo."""
-_BRIGHT = 235.0
-"""Grey of the 99th percentile of the albedos."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +69,8 @@ def divide_shading(
     measured = known & (surface.views > 0)
     if not measured.any():
         return Colouring(surface, False, sun, 1.0)
-    scale = _BRIGHT / max(float(np.percentile(albedo[measured], 99.0)), 1.0)
+    # Grey of the 99th percentile of the albedos
+    scale = 235.0 / max(float(np.percentile(albedo[measured], 99.0)), 1.0)
     grey = np.clip(np.round(_spread(mean, albedo, known) * scale), 0, 255).astype(np.uint8)
     rgba = np.column_stack([grey, grey, grey, np.full_like(grey, 255)])
     # the shape is the same: cached properties stay valid
@@ -90,7 +83,7 @@ def smooth_normals(mesh: trimesh.Trimesh, mean: csr_array | None = None) -> Arra
     """(V, 3) unit normals, averaged over a few rings of neighbours against the noise of the field."""
     normals = np.asarray(mesh.vertex_normals, dtype=np.float64)
     mean = _mean_of_neighbours(mesh) if mean is None else mean
-    for _ in range(_SMOOTHINGS):
+    for _ in range(6):
         normals = normals + mean @ normals
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     return normals
@@ -114,7 +107,7 @@ def _find_sun(
     seed: int,
 ) -> Sunlight | None:
     measured = np.flatnonzero(surface.views > 0)
-    chosen = np.sort(np.random.default_rng(seed).permutation(measured)[:SAMPLES])
+    chosen = np.sort(np.random.default_rng(seed).permutation(measured)[:3000])
     p_G, n_G = np.asarray(surface.mesh.vertices)[chosen], normals[chosen]
     vertex, frame, turned, intensity = [], [], [], []
     for k, view in enumerate(views):
@@ -162,11 +155,13 @@ def _albedos(
     p_G, n_G = np.asarray(mesh.vertices, dtype=np.float32), normals.astype(np.float32)
     up, down = np.zeros(len(p_G)), np.zeros(len(p_G))
     lit = np.flatnonzero(sun.sunny)
-    for k in lit[np.unique(np.linspace(0, len(lit) - 1, min(len(lit), MAX_VIEWS)).round().astype(int))]:
+    # frames that the albedos of all vertices are taken from
+    for k in lit[np.unique(np.linspace(0, len(lit) - 1, min(len(lit), 40)).round().astype(int))]:
         view = views[k]
         eye, to_sun = view.eye_G.astype(np.float32), sun_in_G(view, sun.direction_N)
         facing = n_G @ to_sun.astype(np.float32)
-        at = np.flatnonzero(facing > _MIN_LIGHT)
+        # minimum share of full sunlight for an observation to count for an albedo
+        at = np.flatnonzero(facing > 0.15)
         ray = eye - p_G[at]
         cosine = np.einsum("nk,nk->n", ray, n_G[at]) / np.sqrt(np.einsum("nk,nk->n", ray, ray))
         at, cosine = at[cosine > _GRAZING], cosine[cosine > _GRAZING]

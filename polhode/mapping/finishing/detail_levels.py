@@ -15,8 +15,6 @@ from polhode.geometry.lie import Array
 from polhode.records.mesh_metrics import distance_to_surface
 from polhode.records.surface import SurfaceModel
 
-MIN_FACES = 200
-"""Minimum number of faces of a lighter mesh."""
 SAMPLES = 10_000
 """Points on each mesh whose distance from the other is measured."""
 
@@ -34,7 +32,8 @@ class DetailLevel:
 def levels_of(surface: SurfaceModel, shares: Sequence[float], seed: int = 0) -> list[DetailLevel]:
     """One level for each share of the faces, in this order; levels of too few faces are omitted."""
     counts = [round(share * len(surface.mesh.faces)) for share in shares]
-    counts = [count for count in counts if count >= MIN_FACES]
+    # minimum number of faces of a lighter mesh
+    counts = [count for count in counts if count >= 200]
     if not counts:
         return []
     full = surface.mesh

@@ -14,6 +14,7 @@ import trimesh
 from scipy.sparse import coo_matrix, eye_array
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import Delaunay, QhullError
+from scipy.spatial.distance import pdist
 from skimage.measure import points_in_poly
 from trimesh.visual import ColorVisuals
 
@@ -23,16 +24,8 @@ from polhode.mapping.mesh_geometry import boundary_edges, piece_areas
 from polhode.mapping.visibility import MIN_COSINE, Caster, FrameView, pixels_of
 from polhode.records.surface import SurfaceModel
 
-_MAX_CORNERS = 400
-_MIN_BODY = 2.0
-"""Minimum area of the piece around a hole, over that of the hole: the outline of a scrap is no hole."""
 _OUTSIDE_PX = 2.5
 """A pixel shows the background where the nearest pixel of the silhouette is farther away."""
-_STEP_PX = np.arange(-int(_OUTSIDE_PX), int(_OUTSIDE_PX) + 1)
-_OUTSIDE = (np.hypot(_STEP_PX, _STEP_PX[:, None]) <= _OUTSIDE_PX).astype(np.uint8)
-"""The pixels within this distance"""
-_MAX_THROUGH = 0.25
-"""Maximum share of unoccluded views of a hole that see through it."""
 
 
 @dataclass(frozen=True)
@@ -69,20 +62,17 @@ def close_small_holes(
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     if len(faces) == 0 or largest_m <= 0.0:
         return ClosedHoles(surface, 0, 0)
-    small = [loop for loop in _holes(faces) if _across(vertices[loop]) <= largest_m]
+    loops = boundary_loops(faces)
+    # outlines of single faces that touch the rest at corners only are no holes
+    lone = np.array([np.sort(loop) for loop in loops if len(loop) == 3], dtype=np.int64).reshape(-1, 3)
+    near = np.isin(faces, lone).all(axis=1)
+    there = {tuple(face) for face in np.sort(faces[near], axis=1).tolist()}
+    loops = [loop for loop in loops if len(loop) > 3 or tuple(sorted(loop.tolist())) not in there]
+    small = [loop for loop in loops if len(loop) <= 400 and pdist(vertices[loop]).max() <= largest_m]
     patches = list(_patches(vertices, faces, small))
     if patches and views and rig is not None:
         patches = _not_seen_through(mesh, patches, views, rig, caster or Caster(mesh))
     return ClosedHoles(_with(surface, patches), len(patches), len(small) - len(patches))
-
-
-def _holes(faces: Ints) -> list[Ints]:
-    """The loops, except outlines of single faces that touch the rest at corners only."""
-    loops = boundary_loops(faces)
-    lone = np.array([np.sort(loop) for loop in loops if len(loop) == 3], dtype=np.int64).reshape(-1, 3)
-    near = np.isin(faces, lone).all(axis=1)
-    there = {tuple(face) for face in np.sort(faces[near], axis=1).tolist()}
-    return [loop for loop in loops if len(loop) > 3 or tuple(sorted(loop.tolist())) not in there]
 
 
 def boundary_loops(faces: Ints) -> list[Ints]:
@@ -109,22 +99,22 @@ def boundary_loops(faces: Ints) -> list[Ints]:
     return loops
 
 
-def _across(points: Array) -> float:
-    """The largest distance between two points of a loop [m]; infinite for loops of too many corners."""
-    if len(points) > _MAX_CORNERS:
-        return float("inf")
-    return float(np.linalg.norm(points[:, None] - points[None, :], axis=2).max())
-
-
 def _patches(vertices: Array, faces: Ints, loops: list[Ints]) -> Iterator[_Patch]:
     piece, piece_area = piece_areas(vertices, faces)
-    around = _neighbours(faces, np.unique(np.concatenate(loops)) if loops else np.zeros(0, dtype=np.int64))
+    # the vertices that share a face with each one of a loop
+    around: dict[int, set[int]] = {vertex: set() for loop in loops for vertex in loop.tolist()}
+    wanted = np.zeros(len(vertices), dtype=bool)
+    wanted[list(around)] = True
+    for face in faces[wanted[faces].any(axis=1)].tolist():
+        for vertex in face:
+            if wanted[vertex]:
+                around[vertex].update(face)
     for loop in loops:
         place = {int(vertex): k for k, vertex in enumerate(loop)}
         taken = {
             (k, place[other])
             for vertex, k in place.items()
-            for other in around.get(vertex, ())
+            for other in around[vertex]
             if other in place and k < place[other]
         }
         found = fill_loop(vertices[loop], taken)
@@ -132,24 +122,13 @@ def _patches(vertices: Array, faces: Ints, loops: list[Ints]) -> Iterator[_Patch
             continue
         points, triangles = found
         corner = np.concatenate([vertices[loop], points])[triangles]
-        if trimesh.triangles.area(corner).sum() * _MIN_BODY < piece_area[piece[loop[0]]]:
+        # the outline of a scrap, whose area is not twice that of the hole, is none
+        if trimesh.triangles.area(corner).sum() * 2.0 < piece_area[piece[loop[0]]]:
             rim = triangles[(triangles < len(loop)).all(axis=1)]
-            for a, b in loop[rim[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)].tolist():
+            for a, b in loop[_edges(rim)].tolist():
                 around[a].add(b)
                 around[b].add(a)
             yield _Patch(loop, points, triangles)
-
-
-def _neighbours(faces: Ints, of: Ints) -> dict[int, set[int]]:
-    """The vertices that share a face with each of the given ones."""
-    wanted = np.zeros(int(faces.max()) + 1, dtype=bool)
-    wanted[of] = True
-    near: dict[int, set[int]] = {}
-    for face in faces[wanted[faces].any(axis=1)].tolist():
-        for vertex in face:
-            if wanted[vertex]:
-                near.setdefault(vertex, set()).update(face)
-    return near
 
 
 def _not_seen_through(
@@ -175,6 +154,8 @@ def _not_seen_through(
     p_G, normal_G, of = np.concatenate(middles), np.concatenate(normals), np.concatenate(owner)
     faces = np.asarray(mesh.faces)
     seen, through = np.zeros(len(patches)), np.zeros(len(patches))
+    step_px = np.arange(-int(_OUTSIDE_PX), int(_OUTSIDE_PX) + 1)
+    disc = (np.hypot(step_px, step_px[:, None]) <= _OUTSIDE_PX).astype(np.uint8)
     for view in views:
         ray = p_G - view.eye_G
         distance = np.linalg.norm(ray, axis=1)
@@ -184,14 +165,14 @@ def _not_seen_through(
         direction, distance = direction[towards], distance[towards]
         first, face = caster.first(view.eye_G, direction)
         clear = first > distance
-        near = cv2.dilate(view.silhouette.astype(np.uint8), _OUTSIDE, borderValue=0)
+        near = cv2.dilate(view.silhouette.astype(np.uint8), disc, borderValue=0)
         sky = near[row[towards], column[towards]] == 0
         a, b, c = vertices[faces[face]].transpose(1, 0, 2)
         behind = np.isfinite(first) & (np.einsum("nk,nk->n", direction, np.cross(b - a, c - a)) < 0.0)
         seen += np.bincount(of[towards[clear]], minlength=len(patches))
         through += np.bincount(of[towards[clear & (sky | behind)]], minlength=len(patches))
-    kept = through <= _MAX_THROUGH * seen
-    return [patch for patch, keep in zip(patches, kept, strict=True) if keep]
+    # at most a quarter of the unoccluded views may see through it
+    return [patch for patch, kept in zip(patches, through <= 0.25 * seen, strict=True) if kept]
 
 
 def _with(surface: SurfaceModel, patches: list[_Patch]) -> SurfaceModel:
@@ -222,12 +203,6 @@ def _with(surface: SurfaceModel, patches: list[_Patch]) -> SurfaceModel:
     )
 
 
-_SIMPLE_SHARE = 0.02
-"""Area by which a triangulation in the plane may differ from the loop's own."""
-_MAX_LEAST_AREA_CORNERS = 90
-"""A loop out of plane with more corners is left open: the search for the least area is cubic in them."""
-
-
 def fill_loop(loop: Array, taken: set[tuple[int, int]]) -> tuple[Array, Ints] | None:
     """New points (m, 3) and triangles (t, 3) over a loop (n, 3) [m], wound as the loop runs.
 
@@ -236,10 +211,17 @@ def fill_loop(loop: Array, taken: set[tuple[int, int]]) -> tuple[Array, Ints] | 
     """
     if len(loop) == 3:
         return np.zeros((0, 3)), np.array([[0, 1, 2]])
-    flat = _even(loop)
-    if flat is not None and not _inner_edges(flat[1], len(loop)) & taken:
+    n, flat = len(loop), _even(loop)
+    # edges between two corners of the loop that are not its own sides
+    a, b = _edges(flat[1]).T if flat is not None else np.zeros((2, 0), dtype=np.int64)
+    inner = (np.maximum(a, b) < n) & (np.abs(a - b) != 1) & (np.abs(a - b) != n - 1)
+    if (
+        flat is not None
+        and not {(min(e), max(e)) for e in zip(a[inner].tolist(), b[inner].tolist(), strict=True)} & taken
+    ):
         return flat
-    faces = _min_area(loop, taken) if len(loop) <= _MAX_LEAST_AREA_CORNERS else None
+    # out of plane, the search for the least area is cubic in the corners
+    faces = _min_area(loop, taken) if n <= 90 else None
     return None if faces is None else (np.zeros((0, 3)), faces)
 
 
@@ -263,7 +245,8 @@ def _even(loop: Array) -> tuple[Array, Ints] | None:
     """Delaunay triangles in the loop's plane, with inner points at the loop's spacing; None: it overlaps."""
     middle, axes = plane_of(loop)
     flat = (loop - middle) @ axes[:, :2]
-    area = _area(flat)
+    # of the polygon, positive if counterclockwise
+    area = 0.5 * float(_cross(flat, np.roll(flat, -1, axis=0)).sum())
     step = float(np.mean(np.linalg.norm(np.roll(flat, -1, axis=0) - flat, axis=1)))
     if area < 0.05 * step**2:
         return None
@@ -278,11 +261,13 @@ def _even(loop: Array) -> tuple[Array, Ints] | None:
     twice = _cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     faces = np.where((twice < 0.0)[:, None], faces[:, ::-1], faces)
     faces, twice = faces[np.abs(twice) > 1e-9 * step**2], np.abs(twice)
-    if abs(0.5 * twice.sum() - area) > _SIMPLE_SHARE * area or not _borders(faces, len(loop)):
+    # the triangles fill the loop, their boundary is the loop, and they use all points
+    ahead = {(a, b) for a, b in _edges(faces).tolist()}
+    border = {(a, b) for a, b in ahead if (b, a) not in ahead}
+    sides = {(k, (k + 1) % len(loop)) for k in range(len(loop))}
+    if abs(0.5 * twice.sum() - area) > 0.02 * area or border != sides:
         return None
-    used = np.zeros(len(points), dtype=bool)
-    used[faces] = True
-    if not used.all():
+    if len(np.unique(faces)) < len(points):
         return None
     return middle + _membrane((loop - middle) @ axes, inner, faces) @ axes.T, faces
 
@@ -311,7 +296,7 @@ def _membrane(loop: Array, inner: Array, faces: Ints) -> Array:
     n, m = len(loop), len(inner)
     if m == 0:
         return np.zeros((0, 3))
-    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    edges = np.unique(np.sort(_edges(faces), axis=1), axis=0)
     i, j = np.concatenate([edges, edges[:, ::-1]]).T
     graph = coo_matrix((np.ones(len(i)), (i, j)), shape=(n + m, n + m)).tocsr()
     degree = np.asarray(graph.sum(axis=1)).reshape(-1)
@@ -352,24 +337,9 @@ def _min_area(loop: Array, taken: set[tuple[int, int]]) -> Ints | None:
     return np.array(faces, dtype=np.int64)
 
 
-def _inner_edges(faces: Ints, n: int) -> set[tuple[int, int]]:
-    """Edges between two corners of the loop that are not its own sides."""
-    pairs = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    pairs = pairs[(pairs[:, 1] < n) & (pairs[:, 1] - pairs[:, 0] != 1) & (pairs[:, 1] - pairs[:, 0] != n - 1)]
-    return {(int(a), int(b)) for a, b in pairs}
-
-
-def _borders(faces: Ints, n: int) -> bool:
-    """Whether the boundary of the triangles is the loop, each side once and in its direction."""
-    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    ahead = {(int(a), int(b)) for a, b in edges}
-    border = {(a, b) for a, b in ahead if (b, a) not in ahead}
-    return border == {(k, (k + 1) % n) for k in range(n)}
-
-
-def _area(flat: Array) -> float:
-    """Area of a polygon (n, 2), positive if counterclockwise."""
-    return 0.5 * float(_cross(flat, np.roll(flat, -1, axis=0)).sum())
+def _edges(faces: Ints) -> Ints:
+    """(n, 2) sides of triangles, as they are wound."""
+    return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
 def _cross(a: Array, b: Array) -> Array:

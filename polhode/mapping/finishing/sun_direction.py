@@ -19,18 +19,10 @@ Lit = Callable[[Array], Bools]
 
 CLEARLY_BETTER = 0.5
 """Minimum share of the variation over the frames that Lambert's law must explain."""
-_DIRECTIONS = 320
 _AMBIENT = (0.03, 0.15, 0.5)
-_GRID_VERTICES = 700
 _ROUNDS, _STEPS = 3, 6
-_SLOPE_PRIOR = 1e-4
-_MIN_VIEWS = 4
-_SUNLIT = 0.4
-_DARK_GAIN = 0.5
 _MIN_SIGMA_RAD = np.deg2rad(0.5)
 """Minimum, for errors common to all normals and a nonlinear camera."""
-_MIN_GROUP = 0.01
-"""Minimum share of the data in a group."""
 _MIN_VERTICES = 60
 
 
@@ -74,7 +66,7 @@ class Sunlight:
 
 def find_sun(seen: Observations, lit: Lit) -> Sunlight | None:
     """The Sun's direction, or None: too few observations, or no rotation."""
-    kept = np.bincount(seen.vertex)[seen.vertex] >= _MIN_VIEWS
+    kept = np.bincount(seen.vertex)[seen.vertex] >= 4
     if len(np.unique(seen.vertex[kept])) < _MIN_VERTICES:
         return None
     problem, sunny = _Problem(seen, kept), np.ones(seen.n_frames, dtype=bool)
@@ -110,10 +102,10 @@ class _Problem:
 
     def best_of_grid(self) -> tuple[Array, float]:
         """The best of many directions and three shares of ambient light, on some of the vertices."""
-        some = self.vertex % max(1, self.n // _GRID_VERTICES) == 0
+        some = self.vertex % max(1, self.n // 700) == 0
         vertex, intensity, normal = self.vertex[some], self.intensity[some], self.normal[some]
         best, least = (np.array([0.0, 0.0, -1.0]), _AMBIENT[0]), np.inf
-        for s in directions(_DIRECTIONS):
+        for s in directions(320):
             facing = np.maximum(normal @ s, 0.0)
             for e in _AMBIENT:
                 light = facing + e
@@ -151,7 +143,7 @@ class _Problem:
             residual, weight, albedo = self._residual(light)
             J, across = self._jacobian(s, light, on, albedo, weight)
             H = J.T @ (weight[:, None] * J)
-            prior = np.diag([0.0, 0.0, 0.0, *[float(np.trace(H)) * _SLOPE_PRIOR] * 3])
+            prior = np.diag([0.0, 0.0, 0.0, *[float(np.trace(H)) * 1e-4] * 3])
             gradient = J.T @ (weight * residual) - prior @ np.append([0.0, 0.0], e)
             step = np.linalg.solve(H + prior + 1e-9 * np.eye(6), gradient)
             step *= min(1.0, 0.3 / max(float(np.linalg.norm(step)), 1e-12))
@@ -178,13 +170,13 @@ class _Problem:
         """(f,) frames in which sunlit vertices are about as bright as in the other frames."""
         light, on = self._light(s, e, shone)
         _, _, albedo = self._residual(light)
-        bright = on & (light > _SUNLIT)
+        bright = on & (light > 0.4)
         ratio = self.intensity / np.maximum(albedo[self.vertex] * light, 1e-9)
         frame = self.seen.frame[self.kept]
         lit = [ratio[bright & (frame == k)] for k in range(self.seen.n_frames)]
         gain = np.array([np.median(values) if len(values) else np.nan for values in lit])
         typical = np.nanmedian(gain) if np.isfinite(gain).any() else 0.0
-        return np.asarray(~(gain < _DARK_GAIN * typical))
+        return np.asarray(~(gain < 0.5 * typical))
 
     def sigma_rad(self, s: Array, e: Array, shone: Bools) -> float:
         """By the jackknife over the groups of the data.
@@ -194,7 +186,8 @@ class _Problem:
         """
         group = self.seen.group[self.kept]
         labels, size = np.unique(group, return_counts=True)
-        labels = labels[size >= _MIN_GROUP * len(group)]
+        # minimum share of the data in a group
+        labels = labels[size >= 0.01 * len(group)]
         if len(labels) < 4:
             return float("inf")
         found = []

@@ -19,14 +19,10 @@ HALF = 1 << (_BITS - 1)
 WEIGHT, DISTANCE, SQUARE, FREE, VIEWS, COLOUR, COLOUR_WEIGHT, WEIGHT_SQUARED = range(8)
 CHANNELS = 8
 BYTES_PER_BLOCK = VOXELS * 4 * CHANNELS
-_MIN_RESERVED = 1024
-"""Blocks, 16 MiB."""
 
 
 TRUNCATION_VOXELS = 4.0
 """Truncation distance in front of the surface."""
-TRUNCATION_BEHIND_VOXELS = 3.0
-"""Truncation distance behind the surface; short, so that the two sides of a thin panel do not mix."""
 FREE_SPACE_WEIGHT = 0.4
 """Weight of the observation that space is empty far in front of a surface, over that of a surface."""
 
@@ -62,7 +58,8 @@ class BlockGrid:
 
     def __init__(self, voxel_m: float, device: torch.device, memory_mib: float) -> None:
         self.voxel_m = voxel_m
-        self.front_m, self.behind_m = TRUNCATION_VOXELS * voxel_m, TRUNCATION_BEHIND_VOXELS * voxel_m
+        # Truncation distance behind the surface; short, so that the two sides of a thin panel do not mix
+        self.front_m, self.behind_m = TRUNCATION_VOXELS * voxel_m, 3.0 * voxel_m
         self.device = device
         self.most = max(1, int(memory_mib * 2**20 / BYTES_PER_BLOCK))
         self.refused = 0
@@ -88,7 +85,8 @@ class BlockGrid:
         room = len(self._values)
         if blocks <= room:
             return
-        grown = min(self.most, max(blocks, room + room // 2, _MIN_RESERVED))
+        # blocks, 16 MiB
+        grown = min(self.most, max(blocks, room + room // 2, 1024))
         values = None
         if self.device.type == "cpu" and room == 0:
             with suppress(MemoryError):

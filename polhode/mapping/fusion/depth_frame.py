@@ -16,11 +16,6 @@ from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array
 from polhode.records.surface import DepthMap
 
-_MARGIN_PX = 8
-_MIN_COSINE = 0.17
-_EVERY = 7
-"""Pixels used for the median: every seventh."""
-
 
 @dataclass(frozen=True)
 class FrameTensors:
@@ -75,12 +70,13 @@ def frame_tensors(
     depth = torch.from_numpy(np.where(known, depth_m, 0.0).astype(np.float32)).to(device)
     sigma = torch.from_numpy(np.where(known, sigma_m, 1.0).astype(np.float32)).to(device)
     normal, ray = _normals(depth, seen, rig, u0, v0)
-    cosine = (normal * ray).sum(0).abs().clamp(_MIN_COSINE, 1.0)
+    cosine = (normal * ray).sum(0).abs().clamp(0.17, 1.0)
     variance, doubt = (sigma * cosine).square(), 0.0
     if covariance_R is not None:
         origin = np.zeros(3) if arm_R is None else arm_R
         of_pose = _pose_variance(depth, normal, ray, covariance_R, origin)
-        ratio = (of_pose / variance)[seen][::_EVERY]
+        # pixels used for the median: every seventh
+        ratio = (of_pose / variance)[seen][::7]
         doubt = float(ratio.median().sqrt())
         variance = variance + of_pose
     # matching windows see slanted surfaces compressed: their depth is worse than sigma along the normal
@@ -118,7 +114,7 @@ def _box(frame: DepthMap) -> tuple[slice, slice] | None:
     rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
     if len(rows) == 0:
         return None
-    (height, width), m = known.shape, _MARGIN_PX
+    (height, width), m = known.shape, 8
     return (
         slice(max(int(rows[0]) - m, 0), min(int(rows[-1]) + 1 + m, height)),
         slice(max(int(columns[0]) - m, 0), min(int(columns[-1]) + 1 + m, width)),

@@ -23,24 +23,16 @@ from polhode.mapping.fusion.block_grid import BYTES_PER_BLOCK, EDGE, BlockGrid
 from polhode.mapping.fusion.depth_frame import FrameTensors, at_pose, frame_tensors
 from polhode.mapping.fusion.frame_alignment import FieldLookup, FrameAlignment, align, depth_points
 from polhode.mapping.fusion.integration import allocate, integrate
-from polhode.mapping.fusion.surface_extraction import ExtractedSurface, empty_surface, extract_surface
+from polhode.mapping.fusion.surface_extraction import empty_surface, extract_surface
 from polhode.mapping.fusion.vertex_sigma import separate_sides, vertex_sigma
 from polhode.mapping.fusion.vertex_views import views_of_vertices
 from polhode.records.surface import AlignedPoses, DepthMap, SurfaceModel
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress, Silent
 
-MOVED_VOXELS = 0.1
-"""When poses improve, a frame is fused again if its pose moves a point of the body by more."""
 ALIGN_FROM = 0.5
 """A pose is uncertain when its covariance moves the surface by more than this share of the depth's sigma."""
-ALIGN_OVERLAP = 0.3
-"""A frame is aligned if at least this share of its depth lies near known surface."""
 _log = logging.getLogger(__name__)
-_ROUNDS = 5
-_ENOUGH_KEPT = 0.5
-"""Share of the frames that must be kept for their mean to replace that of the field."""
-_ALIGN_ROUNDS = 2
 
 
 @dataclass
@@ -100,7 +92,8 @@ class Field:
             self.without_pose += 1
             return False
         known = covariance_G is None or bool(np.isfinite(covariance_G).all())
-        covariance_R = None if known else self._unknown()
+        # of an unknown pose: with a larger error it would miss the truncation band
+        covariance_R = None if known else np.diag([self._grid.front_m**2] * 3 + [0.0] * 3)
         if covariance_G is not None and known:
             covariance_R = _turned(covariance_G, X_RG[:3, :3])
         tensors = frame_tensors(frame, self.rig, self._grid.device, covariance_R, X_RG[:3, 3])
@@ -122,10 +115,6 @@ class Field:
             self._complete(oldest)
             self._evicted += 1
         return True
-
-    def _unknown(self) -> Array:
-        """The covariance (6, 6) of an unknown pose: with a larger error it would miss the truncation band."""
-        return np.diag([self._grid.front_m**2] * 3 + [0.0] * 3)
 
     def _put(self, kept: _StoredFrame) -> None:
         allocate(self._grid, kept.tensors, kept.X_RF, self.rig)
@@ -190,7 +179,7 @@ class Field:
             self._remove(kept)
         order = sorted(doubtful, key=lambda k: (doubtful[k].tensors.doubt, k))
         found: dict[int, FrameAlignment] = {}
-        for _ in range(_ALIGN_ROUNDS):
+        for _ in range(2):
             for k in order:
                 if k in found:
                     self._remove(doubtful[k])
@@ -215,7 +204,8 @@ class Field:
         if kept.covariance_G is None:
             return None
         points = depth_points(kept.tensors, kept.X_RG, self.rig)
-        aligned = align(points, kept.covariance_G, self.lookup(), ALIGN_OVERLAP)
+        # a frame is aligned if at least this share of its depth lies near known surface
+        aligned = align(points, kept.covariance_G, self.lookup(), 0.3)
         if aligned.refused is not None:
             _log.debug("a pose is left unchanged: %s", aligned.refused)
             return None
@@ -233,24 +223,28 @@ class Field:
     def _displaced_frames(self, numbers: Array, X_RG: Array) -> tuple[Array, Array]:
         """G in F (4, 4) such that few frames are displaced since they were fused, and which those are."""
         X_RF = np.stack([self._kept[int(k)].X_RF for k in numbers])
-        corners = self._corners()
+        # of the box around the blocks
+        centres = self._grid.centres_m().cpu().numpy().astype(np.float64)
+        corners = np.asarray(trimesh.bounds.corners([centres.min(axis=0), centres.max(axis=0)]))
         best = self._X_FG, np.ones(len(numbers), dtype=bool)
         between = inverse_pose(X_RF) @ X_RG
-        tolerance_m = MOVED_VOXELS * self._voxel_m
+        # When poses improve, a frame is fused again if its pose moves a point of the body by more
+        tolerance_m = 0.1 * self._voxel_m
         trial = self._X_FG
-        for _ in range(_ROUNDS):
-            displaced_m = _farthest(between, trial, corners)
+        for _ in range(5):
+            # by how much the corners are displaced if each frame's G in F is replaced by a common one
+            shift = transform_points(between @ inverse_pose(trial), corners) - corners
+            displaced_m = np.linalg.norm(shift, axis=-1).max(axis=-1)
             if (displaced_m > tolerance_m).sum() < best[1].sum():
                 best = trial, displaced_m > tolerance_m
             # the motion common to most frames, without outliers
             agree = displaced_m <= max(np.median(displaced_m), tolerance_m)
-            trial = _common(between[agree], corners.mean(axis=0))
+            centre = corners.mean(axis=0)
+            R = mean_rotation(between[agree][:, :3, :3])
+            at_G = np.mean(transform_points(inverse_pose(between[agree]), centre[None])[:, 0], axis=0)
+            # exact at the centre
+            trial = make_pose(R, centre - R @ at_G)
         return best[0], numbers[best[1]]
-
-    def _corners(self) -> Array:
-        """(8, 3): of the box around the blocks, in F [m]."""
-        centres = self._grid.centres_m().cpu().numpy().astype(np.float64)
-        return np.asarray(trimesh.bounds.corners([centres.min(axis=0), centres.max(axis=0)]))
 
     def surface(self, landmarks_G: Array | None = None) -> SurfaceModel:
         """The mesh in G of the surface that frames agree on, with warnings.
@@ -280,24 +274,22 @@ class Field:
             if self.used:
                 warnings.append("what the frames agree on is too small for a surface: there is none")
             return empty_surface(tuple(warnings))
-        return self._with_sigma(found, landmarks_G, tuple(warnings))
-
-    def _with_sigma(
-        self, found: ExtractedSurface, landmarks_G: Array | None, warnings: tuple[str, ...]
-    ) -> SurfaceModel:
-        """The surface in G, its sides separated, with sigmas."""
+        # its sides are separated, and its vertices get sigmas
         cut_m, voxel_m = (self._grid.front_m, self._grid.behind_m), self._voxel_m
         frames = [(kept.tensors, kept.X_RF) for kept in self._kept.values()]
         mesh, normals, noise_m = found.mesh, np.asarray(found.mesh.vertex_normals), found.noise_m
         views = views_of_vertices(frames, self.rig, np.asarray(mesh.vertices), normals, cut_m, voxel_m)
-        if len(frames) >= _ENOUGH_KEPT * self.used:
+        # enough for the frames' mean to replace that of the field
+        if len(frames) >= 0.5 * self.used:
             mesh, noise_m = separate_sides(mesh, noise_m, views)
         landmarks_F = None if landmarks_G is None else transform_points(self._X_FG, landmarks_G)
         sigma_m, errors = vertex_sigma(
             mesh, normals, noise_m, found.single_m, views, landmarks_F, voxel_m, self.config
         )
         mesh.apply_transform(inverse_pose(self._X_FG))
-        return SurfaceModel(mesh=mesh, sigma_m=sigma_m, views=found.views, warnings=warnings, errors=errors)
+        return SurfaceModel(
+            mesh=mesh, sigma_m=sigma_m, views=found.views, warnings=tuple(warnings), errors=errors
+        )
 
     def _warnings(self) -> list[str]:
         out = []
@@ -330,19 +322,6 @@ def _turned(covariance: Array, R: Array) -> Array:
     return np.asarray(both @ covariance @ both.T)
 
 
-def _farthest(between: Array, X_FG: Array, corners_F: Array) -> Array:
-    """(F,): largest displacement of the corners if each frame's G in F is replaced by a common one [m]."""
-    shift = transform_points(between @ inverse_pose(X_FG), corners_F) - corners_F
-    return np.asarray(np.linalg.norm(shift, axis=-1).max(axis=-1))
-
-
-def _common(between: Array, centre_F: Array) -> Array:
-    """The mean (4, 4) of transforms (F, 4, 4) to F, exact at ``centre_F``."""
-    R = mean_rotation(between[:, :3, :3])
-    at_G = np.mean(transform_points(inverse_pose(between), centre_F[None])[:, 0], axis=0)
-    return make_pose(R, centre_F - R @ at_G)
-
-
 def choose_device(config: Mapping) -> torch.device:
     """The configured device; auto takes a GPU when there is one.
 
@@ -355,8 +334,6 @@ def choose_device(config: Mapping) -> torch.device:
 
 
 Frame = tuple[DepthMap, Array]
-_PEEK = 5
-"""Frames used to choose the voxel size."""
 KEPT_SHARE = 0.25
 """Share of the field's memory for the depth maps that are kept."""
 
@@ -380,7 +357,8 @@ def fuse(
     is empty when nothing was seen; ``warnings`` say what is missing and why.
     """
     stream = iter(frames)
-    head = list(islice(stream, _PEEK))
+    # the first ones choose the size of a voxel
+    head = list(islice(stream, 5))
     voxel_m = choose_voxel_m([frame for frame, _ in head], rig, config)
     field = Field(rig, config, voxel_m, KEPT_SHARE * config.memory_mib)
     with (progress or Silent()).stage("fusing depth", n_frames) as advance:
@@ -401,9 +379,8 @@ def choose_voxel_m(frames: list[DepthMap], rig: RectifiedRig, config: Mapping) -
         return 1e-3
     z = float(np.median(np.concatenate(depths)))
     footprint_m = z / rig.focal_px
-    voxel_m = footprint_m
     area_m2 = 6.0 * max(len(d) for d in depths) * footprint_m**2
     # The band around the surface is about three blocks thick.
-    blocks = 3.0 * area_m2 / (EDGE * voxel_m) ** 2
+    blocks = 3.0 * area_m2 / (EDGE * footprint_m) ** 2
     most = config.memory_mib * 2**20 / BYTES_PER_BLOCK
-    return float(voxel_m * max(1.0, blocks / most) ** 0.5)
+    return float(footprint_m * max(1.0, blocks / most) ** 0.5)

@@ -38,8 +38,6 @@ from polhode.mapping.fusion.depth_frame import FrameTensors
 from polhode.runtime.compiled import compiled_fused_ieee
 
 _BITS = HALF.bit_length()
-_MIN_VIEWS = 2
-"""Voxels seen by a single frame are not used."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +120,8 @@ def interpolate(
                 last_key, last_block = np.int64(key), order[at]
             cell = cells[last_block * VOXELS + ((a % EDGE) * EDGE + b % EDGE) * EDGE + c % EDGE]
             weight = float(cell[WEIGHT]) + float(cell[FREE])
-            if cell[WEIGHT] <= 0.0 or cell[VIEWS] < _MIN_VIEWS or cell[FREE] > carved * weight:
+            # voxels seen by a single frame are not used
+            if cell[WEIGHT] <= 0.0 or cell[VIEWS] < 2 or cell[FREE] > carved * weight:
                 known = False
                 break
             mean = (cell[DISTANCE] + front * cell[FREE]) / weight
@@ -144,20 +143,8 @@ def interpolate(
             out[n, 4] += x * y * z * variance[corner]
 
 
-MAX_SAMPLES = 3000
-_ITERATIONS = 20
 _STILL = 0.05
 """Converged when a step is less than this, in standard deviations."""
-_KERNEL = 2.5
-"""Width of the robust kernel, over the residuals' own scale."""
-_CORRELATION_PX = 12
-"""Errors of the depth are correlated over squares of this width: disparities come from windows of 7 px, and
-effects of light and slant extend farther (docs/mapping.md has the figures)."""
-_MIN_SAMPLES = 50
-_SPREAD = 1.5
-"""Distance of other starts in standard deviations."""
-_MISFIT = 4.0
-"""Ratio of the squared distances to their variances above which a frame does not fit the surface."""
 _IMPLAUSIBLE = float(chi2.isf(2.0 * 3.167e-5, 6))
 """Squared length of a correction of six numbers with the probability of four sigma in one."""
 
@@ -214,10 +201,10 @@ def align(
     stays = FrameAlignment(np.zeros(6), covariance_G, None)
     n, step, excess, posterior = len(points.p_G), np.inf, 1.0, covariance_G
     x = _start(points, covariance_G, lookup, min_share)
-    for _ in range(_ITERATIONS):
+    for _ in range(20):
         distance, J, variance = distances(x, points.p_G, lookup)
         known = np.isfinite(distance)
-        if known.sum() < max(_MIN_SAMPLES, min_share * n):
+        if known.sum() < max(50, min_share * n):
             return replace(stays, refused="too little of it lies near known surface")
         J, distance = J[known], distance[known]
         weight, excess = _weights(distance, points.variance_m2[known] + variance[known])
@@ -234,7 +221,8 @@ def align(
             break
     if step >= _STILL:
         return replace(stays, refused="it does not converge")
-    if excess > _MISFIT:
+    # Ratio of the squared distances to their variances above which a frame does not fit the surface
+    if excess > 4.0:
         return replace(stays, refused="it does not fit the surface")
     if x @ np.linalg.pinv(covariance_G, hermitian=True) @ x > _IMPLAUSIBLE:
         return replace(stays, refused="it contradicts the motion")
@@ -245,16 +233,18 @@ def depth_points(frame: FrameTensors, X_RG: Array, rig: RectifiedRig) -> DepthPo
     """Evenly spaced pixels; ``frame`` keeps its sigma; X_RG (4, 4) the pose as given."""
     depth = frame.depth_m.cpu().numpy().astype(np.float64)
     pixel = np.flatnonzero(frame.weight.cpu().numpy() > 0)
-    count = min(len(pixel), MAX_SAMPLES)
+    count = min(len(pixel), 3000)
     some = pixel[np.linspace(0, len(pixel) - 1, count).astype(int)]
     v, u = np.divmod(some, depth.shape[1])
     z = depth[v, u]
     x, y = ((u + frame.u0 - rig.cx_px) / rig.focal_px, (v + frame.v0 - rig.cy_px) / rig.focal_px)
     p_R = np.column_stack([x * z, y * z, z])
+    # Errors of the depth are correlated over squares of this width: disparities come from windows of 7 px,
+    # and effects of light and slant extend farther (docs/mapping.md has the figures)
     return DepthPoints(
         p_G=transform_points(inverse_pose(X_RG), p_R),
         variance_m2=frame.own_sigma_m.cpu().numpy().astype(np.float64)[v, u] ** 2,
-        independent=min(1.0, len(pixel) / (_CORRELATION_PX**2 * max(count, 1))),
+        independent=min(1.0, len(pixel) / (12**2 * max(count, 1))),
     )
 
 
@@ -263,7 +253,8 @@ def _start(
 ) -> Array:
     """No correction (6,); if that is outside the truncation band, a probable one that is not."""
     variances, axes = np.linalg.eigh(covariance)
-    spread = _SPREAD * np.sqrt(np.maximum(variances, 0.0))[:, None] * axes.T
+    # distance of other starts in standard deviations
+    spread = 1.5 * np.sqrt(np.maximum(variances, 0.0))[:, None] * axes.T
     best, most = np.zeros(6), -1
     for x in (best, *spread, *-spread):
         known = int(np.isfinite(distances(x, points.p_G, lookup)[0]).sum())
@@ -279,7 +270,8 @@ def _weights(distance: Array, variance: Array) -> tuple[Array, float]:
     size = distance**2 / variance
     # 0.455: the median of the square of a standard normal number
     excess = max(float(np.median(size)) / 0.455, 1.0)
-    return 1.0 / (1.0 + size / (_KERNEL**2 * excess)) ** 2 / variance, excess
+    # width of the robust kernel, over the residuals' own scale
+    return 1.0 / (1.0 + size / (2.5**2 * excess)) ** 2 / variance, excess
 
 
 def _about(x: Array, covariance: Array) -> Array:

@@ -41,8 +41,6 @@ _CHUNK = 8
 """Blocks along the edge of a chunk."""
 _EDGE = _CHUNK * EDGE + 1
 """Voxels along it: one layer is shared with the next chunk."""
-MIN_PIECE_VOXELS = 25.0
-"""Pieces of less area are removed [faces of a voxel]."""
 Floats = NDArray[np.float32]
 
 
@@ -75,27 +73,35 @@ def extract_surface(grid: BlockGrid, config: Mapping, min_views: int) -> Extract
         return None
     values = grid.values.cpu().numpy()
     known = known_voxels(values, grid.voxel_m, config, min_views)
-    distance = _distances(values, known, grid.front_m, grid.voxel_m)
+    # in voxels, NaN where it is not known
+    weight = values[..., WEIGHT] + values[..., FREE]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = (values[..., DISTANCE] + grid.front_m * values[..., FREE]) / (
+            weight * np.float32(grid.voxel_m)
+        )
+    distance = np.where(known, mean, np.float32(np.nan)).astype(np.float32, copy=False)
     first = np.unique(np.floor_divide(unpack_keys(grid.keys).cpu().numpy(), _CHUNK), axis=0) * _CHUNK
     parts = [part for corner in first if (part := _mesh_chunk(grid, corner, distance)) is not None]
     if not parts:
         return None
     vertices, faces, edges, shares_of = _merge(parts)
     piece, area = piece_areas(vertices, faces)
-    faces = faces[area[piece[faces[:, 0]]] >= MIN_PIECE_VOXELS]
+    # Pieces of less area are removed [faces of a voxel]
+    faces = faces[area[piece[faces[:, 0]]] >= 25.0]
     used, renumbered = np.unique(faces, return_inverse=True)
     if len(used) == 0:
         return None
-    of_vertices = _values_at(values, edges[used], shares_of[used], grid.front_m)
-    return _extracted(vertices[used] * grid.voxel_m, renumbered.reshape(-1, 3), of_vertices)
-
-
-def _distances(values: Floats, known: Bools, front_m: float, voxel_m: float) -> Floats:
-    """(n, 512): signed distance in voxels, NaN where it is not known."""
-    weight = values[..., WEIGHT] + values[..., FREE]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = (values[..., DISTANCE] + front_m * values[..., FREE]) / (weight * np.float32(voxel_m))
-    return np.where(known, mean, np.float32(np.nan)).astype(np.float32, copy=False)
+    noise_m, single_m, views, colour = _values_at(values, edges[used], shares_of[used], grid.front_m).T
+    grey = np.clip(np.round(colour), 0, 255).astype(np.uint8)
+    rgba = np.column_stack([grey, grey, grey, np.full_like(grey, 255)])
+    vertices, faces = vertices[used] * grid.voxel_m, renumbered.reshape(-1, 3)
+    return ExtractedSurface(
+        # Faces point outwards: the field is positive outside, scikit-image winds them by descending values.
+        mesh=trimesh.Trimesh(vertices=vertices, faces=faces, vertex_colors=rgba, process=False),
+        noise_m=noise_m.astype(np.float64),
+        single_m=single_m.astype(np.float64),
+        views=np.maximum(np.round(views), 1).astype(np.int64),
+    )
 
 
 def _values_at(values: Floats, edges: Ints, share: Floats, front_m: float) -> Floats:
@@ -172,32 +178,16 @@ def _merge(parts: list[tuple[Array, Ints, Ints, Floats]]) -> tuple[Array, Ints, 
     return vertices, faces[whole], edges, share
 
 
-def _extracted(vertices: Array, faces: Ints, values: Floats) -> ExtractedSurface:
-    """Assemble the record; values (V, 4) are sigma of the mean, of one view [m], views, grey."""
-    grey = np.clip(np.round(values[:, 3]), 0, 255).astype(np.uint8)
-    rgba = np.column_stack([grey, grey, grey, np.full_like(grey, 255)])
-    noise_m, single_m = values[:, :2].T.astype(np.float64)
-    return ExtractedSurface(
-        # Faces point outwards: the field is positive outside, scikit-image winds them by descending values.
-        mesh=trimesh.Trimesh(vertices=vertices, faces=faces, vertex_colors=rgba, process=False),
-        noise_m=noise_m,
-        single_m=single_m,
-        views=np.maximum(np.round(values[:, 2]), 1).astype(np.int64),
-    )
-
-
-_TIMES_USUAL = 2.0
-"""Where all depth is poor, the limit is this many times the median scatter."""
-
-
 def known_voxels(values: Floats, voxel_m: float, config: Mapping, min_views: int) -> Bools:
     """(n, 512): which of the field's voxels (n, 512, 8) are known, from at least ``min_views`` frames."""
     weight, free, views = values[..., WEIGHT], values[..., FREE], values[..., VIEWS]
     scatter = scatter_m(values) / np.float32(voxel_m)
-    usual = _usual(scatter, values, voxel_m)
+    # median scatter at the surface [voxels]: where all depth is poor, the limits follow it
+    near = (views >= 3) & (np.abs(values[..., DISTANCE]) < np.float32(voxel_m) * weight)
+    usual = float(np.median(scatter[near])) if near.any() else 0.0
     seen = views + (free > 0) >= min_views
     confirmed = (views >= 2) & (_disagreement(scatter, values) < max(config.agreeing_voxels, usual))
-    agree = scatter < max(config.scatter_voxels, _TIMES_USUAL * usual)
+    agree = scatter < max(config.scatter_voxels, 2.0 * usual)
     # far in front of every surface all frames look through, and the voxel is known to be empty
     empty = weight <= 0
     solid = free <= config.carved_share * (weight + free)
@@ -228,10 +218,3 @@ def _disagreement(scatter: Floats, values: Floats) -> Floats:
         np.maximum((np.float32(1.0) - np.float32(1.0) / views) / short, np.float32(1.0))
     )
     return widened
-
-
-def _usual(scatter: Floats, values: Floats, voxel_m: float) -> float:
-    """Median scatter at the surface [voxels]."""
-    distance = np.abs(values[..., DISTANCE])
-    near = (values[..., VIEWS] >= 3) & (distance < np.float32(voxel_m) * values[..., WEIGHT])
-    return float(np.median(scatter[near])) if near.any() else 0.0

@@ -30,32 +30,16 @@ from polhode.mapping.mesh_geometry import border_vertices, min_spread, neighbour
 from polhode.records.mesh_metrics import quick_tree
 from polhode.records.surface import ErrorCorrelation, SurfaceErrors
 
-WINDOW_VOXELS = 6.0
-"""Radius of the disc over which roughness and disagreement are computed: a voxel is about a pixel, a window 7
-of them wide."""
-_PATCH_SPACING_VOXELS = 4.0
-_PATCH_POINTS = 60
-"""Of a patch of relief: about 17 voxels around the vertex."""
-_PATCH_QUANTILE = 0.3
-_SEPARATED_FROM = 0.05
-"""Share of the weight behind from which a vertex is moved all the way."""
 _USUAL_SCALE = 0.46
-_USUAL_COUNTS = 250
-"""The usual scale counts as much as this number of landmarks."""
-_OF_MESH = 0.6
-"""Share of the distance between landmarks and mesh that is the mesh's error."""
 _FAR_SCALE, _COMPARABLE = 1.6, 2.9
 """Scale where the stated noise is much larger than at the landmarks; up to about how many times larger the
 landmarks' scale counts."""
 _DISAGREEMENT_POWER, _MAX_DISAGREEMENT = 0.7, 2.7
 """The noise grows with this power of the disagreement of frames, which is limited to this factor."""
-_MIN_FREEDOM = 1.0
-"""Frames at a vertex, less one, averaged over the disc, from which their disagreement is computed."""
 _BORDER_VOXELS = 2.0
 """Length over which the border's part fades away from it."""
 _NEAR_VOXELS, _BESIDE_VOXELS = 3.0, 0.7
 """A landmark is compared with a vertex at most so far away, and so far beside it along the surface."""
-_BACK_SHARE = 0.02
 ERROR_CORRELATION = ((0.60, 4.0), (0.34, 32.0), (0.06, np.inf))
 """Shares of the variance, and the lengths over which they correlate exponentially [voxels]."""
 
@@ -68,7 +52,8 @@ def separate_sides(
     In the field, the two sides of a part that is thinner than the truncation band are averaged, and push each
     other outwards. The second result is the noise (V,) [m] of the frames that are used.
     """
-    share = np.clip(views.back_share / _SEPARATED_FROM, 0.0, 1.0) * (views.front_weight > 0.0)
+    # share of the weight behind from which a vertex is moved all the way
+    share = np.clip(views.back_share / 0.05, 0.0, 1.0) * (views.front_weight > 0.0)
     if not share.any():
         return mesh, noise_m
     out = mesh.copy()
@@ -98,7 +83,9 @@ def vertex_sigma(
     shared_m = config.shared_sigma * np.where(np.isfinite(views.shared_m), views.shared_m, single_m)
     stated_m = np.hypot(noise_m, shared_m)
     at_landmarks = noise_scale(np.asarray(mesh.vertices), normals, stated_m, views, landmarks, voxel_m)
-    rough_m, disagreement = over_discs(mesh, WINDOW_VOXELS * voxel_m, views)
+    # radius of the disc over which roughness and disagreement are computed: a voxel is about a pixel, a
+    # window 7 of them wide
+    rough_m, disagreement = over_discs(mesh, 6.0 * voxel_m, views)
     squares = (stated_m * at_landmarks.at(stated_m) * disagreement**_DISAGREEMENT_POWER) ** 2
     squares += (config.relief_sigma * patch_quantile(mesh, rough_m, voxel_m)) ** 2
     squares += (config.border_sigma * voxel_m * border_share(mesh, voxel_m)) ** 2
@@ -151,14 +138,16 @@ def noise_scale(
     between = landmarks[found] - vertices[nearest]
     off_m = np.abs(np.einsum("ni,ni->n", between, normals[nearest]))
     beside_m = np.sqrt(np.maximum(distance[found] ** 2 - off_m**2, 0.0))
-    used = (beside_m < _BESIDE_VOXELS * voxel_m) & (views.back_share[nearest] < _BACK_SHARE)
+    used = (beside_m < _BESIDE_VOXELS * voxel_m) & (views.back_share[nearest] < 0.02)
     count = int(used.sum())
     if count == 0:
         return usual
     there_m = stated_m[nearest[used]]
     ratio = float(np.median(off_m[used] / there_m)) / 0.6745
-    share = count / (count + _USUAL_COUNTS)
-    scale = max(_OF_MESH * ratio, 1e-3) ** share * _USUAL_SCALE ** (1.0 - share)
+    # the usual scale counts as much as this number of landmarks
+    share = count / (count + 250)
+    # share of the distance between landmarks and mesh that is the mesh's error
+    scale = max(0.6 * ratio, 1e-3) ** share * _USUAL_SCALE ** (1.0 - share)
     return NoiseScale(float(scale), float(np.median(there_m)), count)
 
 
@@ -167,13 +156,14 @@ def patch_quantile(mesh: trimesh.Trimesh, values: Array, voxel_m: float) -> Arra
     vertices = np.asarray(mesh.vertices)
     if len(vertices) == 0:
         return values
-    cell = np.floor((vertices - vertices.min(axis=0)) / (_PATCH_SPACING_VOXELS * voxel_m)).astype(np.int64)
+    cell = np.floor((vertices - vertices.min(axis=0)) / (4.0 * voxel_m)).astype(np.int64)
     width = cell.max(axis=0) + 1
     key = (cell[:, 0] * width[1] + cell[:, 1]) * width[2] + cell[:, 2]
     _, first, of_vertex = np.unique(key, return_index=True, return_inverse=True)
     centres = vertices[first]
-    near = quick_tree(centres).query(centres, k=min(_PATCH_POINTS, len(centres)))[1].reshape(len(centres), -1)
-    low = np.quantile(values[first][near], _PATCH_QUANTILE, axis=1)
+    # of a patch of relief: about 17 voxels around the vertex
+    near = quick_tree(centres).query(centres, k=min(60, len(centres)))[1].reshape(len(centres), -1)
+    low = np.quantile(values[first][near], 0.3, axis=1)
     return np.asarray(low[of_vertex.reshape(-1)])
 
 
@@ -192,7 +182,8 @@ def over_discs(mesh: trimesh.Trimesh, radius_m: float, views: VertexViews) -> tu
     values = [moved, moved[:, a] * moved[:, b], views.front_chi2[:, None], freedom[:, None]]
     means = disc_means(mesh, np.concatenate(values, axis=1), radius_m)
     chi2, freedom = means[:, 9], means[:, 10]
-    known = (chi2 > 0.0) & (freedom >= _MIN_FREEDOM)
+    # frames at a vertex, less one, averaged over the disc, from which their disagreement is computed
+    known = (chi2 > 0.0) & (freedom >= 1.0)
     ratio = np.ones(len(V))
     if known.any():
         of_patch = np.sqrt(chi2[known] / freedom[known])

@@ -16,14 +16,10 @@ from polhode.geometry.lie import Array, inverse_pose
 from polhode.mapping.fusion.depth_frame import FrameTensors
 from polhode.runtime.compiled import compiled_fused_ieee
 
-FACING = 0.1
-"""A frame faces a vertex when the cosine between the ray to the camera and the normal is larger."""
 BEHIND = -0.3
 """It sees the vertex from behind, and so another surface, when the cosine is smaller."""
 FADING_RAD = np.deg2rad(20.0)
 """Errors of two frames at one vertex correlate by exp(-angle between their views / this)."""
-_GROUPS = 64
-"""Frames whose views differ least are counted as one direction."""
 _CHUNK = 100_000
 """Vertices at a time: 25 MB."""
 Floats = NDArray[np.float32]
@@ -108,7 +104,8 @@ def _directions(poses: Sequence[Array], centre: Array) -> tuple[NDArray[np.int64
     towards = np.array([inverse_pose(X)[:3, 3] for X in poses]) - centre
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
     chosen, nearest = [0], towards @ towards[0]
-    while len(chosen) < min(_GROUPS, len(poses)):
+    # frames whose views differ least are counted as one direction
+    while len(chosen) < min(64, len(poses)):
         chosen.append(int(np.argmin(nearest)))
         nearest = np.maximum(nearest, towards @ towards[chosen[-1]])
     between = towards @ towards[chosen].T
@@ -163,7 +160,8 @@ def add_view(
         facing = -along / np.sqrt(x * x + y * y + z * z)
         sums[i, 0] += part
         root[i] += np.float32(np.sqrt(part))
-        if facing > FACING:
+        # a frame faces a vertex when the cosine between the ray to the camera and the normal is larger
+        if facing > 0.1:
             sums[i, 1] += part
             sums[i, 2] += part * distance
             sums[i, 3] += part * distance * distance

@@ -10,7 +10,6 @@ from pathlib import PurePath
 import numpy as np
 import pyarrow as pa
 
-from polhode.config.study_settings import Study
 from polhode.geometry.lie import Array
 from polhode.studies.study import DATA, OpenStudy
 from polhode.studies.table import RESULTS, TIME
@@ -33,10 +32,6 @@ MAIN = (
     "time.run.total_s",
 )
 """Columns that are drawn, in this order, where the study names none itself"""
-SIGNED = ("evaluate.error_k1", "evaluate.error_k2")
-"""Errors with a sign: the page shows how large they are"""
-MORE_IS_BETTER = ("*completeness*", "*coverage*", "*.within_*", "*frames_used", "*landmarks", "*observations")
-MAX_LABEL = 26
 
 
 @dataclass(frozen=True)
@@ -80,7 +75,8 @@ class Metric:
     @property
     def more_is_better(self) -> bool:
         """Whether a large value is a good one."""
-        return any(fnmatchcase(self.column, pattern) for pattern in MORE_IS_BETTER)
+        large = ("*completeness*", "*coverage*", "*.within_*", "*frames_used", "*landmarks", "*observations")
+        return any(fnmatchcase(self.column, pattern) for pattern in large)
 
 
 def spans_decades(values: Array) -> bool:
@@ -102,68 +98,55 @@ def texts(table: pa.Table, name: str) -> list[str | None]:
     return list(table.column(name).to_pylist()) if name in table.column_names else [None] * table.num_rows
 
 
-def axes_of(study: OpenStudy, table: pa.Table) -> list[Axis]:
-    """What was varied, in the order of the study. Seeds are repetitions, and no axes."""
-    by_ratio = _drawn_by_ratio(study.settings)
-    found = [_axis(table, name, name in by_ratio) for name in study.columns if not is_seed(name)]
-    return [axis for axis in found if axis is not None]
-
-
-def _drawn_by_ratio(settings: Study) -> set[str]:
-    """Names of axes whose values were chosen by their ratios."""
-    names = {name for name, axis in settings.axes.items() if axis.log_range or axis.log_uniform}
-    if settings.design is not None:
-        names |= {name for name, each in settings.design.settings.items() if each.log_uniform}
-    return names
-
-
 def is_seed(name: str) -> bool:
     """Whether a setting only repeats the points with other random numbers."""
     return name.rpartition(".")[2] == "seed"
 
 
-def _axis(table: pa.Table, name: str, by_ratio: bool) -> Axis | None:
-    """An axis; None: it has one value only, or is not in the table."""
-    if name not in table.column_names:
-        return None
-    kind = table.schema.field(name).type
-    if pa.types.is_floating(kind) or pa.types.is_integer(kind):
-        values = numbers(table, name)
-        is_logarithmic = by_ratio or spans_decades(values)
-        return Axis(name, values, is_logarithmic=is_logarithmic) if np.ptp(values) > 0.0 else None
-    said = [_label(name, each) for each in table.column(name).to_pylist()]
-    labels = list(dict.fromkeys(said))
-    if len(labels) < 2:
-        return None
-    position = {label: k for k, label in enumerate(labels)}
-    return Axis(name, np.array([position[each] for each in said], dtype=np.float64), tuple(labels))
+def axes_of(study: OpenStudy, table: pa.Table) -> list[Axis]:
+    """What was varied and has several values, in the order of the study. Seeds are no axes."""
+    settings = study.settings
+    by_ratio = {name for name, axis in settings.axes.items() if axis.log_range or axis.log_uniform}
+    if settings.design is not None:
+        by_ratio |= {name for name, each in settings.design.settings.items() if each.log_uniform}
+    found = []
+    for name in study.columns:
+        if is_seed(name) or name not in table.column_names:
+            continue
+        if _is_number(table.schema.field(name).type):
+            values = numbers(table, name)
+            if np.ptp(values) > 0.0:
+                found.append(Axis(name, values, (), name in by_ratio or spans_decades(values)))
+            continue
+        said = [_label(name, each) for each in table.column(name).to_pylist()]
+        labels = list(dict.fromkeys(said))
+        if len(labels) > 1:
+            positions = np.array([labels.index(each) for each in said], dtype=np.float64)
+            found.append(Axis(name, positions, tuple(labels)))
+    return found
 
 
 def _label(name: str, value: object) -> str:
     text = PurePath(str(value)).name if name == DATA else str(value)
     text = text.lower() if isinstance(value, bool) else text
-    return text if len(text) <= MAX_LABEL else f"{text[: MAX_LABEL - 1]}…"
+    return text if len(text) <= 26 else f"{text[:25]}…"
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind))
 
 
 def metrics_of(table: pa.Table) -> list[Metric]:
     """All results that are numbers and differ between points."""
-    found = []
-    for column in table.schema:
-        is_number = pa.types.is_floating(column.type) or pa.types.is_integer(column.type)
-        if not is_number or not column.name.startswith((*RESULTS, TIME)):
-            continue
-        metric = metric_of(table, column.name)
-        if len(metric.known) and np.ptp(metric.known) > 0.0:
-            found.append(metric)
-    return found
+    names = [column.name for column in table.schema if _is_number(column.type)]
+    found = [metric_of(table, name) for name in names if name.startswith((*RESULTS, TIME))]
+    return [each for each in found if len(each.known) and np.ptp(each.known) > 0.0]
 
 
 def metric_of(table: pa.Table, column: str) -> Metric:
-    """A result by the name of its column."""
-    values = numbers(table, column)
-    if column in SIGNED:
-        return Metric(column, np.abs(values), absolute=True)
-    return Metric(column, values)
+    """A result by the name of its column; of errors with a sign, their size."""
+    values, is_signed = numbers(table, column), column in ("evaluate.error_k1", "evaluate.error_k2")
+    return Metric(column, np.abs(values) if is_signed else values, absolute=is_signed)
 
 
 def choose_metrics(metrics: Sequence[Metric], wanted: Sequence[str], most: int) -> list[Metric]:

@@ -13,9 +13,7 @@ from scipy import stats
 
 from polhode.records.metrics import COMPONENTS, COVERAGE, COVERAGE_CONSTANTS, NEES, expected_range
 from polhode.studies.page.columns import numbers
-from polhode.studies.page.dependence import CONFIDENCE, mean_band, share_band
-
-GAUSSIAN_3_SIGMA = float(stats.chi2.cdf(9.0, 1))
+from polhode.studies.page.dependence import CONFIDENCE, bootstrap_band, share_band
 
 
 @dataclass(frozen=True)
@@ -51,35 +49,23 @@ class Consistency:
 def consistencies(table: pa.Table) -> list[Consistency]:
     """Of all quantities that were evaluated in some runs."""
     found = []
+    tail, within = 0.5 * (1.0 - CONFIDENCE), float(stats.chi2.cdf(9.0, 1))
     for group in (NEES, COVERAGE, COVERAGE_CONSTANTS):
         for name, components in COMPONENTS.items():
             values = numbers(table, f"evaluate.{group}.{name}")
             values = values[np.isfinite(values)]
-            if len(values) >= 3:
-                found.append(_consistency(group, name, components, values))
+            runs, band = len(values), expected_range(group, name)
+            if runs < 3 or band is None:
+                continue
+            if group == NEES:
+                low, high = (stats.chi2.ppf([tail, 1.0 - tail], runs * components) / runs).tolist()
+                expected = float(components), low, high
+            else:
+                # as if each run had one frame, of so many components
+                half = 1.96 * float(np.sqrt(within * (1.0 - within) / (runs * components)))
+                expected = within, within - half, min(within + half, 1.0)
+            inside = (values >= band[0]) & (values <= band[1])
+            bands = float(values.mean()), *bootstrap_band(values, np.mean), *expected
+            shared = float(inside.mean()), *share_band(int(inside.sum()), runs)
+            found.append(Consistency(group, name, runs, *bands, *shared))
     return found
-
-
-def _consistency(group: str, name: str, components: int, values: np.ndarray) -> Consistency:
-    runs, band = len(values), expected_range(group, name)
-    assert band is not None
-    expected: tuple[float, float, float]
-    if group == NEES:
-        tail = 0.5 * (1.0 - CONFIDENCE)
-        low, high = stats.chi2.ppf([tail, 1.0 - tail], runs * components) / runs
-        expected = (float(components), float(low), float(high))
-    else:
-        # as if each run had one frame, of so many components
-        half = 1.96 * np.sqrt(GAUSSIAN_3_SIGMA * (1.0 - GAUSSIAN_3_SIGMA) / (runs * components))
-        expected = (GAUSSIAN_3_SIGMA, GAUSSIAN_3_SIGMA - half, min(GAUSSIAN_3_SIGMA + half, 1.0))
-    inside = (values >= band[0]) & (values <= band[1])
-    return Consistency(
-        group,
-        name,
-        runs,
-        float(values.mean()),
-        *mean_band(values),
-        *expected,
-        float(inside.mean()),
-        *share_band(int(inside.sum()), runs),
-    )

@@ -15,7 +15,6 @@ from polhode.studies.page.columns import Axis
 from polhode.studies.table import chosen_rows
 
 BINS = 8
-RESAMPLES = 499
 MIN_ROWS = 5
 """A group of fewer has no band."""
 CONFIDENCE = 0.95
@@ -70,37 +69,25 @@ def spreads(axis: Axis, values: Array) -> list[Spread]:
         own = values[group.rows & np.isfinite(values)]
         own = own[chosen_rows(len(own), 1000)]
         if len(own):
-            low, high = median_band(own)
-            tenth, median, nine = np.quantile(own, [0.1, 0.5, 0.9])
-            estimate = Estimate(group.at, len(own), float(median), low, high)
-            found.append(Spread(estimate, float(tenth), float(nine)))
+            tenth, median, nine = np.quantile(own, [0.1, 0.5, 0.9]).tolist()
+            estimate = Estimate(group.at, len(own), median, *bootstrap_band(own, np.median))
+            found.append(Spread(estimate, tenth, nine))
     return found
 
 
 def shares(axis: Axis, holds: Bools) -> list[Estimate]:
     """The share of rows (n,) in each group for which something holds."""
-    return [_share(group.at, holds[group.rows]) for group in groups_of(axis)]
-
-
-def _share(at: float, holds: Bools) -> Estimate:
-    low, high = share_band(int(holds.sum()), len(holds))
-    return Estimate(at, len(holds), float(holds.mean()), low, high)
+    found = []
+    for group in groups_of(axis):
+        own = holds[group.rows]
+        found.append(Estimate(group.at, len(own), float(own.mean()), *share_band(int(own.sum()), len(own))))
+    return found
 
 
 def share_band(count: int, of: int) -> tuple[float, float]:
     """Band of a share by Wilson."""
     band = stats.binomtest(count, of).proportion_ci(CONFIDENCE, method="wilson")
     return float(band.low), float(band.high)
-
-
-def median_band(values: Array) -> tuple[float, float]:
-    """Band of the median of values (n,)."""
-    return bootstrap_band(values, np.median)
-
-
-def mean_band(values: Array) -> tuple[float, float]:
-    """Band of the mean of values (n,)."""
-    return bootstrap_band(values, np.mean)
 
 
 def bootstrap_band(values: Array, statistic: Callable[..., object]) -> tuple[float, float]:
@@ -113,7 +100,7 @@ def bootstrap_band(values: Array, statistic: Callable[..., object]) -> tuple[flo
         (values,),
         statistic,
         confidence_level=CONFIDENCE,
-        n_resamples=RESAMPLES,
+        n_resamples=499,
         method="percentile",
         vectorized=True,
         rng=np.random.default_rng(0),

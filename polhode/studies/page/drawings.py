@@ -7,6 +7,7 @@ from textwrap import wrap
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from polhode.geometry.lie import Array, Bools, Ints
 from polhode.records.metrics import COVERAGE, COVERAGE_CONSTANTS, NEES
@@ -26,125 +27,106 @@ from polhode.report.plot_style import (
 )
 from polhode.studies.page.columns import Axis, Metric
 from polhode.studies.page.consistency import Consistency
-from polhode.studies.page.dependence import Estimate, Spread, shares, spreads
+from polhode.studies.page.dependence import Estimate, shares, spreads
 from polhode.studies.table import chosen_rows
 
 HEIGHT_PX = 320
-HALF_BAR = 0.22
-"""Half the width of a bar over a label; over one, they are 1 apart"""
-MAX_UPRIGHT = 6
-"""Labels that can stand side by side, broken into lines; more are turned by a right angle"""
-CHARACTERS_ACROSS = 52
-"""That have room below a drawing"""
-CHARACTER_PX, LINE_PX = 6.5, 15
-MAX_TITLE = 28
-"""Characters of a title that have room beside a drawing; a longer one has two lines"""
 QUANTITIES = {"com": "centre of mass", "axes": "principal axes", "angular_velocity": "angular velocity"}
 """Names of quantities with a NEES, where the key is no word"""
+_CONSISTENCY = {
+    NEES: (
+        "NEES",
+        "Right of the expected range: the standard deviations are too small. Left of it: too large. In "
+        "brackets the number of runs.",
+    ),
+    COVERAGE: (
+        "Coverage of the states",
+        "Of position, velocity, attitude and angular velocity in all frames of a run. Left of the expected "
+        "range: the standard deviations are too small.",
+    ),
+    COVERAGE_CONSTANTS: (
+        "Coverage of the constants",
+        "Of inertia, centre of mass and principal axes. Left of the expected range: the standard deviations "
+        "are too small.",
+    ),
+}
+"""Title and caption of the drawing of each group"""
 
 
 def distribution(metric: Metric, key: str) -> Figure:
     """A histogram, with the median."""
     known = metric.known
-    edges = np.histogram_bin_edges(np.log10(known) if metric.is_logarithmic else known, bins=_bins(known))
-    counts, _ = np.histogram(np.log10(known) if metric.is_logarithmic else known, edges)
-    if metric.is_logarithmic:
-        edges = 10.0**edges
-    middle = float(np.median(known))
-    low, high = np.quantile(known, [0.1, 0.9])
-    outline = {
-        "type": "scatter",
-        "mode": "lines",
-        "x": packed(np.repeat(edges, 2), "f8"),
-        "y": packed(np.concatenate([[0], np.repeat(counts, 2), [0]])),
-        "line": {"color": ACCENT, "width": 1.4},
-        "fill": "toself",
-        "fillcolor": translucent(ACCENT, 0.22),
-        "name": "points",
-        "hoverinfo": "x+y",
-    }
-    mark = {
-        "type": "scatter",
-        "mode": "lines",
-        "x": [middle, middle],
-        "y": [0, int(counts.max())],
-        "line": {"color": SECOND, "width": 1.6, "dash": "dash"},
-        "name": f"median {middle:.3g}",
-    }
+    values = np.log10(known) if metric.is_logarithmic else known
+    counts, edges = np.histogram(values, bins=int(np.clip(2.0 * len(known) ** 0.5, 5, 40)))
+    edges = 10.0**edges if metric.is_logarithmic else edges
+    low, middle, high = np.quantile(known, [0.1, 0.5, 0.9])
+    data = [
+        _trace(
+            np.repeat(edges, 2), np.concatenate([[0], np.repeat(counts, 2), [0]]), "points",
+            line={"color": ACCENT, "width": 1.4}, fill="toself", fillcolor=translucent(ACCENT, 0.22),
+            hoverinfo="x+y",
+        ),
+        _trace(
+            [middle, middle], [0, counts.max()], f"median {middle:.3g}",
+            line={"color": SECOND, "width": 1.6, "dash": "dash"},
+        ),
+    ]  # fmt: skip
     caption = f"{len(known)} points; four fifths of them lie between {low:.3g} and {high:.3g}."
     drawing = layout(xaxis=_axis_of(metric), yaxis=axis("points", rangemode="tozero"))
-    return Figure(key, "Distribution", caption, [outline, mark], drawing, HEIGHT_PX, wide=False)
-
-
-def _bins(values: Array) -> int:
-    return int(np.clip(2.0 * len(values) ** 0.5, 5, 40))
+    return Figure(key, "Distribution", caption, data, drawing, HEIGHT_PX, wide=False)
 
 
 def dependence(metric: Metric, along: Axis, key: str) -> Figure:
-    """A metric along an axis: points, median with its band, the range of four fifths of the points."""
+    """A metric along an axis: points, median with its band, the range of four fifths of the points.
+
+    The caption names the lowest and the highest median, and whether their bands keep apart.
+    """
     found = spreads(along, metric.values)
     shown = np.flatnonzero(np.isfinite(metric.values))
     shown = shown[chosen_rows(len(shown), 400)]
-    points = {
-        "type": "scatter",
-        "mode": "markers",
-        "x": packed(_jittered(along, shown), "f8"),
-        "y": packed(metric.values[shown], "f8"),
-        "marker": {"color": translucent(ACCENT, 0.35), "size": 4},
-        "name": "points",
-        "showlegend": False,
-        "hoverinfo": "x+y",
-    }
+    x = along.values[shown]
+    if along.labels:
+        x = x + np.random.default_rng(0).uniform(-0.18, 0.18, len(shown))
+    points = _trace(
+        x, metric.values[shown], "points", "markers", marker={"color": translucent(ACCENT, 0.35), "size": 4},
+        showlegend=False, hoverinfo="x+y",
+    )  # fmt: skip
     middles = [each.median for each in found]
-    wide = _strip(
-        along, middles, [each.tenth for each in found], [each.nine_tenths for each in found],
-        "four fifths of the points", translucent(FAINT, 0.22),
-    )  # fmt: skip
-    narrow = _strip(
-        along, middles, [each.low for each in middles], [each.high for each in middles],
-        "its 95 % band", translucent(ACCENT, 0.33),
-    )  # fmt: skip
-    drawing = layout(xaxis=_axis_along(along), yaxis=_axis_of(metric, beside=True))
-    data, height = [points, *wide, _middle(along, middles, "median"), *narrow], HEIGHT_PX + _labels_px(along)
-    return Figure(key, f"Against {along.name}", _caption(metric, found), data, drawing, height, wide=False)
-
-
-def _caption(metric: Metric, found: Sequence[Spread]) -> str:
-    """The lowest and the highest median, and whether their bands keep apart."""
-    known = [each.median for each in found]
-    if len(known) < 2:
-        return "One group of points has this metric."
-    low, high = min(known, key=attrgetter("value")), max(known, key=attrgetter("value"))
-    said = f"Medians from {low.value:.3g} to {high.value:.3g}"
-    if low.high < high.low:
-        return f"{said}; the bands of these two keep apart."
-    if np.isnan(low.high) or np.isnan(high.low):
-        return f"{said}; some groups have too few points for a band."
-    return f"{said}; the bands of these two overlap."
+    at, four_fifths = [each.at for each in middles], [(each.tenth, each.nine_tenths) for each in found]
+    wide = _strip(along, at, four_fifths, "four fifths of the points", translucent(FAINT, 0.22))
+    bands = [(each.low, each.high) for each in middles]
+    narrow = _strip(along, at, bands, "its 95 % band", translucent(ACCENT, 0.33))
+    caption = "One group of points has this metric."
+    if len(middles) > 1:
+        low, high = min(middles, key=attrgetter("value")), max(middles, key=attrgetter("value"))
+        if low.high < high.low:
+            bands_are = "the bands of these two keep apart"
+        elif np.isnan(low.high) or np.isnan(high.low):
+            bands_are = "some groups have too few points for a band"
+        else:
+            bands_are = "the bands of these two overlap"
+        caption = f"Medians from {low.value:.3g} to {high.value:.3g}; {bands_are}."
+    across, labels_px = _axis_along(along)
+    drawing = layout(xaxis=across, yaxis=_axis_of(metric, beside=True))
+    data = [points, *wide, _middle(along, middles, "median"), *narrow]
+    return Figure(key, f"Against {along.name}", caption, data, drawing, HEIGHT_PX + labels_px, wide=False)
 
 
 def share_drawing(along: Axis, holds: Bools, what: str, key: str) -> Figure:
     """The share of the points for which something holds, along an axis."""
     found = shares(along, holds)
-    band = _strip(
-        along, found, [each.low for each in found], [each.high for each in found],
-        "95 % band (Wilson)", translucent(ACCENT, 0.33),
-    )  # fmt: skip
-    drawing = layout(
-        xaxis=_axis_along(along), yaxis=axis(what, range=[-0.03, 1.03], tickformat=".0%"), showlegend=False
-    )
+    bands = [(each.low, each.high) for each in found]
+    band = _strip(along, [each.at for each in found], bands, "95 % band (Wilson)", translucent(ACCENT, 0.33))
+    across, labels_px = _axis_along(along)
+    y = axis(what, range=[-0.03, 1.03], tickformat=".0%")
     least = min(found, key=attrgetter("value"))
+    place = along.labels[round(least.at)] if along.labels else f"{least.at:.3g}"
     caption = (
-        f"Least: {least.value:.0%} at {_place(along, least.at)} ({least.count} points, band {least.low:.0%} "
-        f"to {least.high:.0%})."
+        f"Least: {least.value:.0%} at {place} ({least.count} points, band {least.low:.0%} to "
+        f"{least.high:.0%})."
     )
-    data = [*band, _middle(along, found, what)]
-    height = 270 + _labels_px(along)
-    return Figure(key, f"Against {along.name}", caption, data, drawing, height, wide=False)
-
-
-def _place(along: Axis, at: float) -> str:
-    return along.labels[round(at)] if along.labels else f"{at:.3g}"
+    data, drawing = [*band, _middle(along, found, what)], layout(xaxis=across, yaxis=y, showlegend=False)
+    return Figure(key, f"Against {along.name}", caption, data, drawing, 270 + labels_px, wide=False)
 
 
 def trade_off(first: Metric, second: Metric, words: Sequence[str], key: str) -> Figure | None:
@@ -155,21 +137,25 @@ def trade_off(first: Metric, second: Metric, words: Sequence[str], key: str) -> 
     both = np.flatnonzero(np.isfinite(first.values) & np.isfinite(second.values))
     if len(both) < 2:
         return None
-    front = both[front_of(_worse(first)[both], _worse(second)[both])]
-    # the front has all of its points
-    shown = both[chosen_rows(len(both), 1000)]
+    front = both[
+        front_of(*(-m.values[both] if m.more_is_better else m.values[both] for m in (first, second)))
+    ]
     ways = [f"{'more' if each.more_is_better else 'less'} {each.title}" for each in (first, second)]
     caption = (
         f"{len(both)} points, {len(front)} of them on the front: no other point has {ways[0]} than one of "
         f"these, and {ways[1]} at the same time."
     )
+
+    def points(rows: Ints, name: str, color: str, size: int, mode: str = "markers", **more: Any) -> Trace:
+        hover = {"hovertemplate": "%{text}<br>%{x:.4g}, %{y:.4g}<extra></extra>"} | more
+        hover |= {"text": [words[row] for row in rows], "marker": {"color": color, "size": size}}
+        return _trace(first.values[rows], second.values[rows], name, mode, **hover)
+
+    # the front has all of its points
+    shown, line = both[chosen_rows(len(both), 1000)], {"color": SECOND, "width": 1.4, "dash": "dot"}
     data = [
-        _points(first, second, shown, words, "points", translucent(ACCENT, 0.4), 5),
-        {
-            **_points(first, second, front, words, "Pareto front", SECOND, 7),
-            "mode": "lines+markers",
-            "line": {"color": SECOND, "width": 1.4, "dash": "dot"},
-        },
+        points(shown, "points", translucent(ACCENT, 0.4), 5),
+        points(front, "Pareto front", SECOND, 7, "lines+markers", line=line),
     ]
     drawing = layout(xaxis=_axis_of(first), yaxis=_axis_of(second, beside=True))
     title = f"{second.title} against {first.title}"
@@ -185,152 +171,89 @@ def front_of(first: Array, second: Array) -> Ints:
     return np.asarray(order[is_new])
 
 
-def _worse(metric: Metric) -> Array:
-    return -metric.values if metric.more_is_better else metric.values
-
-
-def _points(
-    first: Metric, second: Metric, rows: Ints, words: Sequence[str], name: str, color: str, size: int
-) -> Trace:
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "x": packed(first.values[rows], "f8"),
-        "y": packed(second.values[rows], "f8"),
-        "text": [words[row] for row in rows],
-        "hovertemplate": "%{text}<br>%{x:.4g}, %{y:.4g}<extra></extra>",
-        "marker": {"color": color, "size": size},
-        "name": name,
-    }
-
-
 def consistency_drawing(found: Sequence[Consistency], group: str, key: str) -> Figure:
     """Of each quantity the mean with its band, beside where it is expected."""
-    scale = [each.expected if group == NEES else 1.0 for each in found]
-    names = [f"{QUANTITIES.get(each.name, each.name)} ({each.runs})" for each in found]
+    scale = np.array([each.expected if group == NEES else 1.0 for each in found])
+    value, low, high, expected_low, expected_high = (
+        np.array([getattr(each, name) for each in found]) / scale
+        for name in ("mean", "low", "high", "expected_low", "expected_high")
+    )
     place = np.arange(len(found), dtype=np.float64)[::-1]
     expected = [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "x": [each.expected_low / by, each.expected_high / by],
-            "y": [at, at],
-            "line": {"color": EDGE, "width": 11},
-            "name": "expected, if the standard deviations are right",
-            "hoverinfo": "x",
-        }
-        for each, by, at in zip(found, scale, place, strict=True)
-    ]
-    value = np.array([each.mean / by for each, by in zip(found, scale, strict=True)])
-    low = np.array([each.low / by for each, by in zip(found, scale, strict=True)])
-    high = np.array([each.high / by for each, by in zip(found, scale, strict=True)])
-    means = {
-        "type": "scatter",
-        "mode": "markers",
-        "x": packed(value, "f8"),
-        "y": packed(place, "f8"),
-        "error_x": _bars(value, low, high, ACCENT, 2.0),
-        "marker": {"color": ACCENT, "size": 8},
-        "name": "mean over the runs, with its 95 % band",
+        _trace(
+            ends, [at, at], "expected, if the standard deviations are right", hoverinfo="x",
+            line={"color": EDGE, "width": 11},
+        )
+        for *ends, at in zip(expected_low, expected_high, place, strict=True)
+    ]  # fmt: skip
+    known = np.isfinite(low) & np.isfinite(high)
+    bars = {
+        "type": "data",
+        "symmetric": False,
+        "array": packed(np.where(known, high - value, 0.0), "f8"),
+        "arrayminus": packed(np.where(known, value - low, 0.0), "f8"),
+        "color": ACCENT,
+        "thickness": 2.0,
+        "width": 0,
     }
+    marker = {"color": ACCENT, "size": 8}
+    name = "mean over the runs, with its 95 % band"
+    means = _trace(value, place, name, "markers", error_x=bars, marker=marker)
+    names = [f"{QUANTITIES.get(each.name, each.name)} ({each.runs})" for each in found]
     ticks = {"tickvals": place.tolist(), "ticktext": names, "range": [-0.6, len(found) - 0.4]}
-    across = (
-        axis("mean NEES over its number of components", **_by_ratio(_finite([*value, *low, *high, 1.0])))
-        if group == NEES
-        else axis("share within three standard deviations", tickformat=".1%")
-    )
-    drawing = layout(
-        xaxis=across, yaxis=axis("", **ticks), shapes=[_upright(1.0 if group == NEES else found[0].expected)]
-    )
+    if group == NEES:
+        ends = np.concatenate([value, low, high, [1.0]])
+        ratios = _by_ratio(ends[np.isfinite(ends) & (ends > 0.0)])
+        across = axis("mean NEES over its number of components", **ratios)
+    else:
+        across = axis("share within three standard deviations", tickformat=".1%")
+    at = 1.0 if group == NEES else found[0].expected
+    line = {"color": FAINT, "width": 1, "dash": "dot"}
+    upright = {"type": "line", "x0": at, "x1": at, "y0": 0, "y1": 1, "yref": "paper", "line": line}
+    drawing = layout(xaxis=across, yaxis=axis("", **ticks), shapes=[upright])
     height = 120 + 34 * len(found)
-    return Figure(key, _TITLES[group], _CAPTIONS[group], [*expected, means], drawing, height, wide=False)
+    return Figure(key, *_CONSISTENCY[group], [*expected, means], drawing, height, wide=False)
 
 
-_TITLES = {
-    NEES: "NEES",
-    COVERAGE: "Coverage of the states",
-    COVERAGE_CONSTANTS: "Coverage of the constants",
-}
-_CAPTIONS = {
-    NEES: "Right of the expected range: the standard deviations are too small. Left of it: too large. In "
-    "brackets the number of runs.",
-    COVERAGE: "Of position, velocity, attitude and angular velocity in all frames of a run. Left of the "
-    "expected range: the standard deviations are too small.",
-    COVERAGE_CONSTANTS: "Of inertia, centre of mass and principal axes. Left of the expected range: the "
-    "standard deviations are too small.",
-}
-
-
-def _upright(at: float) -> Layout:
-    return {
-        "type": "line",
-        "x0": at,
-        "x1": at,
-        "y0": 0,
-        "y1": 1,
-        "yref": "paper",
-        "line": {"color": FAINT, "width": 1, "dash": "dot"},
-    }
-
-
-def _finite(values: Sequence[float]) -> Array:
-    """The finite ones above 0 (n,)."""
-    known = np.array(values)
-    return np.asarray(known[np.isfinite(known) & (known > 0.0)])
+def _trace(x: ArrayLike, y: ArrayLike, name: str, mode: str = "lines", **more: Any) -> Trace:
+    xy = {"x": packed(x, "f8"), "y": packed(y, "f8")}
+    return {"type": "scatter", "mode": mode, **xy, "name": name, **more}
 
 
 def _axis_of(metric: Metric, beside: bool = False) -> Layout:
-    """Below a drawing, or beside it, where its title has less room."""
-    title = _in_two_lines(metric.title) if beside else metric.title
+    """Below a drawing, or beside it, where a long title has two lines."""
+    title = metric.title
+    ends = [match.end() for match in re.finditer(r"[._ ]", title)]
+    if beside and len(title) > 28 and ends:
+        at = min(ends, key=lambda end: abs(end - len(title) / 2))
+        title = f"{title[:at]}<br>{title[at:]}"
     return axis(title, **(_by_ratio(metric.known) if metric.is_logarithmic else {}))
 
 
-def _in_two_lines(title: str) -> str:
-    """A long name of a column, broken between its words."""
-    ends = [match.end() for match in re.finditer(r"[._ ]", title)]
-    if len(title) <= MAX_TITLE or not ends:
-        return title
-    at = min(ends, key=lambda end: abs(end - len(title) / 2))
-    return f"{title[:at]}<br>{title[at:]}"
+def _axis_along(along: Axis) -> tuple[Layout, int]:
+    """An axis of the study below a drawing, and the height that its labels take beyond a single line [px].
 
-
-def _axis_along(along: Axis) -> Layout:
-    if along.labels:
-        places, lines = list(range(len(along.labels))), _lines_of_labels(along)
-        return axis(
-            along.name,
-            tickvals=places,
-            ticktext=["<br>".join(each) for each in lines],
-            tickangle=0 if _is_upright(lines) else 90,
-            # without this, plotly.js leaves out a label that reaches beyond the drawing
-            ticklabeloverflow="allow",
-            range=[-0.6, len(places) - 0.4],
-        )
-    return axis(along.name, **(_by_ratio(along.values) if along.is_logarithmic else {}))
-
-
-def _lines_of_labels(along: Axis) -> list[list[str]]:
-    """The lines of each label: several where few labels stand side by side, and their words have room."""
-    room = CHARACTERS_ACROSS // len(along.labels)
-    longest = max(len(word) for label in along.labels for word in label.split() or [""])
-    if len(along.labels) > MAX_UPRIGHT or longest > room:
-        return [[label] for label in along.labels]
-    return [wrap(label, room) or [""] for label in along.labels]
-
-
-def _is_upright(lines: Sequence[Sequence[str]]) -> bool:
-    room = CHARACTERS_ACROSS // len(lines)
-    return len(lines) <= MAX_UPRIGHT and all(len(line) <= room for label in lines for line in label)
-
-
-def _labels_px(along: Axis) -> int:
-    """Height that its labels take beyond a single line."""
+    Few labels stand side by side, broken into lines where their words have room; others are turned by a right
+    angle.
+    """
     if not along.labels:
-        return 0
-    lines = _lines_of_labels(along)
-    if _is_upright(lines):
-        return LINE_PX * (max(map(len, lines)) - 1)
-    return round(CHARACTER_PX * max(map(len, along.labels)))
+        return axis(along.name, **(_by_ratio(along.values) if along.is_logarithmic else {})), 0
+    # characters that have room below a drawing, for each label
+    room = 52 // len(along.labels)
+    longest = max(len(word) for label in along.labels for word in label.split() or [""])
+    is_upright = len(along.labels) <= 6 and longest <= room
+    lines = [(wrap(label, room) or [""]) if is_upright else [label] for label in along.labels]
+    height = 15 * (max(map(len, lines)) - 1) if is_upright else round(6.5 * max(map(len, along.labels)))
+    ticks = axis(
+        along.name,
+        tickvals=list(range(len(lines))),
+        ticktext=["<br>".join(each) for each in lines],
+        tickangle=0 if is_upright else 90,
+        # without this, plotly.js leaves out a label that reaches beyond the drawing
+        ticklabeloverflow="allow",
+        range=[-0.6, len(lines) - 0.4],
+    )
+    return ticks, height
 
 
 def _by_ratio(values: Array) -> Layout:
@@ -342,73 +265,32 @@ def _by_ratio(values: Array) -> Layout:
     return {"type": "log", "tickvals": ticks, "ticktext": [f"{each:g}" for each in ticks]}
 
 
-def _jittered(along: Axis, rows: Ints) -> Array:
-    """Values of an axis; beside the middle where they are labels."""
-    if not along.labels:
-        return np.asarray(along.values[rows])
-    return np.asarray(along.values[rows] + np.random.default_rng(0).uniform(-0.18, 0.18, len(rows)))
-
-
 def _middle(along: Axis, found: Sequence[Estimate], name: str) -> Trace:
-    return {
-        "type": "scatter",
-        "mode": "markers" if along.labels else "lines+markers",
-        "x": packed([each.at for each in found], "f8"),
-        "y": packed([each.value for each in found], "f8"),
-        "text": [f"{each.count} points" for each in found],
-        "hovertemplate": "%{y:.4g}, %{text}<extra></extra>",
-        "line": {"color": INK, "width": 1.6},
-        "marker": {"color": INK, "size": 6},
-        "name": name,
-    }
+    return _trace(
+        [each.at for each in found],
+        [each.value for each in found],
+        name,
+        "markers" if along.labels else "lines+markers",
+        text=[f"{each.count} points" for each in found],
+        hovertemplate="%{y:.4g}, %{text}<extra></extra>",
+        line={"color": INK, "width": 1.6},
+        marker={"color": INK, "size": 6},
+    )
 
 
 def _strip(
-    along: Axis,
-    found: Sequence[Estimate],
-    low: Sequence[float],
-    high: Sequence[float],
-    name: str,
-    color: str,
+    along: Axis, at: Sequence[float], ends: Sequence[tuple[float, float]], name: str, color: str
 ) -> list[Trace]:
     """Between two curves where the axis has numbers, bars over its labels; groups without are left out."""
-    x, below, above = np.array([each.at for each in found]), np.array(low), np.array(high)
-    known = np.isfinite(below) & np.isfinite(above)
-    x, below, above = x[known], below[known], above[known]
-    if not len(x):
-        return []
+    rows = np.array([(x, *pair) for x, pair in zip(at, ends, strict=True)]).reshape(-1, 3)
+    rows = rows[np.isfinite(rows).all(axis=1)]
     if along.labels:
-        sides = np.array([-HALF_BAR, HALF_BAR])
-        return [
-            _outline(at + sides, np.repeat(a, 2), np.repeat(b, 2), name, color)
-            for at, a, b in zip(x, below, above, strict=True)
-        ]
-    return [_outline(x, below, above, name, color)]
-
-
-def _outline(x: Array, below: Array, above: Array, name: str, color: str) -> Trace:
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": packed(np.concatenate([x, x[::-1]]), "f8"),
-        "y": packed(np.concatenate([below, above[::-1]]), "f8"),
-        "line": {"width": 0},
-        "fill": "toself",
-        "fillcolor": color,
-        "name": name,
-        "hoverinfo": "skip",
-    }
-
-
-def _bars(value: Array, low: Array, high: Array, color: str, width: float) -> dict[str, Any]:
-    """Error bars between two ends; none where they are not finite."""
-    known = np.isfinite(low) & np.isfinite(high)
-    return {
-        "type": "data",
-        "symmetric": False,
-        "array": packed(np.where(known, high - value, 0.0), "f8"),
-        "arrayminus": packed(np.where(known, value - low, 0.0), "f8"),
-        "color": color,
-        "thickness": width,
-        "width": 0,
-    }
+        # bars stand 1 apart
+        parts = [row + np.array([[-0.22, 0.0, 0.0], [0.22, 0.0, 0.0]]) for row in rows]
+    else:
+        parts = [rows] if len(rows) else []
+    style: Layout = {"line": {"width": 0}, "fill": "toself", "fillcolor": color, "hoverinfo": "skip"}
+    return [
+        _trace(np.concatenate([x, x[::-1]]), np.concatenate([low, high[::-1]]), name, **style)
+        for x, low, high in (part.T for part in parts)
+    ]

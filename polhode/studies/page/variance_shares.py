@@ -20,8 +20,6 @@ from polhode.studies.page.dependence import CONFIDENCE, groups_of
 from polhode.studies.study import OpenStudy
 from polhode.studies.table import chosen_rows
 
-MAX_ROWS = 4000
-"""Of which the groups' shares are computed; chosen at random among more"""
 RESAMPLES = 199
 
 
@@ -76,17 +74,12 @@ def _sobol(names: Sequence[str], axes: Sequence[Axis], metric: Metric) -> list[V
         return None
     problem = {"num_vars": len(names), "names": list(names), "bounds": [[0.0, 1.0]] * len(names)}
     found = sobol.analyze(problem, y.ravel(), calc_second_order=False, num_resamples=RESAMPLES, seed=0)
-    at = [list(names).index(axis.name) for axis in axes]
-    return [
-        VarianceShare(
-            *_with_band(found["S1"][k], found["S1_conf"][k]), *_with_band(found["ST"][k], found["ST_conf"][k])
-        )
-        for k in at
-    ]
-
-
-def _with_band(value: float, half: float) -> tuple[float, float, float]:
-    return float(value), float(value - half), float(value + half)
+    shares = []
+    for k in (names.index(axis.name) for axis in axes):
+        first, half, total, total_half = (float(found[n][k]) for n in ("S1", "S1_conf", "ST", "ST_conf"))
+        bands = first - half, first + half, total, total - total_half, total + total_half
+        shares.append(VarianceShare(first, *bands))
+    return shares
 
 
 def _transformed(metric: Metric) -> Array:
@@ -95,16 +88,15 @@ def _transformed(metric: Metric) -> Array:
 
 def _of_groups(axis: Axis, metric: Metric) -> VarianceShare:
     y, group = _transformed(metric), np.zeros(len(metric.values), dtype=np.int64)
-    groups = groups_of(axis)
-    for k, each in enumerate(groups):
+    for k, each in enumerate(groups_of(axis)):
         group[each.rows] = k
     known = np.flatnonzero(np.isfinite(y))
-    known = known[chosen_rows(len(known), MAX_ROWS)]
+    # of more rows, some at random
+    known = known[chosen_rows(len(known), 4000)]
     y, group = y[known], group[known]
     count = len(np.unique(group))
     if count < 2 or len(y) < 3 * count or np.ptp(y) == 0.0:
         return VarianceShare(math.nan, math.nan, math.nan)
-    first = between_groups(y, group)
     band = stats.bootstrap(
         (np.arange(len(y)),),
         lambda rows: between_groups(y[rows], group[rows]),
@@ -114,7 +106,7 @@ def _of_groups(axis: Axis, metric: Metric) -> VarianceShare:
         vectorized=False,
         rng=np.random.default_rng(0),
     ).confidence_interval
-    return VarianceShare(first, max(float(band.low), 0.0), min(float(band.high), 1.0))
+    return VarianceShare(between_groups(y, group), max(float(band.low), 0.0), min(float(band.high), 1.0))
 
 
 def between_groups(y: Array, group: Ints) -> float:

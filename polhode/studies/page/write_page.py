@@ -12,13 +12,11 @@ from polhode.studies.page import sections
 from polhode.studies.page.columns import Metric, axes_of, choose_metrics, is_seed, metrics_of, texts
 from polhode.studies.page.consistency import consistencies
 from polhode.studies.page.variance_shares import has_salib, variance_shares
-from polhode.studies.steps import FAILED
+from polhode.studies.steps import DONE, FAILED
 from polhode.studies.store import Store
 from polhode.studies.study import OpenStudy
 from polhode.studies.table import PAGE, read_table
 
-MAX_FIGURES = 80
-"""Of all metrics together: of more axes, fewer metrics are drawn"""
 MAX_ROWS = 50_000
 MIN_METRICS, MAX_METRICS = 4, 12
 
@@ -37,13 +35,13 @@ def write_page(study: OpenStudy, folder: Path) -> None:
 def render(study: OpenStudy, table: pa.Table, folder: Path) -> str:
     """The whole page."""
     store, axes, every = Store(folder), axes_of(study, table), metrics_of(table)
-    most = min(max(MAX_FIGURES // (1 + len(axes)), MIN_METRICS), MAX_METRICS)
+    # of all metrics together: of more axes, fewer metrics are drawn
+    most = min(max(80 // (1 + len(axes)), MIN_METRICS), MAX_METRICS)
     metrics = choose_metrics(every, study.settings.metrics, most)
     repeated = [name for name in study.columns if is_seed(name)]
     words = sections.words_of_points(table, axes, repeated)
     shared = [variance_shares(study, axes, metric) for metric in metrics[:6]] if axes else []
     agreement = consistencies(table)
-    failed, doubtful = sections.reasons(table)
     return fill(
         "study.html.j2",
         title=printable(study.settings.title or folder.resolve().name),
@@ -59,8 +57,8 @@ def render(study: OpenStudy, table: pa.Table, folder: Path) -> str:
         fronts=sections.trade_offs(metrics, every, words),
         consistency=sections.consistency_figures(agreement),
         consistency_rows=sections.consistency_rows(agreement),
-        failed=failed,
-        doubtful=doubtful,
+        failed=sections.reasons(table, FAILED, "reason"),
+        doubtful=sections.reasons(table, DONE, "doubts"),
         worst=sections.worst_runs(metrics, table, words, store),
         quantiles=sections.quantile_rows(every),
     )
@@ -87,13 +85,13 @@ def _facts(study: OpenStudy, table: pa.Table) -> list[str]:
     done = ", ".join(study.settings.steps) or "the settings alone"
     versions = sorted({each for each in texts(table, "version.polhode") if each})
     processors = sorted({each for each in texts(table, "version.processor") if each})
-    finished = sections.finished_at(table)
+    finished = max((each for each in texts(table, "time.finished") if each), default="")
     return [
         *(f"{', '.join(factor.columns)}: {len(factor)} values" for factor in study.factors),
         f"each point: {done}",
         *(f"polhode {each}" for each in versions),
         *processors,
-        *([f"{finished} UTC"] if finished else []),
+        *([f"{finished[:16].replace('T', ' ')} UTC"] if finished else []),
     ]
 
 

@@ -32,7 +32,7 @@ def surface() -> SurfaceModel:
     return SurfaceModel(mesh, sigma_m, np.full(n, 5, dtype=np.int64), invented)
 
 
-def test_a_sphere_keeps_its_shape_with_fewer_faces(surface: SurfaceModel) -> None:
+def test_a_sphere_keeps_its_shape_with_fewer_faces(surface: SurfaceModel, tmp_path: Path) -> None:
     levels = levels_of(surface, (0.25, 0.0625))
     assert [len(level.surface.mesh.faces) for level in levels] == [5120, 1280]
     for level in levels:
@@ -42,9 +42,7 @@ def test_a_sphere_keeps_its_shape_with_fewer_faces(surface: SurfaceModel) -> Non
         assert 0.0 < level.mean_m < level.largest_m < 3.0 * sagitta_m
         assert mesh.is_volume and mesh.volume == pytest.approx(surface.mesh.volume, rel=0.01)
     assert levels[0].mean_m < levels[1].mean_m
-
-
-def test_colours_sigma_and_invention_come_along(surface: SurfaceModel) -> None:
+    # colours sigma and invention come along
     light = levels_of(surface, (0.25,))[0].surface
     z = light.mesh.vertices[:, 2]
     grey = colours_of(light.mesh)[:, 0].astype(float)
@@ -52,14 +50,10 @@ def test_colours_sigma_and_invention_come_along(surface: SurfaceModel) -> None:
     assert np.all(np.isinf(light.sigma_m[z > 0.096])) and np.all(np.isfinite(light.sigma_m[z < 0.088]))
     middle = light.mesh.triangles_center[:, 2]
     assert np.all(light.is_invented[middle > 0.094]) and not np.any(light.is_invented[middle < 0.086])
-
-
-def test_a_level_that_would_be_too_light_is_left_out(surface: SurfaceModel) -> None:
+    # a level that would be too light is left out
     assert len(levels_of(surface, (0.5, 0.001))) == 1
     assert levels_of(surface, ()) == []
-
-
-def test_the_same_mesh_gives_the_same_bytes(surface: SurfaceModel, tmp_path: Path) -> None:
+    # the same mesh gives the same bytes
     for name in ("a", "b"):
         write_glb(levels_of(surface, (0.25,))[0].surface, tmp_path / name)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()

@@ -40,10 +40,17 @@ def test_a_noisy_sphere_is_found_to_a_third_of_a_voxel(
     assert there.mean() < VOXEL_M / 3
     assert back.mean() < VOXEL_M / 3
     assert np.percentile(back, 99) < VOXEL_M
-
-
-def test_the_surface_is_wound_outwards(sphere: trimesh.Trimesh, fused_sphere: SurfaceModel) -> None:
+    # the surface is wound outwards
     assert fused_sphere.mesh.volume == pytest.approx(sphere.volume, rel=0.03)
+    # sigma bounds the error
+    error = distance_to_surface(sphere, np.asarray(fused_sphere.mesh.vertices))
+    share = np.mean(error < fused_sphere.sigma_m)
+    assert 0.5 < share < 0.95
+    # The sphere spans several chunks of 64 voxels; a seam would leave open edges by the hundred.
+    mesh = fused_sphere.mesh
+    edges, count = np.unique(np.sort(mesh.edges, axis=1), axis=0, return_counts=True)
+    assert np.mean(count == 1) < 0.01
+    assert len(edges) > 10_000
 
 
 def test_a_noisy_box_is_found_to_a_third_of_a_voxel() -> None:
@@ -89,12 +96,6 @@ def test_views_are_counted_and_sigma_falls_with_them(sphere: trimesh.Trimesh) ->
     assert 1.4 < ratio < 2.8
 
 
-def test_sigma_bounds_the_error(sphere: trimesh.Trimesh, fused_sphere: SurfaceModel) -> None:
-    error = distance_to_surface(sphere, np.asarray(fused_sphere.mesh.vertices))
-    share = np.mean(error < fused_sphere.sigma_m)
-    assert 0.5 < share < 0.95
-
-
 def test_a_wrong_surface_in_a_few_frames_is_carved_away(sphere: trimesh.Trimesh) -> None:
     frames = views_of(sphere, 30, sigma_m=1e-3)
     for k in (3, 7, 11, 15):
@@ -117,35 +118,23 @@ def test_the_same_input_gives_the_same_files(sphere: trimesh.Trimesh, tmp_path: 
     assert contents[0] == contents[1]
 
 
-def test_no_frames_and_frames_without_depth_give_an_empty_mesh(sphere: trimesh.Trimesh) -> None:
+def test_what_is_not_seen_is_left_out(sphere: trimesh.Trimesh) -> None:
     depth, X_RG = views_of(sphere, 1, sigma_m=1e-3)[0]
     blind = replace(depth, depth_m=np.full_like(depth.depth_m, np.nan))
     for frames in ([], [(blind, X_RG)] * 3):
         surface = fuse(frames, RIG, CONFIG)
         assert len(surface.mesh.faces) == len(surface.sigma_m) == len(surface.views) == 0
-
-
-def test_a_pose_with_nan_is_left_out(sphere: trimesh.Trimesh) -> None:
+    # a pose with nan is left out
     frames = views_of(sphere, 8, sigma_m=1e-3)
     broken = [*frames, (frames[0][0], np.full((4, 4), np.nan))]
     with_it, without = fuse(broken, RIG, CONFIG), fuse(frames, RIG, CONFIG)
     np.testing.assert_array_equal(with_it.mesh.vertices, without.mesh.vertices)
-
-
-def test_one_frame_gives_the_side_that_was_seen(sphere: trimesh.Trimesh) -> None:
+    # one frame gives the side that was seen
     frames = views_of(sphere, 1, sigma_m=5e-4)
     surface = fuse(frames, RIG, CONFIG)
     towards_camera = np.asarray(surface.mesh.vertices) @ frames[0][1][2, :3]
     assert len(surface.mesh.faces) > 500
     assert towards_camera.max() < 0.01
-
-
-def test_seams_between_chunks_are_closed(fused_sphere: SurfaceModel) -> None:
-    # The sphere spans several chunks of 64 voxels; a seam would leave open edges by the hundred.
-    mesh = fused_sphere.mesh
-    edges, count = np.unique(np.sort(mesh.edges, axis=1), axis=0, return_counts=True)
-    assert np.mean(count == 1) < 0.01
-    assert len(edges) > 10_000
 
 
 def test_the_voxel_follows_the_scale_and_the_memory(sphere: trimesh.Trimesh) -> None:

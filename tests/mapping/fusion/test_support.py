@@ -43,17 +43,29 @@ def is_known(said_voxels: list[float], through: float = 0.0, min_views: int = 3)
     return bool(known_voxels(voxel(said_voxels, through), VOXEL_M, CONFIG, min_views)[0, 0])
 
 
-def test_scatter_is_the_standard_deviation() -> None:
+def test_voxels_count_where_frames_agree() -> None:
     assert scatter_m(voxel([-1.0, 0.0, 2.0]))[0, 0] == pytest.approx(
         np.std([-1.0, 0.0, 2.0]) * VOXEL_M, rel=1e-5
     )
-
-
-def test_two_frames_count_where_they_agree() -> None:
+    # two frames count where they agree
     assert is_known([0.5, -0.5])
     assert not is_known([1.0, -1.0])
     assert not is_known([0.0])
     assert is_known([0.0], min_views=1)
+    # far from the surface on average, so they do not set what is usual
+    assert is_known([1.0, 2.0, 3.0, 2.0])
+    assert not is_known([4.0, 0.0, 4.0, 0.0, 4.0])
+    # what frames look through is left out
+    assert is_known([0.1, 0.0, -0.1], through=1.0)
+    assert not is_known([0.1, 0.0, -0.1], through=1.5)
+    # empty space is known by those who look through
+    empty = np.zeros((1, 1, CHANNELS), dtype=np.float32)
+    assert not known_voxels(empty, VOXEL_M, CONFIG, 1).any()
+    empty[..., FREE] = 2.0
+    assert known_voxels(empty, VOXEL_M, CONFIG, 1).all()
+    # where all depth is poor the limits follow
+    poor = np.concatenate([voxel([3.0, -3.0, 3.0, -3.0])] * 9 + [voxel([9.0, -9.0, 9.0, -9.0])])
+    assert known_voxels(poor, VOXEL_M, CONFIG, 3).reshape(-1).tolist() == [True] * 9 + [False]
 
 
 @pytest.mark.parametrize("weight", [1.0, 0.1, 0.01, 1e-4])
@@ -63,29 +75,6 @@ def test_a_frame_does_not_confirm_another_by_its_poor_weight(weight: float) -> N
 
     assert confirmed([0.5, -0.5])
     assert not confirmed([0.0, 2.0])
-
-
-def test_many_frames_do_not_count_where_they_contradict_each_other() -> None:
-    # far from the surface on average, so they do not set what is usual
-    assert is_known([1.0, 2.0, 3.0, 2.0])
-    assert not is_known([4.0, 0.0, 4.0, 0.0, 4.0])
-
-
-def test_what_frames_look_through_is_left_out() -> None:
-    assert is_known([0.1, 0.0, -0.1], through=1.0)
-    assert not is_known([0.1, 0.0, -0.1], through=1.5)
-
-
-def test_empty_space_is_known_by_those_who_look_through() -> None:
-    empty = np.zeros((1, 1, CHANNELS), dtype=np.float32)
-    assert not known_voxels(empty, VOXEL_M, CONFIG, 1).any()
-    empty[..., FREE] = 2.0
-    assert known_voxels(empty, VOXEL_M, CONFIG, 1).all()
-
-
-def test_where_all_depth_is_poor_the_limits_follow() -> None:
-    poor = np.concatenate([voxel([3.0, -3.0, 3.0, -3.0])] * 9 + [voxel([9.0, -9.0, 9.0, -9.0])])
-    assert known_voxels(poor, VOXEL_M, CONFIG, 3).reshape(-1).tolist() == [True] * 9 + [False]
 
 
 def test_thin_parts_beside_the_body_stay() -> None:

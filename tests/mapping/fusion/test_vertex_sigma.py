@@ -83,9 +83,7 @@ def test_a_plane_is_smooth_and_has_the_noise_of_frames_alone_and_in_common() -> 
         scale = NoiseScale(errors.scale, stated, 0).at(stated)
         np.testing.assert_allclose(sigma, scale * stated, rtol=1e-4)
         assert errors.landmarks == 0
-
-
-def test_shares_of_correlated_errors_add_up_and_have_lengths_in_voxels() -> None:
+    # shares of correlated errors add up and have lengths in voxels
     plane = wavy(0.0, 1.0)
     noise = np.full(len(plane.vertices), NOISE_M)
     _, errors = vertex_sigma(
@@ -114,9 +112,7 @@ def test_landmarks_scale_the_noise_by_their_median_distance() -> None:
     assert noise_scale(*plate, stated, views, landmarks + np.array([0.0, 0.0, 0.05]), STEP_M) == usual
     both = replace(views, back_share=np.full(len(stated), 0.3))
     assert noise_scale(*plate, stated, both, landmarks, STEP_M) == usual
-
-
-def test_landmarks_show_nothing_where_depth_is_much_worse_than_at_them() -> None:
+    # landmarks show nothing where depth is much worse than at them
     stated = NOISE_M * np.array([0.1, 1.0, 3.0, 10.0, 100.0])
     for scale in (0.4, 1.2):
         found = NoiseScale(scale, NOISE_M, 500).at(stated)
@@ -156,7 +152,17 @@ def test_sigma_is_larger_at_the_border_and_a_closed_surface_has_none() -> None:
     np.testing.assert_allclose(sigma[1][inner(plane)], sigma[0][inner(plane)])
 
 
-def test_edges_of_a_smooth_body_are_no_relief_and_waves_all_over_are() -> None:
+def test_waves_are_rough_where_they_are_shorter_than_the_disc() -> None:
+    mesh = wavy(4e-4, 0.012)
+    rough = roughness(mesh, 0.02)[inner(mesh)]
+    np.testing.assert_allclose(np.sqrt(np.mean(rough**2)), 4e-4 / np.sqrt(2.0), rtol=0.1)
+    # waves longer than the disc count less
+    mesh = wavy(4e-4, 0.15)
+    assert roughness(mesh, 0.01)[inner(mesh)].max() < 0.2 * 4e-4
+    # a mesh without faces has no roughness
+    empty = trimesh.Trimesh(np.zeros((3, 3)), np.zeros((0, 3), dtype=np.int64), process=False)
+    np.testing.assert_array_equal(roughness(empty, 0.01), 0.0)
+    # edges of a smooth body are no relief and waves all over are
     values = np.zeros(len(wavy(0.0, 1.0).vertices))
     values[::5] = 1.0
     assert patch_quantile(wavy(0.0, 1.0), values, STEP_M).max() == 0.0
@@ -190,19 +196,3 @@ def test_both_sides_of_a_thin_panel_lie_where_they_are() -> None:
     off = distance_to_surface(panel, np.asarray(found.mesh.vertices))
     # averaged with each other they are 0.9 mm off
     assert np.median(off) < 3e-4
-
-
-def test_waves_shorter_than_the_disc_have_the_root_mean_square_of_a_sine() -> None:
-    mesh = wavy(4e-4, 0.012)
-    rough = roughness(mesh, 0.02)[inner(mesh)]
-    np.testing.assert_allclose(np.sqrt(np.mean(rough**2)), 4e-4 / np.sqrt(2.0), rtol=0.1)
-
-
-def test_waves_longer_than_the_disc_count_less() -> None:
-    mesh = wavy(4e-4, 0.15)
-    assert roughness(mesh, 0.01)[inner(mesh)].max() < 0.2 * 4e-4
-
-
-def test_a_mesh_without_faces_has_no_roughness() -> None:
-    empty = trimesh.Trimesh(np.zeros((3, 3)), np.zeros((0, 3), dtype=np.int64), process=False)
-    np.testing.assert_array_equal(roughness(empty, 0.01), 0.0)

@@ -33,11 +33,18 @@ def views(*turns_rad: float, offset_m: float = 0.0) -> VertexViews:
     return views_of_vertices(frames, RIG, POINT + offset_m * UP, UP, CUT_M, VOXEL_M)
 
 
-def test_frames_that_face_a_vertex_tell_how_far_it_is_off() -> None:
+def test_frames_tell_how_far_a_vertex_is_off_and_from_which_side() -> None:
     found = views(0.0, 0.3, offset_m=1e-3)
     assert found.front_m[0] == pytest.approx(1e-3, abs=1e-4)
     assert found.front_weight[0] == pytest.approx(found.weight[0])
     assert found.back_share[0] == 0.0
+    # a frame on the other side sees it from behind
+    found = views(0.0, np.pi)
+    assert 0.2 < found.back_share[0] < 0.6
+    assert found.front_m[0] == pytest.approx(0.0, abs=1e-4)
+    # where no frame saw a vertex nothing is known
+    for found in (views(0.0, offset_m=0.1), views_of_vertices([], RIG, POINT, UP, CUT_M, VOXEL_M)):
+        assert found.weight[0] == 0.0 and np.isinf(found.shared_m[0]) and found.back_share[0] == 0.0
 
 
 def test_frames_that_disagree_about_a_vertex_have_a_large_chi_square() -> None:
@@ -51,20 +58,9 @@ def test_frames_that_disagree_about_a_vertex_have_a_large_chi_square() -> None:
     assert found.front_chi2[0] == pytest.approx(2.0, rel=0.05)
 
 
-def test_a_frame_on_the_other_side_sees_it_from_behind() -> None:
-    found = views(0.0, np.pi)
-    assert 0.2 < found.back_share[0] < 0.6
-    assert found.front_m[0] == pytest.approx(0.0, abs=1e-4)
-
-
 def test_errors_of_frames_in_the_same_direction_do_not_average_out() -> None:
     one, same, apart = views(0.2), views(0.2, 0.2, 0.2, 0.2), views(-1.0, 1.0)
     assert one.shared_m[0] == pytest.approx(one.weight[0] ** -0.5, rel=1e-3)
     assert same.shared_m[0] == pytest.approx(one.shared_m[0], rel=1e-3)
     correlation = np.exp(-2.0 / FADING_RAD)
     assert apart.shared_m[0] == pytest.approx(apart.weight[0] ** -0.5 * np.sqrt(1.0 + correlation), rel=0.02)
-
-
-def test_where_no_frame_saw_a_vertex_nothing_is_known() -> None:
-    for found in (views(0.0, offset_m=0.1), views_of_vertices([], RIG, POINT, UP, CUT_M, VOXEL_M)):
-        assert found.weight[0] == 0.0 and np.isinf(found.shared_m[0]) and found.back_share[0] == 0.0

@@ -87,20 +87,11 @@ def test_the_page_says_what_holds_what_matters_and_what_failed(page: Path) -> No
     # the worst points are told with their seeds
     assert re.search(r"scene\.interval_s \d\S*, front end learned, seed \d", text)
     assert "First order only" in text and "evaluate.error_k1" in text
+    # the report of point 0 was kept
+    assert re.search(r'<a href="runs/[0-9a-f]{24}/run/report.html">point 0</a>', text)
+    assert "point 1</a>" not in text
     # nothing is loaded from elsewhere
     assert "default-src 'none'" in text and not re.search(r'(src|href)="https?:', text)
-
-
-def test_the_worst_points_are_linked_to_their_reports_if_these_were_kept(store_study: StoreStudy) -> None:
-    study, folder = store_study(lambda number, _: of_metrics(run__e=float(number)), **STUDY | {"steps": []})
-    address = study.point(63).address
-    run = Store(folder).run_folder(address) / "run"
-    run.mkdir(parents=True)
-    (run / "report.html").write_text("")
-    write_page(study, folder)
-    text = (folder / "study.html").read_text()
-    assert f'<a href="runs/{address[:24]}/run/report.html">point 63</a>' in text
-    assert "point 62</a>" not in text
 
 
 def test_columns_are_axes_and_metrics_and_the_study_chooses_what_is_drawn(store_study: StoreStudy) -> None:
@@ -115,18 +106,12 @@ def test_columns_are_axes_and_metrics_and_the_study_chooses_what_is_drawn(store_
     assert [each.column for each in chosen] == ["evaluate.mesh.completeness_3mm", "time.run.total_s"]
     assert chosen[0].more_is_better and not chosen[1].more_is_better
     main_ones = choose_metrics(metrics, (), 3)
-    assert [each.title for each in main_ones] == [
-        "evaluate.attitude_error_deg.median",
-        "evaluate.rmse_position_m",
-        "|evaluate.error_k1|",
-    ]
+    titles = ("evaluate.attitude_error_deg.median", "evaluate.rmse_position_m", "|evaluate.error_k1|")
+    assert tuple(each.title for each in main_ones) == titles
     assert (main_ones[2].known >= 0.0).all() and main_ones[2].is_logarithmic
     assert "evaluate.coverage_3sigma.position" not in {each.column for each in metrics}  # the same everywhere
-
-
-def test_standard_deviations_that_are_too_small_are_called_so(store_study: StoreStudy) -> None:
-    _, folder = store_study(invented, **STUDY)
-    found = {(each.group, each.name): each for each in consistencies(read_table(folder))}
+    # standard deviations that are too small are called so
+    found = {(each.group, each.name): each for each in consistencies(table)}
     assert {name: each.sigmas for name, each in found.items()} == {
         ("nees", "position"): "right",
         ("nees", "attitude"): "too small",
@@ -135,6 +120,11 @@ def test_standard_deviations_that_are_too_small_are_called_so(store_study: Store
     attitude = found["nees", "attitude"]
     assert attitude.expected_low < 3.0 < attitude.expected_high < attitude.low < 12.0 < attitude.high
     assert attitude.inside < 0.8 < found["nees", "position"].inside
+    # of a large table rows at random are read
+    few = read_table(folder, 10)
+    assert few.num_rows == 10 and few.schema == table.schema
+    numbers = few.column("point").to_pylist()
+    assert numbers == sorted(set(numbers)) and few == table.take(pa.array(numbers))
 
 
 def test_a_front_has_the_points_that_no_other_is_below() -> None:
@@ -170,15 +160,6 @@ def test_the_page_is_written_again_when_asked_and_nothing_is_computed(
     printed = capsys.readouterr().err
     assert "no study of polhode sweep" in printed and printed.count("\n") == 1
     assert not (tmp_path / "new").exists()
-
-
-def test_of_a_large_table_rows_at_random_are_read(store_study: StoreStudy) -> None:
-    _, folder = store_study(invented, **STUDY)
-    whole, few = read_table(folder), read_table(folder, 10)
-    assert few.num_rows == 10 and few.schema == whole.schema
-    numbers = few.column("point").to_pylist()
-    assert numbers == sorted(set(numbers))
-    assert few == whole.take(pa.array(numbers))
 
 
 @pytest.fixture(scope="module")
