@@ -100,7 +100,7 @@ class DepthMaps(MadeByPair):
     def __iter__(self) -> Iterator[DepthMap]:
         return (packed.unpacked() for packed in self._packed(range(len(self))))
 
-    def __getitem__(self, k: Any) -> DepthMap:
+    def __getitem__(self, k: Any) -> Any:
         return next(self._packed([k])).unpacked()
 
     def jobs(self) -> Iterator[Callable[[RunContext], int]]:

@@ -489,7 +489,7 @@ def test_a_copy_of_a_runs_result_is_no_prediction_page_or_export(
         "mesh.glb": ["export", run, "--to", "glb"],
         "summary.json": ["export", run, "--to", "json"],
     }.items():
-        copy = shutil.copy(stage.run / name, tmp_path / f"my_{name}")
+        copy = Path(shutil.copy(stage.run / name, tmp_path / f"my_{name}"))
         stays([*words, "-o", str(copy)], copy, capsys)
 
 

@@ -140,8 +140,13 @@ def undetermined(example: Example) -> Example:
     """The same run, had the body spun about one principal axis only."""
     inf2, inf3 = np.diag([np.inf] * 2), np.diag([1e-8, np.inf, 1e-8])
     flags, words = np.array([True, False, True]), {"k1": "pure spin: no torque-free wobble to see"}
-    known = Identifiability(*[False] * 4, words, flags, flags, np.full(8, np.inf))
-    lost = {"cov_k": inf2, "cov_com_G": inf3, "cov_R_GP": inf3, "cov_J": np.full((5, 5), np.nan)}
+    known = Identifiability(False, False, False, False, words, flags, flags, np.full(8, np.inf))
+    lost: dict[str, Any] = {
+        "cov_k": inf2,
+        "cov_com_G": inf3,
+        "cov_R_GP": inf3,
+        "cov_J": np.full((5, 5), np.nan),
+    }
     mass = replace(example.estimate.mass, **lost, identifiable=known)
     covariance = example.estimate.covariance.copy()
     covariance[:, 1, 1] = np.inf
@@ -154,7 +159,7 @@ def _mass_properties() -> MassProperties:
     moments = np.array([y * y + z * z, x * x + z * z, x * x + y * y])
     moments = moments / moments[1]
     yes = np.ones(3, dtype=bool)
-    known = Identifiability(*[True] * 4, {"k1": "well determined"}, yes, yes, np.ones(8))
+    known = Identifiability(True, True, True, True, {"k1": "well determined"}, yes, yes, np.ones(8))
     return MassProperties(
         J_G=np.diag(moments),
         moments=moments,

@@ -168,7 +168,7 @@ class Items(MadeByPair):
     def __iter__(self) -> Iterator[int]:
         return (self[k] for k in range(len(self)))
 
-    def __getitem__(self, k: Any) -> int:
+    def __getitem__(self, k: Any) -> Any:
         file = self.folder / f"item{k}"
         return int(file.read_text()) if file.is_file() else os.getpid()
 

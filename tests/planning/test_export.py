@@ -441,7 +441,7 @@ def test_an_epoch_beside_timestamps_that_are_utc_already_is_a_warning(
 
 
 def test_known_torques_set_the_scale_whatever_the_mass(example: Example, tmp_path: Path) -> None:
-    scale = {"inertia_scale_kg_m2": 0.25, "sigma_inertia_scale_kg_m2": 0.01}
+    scale: dict[str, Any] = {"inertia_scale_kg_m2": 0.25, "sigma_inertia_scale_kg_m2": 0.01}
     mass = replace(example.estimate.mass, mass_kg=9.0, sigma_mass_kg=0.1, **scale)
     torqued = replace(example, estimate=replace(example.estimate, mass=mass))
     run = stored(tmp_path / "torqued", torqued, example.surface)

@@ -303,7 +303,11 @@ def inspector(stamps: list[int], old: str = "", new: str = "") -> Damage:
 
 
 def with_inspector(damage: Damage) -> Damage:
-    return lambda folder: (inspector(STAMPS)(folder), damage(folder))[1]
+    def both(folder: Path) -> None:
+        inspector(STAMPS)(folder)
+        damage(folder)
+
+    return both
 
 
 def too_few_bits(folder: Path) -> None:

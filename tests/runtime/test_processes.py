@@ -45,9 +45,10 @@ def program(folder: Path, script: str, **options: Any) -> subprocess.Popen[str]:
     (folder / "start.py").write_text(script)
     environment = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{folder}"}
     environment.pop("PYTHONSAFEPATH", None)
-    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "cwd": folder} | options
+    given: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "cwd": folder, **options}
     command = [sys.executable, str(folder / "start.py")]
-    return subprocess.Popen(command, env=environment, text=True, **options)
+    started: subprocess.Popen[str] = subprocess.Popen(command, env=environment, text=True, **given)
+    return started
 
 
 def test_an_interrupt_while_the_server_imports_is_left_to_the_program(tmp_path: Path) -> None:

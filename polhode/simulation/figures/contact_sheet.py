@@ -85,7 +85,7 @@ def frames_to_show(plan: SequencePlan) -> list[int]:
 
 def _in_view(plan: SequencePlan, k: int, points: int | None = None) -> tuple[Array, Array]:
     """Pixels (n, 2) of the target's vertices in the left image, and their indices; of about that many."""
-    vertices_G = plan.body.mesh.vertices
+    vertices_G = np.asarray(plan.body.mesh.vertices)
     if points is not None:
         vertices_G = vertices_G[:: 1 + len(vertices_G) // points]
     return plan.cameras[0].project_visible(

@@ -89,8 +89,9 @@ def draw_correspondence(
         panel = figure.add_subplot(1, 2, place + 1)
         panel.imshow(image, cmap="gray", vmin=0, vmax=2**plan.scene.sensor.bits - 1)
         if place == 0:
-            panel.scatter(*uv[~visible].T, s=14, facecolors="none", edgecolors="gray")
-        panel.scatter(*uv[visible].T, s=18, c=colours[visible], edgecolors="black", linewidths=0.5)
+            panel.scatter(uv[~visible, 0], uv[~visible, 1], s=14, facecolors="none", edgecolors="gray")
+        seen = uv[visible]
+        panel.scatter(seen[:, 0], seen[:, 1], s=18, c=colours[visible], edgecolors="black", linewidths=0.5)
         v, u = np.nonzero(picture.covered > 0)
         if len(u) > 0:
             panel.set(xlim=(u.min() - 8, u.max() + 8), ylim=(v.max() + 8, v.min() - 8))

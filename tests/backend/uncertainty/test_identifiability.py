@@ -1,5 +1,7 @@
 """Verdicts on motions whose answer is known from rigid-body dynamics."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -27,7 +29,7 @@ def estimate(
     J_G: np.ndarray, w_G: tuple[float, float, float], psd: float = 1e-8, most: int = 200
 ) -> MotionEstimate:
     """30 s of a body seen well: 60 frames, 0.3 px."""
-    noise = {"accel_psd": psd, "torque_psd": psd}
+    noise: dict[str, Any] = {"accel_psd": psd, "torque_psd": psd}
     scene = SyntheticScene(
         frames=60, landmarks=200, detection=0.4, sigma_uv_px=0.3, sigma_d_px=0.1, J_G=J_G, w_G=w_G, **noise
     )

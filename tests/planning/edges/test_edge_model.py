@@ -294,7 +294,7 @@ def test_an_open_sheet_is_lit_from_behind_and_an_outline_on_one_side() -> None:
         for sun in -1.0, 1.0:
             *_, found = contrasts(sheet, np.array([0.4, 0.3, 3.0 * side]), np.array([0.0, 0.0, sun]))
             assert_allclose(found, 1.0 if sun == side else 0.0)
-    sun = np.array([1.0, 0.0, 0.0])
-    _, normals, found = contrasts(trimesh.creation.icosphere(4, 0.5), np.array([0.0, 0.0, 4.0]), sun)
-    assert_allclose(found, np.maximum(normals @ sun, 0.0), atol=0.02)
+    aside = np.array([1.0, 0.0, 0.0])
+    _, normals, found = contrasts(trimesh.creation.icosphere(4, 0.5), np.array([0.0, 0.0, 4.0]), aside)
+    assert_allclose(found, np.maximum(normals @ aside, 0.0), atol=0.02)
     assert 0.3 < (found > 0.1).mean() < 0.6

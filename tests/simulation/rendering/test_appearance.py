@@ -57,8 +57,8 @@ def test_reflectance_relief_and_layers_are_read_from_a_chart() -> None:
     points = np.vstack([_at(chart, 1.4, 2.4), _at(chart, 1.6, 2.4), _at(chart, 1.4, 1.4)])
     _, _, layers = look_up(np.array([0, 0, 0]), points, chart_atlas((chart,)))
     np.testing.assert_array_equal(layers, [2, 0, 0])
-    reflectance, slope_G, layer = look_up(np.array([-1]), np.zeros((1, 3)), chart_atlas((_chart(),)))
-    assert np.isnan(reflectance[0]) and not slope_G.any() and layer[0] == 0
+    reflectance, slope_G, layers = look_up(np.array([-1]), np.zeros((1, 3)), chart_atlas((_chart(),)))
+    assert np.isnan(reflectance[0]) and not slope_G.any() and layers[0] == 0
 
 
 def test_rows_run_along_the_direction_that_is_asked_for() -> None:

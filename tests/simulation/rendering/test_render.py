@@ -25,10 +25,10 @@ def test_one_pose_per_sample_averages_the_pictures_and_motion_together_keeps_the
     moving = np.stack([make_pose(np.eye(3), [x, 0.0, 0.6]) for x in shifts])
     blurred = renderer.picture(LEFT, np.eye(4), moving)
     assert blurred.covered.max() <= 0.5
-    still = [renderer.picture(LEFT, np.eye(4), pose) for pose in moving[::2]]
-    expected = [0.5 * picture.covered.sum() for picture in still]
+    ends = [renderer.picture(LEFT, np.eye(4), pose) for pose in moving[::2]]
+    expected = [0.5 * picture.covered.sum() for picture in ends]
     assert abs(blurred.covered.sum() / sum(expected) - 1.0) < 0.01
-    assert abs(blurred.level.sum() / sum(0.5 * picture.level.sum() for picture in still) - 1.0) < 0.02
+    assert abs(blurred.level.sum() / sum(0.5 * picture.level.sum() for picture in ends) - 1.0) < 0.02
     renderer = Renderer(build_body(SCENE.body, 3), SCENE, 3)
     repeated = np.broadcast_to(X_NG, (4, 4, 4))
     still, held = renderer.picture(LEFT, np.eye(4), X_NG), renderer.picture(LEFT, np.eye(4), repeated)

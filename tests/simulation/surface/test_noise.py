@@ -60,7 +60,8 @@ def test_another_seed_gives_another_pattern() -> None:
 def test_noise_depends_on_the_point_alone_is_continuous_and_has_its_gradient() -> None:
     rng = np.random.default_rng(0)
     points, order = rng.uniform(-1, 1, (500, 3)), rng.permutation(500)
-    scale, seed = np.full(500, 0.03), np.full(500, 7)
+    scale: Array = np.full(500, 0.03)
+    seed: Ints = np.full(500, 7)
     values = fractal(points, scale, seed)
     np.testing.assert_array_equal(values[order], fractal(points[order], scale, seed))
     assert np.abs(values).max() <= 1.0
@@ -68,8 +69,7 @@ def test_noise_depends_on_the_point_alone_is_continuous_and_has_its_gradient() -
     np.testing.assert_array_equal(cells[order], [cell_at(x, y, z, 7) for x, y, z in points[order] / 0.03])
     assert np.abs(cells).max() <= 1.0
     at = np.array([[0.2, 0.4, 0.6], [-0.2, 0.0, 0.2]])
-    scale: Array = np.full(2, 0.2)
-    seed: Ints = np.full(2, 5)
+    scale, seed = np.full(2, 0.2), np.full(2, 5)
     jump = fractal(at + 1e-9, scale, seed) - fractal(at - 1e-9, scale, seed)
     assert np.abs(jump).max() < 1e-6
     rng = np.random.default_rng(1)

@@ -137,7 +137,7 @@ def test_the_surface_of_one_pose_is_that_of_the_other(bodies: dict[int, KnownBod
     assert np.isnan(surface_at(body, 0, np.array([[0.0, 0.0]])).p_K).all()
     v, u = np.nonzero(body.on_target(0))
     own = surface_at(body, 0, np.column_stack([u, v])[::31].astype(float))
-    own = own[np.isfinite(own.p_K).all(axis=1)]
+    own = own[np.asarray(np.isfinite(own.p_K).all(axis=1))]
     np.testing.assert_allclose(np.linalg.norm(own.normal_K, axis=1), 1.0, atol=1e-3)
     p_B = transform_points(body.X_between(1, 0), own.p_K)
     other = surface_at(body, 1, body.rig(1).project(p_B)[:, :2])

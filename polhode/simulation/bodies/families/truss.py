@@ -37,8 +37,8 @@ def truss_parts(size_m: float, builder: PartBuilder) -> list[Part]:
         parts += moved(equipment.whip(0.16 * size_m, 0.002 * size_m), foot)
     parts += _payloads(builder, stations, radius, size_m)
     n = 2 * bays + 1
-    y, z = (np.full(n, c) + 0.004 * size_m * rng.normal(0, 1, n) for c in section[0] * [0.93, 0.9])
-    return parts + equipment.cable(np.column_stack([np.linspace(start, end, n), y, z]), 0.006 * size_m)
+    sag = [np.full(n, c) + 0.004 * size_m * rng.normal(0, 1, n) for c in section[0] * [0.93, 0.9]]
+    return parts + equipment.cable(np.column_stack([np.linspace(start, end, n), *sag]), 0.006 * size_m)
 
 
 def _lattice(

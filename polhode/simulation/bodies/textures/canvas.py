@@ -144,13 +144,13 @@ def charts_around(
             right = np.array([-np.sin(angle), np.cos(angle), 0.0])
             down = (low - high) / np.linalg.norm(low - high)
             origin = high - 0.5 * (u.shape[1] - 1) * texel_m * right - 0.5 * texel_m * down
-            painted, steep, layers = (
+            remapped: list[Any] = [
                 None if sheet is None else np.asarray(cv2.remap(sheet, u + np.float32(k * across), v, how))
                 for sheet, how in zip(
                     sheets, (cv2.INTER_LINEAR, cv2.INTER_LINEAR, cv2.INTER_NEAREST), strict=True
                 )
-            )
-            assert painted is not None
+            ]
+            painted, steep, layers = remapped
             own = None if steep is None else np.rint(steep).astype(np.int8)
             chart = Chart(origin, right, down, texel_m, painted, own, layers, tuple(canvas.materials))
             charts.append((chart, faces[faces >= 0]))

@@ -76,7 +76,8 @@ def _outline(centre: Array, radius: float, rng: np.random.Generator) -> Code:
         points = np.array([[-1.0, -h], [1.0, -h], [1.0, h], [-1.0, h]])
     angle = rng.uniform(0, 2 * np.pi)
     cos, sin = np.cos(angle), np.sin(angle)
-    return np.rint(centre + radius * (points @ np.array([[cos, sin], [-sin, cos]]))).astype(np.int32)
+    turned = np.rint(centre + radius * (points @ np.array([[cos, sin], [-sin, cos]])))
+    return np.asarray(turned, dtype=np.int32)
 
 
 def _polyline(c: Canvas, points: Array, value: int, thick: int, closed: bool = False) -> None:
