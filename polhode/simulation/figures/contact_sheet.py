@@ -18,7 +18,7 @@ from PIL import Image, ImageDraw, ImageFont
 from rich.progress import Progress as RichProgress
 
 from polhode.config.scene_settings import Scene
-from polhode.geometry.lie import Array, inverse_pose, transform_points
+from polhode.geometry.lie import Array, Ints, inverse_pose, transform_points
 from polhode.runtime.errors import InputError
 from polhode.runtime.processes import in_order
 from polhode.simulation.dataset.frame_renderer import FrameRenderer
@@ -83,7 +83,7 @@ def frames_to_show(plan: SequencePlan) -> list[int]:
     return [int(there[place]) for place in places]
 
 
-def _in_view(plan: SequencePlan, k: int, points: int | None = None) -> tuple[Array, Array]:
+def _in_view(plan: SequencePlan, k: int, points: int | None = None) -> tuple[Array, Ints]:
     """Pixels (n, 2) of the target's vertices in the left image, and their indices; of about that many."""
     vertices_G = np.asarray(plan.body.mesh.vertices)
     if points is not None:

@@ -55,9 +55,9 @@ def test_small_holes_over_edges_and_corners_are_closed_and_large_ones_are_not() 
         assert found.closed == 1 and found.surface.mesh.is_volume
         assert found.surface.mesh.volume == pytest.approx(1e-3, rel=0.01)
     # a large hole stays open
-    opened = surface_of(without(box(), (0.05, 0.0, 0.0), 0.035))
-    found = close_small_holes(opened, 0.04)
-    assert found.closed == 0 and len(found.surface.mesh.faces) == len(opened.mesh.faces)
+    large = surface_of(without(box(), (0.05, 0.0, 0.0), 0.035))
+    found = close_small_holes(large, 0.04)
+    assert found.closed == 0 and len(found.surface.mesh.faces) == len(large.mesh.faces)
     assert not found.surface.is_invented.any()
     # a sphere gets its volume back
     ball = trimesh.creation.icosphere(5, 0.05)

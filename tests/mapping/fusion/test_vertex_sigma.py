@@ -115,9 +115,9 @@ def test_landmarks_scale_the_noise_by_their_median_distance() -> None:
     # landmarks show nothing where depth is much worse than at them
     stated = NOISE_M * np.array([0.1, 1.0, 3.0, 10.0, 100.0])
     for scale in (0.4, 1.2):
-        found = NoiseScale(scale, NOISE_M, 500).at(stated)
-        assert found[0] == pytest.approx(scale, rel=0.01)
-        assert (np.diff(found) > 0.0).all()
+        at = NoiseScale(scale, NOISE_M, 500).at(stated)
+        assert at[0] == pytest.approx(scale, rel=0.01)
+        assert (np.diff(at) > 0.0).all()
     far = [NoiseScale(scale, NOISE_M, 500).at(stated)[-1] for scale in (0.4, 1.2)]
     assert far[0] == pytest.approx(far[1], rel=0.01)
 
