@@ -638,10 +638,13 @@ def test_a_run_whose_name_is_not_utf8_is_shown_with_escapes(
     run, shown, page = tmp_path / NOT_UTF8, "bad\\udcff", tmp_path / "page.html"
     shutil.copytree(stage.run, run)
     monkeypatch.setattr("polhode.report.page.evaluate", lambda run, data: {"rmse_position_m": 1.0})
-    (run / ".report.partial-999999999.html").write_text("half")
     assert main(["evaluate", str(run), str(tmp_path)]) == 0
     assert f"<title>{shown}" in (run / "report.html").read_text()
-    assert not list(run.glob(".report*")), "what a killed evaluation left is removed"
+    killed = tmp_path / "killed"
+    shutil.copytree(stage.run, killed)
+    (killed / ".report.partial-999999999.html").write_text("half")
+    assert main(["evaluate", str(killed), str(tmp_path)]) == 0
+    assert not list(killed.glob(".report*")), "what a killed evaluation left is removed"
     for runs in ([run], [run, stage.run]):
         assert main(["report", *map(str, runs), "-o", str(page)]) == 0
         assert shown in page.read_text()
