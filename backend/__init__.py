@@ -1,8 +1,8 @@
 """The back end: feature tracks in; motion, mass properties and their covariances out.
 
 - ``estimate``: full smoothing over the sequence; ``result``: what is reported of a solution.
-- ``between``: all frames of a long sequence, from the estimate of its key frames.
-- ``part``: some of the measurements solved by themselves, for checks.
+- ``between_key_frames``: all frames of a long sequence, from the estimate of its key frames.
+- ``subset_solution``: some of the measurements solved by themselves, for checks.
 - ``window``: the causal estimate by a sliding window.
 - ``wrenches``: known and unknown forces and torques.
 - ``outliers_and_noise``: removal of outliers, and noise levels from the data.

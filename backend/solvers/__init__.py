@@ -1,8 +1,8 @@
 """Solvers of the weighted nonlinear least-squares problem: data and a start in, an optimum out.
 
-- ``solve``: the choice of the solver, limits, the fallback to IPOPT.
-- ``gauss_newton``: the default solver, with damping and line search; also the source of covariances.
-- ``ipopt``: the whole problem stated as one nonlinear program, solved by IPOPT.
+- ``solve``: the choice of the solver; by default Gauss-Newton to the optimum, IPOPT for the answer.
+- ``gauss_newton``: damping and line search; also the source of covariances.
+- ``ipopt``: the whole problem stated as one nonlinear program, solved by IPOPT: the answer of a default run.
 - ``constraints``: what is known besides the motion, as constraints of that program.
 - ``linearization_point``: what stays fixed during one solve.
 - ``robust_kernel``: the Cauchy kernel of the stereo residuals.

@@ -3,9 +3,9 @@ noise.
 
 methods.py              the interface and the registry of feature methods
 row_offsets.py          matches that ignore the epipolar constraint, which check the rig
-stereo.py               ``StereoFeatures``; the method ``rootsift``; sub-pixel disparity of points
+stereo.py               ``StereoFeatures``; the method ``rootsift``; gates of its stereo matches
 window_fit.py           least squares of the disparity over windows
-line_search.py          nearest descriptors near the same row
+epipolar_search.py      nearest descriptors near the same row
 keypoints.py            detection of key points, RootSIFT
 surface_features.py     the method ``polhode``: features with surface axes from dense disparity; their noise
 local_planes.py         planes through the disparity map, for the normals

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polhode.frontend.features.epipolar_search import mutual_nearest
 from polhode.frontend.features.keypoints import KeyPoints, strongest
-from polhode.frontend.features.line_search import mutual_nearest
 from polhode.geometry.lie import Array
 
 STRONGEST = 300

@@ -15,8 +15,8 @@ from scipy.ndimage import spline_filter1d
 
 from polhode.config.frontend_settings import Frontend
 from polhode.frontend.disparity.measured import disparity_at
+from polhode.frontend.features.epipolar_search import mutual_nearest
 from polhode.frontend.features.keypoints import Descriptors, KeyPoints, detect, no_key_points
-from polhode.frontend.features.line_search import mutual_nearest
 from polhode.frontend.features.local_planes import local_planes
 from polhode.frontend.features.patches import rotate_affines, surface_frames, surface_normals
 from polhode.frontend.features.row_offsets import RowOffsets, row_offsets

@@ -6,7 +6,7 @@ In: the folder of a sequence and a configuration. Out: the run directory (docs/r
 - open_run, run_result: what is opened before the stages, and reported after them
 - runner: runs the stages: what is computed again, and by which process
 - context: images, configuration and progress, which every stage takes
-- streamed: what a stream has found already, for the run that follows
+- stream_results: what a stream has found already, for the run that follows
 - correspondences: features of all frames, and the frames that match
 - depth_maps: depth of all pairs, made now or stored before
 - find_motion: solve, match again, keep what fits better; consistency_check decides what fits better

@@ -28,7 +28,7 @@ from polhode.frontend.tracks.tracks import join_matches
 from polhode.geometry.lie import Array, Bools, Ints
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.runner import stage
-from polhode.pipeline.streamed import Streamed
+from polhode.pipeline.stream_results import Streamed
 from polhode.records.tracks import RelativePoses, StereoTracks
 from polhode.runtime.errors import RunFailure
 

@@ -20,7 +20,7 @@ from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.rectification import Crop, RectifiedPair, Rectifier, rectified_pair, target_crop
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.runner import MadeByPair, stage
-from polhode.pipeline.streamed import Streamed
+from polhode.pipeline.stream_results import Streamed
 from polhode.records.dataset import StereoSequence
 from polhode.records.surface import DepthMap
 from polhode.run_directory.stages import DEPTH, StageStore

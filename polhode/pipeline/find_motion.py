@@ -9,8 +9,8 @@ import numpy as np
 from polhode.backend import estimate_motion, initialize_motion
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.pairs import MIN_INLIERS, is_from_second
-from polhode.frontend.tracks.duplicates import merge_duplicates
 from polhode.frontend.tracks.guided_matching import consistent_matches, reconnect
+from polhode.frontend.tracks.loop_closure import merge_duplicates
 from polhode.frontend.tracks.track_refinement import refine_tracks
 from polhode.frontend.tracks.tracks import Association, join_matches
 from polhode.geometry.lie import Array, Bools, inverse_pose

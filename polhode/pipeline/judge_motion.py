@@ -13,7 +13,7 @@ from polhode.pipeline.find_motion import MotionSolution
 from polhode.pipeline.finish_surface import Coloured, Sentences
 from polhode.pipeline.intervals.find_intervals import find_intervals
 from polhode.pipeline.runner import stage
-from polhode.pipeline.streamed import Streamed
+from polhode.pipeline.stream_results import Streamed
 from polhode.records.estimate import OnlineEstimate
 from polhode.records.surface import SurfaceModel
 from polhode.run_directory.summary_schema import Check, Coverage, Intervals, Physics

@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from polhode.backend import align_online_estimate, estimate_motion
-from polhode.backend.between import first_states, smooth_between
+from polhode.backend.between_key_frames import first_states, smooth_between
 from polhode.backend.initialization.multistart import KnownMotion
 from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.frontend.features.stereo import StereoFeatures
@@ -24,7 +24,7 @@ from polhode.pipeline.correspondences import features_in_turn
 from polhode.pipeline.find_motion import MotionSolution
 from polhode.pipeline.runner import stage
 from polhode.pipeline.stream.stream import CameraMotion, Extracted, Stream
-from polhode.pipeline.streamed import Streamed
+from polhode.pipeline.stream_results import Streamed
 from polhode.records.estimate import InitialMotion, OnlineEstimate
 from polhode.records.tracks import RelativePoses, StereoTracks
 from polhode.runtime.errors import RunFailure

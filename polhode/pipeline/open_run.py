@@ -9,7 +9,7 @@ from polhode.mapping.fusion.field import choose_device
 from polhode.pipeline.checkout.checkout import warn_before_run
 from polhode.pipeline.context import open_context
 from polhode.pipeline.runner import Runner, Stopwatch
-from polhode.pipeline.streamed import Streamed
+from polhode.pipeline.stream_results import Streamed
 from polhode.run_directory import outputs
 from polhode.run_directory.recording import recording_of
 from polhode.run_directory.run_folder import RunFolder

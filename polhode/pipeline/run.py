@@ -14,7 +14,7 @@ from polhode.pipeline.find_motion import best_motion, first_motion, initial_moti
 from polhode.pipeline.long_sequence import is_long, solve_long, stream_sequence
 from polhode.pipeline.open_run import open_run
 from polhode.pipeline.run_result import RunResult, report_run
-from polhode.pipeline.streamed import Streamed
+from polhode.pipeline.stream_results import Streamed
 from polhode.report import write_report
 from polhode.run_directory.run_folder import RunFolder, atomic_run_folder
 from polhode.runtime.progress import Progress

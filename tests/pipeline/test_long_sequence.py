@@ -10,7 +10,7 @@ from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.pipeline.run import run
 from polhode.pipeline.stream.stream import Stream
-from polhode.pipeline.streamed import Streamed
+from polhode.pipeline.stream_results import Streamed
 from polhode.records.dataset import open_sequence
 from polhode.run_directory.archives import read_measurements, read_online
 from polhode.run_directory.summary import read_summary

@@ -31,7 +31,7 @@ from polhode.frontend.tracks.causal_tracks import CausalTracks
 from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
 from polhode.pipeline.stream.ahead import Ahead, ComingPair
 from polhode.pipeline.stream.live_state import LiveState
-from polhode.pipeline.streamed import Observations, Streamed, observations_of
+from polhode.pipeline.stream_results import Observations, Streamed, observations_of
 from polhode.records.dataset import StereoImages
 from polhode.records.estimate import OnlineEstimate
 from polhode.records.rig_calibration import StereoCalibration

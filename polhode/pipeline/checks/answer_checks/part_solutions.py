@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from polhode.backend.part import estimate_part
+from polhode.backend.subset_solution import estimate_part
 from polhode.config.backend_settings import Backend
 from polhode.geometry.lie import Array, Bools, Ints, log_so3
 from polhode.records.estimate import MotionEstimate

@@ -17,7 +17,7 @@
 import numpy as np
 
 from polhode.backend.outliers_and_noise.inspector_swing import find_swing
-from polhode.backend.part import solved_again
+from polhode.backend.subset_solution import solved_again
 from polhode.config.backend_settings import Backend
 from polhode.geometry.lie import Array, Bools, inverse_pose, log_so3
 from polhode.records.estimate import MotionEstimate

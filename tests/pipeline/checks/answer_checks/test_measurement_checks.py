@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from polhode.backend import estimate_motion
-from polhode.backend.part import estimate_part
+from polhode.backend.subset_solution import estimate_part
 from polhode.config.backend_settings import Backend
 from polhode.geometry.camera import stereo_jacobian
 from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose, transform_points

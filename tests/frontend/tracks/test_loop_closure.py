@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polhode.config.frontend_settings import GuidedMatching
-from polhode.frontend.tracks.duplicates import merge_duplicates
+from polhode.frontend.tracks.loop_closure import merge_duplicates
 from polhode.frontend.tracks.tracks import Association
 from polhode.geometry.lie import exp_so3
 from polhode.records.estimate import InitialMotion

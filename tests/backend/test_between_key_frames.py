@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.backend.between import FrameGuess, first_states, smooth_between
+from polhode.backend.between_key_frames import FrameGuess, first_states, smooth_between
 from polhode.backend.estimate import estimate_motion
 from polhode.backend.initialization.multistart import KnownMotion
 from polhode.backend.problem.inertia import second_moments_from_inertia

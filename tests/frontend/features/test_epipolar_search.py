@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from polhode.frontend.features.epipolar_search import MAX_OCTAVES, MAX_TURN_RAD, mutual_nearest
 from polhode.frontend.features.keypoints import KeyPoints, no_key_points
-from polhode.frontend.features.line_search import MAX_OCTAVES, MAX_TURN_RAD, mutual_nearest
 from polhode.geometry.lie import Array, Ints
 
 

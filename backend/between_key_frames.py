@@ -16,7 +16,6 @@ from polhode.backend.initialization.initialize import bridge, relocalize
 from polhode.backend.initialization.rates import frame_rates
 from polhode.backend.outliers_and_noise.outliers import STEREO_GATE
 from polhode.backend.outliers_and_noise.systematic import SharedErrors, with_systematic
-from polhode.backend.part import data_of_part
 from polhode.backend.problem.inertia import inertia_derivative, second_moments_from_inertia
 from polhode.backend.problem.iterate import (
     N_CAMERA,
@@ -37,6 +36,7 @@ from polhode.backend.solvers.linearization_point import (
 )
 from polhode.backend.solvers.robust_kernel import robust_weight
 from polhode.backend.solvers.schur import stereo_normal_equations, stereo_residuals
+from polhode.backend.subset_solution import data_of_part
 from polhode.backend.uncertainty.covariance import (
     body_jacobians,
     mark_jacobians,
