@@ -44,7 +44,7 @@ def test_every_page_is_in_the_navigation_and_the_search(site: Path) -> None:
     assert {page.replace(".md", ".html") for page in pages if page != "index.md"} <= found
     # files of the repository are there, but would hide the pages in a search
     assert not any(location.startswith("source/") for location in found)
-    assert (site / "source" / "pipeline" / "run.py.html").is_file()
+    assert (site / "source" / "polhode" / "pipeline" / "run.py.html").is_file()
 
 
 def test_pages_load_nothing_from_a_network_and_hold_no_latex(site: Path) -> None:

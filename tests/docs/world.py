@@ -41,10 +41,15 @@ def provide(word: str, folder: Path, sequence: Path, run: Callable[[], Path]) ->
     """Make what a word names in the folder, if it is a name that the pages take for granted."""
     name = Path(word).parts[0] if word and not word.startswith("-") else ""
     place = folder / name
+    if name == "examples" and not place.exists():
+        # as the repository has them, but the sample is the small sequence
+        place.mkdir()
+        for path in (ROOT / "examples").iterdir():
+            (place / path.name).symlink_to(sequence if path.name == "sample" else path)
     if name and not place.exists() and not place.is_symlink():
         if name in LINKED:
             place.symlink_to(ROOT / name)
-        elif name in ("SEQ", "sample"):
+        elif name == "SEQ":
             place.symlink_to(sequence)
         elif name == "RUN":
             shutil.copytree(run(), place)
@@ -121,7 +126,7 @@ def _poses(place: Path, sequence: Path) -> None:
     place.write_text(POSES)
 
 
-LINKED = ("configs", "examples")
+LINKED = ("configs",)
 MADE: Mapping[str, Callable[[Path, Path], None]] = {
     "RIG": _rig,
     "SOURCE": _finished_folder,

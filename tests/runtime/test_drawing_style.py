@@ -36,7 +36,7 @@ def test_settings_of_others_change_nothing_and_stay() -> None:
         assert matplotlib.rcParams["text.usetex"] and matplotlib.rcParams["lines.linewidth"] == 20.0
 
 
-@pytest.mark.parametrize("room", ["pipeline", "simulation", "train", "compare", "planning", "mapping"])
+@pytest.mark.parametrize("room", ["pipeline", "report", "simulation", "compare", "planning", "mapping"])
 def test_every_function_that_makes_a_figure_or_calls_one_that_does_has_the_style(room: str) -> None:
     """A function that is called by such a function of its module needs no style of its own."""
     for path in sorted((ROOT / room).rglob("*.py")):

@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.colors import hsv_to_rgb
 from matplotlib.figure import Figure
 
+from polhode.runtime.drawing_style import default_style
 from polhode.runtime.errors import InputError
 from polhode.simulation.dataset.correspondence import (
     Correspondence,
@@ -28,6 +29,7 @@ from polhode.simulation.dataset.plan import SequencePlan, load_scene, plan_seque
 from polhode.simulation.rendering.raycast import RayCaster
 
 
+@default_style
 def main(words: Sequence[str] | None = None) -> None:
     """Write the files of the command line, and print how many points are visible in both views."""
     parser = argparse.ArgumentParser(
@@ -63,6 +65,7 @@ def main(words: Sequence[str] | None = None) -> None:
     )
 
 
+@default_style
 def draw_correspondence(
     plan: SequencePlan, ends: Sequence[tuple[int, int]], found: Correspondence, points: int = 160
 ) -> Figure:
