@@ -144,6 +144,7 @@ def _arrow(axes: Axes3D, tip: Array, color: str, label: str) -> None:
     axes.text(*(1.06 * tip), label, color=color)
 
 
+@default_style
 def main() -> None:
     """Write the figure of the command line."""
     parser = argparse.ArgumentParser(
