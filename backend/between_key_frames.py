@@ -14,7 +14,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from polhode.backend.dynamics.residuals import FrameStates, dynamics_jacobians, dynamics_residuals
 from polhode.backend.initialization.initialize import bridge, relocalize
 from polhode.backend.initialization.rates import frame_rates
-from polhode.backend.outliers_and_noise.outliers import STEREO_GATE
+from polhode.backend.outliers_and_noise.noise_and_outliers import STEREO_GATE
 from polhode.backend.outliers_and_noise.systematic import SharedErrors, with_systematic
 from polhode.backend.problem.inertia import inertia_derivative, second_moments_from_inertia
 from polhode.backend.problem.iterate import (

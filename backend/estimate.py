@@ -21,7 +21,7 @@ from polhode.backend.initialization.multistart import (
     try_hypotheses,
 )
 from polhode.backend.initialization.rates import FAST_HINT, frame_rates
-from polhode.backend.outliers_and_noise.outliers import PrunedFit, remove_outliers
+from polhode.backend.outliers_and_noise.noise_and_outliers import PrunedFit, remove_outliers
 from polhode.backend.outliers_and_noise.process_level import estimate_process_noise, with_level
 from polhode.backend.outliers_and_noise.systematic import SharedErrors, with_systematic
 from polhode.backend.problem.motion_data import MotionData, motion_data

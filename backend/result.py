@@ -10,7 +10,7 @@ from polhode.backend.outliers_and_noise.correlated_noise import (
     measure_correlation,
     turns_between,
 )
-from polhode.backend.outliers_and_noise.outliers import PrunedFit, whitened_residuals
+from polhode.backend.outliers_and_noise.noise_and_outliers import PrunedFit, whitened_residuals
 from polhode.backend.outliers_and_noise.systematic import common_slide
 from polhode.backend.problem.iterate import COM, ERR_THETA, ERR_W, XI
 from polhode.backend.solvers.gauss_newton import GaussNewton

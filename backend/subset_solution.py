@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from polhode.backend.outliers_and_noise.outliers import (
+from polhode.backend.outliers_and_noise.noise_and_outliers import (
     NoiseScales,
     PrunedFit,
     PrunedProblem,

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import least_squares, nnls
 from scipy.spatial import cKDTree
 
-from polhode.backend.outliers_and_noise.outliers import MAX_SHARE_OF_POSES, MIN_OBSERVATIONS
+from polhode.backend.outliers_and_noise.noise_and_outliers import MAX_SHARE_OF_POSES, MIN_OBSERVATIONS
 from polhode.backend.problem.motion_data import MotionData
 from polhode.geometry.lie import Array, Ints
 

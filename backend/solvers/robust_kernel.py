@@ -2,9 +2,9 @@
 
 A Cauchy kernel of three standard deviations costs 4 % of the information where the noise is Gaussian, and
 more than its sandwich covariance says. Once contradicting observations have been removed
-(``outliers_and_noise/outliers``), the kernel whose estimate scatters least is chosen from the residuals
-themselves (Huber's asymptotic variance as the criterion; Hampel et al., "Robust Statistics", 1986, section
-2.4).
+(``outliers_and_noise/noise_and_outliers``), the kernel whose estimate scatters least is chosen from the
+residuals themselves (Huber's asymptotic variance as the criterion; Hampel et al., "Robust Statistics", 1986,
+section 2.4).
 """
 
 import numpy as np

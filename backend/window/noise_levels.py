@@ -1,7 +1,7 @@
 """Noise levels as the window estimates them: of the pixels, and of the disturbances.
 
 The standard deviations of the pixels follow from the residuals of the active frames (as in
-``outliers_and_noise/outliers.py``). The level of the disturbances maximizes the evidence of
+``outliers_and_noise/noise_and_outliers.py``). The level of the disturbances maximizes the evidence of
 ``outliers_and_noise/process_level.py`` on the history alone; the landmarks are eliminated there, and their
 part of the evidence does not depend on the level.
 """
@@ -11,8 +11,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky
 
-from polhode.backend.outliers_and_noise.outliers import MAX_SHARE_OF_POSES, MIN_OBSERVATIONS, scales_by_median
-from polhode.backend.outliers_and_noise.process_level import (
+from polhode.backend.outliers_and_noise.noise_and_outliers import MAX_SHARE_OF_POSES, MIN_OBSERVATIONS,
+scales_by_median from polhode.backend.outliers_and_noise.process_level import (
     ACCELERATION,
     CEILING_PSD,
     FLOOR_PSD,

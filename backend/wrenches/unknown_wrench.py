@@ -18,7 +18,7 @@ import numpy as np
 
 from polhode.backend.dynamics.propagation import propagate_derivatives, propagate_rotations
 from polhode.backend.dynamics.residuals import FrameStates, Steps, dynamics_jacobians
-from polhode.backend.outliers_and_noise.outliers import whitened_residuals
+from polhode.backend.outliers_and_noise.noise_and_outliers import whitened_residuals
 from polhode.backend.outliers_and_noise.process_level import (
     INSIGNIFICANT_EVIDENCE,
     LevelFit,

@@ -6,7 +6,6 @@ In: configurations of scenes. Out: errors, consistency of covariances, predictio
     thesis             the replica of Test Session 38 beside the thesis's own results
     against_slam       beside COLMAP (colmap) and stereo odometry (orb_odometry), compared by found_poses
     photographs        a real object with known motion
-    turntable          photographs of a turntable as such a sequence
     prediction_error   a prediction against what came after it
     footprint          disk and memory that the program needs
     report_picture     a part of a report as a picture

@@ -13,6 +13,7 @@ information and covariance of the pose, per view and per edge; tracked poses; re
     image_profiles         profiles and edges of an image across control points
     tracking               the pose of a body from the edges of one image, with its covariance
     expected_tracking      what a tracker will find at a view, and how accurate its pose will be
+    tracked_covariance     what the tracker does not know, added to its covariance
     observability_metric   image motion across the edges, C = sum of f f^T, C^-1, unobservable directions
     information            C along a trajectory, per view and per feature; contribution of each edge
     selection              the best edges under a budget, with an upper bound

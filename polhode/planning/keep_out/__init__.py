@@ -5,5 +5,6 @@ a horizon, and the volume at each instant.
 
     volumes          both volumes, and the confidence with which they contain the target
     measured_body    the surface grown by its own uncertainty, as a signed distance
+    keep_out_truth   whether the true body left a volume, in simulation
     distance_fields  compiled loops: nearest points, the distance field swept over time, protrusions
 """

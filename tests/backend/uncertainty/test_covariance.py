@@ -8,7 +8,7 @@ import numpy as np
 
 from polhode.backend.dynamics.residuals import FrameStates
 from polhode.backend.outliers_and_noise.correlated_noise import measure_correlation, turns_between
-from polhode.backend.outliers_and_noise.outliers import estimate_noise, whitened_residuals
+from polhode.backend.outliers_and_noise.noise_and_outliers import estimate_noise, whitened_residuals
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.schur import correlated_scores

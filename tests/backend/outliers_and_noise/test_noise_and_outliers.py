@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.backend.outliers_and_noise.outliers import (
+from polhode.backend.outliers_and_noise.noise_and_outliers import (
     estimate_noise,
     prune,
     remove_outliers,
