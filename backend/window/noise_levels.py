@@ -11,8 +11,12 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky
 
-from polhode.backend.outliers_and_noise.noise_and_outliers import MAX_SHARE_OF_POSES, MIN_OBSERVATIONS,
-scales_by_median from polhode.backend.outliers_and_noise.process_level import (
+from polhode.backend.outliers_and_noise.noise_and_outliers import (
+    MAX_SHARE_OF_POSES,
+    MIN_OBSERVATIONS,
+    scales_by_median,
+)
+from polhode.backend.outliers_and_noise.process_level import (
     ACCELERATION,
     CEILING_PSD,
     FLOOR_PSD,
