@@ -83,7 +83,7 @@ def _posed(
 ) -> tuple[StereoTracks, NoiseScales, MotionFit] | None:
     """The part's tracks, its noise, and its problem where the solution starts. None: too few observations.
 
-    Frames and landmarks are numbered anew. The unknowns are the whole's; a known wrench's steps are free.
+    Frames and landmarks are numbered again. The unknowns are the whole's; a known wrench's steps are free.
     """
     rows = rows & (whole.inlier_weight > 0.0) & np.isin(tracks.frame, frames)
     if rows.sum() < MIN_OBSERVATIONS or len(np.unique(tracks.frame[rows])) < 3:
