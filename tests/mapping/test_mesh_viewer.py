@@ -35,7 +35,7 @@ def test_a_box_seen_head_on_is_a_square_at_the_depth_of_its_face() -> None:
     np.testing.assert_array_equal(view.hit, expected)
     np.testing.assert_allclose(view.depth_m[view.hit], depth, rtol=1e-12)
     assert view.front.all()
-    # through a hole the inner side is told from the outer
+    # through a hole the inner side is distinguished from the outer
     mesh = box()
     mesh.update_faces(mesh.face_normals[:, 2] > -0.5)  # the side towards the camera is open
     view = MeshViewer(mesh).perspective(RIG, make_pose(np.eye(3), [0, 0, DISTANCE_M]), COLUMNS, ROWS)

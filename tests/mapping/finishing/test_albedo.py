@@ -90,7 +90,7 @@ def test_colours_stay_where_no_sun_explains_them(ball: trimesh.Trimesh, views: l
     given = surface_of(ball)
     found = divide_shading(given, odd, RIG)
     assert not found.divided and found.surface is given and found.grey_per_albedo == 1.0
-    # nothing is told from few frames or no surface
+    # few frames or no surface determine nothing
     assert divide_shading(surface_of(ball), views[:1], RIG).sun is None
     empty = SurfaceModel(trimesh.Trimesh(), np.zeros(0), np.zeros(0, dtype=np.int64))
     assert divide_shading(empty, views, RIG).sun is None
