@@ -59,12 +59,12 @@ def motion_figure(scene: Scene, seed: int, name: str) -> Figure:
     herpolhode_H = np.einsum("nij,nj->ni", R_HP, rates_P)
     polhode_P = free_rotation(moments, w_P, np.linspace(0.0, period_s, 361))[1]
 
-    figure = Figure(figsize=(15.0, 6.4), facecolor="white", layout="constrained")
+    figure = Figure(figsize=(15.0, 7.2), facecolor="white", layout="constrained")
     figure.suptitle(f"{headline(precession, name)}\n{numbers(precession, moments, polhode_P)}", color=INK)
     cones, ellipsoid = (figure.add_subplot(1, 3, k, projection="3d") for k in (1, 2))
     assert isinstance(cones, Axes3D) and isinstance(ellipsoid, Axes3D)
 
-    cones.set_title(f"{CONES[precession.direction]}\nh angular momentum, ω angular velocity", pad=24)
+    cones.set_title(f"{CONES[precession.direction]}\nh angular momentum, ω angular velocity", pad=40)
     size = float(np.linalg.norm(herpolhode_H, axis=1).max())
     if not steady:
         order = circulation_order(moments, w_P)
@@ -76,10 +76,10 @@ def motion_figure(scene: Scene, seed: int, name: str) -> Figure:
             mantle = np.linspace(0.0, 1.0, 17)[:, None, None] * edge
             cones.plot_surface(*np.moveaxis(mantle, -1, 0), color=color, alpha=0.4, label=label)
         _arrow(cones, 1.25 * size * axis_H, BODY, f"{'x' if order[2] == 0 else 'z'} {precession.axis}")
-    _arrow(cones, np.array([0.0, 0.0, 1.3 * size]), INK, "h")
+    _arrow(cones, np.array([0.0, 0.0, 1.08 * size]), INK, "h")
     _arrow(cones, herpolhode_H[0], RATE, "ω")
 
-    ellipsoid.set_title("Polhode on the energy ellipsoid, in the principal axes", pad=24)
+    ellipsoid.set_title("Polhode on the energy ellipsoid, in the principal axes", pad=40)
     semi = np.sqrt(two_energy / moments)
     polar, azimuth = np.meshgrid(np.linspace(0, np.pi, 60), np.linspace(0, 2 * np.pi, 120), indexing="ij")
     unit = np.array([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)])
