@@ -58,8 +58,8 @@ class Benchmark:
         return ""
 
 
-SAMPLE_RUN = "runs/short/sample"
-"""The run of the sample that short forms read; ``python -m lab --short`` makes it."""
+SAMPLE_RUN = "runs/demo"
+"""The run of the sample that short forms read: that of `make demo`, which ``python -m lab --short`` makes."""
 _WITH_TRUTH = ("ts38", "major_axis", "fast_20rpm", "asteroid")
 
 
@@ -102,9 +102,9 @@ BENCHMARKS = (
     Benchmark("random_rigs", "calibration.random_rigs", "docs/calibrate.md", 30,
               short="--short --record runs/short/records/random_rigs"),
     _of_runs("keepout", "planning.keepout", "docs/planning.md", 60, ("ts38", "asteroid", "pure_spin"),
-             "{runs}", "--horizon 5 --draws 20"),
+             "{runs}", "--horizon 2 --draws 5"),
     _of_runs("keepout_truth", "planning.keepout", "docs/planning.md", 20, ("ts38", "asteroid", "pure_spin"),
-             "{runs} --truth --data {sequences}", "--horizon 5"),
+             "{runs} --truth --data {sequences}", "--horizon 2"),
     Benchmark("live", "live.latency", "docs/live.md", 40, short="--short --record runs/short/records/live"),
     Benchmark("long", "live.long", "docs/live.md", 25, short="--short --record runs/short/records/long"),
     Benchmark("stages", "live.stages", "docs/validation.md", 3),
@@ -141,14 +141,14 @@ BENCHMARKS = (
     Benchmark("leaks_images", "robustness.leaks", "docs/testing.md", 20, "images", "images --short"),
     Benchmark("faults", "robustness.data_faults", "docs/trust.md", 240),
     Benchmark("measurement_faults", "robustness.measurement_faults", "docs/checks.md", 60),
-    Benchmark("verdict", "robustness.verdict", "docs/checks.md", 1, "-o runs/verdict.png", None,
+    Benchmark("verdict", "robustness.verdict", "docs/checks.md", 1, "-o runs/verdict.png", "",
               also="trust"),
     Benchmark("study_findings", "studies.findings", "lab/studies/README.md", 1, short=""),
     Benchmark("rules_of_thumb", "studies.rules_of_thumb", "docs/expect.md", 240,
               "runs/rules -o runs/rules_of_thumb.yaml --held-back 30", "runs/rules_short --short"),
     Benchmark("expectations", "studies.expectations", "docs/expect.md", 1, short=""),
     Benchmark("trust", "trust.trust", "docs/trust.md", 240),
-    Benchmark("mutation", "mutation.catch", "docs/testing.md", 30, short=None),
+    Benchmark("mutation", "mutation.catch", "docs/testing.md", 30),
 )  # fmt: skip
 """The scenes come first: they make the runs that others need."""
 
