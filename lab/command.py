@@ -1,5 +1,6 @@
 """The command line of a benchmark: the parameters of its ``main`` are the options."""
 
+import fcntl
 import subprocess
 import sys
 from collections.abc import Callable
@@ -62,9 +63,16 @@ LIGHT = {
 
 def simulated(config: Path, folder: Path, *options: str) -> Path:
     """The sequence of a scene, simulated unless it is there."""
-    if not (folder / "mav0").is_dir():
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        polhode("simulate", config, "-o", folder, *options)
+    return _made_once(folder, "simulate", config, "-o", folder, *options)
+
+
+def _made_once(folder: Path, *words: object) -> Path:
+    """The sequence that a command makes, unless it is there; another benchmark that wants it waits."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with folder.with_name(f".{folder.name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "mav0").is_dir():
+            polhode(*words)
     return folder
 
 
@@ -84,6 +92,4 @@ def evaluated_run(config: Path) -> Path:
 def beginning_of_sample() -> Path:
     """The first seconds of the sample as a sequence, for short forms; made once."""
     folder = ROOT / "runs/short/beginning"
-    if not (folder / "mav0").is_dir():
-        polhode("import", "examples/sample", "-o", folder, "--end", 4.0, "--overwrite")
-    return folder
+    return _made_once(folder, "import", "examples/sample", "-o", folder, "--end", 4.0, "--overwrite")

@@ -11,7 +11,8 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import ExitStack
 from datetime import datetime
 from multiprocessing import get_context
 from pathlib import Path
@@ -37,8 +38,9 @@ def complete(
 ) -> list[Case]:
     """Measure the cases that the record lacks, store them in it, and return the lines of all cases.
 
-    ``measure`` runs in another process, with ``process_each`` in a new one for each case; its result becomes
-    a line, with the case under "case" and its provenance under "made". Raises SystemExit where a case failed.
+    ``measure`` runs in this process, in ``workers`` others if there are more than one, with ``process_each``
+    in a new one for each case; its result becomes a line, with the case under "case" and its provenance under
+    "made". Raises SystemExit where a case failed.
     """
     wanted = list(cases)
     done = {_key(line["case"]): line for line in lines_of(record)}
@@ -57,22 +59,40 @@ def _measure_and_store(
 ) -> Counter[str]:
     """Reasons of the cases that failed, with their numbers."""
     store, made, failed = Store(record), provenance(), Counter[str]()
-    with ProcessPoolExecutor(
-        workers, get_context("spawn"), limit_threads, (1,), max_tasks_per_child=1 if process_each else None
-    ) as pool:
-        futures = {pool.submit(measure, case): case for case in cases}
-        for number, future in enumerate(as_completed(futures), start=1):
+    workers = min(workers, len(cases))
+    with ExitStack() as stack:
+        if workers == 1 and not process_each:
+            attempts: Iterator[tuple[Case, Future[Case]]] = ((case, _done(measure, case)) for case in cases)
+        else:
+            tasks = 1 if process_each else None
+            pool = ProcessPoolExecutor(
+                workers, get_context("spawn"), limit_threads, (1,), max_tasks_per_child=tasks
+            )
+            stack.enter_context(pool)
+            futures = {pool.submit(measure, case): case for case in cases}
+            attempts = ((futures[future], future) for future in as_completed(futures))
+        for number, (case, future) in enumerate(attempts, start=1):
             print(f"{number} of {len(cases)} cases", file=sys.stderr, flush=True)
             error = future.exception()
             if error is not None:
                 failed[one_line(f"{type(error).__name__}: {error}")] += 1
                 continue
-            settings = {f"case.{key}": value for key, value in futures[future].items()}
+            settings = {f"case.{key}": value for key, value in case.items()}
             address = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
             found = {"made": made, **future.result()}
             store.write({"address": address, "status": DONE, "settings": settings, "measured": found})
     store.pack()
     return failed
+
+
+def _done(measure: Callable[[Case], Case], case: Case) -> Future[Case]:
+    """The result or the error of a case that is measured in this process."""
+    future: Future[Case] = Future()
+    try:
+        future.set_result(measure(case))
+    except Exception as error:  # noqa: BLE001  it is the reason of the case, as in another process
+        future.set_exception(error)
+    return future
 
 
 def measured(record: Path, cases: Iterable[Case]) -> list[Case]:

@@ -58,8 +58,8 @@ class Benchmark:
         return ""
 
 
-SAMPLE_RUN = "runs/short/sample"
-"""The run of the sample that short forms read; ``python -m lab --short`` makes it."""
+SAMPLE_RUN = "runs/demo"
+"""The run of the sample that short forms read: that of `make demo`, which ``python -m lab --short`` makes."""
 _WITH_TRUTH = ("ts38", "major_axis", "fast_20rpm", "asteroid")
 
 
@@ -100,11 +100,11 @@ BENCHMARKS = (
               "data/temple --run runs/temple",
               f"examples/sample --run {SAMPLE_RUN} --box None", ("data/temple",)),
     Benchmark("random_rigs", "calibration.random_rigs", "docs/calibrate.md", 30,
-              short="--short --record runs/short/records/random_rigs"),
+              short="--short --workers 1 --record runs/short/records/random_rigs"),
     _of_runs("keepout", "planning.keepout", "docs/planning.md", 60, ("ts38", "asteroid", "pure_spin"),
-             "{runs}", "--horizon 5 --draws 20"),
+             "{runs}", "--horizon 2 --draws 5"),
     _of_runs("keepout_truth", "planning.keepout", "docs/planning.md", 20, ("ts38", "asteroid", "pure_spin"),
-             "{runs} --truth --data {sequences}", "--horizon 5"),
+             "{runs} --truth --data {sequences}", "--horizon 2"),
     Benchmark("live", "live.latency", "docs/live.md", 40, short="--short --record runs/short/records/live"),
     Benchmark("long", "live.long", "docs/live.md", 25, short="--short --record runs/short/records/long"),
     Benchmark("stages", "live.stages", "docs/validation.md", 3),
@@ -123,32 +123,43 @@ BENCHMARKS = (
     Benchmark("against_mitsuba", "rendering.against_mitsuba", "docs/simulation.md", 20, "-o runs/mitsuba.png",
               "--width 64 --samples 64", ("mitsuba",)),
     Benchmark("bound", "monte_carlo.bound", "docs/accuracy.md", 2, short=""),
-    Benchmark("window", "monte_carlo.window", "docs/live.md", 30),
+    Benchmark("window", "monte_carlo.window", "docs/live.md", 30,
+              short="--short --record runs/short/records/window"),
     Benchmark("window_estimated", "monte_carlo.window", "docs/live.md", 20, "--seeds 3 --estimated", None),
-    Benchmark("disturbances", "monte_carlo.disturbances", "docs/backend.md", 15),
-    Benchmark("robustness", "monte_carlo.robustness", "docs/accuracy.md", 60),
-    Benchmark("convergence", "monte_carlo.convergence", "docs/accuracy.md", 40),
+    Benchmark("disturbances", "monte_carlo.disturbances", "docs/backend.md", 15,
+              short="--short --record runs/short/records/disturbances"),
+    Benchmark("robustness", "monte_carlo.robustness", "docs/accuracy.md", 60,
+              short="--short --record runs/short/records/robustness"),
+    Benchmark("convergence", "monte_carlo.convergence", "docs/accuracy.md", 40,
+              short="--short --workers 1 --record runs/short/records/convergence"),
     Benchmark("accuracy_estimated", "monte_carlo.accuracy", "docs/accuracy.md", 30,
               "--motions 6 --seeds 20 --estimated", None),
-    Benchmark("accuracy", "monte_carlo.accuracy", "docs/accuracy.md", 120, "--motions 6"),
+    Benchmark("accuracy", "monte_carlo.accuracy", "docs/accuracy.md", 120, "--motions 6",
+              short="--short --workers 1 --record runs/short/records/accuracy"),
     Benchmark("observability_speed", "edges.observability_speed", "docs/observability.md", 5),
     _of_runs("observability_of_run", "edges.observability_of_run", "docs/observability.md", 5, _WITH_TRUTH,
              "{pairs}"),
-    Benchmark("expected_errors", "edges.expected_errors", "docs/observability.md", 400),
+    Benchmark("expected_errors", "edges.expected_errors", "docs/observability.md", 400,
+              short="--short --record runs/short/records/expected_errors"),
     Benchmark("fuzz", "robustness.fuzzing", "docs/testing.md", 340),
-    Benchmark("kills", "robustness.kills", "docs/testing.md", 60),
+    Benchmark("kills", "robustness.kills", "docs/testing.md", 60,
+              short="--short --record runs/short/records/kills"),
     Benchmark("leaks", "robustness.leaks", "docs/testing.md", 60),
     Benchmark("leaks_images", "robustness.leaks", "docs/testing.md", 20, "images", "images --short"),
-    Benchmark("faults", "robustness.data_faults", "docs/trust.md", 240),
-    Benchmark("measurement_faults", "robustness.measurement_faults", "docs/checks.md", 60),
-    Benchmark("verdict", "robustness.verdict", "docs/checks.md", 1, "-o runs/verdict.png", None,
+    Benchmark("faults", "robustness.data_faults", "docs/trust.md", 240,
+              short="--short --record runs/short/records/faults"),
+    Benchmark("measurement_faults", "robustness.measurement_faults", "docs/checks.md", 60,
+              short="--short --record runs/short/records/measurement_faults"),
+    Benchmark("verdict", "robustness.verdict", "docs/checks.md", 1, "-o runs/verdict.png", "",
               also="trust"),
     Benchmark("study_findings", "studies.findings", "lab/studies/README.md", 1, short=""),
     Benchmark("rules_of_thumb", "studies.rules_of_thumb", "docs/expect.md", 240,
-              "runs/rules -o runs/rules_of_thumb.yaml --held-back 30", "runs/rules_short --short"),
+              "runs/rules -o runs/rules_of_thumb.yaml --held-back 30",
+              "docs/study_results/random_scenes --stored --held-back 30"),
     Benchmark("expectations", "studies.expectations", "docs/expect.md", 1, short=""),
-    Benchmark("trust", "trust.trust", "docs/trust.md", 240),
-    Benchmark("mutation", "mutation.catch", "docs/testing.md", 30, short=None),
+    Benchmark("trust", "trust.trust", "docs/trust.md", 240,
+              short="--short --record runs/short/records/trust"),
+    Benchmark("mutation", "mutation.catch", "docs/testing.md", 30),
 )  # fmt: skip
 """The scenes come first: they make the runs that others need."""
 

@@ -8,5 +8,4 @@ In: configs/frontend_test/ and configs/depth_test/. Out: correct matches, motion
     masks       masks before Earth and wall
     networks    scores of the trained networks, and their landmarks
     feature_noise      constants of the noise model of surface features
-    training_curves    the figure of a training
 """

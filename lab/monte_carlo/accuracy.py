@@ -51,7 +51,7 @@ MOTIONS = {
     "major-axis wobble, 8 RPM": SCENES["major_wobble"],
 }
 NOISES_PX = (1.0, 0.3)
-SHORT_MOTIONS, SHORT_SEEDS = 3, 2
+SHORT_MOTIONS, SHORT_SEEDS = 1, 1
 QUANTITIES = ("r", "v", "attitude", "w", "com", "inertia")
 HEAD = ("motion", "noise [px]", "seeds", *QUANTITIES)
 

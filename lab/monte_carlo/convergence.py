@@ -34,7 +34,7 @@ KINDS = (*["any"] * 8, "spin", "equal moments", "slow", "short")
 NAMES = ("com_x", "com_y", "com_z", "k1", "k2", "axes_x", "axes_y", "axes_z")
 TOLERANCE = np.array([1e-3, 1e-3, 1e-3, 0.02, 0.02, *[np.deg2rad(2.0)] * 3])
 SIGMAS = 5.0
-SHORT_SCENES = 12
+SHORT_SCENES = 2
 
 
 def main(

@@ -62,7 +62,7 @@ NEEDS = (range(3), range(3), range(5, 8), range(0), range(3), range(3, 8))
 """Of each of them: which of convergence.NAMES must be determined at the truth for it to count."""
 PLACED_M, PLACED_RAD = 5e-3, float(np.deg2rad(2.0))
 """Frames behind a gap are right when the body is so near to where it is, as seen from the first frame."""
-SHORT_MOTIONS, SHORT_SEEDS = 2, 2
+SHORT_MOTIONS, SHORT_SEEDS = 1, 1
 
 
 def main(

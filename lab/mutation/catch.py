@@ -1,6 +1,6 @@
 """Which tests notice each of the deliberate faults.
 
-Run: ``python -m lab.mutation.catch [--only TEXT] [--jobs 2] [-o runs/faults.md]``. Half an hour.
+Run: ``python -m lab.mutation.catch [--only TEXT] [--jobs 2] [--short] [-o runs/faults.md]``. Half an hour.
 
 Each fault goes alone into a copy of the repository, and the tests that it names run until the first one
 fails. That test must pass without the fault, else it counts for nothing.
@@ -64,11 +64,19 @@ def main(
     only: str = "",
     jobs: int = 1,
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="MD")] = None,
+    short: Annotated[bool, arg(help="Only whether code and tests of each fault are there.")] = False,
 ) -> None:
     """tree: the repository whose tests are tried; only: faults whose file or kind contains this text; jobs:
     copies of the repository that are tested at a time; output: a file for the table as well."""
     faults = [Fault(**each) for each in yaml.safe_load(FAULTS.read_text())]
     chosen = [fault for fault in faults if only in fault.file or only in fault.kind]
+    if short:
+        lost = [f"{fault.file}: {fault.kind}: its code is not there, or twice" for fault in chosen
+                if place_of(fault, tree) is None]  # fmt: skip
+        lost += [f"{fault.file}: {fault.kind}: no tests/{test}" for fault in chosen for test in fault.tests
+                 if not (tree / "tests" / test.partition("::")[0]).exists()]  # fmt: skip
+        print(f"{len(chosen)} faults", *lost, sep="\n")
+        sys.exit(bool(lost))
     with tempfile.TemporaryDirectory(prefix="polhode-faults-") as folder:
         outcomes = try_all(chosen, tree.resolve(), Path(folder), jobs)
     text = table(outcomes)

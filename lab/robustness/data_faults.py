@@ -92,7 +92,7 @@ FAULTS: dict[str, Fault] = {
     "leaves_and_returns": Fault("out of view for 6 s", render=scenes.leaves_and_returns),
 }
 ONLY_WARNED = "of these by a warning alone"
-SHORT_BODIES, SHORT_FAULTS = ("flyer",), ("none", "dropped_30", "knocked_yaw")
+SHORT_BODIES, SHORT_FAULTS = ("flyer",), ("dropped_30",)
 
 
 def main(

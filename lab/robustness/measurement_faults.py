@@ -229,7 +229,7 @@ def main(
     table: Annotated[bool, arg(help="Only print the table of what the record has.")] = False,
 ) -> None:
     """Measure what the record lacks, print the table."""
-    names = ("none", "focal", "late") if short else tuple(FAULTS)
+    names = ("focal",) if short else tuple(FAULTS)
     cases: list[Case] = [
         {"scene": scene, "fault": name} for scene in range(1 if short else scenes) for name in names
     ]

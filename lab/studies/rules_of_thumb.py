@@ -1,7 +1,7 @@
 """Rules of thumb for mission designers: random scenes are simulated and run, and their errors fitted.
 
     python -m lab.studies.rules_of_thumb STUDY_FOLDER [-o RULES.yaml] [--scenes 96] [--held-back 30]
-        [--stored] [--short]
+        [--stored]
 
 The scenes are a study of ``polhode sweep`` in the folder: the same command goes on after whatever ended it,
 and ``--stored`` computes nothing. Printed are, for each error, how much of its variance the fit explains, the
@@ -22,7 +22,7 @@ import yaml
 from scipy import stats
 from tyro.conf import Positional, arg
 
-from lab.command import Short, Workers, command, polhode
+from lab.command import Workers, command, polhode
 from lab.presentation import print_table
 from lab.studies.confidence import share_text, significant
 from lab.studies.random_scenes import RandomScene, random_scenes, settings_of
@@ -42,7 +42,7 @@ from polhode.studies.rules import (
 from polhode.studies.steps import DONE
 from polhode.studies.table import read_table
 
-SCENES, SHORT_SCENES = 96, 8
+SCENES = 96
 MIN_RUNS = 60
 """With answers; a fit of six coefficients to fewer is no rule"""
 CONTRADICTS = 0.025
@@ -64,13 +64,12 @@ def main(
     scenes: Annotated[int, arg(help="Number of random scenes.")] = SCENES,
     held_back: Annotated[int, arg(help="Last runs with an answer that only check the fit.")] = 0,
     stored: Annotated[bool, arg(help="Use the runs that are there; compute none.")] = False,
-    short: Short = False,
     workers: Workers = 1,
 ) -> None:
     """Run what is missing, fit, print, and write the rules if they are worth it."""
     if held_back < 0:
         raise SystemExit(f"--held-back {held_back}: give 0 or more runs")
-    chosen = random_scenes(SHORT_SCENES if short else scenes)
+    chosen = random_scenes(scenes)
     if not stored:
         folder.parent.mkdir(parents=True, exist_ok=True)
         study = folder.parent / f"{folder.name}.yaml"

@@ -17,14 +17,13 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
 
-from lab.command import RECORDS, ROOT, Record, Short, Workers, command
+from lab.command import LIGHT, RECORDS, ROOT, Record, Short, Workers, command
 from lab.presentation import print_table
 from lab.record import Case, complete, measured
 from lab.robustness.judge import OUTCOMES, outcome_of
 from lab.trust.consistency import QUANTITIES, holds, pooled
 from lab.trust.judgement import judgement
 from lab.trust.new_scenes import KINDS, new_scene
-from polhode.config import Config
 from polhode.config.loader import load_config
 from polhode.pipeline.run import run
 from polhode.runtime.errors import RunFailure
@@ -63,7 +62,7 @@ def main(
         for name in (SHORT if short else GROUPS)[group]
         if not names or name in names
     ]
-    measure = Measure(folder, keep)
+    measure = Measure(folder, keep, short)
     lines = measured(record, cases) if table else complete(record, cases, measure, workers)
     print_consistency(lines)
     print_verdicts(lines)
@@ -75,6 +74,7 @@ class Measure:
 
     folder: Path
     keep: bool
+    short: bool = False
 
     def __call__(self, case: Case) -> Case:
         """The row of a case; a sequence or run that an interrupted one left is used."""
@@ -86,6 +86,10 @@ class Measure:
             config = load_config(CONFIGS[name])
             assert config.scene is not None
             scene, seed = config.scene, config.seed
+        settings: dict[str, Any] = {"runtime.workers": 1}
+        if self.short:
+            settings |= LIGHT
+            scene = scene.model_copy(update={"frames": 10})
         sequence, out = place / "sequence", place / "run"
         if not (sequence / "mav0").is_dir():
             write_sequence(plan_sequence(scene, seed), sequence, Silent())
@@ -93,7 +97,7 @@ class Measure:
             shutil.rmtree(out, ignore_errors=True)
             # summary.json says why it failed
             with suppress(RunFailure):
-                run(Config.model_validate({"runtime": {"workers": 1}}), sequence, out, Silent())
+                run(load_config(None, settings), sequence, out, Silent())
         row = judgement(out, sequence)
         if not self.keep:
             shutil.rmtree(place)
