@@ -40,7 +40,7 @@ LESS_MEMORY = {
     "predict": "use a larger --step-s or a smaller --horizon",
     "export": "use a larger --step-s or a smaller --horizon, a lighter --level or fewer --pieces",
     "plan": "use fewer --members or a smaller --horizon",
-    "observability": "use a larger --spacing-px or a lighter mesh",
+    "observability": "use fewer poses or a lighter mesh",
     "simulate": "use fewer --runtime.workers, fewer frames or smaller images",
     "run": "use fewer --runtime.workers, fewer frames or smaller images",
     "compare": "use fewer --runtime.workers, fewer frames or smaller images",

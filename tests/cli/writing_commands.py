@@ -181,7 +181,7 @@ def make_quick(patch: pytest.MonkeyPatch, stage: Stage) -> None:
     patch.setattr(polhode.planning.plan_files, "plan_pictures", lambda *_: {})
     patch.setattr(assess, "subject_of", lambda *words: once("subject", lambda: subject_of(*words)))
     patch.setattr(assess, "assess", lambda *words: once("assessment", lambda: real_assess(*words)))
-    for name in ("draw_metric", "draw_views", "draw_contributions"):
+    for name in ("draw_metric", "draw_contributions"):
         patch.setattr(polhode.planning.observability.pictures, name, lambda *_: b"png")
 
 

@@ -3,7 +3,7 @@
 The metric asks where edges lie; an image decides how well each of them is measured, by its contrast, by what
 lies beside it, and by what the model does not know. Here rays look at the body along the profile of each
 control point, under several Suns, with shadows; the profiles are blurred as an image is, and measured as the
-tracker measures an image (``stripe_profiles.py``), with its noise but without any drawn:
+tracker measures an image (``profiles.py``), with its noise but without any drawn:
 
 - a point weighs as much as its profile tells: little where both sides are equally light, or where other
   stripes, shadows, or parts behind explain the same profile;
@@ -27,7 +27,7 @@ from polhode.planning.edges.observability_metric import (
     edge_motion,
     observable_covariance,
 )
-from polhode.planning.edges.stripe_profiles import BLUR_PX, STEP_PX, fitted, places
+from polhode.planning.edges.profiles import BLUR_PX, STEP_PX, fitted, places
 from polhode.planning.edges.stripes import (
     FLOOR_PX,
     HALF_PX,
@@ -168,3 +168,24 @@ def expected_profiles(
         sunlight = np.where(lit, normal_G @ sun_G, 0.0)
         level[hit] = WHITE_DN * (sunlight + light.earth * 0.5 * (1.0 + normal_G @ earth_G))
     return grey.reshape(len(light.sun_R), len(points), len(ray)) @ kernel.T
+
+
+@dataclass(frozen=True)
+class TrackedCovariance:
+    """S = a (1 + c (1 - agreement)) P + b D; unless given, fitted to 1,400 trials of 14 bodies.
+
+    ``python -m lab.edges.expected_errors`` fits them. Too small for bodies of revolution, and for thin
+    parts in one plane (docs/observability.md).
+    """
+
+    noise: float = 0.68
+    """a"""
+    displacement: float = 0.15
+    """b"""
+    disagreement: float = 16.0
+    """c"""
+
+    def of(self, stated: Array, displacement: Array, agreement: Array | float) -> Array:
+        """S (..., 6, 6) [m^2, m rad, rad^2] of P and D (..., 6, 6) and agreements (...)."""
+        size = self.noise * (1.0 + self.disagreement * (1.0 - np.asarray(agreement)))
+        return np.asarray(size[..., None, None] * stated + self.displacement * displacement)

@@ -1,6 +1,6 @@
 """Pose of a body from the edges of one image, also where edges lie side by side: bevels, rims, thin panels.
 
-Each control point is measured by all edges that are known across it (``stripe_profiles.py``) and weighs as
+Each control point is measured by all edges that are known across it (``profiles.py``) and weighs as
 much as its profile tells; where in its stripe the step of light lies is an unknown of all stripes that face
 alike (``stripes.py``). The pose is sought from the guess and from further starts; of the poses that are
 found, that one is taken of whose edges the image confirms most. ``expected_tracking.py`` predicts its errors.
@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Bools, transform_points
 from polhode.planning.edges.edge_model import EdgeModel
-from polhode.planning.edges.image_profiles import Levels, as_levels, profiles
 from polhode.planning.edges.observability_metric import (
     EdgeObservability,
     edge_motion,
@@ -25,7 +24,7 @@ from polhode.planning.edges.observability_metric import (
     pose_error,
     spectrum,
 )
-from polhode.planning.edges.stripe_profiles import fitted, searched
+from polhode.planning.edges.profiles import Levels, as_levels, fitted, profiles, searched
 from polhode.planning.edges.stripes import (
     FLOOR_PX,
     HALF_PX,
