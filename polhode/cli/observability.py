@@ -42,8 +42,8 @@ class ObservabilityCommand(Command):
     are seconds after the last pair of the run. body unless given, and inertial for the file that
     `polhode plan` writes, whose first line says so."""
     sun: Annotated[tuple[float, float, float] | None, Named("X Y Z")] = None
-    """Direction to the Sun, of any length: edges are then weighted by their contrast. In N for a run, in its
-    own frame for a mesh. Without it all edges have the same weight."""
+    """Direction to the Sun, of any length, for what is expected of a tracker. In N for a run, in its own
+    frame for a mesh. Without it, some around the camera."""
     about: Annotated[tuple[Coordinate, Coordinate, Coordinate] | None, Named("X Y Z")] = None
     """Reference point in G [m] of translations and rotations. The centre of mass of a run, or the centre of
     the mesh's bounding box, unless given."""

@@ -5,7 +5,7 @@ information and covariance of the pose, per view and per edge; tracked poses; re
 
     orientation            faces of a mesh that agree, with normals outward; whether a point is inside
     edge_model             creases and rims as straight segments, smooth parts, occlusion by the body
-    visible_edges          control points on the edges that a camera sees; outlines, contrast in sunlight
+    visible_edges          control points on the edges that a camera sees; outlines
     observability_metric   image motion across the edges, C = sum of f f^T, C^-1, unobservable directions
     information            C along a trajectory, per view and per edge; contribution and selection of edges
     stripes                edges side by side in the image, and what it can tell of them

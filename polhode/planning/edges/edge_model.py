@@ -158,10 +158,6 @@ FLAT_DEG = 0.5
 TOLERANCE, MIN_LENGTH = 5e-4, 0.01
 """Deviation of a straight piece from the edge, and length below which edges are omitted (an arc counts as a
 whole), as shares of the body's diameter."""
-MANY_EDGES = 2000
-"""A mesh with more edges, most of them sharp, is rough or noisy."""
-SEPARATE_FACES = 50
-"""A mesh of more faces, most of whose edges have one face, does not connect its faces."""
 
 
 class EdgeKind(IntEnum):
@@ -171,8 +167,6 @@ class EdgeKind(IntEnum):
     """two faces that meet at an angle"""
     BOUNDARY = 1
     """boundary of an open mesh"""
-    OUTLINE = 2
-    """where a smooth part turns away from the viewer"""
 
 
 @dataclass(frozen=True)
@@ -353,12 +347,13 @@ def _doubts(orientation: Orientation, sharp: Ints, soft: int) -> tuple[str, ...]
             "made consistent: edges where it changes may be false"
         )
     edges, rims = len(sharp) + soft, int((sharp == EdgeKind.BOUNDARY).sum())
-    if faces > SEPARATE_FACES and rims > 0.5 * edges:
+    # a mesh whose faces are not connected; a rough or noisy one
+    if faces > 50 and rims > 0.5 * edges:
         notes.append(
             f"{rims} of the mesh's {edges} edges belong to one face only and count as rims: if the surface "
             "is closed, neighbouring faces do not share their vertices; merge these"
         )
-    elif edges > MANY_EDGES and len(sharp) > 0.5 * edges:
+    elif edges > 2000 and len(sharp) > 0.5 * edges:
         notes.append(
             f"{len(sharp)} of the mesh's {edges} edges are sharp, as on a rough or noisy surface, and all "
             "count as edges of the body: smooth or simplify the mesh, or raise the crease angle"

@@ -40,12 +40,6 @@ from polhode.planning.edges.visible_edges import SPACING_PX, ControlPoints, cont
 
 WHITE_DN = 100.0
 """Grey level of a surface in full sunlight"""
-MAX_POINTS = 300
-"""Control points that are looked at, so that a view takes the same time however many edges it has"""
-BEYOND_PX = 3.0
-"""By how much rays look farther than a profile: its blur"""
-SHADOW_LIFT = 2e-4
-"""Of a point above its face, in radii of the body, where its shadow is looked for"""
 SUN_ANGLE_DEG = 45.0
 """Between the Sun and the camera, where the Sun is not known"""
 
@@ -126,7 +120,7 @@ def expected_tracking(
     o_G = model.centre_G if about_G is None else about_G
     points = control_points(model, rig, X_RG, SPACING_PX) if points is None else points
     # few of them, evenly over the edges, stand for all
-    chosen = points[np.arange(0, len(points), max(-(-len(points) // MAX_POINTS), 1))]
+    chosen = points[np.arange(0, len(points), max(-(-len(points) // 300), 1))]
     points = replace(chosen, weight=chosen.weight * (len(points) / max(len(chosen), 1)))
     own = every_point(model, rig, X_RG, SAMPLED_PX)
     every = own if known is None or known is model else every_point(known, rig, X_RG, SAMPLED_PX)
@@ -152,7 +146,7 @@ def expected_profiles(
     """
     place = places(HALF_PX)
     # between the samples of a profile: a ray through the edge itself would see one side or the other
-    ray = places(HALF_PX + BEYOND_PX)[:-1] + 0.5 * STEP_PX
+    ray = places(HALF_PX + 3.0)[:-1] + 0.5 * STEP_PX
     kernel = np.exp(-0.5 * ((place[:, None] - ray) / BLUR_PX) ** 2)
     kernel /= kernel.sum(axis=1, keepdims=True)
     uv = (points.uv_px[:, None] + ray[:, None] * points.normal_px[:, None]).reshape(-1, 2)
@@ -160,7 +154,8 @@ def expected_profiles(
     R_GR, eye_G = X_GR[:3, :3], X_GR[:3, 3]
     ray_R = np.column_stack([(uv - [rig.cx_px, rig.cy_px]) / rig.focal_px, np.ones(len(uv))])
     hit, p_G, facing_G, normal_G = model.seen(eye_G, unit_rows(ray_R @ R_GR.T))
-    grey, lift_m = np.zeros((len(light.sun_R), len(uv))), SHADOW_LIFT * model.radius_m
+    # shadows are looked for a little above the face
+    grey, lift_m = np.zeros((len(light.sun_R), len(uv))), 2e-4 * model.radius_m
     for level, sun_R, earth_R in zip(grey, light.sun_R, light.earth_R, strict=True):
         sun_G, earth_G = R_GR @ sun_R, R_GR @ earth_R
         lit = (facing_G @ sun_G > 0.0) & (normal_G @ sun_G > 0.0)

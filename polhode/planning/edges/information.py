@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.geometry.camera import RectifiedRig
-from polhode.geometry.lie import Array, Ints, inverse_pose
+from polhode.geometry.lie import Array, Ints
 from polhode.planning.edges.edge_model import EdgeModel
 from polhode.planning.edges.observability_metric import (
     EdgeObservability,
@@ -34,7 +34,6 @@ from polhode.planning.edges.visible_edges import (
     SPACING_PX,
     ControlPoints,
     control_points,
-    in_sunlight,
     why_no_edge,
 )
 
@@ -101,19 +100,11 @@ class EdgeView:
         return len(np.unique(self.points.feature))
 
 
-def views_along(
-    model: EdgeModel, rig: RectifiedRig, X_RG: Array, o_G: Array, sun_G: Array | None = None
-) -> Iterator[EdgeView]:
-    """Yield the views of a trajectory X_RG (k, 4, 4), about o_G (3,).
-
-    With sun_G (k, 3), towards the Sun, edges are weighted by their contrast.
-    """
-    for k, X in enumerate(X_RG):
+def views_along(model: EdgeModel, rig: RectifiedRig, X_RG: Array, o_G: Array) -> Iterator[EdgeView]:
+    """Yield the views of a trajectory X_RG (k, 4, 4), about o_G (3,)."""
+    for X in X_RG:
         points = control_points(model, rig, X)
         reason = "" if len(points) else why_no_edge(model, rig, X)
-        if sun_G is not None and len(points):
-            points = in_sunlight(model, points, inverse_pose(X)[:3, 3], sun_G[k])
-            reason = "" if len(points) else "none has contrast in this sunlight"
         f = edge_motion(points, rig, X, o_G)
         metric = observability(f, points.weight, model.radius_m)
         range_m = float(np.linalg.norm(X[:3, :3] @ o_G + X[:3, 3]))

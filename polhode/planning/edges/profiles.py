@@ -42,10 +42,6 @@ _RIDGE = 1e-3
 _ITERATIONS = 5
 _LONGEST_PX, _SETTLED_PX = 0.5, 1e-4
 """Of steps of Gauss-Newton"""
-_NO_SIGMA_PX = 1e3
-"""Of a point that shows nothing, in place of infinity"""
-_EXPLAINED = 0.7
-"""Share of a profile's variance that its steps must explain where they are searched"""
 
 
 @dataclass(frozen=True)
@@ -63,7 +59,7 @@ class Displacements:
         """As measurements of motions f (m, 6), of edges that are known to ``floor_px`` at best."""
         sigma = np.hypot(self.sigma_px, floor_px)
         counts = (sigma < MAX_SIGMA_PX) & (np.abs(self.shift_px) < MAX_SHIFT_PX)
-        sigma = np.where(np.isfinite(sigma), sigma, _NO_SIGMA_PX)
+        sigma = np.where(np.isfinite(sigma), sigma, 1e3)
         return MeasuredStripes(
             stripes, f, self.shift_px, sigma, stripes.side * self.spread_px, counts, length
         )
@@ -133,7 +129,8 @@ def searched(place: Array, grey: Array, stripes: Stripes, range_px: float) -> tu
     best = np.argmax(explained, axis=1)
     left = (grey * grey).sum(axis=1) - explained[np.arange(len(grey)), best]
     spread = np.sum((grey - grey.mean(axis=1, keepdims=True)) ** 2, axis=1)
-    return (best - shifts) * STEP_PX, np.asarray(left < (1.0 - _EXPLAINED) * spread)
+    # steps must explain 70 % of the variance
+    return (best - shifts) * STEP_PX, np.asarray(left < (1.0 - 0.7) * spread)
 
 
 _ROOT_AT = np.arange(-16.0, 6.01, 0.005)

@@ -7,22 +7,16 @@ the zero of N . (p - eye) with normals and positions interpolated over each face
 "Illustrating smooth surfaces", SIGGRAPH 2000). Under a small motion the outline slides over the surface, but
 only along the line of sight, which the image does not show: its motion normal to the edge is that of the
 material point (tests/planning/edges).
-
-``in_sunlight`` weights the points by their contrast: the difference of radiance across the edge, Lambertian,
-with shadows. Each side is a face of the body or the black sky. A face that is turned to the Sun and not in
-shadow has the radiance n . s, 1 for a white face normal to the sunlight. An edge between equal radiances is
-invisible in the image, whatever its angle. Where one side is a more distant part of the body, the sky is
-assumed instead.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Bools, Ints, inverse_pose, transform_points
-from polhode.planning.edges.edge_model import EdgeKind, EdgeModel, unit_rows
+from polhode.planning.edges.edge_model import EdgeModel, unit_rows
 
 SPACING_PX = 10.0
 """Spacing of control points along an edge."""
@@ -30,10 +24,6 @@ MERGED_PX, PARALLEL = 2.0, 0.97
 """Edges closer than this in the image, with this cosine of the angle between them, are merged."""
 NEAR = 0.02
 """Near clipping plane, as a share of the body's radius."""
-HALF_CONTRAST = 0.1
-"""Contrast at which image noise and the error floor (blur, model) displace an edge equally."""
-MIN_WEIGHT = 0.01
-"""Points with a smaller weight are omitted."""
 
 
 @dataclass(frozen=True)
@@ -253,40 +243,3 @@ def why_no_edge(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> str:
     if min(u.max(), v.max()) < -0.5 or u.min() > rig.width_px - 0.5 or v.min() > rig.height_px - 0.5:
         return "the body is outside the image"
     return "all edges are hidden or outside the image"
-
-
-def contrast(model: EdgeModel, points: ControlPoints, eye_G: Array, sun_G: Array) -> Array:
-    """(m,) difference of radiance across the edge at each point, 0 to 1; sun_G (3,) towards the Sun."""
-    if len(points) == 0:
-        return np.zeros(0)
-    sun = sun_G / np.linalg.norm(sun_G)
-    kinds = np.append(model.kind, np.full(len(model.outlined), EdgeKind.OUTLINE))[points.feature]
-    rim, crease = kinds == EdgeKind.BOUNDARY, (kinds == EdgeKind.CREASE)[:, None]
-    facing = np.einsum("msk,mk->ms", points.sides_G, eye_G - points.p_G)
-    # an open sheet is also visible from behind
-    normals = np.where((rim[:, None] & (facing < 0.0))[..., None], -points.sides_G, points.sides_G)
-    seen = np.where(crease, facing > 0.0, [True, False])
-    # outwards, between the two sides, where both are lit or both in shadow
-    outward = unit_rows(np.where(crease, normals.sum(axis=1), normals[:, 0]))
-    start = points.p_G + 3.0 * model.tolerance_m * outward
-    lit = ~model.occluder.shades(sun, start, 0.5 * model.tolerance_m)
-    radiance = np.where(seen & lit[:, None], np.maximum(normals @ sun, 0.0), 0.0)
-    return np.asarray(np.abs(radiance[:, 0] - radiance[:, 1]))
-
-
-def contrast_weight(contrast: Array, half: float = HALF_CONTRAST) -> Array:
-    """Information (m,) of an edge, relative to that at full contrast.
-
-    White image noise displaces an edge in inverse proportion to its contrast c; blur and model add a
-    floor: sigma^2 = floor^2 (1 + (half / c)^2).
-    """
-    square = np.asarray(contrast) ** 2
-    return np.asarray(square / (square + half**2))
-
-
-def in_sunlight(
-    model: EdgeModel, points: ControlPoints, eye_G: Array, sun_G: Array, half: float = HALF_CONTRAST
-) -> ControlPoints:
-    """The points that have contrast, their weights multiplied by `contrast_weight`."""
-    share = contrast_weight(contrast(model, points, eye_G, sun_G), half)
-    return replace(points, weight=points.weight * share)[share >= MIN_WEIGHT]

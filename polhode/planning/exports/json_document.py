@@ -15,8 +15,7 @@ from pydantic import Field
 from polhode.files.atomic import write_text
 from polhode.geometry.lie import continuous_wxyz, wxyz_from_matrix
 from polhode.planning.exports import ccsds
-from polhode.planning.exports.job import ExportJob
-from polhode.planning.exports.records import ExportShape
+from polhode.planning.exports.job import ExportJob, ExportShape
 from polhode.planning.predict import MAX_ROWS, prediction_instants
 from polhode.run_directory.archives import STATE_ORDER
 from polhode.run_directory.summary import nullable
@@ -52,7 +51,7 @@ CovarianceRows = Annotated[
 class FrameOut(StrictModel):
     """The frame F that was asked for, in the body."""
 
-    name: Literal["G", "P", "cad"]
+    name: Literal["G", "P"]
     words: str
     X_FG: tuple[Row4, Row4, Row4, Row4]
     """Row-major, p_F = X_FG p_G [m]"""
@@ -178,7 +177,7 @@ def json_document(job: ExportJob) -> str:
             "left_out": job.left_out,
             "epoch_utc": str(options.epoch_utc.astype("datetime64[s]")),
             "frame_N": FRAME_N,
-            "frame": {"name": job.at.name, "words": job.at.description, "X_FG": job.at.X_FG.tolist()},
+            "frame": {"name": options.frame_name, "words": job.frame, "X_FG": job.X_FG.tolist()},
             "last": states[0] if states else None,
             "prediction": states[1:],
             "undetermined": list(undetermined),

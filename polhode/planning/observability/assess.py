@@ -66,7 +66,7 @@ class Subject:
     o_G: Array
     """(3,) [m]"""
     sun_G: Array | None
-    """(k, 3) towards the Sun; None: all edges count as lit"""
+    """(k, 3) towards the Sun; None: unknown"""
     notes: tuple[str, ...]
 
 
@@ -233,10 +233,6 @@ def read_poses(path: Path) -> tuple[Array, Array]:
     return table[:, 0], make_pose(matrix_from_wxyz(wxyz), table[:, 1:4])
 
 
-MAX_MEMORY_MIB = 1024.0
-"""Of the information matrices, one for each edge and view."""
-
-
 @dataclass(frozen=True)
 class Choice:
     """The best set of edges for a trajectory."""
@@ -281,7 +277,7 @@ def assess(subject: Subject, sigma_px: float, few: int | None, progress: Progres
     """
     check_numbers(sigma_px, few)
     size_mib = len(subject.X_RG) * subject.model.size * 36 * 8 / 2**20
-    if size_mib > MAX_MEMORY_MIB:
+    if size_mib > 1024.0:
         fewer_edges = "" if Path(subject.source).is_dir() else ", or a larger --crease-deg"
         raise InputError(
             f"{len(subject.X_RG)} poses of {subject.model.size} edges take {size_mib:.0f} MiB: "
@@ -290,13 +286,12 @@ def assess(subject: Subject, sigma_px: float, few: int | None, progress: Progres
     model, views, C = subject.model, list[EdgeView](), []
     expected: list[ExpectedTracking] = []
     with progress.stage("evaluating views", len(subject.X_RG)) as advance:
-        for view in views_along(model, subject.rig, subject.X_RG, subject.o_G, subject.sun_G):
+        for view in views_along(model, subject.rig, subject.X_RG, subject.o_G):
             # under the Sun that the user gives, or under some around the camera
-            light, points = None, None if subject.sun_G is not None else view.points
-            if subject.sun_G is not None:
-                light = lit_from(view.X_RG[:3, :3] @ subject.sun_G[len(views)])
+            sun_G = subject.sun_G
+            light = None if sun_G is None else lit_from(view.X_RG[:3, :3] @ sun_G[len(views)])
             at = model, subject.rig, view.X_RG, light
-            expected.append(expected_tracking(*at, about_G=subject.o_G, points=points))
+            expected.append(expected_tracking(*at, about_G=subject.o_G, points=view.points))
             views.append(view)
             C.append(by_feature(view.points, view.f, model.size))
             advance()

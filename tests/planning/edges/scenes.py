@@ -69,8 +69,8 @@ def poses(count: int, seed: int = 0, range_m: float = 3.0) -> Array:
     return np.asarray([make_pose(R, [0.05, -0.03, range_m + 0.2 * k]) for k, R in enumerate(turns)])
 
 
-def information_at(model: EdgeModel, X_RG: Array, sun_G: Array | None = None) -> FeatureInformation:
+def information_at(model: EdgeModel, X_RG: Array) -> FeatureInformation:
     """About the model's centre."""
-    views = views_along(model, RIG, X_RG, model.centre_G, sun_G=sun_G)
+    views = views_along(model, RIG, X_RG, model.centre_G)
     C = np.stack([by_feature(view.points, view.f, model.size) for view in views])
     return FeatureInformation(C, model.radius_m)
