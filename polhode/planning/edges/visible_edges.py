@@ -59,11 +59,8 @@ def _of_facets(model: EdgeModel, eye_G: Array) -> Outlines:
 
 
 def _of_smooth_surface(model: EdgeModel, eye_G: Array) -> Outlines:
-    """Where N . (p - eye) vanishes on the faces with corners on both sides of the outline.
-
-    Along an edge of a face, (N_a + t dN) . (a - eye + t d) is quadratic in t, with one root between ends of
-    opposite sign, here in its numerically stable form.
-    """
+    """Where N . (p - eye) vanishes on the faces with corners on both sides of the outline."""
+    # along an edge of a face it is quadratic, with one root between ends of opposite sign, in its stable form
     faces = np.flatnonzero(model.outlined_faces)
     corners, normals = np.asarray(model.surface.triangles)[faces], model.corner_normals_G[faces]
     away = np.einsum("fck,fck->fc", normals, corners - eye_G) > 0.0
@@ -180,10 +177,9 @@ def every_point(model: EdgeModel, rig: RectifiedRig, X_RG: Array, spacing_px: fl
 def _steps(
     ends_G: Array, X_RG: Array, rig: RectifiedRig, spacing_px: float, near_m: float
 ) -> tuple[Ints, Array, Array]:
-    """Equal steps in the image, at most ``spacing_px`` long, of the parts of segments in the field of view.
+    """Equal steps in the image of segments within the field of view (clipped as by Liang and Barsky, 1984).
 
-    Returns the segment (m,) of each step, the fraction (m,) along the segment in space of its centre, its
-    length in the image (m,) [px]. Clipping as by Liang and Barsky, 1984.
+    The segment (m,) of each step, the fraction (m,) in space along it of its centre, its length (m,) [px].
     """
     ends_R = transform_points(X_RG, ends_G.reshape(-1, 3)).reshape(-1, 2, 3)
     z0, z1 = ends_R[:, 0, 2], ends_R[:, 1, 2]
@@ -220,10 +216,7 @@ def _between(ends: Array, piece: Ints, share: Array) -> Array:
 
 
 def _in_image(p_G: Array, plane_G: Array, X_RG: Array, rig: RectifiedRig) -> tuple[Array, Array, Bools]:
-    """Places (m, 2) of points (m, 3) [px], and unit normals (m, 2) of planes (m, 3) through them and the eye.
-
-    And (m,) whether there is such a normal.
-    """
+    """Places (m, 2) of points [px], unit normals (m, 2) of planes through them and the eye, if any (m,)."""
     uv = rig.project(transform_points(X_RG, p_G))[:, :2]
     plane_R = plane_G @ X_RG[:3, :3].T
     length = np.hypot(plane_R[:, 0], plane_R[:, 1])

@@ -102,24 +102,13 @@ class Decomposition:
 
     pieces: tuple[trimesh.Trimesh, ...]
     description: str
-    """How they were made"""
-    beyond_m: float
-    """95th percentile of their protrusion from the surface [m], by area"""
+    """How they were made, and how far they protrude from the surface"""
     max_beyond_m: float
-    """The largest found"""
+    """Largest protrusion found"""
     far_share: float
     """Share of their area that protrudes by more than MAX_PROTRUSION_SHARE of the diameter"""
     diameter_m: float
     """Of the surface: its two points farthest from each other"""
-
-    def describe_protrusion(self) -> str:
-        """How far they protrude."""
-        share = self.max_beyond_m / self.diameter_m
-        return (
-            f"they protrude from the surface by at most {1e3 * self.max_beyond_m:.2g} mm, {share:.1%} of its "
-            f"diameter; 95 % of their area by less than {1e3 * self.beyond_m:.2g} mm, and "
-            f"{self.far_share:.2%} of it by more than {MAX_PROTRUSION_SHARE:.0%} of the diameter"
-        )
 
 
 def decompose(shape: ExportShape, max_pieces: int) -> Decomposition:
@@ -147,14 +136,14 @@ def decompose(shape: ExportShape, max_pieces: int) -> Decomposition:
         hulls.append(trimesh.convex.convex_hull(corners + away))
     count = "the convex hull" if len(hulls) == 1 else f"{len(hulls)} convex pieces"
     beyond = _beyond(hulls, outward)
-    return Decomposition(
-        tuple(hulls),
-        f"collision geometry: {count} {words}",
-        float(np.quantile(beyond, 0.95)),
-        float(beyond.max()),
-        float(np.mean(beyond > MAX_PROTRUSION_SHARE * diameter)),
-        diameter,
+    largest_m, far_share = float(beyond.max()), float(np.mean(beyond > MAX_PROTRUSION_SHARE * diameter))
+    description = (
+        f"collision geometry: {count} {words}; they protrude from the surface by at most "
+        f"{1e3 * largest_m:.2g} mm, {largest_m / diameter:.1%} of its diameter; 95 % of their area by less "
+        f"than {1e3 * float(np.quantile(beyond, 0.95)):.2g} mm, and {far_share:.2%} of it by more than "
+        f"{MAX_PROTRUSION_SHARE:.0%} of the diameter"
     )
+    return Decomposition(tuple(hulls), description, largest_m, far_share, diameter)
 
 
 def _initial_pieces(mesh: trimesh.Trimesh, max_pieces: int) -> tuple[list[Array], str]:

@@ -140,7 +140,7 @@ def _robot(job: ExportJob) -> Files:
             without = missing_part("vhacdx")
             if options.pieces > 1 and without:
                 job.leave_out(f"{without}: the collision geometry is the convex hull")
-            comments.append(f"{cut.description}; {cut.describe_protrusion()}")
+            comments.append(cut.description)
             _log.info("%s", comments[-1])
             if cut.far_share > 1e-3:
                 more = "" if without else ": more --pieces protrude less"

@@ -267,9 +267,7 @@ def test_edges_that_are_known_keep_half_of_the_edges_from_being_mistaken(
     alone, helped = (track_edges(half, RIG, image, start, known=each) for each in (None, bevelled))
     assert off_px(bevelled, helped.X_RG) < 0.3 and helped.agreement > 0.9
     assert off_px(bevelled, helped.X_RG) < off_px(bevelled, alone.X_RG) + 0.02
-
-
-def test_what_cannot_be_tracked_says_why(bevelled: EdgeModel, image: Array) -> None:
+    # what cannot be tracked says why
     behind = track_edges(bevelled, RIG, image, make_pose(np.eye(3), [0.0, 0.0, -2.0]))
     assert not behind.converged and behind.reason == "the target is behind the camera"
     dark = track_edges(bevelled, RIG, np.zeros_like(image), POSE)
@@ -291,13 +289,9 @@ def test_a_prior_holds_what_the_edges_do_not_determine(box: EdgeModel) -> None:
     strong = PosePrior(POSE, 1e12 * np.eye(6))
     held = track_edges(box, RIG, drawing, start, options=TrackingOptions(prior=strong))
     assert np.abs(pose_error(held.X_RG, POSE, o_G)).max() < 1e-4
-
-
-def test_segments_that_are_poorly_known_weigh_less(box: EdgeModel) -> None:
-    drawing = drawn(box.surface, POSE)
+    # segments that are poorly known weigh less
     exact = track_edges(box, RIG, drawing, POSE)
-    sigma = TrackingOptions(sigma_m=np.full(box.size, 1e-3))
-    rough = track_edges(box, RIG, drawing, POSE, options=sigma)
+    rough = track_edges(box, RIG, drawing, POSE, options=TrackingOptions(sigma_m=np.full(box.size, 1e-3)))
     assert rough.converged
     assert np.trace(rough.information.C) < 0.5 * np.trace(exact.information.C)
 
