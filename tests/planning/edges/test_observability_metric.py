@@ -176,7 +176,8 @@ def test_greedy_adds_the_best_edge(seed: int) -> None:
     rng = np.random.default_rng(seed)
     f = rng.normal(size=(2, 9, 2, 6)) * np.exp(rng.normal(size=(9, 1, 1))) * 3.0
     scaled = np.einsum("tnri,tnrj->tnij", f, f)
-    random = FeatureInformation(scaled / np.outer(*2 * [[0.5] * 3 + [1.0] * 3]), 0.5)
+    unit = np.repeat([0.5, 1.0], 3)
+    random = FeatureInformation(scaled / np.outer(unit, unit), 0.5)
 
     def left(features: object) -> float:
         M = np.eye(6) + scaled[:, np.asarray(features, dtype=int)].sum(axis=1)
