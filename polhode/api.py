@@ -414,20 +414,19 @@ class Run:
         *,
         frame: Literal["G", "N"] = "G",
         sigma_px: float = 1.0,
-        spacing_px: float = 10.0,
         sun_N: Sequence[float] | None = None,
         edges: int | None = None,
     ) -> Assessment:
         """How well edges of the mesh determine the relative pose along a trajectory of the camera.
 
-        trajectory: a TUM file in ``frame``, None: the run's own pairs. sigma_px: noise normal to an edge;
-        spacing_px: between control points; sun_N: direction to the Sun; edges: also select the best of so
-        many. Raises InputError for input that does not fit.
+        trajectory: a TUM file in ``frame``, None: the run's own pairs. sigma_px: noise normal to an edge,
+        every 10 px; sun_N: direction to the Sun; edges: also select the best of so many. Raises InputError
+        for input that does not fit.
         """
         sun = sun_direction(sun_N)
         path = None if trajectory is None else Path(trajectory)
         subject = subject_of(self.folder, path, frame, CameraOptions(), None, sun, CREASE_DEG, 1.0)
-        return assess(subject, spacing_px, sigma_px, edges, False, Silent())
+        return assess(subject, sigma_px, edges, Silent())
 
     @errors_name_arguments(words=EXPORT_WORDS, further=EXPORT_OPTIONS)
     def export(self, to: Format, output: str | Path, **options: Any) -> list[Path]:

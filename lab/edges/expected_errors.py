@@ -11,7 +11,7 @@ expected, or nothing, are left out; "all pairs" has them with the start's, as a 
 farther off. "Off": median displacement of the edges in the image. "Confirmed": trials that have settled, and
 of which the image confirms ``CONFIRMED``. "NEES, stated": squared error of the confirmed trials over the
 covariance that the tracker states, per degree of freedom; "and expected": with that of the expected
-displacement besides; "held out": with ``polhode/planning/edges/tracked_covariance.py`` fitted to all other
+displacement besides; "held out": with ``polhode/planning/edges/expected_tracking.py`` fitted to all other
 bodies, its median over that of chi-squared, and the share of trials within its ellipsoid of 95 %.
 ``--rich``: bodies with their own paint and cells, which the model of edges does not have.
 """
@@ -43,14 +43,13 @@ from lab.edges.views import KINDS, NAMES
 from lab.presentation import print_table
 from lab.record import Case, complete, measured
 from polhode.geometry.lie import Array, Bools
-from polhode.planning.edges.expected_tracking import expected_tracking
+from polhode.planning.edges.expected_tracking import TrackedCovariance, expected_tracking
 from polhode.planning.edges.observability_metric import (
     DEGREES_OF_FREEDOM,
     edge_motion,
     observability,
     pose_error,
 )
-from polhode.planning.edges.tracked_covariance import TrackedCovariance
 from polhode.planning.edges.tracking import track_edges
 from polhode.planning.edges.visible_edges import SPACING_PX, control_points
 

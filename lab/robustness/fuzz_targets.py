@@ -450,10 +450,6 @@ def _tum() -> list[bytes]:
     return [b"# t x y z qx qy qz qw\n0.0 0 0 1 0 0 0 1\n0.5 0.1 0 1 0 0 0.1 0.995\n1,0,0,1,0,0,0,1\n"]
 
 
-def _points() -> list[bytes]:
-    return [b"x,y,z,u,v,w\n0,0,0,0,0,0\n1,0,0,1000,0,0\n0,1,0,0,1000,0\n0 0 1 0 0 1000\n"]
-
-
 _WORDS = b"--backend.inertia\nratios_axes\n--seed=4\n--scene.motion.spin_rpm\n[1,2,3]"
 _PROPERTIES = (
     b"moments: [1.2, 1.0, 0.8]\nk1: 0.18\nk2: 0.22\ncom_G: [0, 0, 0.1]\nR_GP: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n"
@@ -533,8 +529,6 @@ TARGETS: tuple[Target, ...] = (
            *b'"F32" "BF16" data_offsets __metadata__'.split())),
     Target("poses_tum", "poses.txt", "text", _tum,
            _call("polhode.planning.observability.assess:read_poses"), words=TEXT_WORDS),
-    Target("corresponding_points", "points.csv", "text", _points,
-           _call("polhode.planning.exports.placement:_from_points", 1e-3), words=TEXT_WORDS),
 )  # fmt: skip
 
 

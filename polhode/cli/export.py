@@ -27,9 +27,8 @@ class ExportCommand(Command):
         ("polhode export RUN --to tum --poses estimated -o run.tum", "the trajectory of the run, for evo"),
     )
     GROUPS: ClassVar = {
-        "CAD model": ("cad", "cad_points", "cad_unit"),
         "body for simulators": ("middle_moment_kg_m2", "pieces"),
-        "motion": ("poses", "animate", "horizon_s", "step_s", "epoch", "object_name", "object_id"),
+        "motion": ("poses", "horizon_s", "step_s", "epoch", "object_name", "object_id"),
     }
 
     run: Annotated[Path, Positional("RUN")]
@@ -38,23 +37,11 @@ class ExportCommand(Command):
     """Format of the file."""
     output: Annotated[Path, Named("FILE", "-o")]
     """The file. An earlier export is replaced, with its folder of meshes; any other file is not."""
-    frame: Annotated[str | None, Named("G|P|cad")] = None
-    """Frame of the file: G of the run; P, principal axes at the centre of mass; cad, that of your model. The
-    default is G, and P for aem, oem and tum."""
-    cad: Annotated[Path | None, Named("MESH")] = None
-    """With --frame cad: your model (PLY, STL, OBJ, GLB); the run's mesh is registered to it (ICP)."""
-    cad_points: Annotated[Path | None, Named("FILE")] = None
-    """With --frame cad: three or more corresponding points, one per line: x y z in G [m], x y z in the
-    frame of your model. Together with --cad they initialize ICP."""
-    cad_unit: Annotated[str, Named("m|mm")] = "m"
-    """Unit of --cad and --cad-points."""
+    frame: Annotated[str | None, Named("G|P")] = None
+    """Frame of the file: G of the run; P, principal axes at the centre of mass. The default is G, and P for
+    aem, oem and tum."""
     unit: Annotated[str, Named("m|mm")] = "m"
     """Unit of glb, ply, stl and obj; the other formats have their own."""
-    level: Annotated[int | None, Named("N")] = None
-    """Level of detail of the mesh: 0 full, 1, 2, ... lighter. The default is 0, and 2 for urdf, mjcf and sdf,
-    whose convex pieces contain the full mesh at any level."""
-    animate: bool = False
-    """glb: animate the model, which tumbles in N over the horizon as predicted."""
     mass_kg: Annotated[float | None, Named("KG")] = None
     """Mass of the target [kg]; with the volume of the mesh and uniform density it sets the scale of the
     inertia. Without it the run's own where known forces determined it; otherwise the values are relative."""

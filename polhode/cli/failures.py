@@ -38,9 +38,9 @@ OUT_OF_MEMORY = ("can't allocate memory", "cannot allocate memory", "out of memo
 """What libraries say instead of raising MemoryError."""
 LESS_MEMORY = {
     "predict": "use a larger --step-s or a smaller --horizon",
-    "export": "use a larger --step-s or a smaller --horizon, a lighter --level or fewer --pieces",
+    "export": "use a larger --step-s or a smaller --horizon, or fewer --pieces",
     "plan": "use fewer --members or a smaller --horizon",
-    "observability": "use a larger --spacing-px or a lighter mesh",
+    "observability": "use fewer poses or a lighter mesh",
     "simulate": "use fewer --runtime.workers, fewer frames or smaller images",
     "run": "use fewer --runtime.workers, fewer frames or smaller images",
     "compare": "use fewer --runtime.workers, fewer frames or smaller images",

@@ -20,14 +20,12 @@ class ObservabilityCommand(Command):
 
     C = sum of f f^T over the visible edges, f their motion perpendicular to themselves under each degree of
     freedom; C^-1 is the covariance of the pose for noise of one pixel (docs/observability.md). Writes
-    observability.json and .csv, edges.csv, edges.glb and .ply (coloured), metric.png, views.png,
-    contributions.png.
+    observability.json and .csv, edges.csv, metric.png, contributions.png.
     """
 
     GROUPS: ClassVar = {
-        "metric": ("about", "sun", "sigma_px", "spacing_px"),
+        "metric": ("about", "sun", "sigma_px", "edges"),
         "camera": ("focal_px", "width_px", "height_px"),
-        "selection": ("edges", "fewest"),
         "mesh file": ("crease_deg", "unit"),
     }
 
@@ -44,15 +42,13 @@ class ObservabilityCommand(Command):
     are seconds after the last pair of the run. body unless given, and inertial for the file that
     `polhode plan` writes, whose first line says so."""
     sun: Annotated[tuple[float, float, float] | None, Named("X Y Z")] = None
-    """Direction to the Sun, of any length: edges are then weighted by their contrast. In N for a run, in its
-    own frame for a mesh. Without it all edges have the same weight."""
+    """Direction to the Sun, of any length, for what is expected of a tracker. In N for a run, in its own
+    frame for a mesh. Without it, some around the camera."""
     about: Annotated[tuple[Coordinate, Coordinate, Coordinate] | None, Named("X Y Z")] = None
     """Reference point in G [m] of translations and rotations. The centre of mass of a run, or the centre of
     the mesh's bounding box, unless given."""
     sigma_px: Annotated[float, Named("PX")] = 1.0
-    """Standard deviation of the distance to an edge, at each sample point."""
-    spacing_px: Annotated[float, Named("PX")] = 10.0
-    """Spacing of the sample points along an edge."""
+    """Standard deviation of the distance to an edge, at each sample point: one every 10 px."""
     crease_deg: Annotated[float, Named("DEG"), Field(gt=0, lt=180)] = 30.0
     """For a mesh: faces that meet at a larger angle form an edge."""
     unit: Literal["m", "mm"] = "m"
@@ -65,9 +61,6 @@ class ObservabilityCommand(Command):
     """Height of the image; a run's own, or 480."""
     edges: Annotated[int | None, Named("N")] = None
     """Also select the best N edges: those that minimize the variance over the trajectory."""
-    fewest: bool = False
-    """Also find the smallest set of edges that keeps every sigma within 10 % of that with all; takes up to a
-    minute."""
 
     def execute(self) -> Answer:
         """Check, assess, write and print."""
@@ -90,7 +83,7 @@ class ObservabilityCommand(Command):
         from polhode.runtime.console import choose_progress
 
         with assessment_folder(self.output) as place:
-            check_numbers(self.sigma_px, self.spacing_px, self.edges)
+            check_numbers(self.sigma_px, self.edges)
             sun = sun_direction(self.sun)
             stated = "inertial" if self.trajectory is not None and is_in_N(self.trajectory) else "body"
             subject = subject_of(
@@ -103,9 +96,7 @@ class ObservabilityCommand(Command):
                 self.crease_deg,
                 {"m": 1.0, "mm": 1e-3}[self.unit],
             )
-            assessment = assess(
-                subject, self.spacing_px, self.sigma_px, self.edges, self.fewest, choose_progress()
-            )
+            assessment = assess(subject, self.sigma_px, self.edges, choose_progress())
             names = write_assessment(assessment, place)
         return Answer(
             f"{', '.join(names)}: {self.output}",

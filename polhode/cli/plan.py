@@ -30,7 +30,7 @@ class PlanCommand(Command):
         ),
     )
     GROUPS: ClassVar = {
-        "docking": ("dock_point", "dock_axis", "stand_off_m", "half_angle_deg", "isp_s"),
+        "docking": ("dock_point", "dock_axis", "stand_off_m", "isp_s"),
         "keep-out volume": ("cover", "members"),
     }
 
@@ -53,9 +53,6 @@ class PlanCommand(Command):
     """Docking axis in G, pointing outwards, of any length."""
     stand_off_m: Annotated[float, Named("M", "--stand-off"), Field(ge=1e-12, le=1e6)] = 0.5
     """Distance of the inspector from the docking point along the axis [m]."""
-    half_angle_deg: Annotated[float, Named("DEG"), Field(ge=1e-9, le=89.9)] = 10.0
-    """Half angle of the corridor's cone [deg]: corridor.csv says when a camera that rests where it was at the
-    last pair is in it."""
     isp_s: Annotated[float, Named("S"), Field(ge=1e-12, le=1e6)] = 230.0
     """Specific impulse, for the fuel that station keeping uses [s]."""
 
@@ -72,7 +69,7 @@ class PlanCommand(Command):
             docking = None
             if self.dock_point is not None and self.dock_axis is not None:
                 point, axis = np.array(self.dock_point), np.array(self.dock_axis)
-                docking = Docking(point, axis, self.stand_off_m, self.half_angle_deg, self.isp_s)
+                docking = Docking(point, axis, self.stand_off_m, self.isp_s)
             wanted = KeepOutOptions(self.horizon_s, self.confidence, members=self.members, cover=self.cover)
             plan = plan_run(self.run, wanted, docking)
             names = write_plan(plan, place)

@@ -8,8 +8,14 @@ import numpy as np
 from polhode.geometry.lie import Array
 from polhode.mapping.mesh_files import read_ply
 from polhode.mapping.visibility import Caster
-from polhode.planning.approach.approach_path import POSES, ApproachPath, along_corridor, towards_centre
-from polhode.planning.approach.corridor import Corridor, corridor
+from polhode.planning.approach.corridor import (
+    POSES,
+    ApproachPath,
+    Corridor,
+    along_corridor,
+    corridor,
+    towards_centre,
+)
 from polhode.planning.approach.surface_speed import SurfaceSpeed, surface_speed
 from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions, keep_out, member_times
 from polhode.planning.predict import last_body, require_horizon, undetermined_names
@@ -24,9 +30,6 @@ from polhode.runtime.errors import InputError
 
 DOUBTFUL_DOCK_DISTANCE, MAX_DOCK_DISTANCE = 0.05, 5.0
 """Shares of the body's size: a docking point farther from the surface gives a warning, or is refused."""
-APPROACH_RADII = 1.5
-"""Distance from the centre of mass at which an approach without a docking point ends, over that of the
-farthest part of the body with its margin"""
 
 
 @dataclass(frozen=True)
@@ -36,13 +39,11 @@ class Docking:
     point_G: Array
     axis_G: Array
     stand_off_m: float
-    half_angle_deg: float
     isp_s: float
 
     def corridor(self, motion: BodyMotion) -> Corridor:
         """At the instants of a motion."""
-        half_angle_rad = np.deg2rad(self.half_angle_deg)
-        return corridor(motion, self.point_G, self.axis_G, self.stand_off_m, half_angle_rad)
+        return corridor(motion, self.point_G, self.axis_G, self.stand_off_m)
 
 
 @dataclass(frozen=True)
@@ -57,8 +58,6 @@ class Plan:
     corridor: Corridor | None
     approach: ApproachPath | None
     docking: Docking | None
-    camera_N: Array | None
-    """(3,) place of the camera at the last pair [m]; None: unknown"""
     left_out: dict[str, str]
     notes: tuple[str, ...]
     intervals: Intervals | None = None
@@ -99,7 +98,7 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
         notes.append(f"The run does not determine {names}: the sampled motions agree with the observed one.")
     if ranges := describe_intervals(summary):
         notes.append(f"By the hull of the body: {'; '.join(ranges)}.")
-    found, speed, surface, path, approach, camera_N = None, None, None, None, None, None
+    found, speed, surface, path, approach = None, None, None, None, None
     motion = nominal_motion(estimate, np.concatenate([[0.0], member_times(estimate, options.horizon_s)]))
     try:
         surface = surface_of(run)
@@ -128,13 +127,13 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
     try:
         # the camera's path from its last pose to the docking point, or towards the centre of mass
         X_NR = read_measurements(run / "measurements.npz").X_NR[-1]
-        camera_N = X_NR[:3, 3]
         ahead = nominal_motion(estimate, np.linspace(0.0, options.horizon_s, POSES))
         if docking is not None:
             approach = along_corridor(ahead, docking.corridor(ahead), X_NR, docking.stand_off_m)
         elif found is not None:
             farthest_m = np.linalg.norm(found.body.points_G - estimate.com_G, axis=1).max()
-            end_m = APPROACH_RADII * float(farthest_m + found.instant.margin_m().max())
+            # over the distance of the farthest part of the body with its margin
+            end_m = 1.5 * float(farthest_m + found.instant.margin_m().max())
             approach = towards_centre(ahead, X_NR, end_m)
         else:
             why = "no surface, whose size decides how near the camera may come, and no --dock-point"
@@ -142,7 +141,7 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
     except InputError as error:
         left_out["approach"] = str(error)
     return Plan(
-        *(options.horizon_s, options.confidence, found, speed, surface, path, approach, docking, camera_N),
+        *(options.horizon_s, options.confidence, found, speed, surface, path, approach, docking),
         left_out=left_out,
         notes=tuple(notes),
         intervals=summary.intervals,

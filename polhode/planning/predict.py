@@ -14,7 +14,6 @@ from polhode.backend.problem.inertia import FORMS, inertia_by_parameters
 from polhode.config.loader import load_config
 from polhode.files.output.single_file import make_parent, output_file
 from polhode.geometry.lie import Array, Bools, Ints, continuous_wxyz, wxyz_from_matrix
-from polhode.geometry.rigid_body import propagate
 from polhode.planning.prediction import ROWS_AT_ONCE, FinalState, PredictedMotion, predict
 from polhode.records.estimate import Prediction
 from polhode.run_directory.archives import (
@@ -42,22 +41,11 @@ from polhode.runtime.progress import Progress, Silent
 MAX_ROWS = 100_000
 LONG_ROWS = 2_000
 """A prediction with more rows than these takes seconds and shows its progress."""
-MIN_STEP_S = 1e-9
-"""Timestamps are whole nanoseconds."""
 MIN_HORIZON_S, MAX_HORIZON_S = 1e-6, 1e8
-MAX_TURNS = 1e4
 ARRAYS = (
     "timestamps_ns", "r_N", "v_N", "q_NP_wxyz", "w_P", "covariance", "covariance_of_marks", "order",
 )  # fmt: skip
 """Names in the archive of a prediction."""
-MIN_POSITION_SHARE = 0.1
-"""A component of the position is undetermined when at least this share of it lies along one that is."""
-MIN_RATE_SHARE = 0.002
-"""The same for the angular velocity."""
-
-
-class NoCovariance(InputError):
-    """The run has a motion, but no covariance of it."""
 
 
 def predict_run(
@@ -105,10 +93,6 @@ def _predict_motion(
     for start in range(0, len(time_s), LONG_ROWS):
         rows = slice(start, start + LONG_ROWS)
         covariance[rows] = undetermined_as_inf(covariance[rows])
-    return _motion_of(states, summary, timestamps_ns)
-
-
-def _motion_of(states: Prediction, summary: Summary, timestamps_ns: Ints) -> PredictedMotion:
     return PredictedMotion(
         **vars(states),
         timestamps_ns=timestamps_ns,
@@ -117,20 +101,6 @@ def _motion_of(states: Prediction, summary: Summary, timestamps_ns: Ints) -> Pre
         com_G=np.array(summary.com_G),
         ranges=tuple(describe_intervals(summary)),
     )
-
-
-def predict_without_covariance(run_folder: Path, horizon_s: float, step_s: float | None) -> PredictedMotion:
-    """The same states, from the last pair on, from the summary and the last row of the trajectory."""
-    summary, table = read_summary(run_folder), read_trajectory(run_folder)
-    assert summary.inertia is not None
-    time_s, timestamps_ns = prediction_instants(run_folder, horizon_s, step_s, from_last=True)
-    R_GP, J_G = np.array(summary.R_GP), np.array(summary.inertia.J_G)
-    r_N, v_N, R_NG, w_G = propagate(
-        time_s, table.r_N[-1], table.v_N[-1], table.R_NP[-1] @ R_GP.T, R_GP @ table.w_P[-1], J_G
-    )
-    unknown = np.full((len(time_s), 12, 12), np.inf)
-    states = Prediction(time_s, r_N, v_N, R_NG @ R_GP, w_G @ R_GP, unknown, unknown)
-    return _motion_of(states, summary, timestamps_ns)
 
 
 def prediction_instants(
@@ -169,9 +139,9 @@ def require_horizon(horizon_s: float, rate_rad_s: float) -> None:
     if not (np.isfinite(horizon_s) and horizon_s > 0.0):
         raise InputError(f"--horizon {horizon_s:g}: give the seconds to look ahead, a number above 0")
     turns = horizon_s * rate_rad_s / (2.0 * np.pi)
-    if turns > MAX_TURNS:
+    if turns > 1e4:
         raise InputError(
-            f"--horizon {horizon_s:g}: {turns:.3g} revolutions of the target; at most {MAX_TURNS:g} can be"
+            f"--horizon {horizon_s:g}: {turns:.3g} revolutions of the target; at most 10000 can be"
         )
     if not MIN_HORIZON_S <= horizon_s <= MAX_HORIZON_S:
         raise InputError(f"--horizon {horizon_s:g}: give seconds from {MIN_HORIZON_S:g} to {MAX_HORIZON_S:g}")
@@ -195,28 +165,23 @@ def require_step(step_s: float) -> None:
     """Raise InputError for a step that is no time above 0, or too short for timestamps in nanoseconds."""
     if not 0.0 < step_s <= MAX_HORIZON_S:
         raise InputError(f"--step-s {step_s:g}: give the seconds between two rows, a number above 0")
-    if step_s < MIN_STEP_S:
-        raise InputError(
-            f"--step-s {step_s:g}: timestamps are whole nanoseconds; give {MIN_STEP_S:g} or more"
-        )
+    if step_s < 1e-9:
+        raise InputError(f"--step-s {step_s:g}: timestamps are whole nanoseconds; give 1e-09 or more")
 
 
 def last_body(run_folder: Path) -> tuple[FinalState, Summary]:
     """The end of a run, ready for ``planning.prediction.predict``.
 
-    Raises InputError when there is none, NoCovariance when its covariance is all that is missing.
+    Raises InputError when there is none.
     """
     require_run_folder(run_folder)
     summary = read_summary(run_folder)
     if summary.inertia is None or summary.R_GP is None:
         raise InputError(f"{run_folder}: this run failed before it had an estimate; nothing can be predicted")
-    try:
-        stored = read_covariance(run_folder)
-    except InputError as error:
-        raise NoCovariance(str(error)) from error
+    stored = read_covariance(run_folder)
     covariance = stored.last_body
     if covariance is None:
-        raise NoCovariance(f"{run_folder / 'covariance.npz'}: the array last_body is missing; run it again")
+        raise InputError(f"{run_folder / 'covariance.npz'}: the array last_body is missing; run it again")
     table, R_GP = read_trajectory(run_folder), np.array(summary.R_GP)
     require_same_frames(run_folder, table, stored.timestamps_ns, "covariance.npz")
     form = FORMS[load_config(run_folder / "config.yaml").backend.inertia]
@@ -237,8 +202,8 @@ def undetermined_components(last: Array, com_lost: Bools, axes_lost: Bools, stat
     last (12, 12) covariance of the last state, ``inf`` where undetermined; com_lost, axes_lost (3,) along P.
     """
     lost = np.tile(~np.isfinite(np.diagonal(last)), (len(states.time_s), 1))
-    # undetermined directions of the body rotate with it
-    lost[:, 0:3] = lost[:, 3:6] | (np.abs(states.R_NP[:, :, com_lost]) > MIN_POSITION_SHARE).any(axis=2)
+    # undetermined directions of the body rotate with it: a tenth of a component is enough
+    lost[:, 0:3] = lost[:, 3:6] | (np.abs(states.R_NP[:, :, com_lost]) > 0.1).any(axis=2)
     if axes_lost.sum() >= 2:
         # the axes may even be exchanged: nothing expressed in them is determined
         lost[:, 6:] = True
@@ -246,7 +211,7 @@ def undetermined_components(last: Array, com_lost: Bools, axes_lost: Bools, stat
         rate = np.linalg.norm(states.w_P, axis=1, keepdims=True)
         lost[:, 6:9] |= axes_lost
         # an unknown turn about this axis mixes the rates about the other two
-        across = np.linalg.norm(states.w_P[:, ~axes_lost], axis=1, keepdims=True) > MIN_RATE_SHARE * rate
+        across = np.linalg.norm(states.w_P[:, ~axes_lost], axis=1, keepdims=True) > 0.002 * rate
         lost[:, 9:12] |= across & ~axes_lost
     return np.asarray(lost)
 

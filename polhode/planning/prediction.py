@@ -36,8 +36,6 @@ from polhode.runtime.progress import Advance
 PAIRS = 128
 UNKNOWN_RAD = float(np.sqrt((np.pi**2 / 3.0 + 2.0) / 3.0))
 """Root mean square of each component of the rotation vector of a uniformly distributed attitude."""
-MIN_SECOND_MOMENT = 0.02
-"""Share of the largest: a sampled inertia is moved towards the estimate until it is physically possible."""
 ROWS_AT_ONCE = 64
 """Instants at which all members are held at once: it bounds the memory of long predictions."""
 
@@ -169,7 +167,8 @@ def _largest_share(last: FinalState, deviation: Array, change: Array) -> Array:
         moved = last.J_G + share[:, None, None] * change
         half_trace = 0.5 * np.trace(moved, axis1=1, axis2=2)[:, None, None]
         values = np.linalg.eigvalsh(half_trace * np.eye(3) - moved)
-        bad = values[:, 0] < MIN_SECOND_MOMENT * values[:, 2]
+        # second moments, the least over the largest
+        bad = values[:, 0] < 0.02 * values[:, 2]
         if not bad.any():
             break
         share[bad] *= 0.5

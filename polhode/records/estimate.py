@@ -275,9 +275,4 @@ class Prediction:
     covariance: Array
     """of the centre of mass and the principal axes: large where those are poorly known"""
     covariance_of_marks: Array
-    """of the body: the estimated centre of mass and axes are exact marks on it; all inf: unknown"""
-
-    @property
-    def has_covariance(self) -> bool:
-        """Whether the uncertainty is known."""
-        return bool(np.isfinite(self.covariance_of_marks).all())
+    """of the body: the estimated centre of mass and axes are exact marks on it"""

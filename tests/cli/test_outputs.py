@@ -523,11 +523,6 @@ def test_every_export_knows_its_own_files(to: str, stage: Stage, tmp_path: Path,
     if to == "stl":  # of an earlier version
         file.write_bytes(b"binary STL; frame cad, mm".ljust(80) + bytes(4))
         assert main(words) == 0 and file.stat().st_size > 84
-    if to == "ply":
-        file.unlink()
-        assert main(words) == 0
-        assert main([*words, "--frame", "cad", "--cad", str(file)]) == 2
-        refused("this command reads that file", capsys)
 
 
 def test_predictions_know_each_other_whatever_their_run_and_step(stage: Stage, tmp_path: Path) -> None:

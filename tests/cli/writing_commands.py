@@ -178,10 +178,10 @@ def make_quick(patch: pytest.MonkeyPatch, stage: Stage) -> None:
     few = KeepOutOptions(2.0, 0.97, members=100, cells=24)
     plan_run, real_assess, subject_of = plan.plan_run, assess.assess, assess.subject_of
     patch.setattr(plan, "plan_run", lambda run, *_: once("plan", lambda: plan_run(run, few, None)))
-    patch.setattr(polhode.planning.plan_files, "plan_pictures", lambda *_: {})
+    patch.setattr(polhode.planning.plan_files, "draw_keepout", lambda *_: b"png")
     patch.setattr(assess, "subject_of", lambda *words: once("subject", lambda: subject_of(*words)))
     patch.setattr(assess, "assess", lambda *words: once("assessment", lambda: real_assess(*words)))
-    for name in ("draw_metric", "draw_views", "draw_contributions"):
+    for name in ("draw_metric", "draw_contributions"):
         patch.setattr(polhode.planning.observability.pictures, name, lambda *_: b"png")
 
 

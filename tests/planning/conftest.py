@@ -31,6 +31,6 @@ def spinning(undetermined: Example, tmp_path_factory: pytest.TempPathFactory) ->
 @pytest.fixture
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Numbers alone: drawing takes most of the time."""
-    monkeypatch.setattr("polhode.planning.plan_files.plan_pictures", lambda *_: {})
-    for name in ("draw_metric", "draw_views", "draw_contributions"):
+    monkeypatch.setattr("polhode.planning.plan_files.draw_keepout", lambda *_: b"png")
+    for name in ("draw_metric", "draw_contributions"):
         monkeypatch.setattr(f"polhode.planning.observability.pictures.{name}", lambda *_: b"png")

@@ -11,11 +11,10 @@ from matplotlib.image import imread
 
 from polhode.cli.main import main
 from polhode.files.output.marked_folder import MARK
-from polhode.planning.approach.approach_path import POSES
+from polhode.planning.approach.corridor import POSES
 from polhode.planning.observability.assess import read_poses
 from polhode.planning.plan import final_estimate
 from polhode.planning.plan_files import CORRIDOR_COLUMNS, is_in_N
-from polhode.planning.prediction import nominal_motion
 from polhode.run_directory.summary_schema import Intervals
 from tests.pipeline.conftest import Example
 from tests.pipeline.stored_run import stored
@@ -56,9 +55,8 @@ def test_everything_is_written_and_opens_again(
     assert not any("--dock-point" in words or "runs into" in words for words in found["notes"])
     assert found["approach"]["looks_at"] == "docking point"
     assert found["approach"]["distance_m"]["end"] == pytest.approx(0.3)
-    for name in ("keepout.png", "surface_speed.png", "corridor.png"):
-        picture = imread(out / name)
-        assert picture.shape[0] > 400 and len(np.unique(picture[..., :3].reshape(-1, 3), axis=0)) > 500
+    picture = imread(out / "keepout.png")
+    assert picture.shape[0] > 400 and len(np.unique(picture[..., :3].reshape(-1, 3), axis=0)) > 500
     # the whole body of the last pair is inside
     X_NG = example.estimate.X_NG[-1]
     p_N = np.asarray(example.surface.mesh.vertices) @ X_NG[:3, :3].T + X_NG[:3, 3]
@@ -92,25 +90,25 @@ def test_without_a_mesh_the_rest_is_given_and_the_reason_said(
     assert "Left out: keepout:" in shown
     assert found["keepout"] is None and "no mesh" in found["left_out"]["keepout"]
     files = {file.name for file in out.iterdir() if file.name != MARK}
-    assert files == {"corridor.csv", "corridor.png", "plan.txt", "planning.json"}
+    assert files == {"corridor.csv", "plan.txt", "planning.json"}
 
 
 @pytest.mark.usefixtures("no_pictures")
 def test_observability_reads_the_approach(
     run: Path, example: Example, tmp_path: Path, capsys: Capture
 ) -> None:
-    _, shown = planned(run, out := tmp_path / "out", capsys)
+    found, shown = planned(run, out := tmp_path / "out", capsys)
     assert "Approach (plan.txt, frame N): from" in shown
     time_s, X_NR = read_poses(out / "plan.txt")
     assert (time_s[0], time_s[-1], len(time_s)) == (0.0, 2.0, POSES)
     np.testing.assert_allclose(X_NR[0, :3, 3], example.tracks.X_NR[-1, :3, 3], atol=1e-9)
-    tables = []
     # the file says in which frame its poses are
-    for frame in (["--frame", "inertial"], []):
-        words = ["observability", str(run), "-o", str(out), "--trajectory", str(out / "plan.txt"), *frame]
-        assert main(words) == 0
-        tables.append((out / "observability.csv").read_bytes())
-    assert tables[0] == tables[1] and f"Metric of {POSES} poses" in capsys.readouterr().out
+    assert is_in_N(out / "plan.txt")
+    assert main(["observability", str(run), "-o", str(out), "--trajectory", str(out / "plan.txt")]) == 0
+    assert f"Metric of {POSES} poses" in capsys.readouterr().out
+    table = np.genfromtxt(out / "observability.csv", delimiter=",", names=True, usecols=(0, 1))
+    ends = found["approach"]["distance_m"]
+    assert table["range_m"][[0, -1]] == pytest.approx([ends["start"], ends["end"]], rel=1e-5)
     assert not is_in_N(tmp_path / "missing.txt") and (out / "planning.json").is_file()
 
 
@@ -134,52 +132,18 @@ def test_a_docking_point_off_the_target_is_told_of(
     assert "give metres in G" in capsys.readouterr().err and not (tmp_path / "none").exists()
 
 
-@pytest.mark.usefixtures("no_pictures")
-@pytest.mark.parametrize("half_angle_deg", [5.0, 89.0])
-def test_the_half_angle_decides_when_the_resting_camera_is_in_the_cone(
-    half_angle_deg: float, bare: Path, example: Example, tmp_path: Path, capsys: Capture
-) -> None:
-    # towards the camera when half of the horizon has passed
-    motion = nominal_motion(final_estimate(bare)[0], np.array([1.0]))
-    camera_N = example.tracks.X_NR[-1, :3, 3]
-    axis_G = motion.R_NG[0].T @ (camera_N - motion.p_NG[0]) - [0.06, 0.0, 0.0]
-    dock = ["--dock-point", "0.06", "0", "0", "--dock-axis", *(f"{x:.12g}" for x in axis_G)]
-    out = tmp_path / "out"
-    found, shown = planned(bare, out, capsys, *dock, "--half-angle-deg", f"{half_angle_deg:g}")
-    table = np.genfromtxt(out / "corridor.csv", delimiter=",", names=True)
-    tip, axis = (np.stack([table[f"{each}_N_{a}"] for a in "xyz"], axis=1) for each in ("tip", "axis"))
-    offset = camera_N - tip
-    chord = np.linalg.norm(offset / np.linalg.norm(offset, axis=1, keepdims=True) - axis, axis=1)
-    angle_deg = np.rad2deg(2.0 * np.arcsin(0.5 * chord))
-    np.testing.assert_allclose(table["camera_angle_deg"], angle_deg, atol=1e-4)
-    inside = table["camera_in_cone"] == 1.0
-    np.testing.assert_array_equal(inside, table["camera_angle_deg"] <= half_angle_deg)
-    camera = found["corridor"]["resting_camera"]
-    assert camera["least_angle_at_s"] == pytest.approx(1.0, abs=0.1)
-    ((first, last),) = camera["in_cone_s"]
-    assert (first, last) == pytest.approx(tuple(table["time_s"][inside][[0, -1]]))
-    assert f"is in the cone of {half_angle_deg:g} deg from {first:.1f} to {last:.1f} s" in shown
-    assert "over 2 s" in shown and "of the mass at an Isp of 230 s" in shown
-
-
 @pytest.mark.parametrize(
     ("words", "named"),
     [
         (["--horizon", "0"], "--horizon"),
         (["--confidence", "1.5"], "--confidence"),
         (["--members", "10"], "--members"),
-        (["--members", "-1"], "--members -1"),
         (["--members", "1000000000000"], "--members 1000000000000: give a whole number from 1 to 100000"),
-        (["--horizon", "inf"], "--horizon inf"),
         (["--horizon", "1e308"], "--horizon 1e+308"),
-        (["--horizon", "1e-308"], "--horizon 1e-308"),
         (["--confidence", "nan"], "--confidence nan"),
         (["--dock-point", "0", "0", "1e308", "--dock-axis", "1", "0", "0"], "--dock-point 0 0 1e308: give 3"),
-        (["--dock-point", "0", "0", "nan", "--dock-axis", "1", "0", "0"], "--dock-point 0 0 nan: give 3"),
         ([*ORIGIN, "1e308", "0", "0"], "--dock-axis: give a direction"),
-        ([*ORIGIN, "nan", "0", "0"], "--dock-axis: give a direction"),
         ([*DOCK, "--stand-off", "1e308"], "--stand-off 1e308: give a number"),
-        ([*DOCK, "--half-angle-deg", "180"], "--half-angle-deg 180"),
         ([*DOCK, "--isp-s", "1e-308"], "--isp-s 1e-308"),
         (ORIGIN[:4], "--dock-axis"),
         ([*ORIGIN, "0", "0", "0"], "--dock-axis"),

@@ -43,25 +43,14 @@ def simulated_run(folder: Path, w_G: tuple[float, float, float]) -> tuple[Path, 
         w_G=w_G, accel_psd=1e-10, torque_psd=1e-10, min_inliers=12,
     )  # fmt: skip
     sequence = generate(scene, 0)
-    use = sequence.tracks.frame < SEEN
-    _, landmark = np.unique(sequence.tracks.landmark[use], return_inverse=True)
-    tracks = replace(
-        sequence.tracks,
-        timestamps_ns=sequence.tracks.timestamps_ns[:SEEN],
-        X_NR=sequence.tracks.X_NR[:SEEN],
-        frame=sequence.tracks.frame[use],
-        landmark=landmark.astype(np.int64),
-        uvd_px=sequence.tracks.uvd_px[use],
-        sigma_px=sequence.tracks.sigma_px[use],
-    )
-    early = sequence.relative.j < SEEN
-    relative = replace(
-        sequence.relative,
-        i=sequence.relative.i[early],
-        j=sequence.relative.j[early],
-        X_RiRj=sequence.relative.X_RiRj[early],
-        inliers=sequence.relative.inliers[early],
-    )
+    whole, pairs = sequence.tracks, sequence.relative
+    use, early = whole.frame < SEEN, pairs.j < SEEN
+    _, landmark = np.unique(whole.landmark[use], return_inverse=True)
+    rows = {name: getattr(whole, name)[use] for name in ("frame", "uvd_px", "sigma_px")}
+    frames = {name: getattr(whole, name)[:SEEN] for name in ("timestamps_ns", "X_NR")}
+    tracks = replace(whole, **rows, **frames, landmark=landmark.astype(np.int64))
+    names = ("i", "j", "X_RiRj", "inliers")
+    relative = replace(pairs, **{name: getattr(pairs, name)[early] for name in names})
     config = Backend(solver="gauss_newton", process_noise="given", accel_psd=1e-10, torque_psd=1e-10)
     initial = initialize_motion(tracks, relative, config)
     estimate = estimate_motion(tracks, initial, config, Silent())
@@ -100,18 +89,6 @@ def test_the_table_goes_on_where_the_trajectory_ends(
         assert " ".join(f"{x:.{digits}f}" for x in values) in row
     assert f"{np.rad2deg(path.sigma_theta[-1].max()):.2g}" in last[1]
     assert np.all(np.isfinite(path.sigma_theta)) and np.all(np.diff(path.sigma_r[:, 0]) > 0.0)
-
-
-def test_the_rows_on_the_screen_are_at_even_steps_to_the_horizon() -> None:
-    for count, seconds in (
-        (60, [5.0, 10.0, 15.0, 20.0, 25.0, 30.0]),
-        (40, [4.0, 8.0, 12.0, 16.0, 20.0]),
-        (3, [0.5, 1.0, 1.5]),
-        (1, [0.5]),
-        (61, [5.5, 11.0, 16.5, 22.0, 27.5, 30.5]),
-    ):
-        time_s = 0.5 * np.arange(1, count + 1, dtype=np.float64)
-        assert time_s[shown_rows(time_s)].tolist() == seconds
 
 
 def test_the_archive_holds_full_covariances_and_the_same_bytes_again(
@@ -192,17 +169,6 @@ def test_mistakes_are_one_line(arguments: list[str], words: str, bare: Path, cap
     assert words in stderr and stderr.count("\n") == 1
 
 
-def test_a_prediction_of_many_rows_shows_its_progress(
-    bare: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run, file = bare, tmp_path / "ahead.oem"
-    monkeypatch.setattr("polhode.planning.predict.LONG_ROWS", 100)
-    for command in (["predict"], ["export", "--to", "oem", "-o", str(file)]):
-        for step_s, shown in (("0.1", False), ("0.04", True)):
-            assert main([*command, str(run), "--horizon", "8", "--step-s", step_s]) == 0
-            assert ("prediction: 4 in" in capsys.readouterr().out) == shown
-
-
 def test_a_run_that_failed_or_is_none_is_refused(tmp_path: Path, capsys: Capture) -> None:
     from polhode.run_directory.summary import build_summary, write_summary
 
@@ -223,6 +189,10 @@ def test_times_reach_the_horizon_and_no_step_is_nearly_nothing() -> None:
         assert np.all(np.diff(stamps, prepend=0.0) >= 1.0)
     with pytest.raises(InputError, match="more than 100000 rows"):
         prediction_times(1e6, 0.5)
+    # the rows on the screen are at even steps to the horizon
+    for count, seconds in ((3, [0.5, 1.0, 1.5]), (1, [0.5]), (61, [5.5, 11.0, 16.5, 22.0, 27.5, 30.5])):
+        time_s = 0.5 * np.arange(1, count + 1, dtype=np.float64)
+        assert time_s[shown_rows(time_s)].tolist() == seconds
 
 
 @pytest.mark.parametrize("name", FORMS)
@@ -237,7 +207,7 @@ def test_the_inertia_follows_the_solvers_parameters(name: str) -> None:
     np.testing.assert_allclose(np.einsum("k,kij->ij", step, slopes), moved - scaled, atol=2e-7)
 
 
-@pytest.mark.parametrize("rate", [(0.4, 0.0, 0.3), (0.0, 0.4, 0.3), (0.3, 0.3, 0.3)])
+@pytest.mark.parametrize("rate", [(0.4, 0.0, 0.3), (0.3, 0.3, 0.3)])
 def test_a_free_turn_about_an_axis_leaves_both_rates_across_it_open(rate: tuple[float, float, float]) -> None:
     one, covariance = np.zeros((1, 3)), np.eye(12)[None]
     states = Prediction(np.ones(1), one, one, np.eye(3)[None], np.array([rate]), covariance, covariance)

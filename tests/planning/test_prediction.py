@@ -1,34 +1,34 @@
-"""Predictions against the integrated truth, against linear flows and against Monte Carlo."""
+"""Predictions and sampled members against the integrated truth, linear flows and Monte Carlo."""
 
-import tracemalloc
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from polhode.geometry.lie import Array, exp_so3, log_so3
 from polhode.geometry.rigid_body import propagate
 from polhode.planning.prediction import (
     UNKNOWN_RAD,
+    DisturbancePaths,
     FinalState,
     axes_jacobian,
     draw_deviations,
+    draw_ensemble,
+    nominal_motion,
+    pose_covariance,
     predict,
     process_noise,
     propagate_members,
 )
+from tests.planning.bodies import BASIS, estimate
 
 MOMENTS = np.array([1.3, 1.0, 0.8])
 R0 = exp_so3([0.4, -0.2, 0.9])
 R_GP = exp_so3([-0.3, 0.5, 0.2])
 W_P = np.array([0.15, 0.5, 0.1])
-SYMMETRIC = np.zeros((5, 3, 3))
-for n, (i, j) in enumerate([(0, 0), (1, 1), (0, 1), (0, 2), (1, 2)]):
-    SYMMETRIC[n, i, j] = SYMMETRIC[n, j, i] = 1.0
-ANY_BODY = R_GP @ SYMMETRIC @ R_GP.T
+ANY_BODY = R_GP @ BASIS @ R_GP.T
 """Derivatives of J_G by five parameters: two moments and three products of inertia, along P."""
 
 
@@ -56,9 +56,16 @@ def test_the_mean_follows_the_rigid_body() -> None:
     np.testing.assert_allclose(found.v_N, v, atol=1e-12)
     np.testing.assert_allclose(found.covariance, 0.0, atol=1e-12)
     np.testing.assert_allclose(found.covariance_of_marks, 0.0, atol=1e-12)
+    # members move so, too, also backwards
+    last = last_body(np.zeros((20, 20)))
+    for times in (t, -t):
+        R_NG, w_G = propagate_members(last, np.zeros((1, 20)), last.J_G[None], times)
+        _, _, R, w = propagate(times, last.r_N, last.v_N, R0, W_P, np.diag(MOMENTS), rtol=1e-10)
+        np.testing.assert_allclose(R_NG[:, 0] @ R_GP, R, atol=1e-6)
+        np.testing.assert_allclose(w_G[:, 0] @ R_GP, w, atol=1e-6)
 
 
-@pytest.mark.parametrize("rows", [1, 2, 13, 64])
+@pytest.mark.parametrize("rows", [1, 13])
 def test_blocks_of_rows_give_the_bytes_of_all_rows_at_once(
     rows: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -72,31 +79,6 @@ def test_blocks_of_rows_give_the_bytes_of_all_rows_at_once(
         assert len(calls) == -(-whole // size)
     for name in ("r_N", "R_NP", "w_P", "covariance", "covariance_of_marks"):
         np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))
-
-
-@pytest.mark.parametrize("t", [np.linspace(0.0, 9.0, 131), -np.linspace(0.5, 9.0, 131), np.zeros(1)])
-def test_members_move_as_scipy_integrates_them_at_once(t: Array) -> None:
-    last = last_body(np.zeros((20, 20)))
-    R, w = propagate_members(last, np.zeros((1, 20)), last.J_G[None], t)
-
-    def rates(_: float, y: Array) -> Array:
-        return np.asarray(np.linalg.solve(last.J_G, np.cross(last.J_G @ y, y)))
-
-    expected = np.tile(last.w_G, (len(t), 1))
-    if t[-1] != 0.0:
-        expected = solve_ivp(rates, (0.0, t[-1]), last.w_G, "DOP853", t_eval=t, rtol=1e-11, atol=1e-13).y.T
-    np.testing.assert_allclose(w[:, 0], expected, atol=1e-7)
-    assert R.shape == (len(t), 1, 3, 3)
-
-
-def test_the_memory_of_a_long_prediction_is_that_of_its_result_and_one_block() -> None:
-    last, t = last_body(small_covariance(8)), np.linspace(0.01, 6.0, 1200)
-    tracemalloc.start()
-    predict(last, t, 1e-8, 1e-6)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    # the members at all rows would be 1200 x 256 x 12 numbers, 29 MB, several times
-    assert peak < 40e6
 
 
 def test_at_time_zero_the_covariance_is_that_of_the_state() -> None:
@@ -183,7 +165,7 @@ def test_a_spin_that_was_long_steady_stays_predictable_though_its_inertia_is_und
 def test_an_attitude_is_never_less_known_than_not_at_all() -> None:
     turns = log_so3(Rotation.random(20_000, rng=np.random.default_rng(0)).as_matrix())
     assert np.sqrt(np.mean(turns**2)) == pytest.approx(UNKNOWN_RAD, rel=0.01)
-    found = predict(last_body(small_covariance(6)), [10.0, 2000.0], 1e-8, 1e-3)
+    found = predict(last_body(small_covariance(6)), [10.0, 400.0], 1e-8, 1e-3)
     sigma = np.sqrt(np.diagonal(found.covariance_of_marks, axis1=1, axis2=2))[:, 6:9]
     assert np.all(sigma[0] < 0.5 * UNKNOWN_RAD)
     np.testing.assert_allclose(sigma[1], UNKNOWN_RAD)
@@ -222,3 +204,58 @@ def test_process_noise_matches_monte_carlo() -> None:
     np.testing.assert_allclose(
         predict(last_body(np.zeros((20, 20))), [dt * steps], psd, psd).covariance[0], noise, atol=1e-10
     )
+
+
+TIMES = np.linspace(0.1, 8.0, 80)
+
+
+def test_paths_of_disturbances_have_the_covariance_of_the_linear_flow() -> None:
+    target = estimate((0.1, 0.6, 0.2), psd=1e-6)
+    shift, turn = DisturbancePaths(target, TIMES).paths(6000, np.random.default_rng(0))
+    expected = process_noise(np.array([1.3, 1.0, 0.8]), target.last.w_G, TIMES, 1e-6, 1e-6)
+    for k in (9, 79):
+        found = turn[:, k].T @ turn[:, k] / len(turn)
+        scale = np.sqrt(np.diag(expected[k, 6:9, 6:9]))
+        np.testing.assert_allclose(
+            found / scale[:, None] / scale, expected[k, 6:9, 6:9] / scale[:, None] / scale, atol=0.06
+        )
+        np.testing.assert_allclose(shift[:, k].std(axis=0), np.sqrt(expected[k, 0, 0]), rtol=0.03)
+
+
+def test_members_spread_as_the_covariance_says() -> None:
+    target = estimate((0.0, 0.0, 0.4), (0.01, 0.0, 0.0))
+    members = draw_ensemble(target, TIMES, 1500, 3)
+    P = pose_covariance(members, nominal_motion(target, TIMES))
+    sigma = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
+    # about the spin axis: attitude and rate; the place: r, v t and the lever of the centre of mass
+    np.testing.assert_allclose(sigma[0, 5], np.hypot(5e-3, 0.1 * 2e-4), rtol=0.06)
+    place = np.sqrt((1e-3) ** 2 + (8.0 * 1e-4) ** 2 + (5e-4) ** 2)
+    np.testing.assert_allclose(sigma[-1, 0:3], place, rtol=0.06)
+
+
+def test_the_estimate_is_a_member_without_deviation() -> None:
+    target = estimate((0.1, 0.6, 0.2), (0.01, 0.0, 0.0), size=0.0, com_G=(0.02, 0.0, 0.01))
+    members, motion = draw_ensemble(target, TIMES, 3, 1), nominal_motion(target, TIMES)
+    np.testing.assert_allclose(members.p_NG[1], motion.p_NG, atol=1e-7)
+    np.testing.assert_allclose(members.R_NG[2], motion.R_NG, atol=1e-6)
+
+
+def test_no_member_has_its_centre_of_mass_out_of_its_range() -> None:
+    """A member spins about its own centre of mass: the origin of G moves about it by (1 - R) com."""
+    target = estimate((0.0, 0.0, 0.4), (0.01, 0.0, 0.0), com_G=(0.02, 0.0, 0.01))
+    target.last.covariance[:12, :12] *= 0.0
+    target.last.covariance[17:20, 17:20] = np.diag([0.05, 1e-6, 0.05]) ** 2
+    bounded = replace(target, com_range_G=(np.array([-0.03, -1.0, -1.0]), np.array([0.04, 1.0, 1.0])))
+    found = []
+    for each in (target, bounded):
+        members = draw_ensemble(each, TIMES, 400, 3)
+        # the last position of the centre of mass is fixed here: X_NG com = r_N
+        last = each.last
+        found.append(
+            np.einsum("nji,nj->ni", members.R_NG[:, 0], last.r_N + 0.1 * last.v_N - members.p_NG[:, 0])
+        )
+    free, kept = found
+    assert free[:, 0].min() < -0.05 and free[:, 0].max() > 0.06
+    assert kept[:, 0].min() > -0.031 and kept[:, 0].max() < 0.041
+    # all of the range is used
+    assert kept[:, 0].min() < -0.02 and kept[:, 0].max() > 0.03

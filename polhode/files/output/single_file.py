@@ -3,7 +3,7 @@
 import logging
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -19,19 +19,15 @@ def output_file(
     command: str,
     example: str,
     is_own: Callable[[Path], bool],
-    inputs: Sequence[Path] = (),
     option: str = "-o",
 ) -> Path:
     """Where the file goes, links followed; checked before any work is done.
 
     ``is_own`` tells whether the command wrote an existing file; an empty one may be replaced, too.
-    ``inputs`` are files that the command reads; ``option`` names the file on the command line. Raises
-    InputError: anything else is there, the name belongs to a run or a dataset, or the place cannot be
-    written.
+    ``option`` names the file on the command line. Raises InputError: anything else is there, the name belongs
+    to a run or a dataset, or the place cannot be written.
     """
     place = file_place(path, example)
-    if any(each.exists() and place.exists() and each.samefile(place) for each in inputs):
-        raise InputError(f"{path}: this command reads that file; choose another {option}")
     if place.exists() and place.stat().st_size > 0 and not is_own(place):
         raise InputError(
             f"{path}: exists and was not written by polhode {command}, so it stays; choose another {option}"

@@ -11,8 +11,6 @@ import numpy as np
 STANDARD_GRAVITY = 9.81
 """[m/s^2], as the thesis rounds it"""
 RPM = 2.0 * np.pi / 60.0
-MAX_DIGITS = 15.0
-"""A rate above 10^15 rad/s, or below the inverse, indicates wrong units."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,8 @@ def threshold(given: StationKeeping) -> Threshold:
 def _root(above: list[float], below: list[float]) -> float:
     """Root of a quotient of products, by logarithms: a product may underflow where the root does not."""
     digits = 0.5 * float(np.log10(above).sum() - np.log10(below).sum())
-    if abs(digits) > MAX_DIGITS:
+    # wrong units
+    if abs(digits) > 15.0:
         raise ValueError(f"a rate of 10^{digits:.0f} rad/s")
     return float(10.0**digits)
 

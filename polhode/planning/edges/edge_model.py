@@ -125,16 +125,13 @@ def straight_pieces(points: Array, tolerance_m: float) -> list[tuple[int, int]]:
     return sorted(done)
 
 
-ROUND_TURN_DEG, ROUND_LENGTHS = 30.0, 3.0
-"""Consecutive pieces with a smaller angle between them and a smaller ratio of lengths are of an arc."""
-
-
 def tangents_along(knots: Array) -> Array:
     """Directions (k, 2, 3) of a chain at both ends of its k pieces, from its knots (k + 1, 3).
 
     Along an arc the tangent at a knot is that of the circle through three knots; otherwise the corners of the
-    polygon that approximates a circle would make the rotation about its axis observable, which it is not. At
-    real corners and beside long straight pieces the tangent is the piece's own direction.
+    polygon that approximates a circle would make the rotation about its axis observable, which it is not.
+    Pieces at less than 30 degrees whose lengths differ by less than a factor of 3 are of an arc; elsewhere
+    the tangent is the piece's own direction.
     """
     pieces = np.diff(knots, axis=0)
     length, along = np.linalg.norm(pieces, axis=1), unit_rows(pieces)
@@ -144,7 +141,7 @@ def tangents_along(knots: Array) -> Array:
     after = (before + 1) % len(pieces)
     turn = np.einsum("kc,kc->k", along[before], along[after])
     longer, shorter = (each(length[before], length[after]) for each in (np.maximum, np.minimum))
-    arc = (turn > np.cos(np.radians(ROUND_TURN_DEG))) & (longer <= ROUND_LENGTHS * shorter)
+    arc = (turn > np.cos(np.radians(30.0))) & (longer <= 3.0 * shorter)
     before, after = before[arc], after[arc]
     tangents[before, 1] = unit_rows(along[before] * length[after, None] + along[after] * length[before, None])
     tangents[after, 0] = tangents[before, 1]
@@ -153,15 +150,6 @@ def tangents_along(knots: Array) -> Array:
 
 CREASE_DEG = 30.0
 """Faces that meet at more than this angle form an edge."""
-FLAT_DEG = 0.5
-"""A part whose normals deviate less from their mean is flat."""
-TOLERANCE, MIN_LENGTH = 5e-4, 0.01
-"""Deviation of a straight piece from the edge, and length below which edges are omitted (an arc counts as a
-whole), as shares of the body's diameter."""
-MANY_EDGES = 2000
-"""A mesh with more edges, most of them sharp, is rough or noisy."""
-SEPARATE_FACES = 50
-"""A mesh of more faces, most of whose edges have one face, does not connect its faces."""
 
 
 class EdgeKind(IntEnum):
@@ -171,8 +159,6 @@ class EdgeKind(IntEnum):
     """two faces that meet at an angle"""
     BOUNDARY = 1
     """boundary of an open mesh"""
-    OUTLINE = 2
-    """where a smooth part turns away from the viewer"""
 
 
 @dataclass(frozen=True)
@@ -282,11 +268,13 @@ def edge_model(
     crease_deg: float = CREASE_DEG,
     tolerance_m: float | None = None,
     min_length_m: float | None = None,
-    flat_deg: float = FLAT_DEG,
+    flat_deg: float = 0.5,
     faceted: bool = False,
 ) -> EdgeModel:
     """Edges of a mesh in G; smooth parts whose normals differ by less than ``flat_deg`` have no outlines.
 
+    ``tolerance_m``: deviation of a straight piece from the edge, unless given 5e-4 of the body's diameter;
+    ``min_length_m``: edges that are shorter are omitted (an arc counts as a whole), unless given 0.01 of it.
     Duplicate faces are removed, and faces are turned so that neighbours agree and normals point outward.
 
     Raises InputError for a mesh without faces or with numbers that are not finite.
@@ -308,8 +296,8 @@ def edge_model(
         turned = np.where(orientation.reverse[:, None], faces[:, ::-1], faces)
         surface = trimesh.Trimesh(surface.vertices, turned, process=False)
     diameter = float(np.linalg.norm(np.ptp(surface.bounds, axis=0)))
-    tolerance_m = TOLERANCE * diameter if tolerance_m is None else tolerance_m
-    min_length_m = MIN_LENGTH * diameter if min_length_m is None else min_length_m
+    tolerance_m = 5e-4 * diameter if tolerance_m is None else tolerance_m
+    min_length_m = 0.01 * diameter if min_length_m is None else min_length_m
 
     edges, n = mesh_edges(surface), np.asarray(surface.face_normals)
     cosine = np.einsum("nk,nk->n", n[edges.first], n[edges.second])
@@ -322,7 +310,11 @@ def edge_model(
     joined = coo_matrix((np.ones(len(soft)), (soft[:, 2], soft[:, 3])), shape=(count, count))
     part = np.asarray(connected_components(joined, directed=False)[1], dtype=np.int64)
     corners = _corner_normals(surface, part)
-    curved = _is_curved(surface, corners, part, flat_deg)
+    # parts with a corner normal that deviates from the part's mean
+    mean, lowest = np.zeros((int(part.max()) + 1, 3)), np.ones(int(part.max()) + 1)
+    np.add.at(mean, part, np.asarray(surface.area_faces)[:, None] * n)
+    np.minimum.at(lowest, part, np.einsum("fck,fk->fc", corners, unit_rows(mean)[part]).min(axis=1))
+    curved = lowest < np.cos(np.radians(flat_deg))
     return EdgeModel(
         *_segments(surface, edges.vertices[sharp], sides, kind, tolerance_m, min_length_m),
         surface,
@@ -339,7 +331,6 @@ def edge_model(
 
 
 def _doubts(orientation: Orientation, sharp: Ints, soft: int) -> tuple[str, ...]:
-    """A sentence for each doubt about the mesh; ``sharp``: kinds of the sharp edges."""
     notes, faces = [], len(orientation.reverse)
     turned, one_sided = int(orientation.reverse.sum()), int(orientation.one_sided.sum())
     if turned:
@@ -353,12 +344,13 @@ def _doubts(orientation: Orientation, sharp: Ints, soft: int) -> tuple[str, ...]
             "made consistent: edges where it changes may be false"
         )
     edges, rims = len(sharp) + soft, int((sharp == EdgeKind.BOUNDARY).sum())
-    if faces > SEPARATE_FACES and rims > 0.5 * edges:
+    # a mesh whose faces are not connected; a rough or noisy one
+    if faces > 50 and rims > 0.5 * edges:
         notes.append(
             f"{rims} of the mesh's {edges} edges belong to one face only and count as rims: if the surface "
             "is closed, neighbouring faces do not share their vertices; merge these"
         )
-    elif edges > MANY_EDGES and len(sharp) > 0.5 * edges:
+    elif edges > 2000 and len(sharp) > 0.5 * edges:
         notes.append(
             f"{len(sharp)} of the mesh's {edges} edges are sharp, as on a rough or noisy surface, and all "
             "count as edges of the body: smooth or simplify the mesh, or raise the crease angle"
@@ -367,11 +359,7 @@ def _doubts(orientation: Orientation, sharp: Ints, soft: int) -> tuple[str, ...]
 
 
 def _corner_normals(surface: trimesh.Trimesh, part: Ints) -> Array:
-    """Mean normal of the faces around a vertex within its smooth part (f, 3, 3).
-
-    Weights of Max, "Weights for computing vertex normals from facet normals", J. Graphics Tools 4, 1999:
-    exact for vertices on a sphere.
-    """
+    """Mean normal around a vertex within its part (f, 3, 3): weights of Max, J. Graphics Tools 4, 1999."""
     triangles = np.asarray(surface.triangles)
     onward, back = (np.roll(triangles, step, axis=1) - triangles for step in (-1, 1))
     squares = np.einsum("fck,fck->fc", onward, onward) * np.einsum("fck,fck->fc", back, back)
@@ -383,14 +371,6 @@ def _corner_normals(surface: trimesh.Trimesh, part: Ints) -> Array:
     normal = total[corner.reshape(-1)].reshape(-1, 3, 3)
     flat = np.asarray(surface.face_normals)[:, None, :]
     return np.where(normal.any(axis=2, keepdims=True), unit_rows(normal), flat)
-
-
-def _is_curved(surface: trimesh.Trimesh, corners: Array, part: Ints, flat_deg: float) -> Bools:
-    """(parts,) whether any corner normal of a part deviates from the part's mean by more than this."""
-    mean, lowest = np.zeros((int(part.max()) + 1, 3)), np.ones(int(part.max()) + 1)
-    np.add.at(mean, part, np.asarray(surface.area_faces)[:, None] * np.asarray(surface.face_normals))
-    np.minimum.at(lowest, part, np.einsum("fck,fk->fc", corners, unit_rows(mean)[part]).min(axis=1))
-    return np.asarray(lowest < np.cos(np.radians(flat_deg)))
 
 
 def _segments(

@@ -1,20 +1,13 @@
-"""Information about the pose along a trajectory, per view and per edge, and the contribution of each edge.
+"""Information about the pose along a trajectory, per view and per edge; contribution and selection of edges.
 
-``views_along`` yields the metric of each view; ``by_feature`` has one matrix for each feature of a view, from
-which contributions and selections of edges are computed. ``contributions`` gives two numbers for
-each edge, from P = C^-1 with C the sum of the features' C_i:
+``contributions`` gives two numbers for each edge, from P = C^-1 with C the sum of the features' C_i:
 
 share: (P C_i P)_dd / P_dd. Least squares weights the measured distances by P f; the noise that enters
     through feature i is P C_i P, and over all features these add up to P. So the shares of a degree of
-    freedom add up to 1, also when an edge is cut into pieces. The share is what the figures show: on which
-    edges the estimate of this degree of freedom rests.
+    freedom add up to 1, also when an edge is cut into pieces.
 rise: (C - C_i)^-1_dd / P_dd - 1, the relative increase of the variance without the feature; inf where no
-    other feature determines it. It is the criterion for removing one edge. For a small C_i it equals the
-    share: P C_i P is the first-order term of the rise. Two redundant edges each have a small rise, though one
-    of them is required: rises do not add up, and sets of edges are chosen in `selection.py`.
-
-An edge's own (C_i)_dd / C_dd, the information if all other degrees of freedom were known, is neither: an
-edge that determines only a combination of x and a rotation has much of both and may determine neither.
+    other feature determines it. For a small C_i it equals the share. Two redundant edges each have a small
+    rise, though one of them is required: rises do not add up, and sets of edges are chosen by ``greedy``.
 
 Along a trajectory the variances are means over its views, except views in which the degree of freedom is
 unobservable.
@@ -26,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polhode.geometry.camera import RectifiedRig
-from polhode.geometry.lie import Array, Ints, inverse_pose
+from polhode.geometry.lie import Array, Ints
 from polhode.planning.edges.edge_model import EdgeModel
 from polhode.planning.edges.observability_metric import (
     EdgeObservability,
@@ -41,7 +34,6 @@ from polhode.planning.edges.visible_edges import (
     SPACING_PX,
     ControlPoints,
     control_points,
-    in_sunlight,
     why_no_edge,
 )
 
@@ -59,11 +51,6 @@ class FeatureInformation:
     def total(self) -> Array:
         """(T, 6, 6) of all features."""
         return np.asarray(self.C.sum(axis=1))
-
-    @property
-    def scaled(self) -> Array:
-        """(T, n, 6, 6) with translations in radii, rotations in radians."""
-        return np.asarray(self.C * np.outer(motion_scale(self.radius_m), motion_scale(self.radius_m)))
 
 
 def by_feature(points: ControlPoints, f: Array, size: int) -> Array:
@@ -96,8 +83,8 @@ class EdgeView:
     metric: EdgeObservability
     length_px: float
     """of all visible edges in the image"""
-    o_G: Array
-    """(3,) reference point of rotations and translations [m]"""
+    range_m: float
+    """from the camera to o, the reference point of rotations and translations"""
     reason: str = ""
     """why no edge is visible; empty where one is"""
 
@@ -108,42 +95,25 @@ class EdgeView:
         return self.metric.describe_unobservable()
 
     @property
-    def range_m(self) -> float:
-        """From the camera to o."""
-        return float(np.linalg.norm(self.X_RG[:3, :3] @ self.o_G + self.X_RG[:3, 3]))
-
-    @property
     def expected_edges(self) -> int:
         """Number of visible features: the edges expected by the binary metric, found over expected."""
         return len(np.unique(self.points.feature))
 
 
-def views_along(
-    model: EdgeModel,
-    rig: RectifiedRig,
-    X_RG: Array,
-    o_G: Array,
-    spacing_px: float = SPACING_PX,
-    sun_G: Array | None = None,
-) -> Iterator[EdgeView]:
-    """Yield the views of a trajectory X_RG (k, 4, 4), about o_G (3,).
-
-    With sun_G (k, 3), towards the Sun, edges are weighted by their contrast.
-    """
-    for k, X in enumerate(X_RG):
-        points = control_points(model, rig, X, spacing_px)
+def views_along(model: EdgeModel, rig: RectifiedRig, X_RG: Array, o_G: Array) -> Iterator[EdgeView]:
+    """Yield the views of a trajectory X_RG (k, 4, 4), about o_G (3,)."""
+    for X in X_RG:
+        points = control_points(model, rig, X)
         reason = "" if len(points) else why_no_edge(model, rig, X)
-        if sun_G is not None and len(points):
-            points = in_sunlight(model, points, inverse_pose(X)[:3, 3], sun_G[k])
-            reason = "" if len(points) else "none has contrast in this sunlight"
         f = edge_motion(points, rig, X, o_G)
         metric = observability(f, points.weight, model.radius_m)
-        yield EdgeView(X, points, f, metric, spacing_px * float(points.weight.sum()), o_G, reason)
+        range_m = float(np.linalg.norm(X[:3, :3] @ o_G + X[:3, 3]))
+        yield EdgeView(X, points, f, metric, SPACING_PX * float(points.weight.sum()), range_m, reason)
 
 
 @dataclass(frozen=True)
 class Contributions:
-    """Contributions of n features to the six degrees of freedom (`edge_motion.DEGREES_OF_FREEDOM`)."""
+    """Contributions of n features to the six ``DEGREES_OF_FREEDOM``."""
 
     share: Array
     """(n, 6) of the mean variance; columns add up to 1, or are NaN where no view determines it"""
@@ -163,15 +133,44 @@ def contributions(information: FeatureInformation) -> Contributions:
     count = observable.sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = np.where(observable, before, 0.0).sum(axis=0) / count
-        part = np.zeros((C.shape[1], 6))
+        part, without = np.zeros((2, C.shape[1], 6))
         for k, P in enumerate(observable_covariance(total, information.radius_m)):
             of_view = np.einsum("di,nij,dj->nd", P, C[k], P, optimize=True)
             part += np.where(observable[k], of_view, 0.0)
-        share = part / count / mean
-        without = np.zeros_like(part)
-        for k in range(len(C)):
             remaining = variances(total[k] - C[k], information.radius_m)
             without += np.where(observable[k], remaining, 0.0)
-        rise = without / count / mean - 1.0
+        share, rise = part / count / mean, without / count / mean - 1.0
     sigma = np.where(count > 0, np.sqrt(mean), np.inf)
     return Contributions(share, rise, np.asarray(sigma), np.asarray(count, dtype=np.int64))
+
+
+def greedy(information: FeatureInformation, count: int) -> Ints:
+    """At most ``count`` features, in the order in which they are chosen: the largest gain first.
+
+    The gain of a set S is the fall of tr M^-1, M = I + the sum of its C_i with lengths in radii, in the mean
+    over the views (A-optimality). The identity, a prior of one radius and one radian, gives the empty set a
+    finite value. Fewer where the others have no information. Ties go to the lower index.
+    """
+    scale = motion_scale(information.radius_m)
+    scaled = information.C * np.outer(scale, scale)
+    free = np.flatnonzero((scaled.trace(axis1=2, axis2=3) > 0.0).any(axis=0))
+    M, chosen = np.tile(np.eye(6), (len(scaled), 1, 1)), list[int]()
+    while len(chosen) < count and len(free):
+        inverse = np.linalg.inv(M + np.swapaxes(scaled[:, free], 0, 1))
+        best = int(np.argmin(np.trace(inverse, axis1=-2, axis2=-1).mean(axis=-1)))
+        chosen.append(int(free[best]))
+        free = np.delete(free, best)
+        M = M + scaled[:, chosen[-1]]
+    return np.array(chosen, dtype=np.int64)
+
+
+def sigma_ratio(information: FeatureInformation, features: Ints) -> Array:
+    """(6,) sigma with some features over that with all, each the root of the mean variance over the views.
+
+    inf where they do not determine it, NaN where not even all features do.
+    """
+    whole = variances(information.total, information.radius_m)
+    part = variances(information.C[:, features].sum(axis=1), information.radius_m)
+    mean_part, mean_whole = (np.where(np.isfinite(whole), each, 0.0).sum(axis=0) for each in (part, whole))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.sqrt(mean_part / mean_whole))

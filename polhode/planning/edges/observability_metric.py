@@ -50,12 +50,6 @@ def pose_error(X_RG: Array, true_X_RG: Array, o_G: Array) -> Array:
     return np.concatenate([shift, log_so3(X_RG[:3, :3] @ true_X_RG[:3, :3].T)])
 
 
-UNOBSERVABLE_INFORMATION = 1e-9
-"""A direction with less than this share of the largest information, lengths in radii, is unobservable."""
-UNOBSERVABLE_SIGMA = 5.0
-"""So is one whose sigma, for a noise of one pixel, exceeds this many radii or radians."""
-
-
 def motion_scale(radius_m: float) -> Array:
     """(6,) radius for translations [m], 1 for rotations [rad]."""
     return np.array([radius_m] * 3 + [1.0] * 3)
@@ -65,7 +59,8 @@ def spectrum(C: Array, radius_m: float) -> tuple[Array, Array, Bools]:
     """Eigenvalues (..., 6) with translations in radii, directions (..., 6, 6), and which are observable."""
     scale = motion_scale(radius_m)
     values, directions = np.linalg.eigh(C * np.outer(scale, scale))
-    observable = values > np.maximum(UNOBSERVABLE_INFORMATION * values[..., -1:], 1.0 / UNOBSERVABLE_SIGMA**2)
+    # not 1e-9 of the largest information, nor a sigma above 5 radii or radians for a noise of one pixel
+    observable = values > np.maximum(1e-9 * values[..., -1:], 1.0 / 5.0**2)
     return values, directions, np.asarray(observable)
 
 

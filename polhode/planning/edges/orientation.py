@@ -17,14 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from polhode.geometry.lie import Array, Bools, Ints
 
-SAMPLES = 32
-"""Faces of a patch at which the visibility of its sides is evaluated."""
 DIRECTIONS = 24
-HOLLOW = 2.5
-"""A patch whose faces agree is reversed only where its back is more visible by this factor: a hemisphere,
-where it is 2, remains as it is if it is modelled by its inside."""
-CLEARANCE = 1e-5
-"""From a face to the start of a ray, as a share of the mesh's diameter."""
 
 Shaded = Callable[[Array, Array, float], Bools]
 """Whether the mesh blocks the light of direction (3,) to points (m, 3), beyond a clearance [m]"""
@@ -100,7 +93,8 @@ def outward_orientation(surface: trimesh.Trimesh, shaded: Shaded) -> Orientation
     ahead, behind = np.bincount(patch, sense * (front - back)), np.bincount(patch, front + back)
     forward, backward = 0.5 * (behind + ahead), 0.5 * (behind - ahead)
     # what is given counts where the sides are equally visible, and more where all faces agree
-    factor = np.where(consistent, HOLLOW, 1.02)
+    # (a hemisphere, where it is 2, remains as it is if it is modelled by its inside)
+    factor = np.where(consistent, 2.5, 1.02)
     keep = np.where(given >= 0.0, backward <= factor * forward + 1e-9, forward > factor * backward + 1e-9)
     reverse = (same_as_first != keep[patch]) & ~one_sided
     rim = np.zeros(count, dtype=bool)
@@ -114,9 +108,10 @@ def _visibility(surface: trimesh.Trimesh, patch: Ints, shaded: Shaded) -> tuple[
     order = np.argsort(patch, kind="stable")
     size = np.bincount(patch)
     number = np.arange(len(patch)) - np.repeat(np.cumsum(size) - size, size)
-    chosen = order[number % (-(-size // SAMPLES))[patch[order]] == 0]
+    # up to 32 faces of each patch
+    chosen = order[number % (-(-size // 32))[patch[order]] == 0]
     centre, normal = np.asarray(surface.triangles_center)[chosen], np.asarray(surface.face_normals)[chosen]
-    clearance_m = CLEARANCE * float(np.linalg.norm(np.ptp(surface.bounds, axis=0)))
+    clearance_m = 1e-5 * float(np.linalg.norm(np.ptp(surface.bounds, axis=0)))
     both = np.zeros((2, len(patch)))
     # directions along a spiral of the golden angle
     k = np.arange(DIRECTIONS) + 0.5

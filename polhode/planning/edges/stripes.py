@@ -19,18 +19,9 @@ from polhode.planning.edges.visible_edges import ControlPoints
 
 LINES = 6
 """Stripes across a point that are kept, the nearest"""
-JOINED_PX = 1.0
-"""Edges that are nearer to each other are one stripe."""
 SAMPLED_PX = 2.0
 """Spacing of the points of all edges that are looked for across a point"""
 _ALONG_PX = 1.3 * SAMPLED_PX
-_TURNS = 3
-_STEEPEST = 0.6
-"""Cosine of the largest angle between two edges of which one is looked for across the other"""
-_GRAZING = 0.02
-"""Sine of the angle between a surface and the line of sight below which its outline is there"""
-_ALIKE = 8.0
-"""Normals that agree to one part in so many are alike."""
 HALF_PX = 3.0
 """What lies within this of a control point, along its normal, is measured by it."""
 UNIFORM_SIGMA = 1.0 / np.sqrt(12.0)
@@ -42,7 +33,6 @@ MAX_SIGMA_PX, MAX_SHIFT_PX = 0.6, 2.5
 """Points that are less certain, or farther off, do not count."""
 TUKEY, CAUCHY = 4.685, 2.385
 """Widths in sigmas: 95 % efficient for Gaussian noise (Huber and Ronchetti, Robust Statistics, 2009)"""
-MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
@@ -80,7 +70,8 @@ def stripes_across(points: ControlPoints, every: ControlPoints, X_RG: Array, rea
     alike = (points.sides_G[:, 0] == points.sides_G[:, 1]).all(axis=1)
     ray = points.p_G - inverse_pose(X_RG)[:3, 3]
     sine = np.einsum("mk,mk->m", points.sides_G[:, 0], ray) / np.linalg.norm(ray, axis=1)
-    return Stripes(offset, width, slope, light, side, np.asarray(alike & (np.abs(sine) < _GRAZING)))
+    # the line of sight grazes the surface where its outline is
+    return Stripes(offset, width, slope, light, side, np.asarray(alike & (np.abs(sine) < 0.02)))
 
 
 def _lines_across(points: ControlPoints, every: ControlPoints, reach_px: float) -> Array:
@@ -100,7 +91,8 @@ def _lines_across(points: ControlPoints, every: ControlPoints, reach_px: float) 
     along, cosine = n0 * dv - n1 * du, o0 * n0 + o1 * n1
     tangent = (n0 * o1 - n1 * o0) / np.where(cosine == 0.0, 1.0, cosine)
     there = du * n0 + dv * n1 + along * tangent
-    near = (np.abs(along) < _ALONG_PX) & (np.abs(cosine) >= _STEEPEST) & (np.abs(there) <= reach_px)
+    # edges at less than 53 degrees to each other
+    near = (np.abs(along) < _ALONG_PX) & (np.abs(cosine) >= 0.6) & (np.abs(there) <= reach_px)
     # with the point's own line, in ascending order for each point
     own = np.arange(len(points))
     point = np.concatenate([own, point[near]])
@@ -108,7 +100,8 @@ def _lines_across(points: ControlPoints, every: ControlPoints, reach_px: float) 
     slope = np.concatenate([0.0 * own, np.abs(tangent[near])])
     order = np.lexsort((there, point))
     point, there, slope = point[order], there[order], slope[order]
-    begins = np.append(True, (np.diff(point) > 0) | (np.diff(there) > JOINED_PX))
+    # edges nearer to each other than a pixel are one stripe
+    begins = np.append(True, (np.diff(point) > 0) | (np.diff(there) > 1.0))
     first, last = np.flatnonzero(begins), np.flatnonzero(np.append(begins[1:], True))
     middle, owner = 0.5 * (there[first] + there[last]), point[first]
     stripes = np.stack([middle, there[last] - there[first], np.maximum.reduceat(slope, first)])
@@ -125,7 +118,8 @@ def light_classes(points: ControlPoints, X_RG: Array) -> tuple[Ints, Array]:
     """Classes (m,) of points whose surfaces face alike, and the sign (m,) of their normals within them."""
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros(0)
-    facing = np.round(points.sides_G * _ALIKE).astype(np.int64)
+    # normals that agree to an eighth are alike
+    facing = np.round(points.sides_G * 8.0).astype(np.int64)
     behind, before = facing[:, 0], facing[:, 1]
     differs = behind != before
     which = np.argmax(differs, axis=1)
@@ -217,7 +211,8 @@ class MeasuredStripes:
         size, share = np.abs(residual[self.counts]), length[self.counts]
         order = np.argsort(size)
         half = int(np.searchsorted(np.cumsum(share[order]), 0.5 * float(share.sum())))
-        scale = max(MAD_TO_SIGMA * float(size[order[min(half, len(size) - 1)]]), 1.0)
+        # the median of the absolute values, times 1.4826 for Gaussian noise
+        scale = max(1.4826 * float(size[order[min(half, len(size) - 1)]]), 1.0)
         u = residual / scale
         # Tukey's weights forget what is far off; Cauchy's, until the pose is near, do not
         tukey = np.where(np.abs(u) < TUKEY, (1.0 - (u / TUKEY) ** 2) ** 2, 0.0)
@@ -234,7 +229,7 @@ class MeasuredStripes:
     def settled_places(self) -> Array:
         """(classes,) of the steps in their stripes at the pose itself, found by turns with the weights."""
         place = np.zeros(self.stripes.classes)
-        for _ in range(_TURNS):
+        for _ in range(3):
             equations, _, _ = self.normal_equations(place, narrow=True)
             place = equations.places(np.zeros(6))
         return place

@@ -1,13 +1,13 @@
 """Pose of a body from the edges of one image, also where edges lie side by side: bevels, rims, thin panels.
 
-Each control point is measured by all edges that are known across it (``stripe_profiles.py``) and weighs as
+Each control point is measured by all edges that are known across it (``profiles.py``) and weighs as
 much as its profile tells; where in its stripe the step of light lies is an unknown of all stripes that face
 alike (``stripes.py``). The pose is sought from the guess and from further starts; of the poses that are
 found, that one is taken of whose edges the image confirms most. ``expected_tracking.py`` predicts its errors.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Bools, transform_points
 from polhode.planning.edges.edge_model import EdgeModel
-from polhode.planning.edges.image_profiles import Levels, as_levels, profiles
 from polhode.planning.edges.observability_metric import (
     EdgeObservability,
     edge_motion,
@@ -25,7 +24,7 @@ from polhode.planning.edges.observability_metric import (
     pose_error,
     spectrum,
 )
-from polhode.planning.edges.stripe_profiles import fitted, searched
+from polhode.planning.edges.profiles import Levels, as_levels, fitted, profiles, searched
 from polhode.planning.edges.stripes import (
     FLOOR_PX,
     HALF_PX,
@@ -38,22 +37,8 @@ from polhode.planning.edges.stripes import (
 )
 from polhode.planning.edges.visible_edges import SPACING_PX, ControlPoints, control_points, every_point
 
-NEAR_RANGES_PX = (3.0, 3.0)
-"""Searched on both sides from a start that is nearly right"""
-CAUCHY_STEPS, TUKEY_STEPS = 3, 17
-"""Steps with weights that forget nothing, and at most with weights that forget what is far off"""
-SETTLED_PX = 0.01
-"""Root mean square motion of the edges by the last step"""
-RECOMPUTED_PX = 0.5
-"""Root mean square motion after which control points are computed again"""
 MIN_POINTS = 12
 """Control points with a measurement, for a pose"""
-RESTART_PX = 2.0
-"""Root mean square motion of the edges to another start"""
-SAME_POSE_PX = 0.2
-"""A start that comes so near a pose that was found leads there"""
-SUFFICIENT_AGREEMENT = 0.95
-"""No further start is tried: wrong poses reach 0.9"""
 
 
 @dataclass(frozen=True)
@@ -127,15 +112,17 @@ def track_edges(
     for number in range(options.restarts + 1):
         # the one that converged and that the image confirms most of: of edges, not of its own expectation
         best = max(found, key=lambda each: (each.converged, each.confirmed))
-        sure = best.converged and best.agreement >= SUFFICIENT_AGREEMENT
+        # wrong poses reach an agreement of 0.9
+        sure = best.converged and best.agreement >= 0.95
         if number == options.restarts or not len(best.points) or sure:
             break
         # in turn from the best pose and from the guess, which it may have left for good
         near = (X_RG, best.X_RG)[number % 2]
         f = edge_motion(best.points, rig, near, model.centre_G)
         step = rng.standard_normal(6)
-        step *= RESTART_PX / max(float(np.sqrt(np.mean((f @ step) ** 2))), 1e-12)
-        found += tracker.run(moved(near, step, model.centre_G), NEAR_RANGES_PX, found)
+        # the edges move by 2 px, root mean square
+        step *= 2.0 / max(float(np.sqrt(np.mean((f @ step) ** 2))), 1e-12)
+        found += tracker.run(moved(near, step, model.centre_G), (3.0, 3.0), found)
     return best
 
 
@@ -149,22 +136,6 @@ class _View:
     """of all edges that are known, close together"""
     length: Array
     """(m,) see ``MeasuredStripes``"""
-
-
-@dataclass(frozen=True)
-class _Iterate:
-    """A pose between two steps."""
-
-    X_RG: Array
-    view: _View | None = None
-    """what was last looked for"""
-    drift_px: float = np.inf
-    """moved since, root mean square"""
-    place: Array = field(default_factory=lambda: np.zeros(0))
-    """(classes,) of the steps of light in their stripes"""
-    settled: bool = False
-    failure: str = ""
-    """Why it goes no further"""
 
 
 @dataclass(frozen=True)
@@ -186,65 +157,53 @@ class _Tracker:
         """The pose from a start; none where it leads to one that has been found.
 
         First each point takes the displacement within a range that explains its profile best; then the pose
-        goes on from where the edges are, with weights that forget nothing; and at last without what is far
-        off, in the end by half steps, as poses may go to and fro.
+        goes on from where the edges are, for three steps with weights that forget nothing; and at last for up
+        to 17 without what is far off, in the end by half steps, as poses may go to and fro.
         """
         if transform_points(X_RG, self.model.centre_G[None])[0, 2] <= 0.0:
             return [self._no_pose(X_RG, "the target is behind the camera")]
-        iterate = _Iterate(X_RG)
-        for phase in range(3):
-            if phase and any(self._is_near(each, iterate) for each in found):
+        view: _View | None = None
+        drift_px, place, settled = np.inf, np.zeros(0), False
+        searches = len(ranges_px)
+        for number in range(searches + 3 + 17):
+            if number in (searches, searches + 3) and any(self._is_near(each, X_RG) for each in found):
                 return []
-            if phase == 0:
-                for range_px in ranges_px:
-                    iterate = self._step(iterate, range_px, narrow=False)
-            elif phase == 1:
-                for _ in range(CAUCHY_STEPS):
-                    iterate = self._step(iterate, None, narrow=False)
-            else:
-                for number in range(TUKEY_STEPS):
-                    half = 2 * number >= TUKEY_STEPS
-                    iterate = self._step(iterate, None, narrow=True, share=0.5 if half else 1.0)
-        return [self._result(iterate)]
+            range_px = ranges_px[number] if number < searches else None
+            narrow, share = number >= searches + 3, 0.5 if number >= searches + 3 + 9 else 1.0
+            if view is None or drift_px > 0.5:
+                view, drift_px = self._view(X_RG), 0.0
+            _, measured = self._measure(view, X_RG, range_px)
+            count = int(measured.counts.sum())
+            if count < MIN_POINTS:
+                of = len(measured.counts)
+                return [self._no_pose(X_RG, f"edges were found at {count} of {of} control points: too few")]
+            if range_px is not None or len(place) != measured.stripes.classes:
+                place = np.zeros(measured.stripes.classes)
+            equations, _, _ = measured.normal_equations(place, narrow=narrow)
+            C, pull, prior = equations.C, equations.pull, self.options.prior
+            if prior is not None:
+                C = C + prior.information
+                pull = pull - prior.information @ pose_error(X_RG, prior.X_RG, self.model.centre_G)
+            # least squares in the directions that are seen; a step of half a radius is a sigma too far
+            values, directions, seen = spectrum(C, self.model.radius_m)
+            unit = motion_scale(self.model.radius_m)
+            part = np.where(seen, directions.T @ (unit * pull) / (np.maximum(values, 0.0) + 4.0), 0.0)
+            step = share * unit * (directions @ part)
+            if range_px is None:
+                place = equations.places(step)
+            motion_px = float(np.sqrt(np.mean((measured.f @ step) ** 2)))
+            X_RG, drift_px = moved(X_RG, step, self.model.centre_G), drift_px + motion_px
+            if settled := narrow and motion_px < 0.01:
+                break
+        return [self._result(X_RG, settled)]
 
-    def _is_near(self, found: TrackedPose, iterate: _Iterate) -> bool:
-        """Whether a pose that was found and another one agree: root mean square across the edges."""
-        if iterate.failure or not len(found.points):
+    def _is_near(self, found: TrackedPose, X_RG: Array) -> bool:
+        """Whether a pose that was found and another one agree to 0.2 px root mean square across the edges."""
+        if not len(found.points):
             return False
         f = edge_motion(found.points, self.rig, found.X_RG, self.model.centre_G)
-        off_px = f @ pose_error(iterate.X_RG, found.X_RG, self.model.centre_G)
-        return float(np.sqrt(np.mean(off_px**2))) < SAME_POSE_PX
-
-    def _step(self, iterate: _Iterate, range_px: float | None, narrow: bool, share: float = 1.0) -> _Iterate:
-        """A share of one step of the pose; ``narrow``: with weights that forget what is far off."""
-        if iterate.failure or iterate.settled:
-            return iterate
-        view, drift_px = iterate.view, iterate.drift_px
-        if view is None or drift_px > RECOMPUTED_PX:
-            view, drift_px = self._view(iterate.X_RG), 0.0
-        _, measured = self._measure(view, iterate.X_RG, range_px)
-        count = int(measured.counts.sum())
-        if count < MIN_POINTS:
-            failure = f"edges were found at {count} of {len(measured.counts)} control points: too few"
-            return replace(iterate, failure=failure)
-        place = iterate.place
-        if range_px is not None or len(place) != measured.stripes.classes:
-            place = np.zeros(measured.stripes.classes)
-        equations, _, _ = measured.normal_equations(place, narrow=narrow)
-        C, pull, prior = equations.C, equations.pull, self.options.prior
-        if prior is not None:
-            C = C + prior.information
-            pull = pull - prior.information @ pose_error(iterate.X_RG, prior.X_RG, self.model.centre_G)
-        # least squares in the directions that are seen; a step of half a radius is a sigma too far
-        values, directions, seen = spectrum(C, self.model.radius_m)
-        unit = motion_scale(self.model.radius_m)
-        part = np.where(seen, directions.T @ (unit * pull) / (np.maximum(values, 0.0) + 4.0), 0.0)
-        step = share * unit * (directions @ part)
-        if range_px is None:
-            place = equations.places(step)
-        motion_px = float(np.sqrt(np.mean((measured.f @ step) ** 2)))
-        X_RG = moved(iterate.X_RG, step, self.model.centre_G)
-        return _Iterate(X_RG, view, drift_px + motion_px, place, narrow and motion_px < SETTLED_PX)
+        off_px = f @ pose_error(X_RG, found.X_RG, self.model.centre_G)
+        return float(np.sqrt(np.mean(off_px**2))) < 0.2
 
     def _view(self, X_RG: Array, known: ControlPoints | None = None) -> _View:
         """``known``: the points of all edges that are known there, if they are at hand."""
@@ -277,11 +236,8 @@ class _Tracker:
             floor_px = np.hypot(floor_px, self.rig.focal_px * self.options.sigma_m[points.feature] / z)
         return points, fitted(place, grey, stripes).of(stripes, f, view.length, floor_px)
 
-    def _result(self, iterate: _Iterate) -> TrackedPose:
+    def _result(self, X_RG: Array, settled: bool) -> TrackedPose:
         """The record of the last pose, where its points are measured a last time."""
-        X_RG, settled = iterate.X_RG, iterate.settled
-        if iterate.failure:
-            return self._no_pose(X_RG, iterate.failure)
         view = self._view(X_RG)
         points, measured = self._measure(view, X_RG, None)
         count = int(measured.counts.sum())

@@ -7,22 +7,16 @@ the zero of N . (p - eye) with normals and positions interpolated over each face
 "Illustrating smooth surfaces", SIGGRAPH 2000). Under a small motion the outline slides over the surface, but
 only along the line of sight, which the image does not show: its motion normal to the edge is that of the
 material point (tests/planning/edges).
-
-``in_sunlight`` weights the points by their contrast: the difference of radiance across the edge, Lambertian,
-with shadows. Each side is a face of the body or the black sky. A face that is turned to the Sun and not in
-shadow has the radiance n . s, 1 for a white face normal to the sunlight. An edge between equal radiances is
-invisible in the image, whatever its angle. Where one side is a more distant part of the body, the sky is
-assumed instead.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Bools, Ints, inverse_pose, transform_points
-from polhode.planning.edges.edge_model import EdgeKind, EdgeModel, unit_rows
+from polhode.planning.edges.edge_model import EdgeModel, unit_rows
 
 SPACING_PX = 10.0
 """Spacing of control points along an edge."""
@@ -30,10 +24,6 @@ MERGED_PX, PARALLEL = 2.0, 0.97
 """Edges closer than this in the image, with this cosine of the angle between them, are merged."""
 NEAR = 0.02
 """Near clipping plane, as a share of the body's radius."""
-HALF_CONTRAST = 0.1
-"""Contrast at which image noise and the error floor (blur, model) displace an edge equally."""
-MIN_WEIGHT = 0.01
-"""Points with a smaller weight are omitted."""
 
 
 @dataclass(frozen=True)
@@ -69,11 +59,8 @@ def _of_facets(model: EdgeModel, eye_G: Array) -> Outlines:
 
 
 def _of_smooth_surface(model: EdgeModel, eye_G: Array) -> Outlines:
-    """Where N . (p - eye) vanishes on the faces with corners on both sides of the outline.
-
-    Along an edge of a face, (N_a + t dN) . (a - eye + t d) is quadratic in t, with one root between ends of
-    opposite sign, here in its numerically stable form.
-    """
+    """Where N . (p - eye) vanishes on the faces with corners on both sides of the outline."""
+    # along an edge of a face it is quadratic, with one root between ends of opposite sign, in its stable form
     faces = np.flatnonzero(model.outlined_faces)
     corners, normals = np.asarray(model.surface.triangles)[faces], model.corner_normals_G[faces]
     away = np.einsum("fck,fck->fc", normals, corners - eye_G) > 0.0
@@ -190,10 +177,9 @@ def every_point(model: EdgeModel, rig: RectifiedRig, X_RG: Array, spacing_px: fl
 def _steps(
     ends_G: Array, X_RG: Array, rig: RectifiedRig, spacing_px: float, near_m: float
 ) -> tuple[Ints, Array, Array]:
-    """Equal steps in the image, at most ``spacing_px`` long, of the parts of segments in the field of view.
+    """Equal steps in the image of segments within the field of view (clipped as by Liang and Barsky, 1984).
 
-    Returns the segment (m,) of each step, the fraction (m,) along the segment in space of its centre, its
-    length in the image (m,) [px]. Clipping as by Liang and Barsky, 1984.
+    The segment (m,) of each step, the fraction (m,) in space along it of its centre, its length (m,) [px].
     """
     ends_R = transform_points(X_RG, ends_G.reshape(-1, 3)).reshape(-1, 2, 3)
     z0, z1 = ends_R[:, 0, 2], ends_R[:, 1, 2]
@@ -230,10 +216,7 @@ def _between(ends: Array, piece: Ints, share: Array) -> Array:
 
 
 def _in_image(p_G: Array, plane_G: Array, X_RG: Array, rig: RectifiedRig) -> tuple[Array, Array, Bools]:
-    """Places (m, 2) of points (m, 3) [px], and unit normals (m, 2) of planes (m, 3) through them and the eye.
-
-    And (m,) whether there is such a normal.
-    """
+    """Places (m, 2) of points [px], unit normals (m, 2) of planes through them and the eye, if any (m,)."""
     uv = rig.project(transform_points(X_RG, p_G))[:, :2]
     plane_R = plane_G @ X_RG[:3, :3].T
     length = np.hypot(plane_R[:, 0], plane_R[:, 1])
@@ -253,40 +236,3 @@ def why_no_edge(model: EdgeModel, rig: RectifiedRig, X_RG: Array) -> str:
     if min(u.max(), v.max()) < -0.5 or u.min() > rig.width_px - 0.5 or v.min() > rig.height_px - 0.5:
         return "the body is outside the image"
     return "all edges are hidden or outside the image"
-
-
-def contrast(model: EdgeModel, points: ControlPoints, eye_G: Array, sun_G: Array) -> Array:
-    """(m,) difference of radiance across the edge at each point, 0 to 1; sun_G (3,) towards the Sun."""
-    if len(points) == 0:
-        return np.zeros(0)
-    sun = sun_G / np.linalg.norm(sun_G)
-    kinds = np.append(model.kind, np.full(len(model.outlined), EdgeKind.OUTLINE))[points.feature]
-    rim, crease = kinds == EdgeKind.BOUNDARY, (kinds == EdgeKind.CREASE)[:, None]
-    facing = np.einsum("msk,mk->ms", points.sides_G, eye_G - points.p_G)
-    # an open sheet is also visible from behind
-    normals = np.where((rim[:, None] & (facing < 0.0))[..., None], -points.sides_G, points.sides_G)
-    seen = np.where(crease, facing > 0.0, [True, False])
-    # outwards, between the two sides, where both are lit or both in shadow
-    outward = unit_rows(np.where(crease, normals.sum(axis=1), normals[:, 0]))
-    start = points.p_G + 3.0 * model.tolerance_m * outward
-    lit = ~model.occluder.shades(sun, start, 0.5 * model.tolerance_m)
-    radiance = np.where(seen & lit[:, None], np.maximum(normals @ sun, 0.0), 0.0)
-    return np.asarray(np.abs(radiance[:, 0] - radiance[:, 1]))
-
-
-def contrast_weight(contrast: Array, half: float = HALF_CONTRAST) -> Array:
-    """Information (m,) of an edge, relative to that at full contrast.
-
-    White image noise displaces an edge in inverse proportion to its contrast c; blur and model add a
-    floor: sigma^2 = floor^2 (1 + (half / c)^2).
-    """
-    square = np.asarray(contrast) ** 2
-    return np.asarray(square / (square + half**2))
-
-
-def in_sunlight(
-    model: EdgeModel, points: ControlPoints, eye_G: Array, sun_G: Array, half: float = HALF_CONTRAST
-) -> ControlPoints:
-    """The points that have contrast, their weights multiplied by `contrast_weight`."""
-    share = contrast_weight(contrast(model, points, eye_G, sun_G), half)
-    return replace(points, weight=points.weight * share)[share >= MIN_WEIGHT]

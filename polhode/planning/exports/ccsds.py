@@ -20,8 +20,6 @@ from polhode.planning.prediction import PredictedMotion
 KM_PER_M = 1e-3
 FRAME, CENTER = "LOCAL_INERTIAL_N", "INSPECTOR_START"
 """Names of N and of its origin"""
-COMMENT_WIDTH = 120
-"""Both standards allow 254 characters a line."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +39,10 @@ def oem(motion: PredictedMotion, header: MessageHeader) -> str:
     """Centre of mass in N with its covariance at every instant.
 
     Where the run does not determine the centre of mass, the covariance is that of the estimated one as a mark
-    on the body, and a comment says so. Without covariances the file has none.
+    on the body, and a comment says so.
     """
     covariance, note = motion.covariance[:, :6, :6], "covariance: of the centre of mass, along N"
-    if not motion.has_covariance:
-        note = "no covariance: the run has none"
-    elif not np.isfinite(covariance).all():
+    if not np.isfinite(covariance).all():
         covariance = motion.covariance_of_marks[:, :6, :6]
         note = (
             "covariance: of the estimated centre of mass as a mark on the body, along N; the run does not "
@@ -58,8 +54,6 @@ def oem(motion: PredictedMotion, header: MessageHeader) -> str:
     lines = [*_metadata("OEM", header, [note], frame, times, interpolation), ""]
     states = KM_PER_M * np.hstack([motion.r_N, motion.v_N])
     lines += [f"{time} {_numbers(row)}" for time, row in zip(times, states, strict=True)]
-    if not motion.has_covariance:
-        return "\n".join(lines) + "\n"
     lines += ["", "COVARIANCE_START"]
     for time, matrix in zip(times, KM_PER_M**2 * covariance, strict=True):
         lines += [f"EPOCH = {time}", f"COV_REF_FRAME = {FRAME}"]
@@ -115,7 +109,7 @@ def _metadata(
     """Header and metadata section of a message."""
 
     def commented(*texts: str) -> list[str]:
-        return [f"COMMENT {line}" for text in texts for line in textwrap.wrap(text, COMMENT_WIDTH)]
+        return [f"COMMENT {line}" for text in texts for line in textwrap.wrap(text, 120)]
 
     return [
         *(f"CCSDS_{kind}_VERS = 2.0", *commented(*header.comments)),

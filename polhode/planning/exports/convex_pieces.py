@@ -22,35 +22,15 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from trimesh.sample import sample_surface
 
 from polhode.geometry.lie import Array, Bools, Ints
-from polhode.planning.exports.records import ExportShape
+from polhode.planning.exports.job import ExportShape
 from polhode.runtime.optional_parts import missing_message
 
-CUT_FACES, VOXELS = 12_000, 400_000
-"""Faces of the simplified mesh that V-HACD decomposes, and its resolution."""
-FIRST_PIECES = 32
-"""Of V-HACD; those that protrude too far are split further."""
-MIN_VOLUME_PERCENT = 0.5
-"""V-HACD stops splitting a piece when the volumes of its hull and its voxels differ by less."""
-CONVEX_EXCESS_SHARE = 0.01
-"""Largest excess volume of the hull of a convex body, as a share."""
+VOXELS = 400_000
+"""Of V-HACD."""
 MAX_PROTRUSION_SHARE = 0.01
 """Of the body's diameter: pieces that protrude farther from the surface are split."""
-SAMPLED_PROTRUSION_FACTOR = 0.9
-"""Of that, as the protrusion is evaluated at some points only."""
-MAX_GROWTH = 10.0
-"""Volume of a piece over that of its seed."""
-INNER_SAMPLES, SECTION_POINTS = 200, 60
-"""Points inside a piece, and inside a plane that splits it."""
-ROUNDING_SHARE = 2e-6
-"""Each piece is enlarged by this share of the body's size: more than the rounding to single precision."""
-SURFACE_SAMPLES, SAMPLES = 100_000, 20_000
-"""Points of the surface and of all pieces together, for the distances between them."""
-PIECE_SAMPLES, FINAL_SAMPLES = 250, 2_000
-"""Points of a piece at which its protrusion is evaluated at each split, and before it is accepted."""
 DIRECTIONS = trimesh.creation.icosphere(1).vertices
 """Rays that decide whether a point lies inside."""
-AREA_WEIGHT = 2.0
-"""Weight of the mean protrusion against the largest, when planes are compared."""
 PANEL_THICKNESS_SHARE = 1e-3
 """Thickness of a flat piece, over the body's size."""
 
@@ -65,7 +45,7 @@ class OutwardDistance:
         V = np.asarray(mesh.vertices) - self._centre
         self._mesh = trimesh.Trimesh(V, np.asarray(mesh.faces), process=False)
         self.size_m = float(np.ptp(V, axis=0).max())
-        points, face = sample_surface(mesh, SURFACE_SAMPLES, seed=0)
+        points, face = sample_surface(mesh, 100_000, seed=0)
         # slivers and needles have no area to be sampled
         self._on = np.concatenate([np.asarray(points), np.asarray(mesh.vertices)])
         self._normal = np.concatenate([np.asarray(mesh.face_normals)[face], np.asarray(mesh.vertex_normals)])
@@ -122,24 +102,13 @@ class Decomposition:
 
     pieces: tuple[trimesh.Trimesh, ...]
     description: str
-    """How they were made"""
-    beyond_m: float
-    """95th percentile of their protrusion from the surface [m], by area"""
+    """How they were made, and how far they protrude from the surface"""
     max_beyond_m: float
-    """The largest found"""
+    """Largest protrusion found"""
     far_share: float
     """Share of their area that protrudes by more than MAX_PROTRUSION_SHARE of the diameter"""
     diameter_m: float
     """Of the surface: its two points farthest from each other"""
-
-    def describe_protrusion(self) -> str:
-        """How far they protrude."""
-        share = self.max_beyond_m / self.diameter_m
-        return (
-            f"they protrude from the surface by at most {1e3 * self.max_beyond_m:.2g} mm, {share:.1%} of its "
-            f"diameter; 95 % of their area by less than {1e3 * self.beyond_m:.2g} mm, and "
-            f"{self.far_share:.2%} of it by more than {MAX_PROTRUSION_SHARE:.0%} of the diameter"
-        )
 
 
 def decompose(shape: ExportShape, max_pieces: int) -> Decomposition:
@@ -151,29 +120,30 @@ def decompose(shape: ExportShape, max_pieces: int) -> Decomposition:
         raise ValueError("the surface is flat: it has no convex hull with a volume") from error
     diameter = float(max(np.linalg.norm(corners - each, axis=1).max() for each in corners))
     outward = OutwardDistance(mesh)
-    seeds, words = _initial_pieces(mesh, min(max(max_pieces // 4, 2), FIRST_PIECES, max_pieces))
+    seeds, words = _initial_pieces(mesh, min(max(max_pieces // 4, 2), 32, max_pieces))
     pieces = [corners]
     if seeds:
-        within_m = SAMPLED_PROTRUSION_FACTOR * MAX_PROTRUSION_SHARE * diameter
+        # a tenth less, as the protrusion is evaluated at some points only
+        within_m = 0.9 * MAX_PROTRUSION_SHARE * diameter
         grown = split_until_near(_grown_pieces(shape, seeds, outward), outward, within_m, max_pieces)
         pieces = [each.corners for each in grown]
     hulls = []
     for each in pieces:
-        # each vertex is moved away from the centroid
+        # each vertex is moved away from the centroid, by more than the rounding to single precision
         corners = each[ConvexHull(each).vertices]
         away = corners - corners.mean(axis=0)
-        away *= ROUNDING_SHARE * outward.size_m / np.linalg.norm(away, axis=1, keepdims=True)
+        away *= 2e-6 * outward.size_m / np.linalg.norm(away, axis=1, keepdims=True)
         hulls.append(trimesh.convex.convex_hull(corners + away))
     count = "the convex hull" if len(hulls) == 1 else f"{len(hulls)} convex pieces"
     beyond = _beyond(hulls, outward)
-    return Decomposition(
-        tuple(hulls),
-        f"collision geometry: {count} {words}",
-        float(np.quantile(beyond, 0.95)),
-        float(beyond.max()),
-        float(np.mean(beyond > MAX_PROTRUSION_SHARE * diameter)),
-        diameter,
+    largest_m, far_share = float(beyond.max()), float(np.mean(beyond > MAX_PROTRUSION_SHARE * diameter))
+    description = (
+        f"collision geometry: {count} {words}; they protrude from the surface by at most "
+        f"{1e3 * largest_m:.2g} mm, {largest_m / diameter:.1%} of its diameter; 95 % of their area by less "
+        f"than {1e3 * float(np.quantile(beyond, 0.95)):.2g} mm, and {far_share:.2%} of it by more than "
+        f"{MAX_PROTRUSION_SHARE:.0%} of the diameter"
     )
+    return Decomposition(tuple(hulls), description, largest_m, far_share, diameter)
 
 
 def _initial_pieces(mesh: trimesh.Trimesh, max_pieces: int) -> tuple[list[Array], str]:
@@ -184,15 +154,15 @@ def _initial_pieces(mesh: trimesh.Trimesh, max_pieces: int) -> tuple[list[Array]
         import vhacdx
     except ImportError:
         return [], f"alone, as {missing_message('vhacdx')}"
-    if mesh.is_volume and mesh.convex_hull.volume < (1.0 + CONVEX_EXCESS_SHARE) * mesh.volume:
+    if mesh.is_volume and mesh.convex_hull.volume < 1.01 * mesh.volume:
         return [], "as the body is convex"
-    thin = mesh if len(mesh.faces) <= CUT_FACES else mesh.simplify_quadric_decimation(face_count=CUT_FACES)
+    thin = mesh if len(mesh.faces) <= 12_000 else mesh.simplify_quadric_decimation(face_count=12_000)
     parts = vhacdx.compute_vhacd(
         np.asarray(thin.vertices, dtype=np.float64),
         np.asarray(thin.faces, dtype=np.uint32),
         maxConvexHulls=max_pieces,
         resolution=VOXELS,
-        minimumVolumePercentErrorAllowed=MIN_VOLUME_PERCENT,
+        minimumVolumePercentErrorAllowed=0.5,
         asyncACD=False,
     )
     thickness_m = PANEL_THICKNESS_SHARE * float(np.ptp(np.asarray(mesh.vertices), axis=0).max())
@@ -219,13 +189,13 @@ def _grown_pieces(shape: ExportShape, seeds: list[Array], outward: OutwardDistan
         volumes = [
             ConvexHull(np.concatenate([seeds[k], points[np.unique(corner[owner == k])]])).volume for k in kept
         ]
-        sound = np.array([v < MAX_GROWTH * hulls[k].volume for k, v in zip(kept, volumes, strict=True)])
+        sound = np.array([v < 10.0 * hulls[k].volume for k, v in zip(kept, volumes, strict=True)])
         if sound.all() or not sound.any():
             break
         kept = kept[sound]
     rng, pieces = np.random.default_rng(1), []
     for k in kept:
-        mixed = rng.dirichlet(np.full(len(seeds[k]), 0.3), INNER_SAMPLES) @ seeds[k]
+        mixed = rng.dirichlet(np.full(len(seeds[k]), 0.3), 200) @ seeds[k]
         inner = outward.inside(np.concatenate([seeds[k], mixed]))
         triangles = points[corner[owner == k]]
         if len(triangles) or len(inner) > 3:
@@ -240,7 +210,7 @@ def _beyond(hulls: list[trimesh.Trimesh], outward: OutwardDistance) -> Array:
     areas = np.array([hull.area for hull in hulls])
     found = []
     for k, hull in enumerate(hulls):
-        count = max(20, round(SAMPLES * areas[k] / areas.sum()))
+        count = max(20, round(20_000 * areas[k] / areas.sum()))
         points = np.asarray(sample_surface(hull, count, seed=0)[0])
         meets = (boxes[:, 0] <= boxes[k, 1]).all(axis=1) & (boxes[:, 1] >= boxes[k, 0]).all(axis=1)
         meets[k] = False
@@ -252,7 +222,7 @@ def _beyond(hulls: list[trimesh.Trimesh], outward: OutwardDistance) -> Array:
 
 
 def _convex_piece(
-    triangles: Array, inner: Array, outward: OutwardDistance, samples: int = PIECE_SAMPLES
+    triangles: Array, inner: Array, outward: OutwardDistance, samples: int = 250
 ) -> ConvexPiece:
     """Raises QhullError when there are too few points."""
     points = np.concatenate([triangles.reshape(-1, 3), inner])
@@ -282,7 +252,7 @@ def split_until_near(
             if own in confirmed:
                 done.append(piece)
                 continue
-            halves = [_convex_piece(piece.triangles, piece.inner, outward, FINAL_SAMPLES)]
+            halves = [_convex_piece(piece.triangles, piece.inner, outward, 2_000)]
             confirmed.add(number)
         elif len(piece.triangles) == 0:
             # without a part of the surface it only fills the inside, as others do
@@ -313,7 +283,7 @@ def _best_split(piece: ConvexPiece, outward: OutwardDistance) -> list[ConvexPiec
         below, above = clip(piece.triangles, n, offset)
         height = piece.inner @ n - offset
         low, high = piece.inner[height <= 0.0], piece.inner[height > 0.0]
-        if count := min(len(low), len(high), SECTION_POINTS):
+        if count := min(len(low), len(high), 60):
             a, b = low[:count], high[-count:]
             section = outward.inside(a + ((offset - a @ n) / ((b - a) @ n))[:, None] * (b - a))
             low, high = np.concatenate([section, low]), np.concatenate([high, section])
@@ -324,7 +294,7 @@ def _best_split(piece: ConvexPiece, outward: OutwardDistance) -> list[ConvexPiec
             continue
         if halves:
             mean = sum(half.mean_m * half.hull.area for half in halves) / piece.hull.area
-            cost = max(half.worst_m for half in halves) + AREA_WEIGHT * mean
+            cost = max(half.worst_m for half in halves) + 2.0 * mean
             if cost < best:
                 best, found = cost, halves
     return found

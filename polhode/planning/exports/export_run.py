@@ -5,7 +5,9 @@ The formats themselves are written by the other modules of ``polhode/planning/ex
 """
 
 import logging
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,23 +15,38 @@ from typing import Any
 import numpy as np
 from trimesh.exchange.obj import export_obj
 
-from polhode.planning.exports import ccsds, glb, mesh_files, robot_xml
+from polhode.files.atomic import write_all
+from polhode.files.output.marked_folder import claim, forget_others, marked_folder
+from polhode.files.output.place import beginning_of
+from polhode.files.output.single_file import make_parent, output_file
+from polhode.planning.exports import ccsds, mesh_files, robot_xml
 from polhode.planning.exports.convex_pieces import MAX_PROTRUSION_SHARE, decompose
 from polhode.planning.exports.formats import MESHES, MOTIONS, ROBOTS
-from polhode.planning.exports.job import ExportJob, Files, failure_of, open_job
+from polhode.planning.exports.job import ExportJob, Files, failure_of, open_job, shape_of_surface
 from polhode.planning.exports.json_document import json_document
+from polhode.planning.exports.mass_properties import Inertial
 from polhode.planning.exports.options import METRES, ExportOptions, check, creation_date
-from polhode.planning.exports.own_files import SURFACE_FILE, export_place, meshes_of, piece_file, write_export
-from polhode.planning.exports.records import Inertial, shape_of_landmarks, shape_of_surface
 from polhode.run_directory.trajectory_file import read_trajectory
 from polhode.runtime.errors import InputError
 from polhode.runtime.optional_parts import missing_part
 from polhode.runtime.progress import Progress, Silent
 
-FAR_SHARE = 1e-3
-"""Share of the pieces' area that protrudes too far, above which there is a warning."""
-MAX_KEY_ROTATION_RAD = np.deg2rad(5.0)
-"""Between two keys of an animation, which viewers interpolate linearly."""
+COMMAND = "export"
+SURFACE_FILE = "surface.obj"
+SIGNS = (
+    rb'glTF\x02\0\0\0.{8}JSON\{"asset":\{"version":"2\.0","generator":"polhode","extras":'
+    rb'\{"comments":\["polhode export of the run ',
+    rb"ply\nformat binary_little_endian 1\.0\ncomment polhode export of the run [^\n]*\ncomment frame: ",
+    rb"(?=.{80})binary STL; (polhode export, )?frame (G|P|cad), m?m +(?<=\A.{80})",
+    rb"# polhode export of the run [^\n]*\n# frame: [^\n]*\n# unit: m?m\n",
+    rb'<\?xml version="1\.0" encoding="utf-8"\?>\n<(robot name|mujoco model|sdf version)="[^"<>]*">\n'
+    rb"  <!-- polhode export of the run ",
+    rb"CCSDS_[AO]EM_VERS = [12]\.0\nCOMMENT polhode export of the run\s",
+    rb"# polhode export of the run [^\n]*\n# frame: [^\n]*\n"
+    rb"# poses of the frame in N \[m\], (predicted from |estimated at the frames of the run\n)",
+    rb'\{\n "schema": "polhode-export/1",\n "run_status": "',
+)
+"""How a file of one of our formats begins, in this and in earlier versions: what else only mentions us."""
 
 _log = logging.getLogger(__name__)
 
@@ -67,7 +84,8 @@ def _mesh(job: ExportJob) -> Files:
     """The mesh, or else the landmarks. Raises InputError when there are neither."""
     options, shape, to = job.options, job.shape(), job.options.to
     if shape is None:
-        if job.landmarks is None:
+        shape = job.points()
+        if shape is None:
             raise job.nothing(f"this run has neither mesh nor landmarks; nothing for {to}")
         if to == "stl":
             raise InputError(
@@ -77,7 +95,6 @@ def _mesh(job: ExportJob) -> Files:
         job.leave_out(
             "the surface is left out, as this run has no mesh: the file holds the landmarks, as points"
         )
-        shape = shape_of_landmarks(job.landmarks, job.at)
     unit, per_m = options.unit, 1.0 / METRES[options.unit]
     comments = [*job.comments, f"unit: {unit}"]
     if to == "ply":
@@ -87,34 +104,15 @@ def _mesh(job: ExportJob) -> Files:
         return {options.output: mesh_files.obj(shape, comments, per_m)}
     if to == "stl":
         job.leave_out("STL cannot store colours and standard deviations: ply and glb have them")
-        return {options.output: mesh_files.stl(shape, f"polhode export, frame {job.at.name}, {unit}", per_m)}
-    extras: dict[str, Any] = {"comments": job.comments, "frame": job.at.name, "unit": unit}
+        return {
+            options.output: mesh_files.stl(
+                shape, f"polhode export, frame {options.frame_name}, {unit}", per_m
+            )
+        }
+    extras: dict[str, Any] = {"comments": job.comments, "frame": options.frame_name, "unit": unit}
     if unit == "mm":
         job.leave_out("glTF's unit is the metre by its standard: programs take these millimetres for metres")
-    animation = _animation(job, extras) if options.animate else None
-    return {options.output: glb.glb(shape, extras, per_m, unit, animation)}
-
-
-def _animation(job: ExportJob, extras: dict[str, Any]) -> glb.Animation:
-    """The predicted motion, described in the extras."""
-    options, step = job.options, job.options.step_s
-    if not job.no_motion:
-        rate = float(np.linalg.norm(job.last_state().w_F))
-        smooth = MAX_KEY_ROTATION_RAD / max(rate, 1e-6)
-        # never coarser than the rotation allows, and no more keys than that takes
-        step = min(smooth, options.horizon if step is None else step)
-    motion = job.motion(step)
-    extras["animation"] = {
-        "words": "the node target moves in N: at time 0 it is at the last state of the run",
-        "horizon_s": options.horizon,
-    }
-    if motion.has_covariance:
-        sigma = np.sqrt(np.diagonal(motion.covariance_of_marks[-1]))
-        extras["animation"] |= {
-            "sigma_at_the_end_m": float(sigma[0:3].max()),
-            "sigma_at_the_end_deg": float(np.rad2deg(sigma[6:9].max())),
-        }
-    return glb.Animation(motion.time_s, job.poses(motion))
+    return {options.output: mesh_files.glb(shape, extras, per_m, unit)}
 
 
 def _robot(job: ExportJob) -> Files:
@@ -135,24 +133,24 @@ def _robot(job: ExportJob) -> Files:
         files[folder / SURFACE_FILE] = mesh_files.obj(shape, job.comments, 1.0)
         try:
             # of the full mesh, whatever level is shown: a lighter one may lie inside it
-            cut = decompose(shape_of_surface(job.surface, job.at), options.pieces)
+            cut = decompose(shape_of_surface(job.surface, job.X_FG), options.pieces)
         except ValueError as error:
             job.leave_out(f"collision geometry is left out: {error}")
         else:
             without = missing_part("vhacdx")
             if options.pieces > 1 and without:
                 job.leave_out(f"{without}: the collision geometry is the convex hull")
-            comments.append(f"{cut.description}; {cut.describe_protrusion()}")
+            comments.append(cut.description)
             _log.info("%s", comments[-1])
-            if cut.far_share > FAR_SHARE:
+            if cut.far_share > 1e-3:
                 more = "" if without else ": more --pieces protrude less"
                 job.leave_out(
                     f"{cut.far_share:.1%} of the collision geometry protrudes from the surface by more than "
                     f"{MAX_PROTRUSION_SHARE:.0%} of its diameter{more}"
                 )
-            header = f"convex piece, frame {job.at.name}, metres"
+            header = f"convex piece, frame {options.frame_name}, metres"
             for number, piece in enumerate(cut.pieces):
-                pieces.append(piece_file(number))
+                pieces.append(f"collision_{number:03d}.obj")
                 content = export_obj(
                     piece, include_normals=False, include_color=False, header=header, digits=12
                 )
@@ -185,14 +183,12 @@ def _motion(job: ExportJob) -> Files:
             "are taken as marks on the body"
         )
     X_NF = job.poses(motion)
-    uncertainty = "the run has no covariances: the uncertainty is unknown"
-    if motion.has_covariance:
-        sigma = np.sqrt(np.diagonal(motion.covariance_of_marks, axis1=1, axis2=2))
-        uncertainty = (
-            f"standard deviation of the body's attitude, worst axis: {np.rad2deg(sigma[0, 6:9].max()):.3g} "
-            f"deg at the start, {np.rad2deg(sigma[-1, 6:9].max()):.3g} deg at the end; the JSON export has "
-            "all covariances"
-        )
+    sigma = np.sqrt(np.diagonal(motion.covariance_of_marks, axis1=1, axis2=2))
+    uncertainty = (
+        f"standard deviation of the body's attitude, worst axis: {np.rad2deg(sigma[0, 6:9].max()):.3g} deg "
+        f"at the start, {np.rad2deg(sigma[-1, 6:9].max()):.3g} deg at the end; the JSON export has all "
+        "covariances"
+    )
     if options.to == "tum":
         origin = "poses of the frame in N [m], predicted from the last state of the run on"
         text = ccsds.tum(motion.timestamps_ns, X_NF, [*job.comments, origin, uncertainty])
@@ -213,8 +209,8 @@ def _motion(job: ExportJob) -> Files:
     if options.to == "oem":
         text = ccsds.oem(motion, header)
     else:
-        w_F = motion.w_P @ (job.at.R_FG @ np.array(job.summary.R_GP)).T
-        comments, body_frame = [*job.comments[1:], uncertainty], f"TARGET_{job.at.name.upper()}"
+        w_F = motion.w_P @ (job.X_FG[:3, :3] @ np.array(job.summary.R_GP)).T
+        comments, body_frame = [*job.comments[1:], uncertainty], f"TARGET_{options.frame_name}"
         text = ccsds.aem(motion.timestamps_ns, X_NF[:, :3, :3], w_F, header, body_frame, comments)
     return {options.output: text.encode("ascii", "replace")}
 
@@ -225,3 +221,48 @@ _CONTENT: dict[str, Callable[[ExportJob], Files]] = {
     **dict.fromkeys(MOTIONS, _motion),
     "json": lambda job: {job.options.output: json_document(job).encode()},
 }
+
+
+@contextmanager
+def export_place(options: ExportOptions) -> Iterator[Path]:
+    """The file that will be written, links followed; checked before the work. Raises InputError.
+
+    Robots have a folder of meshes beside it, which must be new, empty or of an earlier export; no other
+    process of ours writes into it while the block runs.
+    """
+    place = output_file(options.output, COMMAND, "target.glb", _is_export)
+    if options.to not in ROBOTS:
+        yield place
+        return
+    with marked_folder(meshes_of(place), COMMAND, is_mesh, meshes_of(options.output)):
+        yield place
+
+
+def meshes_of(output: Path) -> Path:
+    """The folder of a robot's meshes, for this file alone: target.xml and target.urdf may differ in frame."""
+    return output.with_name(f"{output.name}_meshes")
+
+
+def is_mesh(name: str) -> bool:
+    """Whether an export writes a mesh of this name."""
+    return name == SURFACE_FILE or re.fullmatch(r"collision_\d{3,4}\.obj", name) is not None
+
+
+def write_export(files: Files, output: Path) -> None:
+    """Write all files or none, and remove pieces of an earlier export that are not among them.
+
+    Raises InputError and RunFailure: a file cannot be written.
+    """
+    folder = meshes_of(output)
+    meshes = {path.name: content for path, content in files.items() if path.parent == folder}
+    make_parent(output, output)
+    if meshes:
+        claim(folder, COMMAND, list(meshes))
+    write_all(files)
+    if meshes:
+        forget_others(folder, COMMAND, meshes, is_mesh)
+
+
+def _is_export(path: Path) -> bool:
+    beginning = beginning_of(path)
+    return any(re.match(sign, beginning, re.DOTALL) for sign in SIGNS)

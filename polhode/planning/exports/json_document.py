@@ -16,7 +16,6 @@ from polhode.files.atomic import write_text
 from polhode.geometry.lie import continuous_wxyz, wxyz_from_matrix
 from polhode.planning.exports import ccsds
 from polhode.planning.exports.job import ExportJob
-from polhode.planning.exports.records import ExportShape
 from polhode.planning.predict import MAX_ROWS, prediction_instants
 from polhode.run_directory.archives import STATE_ORDER
 from polhode.run_directory.summary import nullable
@@ -35,8 +34,6 @@ from polhode.run_directory.summary_schema import (
 from polhode.runtime.errors import InputError
 
 SCHEMA_FILE = Path(__file__).with_name("export.schema.json")
-MAX_STATES = 10_000
-"""These take 0.7 GB while they are written, and a file of 60 MB."""
 FRAME_N = (
     "N, inertial: the left camera at the first frame (x right, y down, z forward), or the frame of the "
     "inspector's poses where those were given"
@@ -52,7 +49,7 @@ CovarianceRows = Annotated[
 class FrameOut(StrictModel):
     """The frame F that was asked for, in the body."""
 
-    name: Literal["G", "P", "cad"]
+    name: Literal["G", "P"]
     words: str
     X_FG: tuple[Row4, Row4, Row4, Row4]
     """Row-major, p_F = X_FG p_G [m]"""
@@ -167,10 +164,23 @@ def json_document(job: ExportJob) -> str:
         job.leave_out(f"states and prediction are left out: {job.no_motion}")
     else:
         states, undetermined = _states(job)
-    shape = job.shape()
+    shape, statistics = job.shape(), None
     if shape is None:
         job.leave_out("the shape is left out: this run has no mesh")
-    inertial = job.inertial()
+    else:
+        measured = shape.sigma_m[np.isfinite(shape.sigma_m)]
+        statistics = {
+            "vertices": len(shape.vertices),
+            "faces": len(shape.faces),
+            "box_F": (shape.vertices.min(axis=0), shape.vertices.max(axis=0)),
+            "sigma_median_m": float(np.median(measured)) if len(measured) else None,
+            "sigma_95_m": float(np.quantile(measured, 0.95)) if len(measured) else None,
+            "measured_share": len(measured) / len(shape.vertices),
+        }
+    inertial, found = job.inertial(), summary.model_dump()
+    inertia = found["inertia"] or {}
+    # the summary's fields, and those of its inertia
+    properties = inertia | {"cov_k": inertia.get("cov")} | found
     document = Document.model_validate(
         {
             "run_status": summary.status,
@@ -178,17 +188,17 @@ def json_document(job: ExportJob) -> str:
             "left_out": job.left_out,
             "epoch_utc": str(options.epoch_utc.astype("datetime64[s]")),
             "frame_N": FRAME_N,
-            "frame": {"name": job.at.name, "words": job.at.description, "X_FG": job.at.X_FG.tolist()},
+            "frame": {"name": options.frame_name, "words": job.frame, "X_FG": job.X_FG.tolist()},
             "last": states[0] if states else None,
             "prediction": states[1:],
             "undetermined": list(undetermined),
-            "mass_properties": _mass_properties(job),
+            "mass_properties": {name: properties.get(name) for name in MassPropertiesOut.model_fields},
             "inertial": inertial
             and {
                 name: getattr(inertial, "notes" if name == "words" else name)
                 for name in InertialOut.model_fields
             },
-            "shape": None if shape is None else _shape(shape),
+            "shape": statistics,
         }
     )
     return json_text(document, indent=1)
@@ -198,10 +208,11 @@ def _states(job: ExportJob) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
     """The content of ``StateOut`` for each instant; what the motion does not determine."""
     options = job.options
     time_s, _ = prediction_instants(job.folder, options.horizon, options.step_s, from_last=True)
-    if len(time_s) > MAX_STATES:
+    # these take 0.7 GB while they are written, and a file of 60 MB
+    if len(time_s) > 10_000:
         raise InputError(
             f"--horizon {options.horizon:g}: {len(time_s)} states, each with two covariances; json takes up "
-            f"to {MAX_STATES}: give a larger --step-s, or use polhode predict, which takes {MAX_ROWS}"
+            f"to 10000: give a larger --step-s, or use polhode predict, which takes {MAX_ROWS}"
         )
     motion = job.motion(options.step_s)
     job.check_epoch(int(motion.timestamps_ns[0]))
@@ -221,27 +232,6 @@ def _states(job: ExportJob) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
     }
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
     return rows, motion.undetermined
-
-
-def _mass_properties(job: ExportJob) -> dict[str, Any]:
-    """The fields of ``MassPropertiesOut`` in the summary, and in its inertia."""
-    found = job.summary.model_dump()
-    inertia = found["inertia"] or {}
-    values = inertia | {"cov_k": inertia.get("cov")} | found
-    return {name: values.get(name) for name in MassPropertiesOut.model_fields}
-
-
-def _shape(shape: ExportShape) -> dict[str, Any]:
-    measured = shape.sigma_m[np.isfinite(shape.sigma_m)]
-    known = len(measured) > 0
-    return {
-        "vertices": len(shape.vertices),
-        "faces": len(shape.faces),
-        "box_F": (shape.vertices.min(axis=0), shape.vertices.max(axis=0)),
-        "sigma_median_m": float(np.median(measured)) if known else None,
-        "sigma_95_m": float(np.quantile(measured, 0.95)) if known else None,
-        "measured_share": len(measured) / len(shape.vertices),
-    }
 
 
 if __name__ == "__main__":

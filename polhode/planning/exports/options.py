@@ -15,7 +15,7 @@ from polhode.planning.exports.formats import FORMATS, MESHES, MOTIONS, Format
 from polhode.planning.predict import require_step
 from polhode.runtime.errors import InputError
 
-FrameName = Literal["G", "P", "cad"]
+FrameName = Literal["G", "P"]
 Unit = Literal["m", "mm"]
 Poses = Literal["predicted", "estimated"]
 """After the last frame, or at the frames"""
@@ -32,12 +32,7 @@ class ExportOptions:
     to: Format
     output: Path
     frame: FrameName | None = None
-    cad: Path | None = None
-    cad_points: Path | None = None
-    cad_unit: Unit = "m"
     unit: Unit = "m"
-    level: int | None = None
-    animate: bool = False
     mass_kg: float | None = None
     middle_moment_kg_m2: float | None = None
     pieces: int = 512
@@ -73,7 +68,6 @@ def check(options: ExportOptions) -> None:
     _require_one_of("--to", to, FORMATS)
     _require_one_of("--frame", options.frame_name, get_args(FrameName))
     _require_one_of("--unit", options.unit, get_args(Unit))
-    _require_one_of("--cad-unit", options.cad_unit, get_args(Unit))
     suffix = options.output.suffix.lower().removeprefix(".")
     if suffix in FORMATS and suffix != to:
         raise InputError(
@@ -85,8 +79,6 @@ def check(options: ExportOptions) -> None:
     _require_one_of("--poses", options.poses, get_args(Poses))
     if options.poses == "estimated" and to != "tum":
         raise InputError(f"--poses estimated: only tum can have the poses at the frames, not {to}")
-    if options.animate and to != "glb":
-        raise InputError(f"--animate: only glb can store a motion of the model, not {to}")
     if to == "oem" and options.frame_name != "P":
         raise InputError(
             f"--frame {options.frame_name}: an OEM is the path of the centre of mass, the origin of P; "
@@ -102,8 +94,6 @@ def check(options: ExportOptions) -> None:
             raise InputError(f"{name} {value:g}: give a number from {MIN_MASS:g} to {MAX_MASS:g}")
     if options.step_s is not None:
         require_step(options.step_s)
-    if options.level is not None and options.level < 0:
-        raise InputError(f"--level {options.level}: 0 is the full mesh, 1, 2, ... are lighter ones")
     if not 1 <= options.pieces <= MAX_PIECES:
         raise InputError(f"--pieces {options.pieces}: give 1 (the convex hull) to {MAX_PIECES}")
     for name, text in (("--object-name", options.object_name), ("--object-id", options.object_id)):

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from polhode.geometry.lie import Array, wxyz_from_matrix
-from polhode.planning.exports.records import Inertial, LastState
+from polhode.planning.exports.job import LastState
+from polhode.planning.exports.mass_properties import Inertial
 
 
 @dataclass(frozen=True)

@@ -10,24 +10,27 @@ import numpy as np
 from polhode.files.tables import number_rows
 from polhode.frontend.rectification import make_rectifier
 from polhode.geometry.camera import RectifiedRig
-from polhode.geometry.lie import Array, inverse_pose, make_pose, matrix_from_wxyz
+from polhode.geometry.lie import Array, Ints, inverse_pose, make_pose, matrix_from_wxyz
 from polhode.mapping.mesh_files import read_mesh
 from polhode.planning.edges.edge_model import CREASE_DEG, EdgeModel, edge_model
-from polhode.planning.edges.edge_refinement import PosedImage, RefinedEdges, refined_edges
 from polhode.planning.edges.expected_tracking import ExpectedTracking, expected_tracking, lit_from
-from polhode.planning.edges.image_profiles import as_levels
 from polhode.planning.edges.information import (
     Contributions,
     EdgeView,
     FeatureInformation,
     by_feature,
     contributions,
+    greedy,
+    sigma_ratio,
     views_along,
 )
-from polhode.planning.edges.measured_edges import measured_edge_model
-from polhode.planning.edges.selection import EdgeSelection, greedy, upper_bound
-from polhode.planning.edges.smallest_set import SigmaLimits, SmallestSet, smallest_set
-from polhode.planning.edges.visible_edges import SPACING_PX
+from polhode.planning.edges.measured_edges import (
+    PosedImage,
+    RefinedEdges,
+    measured_edge_model,
+    refined_edges,
+)
+from polhode.planning.edges.profiles import as_levels
 from polhode.planning.plan import final_estimate, surface_of
 from polhode.planning.prediction import nominal_motion
 from polhode.records.dataset import open_sequence
@@ -63,7 +66,7 @@ class Subject:
     o_G: Array
     """(3,) [m]"""
     sun_G: Array | None
-    """(k, 3) towards the Sun; None: all edges count as lit"""
+    """(k, 3) towards the Sun; None: unknown"""
     notes: tuple[str, ...]
 
 
@@ -200,23 +203,20 @@ def sun_direction(sun: Sequence[float] | None) -> Array | None:
     return np.asarray(direction / length)
 
 
-def check_numbers(sigma_px: float, spacing_px: float, edges: int | None) -> None:
+def check_numbers(sigma_px: float, edges: int | None) -> None:
     """Raises InputError for numbers out of their range."""
-    for name, value, least in (("sigma-px", sigma_px, 1e-6), ("spacing-px", spacing_px, 0.1)):
-        if not least <= value <= 1e6:
-            raise InputError(f"--{name} {value:g}: give a number from {least:g} to 1e6")
-    if edges is not None and not 1 <= edges <= MAX_EDGES:
-        raise InputError(f"--edges {str(edges)[:20]}: give a number from 1 to {MAX_EDGES}")
+    if not 1e-6 <= sigma_px <= 1e6:
+        raise InputError(f"--sigma-px {sigma_px:g}: give a number from 1e-06 to 1e6")
+    if edges is not None and not 1 <= edges <= 1_000_000:
+        raise InputError(f"--edges {str(edges)[:20]}: give a number from 1 to 1000000")
 
 
-UNIT_WITHIN = 1e-2
-"""How far a quaternion's length may be from 1."""
-MAX_POSES, MAX_EDGES, MAX_COORDINATE_M = 100_000, 1_000_000, 1e12
+MAX_COORDINATE_M = 1e12
 
 
 def read_poses(path: Path) -> tuple[Array, Array]:
     """Increasing times (k,) and poses (k, 4, 4) of a TUM file. Raises InputError for other content."""
-    rows = [row for _, row in number_rows(path, 8, "timestamp tx ty tz qx qy qz qw", MAX_POSES)]
+    rows = [row for _, row in number_rows(path, 8, "timestamp tx ty tz qx qy qz qw", 100_000)]
     if not rows:
         raise InputError(f"{path}: contains no pose; a line is: timestamp tx ty tz qx qy qz qw")
     table = np.array(rows)
@@ -227,40 +227,23 @@ def read_poses(path: Path) -> tuple[Array, Array]:
         raise InputError(f"{path}: has a coordinate or quaternion above {MAX_COORDINATE_M:g}")
     length = np.linalg.norm(table[:, 4:], axis=1)
     bad = int(np.argmax(np.abs(length - 1.0)))
-    if abs(length[bad] - 1.0) > UNIT_WITHIN:
+    if abs(length[bad] - 1.0) > 1e-2:
         raise InputError(f"{path}: the quaternion of pose {bad + 1} has length {length[bad]:.3g}, not 1")
     wxyz = table[:, [7, 4, 5, 6]] / length[:, None]
     return table[:, 0], make_pose(matrix_from_wxyz(wxyz), table[:, 1:4])
 
 
-MAX_VIEWS = 20
-"""Views for the selection of edges, evenly spread over a trajectory; more barely change the result."""
-MAX_MEMORY_MIB = 1024.0
-"""Of the information matrices, one for each edge and view."""
-
-
 @dataclass(frozen=True)
 class Choice:
-    """Sets of edges for a trajectory."""
+    """The best set of edges for a trajectory."""
 
-    views: int
-    """number of views that the selection rests on; 0: no selection was requested"""
-    smallest: SmallestSet | None = None
-    """with each sigma at most 10 % above that of all edges; None: not requested, or not possible"""
-    best: EdgeSelection | None = None
-    """of the requested number of edges, or of all that are seen; None when not requested or not possible"""
-    best_ratio: Array | None = None
-    """(6,) its sigma over that of all edges; inf where the set does not determine it, NaN where not even
-    all edges do"""
-    bound: float | None = None
-    """upper bound of the value of any set of this size"""
-    wanted: int | None = None
+    wanted: int
     """requested number of edges"""
-
-    @property
-    def impossible(self) -> bool:
-        """Whether a selection was requested, but not even all edges determine anything."""
-        return self.views > 0 and self.smallest is None and self.best is None
+    edges: Ints
+    """(k,) in the order in which they were chosen; fewer than wanted where the others are not seen"""
+    ratio: Array
+    """(6,) their sigma over that of all edges; inf where the set does not determine it, NaN where not even
+    all edges do"""
 
 
 @dataclass(frozen=True)
@@ -272,8 +255,8 @@ class Assessment:
     expected: list[ExpectedTracking]
     """of a tracker of these edges, at each view"""
     edges: Contributions
-    choice: Choice
-    spacing_px: float
+    choice: Choice | None
+    """None: not requested"""
     sigma_px: float
 
     @property
@@ -287,16 +270,14 @@ class Assessment:
         return np.stack([each.sigma for each in self.expected])
 
 
-def assess(
-    subject: Subject, spacing_px: float, sigma_px: float, few: int | None, fewest: bool, progress: Progress
-) -> Assessment:
-    """Evaluate all views; select the best ``few`` edges, or the smallest set.
+def assess(subject: Subject, sigma_px: float, few: int | None, progress: Progress) -> Assessment:
+    """Evaluate all views; select the best ``few`` edges, if that is a number.
 
     Raises InputError for numbers out of their range, and when the matrices would not fit into memory.
     """
-    check_numbers(sigma_px, spacing_px, few)
+    check_numbers(sigma_px, few)
     size_mib = len(subject.X_RG) * subject.model.size * 36 * 8 / 2**20
-    if size_mib > MAX_MEMORY_MIB:
+    if size_mib > 1024.0:
         fewer_edges = "" if Path(subject.source).is_dir() else ", or a larger --crease-deg"
         raise InputError(
             f"{len(subject.X_RG)} poses of {subject.model.size} edges take {size_mib:.0f} MiB: "
@@ -305,39 +286,22 @@ def assess(
     model, views, C = subject.model, list[EdgeView](), []
     expected: list[ExpectedTracking] = []
     with progress.stage("evaluating views", len(subject.X_RG)) as advance:
-        for view in views_along(model, subject.rig, subject.X_RG, subject.o_G, spacing_px, subject.sun_G):
+        for view in views_along(model, subject.rig, subject.X_RG, subject.o_G):
             # under the Sun that the user gives, or under some around the camera
-            light = points = None
-            if subject.sun_G is not None:
-                light = lit_from(view.X_RG[:3, :3] @ subject.sun_G[len(views)])
-            elif spacing_px == SPACING_PX:
-                points = view.points
+            sun_G = subject.sun_G
+            light = None if sun_G is None else lit_from(view.X_RG[:3, :3] @ sun_G[len(views)])
             at = model, subject.rig, view.X_RG, light
-            expected.append(expected_tracking(*at, about_G=subject.o_G, points=points))
+            expected.append(expected_tracking(*at, about_G=subject.o_G, points=view.points))
             views.append(view)
             C.append(by_feature(view.points, view.f, model.size))
             advance()
-    information = FeatureInformation(np.stack(C), model.radius_m)
-    with progress.stage("selecting edges", 1) as advance:
-        choice = choose(information, few, fewest)
-        advance()
-    return Assessment(subject, views, expected, contributions(information), choice, spacing_px, sigma_px)
-
-
-def choose(information: FeatureInformation, edges: int | None, fewest: bool) -> Choice:
-    """The best set of ``edges`` and the smallest set, where requested and possible."""
-    if edges is None and not fewest:
-        return Choice(0)
-    count = len(information.C)
-    views = np.unique(np.linspace(0, count - 1, min(count, MAX_VIEWS)).round().astype(int))
-    few = FeatureInformation(information.C[views], information.radius_m)
-    try:
-        limits = SigmaLimits(few)
-    except InputError:
-        return Choice(len(views), wanted=edges)
-    smallest = smallest_set(few) if fewest else None
-    if edges is None:
-        return Choice(len(views), smallest)
-    best = greedy(few.scaled, edges)
-    ratio, bound = limits.ratio(limits.of(best.features)), upper_bound(few.scaled, edges)
-    return Choice(len(views), smallest, best, ratio, bound, edges)
+    information, choice = FeatureInformation(np.stack(C), model.radius_m), None
+    if few is not None:
+        with progress.stage("selecting edges", 1) as advance:
+            # 20 views, evenly spread over the trajectory: more barely change the result
+            chosen = np.unique(np.linspace(0, len(C) - 1, min(len(C), 20)).round().astype(int))
+            some = FeatureInformation(information.C[chosen], model.radius_m)
+            edges = greedy(some, few)
+            choice = Choice(few, edges, sigma_ratio(some, edges))
+            advance()
+    return Assessment(subject, views, expected, contributions(information), choice, sigma_px)

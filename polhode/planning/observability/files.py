@@ -1,8 +1,9 @@
-"""The files of an assessment: tables of the views and of the edges, everything as JSON, and figures."""
+"""The files of an assessment: tables of the views and of the edges, all of it as JSON; the screen's text."""
 
 import csv
 import io
 import json
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -15,14 +16,9 @@ from polhode.geometry.lie import Array
 from polhode.planning.edges.edge_model import EdgeKind
 from polhode.planning.edges.expected_tracking import SUN_ANGLE_DEG
 from polhode.planning.edges.observability_metric import DEGREES_OF_FREEDOM
+from polhode.planning.edges.visible_edges import SPACING_PX
 from polhode.planning.observability import pictures
-from polhode.planning.observability.assess import Assessment
-from polhode.planning.observability.notes import (
-    notes_of,
-    selection_lines,
-    unobservable_lines,
-)
-from polhode.planning.observability.pictures import Legend, coloured_body
+from polhode.planning.observability.assess import Assessment, Choice
 
 SCHEMA = "polhode-observability/1"
 FILES = (
@@ -30,10 +26,7 @@ FILES = (
     "observability.csv",
     "edges.csv",
     "metric.png",
-    "views.png",
     "contributions.png",
-    "edges.ply",
-    "edges.glb",
 )
 """Files that the command writes; those of an earlier call that this one does not write are removed."""
 COMMAND = "observability"
@@ -55,17 +48,10 @@ def write_assessment(assessment: Assessment, folder: Path) -> list[str]:
         "edges.csv": edge_table(assessment).encode(),
         "metric.png": pictures.draw_metric(assessment),
     }
-    best, legend = max(range(len(assessment.views)), key=lambda k: len(assessment.views[k].points)), None
+    best = max(range(len(assessment.views)), key=lambda k: len(assessment.views[k].points))
     if len(assessment.views[best].points):
-        files["views.png"] = pictures.draw_views(assessment)
         files["contributions.png"] = pictures.draw_contributions(assessment, best)
-        overall = np.nan_to_num(assessment.edges.share).max(axis=1)
-        coloured, legend = coloured_body(assessment.subject.model, overall)
-        for suffix in "ply", "glb":
-            content = coloured.export(file_type=suffix)
-            assert isinstance(content, bytes)
-            files[f"edges.{suffix}"] = content
-    text = json.dumps(document(assessment, legend), indent=1, allow_nan=False) + "\n"
+    text = json.dumps(document(assessment), indent=1, allow_nan=False) + "\n"
     files["observability.json"] = text.encode()
     write_files(folder, COMMAND, files, FILES.__contains__)
     return list(files)
@@ -113,7 +99,7 @@ def table(assessment: Assessment) -> str:
 def edge_table(assessment: Assessment) -> str:
     """edges.csv: one row per feature of the model; shares and rises of the variances along the trajectory."""
     model, edges, choice = assessment.subject.model, assessment.edges, assessment.choice
-    sets = [set() if each is None else set(each.features.tolist()) for each in (choice.smallest, choice.best)]
+    best = set() if choice is None else set(choice.edges.tolist())
     segments = len(model.ends_G)
     kinds = [EdgeKind(kind).name.lower() for kind in model.kind] + ["outline"] * len(model.outlined)
     segment = np.column_stack([model.lengths_m, model.ends_G.reshape(-1, 6)])
@@ -121,14 +107,14 @@ def edge_table(assessment: Assessment) -> str:
         [
             *("edge", "kind", "length_m", *(f"{end}_{axis}_m" for end in "ab" for axis in "xyz")),
             *(f"{what}_{name.rsplit('_', 1)[0]}" for what in ("share", "rise") for name in NAMES),
-            *("in_smallest_set", "in_best"),
+            "in_best",
         ]
     ]
     for k, kind in enumerate(kinds):
         if k < segments or model.outlined[k - segments]:
             place = [f"{value:.6g}" for value in segment[k]] if k < segments else [""] * 7
             shares = (f"{value:.6g}" for value in (*edges.share[k], *edges.rise[k]))
-            rows.append([k, kind, *place, *shares, *(int(k in each) for each in sets)])
+            rows.append([k, kind, *place, *shares, int(k in best)])
     return _csv(rows)
 
 
@@ -138,34 +124,10 @@ def _csv(rows: Iterable[Sequence[object]]) -> str:
     return text.getvalue()
 
 
-def document(assessment: Assessment, legend: Legend | None) -> dict[str, Any]:
+def document(assessment: Assessment) -> dict[str, Any]:
     """observability.json. Infinite or unknown values are null, with a description of the reason."""
     subject, model, choice = assessment.subject, assessment.subject.model, assessment.choice
     camera = ("focal_px", "cx_px", "cy_px", "width_px", "height_px")
-    painted = smallest = best = None
-    if legend is not None:
-        painted = {
-            "words": "largest share of a degree of freedom's variance",
-            "values": legend.values.tolist(),
-            "rgb": legend.rgb.tolist(),
-        }
-    # sets of edges: numbers as in edges.csv; ratios of sigma to that of all edges
-    if choice.smallest is not None:
-        smallest = {
-            "words": "each sigma at most 10 % above that of all edges, root mean square over the views",
-            "edges": choice.smallest.features.tolist(),
-            "ratio": _numbers(choice.smallest.ratio),
-            "at_least": choice.smallest.at_least,
-        }
-    if choice.best is not None and choice.best_ratio is not None:
-        best = {
-            "words": "6 minus the mean trace of C^-1 (lengths in radii, with a prior of 1), greedy; no set "
-            "of this size has a value above the bound",
-            "edges": choice.best.features.tolist(),
-            "ratio": _numbers(choice.best_ratio),
-            "value": choice.best.value,
-            "bound": choice.bound,
-        }
     # over the views that determine a degree of freedom, and how many do not
     sigma = assessment.sigma
     determined = np.isfinite(sigma)
@@ -190,7 +152,7 @@ def document(assessment: Assessment, legend: Legend | None) -> dict[str, Any]:
             "a tracker, with light, shadows and edges side by side considered",
         },
         "sigma_px": assessment.sigma_px,
-        "spacing_px": assessment.spacing_px,
+        "spacing_px": SPACING_PX,
         "sunlit": subject.sun_G is not None,
         "poses": [
             {
@@ -214,8 +176,8 @@ def document(assessment: Assessment, legend: Legend | None) -> dict[str, Any]:
             "poses": len(sigma),
             "poses_that_tell_all": int(determined.all(axis=1).sum()),
         },
-        "edges": {"file": "edges.csv", "painted": painted},
-        "choice": {"views": choice.views, "smallest_set": smallest, "best": best},
+        # numbers as in edges.csv; ratios of sigma to that of all edges
+        "best": choice and {"edges": choice.edges.tolist(), "ratio": _numbers(choice.ratio)},
         "notes": list(notes_of(assessment)),
     }
 
@@ -237,7 +199,7 @@ def format_assessment(assessment: Assessment) -> str:
     )
     lines.append(
         f"Metric of {len(assessment.views)} pose{'' if len(assessment.views) == 1 else 's'}, "
-        f"for {assessment.sigma_px:g} px of noise normal to the edges every {assessment.spacing_px:g} px, "
+        f"for {assessment.sigma_px:g} px of noise normal to the edges every {SPACING_PX:g} px, "
         f"about {assessment.subject.about}:"
     )
     lines += _of_each_freedom(assessment.sigma)
@@ -249,8 +211,8 @@ def format_assessment(assessment: Assessment) -> str:
     )
     lines.append(f"Expected of a tracker {light}; shadows and edges side by side are considered:")
     lines += _of_each_freedom(assessment.expected_sigma)
-    lines += unobservable_lines(assessment)
-    lines += selection_lines(assessment.choice)
+    lines += _unobservable_lines(assessment)
+    lines += _selection_lines(assessment.choice)
     return "\n".join([*lines, *(f"Note: {note}" for note in notes_of(assessment))])
 
 
@@ -268,3 +230,51 @@ def _of_each_freedom(sigma: Array) -> list[str]:
         else:
             lines.append(f"  {name:8s} {'inf':>9s} {unit:3s}; undetermined at every pose")
     return lines
+
+
+def _unobservable_lines(assessment: Assessment) -> list[str]:
+    """Descriptions of what is unobservable, the most frequent ones first, with the numbers of poses."""
+    count = len(assessment.views)
+    found = Counter(view.describe_unobservable() for view in assessment.views)
+    found.pop("", None)
+    lines = [f"  at {_poses(times, count)}: {text}" for text, times in found.most_common(3)]
+    more = len(found) - len(lines)
+    further = f"  and {more} further description{'' if more == 1 else 's'}, in observability.csv"
+    return [*lines, further] if more else lines
+
+
+def _selection_lines(choice: Choice | None) -> list[str]:
+    if choice is None:
+        return []
+    count, worst = len(choice.edges), float(np.nanmax(choice.ratio, initial=0.0))
+    if count == 0 or np.isnan(choice.ratio).all():
+        return [
+            "No set of edges can be selected: not even all edges determine a degree of freedom at any pose"
+        ]
+    effect = (
+        f"sigmas up to {worst:.2f} times those with all"
+        if np.isfinite(worst)
+        else f"{'it leaves' if count == 1 else 'they leave'} the pose partly undetermined"
+    )
+    best, few = "The best edge" if count == 1 else f"The best {count} edges", choice.wanted > count
+    more = f"; no other is seen, so these are fewer than {choice.wanted}" if few else ""
+    return [f"{best}: {effect}; marked in edges.csv{more}"]
+
+
+def notes_of(assessment: Assessment) -> tuple[str, ...]:
+    """A sentence for each doubt about mesh, unit and trajectory."""
+    subject, views = assessment.subject, assessment.views
+    model, notes, question = subject.model, list(subject.notes), "are its unit and the trajectory right?"
+    inside = sum(model.encloses(-view.X_RG[:3, :3].T @ view.X_RG[:3, 3]) for view in views)
+    if inside:
+        doubt = f": {question}" if inside == len(views) else ""
+        notes.append(f"the camera is inside the body at {_poses(inside, len(views))}{doubt}")
+    width_px = max(2.0 * model.radius_m * subject.rig.focal_px / max(view.range_m, 1e-300) for view in views)
+    # a smaller body hardly shows an edge
+    if width_px < 10.0:
+        notes.append(f"the body is at most {width_px:.2g} px across in the image: {question}")
+    return tuple(notes)
+
+
+def _poses(count: int, of: int) -> str:
+    return "every pose" if count == of else f"{count} of {of} poses"

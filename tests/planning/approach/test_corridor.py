@@ -1,18 +1,18 @@
-"""The corridor and the speeds of the surface against the closed forms of a pure spin, and differences."""
+"""Corridor, speeds of the surface and path: closed forms of a pure spin, differences, what it looks at."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from polhode.geometry.lie import Array, exp_so3
-from polhode.planning.approach.corridor import corridor
+from polhode.geometry.lie import Array, exp_so3, make_pose
+from polhode.planning.approach.corridor import ApproachPath, along_corridor, corridor, towards_centre
 from polhode.planning.approach.surface_speed import (
     slowest_points,
     surface_speed,
     velocity_covariance,
 )
-from polhode.planning.prediction import nominal_motion, predict, propagate_members
+from polhode.planning.prediction import BodyMotion, nominal_motion, predict, propagate_members
 from tests.planning.bodies import estimate
 
 SPIN = 0.4
@@ -21,7 +21,7 @@ TIMES = np.linspace(0.0, 12.0, 481)
 
 def test_a_pure_spin_needs_the_centripetal_acceleration_alone() -> None:
     motion = nominal_motion(estimate((0.0, 0.0, SPIN), (0.01, 0.0, 0.0)), TIMES)
-    found = corridor(motion, np.array([0.1, 0.0, 0.05]), np.array([2.0, 0.0, 0.0]), 0.5, np.deg2rad(10.0))
+    found = corridor(motion, np.array([0.1, 0.0, 0.05]), np.array([2.0, 0.0, 0.0]), 0.5)
     size = np.linalg.norm(found.acceleration_N, axis=1)
     np.testing.assert_allclose(size, SPIN**2 * 0.6, rtol=1e-7)
     assert found.delta_v_m_s == pytest.approx(SPIN**2 * 0.6 * 12.0, rel=1e-7)
@@ -30,34 +30,11 @@ def test_a_pure_spin_needs_the_centripetal_acceleration_alone() -> None:
     lever = found.place_N - motion.com_N
     across = lever - np.sum(lever * axis_N, axis=1, keepdims=True) * axis_N
     np.testing.assert_allclose(found.acceleration_N, -(SPIN**2) * across, atol=1e-9)
-    assert found.contains(found.place_N).all()
-    sideways = np.cross(found.axis_N, axis_N)
-    assert found.contains(found.place_N + 0.5 * np.tan(np.deg2rad(9.9)) * sideways).all()
-    assert not found.contains(found.place_N + 0.5 * np.tan(np.deg2rad(10.1)) * sideways).any()
-
-
-def test_a_point_at_rest_meets_the_axis_once_a_turn() -> None:
-    motion = nominal_motion(estimate((0.0, 0.0, SPIN), (0.0, 0.0, 0.0)), TIMES)
-    half_angle_rad = np.deg2rad(10.0)
-    found = corridor(motion, np.array([0.1, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), 0.5, half_angle_rad)
-    # 2 m along the axis as it is after 6 s
-    at = 240
-    rests_N = found.tip_N[at] + 2.0 * found.axis_N[at]
-    angle_rad = found.angle_rad(rests_N)
-    assert np.argmin(angle_rad) == at and angle_rad[at] < 1e-9
-    # the axis turns by SPIN dt; seen from the docking point, which moves along, by 2.1 / 2 of that
-    near = found.time_s[found.contains(rests_N)]
-    turned_rad = SPIN * (TIMES - TIMES[at])
-    tip, rest = 0.1 * np.stack([np.cos(turned_rad), np.sin(turned_rad)], axis=1), np.array([2.1, 0.0])
-    seen_rad = np.arctan2(*(rest - tip).T[::-1]) - turned_rad
-    expected = TIMES[np.abs(np.angle(np.exp(1j * seen_rad))) <= half_angle_rad]
-    np.testing.assert_array_equal(near, expected)
-    assert 0.5 < np.ptp(near) < 1.0
 
 
 def test_a_tumble_needs_what_differences_of_the_place_say() -> None:
     motion = nominal_motion(estimate((0.1, 0.5, 0.3), (0.01, 0.0, 0.0), com_G=(0.02, 0.01, 0.0)), TIMES)
-    found = corridor(motion, np.array([0.1, 0.0, 0.05]), np.array([1.0, 1.0, 0.0]), 0.3, 0.2)
+    found = corridor(motion, np.array([0.1, 0.0, 0.05]), np.array([1.0, 1.0, 0.0]), 0.3)
     dt = TIMES[1]
     second = (found.place_N[2:] - 2.0 * found.place_N[1:-1] + found.place_N[:-2]) / dt**2
     np.testing.assert_allclose(found.acceleration_N[1:-1], second, atol=2e-5)
@@ -115,9 +92,62 @@ def test_the_covariance_of_velocities_is_that_of_states_drawn_and_propagated() -
             np.testing.assert_allclose(
                 found[k, n] / sigma / sigma[:, None], expected / sigma / sigma[:, None], atol=0.04
             )
+    # disturbances make velocities less certain with time
+    still, later = estimate((0.1, 0.5, 0.3), size=0.0).last, np.array([1.0, 4.0])
+    found = velocity_covariance(predict(still, later, 1e-6, 0.0), np.array([[0.1, 0.0, 0.0]]))
+    np.testing.assert_allclose(found[:, 0], later[:, None, None] * 1e-6 * np.eye(3), atol=1e-12)
 
 
-def test_disturbances_make_velocities_less_certain_with_time() -> None:
-    target, times = estimate((0.1, 0.5, 0.3), size=0.0), np.array([1.0, 4.0])
-    found = velocity_covariance(predict(target.last, times, 1e-6, 0.0), np.array([[0.1, 0.0, 0.0]]))
-    np.testing.assert_allclose(found[:, 0], times[:, None, None] * 1e-6 * np.eye(3), atol=1e-12)
+T = np.linspace(0.0, 20.0, 41)
+W_N = np.array([0.1, 0.3, -0.2])
+COM_N = np.array([0.1, -0.05, 0.9]) + T[:, None] * np.array([1e-3, 2e-3, -1e-3])
+R_NG = exp_so3(T[:, None] * W_N)
+COM_G = np.array([0.02, 0.0, 0.01])
+MOTION = BodyMotion(
+    T, R_NG, COM_N - R_NG @ COM_G, COM_N, np.tile([1e-3, 2e-3, -1e-3], (41, 1)), np.tile(W_N, (41, 1)),
+    np.zeros((41, 3)),
+)  # fmt: skip
+CAMERA = make_pose(exp_so3([0.02, -0.01, 0.03]), np.array([0.01, 0.0, 0.02]))
+
+
+def require_looking_at(path: ApproachPath, point_N: np.ndarray) -> None:
+    """Rigid poses, the point on the optical axis at the stated distance."""
+    R, p = path.X_NR[:, :3, :3], path.X_NR[:, :3, 3]
+    np.testing.assert_allclose(np.swapaxes(R, 1, 2) @ R, np.tile(np.eye(3), (len(R), 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0)
+    in_camera = np.einsum("kji,kj->ki", R, point_N - p)
+    np.testing.assert_allclose(in_camera[:, :2], 0.0, atol=1e-12)
+    np.testing.assert_allclose(in_camera[:, 2], path.distance_m)
+
+
+def test_towards_the_centre_it_comes_from_the_camera_on_a_line_and_stops() -> None:
+    path = towards_centre(MOTION, CAMERA, 0.3)
+    require_looking_at(path, COM_N)
+    np.testing.assert_allclose(path.X_NR[0, :3, 3], CAMERA[:3, 3])
+    assert path.distance_m[-1] == pytest.approx(0.3)
+    assert (np.diff(path.distance_m) < 0.0).all()
+    line = (path.X_NR[:, :3, 3] - COM_N) / path.distance_m[:, None]
+    np.testing.assert_allclose(line, np.tile(line[0], (len(T), 1)), atol=1e-12)
+    # at rest at both ends
+    speed = np.gradient(path.distance_m, T)
+    assert np.abs(speed[[0, -1]]).max() < 0.1 * np.abs(speed).max()
+    # a camera that is near keeps its distance
+    near = towards_centre(MOTION, CAMERA, 5.0)
+    np.testing.assert_allclose(near.distance_m, np.linalg.norm(CAMERA[:3, 3] - COM_N[0]))
+    # the image stays upright: y of the camera as before
+    assert (path.X_NR[:, :3, 1] @ CAMERA[:3, 1] > 0.9).all()
+
+
+@pytest.mark.parametrize("axis_G", [[0.0, 1.0, 0.0], [0.0, 0.0, -2.0], [1.0, 1.0, 1.0]])
+def test_along_a_corridor_it_turns_with_the_target(axis_G: list[float]) -> None:
+    point_G = np.array([0.1, 0.0, 0.02])
+    cone = corridor(MOTION, point_G, np.array(axis_G), 0.25)
+    path = along_corridor(MOTION, cone, CAMERA, 0.25)
+    require_looking_at(path, cone.tip_N)
+    assert path.distance_m[-1] == pytest.approx(0.25)
+    assert path.distance_m[0] == pytest.approx(np.linalg.norm(CAMERA[:3, 3] - cone.tip_N[0]))
+    along = np.cross(path.X_NR[:, :3, 3] - cone.tip_N, cone.axis_N)
+    np.testing.assert_allclose(along, 0.0, atol=1e-12)
+    # in G the camera moves on a line and does not rotate
+    R_GR = np.swapaxes(R_NG, 1, 2) @ path.X_NR[:, :3, :3]
+    np.testing.assert_allclose(R_GR, np.tile(R_GR[0], (len(T), 1, 1)), atol=1e-12)

@@ -18,14 +18,17 @@ from polhode.planning.edges.expected_tracking import (
     expected_tracking,
     lit_from,
 )
-from polhode.planning.edges.image_profiles import Levels, as_levels, gradient_extrema, profiles
 from polhode.planning.edges.observability_metric import edge_motion, moved, observability, pose_error
-from polhode.planning.edges.stripe_profiles import (
+from polhode.planning.edges.profiles import (
     BLUR_PX,
     MIN_NOISE_DN,
     Displacements,
+    Levels,
     _root_column,
+    as_levels,
     fitted,
+    gradient_extrema,
+    profiles,
     searched,
 )
 from polhode.planning.edges.stripes import (
@@ -82,20 +85,19 @@ POINT = line(0.0)[np.array([10])]
 @pytest.mark.parametrize(
     ("others", "offset", "width"),
     [
-        ([], [0.0], [0.0]),
-        ([0.0], [0.0], [0.0]),
         ([0.6], [0.3], [0.6]),
         ([-0.8, 0.9], [0.05], [1.7]),
         ([3.0], [0.0, 3.0], [0.0, 0.0]),
         ([3.0, 3.4, -2.0], [-2.0, 0.0, 3.2], [0.0, 0.0, 0.4]),
         ([9.0], [0.0], [0.0]),
+        ([1.5 * k for k in range(1, LINES + 3)], [1.5 * k for k in range(LINES)], [0.0] * LINES),
     ],
 )
 def test_edges_nearer_than_a_pixel_are_one_stripe(
     others: list[float], offset: list[float], width: list[float]
 ) -> None:
     every = joined(line(0.0), *(line(each, feature=k + 1) for k, each in enumerate(others)))
-    found = at_origin(stripes_across(POINT, every, POSE, 8.0))
+    found = at_origin(stripes_across(POINT, every, POSE, 20.0 if len(others) > 3 else 8.0))
     assert np.allclose(found[0], offset) and np.allclose(found[1], width)
 
 
@@ -104,13 +106,6 @@ def test_a_slanting_edge_is_where_it_crosses_the_normal_and_a_steep_one_is_none(
     stripes = stripes_across(POINT, every, POSE, 8.0)
     assert np.allclose(at_origin(stripes)[0], [0.0, 2.5])
     assert np.nanmax(stripes.slope[0]) == pytest.approx(np.tan(np.deg2rad(30.0)))
-
-
-def test_the_nearest_stripes_are_kept() -> None:
-    offsets = 1.5 * np.arange(1, LINES + 3)
-    every = joined(*(line(each, feature=k) for k, each in enumerate(offsets)))
-    found, _ = at_origin(stripes_across(POINT, every, POSE, 20.0))
-    assert np.allclose(found, [0.0, *offsets[: LINES - 1]])
 
 
 def test_edges_of_a_box_that_face_alike_are_of_one_class() -> None:
@@ -122,13 +117,16 @@ def test_edges_of_a_box_that_face_alike_are_of_one_class() -> None:
     for feature in np.unique(points.feature):
         assert len(np.unique(stripes.light[points.feature == feature])) == 1
     assert np.nanmax(stripes.width_px[:, 0]) < 0.1
-
-
-def test_the_side_turns_with_the_normal_of_the_point() -> None:
-    turned = line(0.0, 180.0)[np.array([10])]
-    both = joined(POINT, turned)
-    stripes = stripes_across(both, line(0.0), POSE, 5.0)
-    assert stripes.light.tolist() == [0, 0] and stripes.side[0] == -stripes.side[1]
+    # the side turns with the normal of the point
+    both = stripes_across(joined(POINT, line(0.0, 180.0)[np.array([10])]), line(0.0), POSE, 5.0)
+    assert both.light.tolist() == [0, 0] and both.side[0] == -both.side[1]
+    # points of outlines are on a curved surface
+    model = edge_model(trimesh.creation.cylinder(radius=0.3, height=0.8, sections=48))
+    turned = make_pose(POSE[:3, :3], [0.0, 0.0, 3.0])
+    points = every_point(model, RIG, turned, 2.0)
+    outline = points.feature >= len(model.ends_G)
+    assert outline.any() and not outline.all()
+    assert np.array_equal(stripes_across(points, points, turned, 6.0).curved, outline)
 
 
 def test_places_in_stripes_are_eliminated_as_least_squares_would() -> None:
@@ -144,14 +142,10 @@ def test_places_in_stripes_are_eliminated_as_least_squares_would() -> None:
     step = np.asarray(np.linalg.solve(found.C, found.pull), dtype=np.float64)
     assert np.allclose(step, x[:6]) and np.allclose(found.places(step), x[6:])
     assert np.allclose(np.linalg.inv(found.C), np.linalg.inv(N)[:6, :6])
-
-
-def test_points_along_a_stripe_do_not_count_as_often_as_there_are() -> None:
-    f = np.tile([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], (1000, 1))
-    spread, one = np.full(1000, UNIFORM_SIGMA), np.zeros(1000, dtype=np.int64)
-    found = stripe_information(f, np.zeros(1000), np.full(1000, 100.0), spread, one, 1)
-    # the place in the stripe stays, however well its step is seen
-    assert 1.0 / found.C[0, 0] == pytest.approx(1.0 / 12.0, rel=1e-3)
+    # the place in the stripe stays, however well its step is seen by many points
+    f, spread, one = np.tile(np.eye(6)[0], (1000, 1)), np.full(1000, UNIFORM_SIGMA), np.zeros(1000, int)
+    many = stripe_information(f, np.zeros(1000), np.full(1000, 100.0), spread, one, 1)
+    assert 1.0 / many.C[0, 0] == pytest.approx(1.0 / 12.0, rel=1e-3)
 
 
 def test_edges_two_pixels_apart_are_measured_twice_and_count_once() -> None:
@@ -160,7 +154,7 @@ def test_edges_two_pixels_apart_are_measured_twice_and_count_once() -> None:
     assert times.tolist() == 21 * [2.0] + 21 * [2.0] + 21 * [1.0]
 
 
-@pytest.mark.parametrize("z", [-12.0, -3.2, -0.71, 0.0, 0.43, 2.5, 5.5])
+@pytest.mark.parametrize("z", [-12.0, -0.71, 0.43, 5.5])
 def test_the_blurred_root_is_the_integral_and_its_derivative(z: float) -> None:
     def root(z: float) -> float:
         # the distance is s squared, which leaves nothing singular
@@ -202,7 +196,7 @@ def displacement(image: Levels, points: ControlPoints, stripes: Stripes, half_px
     return fitted(*profiles(image, points, half_px), stripes)
 
 
-@pytest.mark.parametrize("true_px", [-0.8, -0.2, 0.0, 0.35, 0.7])
+@pytest.mark.parametrize("true_px", [-0.8, 0.0, 0.35])
 @pytest.mark.parametrize("heights", [(100.0, 60.0), (100.0, -80.0)])
 def test_two_edges_are_found_displaced_together(true_px: float, heights: tuple[float, float]) -> None:
     image = stepped([(50.0 + true_px, heights[0]), (52.0 + true_px, heights[1])], 0.0)
@@ -213,13 +207,13 @@ def test_two_edges_are_found_displaced_together(true_px: float, heights: tuple[f
     assert found.spread_px.max() == 0.0
     best, good = searched(*profiles(image, points, 5.5), stripes, 4.0)
     assert good.all() and np.abs(best - true_px).max() <= 0.3
-    if abs(true_px) < 0.7:
+    if true_px >= 0.0:
         # one of the two is dark: the nearer is taken
         found = displacement(stepped([(50.0 + true_px, 90.0)], 0.0), points, stripes, 4.0)
         assert np.abs(found.shift_px - true_px).max() < 0.02
 
 
-def test_its_sigma_is_that_of_the_noise() -> None:
+def test_the_sigma_of_a_displacement_is_that_of_the_noise() -> None:
     noise, points = 4.0, column(0.0)
     assert noise > MIN_NOISE_DN
     stripes = stripes_across(points, points, POSE, 6.0)
@@ -230,14 +224,9 @@ def test_its_sigma_is_that_of_the_noise() -> None:
         sigmas.append(found.sigma_px)
     # the profile is the mean over five pixels, whose residuals its sigma is made of
     assert np.std(shifts) == pytest.approx(np.median(sigmas), rel=0.25)
-
-
-def test_a_profile_without_a_step_tells_nothing() -> None:
-    points = column(0.0)
-    found = displacement(stepped([], 0.0), points, stripes_across(points, points, POSE, 6.0), 4.0)
-    assert found.sigma_px.min() > 50.0
-    profile = profiles(stepped([], 1.0), points, 5.5)
-    assert not searched(*profile, stripes_across(points, points, POSE, 6.0), 4.0)[1].any()
+    # a profile without a step tells nothing
+    assert displacement(stepped([], 0.0), points, stripes, 4.0).sigma_px.min() > 50.0
+    assert not searched(*profiles(stepped([], 1.0), points, 5.5), stripes, 4.0)[1].any()
 
 
 @pytest.fixture(scope="module")
@@ -278,9 +267,7 @@ def test_edges_that_are_known_keep_half_of_the_edges_from_being_mistaken(
     alone, helped = (track_edges(half, RIG, image, start, known=each) for each in (None, bevelled))
     assert off_px(bevelled, helped.X_RG) < 0.3 and helped.agreement > 0.9
     assert off_px(bevelled, helped.X_RG) < off_px(bevelled, alone.X_RG) + 0.02
-
-
-def test_what_cannot_be_tracked_says_why(bevelled: EdgeModel, image: Array) -> None:
+    # what cannot be tracked says why
     behind = track_edges(bevelled, RIG, image, make_pose(np.eye(3), [0.0, 0.0, -2.0]))
     assert not behind.converged and behind.reason == "the target is behind the camera"
     dark = track_edges(bevelled, RIG, np.zeros_like(image), POSE)
@@ -302,13 +289,9 @@ def test_a_prior_holds_what_the_edges_do_not_determine(box: EdgeModel) -> None:
     strong = PosePrior(POSE, 1e12 * np.eye(6))
     held = track_edges(box, RIG, drawing, start, options=TrackingOptions(prior=strong))
     assert np.abs(pose_error(held.X_RG, POSE, o_G)).max() < 1e-4
-
-
-def test_segments_that_are_poorly_known_weigh_less(box: EdgeModel) -> None:
-    drawing = drawn(box.surface, POSE)
+    # segments that are poorly known weigh less
     exact = track_edges(box, RIG, drawing, POSE)
-    sigma = TrackingOptions(sigma_m=np.full(box.size, 1e-3))
-    rough = track_edges(box, RIG, drawing, POSE, options=sigma)
+    rough = track_edges(box, RIG, drawing, POSE, options=TrackingOptions(sigma_m=np.full(box.size, 1e-3)))
     assert rough.converged
     assert np.trace(rough.information.C) < 0.5 * np.trace(exact.information.C)
 
@@ -334,7 +317,7 @@ def lit_cylinder(place: float, radius_px: float, cosine: float) -> Levels:
     return as_levels(np.tile(fine.reshape(100, 100).mean(axis=1), (60, 1)))
 
 
-@pytest.mark.parametrize(("cosine", "radius_px"), [(0.3, 30.0), (0.3, 120.0), (0.6, 30.0), (0.95, 120.0)])
+@pytest.mark.parametrize(("cosine", "radius_px"), [(0.3, 120.0), (0.6, 30.0)])
 def test_the_outline_of_a_cylinder_is_found_where_it_is(cosine: float, radius_px: float) -> None:
     points, true_px = column(0.0), 0.3
     image = lit_cylinder(50.0 + true_px, radius_px, cosine)
@@ -347,23 +330,6 @@ def test_the_outline_of_a_cylinder_is_found_where_it_is(cosine: float, radius_px
     if cosine < 0.5:
         # taken as a step, the limb seems to be where the surface is bright
         assert as_step.max() < -0.25
-
-
-def test_points_of_outlines_are_on_a_curved_surface() -> None:
-    model = edge_model(trimesh.creation.cylinder(radius=0.3, height=0.8, sections=48))
-    turned = make_pose(POSE[:3, :3], [0.0, 0.0, 3.0])
-    points = every_point(model, RIG, turned, 2.0)
-    stripes = stripes_across(points, points, turned, 6.0)
-    outline = points.feature >= len(model.ends_G)
-    assert outline.any() and not outline.all()
-    assert np.array_equal(stripes.curved, outline)
-
-
-def plain_sigma(model: EdgeModel) -> Array:
-    """Of the metric, for edges that are found to ``FLOOR_PX``."""
-    points = control_points(model, RIG, POSE, SPACING_PX)
-    f = edge_motion(points, RIG, POSE, model.centre_G)
-    return FLOOR_PX * observability(f, points.weight, model.radius_m).sigma
 
 
 def angle_deg(a: Array, b: Array) -> float:
@@ -391,18 +357,21 @@ def test_profiles_of_a_box_are_lit_by_lambert(box: EdgeModel) -> None:
 
 
 def test_of_a_box_in_good_light_it_is_the_metric(box: EdgeModel) -> None:
-    found = expected_tracking(box, RIG, POSE)
-    ratio = found.sigma / plain_sigma(box)
+    found, points = expected_tracking(box, RIG, POSE), control_points(box, RIG, POSE, SPACING_PX)
+    f = edge_motion(points, RIG, POSE, box.centre_G)
+    ratio = found.sigma / (FLOOR_PX * observability(f, points.weight, box.radius_m).sigma)
     # the noise of the image comes on top of the floor
     assert (ratio > 1.0).all() and (ratio < 2.0).all()
     assert (np.abs(found.displacement) < 0.5 * found.sigma).all()
-
-
-def test_a_larger_floor_makes_edges_as_much_worse(box: EdgeModel) -> None:
-    one, other = (expected_tracking(box, RIG, POSE, floor_px=each) for each in (0.05, 0.5))
-    ratio = np.sqrt(np.diagonal(other.information.covariance) / np.diagonal(one.information.covariance))
-    # the smaller one is smaller than the noise of the image
+    # a floor that is larger than the noise of the image makes edges as much worse
+    rough = expected_tracking(box, RIG, POSE, floor_px=0.5)
+    ratio = np.sqrt(np.diagonal(rough.information.covariance) / np.diagonal(found.information.covariance))
     assert (ratio > 5.0).all() and (ratio < 10.0).all()
+    # no edges and no light tell nothing
+    away = expected_tracking(box, RIG, make_pose(np.eye(3), [50.0, 0.0, 3.0]))
+    dark = expected_tracking(box, RIG, POSE, lit_from(np.array([0.1, 0.0, 1.0]), earth=0.0))
+    assert "no edge is visible" in away.information.describe_unobservable()
+    assert not np.isfinite(away.sigma).any() and not np.isfinite(dark.sigma).any()
 
 
 def test_an_edge_between_faces_that_are_equally_light_tells_nothing(box: EdgeModel) -> None:
@@ -435,10 +404,3 @@ def test_what_the_model_lacks_displaces_the_pose(box: EdgeModel) -> None:
     disturbed = expected_tracking(blind, RIG, POSE)
     sigma = np.sqrt(np.diagonal(clean.information.covariance))
     assert np.abs(disturbed.displacement / sigma).max() > 3.0 * np.abs(clean.displacement / sigma).max()
-
-
-def test_no_edges_and_no_light_tell_nothing(box: EdgeModel) -> None:
-    away = expected_tracking(box, RIG, make_pose(np.eye(3), [50.0, 0.0, 3.0]))
-    dark = expected_tracking(box, RIG, POSE, lit_from(np.array([0.1, 0.0, 1.0]), earth=0.0))
-    assert "no edge is visible" in away.information.describe_unobservable()
-    assert not np.isfinite(away.sigma).any() and not np.isfinite(dark.sigma).any()

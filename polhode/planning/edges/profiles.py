@@ -1,4 +1,4 @@
-"""How far the edges across a control point are displaced in a profile of grey levels, all of them together.
+"""Profiles of grey levels across control points, and how far the edges in them are displaced.
 
 A profile is modelled as a level and a step at each stripe (``stripes.py``), as wide as blur, pixel and stripe
 make it. Heights of the steps are not known, of either sign, and found by least squares; the displacement that
@@ -15,6 +15,8 @@ from math import exp, pi, sqrt
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
 from scipy.special import gammaln, ndtr, pbdv
 
 from polhode.geometry.lie import Array, Bools
@@ -25,6 +27,7 @@ from polhode.planning.edges.stripes import (
     MeasuredStripes,
     Stripes,
 )
+from polhode.planning.edges.visible_edges import ControlPoints
 
 BLUR_PX = 0.95
 """Sigma of an edge in a profile: a lens of 0.8, a pixel, and its interpolation"""
@@ -39,10 +42,6 @@ _RIDGE = 1e-3
 _ITERATIONS = 5
 _LONGEST_PX, _SETTLED_PX = 0.5, 1e-4
 """Of steps of Gauss-Newton"""
-_NO_SIGMA_PX = 1e3
-"""Of a point that shows nothing, in place of infinity"""
-_EXPLAINED = 0.7
-"""Share of a profile's variance that its steps must explain where they are searched"""
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class Displacements:
         """As measurements of motions f (m, 6), of edges that are known to ``floor_px`` at best."""
         sigma = np.hypot(self.sigma_px, floor_px)
         counts = (sigma < MAX_SIGMA_PX) & (np.abs(self.shift_px) < MAX_SHIFT_PX)
-        sigma = np.where(np.isfinite(sigma), sigma, _NO_SIGMA_PX)
+        sigma = np.where(np.isfinite(sigma), sigma, 1e3)
         return MeasuredStripes(
             stripes, f, self.shift_px, sigma, stripes.side * self.spread_px, counts, length
         )
@@ -130,7 +129,8 @@ def searched(place: Array, grey: Array, stripes: Stripes, range_px: float) -> tu
     best = np.argmax(explained, axis=1)
     left = (grey * grey).sum(axis=1) - explained[np.arange(len(grey)), best]
     spread = np.sum((grey - grey.mean(axis=1, keepdims=True)) ** 2, axis=1)
-    return (best - shifts) * STEP_PX, np.asarray(left < (1.0 - _EXPLAINED) * spread)
+    # steps must explain 70 % of the variance
+    return (best - shifts) * STEP_PX, np.asarray(left < (1.0 - 0.7) * spread)
 
 
 _ROOT_AT = np.arange(-16.0, 6.01, 0.005)
@@ -141,10 +141,7 @@ _ROOT_SLOPE = np.gradient(_BLURRED_ROOT, _ROOT_AT)
 
 
 def _columns(place: Array, offset: Array, blur: Array) -> tuple[Array, Array]:
-    """Of places (m, n) and stripes (m, k): level and steps (m, n, 1 + k), and their slopes by the shift.
-
-    A stripe that there is not has no column but zeros.
-    """
+    """Of places (m, n) and stripes (m, k): level and steps (m, n, 1 + k), and their slopes by the shift."""
     z = (place[..., None] - np.nan_to_num(offset)[:, None]) / np.nan_to_num(blur, nan=1.0)[:, None]
     there = np.isfinite(offset)[:, None]
     steps = np.where(there, ndtr(z), 0.0)
@@ -158,3 +155,60 @@ def _root_column(place: Array, curved: Bools) -> tuple[Array, Array]:
     root = np.where(there, np.interp(z, _ROOT_AT, _BLURRED_ROOT), 0.0)
     slope = np.where(there, -np.interp(z, _ROOT_AT, _ROOT_SLOPE) / BLUR_PX, 0.0)
     return root[..., None], slope[..., None]
+
+
+Levels = NDArray[np.float32]
+"""Grey levels (H, W) of an image"""
+
+SMOOTHING_PX = 1.0
+"""Sigma of the Gaussian whose derivative gives the gradient"""
+MAX_CANDIDATES = 6
+"""Extrema that a profile keeps, the strongest"""
+
+
+def as_levels(image: ArrayLike) -> Levels:
+    """Any image of grey levels (H, W), ready to be read."""
+    return np.ascontiguousarray(image, dtype=np.float32)
+
+
+def profiles(image: Levels, points: ControlPoints, half_px: float) -> tuple[Array, Array]:
+    """Places (n,) along the normals of m points and grey levels (m, n) there; 0 outside of the image."""
+    place = places(half_px)
+    return place, _read(image, points, place, 0.0)
+
+
+def gradient_extrema(image: Levels, points: ControlPoints, range_px: float, min_contrast: float) -> Array:
+    """Places (m, MAX_CANDIDATES) of edges within a range along the normals [px]; NaN where there are fewer.
+
+    ``min_contrast``: least step of grey levels. A profile that leaves the image has no edge there.
+    """
+    reach = int(np.ceil(3.0 * SMOOTHING_PX / STEP_PX))
+    x = np.arange(-reach, reach + 1) * STEP_PX
+    kernel = x * np.exp(-0.5 * (x / SMOOTHING_PX) ** 2)
+    # a step of height one answers with one
+    kernel /= kernel[reach + 1 :].sum()
+    side = int(np.ceil(range_px / STEP_PX)) + 1
+    offset = np.asarray(STEP_PX * np.arange(-side - reach, side + reach + 1), dtype=np.float64)
+    grey = _read(image, points, offset, np.nan)
+    response = np.nan_to_num(sliding_window_view(grey, len(kernel), axis=1) @ kernel)
+    here = np.abs(response[:, 1:-1])
+    before, after = (np.sign(response[:, 1:-1]) * each for each in (response[:, :-2], response[:, 2:]))
+    # located by a parabola
+    bend = before - 2.0 * here + after
+    offset = np.divide(0.5 * (before - after), bend, out=np.zeros_like(bend), where=bend < 0.0)
+    place = (np.arange(1 - side, side) + offset) * STEP_PX
+    good = (here >= min_contrast) & (here >= before) & (here > after) & (np.abs(place) <= range_px)
+    strongest = np.argsort(np.where(good, -here, 0.0), axis=1, kind="stable")[:, :MAX_CANDIDATES]
+    found = np.take_along_axis(np.where(good, place, np.nan), strongest, axis=1)
+    missing = MAX_CANDIDATES - found.shape[1]
+    return np.asarray(np.pad(found, ((0, 0), (0, max(missing, 0))), constant_values=np.nan))
+
+
+def _read(image: Levels, points: ControlPoints, place: Array, outside: float) -> Array:
+    """Means (m, n) over 2 ALONG_PX + 1 pixels along the edges at places (n,) along the normals."""
+    normal, along = points.normal_px, np.arange(-ALONG_PX, ALONG_PX + 1.0)
+    across_uv = points.uv_px[:, None] + place[:, None] * normal[:, None]
+    tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+    u, v = np.moveaxis(across_uv[:, :, None] + along[:, None] * tangent[:, None, None], -1, 0)
+    read = map_coordinates(image, [v, u], np.float64, order=1, mode="constant", cval=outside)
+    return np.asarray(read.mean(axis=2))
