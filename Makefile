@@ -26,7 +26,7 @@ SBOM := .venv/.sbom
 SITE := .venv/.site
 TEST_PACKAGES := .venv/.test_packages
 TESTED := .venv/.tested
-TEST_EXTRAS := browser,docs,export,formats,import,notebook,peers,sbom,solvers,studies,view
+TEST_EXTRAS := browser,docs,export,formats,import,notebook,pandas,peers,sbom,solvers,view
 DEMO_RUN := runs/demo
 SHORT ?=
 OPTIONS ?=
@@ -102,7 +102,7 @@ setup-tests: $(TESTED)
 matchers: $(MATCHERS)
 
 extras: $(STAMP)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[export,import,pandas,solvers,studies,train,view]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[export,import,pandas,solvers,train,view]'
 
 fusion-peers: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[mapping-peers]'

@@ -69,7 +69,7 @@ def imported_names(path: Path) -> set[str]:
     return names - set(sys.stdlib_module_names) - {"polhode"}
 
 
-BROUGHT = ("train", "solvers", "studies", "export", "import", "pandas", "view")
+BROUGHT = ("train", "solvers", "export", "import", "pandas", "view")
 """Extras that parts of the program need."""
 
 
@@ -78,7 +78,7 @@ def test_every_import_is_a_declared_dependency() -> None:
     # What the extra `train` brings is imported inside functions, which say so when it is missing.
     extras = groups["optional-dependencies"]
     # So is what `solvers` brings, by adapters that run only where it is there; what `export` brings: without
-    # it there is another way; and what `import`, `pandas`, `studies` and `view` bring.
+    # it there is another way; and what `import`, `pandas` and `view` bring.
     requirements = [*groups["dependencies"], *(each for name in BROUGHT for each in extras[name])]
     declared = {normalised(requirement) for requirement in requirements}
     distributions = packages_distributions()
@@ -96,7 +96,7 @@ def test_every_declared_dependency_has_a_tested_version() -> None:
     extras = groups["optional-dependencies"]
     installed = (
         *("dev", "peers", "solvers", "export", "formats", "sbom", "import", "view", "docs", "browser"),
-        *("notebook", "studies"),
+        *("notebook", "pandas"),
     )
     wanted = groups["dependencies"] + [each for name in installed for each in extras[name]]
     declared = {normalised(each) for each in wanted}

@@ -9,8 +9,6 @@ is the squared error of all parameters of lenses and pose by their covariance, w
 as there are parameters. Of single parameters 95 % should be within two standard deviations.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -23,7 +21,7 @@ from lab.record import Case, complete
 from polhode.calibration.adjustment import RigState
 from polhode.calibration.boards import Board, make_board
 from polhode.calibration.calibrate import CalibratedRig, calibrate
-from polhode.calibration.image_pairs import SIDES, BoardImage
+from polhode.calibration.image_pairs import SIDES, BoardImage, ImagePairs
 from polhode.calibration.lenses import Lens, Model, project
 from polhode.calibration.result import result_of
 from polhode.geometry.lie import Array, exp_so3, log_so3, make_pose, transform_points
@@ -101,25 +99,6 @@ def board_poses(
     return np.array(poses)
 
 
-@dataclass(frozen=True)
-class Rendered:
-    """Pairs of images that are in no file."""
-
-    all_images: tuple[BoardImage, ...]
-    name: str = "rendered"
-    is_dense: bool = False
-
-    @property
-    def names(self) -> tuple[tuple[str | None, ...], tuple[str | None, ...]]:
-        """By their numbers."""
-        left, right = (tuple(f"{side} {k:02d}" for k in range(VIEWS)) for side in SIDES)
-        return left, right
-
-    def images(self) -> Iterator[BoardImage]:
-        """Pair by pair."""
-        return iter(self.all_images)
-
-
 def measure(case: Case) -> Case:
     """Render and calibrate one rig."""
     seed = int(case["rig"])
@@ -141,7 +120,8 @@ def measure(case: Case) -> Case:
     for pair, X in enumerate(truth.X_CB):
         for side, (camera, X_CB) in enumerate(zip(cameras, (X, X_10 @ X), strict=True)):
             images.append(BoardImage(side, pair, camera.picture(picture, X_CB, blur, noise, rng)))
-    rig = calibrate(Rendered(tuple(images)), board, (model, model), Silent())
+    left, right = (tuple(f"{side} {k:02d}" for k in range(VIEWS)) for side in SIDES)
+    rig = calibrate(ImagePairs((left, right), lambda: iter(images)), board, (model, model), Silent())
     return {"model": model, "pattern": pattern, "blur_px": blur, "noise": noise, **judged(rig, truth)}
 
 

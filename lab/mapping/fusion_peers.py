@@ -110,7 +110,7 @@ def measure(folder: Path, config: Config, count: int | None) -> Iterator[list[ob
     maps = depth_maps(sequence, rectifier, X_RG, np.asarray(truth.mesh.vertices), config)
     frames = list(islice(zip(maps, X_RG, strict=True), count))
     voxel_m = choose_voxel_m([frame for frame, _ in frames[:5]], rectifier.rig, config.mapping)
-    mapping = config.mapping.model_copy(update={"voxel_mm": 1e3 * voxel_m, "device": "cpu"})
+    mapping = config.mapping.model_copy(update={"voxel_mm": 1e3 * voxel_m})
     points = seen_truth(truth.mesh, X_NG, sequence, 3)
     methods: dict[str, Method] = {"ours": _ours, "ours again": _ours_again}
     if find_spec("open3d") is not None:

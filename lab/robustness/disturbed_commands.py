@@ -68,7 +68,6 @@ _CALIBRATE = (
     *("calibrate", "--left", "{stage}/boards/left", "--right", "{stage}/boards/right"),
     *("--board", "7x5", "--square-mm", "30", "-o", "{place}/B"),
 )
-_VERIFY = (*_CALIBRATE[:-1], "{place}_later", "--verify", "{place}/B")
 _CHECKOUT = ("checkout", "{stage}/S", "-o", "{place}/C")
 _IMPORT = ("import", "{stage}/S", "-o", "{place}/I")
 _CHECKED = (("checkout", "{place}/I", "-o", "{place}_later"),)
@@ -96,7 +95,7 @@ JOBS = {
             ("observability", "{stage}/R", "-o", "{place}/O", "--sigma-px", "2")),
         Job("predict", ("predict", "{stage}/R", "--horizon", "5", "-o", "{place}/p.csv"), ("p.csv",),
             ("predict", "{stage}/R", "--horizon", "3", "-o", "{place}/p.csv")),
-        Job("calibrate", _CALIBRATE, ("B",), (*_CALIBRATE, "--model", "brown8"), later=(_VERIFY,)),
+        Job("calibrate", _CALIBRATE, ("B",), (*_CALIBRATE, "--model", "brown8")),
         Job("checkout", _CHECKOUT, ("C",), (*_CHECKOUT, "--rig", "{stage}/S/mav0")),
         Job("import", _IMPORT, ("I",), later=_CHECKED, overwrite=True, continues=(".I.partial",)),
         Job("import --overwrite", (*_IMPORT, "--crop", "4,4,192,152", "--overwrite"), ("I",),

@@ -44,7 +44,7 @@ from lab.studies.study_results import (
 from polhode.files.atomic import write_text
 from polhode.geometry.lie import Array, Bools
 from polhode.records.metrics import COMPONENTS, NEES, expected_range
-from polhode.studies.page.drawings import QUANTITIES
+from polhode.studies.page.write_page import QUANTITIES
 from polhode.studies.table import TABLE
 
 COMMAND = "python -m lab.studies.findings"

@@ -5,16 +5,13 @@ both cameras and the pose between them, each number with its standard deviation,
 other programs; and the reason for each image that was left out.
 
 - calibrate: the flow, from the images to the rig
-- page, figures: the files of the command, report.html among them
-- verify: an existing calibration, judged by fresh images; verification_page: its files
+- page: the files of the command, report.html among them, and their folder
 - result: the content of calibration.json
-- results_folder: the folder that is written
 - formats: sensor.yaml, and the files of Kalibr, OpenCV and ROS
 - pair_consensus: which pairs agree on the pose of the right camera, and what is wrong with others
 - image_pairs: the images, from files or a recording
-- epipolar: distances of corners from their epipolar lines
 - start_values: one camera from nothing
-- adjustment: the bundle adjustment, with covariance
+- adjustment: the bundle adjustment, with covariance; distances of corners from their epipolar lines
 - detection: the corners of a board in an image, or why there are none
 - board_map: where a smooth map has the corners, by where most of them are seen
 - corner_fit: corners of four squares, to a hundredth of a pixel

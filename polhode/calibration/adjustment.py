@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polhode.calibration.lenses import Lens, project_with_derivatives
+from polhode.calibration.lenses import Lens, project_with_derivatives, rays
 from polhode.geometry.lie import Array, Bools, Ints, exp_so3, hat
 
 CAUCHY = 2.385
@@ -293,3 +293,28 @@ def _minimize(
                 break
     none = np.zeros((state.shared, state.shared))
     return Adjusted(state, tuple(system.residuals), none, tuple(sigmas), converged)
+
+
+def epipolar_errors(state: RigState, data: tuple[CornerData, CornerData]) -> tuple[Array, Array]:
+    """Right pixels (n, 2) of the corners that both cameras see, and how far they are from the epipolar planes
+    of the left ones, (n,) signed [px].
+
+    The angle between the right ray and the plane through the left ray and the baseline, times the pixels that
+    an angle has where the right ray is seen.
+    """
+    keys = [
+        [(int(view), *point) for view, point in zip(each.view, each.p_B.tolist(), strict=True)]
+        for each in data
+    ]
+    place = {key: k for k, key in enumerate(keys[1])}
+    both = [(k, place[key]) for k, key in enumerate(keys[0]) if key in place]
+    of_left, of_right = np.array(both, dtype=np.int64).reshape(-1, 2).T
+    right_px = data[1].uv_px[of_right]
+    left = rays(state.lenses[0], data[0].uv_px[of_left]) @ state.X_10[:3, :3].T
+    right = rays(state.lenses[1], right_px)
+    normal = np.cross(state.X_10[:3, 3], left)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    angle = np.arcsin(np.clip((normal * right).sum(axis=1), -1.0, 1.0))
+    # by a step of one pixel along each axis of the image
+    change = [((rays(state.lenses[1], right_px + step) - right) * normal).sum(axis=1) for step in np.eye(2)]
+    return right_px, np.asarray(angle / np.hypot(change[0], change[1]))

@@ -1,7 +1,6 @@
 """The flow of a calibration: find the boards, leave out what spoils it, adjust each camera and then both."""
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -12,8 +11,8 @@ from polhode.calibration.adjustment import Adjusted, CornerData, RigState, adjus
 from polhode.calibration.boards import Board
 from polhode.calibration.detection import Found, Kind, Missed, find_board
 from polhode.calibration.image_pairs import SIDES, ImagePairs
-from polhode.calibration.lenses import Lens, Model
-from polhode.calibration.pair_consensus import MIN_PAIRS, Consensus, Pair, agree
+from polhode.calibration.lenses import Model
+from polhode.calibration.pair_consensus import MIN_PAIRS, Pair, agree
 from polhode.calibration.start_values import calibrated_alone
 from polhode.files.images import Grey
 from polhode.geometry.lie import Array, Bools
@@ -61,19 +60,6 @@ class Views:
         for each in (0, 1) if camera is None else (camera,):
             if self.found[each].pop(pair, None) is not None:
                 self.missed[each][pair] = Missed(kind, words)
-
-    def consensus(self, lenses: Sequence[Lens]) -> Consensus:
-        """What the pairs say of the right camera's pose. Raises InputError if most do not agree."""
-        both = sorted(self.found[0].keys() & self.found[1].keys())
-        pairs = [Pair(k, self.found[0][k], self.found[1][k]) for k in both]
-        return agree(pairs, self.board, lenses, (self.size_px(0), self.size_px(1)))
-
-    def leave_out_spoiled(self, consensus: Consensus) -> None:
-        """Leave out pairs that contradict the others, whose right corners take the left ones' order."""
-        for pair in consensus.agreeing:
-            self.found[1][pair.index] = pair.right
-        for index, camera, kind, words in consensus.spoiled:
-            self.reject(camera, index, kind, words)
 
     def rejections(self) -> list[Rejection]:
         """All images that are left out, pair by pair."""
@@ -131,28 +117,35 @@ def calibrate(
 
     Raises InputError: too few usable images, another board than stated, images of several sizes.
     """
-    views = find_views(pairs, board, progress)
-    require_board(views)
-    leave_out_blurred(views)
+    views = _find_views(pairs, board, progress)
+    _require_board(views)
+    _leave_out_blurred(views)
     if pairs.is_dense:
         _leave_out_repeated(views)
     with progress.stage("adjusting", 4) as advance:
-        require_enough(views)
+        _require_enough(views)
         alone = _each_alone(views, models)
         advance()
-        consensus = views.consensus([each.state.lenses[0] for each in alone])
-        views.leave_out_spoiled(consensus)
-        require_enough(views)
+        both = sorted(views.found[0].keys() & views.found[1].keys())
+        pairs_seen = [Pair(k, views.found[0][k], views.found[1][k]) for k in both]
+        sizes = (views.size_px(0), views.size_px(1))
+        consensus = agree(pairs_seen, board, [each.state.lenses[0] for each in alone], sizes)
+        # pairs that contradict the others are left out; right corners take the left ones' order
+        for pair in consensus.agreeing:
+            views.found[1][pair.index] = pair.right
+        for index, camera, kind, words in consensus.spoiled:
+            views.reject(camera, index, kind, words)
+        _require_enough(views)
         if consensus.spoiled:
             alone = _each_alone(views, models)
         advance()
         # a board that only the right camera sees is placed by it
         X_CB, X_01 = alone[0].state.X_CB.copy(), np.linalg.inv(consensus.X_10)
-        for pair in set(range(views.count)) - views.found[0].keys():
-            X_CB[pair] = X_01 @ alone[1].state.X_CB[pair]
+        for k in set(range(views.count)) - views.found[0].keys():
+            X_CB[k] = X_01 @ alone[1].state.X_CB[k]
         lenses = (alone[0].state.lenses[0], alone[1].state.lenses[0])
         state = _without_outliers(views, RigState(lenses, X_CB, consensus.X_10))
-        require_enough(views)
+        _require_enough(views)
         advance()
         result = _adjust_finally(views, state)
         advance()
@@ -164,7 +157,7 @@ def _each_alone(views: Views, models: tuple[Model, Model]) -> list[Adjusted]:
     return [calibrated_alone(views.data(c), models[c], views.size_px(c), views.count) for c in (0, 1)]
 
 
-def find_views(pairs: ImagePairs, board: Board, progress: Progress) -> Views:
+def _find_views(pairs: ImagePairs, board: Board, progress: Progress) -> Views:
     """Look for the board in all images. Raises InputError if the images of a camera have no usual size."""
     views = Views(board, pairs)
     total = sum(name is not None for side in pairs.names for name in side)
@@ -210,7 +203,7 @@ def _edge_px(image: Grey, uv_px: Array | None) -> float:
     return edge_widths(image[box], inside[box], noise_level(image[box], inside[box]))[0]
 
 
-def require_board(views: Views) -> None:
+def _require_board(views: Views) -> None:
     """Raise InputError if the images show another board than stated."""
     found = sum(map(len, views.found))
     missed = [each for side in views.missed for each in side.values()]
@@ -232,7 +225,7 @@ def require_board(views: Views) -> None:
     )
 
 
-def leave_out_blurred(views: Views) -> None:
+def _leave_out_blurred(views: Views) -> None:
     """Name what is blurred: images whose edges are far wider than those of the camera's usual image."""
     for camera in (0, 1):
         widths = views.edge_px[camera]
@@ -270,7 +263,7 @@ def _leave_out_repeated(views: Views) -> None:
             kept.append(seen)
 
 
-def require_enough(views: Views) -> None:
+def _require_enough(views: Views) -> None:
     """Raise InputError, with the first reasons, if too few images are left."""
     for camera in (0, 1):
         count = len(views.found[camera])
@@ -332,7 +325,7 @@ def _without_outliers(views: Views, state: RigState) -> RigState:
                 camera, off = int(np.argmax(alone)), max(off, *alone)
             words = f"corners are {off:.2f} px off the common solution, {usual:.2f} px in the usual image"
             views.reject(camera, pair, "outlier", words)
-        require_enough(views)
+        _require_enough(views)
     return state
 
 

@@ -3,7 +3,7 @@
 import glob
 import logging
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,53 +41,14 @@ class BoardImage:
 
 
 @dataclass(frozen=True)
-class PairsOfFiles:
-    """Two sets of files, which are their names."""
+class ImagePairs:
+    """Pairs of images of a board."""
 
-    name: str
     names: Names
+    images: Callable[[], Iterator[BoardImage]]
+    """All images that there are, each once"""
     is_dense: bool = False
     """Whether images follow each other so closely that they show the board at the same place"""
-
-    def images(self) -> Iterator[BoardImage]:
-        """Pair by pair."""
-        for pair, files in enumerate(zip(*self.names, strict=True)):
-            for camera, path in enumerate(files):
-                if path is None:
-                    continue
-                try:
-                    yield BoardImage(camera, pair, _read(read_bytes(Path(path), IMAGE_BYTES, "an image")))
-                except (UnreadableImage, InputError) as error:
-                    yield BoardImage(camera, pair, None, str(error).removeprefix(f"{path} "))
-
-
-@dataclass(frozen=True)
-class PairsOfRecording:
-    """Some pairs of a recording, which are named by the number of the frame."""
-
-    name: str
-    names: Names
-    recording: Recording
-    indices: tuple[tuple[int, ...], tuple[int, ...]]
-    """(K,) of the left and the right images"""
-    is_dense: bool = True
-
-    def images(self) -> Iterator[BoardImage]:
-        """In the order of the recording."""
-        pair_of = tuple({index: k for k, index in enumerate(side)} for side in self.indices)
-        wanted = (frozenset(self.indices[0]), frozenset(self.indices[1]))
-        for each in self.recording.images(wanted):
-            pair = pair_of[each.camera][each.index]
-            try:
-                if isinstance(each.image, DecodedImage):
-                    yield BoardImage(each.camera, pair, _grey(each.image.pixels))
-                else:
-                    yield BoardImage(each.camera, pair, _read(each.image.content))
-            except UnreadableImage as error:
-                yield BoardImage(each.camera, pair, None, str(error))
-
-
-ImagePairs = PairsOfFiles | PairsOfRecording
 
 
 def _read(content: bytes) -> Grey:
@@ -98,7 +59,7 @@ def _grey(raw: Raw) -> Grey:
     return np.ascontiguousarray(to_grey(raw, bit_depth(int(raw.max()))))
 
 
-def pairs_of_files(left: Sequence[str], right: Sequence[str]) -> PairsOfFiles:
+def pairs_of_files(left: Sequence[str], right: Sequence[str]) -> ImagePairs:
     """Pairs of the files that two lists of patterns, files or folders name, in natural order.
 
     Files whose names have numbers in common are paired by the last number in the name. Raises InputError: no
@@ -118,8 +79,19 @@ def pairs_of_files(left: Sequence[str], right: Sequence[str]) -> PairsOfFiles:
             f"{len(files[0])} left and {len(files[1])} right images, whose names have no numbers in common: "
             "name the images of a pair alike"
         )
-    names = tuple(tuple(None if path is None else str(path) for path in side) for side in sides)
-    return PairsOfFiles(f"{' '.join(left)} and {' '.join(right)}", (names[0], names[1]))
+    first, second = (tuple(None if path is None else str(path) for path in side) for side in sides)
+
+    def images() -> Iterator[BoardImage]:
+        for pair, paths in enumerate(zip(first, second, strict=True)):
+            for camera, path in enumerate(paths):
+                if path is None:
+                    continue
+                try:
+                    yield BoardImage(camera, pair, _read(read_bytes(Path(path), IMAGE_BYTES, "an image")))
+                except (UnreadableImage, InputError) as error:
+                    yield BoardImage(camera, pair, None, str(error).removeprefix(f"{path} "))
+
+    return ImagePairs((first, second), images)
 
 
 def _files(words: Sequence[str], side: str) -> list[Path]:
@@ -146,18 +118,18 @@ def _by_number(
     files: tuple[list[Path], list[Path]],
 ) -> tuple[tuple[Path | None, ...], tuple[Path | None, ...]] | None:
     """Pairs of files with the same last number; None: the numbers do not say which belong together."""
-    left, right = ({_number(path): path for path in side} for side in files)
-    if None in left or None in right or (len(left), len(right)) != tuple(map(len, files)):
+    digits = [[re.findall(r"\d+", path.stem) for path in side] for side in files]
+    if not all(map(all, digits)):
         return None
-    if len(left.keys() & right.keys()) < 0.5 * min(len(left), len(right)):
+    left, right = (
+        {int(found[-1]): path for found, path in zip(own, side, strict=True)}
+        for own, side in zip(digits, files, strict=True)
+    )
+    is_unique = (len(left), len(right)) == tuple(map(len, files))
+    if not is_unique or len(left.keys() & right.keys()) < 0.5 * min(len(left), len(right)):
         return None
-    every = sorted(left.keys() | right.keys(), key=lambda number: number or 0)
+    every = sorted(left.keys() | right.keys())
     return tuple(left.get(k) for k in every), tuple(right.get(k) for k in every)
-
-
-def _number(path: Path) -> int | None:
-    digits = re.findall(r"\d+", path.stem)
-    return int(digits[-1]) if digits else None
 
 
 @contextmanager
@@ -183,7 +155,8 @@ def opened_pairs(
         yield _pairs_of_recording(recording, options)
 
 
-def _pairs_of_recording(recording: Recording, options: ImportOptions) -> PairsOfRecording:
+def _pairs_of_recording(recording: Recording, options: ImportOptions) -> ImagePairs:
+    """Some pairs of a recording, which are named by the number of the frame."""
     left_ns, right_ns = recording.contents.stamps_ns
     for line in recording.contents.warnings:
         _log.warning(line)
@@ -196,6 +169,17 @@ def _pairs_of_recording(recording: Recording, options: ImportOptions) -> PairsOf
     chosen = np.flatnonzero((since_s >= options.start_s) & (since_s <= options.end_s))[:: options.every]
     if len(chosen) > MAX_PAIRS:
         chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, MAX_PAIRS).astype(int))]
-    left, right = (tuple(side[chosen].tolist()) for side in (pairing.left, pairing.right))
+    left, right = (side[chosen].tolist() for side in (pairing.left, pairing.right))
+
+    def images() -> Iterator[BoardImage]:
+        pair_of = [{index: k for k, index in enumerate(side)} for side in (left, right)]
+        for each in recording.images((frozenset(left), frozenset(right))):
+            pair, image = pair_of[each.camera][each.index], each.image
+            try:
+                pixels = _grey(image.pixels) if isinstance(image, DecodedImage) else _read(image.content)
+                yield BoardImage(each.camera, pair, pixels)
+            except UnreadableImage as error:
+                yield BoardImage(each.camera, pair, None, str(error))
+
     names = (tuple(f"left image {k}" for k in left), tuple(f"right image {k}" for k in right))
-    return PairsOfRecording(recording.name, names, recording, (left, right))
+    return ImagePairs(names, images, is_dense=True)

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from polhode.geometry import fisheye
 from polhode.geometry.lie import Array
 from polhode.runtime.errors import InputError
 
@@ -178,3 +179,12 @@ def _fisheye(k: Array, p_C: Array) -> tuple[Array, Array, Array]:
     by_point[:, :, 2] = -xy * (slope / square)[:, None]
     by_k = along[:, :, None] * powers[:, None, :]
     return xy * share[:, None], by_point, by_k
+
+
+def rays(lens: Lens, uv_px: Array) -> Array:
+    """Unit rays (n, 3) of pixels (n, 2); NaN: there is none."""
+    if lens.is_fisheye:
+        return fisheye.rays(uv_px, lens.K, lens.coefficients)
+    flat = normalized_by_newton(lens, uv_px)
+    ray = np.column_stack([flat, np.ones(len(flat))])
+    return np.asarray(ray / np.linalg.norm(ray, axis=1, keepdims=True))

@@ -11,10 +11,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from polhode.calibration.adjustment import epipolar_errors
 from polhode.calibration.boards import Pattern
-from polhode.calibration.calibrate import CalibratedRig, Views, rms_px
+from polhode.calibration.calibrate import CalibratedRig, rms_px
 from polhode.calibration.detection import Kind
-from polhode.calibration.epipolar import epipolar_errors
 from polhode.calibration.lenses import Model
 from polhode.files.atomic import write_text
 from polhode.geometry.lie import Array, log_so3, right_jacobian_so3
@@ -161,18 +161,13 @@ def result_of(rig: CalibratedRig) -> CalibrationResult:
             for camera in (0, 1)
             if pair in views.found[camera]
         ),
-        rejected=rejected_images(views),
+        rejected=tuple(
+            RejectedImage(file=each.file, kind=each.kind, reason=each.reason) for each in views.rejections()
+        ),
         corners_left_out=rig.left_out,
         parameters=parameters,
         covariance=Covariance(names=tuple(names), matrix=tuple(map(tuple, covariance.tolist()))),
         warnings=tuple(_warnings(rig)),
-    )
-
-
-def rejected_images(views: Views) -> tuple[RejectedImage, ...]:
-    """All images that were left out, pair by pair."""
-    return tuple(
-        RejectedImage(file=each.file, kind=each.kind, reason=each.reason) for each in views.rejections()
     )
 
 

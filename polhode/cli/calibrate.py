@@ -3,7 +3,7 @@
 import json
 import math
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar
 
 from pydantic import Field
 
@@ -27,7 +27,6 @@ class CalibrateCommand(Command):
     GROUPS: ClassVar = {
         "board": ("marker_mm", "spacing", "dictionary"),
         "recording": RECORDING,
-        "verification": ("verify", "unit"),
     }
 
     sources: Annotated[tuple[Path, ...], Positional("SOURCE...")] = ()
@@ -55,11 +54,6 @@ class CalibrateCommand(Command):
     """Lens model of both cameras: Brown's distortion with 5 or 8 coefficients, or an equidistant fisheye."""
     right_model: Annotated[str | None, Named("MODEL")] = None
     """That of the right camera, if it is another one."""
-    verify: Annotated[tuple[Path, ...], Named("CALIB...")] = ()
-    """Judge this calibration by the images instead of making one: a folder with cam0/sensor.yaml and
-    cam1/sensor.yaml, or files of OpenCV, Kalibr or ROS. Writes verification.json and verification.html."""
-    unit: Annotated[Literal["m", "mm"], Named("m|mm")] = "m"
-    """Unit of T in a file of OpenCV that is judged."""
     rate_hz: Annotated[float | None, Named("HZ")] = None
     """Frame rate of videos whose own times are wrong [Hz]."""
     left_topic: Annotated[str | None, Named("TOPIC")] = None
@@ -82,9 +76,17 @@ class CalibrateCommand(Command):
                 f"--start-s {self.start_s:g} --end-s {self.end_s:g}: give times of at least 0, end later"
             )
         from polhode.calibration.boards import make_board
+        from polhode.calibration.calibrate import calibrate
         from polhode.calibration.image_pairs import opened_pairs
         from polhode.calibration.lenses import model_named
-        from polhode.calibration.results_folder import results_folder, write_results
+        from polhode.calibration.page import (
+            PAGE,
+            RESULT,
+            files_of,
+            format_calibration,
+            results_folder,
+            write_results,
+        )
         from polhode.importers.options import ImportOptions
         from polhode.runtime.console import choose_progress
 
@@ -103,35 +105,13 @@ class CalibrateCommand(Command):
         options = ImportOptions(poses="none", **{name: getattr(self, name) for name in RECORDING})
         progress = choose_progress()
         opened = opened_pairs(self.sources, self.left, self.right, options, progress)
-        if self.verify:
-            from polhode.calibration.verification_page import (
-                VERIFY_COMMAND,
-                VERIFY_FILES,
-                format_verification,
-                verification_files,
-            )
-            from polhode.calibration.verify import verify
-
-            command, names = VERIFY_COMMAND, tuple(VERIFY_FILES)
-        else:
-            from polhode.calibration.calibrate import calibrate
-            from polhode.calibration.page import COMMAND, FILES, files_of, format_calibration
-
-            command, names = COMMAND, tuple(FILES)
-        *_, page = names
-        with results_folder(self.output, command, names) as place, opened as pairs:
-            if self.verify:
-                unit_m = 1e-3 if self.unit == "mm" else 1.0
-                done = verify(pairs, board, self.verify, unit_m, progress)
-                files = verification_files(done, " ".join(path.name for path in self.verify))
-                table, title = format_verification(done), "Verification"
-            else:
-                rig = calibrate(pairs, board, models, progress)
-                files, table, title = files_of(rig, place.name), format_calibration(rig), "Calibration"
-            write_results(place, command, files, names)
+        with results_folder(self.output) as place, opened as pairs:
+            rig = calibrate(pairs, board, models, progress)
+            files = files_of(rig, place.name)
+            write_results(place, files)
         return Answer(
-            f"{title}: {self.output / page}",
-            table,
-            paths=tuple(self.output / name for name in sorted(files, key=lambda name: name != page)),
-            figures=json.loads(files[names[-2]]),
+            f"Calibration: {self.output / PAGE}",
+            format_calibration(rig),
+            paths=tuple(self.output / name for name in sorted(files, key=lambda name: name != PAGE)),
+            figures=json.loads(files[RESULT]),
         )

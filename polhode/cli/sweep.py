@@ -25,7 +25,7 @@ class SweepCommand(Command):
     EXAMPLES: ClassVar = (
         (
             "polhode sweep STUDY.yaml -o DIR --dry-run",
-            "how many points, what is rendered once, how much disk",
+            "how many points, and what is rendered once",
         ),
         ("polhode sweep STUDY.yaml -o DIR", "DIR/table.parquet and study.html, on all cores of this machine"),
     )
@@ -36,15 +36,11 @@ class SweepCommand(Command):
     output: Annotated[Path, Named("DIR", "-o")]
     """Folder of the results: a new or empty one, or that of a study, which is resumed."""
     dry_run: bool = False
-    """Compute and write nothing: print the number of points, what is rendered once, the size of the table and
-    an estimate of the disk space."""
+    """Compute and write nothing: print the number of points, and what is rendered once."""
     page_only: bool = False
     """Compute nothing: write study.html again, of the points that are stored."""
     again_failed: bool = False
     """Compute points that have failed again, too."""
-    measure: Annotated[str | None, Named("FILE.py:FUNCTION")] = None
-    """Function of your own for the step 'measure': it is given each point, and what it returns becomes
-    columns of the table."""
     cluster: Annotated[str | None, Named("ADDRESS")] = None
     """Scheduler of Dask that runs already (tcp://HOST:8786), whose workers see DIR under the same name. If it
     is left out, processes of this machine compute."""
@@ -57,16 +53,14 @@ class SweepCommand(Command):
     def execute(self) -> Answer:
         """Compute the points and write the table. Points that failed are rows; the answer counts them."""
         self._check()
-        from polhode.studies.measurement import measurement_of
         from polhode.studies.study import open_study
 
-        measurement = None if self.measure is None else measurement_of(self.measure)
-        study = open_study(self.study, measurement=measurement)
+        study = open_study(self.study)
         if self.dry_run:
             from polhode.studies.forecast import forecast, format_forecast
 
-            found = forecast(study, self.output)
-            return Answer(format_forecast(found), figures=vars(found))
+            found = forecast(study)
+            return Answer(format_forecast(found), figures=found)
         if self.page_only:
             from polhode.studies.sweep import rewrite_page
 

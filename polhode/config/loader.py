@@ -34,7 +34,7 @@ REMOVED = frozenset(
         *(f"frontend.depth.{name}" for name in ("facets", "min_intensity", "rim_px")),
         *(f"mapping.{name}" for name in ("voxel_per_footprint", "truncation_voxels")),
         *(f"mapping.{name}" for name in ("truncation_behind_voxels", "free_space_weight", "moved_voxels")),
-        *(f"mapping.{name}" for name in ("least_piece_voxels", "align_from", "align_overlap")),
+        *(f"mapping.{name}" for name in ("device", "least_piece_voxels", "align_from", "align_overlap")),
         *(f"train.schedule.{name}" for name in ("weight_decay", "clip_norm")),
         *(f"train.descriptor.{name}" for name in ("strays", "most_turn_deg", "half_px", "scale_noise")),
         *(f"train.descriptor.{name}_weight" for name in ("reliability", "direction", "matching", "motion")),

@@ -1,6 +1,6 @@
 """Settings of the dense model."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
@@ -40,8 +40,6 @@ class Mapping(Section):
     memory_mib: float = Field(1024.0, ge=0.1, le=1e7)
     """Largest memory of the field [MiB]; a larger field gets larger voxels. What still does not fit is
     omitted, with a warning."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Device of the field; auto: a GPU if there is one."""
 
     @property
     def for_fusion(self) -> "Mapping":

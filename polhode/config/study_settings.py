@@ -9,8 +9,8 @@ from polhode.config.section import Section, Seed
 
 MAX_POINTS = 1_000_000
 """Of a study."""
-Step = Literal["simulate", "run", "evaluate", "plan", "compare", "measure"]
-STEPS: tuple[Step, ...] = ("simulate", "run", "evaluate", "plan", "compare", "measure")
+Step = Literal["simulate", "run", "evaluate", "plan", "compare"]
+STEPS: tuple[Step, ...] = ("simulate", "run", "evaluate", "plan", "compare")
 """In the order in which they follow each other"""
 Keep = Literal["whole", "summary", "nothing"]
 Number = Annotated[float, Field(ge=-1e15, le=1e15)]
@@ -88,11 +88,10 @@ _DRAWN = ("uniform", "log_uniform", "normal")
 class Design(Section):
     """Several settings drawn together: each draw is one point, combined with every value of the axes."""
 
-    method: Literal["random", "latin_hypercube", "sobol", "saltelli"] = "latin_hypercube"
-    """Independent draws, a Latin hypercube, Sobol's sequence (scrambled), by scipy.stats.qmc; or Saltelli's
-    design for Sobol indices, which has a point more for each setting, and another one, for each draw."""
+    method: Literal["random", "latin_hypercube", "sobol"] = "latin_hypercube"
+    """Independent draws, a Latin hypercube, or Sobol's sequence (scrambled), by scipy.stats.qmc."""
     count: int = Field(ge=1)
-    """Number of draws; for Sobol's sequence and Saltelli's design, a power of two."""
+    """Number of draws; for Sobol's sequence, a power of two."""
     seed: Seed = 0
     """Of the draws."""
     settings: dict[str, Annotated[Distribution, BeforeValidator(_as_values)]]
@@ -102,18 +101,13 @@ class Design(Section):
     def _fits_the_method(self) -> Self:
         if not self.settings:
             raise ValueError("settings: there are none; name at least one")
-        if self.method in ("sobol", "saltelli") and self.count & (self.count - 1):
+        if self.method == "sobol" and self.count & (self.count - 1):
             below = 1 << (self.count.bit_length() - 1)
             raise ValueError(
                 f"count: {self.count} draws, but Sobol's sequence is balanced for powers of two only; "
                 f"give {below} or {2 * below}"
             )
         return self
-
-    @property
-    def points(self) -> int:
-        """How many points the draws give."""
-        return self.count * (len(self.settings) + 2 if self.method == "saltelli" else 1)
 
 
 class PlanOptions(Section):
@@ -140,16 +134,15 @@ class Study(Section):
     """Folder of the stereo sequence of all points, where none is simulated (relative to the study's file)."""
     axes: dict[str, Annotated[Axis, BeforeValidator(_as_values)]] = Field(default_factory=dict)
     """Settings, as dotted keys of the configuration, and their values. Also "data", and "plan.horizon_s" and
-    the like; an element of a list by its position: "scene.motion.spin_rpm.1". What begins with "case." is for
-    the step "measure" alone."""
+    the like; an element of a list by its position: "scene.motion.spin_rpm.1"."""
     design: Design | None = None
     """Settings that are drawn together."""
     points: tuple[dict[str, Any], ...] = ()
     """Listed points: the settings of each, as dotted keys. Like a draw of a design, each of them is combined
     with every value of the axes."""
     steps: tuple[Step, ...] = ("simulate", "run", "evaluate")
-    """What is done for each point, in this order: simulate, run, evaluate, plan, compare, measure (the
-    function that the command names). None: the table has the settings alone."""
+    """What is done for each point, in this order: simulate, run, evaluate, plan, compare.
+    None: the table has the settings alone."""
     plan: PlanOptions = PlanOptions()
     keep: Keep = "summary"
     """What stays of each run's folder: all of it, its summary and numbers, or nothing."""

@@ -7,8 +7,6 @@ OpenCV, Kalibr, ROS or EuRoC. Out: a dataset in the layout of docs/dataset.md, w
 - options: what the user chose
 - pairs: which images are imported: pairs by time, the part and the steps that the user wants
 - image_writing: images into the dataset, as they are or cropped
-- image_checks: whether the images contradict calibration and stamps: exchanged cameras, clocks apart
-- stereo_matches: features that the two images of a pair, and the next one, have in common
 - imported_dataset: the hidden folder that is written into, resumed and published
 - sources/: what is recorded, one kind of recording a file
 - calibrations/: the calibration of the rig, one format a file

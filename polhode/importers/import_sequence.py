@@ -1,7 +1,6 @@
-"""The flow of an import: open, pair, write, check, publish.
+"""The flow of an import: open, pair, write, publish.
 
-Everything that times, topics and calibration can show is checked before the first image is written. What only
-the images show is checked before the dataset takes its place.
+Everything that times, topics and calibration can show is checked before the first image is written.
 """
 
 import hashlib
@@ -14,10 +13,9 @@ import numpy as np
 
 import polhode
 from polhode.files.foreign_files import MIB, read_bytes
-from polhode.files.images import Grey, Raw, UnreadableImage, bit_depth, read_raw, size_in_header, to_grey
+from polhode.files.images import UnreadableImage, read_raw, size_in_header
 from polhode.importers.calibrations.read_rig import CAMERA_KINDS, KINDS, read_camera, read_rig
 from polhode.importers.calibrations.rig import Rig, require_usable, with_virtual_camera, write_rig
-from polhode.importers.image_checks import PAIRS, ClockOffset, clock_offset, match_some, require_order
 from polhode.importers.image_writing import WrittenImages, copy_masks, write_images, write_listings
 from polhode.importers.imported_dataset import ImportedDataset, require_free, staged_import
 from polhode.importers.options import Crop, ImportOptions
@@ -26,7 +24,6 @@ from polhode.importers.sources.open_recording import Recording, opened_recording
 from polhode.importers.sources.recording import Contents
 from polhode.records.dataset import read_inspector
 from polhode.records.dataset_writer import write_inspector, write_range_sensor
-from polhode.records.pairing import time_in_words
 from polhode.records.range_images import why_no_ranges
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress
@@ -85,15 +82,15 @@ def import_sequence(
             except InputError as error:
                 # of files that are published under another name
                 raise InputError(str(error).replace(str(dataset.path), recording.name)) from None
-            offset = _check_images(recording, rig, written, dataset, progress)
-            remarks = (*early, *lost, *_about_clocks(offset, pairs))
-            for line in remarks[len(early) :]:
+            if has_ranges:
+                _require_ranges(recording, rig, written, dataset)
+            for line in lost:
                 _log.warning(line)
-            dataset.write_record(_record(sources, options, pairs, offset, remarks))
+            dataset.write_record(_record(sources, options, pairs, (*early, *lost)))
     stamps = written.stamps
     kind = "images with ranges" if has_ranges else "stereo pairs"
     notes = contents.notes if has_ranges else (*contents.notes, f"baseline: {rig.baseline_m:.4g} m")
-    return Imported(len(stamps), 1e-9 * (stamps[-1] - stamps[0]), notes, remarks, kind)
+    return Imported(len(stamps), 1e-9 * (stamps[-1] - stamps[0]), notes, (*early, *lost), kind)
 
 
 def _rig(recording: Recording, options: ImportOptions) -> Rig:
@@ -178,64 +175,17 @@ def _write_others(
         copy_masks(contents.masks, (own[0], own[1]), rigs[0], crop, mav0)
 
 
-def _check_images(
-    recording: Recording, rig: Rig, written: WrittenImages, dataset: ImportedDataset, progress: Progress
-) -> ClockOffset | None:
-    """What the images say of the order of the cameras and of their clocks; of ranges, whether they are
-    some."""
-    stamps = written.stamps
-    if len(stamps) < MIN_PAIRS:
-        return None
-
-    def read(camera: int, k: int) -> Raw:
-        size = rig.cameras[camera].size_px
-        assert size is not None
-        return read_raw(dataset.folder(camera) / "data" / written.names[camera][stamps[k]], *size)
-
-    def read_grey(camera: int, k: int) -> Grey:
-        raw = read(camera, k)
-        return to_grey(raw, rig.cameras[camera].bits or bit_depth(int(raw.max())))
-
-    if dataset.has_ranges:
-        try:
-            wrong = why_no_ranges(read(1, 0))
-        except UnreadableImage as error:
-            wrong = str(error)
-        if wrong:
-            raise InputError(f"{recording.name}: the depth image of {stamps[0]} ns has {wrong}")
-        return None
-    times = np.array(stamps, dtype=np.int64)
-    with progress.stage("order and clocks of the cameras", min(PAIRS, len(stamps) - 2)) as advance:
-        try:
-            matches = match_some(read_grey, times, advance)
-        except UnreadableImage as error:
-            _log.warning(
-                "%s: an image cannot be decoded (%s); clocks are not compared", recording.name, error
-            )
-            return None
-        require_order(matches, rig, recording.name)
-        return clock_offset(matches, rig, 1e-9 * float(np.median(np.diff(times))))
-
-
-def _about_clocks(offset: ClockOffset | None, pairs: ChosenPairs) -> tuple[str, ...]:
-    """What the images say of the clocks, where that concerns the user."""
-    if offset is None or not offset.is_observable:
-        unseen = "whether the images of a pair were taken together cannot be seen in them"
-        return (unseen,) if pairs.offset_ns else ()
-    sigma = time_in_words(1e9 * offset.sigma_s)
-    if not offset.is_apart:
-        together = f"the images of a pair were taken together, as they show to {sigma} (one sigma)"
-        return (together,) if pairs.offset_ns else ()
-    order = "after" if offset.dt_s > 0.0 else "before"
-    frames = abs(offset.dt_s) / offset.interval_s
-    advice = "trigger the cameras together: depth and motion will be wrong"
-    if frames > 0.5:
-        advice = f"give --offset-s {1e-9 * pairs.offset_ns - offset.dt_s:.6g} to pair the images that were"
-    return (
-        f"the right images were taken {time_in_words(1e9 * offset.dt_s)} ({frames:.2g} frames) {order} the "
-        f"left ones, as {offset.features} features show that move across the epipolar lines (sigma "
-        f"{sigma}); {advice}",
-    )
+def _require_ranges(recording: Recording, rig: Rig, written: WrittenImages, dataset: ImportedDataset) -> None:
+    """Raise InputError if the first depth image holds no ranges."""
+    stamp = written.stamps[0]
+    size = rig.right.size_px
+    assert size is not None
+    try:
+        wrong = why_no_ranges(read_raw(dataset.folder(1) / "data" / written.names[1][stamp], *size))
+    except UnreadableImage as error:
+        wrong = str(error)
+    if wrong:
+        raise InputError(f"{recording.name}: the depth image of {stamp} ns has {wrong}")
 
 
 def _fingerprint(sources: Sequence[Path], options: ImportOptions) -> str:
@@ -257,19 +207,15 @@ def _record(
     sources: Sequence[Path],
     options: ImportOptions,
     pairs: ChosenPairs,
-    offset: ClockOffset | None,
     warnings: tuple[str, ...],
 ) -> dict[str, object]:
     """The content of ``import.json``: what was imported, and what was found out."""
     defaults = vars(ImportOptions())
-    observed = offset if offset is not None and offset.is_observable else None
     return {
         "sources": [str(source) for source in sources],
         "options": {name: str(value) for name, value in vars(options).items() if value != defaults[name]},
         "pairs": len(pairs.stamps_ns),
         "unpaired": list(pairs.unpaired),
         "offset_of_stamps_s": 1e-9 * pairs.offset_ns,
-        "offset_of_images_s": observed and observed.dt_s,
-        "sigma_of_that_s": observed and observed.sigma_s,
         "warnings": list(warnings),
     }

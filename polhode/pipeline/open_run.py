@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from polhode.config import Config
-from polhode.mapping.fusion.field import choose_device
 from polhode.pipeline.checkout.checkout import warn_before_run
 from polhode.pipeline.context import open_context
 from polhode.pipeline.runner import Runner, Stopwatch
@@ -22,7 +21,6 @@ def open_run(
     written: RunFolder, config: Config, sequence_folder: Path, progress: Progress, streamed: Streamed | None
 ) -> tuple[Runner, Streamed | None]:
     """What runs the stages, and of a stream what can be used again: nothing, if its masks were others."""
-    choose_device(config.mapping)  # a missing GPU is an error before anything is computed
     clock = Stopwatch()
     with clock("frontend"):
         context = open_context(sequence_folder, config, progress)

@@ -61,10 +61,6 @@ OPTIONAL_PARTS: tuple[OptionalPart, ...] = (
     ),
     OptionalPart("train", {"tensorboard": "tensorboard"}, "curves of polhode train, which needs it"),
     OptionalPart(
-        "studies", {"SALib": "SALib"},
-        "Sobol indices in the page of polhode sweep; without it the page has shares of first order alone",
-    ),
-    OptionalPart(
         "pandas", {"pandas": "pandas"},
         "polhode.load(RUN).to_pandas() and polhode.load_study(DIR) in Python",
     ),

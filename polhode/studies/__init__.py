@@ -9,9 +9,7 @@ In: a study (YAML): base, axes, steps. Out: a folder with the records of the poi
 - cluster: workers by Dask distributed, and whether those of others can compute here
 - table: records as a Parquet table and as a data frame
 - steps: what a worker does for a sequence and for a point
-- flat_metrics: results as numbers in a row
 - store: the folder: records, sequences, runs that are kept
 - study: base, points by their numbers, the address of each
-- measurement: a function of the user's that measures points
 - factors: lists, ranges, draws, Latin hypercubes, Sobol's sequence
 """

@@ -50,8 +50,6 @@ class ClusterOptions:
     """Processes of this machine; 0: one per core"""
     memory_gb: float | None = None
     """Limit of each process [1e9 bytes]; None: equal shares of the memory"""
-    own_processes: bool = False
-    """Whether points start processes of their own"""
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ def _local(options: ClusterOptions) -> Iterator[Cluster]:
     workers = worker_count(options.workers)
     with (
         tempfile.TemporaryDirectory(prefix="polhode-sweep-", ignore_cleanup_errors=True) as scratch,
-        dask.config.set(SETTINGS | {"distributed.worker.daemon": not options.own_processes}),
+        dask.config.set(SETTINGS),
         _safe_path(),
         LocalCluster(
             n_workers=workers,

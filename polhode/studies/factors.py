@@ -69,9 +69,7 @@ def factor_of_design(design: Design) -> Factor:
     """The draws of a design."""
     names = tuple(design.settings)
     rng, dimension = np.random.default_rng(design.seed), len(names)
-    if design.method == "saltelli":
-        shares = saltelli(np.asarray(qmc.Sobol(2 * dimension, scramble=True, rng=rng).random(design.count)))
-    elif design.method == "random":
+    if design.method == "random":
         shares = rng.uniform(size=(design.count, dimension))
     elif design.method == "latin_hypercube":
         shares = np.asarray(qmc.LatinHypercube(dimension, rng=rng).random(design.count))
@@ -121,18 +119,6 @@ def _levels(name: str, axis: Axis) -> Sequence[Any]:
     shares = np.random.default_rng([axis.seed, *name.encode()]).uniform(size=count)
     drawn = Distribution(uniform=axis.uniform, log_uniform=axis.log_uniform, normal=axis.normal)
     return _scaled(name, drawn, shares)
-
-
-def saltelli(draws: Array) -> Array:
-    """Pairs of draws (n, 2 d) as points (n (d + 2), d), in the order that SALib reads: of each pair the first
-    one, the first one with each of its values in turn from the second one, the second one."""
-    first, second = np.split(draws, 2, axis=1)
-    dimension = first.shape[1]
-    points = np.repeat(first[:, None], dimension + 2, axis=1)
-    each = np.arange(dimension)
-    points[:, 1 + each, each] = second
-    points[:, -1] = second
-    return points.reshape(-1, dimension)
 
 
 def _scaled(name: str, wanted: Distribution, shares: Array) -> list[Any]:

@@ -6,10 +6,11 @@ full disk) is raised. Nothing here knows of Dask.
 
 import json
 import logging
+import math
 import platform
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -19,6 +20,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from pydantic import BaseModel
+
 from polhode.config import Config
 from polhode.config.study_settings import Keep, PlanOptions, Step
 from polhode.files.atomic import REFUSALS
@@ -26,12 +29,15 @@ from polhode.runtime.errors import InputError, RunFailure, one_line
 from polhode.runtime.program_digest import code_digest, processor
 from polhode.runtime.progress import Silent
 from polhode.runtime.threads import limit_threads
-from polhode.studies.flat_metrics import NOT_OF_A_RUN, Metrics, as_json, flattened
-from polhode.studies.measurement import MeasuredPoint, Measurement
 from polhode.studies.store import Record, Store
 from polhode.studies.study import RECORD
 
 DONE, FAILED = "done", "failed"
+NOT_OF_A_RUN = frozenset(
+    {"schema_", "files", "data", "timing_s", "verdict", "status", "warnings", "words", "own_sha256"}
+)
+"""Keys of a summary that say nothing of the answer, or stand in columns of their own"""
+Metrics = dict[str, bool | int | float | str | None]
 
 
 class OtherCode(Exception):
@@ -78,9 +84,6 @@ class PointJob:
     """Digest of the sequence that it simulates; empty: none"""
     data: Path | None = None
     """The sequence that it reads instead"""
-    measurement: Measurement | None = None
-    case: dict[str, Any] = field(default_factory=dict)
-    """Settings for the measurement alone"""
 
 
 @dataclass
@@ -98,8 +101,6 @@ class _Work:
     """Of the run, in a word"""
     doubts: str | None = None
     """Reasons for that verdict, where it is not ok"""
-    measured: dict[str, Any] | None = None
-    """What the function of the step ``measure`` found, as JSON has it"""
 
     @property
     def run(self) -> Path:
@@ -149,8 +150,6 @@ def compute_point(job: PointJob, sequence: SequenceOutcome | None = None) -> Rec
     record = failed_record(job.address, job.values, reason, job.sequence)
     record |= {"status": FAILED if reason else DONE, "verdict": work.verdict, "doubts": work.doubts}
     record |= {"metrics": work.metrics, "times": work.times | record["times"]}
-    if work.measured is not None:
-        record["measured"] = work.measured
     store.write(record)
     return record
 
@@ -305,24 +304,11 @@ def _compare(work: _Work) -> None:
             work.times[f"{name}.wall_s"] = row.wall_s
 
 
-def _measure(work: _Work) -> None:
-    assert work.job.measurement is not None
-    run = work.run if "run" in work.job.steps else None
-    folder = work.folder / "measured"
-    folder.mkdir()
-    point = MeasuredPoint(work.job.case, work.config, work.sequence, run, folder)
-    work.measured = as_json(work.job.measurement.function(point))
-    work.metrics |= flattened("measure", work.measured)
-    if not any(folder.iterdir()):
-        folder.rmdir()
-
-
 _STEPS: dict[str, Callable[[_Work], None]] = {
     "run": _run,
     "evaluate": _evaluate,
     "plan": _plan,
     "compare": _compare,
-    "measure": _measure,
 }
 
 
@@ -342,6 +328,28 @@ def _keep(work: _Work, store: Store, reason: str) -> None:
         with suppress(OSError):
             (kept / "reason.txt").write_text(f"{reason}\n", encoding="utf-8")
     store.keep(kept, work.job.address)
+
+
+def flattened(prefix: str, values: Mapping[str, Any], without: frozenset[str] = frozenset()) -> Metrics:
+    """Numbers, truths and short texts below ``prefix``, sections by names with dots, vectors of at most three
+    numbers by position; what is not finite is None."""
+    return dict(_leaves(prefix, {key: each for key, each in values.items() if key not in without}))
+
+
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, bool | int | float | str | None]]:
+    value = value.model_dump() if isinstance(value, BaseModel) else value
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, Mapping):
+        for key, each in value.items():
+            yield from _leaves(f"{name}.{key}", each)
+    elif isinstance(value, list | tuple):
+        if len(value) <= 3 and not any(isinstance(each, list | tuple | Mapping | str) for each in value):
+            for position, each in enumerate(value):
+                yield from _leaves(f"{name}.{position}", each)
+    elif isinstance(value, float):
+        yield name, value if math.isfinite(value) else None
+    elif not isinstance(value, str) or len(value) <= 40:
+        yield name, value
 
 
 def _write_json(path: Path, values: Any) -> None:

@@ -28,7 +28,6 @@ from polhode.studies.factors import (
     factor_of_points,
     flat,
 )
-from polhode.studies.measurement import CASE, MEASURE, Measurement
 
 RECORD = "polhode-study-point/1"
 """Of the records, and part of every address: another one computes all points again"""
@@ -61,8 +60,6 @@ class OpenStudy:
     factors: tuple[Factor, ...]
     source: str
     """The file, for messages"""
-    measurement: Measurement | None = None
-    """Of the step ``measure``"""
 
     @cached_property
     def count(self) -> int:
@@ -103,12 +100,9 @@ class OpenStudy:
 
     def plan_options(self, point: Point) -> PlanOptions:
         """Of the step ``plan``. Raises InputError."""
-        own = self.settings.plan.model_dump() | _within(point.changes, PLAN)
+        own = self.settings.plan.model_dump()
+        own |= {key.partition(".")[2]: each for key, each in point.changes.items() if _section(key) == PLAN}
         return validated(PlanOptions, own, f"{self.source}: axes")
-
-    def case(self, point: Point) -> dict[str, Any]:
-        """Settings that are for the step ``measure`` alone."""
-        return _within(point.changes, CASE)
 
     def data(self, point: Point) -> Path | None:
         """The sequence that a point reads; None: it simulates its own, or needs none."""
@@ -130,14 +124,12 @@ class OpenStudy:
         base = {key: value for key, value in self.base.items() if key != "runtime"}
         own = self.settings.model_dump(include={"steps", "plan", "keep", "data"})
         files = [file_digest(each) for each in texts_in(base)]
-        measured = [] if self.measurement is None else [self.measurement.digest]
-        content = json.dumps([RECORD, base, own, files, code_digest(), *measured], sort_keys=True)
+        content = json.dumps([RECORD, base, own, files, code_digest()], sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()
 
     def inputs(self) -> list[Path]:
         """Files and folders that any point reads, but for those of the installation."""
         named = [self.settings.data, setting_of(self.base, MESH)]
-        named += [self.measurement.file] if self.measurement is not None else []
         for factor in self.factors:
             named += [changes[key] for changes in factor.changes for key in (DATA, MESH) if key in changes]
         return sorted({Path(each) for each in named if each is not None})
@@ -207,13 +199,10 @@ def setting_of(values: Any, setting: str) -> Any:
     return values
 
 
-def open_study(path: Path, check: bool = True, measurement: Measurement | None = None) -> OpenStudy:
+def open_study(path: Path, check: bool = True) -> OpenStudy:
     """Read a study. Raises InputError, one line, for whatever is wrong with it: an unknown key or setting, an
-    empty range, more than ``MAX_POINTS`` points, a value out of range.
-
-    ``measurement``: of the step ``measure``, if the study has it; ``check``: whether that and all values are
-    looked at.
-    """
+    empty range, more than ``MAX_POINTS`` points, a value out of range. ``check``: whether
+    all values are tried."""
     content = read_yaml(path, f"{path} is missing: give an existing study")
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected keys such as 'base:' and 'axes:' at the top")
@@ -230,16 +219,10 @@ def open_study(path: Path, check: bool = True, measurement: Measurement | None =
     factors = [factor_of_axis(name, axis, str(path)) for name, axis in settings.axes.items()]
     factors += [factor_of_design(settings.design)] if settings.design else []
     factors += [factor_of_points(settings.points, str(path))] if settings.points else []
-    study = OpenStudy(settings, base, tuple(factors), str(path), measurement)
+    study = OpenStudy(settings, base, tuple(factors), str(path))
     _check_names(study)
     _check_steps(study)
     if check:
-        if (MEASURE in settings.steps) != (measurement is not None):
-            raise InputError(
-                f"--measure: {path} has no step '{MEASURE}'; add it at the end of its steps"
-                if measurement is not None
-                else f"{path}: steps: '{MEASURE}' needs a function: --measure FILE.py:FUNCTION"
-            )
         study.check()
     return study
 
@@ -250,7 +233,7 @@ def _require_few(settings: Study, path: Path) -> None:
         name: axis.count or len(axis.values or axis.variants or ()) for name, axis in settings.axes.items()
     }
     if settings.design is not None:
-        counts["design"] = settings.design.points
+        counts["design"] = settings.design.count
     if settings.points:
         counts["points"] = len(settings.points)
     points = math.prod(counts.values())
@@ -295,7 +278,7 @@ def _base(base: dict[str, Any] | str, path: Path) -> Config:
 
 def _check_names(study: OpenStudy) -> None:
     """Raise InputError for a setting that no study has, or that two axes set."""
-    where, sections = f"{study.source}: axes", (*Config.model_fields, DATA, PLAN, CASE)
+    where, sections = f"{study.source}: axes", (*Config.model_fields, DATA, PLAN)
     for name, axis in study.settings.axes.items():
         own_columns = ("point", "status", "reason", "verdict", "doubts")
         if axis.variants is not None and (name in own_columns or "." in name):
@@ -342,10 +325,6 @@ def _check_steps(study: OpenStudy) -> None:
             "simulate" in steps and study.base["scene"] is None and "scene" not in sections,
             "base: no 'scene' to simulate; name a file of configs/scenes, or add one",
         ),
-        (
-            MEASURE not in steps and CASE in sections,
-            f"settings of '{CASE}' are for the step '{MEASURE}'; add it to the steps",
-        ),
     ):
         if is_wrong:
             raise InputError(f"{source}: {what}")
@@ -357,12 +336,7 @@ def _check_steps(study: OpenStudy) -> None:
 
 
 def _of_configuration(changes: Changes) -> Changes:
-    return {key: value for key, value in changes.items() if _section(key) not in (DATA, PLAN, CASE)}
-
-
-def _within(changes: Changes, section: str) -> dict[str, Any]:
-    """Settings of a section, without its name."""
-    return {key.partition(".")[2]: each for key, each in changes.items() if _section(key) == section}
+    return {key: value for key, value in changes.items() if _section(key) not in (DATA, PLAN)}
 
 
 def _section(setting: str) -> str:

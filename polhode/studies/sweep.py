@@ -239,8 +239,6 @@ class _Window:
             code=self._code,
             sequence=digest,
             data=study.data(point),
-            measurement=study.measurement,
-            case=study.case(point),
         )
         render = self._render_of(digest, settings) if digest else None
         key = f"{self._point_key}{point.address}"

@@ -73,8 +73,7 @@ def write_table(study: OpenStudy, store: Store, path: Path) -> int:
 def read_table(folder: Path, most: int | None = None) -> pa.Table:
     """The table of a study; of one that is not finished, the rows that are stored.
 
-    ``most``: at most so many rows, chosen at random; of a large table no more than that is in memory. Raises
-    InputError: the folder is that of no study.
+    ``most``: at most so many rows, chosen at random. Raises InputError: the folder is that of no study.
     """
     if COMMAND not in (read_mark(folder) or {}):
         raise InputError(f"{folder}: no study of polhode sweep; give the folder that -o named")
@@ -84,16 +83,8 @@ def read_table(folder: Path, most: int | None = None) -> pa.Table:
         rows = list(stored_rows(study, store))
         return _table([rows[k] for k in chosen_rows(len(rows), most)], schema_of(rows))
     try:
-        with pq.ParquetFile(path) as file:
-            count = file.metadata.num_rows
-            if most is None or count <= most:
-                return file.read()
-            kept, start, parts = chosen_rows(count, most), 0, []
-            for batch in file.iter_batches(ROWS_AT_ONCE):
-                own = kept[(kept >= start) & (kept < start + batch.num_rows)] - start
-                parts.append(batch.take(pa.array(own)))
-                start += batch.num_rows
-            return pa.Table.from_batches(parts, file.schema_arrow)
+        table = pq.read_table(path)
+        return table.take(pa.array(chosen_rows(table.num_rows, most)))
     except (pa.ArrowException, OSError) as error:
         said = str(error).partition("\n")[0][:120]
         raise InputError(f"{path} cannot be read ({said}); repeat the sweep") from None
@@ -115,7 +106,7 @@ def load_study(folder: Path) -> "pd.DataFrame":
         raise InputError("pandas is not installed: pip install 'polhode[pandas]'") from None
 
 
-RESULTS = ("run.", "evaluate.", "plan.", "compare.", "measure.")
+RESULTS = ("run.", "evaluate.", "plan.", "compare.")
 """Beginnings of columns, one for each step"""
 
 

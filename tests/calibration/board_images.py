@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.calibration.boards import Board
-from polhode.calibration.epipolar import rays
-from polhode.calibration.lenses import Lens, project
+from polhode.calibration.lenses import Lens, project, rays
 from polhode.files.images import Grey
 from polhode.geometry.lie import Array, inverse_pose, transform_points
 

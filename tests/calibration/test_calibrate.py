@@ -24,7 +24,9 @@ from polhode.importers.options import ImportOptions
 from polhode.records.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
 from polhode.runtime.progress import Silent
 from tests.calibration.rendered_rigs import SIZE, Scene, board_pose, make_scene, write_images
+from tests.importers.recordings import BagContents, original, write_ros2, write_side_by_side
 
+Capture = pytest.CaptureFixture[str]
 VIEWS = 10
 BOARD = make_board("chessboard", "7x5", 0.03)
 
@@ -51,6 +53,20 @@ def waved(image: Grey, rows: float) -> Grey:
     """The same, shaken while its rows were read: 1.5 px to and fro, a radian in so many rows."""
     v, u = np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32)
     return np.asarray(cv2.remap(image, u + 1.5 * np.sin(v / rows), v, cv2.INTER_LINEAR), dtype=np.uint8)
+
+
+def both(folder: Path) -> list[str]:
+    return ["--left", str(folder / "left"), "--right", str(folder / "right")]
+
+
+def refused(words: list[str], folder: Path, capsys: Capture) -> str:
+    """The one line of a calibration that is refused and leaves nothing."""
+    out = folder / "out" / "rig"
+    capsys.readouterr()
+    assert main(["calibrate", *words, "-o", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and not out.parent.exists()
+    return error
 
 
 @pytest.fixture(scope="module")
@@ -123,9 +139,16 @@ def test_spoiled_images_are_left_out_by_their_reason_and_the_result_stays(
     np.testing.assert_allclose(found.state.lenses[0].values[:4], rig.state.lenses[0].values[:4], atol=0.5)
 
 
-@pytest.mark.parametrize("pattern", ["charuco", "aprilgrid"])
-def test_boards_with_markers_are_found(pattern: str, tmp_path: Path) -> None:
-    size, square_m = ("8x6", 0.03) if pattern == "charuco" else ("4x3", 0.05)
+MARKERS = (
+    ("charuco", "8x6", 0.03, ("9x6", "8x5")),
+    ("aprilgrid", "4x3", 0.05, ("5x3", "4x2")),
+)
+
+
+@pytest.mark.parametrize(("pattern", "size", "square_m", "wrong"), MARKERS)
+def test_boards_with_markers_are_found_and_one_whose_size_is_wrong_by_one_is_one_line(
+    pattern: str, size: str, square_m: float, wrong: tuple[str, ...], tmp_path: Path, capsys: Capture
+) -> None:
     board = make_board(pattern, size, square_m)
     facing = np.diag([1.0, -1.0, -1.0]) if pattern == "aprilgrid" else None
     scene = make_scene(board, 6, 4, facing)
@@ -135,10 +158,23 @@ def test_boards_with_markers_are_found(pattern: str, tmp_path: Path) -> None:
     rig = calibrated(tmp_path, board)
     assert [(Path(each.file).stem, each.kind) for each in rig.views.rejections()] == [("06", "mirrored")]
     assert np.abs(sigmas_off(rig, scene)).max() < 4.5
+    write_images(tmp_path / "few", images[:3])
+    for each in wrong:
+        words = [
+            *both(tmp_path / "few"),
+            "--pattern",
+            pattern,
+            "--board",
+            each,
+            "--square-mm",
+            f"{1e3 * square_m:g}",
+        ]
+        error = refused(words, tmp_path, capsys)
+        assert f"--board {each}: " in error and "images show another board" in error, error
 
 
 def test_the_command_writes_every_format_and_each_reads_back_the_same(
-    clean: tuple[Scene, Path, CalibratedRig], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    clean: tuple[Scene, Path, CalibratedRig], tmp_path: Path, capsys: Capture
 ) -> None:
     _, folder, _ = clean
     out = tmp_path / "rig"
@@ -161,31 +197,42 @@ def test_the_command_writes_every_format_and_each_reads_back_the_same(
     assert "Epipolar error over the right image" in page and "Coverage of the left image" in page
 
 
-def test_bad_inputs_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_inputs_are_one_line(
+    clean: tuple[Scene, Path, CalibratedRig], small_sequence: Path, tmp_path: Path, capsys: Capture
+) -> None:
     rng = np.random.default_rng(0)
+    (tmp_path / "empty").mkdir()
     for side in ("left", "right"):
-        (tmp_path / f"empty_{side}").mkdir()
         for k in range(4):
             write_png(tmp_path / side / f"{k}.png", rng.integers(0, 256, (120, 160), dtype=np.uint8))
+    data = original(small_sequence)
+    bag = write_ros2(data, tmp_path / "bag", BagContents(cameras=(), tf=False))
+    video = write_side_by_side(data, tmp_path / "v.mkv")
+    for name in (f"{side}/{k:02d}.png" for side in ("left", "right") for k in (1, 2, 3)):
+        (tmp_path / "few" / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(clean[1] / name, tmp_path / "few" / name)
     left, right = str(tmp_path / "left"), str(tmp_path / "right")
-    both = ["--left", left, "--right", right]
-    board, square, out = ["--board", "7x5"], ["--square-mm", "30"], ["-o", str(tmp_path / "out")]
+    board, square = ["--board", "7x5"], ["--square-mm", "30"]
     for words, said in (
-        (["--left", str(tmp_path / "empty_left"), "--right", right, *board, *square], "no images there"),
+        (["--left", str(tmp_path / "empty"), "--right", right, *board, *square], "no images there"),
         (["--left", left, *board, *square], "only one camera's images were given: .* --right is missing"),
         (["--left", left, "--right", left, *board, *square], "is an image of --left and of --right"),
         ([left, *board, *square], "a single folder that is no EuRoC sequence"),
         ([*board, *square], "images of a board are missing"),
-        ([*both, *board, *square], "0 of 4 left images can be used"),
-        ([*both, *board, *square, "--model", "pinhole"], "--model pinhole: choose one of brown5"),
-        ([*both, *board, "--square-mm", "0"], "--square-mm 0: give a number above 0"),
-        ([*both, *square, "--board", "9"], "--board 9: give columns x rows"),
-        ([*both, *board, *square, "--pattern", "dots"], "--pattern dots: choose one of chessboard"),
+        ([*both(tmp_path), *board, *square], "0 of 4 left images can be used"),
+        ([*both(tmp_path), *board, *square, "--model", "pinhole"], "--model pinhole: choose one of brown5"),
+        ([*both(tmp_path), *board, "--square-mm", "0"], "--square-mm 0: give a number above 0"),
+        ([*both(tmp_path), *square, "--board", "9"], "--board 9: give columns x rows"),
+        ([*both(tmp_path), *board, *square, "--pattern", "dots"], "--pattern dots: choose one of chessboard"),
+        ([str(bag), *board, *square], "an empty bag, without a single message; record it again"),
+        ([str(video), *board, *square], "0 of 6 left images can be used, .* left image 0 .not found: "),
+        *(
+            ([*both(tmp_path / "few"), "--board", size, *square], "inner corners; give --board 7x5$")
+            for size in ("6x5", "8x5", "7x4", "7x6")
+        ),
     ):
-        assert main(["calibrate", *words, *out]) == 2
-        error = capsys.readouterr().err
-        assert error.count("\n") == 1 and re.search(said, error), error
-        assert not (tmp_path / "out").exists()
+        error = refused(words, tmp_path, capsys)
+        assert re.search(said, error), error
 
 
 def test_images_are_paired_by_their_numbers(tmp_path: Path) -> None:

@@ -3,9 +3,8 @@
 The images, times and numbers are those of the dataset, so that an import must bring them back.
 """
 
-import json
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -191,12 +190,11 @@ def write_ros1(
     """A bag of ROS 1."""
     from rosbags.rosbag1 import Writer
 
-    store = message_types(True)
     bag = Writer(path)
     if compression:
         bag.set_compression(Writer.CompressionFormat[compression])
     with bag:
-        _fill(bag, store, data, contents or BagContents(), True)
+        _fill(bag, data, contents or BagContents(), True)
     return path
 
 
@@ -206,133 +204,116 @@ def write_ros2(
     """A bag of ROS 2, with SQLITE3 or MCAP."""
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    store = message_types(False)
     with Writer(path, version=9, storage_plugin=StoragePlugin[storage]) as bag:
-        _fill(bag, store, data, contents or BagContents(), False)
+        _fill(bag, data, contents or BagContents(), False)
     return path
 
 
-def _fill(bag: Any, store: Any, data: Original, contents: BagContents, is_ros1: bool) -> None:
+def _fill(bag: Any, data: Original, contents: BagContents, is_ros1: bool) -> None:
     """Messages sorted by time."""
-    make = _Maker(store, is_ros1)
-    rows: list[tuple[int, str, str, Any]] = []
-    R, P = rectified(data)
-    for camera in contents.cameras:
-        topic, frame = TOPICS[camera], FRAMES[camera]
-        for stamp, path in data.files[camera].items():
-            time = stamp + camera * contents.right_later_ns
-            if contents.compressed:
-                png = make("sensor_msgs", "CompressedImage", make.header(time, frame), "png",
-                           np.frombuffer(path.read_bytes(), np.uint8))  # fmt: skip
-                rows.append((time, f"{topic}/compressed", "sensor_msgs/msg/CompressedImage", png))
-            else:
-                image = make.image(time, frame, data.pixels(camera, stamp))
-                rows.append((time, topic, "sensor_msgs/msg/Image", image))
-            if contents.info:
-                info = make.camera_info(time, data, camera, R[camera], P[camera])
-                rows.append((time, f"{topic.rpartition('/')[0]}/camera_info", CAMERA_INFO, info))
-    stamps = list(data.files[0])
-    fixed = [(FRAMES[0], FRAMES[1], data.X_01)] if contents.tf else []
-    fixed += [] if contents.X_BC0 is None else [("base_link", FRAMES[0], contents.X_BC0)]
-    if fixed:
-        rows.append((stamps[0], "/tf_static", TRANSFORMS[0], make.tf(stamps[0], fixed)))
-    for poses, topic, kind, message in (
-        (contents.odometry, "/odom", ODOMETRY, make.odometry),
-        (contents.posestamped, "/pose", "geometry_msgs/msg/PoseStamped", make.pose_stamped),
-        (contents.moving_tf, "/tf", TRANSFORMS[0], lambda time, X: make.tf(time, [("map", "base_link", X)])),
-    ):
-        for time, X in zip(stamps, () if poses is None else poses, strict=False):
-            rows.append((time, topic, kind, message(time, X)))
-    connections: dict[str, Any] = {}
-    for time, topic, kind, message in sorted(rows, key=lambda row: row[:2]):
-        if topic not in connections:
-            connections[topic] = bag.add_connection(topic, kind, typestore=store)
-        serialize = store.serialize_ros1 if is_ros1 else store.serialize_cdr
-        bag.write(connections[topic], time, serialize(message, kind))
+    store = message_types(is_ros1)
 
+    def make(kind: str, *values: Any, **named: Any) -> Any:
+        package, name = kind.split("/")
+        return store.types[f"{package}/msg/{name}"](*values, **named)
 
-class _Maker:
-    """Messages of one version of ROS."""
+    def header(time: int, frame: str) -> Any:
+        stamp = make("builtin_interfaces/Time", sec=time // 10**9, nanosec=time % 10**9)
+        return make("std_msgs/Header", stamp=stamp, frame_id=frame, **({"seq": 0} if is_ros1 else {}))
 
-    def __init__(self, store: Any, is_ros1: bool) -> None:
-        self.types, self.is_ros1 = store.types, is_ros1
+    def parts(X: Array, kind: str = "Point") -> tuple[Any, Any]:
+        """Place (a Point or a Vector3) and attitude."""
+        x, y, z = X[:3, 3].tolist()
+        w, i, j, k = wxyz_from_matrix(X[:3, :3]).tolist()
+        quaternion = make("geometry_msgs/Quaternion", x=i, y=j, z=k, w=w)
+        return make(f"geometry_msgs/{kind}", x=x, y=y, z=z), quaternion
 
-    def __call__(self, package: str, kind: str, *values: Any, **named: Any) -> Any:
-        return self.types[f"{package}/msg/{kind}"](*values, **named)
-
-    def header(self, time: int, frame: str) -> Any:
-        stamp = self("builtin_interfaces", "Time", sec=time // 10**9, nanosec=time % 10**9)
-        return self("std_msgs", "Header", stamp=stamp, frame_id=frame, **({"seq": 0} if self.is_ros1 else {}))
-
-    def image(self, time: int, frame: str, pixels: NDArray[Any]) -> Any:
+    def image(time: int, frame: str, path: Path) -> Any:
+        if contents.compressed:
+            png = np.frombuffer(path.read_bytes(), np.uint8)
+            return make("sensor_msgs/CompressedImage", header(time, frame), "png", png)
+        pixels = np.ascontiguousarray(np.asarray(Image.open(path)))
         height, width = pixels.shape[:2]
-        names = {2: "mono8" if pixels.dtype == np.uint8 else "mono16", 3: "rgb8"}
-        content = np.ascontiguousarray(pixels)
-        return self(
-            "sensor_msgs",
-            "Image",
-            header=self.header(time, frame),
-            height=height,
-            width=width,
-            encoding=names[pixels.ndim],
-            is_bigendian=0,
-            step=content.nbytes // height,
-            data=content.view(np.uint8).ravel(),
-        )
+        encoding = {2: "mono8" if pixels.dtype == np.uint8 else "mono16", 3: "rgb8"}[pixels.ndim]
+        step, content = pixels.nbytes // height, pixels.view(np.uint8).ravel()
+        return make("sensor_msgs/Image", header(time, frame), height, width, encoding, 0, step, content)
 
-    def camera_info(self, time: int, data: Original, camera: int, R: Array, P: Array) -> Any:
+    def camera_info(time: int, camera: int) -> Any:
         D = _five(data.dist[camera])
-        values = {"D": np.array(D), "K": data.K[camera].ravel(), "R": R.ravel(), "P": P.ravel()}
-        if not self.is_ros1:
-            values = {name.lower(): value for name, value in values.items()}
-        return self(
-            "sensor_msgs",
-            "CameraInfo",
-            header=self.header(time, FRAMES[camera]),
+        values = {"D": np.array(D), "K": data.K[camera].ravel(), "R": R[camera].ravel()}
+        values["P"] = P[camera].ravel()
+        return make(
+            "sensor_msgs/CameraInfo",
+            header=header(time, FRAMES[camera]),
             height=data.calibration.height_px,
             width=data.calibration.width_px,
             distortion_model="plumb_bob" if len(D) == 5 else "rational_polynomial",
             binning_x=0,
             binning_y=0,
-            roi=self("sensor_msgs", "RegionOfInterest", 0, 0, 0, 0, False),
-            **values,
+            roi=make("sensor_msgs/RegionOfInterest", 0, 0, 0, 0, False),
+            **{name if is_ros1 else name.lower(): value for name, value in values.items()},
         )
 
-    def _parts(self, X: Array, kind: str) -> tuple[Any, Any]:
-        """Place (a Point or a Vector3) and attitude."""
-        x, y, z = X[:3, 3].tolist()
-        w, i, j, k = wxyz_from_matrix(X[:3, :3]).tolist()
-        place = self("geometry_msgs", kind, x=x, y=y, z=z)
-        return place, self("geometry_msgs", "Quaternion", x=i, y=j, z=k, w=w)
+    def tf(time: int, *transforms: tuple[str, str, Array]) -> Any:
+        made = [
+            make(
+                "geometry_msgs/TransformStamped",
+                header(time, parent),
+                child,
+                make("geometry_msgs/Transform", *parts(X, "Vector3")),
+            )
+            for parent, child, X in transforms
+        ]
+        return make("tf2_msgs/TFMessage", transforms=made)
 
-    def tf(self, time: int, transforms: Sequence[tuple[str, str, Array]]) -> Any:
-        made = []
-        for parent, child, X in transforms:
-            transform = self("geometry_msgs", "Transform", *self._parts(X, "Vector3"))
-            header = self.header(time, parent)
-            made.append(self("geometry_msgs", "TransformStamped", header, child, transform))
-        return self("tf2_msgs", "TFMessage", transforms=made)
-
-    def odometry(self, time: int, X: Array) -> Any:
+    def odometry(time: int, X: Array) -> Any:
         covariance = np.diag([1e-6] * 3 + [4e-6] * 3).ravel()
-        pose = self("geometry_msgs", "Pose", *self._parts(X, "Point"))
-        zero = self._parts(np.eye(4), "Vector3")[0]
-        twist = self("geometry_msgs", "Twist", linear=zero, angular=zero)
-        return self(
-            "nav_msgs",
-            "Odometry",
-            header=self.header(time, "odom"),
+        zero = parts(np.eye(4), "Vector3")[0]
+        twist = make("geometry_msgs/Twist", linear=zero, angular=zero)
+        return make(
+            "nav_msgs/Odometry",
+            header=header(time, "odom"),
             child_frame_id="base_link",
-            pose=self("geometry_msgs", "PoseWithCovariance", pose=pose, covariance=covariance),
-            twist=self("geometry_msgs", "TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+            pose=make("geometry_msgs/PoseWithCovariance", make("geometry_msgs/Pose", *parts(X)), covariance),
+            twist=make("geometry_msgs/TwistWithCovariance", twist, np.zeros(36)),
         )
 
-    def pose_stamped(self, time: int, X: Array) -> Any:
-        pose = self("geometry_msgs", "Pose", *self._parts(X, "Point"))
-        return self("geometry_msgs", "PoseStamped", header=self.header(time, "odom"), pose=pose)
+    def pose_stamped(time: int, X: Array) -> Any:
+        pose = make("geometry_msgs/Pose", *parts(X))
+        return make("geometry_msgs/PoseStamped", header=header(time, "odom"), pose=pose)
+
+    rows: list[tuple[int, str, str, Any]] = []
+    R, P = rectified(data)
+    for camera in contents.cameras:
+        topic, frame = TOPICS[camera], FRAMES[camera]
+        kind, end = ("CompressedImage", "/compressed") if contents.compressed else ("Image", "")
+        for stamp, path in data.files[camera].items():
+            time = stamp + camera * contents.right_later_ns
+            rows.append((time, f"{topic}{end}", f"sensor_msgs/msg/{kind}", image(time, frame, path)))
+            if contents.info:
+                info = camera_info(time, camera)
+                rows.append((time, f"{topic.rpartition('/')[0]}/camera_info", CAMERA_INFO, info))
+    stamps = list(data.files[0])
+    fixed = [(FRAMES[0], FRAMES[1], data.X_01)] if contents.tf else []
+    fixed += [] if contents.X_BC0 is None else [("base_link", FRAMES[0], contents.X_BC0)]
+    if fixed:
+        rows.append((stamps[0], "/tf_static", TRANSFORMS[0], tf(stamps[0], *fixed)))
+    for poses, topic, kind, message in (
+        (contents.odometry, "/odom", ODOMETRY, odometry),
+        (contents.posestamped, "/pose", "geometry_msgs/msg/PoseStamped", pose_stamped),
+        (contents.moving_tf, "/tf", TRANSFORMS[0], lambda time, X: tf(time, ("map", "base_link", X))),
+    ):
+        for time, X in zip(stamps, () if poses is None else poses, strict=False):
+            rows.append((time, topic, kind, message(time, X)))
+    connections: dict[str, Any] = {}
+    serialize = store.serialize_ros1 if is_ros1 else store.serialize_cdr
+    for time, topic, kind, message in sorted(rows, key=lambda row: row[:2]):
+        if topic not in connections:
+            connections[topic] = bag.add_connection(topic, kind, typestore=store)
+        bag.write(connections[topic], time, serialize(message, kind))
 
 
-def write_video(images: Iterable[NDArray[Any]], path: Path, rate_hz: int = 2, codec: str = "ffv1") -> Path:
+def write_video(images: Iterable[NDArray[Any]], path: Path, rate_hz: int = 2) -> Path:
     """A video without loss of grey images (H, W)."""
     import av
 
@@ -340,7 +321,7 @@ def write_video(images: Iterable[NDArray[Any]], path: Path, rate_hz: int = 2, co
         stream: Any = None
         for k, image in enumerate(images):
             if stream is None:
-                stream = container.add_stream(codec, rate=rate_hz)
+                stream = container.add_stream("ffv1", rate=rate_hz)
                 stream.height, stream.width = image.shape[:2]
                 stream.pix_fmt = "gray" if image.dtype == np.uint8 else "gray16le"
                 stream.time_base = Fraction(1, rate_hz)
@@ -352,19 +333,7 @@ def write_video(images: Iterable[NDArray[Any]], path: Path, rate_hz: int = 2, co
     return path
 
 
-def write_side_by_side(data: Original, path: Path, rate_hz: int = 2) -> Path:
+def write_side_by_side(data: Original, path: Path) -> Path:
     """One video of both cameras."""
     pairs = (np.hstack([data.pixels(0, stamp), data.pixels(1, stamp)]) for stamp in data.files[0])
-    return write_video(pairs, path, rate_hz)
-
-
-def write_stamps(data: Original, path: Path) -> Path:
-    """A table of the left timestamps."""
-    path.write_text("".join(f"{stamp}\n" for stamp in data.files[0]))
-    return path
-
-
-def listing(folder: Path) -> dict[str, int]:
-    """Files of an import, by its record."""
-    files: dict[str, int] = json.loads((folder / "import.json").read_text())["files"]
-    return files
+    return write_video(pairs, path)

@@ -36,12 +36,11 @@ X_NB = make_pose(
 X_BC0 = make_pose(exp_so3([0.0, 0.0, 0.5]), [0.1, 0.0, 0.2])
 
 
-def test_parts_and_steps(small_sequence: Path, tmp_path: Path) -> None:
-    imported([small_sequence], tmp_path / "back", start_s=0.5, end_s=2.5, every=2)
-    assert list(original(tmp_path / "back").files[1]) == TIMESTAMPS_NS[[1, 3, 5]].tolist()
-
-
-def test_a_crop_moves_the_principal_point_and_cuts_the_masks(small_sequence: Path, tmp_path: Path) -> None:
+def test_parts_and_steps_and_a_crop_which_moves_the_principal_point_and_cuts_the_masks(
+    small_sequence: Path, tmp_path: Path
+) -> None:
+    imported([small_sequence], tmp_path / "part", start_s=0.5, end_s=2.5, every=2)
+    assert list(original(tmp_path / "part").files[1]) == TIMESTAMPS_NS[[1, 3, 5]].tolist()
     mask = np.zeros((48, 64), dtype=np.bool_)
     mask[20:30, 30:40] = True
     for stamp in TIMESTAMPS_NS:
@@ -65,52 +64,44 @@ def write_named(data: Original, folder: Path, name_of: Callable[[int, int], str]
     return [folder / "left", folder / "right"]
 
 
-def test_numbered_images_have_a_rate(small_sequence: Path, tmp_path: Path) -> None:
+def test_times_are_those_of_names_of_numbers_and_a_rate_of_tables_and_of_a_video(
+    small_sequence: Path, tmp_path: Path
+) -> None:
     data = original(small_sequence)
-    both = write_named(data, tmp_path, lambda k, _: f"img{k + 8}")
-    # the right camera lost one
-    (both[1] / "img10.png").unlink()
-    chain = write_kalibr(data, tmp_path / "k.yaml")
-    done = imported(both, tmp_path / "back", calibration=(chain,), rate_hz=4.0)
-    assert "1 left and 0 right images have no partner" in done.warnings[0]
-    assert list(original(tmp_path / "back").files[0]) == [
-        2 * 10**9 + 250_000_000 * k for k in (0, 1, 3, 4, 5)
-    ]
-
-
-def test_times_in_names_and_tables(small_sequence: Path, tmp_path: Path) -> None:
-    data = original(small_sequence)
+    chain = {"calibration": (write_kalibr(data, tmp_path / "k.yaml"),)}
     both = write_named(data, tmp_path, lambda _, ns: f"{ns // 10**9}.{ns % 10**9 // 10**3:06d}")
-    chain = write_kalibr(data, tmp_path / "k.yaml")
-    imported(both, tmp_path / "named", calibration=(chain,))
+    imported(both, tmp_path / "named", **chain)
     require_same(data, tmp_path / "named")
-    table = small_sequence / "mav0" / "cam0" / "data.csv"
-    imported(both, tmp_path / "listed", calibration=(chain,), stamps=(table,))
+    imported(both, tmp_path / "listed", **chain, stamps=(small_sequence / "mav0" / "cam0" / "data.csv",))
     require_same(data, tmp_path / "listed")
+    # numbers have a rate; the right camera lost one
+    (tmp_path / "numbers").mkdir()
+    both = write_named(data, tmp_path / "numbers", lambda k, _: f"img{k + 8}")
+    (both[1] / "img10.png").unlink()
+    done = imported(both, tmp_path / "numbered", **chain, rate_hz=4.0)
+    assert "1 left and 0 right images have no partner" in done.warnings[0]
+    stamps = [2 * 10**9 + 250_000_000 * k for k in (0, 1, 3, 4, 5)]
+    assert list(original(tmp_path / "numbered").files[0]) == stamps
     # a video has its own times
-    data = original(small_sequence)
-    chain = write_kalibr(data, tmp_path / "k.yaml")
-    imported([write_side_by_side(data, tmp_path / "v.mkv")], tmp_path / "back", calibration=(chain,))
+    imported([write_side_by_side(data, tmp_path / "v.mkv")], tmp_path / "back", **chain)
     assert list(original(tmp_path / "back").files[0]) == [500_000_000 * k for k in range(N)]
 
 
 def test_an_offset_of_the_clocks_is_removed_and_stated(small_sequence: Path, tmp_path: Path) -> None:
     data = original(small_sequence)
+    chain = write_kalibr(data, tmp_path / "k.yaml")
     for later_ns, words in (
         (4_000, "4 us (8e-06 frames) after"),
         (-200_000_000, "0.2 s (0.4 frames) before"),
     ):
         folders = write_folders(data, tmp_path / f"images{later_ns}", later_ns)
-        chain = write_kalibr(data, tmp_path / "k.yaml")
         done = imported(folders, tmp_path / f"back{later_ns}", calibration=(chain,))
         assert done.warnings[0].startswith(f"the stamps of the right camera are {words}")
         require_same(data, tmp_path / f"back{later_ns}")
     record = json.loads((tmp_path / "back4000" / "import.json").read_text())
     assert record["offset_of_stamps_s"] == pytest.approx(4e-6) and record["pairs"] == N
     # a given offset pairs clocks far apart
-    data = original(small_sequence)
     folders = write_folders(data, tmp_path / "images", 7_200_000_000_000)
-    chain = write_kalibr(data, tmp_path / "k.yaml")
     line = refused(folders, tmp_path / "back", calibration=(chain,))
     assert "no time in common" in line and "give --offset-s 7200" in line
     imported(folders, tmp_path / "back", calibration=(chain,), offset_s=7200.0)

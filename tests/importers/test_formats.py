@@ -26,7 +26,6 @@ from tests.importers.recordings import (
     write_ros1,
     write_ros2,
     write_side_by_side,
-    write_stamps,
     write_video,
 )
 
@@ -60,7 +59,7 @@ def with_stamps(write: Callable[[Original, Path], list[Path]]) -> Write:
         write(data, area),
         {
             "calibration": (write_kalibr(data, area / "camchain.yaml"),),
-            "stamps": (write_stamps(data, area / "times.txt"),),
+            "stamps": (data.folder / "mav0" / "cam0" / "data.csv",),
         },
     )
 

@@ -45,22 +45,16 @@ def test_the_same_command_goes_on_and_reads_no_image_twice(
     assert not out.exists()
     there = len(list(hidden.rglob("*.png")))
     assert 0 < there <= 5
+    if isinstance(error, OSError):
+        # another import starts over
+        monkeypatch.undo()
+        imported([small_sequence], out, every=2)
+        assert len(original(out).files[0]) == 3 and not hidden.exists()
+        return
     read = stop_after(monkeypatch, 100, error)
     imported([small_sequence], out)
     assert len(read) == 12 - there and not hidden.exists()
     require_same(original(small_sequence), out)
-
-
-def test_another_import_starts_over(
-    small_sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "back"
-    stop_after(monkeypatch, 5, KeyboardInterrupt())
-    with pytest.raises(KeyboardInterrupt):
-        imported([small_sequence], out)
-    monkeypatch.undo()
-    imported([small_sequence], out, every=2)
-    assert len(original(out).files[0]) == 3 and not (tmp_path / ".back.partial").exists()
 
 
 def test_only_an_unchanged_import_is_replaced(small_sequence: Path, tmp_path: Path) -> None:

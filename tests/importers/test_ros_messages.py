@@ -34,21 +34,17 @@ def decoded(pixels: NDArray[Any], encoding: str, padding: int = 0, is_bigendian:
     return image.pixels
 
 
-@pytest.mark.parametrize("padding", [0, 5])
-def test_grey_and_colour(padding: int) -> None:
-    np.testing.assert_array_equal(decoded(GREY, "mono8", padding), GREY)
-    np.testing.assert_array_equal(decoded(GREY, "8UC1", padding), GREY)
-    np.testing.assert_array_equal(decoded(RGB, "rgb8", padding), LUMA)
-    np.testing.assert_array_equal(decoded(RGB[..., ::-1], "bgr8", padding), LUMA)
-    alpha = np.dstack([RGB[..., ::-1], GREY])
-    np.testing.assert_array_equal(decoded(alpha, "bgra8", padding), LUMA)
-
-
-def test_sixteen_bits_in_either_order_and_brightness_beside_colours() -> None:
+def test_grey_colour_sixteen_bits_in_either_order_and_brightness_beside_colours() -> None:
+    for padding in (0, 5):
+        for encoding in ("mono8", "8UC1"):
+            np.testing.assert_array_equal(decoded(GREY, encoding, padding), GREY)
+        np.testing.assert_array_equal(decoded(RGB, "rgb8", padding), LUMA)
+        np.testing.assert_array_equal(decoded(RGB[..., ::-1], "bgr8", padding), LUMA)
+        alpha = np.dstack([RGB[..., ::-1], GREY])
+        np.testing.assert_array_equal(decoded(alpha, "bgra8", padding), LUMA)
     deep = RNG.integers(0, 2**16, (6, 8)).astype(np.uint16)
     np.testing.assert_array_equal(decoded(deep.astype("<u2"), "mono16"), deep)
     np.testing.assert_array_equal(decoded(deep.astype(">u2"), "16UC1", is_bigendian=1), deep)
-    # brightness beside colour differences
     both = np.dstack([np.full_like(GREY, 128), GREY])
     np.testing.assert_array_equal(decoded(both, "yuv422"), GREY)
     np.testing.assert_array_equal(decoded(both[..., ::-1], "yuv422_yuy2"), GREY)

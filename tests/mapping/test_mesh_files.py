@@ -9,6 +9,9 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.visual import ColorVisuals
 
+from polhode.files.foreign_meshes import open_mesh
+from polhode.files.foreign_meshes.unsound import MeshLimits
+from polhode.mapping import mesh_files
 from polhode.mapping.fusion.surface_extraction import empty_surface
 from polhode.mapping.mesh_files import read_mesh, read_ply, write_glb, write_ply
 from polhode.records.surface import SurfaceModel
@@ -90,21 +93,15 @@ def test_a_mesh_of_an_earlier_version_is_read_and_an_empty_one_written(
     assert (tmp_path / "mesh.ply").read_bytes().startswith(b"ply\n")
 
 
-def test_a_run_reads_its_own_mesh_where_one_of_others_would_be_too_large(tmp_path: Path) -> None:
-    side = 1002
-    x, y = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
-    corner = (x * side + y)[:-1, :-1].ravel()
-    faces = np.concatenate(
-        [corner[:, None] + np.array(steps) for steps in ([0, side, 1], [1, side, side + 1])]
-    )
-    vertices = np.column_stack([x.ravel(), y.ravel(), np.zeros(side**2)]) * 1e-3
-    mesh = trimesh.Trimesh(
-        vertices, faces, vertex_normals=np.tile([0.0, 0.0, 1.0], (side**2, 1)), process=False
-    )
-    write_ply(SurfaceModel(mesh, np.full(side**2, 1e-3), np.ones(side**2, int)), tmp_path / "mesh.ply")
-    with pytest.raises(InputError, match="2004002 triangles, where 2000000 are allowed"):
+def test_a_run_reads_its_own_mesh_where_one_of_others_would_be_too_large(
+    surface: SurfaceModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = MeshLimits(2**26, 4000, 200)
+    monkeypatch.setattr(mesh_files, "open_mesh", lambda path, limits=few: open_mesh(path, limits))
+    write_ply(surface, tmp_path / "mesh.ply")
+    with pytest.raises(InputError, match="320 triangles, where 200 are allowed"):
         read_mesh(tmp_path / "mesh.ply", 1.0)
-    assert np.array_equal(read_ply(tmp_path / "mesh.ply").mesh.faces, faces)
+    assert np.array_equal(read_ply(tmp_path / "mesh.ply").mesh.faces, surface.mesh.faces)
 
 
 def test_files_that_are_no_mesh_of_a_run_are_refused_in_one_line(

@@ -26,7 +26,7 @@ def drawn(method: str, **settings: Any) -> Factor:
     )
 
 
-def test_lists_and_ranges() -> None:
+def test_lists_ranges_and_variants() -> None:
     assert levels(values=("a", 1, 2.5, (0, 1))) == ["a", 1, 2.5, [0, 1]]
     assert levels(range=(1.0, 2.0), count=5) == [1.0, 1.25, 1.5, 1.75, 2.0]
     found = np.array(levels(log_range=(0.01, 100.0), count=5))
@@ -38,6 +38,17 @@ def test_lists_and_ranges() -> None:
     for values in ({"values": (3, 4, 3)}, {"range": (1, 3), "count": 10}):
         with pytest.raises(InputError, match=r"the value . comes twice"):
             levels("scene.frames", **values)
+    # variants set several settings under one name
+    named = {"small": {"scene": {"body": {"size_m": 0.1}}}, "far": {"scene.frames": 3}}
+    factor = factor_of_axis("target", Axis.model_validate({"variants": named}), "study.yaml")
+    assert factor.values == (("small",), ("far",))
+    assert factor.changes == ({"scene.body.size_m": 0.1}, {"scene.frames": 3})
+    assert factor.settings == {"scene.body.size_m", "scene.frames"}
+    # validity is tried at the ends of numbers and at every listed word
+    numbers = factor_of_axis("a.b", Axis(uniform=(0, 1), count=1000), "")
+    drawn = [row[0] for row in numbers.values]
+    assert set(numbers.extremes()) == {0, drawn.index(min(drawn)), drawn.index(max(drawn))}
+    assert list(factor_of_axis("a.b", Axis(values=("x", "y", "z")), "").extremes()) == [0, 1, 2]
 
 
 def test_draws_follow_their_seed_and_two_axes_with_one_seed_are_independent() -> None:
@@ -68,20 +79,3 @@ def test_designs_fill_their_settings_evenly() -> None:
     assert discrepancy == sorted(discrepancy)
     factor = drawn("latin_hypercube", **{"backend.solver": {"values": ["ipopt", "gauss_newton"]}})
     assert [row[0] for row in factor.values].count("ipopt") == COUNT // 2
-
-
-def test_variants_set_several_settings_under_one_name() -> None:
-    axis = Axis.model_validate(
-        {"variants": {"small": {"scene": {"body": {"size_m": 0.1}}}, "far": {"scene.frames": 3}}}
-    )
-    factor = factor_of_axis("target", axis, "study.yaml")
-    assert factor.values == (("small",), ("far",))
-    assert factor.changes == ({"scene.body.size_m": 0.1}, {"scene.frames": 3})
-    assert factor.settings == {"scene.body.size_m", "scene.frames"}
-
-
-def test_validity_is_tried_at_the_ends_of_numbers_and_at_every_listed_word() -> None:
-    numbers = factor_of_axis("a.b", Axis(uniform=(0, 1), count=1000), "")
-    values = [row[0] for row in numbers.values]
-    assert set(numbers.extremes()) == {0, values.index(min(values)), values.index(max(values))}
-    assert list(factor_of_axis("a.b", Axis(values=("x", "y", "z")), "").extremes()) == [0, 1, 2]

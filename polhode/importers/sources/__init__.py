@@ -8,7 +8,7 @@ what else a recording holds.
 - image_folders: two folders of images
 - euroc: a folder in the layout of EuRoC, or a dataset
 - tum_rgbd: a folder of TUM's RGB-D benchmark, one camera with depth
-- ros_bag: bags of ROS 1 and ROS 2, over ros_messages (images, poses) and ros_frames (tf)
+- ros_bag: bags of ROS 1 and ROS 2, over ros_messages (images, poses, tf)
 - video: one side-by-side video, or two videos
 - stamp_files: tables of timestamps
 """

@@ -10,7 +10,7 @@ import numpy as np
 
 from polhode.files.tables import attitudes_of, read_listing, read_table
 from polhode.geometry.lie import make_pose
-from polhode.importers.calibrations.euroc import read_euroc_camera
+from polhode.importers.calibrations.read_rig import read_euroc_camera
 from polhode.importers.calibrations.rig import Rig, with_virtual_camera
 from polhode.importers.sources.image_folders import ImageFiles
 from polhode.importers.sources.recording import Contents, Poses

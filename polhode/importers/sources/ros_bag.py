@@ -17,7 +17,6 @@ from polhode.importers.calibrations.camera_info import CameraInfo, rig_of
 from polhode.importers.calibrations.rig import Rig
 from polhode.importers.options import ImportOptions
 from polhode.importers.sources.recording import Contents, FramedImage, Poses, Wanted
-from polhode.importers.sources.ros_frames import Frames, plain
 from polhode.importers.sources.ros_messages import (
     CAMERA_INFO,
     COMPRESSED,
@@ -25,8 +24,10 @@ from polhode.importers.sources.ros_messages import (
     POSES,
     RAW,
     TRANSFORMS,
+    Frames,
     header_ns,
     image_of,
+    plain,
     pose_of,
     stamp_of,
 )

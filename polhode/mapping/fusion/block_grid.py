@@ -39,12 +39,6 @@ def unpack_keys(keys: Int64[Tensor, " n"]) -> Int64[Tensor, "n 3"]:
     return torch.stack([keys >> (2 * _BITS), (keys >> _BITS) & mask, keys & mask], dim=1) - HALF
 
 
-def voxel_offsets(device: torch.device) -> Int64[Tensor, "512 3"]:
-    """(512, 3) int64: voxel indices inside a block, last axis fastest."""
-    axis = torch.arange(EDGE, device=device)
-    return torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).reshape(-1, 3)
-
-
 class BlockGrid:
     """Blocks in the order of their allocation: keys (n,), and float32 values (n, 512, 8).
 
@@ -56,43 +50,37 @@ class BlockGrid:
     FREE: sum of the weights of frames that saw through it, at the truncation distance in front.
     """
 
-    def __init__(self, voxel_m: float, device: torch.device, memory_mib: float) -> None:
+    def __init__(self, voxel_m: float, memory_mib: float) -> None:
         self.voxel_m = voxel_m
         # Truncation distance behind the surface; short, so that the two sides of a thin panel do not mix
         self.front_m, self.behind_m = TRUNCATION_VOXELS * voxel_m, 3.0 * voxel_m
-        self.device = device
         self.most = max(1, int(memory_mib * 2**20 / BYTES_PER_BLOCK))
         self.refused = 0
         """Blocks that did not fit in the memory"""
         self._n = 0
         self._values = self._empty(0)
-        self._keys = torch.zeros(0, dtype=torch.int64, device=device)
+        self._keys = torch.zeros(0, dtype=torch.int64)
         self._sorted = self._keys[:0]
         self._order = self._keys[:0]
 
     def _empty(self, blocks: int) -> Float32[Tensor, "n 512 8"]:
-        if self.device.type == "cpu":
-            # NumPy's zeros take no memory until they are touched
-            return torch.from_numpy(np.zeros((blocks, VOXELS, CHANNELS), dtype=np.float32))
-        return torch.zeros((blocks, VOXELS, CHANNELS), device=self.device)
+        # NumPy's zeros take no memory until they are touched
+        return torch.from_numpy(np.zeros((blocks, VOXELS, CHANNELS), dtype=np.float32))
 
     def _reserve(self, blocks: int) -> None:
-        """Reserve memory for this many blocks.
-
-        On the processor for all that there may ever be, so that none is copied; where memory that is not
-        touched counts too, it grows by half at least, so that copies are rare.
-        """
+        """Reserve memory for all blocks that there may ever be, so that none is copied; where memory that is
+        not touched counts too, for these, growing by half at least, so that copies are rare."""
         room = len(self._values)
         if blocks <= room:
             return
         # blocks, 16 MiB
         grown = min(self.most, max(blocks, room + room // 2, 1024))
         values = None
-        if self.device.type == "cpu" and room == 0:
+        if room == 0:
             with suppress(MemoryError):
                 values = self._empty(self.most)
         values = self._empty(grown) if values is None else values
-        keys = torch.zeros(len(values), dtype=torch.int64, device=self.device)
+        keys = torch.zeros(len(values), dtype=torch.int64)
         values[: self._n], keys[: self._n] = self.values, self.keys
         self._values, self._keys = values, keys
 

@@ -19,7 +19,7 @@ from polhode.records.surface import DepthMap
 
 @dataclass(frozen=True)
 class FrameTensors:
-    """A depth map on the device, cropped to the target; images (h, w)."""
+    """A depth map, cropped to the target; images (h, w)."""
 
     depth_m: Float32[Tensor, "h w"]
     """0 where unknown"""
@@ -51,11 +51,10 @@ class FrameTensors:
 def frame_tensors(
     frame: DepthMap,
     rig: RectifiedRig,
-    device: torch.device,
     covariance_R: Array | None = None,
     arm_R: Array | None = None,
 ) -> FrameTensors | None:
-    """Crop and upload a depth map; None when it has no depth.
+    """Crop a depth map; None when it has no depth.
 
     covariance_R (6, 6): of the target's pose in the rectified camera, translation [m] and rotation [rad] in
     R, the rotation about ``arm_R`` (3,) [m], the origin of G in R; None: exact.
@@ -66,9 +65,9 @@ def frame_tensors(
     v0, u0 = crop[0].start, crop[1].start
     depth_m, sigma_m = frame.depth_m[crop], frame.sigma_m[crop]
     known = _known(depth_m, sigma_m)
-    seen = torch.from_numpy(known).to(device)
-    depth = torch.from_numpy(np.where(known, depth_m, 0.0).astype(np.float32)).to(device)
-    sigma = torch.from_numpy(np.where(known, sigma_m, 1.0).astype(np.float32)).to(device)
+    seen = torch.from_numpy(known)
+    depth = torch.from_numpy(np.where(known, depth_m, 0.0).astype(np.float32))
+    sigma = torch.from_numpy(np.where(known, sigma_m, 1.0).astype(np.float32))
     normal, ray = _normals(depth, seen, rig, u0, v0)
     cosine = (normal * ray).sum(0).abs().clamp(0.17, 1.0)
     variance, doubt = (sigma * cosine).square(), 0.0
@@ -85,7 +84,7 @@ def frame_tensors(
         depth_m=depth,
         weight=seen / variance,
         cosine=cosine,
-        intensity=torch.from_numpy(frame.intensity[crop].astype(np.float32)).to(device),
+        intensity=torch.from_numpy(frame.intensity[crop].astype(np.float32)),
         u0=u0,
         v0=v0,
         sigma_m=sigma,
@@ -137,8 +136,8 @@ def _normals(
     whole = share > 0.7
     du, dv = torch.where(whole, du, 0.0), torch.where(whole, dv, 0.0)
     h, w = depth.shape
-    x = (torch.arange(w, device=depth.device) + u0 - rig.cx_px)[None, :].expand(h, w)
-    y = (torch.arange(h, device=depth.device) + v0 - rig.cy_px)[:, None].expand(h, w)
+    x = (torch.arange(w) + u0 - rig.cx_px)[None, :].expand(h, w)
+    y = (torch.arange(h) + v0 - rig.cy_px)[:, None].expand(h, w)
     # 1/z = a x + b y + c over pixels: the plane's normal is (a f, b f, c'), c' the value at the centre.
     normal = torch.stack([du * rig.focal_px, dv * rig.focal_px, smooth - du * x - dv * y])
     ray = torch.stack([x, y, torch.full_like(x, rig.focal_px)])
@@ -156,8 +155,8 @@ def _pose_variance(
 ) -> Float32[Tensor, "h w"]:
     """Variance of the distance along the normal, n . (dt + dtheta x (p - arm)) [m^2]."""
     p = ray / ray[2] * depth
-    origin = torch.as_tensor(arm_R, dtype=torch.float32, device=depth.device)
+    origin = torch.as_tensor(arm_R, dtype=torch.float32)
     lever = torch.linalg.cross(p - origin[:, None, None], normal, dim=0)
     row = torch.cat([normal, lever])
-    S = torch.as_tensor(covariance_R, dtype=torch.float32, device=depth.device)
+    S = torch.as_tensor(covariance_R, dtype=torch.float32)
     return (row * torch.einsum("ij,jhw->ihw", S, row)).sum(0).clamp_min(0.0)

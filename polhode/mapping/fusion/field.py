@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from itertools import chain, islice
 
 import numpy as np
-import torch
 import trimesh
 
 from polhode.config.mapping_settings import Mapping
@@ -27,7 +26,6 @@ from polhode.mapping.fusion.surface_extraction import empty_surface, extract_sur
 from polhode.mapping.fusion.vertex_sigma import separate_sides, vertex_sigma
 from polhode.mapping.fusion.vertex_views import views_of_vertices
 from polhode.records.surface import AlignedPoses, DepthMap, SurfaceModel
-from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress, Silent
 
 ALIGN_FROM = 0.5
@@ -71,7 +69,7 @@ class Field:
         self._frames = self._evicted = 0
 
     def _empty(self) -> BlockGrid:
-        return BlockGrid(self._voxel_m, choose_device(self.config), self.config.memory_mib)
+        return BlockGrid(self._voxel_m, self.config.memory_mib)
 
     @property
     def bytes(self) -> int:
@@ -96,7 +94,7 @@ class Field:
         covariance_R = None if known else np.diag([self._grid.front_m**2] * 3 + [0.0] * 3)
         if covariance_G is not None and known:
             covariance_R = _turned(covariance_G, X_RG[:3, :3])
-        tensors = frame_tensors(frame, self.rig, self._grid.device, covariance_R, X_RG[:3, 3])
+        tensors = frame_tensors(frame, self.rig, covariance_R, X_RG[:3, 3])
         if tensors is None:
             self.without_depth += 1
             return False
@@ -224,7 +222,7 @@ class Field:
         """G in F (4, 4) such that few frames are displaced since they were fused, and which those are."""
         X_RF = np.stack([self._kept[int(k)].X_RF for k in numbers])
         # of the box around the blocks
-        centres = self._grid.centres_m().cpu().numpy().astype(np.float64)
+        centres = self._grid.centres_m().numpy().astype(np.float64)
         corners = np.asarray(trimesh.bounds.corners([centres.min(axis=0), centres.max(axis=0)]))
         best = self._X_FG, np.ones(len(numbers), dtype=bool)
         between = inverse_pose(X_RF) @ X_RG
@@ -320,17 +318,6 @@ def _turned(covariance: Array, R: Array) -> Array:
     both = np.zeros((6, 6))
     both[:3, :3] = both[3:, 3:] = R
     return np.asarray(both @ covariance @ both.T)
-
-
-def choose_device(config: Mapping) -> torch.device:
-    """The configured device; auto takes a GPU when there is one.
-
-    Raises InputError: cuda without any GPU.
-    """
-    there = torch.cuda.is_available()
-    if config.device == "cuda" and not there:
-        raise InputError("mapping.device is cuda, but torch finds no GPU: set cpu or auto")
-    return torch.device("cuda" if there and config.device != "cpu" else "cpu")
 
 
 Frame = tuple[DepthMap, Array]

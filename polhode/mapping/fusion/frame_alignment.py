@@ -54,7 +54,7 @@ class FieldSamples:
 
 @dataclass(frozen=True)
 class FieldLookup:
-    """A field on the processor, in its frame F, evaluated at points of G."""
+    """A field in its frame F, evaluated at points of G."""
 
     values: NDArray[np.float32]
     """(n, 512, 8)"""
@@ -71,10 +71,10 @@ class FieldLookup:
 
     @staticmethod
     def of(grid: BlockGrid, X_FG: Array, carved_share: float) -> "FieldLookup":
-        """A view of the present field; a copy only where it is on another device."""
-        keys = grid.keys.cpu().numpy()
+        """A view of the present field."""
+        keys = grid.keys.numpy()
         order = np.argsort(keys)
-        values = grid.values.cpu().numpy()
+        values = grid.values.numpy()
         return FieldLookup(values, keys[order], order, grid.voxel_m, grid.front_m, carved_share, X_FG)
 
     def __call__(self, points_G: Array) -> FieldSamples:
@@ -231,8 +231,8 @@ def align(
 
 def depth_points(frame: FrameTensors, X_RG: Array, rig: RectifiedRig) -> DepthPoints:
     """Evenly spaced pixels; ``frame`` keeps its sigma; X_RG (4, 4) the pose as given."""
-    depth = frame.depth_m.cpu().numpy().astype(np.float64)
-    pixel = np.flatnonzero(frame.weight.cpu().numpy() > 0)
+    depth = frame.depth_m.numpy().astype(np.float64)
+    pixel = np.flatnonzero(frame.weight.numpy() > 0)
     count = min(len(pixel), 3000)
     some = pixel[np.linspace(0, len(pixel) - 1, count).astype(int)]
     v, u = np.divmod(some, depth.shape[1])
@@ -243,7 +243,7 @@ def depth_points(frame: FrameTensors, X_RG: Array, rig: RectifiedRig) -> DepthPo
     # and effects of light and slant extend farther (docs/mapping.md has the figures)
     return DepthPoints(
         p_G=transform_points(inverse_pose(X_RG), p_R),
-        variance_m2=frame.own_sigma_m.cpu().numpy().astype(np.float64)[v, u] ** 2,
+        variance_m2=frame.own_sigma_m.numpy().astype(np.float64)[v, u] ** 2,
         independent=min(1.0, len(pixel) / (12**2 * max(count, 1))),
     )
 

@@ -1,7 +1,6 @@
 """Integration of a frame into the field: blocks near its surface are allocated, all visible voxels updated.
 
-After Curless and Levoy, SIGGRAPH 1996. Each operation is written twice, and tests compare the two: compiled
-loops for the processor, and tensors for any other device.
+After Curless and Levoy, SIGGRAPH 1996, in compiled loops.
 """
 
 import numpy as np
@@ -24,29 +23,44 @@ from polhode.mapping.fusion.block_grid import (
     HALF,
     SQUARE,
     VIEWS,
-    VOXELS,
     WEIGHT,
     WEIGHT_SQUARED,
     BlockGrid,
-    pack_keys,
-    unpack_keys,
-    voxel_offsets,
 )
 from polhode.mapping.fusion.depth_frame import FrameTensors
 from polhode.runtime.compiled import compiled_fused_ieee
 
-_CHUNK_BLOCKS = 2048
+Floats = NDArray[np.float32]
+F32 = np.float32
+_EMPTY = -1
+_MASK = 2 * HALF - 1
+_BITS = HALF.bit_length()
+NEAR = (WEIGHT, DISTANCE, SQUARE, VIEWS, COLOUR, COLOUR_WEIGHT, WEIGHT_SQUARED)
+RESIDUE = 1e-5
+"""Share of a removed weight below which the remainder is rounding."""
 
 
-def allocate(
-    grid: BlockGrid, frame: FrameTensors, X_RG: Array, rig: RectifiedRig, in_tensors: bool = False
-) -> None:
-    """Allocate the blocks that the frame's truncation band touches; X_RG (4, 4) target in rectified camera.
-
-    Compiled loops on the processor, unless ``in_tensors``; tensors on other devices.
-    """
-    near = _blocks_near_surface if in_tensors or grid.device.type != "cpu" else _blocks_touched
-    grid.allocate(near(grid, frame, X_RG, rig))
+def allocate(grid: BlockGrid, frame: FrameTensors, X_RG: Array, rig: RectifiedRig) -> None:
+    """Allocate the blocks that the frame's truncation band touches; X_RG (4, 4) of the target."""
+    # steps along a ray through the truncation band, half a block apart
+    front, behind = grid.front_m, grid.behind_m
+    steps = max(2, int(np.ceil((front + behind) / (0.5 * EDGE * grid.voxel_m))) + 1)
+    offsets_m, size = np.linspace(-front, behind, steps), 1 << 15
+    while True:
+        table = np.full(size, _EMPTY, dtype=np.int64)
+        found = touched_keys(
+            frame.depth_m.numpy(),
+            frame.weight.numpy(),
+            _camera(frame, rig),
+            np.ascontiguousarray(inverse_pose(X_RG)),
+            grid.voxel_m,
+            offsets_m,
+            table,
+        )
+        if found >= 0:
+            grid.allocate(torch.from_numpy(np.sort(table[table >= 0])))
+            return
+        size *= 4
 
 
 def integrate(
@@ -56,17 +70,13 @@ def integrate(
     rig: RectifiedRig,
     blocks: tuple[int, int] | None = None,
     remove: bool = False,
-    in_tensors: bool = False,
 ) -> None:
     """Add one frame to the blocks (first, end), None: all, in place, or remove it."""
     start, stop = blocks if blocks is not None else (0, len(grid))
     if start >= stop:
         return
-    pose = torch.as_tensor(X_RG, dtype=torch.float32, device=grid.device)
+    pose = torch.as_tensor(X_RG, dtype=torch.float32)
     index = start + _visible_blocks(grid, frame, pose, rig, slice(start, stop))
-    if in_tensors or grid.device.type != "cpu":
-        _add_in_tensors(grid, index, frame, pose, rig, remove)
-        return
     update_blocks(
         grid.values.numpy(),
         grid.keys.numpy(),
@@ -96,55 +106,6 @@ def _framed(frame: FrameTensors) -> NDArray[np.float32]:
     return out
 
 
-def _offsets_m(grid: BlockGrid) -> Array:
-    """Steps along a ray through the truncation band, half a block apart."""
-    front, behind = grid.front_m, grid.behind_m
-    steps = max(2, int(np.ceil((front + behind) / (0.5 * EDGE * grid.voxel_m))) + 1)
-    return np.linspace(-front, behind, steps)
-
-
-def _blocks_touched(
-    grid: BlockGrid, frame: FrameTensors, X_RG: Array, rig: RectifiedRig
-) -> Int64[Tensor, " n"]:
-    """Keys of the blocks that the truncation band of any depth pixel touches."""
-    size = 1 << 15
-    while True:
-        table = np.full(size, -1, dtype=np.int64)
-        found = touched_keys(
-            frame.depth_m.numpy(),
-            frame.weight.numpy(),
-            _camera(frame, rig),
-            np.ascontiguousarray(inverse_pose(X_RG)),
-            grid.voxel_m,
-            _offsets_m(grid),
-            table,
-        )
-        if found >= 0:
-            return torch.from_numpy(np.sort(table[table >= 0]))
-        size *= 4
-
-
-def _blocks_near_surface(
-    grid: BlockGrid, frame: FrameTensors, X_RG: Array, rig: RectifiedRig
-) -> Int64[Tensor, " n"]:
-    """The same in tensors."""
-    v, u = torch.nonzero(frame.weight > 0, as_tuple=True)
-    z = frame.depth_m[v, u]
-    ray = torch.stack(
-        [(u + frame.u0 - rig.cx_px) / rig.focal_px, (v + frame.v0 - rig.cy_px) / rig.focal_px], -1
-    )
-    ray = torch.cat([ray, torch.ones_like(ray[:, :1])], dim=1)
-    X_GR = torch.as_tensor(inverse_pose(X_RG), dtype=torch.float32, device=grid.device)
-    found = []
-    for offset in _offsets_m(grid):
-        p_G = (ray * (z + float(offset))[:, None]) @ X_GR[:3, :3].T + X_GR[:3, 3]
-        block = torch.floor((torch.round(p_G / grid.voxel_m)) / EDGE)
-        block = block[(block.abs() < HALF - 1).all(dim=1)]
-        found.append(pack_keys(block.to(torch.int64)).unique())
-    keys: Int64[Tensor, " n"] = torch.cat(found).unique()
-    return keys
-
-
 def _visible_blocks(
     grid: BlockGrid, frame: FrameTensors, pose: Float32[Tensor, "4 4"], rig: RectifiedRig, which: slice
 ) -> Int64[Tensor, " n"]:
@@ -166,88 +127,6 @@ def _visible_blocks(
     # where there is no depth around it is 0, and everything lies behind it
     before = p[:, 2] - radius_m <= deepest[row, column] + grid.behind_m
     return torch.nonzero(inside & before, as_tuple=True)[0]
-
-
-def _add_in_tensors(
-    grid: BlockGrid,
-    index: Int64[Tensor, " n"],
-    frame: FrameTensors,
-    pose: Float32[Tensor, "4 4"],
-    rig: RectifiedRig,
-    remove: bool,
-) -> None:
-    """Project every voxel of the blocks ``index`` (n,) into the frame; add the frame there, or remove it."""
-    offsets = voxel_offsets(grid.device).to(torch.float32) * grid.voxel_m
-    sign = -1.0 if remove else 1.0
-    for start in range(0, len(index), _CHUNK_BLOCKS):
-        part = index[start : start + _CHUNK_BLOCKS]
-        _add_part(grid, part, offsets, frame, pose, rig, sign)
-        if remove:
-            values = grid.values[part]
-            taken = float(frame.weight.max())
-            values[..., FREE] *= values[..., FREE] > RESIDUE * taken
-            values[..., :FREE] *= (values[..., VIEWS] > 0.5)[..., None]
-            values[..., VIEWS:] *= (values[..., VIEWS] > 0.5)[..., None]
-            grid.values[part] = values
-
-
-def _add_part(
-    grid: BlockGrid,
-    index: Int64[Tensor, " n"],
-    offsets: Float32[Tensor, "512 3"],
-    frame: FrameTensors,
-    pose: Float32[Tensor, "4 4"],
-    rig: RectifiedRig,
-    sign: float,
-) -> None:
-    corner = (unpack_keys(grid.keys[index]) * EDGE).to(torch.float32) * grid.voxel_m
-    R, t = pose[:3, :3], pose[:3, 3]
-    # Rotating corners and offsets separately saves the large product over all voxels.
-    p = ((corner @ R.T + t)[:, None, :] + offsets @ R.T).reshape(-1, 3)
-    z = p[:, 2]
-    h, w = frame.depth_m.shape
-    u = torch.floor(rig.focal_px * p[:, 0] / z + (rig.cx_px - frame.u0 + 0.5)).to(torch.int64)
-    v = torch.floor(rig.focal_px * p[:, 1] / z + (rig.cy_px - frame.v0 + 0.5)).to(torch.int64)
-    hit = torch.nonzero((z > 0) & (u >= 0) & (u < w) & (v >= 0) & (v < h), as_tuple=True)[0]
-    pixel = v[hit] * w + u[hit]
-    depth = frame.depth_m.reshape(-1)[pixel]
-    seen = torch.nonzero(depth > 0, as_tuple=True)[0]
-    hit, pixel, depth = hit[seen], pixel[seen], depth[seen]
-    distance = (depth - z[hit]) * frame.cosine.reshape(-1)[pixel]
-    keep = torch.nonzero(distance > -grid.behind_m, as_tuple=True)[0]
-    hit, pixel, distance = hit[keep], pixel[keep], distance[keep]
-    weight = sign * frame.weight.reshape(-1)[pixel]
-
-    near = (distance < grid.front_m).to(torch.float32)
-    ramp = ((distance + grid.behind_m) / (grid.behind_m - 0.5 * grid.voxel_m)).clamp(0.0, 1.0)
-    part = weight * near * ramp
-    intensity = frame.intensity.reshape(-1)[pixel]
-    lit = part * exposure_weight(intensity)
-    added = torch.zeros(len(hit), CHANNELS, device=grid.device)
-    added[:, WEIGHT], added[:, DISTANCE] = part, part * distance
-    added[:, SQUARE], added[:, VIEWS] = part * distance.square(), sign * near
-    added[:, FREE] = weight * (1.0 - near) * FREE_SPACE_WEIGHT
-    added[:, COLOUR], added[:, COLOUR_WEIGHT] = lit * intensity, lit
-    added[:, WEIGHT_SQUARED] = sign * part.square()
-    block = torch.div(hit, VOXELS, rounding_mode="floor")
-    grid.values[index[block], hit - block * VOXELS] += added
-
-
-def exposure_weight(intensity: Float32[Tensor, " n"]) -> Float32[Tensor, " n"]:
-    """Weight of an 8-bit intensity: low in shadow and near saturation, never zero."""
-    rise = ((intensity - 8.0) / 40.0).clamp(0.0, 1.0)
-    fall = ((252.0 - intensity) / 20.0).clamp(0.0, 1.0)
-    return 0.01 + rise * fall
-
-
-Floats = NDArray[np.float32]
-_EMPTY = -1
-_MASK = 2 * HALF - 1
-_BITS = HALF.bit_length()
-F32 = np.float32
-NEAR = (WEIGHT, DISTANCE, SQUARE, VIEWS, COLOUR, COLOUR_WEIGHT, WEIGHT_SQUARED)
-RESIDUE = 1e-5
-"""Share of a removed weight below which the remainder is rounding."""
 
 
 @compiled_fused_ieee

@@ -71,7 +71,7 @@ def extract_surface(grid: BlockGrid, config: Mapping, min_views: int) -> Extract
     """
     if len(grid) == 0:
         return None
-    values = grid.values.cpu().numpy()
+    values = grid.values.numpy()
     known = known_voxels(values, grid.voxel_m, config, min_views)
     # in voxels, NaN where it is not known
     weight = values[..., WEIGHT] + values[..., FREE]
@@ -80,7 +80,7 @@ def extract_surface(grid: BlockGrid, config: Mapping, min_views: int) -> Extract
             weight * np.float32(grid.voxel_m)
         )
     distance = np.where(known, mean, np.float32(np.nan)).astype(np.float32, copy=False)
-    first = np.unique(np.floor_divide(unpack_keys(grid.keys).cpu().numpy(), _CHUNK), axis=0) * _CHUNK
+    first = np.unique(np.floor_divide(unpack_keys(grid.keys).numpy(), _CHUNK), axis=0) * _CHUNK
     parts = [part for corner in first if (part := _mesh_chunk(grid, corner, distance)) is not None]
     if not parts:
         return None
@@ -128,7 +128,7 @@ def _mesh_chunk(grid: BlockGrid, first: Ints, distance: Floats) -> tuple[Array, 
     """
     axis = np.arange(_CHUNK + 1)
     block = first + np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    at = grid.find(pack_keys(torch.from_numpy(block)).to(grid.device)).cpu().numpy()
+    at = grid.find(pack_keys(torch.from_numpy(block))).numpy()
     present = np.flatnonzero(at >= 0)
     shape = (_CHUNK + 1,) * 3
     dense = np.full((*shape, EDGE, EDGE, EDGE), np.nan, dtype=np.float32)

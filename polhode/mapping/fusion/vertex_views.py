@@ -94,7 +94,7 @@ def views_of_vertices(
 
 
 def _image(tensor: torch.Tensor) -> Floats:
-    return np.ascontiguousarray(tensor.cpu().numpy())
+    return np.ascontiguousarray(tensor.numpy())
 
 
 def _directions(poses: Sequence[Array], centre: Array) -> tuple[NDArray[np.int64], Floats]:

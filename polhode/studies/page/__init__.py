@@ -2,11 +2,8 @@
 
 In: the study and its table. Out: the page.
 
-- write_page: the page is filled and written
-- sections: the drawings and tables of each part of the page
-- drawings: distributions, dependence, shares, trade-offs
-- consistency: whether errors agree with their standard deviations, over all points
-- variance_shares: how much of a metric's variance each axis explains; Sobol indices by SALib
-- dependence: groups of an axis, their medians and shares with confidence bands
+- write_page: the page is filled and written, its tables are made
+- drawings: metrics along axes, shares of points
+- dependence: groups of an axis: their medians, shares and variance, with confidence bands
 - columns: axes and metrics of a table as numbers, which of them are drawn
 """

@@ -1,4 +1,4 @@
-"""The drawings of the page: distributions, dependence on axes, shares that hold, trade-offs, consistency."""
+"""The drawings of the page: dependence of metrics on axes, shares of points for which something holds."""
 
 import re
 from collections.abc import Sequence
@@ -9,14 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polhode.geometry.lie import Array, Bools, Ints
-from polhode.records.metrics import COVERAGE, COVERAGE_CONSTANTS, NEES
+from polhode.geometry.lie import Array, Bools
 from polhode.report.plot_style import (
     ACCENT,
-    EDGE,
     FAINT,
     INK,
-    SECOND,
     Figure,
     Layout,
     Trace,
@@ -26,54 +23,10 @@ from polhode.report.plot_style import (
     translucent,
 )
 from polhode.studies.page.columns import Axis, Metric
-from polhode.studies.page.consistency import Consistency
 from polhode.studies.page.dependence import Estimate, shares, spreads
 from polhode.studies.table import chosen_rows
 
 HEIGHT_PX = 320
-QUANTITIES = {"com": "centre of mass", "axes": "principal axes", "angular_velocity": "angular velocity"}
-"""Names of quantities with a NEES, where the key is no word"""
-_CONSISTENCY = {
-    NEES: (
-        "NEES",
-        "Right of the expected range: the standard deviations are too small. Left of it: too large. In "
-        "brackets the number of runs.",
-    ),
-    COVERAGE: (
-        "Coverage of the states",
-        "Of position, velocity, attitude and angular velocity in all frames of a run. Left of the expected "
-        "range: the standard deviations are too small.",
-    ),
-    COVERAGE_CONSTANTS: (
-        "Coverage of the constants",
-        "Of inertia, centre of mass and principal axes. Left of the expected range: the standard deviations "
-        "are too small.",
-    ),
-}
-"""Title and caption of the drawing of each group"""
-
-
-def distribution(metric: Metric, key: str) -> Figure:
-    """A histogram, with the median."""
-    known = metric.known
-    values = np.log10(known) if metric.is_logarithmic else known
-    counts, edges = np.histogram(values, bins=int(np.clip(2.0 * len(known) ** 0.5, 5, 40)))
-    edges = 10.0**edges if metric.is_logarithmic else edges
-    low, middle, high = np.quantile(known, [0.1, 0.5, 0.9])
-    data = [
-        _trace(
-            np.repeat(edges, 2), np.concatenate([[0], np.repeat(counts, 2), [0]]), "points",
-            line={"color": ACCENT, "width": 1.4}, fill="toself", fillcolor=translucent(ACCENT, 0.22),
-            hoverinfo="x+y",
-        ),
-        _trace(
-            [middle, middle], [0, counts.max()], f"median {middle:.3g}",
-            line={"color": SECOND, "width": 1.6, "dash": "dash"},
-        ),
-    ]  # fmt: skip
-    caption = f"{len(known)} points; four fifths of them lie between {low:.3g} and {high:.3g}."
-    drawing = layout(xaxis=_axis_of(metric), yaxis=axis("points", rangemode="tozero"))
-    return Figure(key, "Distribution", caption, data, drawing, HEIGHT_PX, wide=False)
 
 
 def dependence(metric: Metric, along: Axis, key: str) -> Figure:
@@ -127,92 +80,6 @@ def share_drawing(along: Axis, holds: Bools, what: str, key: str) -> Figure:
     )
     data, drawing = [*band, _middle(along, found, what)], layout(xaxis=across, yaxis=y, showlegend=False)
     return Figure(key, f"Against {along.name}", caption, data, drawing, 270 + labels_px, wide=False)
-
-
-def trade_off(first: Metric, second: Metric, words: Sequence[str], key: str) -> Figure | None:
-    """Two metrics of each point, and the front: points that no other one is better than in both.
-
-    ``words``: of each point, shown where the pointer rests. None: no point has both.
-    """
-    both = np.flatnonzero(np.isfinite(first.values) & np.isfinite(second.values))
-    if len(both) < 2:
-        return None
-    front = both[
-        front_of(*(-m.values[both] if m.more_is_better else m.values[both] for m in (first, second)))
-    ]
-    ways = [f"{'more' if each.more_is_better else 'less'} {each.title}" for each in (first, second)]
-    caption = (
-        f"{len(both)} points, {len(front)} of them on the front: no other point has {ways[0]} than one of "
-        f"these, and {ways[1]} at the same time."
-    )
-
-    def points(rows: Ints, name: str, color: str, size: int, mode: str = "markers", **more: Any) -> Trace:
-        hover = {"hovertemplate": "%{text}<br>%{x:.4g}, %{y:.4g}<extra></extra>"} | more
-        hover |= {"text": [words[row] for row in rows], "marker": {"color": color, "size": size}}
-        return _trace(first.values[rows], second.values[rows], name, mode, **hover)
-
-    # the front has all of its points
-    shown, line = both[chosen_rows(len(both), 1000)], {"color": SECOND, "width": 1.4, "dash": "dot"}
-    data = [
-        points(shown, "points", translucent(ACCENT, 0.4), 5),
-        points(front, "Pareto front", SECOND, 7, "lines+markers", line=line),
-    ]
-    drawing = layout(xaxis=_axis_of(first), yaxis=_axis_of(second, beside=True))
-    title = f"{second.title} against {first.title}"
-    return Figure(key, title, caption, data, drawing, 360, wide=False)
-
-
-def front_of(first: Array, second: Array) -> Ints:
-    """Indices of the points that no other one is below in both (n,), by ascending ``first``; of equal points
-    the first one."""
-    order = np.lexsort((second, first))
-    best = np.minimum.accumulate(second[order])
-    is_new = np.concatenate([[True], second[order][1:] < best[:-1]])
-    return np.asarray(order[is_new])
-
-
-def consistency_drawing(found: Sequence[Consistency], group: str, key: str) -> Figure:
-    """Of each quantity the mean with its band, beside where it is expected."""
-    scale = np.array([each.expected if group == NEES else 1.0 for each in found])
-    value, low, high, expected_low, expected_high = (
-        np.array([getattr(each, name) for each in found]) / scale
-        for name in ("mean", "low", "high", "expected_low", "expected_high")
-    )
-    place = np.arange(len(found), dtype=np.float64)[::-1]
-    expected = [
-        _trace(
-            ends, [at, at], "expected, if the standard deviations are right", hoverinfo="x",
-            line={"color": EDGE, "width": 11},
-        )
-        for *ends, at in zip(expected_low, expected_high, place, strict=True)
-    ]  # fmt: skip
-    known = np.isfinite(low) & np.isfinite(high)
-    bars = {
-        "type": "data",
-        "symmetric": False,
-        "array": packed(np.where(known, high - value, 0.0), "f8"),
-        "arrayminus": packed(np.where(known, value - low, 0.0), "f8"),
-        "color": ACCENT,
-        "thickness": 2.0,
-        "width": 0,
-    }
-    marker = {"color": ACCENT, "size": 8}
-    name = "mean over the runs, with its 95 % band"
-    means = _trace(value, place, name, "markers", error_x=bars, marker=marker)
-    names = [f"{QUANTITIES.get(each.name, each.name)} ({each.runs})" for each in found]
-    ticks = {"tickvals": place.tolist(), "ticktext": names, "range": [-0.6, len(found) - 0.4]}
-    if group == NEES:
-        ends = np.concatenate([value, low, high, [1.0]])
-        ratios = _by_ratio(ends[np.isfinite(ends) & (ends > 0.0)])
-        across = axis("mean NEES over its number of components", **ratios)
-    else:
-        across = axis("share within three standard deviations", tickformat=".1%")
-    at = 1.0 if group == NEES else found[0].expected
-    line = {"color": FAINT, "width": 1, "dash": "dot"}
-    upright = {"type": "line", "x0": at, "x1": at, "y0": 0, "y1": 1, "yref": "paper", "line": line}
-    drawing = layout(xaxis=across, yaxis=axis("", **ticks), shapes=[upright])
-    height = 120 + 34 * len(found)
-    return Figure(key, *_CONSISTENCY[group], [*expected, means], drawing, height, wide=False)
 
 
 def _trace(x: ArrayLike, y: ArrayLike, name: str, mode: str = "lines", **more: Any) -> Trace:

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 import trimesh
 
 from polhode.config.mapping_settings import Mapping
@@ -25,7 +24,7 @@ from polhode.records.surface import DepthMap
 from tests.mapping.analytic_depth import DISTANCE_M, FINE_RIG, depth_of, views_of
 
 VOXEL_M = 1.5e-3
-CONFIG = Mapping(voxel_mm=VOXEL_M * 1e3, device="cpu", shared_sigma=0.0, relief_sigma=0.0, border_sigma=0.0)
+CONFIG = Mapping(voxel_mm=VOXEL_M * 1e3, shared_sigma=0.0, relief_sigma=0.0, border_sigma=0.0)
 SHIFT_M, TURN_RAD = 3e-3, np.deg2rad(1.0)
 PRIOR = np.diag([SHIFT_M**2] * 3 + [TURN_RAD**2] * 3)
 SHARE = 0.3
@@ -53,7 +52,7 @@ def surface_of(mesh: trimesh.Trimesh) -> FieldLookup:
 
 
 def aligned(depth: DepthMap, X_RG: Array, surface: FieldLookup, prior: Array = PRIOR) -> FrameAlignment:
-    tensors = frame_tensors(depth, FINE_RIG, torch.device("cpu"))
+    tensors = frame_tensors(depth, FINE_RIG)
     assert tensors is not None
     return align(depth_points(tensors, X_RG, FINE_RIG), prior, surface, SHARE)
 
@@ -90,9 +89,14 @@ def test_the_derivative_is_that_of_the_distance() -> None:
     np.testing.assert_allclose(distances(x, p_G, sphere_at)[1], np.column_stack(numeric), atol=1e-8)
 
 
-def test_the_field_between_voxels(body: trimesh.Trimesh) -> None:
-    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.05)
-    surface = surface_of(ball)
+@pytest.fixture(scope="module")
+def ball() -> tuple[trimesh.Trimesh, FieldLookup]:
+    mesh = trimesh.creation.icosphere(subdivisions=5, radius=0.05)
+    return mesh, surface_of(mesh)
+
+
+def test_the_field_between_voxels(ball: tuple[trimesh.Trimesh, FieldLookup]) -> None:
+    surface = ball[1]
     rng = np.random.default_rng(0)
     normal = rng.normal(size=(400, 3))
     normal /= np.linalg.norm(normal, axis=1)[:, None]
@@ -123,7 +127,7 @@ def test_the_field_between_voxels(body: trimesh.Trimesh) -> None:
 
 def test_a_pose_that_is_off_is_found_again_within_its_sigma(body: trimesh.Trimesh, seen: FieldLookup) -> None:
     nees, errors = [], []
-    for seed in range(12):
+    for seed in range(8):
         depth, truth, wrong = view(body, seed)
         found = aligned(depth, wrong, seen)
         assert found.refused is None
@@ -153,10 +157,9 @@ def test_a_pose_that_is_off_is_found_again_within_its_sigma(body: trimesh.Trimes
     assert np.linalg.norm(off(found.apply(wrong), truth)[:3]) < 0.8e-3
 
 
-def test_a_balls_turn_stays_at_the_prior() -> None:
-    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.05)
-    depth, truth, wrong = view(ball, 3)
-    found = aligned(depth, wrong, surface_of(ball))
+def test_a_balls_turn_stays_at_the_prior(ball: tuple[trimesh.Trimesh, FieldLookup]) -> None:
+    depth, truth, wrong = view(ball[0], 3)
+    found = aligned(depth, wrong, ball[1])
     assert found.refused is None
     # the shift that a turn about the origin leaves alone is found, and the turn is not touched
     assert np.linalg.norm(off(found.apply(wrong), truth)[:3]) < 0.3e-3
@@ -184,7 +187,7 @@ def test_sliding_on_a_plane_stays_at_the_prior() -> None:
 
 
 def test_depth_that_is_wrong_in_a_third_of_the_image(body: trimesh.Trimesh, seen: FieldLookup) -> None:
-    for seed in range(4):
+    for seed in range(2):
         depth, truth, wrong = view(body, seed)
         rng = np.random.default_rng(seed)
         # some far off, some by as much as the field reaches
@@ -230,12 +233,8 @@ def test_doubtful_frames_are_aligned_before_the_surface_is_made(body: trimesh.Tr
     poses = found.aligned.put_into(np.stack([X for _, X in frames]))
     for k, (_, X_RG) in enumerate(exact):
         assert np.linalg.norm(off(poses[k], X_RG)[:3]) < (1e-3 if k % 3 == 0 else 1e-12)
-    again = fuse(frames, FINE_RIG, CONFIG, covariance_G=covariance)
-    np.testing.assert_array_equal(again.mesh.vertices, found.mesh.vertices)
-
-
-def test_where_no_pose_or_every_pose_is_in_doubt_nothing_changes(body: trimesh.Trimesh) -> None:
-    frames = views_of(body, 8, sigma_m=1e-3, rig=FINE_RIG)
+    # where no pose is in doubt nothing changes
+    frames = exact[:8]
     covariance = np.tile(0.003 * PRIOR, (8, 1, 1))
     off_, on = (
         fuse(frames, FINE_RIG, CONFIG.model_copy(update={"align": align}), covariance_G=covariance)
@@ -245,7 +244,6 @@ def test_where_no_pose_or_every_pose_is_in_doubt_nothing_changes(body: trimesh.T
     np.testing.assert_array_equal(on.mesh.vertices, off_.mesh.vertices)
     np.testing.assert_array_equal(on.sigma_m, off_.sigma_m)
     # where every pose is in doubt there is nothing to align to
-    frames = views_of(body, 8, sigma_m=1e-3, rig=FINE_RIG)
     found = fuse(frames, FINE_RIG, CONFIG, covariance_G=np.tile(PRIOR, (8, 1, 1)))
     assert found.aligned is not None and found.aligned.doubtful == 8
     assert len(found.aligned.frames) == 0 and found.aligned.X_RG.shape == (0, 4, 4)

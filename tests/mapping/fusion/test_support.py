@@ -84,7 +84,7 @@ def test_thin_parts_beside_the_body_stay() -> None:
     boom.apply_translation((0.0, 0.0, 0.16))
     both = trimesh.util.concatenate([body, boom])
     assert isinstance(both, trimesh.Trimesh)
-    config = Mapping(voxel_mm=VOXEL_M * 1e3, device="cpu")
+    config = Mapping(voxel_mm=VOXEL_M * 1e3)
     field = Field(RIG, config, VOXEL_M)
     for depth, X_RG in views_of(both, 24, sigma_m=5e-4):
         field.add(depth, X_RG)
@@ -94,8 +94,8 @@ def test_thin_parts_beside_the_body_stay() -> None:
     assert np.quantile(distance_to_surface(surface.mesh, sides), 0.9) < VOXEL_M
 
 
-def test_poses_that_all_scatter_give_a_surface_still() -> None:
-    config = Mapping(voxel_mm=1.0, device="cpu", agreeing_voxels=0.01, scatter_voxels=0.05)
+def test_poses_that_all_scatter_give_a_surface_still_and_a_speck_is_none() -> None:
+    config = Mapping(voxel_mm=1.0, agreeing_voxels=0.01, scatter_voxels=0.05)
     box = trimesh.creation.box((0.1, 0.1, 0.1))
     depth, X_RG = views_of(box, 1, sigma_m=1e-3)[0]
     field = Field(RIG, config, 1e-3)
@@ -106,15 +106,10 @@ def test_poses_that_all_scatter_give_a_surface_still() -> None:
     assert surface.warnings == ()
     seen = (depth.depth_m > 0).sum() * (np.nanmedian(depth.depth_m) / RIG.focal_px) ** 2
     assert surface.mesh.area > 0.7 * seen
-
-
-def test_a_speck_is_no_surface_and_is_told() -> None:
-    box = trimesh.creation.box((0.1, 0.1, 0.1))
-    depth, X_RG = views_of(box, 1, sigma_m=1e-3)[0]
     row, column = np.argwhere(depth.depth_m > 0).mean(axis=0).astype(int)
     speck = np.full_like(depth.depth_m, np.nan)
     speck[row : row + 2, column : column + 2] = depth.depth_m[row : row + 2, column : column + 2]
-    field = Field(RIG, Mapping(voxel_mm=1.0, device="cpu"), 1e-3)
+    field = Field(RIG, Mapping(voxel_mm=1.0), 1e-3)
     for _ in range(4):
         field.add(replace(depth, depth_m=speck), X_RG)
     surface = field.surface()

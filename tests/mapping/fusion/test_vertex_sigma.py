@@ -191,7 +191,7 @@ def test_vertices_seen_from_behind_are_moved_to_what_frames_in_front_of_them_say
 def test_both_sides_of_a_thin_panel_lie_where_they_are() -> None:
     panel = trimesh.creation.box((0.12, 0.10, 0.006))
     panel.apply_transform(trimesh.transformations.random_rotation_matrix(np.array([0.2, 0.6, 0.4])))
-    config = Mapping(voxel_mm=3.0, device="cpu")
+    config = Mapping(voxel_mm=3.0)
     found = fuse(views_of(panel, 30, sigma_m=1e-3), RIG, config)
     off = distance_to_surface(panel, np.asarray(found.mesh.vertices))
     # averaged with each other they are 0.9 mm off

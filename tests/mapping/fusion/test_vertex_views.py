@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 import trimesh
 
 from polhode.geometry.lie import Array, exp_so3, make_pose
@@ -23,7 +22,7 @@ def seen_from(turn_rad: float) -> tuple[FrameTensors, Array]:
     depth = depth_of(plate, X, 0.0, np.random.default_rng(0))
     seen = np.isfinite(depth.depth_m)
     depth.sigma_m[seen] = SIGMA_M
-    tensors = frame_tensors(depth, RIG, torch.device("cpu"))
+    tensors = frame_tensors(depth, RIG)
     assert tensors is not None
     return tensors, X
 
