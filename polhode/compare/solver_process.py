@@ -136,8 +136,8 @@ def solve(problem_file: Path, entry: Entry, case: Values) -> Values:
         status, message = _confirmed(entry, result.converged, result.message, assessed)
         iterations, sigma = result.iterations, sigmas(problem, result.x, result.cov_constants)
     elif status == "timeout":
-        point = "nothing is kept" if kept == "nothing" else f"the {kept} point is kept"
-        message = f"{case['limit_s']:g} s were not enough, {wall:.1f} s of them the solver's own; {point}"
+        words = "nothing is kept" if kept == "nothing" else f"the {kept} point is kept"
+        message = f"{case['limit_s']:g} s were not enough, {wall:.1f} s of them the solver's own; {words}"
     return {
         "status": status,
         "message": " ".join(message.split())[:300],

@@ -71,5 +71,3 @@ def test_the_graph_has_the_common_cost_and_its_gradient(small: MeasuredProblem) 
     # the linear graph's own error changes by the gradient, and by curvature that the difference cancels
     slopes = [linear.error(each) for each in (delta, opposite)]
     assert np.isclose(costs[0] - costs[1], slopes[0] - slopes[1], rtol=1e-4)
-
-

@@ -69,10 +69,10 @@ class _Graph:
         self._costs: list[Any] = []
         for landmark in range(d.n_landmarks):
             at = slice(d.start[landmark], d.start[landmark + 1])
-            k = d.frame[at]
-            data = problem.fixed.A[k], d.R_RN[k], d.t_R[k], d.uvd_px[at], d.inv_sigma[at], d.rig
-            owners = [self.constants + 1 + landmark, *(2 * k).tolist()]
-            self._add(_of_landmark(data, d.robust_scale), 3 * len(k), owners)
+            seen = d.frame[at]
+            data = problem.fixed.A[seen], d.R_RN[seen], d.t_R[seen], d.uvd_px[at], d.inv_sigma[at], d.rig
+            owners = [self.constants + 1 + landmark, *(2 * seen).tolist()]
+            self._add(_of_landmark(data, d.robust_scale), 3 * len(seen), owners)
         for k in range(d.n_frames - 1):
             self._add(_of_block(b.step(k)), 12, [*range(2 * k, 2 * k + 4), self.constants])
         # priors: linear or small, evaluated with the unknowns of other blocks at the start

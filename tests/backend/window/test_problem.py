@@ -114,11 +114,9 @@ def test_rates_far_off_do_not_stop_it_where_frames_follow_fast(solved: tuple[Win
     assert solve_newton(stiff, wrong, 60).cost == pytest.approx(best.cost, abs=0.05)
 
 
-@pytest.mark.parametrize(("inertia", "places"), [("second_moments", 17), ("ratios_axes", 14)])
-def test_same_optimum_as_gauss_newton(
-    tumble: SyntheticSequence, feed: Feed, inertia: str, places: int
-) -> None:
-    window, _ = feed(tumble, 14, inertia=inertia, frames=30)
+@pytest.mark.parametrize("places", [14, 17])
+def test_same_optimum_as_gauss_newton(tumble: SyntheticSequence, feed: Feed, places: int) -> None:
+    window, _ = feed(tumble, 14, frames=30)
     problem, x = problem_of(window)
     away = x + 0.3 * np.random.default_rng(2).normal(0.0, [*[1e-3] * (len(x) - 8), *[2e-3] * 3, *[0.02] * 5])
     # fewer states than places: the others are masked
