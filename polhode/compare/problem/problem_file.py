@@ -18,6 +18,7 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.problem.wrench import Impulses
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.compare.problem.measured_problem import MeasuredProblem
+from polhode.files.array_files import read_arrays
 from polhode.records.truth import Truth
 
 RECORDS: dict[str, type] = {
@@ -47,8 +48,7 @@ def _named(prefix: str, record: Any) -> Iterator[tuple[str, Any]]:
 
 def read_problem(path: Path) -> MeasuredProblem:
     """Read a file of ``write_problem``."""
-    with np.load(path, allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in archive.files}
+    arrays = read_arrays(path)
 
     def field_of(name: str) -> Any:
         if f"{name}." in RECORDS:
