@@ -315,11 +315,7 @@ class _Chain:
         return replace(with_systematic(found, tracks, shared), mass=of_keys.mass)
 
     def _map_errors(self, system: "_System", response: Array) -> Array:
-        """Covariance (F, s + 8, s + 8) of states and constants by the errors of the landmarks, by draws.
-
-        A landmark's error moves all frames that see it, and the dynamics join these with others: as many
-        right-hand sides as landmarks would be exact.
-        """
+        """Covariance (F, s + 8, s + 8) of states and constants by the errors of the landmarks, by draws."""
         d, (n, s) = self.data, system.g.shape
         rng = np.random.default_rng(0)
         errors = np.linalg.cholesky(self.known.covariance) @ rng.standard_normal(

@@ -249,7 +249,6 @@ def _estimate(
         converged=solution.converged,
         message=f"{solution.message}; best hypothesis: {best}",
         runner_up=runner_up | found.wrench_runner_up,
-        constraints=ended.constraints,
         ipopt=solution.program,
     )
     estimate = with_systematic(estimate, tracks, SharedErrors(config.systematic_px, config.focal_error))

@@ -113,8 +113,8 @@ def assemble(
         residuals_px=data.unsorted(residuals / data.inv_sigma),
         inlier_weight=data.unsorted(weight),
         noise=NoiseLevels(
-            float(found.scales.uv * 0.5 * (stated[0] + stated[1])),
-            float(found.scales.disparity * stated[2]),
+            float(found.scales[0] * 0.5 * (stated[0] + stated[1])),
+            float(found.scales[2] * stated[2]),
             data.accel_psd,
             data.torque_psd,
             drift_px=0.0 if correlated is None else correlated.slow / float(np.median(data.inv_sigma[:, 0])),

@@ -11,7 +11,6 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from polhode.backend.outliers_and_noise.noise_and_outliers import (
-    NoiseScales,
     PrunedFit,
     PrunedProblem,
     whitened_residuals,
@@ -25,7 +24,7 @@ from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.robust_kernel import most_efficient_scale
 from polhode.backend.solvers.solve import refine
 from polhode.config.backend_settings import Backend
-from polhode.geometry.lie import Bools, Ints, inverse_pose
+from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
 from polhode.records.estimate import InitialMotion, MotionEstimate
 from polhode.records.tracks import StereoTracks
 
@@ -80,11 +79,8 @@ def solved_again(
 
 def _posed(
     tracks: StereoTracks, whole: MotionEstimate, config: Backend, rows: Bools, frames: Ints
-) -> tuple[StereoTracks, NoiseScales, MotionFit] | None:
-    """The part's tracks, its noise, and its problem where the solution starts. None: too few observations.
-
-    Frames and landmarks are numbered again. The unknowns are the whole's; a known wrench's steps are free.
-    """
+) -> tuple[StereoTracks, Array, MotionFit] | None:
+    """The part's tracks, its noise, and its problem where the solution starts. None: too few observations."""
     rows = rows & (whole.inlier_weight > 0.0) & np.isin(tracks.frame, frames)
     if rows.sum() < MIN_OBSERVATIONS or len(np.unique(tracks.frame[rows])) < 3:
         return None
@@ -113,16 +109,12 @@ def _posed(
     return part, scales, start.with_data(robust_scale=scale)
 
 
-def data_of_part(
-    part: StereoTracks, whole: MotionEstimate, config: Backend
-) -> tuple[MotionData, NoiseScales]:
+def data_of_part(part: StereoTracks, whole: MotionEstimate, config: Backend) -> tuple[MotionData, Array]:
     """The problem of the part, with the whole's noise and disturbances."""
     noise, stated = whole.noise, np.median(part.sigma_px, axis=0)
-    scales = NoiseScales(
-        2.0 * noise.pixel_sigma_px / float(stated[0] + stated[1]),
-        noise.disparity_sigma_px / float(stated[2]),
-    )
-    data = motion_data(part, config).rescaled(scales.factors)
+    uv = 2.0 * noise.pixel_sigma_px / float(stated[0] + stated[1])
+    scales = np.array([uv, uv, noise.disparity_sigma_px / float(stated[2])])
+    data = motion_data(part, config).rescaled(scales)
     nodes = data.nodes
     if whole.disturbances is not None:
         acting = zip(whole.disturbances.start_ns, whole.disturbances.end_ns, strict=True)

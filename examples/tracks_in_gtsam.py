@@ -4,7 +4,7 @@
 
 Unknown are the poses of the rectified left camera in the target's frame G, and the landmarks in G. There is
 no dynamics here, so that centre of mass and inertia do not appear:
-``polhode/compare/solvers/gtsam_solvers.py`` has the whole problem in GTSAM. The landmarks start where one
+``polhode/compare/solvers/gtsam_lm.py`` has the whole problem in GTSAM. The landmarks start where one
 stereo pair puts them, the poses at the run's.
 """
 

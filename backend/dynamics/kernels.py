@@ -10,7 +10,6 @@ parameters and one that forms the residual: CasADi never differentiates through 
 length is built at once.
 """
 
-from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Any, Literal
 
@@ -53,7 +52,6 @@ THIN_PRIOR = 3.0
 """Standard deviation of ln(tr Sigma / 3): 2 for a rod of ten times its thickness."""
 
 
-@dataclass(frozen=True)
 class StepLayout:
     """Layout of the variables x and the parameters p of a step.
 
@@ -69,70 +67,33 @@ class StepLayout:
     """In p: the relative reference attitude q0^-1 q1, the length of the step [s]."""
     W_T, W_R = slice(32, 35), slice(35, 71)
     """In p: whitening of the translation (entries 00, 10, 11) and of the rotation (6, 6)."""
-    N_PLAIN = 71
-    """Parameters of a step without noisy camera and known wrench."""
 
-    n_state: int = N_STATE
-    with_wrench: bool = False
-
-    @property
-    def n_constants(self) -> int:
-        return N_CONSTANTS + (N_WRENCH if self.with_wrench else 0)
-
-    @property
-    def n_x(self) -> int:
-        return 2 * self.n_state + self.n_constants
-
-    @property
-    def camera(self) -> int:
-        """Where the camera's positions begin in p."""
-        return self.N_PLAIN
-
-    @property
-    def wrench(self) -> int:
-        """Where the wrench's part begins in p."""
-        return self.camera + (N_CAMERA if self.n_state > N_STATE else 0)
-
-    @property
-    def n_p(self) -> int:
-        return self.wrench + (15 if self.with_wrench else 0)
-
-    @property
-    def n_parameters(self) -> int:
-        """Number of constants that the rotation depends on: xi, and with a known wrench seven more."""
-        return N_INERTIA + (N_OF_ROTATION if self.with_wrench else 0)
-
-    @property
-    def n_y(self) -> int:
-        """Size of what a series passes on: attitude, rate, their derivatives in w_G and the parameters."""
-        return 7 + 6 * (3 + self.n_parameters)
-
-    @property
-    def after(self) -> slice:
-        """The state after the step, in x."""
-        return slice(self.n_state, 2 * self.n_state)
-
-    @property
-    def com(self) -> slice:
-        """com_G, in x."""
-        return slice(2 * self.n_state, 2 * self.n_state + 3)
-
-    @property
-    def xi(self) -> slice:
-        """xi of the inertia, in x."""
-        return slice(2 * self.n_state + 3, 2 * self.n_state + N_CONSTANTS)
-
-    @property
-    def wrench_unknowns(self) -> slice:
-        """The unknowns of a known wrench, in x."""
-        return slice(2 * self.n_state + N_CONSTANTS, self.n_x)
+    def __init__(self, n_state: int = N_STATE, with_wrench: bool = False) -> None:
+        self.n_state, self.with_wrench = n_state, with_wrench
+        both = 2 * n_state
+        self.after, self.com = slice(n_state, both), slice(both, both + 3)
+        self.xi = slice(both + 3, both + N_CONSTANTS)
+        self.n_constants = N_CONSTANTS + (N_WRENCH if with_wrench else 0)
+        self.n_x = both + self.n_constants
+        self.wrench_unknowns = slice(both + N_CONSTANTS, self.n_x)
+        self.camera = 71
+        """Where the camera's positions begin in p"""
+        self.wrench = self.camera + (N_CAMERA if n_state > N_STATE else 0)
+        """Where the wrench's part begins in p"""
+        self.n_p = self.wrench + (15 if with_wrench else 0)
+        self.n_parameters = N_INERTIA + (N_OF_ROTATION if with_wrench else 0)
+        """Number of constants that the rotation depends on: xi, and with a known wrench seven more"""
+        self.n_y = 7 + 6 * (3 + self.n_parameters)
+        """Size of what a series passes on: attitude, rate, their derivatives in w_G and the parameters"""
 
     def symbols(self) -> tuple[Any, Any]:
         """x and p."""
         return ca.SX.sym("x", self.n_x), ca.SX.sym("p", self.n_p)
 
 
-PLAIN = StepLayout()
+step_layout = cache(StepLayout)
+"""Kernels are kept by their layout."""
+PLAIN = step_layout(N_STATE, False)
 
 
 def quaternion_product_sx(a: Any, b: Any) -> Any:

@@ -39,12 +39,7 @@ def rotation_covariance_scaled(
 
 
 def _integrated(w_G: Array, J_G: Array, dt_s: Array) -> Array:
-    """Covariances (n, 6, 6) in theta / dt^1.5, w / dt^0.5 for a torque of unit strength.
-
-    The covariance is propagated over parts of an interval, ``P <- F P F^T + Q``: F is the transition over a
-    part, Q the integral of ``K K^T`` by Gauss quadrature, K the effect of an impulse at the end of the part.
-    P stays positive definite, however long the interval. Raises LinAlgError for rates beyond all bounds.
-    """
+    """Covariances (n, 6, 6) in theta / dt^1.5, w / dt^0.5 for a torque of unit strength."""
     n = len(dt_s)
     # only a solution that diverges has larger ones; this rejects NaN too
     if not np.all(np.linalg.norm(w_G, axis=1) * dt_s < 1e4):

@@ -34,10 +34,7 @@ SHARE_OF_NOISE = 1e-3
 
 @compiled
 def _series(q: Array, w: Array, momentum: Array, J_inv: Array, torque: Array, h: float) -> None:
-    """Fill q (9, 4), w (9, 3), momentum (9, 3) from their first rows; time in units of the step h [s].
-
-    torque (2, 3): its value at the start and its change over the step.
-    """
+    """Fill q (9, 4), w (9, 3), momentum (9, 3) from their first rows; time in units of the step h [s]."""
     for k in range(ORDER):
         a = b = c = s = x = y = z = 0.0
         for i in range(k + 1):
@@ -118,10 +115,7 @@ def _series_derivatives(
     turn: Array, rate: Array, change: Array, w: Array, momentum: Array, J_inv: Array, dJ: Array, h: float,
     dtorque: Array,
 ) -> None:  # fmt: skip
-    """Fill the series (9, 3) of one derivative of attitude error, rate and momentum from their first rows.
-
-    dJ (3, 3) and dtorque (2, 3) by the parameter; w, momentum (9, 3) the series of ``_series``.
-    """
+    """Fill the series (9, 3) of one derivative of attitude error, rate and momentum from their first rows."""
     for k in range(ORDER):
         a = b = c = 0.0
         x, y, z = rate[k, 0], rate[k, 1], rate[k, 2]

@@ -139,10 +139,7 @@ def _rates(links: RelativePoses, turn_N: Array, time_s: Array) -> list[Rates]:
 
 
 def _supported(turn: Array, turns_N: Array, frames: Array, pair: Ints, root: Array) -> tuple[Array, float]:
-    """A rate (3,) [rad per frame] as the mean of the links that agree with it, and its support.
-
-    turns_N (m, 3, 3), frames (m,) between their ends, pair (m,) numbers, root (m,) of inliers.
-    """
+    """A rate (3,) [rad per frame] as the mean of the links that agree with it, and its support."""
     pairs, support = len(np.unique(pair)), 0.0
     for last in (False, True):
         off = _angle(np.swapaxes(exp_so3(turn * frames[:, None]), 1, 2) @ turns_N)

@@ -18,8 +18,7 @@ from scipy.linalg import LinAlgError
 
 from polhode.backend.dynamics.propagation import propagate_rotations, series_steps
 from polhode.backend.initialization.initialize import robust_landmarks
-from polhode.backend.initialization.rates import FAST_HINT, OPPOSITE_DIRECTION, rate_branches
-from polhode.backend.initialization.shooting import shoot
+from polhode.backend.initialization.rates import FAST_HINT, OPPOSITE_DIRECTION, rate_branches, shoot
 from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.backend.problem.iterate import N_CAMERA, Iterate
 from polhode.backend.problem.motion_data import MotionData

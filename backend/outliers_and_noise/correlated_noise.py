@@ -118,11 +118,7 @@ def measure_correlation(
 def _quadratic_forms(
     data: MotionData, residuals: Array, to_landmark: Array, turn_rad: Array
 ) -> tuple[Array, Array]:
-    """Expected quadratic forms of the residuals for a unit of each variance, S (8, 8), and found, q (8,).
-
-    With M the projection that a fitted landmark leaves and V_i the covariance of a unit of variance i: S_ij =
-    tr(M V_i M V_j), q_i = r^T V_i r, summed over the landmarks.
-    """
+    """Expected quadratic forms of the residuals for a unit of each variance, S (8, 8), and found, q (8,)."""
     forgetting = np.array(FORGETTING_TURNS_RAD)[:, None, None, None]
     n_parts = 2 * (1 + len(forgetting))
     S, q = np.zeros((n_parts, n_parts)), np.zeros(n_parts)

@@ -27,25 +27,10 @@ MIN_AGREEING_SHARE = 0.3
 """Share of observations that must agree with the motion."""
 
 
-@dataclass(frozen=True)
-class NoiseScales:
-    """Factors on the stated standard deviations of (u, v) and of the disparity."""
+def estimate_noise(fit: MotionFit, robust: bool) -> Array:
+    """Factors (3,) on the stated standard deviations of u, v and disparity, from the whitened residuals.
 
-    uv: float
-    disparity: float
-
-    def times(self, other: "NoiseScales") -> "NoiseScales":
-        """Product of both scales."""
-        return NoiseScales(self.uv * other.uv, self.disparity * other.disparity)
-
-    @property
-    def factors(self) -> Array:
-        """(3,) for u, v and disparity."""
-        return np.array([self.uv, self.uv, self.disparity])
-
-
-def estimate_noise(fit: MotionFit, robust: bool) -> NoiseScales:
-    """Scatter of the whitened residuals, each corrected for the degrees of freedom used by the fit.
+    Their scatter is corrected for the degrees of freedom used by the fit.
 
     ``robust``: median absolute deviation, for data with outliers; otherwise the root mean square. A landmark
     that is seen from several directions is fitted to its u and v; its disparities stay almost free.
@@ -54,7 +39,7 @@ def estimate_noise(fit: MotionFit, robust: bool) -> NoiseScales:
     residuals, (A, p_NG, p_G) = GaussNewton(data).residuals(fit.linearized(), fit.iterate.vector())
     repeated = np.diff(data.start)[data.landmark] >= 2
     if repeated.sum() < MIN_OBSERVATIONS:
-        return NoiseScales(1.0, 1.0)
+        return np.ones(3)
     weight = robust_weight(np.sum(residuals**2, axis=1), data.robust_scale)
     used = _landmark_leverage(data, data.point_jacobians(A, p_NG, p_G) @ A[data.frame], weight)
     # the poses are fitted to u and v too: six unknowns for the two numbers of each observation
@@ -66,23 +51,20 @@ def estimate_noise(fit: MotionFit, robust: bool) -> NoiseScales:
     return _limited(np.sqrt([squares[:2].sum() / freedom[:2].sum(), squares[2] / freedom[2]]))
 
 
-def scales_by_median(residuals: Array, free: Array) -> NoiseScales:
+def scales_by_median(residuals: Array, free: Array) -> Array:
     """Scales by the median absolute deviation; residuals (M, 3), ``free`` (M, 3) their share of freedom."""
     whitened = np.abs(residuals) / np.sqrt(free)
     return _limited(1.4826 * np.array([np.median(whitened[:, :2]), np.median(whitened[:, 2])]))
 
 
-def _limited(scales: Array) -> NoiseScales:
+def _limited(scales: Array) -> Array:
     # scales beyond these limits mean that the measurements do not fit the motion
     uv, disparity = np.clip(scales, 0.05, 6.0)
-    return NoiseScales(float(uv), float(disparity))
+    return np.array([uv, uv, disparity])
 
 
 def _landmark_leverage(data: MotionData, J: Array, weight: Array) -> Array:
-    """Share (M, 3) of the freedom of each residual that is used by its landmark, poses given.
-
-    J (M, 3, 3) derivatives of the whitened residuals in the landmark, robust weights (M,).
-    """
+    """Share (M, 3) of the freedom of each residual that is used by its landmark, poses given."""
     information = np.zeros((data.n_landmarks, 3, 3))
     np.add.at(information, data.landmark, weight[:, None, None] * (np.swapaxes(J, 1, 2) @ J))
     # a landmark that contradicts all its observations has almost no information
@@ -123,8 +105,8 @@ class PrunedFit:
     kept: PrunedProblem
     iterate: Iterate
     """with all landmarks"""
-    scales: NoiseScales
-    """on the noise that was stated"""
+    scales: Array
+    """(3,) on the stated standard deviations of u, v and disparity"""
 
     @property
     def small(self) -> MotionFit:
@@ -144,7 +126,7 @@ def remove_outliers(fit: MotionFit) -> PrunedFit:
     contradict the motion.
     """
     first = estimate_noise(fit, robust=True)
-    data, iterate = fit.data.rescaled(first.factors), fit.iterate
+    data, iterate = fit.data.rescaled(first), fit.iterate
     kept = prune(MotionFit(data, iterate))
     for _ in range(2):
         small = kept.restrict(iterate)
@@ -152,11 +134,11 @@ def remove_outliers(fit: MotionFit) -> PrunedFit:
         iterate = kept.expand(small.iterate.moved_to(solution.x), iterate)
         kept = prune(MotionFit(data, iterate))
     last = estimate_noise(kept.restrict(iterate), robust=False)
-    data = data.rescaled(last.factors)
+    data = data.rescaled(last)
     s = np.sum(whitened_residuals(MotionFit(data, iterate))[kept.observations] ** 2, axis=1)
     scale = most_efficient_scale(s, data.robust_scale)
-    kept = replace(kept, data=replace(kept.data.rescaled(last.factors), robust_scale=scale))
-    return PrunedFit(replace(data, robust_scale=scale), kept, iterate, first.times(last))
+    kept = replace(kept, data=replace(kept.data.rescaled(last), robust_scale=scale))
+    return PrunedFit(replace(data, robust_scale=scale), kept, iterate, first * last)
 
 
 def prune(fit: MotionFit) -> PrunedProblem:

@@ -86,10 +86,7 @@ def with_systematic(estimate: MotionEstimate, tracks: StereoTracks, shared: Shar
 
 
 def _of_marks(estimate: MotionEstimate, spread: Array, in_G: Array) -> Array:
-    """Errors (F, 6, n) of position and velocity of the mark where the centre of mass is estimated.
-
-    spread (F, 3, n): of the centre of mass in N; in_G (3, n): of where it is in G, which the mark is without.
-    """
+    """Errors (F, 6, n) of position and velocity of the mark where the centre of mass is estimated."""
     lever = estimate.R_NP @ (estimate.mass.R_GP.T @ in_G)
     w_N = (estimate.R_NP @ estimate.w_P[:, :, None])[:, :, 0]
     return np.concatenate([spread - lever, -hat(w_N) @ lever], axis=1)

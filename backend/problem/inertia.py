@@ -5,7 +5,7 @@ J = tr(Sigma) I - Sigma; every positive-definite Sigma gives a J that obeys the 
 (Rucker and Wensing, "Smooth parameterization of rigid-body inertia", 2022). det Sigma = 1 fixes the scale.
 """
 
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -18,38 +18,13 @@ MIN_THICKNESS = 1e-7
 thinner bodies, whose smallest moment could become negative by rounding."""
 
 
-class InertiaForm(Protocol):
-    """Five numbers xi around a reference rotation, which is updated between solves."""
-
-    name: str
-
-    def __hash__(self) -> int:
-        """A kernel is built once for each form."""
-        ...
-
-    def second_moments_sx(self, xi: Any, R_ref: Any) -> Any:
-        """Sigma (3, 3) as a CasADi expression of xi (5) and R_ref (3, 3)."""
-        ...
-
-    def second_moments(self, xi: Array, R_ref: Array) -> Array:
-        """Sigma (3, 3), determinant 1."""
-        ...
-
-    def derivative(self, xi: Array, R_ref: Array) -> Array:
-        """d Sigma / d xi, (5, 3, 3)."""
-        ...
-
-    def coordinates(self, second: Array) -> tuple[Array, Array]:
-        """Sigma (3, 3), any positive scale -> xi (5,), R_ref (3, 3)."""
-        ...
-
-
 class SecondMoments:
     """``xi = (l1, l2, l21, l31, l32)``: Sigma = L L^T, diag L = exp(l1, l2, -l1 - l2). Zero: a sphere."""
 
     name = "second_moments"
 
     def second_moments_sx(self, xi: Any, R_ref: Any) -> Any:
+        """Sigma (3, 3) as a CasADi expression of xi (5) and R_ref (3, 3)."""
         del R_ref
         L = ca.SX.zeros(3, 3)
         L[0, 0], L[1, 1], L[2, 2] = ca.exp(xi[0]), ca.exp(xi[1]), ca.exp(-xi[0] - xi[1])
@@ -57,12 +32,14 @@ class SecondMoments:
         return L @ L.T
 
     def second_moments(self, xi: Array, R_ref: Array) -> Array:
+        """Sigma (3, 3), determinant 1."""
         del R_ref
         L = np.diag(np.exp([xi[0], xi[1], -xi[0] - xi[1]]))
         L[1, 0], L[2, 0], L[2, 1] = xi[2:5]
         return np.asarray(L @ L.T)
 
     def derivative(self, xi: Array, R_ref: Array) -> Array:
+        """d Sigma / d xi, (5, 3, 3)."""
         del R_ref
         L, dL = np.diag(np.exp([xi[0], xi[1], -xi[0] - xi[1]])), np.zeros((5, 3, 3))
         dL[0, 0, 0], dL[1, 1, 1] = L[0, 0], L[1, 1]
@@ -73,6 +50,7 @@ class SecondMoments:
         return np.asarray(half + np.swapaxes(half, 1, 2))
 
     def coordinates(self, second: Array) -> tuple[Array, Array]:
+        """Sigma (3, 3), any positive scale -> xi (5,), R_ref (3, 3)."""
         L = np.linalg.cholesky(unit_determinant(second))
         return np.array([np.log(L[0, 0]), np.log(L[1, 1]), L[1, 0], L[2, 0], L[2, 1]]), np.eye(3)
 
@@ -116,6 +94,8 @@ class RatiosAxes:
         return np.array([a, b, 0.0, 0.0, 0.0]), R
 
 
+InertiaForm = SecondMoments | RatiosAxes
+"""Five numbers xi (5,) around a reference rotation R_ref (3, 3), which is updated between solves."""
 FORMS: dict[str, InertiaForm] = {"second_moments": SecondMoments(), "ratios_axes": RatiosAxes()}
 
 

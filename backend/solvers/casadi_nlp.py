@@ -51,45 +51,21 @@ class ExternalFunction(ca.Callback):
         return 0
 
 
-def program_functions(
-    x: Any,
-    p: Any,
-    cost: Any,
-    gradient: Any,
-    hessian: tuple[Any, Any],
-    constraints: tuple[Any, Any] | None = None,
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A program, minimize ``cost`` over x, and its derivatives, as ``ca.nlpsol`` takes them.
+def ipopt_solver(
+    name: str, options: dict[str, Any], x: Any, p: Any, cost: Any, gradient: Any, hessian: tuple[Any, Any]
+) -> Any:
+    """IPOPT on a program, minimize ``cost`` over x with parameters p.
 
-    hessian: the sparsity of its upper triangle and the values of these entries. constraints: their values g
-    and their Jacobian; limits are given at each solve. Their curvature is left out, as that of residuals is.
+    hessian: the sparsity of its upper triangle and the values of these entries.
     """
-    problem, sparsity, values = {"x": x, "p": p, "f": cost}, *hessian
-    lam_f, lam_g = (
-        ca.MX.sym("lam_f"),
-        ca.MX.sym("lam_g", 0 if constraints is None else constraints[0].numel()),
-    )
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
+    names, inputs = ["x", "p", "lam_f", "lam_g"], [x, p, lam_f, lam_g]
+    upper = ca.MX(hessian[0], lam_f * hessian[1])
     derivatives = {
         "grad_f": ca.Function("nlp_grad_f", [x, p], [cost, gradient], ["x", "p"], ["f", "grad_f_x"]),
-        "hess_lag": ca.Function(
-            "nlp_hess_l",
-            [x, p, lam_f, lam_g],
-            [ca.MX(sparsity, lam_f * values)],
-            ["x", "p", "lam_f", "lam_g"],
-            ["triu_hess_gamma_x_x"],
-        ),
+        "hess_lag": ca.Function("nlp_hess_l", inputs, [upper], names, ["triu_hess_gamma_x_x"]),
     }
-    if constraints is not None:
-        problem["g"] = constraints[0]
-        names = ["g", "jac_g_x"]
-        derivatives["jac_g"] = ca.Function("nlp_jac_g", [x, p], list(constraints), ["x", "p"], names)
-    return problem, derivatives
-
-
-def ipopt_solver(name: str, options: dict[str, Any], *program: Any) -> Any:
-    """IPOPT on the program of ``program_functions``."""
-    problem, derivatives = program_functions(*program)
-    return ca.nlpsol(name, "ipopt", problem, {**options, **derivatives})
+    return ca.nlpsol(name, "ipopt", {"x": x, "p": p, "f": cost}, {**options, **derivatives})
 
 
 def ipopt_options(

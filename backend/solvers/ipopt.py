@@ -5,7 +5,6 @@ IPOPT's time, and building their expressions took longer than solving; here they
 cost, gradient and Hessian entries come from the compiled loops of ``schur``.
 """
 
-from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -16,10 +15,10 @@ from polhode.backend.dynamics.kernels import (
     N_PRIOR,
     N_WRENCH_PRIOR,
     Output,
-    StepLayout,
     dynamics_kernel,
     gaussian_prior_kernel,
     prior_kernel,
+    step_layout,
     wrench_kernel,
 )
 from polhode.backend.problem.iterate import N_CAMERA, N_CONSTANTS, N_STATE, Iterate
@@ -34,7 +33,6 @@ from polhode.backend.solvers.casadi_nlp import (
     upper_keys,
     upper_sparsity,
 )
-from polhode.backend.solvers.constraints import Constraints
 from polhode.backend.solvers.gauss_newton import ITERATION_LIMIT, TIME_LIMIT, Solution
 from polhode.backend.solvers.linearization_point import LinearizationPoint
 from polhode.backend.solvers.robust_kernel import kernel_curvature, robust_cost, robust_weight
@@ -121,16 +119,6 @@ class StereoTerms:
         )
 
 
-@dataclass(frozen=True)
-class ProgramTerm:
-    """Expressions of a kernel mapped over its data, and the unknowns (n, width) that each use of it reads."""
-
-    slots: Ints
-    cost: Any
-    gradient: Any = None
-    hessian: Any = None
-
-
 class MotionProgram:
     r"""Full smoothing of a tumbling rigid body (thesis eqs. 4.77-4.108), stated once.
 
@@ -141,7 +129,7 @@ class MotionProgram:
     c = 8), and where forces or torques are known mass, scale, biases and the torque's axes (``wrench.py``;
     c = 19); landmarks ``l_j`` in G.
 
-    minimise over x, without constraints unless the configuration asks for some (``constraints.py``)::
+    minimise over x, without constraints::
 
         sum_(k,j) rho(|| Sigma_kj^-1/2 (uvd_kj - project(R_RN,k (R_k l_j + p_k) + t_R,k)) ||^2)     stereo
       + 1/2 sum_k || Lambda_k^-1/2 [ r_k+1 - r_k - dt v_k;  v_k+1 - v_k;                            dynamics
@@ -165,11 +153,10 @@ class MotionProgram:
 
     name = "ipopt"
 
-    def __init__(self, data: MotionData, constraints: Constraints | None = None) -> None:
-        self.data, self.constraints = data, constraints or Constraints(())
-        self._fixed: LinearizationPoint | None = None
+    def __init__(self, data: MotionData) -> None:
+        self.data = data
         self._series: Ints = np.zeros(0, dtype=np.int64)
-        self._solver: Any = None
+        self.program: Any = None
         # CasADi keeps only weak references to them
         self._outside: list[ExternalFunction] = []
 
@@ -177,97 +164,55 @@ class MotionProgram:
         self, fixed: LinearizationPoint, x: Array, max_iterations: int, max_seconds: float = np.inf
     ) -> Solution:
         """Minimize from x. The program is built at the first call, and when a step needs more series."""
-        begin = perf_counter()
-        if self._solver is None or np.any(fixed.steps.series > self._series):
-            series = fixed.steps.series
-            self._series = np.maximum(series, self._series) if self._solver else series
+        begin, series = perf_counter(), fixed.steps.series
+        if self.program is None or np.any(series > self._series):
+            self._series = np.maximum(series, self._series) if self.program else series
             layout = ProgramLayout(fixed.reference, int(self._series.max()))
-            self._solver = self.build(layout, max_iterations, max_seconds)
-        self._fixed, limits = fixed, {}
-        if self.constraints:
-            limits = dict(zip(("lbg", "ubg"), self.constraints.limits, strict=True))
-        result = self._solver(x0=x, p=program_parameters(self.data, fixed, self._series), **limits)
-        stats = self._solver.stats()
+            self.program = self.build(layout, program_options(max_iterations, max_seconds))
+        result = self.program(x0=x, p=program_parameters(self.data, fixed, self._series))
+        stats = self.program.stats()
         status = str(stats["return_status"])
         good, message, count = status in OPTIMAL, MESSAGES.get(status, status), int(stats["iter_count"])
-        # gradient of the Lagrangian and violation of the constraints at the last iterate
+        # gradient of the Lagrangian at the last iterate; there are no constraints to violate
         history = stats.get("iterations", {})
         gradient, violation = (float((history.get(name) or [np.nan])[-1]) for name in ("inf_du", "inf_pr"))
         end = ProgramEnd(status, gradient, violation, count, perf_counter() - begin)
         return Solution(np.asarray(result["x"]).ravel(), float(result["f"]), count, good, message, end)
 
-    def build(self, layout: "ProgramLayout", max_iterations: int, max_seconds: float) -> Any:
+    def build(self, layout: "ProgramLayout", options: dict[str, Any]) -> Any:
         """The solver as a CasADi function of the start and the parameters."""
-        return ipopt_solver("motion", self.options(max_iterations, max_seconds), *self.expressions(layout))
-
-    def expressions(self, layout: "ProgramLayout") -> tuple[Any, ...]:
-        """The program as ``program_functions`` takes it."""
         stereo = StereoTerms(self.data, layout.n_state, layout.n_dense)
         n_x, n_attitudes = stereo.n_x, 9 * self.data.n_frames
         x, p = ca.MX.sym("x", n_x), ca.MX.sym("p", layout.n_p)
         keys = stereo.keys()
-        sizes = (n_x, n_attitudes)
         functions = ((stereo.cost, 1), (stereo.gradient, n_x), (stereo.hessian, len(keys)))
-        self._outside = [ExternalFunction(f.__name__, f, sizes, n_out) for f, n_out in functions]
+        self._outside = [ExternalFunction(f.__name__, f, (n_x, n_attitudes), n) for f, n in functions]
         of_stereo = [outside(x, p[:n_attitudes]) for outside in self._outside]
-        cost = of_stereo[0] + sum(ca.sum2(term.cost) for term in self.terms(x, p, layout, "cost"))
+        cost = of_stereo[0] + sum(ca.sum2(outputs[0]) for _, outputs in self.terms(x, p, layout, "cost"))
 
         terms = self.terms(x, p, layout, "gradient")
-        slots = np.concatenate([term.slots.ravel() for term in terms])
-        gradient = of_stereo[1] + scatter(slots, n_x) @ ca.vertcat(*[ca.vec(term.gradient) for term in terms])
+        slots = np.concatenate([slots.ravel() for slots, _ in terms])
+        of_terms = ca.vertcat(*[ca.vec(outputs[1]) for _, outputs in terms])
+        gradient = of_stereo[1] + scatter(slots, n_x) @ of_terms
 
         terms = self.terms(x, p, layout, "quadratic")
-        keys = np.concatenate([keys, *[upper_keys(term.slots, n_x) for term in terms]])
+        keys = np.concatenate([keys, *[upper_keys(slots, n_x) for slots, _ in terms]])
         cells, position = np.unique(keys, return_inverse=True)
-        blocks = ca.vertcat(of_stereo[2], *[ca.vec(term.hessian) for term in terms])
-        values = scatter(position, len(cells)) @ blocks
-        sparsity = upper_sparsity(cells, n_x)
-        constraints = self._constraint_terms(x) if self.constraints else None
-        return x, p, cost, gradient, (sparsity, values), constraints
+        blocks = ca.vertcat(of_stereo[2], *[ca.vec(outputs[2]) for _, outputs in terms])
+        hessian = upper_sparsity(cells, n_x), scatter(position, len(cells)) @ blocks
+        return ipopt_solver("motion", options, x, p, cost, gradient, hessian)
 
-    def _constraint_terms(self, x: Any) -> tuple[Any, Any]:
-        """Values and Jacobian of the constraints, at the linearization point of the solve under way."""
-        at, n_x = self.constraints, x.numel()
-        rows, columns = at.cells()
-        order = np.lexsort((rows, columns))
-        n_g = len(at.limits[0])
-
-        def fixed() -> LinearizationPoint:
-            assert self._fixed is not None
-            return self._fixed
-
-        def slopes(v: Array) -> Array:
-            return at.derivatives(fixed(), v)[order]
-
-        outside = [
-            ExternalFunction("constraints", lambda v: at.values(fixed(), v), (n_x,), n_g),
-            ExternalFunction("constraint_slopes", slopes, (n_x,), len(rows)),
-        ]
-        self._outside += outside
-        offsets = np.searchsorted(columns[order], np.arange(n_x + 1))
-        sparsity = ca.Sparsity(n_g, n_x, offsets.tolist(), rows[order].tolist())
-        return outside[0](x), ca.MX(sparsity, outside[1](x))
-
-    def options(self, max_iterations: int, max_seconds: float) -> dict[str, Any]:
-        """Options of CasADi and IPOPT, without the derivatives."""
-        limit, more = float(np.clip(max_seconds, 1e-6, 1e6)), {}
-        if self.constraints:
-            more = dict.fromkeys(("constr_viol_tol", "acceptable_constr_viol_tol"), 1e-7)
-            # the barrier must not keep the optimum away from limits
-            more["acceptable_compl_inf_tol"] = 1e-5
-        return ipopt_options(TOLERANCE, STATIONARY_COST_CHANGE, max_iterations, max_wall_time=limit, **more)
-
-    def terms(self, x: Any, p: Any, at: "ProgramLayout", output: Output) -> list[ProgramTerm]:
-        """Kernels mapped over their data: dynamics by number of series, then priors and gauge."""
+    def terms(self, x: Any, p: Any, at: "ProgramLayout", output: Output) -> list[tuple[Ints, Any]]:
+        """Of each kernel the unknowns (n, width) that its uses read, and the outputs of these."""
         d, s, step = self.data, at.n_state, at.step
         of_constants = s * d.n_frames + np.arange(step.n_constants)
         terms = []
         for series, slots, arguments in self.steps(x, p, at):
             kernel = dynamics_kernel(d.form, series, output, step).map(len(slots))
-            terms.append(ProgramTerm(slots, *kernel.call(arguments)))
+            terms.append((slots, kernel.call(arguments)))
 
         def add(kernel: Any, slots: Ints, parameters: Any) -> None:
-            terms.append(ProgramTerm(slots, *kernel.call([gather(x, slots), parameters])))
+            terms.append((slots, kernel.call([gather(x, slots), parameters])))
 
         gaussian = gaussian_prior_kernel(output)
         add(prior_kernel(d.form, output), of_constants[None, :N_CONSTANTS], p[at.prior : at.prior + N_PRIOR])
@@ -297,13 +242,19 @@ class MotionProgram:
         return steps
 
 
+def program_options(max_iterations: int, max_seconds: float) -> dict[str, Any]:
+    """Options of CasADi and IPOPT, without the derivatives."""
+    limit = float(np.clip(max_seconds, 1e-6, 1e6))
+    return ipopt_options(TOLERANCE, STATIONARY_COST_CHANGE, max_iterations, max_wall_time=limit)
+
+
 class ProgramLayout:
     """Where each kind of unknown and of parameter begins in the program's vectors; attitudes A come first."""
 
     def __init__(self, reference: Iterate, most_series: int) -> None:
         self.reference = reference
         self.n_state, self.n_dense, n = reference.n_state, reference.n_dense, reference.n_frames
-        self.step = StepLayout(reference.n_state, reference.wrench is not None)
+        self.step = step_layout(reference.n_state, reference.wrench is not None)
         self.n_torque = 6 * most_series if self.step.with_wrench else 0
         self.steps = 9 * n
         self.torque = self.steps + self.step.n_p * (n - 1)

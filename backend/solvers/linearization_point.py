@@ -83,10 +83,7 @@ def linearization_point(data: MotionData, iterate: Iterate, gauge: float = LOOSE
 
 
 def _steps(data: MotionData, iterate: Iterate) -> Steps:
-    """The steps between frames, whitened at the rates of the iterate.
-
-    Process noise is unlimited in loose steps, and where a known wrench acts that the iterate lacks.
-    """
+    """The steps between frames, whitened at the rates of the iterate."""
     w, J_G, known = iterate.w_G[:-1], iterate.J_G(data.form), data.impulses
     unknown = np.zeros_like(data.dt_s)
     if data.loose is not None:

@@ -1,15 +1,13 @@
 """The solve of the whole problem: Gauss-Newton to the optimum, IPOPT for the answer, their limits."""
 
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 from scipy.linalg import LinAlgError
 
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.problem.motion_data import MotionData
-from polhode.backend.solvers.constraints import constraints_of
 from polhode.backend.solvers.gauss_newton import GaussNewton, Solution
 from polhode.backend.solvers.ipopt import MotionProgram
 from polhode.backend.solvers.linearization_point import (
@@ -35,8 +33,6 @@ class SolvedMotion:
     iterate: Iterate
     solution: Solution
     iterations: int
-    constraints: dict[str, bool] = field(default_factory=dict)
-    """Those of the configuration, by name: whether each changed the optimum, or its limit is reached"""
 
 
 def solve(start: MotionFit, config: Backend) -> SolvedMotion:
@@ -46,26 +42,9 @@ def solve(start: MotionFit, config: Backend) -> SolvedMotion:
     from its best point: it makes progress in valleys where Gauss-Newton is slow. Gauss-Newton gets half of
     the iterations and of the time; IPOPT all iterations and the remaining time. With ``backend.solver:
     gauss_newton`` an answer to which Gauss-Newton converged stands.
-    An optimum that violates none of the configuration's constraints is that of the constrained problem, too;
-    else IPOPT continues with them. Raises LinAlgError if neither solver has a solution.
+    Raises LinAlgError if neither solver has a solution.
     """
-    data, constraints = start.data, constraints_of(start, config)
-    found = _unconstrained(data, start.iterate, config)
-    if not constraints:
-        return found
-    fixed = linearization_point(data, found.iterate, TIGHT_GAUGE)
-    active = constraints.reached(fixed, found.iterate.vector())
-    if not constraints.hold(fixed, found.iterate.vector()):
-        limits = config.max_iterations, config.max_seconds
-        at, solution, more = refine(MotionProgram(data, constraints), found.iterate, *limits)
-        found = SolvedMotion(MotionProgram.name, at, solution, found.iterations + more)
-        fixed = linearization_point(data, at, TIGHT_GAUGE)
-    # also one whose limit the free optimum lies beyond, even if nothing holds the new one at that limit
-    now = constraints.reached(fixed, found.iterate.vector())
-    return replace(found, constraints={name: active[name] or now[name] for name in now})
-
-
-def _unconstrained(data: MotionData, iterate: Iterate, config: Backend) -> SolvedMotion:
+    data, iterate = start.data, start.iterate
     begin, newton = perf_counter(), None
     half = (max(config.max_iterations // 2, 1), 0.5 * config.max_seconds)
     with suppress(LinAlgError):
@@ -77,10 +56,10 @@ def _unconstrained(data: MotionData, iterate: Iterate, config: Backend) -> Solve
     left_s = config.max_seconds - (perf_counter() - begin)
     if newton is not None and left_s <= 0.0:
         return newton
-    start, cost = (iterate, np.inf) if newton is None else (newton.iterate, newton.solution.cost)
+    first, cost = (iterate, np.inf) if newton is None else (newton.iterate, newton.solution.cost)
     try:
-        limits, before = (config.max_iterations, left_s), cost if done else np.inf
-        at, solution, more = refine(MotionProgram(data), start, *limits, before)
+        before = cost if done else np.inf
+        at, solution, more = refine(MotionProgram(data), first, config.max_iterations, left_s, before)
     except LinAlgError:
         if newton is None:
             raise

@@ -98,10 +98,7 @@ def nonlinear_turns(derivative: AxesDerivative, cov_J: Array, w_P: Array, lost: 
 
 
 def _deviations(derivative: AxesDerivative, cov_J: Array) -> Array:
-    """Pairs of opposite deviations of xi (2 N_PAIRS, 5) whose second moments are exactly cov_J (5, 5).
-
-    Drawn along the ratios and axes: another description of the inertia has the same ones.
-    """
+    """Pairs of opposite deviations of xi (2 N_PAIRS, 5) whose second moments are exactly cov_J (5, 5)."""
     to_P = np.vstack([derivative.ratios, derivative.axes])
     covariance = to_P @ cov_J @ to_P.T
     scale = np.sqrt(np.diag(covariance)) + 1e-300

@@ -3,9 +3,8 @@
 - ``estimator``: the sliding window, frame by frame and over a whole sequence.
 - ``frame``: frames and landmarks as the window keeps them; the observations, condensed to the poses.
 - ``add_frame``: pose and landmarks of a new frame.
-- ``solve``: the solves of one frame's update; the choice among several inertias.
+- ``solve``: the solves of one frame's update; the choice among several inertias; noise levels.
 - ``estimator_state``: frames, landmarks, constants and noise levels; key frames are chosen, others leave.
-- ``noise_levels``: noise of the pixels and level of the disturbances.
 - ``causal_state``: the state that is reported, with its covariance.
 - ``history``: the unknowns, the arrival cost about them, and the first frames as a whole.
 - ``problem``: the nonlinear program of one update, its quadratic parts, Gauss-Newton and IPOPT on it.

@@ -4,12 +4,12 @@ Its pose is the predicted one if its observations agree with that; otherwise it 
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from polhode.backend.initialization.initialize import ransac_orientation
-from polhode.backend.problem.iterate import COM, POSITION, RATE, ROTATION, VELOCITY
+from polhode.backend.problem.iterate import COM, POSITION, RATE, VELOCITY
 from polhode.backend.window.estimator_state import EstimatorState
 from polhode.backend.window.frame import Frame, FrameMeasurements
 from polhode.geometry.camera import RectifiedRig, stereo_jacobian
@@ -54,16 +54,12 @@ class KnownLandmarks:
         return KnownLandmarks(*(each[chosen] for each in vars(self).values()))
 
 
-@dataclass(frozen=True)
-class LocatedFrame:
-    """The pose of a frame and which of its observations of known landmarks agree."""
+class LocatedFrame(NamedTuple):
+    """Pose (4, 4) of a frame, which (m,) observations of known landmarks agree, and how it was located."""
 
     X_RG: Array
-    """(4, 4)"""
     agree: Bools
-    """(m,)"""
     by: Literal["prediction", "map", "nothing"]
-    """how it was located"""
 
 
 def first_frame(state: EstimatorState, m: FrameMeasurements, number: int, time_s: float) -> Frame:
@@ -71,7 +67,7 @@ def first_frame(state: EstimatorState, m: FrameMeasurements, number: int, time_s
     p_R = state.rig.triangulate(m.uvd_px)
     R_NG, p_NG = m.X_NR[:3, :3], (m.X_NR @ np.append(np.median(p_R, axis=0), 1.0))[:3]
     x = np.concatenate([p_NG, np.zeros(9)])
-    frame = Frame(number, time_s, m.X_NR, R_NG, x, camera_information=_camera(state, m, R_NG, x))
+    frame = state.frame(m, number, time_s, R_NG, x)
     frame.fix_linearization()
     _set_observations(state, frame, m, np.ones(len(m.landmark), bool))
     return frame
@@ -102,34 +98,17 @@ def next_frame(state: EstimatorState, m: FrameMeasurements, number: int, time_s:
             x[VELOCITY], x[RATE] = shift / dt_s, log_so3(before.R_NG.T @ R_NG) / dt_s
             if n_located == 1:
                 before.x[VELOCITY], before.x[RATE] = x[VELOCITY], x[RATE]
-    frame = Frame(number, time_s, m.X_NR, R_NG, x, camera_information=_camera(state, m, R_NG, x))
+    frame = state.frame(m, number, time_s, R_NG, x)
     contradicts = len(index) >= MIN_COMMON_LANDMARKS
-    if is_lost and (contradicts or _predicted_sigma(state, time_s) > MAX_ATTITUDE_SIGMA_RAD):
+    if is_lost and (contradicts or state.predicted_sigma(time_s) > MAX_ATTITUDE_SIGMA_RAD):
         # it contradicts the map, or its pose is unknown: its observations would only do harm
         return frame
     _set_observations(state, frame, m, _accepted(state, slot, index, found))
     return frame
 
 
-def _camera(state: EstimatorState, m: FrameMeasurements, R_NG: Array, x: Array) -> Array | None:
-    return state.camera.information(m.X_NR, R_NG, x[POSITION])
-
-
-def _predicted_sigma(state: EstimatorState, time_s: float) -> float:
-    """Approximate largest standard deviation [rad] of the predicted attitude."""
-    if state.last is None:
-        return np.inf
-    covariance = np.linalg.inv(state.last.joint)
-    dt = time_s - state.active.recent[-1].time_s
-    turn = covariance[ROTATION, ROTATION] + dt**2 * covariance[RATE, RATE]
-    return float(np.sqrt(np.linalg.eigvalsh(turn)[-1] + state.disturbances.torque_psd * dt**3 / 3.0))
-
-
 def _accepted(state: EstimatorState, slot: Ints, index: Ints, found: LocatedFrame) -> Bools:
-    """Accepted observations (m,): those of new landmarks, and those of known ones that agree.
-
-    A landmark that is contradicted twice in a row is placed again by its latest observation.
-    """
+    """Accepted observations (m,): those of new landmarks, and those of known ones that agree."""
     marks, enter = state.landmarks, np.ones(len(slot), bool)
     agreeing, other = slot[index[found.agree]], index[~found.agree]
     marks.refused[agreeing] = 0
@@ -169,15 +148,13 @@ def _set_observations(state: EstimatorState, frame: Frame, m: FrameMeasurements,
 def locate(rig: RectifiedRig, known: KnownLandmarks, guess: Array | None, seed: int) -> LocatedFrame:
     """Pose X_RG from a guess (None: there is none) and the observations of known landmarks."""
     m = len(known.p_G)
+    enough = max(MIN_COMMON_LANDMARKS, MIN_AGREEING_SHARE * m)
     if guess is not None:
-        X = guess
-        agree = agreement(rig, known, X)
-        if agree.sum() >= max(MIN_COMMON_LANDMARKS, MIN_AGREEING_SHARE * m):
-            return LocatedFrame(X, agree, "prediction")
-        if agree.sum() >= max(MIN_COMMON_LANDMARKS, 0.3 * m):
+        X, agree = guess, agreement(rig, known, guess)
+        if max(MIN_COMMON_LANDMARKS, 0.3 * m) <= agree.sum() < enough:
             X, agree = refine(rig, known, X, agree)
-            if agree.sum() >= max(MIN_COMMON_LANDMARKS, MIN_AGREEING_SHARE * m):
-                return LocatedFrame(X, agree, "prediction")
+        if agree.sum() >= enough:
+            return LocatedFrame(X, agree, "prediction")
     if m >= MIN_COMMON_LANDMARKS:
         p_R = rig.triangulate(known.uvd_px)
         spread = rig.triangulation_jacobian(p_R) @ (1.0 / known.inv_sigma)[:, :, None]

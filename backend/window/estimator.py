@@ -16,9 +16,14 @@ from polhode.backend.window.causal_state import OnlineState, iterate_of_frame, o
 from polhode.backend.window.estimator_state import EstimatorState, initial_estimator_state, shrink_window
 from polhode.backend.window.frame import CameraNoise, FrameMeasurements, camera_noise_of, frames_of
 from polhode.backend.window.history import History
-from polhode.backend.window.noise_levels import estimate_levels, estimate_noise
 from polhode.backend.window.problem import IpoptSolver
-from polhode.backend.window.solve import choose_inertia, expand_arrival, solve_history, solve_window
+from polhode.backend.window.solve import (
+    choose_inertia,
+    estimate_levels,
+    estimate_noise,
+    solve_history,
+    solve_window,
+)
 from polhode.config.backend_settings import Backend
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Ints, exp_so3, inverse_pose, make_pose, transform_points
@@ -151,7 +156,7 @@ class SlidingWindow:
         shrink_window(state, self.settings.frames, self.settings.key_frames)
         if history is not None and history.n_added >= self.settings.history:
             if np.diag(online.cov_k).max() < MAX_RATIO_SIGMA**2:
-                expand_arrival(state, history)
+                history.expand_arrival(state.active, state.prior.form, state.R_inertia)
                 for frame in (*state.active.keys, state.active.recent[0]):
                     frame.fix_linearization()
                 state.history = None
@@ -160,10 +165,7 @@ class SlidingWindow:
         return online
 
     def _reestimate(self, state: EstimatorState, history: History) -> bool:
-        """Estimate what is fixed while solving: noise, disturbances, the choice among inertias.
-
-        Returns whether the last solve is answered, as ``solve_history``.
-        """
+        """Estimate what is fixed while solving: noise, disturbances, the choice among inertias."""
         estimate_noise(state)
         solve_history(state, history)
         if self._config.process_noise == "estimated" and len(history.frames) >= 20:

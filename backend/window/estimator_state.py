@@ -8,7 +8,17 @@ import numpy as np
 from polhode.backend.dynamics.propagation import propagate_rotations, series_steps
 from polhode.backend.dynamics.residuals import Steps
 from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
-from polhode.backend.problem.iterate import COM, N_CONSTANTS, N_POSE, POSITION, RATE, VELOCITY, XI
+from polhode.backend.problem.iterate import (
+    COM,
+    N_CONSTANTS,
+    N_POSE,
+    N_STATE,
+    POSITION,
+    RATE,
+    ROTATION,
+    VELOCITY,
+    XI,
+)
 from polhode.backend.problem.motion_data import rig_vector
 from polhode.backend.solvers.gauss_newton import WeakPrior
 from polhode.backend.solvers.linearization_point import COM_PRIOR_M, middle_and_radius
@@ -18,6 +28,8 @@ from polhode.backend.window.frame import (
     STEREO_GATE,
     CameraNoise,
     CondensedVision,
+    Frame,
+    FrameMeasurements,
     FramePoses,
     LandmarkSlots,
     ObservationModel,
@@ -65,14 +77,9 @@ class EstimatorState:
     _gathered: list[Array] = field(default_factory=list)
 
     @property
-    def xi(self) -> Array:
-        """(5,)"""
-        return self.active.constants[XI]
-
-    @property
     def second_moments(self) -> Array:
         """(3, 3) in G."""
-        return self.prior.form.second_moments(self.xi, self.R_inertia)
+        return self.prior.form.second_moments(self.active.constants[XI], self.R_inertia)
 
     @property
     def J_G(self) -> Array:
@@ -107,10 +114,6 @@ class EstimatorState:
         """The program of some states, with the present prior."""
         return WindowProblem(vision, R_ref, steps, self.weak_prior, self.prior)
 
-    def history_steps(self, history: History, x: Array) -> Steps:
-        """The steps of the history, whitened at the rates in x under the present inertia and noise."""
-        return history.steps_at(x, self.J_G, self.J_noise, self.disturbances)
-
     def move_landmarks(self, condensed: CondensedVision, step: Array, n_fixed: int = 0) -> None:
         """Move the landmarks with the step (6 F,) of the poses; those seen once move with their frame.
 
@@ -137,10 +140,6 @@ class EstimatorState:
         self.weak_prior = np.concatenate([middle, [sigma], self.R_inertia.T.ravel()])
         return radius
 
-    def recenter_inertia(self) -> None:
-        """Move the reference of the inertia to its value, while nothing else depends on the reference."""
-        self.set_inertia(self.second_moments)
-
     def set_inertia(self, second_moments: Array) -> None:
         """Set the inertia, second moments (3, 3) in G, and its reference."""
         xi, self.R_inertia = self.prior.form.coordinates(second_moments)
@@ -162,6 +161,19 @@ class EstimatorState:
         R_NG = last.R_NG @ matrix_from_wxyz(q[0])
         r_N = last.x[POSITION] + last.R_NG @ com_G + dt * last.x[VELOCITY]
         return np.concatenate([r_N - R_NG @ com_G, np.zeros(3), last.x[VELOCITY], w_after[0]]), R_NG
+
+    def predicted_sigma(self, time_s: float) -> float:
+        """Approximate largest standard deviation [rad] of the attitude that ``predict`` gives."""
+        if self.last is None:
+            return np.inf
+        covariance, dt = np.linalg.inv(self.last.joint), time_s - self.active.recent[-1].time_s
+        turn = covariance[ROTATION, ROTATION] + dt**2 * covariance[RATE, RATE]
+        return float(np.sqrt(np.linalg.eigvalsh(turn)[-1] + self.disturbances.torque_psd * dt**3 / 3.0))
+
+    def frame(self, m: FrameMeasurements, number: int, time_s: float, R_NG: Array, x: Array) -> Frame:
+        """A frame at R_NG (3, 3), x (12,), without its observations."""
+        information = self.camera.information(m.X_NR, R_NG, x[POSITION])
+        return Frame(number, time_s, m.X_NR, R_NG, x, camera_information=information)
 
     def add_newest_step(self) -> None:
         """Add the dynamics to the newest state, whitened at the present rates."""
@@ -192,7 +204,7 @@ def shrink_window(state: EstimatorState, n_recent: int, n_keys: int) -> None:
         else:
             if dropped is not None:
                 state.history.absorb(active.frames, *_condense(state, dropped))
-            active.oldest_becomes_key()
+            active.keys.append(active.recent.pop(0))
         if dropped is not None:
             frame = active.keys.pop(dropped)
             state.landmarks.leave(frame.slot)
@@ -211,28 +223,24 @@ def least_valuable(state: EstimatorState) -> int:
 
 
 def _marginalize(state: EstimatorState, dropped: int | None) -> None:
-    """Marginalize velocities and step of the oldest state into the arrival cost; its pose becomes a key.
-
-    ``dropped``: index of a key, or of the new one, that is marginalized completely.
-    """
+    """Marginalize velocities and step of the oldest state into the arrival cost; its pose becomes a key."""
     active = state.active
     parts = [active.oldest_step(state.prior.form, state.R_inertia), *active.camera_parts(1)]
-    gone = [active.oldest_velocities()]
+    # a seen pose stays when the oldest state becomes a key
+    first = active.n_seen + (0 if active.noisy_camera else N_POSE)
+    gone = [np.arange(first, active.n_seen + N_STATE)]
     if dropped is not None:
         parts.append((active.seen_entries, *_condense(state, dropped)))
         gone.append(np.arange(N_POSE * dropped, N_POSE * (dropped + 1)))
     active.absorb(parts, np.concatenate(gone))
-    active.oldest_becomes_key()
+    active.keys.append(active.recent.pop(0))
     active.steps = active.steps.part(slice(1, None))
     for frame in (active.keys[-1], active.recent[0]):
         frame.fix_linearization()
 
 
 def _condense(state: EstimatorState, k: int) -> tuple[Array, Array]:
-    """Information on all poses, and its gradient, from the observations of frame k alone.
-
-    Landmarks whose residual in frame k exceeds the gate are left out.
-    """
+    """Information on all poses, and its gradient, from the observations of frame k alone."""
     frames, p_G = state.active.frames, state.landmarks.p_G
     poses = FramePoses(frames)
     observations = state.observations().common_with(k)

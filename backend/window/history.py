@@ -139,15 +139,6 @@ class ActiveWindow:
         frames = self.recent[:n_frames]
         return [camera_part(frame, a, b) for frame, a, b in zip(frames, seen, true, strict=False)]
 
-    def oldest_velocities(self) -> Ints:
-        """Entries of the oldest recent frame that are eliminated when its seen pose becomes a key."""
-        first = 0 if self.noisy_camera else N_POSE
-        return np.arange(self.n_seen + first, self.n_seen + N_STATE)
-
-    def oldest_becomes_key(self) -> None:
-        """The oldest recent frame becomes a key frame."""
-        self.keys.append(self.recent.pop(0))
-
 
 def camera_part(frame: Frame, seen: Ints, true: Ints) -> Part:
     """Information on the seen pose minus the true one, by the camera's noise; entries (6,) of both."""
@@ -302,8 +293,8 @@ class History:
         dt_s = np.diff([frame.time_s for frame in self.frames])
         return whitened_steps(w_G, J_G, J_noise, dt_s, disturbances)
 
-    def arrival(self, active: ActiveWindow, form: InertiaForm, R_inertia: Array) -> Quadratic:
-        """The arrival cost about the window's unknowns: everything but its own observations and dynamics."""
+    def expand_arrival(self, active: ActiveWindow, form: InertiaForm, R_inertia: Array) -> None:
+        """Give the window its steps, and its arrival cost: all but its own observations and dynamics."""
         x, n = self.vector(active.constants), N_POSE * len(self.frames)
         n_seen = n if self.noisy_camera else 0
         size, n_old = n_seen + len(x), len(self.frames) - len(active.recent)
@@ -325,4 +316,5 @@ class History:
         of_frames = self.entries(active.seen_frames, N_POSE if self.noisy_camera else N_STATE)
         kept = np.concatenate([of_frames, np.arange(n_seen + N_STATE * n_old, size)])
         left = eliminate(H, g, others(kept, size), kept)
-        return Quadratic(left.H, left.g, active.vector())
+        active.arrival = Quadratic(left.H, left.g, active.vector())
+        active.steps = self.steps.part(slice(n_old, None))

@@ -226,8 +226,35 @@ def solve_newton(problem: WindowProblem, x: Array, max_iterations: int) -> Solut
     level, iteration = 0, 0
     cost, H, g = problem.normal_equations(x)
     candidate = cost
+
+    def descending() -> Array | None:
+        """A step after which the cost is no higher; sets that cost, and the level of damping."""
+        nonlocal candidate, level
+        step = None
+        for tried in range(level, len(DAMPINGS)):
+            damped = H
+            if DAMPINGS[tried] > 0.0:
+                damped = H.copy()
+                np.einsum("ii->i", damped)[-N_CONSTANTS:] += DAMPINGS[tried] / CONSTANT_SCALE**2
+            try:
+                factor = cho_factor(damped, lower=True, check_finite=False)
+            except LinAlgError:
+                step = None
+                continue
+            step = np.asarray(-cho_solve(factor, g, check_finite=False))
+            if (candidate := problem.cost(x + step)) <= cost + NEGLIGIBLE_COST:
+                level = tried
+                return step
+        share = 0.5
+        while step is not None and share > 1e-3:
+            if (candidate := problem.cost(x + share * step)) <= cost + NEGLIGIBLE_COST:
+                level = len(DAMPINGS) - 1
+                return share * step
+            share *= 0.5
+        return None
+
     for iteration in range(1, max_iterations + 1):
-        step, candidate, level = _descending_step(problem, x, (cost, H, g), level)
+        step = descending()
         if step is None:
             return Solution(x, cost, iteration, False, "no further decrease")
         expected = cost + float(g @ step + 0.5 * step @ (H @ step))
@@ -238,35 +265,6 @@ def solve_newton(problem: WindowProblem, x: Array, max_iterations: int) -> Solut
         if iteration < max_iterations:
             cost, H, g = problem.normal_equations(x)
     return Solution(x, candidate, iteration, False, "iteration limit")
-
-
-def _descending_step(
-    problem: WindowProblem, x: Array, at_x: tuple[float, Array, Array], level: int
-) -> tuple[Array | None, float, int]:
-    """A step after which the cost is no higher, that cost, and the level of damping that was needed."""
-    cost, H, g = at_x
-    step = None
-    for tried in range(level, len(DAMPINGS)):
-        step = _damped_step(H, g, DAMPINGS[tried])
-        if step is not None and (candidate := problem.cost(x + step)) <= cost + NEGLIGIBLE_COST:
-            return step, candidate, tried
-    share = 0.5
-    while step is not None and share > 1e-3:
-        if (candidate := problem.cost(x + share * step)) <= cost + NEGLIGIBLE_COST:
-            return share * step, candidate, len(DAMPINGS) - 1
-        share *= 0.5
-    return None, cost, level
-
-
-def _damped_step(H: Array, g: Array, damping: float) -> Array | None:
-    if damping > 0.0:
-        H = H.copy()
-        np.einsum("ii->i", H)[-N_CONSTANTS:] += damping / CONSTANT_SCALE**2
-    try:
-        factor = cho_factor(H, lower=True, check_finite=False)
-    except LinAlgError:
-        return None
-    return np.asarray(-cho_solve(factor, g, check_finite=False))
 
 
 TOLERANCE = 1e-3
@@ -309,18 +307,13 @@ class IpoptSolver:
             return Solution(x, before, int(stats["iter_count"]), False, f"no decrease: {status}")
         return Solution(found, cost, int(stats["iter_count"]), status in OPTIMAL, status)
 
-    def _slots(self) -> tuple[Ints, Ints]:
-        """(W - 1, 32) entries that each step between states reads, and (1, 8) the constants."""
-        states = N_STATE * np.arange(self.n_frames - 1)[:, None] + np.arange(2 * N_STATE)
-        constants = np.arange(self.size - N_CONSTANTS, self.size)[None]
-        return np.hstack([states, np.repeat(constants, len(states), axis=0)]), constants
-
     def _build(self, form: InertiaForm, series: int) -> Any:
-        """Unknowns z (n), x = start + size z. Parameters: start, size, q (n each), Q (n, n), steps, prior.
-
-        Every kernel returns its cost, gradient and Hessian blocks; constant sparse matrices add them up.
-        """
-        n, (slots, constants) = self.size, self._slots()
+        """Unknowns z (n), x = start + size z. Parameters: start, size, q (n each), Q (n, n), steps, prior."""
+        n = self.size
+        # entries that each step between states reads (W - 1, 32), and the constants (1, 8)
+        states = N_STATE * np.arange(self.n_frames - 1)[:, None] + np.arange(2 * N_STATE)
+        constants = np.arange(n - N_CONSTANTS, n)[None]
+        slots = np.hstack([states, np.repeat(constants, len(states), axis=0)])
         shapes = {"start": (n, 1), "size": (n, 1), "q": (n, 1), "Q": (n, n), "steps": (PLAIN.n_p, len(slots)),
                   "weak": (N_PRIOR, 1)}  # fmt: skip
         ends = np.cumsum([0, *(rows * columns for rows, columns in shapes.values())])
@@ -343,7 +336,12 @@ class IpoptSolver:
         gradient = q + along + size * (scatter(where, n) @ ca.vertcat(ca.vec(g_steps), g_prior))
         _, _, (h_steps, h_prior) = terms("quadratic")
         cols, rows = np.tril_indices(n)
-        where = np.concatenate([_upper_cells(each) for each in (slots, constants)])
+        # cells of the upper triangle, counted by columns
+        cells = []
+        for each in (slots, constants):
+            second, first = (each[:, index] for index in np.tril_indices(each.shape[1]))
+            cells.append((second * (second + 1) // 2 + first).ravel())
+        where = np.concatenate(cells)
         curvature = scatter(where, len(rows)) @ ca.vertcat(ca.vec(h_steps), h_prior)
         scale = size[rows.tolist()] * size[cols.tolist()]
         values = ca.vec(Q)[(rows + n * cols).tolist()] + scale * curvature
@@ -371,10 +369,3 @@ class IpoptSolver:
         columns[:m, PLAIN.W_R] = np.swapaxes(steps.W_r, 1, 2).reshape(-1, 36)
         scaled = (size[:, None] * Q * size).ravel()
         return np.concatenate([start, size, size * q, scaled, columns.ravel(), problem.weak_prior])
-
-
-def _upper_cells(slots: Ints) -> Ints:
-    """Cells of the upper triangle, counted by columns, that the blocks on each row of slots touch."""
-    cols, rows = np.tril_indices(slots.shape[1])
-    first, second = slots[:, rows], slots[:, cols]
-    return np.asarray(second * (second + 1) // 2 + first).ravel()

@@ -1,42 +1,158 @@
 """The solves of one frame's update: of the whole history while it is kept, of the window alone afterwards.
 
 Gauss-Newton leads to the optimum, and IPOPT continues with the recent states and the constants, by default.
-While the history is kept, brief solves from several inertias decide whether another one fits better.
+While the history is kept, brief solves from several inertias decide whether another one fits better, and the
+noise levels are estimated: of the pixels from the residuals of the active frames, of the disturbances by the
+evidence of ``outliers_and_noise/process_level.py`` on the history alone; the landmarks are eliminated there,
+and their part of the evidence does not depend on the level.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError
+from scipy.linalg import LinAlgError, cholesky
 
 from polhode.backend.dynamics.residuals import add_steps
 from polhode.backend.initialization.multistart import PASSES, SAME_INERTIA, inertia_hypotheses
 from polhode.backend.initialization.rates import interpolated_rates, interval_rates
+from polhode.backend.outliers_and_noise.noise_and_outliers import (
+    MAX_SHARE_OF_POSES,
+    MIN_OBSERVATIONS,
+    scales_by_median,
+)
+from polhode.backend.outliers_and_noise.process_level import (
+    ACCELERATION,
+    CEILING_PSD,
+    FLOOR_PSD,
+    INSIGNIFICANT_EVIDENCE,
+    TORQUE,
+    raise_level,
+    walk,
+)
 from polhode.backend.problem.inertia import inertia_from_second_moments
 from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE, RATE, ROTATION
 from polhode.backend.solvers.gauss_newton import Solution
 from polhode.backend.window.causal_state import last_information
 from polhode.backend.window.estimator_state import EstimatorState
-from polhode.backend.window.frame import STEREO_GATE, CondensedVision
+from polhode.backend.window.frame import (
+    STEREO_GATE,
+    CondensedVision,
+    FramePoses,
+    WindowObservations,
+    residuals,
+)
 from polhode.backend.window.history import History, HistoryVision, add_parts
 from polhode.backend.window.problem import (
     NEGLIGIBLE_COST,
+    DisturbanceLevels,
     IpoptSolver,
     Quadratic,
     WindowProblem,
     eliminate,
     solve_newton,
 )
+from polhode.geometry.camera import stereo_jacobian
 from polhode.geometry.lie import Array
+
+Grid = tuple[int, int]
+"""Levels of acceleration and torque in half decades from the stated ones: finer than the data can resolve."""
+
+
+def estimate_levels(state: EstimatorState, history: History, stated: tuple[float, float]) -> None:
+    """Set the most likely accel_psd and torque_psd, starting from those stated."""
+    vision = history.vision(state.active, state.condensed()).quadratic
+    x = history.vector(state.active.constants)
+
+    def levels(at: Grid) -> DisturbanceLevels:
+        return DisturbanceLevels(*(value * 10.0 ** (0.5 * n) for value, n in zip(stated, at, strict=True)))
+
+    def minus_log_evidence(at: Grid) -> float:
+        noise = levels(at)
+        if min(noise) < FLOOR_PSD or max(noise) > CEILING_PSD:
+            return np.inf
+        steps = history.steps_at(x, state.J_G, state.J_noise, noise)
+        problem = state.problem(vision, history.R_ref, steps)
+        try:
+            solution = solve_newton(problem, x, 3)
+            factor = cholesky(problem.normal_equations(solution.x)[1], lower=True, check_finite=False)
+        except LinAlgError:
+            return np.inf
+        return solution.cost + steps.half_log_det + float(np.log(np.diagonal(factor)).sum())
+
+    state.disturbances = levels(most_likely(minus_log_evidence))
+
+
+def most_likely(minus_log_evidence: Callable[[Grid], float]) -> Grid:
+    """The largest levels, up to the stated ones, that are nearly as likely as the best."""
+    known: dict[Grid, float] = {}
+
+    def cost(at: Grid) -> float:
+        if at not in known:
+            known[at] = minus_log_evidence(at)
+        return known[at]
+
+    def moved(at: Grid, axis: int, change: int) -> Grid:
+        return (at[0] + change, at[1]) if axis == ACCELERATION else (at[0], at[1] + change)
+
+    # too high a level can hide in wrong constants and so remain high: lower ones are tried first
+    best = min(((n, n) for n in (0, -4, -8)), key=cost)
+    for step in (2, 1):
+        for axis in (TORQUE, ACCELERATION):
+
+            def neighbour(at: Grid, sign: int, axis: int = axis, step: int = step) -> Grid:
+                return moved(at, axis, sign * step)
+
+            best = walk(best, neighbour, cost)
+    limit = cost(best) + INSIGNIFICANT_EVIDENCE
+    for axis in (TORQUE, ACCELERATION):
+
+        def raised(at: Grid, axis: int = axis) -> Grid | None:
+            return moved(at, axis, 1) if at[axis] < 0 else None
+
+        best = raise_level(best, raised, cost, limit)
+    return best
+
+
+def estimate_noise(state: EstimatorState) -> None:
+    """Rescale the standard deviations of u, v and of the disparity by the median absolute residual."""
+    observations = state.observations()
+    if len(observations.frame) < MIN_OBSERVATIONS:
+        return
+    p_G = state.landmarks.p_G[observations.slot]
+    r = residuals(observations, FramePoses(state.active.frames), state.model.rig, p_G)
+    free = np.maximum(1.0 - freedom_of_fit(state, observations, p_G), 0.05)
+    factors = scales_by_median(r, free)
+    state.noise = state.noise * factors
+    for frame in state.active.frames:
+        frame.inv_sigma = frame.inv_sigma / factors
+
+
+def freedom_of_fit(state: EstimatorState, observations: WindowObservations, p_G: Array) -> Array:
+    """Share (M, 3) of the freedom of each residual that is used by landmarks and poses."""
+    frames = state.active.frames
+    poses = FramePoses(frames)
+    A, k = poses.A[observations.frame], observations.frame
+    p_R = (
+        np.einsum("mij,mj->mi", A, p_G[observations.landmark])
+        + (np.einsum("fij,fj->fi", poses.R_RN, poses.p_NG) + poses.t_R)[k]
+    )
+    D = stereo_jacobian(p_R, state.rig.focal_px, state.rig.baseline_m)
+    J = observations.inv_sigma[:, :, None] * (D @ A)
+    information = np.add.reduceat(np.swapaxes(J, 1, 2) @ J, observations.start[:-1], axis=0)
+    used = np.einsum("mij,mjk,mik->mi", J, np.linalg.inv(information)[observations.landmark], J)
+    # the poses are fitted to u and v: six unknowns for the two numbers of each observation
+    used[:, :2] += min(3.0 * len(frames) / len(k), MAX_SHARE_OF_POSES)
+    return np.asarray(used)
+
 
 INNER_ITERATIONS = 10
 MAX_LINEARIZATIONS = 8
 """Largest number of linearizations of the observations."""
 
 
-@dataclass(frozen=True)
-class InertiaCandidate:
+class InertiaCandidate(NamedTuple):
     """The solution from one guess; its cost includes the normalization of the process noise."""
 
     x: Array
@@ -54,10 +170,11 @@ def solve_history(state: EstimatorState, history: History, answer: IpoptSolver |
     # In the flat valley of an unknown inertia a long history would not converge: the next frame continues.
     left = 4 if len(history.frames) > 32 else MAX_LINEARIZATIONS * INNER_ITERATIONS
     for rounds_left in reversed(range(MAX_LINEARIZATIONS)):
-        state.recenter_inertia()
+        # its reference moves to it, while nothing else depends on the reference
+        state.set_inertia(state.second_moments)
         condensed = state.condensed()
         x = history.vector(active.constants)
-        steps = state.history_steps(history, x)
+        steps = history.steps_at(x, state.J_G, state.J_noise, state.disturbances)
         vision = history.vision(active, condensed)
         problem = state.problem(vision.quadratic, history.R_ref, steps)
         solution = solve_newton(problem, x, min(left, INNER_ITERATIONS))
@@ -133,13 +250,6 @@ def set_history(
     state.move_landmarks(condensed, step[history.entries(state.active.frames, N_POSE)])
 
 
-def expand_arrival(state: EstimatorState, history: History) -> None:
-    """Form the arrival cost from the history, about the present solution."""
-    active = state.active
-    active.arrival = history.arrival(active, state.prior.form, state.R_inertia)
-    active.steps = history.steps.part(slice(len(history.frames) - len(active.recent), None))
-
-
 def solve_window(state: EstimatorState, answer: IpoptSolver | None = None) -> bool:
     """Solve for the recent states, the seen poses and the constants under the arrival cost.
 
@@ -201,7 +311,12 @@ def choose_inertia(state: EstimatorState, history: History) -> None:
     before = history.vector(state.active.constants)
     best = _descend(state, history, vision.quadratic, before, state.second_moments, [])
     found = [] if best is None else [best]
-    start, R_NG, w_G = _differenced_rates(history, before)
+    # other candidates start with rates by differences of the attitudes
+    R_NG = np.stack([frame.R_NG for frame in history.frames])
+    time_s = np.array([frame.time_s for frame in history.frames])
+    w_G = interpolated_rates(time_s, *interval_rates(time_s, R_NG)[::-1])
+    start = before.copy()
+    start[:-N_CONSTANTS].reshape(-1, N_STATE)[:, RATE] = w_G
     for second in inertia_hypotheses(R_NG, w_G).values():
         candidate = _descend(state, history, vision.quadratic, start, second, found)
         if candidate is None or any(candidate is other for other in found):
@@ -212,16 +327,6 @@ def choose_inertia(state: EstimatorState, history: History) -> None:
     if best is not None:
         set_history(state, history, vision, condensed, best.x)
         state.set_inertia(best.second)
-
-
-def _differenced_rates(history: History, x: Array) -> tuple[Array, Array, Array]:
-    """The unknowns with the rates by differences of the attitudes; attitudes (N, 3, 3) and rates (N, 3)."""
-    R_NG = np.stack([frame.R_NG for frame in history.frames])
-    time_s = np.array([frame.time_s for frame in history.frames])
-    w_G = interpolated_rates(time_s, *interval_rates(time_s, R_NG)[::-1])
-    fresh = x.copy()
-    fresh[:-N_CONSTANTS].reshape(-1, N_STATE)[:, RATE] = w_G
-    return fresh, R_NG, w_G
 
 
 def _descend(

@@ -288,21 +288,6 @@ def _causal_estimate() -> list[bytes]:
     ]
 
 
-def _frozen_problem() -> list[bytes]:
-    from dataclasses import replace
-
-    from polhode.compare.problem.problem_file import SUFFIX, write_problem
-    from polhode.compare.problem.sources import SCENES, synthetic_problem
-    from polhode.config.backend_settings import Backend
-
-    scene = replace(SCENES["flip"], frames=12, landmarks=200, min_inliers=6)
-    problem = synthetic_problem("small", scene, 0, Backend(process_noise="given"))
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / f"small{SUFFIX}"
-        write_problem(problem, path)
-        return [path.read_bytes()]
-
-
 # --- meshes ------------------------------------------------------------------------------------------------
 
 
@@ -505,8 +490,6 @@ TARGETS: tuple[Target, ...] = (
     Target("online", "online.npz", "zip", _causal_estimate, _call(f"{_RUN_FILES}.archives:read_online")),
     Target("pixel_truth", "truth.npz", "zip", _pixel_truth,
            _call("polhode.simulation.dataset.frame_renderer:read_products")),
-    Target("frozen_problem", "p.problem.npz", "zip", _frozen_problem,
-           _call("polhode.compare.problem.problem_file:read_problem")),
     Target("summary", "summary.json", "text", _of_run("summary.json"),
            _call(f"{_RUN_FILES}.summary:read_summary"), words=JSON_WORDS),
     Target("metrics", "run/metrics.json", "text", lambda: [_METRICS], _read_run, _lay_out_run, JSON_WORDS),

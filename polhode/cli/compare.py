@@ -15,8 +15,8 @@ class CompareCommand(ConfiguredCommand):
     """Solve the same measurements and the same cost with many optimizers: table, CSV, JSON, a page.
 
     The measurements come from a dataset, a stored run, or the Monte Carlo generator (compare.monte_carlo).
-    The same command resumes an interrupted comparison. Options with dots override the configuration; the
-    help shows the default of each key, which applies where the file does not set it.
+    Options with dots override the configuration; the help shows the default of each key, which applies where
+    the file does not set it.
     """
 
     EXAMPLES: ClassVar = (
@@ -28,7 +28,7 @@ class CompareCommand(ConfiguredCommand):
     )
 
     output: Annotated[Path, Named("DIR", "-o")]
-    """Folder of the results: a new one, or that of the same comparison, which is resumed."""
+    """Folder of the results: a new one, or that of another comparison, whose files are replaced."""
     config: Annotated[Path | None, Positional("CONFIG")] = None
     """Configuration, YAML. If it is left out the defaults apply, which try every solver once; there are
     others in configs/compare/."""

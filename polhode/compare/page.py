@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 
 from polhode.compare.problem.assessment import AGREED
-from polhode.compare.ranking import FINISHED, NOISE, curve, front, growths
-from polhode.compare.rows import Comparison, ProblemSummary, Row, gap
+from polhode.compare.rows import Comparison, ProblemSummary, Row
 from polhode.compare.tables import (
     COLUMNS,
     ERROR_COLUMNS,
     cells,
+    curve,
     error_cells,
-    not_separable,
     start_text,
     tally_text,
     verdict,
@@ -33,15 +32,13 @@ MAX_TRACES = 12
 
 
 def write_page(comparison: Comparison, path: Path) -> None:
-    """Cost against time, performance profiles, growth, time against accuracy, the tables."""
+    """Cost against time, performance profiles, the tables."""
     names = list(dict.fromkeys(row.solver for row in comparison.rows))
     colors = {name: (COLORS[n % 10], ("solid", "dash", "dot")[n // 10 % 3]) for n, name in enumerate(names)}
     drawn = [(n, problem, _rows_of(comparison, problem)) for n, problem in enumerate(comparison.problems)]
     figures = [
         *(_cost_against_time(n, problem, rows, colors) for n, problem, rows in drawn[:MAX_TRACES]),
         _profiles(comparison, colors),
-        _growth(comparison, colors),
-        *(_time_against_accuracy(n, problem, rows, colors) for n, problem, rows in drawn[:MAX_TRACES]),
     ]
     page = fill(
         "compare.html.j2",
@@ -65,7 +62,6 @@ def _table(problem: ProblemSummary, rows: list[Row]) -> dict[str, object]:
         "problem": problem,
         "rows": [(cells(row, problem.least_cost), row) for row in rows],
         "verdict": verdict(rows, problem.least_cost),
-        "not_separable": not_separable(rows),
         "errors": [(row, start_text(row), error_cells(row.errors)) for row in rows if row.errors is not None],
     }
 
@@ -139,40 +135,3 @@ def _profiles(comparison: Comparison, colors: Colors) -> Figure | None:
     )
     y = {"title": "share of the cases it ran", "range": [-0.02, 1.04]}
     return _figure("profiles", "Performance profiles", caption, data, "time over the fastest", y, 460)
-
-
-def _growth(comparison: Comparison, colors: Colors) -> Figure | None:
-    data = [
-        _line(each.size, each.seconds, each.solver, colors, f"{each.solver}: n^{each.exponent:.2f}")
-        for each in growths(comparison)
-    ]
-    caption = "Cold starts that were solved; the exponent is fitted to all sizes."
-    y = {"title": "seconds", "type": "log"}
-    return _figure("growth", "Time against size", caption, data, "observations", y, 460) if data else None
-
-
-def _time_against_accuracy(n: int, problem: ProblemSummary, rows: list[Row], colors: Colors) -> Figure | None:
-    rows = [row for row in rows if row.start == "cold"]
-    if not any(row.status in FINISHED for row in rows):
-        return None
-
-    def points(chosen: list[Row], name: str, color: str, **more: Any) -> Trace:
-        over = [max(gap(row, problem.least_cost) or 0.0, AGREED) for row in chosen]
-        return line(np.array([row.wall_s for row in chosen]), np.array(over), name, color, **more)
-
-    best = front(rows, problem.least_cost)
-    step = points(best, "Pareto front", "#8a97a3", mode="lines")
-    step["line"] = {**step["line"], "shape": "hv"}
-    data = [step]
-    for row in rows:
-        if row.status in FINISHED:
-            color, symbol = colors[row.solver][0], "circle" if row.status == "ok" else "diamond"
-            marker = {"color": color, "size": 9, "symbol": symbol}
-            data.append(points([row], row.solver, color, mode="markers", marker=marker))
-    caption = (
-        f"Cold start; costs within {AGREED:g} of the least count as equally accurate, times within "
-        f"{NOISE:.0%} as equally long. On the front: {', '.join(row.solver for row in best)}."
-    )
-    y = {"title": "cost over the least - 1", "type": "log"}
-    title = f"Time against accuracy, {problem.name}"
-    return _figure(f"front{n}", title, caption, data, "seconds", y, 420)

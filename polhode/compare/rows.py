@@ -60,7 +60,7 @@ class Row(Case):
     """False: its package is missing, or the time of the comparison was up"""
     kept: Kept
     """The point to which cost, ratios and errors belong: the solver's result, or, of one that did not finish,
-    the best point it recorded, or the last one (of a method whose own cost is not the common one)"""
+    the best point that it recorded, or the last one (of a method whose own cost is not the common one)"""
     cost: Finite | None
     """The common cost of the point that is kept"""
     gain_left: Finite | None
@@ -68,19 +68,8 @@ class Row(Case):
     iterations: int | None = Field(ge=0)
     wall_s: Finite | None
     """Building and solving, without the start of the process and the preparation of the problem"""
-    build_s: Finite | None
-    evaluation_s: Finite | None
-    """Costs, residuals, Jacobians, normal equations"""
-    linear_s: Finite | None
-    """The remaining time: linear algebra and the solver's own work"""
-    not_separable: str
-    """Why evaluation and linear algebra are not timed separately; empty: they are"""
-    callback_s: Finite | None
-    """Spent in Python functions that a foreign library calls for blocks, factors or the reduced cost"""
     memory_mb: Finite | None
     """Largest resident size of the process"""
-    memory_before_mb: Finite | None
-    """The same before it began to solve: interpreter, libraries, the problem"""
     k1: Finite | None
     k2: Finite | None
     sigma_k1: Finite | None
@@ -97,8 +86,6 @@ class ProblemSummary(StrictModel):
 
     name: str
     source: str
-    fingerprint: str
-    """Equal for the same measurements and the same cost"""
     frames: int
     landmarks: int
     observations: int

@@ -22,9 +22,8 @@ from typing import Any
 from polhode.compare.problem.assessment import AGREED, PointAssessment, assess, gain_left, sigmas
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.problem.problem_file import read_problem
-from polhode.compare.registry import Entry
 from polhode.compare.rows import Case, Row
-from polhode.compare.solver import OutOfTime, ProgressFiles, SolveMonitor, read_progress
+from polhode.compare.solver import Entry, OutOfTime, SolveMonitor
 from polhode.files.atomic import write_text
 from polhode.geometry.lie import Array
 from polhode.runtime.optional_parts import missing_message
@@ -45,14 +44,19 @@ def row_of(problem_file: Path, entry: Entry, case: Case, limit_s: float) -> Row:
         out = Path(folder) / "row.json"
         timed_case = {**case.model_dump(), "limit_s": limit_s, "started": time()}
         arguments = [str(problem_file), json.dumps(asdict(entry)), json.dumps(timed_case), str(out)]
-        end = _run([sys.executable, "-P", "-m", "polhode.compare.solver_process", *arguments], limit_s)
-        if not out.is_file():
-            return _row(entry, case, _partial_result(problem_file, out, limit_s, *end))
-        try:
-            return _row(entry, case, storable(json.loads(out.read_text())))
-        except ValueError as error:
-            reason = f"its result cannot be read: {str(error)[:150]}"
-            return _row(entry, case, {"status": "failed", "message": reason})
+        code, last = _run([sys.executable, "-P", "-m", "polhode.compare.solver_process", *arguments], limit_s)
+        if out.is_file():
+            try:
+                return _row(entry, case, storable(json.loads(out.read_text())))
+            except ValueError as error:
+                reason = f"its result cannot be read: {str(error)[:150]}"
+                return _row(entry, case, {"status": "failed", "message": reason})
+    if code is None:
+        return _row(entry, case, {"status": "timeout", "message": f"ended at its limit of {limit_s:g} s"})
+    died = (
+        f"the process died of {signal.Signals(-code).name}" if code < 0 else f"the process ended with {code}"
+    )
+    return _row(entry, case, {"status": "failed", "message": f"{died} and left no result: {last}"})
 
 
 def empty_row(entry: Entry, case: Case, status: str, message: str) -> Row:
@@ -61,18 +65,13 @@ def empty_row(entry: Entry, case: Case, status: str, message: str) -> Row:
 
 
 def _row(entry: Entry, case: Case, known: Values) -> Row:
-    unknown = dict.fromkeys(Row.model_fields) | {
-        "kept": "nothing",
-        "not_separable": "",
-        "trace": [],
-        "ran": True,
-    }
-    own = {**case.model_dump(), "family": entry.family, "claim": entry.claim}
-    return Row.model_validate({**unknown, **own, **known})
+    unknown = dict.fromkeys(Row.model_fields)
+    own = {**case.model_dump(), "family": entry.family, "claim": entry.claim, "ran": True}
+    return Row.model_validate(unknown | {"kept": "nothing", "trace": []} | own | known)
 
 
-def _run(command: list[str], limit_s: float) -> tuple[int | None, str, float | None]:
-    """Wait until the process ends, or end it at its limit (no exit code): code, last words, memory [MB]."""
+def _run(command: list[str], limit_s: float) -> tuple[int | None, str]:
+    """Wait until the process ends, or end it at its limit (no exit code): code, last words."""
     # the child imports our packages from where this process has them, wherever it was started
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     environment.pop("PYTHONFAULTHANDLER", None)
@@ -86,43 +85,18 @@ def _run(command: list[str], limit_s: float) -> tuple[int | None, str, float | N
         start_new_session=True,
         env=environment,
     )
-    memory = None
     try:
         _, stderr = process.communicate(timeout=limit_s)
     except BaseException as error:
-        memory = peak_mb(process.pid)
         # with those that it started: it leads a session of its own
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
         if not isinstance(error, subprocess.TimeoutExpired):
             raise
-        return None, "", memory
+        return None, ""
     lines = [line.strip() for line in stderr.splitlines() if line.strip()]
-    return process.returncode, lines[-1][:200] if lines else "no output", memory
-
-
-def _partial_result(
-    problem_file: Path, stem: Path, limit_s: float, code: int | None, last: str, memory_mb: float | None
-) -> Values:
-    """The row of a process that ended without a result: the point that it had reached, assessed here."""
-    reached = read_progress(stem)
-    status, message = "failed", f"the process ended with {code} and left no result: {last}"
-    if code is None:
-        reason = out_of_time(limit_s, reached.wall_s, reached.status, reached.kept)
-        status, message = "timeout", f"ended at its limit: {reason}"
-    elif code < 0:
-        message = f"the process died of {signal.Signals(-code).name}: {last}"
-    known = {
-        "status": status,
-        "message": message,
-        "not_separable": "its process ended before its times were read",
-        "wall_s": reached.wall_s,
-        "iterations": len(reached.trace),
-        "memory_mb": memory_mb,
-        "trace": drawable(list(reached.trace)),
-    }
-    return storable(known | _assessed(read_problem(problem_file), reached.kept, reached.x))
+    return process.returncode, lines[-1][:200] if lines else "no output"
 
 
 def main(arguments: list[str]) -> None:
@@ -132,21 +106,20 @@ def main(arguments: list[str]) -> None:
     entry, case = Entry(**json.loads(entry_text)), json.loads(case_text)
     # ends a solver that hangs when the parent, which would end it, has died (where it is not tied to it)
     signal.alarm(math.ceil(case["limit_s"]) + 5)
-    write_text(Path(out), json.dumps(solve(Path(problem_file), entry, case, Path(out))))
+    write_text(Path(out), json.dumps(solve(Path(problem_file), entry, case)))
     sys.stdout.flush()
     # without the clean-up of libraries, some of which crash in it
     os._exit(0)
 
 
-def solve(problem_file: Path, entry: Entry, case: Values, out: Path) -> Values:
+def solve(problem_file: Path, entry: Entry, case: Values) -> Values:
     """The parts of a row that this process knows."""
     problem = read_problem(problem_file)
     x = problem.start(case["start"], case["seed"])
     gain_left(problem, x)  # loads the compiled loops before the clock starts
-    before = peak_mb()
     solver = entry.load()
     left = case["limit_s"] - (time() - case["started"]) - RESERVE_S
-    monitor = SolveMonitor(max(left, 1.0), files=ProgressFiles(out, len(x)))
+    monitor = SolveMonitor(max(left, 1.0))
     result, status, message = None, "failed", ""
     try:
         result = solver.solve(problem, x, monitor)
@@ -155,7 +128,6 @@ def solve(problem_file: Path, entry: Entry, case: Values, out: Path) -> Values:
     except Exception as error:  # noqa: BLE001  any error is a failed row
         traceback.print_exc()
         message = f"{type(error).__name__}: {error}"
-        monitor.not_separable = monitor.not_separable or "an error ended it before its times were read"
     wall, memory = monitor.elapsed(), peak_mb()
     kept, point = ("answer", result.x) if result is not None else monitor.kept()
     assessed = _assessed(problem, kept, point)
@@ -164,22 +136,15 @@ def solve(problem_file: Path, entry: Entry, case: Values, out: Path) -> Values:
         status, message = _confirmed(entry, result.converged, result.message, assessed)
         iterations, sigma = result.iterations, sigmas(problem, result.x, result.cov_constants)
     elif status == "timeout":
-        message = out_of_time(case["limit_s"], wall, monitor.status, kept)
-    build, evaluation = monitor.seconds["build"], monitor.seconds["evaluation"]
-    separable = not monitor.not_separable
+        words = "nothing is kept" if kept == "nothing" else f"the {kept} point is kept"
+        message = f"{case['limit_s']:g} s were not enough, {wall:.1f} s of them the solver's own; {words}"
     return {
         "status": status,
         "message": " ".join(message.split())[:300],
         **assessed,
         "iterations": iterations,
         "wall_s": wall,
-        "build_s": build,
-        "evaluation_s": evaluation if separable else None,
-        "linear_s": max(wall - build - evaluation, 0.0) if separable else None,
-        "not_separable": monitor.not_separable,
-        "callback_s": monitor.callback_s,
         "memory_mb": memory,
-        "memory_before_mb": before,
         **dict(zip(("sigma_k1", "sigma_k2", "sigma_com_mm"), sigma, strict=True)),
         "trace": drawable(monitor.trace),
     }
@@ -205,23 +170,15 @@ def _assessed(problem: MeasuredProblem, kept: str, x: Array | None) -> Values:
     return {"kept": kept, **asdict(found), "errors": errors}
 
 
-def out_of_time(limit_s: float, own_s: float | None, status: str, kept: str) -> str:
-    """Why there is no result: the limit, the solver's own share of it, its progress, and what is kept."""
-    own = "" if own_s is None else f", {own_s:.1f} s of them the solver's own"
-    point = f"the {kept} point is kept"
-    if kept == "nothing":
-        point = "nothing is kept: it has no complete iterate before its end"
-    return "; ".join(filter(None, [f"{limit_s:g} s were not enough{own}", status, point]))
-
-
 def storable(known: Values) -> Values:
     """A row's content with null for every number that is not finite, which JSON cannot store."""
-    return {
-        key: storable(value)
-        if isinstance(value, dict)
-        else (None if isinstance(value, float) and not math.isfinite(value) else value)
-        for key, value in known.items()
-    }
+
+    def one(value: Any) -> Any:
+        if isinstance(value, dict):
+            return storable(value)
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    return {key: one(value) for key, value in known.items()}
 
 
 def drawable(trace: list[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -229,15 +186,15 @@ def drawable(trace: list[tuple[float, float]]) -> list[tuple[float, float]]:
     return [(t, cost) for t, cost in trace if abs(cost) < 1e300]
 
 
-def peak_mb(process: int | str = "self") -> float | None:
-    """Largest resident size of a process so far [MB]; None where it is unknown for another process."""
-    status = Path(f"/proc/{process}/status")
-    if status.is_file():
-        # getrusage's peak survives exec: a child would start from its parent's
-        for line in status.read_text().splitlines():
-            if line.startswith("VmHWM:"):
-                return float(line.split()[1]) / 1024.0
-    return None if process != "self" else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+def peak_mb() -> float:
+    """Largest resident size of this process so far [MB]."""
+    status = Path("/proc/self/status")
+    # getrusage's peak survives exec: a child would start from its parent's
+    lines = status.read_text().splitlines() if status.is_file() else []
+    found = next((line for line in lines if line.startswith("VmHWM:")), None)
+    if found is not None:
+        return float(found.split()[1]) / 1024.0
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 if __name__ == "__main__":

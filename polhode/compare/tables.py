@@ -1,21 +1,62 @@
-"""The tables of a comparison: at the terminal, and as CSV."""
+"""Performance profiles and the tables of a comparison: at the terminal, and as CSV."""
 
 import csv
 import io
 from collections.abc import Sequence
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from polhode.compare.rows import Comparison, EstimateErrors, Row, Tally, gap
+from polhode.compare.problem.assessment import AGREED
+from polhode.compare.rows import Comparison, EstimateErrors, Profile, Row, Tally, gap, least_costs
+from polhode.geometry.lie import Array
+
+
+def solved(row: Row, least: float | None) -> bool:
+    """Whether it claims convergence at the least known cost of its problem."""
+    over = gap(row, least)
+    return row.status == "ok" and over is not None and over <= AGREED
+
+
+def performance_profiles(comparison: Comparison) -> list[Profile]:
+    """A profile for each solver that claims convergence, over the cases that it ran."""
+    least, fastest = least_costs(comparison), dict[tuple[str, str, int], float]()
+    rows = [row for row in comparison.rows if row.claim == "ok"]
+    good = [row for row in rows if solved(row, least[row.problem])]
+    for row in good:
+        fastest[row.case] = min(fastest.get(row.case, np.inf), row.wall_s or 0.0)
+
+    def tally(own: Sequence[Row]) -> Tally:
+        ran = [row for row in own if row.ran]
+        won = sum(solved(row, least[row.problem]) for row in ran)
+        return Tally(solved=won, ran=len(ran), not_run=len(own) - len(ran))
+
+    out = []
+    for solver in dict.fromkeys(row.solver for row in rows):
+        own = [row for row in rows if row.solver == solver]
+        factors = [(row.wall_s or 0.0) / max(fastest[row.case], 1e-9) for row in good if row.solver == solver]
+        kinds = dict.fromkeys(row.start for row in own)
+        starts = {kind: tally([row for row in own if row.start == kind]) for kind in kinds}
+        out.append(Profile(solver=solver, starts=starts, factors=sorted(factors), **tally(own).model_dump()))
+    return out
+
+
+def curve(profile: Profile) -> tuple[Array, Array]:
+    """Factors of time (n,) from 1 to at least 100, and the share of the cases solved within them (n,)."""
+    factors = np.array(profile.factors)
+    share = np.arange(1, len(factors) + 1) / max(profile.ran, 1)
+    return (
+        np.concatenate([[1.0], factors, [max([100.0, *factors])]]),
+        np.concatenate([[0.0], share, share[-1:] if len(share) else [0.0]]),
+    )
+
 
 COLUMNS = (
-    "solver", "start", "status", "over least", "iter", "time s", "build", "eval", "linear", "MB",
+    "solver", "start", "status", "over least", "iter", "time s", "MB",
     "sigma k1", "sigma k2",
 )  # fmt: skip
 ERROR_COLUMNS = ("r mm", "v mm/s", "attitude deg", "w deg/s", "com mm", "k1", "k2")
-NOT_SEPARABLE = "n/s"
-"""Shown for a time that is not separable; the reason is below the table."""
 
 
 def format_tables(comparison: Comparison) -> str:
@@ -44,8 +85,7 @@ def format_tables(comparison: Comparison) -> str:
                 for row in rows
                 if row.status in ("failed", "timeout", "missing")
             ]
-            reasons = [f"  {reason}" for reason in not_separable(rows)]
-            console.print("\n".join([*ended, *reasons, verdict(rows, problem.least_cost)]), markup=False)
+            console.print("\n".join([*ended, verdict(rows, problem.least_cost)]), markup=False)
         for text in tallies(comparison):
             console.print(text, markup=False)
     return printed.get().rstrip("\n")
@@ -66,18 +106,9 @@ def cells(row: Row, least: float | None) -> list[str]:
     def number(value: float | None, form: str) -> str:
         return "" if value is None else format(value, form)
 
-    parts = [
-        NOT_SEPARABLE if row.not_separable else number(t, ".2f") for t in (row.evaluation_s, row.linear_s)
-    ]
     return [
-        *(
-            row.solver,
-            start_text(row),
-            row.status,
-            number(gap(row, least), ".1e"),
-            number(row.iterations, "d"),
-        ),
-        *(number(row.wall_s, ".2f"), number(row.build_s, ".2f"), *parts, number(row.memory_mb, ".0f")),
+        *(row.solver, start_text(row), row.status, number(gap(row, least), ".1e")),
+        *(number(row.iterations, "d"), number(row.wall_s, ".2f"), number(row.memory_mb, ".0f")),
         *(number(row.sigma_k1, ".2e"), number(row.sigma_k2, ".2e")),
     ]
 
@@ -91,15 +122,6 @@ def error_cells(errors: EstimateErrors) -> list[str]:
 def start_text(row: Row) -> str:
     """Kind of start, and its seed."""
     return row.start if row.start == "cold" else f"{row.start} {row.seed}"
-
-
-def not_separable(rows: Sequence[Row]) -> list[str]:
-    """Why times are not separable, and for which solvers."""
-    reasons: dict[str, dict[str, None]] = {}
-    for row in rows:
-        if row.not_separable:
-            reasons.setdefault(row.not_separable, {})[row.solver] = None
-    return [f"{NOT_SEPARABLE}, not separable ({', '.join(who)}): {why}" for why, who in reasons.items()]
 
 
 def tallies(comparison: Comparison) -> list[str]:

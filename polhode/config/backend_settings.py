@@ -28,38 +28,23 @@ class Window(Section):
 
 
 class Bounds(Section):
-    """What is known of every body besides its motion."""
+    """What is known of the body besides its motion, for the intervals of what that does not determine."""
 
     intervals: bool = True
     """Report the interval that the body's hull leaves to centre of mass, k1 and k2 where the motion does not
     determine them."""
     max_density_ratio: float = Field(8.0, gt=1, le=1000)
     """No part of the convex hull is denser than the mean over the hull by more than this factor: for the
-    intervals of k1 and k2, and for inertia_in. Over the 30 bodies of the scenes and of the campaign of
-    faults, 1.0 to 4.5 explain the inertia."""
-    com_in: Literal["none", "landmarks", "box"] = "none"
-    """Constrain the centre of mass to the convex hull of the landmarks, enlarged by hull_growth, or to
-    com_box_G."""
-    hull_growth: float = Field(1.1, ge=1, le=100)
-    """Size of the hull of com_in and inertia_in over that of the landmarks' hull."""
+    intervals of k1 and k2. Over the 30 bodies of the scenes and of the campaign of faults, 1.0 to 4.5 explain
+    the inertia."""
     com_box_G: tuple[Position, Position] | None = None
-    """Least and largest coordinates of the centre of mass in G [m], for com_in box."""
-    least_depth_m: float | None = Field(None, ge=0, le=1e6)
-    """Constrain every observed landmark to lie at least this far in front of both cameras [m]; null: not
-    constrained."""
+    """Least and largest coordinates of the centre of mass in G [m], if they are known."""
     equal_moments: Literal["none", "largest", "smallest"] = "none"
-    """Constrain the two largest or the two smallest moments to be equal, for a body that is known to be
-    symmetric about an axis."""
-    inertia_in: Literal["none", "landmarks"] = "none"
-    """Constrain the inertia to that of a body in the hull of the landmarks, up to hull_growth larger or
-    smaller, whose density is from 0 to max_density_ratio times its mean over the hull."""
-    known_mass: bool = False
-    """Constrain the mass that known forces act on to backend.mass_kg."""
+    """The two largest or the two smallest moments are equal: a body that is known to be symmetric about an
+    axis."""
 
     @model_validator(mode="after")
     def _box_is_given(self) -> Self:
-        if self.com_in == "box" and self.com_box_G is None:
-            raise ValueError("com_in: box needs com_box_G, least and largest coordinates [m]")
         if self.com_box_G is not None and not all(
             low < high for low, high in zip(*self.com_box_G, strict=True)
         ):
@@ -128,14 +113,12 @@ class Backend(Section):
     @property
     def for_motion(self) -> "Backend":
         """The settings that the estimate from all frames depends on; the others at their defaults."""
-        bounds = self.bounds.model_copy(update={"intervals": Bounds().intervals})
-        return self.model_copy(update={"bounds": bounds, "window": Window()})
+        return self.model_copy(update={"bounds": Bounds(), "window": Window()})
 
     @property
     def for_window(self) -> "Backend":
         """The settings that the causal estimate depends on; the others at their defaults."""
-        bounds = self.bounds.model_copy(update={"intervals": Bounds().intervals})
-        return self.model_copy(update={"bounds": bounds})
+        return self.model_copy(update={"bounds": Bounds()})
 
     @model_validator(mode="after")
     def _times_in_order(self) -> Self:

@@ -38,7 +38,8 @@ REMOVED = frozenset(
         *(f"train.schedule.{name}" for name in ("weight_decay", "clip_norm")),
         *(f"train.descriptor.{name}" for name in ("strays", "most_turn_deg", "half_px", "scale_noise")),
         *(f"train.descriptor.{name}_weight" for name in ("reliability", "direction", "matching", "motion")),
-        *("train.descriptor.late_from", "train.corpus.first_body_seed"),
+        *(f"backend.bounds.{name}" for name in ("com_in", "hull_growth", "least_depth_m", "inertia_in")),
+        *("backend.bounds.known_mass", "train.descriptor.late_from", "train.corpus.first_body_seed"),
         *("train.surface.albedos", "train.surface.loss.consensus", "train.surface.loss.albedo"),
     }
 )

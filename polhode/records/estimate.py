@@ -48,7 +48,7 @@ class ProgramEnd:
     optimality: float
     """Largest entry of the gradient of the Lagrangian, of whitened residuals; NaN: not evaluated"""
     constraint_violation: float
-    """Largest one; 0 without constraints"""
+    """0: the program has no constraints"""
     iterations: int
     seconds: float
     """With the time to build the program"""
@@ -66,8 +66,6 @@ class SolverOutcome:
     message: str = ""
     runner_up: dict[str, float] = field(default_factory=dict)
     """Cost of the other hypotheses, by name."""
-    constraints: dict[str, bool] = field(default_factory=dict)
-    """Constraints that were asked for, by name: whether each is active."""
     ipopt: ProgramEnd | None = None
     """None: IPOPT had no part in it."""
 

@@ -245,8 +245,6 @@ def run_rows(content: StoredRun) -> list[TableRow]:
         if (ipopt := solver.ipopt) is not None:
             words = f"{ipopt.status}, {ipopt.iterations} iterations"
             words += "" if ipopt.optimality is None else f", gradient {ipopt.optimality:.1g}"
-            if ipopt.constraint_violation:
-                words += f", constraints violated by {ipopt.constraint_violation:.1g}"
             rows.append(TableRow("IPOPT", words))
         rows.append(TableRow("cost", f"{solver.cost:.6g}"))
         if solver.reduced_chi2 is not None:

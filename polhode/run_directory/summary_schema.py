@@ -124,7 +124,7 @@ class IpoptSummary(StrictModel):
     optimality: Variance
     """Largest entry of the gradient of the Lagrangian, of whitened residuals; null: not evaluated."""
     constraint_violation: Variance
-    """Largest violation of a constraint; 0 without constraints (backend.bounds)."""
+    """0: the program has no constraints."""
     iterations: int
 
 
@@ -144,8 +144,7 @@ class SolverSummary(StrictModel):
     runner_up: dict[str, Variance] = {}
     """Cost of the other hypotheses, by name, minus that of the chosen one; null: did not converge."""
     constraints: dict[str, bool] = {}
-    """Constraints that were asked for (backend.bounds), by name: whether each is active, that is, changed the
-    answer or has its limit reached."""
+    """Empty; earlier versions could constrain the program."""
     ipopt: IpoptSummary | None = None
     """null: IPOPT had no part in the answer."""
 

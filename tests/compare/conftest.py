@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from polhode.compare.problem.measured_problem import MeasuredProblem
-from polhode.compare.problem.problem_file import SUFFIX, write_problem
+from polhode.compare.problem.problem_file import write_problem
 from polhode.compare.problem.sources import SCENES, synthetic_problem
 from polhode.config.backend_settings import Backend
 
@@ -21,6 +21,6 @@ def small() -> MeasuredProblem:
 @pytest.fixture(scope="session")
 def small_file(small: MeasuredProblem, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same, as a solver's process reads it."""
-    path = tmp_path_factory.mktemp("problem") / f"small{SUFFIX}"
+    path = tmp_path_factory.mktemp("problem") / "small.npz"
     write_problem(small, path)
     return path

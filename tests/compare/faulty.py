@@ -2,24 +2,21 @@
 
 import os
 import time
+from dataclasses import dataclass
 
 from polhode.compare.problem.measured_problem import MeasuredProblem
 from polhode.compare.solver import AdapterResult, SolveMonitor
 from polhode.geometry.lie import Array
 
 
+@dataclass
 class Faulty:
     """Crashes, hangs, raises, lies or gives nonsense."""
 
-    def __init__(self, how: str) -> None:
-        self.how = how
+    how: str
 
     def solve(self, problem: MeasuredProblem, x: Array, monitor: SolveMonitor) -> AdapterResult:
         """Never well."""
-        if self.how == "hangs dumbly":
-            monitor.record(1.0)
-            monitor.report(f"3 of {problem.data.n_frames} frames were in")
-            time.sleep(3600.0)
         monitor.record(problem.fixed.steps.half_log_det, x)
         if self.how == "crashes":
             os.abort()
@@ -29,6 +26,5 @@ class Faulty:
             time.sleep(3600.0)
         if self.how == "raises":
             raise ValueError("no such\nluck")
-        if self.how == "nonsense":
-            return AdapterResult(x * float("nan"), True, 1, "converged")
-        return AdapterResult(x, True, 1, "converged")
+        nonsense = x * float("nan") if self.how == "nonsense" else x
+        return AdapterResult(nonsense, True, 1, "converged")

@@ -50,12 +50,6 @@ def test_rays_project_back_also_from_beside_and_behind_the_camera(name: str) -> 
     np.testing.assert_allclose(rays, p / np.linalg.norm(p, axis=1, keepdims=True), atol=1e-9)
 
 
-def test_the_axis_itself_is_seen_at_the_principal_point() -> None:
-    k = LENSES["calibrated"]
-    np.testing.assert_array_equal(fisheye.project(np.array([[0.0, 0.0, 2.0]]), K, k), [[322.0, 238.0]])
-    np.testing.assert_array_equal(fisheye.rays(np.array([[322.0, 238.0]]), K, k), [[0.0, 0.0, 1.0]])
-
-
 def test_beyond_the_angle_at_which_a_lens_folds_nothing_is_seen() -> None:
     k = LENSES["folding"]
     widest = fisheye.widest_angle_rad(k)

@@ -7,7 +7,6 @@ from polhode.geometry.rays import RayScene
 
 
 def test_no_ray_slips_through_between_triangles() -> None:
-    """Rays towards the vertices of a ball, where five or six triangles meet, all hit after 2 radii."""
     ball = trimesh.creation.icosphere(subdivisions=4)
     outward = np.asarray(ball.vertices)
     hits = RayScene(ball.triangles).first_hits(3.0 * outward, -outward)
@@ -16,7 +15,6 @@ def test_no_ray_slips_through_between_triangles() -> None:
 
 
 def test_weights_give_the_point_of_the_hit() -> None:
-    """The face's corners, weighted by 1 - u - v, u and v, give the point along the ray."""
     triangle = np.array([[[0.0, 0.0, 1.0], [2.0, 0.0, 1.5], [0.0, 1.0, 0.5]]])
     start, direction = np.zeros((1, 3)), np.array([[0.3, 0.2, 0.9]]) / np.linalg.norm([0.3, 0.2, 0.9])
     hits = RayScene(triangle).first_hits(start, direction)
@@ -25,7 +23,6 @@ def test_weights_give_the_point_of_the_hit() -> None:
 
 
 def test_blocked_within_reach_only() -> None:
-    """A triangle at 1 m blocks a ray of 2 m and none of half a metre; an empty scene blocks none."""
     scene = RayScene([[[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [0.0, 1.0, 1.0]]])
     start, direction = np.zeros((2, 3)), np.tile([0.0, 0.0, 1.0], (2, 1))
     assert scene.blocked(start, direction, np.array([2.0, 0.5])).tolist() == [True, False]

@@ -19,9 +19,3 @@ def test_the_triangulation_jacobian_matches_finite_differences() -> None:
     np.testing.assert_allclose(
         RIG.triangulation_jacobian(p_R), np.stack(numeric, axis=-1), rtol=1e-6, atol=1e-9
     )
-
-
-def test_a_wider_baseline_doubles_the_disparity() -> None:
-    wide = RectifiedRig(467.0, 319.5, 239.5, 0.18, 640, 480)
-    p_R = np.array([0.1, 0.0, 0.6])
-    assert wide.project(p_R)[2] == 2 * (RIG.project(p_R)[2] - RIG.disparity_offset_px)

@@ -1,17 +1,14 @@
 """Residuals and Jacobians of the common cost as blocks of a factor graph, for external solvers.
 
-The cost is that of ``backend.solvers.gauss_newton.GaussNewton``. ``Blocks`` evaluates all blocks of a kind at
-once; ``SingleBlocks`` and ``landmark_block`` evaluate one, for libraries that call Python for every block.
-There, all measurements of a landmark are one block, which needs a tenth of the calls, and Ceres can still
-eliminate the landmarks.
+The cost is that of ``backend.solvers.gauss_newton.GaussNewton``. Libraries that call Python for every block
+get all measurements of a landmark as one: that needs a tenth of the calls, and Ceres can still eliminate the
+landmarks.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
 from polhode.backend.dynamics.kernels import prior_kernel
 from polhode.backend.dynamics.residuals import FrameStates, dynamics_jacobians, dynamics_residuals
@@ -20,12 +17,13 @@ from polhode.backend.problem.inertia import inertia_derivative, inertia_from_sec
 from polhode.backend.problem.iterate import N_CAMERA, N_CONSTANTS, N_STATE
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.problem.wrench import wrench_residual
-from polhode.backend.solvers.gauss_newton import GaussNewton, camera_errors
+from polhode.backend.solvers.gauss_newton import camera_errors
 from polhode.backend.solvers.linearization_point import LinearizationPoint
-from polhode.backend.solvers.robust_kernel import robust_weight
-from polhode.geometry.camera import stereo_jacobian
-from polhode.geometry.lie import Array, Ints, exp_so3, hat, right_jacobian_so3
+from polhode.geometry.lie import Array, Ints, exp_so3
 from polhode.runtime.compiled import compiled
+
+Evaluation = Callable[[Array, bool], tuple[Array, Array]]
+"""(Own unknowns of a block, whether the Jacobian is needed) -> residuals (rows,), Jacobian (rows, width)."""
 
 
 @dataclass(frozen=True)
@@ -38,64 +36,16 @@ class Block:
     """(n, rows, width)"""
     slots: Ints
     """(n, width) in the vector of unknowns"""
-    robust: bool = False
-    """Under the Cauchy kernel of the squared norm of each row"""
 
 
 class Blocks:
-    """The common cost of a frozen problem, as blocks."""
+    """The steps, priors and gauge of a frozen problem, each as a function of its own unknowns."""
 
     def __init__(self, data: MotionData, fixed: LinearizationPoint) -> None:
         self.data, self.fixed = data, fixed
-        self._newton = GaussNewton(data)
         self._prior = prior_kernel(data.form, "jacobian")
         at = fixed.reference
         self.n_state, self.n_states, self.n_dense = at.n_state, at.n_states, at.n_dense
-        self.n_x = at.n_dense + 3 * data.n_landmarks
-
-    def cost(self, x: Array) -> float:
-        """The function by which every solver is assessed."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            return self._newton.cost(self.fixed, x)
-
-    def all(self, x: Array) -> list[Block]:
-        """Stereo, dynamics, then the others."""
-        return [self.stereo(x), self.dynamics(x), *self.others(x)]
-
-    def stereo_slots(self) -> Ints:
-        """(M, 9) pose of the frame, then landmark."""
-        d = self.data
-        poses = self.n_state * d.frame[:, None] + np.arange(6)
-        marks = self.n_dense + 3 * d.landmark[:, None] + np.arange(3)
-        return np.hstack([poses, marks])
-
-    def step_slots(self) -> Ints:
-        """(F - 1, 2 s + c) state before, state after, constants."""
-        steps = np.arange(self.data.n_frames - 1)[:, None]
-        states = self.n_state * steps + np.arange(2 * self.n_state)
-        constants = np.arange(self.n_states, self.n_dense)
-        return np.hstack([states, np.broadcast_to(constants, (len(steps), len(constants)))])
-
-    def stereo(self, x: Array) -> Block:
-        """(M, 3) of u, v, disparity, with derivatives in p_NG, theta, p_G."""
-        d = self.data
-        residual, (A, p_NG, p_G) = self._newton.residuals(self.fixed, x)
-        theta = x[: self.n_states].reshape(-1, self.n_state)[:, 3:6]
-        marks, k = p_G[d.landmark], d.frame
-        p_R = (A[k] @ marks[:, :, None] + (d.R_RN @ p_NG[:, :, None])[k])[:, :, 0] + d.t_R[k]
-        D = -d.inv_sigma[:, :, None] * stereo_jacobian(p_R, d.rig[0], d.rig[3])
-        of_marks = D @ A[k]
-        of_theta = -of_marks @ (hat(marks) @ right_jacobian_so3(theta)[k])
-        jacobian = np.concatenate([D @ d.R_RN[k], of_theta, of_marks], axis=2)
-        return Block(residual, jacobian, self.stereo_slots(), robust=True)
-
-    def dynamics(self, x: Array) -> Block:
-        """(F - 1, 12)"""
-        states, at = self._newton.states(self.fixed, x)
-        form = self.data.form
-        dJ = inertia_derivative(form, at.xi, at.R_inertia)
-        residual, jacobian = dynamics_jacobians(states, self.fixed.steps, at.J_G(form), dJ)
-        return Block(residual, jacobian, self.step_slots())
 
     def others(self, x: Array) -> list[Block]:
         """Weak prior, gauge of the first pose; errors of the camera and prior of a known wrench, if any."""
@@ -117,56 +67,10 @@ class Blocks:
             blocks.append(Block(r[None], J[None], np.arange(n + 3, n + 3 + J.shape[1])[None]))
         return blocks
 
-
-def root_of_kernel(block: Block, scale: float) -> Block:
-    """Residuals whose plain squares are the robust cost, for solvers without kernels of vectors.
-
-    r' = g(s) r with g^2 s = c^2 ln(1 + s / c^2), s = r.r; the Jacobian is exact.
-    """
-    if not block.robust:
-        return block
-    r, s = block.residual, np.sum(block.residual**2, axis=1)
-    ratio = s / scale**2
-    small = ratio < 1e-8
-    safe = np.where(small, 1.0, ratio)
-    g = np.where(small, 1.0 - ratio / 4.0, np.sqrt(np.log1p(safe) / safe))
-    # d ln g / d s
-    slope = np.where(small, -0.25 / scale**2, 0.5 * (robust_weight(s, scale) / (g**2 * np.maximum(s, 1e-300)))
-                     - 0.5 / np.maximum(s, 1e-300))  # fmt: skip
-    along = r[:, None, :] @ block.jacobian
-    jacobian = g[:, None, None] * (block.jacobian + 2.0 * slope[:, None, None] * r[:, :, None] * along)
-    return Block(g[:, None] * r, jacobian, block.slots)
-
-
-def stacked(blocks: list[Block], n_x: int) -> tuple[Array, Any]:
-    """All residuals (n,) and their Jacobian (n, n_x), sparse by rows."""
-    values, columns, lengths = [], [], []
-    for block in blocks:
-        n, rows, width = block.jacobian.shape
-        values.append(block.jacobian.ravel())
-        columns.append(np.broadcast_to(block.slots[:, None, :], (n, rows, width)).ravel())
-        lengths.append(np.full(n * rows, width))
-    residual = np.concatenate([block.residual.ravel() for block in blocks])
-    starts = np.concatenate([[0], np.cumsum(np.concatenate(lengths))])
-    matrix = csr_matrix((np.concatenate(values), np.concatenate(columns), starts), shape=(len(residual), n_x))
-    return residual, matrix
-
-
-Evaluation = Callable[[Array, bool], tuple[Array, Array]]
-"""(Own unknowns of a block, whether the Jacobian is needed) -> residuals (rows,), Jacobian (rows, width)."""
-
-
-class SingleBlocks:
-    """Each step and each prior of the common cost as a function of its own unknowns."""
-
-    def __init__(self, blocks: Blocks) -> None:
-        self._blocks, self._reference = blocks, blocks.fixed.reference
-
     def step(self, k: int) -> Evaluation:
         """The 12 residuals of step k, of states before and after and constants (2 s + c)."""
-        at, s, form = self._reference, self._reference.n_state, self._blocks.data.form
-        camera_N = self._blocks.data.camera_N[k : k + 2]
-        steps = self._blocks.fixed.steps.part(slice(k, k + 1))
+        at, s, form = self.fixed.reference, self.n_state, self.data.form
+        camera_N, steps = self.data.camera_N[k : k + 2], self.fixed.steps.part(slice(k, k + 1))
 
         def evaluate(x: Array, with_jacobian: bool) -> tuple[Array, Array]:
             numbers, constants = x[: 2 * s].reshape(2, s), x[2 * s :]
@@ -184,13 +88,13 @@ class SingleBlocks:
         return evaluate
 
     def prior(self, kind: int, row: int, x: Array, slots: Ints) -> Evaluation:
-        """A row of ``Blocks.others`` as a function of the unknowns ``slots``; the others are those of x."""
-        x, block = x.copy(), self._blocks.others(x)[kind]
+        """A row of ``others`` as a function of the unknowns ``slots``; the other unknowns are those of x."""
+        x, block = x.copy(), self.others(x)[kind]
         columns = [int(np.flatnonzero(slots == slot)[0]) for slot in block.slots[row]]
 
         def evaluate(own: Array, _: bool) -> tuple[Array, Array]:
             x[slots] = own
-            block = self._blocks.others(x)[kind]
+            block = self.others(x)[kind]
             jacobian = np.zeros((block.residual.shape[1], len(slots)))
             jacobian[:, columns] = block.jacobian[row]
             return np.asarray(block.residual[row]), jacobian
@@ -205,6 +109,7 @@ def landmark_block(
 ) -> Array:  # fmt: skip
     """Residuals (n, 3) of n frames that see the landmark; fills of_poses (n, 3, 6) and of_landmark (n, 3, 3).
 
+    Their plain squares are the robust cost: r' = g r with g^2 s = c^2 ln(1 + s / c^2), s = r.r.
     poses (n, 6): p_NG, theta around the reference; A_ref (n, 3, 3) = R_RN R_ref.
     """
     n = len(poses)
@@ -227,7 +132,6 @@ def landmark_block(
         T[1, 0], T[1, 1], T[1, 2] = -p_G[2], 0.0, p_G[0]
         T[2, 0], T[2, 1], T[2, 2] = p_G[1], -p_G[0], 0.0
         J_rotation, J_position = J_landmark @ T @ right[m], D @ R_RN[m]
-        # the kernel: r' = g r with g^2 s = c^2 ln(1 + s / c^2)
         s = r @ r
         ratio = s / scale**2
         if ratio < 1e-8:

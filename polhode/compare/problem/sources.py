@@ -1,31 +1,23 @@
 """Where the measurements come from: a dataset, a stored run, or the Monte Carlo generator.
 
 Those of a dataset are made as by ``polhode run``: by the front end and the iterations with the back end,
-without depth, fusion, online estimate and report. They are stored beside the problems, as they take most of
-the time of a comparison that is resumed.
+without depth, fusion, online estimate and report.
 """
 
-import hashlib
-import json
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from polhode.compare.problem.fingerprint import BASE, code_of, versions
 from polhode.compare.problem.measured_problem import MeasuredProblem, freeze
 from polhode.config import Config
 from polhode.config.backend_settings import Backend
 from polhode.config.compare_settings import Motion
-from polhode.config.loader import dump_config
-from polhode.files.atomic import write_text
-from polhode.files.foreign_files import MIB, read_text
 from polhode.files.output.run_files import SUMMARY
 from polhode.records.tracks import RelativePoses, StereoTracks
-from polhode.run_directory.archives import read_measurements, read_relative_poses, write_measurements
+from polhode.run_directory.archives import read_measurements, read_relative_poses
 from polhode.run_directory.recording import require_recording
 from polhode.run_directory.summary import read_summary
 from polhode.runtime.errors import InputError
@@ -46,13 +38,6 @@ SCENES: dict[Motion, SyntheticScene] = {
     "fast_tumble": replace(THESIS, J_G=BOX, w_G=(0.8, 1.8, 0.7), dt_s=0.25),
 }
 """The motions of the benchmark of accuracy."""
-CODE = (
-    "polhode", "polhode.frontend", "polhode.backend", "polhode.pipeline.context",
-    "polhode.pipeline.correspondences", "polhode.pipeline.find_motion", "polhode.pipeline.consistency_check",
-)  # fmt: skip
-"""Our code by which the measurements of a dataset are made."""
-DISTRIBUTIONS = (*BASE, "torch", "opencv-python-headless", "kornia")
-MAX_STAMP_BYTES = MIB
 
 
 @dataclass(frozen=True)
@@ -70,8 +55,8 @@ class Source:
     """To be generated; None: read from ``folder``"""
     seed: int = 0
 
-    def problem(self, config: Config, progress: Progress, store: Path) -> MeasuredProblem:
-        """Read or make the measurements and freeze their problem. ``store``: where they are kept."""
+    def problem(self, config: Config, progress: Progress) -> MeasuredProblem:
+        """Read or make the measurements and freeze their problem."""
         backend = config.backend.model_copy(update={"process_noise": config.compare.process_noise})
         if self.scene is not None:
             return synthetic_problem(self.name, self.scene, self.seed, backend)
@@ -79,7 +64,7 @@ class Source:
         if self.is_run:
             tracks, relative = read_measurements(self.folder), read_relative_poses(self.folder)
         else:
-            tracks, relative = measure(self.folder, config, progress, store)
+            tracks, relative = measure(self.folder, config, progress)
         truth = None
         if self.truth is not None:
             # read by evaluation alone; it is passed to the assessment, to no solver
@@ -140,10 +125,8 @@ def synthetic_problem(name: str, scene: SyntheticScene, seed: int, backend: Back
     return freeze(name, sequence.tracks, sequence.relative, config, sequence.truth)
 
 
-def measure(
-    sequence: Path, config: Config, progress: Progress, store: Path
-) -> tuple[StereoTracks, RelativePoses | None]:
-    """Tracks and relative poses of a sequence on disk, or those in ``store`` if they are of the same images.
+def measure(sequence: Path, config: Config, progress: Progress) -> tuple[StereoTracks, RelativePoses | None]:
+    """Tracks and relative poses of a sequence on disk.
 
     Raises InputError for a folder that is no dataset; RunFailure when no motion is found.
     """
@@ -152,29 +135,6 @@ def measure(
     from polhode.pipeline.correspondences import match_frames
     from polhode.pipeline.find_motion import find_motion
 
-    file, stamp_file = store.with_suffix(".npz"), store.with_suffix(".json")
-    stamp = _stamp(sequence, config)
-    # what is damaged is made again
-    with suppress(InputError, ValueError, RecursionError):
-        if json.loads(read_text(stamp_file, MAX_STAMP_BYTES, "a stamp of measurements")) == stamp:
-            return read_measurements(file), read_relative_poses(file)
-    stamp_file.unlink(missing_ok=True)
     context = open_context(sequence, config, progress)
     solution = find_motion(context, match_frames(context))
-    tracks, links = solution.tracks, solution.links
-    write_measurements(tracks, file, links)
-    write_text(stamp_file, json.dumps(stamp) + "\n")
-    return read_measurements(file), read_relative_poses(file)
-
-
-def _stamp(sequence: Path, config: Config) -> dict[str, object]:
-    """Digest of the files of a dataset except its truth, with the settings and our code."""
-    digest = hashlib.sha256()
-    mav0 = sequence / "mav0"
-    for file in sorted(mav0.rglob("*")):
-        if file.is_file() and file.relative_to(mav0).parts[0] != "target0":
-            found = file.stat()
-            digest.update(f"{file.relative_to(mav0)} {found.st_size} {found.st_mtime_ns}\n".encode())
-    settings = dump_config(config.model_copy(update={"compare": type(config.compare)()}))
-    return {"files": digest.hexdigest(), "settings": settings, "code": code_of(CODE),
-            "versions": versions(DISTRIBUTIONS)}  # fmt: skip
+    return solution.tracks, solution.links

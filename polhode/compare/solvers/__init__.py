@@ -2,11 +2,8 @@
 
 In: the problem, a start and a monitor. Out: where the solver stopped, in the common unknowns.
 
-    ours                  Gauss-Newton of the back end
-    casadi_solvers        IPOPT as the back end calls it; CasADi's SQP method
-    condensed             IPOPT on states and constants, landmarks eliminated at every point
-    scipy_least_squares   SciPy's trust region
-    ceres                 Ceres
-    gtsam_solvers         GTSAM: Levenberg-Marquardt and iSAM2
-    thesis_methods        the incremental method of the thesis; odometry, then the inertia
+    ours      Gauss-Newton of the back end; odometry, then the inertia
+    ipopt     IPOPT as the back end calls it
+    ceres     Ceres
+    gtsam_lm  Levenberg-Marquardt of GTSAM
 """

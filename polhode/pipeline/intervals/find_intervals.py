@@ -57,7 +57,7 @@ def intervals_in(
     """The intervals of what is not ``known``, and warnings."""
     directions = np.concatenate([np.eye(3), limits.R_GP.T])
     inner, bounds = hull, ["centre of mass inside the convex hull of the surface and the landmarks"]
-    if given.com_in == "box" and given.com_box_G is not None:
+    if given.com_box_G is not None:
         inner = hull.within(*map(np.array, given.com_box_G))
         bounds.append("centre of mass inside the given box (backend.bounds.com_box_G)")
     extremes = com_extremes(inner, limits, directions)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from polhode.backend.initialization.multistart import HypothesisFit
-from polhode.backend.initialization.rates import OPPOSITE_DIRECTION, rate_branches
-from polhode.backend.initialization.shooting import _carry, shoot
+from polhode.backend.initialization.rates import OPPOSITE_DIRECTION, _carry, rate_branches, shoot
 from polhode.backend.problem.inertia import inertia_from_second_moments
 from polhode.backend.problem.iterate import Iterate
 from polhode.backend.uncertainty.ambiguity import HypothesisChoice, ambiguous_turns_deg, choose_hypothesis

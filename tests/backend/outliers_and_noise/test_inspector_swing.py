@@ -9,7 +9,6 @@ import pytest
 from polhode.backend.outliers_and_noise.inspector_swing import (
     CORRELATION_LENGTHS,
     InspectorSwing,
-    directions_across,
     find_swing,
     smooth_functions,
 )
@@ -63,12 +62,6 @@ def test_forces_and_torques_are_no_swing_and_too_few_frames_say_nothing() -> Non
     assert swing_of(False, frames=6) is None
 
 
-def test_a_stated_error_of_the_poses_leaves_less_to_explain() -> None:
-    stated, unstated = swing_of(True, found_psd=1e-7, sigma_rad=0.01), swing_of(True, found_psd=1e-7)
-    assert stated is not None and unstated is not None
-    assert stated.evidence_gain < 0.5 * unstated.evidence_gain
-
-
 def test_the_functions_have_the_correlation_of_a_swing_and_none_is_faster_than_three_frames() -> None:
     functions, roots = smooth_functions(np.full(59, 0.5))
     between = np.subtract.outer(np.arange(60.0), np.arange(60.0)) / 59.0
@@ -79,11 +72,3 @@ def test_the_functions_have_the_correlation_of_a_swing_and_none_is_faster_than_t
     neighbours = [float((functions @ root @ root.T @ functions.T)[5, 6]) for root in roots]
     three, longest = np.exp(-0.5 / 9.0), np.exp(-0.5 * (3.0 / 11.0) ** 2)
     assert neighbours == pytest.approx([three, three, longest], abs=3e-3)
-
-
-def test_directions_are_across_the_line_of_sight() -> None:
-    d = np.random.default_rng(1).normal(size=(5, 3)) + np.array([0.0, 0.0, 4.0])
-    across = directions_across(d)
-    assert np.einsum("fi,fij->fj", d, across) == pytest.approx(np.zeros((5, 2)), abs=1e-12)
-    products = np.einsum("fij,fik->fjk", across, across)
-    assert products == pytest.approx(np.tile(np.eye(2), (5, 1, 1)), abs=1e-12)

@@ -17,7 +17,6 @@ LAUNCH = re.compile(r"\.solver\(|\bnlpsol\(")
 def test_a_file_of_options_writes_no_file(
     ours: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without our options it does: the trap works."""
     sprung = tmp_path / "sprung"
     (tmp_path / "ipopt.opt").write_text(f"output_file {sprung}\nfile_print_level 5\n")
     monkeypatch.chdir(tmp_path)

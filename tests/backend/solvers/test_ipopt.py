@@ -13,7 +13,6 @@ from polhode.backend.solvers.linearization_point import (
     MotionFit,
     linearization_point,
 )
-from polhode.backend.solvers.robust_kernel import kernel_curvature
 from polhode.backend.solvers.solve import refine
 from polhode.config.backend_settings import Backend
 from polhode.simulation.monte_carlo import SyntheticScene, generate
@@ -78,17 +77,6 @@ def test_both_solvers_end_in_the_same_point(form: str, scene: SyntheticScene) ->
     a, b = GaussNewton(fit.data).solve(fixed, x, 100), MotionProgram(fit.data).solve(fixed, x, 100)
     assert a.converged and b.converged
     assert a.cost == pytest.approx(b.cost, rel=1e-7)
-
-
-def test_the_bent_jacobian_is_the_second_derivative_of_the_kernel_near_zero() -> None:
-    c, s = 3.0, np.array([0.0, 0.1, 1.0, 2.0])
-    bend, weight = kernel_curvature(s, c), 1.0 / (1.0 + s / c**2)
-    # along the residual: rho''(r) of 0.5 c^2 ln(1 + r^2 / c^2)
-    exact = (1.0 - s / c**2) / (1.0 + s / c**2) ** 2
-    np.testing.assert_allclose(weight * (1.0 - bend * s) ** 2, exact, atol=1e-9)
-    # and far from zero it stays positive
-    far = np.array([50.0, 1e6])
-    assert np.all((1.0 - kernel_curvature(far, c) * far) ** 2 > 0.3)
 
 
 @pytest.mark.parametrize("solver", [GaussNewton, MotionProgram])

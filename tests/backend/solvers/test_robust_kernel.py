@@ -31,7 +31,6 @@ def test_gaussian_noise_gets_the_widest_kernel_and_heavier_tails_a_narrower_one(
 
 
 def test_efficiency_is_what_a_monte_carlo_of_the_mean_finds() -> None:
-    """Location of 200 samples by the kernel: its variance over that of the average is 1 / efficiency."""
     rng, scale = np.random.default_rng(0), 2.0
     x = rng.normal(size=(4000, 200, 3))
     mean = x.mean(axis=1)

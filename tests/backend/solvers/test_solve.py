@@ -10,8 +10,6 @@ from scipy.linalg import LinAlgError
 from polhode.backend.solvers.casadi_nlp import OPTIMAL
 from polhode.backend.solvers.gauss_newton import (
     ITERATION_LIMIT,
-    MIN_DECREASE_SHARE,
-    STEP_FRACTIONS,
     TIME_LIMIT,
     Damping,
     GaussNewton,
@@ -107,24 +105,6 @@ def test_a_line_search_ends_no_higher_in_fewer_iterations(cold: MotionFit) -> No
     assert found.iterations < plain.iterations
 
 
-def test_a_step_that_goes_too_far_is_made_shorter_until_it_brings_enough(cold: MotionFit) -> None:
-    fixed, x = cold.linearized(), cold.iterate.vector()
-    solver = GaussNewton(cold.data, line_search=True)
-    system = solver.normal_equations(fixed, x)
-    step = solver.step(system, Damping())
-    slope = float(np.concatenate([system.g, system.h.ravel()]) @ step)
-    ahead, behind = (solver.cost(fixed, x + d * step) for d in (1e-6, -1e-6))
-    assert slope == pytest.approx((ahead - behind) / 2e-6, rel=1e-4) and slope < 0.0
-    # five times too far: an eighth of it is the first that brings enough, or a shorter one
-    candidate, cost = solver._search_along(fixed, x, system, 5.0 * step)
-    length = float(np.linalg.norm(candidate - x) / np.linalg.norm(5.0 * step))
-    assert min(abs(length - part) for part in STEP_FRACTIONS) < 1e-9
-    assert cost <= system.cost + MIN_DECREASE_SHARE * length * 5.0 * slope
-    assert cost == solver.cost(fixed, candidate)
-    # up the hill nothing is enough
-    assert solver._search_along(fixed, x, system, -step)[1] == np.inf
-
-
 class WithKernelCurvature(GaussNewton):
     """The curvature of the kernel makes an element of the diagonal negative, as far from a solution."""
 
@@ -149,18 +129,3 @@ def test_where_the_curvature_of_the_kernel_does_harm_the_solver_goes_on_without_
     # where no damping helps a step ends with an error
     with pytest.raises(LinAlgError):
         solver.step(system, Damping())
-
-
-def test_dampings_grow_until_they_end_and_an_accepted_step_takes_them_back() -> None:
-    start, before = Damping(), Damping()
-    for times in range(1, 3):
-        firm, stiff = start.more(times)
-        # one lengthens nothing but the constants' share, the other damps all
-        assert firm.of_constants > before.of_constants and firm.of_all == start.of_all
-        assert stiff.of_all > before.of_all and stiff.of_constants == 0.0
-        before = Damping(stiff.of_all, firm.of_constants)
-    assert start.more(30) == []
-    damping = Damping(of_all=1e-3, of_constants=10.0)
-    for _ in range(8):
-        damping = damping.less()
-    assert damping == Damping()

@@ -93,26 +93,6 @@ def test_errors_of_poses_and_of_marks_on_the_body_are_as_large_as_their_covarian
     assert 0.6 < np.mean(of_poses) < 1.6 and 0.6 < np.mean(of_marks) < 1.6
 
 
-def test_the_covariance_of_marks_in_the_last_frame_is_that_of_the_prediction() -> None:
-    """The same as from the last state jointly with the centre of mass."""
-    for w_G in (TUMBLE, SPIN):
-        motion = solved(w_G)[1]
-        body = motion.covariance_last_body
-        assert motion.covariance_of_marks is not None and body is not None
-        R_GP, R_NG = motion.mass.R_GP, motion.R_NP[-1] @ motion.mass.R_GP.T
-        T = np.zeros((12, 20))
-        T[:6, :6] = np.eye(6)
-        T[6:9, 6:9] = T[9:12, 9:12] = R_GP.T
-        T[:3, 17:], T[3:6, 17:] = -R_NG, -R_NG @ hat(R_GP @ motion.w_P[-1])
-        np.testing.assert_allclose(motion.covariance_of_marks[-1], T @ body @ T.T, rtol=1e-5, atol=1e-12)
-        assert np.linalg.eigvalsh(motion.covariance_of_marks).min() > -1e-12
-        assert np.all(np.linalg.eigvalsh(body) > -1e-12)
-        if w_G is SPIN:
-            # attitude and rate of what the camera sees are well known, though the axes of a spin are not
-            assert np.isinf(motion.covariance_last_joint[6:12, 6:12]).any()
-            assert np.all(np.sqrt(np.diag(body))[6:12] < np.deg2rad(1.0))
-
-
 def test_the_covariance_of_the_gradient_is_that_of_dense_algebra() -> None:
     rng = np.random.default_rng(3)
     frame, start = np.array([0, 1, 2, 0, 2, 3, 1, 2, 3]), np.array([0, 3, 6, 9])
@@ -158,7 +138,7 @@ def with_drift(seed: int, drift_px: float) -> tuple[SyntheticSequence, MotionFit
         uvd[a:b, :2] += drift_px * slide
     fit = truth.with_data(uvd_px=uvd, accel_psd=1e-11, torque_psd=1e-11)
     fit = fit.moved_to(GaussNewton(fit.data).solve(fit.linearized(), fit.iterate.vector(), 30).x)
-    return sequence, replace(fit, data=fit.data.rescaled(estimate_noise(fit, robust=False).factors))
+    return sequence, replace(fit, data=fit.data.rescaled(estimate_noise(fit, robust=False)))
 
 
 def test_the_errors_of_sliding_landmarks_are_as_large_as_the_covariance_says() -> None:
@@ -179,14 +159,3 @@ def test_the_errors_of_sliding_landmarks_are_as_large_as_the_covariance_says() -
             found_nees[known].append(nees(errors, covariance[:, :6, :6]))
     assert 0.6 < np.mean(found_nees[True]) < 1.5
     assert np.mean(found_nees[False]) > 1.4 * np.mean(found_nees[True])
-
-
-def test_independent_errors_leave_the_covariance_as_it_is() -> None:
-    fit = with_drift(0, drift_px=0.0)[1]
-    n, F = len(fit.data.frame), fit.data.n_frames
-    nothing = DependentErrors(np.ones((n, 3)), np.zeros((3, F, F)), np.zeros((n, 3, 0)))
-    with_, without = (marginals(fit, np.full(n, 0.9), c) for c in (nothing, None))
-    np.testing.assert_allclose(with_.dense, without.dense, rtol=1e-9, atol=1e-18)
-    np.testing.assert_allclose(with_.landmarks, without.landmarks, rtol=1e-9)
-    information, expected = with_.constants_information, without.constants_information
-    np.testing.assert_allclose(information, expected, rtol=1e-6, atol=1e-3)

@@ -61,12 +61,3 @@ def test_a_new_frame_is_unknown_to_the_arrival_cost_and_the_rest_stays() -> None
         np.testing.assert_array_equal(after.H[np.ix_(old, old)], before.H)
         np.testing.assert_array_equal(after.x0[old], before.x0)
         np.testing.assert_array_equal(active.vector()[old], x)
-
-
-def test_vector_is_taken_back() -> None:
-    for noisy in (False, True):
-        active, _ = filled(noisy)
-        x = np.arange(len(active.vector()), dtype=float)
-        active.set_vector(x)
-        np.testing.assert_array_equal(active.vector(), x)
-        np.testing.assert_array_equal(active.recent[0].x[:6] == active.recent[0].seen, not noisy)

@@ -1,5 +1,6 @@
 """The window as a whole: causal, bounded, as good as full smoothing, honest, the same by either solver."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,8 @@ from polhode.backend import (
 )
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.solve import refine
-from polhode.backend.window.causal_state import OnlineState
+from polhode.backend.uncertainty.covariance import with_infinite
+from polhode.backend.window.causal_state import OnlineState, unknown_state
 from polhode.backend.window.estimator import (
     WARM_UP_FRAMES,
     SlidingWindow,
@@ -24,7 +26,7 @@ from polhode.backend.window.estimator import (
 from polhode.backend.window.frame import FrameMeasurements, frames_of
 from polhode.config.backend_settings import Backend
 from polhode.geometry.camera import RectifiedRig
-from polhode.geometry.lie import Array, log_so3, transform_points
+from polhode.geometry.lie import Array, log_so3, make_pose, transform_points
 from polhode.geometry.rigid_body import HALF_TURNS
 from polhode.records.tracks import Wrench
 from polhode.runtime.progress import Silent
@@ -89,13 +91,6 @@ def test_a_window_that_covers_everything_is_full_smoothing() -> None:
     assert np.all(np.abs(whole.v_N[-1] - state.v_N) < 0.1 * sigma[3:6])
     w_P = state.R_NP.T @ whole.R_NG[-1] @ whole.w_G[-1]
     assert np.all(np.abs(w_P - state.w_P) < 0.1 * sigma[9:12])
-
-
-def test_a_small_window_loses_little_against_the_whole_history(tumble: SyntheticSequence, feed: Feed) -> None:
-    small, whole = feed(tumble, **SMALL)[1][-1], feed(tumble, frames=12, key_frames=40)[1][-1]
-    sigma, best = (np.sqrt(np.diag(s.covariance)) for s in (small, whole))
-    assert np.all(sigma < 1.3 * best)
-    assert np.all(np.sqrt(np.diag(small.cov_k)) < 1.3 * np.sqrt(np.diag(whole.cov_k)))
 
 
 def test_once_the_inertia_is_known_errors_are_as_large_as_the_covariance_says(feed: Feed) -> None:
@@ -240,3 +235,33 @@ def test_a_window_follows_the_body_that_it_is_warmed_up_with(monkeypatch: pytest
     state, accepted, restarts, sigma = added[-1]
     assert len(added) == WARM_UP_FRAMES and accepted > 30 and restarts == 0
     assert 0.5 < np.linalg.norm(state.w_P) < 0.7 and sigma < 0.05
+
+
+def test_axes_do_not_flip_from_row_to_row(tumble: SyntheticSequence, feed: Feed) -> None:
+    _, states = feed(tumble)
+    known = [s for s in states if s.determined[3]]
+    assert len(known) > 10
+    for a, b in itertools.pairwise(known):
+        assert np.trace(a.R_GP.T @ b.R_GP) > 2.0
+
+
+def test_nothing_known_is_finite_with_infinite_sigma_and_without_covariance() -> None:
+    state = unknown_state(5, make_pose(np.eye(3), [1.0, 0.0, 0.0]))
+    assert np.isfinite(state.r_N).all() and np.all(np.isinf(np.diag(state.covariance)))
+    assert not state.determined.any()
+    out = with_infinite(np.ones((3, 3)), np.array([False, True, False]))
+    assert np.isinf(out[1, 1]) and out[0, 1] == 0.0 and out[0, 2] == 1.0
+
+
+def test_key_frames_spread_over_the_attitudes_and_are_seen_again_after_a_revolution(feed: Feed) -> None:
+    # a slow start: most of the first frames look alike; then all sides
+    sequence = generate(replace(TUMBLE, frames=60, dt_s=0.3, w_G=(0.05, 0.7, 0.05)), 1)
+    window, _ = feed(sequence, frames=5, key_frames=8, history=12)
+    active = window.state.active
+    keys = active.keys
+    turns = np.array([[np.linalg.norm(log_so3(a.R_NG.T @ b.R_NG)) for b in keys] for a in keys])
+    # 60 frames of 12 degrees turn twice: eight keys could all lie within 96 degrees
+    assert turns.max() > np.deg2rad(150.0)
+    assert np.min(turns + 10.0 * np.eye(len(keys))) > np.deg2rad(3.0)
+    newest = set(active.recent[-1].slot.tolist())
+    assert any(len(newest & set(key.slot.tolist())) > 5 for key in keys)

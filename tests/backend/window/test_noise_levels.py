@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polhode.backend.window.noise_levels import Grid, estimate_levels, estimate_noise, most_likely
+from polhode.backend.window.solve import Grid, estimate_levels, estimate_noise, most_likely
 from polhode.simulation.monte_carlo import generate
 from tests.backend.window.conftest import TUMBLE, Feed
 

@@ -84,9 +84,3 @@ def test_a_push_too_weak_to_be_seen_determines_nothing_and_harms_nothing() -> No
     assert estimate.mass.sigma_mass_kg == np.inf and estimate.mass.sigma_inertia_scale_kg_m2 == np.inf
     assert "too small" in estimate.mass.identifiable.detail["mass"]
     assert estimate.mass.identifiable.k1 and estimate.mass.identifiable.k2
-
-
-def test_without_a_wrench_nothing_is_said_of_kilograms() -> None:
-    mass = estimated(generate(replace(SCENE, pushes=(), frames=20), 6), QUIET).mass
-    assert mass.mass_kg is None and mass.inertia_scale_kg_m2 is None
-    assert "mass" not in mass.identifiable.detail

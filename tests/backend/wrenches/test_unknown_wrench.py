@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 
 from polhode.backend.problem.motion_data import steps_with_nodes
-from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.solvers.ipopt import MotionProgram
-from polhode.backend.solvers.solve import refine
 from polhode.config.backend_settings import Backend
 from polhode.geometry.lie import Array, log_so3
 from polhode.records.estimate import Impulse, MotionEstimate
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, Vector, generate
-from tests.backend.motions import best_hypothesis, deviations, estimated, half_turn
+from tests.backend.motions import deviations, estimated, half_turn
 
 MOMENTS = np.array([3.0e-2, 2.4e-2, 1.8e-2])
 FREE = SyntheticScene(
@@ -98,13 +95,3 @@ def test_with_a_wide_node_in_every_step_the_poses_are_followed_and_nothing_else_
     turned = log_so3(np.swapaxes(R_NG[0].T @ R_NG, 1, 2) @ (R_NG[0].T @ R_true @ R_true[0].T @ R_NG[0]))
     # twenty observations of 1 px in a frame
     assert np.rad2deg(np.sqrt(np.mean(np.sum(turned**2, axis=1)))) < 2.0
-
-
-def test_both_solvers_reach_the_same_cost_with_nodes() -> None:
-    start = best_hypothesis(pushed(HIT, 6), Backend(unknown_wrench_s=((8.0, 8.5),)))
-    assert start.data.nodes.sum() == 1
-    costs = []
-    for solver in (GaussNewton(start.data), MotionProgram(start.data)):
-        rough, _, _ = refine(solver, start.iterate, 60)
-        costs.append(refine(solver, rough, 60)[1].cost)
-    assert costs[1] == pytest.approx(costs[0], rel=1e-6)

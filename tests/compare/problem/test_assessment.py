@@ -8,7 +8,6 @@ from polhode.compare.problem.measured_problem import MeasuredProblem
 
 
 def test_the_decrease_that_is_left_counts_the_landmarks(small: MeasuredProblem) -> None:
-    """Landmarks alone are moved off the solution: what a step promises is what they have to gain."""
     x = small.solution.copy()
     first = small.fixed.reference.n_dense
     x[first:] += 1e-4 * np.random.default_rng(0).normal(size=len(x) - first)

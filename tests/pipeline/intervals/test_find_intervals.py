@@ -149,7 +149,7 @@ def test_a_given_box_and_equal_moments_narrow_them(spin: tuple[MotionEstimate, n
     low, high = np.array(free.com_G)
     middle = 0.5 * (low + high)
     box = ((low - 1.0).tolist(), [*(high[:2] + 1.0), middle[2]])
-    given = {"com_in": "box", "com_box_G": box, "equal_moments": "largest"}
+    given = {"com_box_G": box, "equal_moments": "largest"}
     config = CONFIG.model_copy(update={"bounds": Bounds.model_validate(given)})
     found, _ = find_intervals(estimate, sphere_around(estimate), None, config)
     assert found is not None and found.com_G is not None

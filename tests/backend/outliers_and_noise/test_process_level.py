@@ -9,14 +9,16 @@ from polhode.backend.outliers_and_noise.process_level import (
     AGREEING_EVIDENCE,
     FLOOR_PSD,
     INSIGNIFICANT_EVIDENCE,
+    CondensedGaussNewton,
     LevelSearch,
+    VisionExpansion,
     estimate_process_noise,
     fit_level,
     with_level,
+    without_landmarks,
 )
-from polhode.backend.solvers.condensed import CondensedGaussNewton, VisionExpansion, without_landmarks
 from polhode.backend.solvers.gauss_newton import GaussNewton
-from polhode.backend.solvers.linearization_point import TIGHT_GAUGE, MotionFit
+from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.config.backend_settings import Backend
 from polhode.simulation.monte_carlo import SyntheticScene, generate
 from tests.backend.motions import best_hypothesis
@@ -52,22 +54,6 @@ def test_gradient_and_information_are_those_of_the_whole_problem(fitted: MotionF
     difference = (of_states.H - reduced) / np.outer(scale, scale)
     assert np.abs(difference[lower]).max() < 1e-8
     assert np.abs((of_states.g - slope) / scale).max() < 1e-6
-
-
-def test_landmarks_follow_the_poses(fitted: MotionFit) -> None:
-    data, iterate = fitted.data, fitted.iterate
-    vision = VisionExpansion.of(fitted)
-    x = without_landmarks(iterate)
-    # 0.2 mm along the line of sight, as an inertia changes the poses
-    x[: iterate.n_states].reshape(-1, iterate.n_state)[5:8, 2] += 2e-4
-    followed = vision.iterate(x)
-    whole, fixed = GaussNewton(data), fitted.linearized(TIGHT_GAUGE)
-    stayed = np.concatenate([x, iterate.p_G.ravel()])
-    moved = np.concatenate([x, followed.p_G.ravel()])
-    predicted, _ = vision.at(x)
-    actual = whole.cost(fixed, moved) - whole.with_other_costs(0.0, fixed, moved)
-    assert whole.cost(fixed, moved) < whole.cost(fixed, stayed)
-    assert predicted == pytest.approx(actual, rel=1e-3)
 
 
 def test_evidence_differs_between_levels_as_that_of_the_whole_problem(fitted: MotionFit) -> None:
