@@ -3,7 +3,7 @@
 import math
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -24,13 +24,6 @@ class ImportCommand(Command):
     camera with depth). Images are paired by nearest time, and copied without loss. An interrupted import goes
     on with the same command.
     """
-
-    GROUPS: ClassVar = {
-        "times": ("stamps", "rate_hz", "tolerance_s", "offset_s"),
-        "part of the recording": ("start_s", "end_s", "every", "crop"),
-        "bag": ("left_topic", "right_topic", "poses", "pose_of"),
-        "depth images": ("range_scale_m", "range_sigma_m", "range_growth_per_m"),
-    }
 
     sources: Annotated[tuple[Path, ...], Positional("SOURCE...")]
     """One path or two."""

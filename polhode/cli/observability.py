@@ -1,7 +1,7 @@
 """``polhode observability``: how well edges determine the pose along a camera trajectory."""
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -23,13 +23,6 @@ class ObservabilityCommand(Command):
     observability.json and .csv, edges.csv, edges.glb and .ply (coloured), metric.png, views.png,
     contributions.png.
     """
-
-    GROUPS: ClassVar = {
-        "metric": ("about", "sun", "sigma_px", "spacing_px"),
-        "camera": ("focal_px", "width_px", "height_px"),
-        "selection": ("edges", "fewest"),
-        "mesh file": ("crease_deg", "unit"),
-    }
 
     source: Annotated[Path, Positional("RUN|MESH")]
     """Folder of a run, whose mesh is used, or a mesh file (PLY, STL, OBJ, GLB)."""

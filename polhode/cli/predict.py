@@ -1,7 +1,7 @@
 """``polhode predict``: the motion of the target after the last stereo pair."""
 
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from polhode.cli.answer import Answer
 from polhode.cli.options import Command, Named, Positional
@@ -16,14 +16,6 @@ class PredictCommand(Command):
     Prints a few rows of position, velocity, attitude and rate; -o writes all rows, with the columns of
     trajectory.csv.
     """
-
-    EXAMPLES: ClassVar = (
-        ("polhode predict RUN --horizon-s 60", "one minute, as a short table"),
-        (
-            "polhode predict RUN --horizon-s 60 --step-s 0.1 -o motion.csv",
-            "every tenth of a second, in a file",
-        ),
-    )
 
     run: Annotated[Path, Positional("RUN")]
     """Folder of a finished run."""
