@@ -3,21 +3,21 @@
 import inspect
 import shutil
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from polhode.cli.options import Command, ConfiguredCommand, GeneralOptions, Option, options_of, settings_of
 
 
-def overview(description: str, groups: Mapping[str, Sequence[str]], commands: Mapping[str, type]) -> str:
+def overview(description: str, topics: Mapping[str, Mapping[str, type]]) -> str:
     """The text of ``polhode --help``: each command with the first sentence of its docstring."""
-    indent = 2 + max(map(len, commands)) + 2
+    indent = 17
     more = "polhode COMMAND -h shows the options of a command, polhode COMMAND --help also the configuration."
     lines = ["usage: polhode COMMAND [OPTIONS]", "", _filled(description), _filled(more)]
-    for title, names in groups.items():
+    for title, commands in topics.items():
         lines += ["", f"{title}:"]
-        for name in names:
-            summary = (commands[name].__doc__ or "").strip().partition("\n")[0]
+        for name, command in commands.items():
+            summary = (command.__doc__ or "").strip().partition("\n")[0]
             lines.append(_filled(f"  {name}".ljust(indent) + summary, indent))
     lines += ["", "for every command:", *_rows(options_of(GeneralOptions).values())]
     return "\n".join([*lines, "  --version", "      The version of polhode."])

@@ -44,34 +44,32 @@ from polhode.runtime.interrupts import interrupts_raised, received
 from polhode.runtime.processes import kill_workers
 from polhode.runtime.threads import limit_threads
 
-COMMANDS: dict[str, type[Command]] = {
-    "simulate": SimulateCommand,
-    "calibrate": CalibrateCommand,
-    "checkout": CheckoutCommand,
-    "run": RunCommand,
-    "evaluate": EvaluateCommand,
-    "compare": CompareCommand,
-    "sweep": SweepCommand,
-    "predict": PredictCommand,
-    "threshold": ThresholdCommand,
-    "expect": ExpectCommand,
-    "plan": PlanCommand,
-    "observability": ObservabilityCommand,
-    "export": ExportCommand,
-    "report": ReportCommand,
-    "view": ViewCommand,
-    "import": ImportCommand,
-    "train": TrainCommand,
-    "doctor": DoctorCommand,
-    "completion": CompletionCommand,
+TOPICS: dict[str, dict[str, type[Command]]] = {
+    "data": {
+        "simulate": SimulateCommand,
+        "import": ImportCommand,
+        "calibrate": CalibrateCommand,
+        "checkout": CheckoutCommand,
+    },
+    "estimate": {
+        "run": RunCommand,
+        "evaluate": EvaluateCommand,
+        "report": ReportCommand,
+        "view": ViewCommand,
+        "compare": CompareCommand,
+        "sweep": SweepCommand,
+    },
+    "use a run": {
+        "predict": PredictCommand,
+        "plan": PlanCommand,
+        "observability": ObservabilityCommand,
+        "export": ExportCommand,
+        "threshold": ThresholdCommand,
+        "expect": ExpectCommand,
+    },
+    "program": {"train": TrainCommand, "doctor": DoctorCommand, "completion": CompletionCommand},
 }
-TOPICS = {
-    "data": ("simulate", "import", "calibrate", "checkout"),
-    "estimate": ("run", "evaluate", "report", "view", "compare", "sweep"),
-    "use a run": ("predict", "plan", "observability", "export", "threshold", "expect"),
-    "program": ("train", "doctor", "completion"),
-}
-"""Commands in the order of the help"""
+COMMANDS = {name: command for topic in TOPICS.values() for name, command in topic.items()}
 RESUMES = {
     "compare": "finished rows are kept, the same command goes on from there",
     "sweep": "points that are done are kept, the same command goes on from there",
@@ -158,7 +156,7 @@ def _dispatch(words: list[str]) -> Answer:
         raise InputError(f"a command is missing: {names}; see polhode --help")
     if words[0] not in COMMANDS:
         about = "Motion, mass properties and shape of a tumbling target, from a stereo camera."
-        return Answer(overview(about, TOPICS, COMMANDS))
+        return Answer(overview(about, TOPICS))
     name, *rest = words
     if asked_help is not None:
         # Help wins over everything else on the line, even over mistakes.

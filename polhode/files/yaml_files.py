@@ -30,12 +30,11 @@ _CORE = "tag:yaml.org,2002:"
 _CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x84\x86-\x9f\ud800-\udfff\ufffe\uffff]")
 
 
-_Base: Any = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
-"""libyaml reads ten times as fast as the loader in Python, and words its errors alike."""
+class _Loader(yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader):  # type: ignore[misc]
+    """YAML's plain types; keys are the text as it is written.
 
-
-class _Loader(_Base):  # type: ignore[misc]
-    """YAML's plain types; keys are the text as it is written."""
+    libyaml reads ten times as fast as the loader in Python, and words its errors alike.
+    """
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[str, Any]:
         """A mapping by the text of its keys; those of ``<<`` fill in what the mapping lacks."""

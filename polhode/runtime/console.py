@@ -40,11 +40,9 @@ class _Command:
 _command = _Command()
 
 
-def choose_progress() -> "Bars | Lines":
+def choose_progress() -> "Lines":
     """Bars on a terminal, plain lines in a file, a pipe or CI; nothing with --quiet."""
-    if _command.quiet:
-        return Quiet()
-    return Bars() if sys.stdout.isatty() else Lines()
+    return Bars() if sys.stdout.isatty() and not _command.quiet else Lines(_command.quiet)
 
 
 @contextmanager
@@ -73,15 +71,19 @@ class _Stage:
     steps: int = 0
 
 
-class _Stages:
-    """What bars and lines have in common: counting the steps of each stage."""
+class Lines:
+    """One line when a stage is done, and one now and then while it goes on; ``quiet``: none."""
 
-    _is_watched = False
+    def __init__(self, quiet: bool = False) -> None:
+        self._is_quiet, self._is_watched = quiet, False
+        self._start = self._printed = perf_counter()
+        self._stages: list[_Stage] = []
+        """Those that are open, each within the one before"""
 
     @contextmanager
     def watched(self) -> Iterator[None]:
         """Show what goes on while the block runs, also between its stages."""
-        if self._is_watched:
+        if self._is_watched or self._is_quiet:
             yield
             return
         self._is_watched = True
@@ -119,63 +121,6 @@ class _Stages:
                 show(printable(text))
 
             yield checked
-
-    def _watch(self) -> AbstractContextManager[object]:
-        raise NotImplementedError
-
-    def _open(self, stage: _Stage) -> AbstractContextManager[object]:
-        raise NotImplementedError
-
-    def _text(self) -> AbstractContextManager[Show]:
-        raise NotImplementedError
-
-    def _show_step(self) -> None:
-        """Nothing, unless steps are shown as they come."""
-
-    def _show_end(self, stage: _Stage, seconds: float) -> None:
-        """Nothing, unless a stage is shown when it is done."""
-
-
-class Bars(_Stages):
-    """A live bar for each stage, with the time that it still takes, which stays when the stage is done."""
-
-    @contextmanager
-    def _watch(self) -> Iterator[None]:
-        times = TimeElapsedColumn(), TimeRemainingColumn()
-        title = TextColumn("{task.description:<28}")
-        with RichProgress(
-            title, BarColumn(), MofNCompleteColumn(), *times, console=Console(file=sys.stdout)
-        ) as self._bars:
-            yield
-
-    @contextmanager
-    def _open(self, stage: _Stage) -> Iterator[None]:
-        self._task = task = self._bars.add_task(escape(stage.title), total=stage.total or None)
-        yield
-        done = max(stage.total, 1)
-        self._bars.update(task, total=done, completed=done)
-
-    def _show_step(self) -> None:
-        self._bars.advance(self._task)
-
-    @contextmanager
-    def _text(self) -> Iterator[Show]:
-        with Live(Text(""), console=Console(file=sys.stdout), refresh_per_second=8) as live:
-            yield lambda text: live.update(Text(text))
-
-
-def duration(seconds: float) -> str:
-    """As people say it: 40 s, 5 min."""
-    return f"{round(seconds)} s" if seconds < 100.0 else f"{round(seconds / 60.0)} min"
-
-
-class Lines(_Stages):
-    """One line when a stage is done, and one now and then while it goes on."""
-
-    def __init__(self) -> None:
-        self._start = self._printed = perf_counter()
-        self._stages: list[_Stage] = []
-        """Those that are open, each within the one before"""
 
     @contextmanager
     def _watch(self) -> Iterator[None]:
@@ -215,6 +160,9 @@ class Lines(_Stages):
         finally:
             self._stages.remove(stage)
 
+    def _show_step(self) -> None:
+        """Nothing: lines come when time has passed."""
+
     def _show_end(self, stage: _Stage, seconds: float) -> None:
         self._print(f"{stage.title}: {f'{stage.steps} in ' if stage.steps else ''}{seconds:.1f} s")
 
@@ -223,18 +171,42 @@ class Lines(_Stages):
 
     def _print(self, text: str) -> None:
         self._printed = perf_counter()
-        print(text, flush=True)
+        if not self._is_quiet:
+            print(text, flush=True)
 
 
-class Quiet(Lines):
-    """Nothing is shown."""
+class Bars(Lines):
+    """A live bar for each stage, with the time that it still takes, which stays when the stage is done."""
 
     @contextmanager
     def _watch(self) -> Iterator[None]:
-        yield
+        columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+        console = Console(file=sys.stdout)
+        with RichProgress(TextColumn("{task.description:<28}"), *columns, console=console) as self._bars:
+            yield
 
-    def _print(self, text: str) -> None:
-        del text
+    @contextmanager
+    def _open(self, stage: _Stage) -> Iterator[None]:
+        self._task = task = self._bars.add_task(escape(stage.title), total=stage.total or None)
+        yield
+        done = max(stage.total, 1)
+        self._bars.update(task, total=done, completed=done)
+
+    def _show_step(self) -> None:
+        self._bars.advance(self._task)
+
+    def _show_end(self, stage: _Stage, seconds: float) -> None:
+        """Nothing: the bar has it."""
+
+    @contextmanager
+    def _text(self) -> Iterator[Show]:
+        with Live(Text(""), console=Console(file=sys.stdout), refresh_per_second=8) as live:
+            yield lambda text: live.update(Text(text))
+
+
+def duration(seconds: float) -> str:
+    """As people say it: 40 s, 5 min."""
+    return f"{round(seconds)} s" if seconds < 100.0 else f"{round(seconds / 60.0)} min"
 
 
 class _PlainWarnings(logging.Handler):

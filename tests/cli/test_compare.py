@@ -98,18 +98,6 @@ def test_the_comparison_of_another_person_runs_no_code(
     assert (out / "problems" / "stored.pickle").read_bytes() == pickled
 
 
-def test_rows_are_not_written_through_a_link(
-    compare: Compare, out: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    claim(out)
-    (tmp_path / "elsewhere").mkdir()
-    (out / "rows").rmdir()
-    (out / "rows").symlink_to(tmp_path / "elsewhere")
-    assert compare(*SOLVERS) == 2
-    assert "rows: this is a link" in capsys.readouterr().err
-    assert list((tmp_path / "elsewhere").iterdir()) == []
-
-
 def test_what_has_no_time_left_is_a_row(compare: Compare, out: Path, capsys: Capture) -> None:
     assert compare(*SOLVERS, "--compare.total-s", "0.001") == 1
     assert "no solver converged" in capsys.readouterr().err

@@ -52,7 +52,7 @@ def run_arguments(config: Path, data: Path, output: Path, *more: str) -> list[st
 
 EXPECT = "expect --size 3 --range 10 --focal-px 9 --baseline 1"
 BAD_USAGE = {
-    "": "a command is missing: simulate, calibrate, checkout, run, evaluate",
+    "": "a command is missing: simulate, import, calibrate, checkout, run",
     "rnu": "unknown command 'rnu'; did you mean run?",
     "run": "-o RUN (folder of the results, which is created) is missing",
     "run -o R": "the sequence is missing: give --data SEQ, or --live SOURCE",

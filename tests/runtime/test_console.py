@@ -10,7 +10,6 @@ from polhode.runtime import console
 from polhode.runtime.console import (
     Bars,
     Lines,
-    Quiet,
     choose_progress,
     duration,
     progress_of_run,
@@ -32,7 +31,7 @@ def test_a_run_is_never_silent_and_says_how_long_a_stage_still_takes(
             time.sleep(0.3)
         with progress.stage("matching", 0):
             time.sleep(0.3)
-    with Quiet().stage("features", 3):
+    with Lines(quiet=True).stage("features", 3):
         time.sleep(0.2)
     text, error = capsys.readouterr()
     assert error == ""
