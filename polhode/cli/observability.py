@@ -11,8 +11,6 @@ from polhode.cli.options import Command, Named, Positional
 ImageSide = Annotated[int | None, Named("PX"), Field(ge=16, le=100_000)]
 Coordinate = Annotated[float, Field(ge=-1e12, le=1e12)]
 """[m]"""
-_FRAMES = {"body": "G", "inertial": "N", "G": "G", "N": "N"}
-"""Frame letters of docs/notation.md, by what a user may call them"""
 
 
 class ObservabilityCommand(Command):
@@ -85,16 +83,16 @@ class ObservabilityCommand(Command):
         with assessment_folder(self.output) as place:
             check_numbers(self.sigma_px, self.spacing_px, self.edges)
             sun = sun_direction(self.sun)
-            stated = "inertial" if self.trajectory is not None and is_in_N(self.trajectory) else "body"
+            stated = "N" if self.trajectory is not None and is_in_N(self.trajectory) else "G"
             subject = subject_of(
                 self.source,
                 self.trajectory,
-                _FRAMES[self.frame or stated],
+                {"body": "G", "inertial": "N"}.get(self.frame or stated, self.frame or stated),
                 CameraOptions(self.focal_px, self.width_px, self.height_px),
                 None if self.about is None else np.array(self.about),
                 sun,
                 self.crease_deg,
-                {"m": 1.0, "mm": 1e-3}[self.unit],
+                1.0 if self.unit == "m" else 1e-3,
             )
             assessment = assess(
                 subject, self.spacing_px, self.sigma_px, self.edges, self.fewest, choose_progress()

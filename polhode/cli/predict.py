@@ -6,9 +6,6 @@ from typing import Annotated
 from polhode.cli.answer import Answer
 from polhode.cli.options import Command, Named, Positional
 
-STATE = ("r_N", "v_N", "R_NP", "w_P")
-"""Of a prediction, what the answer repeats for the horizon: rotation as a matrix"""
-
 
 class PredictCommand(Command):
     """Predict the target's motion: its last state propagated as a free rigid body, with standard deviations.
@@ -46,7 +43,10 @@ class PredictCommand(Command):
         table = format_prediction(prediction, place is not None, self.marks)
         figures = {
             "rows": len(prediction.time_s),
-            "last": {name: getattr(prediction, name)[-1] for name in ("time_s", "timestamps_ns", *STATE)},
+            "last": {
+                name: getattr(prediction, name)[-1]
+                for name in ("time_s", "timestamps_ns", "r_N", "v_N", "R_NP", "w_P")
+            },
             "undetermined": prediction.undetermined,
         }
         if self.output is None or place is None:

@@ -14,7 +14,6 @@ from polhode.compare.problem.sources import SCENES
 from polhode.compare.rows import Row, read_comparison
 from polhode.files.output.marked_folder import MARK, write_mark
 from polhode.run_directory.archives import write_measurements
-from polhode.runtime.errors import InputError
 from polhode.simulation.monte_carlo import generate
 from tests.conftest import MakeOnce
 from tests.figures_of_page import text_of_figures
@@ -121,31 +120,6 @@ def test_mistakes_are_one_line(words: str, compare: Compare, capsys: Capture) ->
     assert compare(*words.split()) == 2
     stderr = capsys.readouterr().err
     assert MISTAKES[words] in stderr and stderr.count("\n") == 1
-
-
-def test_a_folder_of_other_things_is_not_touched_and_our_own_is_gone_on_with(
-    compare: Compare, tmp_path: Path, capsys: Capture
-) -> None:
-    # a folder rows/ or a config.yaml of somebody else's does not make it ours
-    for name in ("letter.txt", "rows/notes.json", "config.yaml", "compare.json", ".polhode-compare"):
-        other = tmp_path / f"other-{name.replace('/', '-')}"
-        (other / name).parent.mkdir(parents=True)
-        (other / name).write_text("dear")
-        assert compare(place=other) == 2
-        stderr = capsys.readouterr().err
-        first = name.split("/")[0]
-        assert f"{first}, which polhode compare did not write" in stderr and stderr.count("\n") == 1
-        assert contents(other) == {other / name: b"dear"}
-    assert compare(source=("--run", str(tmp_path / "no")), place=tmp_path / "new") == 2
-    assert "no such folder" in capsys.readouterr().err and not (tmp_path / "new").exists()
-    own = tmp_path / "own"
-    claim(own)
-    (own / "mine.txt").write_text("kept")
-    claim(own)
-    assert (own / MARK).is_file() and (own / "mine.txt").read_text() == "kept"
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="this is a file"):
-        claim(tmp_path / "file")
 
 
 def test_a_row_that_was_changed_or_is_of_another_version_is_measured_again(
