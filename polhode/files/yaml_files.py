@@ -2,8 +2,8 @@
 
 Events of the parser, and then nodes, are counted before anything is made of them, so that a file of one
 kilobyte whose aliases stand for a billion values, or one nested a million deep, is refused at once. Of
-YAML's types, those that no file of ours has are text: dates, numbers in base 60. Keys are text, and a key that
-stands twice in a section is an error.
+YAML's types, those that no file of ours has are text: dates, numbers in base 60. Keys are text, and a key
+that stands twice in a section is an error.
 """
 
 import re
