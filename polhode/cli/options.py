@@ -152,7 +152,7 @@ def options_of(command: type[BaseModel]) -> dict[str, Option]:
     for name, field in command.model_fields.items():
         if name == "values":
             continue
-        names = (f"--{(field.alias or name).replace('_', '-')}",)
+        names: tuple[str, ...] = (f"--{(field.alias or name).replace('_', '-')}",)
         shown = next((each for each in field.metadata if isinstance(each, Named | Positional)), Named())
         if isinstance(shown, Named) and shown.other_name:
             names += (shown.other_name,)

@@ -203,8 +203,9 @@ def _value(kind: Any, tree: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
     if kind is trimesh.Trimesh:
         vertices, faces, colours = (_array_of(part, arrays) for part in tree)
         return trimesh.Trimesh(vertices, faces, vertex_colors=colours, process=False)
-    if isinstance(kind, type) and (issubclass(kind, BaseModel) or dataclasses.is_dataclass(kind)):
-        is_model, hints = issubclass(kind, BaseModel), get_type_hints(kind)
+    is_model = isinstance(kind, type) and issubclass(kind, BaseModel)
+    if is_model or (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
+        hints = get_type_hints(kind)
         names = kind.model_fields if is_model else (each.name for each in dataclasses.fields(kind))
         _require(set(tree) == set(names), kind)
         parts = {name: _value(hints[name], part, arrays) for name, part in tree.items()}
