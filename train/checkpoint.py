@@ -14,7 +14,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from polhode.config.loader import REMOVED
 from polhode.files.atomic import write_bytes
 from polhode.frontend.networks.tensor_file import TensorFileError, read_header, read_tensors
 from polhode.runtime.errors import InputError
@@ -130,8 +129,7 @@ def _tensors(model: nn.Module, optimizer: torch.optim.AdamW) -> dict[str, Tensor
 
 def _require_same(output: Path, former: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     setting = json.loads(json.dumps(dict(wanted)))
-    known = (key for key in former if f"train.{key}" not in REMOVED)
-    keys = [*setting, *(key for key in known if key not in setting)]
+    keys = [*setting, *(key for key in former if key not in setting)]
     other = [key for key in keys if former.get(key) != setting.get(key)]
     if other:
         raise InputError(

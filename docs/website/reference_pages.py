@@ -58,31 +58,23 @@ def prose(text: str) -> str:
 
 def commands_page() -> str:
     """The help of every command."""
-    text = "# Commands\n\nWhat `polhode COMMAND --help` prints.\n\n"
+    text = "# Commands\n\nWhat `polhode COMMAND -h` prints.\n\n"
     first = (" ".join((command.__doc__ or "").split()).partition(". ")[0] for command in COMMANDS.values())
     names = (f"[`polhode {name}`](#{name})" for name in COMMANDS)
     text += table("command | what it does", zip(names, first, strict=True))
     for name, command in COMMANDS.items():
         printed = help_of(name)
         if issubclass(command, ConfiguredCommand):
-            # a group of options that is a section of the configuration has its title, underlined
-            groups = re.split(r"\n(?= \S[^\n]*\n -{9})", printed)
-            own = [group for group in groups if _section_name(group) not in Config.model_fields]
-            printed = "\n\n".join(group.partition("\n  --seed ")[0].rstrip() for group in own)
-            printed += "\n\n Every setting of the configuration is an option, too."
+            printed += "\n\nEvery setting of the configuration is an option, too."
         text += f"## {name}\n\n```text\n{printed}\n```\n\n"
     return text
-
-
-def _section_name(group: str) -> str:
-    return group.split()[0].partition(".")[0].replace("-", "_")
 
 
 def help_of(command: str) -> str:
     """The help of a command in HELP_COLUMNS, as it is printed where standard output is no terminal."""
     printed = io.StringIO()
     with patch.dict(os.environ, {"COLUMNS": str(HELP_COLUMNS)}), contextlib.redirect_stdout(printed):
-        main([command, "--help"])
+        main([command, "-h"])
     return "\n".join(line.rstrip() for line in printed.getvalue().rstrip().splitlines())
 
 

@@ -5,12 +5,12 @@ its own, whose ``execute`` checks them and calls the room that does the work. He
 call, so that ``--help`` is quick.
 
 - main: finds the command, loads its configuration, shows the answer, turns errors into exit codes
-- parsing, help: words to a command and keys of the configuration; help in groups
+- parsing, help: words to a command and keys of the configuration; help
 - answer: what a command returns, as text or as JSON
 - options: the options of a command as data
 - streams: standard output and error that are closed, full, or read by nobody
 - failures: errors that no room has explained, as exit code and one line
-- doctor, machine, self_test, completion: the installation itself
+- doctor, completion: the installation itself
 - simulate, train: make datasets; train the networks of the front end
 - checkout: check a sequence before a run
 - run, evaluate, report, compare: estimate; compare with the truth; show; compare optimizers

@@ -3,7 +3,7 @@
 import json
 import math
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from pydantic import Field
 
@@ -23,11 +23,6 @@ class CalibrateCommand(Command):
     Writes sensor.yaml of both cameras, the same for OpenCV, Kalibr and ROS, calibration.json with the
     standard deviation of every parameter, and the page report.html.
     """
-
-    GROUPS: ClassVar = {
-        "board": ("marker_mm", "spacing", "dictionary"),
-        "recording": RECORDING,
-    }
 
     sources: Annotated[tuple[Path, ...], Positional("SOURCE...")] = ()
     """A recording: one path or two, instead of --left and --right."""

@@ -1,7 +1,7 @@
 """``polhode compare``: optimizers and formulations side by side."""
 
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from polhode.cli.answer import Answer
 from polhode.cli.options import ConfiguredCommand, Named, Positional
@@ -18,14 +18,6 @@ class CompareCommand(ConfiguredCommand):
     Options with dots override the configuration; the help shows the default of each key, which applies where
     the file does not set it.
     """
-
-    EXAMPLES: ClassVar = (
-        ("polhode compare --run RUN -o DIR", "every solver on the measurements of a run"),
-        (
-            "polhode compare -o DIR --compare.solvers gauss_newton,ipopt",
-            "two solvers on simulated measurements",
-        ),
-    )
 
     output: Annotated[Path, Named("DIR", "-o")]
     """Folder of the results: a new one, or that of another comparison, whose files are replaced."""

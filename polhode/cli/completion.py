@@ -3,7 +3,7 @@
 The script holds all words, so that a press of TAB starts no Python.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Literal
 
 from polhode.cli.answer import Answer
@@ -13,22 +13,20 @@ from polhode.cli.options import (
     GeneralOptions,
     Option,
     Positional,
+    all_settings,
     options_of,
-    settings_of,
 )
-from polhode.config import Config, Scene, Train
 
-Shell = Literal["bash", "zsh", "fish"]
+Shell = Literal["bash", "zsh"]
 
 
 class CompletionCommand(Command):
     """Print a script that completes commands, options and values in the shell (docs/command_line.md).
 
-    In ~/.bashrc or ~/.zshrc: source <(polhode completion bash), or zsh. In ~/.config/fish/config.fish: source
-    (polhode completion fish | psub).
+    In ~/.bashrc or ~/.zshrc: source <(polhode completion bash), or zsh.
     """
 
-    shell: Annotated[Shell, Positional("bash|zsh|fish")]
+    shell: Annotated[Shell, Positional("bash|zsh")]
     """For which shell."""
 
     def execute(self) -> Answer:
@@ -36,19 +34,6 @@ class CompletionCommand(Command):
         from polhode.cli.main import COMMANDS
 
         return Answer(completion_script(self.shell, COMMANDS))
-
-
-def completion_script(shell: Shell, commands: Mapping[str, type[Command]]) -> str:
-    """The script for these commands."""
-    if shell == "fish":
-        return "\n".join(_fish(commands))
-    start = "#compdef polhode\nautoload -U +X bashcompinit && bashcompinit\n" if shell == "zsh" else ""
-    return start + _bash(commands)
-
-
-def configuration_options() -> list[Option]:
-    """The keys of the configuration as options."""
-    return [option for _, option in settings_of(Config(scene=Scene(), train=Train()))]
 
 
 BASH = """\
@@ -74,8 +59,8 @@ complete -o default -F _polhode polhode"""
 """Where there is no word to offer, the shell completes file names."""
 
 
-def _bash(commands: Mapping[str, type[Command]]) -> str:
-    general, keys = options_of(GeneralOptions).values(), configuration_options()
+def completion_script(shell: Shell, commands: Mapping[str, type[Command]]) -> str:
+    """The script for these commands."""
     values, options = [], []
     for name, command in commands.items():
         own = options_of(command).values()
@@ -85,33 +70,14 @@ def _bash(commands: Mapping[str, type[Command]]) -> str:
                 pattern = "|".join(f'"{name} {each}"' for each in before)
                 values.append(f'      {pattern}) words="{" ".join(option.choices)}" ;;')
         more = " $keys" if issubclass(command, ConfiguredCommand) else ""
-        options.append(f'        {name}) words="{_words([*own, *general])} -h --help{more}" ;;')
-    for option in keys:
+        words = _words([*own, *options_of(GeneralOptions).values()])
+        options.append(f'        {name}) words="{words} -h --help{more}" ;;')
+    for option in all_settings():
         if option.choices:
             values.append(f'      *" {option.names[0]}") words="{" ".join(option.choices)}" ;;')
-    found = {"commands": " ".join(commands), "keys": _words(keys)}
-    return BASH.format(**found, values="\n".join(values), options="\n".join(options))
-
-
-def _fish(commands: Mapping[str, type[Command]]) -> Iterator[str]:
-    yield f'complete -c polhode -f -n __fish_use_subcommand -a "{" ".join(commands)}"'
-    configured = [name for name, command in commands.items() if issubclass(command, ConfiguredCommand)]
-    for names, options in (
-        ([], options_of(GeneralOptions).values()),
-        *(([name], options_of(command).values()) for name, command in commands.items()),
-        (configured, configuration_options()),
-    ):
-        condition = f'-n "__fish_seen_subcommand_from {" ".join(names)}"' if names else ""
-        for option in options:
-            words = ["complete -c polhode", condition]
-            if not option.is_positional:
-                words += [
-                    f"-l {each[2:]}" if each.startswith("--") else f"-s {each[1:]}" for each in option.names
-                ]
-                words += [] if option.is_flag else ["-r"]
-            if option.choices:
-                words.append(f'-f -a "{" ".join(option.choices)}"')
-            yield " ".join(filter(None, words))
+    lines = {"values": "\n".join(values), "options": "\n".join(options)}
+    start = "#compdef polhode\nautoload -U +X bashcompinit && bashcompinit\n" if shell == "zsh" else ""
+    return start + BASH.format(commands=" ".join(commands), keys=_words(all_settings()), **lines)
 
 
 def _words(options: Iterable[Option]) -> str:

@@ -1,7 +1,7 @@
 """``polhode evaluate``: a run against the truth of its dataset."""
 
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from polhode.cli.answer import Answer
 from polhode.cli.options import Command, Positional
@@ -9,10 +9,6 @@ from polhode.cli.options import Command, Positional
 
 class EvaluateCommand(Command):
     """Compare a run with the truth of its dataset: RUN/metrics.json, a table, a section of the report."""
-
-    EXAMPLES: ClassVar = (
-        ("polhode evaluate RUN SEQ", "errors of a run, beside what its standard deviations promise"),
-    )
 
     run: Annotated[Path, Positional("RUN")]
     """Folder of a finished run."""

@@ -3,7 +3,7 @@
 from dataclasses import fields
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from polhode.cli.answer import Answer, sizes_of
 from polhode.cli.options import Command, Named, Positional
@@ -18,18 +18,6 @@ class ExportCommand(Command):
     estimated one. json: everything but the mesh, with covariances. What the run lacks is left out, with a
     warning.
     """
-
-    EXAMPLES: ClassVar = (
-        (
-            "polhode export RUN --to urdf -o target.urdf --mass-kg 4.2",
-            "a free body for simulators, its inertia in kg m^2",
-        ),
-        ("polhode export RUN --to tum --poses estimated -o run.tum", "the trajectory of the run, for evo"),
-    )
-    GROUPS: ClassVar = {
-        "body for simulators": ("middle_moment_kg_m2", "pieces"),
-        "motion": ("poses", "horizon_s", "step_s", "epoch", "object_name", "object_id"),
-    }
 
     run: Annotated[Path, Positional("RUN")]
     """Folder of a run."""

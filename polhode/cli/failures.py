@@ -17,7 +17,6 @@ EXHAUSTED = {
     errno.ENOSYS: "the system lacks what is needed: see whether /dev/shm and /proc are there",
 }
 """What the machine has run out of: it ends a command whatever its input is."""
-WITH_WORKERS = ("simulate", "run", "compare", "train")
 REFUSED = {
     errno.EACCES: "change its permissions, or choose another path",
     errno.EPERM: "change its permissions, or choose another path",
@@ -29,8 +28,6 @@ REFUSED = {
     errno.ENOTEMPTY: "choose another path, or empty the folder",
     errno.EEXIST: "choose another path, or remove what is there",
     errno.ELOOP: "a link leads back to itself: remove it",
-    errno.EXDEV: "choose a path on the same file system",
-    errno.ESTALE: "mount the network file system again",
 }
 """What a path does not allow: the user's mistake, unless it comes amid the work."""
 OUT_OF_MEMORY = ("can't allocate memory", "cannot allocate memory", "out of memory", "bad_alloc",
@@ -41,10 +38,10 @@ LESS_MEMORY = {
     "export": "use a larger --step-s or a smaller --horizon, or fewer --pieces",
     "plan": "use fewer --members or a smaller --horizon",
     "observability": "use fewer poses or a lighter mesh",
-    "simulate": "use fewer --runtime.workers, fewer frames or smaller images",
-    "run": "use fewer --runtime.workers, fewer frames or smaller images",
-    "compare": "use fewer --runtime.workers, fewer frames or smaller images",
-    "train": "use fewer --runtime.workers or smaller images",
+    **dict.fromkeys(
+        ("simulate", "run", "compare", "train"),
+        "use fewer --runtime.workers, fewer frames or smaller images",
+    ),
 }
 """How each command takes less of it, where its options can."""
 NO_THREADS = ("can't start new thread", "can't start new process", "resource temporarily unavailable")
@@ -60,17 +57,24 @@ def explained(error: Exception, working: bool, command: str = "") -> tuple[int, 
 
 
 def _explained(error: Exception, working: bool, command: str) -> tuple[int, str]:
-    users = RunFailure.exit_code if working else InputError.exit_code
+    failed = RunFailure.exit_code
+    users = failed if working else InputError.exit_code
     text = f"{error} {error.__context__ or ''}".lower()
     said = str(error).strip().partition("\n")[0][:120] or type(error).__name__
+    less_memory = LESS_MEMORY.get(command, "close other programs")
+    one_worker = ", or use --runtime.workers 1" if "workers" in less_memory else ""
     if isinstance(error, MemoryError) or any(words in text for words in OUT_OF_MEMORY):
-        remedy = f"{LESS_MEMORY.get(command, 'close other programs')}, or raise the limit (ulimit -v)"
-        return RunFailure.exit_code, f"the memory is exhausted ({said}): {remedy}"
+        return failed, f"the memory is exhausted ({said}): {less_memory}, or raise the limit (ulimit -v)"
     if isinstance(error, RuntimeError) and any(words in text for words in NO_THREADS):
-        remedy = "raise the limits of processes (ulimit -u) and memory (ulimit -v)" + _or_one_worker(command)
-        return RunFailure.exit_code, f"no more threads can be started ({said}): {remedy}"
+        remedy = f"raise the limits of processes (ulimit -u) and memory (ulimit -v){one_worker}"
+        return failed, f"no more threads can be started ({said}): {remedy}"
     if isinstance(error, OSError) and error.errno is not None:
-        return _of_system(error, users, command)
+        names = (error.filename, error.filename2)
+        files = [os.fsdecode(name) for name in names if isinstance(name, str | bytes)]
+        where = f"{' -> '.join(files) or 'a file or process'}: {error.strerror or error}"
+        if error.errno in EXHAUSTED:
+            return failed, f"{where}: {EXHAUSTED[error.errno].format(or_one_worker=one_worker)}"
+        return users, f"{where}: {REFUSED.get(error.errno, 'check this path and the device it is on')}"
     if isinstance(error, RecursionError) and not working:
         return users, "an input is nested too deeply to be read: flatten its lists and mappings"
     if isinstance(error, UnicodeDecodeError):
@@ -80,26 +84,9 @@ def _explained(error: Exception, working: bool, command: str) -> tuple[int, str]
         name = error.object[max(error.start - 40, 0) : error.end + 20]
         return users, f"'{name}' cannot be written as {error.encoding.upper()}: choose another name"
     if isinstance(error, ImportError) or "shared object" in text:
-        return RunFailure.exit_code, f"the installation is incomplete ({error}): install polhode again"
-    return RunFailure.exit_code, (
-        f"unexpected {type(error).__name__}: {error}; this is a defect of polhode; --debug shows where"
-    )
-
-
-def _or_one_worker(command: str) -> str:
-    return ", or use --runtime.workers 1" if command in WITH_WORKERS else ""
-
-
-def _of_system(error: OSError, users: int, command: str) -> tuple[int, str]:
-    files = [os.fsdecode(name) for name in (error.filename, error.filename2) if isinstance(name, str | bytes)]
-    reason = error.strerror or str(error)
-    where = f"{' -> '.join(files) or 'a file or process'}: {reason}"
-    number = error.errno or 0
-    if number in EXHAUSTED:
-        remedy = EXHAUSTED[number].format(or_one_worker=_or_one_worker(command))
-        return RunFailure.exit_code, f"{where}: {remedy}"
-    remedy = REFUSED.get(number, "check this path and the device it is on")
-    return users, f"{where}: {remedy}"
+        return failed, f"the installation is incomplete ({error}): install polhode again"
+    defect = f"unexpected {type(error).__name__}: {error}; this is a defect of polhode; --debug shows where"
+    return failed, defect
 
 
 def printable_traceback(error: BaseException) -> str:

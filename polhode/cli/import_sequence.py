@@ -3,7 +3,7 @@
 import math
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -24,13 +24,6 @@ class ImportCommand(Command):
     camera with depth). Images are paired by nearest time, and copied without loss. An interrupted import goes
     on with the same command.
     """
-
-    GROUPS: ClassVar = {
-        "times": ("stamps", "rate_hz", "tolerance_s", "offset_s"),
-        "part of the recording": ("start_s", "end_s", "every", "crop"),
-        "bag": ("left_topic", "right_topic", "poses", "pose_of"),
-        "depth images": ("range_scale_m", "range_sigma_m", "range_growth_per_m"),
-    }
 
     sources: Annotated[tuple[Path, ...], Positional("SOURCE...")]
     """One path or two."""
@@ -85,10 +78,22 @@ class ImportCommand(Command):
 
     def execute(self) -> Answer:
         """Import. The dataset appears when it is complete; an interrupted one is resumed."""
-        self._require_ranges()
         from polhode.importers.import_sequence import import_sequence
         from polhode.importers.options import ImportOptions, parse_crop
+        from polhode.records import range_images as limits
 
+        for name, least, most in (
+            ("range_scale_m", limits.MIN_SCALE_M, limits.MAX_SCALE_M),
+            ("range_sigma_m", limits.MIN_SIGMA_M, limits.MAX_SIGMA_M),
+            ("range_growth_per_m", 0.0, limits.MAX_GROWTH_PER_M),
+        ):
+            value = getattr(self, name)
+            if value is not None and not least <= value <= most:
+                raise InputError(f"--{name.replace('_', '-')} {value:g}: give {least:g} to {most:g}")
+        if not self.end_s > self.start_s:
+            raise InputError(f"--end-s {self.end_s:g}: give a time after --start-s {self.start_s:g}")
+        if (given := len(self.stamps)) > 2:
+            raise InputError(f"--stamps: {given} files were given; give one, or one for each camera")
         same = {each.name for each in fields(ImportOptions)} - {"unit_m", "crop"}
         options = ImportOptions(
             **{name: getattr(self, name) for name in same},
@@ -102,27 +107,3 @@ class ImportCommand(Command):
             paths=(self.output,),
             figures={"pairs": done.pairs, "kind": done.kind, "duration_s": done.duration_s},
         )
-
-    def _require_ranges(self) -> None:
-        from polhode.records.range_images import (
-            MAX_GROWTH_PER_M,
-            MAX_SCALE_M,
-            MAX_SIGMA_M,
-            MIN_SCALE_M,
-            MIN_SIGMA_M,
-        )
-
-        for name, least, most in (
-            ("range_scale_m", MIN_SCALE_M, MAX_SCALE_M),
-            ("range_sigma_m", MIN_SIGMA_M, MAX_SIGMA_M),
-            ("range_growth_per_m", 0.0, MAX_GROWTH_PER_M),
-        ):
-            value = getattr(self, name)
-            if value is not None and not least <= value <= most:
-                raise InputError(f"--{name.replace('_', '-')} {value:g}: give {least:g} to {most:g}")
-        if not self.end_s > self.start_s:
-            raise InputError(f"--end-s {self.end_s:g}: give a time after --start-s {self.start_s:g}")
-        if len(self.stamps) > 2:
-            raise InputError(
-                f"--stamps: {len(self.stamps)} files were given; give one, or one for each camera"
-            )

@@ -20,7 +20,7 @@ from polhode.cli.evaluate import EvaluateCommand
 from polhode.cli.expect import ExpectCommand
 from polhode.cli.export import ExportCommand
 from polhode.cli.failures import explained, printable_traceback
-from polhode.cli.help import overview, print_help
+from polhode.cli.help import command_help, overview
 from polhode.cli.import_sequence import ImportCommand
 from polhode.cli.observability import ObservabilityCommand
 from polhode.cli.options import Command, ConfiguredCommand, GeneralOptions, split_general
@@ -44,34 +44,32 @@ from polhode.runtime.interrupts import interrupts_raised, received
 from polhode.runtime.processes import kill_workers
 from polhode.runtime.threads import limit_threads
 
-COMMANDS: dict[str, type[Command]] = {
-    "simulate": SimulateCommand,
-    "calibrate": CalibrateCommand,
-    "checkout": CheckoutCommand,
-    "run": RunCommand,
-    "evaluate": EvaluateCommand,
-    "compare": CompareCommand,
-    "sweep": SweepCommand,
-    "predict": PredictCommand,
-    "threshold": ThresholdCommand,
-    "expect": ExpectCommand,
-    "plan": PlanCommand,
-    "observability": ObservabilityCommand,
-    "export": ExportCommand,
-    "report": ReportCommand,
-    "view": ViewCommand,
-    "import": ImportCommand,
-    "train": TrainCommand,
-    "doctor": DoctorCommand,
-    "completion": CompletionCommand,
+TOPICS: dict[str, dict[str, type[Command]]] = {
+    "data": {
+        "simulate": SimulateCommand,
+        "import": ImportCommand,
+        "calibrate": CalibrateCommand,
+        "checkout": CheckoutCommand,
+    },
+    "estimate": {
+        "run": RunCommand,
+        "evaluate": EvaluateCommand,
+        "report": ReportCommand,
+        "view": ViewCommand,
+        "compare": CompareCommand,
+        "sweep": SweepCommand,
+    },
+    "use a run": {
+        "predict": PredictCommand,
+        "plan": PlanCommand,
+        "observability": ObservabilityCommand,
+        "export": ExportCommand,
+        "threshold": ThresholdCommand,
+        "expect": ExpectCommand,
+    },
+    "program": {"train": TrainCommand, "doctor": DoctorCommand, "completion": CompletionCommand},
 }
-TOPICS = {
-    "data": ("simulate", "import", "calibrate", "checkout"),
-    "estimate": ("run", "evaluate", "report", "view", "compare", "sweep"),
-    "use a run": ("predict", "plan", "observability", "export", "threshold", "expect"),
-    "program": ("train", "doctor", "completion"),
-}
-"""Commands in the order of the help; those that are in no topic follow at the end"""
+COMMANDS = {name: command for topic in TOPICS.values() for name, command in topic.items()}
 RESUMES = {
     "compare": "finished rows are kept, the same command goes on from there",
     "sweep": "points that are done are kept, the same command goes on from there",
@@ -115,6 +113,7 @@ def _call(words: list[str], general: GeneralOptions) -> int:
 def _outcome(words: list[str], general: GeneralOptions) -> Outcome:
     """What becomes of the command: its answer, or an error as exit code and one line."""
     command = words[0] if words and words[0] in COMMANDS else ""
+    error: BaseException
     try:
         if general.quiet and general.verbose:
             raise InputError("--quiet and --verbose contradict each other: give one of them")
@@ -130,21 +129,20 @@ def _outcome(words: list[str], general: GeneralOptions) -> Outcome:
         kept = str(stop).removeprefix("interrupted") if str(stop).startswith("interrupted") else ""
         kept = kept or f"; {RESUMES.get(command, 'nothing was written or replaced')}"
         message = f"{command} interrupted{by}{kept}".lstrip()
-        return _error(command, 128 + (number or signal.SIGINT), message, stop, general.debug)
-    except Exception as error:  # noqa: BLE001  last resort: one line instead of a traceback
-        return _error(command, *explained(error, is_working(), *words[:1]), error, general.debug)
-    failure = None if answer is None else answer.failure
-    return Outcome(command, 0 if failure is None else RunFailure.exit_code, answer, failure)
-
-
-def _error(command: str, code: int, message: str, error: BaseException, debug: bool) -> Outcome:
-    if debug:
+        code, error = 128 + (number or signal.SIGINT), stop
+    except Exception as raised:  # noqa: BLE001  last resort: one line instead of a traceback
+        error = raised
+        code, message = explained(raised, is_working(), *words[:1])
+    else:
+        failure = answer.failure
+        return Outcome(command, 0 if failure is None else RunFailure.exit_code, answer, failure)
+    if general.debug:
         sys.stderr.write(printable_traceback(error))
     return Outcome(command, code, error=message)
 
 
-def _dispatch(words: list[str]) -> Answer | None:
-    """Run the command that the words name; None: its help was printed."""
+def _dispatch(words: list[str]) -> Answer:
+    """Run the command that the words name, or answer with its help."""
     if words == ["--version"]:
         from importlib.metadata import version
 
@@ -158,14 +156,11 @@ def _dispatch(words: list[str]) -> Answer | None:
         raise InputError(f"a command is missing: {names}; see polhode --help")
     if words[0] not in COMMANDS:
         about = "Motion, mass properties and shape of a tumbling target, from a stereo camera."
-        known = {name for topic in TOPICS.values() for name in topic}
-        others = tuple(name for name in COMMANDS if name not in known)
-        return Answer(overview(about, TOPICS | ({"others": others} if others else {}), COMMANDS))
+        return Answer(overview(about, TOPICS))
     name, *rest = words
     if asked_help is not None:
         # Help wins over everything else on the line, even over mistakes.
-        print_help(name, COMMANDS[name], everything=asked_help == "--help")
-        return None
+        return Answer(command_help(name, COMMANDS[name], everything=asked_help == "--help"))
     before = f"polhode {name}"
     for word in rest:
         # An empty path would be the current folder, and no option takes an empty text.

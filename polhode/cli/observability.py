@@ -1,7 +1,7 @@
 """``polhode observability``: how well edges determine the pose along a camera trajectory."""
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -11,8 +11,6 @@ from polhode.cli.options import Command, Named, Positional
 ImageSide = Annotated[int | None, Named("PX"), Field(ge=16, le=100_000)]
 Coordinate = Annotated[float, Field(ge=-1e12, le=1e12)]
 """[m]"""
-_FRAMES = {"body": "G", "inertial": "N", "G": "G", "N": "N"}
-"""Frame letters of docs/notation.md, by what a user may call them"""
 
 
 class ObservabilityCommand(Command):
@@ -22,12 +20,6 @@ class ObservabilityCommand(Command):
     freedom; C^-1 is the covariance of the pose for noise of one pixel (docs/observability.md). Writes
     observability.json and .csv, edges.csv, metric.png, contributions.png.
     """
-
-    GROUPS: ClassVar = {
-        "metric": ("about", "sun", "sigma_px", "edges"),
-        "camera": ("focal_px", "width_px", "height_px"),
-        "mesh file": ("crease_deg", "unit"),
-    }
 
     source: Annotated[Path, Positional("RUN|MESH")]
     """Folder of a run, whose mesh is used, or a mesh file (PLY, STL, OBJ, GLB)."""
@@ -85,16 +77,16 @@ class ObservabilityCommand(Command):
         with assessment_folder(self.output) as place:
             check_numbers(self.sigma_px, self.edges)
             sun = sun_direction(self.sun)
-            stated = "inertial" if self.trajectory is not None and is_in_N(self.trajectory) else "body"
+            stated = "N" if self.trajectory is not None and is_in_N(self.trajectory) else "G"
             subject = subject_of(
                 self.source,
                 self.trajectory,
-                _FRAMES[self.frame or stated],
+                {"body": "G", "inertial": "N"}.get(self.frame or stated, self.frame or stated),
                 CameraOptions(self.focal_px, self.width_px, self.height_px),
                 None if self.about is None else np.array(self.about),
                 sun,
                 self.crease_deg,
-                {"m": 1.0, "mm": 1e-3}[self.unit],
+                1.0 if self.unit == "m" else 1e-3,
             )
             assessment = assess(subject, self.sigma_px, self.edges, choose_progress())
             names = write_assessment(assessment, place)

@@ -1,16 +1,16 @@
 """The options of a command as data, read off its fields: parsing, help and completion all work on these."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.fields import FieldInfo
 
 from polhode.cli.answer import Answer
-from polhode.config import Config
+from polhode.config import Config, Scene, Train
 from polhode.config.keys import dotted, is_structured, section_of
 from polhode.config.keys import options_of as union_members
 
@@ -38,11 +38,6 @@ class Command(BaseModel):
     """What the command line is parsed into: each field is an option, its docstring the help."""
 
     model_config = ConfigDict(frozen=True, use_attribute_docstrings=True)
-
-    GROUPS: ClassVar[Mapping[str, Sequence[str]]] = {}
-    """Of the less common options: title -> names of fields"""
-    EXAMPLES: ClassVar[Sequence[tuple[str, str]]] = ()
-    """Command lines, each with what it does"""
 
     def execute(self) -> Answer:
         """Run the command."""
@@ -153,16 +148,23 @@ def _limits(metadata: Sequence[Any]) -> str:
 
 def options_of(command: type[BaseModel]) -> dict[str, Option]:
     """The options of a command by field, beside those of the configuration, and its positional arguments."""
-    return {name: _option(name, field) for name, field in command.model_fields.items() if name != "values"}
+    options = {}
+    for name, field in command.model_fields.items():
+        if name == "values":
+            continue
+        names: tuple[str, ...] = (f"--{(field.alias or name).replace('_', '-')}",)
+        shown = next((each for each in field.metadata if isinstance(each, Named | Positional)), Named())
+        if isinstance(shown, Named) and shown.other_name:
+            names += (shown.other_name,)
+        is_flag = field.annotation is bool
+        metavar = shown.metavar or ("" if is_flag else _metavar(field.annotation))
+        options[name] = Option(names, field, metavar, field.default, isinstance(shown, Positional), is_flag)
+    return options
 
 
-def _option(name: str, field: FieldInfo) -> Option:
-    spelled = f"--{(field.alias or name).replace('_', '-')}"
-    shown = next((each for each in field.metadata if isinstance(each, Named | Positional)), Named())
-    others = (shown.other_name,) if isinstance(shown, Named) and shown.other_name else ()
-    is_flag = field.annotation is bool
-    metavar = shown.metavar or ("" if is_flag else _metavar(field.annotation))
-    return Option((spelled, *others), field, metavar, field.default, isinstance(shown, Positional), is_flag)
+def all_settings() -> list[Option]:
+    """Every key of the configuration as an option."""
+    return [option for _, option in settings_of(Config(scene=Scene(), train=Train()))]
 
 
 def settings_of(values: BaseModel, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Option]]:

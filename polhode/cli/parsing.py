@@ -9,8 +9,8 @@ from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import ValidationError
 
-from polhode.cli.options import Command, ConfiguredCommand, Option, options_of, settings_of
-from polhode.config import Config, Scene, Train
+from polhode.cli.options import Command, ConfiguredCommand, Option, all_settings, options_of
+from polhode.config import Config
 from polhode.config.keys import annotation_at, arrange, count_of, dotted, is_structured, suggestion
 from polhode.config.keys import options_of as union_members
 from polhode.files.yaml_files import MAX_DEPTH, MAX_KEY_LENGTH, parse_yaml
@@ -72,7 +72,9 @@ def _parsed(command: type[C], words: Sequence[str]) -> tuple[C, dict[str, Any]]:
                 raise _Misunderstood(f"{name}: a value is missing")
             settings[dotted(path)] = _setting(path, of_key)
         else:
-            known = [*fields, *(setting_names() if issubclass(command, ConfiguredCommand) else [])]
+            known = list(fields)
+            if issubclass(command, ConfiguredCommand):
+                known += [each.names[0] for each in all_settings()]
             raise _Misunderstood(f"unknown option '{name}';{suggestion(name, known)}".rstrip(";"))
     for field, option in options.items():
         if option.is_positional and (option.takes_many or loose):
@@ -80,16 +82,10 @@ def _parsed(command: type[C], words: Sequence[str]) -> tuple[C, dict[str, Any]]:
             given[field], loose = loose[:count], loose[count:]
     if loose:
         raise _Misunderstood(f"unexpected argument '{loose[0]}'")
-    lacking = [
-        f"{option.invocation} ({_beginning(option.description)})"
-        for field, option in options.items()
-        if option.required and field not in given
-    ]
+    lacking = [option for field, option in options.items() if option.required and field not in given]
     if lacking:
-        *others, last = lacking
-        raise _Misunderstood(
-            f"{', '.join(others)} and {last} are missing" if others else f"{last} is missing"
-        )
+        words = [f"{each.invocation} ({_beginning(each.description)})" for each in lacking]
+        raise _Misunderstood(f"{' and '.join(words)} {'is' if len(words) == 1 else 'are'} missing")
     values: dict[str, Any] = {}
     for field, found in given.items():
         values[field] = found if options[field].takes_many else found[0] if found else True
@@ -128,11 +124,6 @@ def _beginning(description: str) -> str:
     beginning = re.split(r"\.(?:\s|$)|:\s|\s\(", description)[0]
     is_abbreviation = beginning[:2].isupper()
     return beginning if is_abbreviation else beginning[:1].lower() + beginning[1:]
-
-
-def setting_names() -> list[str]:
-    """Every key of the configuration as it is written on the command line."""
-    return [option.names[0] for _, option in settings_of(Config(scene=Scene(), train=Train()))]
 
 
 def _key_of(word: str) -> tuple[str, ...] | None:

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -21,18 +21,6 @@ class PlanCommand(Command):
     the camera's path from its last pose to the docking point, or else towards the target, for polhode
     observability RUN --trajectory DIR/plan.txt --frame inertial.
     """
-
-    EXAMPLES: ClassVar = (
-        ("polhode plan RUN -o DIR", "keep-out volume and speeds of the surface over the next minute"),
-        (
-            "polhode plan RUN -o DIR --dock-point 0 0 0.1 --dock-axis 0 0 1",
-            "with the corridor to a docking point",
-        ),
-    )
-    GROUPS: ClassVar = {
-        "docking": ("dock_point", "dock_axis", "stand_off_m", "isp_s"),
-        "keep-out volume": ("cover", "members"),
-    }
 
     run: Annotated[Path, Positional("RUN")]
     """Folder of a finished run."""
@@ -65,7 +53,12 @@ class PlanCommand(Command):
         from polhode.planning.plan_files import format_plan, plan_folder, summary_of, write_plan
 
         with plan_folder(self.output) as place:
-            self._check()
+            if (self.dock_point is None) != (self.dock_axis is None):
+                raise InputError("--dock-point and --dock-axis belong together: give both")
+            if self.dock_axis is not None and not (
+                1e-100 < max(map(abs, self.dock_axis)) < 1e100 and all(map(math.isfinite, self.dock_axis))
+            ):
+                raise InputError("--dock-axis: give a direction whose length is neither 0 nor above 1e100")
             docking = None
             if self.dock_point is not None and self.dock_axis is not None:
                 point, axis = np.array(self.dock_point), np.array(self.dock_axis)
@@ -79,12 +72,3 @@ class PlanCommand(Command):
             paths=(self.output, *(self.output / name for name in names)),
             figures=summary_of(plan),
         )
-
-    def _check(self) -> None:
-        """Raises InputError for an option that is out of its range."""
-        if (self.dock_point is None) != (self.dock_axis is None):
-            raise InputError("--dock-point and --dock-axis belong together: give both")
-        if self.dock_axis is not None and not (
-            1e-100 < max(map(abs, self.dock_axis)) < 1e100 and all(map(math.isfinite, self.dock_axis))
-        ):
-            raise InputError("--dock-axis: give a direction whose length is neither 0 nor above 1e100")

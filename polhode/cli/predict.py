@@ -1,13 +1,10 @@
 """``polhode predict``: the motion of the target after the last stereo pair."""
 
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from polhode.cli.answer import Answer
 from polhode.cli.options import Command, Named, Positional
-
-STATE = ("r_N", "v_N", "R_NP", "w_P")
-"""Of a prediction, what the answer repeats for the horizon: rotation as a matrix"""
 
 
 class PredictCommand(Command):
@@ -16,14 +13,6 @@ class PredictCommand(Command):
     Prints a few rows of position, velocity, attitude and rate; -o writes all rows, with the columns of
     trajectory.csv.
     """
-
-    EXAMPLES: ClassVar = (
-        ("polhode predict RUN --horizon-s 60", "one minute, as a short table"),
-        (
-            "polhode predict RUN --horizon-s 60 --step-s 0.1 -o motion.csv",
-            "every tenth of a second, in a file",
-        ),
-    )
 
     run: Annotated[Path, Positional("RUN")]
     """Folder of a finished run."""
@@ -54,7 +43,10 @@ class PredictCommand(Command):
         table = format_prediction(prediction, place is not None, self.marks)
         figures = {
             "rows": len(prediction.time_s),
-            "last": {name: getattr(prediction, name)[-1] for name in ("time_s", "timestamps_ns", *STATE)},
+            "last": {
+                name: getattr(prediction, name)[-1]
+                for name in ("time_s", "timestamps_ns", "r_N", "v_N", "R_NP", "w_P")
+            },
             "undetermined": prediction.undetermined,
         }
         if self.output is None or place is None:

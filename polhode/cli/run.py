@@ -3,7 +3,7 @@
 import logging
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 from polhode.cli.answer import Answer
 from polhode.cli.options import ConfiguredCommand, Named
@@ -32,12 +32,6 @@ class RunCommand(ConfiguredCommand):
     Options with dots override the configuration; the help shows the default of each key, which applies where
     the file does not set it.
     """
-
-    EXAMPLES: ClassVar = (
-        ("polhode run --data SEQ -o RUN", "with the defaults, which fit any calibrated sequence"),
-        ("polhode run --data examples/sample -o runs/demo --overwrite", "the shipped sample again"),
-    )
-    GROUPS: ClassVar = {"live stream": ("live", "rate", "patience_s"), "viewer": ("view", "view_save")}
 
     output: Annotated[Path, Named("RUN", "-o")]
     """Folder of the results, which is created."""
@@ -69,7 +63,14 @@ class RunCommand(ConfiguredCommand):
 
     def execute(self) -> Answer:
         """Run the pipeline. A run that did not reach a converged estimate has its failure in the answer."""
-        target = self._view_target()
+        target = None
+        if self.view or self.view_save is not None:
+            from polhode.runtime.optional_parts import require_part
+
+            require_part("rerun", "--view" if self.view else "--view-save")
+            from polhode.viewer.target import require_target
+
+            target = require_target(self.view_save, self.view, "--view-save")
         # before this process imports the same
         start_server(("polhode.pipeline.run",), worker_count(self.values.runtime.workers))
         if self.live is not None:
@@ -77,30 +78,26 @@ class RunCommand(ConfiguredCommand):
         else:
             result = self._run()
             if target is not None:
-                _show(result, self.data, target)
+                from polhode.viewer.show_run import show_run
+
+                try:
+                    show_run(_folder_of(result), self.data, target, choose_progress())
+                except (InputError, RunFailure) as error:
+                    _log.warning("the run is complete, but it could not be shown: %s", error)
         note = f"; {result.note}" if result.note else ""
         failure, found = result.failure, _from_summary(_folder_of(result))
-        listed = _listed([each for each in found.get("warnings", ()) if each != failure])
+        # warnings together, as those that came while it worked stand far above
+        lines = [f"- {one_line(each)}" for each in found.get("warnings", ()) if each != failure]
+        lines = ["Warnings of this run:", *lines] if lines else []
         what = "Report" if result.report_path.name == REPORT else "Results"
         return Answer(
             f"{what}: {result.report_path}",
-            "\n".join(each for each in (listed, result.sentence) if each),
+            "\n".join([*lines, *filter(None, [result.sentence])]),
             paths=(result.report_path, _folder_of(result)),
             status=result.status,
             **found,
             failure=failure and f"{failure}; the best motion found: {result.report_path}{note}",
         )
-
-    def _view_target(self) -> "ViewTarget | None":
-        """Where the run is shown, checked before the work."""
-        if not self.view and self.view_save is None:
-            return None
-        from polhode.runtime.optional_parts import require_part
-
-        require_part("rerun", "--view" if self.view else "--view-save")
-        from polhode.viewer.target import require_target
-
-        return require_target(self.view_save, self.view, "--view-save")
 
     def _run(self) -> "RunResult":
         from polhode.pipeline.run import run
@@ -132,7 +129,12 @@ class RunCommand(ConfiguredCommand):
                 "--resume: a stream cannot be resumed; give --data instead of --live for the answer from "
                 "the pairs that were recorded"
             )
-        with _watching(target, source) as watch:
+        watching: AbstractContextManager[Watch | None] = nullcontext()
+        if target is not None:
+            from polhode.viewer.show_live import watching as watching_by
+
+            watching = watching_by(target, source.resolve().name)
+        with watching as watch:
             result, live = run_live(
                 self.values,
                 source,
@@ -168,29 +170,3 @@ def _from_summary(folder: Path) -> dict[str, Any]:
     if summary.inertia is not None:
         figures |= {"k1": summary.inertia.k1, "k2": summary.inertia.k2}
     return {"figures": figures, "warnings": tuple(summary.warnings)}
-
-
-def _listed(warnings: list[str]) -> str:
-    """The warnings of a run together, as those that came while it worked stand far above; empty: none."""
-    return "\n".join(
-        ["Warnings of this run:", *(f"- {one_line(each)}" for each in warnings)] if warnings else []
-    )
-
-
-def _watching(target: "ViewTarget | None", source: Path) -> "AbstractContextManager[Watch | None]":
-    """What shows the pairs of a stream; None: nothing does."""
-    if target is None:
-        return nullcontext()
-    from polhode.viewer.show_live import watching
-
-    return watching(target, source.resolve().name)
-
-
-def _show(result: "RunResult", data: Path | None, target: "ViewTarget") -> None:
-    """Show a finished run, which stays complete if that does not succeed."""
-    from polhode.viewer.show_run import show_run
-
-    try:
-        show_run(_folder_of(result), data, target, choose_progress())
-    except (InputError, RunFailure) as error:
-        _log.warning("the run is complete, but it could not be shown: %s", error)

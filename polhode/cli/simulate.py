@@ -1,7 +1,7 @@
 """``polhode simulate``: render a dataset with truth."""
 
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from polhode.cli.answer import Answer
 from polhode.cli.options import ConfiguredCommand, Named, Positional
@@ -17,17 +17,6 @@ class SimulateCommand(ConfiguredCommand):
     Options with dots override the configuration; the help shows the default of each key, which applies where
     the file does not set it.
     """
-
-    EXAMPLES: ClassVar = (
-        (
-            "polhode simulate configs/scenes/fast_20rpm.yaml -o runs/fast_data",
-            "a scene of the checkout, with its truth",
-        ),
-        (
-            "polhode simulate SCENE.yaml -o SEQ --scene.frames 20 --overwrite",
-            "a short version, in place of the last",
-        ),
-    )
 
     config: Annotated[Path, Positional("CONFIG")]
     """Configuration with a scene, YAML."""

@@ -29,9 +29,17 @@ def tolerant_streams() -> Iterator[Streams]:
     Where the reader has gone, the rest goes to the null device. Where writing fails, it does too, and
     ``Streams.lost`` says why. Streams that were replaced (by tests) stay as they are.
     """
-    streams = Streams()
-    _open_missing()
-    before = sys.stdout, sys.stderr
+    # Descriptors that are closed: else the first files that are opened would get their numbers, and what
+    # libraries print.
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            opened = os.open(os.devnull, os.O_RDWR)
+            if opened != descriptor:
+                os.dup2(opened, descriptor)
+                os.close(opened)
+    streams, before = Streams(), (sys.stdout, sys.stderr)
     sys.stdout = _tolerant(sys.stdout, sys.__stdout__, streams)
     sys.stderr = _tolerant(sys.stderr, sys.__stderr__, Streams())
     try:
@@ -78,18 +86,3 @@ def _tolerant(stream: TextIO | None, original: TextIO | None, streams: Streams) 
         line_buffering=stream.line_buffering,
         write_through=stream.write_through,
     )
-
-
-def _open_missing() -> None:
-    """Open the null device for those of the first three descriptors that are closed.
-
-    Otherwise the first files that are opened would get their numbers, and what libraries print.
-    """
-    for descriptor in range(3):
-        try:
-            os.fstat(descriptor)
-        except OSError:
-            opened = os.open(os.devnull, os.O_RDWR)
-            if opened != descriptor:
-                os.dup2(opened, descriptor)
-                os.close(opened)

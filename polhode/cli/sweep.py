@@ -1,17 +1,14 @@
 """``polhode sweep``: the points of a study, one task each, and their table."""
 
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from pydantic import Field
 
 from polhode.cli.answer import Answer
 from polhode.cli.options import Command, Named, Positional
-from polhode.runtime.console import progress_of_points
+from polhode.runtime.console import choose_progress
 from polhode.runtime.errors import InputError
-
-REASONS = 5
-"""Reasons of failed points that are listed"""
 
 
 class SweepCommand(Command):
@@ -21,15 +18,6 @@ class SweepCommand(Command):
     run, evaluate, plan, compare. Points that are stored in DIR are not computed again: the same command goes
     on after whatever has ended it.
     """
-
-    EXAMPLES: ClassVar = (
-        (
-            "polhode sweep STUDY.yaml -o DIR --dry-run",
-            "how many points, and what is rendered once",
-        ),
-        ("polhode sweep STUDY.yaml -o DIR", "DIR/table.parquet and study.html, on all cores of this machine"),
-    )
-    GROUPS: ClassVar = {"where it is computed": ("cluster", "workers", "memory_gb")}
 
     study: Annotated[Path, Positional("STUDY")]
     """The study, YAML."""
@@ -52,7 +40,10 @@ class SweepCommand(Command):
 
     def execute(self) -> Answer:
         """Compute the points and write the table. Points that failed are rows; the answer counts them."""
-        self._check()
+        if self.dry_run and self.page_only:
+            raise InputError("--dry-run and --page-only contradict each other: give one of them")
+        if self.cluster is not None and (self.workers or self.memory_gb is not None):
+            raise InputError("--workers and --memory-gb are of this machine; with --cluster, leave them out")
         from polhode.studies.study import open_study
 
         study = open_study(self.study)
@@ -71,9 +62,10 @@ class SweepCommand(Command):
         from polhode.studies.table import PAGE
 
         options = ClusterOptions(self.cluster, self.workers, self.memory_gb)
-        swept = sweep(study, self.output, progress_of_points(), options, self.again_failed)
+        swept = sweep(study, self.output, choose_progress(), options, self.again_failed)
         table, page = self.output / swept.table.name, self.output / PAGE
-        reasons = [f"  {count} x {reason}" for reason, count in swept.reasons.most_common(REASONS)]
+        most = swept.reasons.most_common(5)
+        reasons = [f"  {count} x {reason}" for reason, count in most]
         failed = f", {swept.failed} failed" if swept.failed else ""
         all_failed = swept.failed == swept.points
         return Answer(
@@ -85,14 +77,7 @@ class SweepCommand(Command):
                 "points": swept.points,
                 "stored_before": swept.stored,
                 "failed": swept.failed,
-                "reasons": dict(swept.reasons.most_common(REASONS)),
+                "reasons": dict(most),
             },
             failure=f"no point succeeded; the reasons: {table}" if all_failed else None,
         )
-
-    def _check(self) -> None:
-        """Raises InputError for an option that is out of its range."""
-        if self.dry_run and self.page_only:
-            raise InputError("--dry-run and --page-only contradict each other: give one of them")
-        if self.cluster is not None and (self.workers or self.memory_gb is not None):
-            raise InputError("--workers and --memory-gb are of this machine; with --cluster, leave them out")

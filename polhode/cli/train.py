@@ -31,24 +31,18 @@ class TrainCommand(ConfiguredCommand):
             raise InputError(f"{self.config}: no 'train' section; see configs/train/ for examples")
         from polhode.train.run import train
 
-        values = self._with_output(self.values.train)
-        assert values.train is not None
-        trained = train(values, values.train, choose_progress(), worker_count(values.runtime.workers))
+        values, settings = self.values, self.values.train
+        if self.output is not None:
+            settings = settings.model_copy(update={"output": str(self.output)})
+            values = values.model_copy(update={"train": settings})
+        trained = train(values, settings, choose_progress(), worker_count(values.runtime.workers))
         lines = [f"  {name}: {value:.4g}" for name, value in trained.outcome.scores.items()]
         if not trained.outcome.finished:
-            steps = f"step {trained.outcome.step} of {values.train.schedule.steps}"
+            steps = f"step {trained.outcome.step} of {settings.schedule.steps}"
             lines.append(f"The time limit was reached at {steps}; the same command resumes.")
         return Answer(
             f"Weights: {trained.weights}",
             "\n".join(lines),
             paths=(trained.weights,),
             figures={"finished": trained.outcome.finished, "scores": trained.outcome.scores},
-        )
-
-    def _with_output(self, settings: Train) -> Config:
-        """The configuration with the folder that -o names."""
-        if self.output is None:
-            return self.values
-        return self.values.model_copy(
-            update={"train": settings.model_copy(update={"output": str(self.output)})}
         )

@@ -3,7 +3,6 @@
 An error names the file (or the option) that set the value, the dotted key, and what is valid there.
 """
 
-import logging
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,30 +19,6 @@ from polhode.runtime.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
 
-_log = logging.getLogger(__name__)
-
-REMOVED = frozenset(
-    {
-        "frontend.stereo",
-        *(f"frontend.pairs.{name}" for name in ("hypotheses", "gate_px", "min_inliers")),
-        *(f"frontend.guided.{name}" for name in ("consistency_px", "coarse_gate_px", "fine_gate_px")),
-        *(f"frontend.guided.{name}" for name in ("merge_view_angle_deg", "min_inliers", "merge")),
-        *(f"frontend.tracks.{name}" for name in ("refine", "min_views")),
-        *(f"frontend.depth.{name}" for name in ("speckle_px", "refinements", "plane_radius_px", "jump_px")),
-        *(f"frontend.depth.{name}" for name in ("max_disparity_share", "consistency_px", "window_px")),
-        *(f"frontend.depth.{name}" for name in ("facets", "min_intensity", "rim_px")),
-        *(f"mapping.{name}" for name in ("voxel_per_footprint", "truncation_voxels")),
-        *(f"mapping.{name}" for name in ("truncation_behind_voxels", "free_space_weight", "moved_voxels")),
-        *(f"mapping.{name}" for name in ("device", "least_piece_voxels", "align_from", "align_overlap")),
-        *(f"train.schedule.{name}" for name in ("weight_decay", "clip_norm")),
-        *(f"train.descriptor.{name}" for name in ("strays", "most_turn_deg", "half_px", "scale_noise")),
-        *(f"train.descriptor.{name}_weight" for name in ("reliability", "direction", "matching", "motion")),
-        *(f"backend.bounds.{name}" for name in ("com_in", "hull_growth", "least_depth_m", "inertia_in")),
-        *("backend.bounds.known_mass", "train.descriptor.late_from", "train.corpus.first_body_seed"),
-        *("train.surface.albedos", "train.surface.loss.consensus", "train.surface.loss.albedo"),
-    }
-)
-"""Settings of earlier versions that are constants now; the configuration of an old run may contain them."""
 EXTENDS = "extends"
 MAX_FILES = 16
 """Of a chain of ``extends``"""
@@ -211,26 +186,7 @@ def _drop_empty_sections(values: dict[str, Any], path: config_keys.Path) -> None
             del values[key]
 
 
-def _drop_removed(layered: _Layered) -> None:
-    """Leave out settings that are constants now, with one warning for each source."""
-    found: dict[str, list[str]] = {}
-    for key in sorted(REMOVED):
-        *sections, name = key.split(".")
-        values: Any = layered.values
-        for section in sections:
-            values = values.get(section) if isinstance(values, dict) else None
-        if isinstance(values, dict) and name in values:
-            found.setdefault(layered.source_of(tuple(key.split("."))), []).append(f"'{key}'")
-            del values[name]
-    for source, keys in found.items():
-        what = "is no longer a setting and is ignored; remove it"
-        if len(keys) > 1:
-            what = "are no longer settings and are ignored; remove them"
-        _log.warning("%s: %s %s", source, ", ".join(keys), what)
-
-
 def _config_of(layered: _Layered) -> Config:
-    _drop_removed(layered)
     _drop_empty_sections(layered.values, ())
     return _validate(layered, Config)
 

@@ -10,7 +10,6 @@ import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 
 import numpy as np
@@ -23,8 +22,6 @@ from polhode.runtime.errors import InputError, one_line
 LIMIT_BYTES = 512 * MIB
 """Of a file, and of all arrays in it."""
 MAX_ARRAYS = 200
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,99}\.npy")
-_KINDS = "biufU"
 _HEADER_BYTES = 4096
 
 
@@ -59,7 +56,7 @@ def _require_sensible(members: list[ZipInfo]) -> None:
     if total > LIMIT_BYTES:
         raise _Refused(f"arrays of {amount(total)}, where {amount(LIMIT_BYTES)} are allowed")
     for name, count in Counter(member.filename for member in members).items():
-        if not _NAME.fullmatch(name):
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_.]{0,99}\.npy", name):
             raise _Refused(f"a member is called {name[:40]!r}")
         if count > 1:
             raise _Refused(f"{count} arrays are called {name.removesuffix('.npy')}")
@@ -74,9 +71,13 @@ def _read(archive: ZipFile, member: ZipInfo) -> NDArray[np.generic]:
     """An array, allocated only when its header fits the size of the member. Raises _Refused and others."""
     name = member.filename.removesuffix(".npy")
     with archive.open(member) as stream:
-        shape, dtype = _header(stream)
+        version = npy.read_magic(stream)
+        read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}.get(version)
+        if read is None:
+            raise _Refused(f"arrays of format {version[0]}.{version[1]}")
+        shape, _, dtype = read(stream, max_header_size=_HEADER_BYTES)
         start = stream.tell()
-    if dtype.hasobject or dtype.kind not in _KINDS or dtype.subdtype is not None:
+    if dtype.hasobject or dtype.kind not in "biufU" or dtype.subdtype is not None:
         raise _Refused(f"{name} holds {'objects' if dtype.hasobject else str(dtype)[:60]}")
     if len(shape) > 8 or any(size < 0 for size in shape):
         raise _Refused(f"{name} has the shape {str(shape)[:60]}")
@@ -88,15 +89,6 @@ def _read(archive: ZipFile, member: ZipInfo) -> NDArray[np.generic]:
         if stream.read(1):
             raise _Refused(f"{name} is longer than stated")
     return values
-
-
-def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], "np.dtype[Any]"]:
-    version = npy.read_magic(stream)
-    read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}.get(version)
-    if read is None:
-        raise _Refused(f"arrays of format {version[0]}.{version[1]}")
-    shape, _, dtype = read(stream, max_header_size=_HEADER_BYTES)
-    return shape, dtype
 
 
 def require_arrays(

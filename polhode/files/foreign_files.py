@@ -18,14 +18,6 @@ KIB, MIB, GIB = 2**10, 2**20, 2**30
 CONFIGURATION_BYTES = MIB
 """Limit of a YAML file: the resolved configuration has 12 kB, and a scene with 5000 waypoints some 500."""
 
-_OTHER_KINDS = (
-    (stat.S_ISDIR, "a folder"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISSOCK, "a socket"),
-)
-
 
 class MissingFile(InputError):
     """There is no file of this name."""
@@ -107,7 +99,9 @@ def decoded(path: Path, content: bytes) -> str:
 
 def _require_regular(path: Path, mode: int) -> None:
     if not stat.S_ISREG(mode):
-        kind = next((name for is_kind, name in _OTHER_KINDS if is_kind(mode)), "no regular file")
+        kinds = {stat.S_IFDIR: "a folder", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
+        kinds |= {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+        kind = kinds.get(stat.S_IFMT(mode), "no regular file")
         raise InputError(f"{path} is {kind}: give a regular file")
 
 

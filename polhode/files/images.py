@@ -30,27 +30,16 @@ MAX_PIXELS = 64_000_000
 """Of one image; the largest sensors of machine vision with a global shutter have some 25 million."""
 GREY_OR_COLOUR = ("1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX")
 """Modes of 8 bits or fewer; transparency is ignored."""
-_DECODERS = ("raw", "zip", "jpeg", "libtiff")
-"""Those in C; the others of these formats, for plain text and run lengths, take seconds for an image."""
-_BYTES_PER_PIXEL, _MORE_BYTES = 8, 16 * MIB
-
-BLOCK_PX = 4
 
 
-def _silence_libtiff() -> None:
-    """Let libtiff print nothing: what it says of damage, Pillow raises as well.
-
-    Only wheels of Pillow are looked at, whose library nothing else uses.
-    """
-    for library in Path(Image.__file__).parent.with_name("pillow.libs").glob("libtiff-*.so*"):
-        with suppress(OSError, AttributeError):
-            libtiff = ctypes.CDLL(str(library))
-            for name in ("TIFFSetErrorHandler", "TIFFSetWarningHandler"):
-                getattr(libtiff, name).argtypes = [ctypes.c_void_p]
-                getattr(libtiff, name)(None)
-
-
-_silence_libtiff()
+# Let libtiff print nothing: what it says of damage, Pillow raises as well. Only wheels of Pillow are looked
+# at, whose library nothing else uses.
+for _library in Path(Image.__file__).parent.with_name("pillow.libs").glob("libtiff-*.so*"):
+    with suppress(OSError, AttributeError):
+        _libtiff = ctypes.CDLL(str(_library))
+        for _name in ("TIFFSetErrorHandler", "TIFFSetWarningHandler"):
+            getattr(_libtiff, _name).argtypes = [ctypes.c_void_p]
+            getattr(_libtiff, _name)(None)
 # What Pillow warns of (a large header, odd metadata) is either refused here or without effect on the pixels.
 warnings.filterwarnings("ignore", module=r"PIL\.")
 
@@ -82,9 +71,9 @@ def _errors_named() -> Iterator[None]:
 @contextmanager
 def _opened(path: Path, width_px: int, height_px: int) -> Iterator[ImageFile.ImageFile]:
     """The image file, for decoding its first frame in the block. Raises UnreadableImage."""
-    limit = _BYTES_PER_PIXEL * width_px * height_px + _MORE_BYTES
+    limit_bytes = 8 * width_px * height_px + 16 * MIB
     try:
-        stream = open_regular(path, limit, f"an image of {width_px}x{height_px} px")
+        stream = open_regular(path, limit_bytes, f"an image of {width_px}x{height_px} px")
     except MissingFile:
         raise UnreadableImage("file missing") from None
     except InputError as error:
@@ -120,7 +109,8 @@ def _require_known_pixels(image: ImageFile.ImageFile) -> None:
         if tile.codec_name == "ppm" and image.mode == "I":
             # Pillow would scale 12-bit values to 16 bits, a pixel at a time.
             image.tile[index] = tile._replace(codec_name="raw", args=("I;16B", 0, 1))
-        elif tile.codec_name not in _DECODERS:
+        elif tile.codec_name not in ("raw", "zip", "jpeg", "libtiff"):
+            # Not in C: those for plain text and run lengths take seconds for an image.
             raise UnreadableImage("pixels as plain text or run lengths; save it as PNG")
         words = (tile.args,) if isinstance(tile.args, str) else tile.args or ()
         deep = any(isinstance(word, str) and ";16" in word for word in words)
@@ -218,8 +208,8 @@ def has_content(grey: Grey) -> bool:
     Works on means of 4x4 blocks, where noise of a few levels is averaged out: content is a handful of
     blocks well above the median, or a wide spread over the image.
     """
-    rows, columns = (max(size // BLOCK_PX, 1) for size in grey.shape)
-    cut = grey[: rows * BLOCK_PX, : columns * BLOCK_PX]
+    rows, columns = (max(size // 4, 1) for size in grey.shape)
+    cut = grey[: rows * 4, : columns * 4]
     parts = cut.reshape(rows, cut.shape[0] // rows, columns, cut.shape[1] // columns)
     blocks = parts.mean(axis=(1, 3), dtype=np.float64)
     median = float(np.median(blocks))

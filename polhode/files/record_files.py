@@ -75,7 +75,8 @@ def _held(value: object) -> Any:
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, trimesh.Trimesh):
-        return list(mesh_parts(value))
+        colours = value.visual.vertex_colors  # type: ignore[union-attr]
+        return [np.asarray(part) for part in (value.vertices, value.faces, colours)]
     if isinstance(value, BaseModel):
         return {name: getattr(value, name) for name in type(value).model_fields}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -179,9 +180,8 @@ def _value(kind: Any, tree: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
         if tree is None and type(None) in inner:
             return None
         for each in inner:
-            if each is not type(None):
-                with suppress(UnfitRecord, TypeError, ValueError, KeyError):
-                    return _value(each, tree, arrays)
+            with suppress(UnfitRecord, TypeError, ValueError, KeyError):
+                return _value(each, tree, arrays)
         raise UnfitRecord(f"none of {inner}")
     if origin is Literal or kind is Any or kind is object:
         return tree
@@ -203,14 +203,13 @@ def _value(kind: Any, tree: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
     if kind is trimesh.Trimesh:
         vertices, faces, colours = (_array_of(part, arrays) for part in tree)
         return trimesh.Trimesh(vertices, faces, vertex_colors=colours, process=False)
-    if isinstance(kind, type) and issubclass(kind, BaseModel):
+    is_model = isinstance(kind, type) and issubclass(kind, BaseModel)
+    if is_model or (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
         hints = get_type_hints(kind)
-        _require(set(tree) == set(kind.model_fields), kind)
-        return kind.model_validate({name: _value(hints[name], part, arrays) for name, part in tree.items()})
-    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-        hints, names = get_type_hints(kind), {each.name for each in dataclasses.fields(kind)}
-        _require(set(tree) == names, kind)
-        return kind(**{name: _value(hints[name], part, arrays) for name, part in tree.items()})
+        names = kind.model_fields if is_model else (each.name for each in dataclasses.fields(kind))
+        _require(set(tree) == set(names), kind)
+        parts = {name: _value(hints[name], part, arrays) for name, part in tree.items()}
+        return kind.model_validate(parts) if is_model else kind(**parts)
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return {_value(inner[0], key, arrays): _value(inner[1], each, arrays) for key, each in tree}
     if origin is tuple and not (len(inner) == 2 and inner[1] is ...):
@@ -232,8 +231,3 @@ def _array_of(place: Any, arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
 def _require(fits: bool, kind: Any) -> None:
     if not fits:
         raise UnfitRecord(f"not a {kind}")
-
-
-def mesh_parts(mesh: trimesh.Trimesh) -> tuple[NDArray[Any], ...]:
-    """What a record holds of a mesh: vertices, faces, colours of the vertices."""
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces), np.asarray(mesh.visual.vertex_colors)  # type: ignore[union-attr]

@@ -21,15 +21,11 @@ from polhode.geometry.lie import Array, Ints, matrix_from_wxyz
 from polhode.runtime.errors import InputError
 
 DATASET_DOCS = "docs/dataset.md"
-TABLE_BYTES = 512 * MIB
-"""Limit of a table: a pose 100 times a second for eight hours has 450 MB."""
 MAX_ROWS = 4_000_000
 MAX_LINE = 4096
 """Characters of a line: 14 numbers of full precision have 350."""
 MAX_STAMP_NS = 2**62
 """146 years: the difference of two timestamps always fits 64 bits."""
-_PLAIN_NAME = re.compile(r"\w[\w.-]*", re.ASCII)
-_WHOLE = re.compile(r"[-+]?\d{1,40}", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -91,9 +87,8 @@ def read_listing(path: Path) -> dict[int, str]:
         if wrong := wrong_name(name):
             raise InputError(f"{path} line {number}: the name {_shown(name)} {wrong}")
         if name in seen:
-            raise InputError(
-                f"{path} line {number}: {_shown(name)} is listed twice; an image has one timestamp"
-            )
+            wrong = f"{_shown(name)} is listed twice; an image has one timestamp"
+            raise InputError(f"{path} line {number}: {wrong}")
         seen.add(name)
         names[before] = name
     return names
@@ -101,7 +96,7 @@ def read_listing(path: Path) -> dict[int, str]:
 
 def wrong_name(name: str) -> str:
     """What is wrong with the name of an image, and what to do; empty: nothing."""
-    if _PLAIN_NAME.fullmatch(name):
+    if re.fullmatch(r"\w[\w.-]*", name, re.ASCII):
         return ""
     steps = name.replace("\\", "/").split("/")
     if steps[0] == "" or ".." in steps or re.match(r"[A-Za-z]:", name):
@@ -120,9 +115,7 @@ def number_rows(path: Path, columns: int, what: str, limit: int) -> Iterator[tup
     if not path.exists():
         raise InputError(f"{path}: no such file")
     rows = 0
-    for number, line in _lines(path):
-        if not line or line.startswith("#"):
-            continue
+    for number, line in _rows_of(path):
         fields, values = line.replace(",", " ").split(), []
         for field in fields:
             with suppress(ValueError):
@@ -140,9 +133,7 @@ def number_rows(path: Path, columns: int, what: str, limit: int) -> Iterator[tup
 def _rows(path: Path, docs: str = DATASET_DOCS) -> Iterator[tuple[int, list[str]]]:
     """Rows of a table as (line number, stripped fields); skips blanks, ``#`` comments and a header."""
     rows = 0
-    for number, line in _lines(path):
-        if not line or line.startswith("#"):
-            continue
+    for number, line in _rows_of(path):
         fields = [field.strip() for field in line.split(",")]
         if number == 1 and any(letter.isalpha() for letter in fields[0]):
             continue
@@ -154,12 +145,19 @@ def _rows(path: Path, docs: str = DATASET_DOCS) -> Iterator[tuple[int, list[str]
         raise InputError(f"{path} is empty: it must list one row per frame (see {docs})")
 
 
+def _rows_of(path: Path) -> Iterator[tuple[int, str]]:
+    return ((number, line) for number, line in _lines(path) if line and not line.startswith("#"))
+
+
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """The lines of a text file with their numbers, stripped; any of the three ends of a line."""
+    """The lines of a text file with their numbers, stripped; any of the three ends of a line.
+
+    The limit of a table: a pose 100 times a second for eight hours has 450 MB.
+    """
     number = 0
     try:
         with (
-            open_regular(path, TABLE_BYTES, "a table") as stream,
+            open_regular(path, 512 * MIB, "a table") as stream,
             io.TextIOWrapper(stream, encoding="utf-8-sig") as text,
         ):
             readline = text.readline
@@ -180,10 +178,9 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
 
 def _later_stamp(path: Path, number: int, field: str, before: int | None) -> int:
     """A timestamp [ns]; raises InputError when it is not a whole number above ``before``."""
-    if not _WHOLE.fullmatch(field):
-        raise InputError(
-            f"{path} line {number}: timestamp {_shown(field)} is not a whole number of nanoseconds"
-        )
+    if not re.fullmatch(r"[-+]?\d{1,40}", field, re.ASCII):
+        wrong = f"timestamp {_shown(field)} is not a whole number of nanoseconds"
+        raise InputError(f"{path} line {number}: {wrong}")
     stamp = int(field)
     if abs(stamp) > MAX_STAMP_NS:
         raise InputError(f"{path} line {number}: timestamp {stamp} is beyond 146 years; give nanoseconds")

@@ -37,16 +37,32 @@ def errors_name_arguments(
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         parameters = inspect.signature(function).parameters
-        flags = {name for name, each in parameters.items() if each.default is False}
         arguments = {f"--{name.replace('_', '-')}": name for name in (*parameters, *further)}
         arguments |= {"-o": "output"} | dict(options or {})
+
+        def renamed(match: re.Match[str]) -> str:
+            option, value = match["option"], match["value"]
+            after = "" if value is None else f" {value}"
+            if "." in option:
+                return option[2:].replace("-", "_") + after
+            name = arguments.get(option)
+            if name is None:
+                return match[0]
+            if words is not None and value in words:
+                return f"{name}={words[value]!r}"
+            with suppress(TypeError, ValueError):
+                float(value)
+                return f"{name}={value}"
+            # a flag is True where the option is given
+            is_flag = name in parameters and parameters[name].default is False
+            return f"{name}=True{after}" if is_flag else name + after
 
         @functools.wraps(function)
         def named(*args: P.args, **kwargs: P.kwargs) -> T:
             try:
                 return function(*args, **kwargs)
             except (InputError, RunFailure) as error:
-                changed = in_words_of_python(str(error), arguments, flags, words or {})
+                changed = _OPTION.sub(renamed, str(error))
                 if changed == str(error):
                     raise
                 raise type(error)(changed) from error
@@ -54,29 +70,3 @@ def errors_name_arguments(
         return named
 
     return decorate
-
-
-def in_words_of_python(
-    text: str, arguments: Mapping[str, str], flags: Collection[str], words: Mapping[str, str]
-) -> str:
-    """The text with every option that has an argument, or is a setting, called by that name.
-
-    arguments: by option; flags: those that are True where the option is given; words: values of options.
-    """
-
-    def renamed(match: re.Match[str]) -> str:
-        option, value = match["option"], match["value"]
-        after = "" if value is None else f" {value}"
-        if "." in option:
-            return option[2:].replace("-", "_") + after
-        name = arguments.get(option)
-        if name is None:
-            return match[0]
-        if value in words:
-            return f"{name}={words[value]!r}"
-        with suppress(TypeError, ValueError):
-            float(value)
-            return f"{name}={value}"
-        return f"{name}=True{after}" if name in flags else name + after
-
-    return _OPTION.sub(renamed, text)

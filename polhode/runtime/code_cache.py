@@ -16,9 +16,6 @@ from pathlib import Path
 
 from polhode.runtime.errors import InputError
 
-NUMBA_SETTINGS = Path(".numba_config.yaml")
-"""Read by numba from the current folder when it is imported."""
-
 _log = logging.getLogger(__name__)
 
 
@@ -28,9 +25,10 @@ def require_no_settings_of_numba() -> None:
 
     Settings decide how numbers are computed, and from where compiled code is loaded.
     """
-    if NUMBA_SETTINGS.exists():
+    settings = Path(".numba_config.yaml")
+    if settings.exists():
         raise InputError(
-            f"{NUMBA_SETTINGS} in the current folder has settings of numba, which would change the results: "
+            f"{settings} in the current folder has settings of numba, which would change the results: "
             "start polhode in another folder, or remove it"
         )
     for name, least, most, reason in (
@@ -64,7 +62,7 @@ def _folder(package: Path, given: str) -> Path | None:
         _say_once(f"NUMBA_CACHE_DIR={given} is not used: others may write there, or you may not")
         return None
     beside = package / "__pycache__"
-    if _writable(beside) and _guarded_as(beside, package):
+    if _writable(beside) and _guarded_as(beside.stat(), package.stat()):
         return beside
     base = os.environ.get("XDG_CACHE_HOME", "")
     with suppress(RuntimeError):
@@ -96,18 +94,14 @@ def is_private(folder: Path) -> bool:
     )
 
 
-def _guarded_as(folder: Path, package: Path) -> bool:
+def _guarded_as(inner: os.stat_result, package: os.stat_result) -> bool:
     """Whether whoever can write to the folder is this user or can write to the package anyway."""
-    try:
-        inner, of_package = folder.stat(), package.stat()
-    except OSError:
+    if (inner.st_mode | package.st_mode) & stat.S_IWOTH:
         return False
-    if (inner.st_mode | of_package.st_mode) & stat.S_IWOTH:
+    is_same_group = package.st_mode & stat.S_IWGRP and inner.st_gid == package.st_gid
+    if inner.st_mode & stat.S_IWGRP and not is_same_group:
         return False
-    group_is_new = inner.st_mode & stat.S_IWGRP and not (
-        of_package.st_mode & stat.S_IWGRP and inner.st_gid == of_package.st_gid
-    )
-    return inner.st_uid in (0, os.geteuid(), of_package.st_uid) and not group_is_new
+    return inner.st_uid in (0, os.geteuid(), package.st_uid)
 
 
 def _writable(folder: Path) -> bool:

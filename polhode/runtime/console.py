@@ -12,25 +12,16 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from time import perf_counter
 
-from rich.console import Console, Group
+from rich.console import Console
 from rich.live import Live
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    ProgressColumn,
-    Task,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 from rich.text import Text
 
 from polhode.runtime.errors import one_line, printable
 from polhode.runtime.interrupts import raise_if_received
 from polhode.runtime.progress import NOTE, Advance, Progress, Show
-from polhode.runtime.time_left import StageShare, TimeLeft
 
 _log = logging.getLogger(__name__)
 SILENCE_S = 30.0
@@ -49,30 +40,23 @@ class _Command:
 _command = _Command()
 
 
-def choose_progress(left: TimeLeft | None = None) -> "Bars | Lines":
+def choose_progress() -> "Lines":
     """Bars on a terminal, plain lines in a file, a pipe or CI; nothing with --quiet."""
-    if _command.quiet:
-        return Quiet()
-    return Bars(left) if sys.stdout.isatty() else Lines(left)
+    return Bars() if sys.stdout.isatty() and not _command.quiet else Lines(_command.quiet)
 
 
 @contextmanager
 def progress_of_run() -> Iterator[Progress]:
-    """Show the stages of a whole run, and how long all of them still take."""
-    progress = choose_progress(TimeLeft())
+    """Show the stages of a whole run, and what goes on between them."""
+    progress = choose_progress()
     with progress.watched():
         yield progress
 
 
-def progress_of_points() -> Progress:
-    """Bars with the time left; where there is no terminal, lines that say it now and then."""
-    return choose_progress(None if sys.stdout.isatty() else TimeLeft((StageShare("points", 0.0, 1.0),)))
-
-
 def announce(text: str) -> None:
-    """Print a line before the work begins, unless --quiet is given."""
+    """Print lines before the work begins, or while it goes on, unless --quiet is given."""
     if not _command.quiet:
-        print(printable(text), flush=True)
+        print("\n".join(printable(line) for line in text.split("\n")), flush=True)
 
 
 @dataclass
@@ -87,17 +71,19 @@ class _Stage:
     steps: int = 0
 
 
-class _Stages:
-    """What bars and lines have in common: counting the steps of each stage, and what is left of the whole."""
+class Lines:
+    """One line when a stage is done, and one now and then while it goes on; ``quiet``: none."""
 
-    def __init__(self, left: TimeLeft | None = None) -> None:
-        self._left = left
-        self._is_watched = False
+    def __init__(self, quiet: bool = False) -> None:
+        self._is_quiet, self._is_watched = quiet, False
+        self._start = self._printed = perf_counter()
+        self._stages: list[_Stage] = []
+        """Those that are open, each within the one before"""
 
     @contextmanager
     def watched(self) -> Iterator[None]:
         """Show what goes on while the block runs, also between its stages."""
-        if self._is_watched:
+        if self._is_watched or self._is_quiet:
             yield
             return
         self._is_watched = True
@@ -112,20 +98,14 @@ class _Stages:
         """Show a stage of ``total`` steps; call what it yields once per step."""
         raise_if_received()
         stage = _Stage(printable(title), total, perf_counter())
-        if self._left is not None:
-            self._left.begin(title)
 
         def advance() -> None:
             raise_if_received()
             stage.steps += 1
-            if self._left is not None:
-                self._left.advance(stage.steps / max(total, stage.steps))
             self._show_step()
 
         with self.watched(), self._open(stage):
             yield advance
-            if self._left is not None:
-                self._left.advance(1.0)
         seconds = perf_counter() - stage.start
         self._show_end(stage, seconds)
         _command.finished.append(title)
@@ -142,94 +122,6 @@ class _Stages:
 
             yield checked
 
-    def _watch(self) -> AbstractContextManager[object]:
-        raise NotImplementedError
-
-    def _open(self, stage: _Stage) -> AbstractContextManager[object]:
-        raise NotImplementedError
-
-    def _text(self) -> AbstractContextManager[Show]:
-        raise NotImplementedError
-
-    def _show_step(self) -> None:
-        """Nothing, unless steps are shown as they come."""
-
-    def _show_end(self, stage: _Stage, seconds: float) -> None:
-        """Nothing, unless a stage is shown when it is done."""
-
-
-class Bars(_Stages):
-    """A live bar for each stage, which stays on the screen when the stage is done; with ``left`` one for the
-    whole below them, with the time that it still takes."""
-
-    @contextmanager
-    def _watch(self) -> Iterator[None]:
-        console = Console(file=sys.stdout)
-        title, bar, elapsed = TextColumn("{task.description:<28}"), BarColumn(), TimeElapsedColumn()
-        columns = [title, bar, MofNCompleteColumn(), elapsed]
-        if self._left is None:
-            with RichProgress(*columns, TimeRemainingColumn(), console=console) as self._stages:
-                yield
-            return
-        self._stages = RichProgress(*columns, console=console)
-        self._whole = RichProgress(title, bar, elapsed, _LeftColumn(self._left), console=console)
-        whole = self._whole.add_task("whole run", total=1.0)
-        with Live(Group(self._stages, self._whole), console=console, refresh_per_second=4):
-            yield
-            self._whole.update(whole, completed=1.0)
-
-    @contextmanager
-    def _open(self, stage: _Stage) -> Iterator[None]:
-        self._task = task = self._stages.add_task(escape(stage.title), total=stage.total or None)
-        yield
-        done = max(stage.total, 1)
-        if self._left is not None:
-            self._stages.update(task, total=done, completed=done)
-            self._stages.stop_task(task)
-            self._show_whole()
-
-    def _show_step(self) -> None:
-        self._stages.advance(self._task)
-        self._show_whole()
-
-    def _show_whole(self) -> None:
-        if self._left is not None:
-            self._whole.update(self._whole.task_ids[0], completed=self._left.share)
-
-    @contextmanager
-    def _text(self) -> Iterator[Show]:
-        with Live(Text(""), console=Console(file=sys.stdout), refresh_per_second=8) as live:
-            yield lambda text: live.update(Text(text))
-
-
-class _LeftColumn(ProgressColumn):
-    """The time until the end of the whole run, which goes down between the steps too."""
-
-    def __init__(self, left: TimeLeft) -> None:
-        super().__init__()
-        self._left = left
-
-    def render(self, task: Task) -> Text:
-        """Nothing while it is not known, or when all is done."""
-        seconds = self._left.seconds()
-        return Text("" if seconds is None or task.finished else f"about {duration(seconds)} left")
-
-
-def duration(seconds: float) -> str:
-    """As people say it: 40 s, 5 min."""
-    return f"{round(seconds)} s" if seconds < 100.0 else f"{round(seconds / 60.0)} min"
-
-
-class Lines(_Stages):
-    """One line when a stage is done, and one now and then while it goes on; with ``left`` they say how long
-    the whole still takes."""
-
-    def __init__(self, left: TimeLeft | None = None) -> None:
-        super().__init__(left)
-        self._start = self._printed = perf_counter()
-        self._stages: list[_Stage] = []
-        """Those that are open, each within the one before"""
-
     @contextmanager
     def _watch(self) -> Iterator[None]:
         """Print a line whenever none was printed for ``SILENCE_S``."""
@@ -237,14 +129,19 @@ class Lines(_Stages):
 
         def watch() -> None:
             while not done.wait(max(self._printed + SILENCE_S - perf_counter(), 0.01)):
-                if perf_counter() - self._printed < SILENCE_S:
+                now = perf_counter()
+                if now - self._printed < SILENCE_S:
                     continue
-                text = f"working, {duration(perf_counter() - self._start)} since the start"
-                if self._stages:
-                    stage = self._stages[-1]
-                    count = f"{stage.steps} of {stage.total}" if stage.total else "working"
-                    text = f"{stage.title}: {count} after {duration(perf_counter() - stage.start)}"
-                self._print(text + self._time_left())
+                if not self._stages:
+                    self._print(f"working, {duration(now - self._start)} since the start")
+                    continue
+                stage = self._stages[-1]
+                passed = now - stage.start
+                text = f"{stage.steps} of {stage.total}" if stage.total else "working"
+                text = f"{stage.title}: {text} after {duration(passed)}"
+                if 0 < stage.steps <= stage.total:
+                    text += f"; about {duration(passed * (stage.total / stage.steps - 1.0))} left"
+                self._print(text)
 
         self._printed = perf_counter()
         watcher = threading.Thread(target=watch, daemon=True)
@@ -263,35 +160,60 @@ class Lines(_Stages):
         finally:
             self._stages.remove(stage)
 
+    def _show_step(self) -> None:
+        """Nothing: lines come when time has passed."""
+
     def _show_end(self, stage: _Stage, seconds: float) -> None:
-        count = f"{stage.steps} in " if stage.steps else ""
-        self._print(f"{stage.title}: {count}{seconds:.1f} s{self._time_left()}")
+        self._print(f"{stage.title}: {f'{stage.steps} in ' if stage.steps else ''}{seconds:.1f} s")
 
     def _text(self) -> AbstractContextManager[Show]:
         return nullcontext(self._print)
 
-    def _time_left(self) -> str:
-        seconds = None if self._left is None or self._left.share >= 1.0 else self._left.seconds()
-        return "" if seconds is None else f"; about {duration(seconds)} left"
-
     def _print(self, text: str) -> None:
         self._printed = perf_counter()
-        print(text, flush=True)
+        if not self._is_quiet:
+            print(text, flush=True)
 
 
-class Quiet(Lines):
-    """Nothing is shown."""
+class Bars(Lines):
+    """A live bar for each stage, with the time that it still takes, which stays when the stage is done."""
 
     @contextmanager
     def _watch(self) -> Iterator[None]:
-        yield
+        columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+        console = Console(file=sys.stdout)
+        with RichProgress(TextColumn("{task.description:<28}"), *columns, console=console) as self._bars:
+            yield
 
-    def _print(self, text: str) -> None:
-        del text
+    @contextmanager
+    def _open(self, stage: _Stage) -> Iterator[None]:
+        self._task = task = self._bars.add_task(escape(stage.title), total=stage.total or None)
+        yield
+        done = max(stage.total, 1)
+        self._bars.update(task, total=done, completed=done)
+
+    def _show_step(self) -> None:
+        self._bars.advance(self._task)
+
+    def _show_end(self, stage: _Stage, seconds: float) -> None:
+        """Nothing: the bar has it."""
+
+    @contextmanager
+    def _text(self) -> Iterator[Show]:
+        with Live(Text(""), console=Console(file=sys.stdout), refresh_per_second=8) as live:
+            yield lambda text: live.update(Text(text))
+
+
+def duration(seconds: float) -> str:
+    """As people say it: 40 s, 5 min."""
+    return f"{round(seconds)} s" if seconds < 100.0 else f"{round(seconds / 60.0)} min"
 
 
 class _PlainWarnings(logging.Handler):
-    """Notes and warnings on standard output, whatever that is at the time: one line each, and each once."""
+    """Notes and warnings on standard output, whatever that is at the time: one line each, and each once.
+
+    Errors are left out: the last line on standard error reports them.
+    """
 
     def __init__(self, warnings: list[str]) -> None:
         super().__init__(NOTE)
@@ -301,7 +223,7 @@ class _PlainWarnings(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         message = one_line(record.getMessage())
         line = f"{record.levelname.lower()}: {message}"
-        if line in self._printed:
+        if line in self._printed or record.levelno >= logging.ERROR:
             return
         self._printed.add(line)
         if record.levelno >= logging.WARNING:
@@ -324,8 +246,6 @@ def show_warnings(quiet: bool = False, verbose: bool = False) -> Iterator[list[s
     """
     warnings: list[str] = []
     handlers: list[logging.Handler] = [_PlainWarnings(warnings)]
-    # Errors are reported by the last line on standard error.
-    handlers[0].addFilter(lambda record: record.levelno < logging.ERROR)
     if verbose:
         log = logging.StreamHandler(sys.stderr)
         log.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))

@@ -69,7 +69,7 @@ def interrupts_kept() -> Iterator[None]:
     global _received, _is_kept
     waiting: list[int] = []
     try:
-        with _handlers(lambda number, frame: waiting.append(number)):
+        with _collected() as waiting:
             yield
     finally:
         if waiting and _at_once is None:
@@ -83,11 +83,11 @@ def interrupts_delayed() -> Iterator[None]:
     """A signal within the block takes effect at its end: for the few steps that belong together."""
     waiting: list[int] = []
     try:
-        with _handlers(lambda number, frame: waiting.append(number)):
+        with _collected() as waiting:
             yield
     finally:
-        for number in waiting[:1]:
-            signal.raise_signal(number)
+        if waiting:
+            signal.raise_signal(waiting[0])
 
 
 @contextmanager
@@ -96,17 +96,21 @@ def interrupt_noted() -> Iterator[Callable[[], bool]]:
 
     For work that is to be finished with what there is. SIGTERM and SIGHUP end the command as always.
     """
-    noted: list[int] = []
-    with _handlers(lambda number, frame: noted.append(number), of=(signal.SIGINT,)):
+    with _collected((signal.SIGINT,)) as noted:
         yield lambda: bool(noted)
 
 
-Handler = Callable[[int, FrameType | None], object]
+@contextmanager
+def _collected(of: tuple[signal.Signals, ...] = SIGNALS) -> Iterator[list[int]]:
+    """The signals that come within the block, which do nothing else."""
+    found: list[int] = []
+    with _handlers(lambda number, frame: found.append(number), of=of):
+        yield found
 
 
 @contextmanager
 def _handlers(
-    handler: Handler,
+    handler: Callable[[int, FrameType | None], object],
     replacing: tuple[object, ...] | None = None,
     of: tuple[signal.Signals, ...] = SIGNALS,
 ) -> Iterator[None]:

@@ -4,8 +4,7 @@ In a checkout ``make extras`` adds all of them; elsewhere pip adds one, as an ex
 """
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -27,8 +26,6 @@ class OptionalPart:
     """Module that is imported -> the name people know it by"""
     purpose: str
     """What it is for, or what happens without it"""
-    environment: Mapping[str, str] = field(default_factory=dict)
-    """Variables of the environment with which it is imported, unless they are set already"""
 
     @property
     def missing(self) -> list[str]:
@@ -54,11 +51,7 @@ OPTIONAL_PARTS: tuple[OptionalPart, ...] = (
         "import", {"rosbags": "rosbags", "av": "PyAV"},
         "bags and videos in polhode import and polhode calibrate; folders of images need neither",
     ),
-    OptionalPart(
-        "view", {"rerun": "Rerun"}, "polhode view, and polhode run --view and --view-save",
-        # Its own messages go to standard error, which holds one line: that of an error of ours.
-        {"RUST_LOG": "off"},
-    ),
+    OptionalPart("view", {"rerun": "Rerun"}, "polhode view, and polhode run --view and --view-save"),
     OptionalPart("train", {"tensorboard": "tensorboard"}, "curves of polhode train, which needs it"),
     OptionalPart(
         "pandas", {"pandas": "pandas"},
@@ -74,8 +67,8 @@ def part_with(module: str) -> OptionalPart:
 
 def require_part(module: str, what: str) -> None:
     """Raise InputError, with the command that installs the module, where it is missing. ``what`` needs it."""
-    for name, value in part_with(module).environment.items():
-        os.environ.setdefault(name, value)
+    # Rerun's own messages go to standard error, which holds one line: that of an error of ours.
+    os.environ.setdefault("RUST_LOG", "off")
     try:
         import_module(module)
     except ImportError:

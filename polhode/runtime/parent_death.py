@@ -1,7 +1,8 @@
 """Processes that end with the one that started them, even if that is killed and whatever they are doing.
 
 Linux sends the signal (``prctl``, PR_SET_PDEATHSIG) when the thread that started the process ends. Elsewhere
-these functions change nothing.
+these functions change nothing. The server that forks the workers imports this module first: else it would
+wait for its workers, which wait for it. The workers end with the server, even while they still import.
 """
 
 import ctypes
@@ -11,6 +12,8 @@ import sys
 from collections.abc import Sequence
 
 PR_SET_PDEATHSIG = 1
+PARENT = "POLHODE_PARENT"
+"""Environment variable of the server: the number of the process that starts it in its main thread."""
 _TIED = (
     "import ctypes, os, sys;"
     f"ctypes.CDLL(None).prctl({PR_SET_PDEATHSIG}, {int(signal.SIGKILL)});"
@@ -33,3 +36,9 @@ def tied(command: Sequence[str]) -> list[str]:
     if not sys.platform.startswith("linux"):
         return list(command)
     return [sys.executable, "-I", "-S", "-c", _TIED, str(os.getpid()), *command]
+
+
+if _parent := os.environ.pop(PARENT, ""):
+    _server = os.getpid()
+    end_with_parent(int(_parent))
+    os.register_at_fork(after_in_child=lambda: end_with_parent(_server))

@@ -26,10 +26,9 @@ from multiprocessing.context import BaseContext
 from types import ModuleType
 from typing import Any, Generic, TypeVar
 
-from polhode.runtime import fork_server
+from polhode.runtime import parent_death
 from polhode.runtime.errors import RunFailure
 from polhode.runtime.interrupts import SIGNALS, interrupts_delayed, interrupts_kept
-from polhode.runtime.parent_death import end_with_parent
 from polhode.runtime.threads import limit_threads, limited_threads
 
 T = TypeVar("T")
@@ -37,8 +36,6 @@ U = TypeVar("U")
 
 WAITING_PER_WORKER = 3
 """Items per process that are submitted or whose results are not yet taken."""
-SERVER_PAUSES = (0.02, 0.1, 0.5)
-"""Seconds after each try to start a worker by a server that does not answer."""
 BACKGROUND_NICENESS = 10
 """Of a process beside this one: it leaves the processor to what is waited for."""
 
@@ -83,11 +80,11 @@ def start_server(modules: Sequence[str], workers: int) -> None:
     For the beginning of a command that takes seconds. Does nothing where there will be no workers, where the
     system has no such server, or after it has started.
     """
-    if workers > 1 and not multiprocessing.current_process().daemon and _has_server():
-        _context(modules)
+    if workers > 1 and not multiprocessing.current_process().daemon:
         # Where it cannot be started, the first work says so.
         with contextlib.suppress(OSError), _signals_blocked(), _script_hidden(start_server):
-            multiprocessing.forkserver.ensure_running()
+            if _context(modules).get_start_method() == "forkserver":
+                multiprocessing.forkserver.ensure_running()
 
 
 class Background(Generic[T, U]):
@@ -100,7 +97,7 @@ class Background(Generic[T, U]):
         self, work: Callable[[T], U], preload: Sequence[str] = (), niceness: int = BACKGROUND_NICENESS
     ) -> None:
         """Raises OSError where there can be no process."""
-        self._pool: ProcessPoolExecutor | None = _pool(_Yielding(work, niceness), 1, preload)
+        self._pool: ProcessPoolExecutor | None = _pool(work, 1, preload, niceness)
         self._submitted: list[Future[U]] = []
         _pools.append(self._pool)
 
@@ -132,18 +129,6 @@ class Background(Generic[T, U]):
             self._pool = None
 
 
-class _Yielding(Generic[T, U]):
-    """Work that leaves the processor to every other process."""
-
-    def __init__(self, work: Callable[[T], U], niceness: int) -> None:
-        self._work, self._niceness = work, niceness
-
-    def __call__(self, item: T) -> U:
-        os.nice(self._niceness)
-        self._niceness = 0
-        return self._work(item)
-
-
 def worker_killed(what: str = "a worker process") -> RunFailure:
     """What a run ends with when a process that works for it is killed."""
     return RunFailure(f"{what} was killed, perhaps for lack of memory: use fewer --runtime.workers")
@@ -170,7 +155,7 @@ def _kill(pool: ProcessPoolExecutor) -> None:
         process.kill()
 
 
-def _pool(work: Callable[[T], U], workers: int, preload: Sequence[str] = ()) -> ProcessPoolExecutor:
+def _pool(work: Any, workers: int, preload: Sequence[str], niceness: int = 0) -> ProcessPoolExecutor:
     """Processes that will call ``work``. Raises OSError where there can be none."""
     if multiprocessing.current_process().daemon:
         raise OSError("a worker process may have none of its own")
@@ -178,7 +163,7 @@ def _pool(work: Callable[[T], U], workers: int, preload: Sequence[str] = ()) -> 
     # The tracker of shared resources, which starts here, must not end by SIGHUP.
     with _signals_blocked():
         context = _context((*preload, *(modules - {"__main__", "builtins"})))
-        return ProcessPoolExecutor(workers, context, _begin, (work,))
+        return ProcessPoolExecutor(workers, context, _begin, (work, niceness))
 
 
 def _parts(work: Any) -> list[Any]:
@@ -186,10 +171,6 @@ def _parts(work: Any) -> list[Any]:
     if not isinstance(work, partial):
         return [work]
     return [part for each in (work.func, *work.args, *work.keywords.values()) for part in _parts(each)]
-
-
-def _has_server() -> bool:
-    return "forkserver" in multiprocessing.get_all_start_methods()
 
 
 def _begun(
@@ -200,13 +181,13 @@ def _begun(
     If the fork server was killed during earlier work, and its end is noticed only now, another is started.
     A process that is being killed refuses connections before the system reports its end: hence the pauses.
     """
-    for pause in SERVER_PAUSES:
+    for pause_s in (0.02, 0.1, 0.5):
         pool = _pool(work, workers, preload)
         try:
             return pool, _submitted(pool, item)
         except _ServerLost:
             pool.shutdown(cancel_futures=True)
-        time.sleep(pause)
+        time.sleep(pause_s)
     raise worker_killed("the process that starts the workers")
 
 
@@ -260,11 +241,11 @@ def _context(preload: Sequence[str]) -> BaseContext:
     A plain fork beside the threads of torch or embree can hang, and a spawned process spends seconds on its
     imports, at each stage of a run.
     """
-    if not _has_server():
+    if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     # Takes effect until the server starts; later calls change nothing.
-    context.set_forkserver_preload([fork_server.__name__, "__main__", *preload])
+    context.set_forkserver_preload([parent_death.__name__, "__main__", *preload])
     return context
 
 
@@ -302,11 +283,11 @@ def _signals_blocked() -> Iterator[None]:
         multiprocessing.resource_tracker.ensure_running()
         signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         if threading.current_thread() is threading.main_thread():
-            os.environ[fork_server.PARENT] = str(os.getpid())
+            os.environ[parent_death.PARENT] = str(os.getpid())
         try:
             yield
         finally:
-            os.environ.pop(fork_server.PARENT, None)
+            os.environ.pop(parent_death.PARENT, None)
             os.environ.pop("PYTHONSAFEPATH")
             if safe_path is not None:
                 os.environ["PYTHONSAFEPATH"] = safe_path
@@ -317,13 +298,14 @@ _work: Callable[[Any], Any] | None = None
 """The function that this process applies to each item."""
 
 
-def _begin(work: Callable[[Any], Any]) -> None:
+def _begin(work: Callable[[Any], Any], niceness: int) -> None:
     global _work
     _work = work
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     limit_threads(1)
-    end_with_parent(os.getppid())
+    os.nice(niceness)
+    parent_death.end_with_parent(os.getppid())
     threading.Thread(target=_end_with_main_process, daemon=True).start()
 
 

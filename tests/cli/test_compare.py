@@ -4,7 +4,6 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
@@ -12,7 +11,6 @@ from polhode.cli.main import main
 from polhode.compare.comparison import claim
 from polhode.compare.problem.sources import SCENES
 from polhode.compare.rows import read_comparison
-from polhode.config.compare_settings import Motion
 from polhode.files.output.marked_folder import MARK, write_mark
 from polhode.run_directory.archives import write_measurements
 from polhode.runtime.errors import InputError
@@ -147,7 +145,3 @@ def test_input_that_is_refused_leaves_everything_as_it_was(
     before = contents(out)
     assert compare("--compare.solvers", "odometry", "--seed", "9", source=bad) == 2
     assert contents(out) == before
-
-
-def test_every_motion_of_the_configuration_has_a_scene() -> None:
-    assert set(get_args(Motion)) == set(SCENES)

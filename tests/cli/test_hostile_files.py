@@ -4,18 +4,15 @@ import shutil
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from PIL import Image
 
 from polhode.cli.main import main
-from tests.conftest import HEIGHT_PX, WIDTH_PX, MakeOnce
+from tests.conftest import MakeOnce
 from tests.pipeline.conftest import make_example, write_example
 
 Capture = pytest.CaptureFixture[str]
-Damage = Callable[[Path], object]
 
 
 def _refused(arguments: list[str], capsys: Capture) -> str:
@@ -26,39 +23,26 @@ def _refused(arguments: list[str], capsys: Capture) -> str:
     return line
 
 
-def _image(mode: str, form: str, value: float) -> Damage:
-    size = (WIDTH_PX, HEIGHT_PX)
-    image = Image.new("L", size) if form == "EPS" else Image.new(mode, size, value)
-    return lambda path: image.save(path, format=form)
-
-
-def _png_header(side: int) -> Damage:
-    """A PNG that states its size and ends there: that suffices."""
-    head = b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
-    start = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
-    return lambda path: path.write_bytes(start + struct.pack(">I", 10**6) + b"IDAT" + bytes(100))
-
-
-IMAGES: dict[str, tuple[str, Damage, str]] = {
-    "image of 13000 x 13000": ("cam0/data", _png_header(13_000), "13000x13000 px instead"),
-    "mask of 12000 x 12000": ("masks1", _png_header(12_000), "12000x12000 px instead"),
-    "EPS": ("cam0/data", _image("L", "EPS", 0), "not an image in PNG, TIFF"),
-    "NaN": ("cam1/data", _image("F", "TIFF", float("nan")), "floating-point values"),
-    "negative": ("cam1/data", _image("I", "TIFF", -5), "negative values"),
-    "above 16 bits": ("cam0/data", _image("I", "TIFF", 70_000), "values of more than 16 bits"),
-    "CMYK": ("cam0/data", _image("CMYK", "TIFF", 0), "colours of the kind CMYK"),
-}
-
-
-@pytest.mark.parametrize(("case", "command"), [*((case, "run") for case in IMAGES), ("EPS", "compare")])
+@pytest.mark.parametrize("command", ["run", "compare"])
+@pytest.mark.parametrize(
+    ("folder", "message"),
+    [
+        ("cam0/data", "13000x13000 px instead"),
+        ("masks1", "13000x13000 px instead"),
+        ("cam1/data", "not an image"),
+    ],
+)
 def test_hostile_images(
-    case: str, command: str, small_sequence: Path, tmp_path: Path, capsys: Capture
+    folder: str, message: str, command: str, small_sequence: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    folder, damage, message = IMAGES[case]
+    # a PNG that states its size and ends there
+    head = b"IHDR" + struct.pack(">IIBBBBB", 13_000, 13_000, 8, 0, 0, 0, 0)
+    start = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
+    png = start + struct.pack(">I", 10**6) + b"IDAT" + bytes(100)
     place = small_sequence / "mav0" / folder
     place.mkdir(exist_ok=True)
     for image in sorted((small_sequence / "mav0" / "cam0" / "data").iterdir()):
-        damage(place / image.name)
+        (place / image.name).write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n" if folder == "cam1/data" else png)
     out = tmp_path / "out"
     line = _refused([command, "--data", str(small_sequence), "-o", str(out)], capsys)
     assert message in line and not (out / "summary.json").exists()
@@ -106,19 +90,17 @@ def whole_run(make_once: MakeOnce) -> Path:
     return make_once("run_for_hostile_files", fill)
 
 
-@pytest.mark.parametrize("is_empty", [True, False])
 @pytest.mark.parametrize(("command", "file"), FILES)
 def test_hostile_files_of_a_run(
-    command: str, file: str, is_empty: bool, whole_run: Path, tmp_path: Path, capsys: Capture
+    command: str, file: str, whole_run: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     run = Path(shutil.copytree(whole_run, tmp_path / "run"))
-    if is_empty:
-        (run / file).write_bytes(b"")
-    else:
-        (_huge_count if file.endswith(".ply") else _huge_header)(run / file)
     places = {"RUN": str(run)}
     words = [places.get(word, word.replace("OUT", str(tmp_path / "out"))) for word in COMMANDS[command][0]]
     before = sorted(tmp_path.rglob("*"))
+    (_huge_count if file.endswith(".ply") else _huge_header)(run / file)
+    assert file in _refused(words, capsys)
+    (run / file).write_bytes(b"")
     assert file in _refused(words, capsys)
     made = {path.name for path in tmp_path.rglob("*") if path not in before and path.is_file()}
     # A comparison claims its folder before it reads the run.

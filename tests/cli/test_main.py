@@ -1,14 +1,11 @@
 """The program as a user meets it: exit codes, one line on standard error, help, the last line."""
 
-import contextlib
-import io
 import re
 import shlex
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +16,8 @@ import polhode.pipeline.run
 from polhode.cli.evaluate import EvaluateCommand
 from polhode.cli.import_sequence import ImportCommand
 from polhode.cli.main import COMMANDS, main
-from polhode.cli.options import ConfiguredCommand, options_of
-from polhode.cli.parsing import parse, setting_names
+from polhode.cli.options import ConfiguredCommand, GeneralOptions, all_settings, options_of
+from polhode.cli.parsing import parse
 from polhode.cli.plan import PlanCommand
 from polhode.cli.run import RunCommand
 from polhode.config import Config
@@ -55,7 +52,7 @@ def run_arguments(config: Path, data: Path, output: Path, *more: str) -> list[st
 
 EXPECT = "expect --size 3 --range 10 --focal-px 9 --baseline 1"
 BAD_USAGE = {
-    "": "a command is missing: simulate, calibrate, checkout, run, evaluate",
+    "": "a command is missing: simulate, import, calibrate, checkout, run",
     "rnu": "unknown command 'rnu'; did you mean run?",
     "run": "-o RUN (folder of the results, which is created) is missing",
     "run -o R": "the sequence is missing: give --data SEQ, or --live SOURCE",
@@ -160,20 +157,6 @@ class Result:
     note: str = ""
 
 
-def test_the_configuration_may_be_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[Config] = []
-
-    def fake(values: Config, *arguments: Any, **more: Any) -> Result:
-        seen.append(values)
-        return Result("ok", tmp_path / "report.html")
-
-    monkeypatch.setattr(polhode.pipeline.run, "run", fake)
-    folders = ["--data", str(tmp_path), "-o", str(tmp_path / "run")]
-    assert main(["run", *folders]) == main(["run", *folders, "--seed", "7"]) == 0
-    assert seen == [Config(), Config(seed=7)]
-    assert load_config(ROOT / "configs" / "default.yaml") == Config()
-
-
 def truncated(folder: Path) -> None:
     for path in sorted(folder.glob("mav0/cam0/data/*.png"))[:4]:
         path.write_bytes(path.read_bytes()[:500])
@@ -193,16 +176,11 @@ def black(folder: Path) -> None:
     ],
 )
 def test_bad_data_is_one_line_exit_2_and_leaves_nothing(
-    damage: Callable[[Path], None],
-    expected: str,
-    small_sequence: Path,
-    config: Path,
-    tmp_path: Path,
-    capsys: Capture,
+    damage: Callable[[Path], None], expected: str, small_sequence: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     damage(small_sequence)
     before = sorted(tmp_path.iterdir())
-    line = error_line(run_arguments(config, small_sequence, tmp_path / "run"), capsys)
+    line = error_line(["run", "--data", str(small_sequence), "-o", str(tmp_path / "run")], capsys)
     assert expected in line and str(small_sequence) in line
     assert sorted(tmp_path.iterdir()) == before
 
@@ -224,22 +202,25 @@ def test_a_run_that_exists_is_refused_or_stays_whole_when_the_new_one_is_bad(
     assert {path.name: path.read_bytes() for path in run.iterdir()} == content
 
 
-@pytest.mark.parametrize(("status", "code"), [("ok", 0), ("degraded", 0), ("failed", 1)])
 def test_the_last_line_of_a_run_ends_with_the_report_however_long(
-    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, status: str, code: int
+    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     report = tmp_path / ("long name " * 20) / "report.html"
-    seen: list[Any] = []
+    seen: list[Config] = []
+    for status, code in (("ok", 0), ("degraded", 0), ("failed", 1)):
+        result = Result(status, report, failure="the solver stopped" if code else None)
 
-    def fake(values: Config, *arguments: Any, **more: Any) -> Result:
-        seen.append(values)
-        return Result(status, report, failure="the solver stopped" if status == "failed" else None)
+        def fake(values: Config, *_: Any, result: Result = result, **__: Any) -> Result:
+            seen.append(values)
+            return result
 
-    monkeypatch.setattr(polhode.pipeline.run, "run", fake)
-    arguments = run_arguments(config, tmp_path, tmp_path / "run", "--backend.inertia", "ratios_axes")
-    assert main(arguments) == code
-    assert capsys.readouterr().out.splitlines()[-2:] == ["Found it.", f"Report: {report}"]
+        monkeypatch.setattr(polhode.pipeline.run, "run", fake)
+        words = run_arguments(config, tmp_path, tmp_path / "run", "--backend.inertia", "ratios_axes")
+        assert main(words) == code
+        assert capsys.readouterr().out.splitlines()[-2:] == ["Found it.", f"Report: {report}"]
+        assert main(["run", "--data", str(tmp_path), "-o", str(tmp_path / "run")]) == code
     assert (seen[0].seed, seen[0].backend.inertia) == (1, "ratios_axes")
+    assert seen[1] == load_config(ROOT / "configs" / "default.yaml") == Config()
 
 
 def test_a_failed_run_lists_its_warnings_and_one_that_raises_is_one_line(
@@ -281,73 +262,29 @@ def test_an_unexpected_error_shows_its_traceback_only_with_debug(
     assert "Traceback" in capsys.readouterr().err
 
 
-class _Utf8(io.StringIO):
-    encoding = "utf-8"
-
-
-def help_of(command: str, option: str) -> str:
-    with contextlib.redirect_stdout(_Utf8()) as printed:
-        assert main([command, option]) == 0
-    return printed.getvalue()
-
-
+@pytest.mark.parametrize("columns", [60, 120])
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_has_every_option_in_one_group_and_the_short_one_the_common_ones(name: str) -> None:
-    command = COMMANDS[name]
-    options = options_of(command).values()
-    rare = [f"--{field.replace('_', '-')}" for fields in command.GROUPS.values() for field in fields]
-    assert len(set(rare)) == len(rare) and set(rare) <= {option.names[0] for option in options}
-    everything, short = help_of(name, "--help"), help_of(name, "-h")
-    listed = short.partition("-h, --help ")[2]
-    titles = [f"{title} options" for title in (*command.GROUPS, "general")]
-    if issubclass(command, ConfiguredCommand):
-        titles.append("backend options")
-        left_out = {"simulate": "--train", "train": "--scene"}.get(name, ("--train", "--scene"))
-        missing = [each for each in setting_names() if each not in everything]
-        assert all(each.startswith(left_out) for each in missing)
-        assert "(default: 1e-06)" in everything
-    places = [everything.index(title) for title in titles]
-    assert places == sorted(places)
-    assert (f"polhode {name} --help shows all" in short) == (len(everything) > len(short))
-    assert short.count("\n") < 60
-    usage = " ".join(short.partition("\n\n")[0].split())
-    assert usage.startswith(f"usage: polhode {name} ") and usage.endswith(" [OPTIONS]")
-    for option in options:
-        if option.is_positional:
-            assert (f"[{option.metavar}]" in usage) == (not option.required)
-            continue
-        assert (f" {option.invocation} " in usage) == option.required
-        assert re.search(rf"\W{option.names[0]}\W", everything), option
-        is_listed = bool(re.search(rf"  ?{option.names[0]}[ ,]", listed))
-        assert is_listed == (option.names[0] not in rare), option
-    for line, _ in command.EXAMPLES:
-        assert short.index(f"\n  {line}\n") < short.index("-h, --help ")
-        program, called, *words = shlex.split(line)
-        assert (program, called) == ("polhode", name)
-        _, overrides = parse(name, command, words)
-        assert set(overrides) <= {each.removeprefix("--").replace("-", "_") for each in setting_names()}
-        assert all((ROOT / word).exists() for word in words if word.startswith("configs/"))
-
-
-def test_the_main_commands_have_examples() -> None:
-    for name in ("run", "simulate", "evaluate", "compare", "export", "predict", "plan"):
-        assert 1 <= len(COMMANDS[name].EXAMPLES) <= 2
-
-
-@pytest.mark.parametrize("columns", [80, 120])
-@pytest.mark.parametrize("command", ["run", "export", "plan"])
-def test_help_is_wrapped_at_the_width_of_the_terminal_and_nowhere_else(
-    command: str, columns: int, monkeypatch: pytest.MonkeyPatch
+def test_help_has_every_option_within_the_width_of_the_terminal(
+    name: str, columns: int, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     monkeypatch.setenv("COLUMNS", str(columns))
-    lines = help_of(command, "--help").splitlines()
-    assert all(len(line) <= columns for line in lines)
-    boxed = [line.strip("│╭╮╰╯─").rstrip() if line.startswith("│") else "" for line in lines]
-    for line, following in pairwise(boxed):
-        # lines of a description are indented, at least where it goes on; names stand alone on a line
-        goes_on = line.startswith(" " * 5) or re.match(r" -\S.*\S  +\S", line)
-        if goes_on and following.startswith(" " * 5):
-            assert len(line) + 1 + len(following.split()[0]) > columns - 3, (line, following)
+    assert main([name, "-h"]) == main([name, "--help", "--wrong"]) == 0
+    short, everything = capsys.readouterr().out.split(f"usage: polhode {name}")[1:]
+    command = COMMANDS[name]
+    names = [*options_of(command).values(), *options_of(GeneralOptions).values()]
+    for option in names:
+        shown = option.metavar if option.is_positional else min(option.names, key=len)
+        assert re.search(rf"\n  {re.escape(shown)}(?:[ ,][^\n]*)?\n      \S", short), option
+        assert option.invocation in " ".join(short.partition("\n\n")[0].split()) or not option.required
+    # only a word or an option may be longer than the terminal is wide
+    long = [line for line in short.splitlines()[1:] if len(line) > columns]
+    assert all(line.startswith("  -") or len(line.split()) == 1 for line in long)
+    left_out = {"simulate": "--train", "train": "--scene"}.get(name, ("--train", "--scene"))
+    missing = [each.names[0] for each in all_settings() if f"\n  {each.names[0]} " not in everything]
+    if issubclass(command, ConfiguredCommand):
+        assert all(each.startswith(left_out) for each in missing) and "(default: 1e-06)" in everything
+    else:
+        assert everything == short
 
 
 def test_the_overview_has_every_command_once_and_its_summary_is_a_sentence(capsys: Capture) -> None:

@@ -102,16 +102,7 @@ def test_a_stream_is_recorded_even_if_no_motion_is_found(
     monkeypatch.setattr(run_live, "fill_run_folder", fails)
     monkeypatch.setattr(run_live, "warm_up_stream", lambda *words: None)
     file = tmp_path / "live.rrd"
-    words = [
-        "--live",
-        str(small_sequence),
-        "--rate",
-        "0",
-        "-o",
-        str(tmp_path / "R"),
-        "--view-save",
-        str(file),
-    ]
-    assert main(["run", *words, "--runtime.workers", "1"]) == 1
+    words = ["--rate", "0", "-o", str(tmp_path / "R"), "--view-save", str(file), "--runtime.workers", "1"]
+    assert main(["run", "--live", str(small_sequence), *words]) == 1
     assert capsys.readouterr().err.count("\n") == 1
     assert len(values_of(file, "/N/camera/left", "EncodedImage:blob")) == 6

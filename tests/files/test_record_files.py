@@ -88,14 +88,11 @@ def test_arrays_may_be_annotated_by_an_alias(tmp_path: Path) -> None:
     assert found.values.tolist() == [0.0, 1.0, 2.0] and found.maybe.tolist() == [1.0, 1.0]
 
 
-def test_what_is_passed_on_has_the_layout_of_what_is_read() -> None:
+def test_what_is_passed_on_has_the_layout_of_what_is_read_and_a_mesh_its_colours() -> None:
     given = Inner(np.asfortranarray(np.arange(6.0).reshape(2, 3)))
     assert not given.values.flags.c_contiguous
     assert normal(Inner, given).values.flags.c_contiguous
     np.testing.assert_array_equal(normal(Inner, given).values, given.values)
-
-
-def test_a_mesh_keeps_order_and_colours() -> None:
     mesh = trimesh.creation.box((1.0, 2.0, 3.0))
     mesh.visual.vertex_colors = np.arange(32, dtype=np.uint8).reshape(8, 4)
     found = normal(trimesh.Trimesh, mesh)

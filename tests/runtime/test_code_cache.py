@@ -13,7 +13,6 @@ from polhode.cli.main import main
 from polhode.runtime import code_cache as module
 from polhode.runtime.code_cache import code_cache, is_private
 
-ANOTHER = 54321
 FUNCTION = "from polhode.runtime.compiled import compiled\n\n\n@compiled\ndef two() -> int:\n    return 2\n"
 
 
@@ -39,25 +38,9 @@ def source(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def beside(source: Path) -> Path:
-    """Python's own folder beside the module."""
-    folder = source.parent / "__pycache__"
-    folder.mkdir()
-    return folder
-
-
-@pytest.fixture
 def own() -> Path:
     """The folder in the user's caches."""
     return Path(os.environ["XDG_CACHE_HOME"]) / "polhode"
-
-
-def belongs_to_another(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    if os.geteuid() == 0:
-        os.chown(folder, ANOTHER, -1)
-    else:
-        mine = os.geteuid()
-        monkeypatch.setattr(os, "geteuid", lambda: mine + 1)
 
 
 def test_it_lies_beside_the_module_as_pythons_own_also_if_its_group_may_write_there(source: Path) -> None:
@@ -70,35 +53,22 @@ def test_it_lies_beside_the_module_as_pythons_own_also_if_its_group_may_write_th
 
 
 @pytest.mark.parametrize("mode", [0o777, 0o1777, 0o775, 0o757, None])
-def test_a_folder_beside_the_module_that_others_may_write_to_is_not_used(
-    mode: int | None, source: Path, beside: Path, own: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if mode is None:
-        if os.geteuid() != 0:
-            pytest.skip("only root can give a folder away")
-        belongs_to_another(beside, monkeypatch)
-    else:
-        beside.chmod(mode)
-    assert code_cache(source) == own
-    assert own.stat().st_mode & 0o777 == 0o700
-
-
-@pytest.mark.parametrize("mode", [0o720, 0o702, 0o777, 0o1777, None])
-def test_an_own_folder_that_others_may_write_to_is_not_used(
+def test_a_folder_that_others_may_write_to_is_not_used(
     mode: int | None,
     source: Path,
     own: Path,
-    monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    (source.parent / "__pycache__").write_text("in the way")
-    own.mkdir(parents=True, mode=0o700)
-    if mode is None:
-        belongs_to_another(own, monkeypatch)
-    else:
-        own.chmod(mode)
-    assert code_cache(source) is None
-    assert code_cache(source) is None
+    """The one beside the module, then the one in the user's caches."""
+    beside = source.parent / "__pycache__"
+    if mode is None and os.geteuid() != 0:
+        pytest.skip("only root can give a folder away")
+    for folder, found in ((beside, own), (own, None)):
+        folder.mkdir(exist_ok=True)
+        os.chown(folder, 54321, -1) if mode is None else folder.chmod(mode)
+        module._folder.cache_clear()
+        assert code_cache(source) == found
+        assert found is None or own.stat().st_mode & 0o777 == 0o700
     assert [each.levelno for each in caplog.records] == [logging.WARNING]
     assert "set NUMBA_CACHE_DIR" in caplog.text and "\n" not in caplog.records[0].getMessage()
 

@@ -72,10 +72,3 @@ polhode.backend.{entry}(Measured(), Measured(), Measured(), Measured())
 """
     code = code if entry == "estimate_motion" else code.replace(", Measured())\n", ")\n")
     assert output(code, **MANY) == "1"
-
-
-def test_one_thread_here() -> None:
-    import numpy  # noqa: F401
-    from threadpoolctl import threadpool_info
-
-    assert {each["num_threads"] for each in threadpool_info()} == {1}

@@ -4,7 +4,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from io import BytesIO
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,17 @@ import trimesh
 from trimesh.resolvers import Resolver
 
 from polhode.files.foreign_files import MIB, amount, read_bytes
-from polhode.files.foreign_meshes.glb import require_sound_glb
-from polhode.files.foreign_meshes.obj import FilesBeside, plain, require_sound_obj
-from polhode.files.foreign_meshes.ply import require_sound_ply
-from polhode.files.foreign_meshes.stl import is_binary_stl, require_sound_stl
-from polhode.files.foreign_meshes.unsound import FOREIGN, MeshLimits, Unsound
+from polhode.files.foreign_meshes.structure import (
+    FOREIGN,
+    MeshLimits,
+    Unsound,
+    is_binary_stl,
+    plain,
+    require_sound_glb,
+    require_sound_obj,
+    require_sound_ply,
+    require_sound_stl,
+)
 from polhode.runtime.errors import InputError, one_line
 
 # It logs what it cannot make use of, such as colours; here a mesh is read or refused in one line.
@@ -42,14 +48,11 @@ class MeshFile:
 
     def scene(self, **options: Any) -> trimesh.Scene:
         """All geometries in their scene; ``options`` go to trimesh. Raises InputError."""
-        scene: trimesh.Scene = self._loaded(trimesh.load_scene, options)
-        return scene
+        return self._loaded(trimesh.load_scene, options)  # type: ignore[no-any-return]
 
     def mesh(self, **options: Any) -> trimesh.Trimesh:
         """All triangles as one mesh, without materials. Raises InputError; there may be no triangles."""
-        options = {"skip_materials": True, **options}
-        mesh: trimesh.Trimesh = self._loaded(trimesh.load_mesh, options)
-        return mesh
+        return self._loaded(trimesh.load_mesh, {"skip_materials": True, **options})  # type: ignore[no-any-return]
 
     @np.errstate(all="ignore")
     def merged(self) -> trimesh.Trimesh:
@@ -146,3 +149,49 @@ def unreadable(path: Path, error: Exception) -> InputError:
         return error
     reason = one_line(str(error) or type(error).__name__)[:120]
     return InputError(f"{path}: cannot be read as a mesh ({reason}); give PLY, STL, OBJ or GLB")
+
+
+class FilesBeside(Resolver):
+    """Files of a mesh's own folder: material libraries and textures, whatever the path that names them."""
+
+    def __init__(self, mesh: Path) -> None:
+        self._folder = mesh.parent
+
+    def get(self, name: str) -> bytes:
+        """Content of a file. Raises OSError for any that is not taken: the mesh has no colours then."""
+        path = self._beside(name.strip())
+        material = path.suffix.lower() == ".mtl"
+        try:
+            content = read_bytes(path, (MIB if material else 64 * MIB), "a file beside a mesh")
+        except InputError as error:
+            raise FileNotFoundError(str(error)) from None
+        images = (b"\x89PNG\r\n", b"\xff\xd8\xff", b"BM", b"II*\0", b"MM\0*", b"RIFF")
+        if not material and not content.startswith(images):
+            raise OSError(f"{path}: not an image")
+        return plain(content) if material else content
+
+    def _beside(self, name: str) -> Path:
+        """Where the path leads outside, the file of the same name in the folder itself."""
+        folder = self._folder.resolve()
+        wanted = PureWindowsPath(name).name
+        named = [folder / plain(each.encode()).decode() for each in (name, wanted) if "\0" not in each]
+        # ``plain`` was applied to the name in the mesh as well
+        alike = (
+            each for each in folder.iterdir() if plain(each.name.encode(errors="replace")).decode() == wanted
+        )
+        for path in (*named, *alike):
+            if path.is_file() and path.resolve().is_relative_to(folder):
+                return path
+        raise FileNotFoundError(name)
+
+    def write(self, name: str, data: Any) -> None:
+        """Nothing is written."""
+        raise OSError(name)
+
+    def namespaced(self, namespace: str) -> "FilesBeside":
+        """trimesh asks for it."""
+        return self
+
+    def keys(self) -> list[str]:
+        """Names are not listed."""
+        return []

@@ -7,7 +7,7 @@ import trimesh
 from PIL import Image
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
-from polhode.files.foreign_meshes.unsound import Unsound
+from polhode.files.foreign_meshes.structure import Unsound
 from polhode.files.images import MAX_PIXELS
 
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")

@@ -61,12 +61,22 @@ def carry(names: list[str], source: Path, destination: Path) -> None:
             continue
         try:
             os.link(path, new, follow_symlinks=False)
-        except FileExistsError:
-            raise
-        except OSError:
-            if not (path.is_symlink() or is_regular(path)):
+        except OSError as error:
+            if isinstance(error, FileExistsError) or not (path.is_symlink() or is_regular(path)):
                 raise
             shutil.copy2(path, new, follow_symlinks=False)
+
+
+def _make_folders(name: Path, source: Path, destination: Path) -> None:
+    for part in (*reversed(name.parents), name):
+        if not (destination / part).is_dir():
+            (destination / part).mkdir()
+            shutil.copystat(source / part, destination / part)
+
+
+def aside_of(place: Path) -> Path:
+    """Where the old folder waits between the two steps of ``exchange``."""
+    return place.with_name(f".{place.name}.old")
 
 
 def exchange(new: Path, place: Path) -> Path:
@@ -86,9 +96,14 @@ def exchange(new: Path, place: Path) -> Path:
     return aside
 
 
-def aside_of(place: Path) -> Path:
-    """Where the old folder waits between the two steps."""
-    return place.with_name(f".{place.name}.old")
+def _renameat2(one: Path, other: Path) -> bool:
+    """Exchange two paths in one step; False: this system or file system cannot."""
+    try:
+        call = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError):
+        return False
+    at_current, flag_exchange = -100, 2
+    return bool(call(at_current, os.fsencode(one), at_current, os.fsencode(other), flag_exchange) == 0)
 
 
 def empty(folder: Path, is_own: IsOwn, twin: Path | None = None) -> list[str]:
@@ -136,25 +151,6 @@ def sync_all(folder: Path) -> None:
     for path in (*(folder / name for name in names), folder):
         if path.is_dir() or is_regular(path):
             sync(path)
-
-
-def _renameat2(one: Path, other: Path) -> bool:
-    """Exchange two paths in one step; False: this system or file system cannot."""
-    try:
-        call = ctypes.CDLL(None, use_errno=True).renameat2
-    except (OSError, AttributeError):
-        return False
-    current_folder, exchange_flag = -100, 2
-    return bool(
-        call(current_folder, os.fsencode(one), current_folder, os.fsencode(other), exchange_flag) == 0
-    )
-
-
-def _make_folders(name: Path, source: Path, destination: Path) -> None:
-    for part in (*reversed(name.parents), name):
-        if not (destination / part).is_dir():
-            (destination / part).mkdir()
-            shutil.copystat(source / part, destination / part)
 
 
 def is_regular(path: Path) -> bool:

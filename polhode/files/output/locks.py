@@ -25,23 +25,10 @@ def occupied(folder: Path, shown: Path) -> Iterator[None]:
 
     Raises InputError: another process has locked it, or it cannot be made.
     """
-    with folders_made(folder, shown), locked(folder, shown):
-        yield
-
-
-@contextmanager
-def folders_made(folder: Path, shown: Path) -> Iterator[None]:
-    """Make a folder and those above it; those that were missing and are empty at the end are removed.
-
-    Raises InputError: they cannot be made.
-    """
     missing = [each for each in (folder, *folder.parents) if not each.exists()]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise unwritable(shown, error) from error
-    try:
-        yield
+        with locked(folder, shown):
+            yield
     finally:
         for each in missing:
             with suppress(OSError):

@@ -53,15 +53,13 @@ def marked_folder(path: Path, command: str, is_name: IsName, shown: Path | None 
 
 def _require_ours(place: Path, command: str, is_name: IsName, shown: Path) -> None:
     there = sorted(place.iterdir()) if place.is_dir() else []
-    if not there:
-        return
     listed = read_mark(place)
-    if listed is None:
+    if there and listed is None:
+        name = there[0].name
         raise InputError(
-            f"{shown}: contains {there[0].name}, which polhode {command} did not write; "
-            "choose a new or empty folder"
+            f"{shown}: contains {name}, which polhode {command} did not write; choose a new or empty folder"
         )
-    own = {MARK, *listed.get(command, ())}
+    own = {MARK, *(listed or {}).get(command, ())}
     for each in there:
         if is_name(each.name) and not (each.name in own and is_regular(each)):
             raise InputError(
@@ -99,8 +97,7 @@ def withdrawn_if_refused(
             any(each.iterdir()) for each in folders
         )
         others = read_mark(place)
-        if is_new and not is_used and others is not None and command in others:
-            del others[command]
+        if is_new and not is_used and others is not None and others.pop(command, None) is not None:
             with suppress(OSError, RunFailure):
                 for folder in folders:
                     folder.rmdir()
@@ -138,21 +135,15 @@ def read_mark(folder: Path) -> dict[str, list[str]] | None:
         if not mark.is_file() or mark.stat().st_size > 2**20:
             return None
         content = json.loads(mark.read_text(encoding="utf-8"))
-        files = content["files"] if content["schema"] == SCHEMA else None
-        return (
-            None
-            if files is None
-            else {str(command): [str(name) for name in names] for command, names in files.items()}
-        )
+        if content["schema"] != SCHEMA:
+            return None
+        return {str(command): list(map(str, names)) for command, names in content["files"].items()}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
 
 
 def write_mark(folder: Path, files: Mapping[str, Sequence[str]]) -> None:
     """Mark the folder as ours."""
-    content = {
-        "schema": SCHEMA,
-        "words": "polhode wrote these files, by command, and may replace them; others stay as they are",
-        "files": files,
-    }
+    words = "polhode wrote these files, by command, and may replace them; others stay as they are"
+    content = {"schema": SCHEMA, "words": words, "files": files}
     write_text(folder / MARK, json.dumps(content, indent=1) + "\n")

@@ -29,11 +29,7 @@ def folder_place(path: Path, shown: Path | None = None) -> Path:
 
 
 def file_place(path: Path, example: str) -> Path:
-    """The file that ``path`` names, links followed; it need not exist. ``example``: a name of such a file.
-
-    Raises InputError for a folder, a device, a circle of links, a name that is not UTF-8, and where nothing
-    may be written.
-    """
+    """The same of a file; ``example``: a name of such a file. Raises InputError also for a folder."""
     place = _resolved(path, path)
     if place.is_dir():
         raise InputError(f"{path} is a folder: -o names a file, such as {example}")
@@ -102,14 +98,13 @@ def _resolved(path: Path, shown: Path) -> Path:
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        pass
+        mode = stat.S_IFREG
     except OSError as error:
         what = {errno.ELOOP: "a link that leads back to itself", errno.ENOTDIR: "part of this path is a file"}
         reason = what.get(error.errno or 0, error.strerror)
         raise InputError(f"{shown}: cannot write here ({reason}); choose another place") from error
-    else:
-        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-            raise InputError(f"{shown} is a device or a pipe; choose another place")
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise InputError(f"{shown} is a device or a pipe; choose another place")
     place = Path(os.path.realpath(path))
     try:
         f"{path.name}{place.name}".encode()
@@ -129,10 +124,8 @@ def _dataset_of(place: Path, path: Path) -> Path | None:
         for above in (way, *way.parents):
             if above.name == "mav0" and place.is_relative_to(os.path.realpath(above)):
                 return above.parent
-    for above in (place, *place.parents):
-        if (above / "cam0" / "data.csv").is_file():
-            return above
-    return None
+    lists = (above for above in (place, *place.parents) if (above / "cam0" / "data.csv").is_file())
+    return next(lists, None)
 
 
 def _ways(path: Path) -> Iterator[Path]:
@@ -145,8 +138,7 @@ def _ways(path: Path) -> Iterator[Path]:
 
 
 def _require_outside(place: Path, path: Path, shown: Path) -> None:
-    dataset = _dataset_of(place, path)
-    if dataset is not None:
+    if (dataset := _dataset_of(place, path)) is not None:
         raise InputError(
             f"{shown}: inside the dataset {dataset}, where nothing is written; choose another place"
         )

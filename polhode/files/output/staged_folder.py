@@ -14,19 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from polhode.files.atomic import sync
-from polhode.files.output.exchange import (
-    IsOwn,
-    aside_of,
-    carry,
-    empty,
-    exchange,
-    foreign,
-    is_same,
-    move,
-    remove,
-    sync_all,
-)
-from polhode.files.output.locks import folders_made, lock, locked, opened
+from polhode.files.output import exchange as exchanging
+from polhode.files.output.exchange import IsOwn, aside_of, empty, foreign, is_same, move, sync_all
+from polhode.files.output.locks import lock, occupied, opened
 from polhode.files.output.place import LEFT_BEHIND, require_not_current, require_writable
 from polhode.runtime.errors import InputError
 
@@ -52,18 +42,13 @@ class StagedFolder:
 
         Raises InputError when not all of that is ours.
         """
+        stays = kept or (lambda name: False)
         if any(self.path.iterdir()):
-
-            def goes(name: str) -> bool:
-                return self.is_own(name) and not (kept is not None and kept(name))
-
-            left = [
-                name for name in empty(self.path, goes, self.place) if not (kept is not None and kept(name))
-            ]
-            if left:
+            left = empty(self.path, lambda name: self.is_own(name) and not stays(name), self.place)
+            if others := [name for name in left if not stays(name)]:
                 raise InputError(
-                    f"{self.path}: contains {left[0]}, which polhode did not write there; move it, or choose "
-                    "another -o"
+                    f"{self.path}: contains {others[0]}, which polhode did not write there; move it, or "
+                    "choose another -o"
                 )
             if kept is None:
                 _log.warning(LEFT_BEHIND, self.path)
@@ -90,12 +75,12 @@ class StagedFolder:
                 # whoever writes into the old folder, such as an evaluation, ends first
                 lock(old, wait=True)
                 stays = foreign(place, is_own)
-                carry(stays, place, self.path)
-                aside = exchange(self.path, place)
+                exchanging.carry(stays, place, self.path)
+                aside = exchanging.exchange(self.path, place)
                 self.is_claimed = False
                 try:
                     # what came since then is in the old folder alone
-                    move(remove(aside, is_own, place), aside, place)
+                    move(exchanging.remove(aside, is_own, place), aside, place)
                 except OSError as error:
                     _log.warning("%s: the old folder, which cannot be removed (%s)", aside, error.strerror)
         else:
@@ -104,20 +89,13 @@ class StagedFolder:
         sync(place.parent)
         return stays
 
-    def end(self) -> None:
-        """Remove the hidden folder, unless it was published, is kept, or was never claimed."""
-        if self.is_claimed and not self.keep:
-            shutil.rmtree(self.path, ignore_errors=True)
-        elif not self.is_claimed:
-            with suppress(OSError):
-                self.path.rmdir()
-
 
 @contextmanager
 def staged_folder(
     place: Path, shown: Path, is_own: IsOwn, is_whole: Callable[[Path], bool]
 ) -> Iterator[StagedFolder]:
-    """Make and lock the hidden folder of ``place``; whoever uses it claims it.
+    """Make and lock the hidden folder of ``place``; whoever uses it claims it. At the end it is removed,
+    unless it was published, is kept, or was never claimed.
 
     What an earlier command left on its way to the same place is mended first; ``is_whole`` tells a complete
     folder of ours. Raises InputError: another process is writing there, or nothing can be written there.
@@ -125,14 +103,17 @@ def staged_folder(
     if os.path.ismount(place):
         raise InputError(f"{shown}: the root of a file system cannot be replaced; give a folder inside it")
     require_not_current(place, shown)
-    path = place.with_name(f".{place.name}.partial")
-    with folders_made(place.parent, shown), locked(path, shown):
-        staged = StagedFolder(path, place, is_own)
+    staged = StagedFolder(place.with_name(f".{place.name}.partial"), place, is_own)
+    with occupied(staged.path, shown):
         try:
             _mend(place, is_own, is_whole)
             yield staged
         finally:
-            staged.end()
+            if staged.is_claimed and not staged.keep:
+                shutil.rmtree(staged.path, ignore_errors=True)
+            elif not staged.is_claimed:
+                with suppress(OSError):
+                    staged.path.rmdir()
 
 
 def _mend(place: Path, is_own: IsOwn, is_whole: Callable[[Path], bool]) -> None:
@@ -145,5 +126,5 @@ def _mend(place: Path, is_own: IsOwn, is_whole: Callable[[Path], bool]) -> None:
         with opened(aside) as handle:
             others = [name for name in foreign(aside, is_own) if not is_same(aside / name, place / name)]
             if lock(handle) and not others:
-                remove(aside, is_own, place)
+                exchanging.remove(aside, is_own, place)
                 _log.warning(LEFT_BEHIND, aside)

@@ -16,8 +16,7 @@ from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 from polhode.files.foreign_meshes import MeshFile, open_mesh
-from polhode.files.foreign_meshes.mesh_file import require_coordinates, unreadable
-from polhode.files.foreign_meshes.obj import FilesBeside
+from polhode.files.foreign_meshes.mesh_file import FilesBeside, require_coordinates, unreadable
 from polhode.files.foreign_meshes.textures import share_textures
 from polhode.geometry.lie import Array, Ints
 from polhode.runtime.errors import InputError

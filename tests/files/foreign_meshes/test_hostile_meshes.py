@@ -161,32 +161,26 @@ def test_a_hostile_mesh_is_one_line_and_costs_little(tmp_path: Path, case: str, 
 
 
 @pytest.mark.parametrize("reader", READERS)
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30])
 @pytest.mark.parametrize("kind", ["ply", "stl", "obj", "glb"])
-def test_coordinates_that_no_body_has_are_refused(
-    tmp_path: Path, kind: str, value: float, reader: str
+def test_coordinates_that_no_body_has_pipes_and_meshes_without_area_are_refused(
+    tmp_path: Path, kind: str, reader: str
 ) -> None:
-    mesh = BOX.copy()
-    mesh.vertices[3, 1] = value
     path = tmp_path / f"a.{kind}"
-    with np.errstate(all="ignore"):
-        mesh.export(path)
-    with pytest.raises(InputError, match=r"finite|m large|a coordinate of") as error:
+    for value in (np.nan, np.inf, 1e30):
+        mesh = BOX.copy()
+        mesh.vertices[3, 1] = value
+        with np.errstate(all="ignore"):
+            mesh.export(path)
+        with pytest.raises(InputError, match=r"finite|m large|a coordinate of") as error:
+            READERS[reader](path)
+        assert "\n" not in str(error.value)
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(InputError, match="is a pipe"):
         READERS[reader](path)
-    assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("reader", READERS)
-def test_pipes_folders_and_meshes_without_area_are_refused(tmp_path: Path, reader: str) -> None:
-    for kind in ("ply", "stl", "obj", "glb"):
-        os.mkfifo(tmp_path / f"pipe.{kind}")
-        (tmp_path / f"folder.{kind}").mkdir()
-        for name in ("pipe", "folder"):
-            with pytest.raises(InputError, match=f"is a {name}"):
-                READERS[reader](tmp_path / f"{name}.{kind}")
-    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
+    (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
     with pytest.raises(InputError, match="no area"):
-        READERS[reader](tmp_path / "a.obj")
+        READERS[reader](tmp_path / "flat.obj")
 
 
 @pytest.mark.parametrize("kind", ["ply", "stl", "obj", "glb"])

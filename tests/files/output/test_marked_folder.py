@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from polhode.files.output.marked_folder import MARK, SCHEMA, claim, marked_place, read_mark, write_files
-from polhode.runtime.errors import InputError, RunFailure
+from polhode.files.output.marked_folder import MARK, SCHEMA, marked_place, read_mark, write_files
+from polhode.runtime.errors import InputError
 
 NAMES = ("a.csv", "b.png")
 
@@ -41,15 +41,6 @@ def test_two_commands_share_a_folder(tmp_path: Path) -> None:
     assert read_mark(place) == {"plan": ["a.csv"], "observability": ["c.csv"]}
     with pytest.raises(InputError, match=r"a.csv was not written by polhode observability"):
         marked_place(place, "observability", is_name)
-
-
-def test_when_one_file_cannot_be_written_none_is_replaced(tmp_path: Path) -> None:
-    write(tmp_path / "D", a_csv="1", b_png="2")
-    (tmp_path / "D" / "b.png").unlink()
-    (tmp_path / "D" / "b.png").mkdir()
-    with pytest.raises(RunFailure, match=r"b.png: cannot be written"):
-        write_files(tmp_path / "D", "plan", {"b.png": b"4", "a.csv": b"3"}, is_name)
-    assert (tmp_path / "D" / "a.csv").read_text() == "1"
 
 
 @pytest.mark.parametrize(
@@ -92,9 +83,3 @@ def test_a_mark_without_end_is_not_read(tmp_path: Path) -> None:
     assert read_mark(tmp_path) is None
     (tmp_path / MARK).write_text("[" * 2**19)
     assert read_mark(tmp_path) is None
-
-
-def test_what_is_to_be_written_is_listed_before_it_is_there(tmp_path: Path) -> None:
-    claim(tmp_path, "plan", NAMES)
-    (tmp_path / "a.csv").write_text("half")
-    assert marked_place(tmp_path, "plan", is_name) == tmp_path

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from polhode.files.output.single_file import make_parent, output_file, remove_all_partials
+from polhode.files.output.single_file import output_file, remove_all_partials
 from polhode.runtime.errors import InputError
 
 
@@ -15,16 +15,6 @@ def is_own(path: Path) -> bool:
 
 def place_of(path: Path, *inputs: Path) -> Path:
     return output_file(path, "report", "page.html", is_own, inputs)
-
-
-def test_ours_and_empty_files_may_be_replaced_and_a_file_of_the_user_may_not(tmp_path: Path) -> None:
-    for content, may in (("ours", True), ("", True), ("mine", False)):
-        (tmp_path / "page.html").write_text(content)
-        if may:
-            assert place_of(tmp_path / "page.html") == tmp_path / "page.html"
-        else:
-            with pytest.raises(InputError, match="was not written by polhode report, so it stays"):
-                place_of(tmp_path / "page.html")
 
 
 def test_what_the_command_reads_is_refused_by_any_name(tmp_path: Path) -> None:
@@ -42,15 +32,6 @@ def test_names_of_a_run_are_taken_only_where_there_is_a_run(tmp_path: Path) -> N
         with pytest.raises(InputError, match="belongs to the results of the run"):
             place_of(tmp_path / name)
     assert place_of(tmp_path / "mine" / "target.ply") == tmp_path / "mine" / "target.ply"
-
-
-def test_partial_files_of_processes_that_live_stay(tmp_path: Path) -> None:
-    mine, dead = tmp_path / f".page.partial-{os.getpid()}.html", tmp_path / ".page.partial-999999999.html"
-    other = tmp_path / ".page2.partial-999999999.html"
-    for path in (mine, dead, other):
-        path.write_text("half")
-    make_parent(tmp_path / "page.html", tmp_path / "page.html")
-    assert (mine.exists(), dead.exists(), other.exists()) == (True, False, True)
 
 
 def test_a_name_that_leaves_no_room_for_a_temporary_one_is_refused_at_once(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 import polhode.files.output.exchange as exchange_module
-import polhode.files.output.staged_folder as module
 from polhode.files.output.staged_folder import StagedFolder, staged_folder
 from polhode.runtime.errors import InputError
 
@@ -48,36 +47,6 @@ def hidden(folder: Path) -> list[str]:
     return [path.name for path in folder.iterdir() if path.name.startswith(".")]
 
 
-def test_the_folder_replaces_the_old_one_and_what_is_not_ours_stays(tmp_path: Path) -> None:
-    place = tmp_path / "a" / "R"
-    write(place, "old")
-    (place / "notes.txt").write_text("mine")
-    write(place, "new")
-    assert contents(place) == {"new"} and (place / "notes.txt").read_text() == "mine"
-    assert hidden(tmp_path / "a") == []
-
-
-def test_a_block_that_fails_leaves_nothing_not_even_the_folders_above(tmp_path: Path) -> None:
-    def fail() -> None:
-        with staged(tmp_path / "a" / "b" / "R") as folder:
-            folder.claim()
-            (folder.path / "one.csv").write_text("half")
-            raise ValueError("stop")
-
-    with pytest.raises(ValueError, match="stop"):
-        fail()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_second_process_is_refused_and_disturbs_nothing(tmp_path: Path) -> None:
-    with staged(tmp_path / "R") as folder:
-        folder.claim()
-        (folder.path / "one.csv").write_text("half")
-        with pytest.raises(InputError, match="another polhode is at work"), staged(tmp_path / "R"):
-            pass
-        assert (folder.path / "one.csv").read_text() == "half"
-
-
 KILLS = ("carry", "exchange", "between", "remove", "end")
 
 
@@ -85,11 +54,11 @@ def killed_at(place: Path, moment: str) -> None:
     """A child process that dies in the middle of a replacement."""
 
     def die_before(name: str) -> Callable[..., object]:
-        real = getattr(module, name)
+        real = getattr(exchange_module, name)
         return lambda *words: os._exit(9) if name == moment else real(*words)
 
     for name in ("carry", "exchange", "remove"):
-        setattr(module, name, die_before(name))
+        setattr(exchange_module, name, die_before(name))
     if moment == "between":
         exchange_module._renameat2 = lambda *_: False
         real = Path.rename
@@ -164,7 +133,7 @@ def test_a_file_that_comes_during_the_exchange_is_not_lost(
         (old / "late.txt").write_text("mine")
         return real(new, old)
 
-    monkeypatch.setattr(module, "exchange", late)
+    monkeypatch.setattr(exchange_module, "exchange", late)
     write(place, "new")
     assert contents(place) == {"new"} and (place / "late.txt").read_text() == "mine"
     assert hidden(tmp_path) == []
