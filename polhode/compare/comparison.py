@@ -76,29 +76,39 @@ def _compared(
                 _log.warning("%s is left out: %s", source.name, failure)
                 continue
             cases, own = list(_cases(source.name, config, chosen)), []
-            with progress.stage(f"solvers, {source.name}", len(cases)) as advance:
-                for number, (entry, case) in enumerate(cases, 1):
-                    row = _row(file, entry, case, min(config.compare.limit_s, deadline - perf_counter()))
-                    found = "" if row.cost is None else f", cost {row.cost:.6g}"
-                    took = "" if row.wall_s is None else f", {row.wall_s:.1f} s"
-                    text = f"{row.problem}: {row.solver} ({start_text(row)} start): {row.status}{found}{took}"
-                    _log.log(NOTE, "%s, %d of %d", text, number, len(cases))
-                    own.append(row)
-                    advance()
-        rows += own
-        problems.append(_summary(source, problem, own))
-        comparison = Comparison(
-            limit_s=config.compare.limit_s,
-            machine=f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}",
-            versions=_versions(),
-            problems=problems,
-            rows=rows,
-        )
-        comparison = comparison.model_copy(update={"profiles": performance_profiles(comparison)})
-        write_config(folder, config)
-        write_comparison(comparison, folder / FILE)
-        write_text(folder / "compare.csv", csv_text(rows))
+            try:
+                with progress.stage(f"solvers, {source.name}", len(cases)) as advance:
+                    for number, (entry, case) in enumerate(cases, 1):
+                        row = _row(file, entry, case, min(config.compare.limit_s, deadline - perf_counter()))
+                        found = "" if row.cost is None else f", cost {row.cost:.6g}"
+                        took = "" if row.wall_s is None else f", {row.wall_s:.1f} s"
+                        text = f"{row.solver} ({start_text(row)} start): {row.status}{found}{took}"
+                        _log.log(NOTE, "%s: %s, %d of %d", row.problem, text, number, len(cases))
+                        own.append(row)
+                        advance()
+            finally:
+                # an interrupt leaves what was measured before it
+                if own:
+                    rows += own
+                    problems.append(_summary(source, problem, own))
+                    comparison = _written(folder, config, problems, rows)
     write_page(comparison, folder / "compare.html")
+    return comparison
+
+
+def _written(folder: Path, config: Config, problems: list[ProblemSummary], rows: list[Row]) -> Comparison:
+    """What was measured up to now, with compare.json, compare.csv and the configuration in the folder."""
+    comparison = Comparison(
+        limit_s=config.compare.limit_s,
+        machine=f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}",
+        versions=_versions(),
+        problems=problems,
+        rows=rows,
+    )
+    comparison = comparison.model_copy(update={"profiles": performance_profiles(comparison)})
+    write_config(folder, config)
+    write_comparison(comparison, folder / FILE)
+    write_text(folder / "compare.csv", csv_text(rows))
     return comparison
 
 
