@@ -54,10 +54,10 @@ from polhode.run_directory.archives import (
 )
 from polhode.run_directory.data_frames import TableName, columns_of, kept_landmarks
 from polhode.run_directory.point_cloud_file import read_landmarks
-from polhode.run_directory.run_card import card_html, card_text
 from polhode.run_directory.run_folder import REPORT, require_run_folder
 from polhode.run_directory.stored_run import StoredMotion, read_motion
 from polhode.run_directory.summary import read_summary
+from polhode.run_directory.summary_in_words import describe_summary
 from polhode.run_directory.summary_schema import Identifiable, Intervals, Summary, Verdict
 from polhode.run_directory.trajectory_file import Trajectory, read_trajectory
 from polhode.runtime.argument_names import errors_name_arguments
@@ -225,15 +225,7 @@ class Run:
         """The content of summary.json"""
 
     def __repr__(self) -> str:
-        return card_text(self.folder, self.summary)
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows."""
-        try:
-            trajectory = self.trajectory
-        except InputError:
-            trajectory = None
-        return card_html(self.folder, self.summary, trajectory)
+        return f"<polhode.Run {self.folder}: {describe_summary(self.summary)}>"
 
     @property
     def status(self) -> Literal["ok", "degraded", "failed"]:

@@ -34,8 +34,7 @@ class ViewCommand(Command):
             raise InputError("--data goes with a run: a sequence has its images")
         require_part("rerun", "polhode view")
         from polhode.runtime.console import choose_progress
-        from polhode.viewer.show_run import show_run
-        from polhode.viewer.show_sequence import show_sequence
+        from polhode.viewer.show_run import show_run, show_sequence
         from polhode.viewer.target import require_target
 
         target = require_target(self.save, window=self.save is None)

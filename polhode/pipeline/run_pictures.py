@@ -20,7 +20,7 @@ from polhode.records.dataset import StereoSequence
 from polhode.records.estimate import MotionEstimate
 from polhode.records.surface import SurfaceModel
 from polhode.records.tracks import StereoTracks
-from polhode.report.pictures.body_views import body_frame, draw_landmarks, draw_mesh
+from polhode.report.pictures.body_views import body_frame, draw_mesh
 from polhode.report.pictures.mask_strip import jpeg, mask_strip
 from polhode.report.pictures.model_comparison import (
     FrameComparison,
@@ -62,7 +62,7 @@ def make_pictures(
         if len(surface.mesh.faces):
             caster = Caster(surface.mesh)
     frames = chosen_frames(tracks.n_frames, config.frames) if config.animation and caster else []
-    with context.progress.stage("pictures", 1 + 2 * config.views + len(frames)) as advance:
+    with context.progress.stage("pictures", 1 + config.views + len(frames)) as advance:
         with _optional("tracks on the images"):
             drawn = track_pictures(sequence, rectifier, tracks, estimate)
             for number, (words, content) in enumerate(drawn.items()):
@@ -74,11 +74,6 @@ def make_pictures(
         advance()
         frame = body_frame(estimate.mass)
         if config.views:
-            with _optional("landmarks.png"):
-                if len(estimate.landmarks.p_G):
-                    words = f"Landmarks from six sides. {frame.description}"
-                    write_picture(folder, "landmarks.png", draw_landmarks(estimate.landmarks, frame), words)
-            advance()
             with _optional("mesh.png"):
                 if caster is not None:
                     words = f"Mesh from eight sides. {frame.description}"

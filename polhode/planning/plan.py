@@ -23,8 +23,8 @@ from polhode.planning.prediction import BodyMotion, FinalEstimate, nominal_motio
 from polhode.records.mesh_metrics import distance_to_surface, encloses
 from polhode.records.surface import SurfaceModel
 from polhode.run_directory.archives import read_measurements
-from polhode.run_directory.intervals_in_words import describe_intervals
 from polhode.run_directory.point_cloud_file import read_landmarks
+from polhode.run_directory.summary_in_words import describe_intervals
 from polhode.run_directory.summary_schema import Intervals, Summary
 from polhode.runtime.errors import InputError
 

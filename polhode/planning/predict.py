@@ -23,9 +23,9 @@ from polhode.run_directory.archives import (
     undetermined_as_inf,
     write_arrays,
 )
-from polhode.run_directory.intervals_in_words import describe_intervals
 from polhode.run_directory.run_folder import require_run_folder
 from polhode.run_directory.summary import read_summary
+from polhode.run_directory.summary_in_words import describe_intervals
 from polhode.run_directory.summary_schema import Summary
 from polhode.run_directory.trajectory_file import (
     Trajectory,

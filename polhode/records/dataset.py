@@ -134,11 +134,6 @@ class StereoSequence:
         """Whether there are range images instead of a right camera."""
         return self.range_model is not None
 
-    @property
-    def second_name(self) -> str:
-        """Name of the folder of the right camera, or of the range images."""
-        return self._cameras.names[1]
-
     def read_pair(self, k: int) -> StereoImages:
         """Images and masks of pair k, 0 <= k < F, 8-bit grey. Raises InputError if the files have changed."""
         left, mask_left = self.read_left(k)
@@ -227,51 +222,43 @@ def open_sequence(folder: Path) -> StereoSequence:
     n_listed = len(files) + len(reasons)
     # Images are decoded only while enough frames can remain.
     _require_enough(folder, reasons, n_listed)
-    checked: dict[int, _Checked] = {}
+    usable: list[_Checked] = []
     for number, check in enumerate(_check_pairs(cameras, files, right_of, calibration), start=1):
         if check.reason is None:
-            checked[check.stamp] = check
+            usable.append(check)
         else:
             reasons[check.stamp] = check.reason
             _require_enough(folder, reasons, n_listed, unchecked=len(files) - number)
-    usable = list(checked.values())
     if not any(check.content for check in usable):
+        what = "all frames are black: no image shows anything above the noise; check exposure and lens cap"
         if any(check.bright for check in usable):
-            raise InputError(
-                f"{folder}: all frames are saturated or uniformly bright; check exposure and gain"
-            )
-        message = "all frames are black: no image shows anything above the noise"
-        raise InputError(f"{folder}: {message}; check exposure and lens cap")
+            what = "all frames are saturated or uniformly bright; check exposure and gain"
+        raise InputError(f"{folder}: {what}")
     measured = [k for k, check in enumerate(usable) if check.shows[1]]
     if ranges is not None and not measured:
         raise InputError(
             f"{cameras.folder(1)}: no image has a measurement, all pixels are 0; record the ranges again"
         )
-    timestamps_ns = np.array(list(checked), dtype=np.int64)
+    timestamps_ns = np.array([check.stamp for check in usable], dtype=np.int64)
     repeated, frozen = _repeated(cameras, usable)
     # Without inspector0, N is the left camera itself.
-    poses = mav0 / "inspector0"
+    poses, wrench = mav0 / "inspector0", mav0 / "wrench0"
     inspector = read_inspector(poses, timestamps_ns) if poses.is_dir() else None
     X_NC = inspector.X_NB @ calibration.X_BC0 if inspector else np.tile(np.eye(4), (len(usable), 1, 1))
     if not cameras.has_ranges and (mav0 / RANGE_FOLDER).is_dir():
-        warnings.insert(
-            0,
-            f"{mav0 / RANGE_FOLDER} is not used, since there are two cameras; to use the ranges, take "
-            f"{cameras.names[1]} out of {mav0}",
-        )
+        remedy = f"to use the ranges, take {cameras.names[1]} out of {mav0}"
+        warnings.insert(0, f"{mav0 / RANGE_FOLDER} is not used, since there are two cameras; {remedy}")
     if reasons:
         example = f"(first: {min(reasons)} ns, {reasons[min(reasons)]})"
         warnings.append(f"{len(reasons)} of {n_listed} frames dropped: unpaired or unreadable {example}")
     if bad := [words for check in usable for words in check.bad_masks]:
         warnings.append(f"{len(bad)} masks are missing or unreadable and not used (first: {bad[0]})")
-    warnings += inspector.warnings if inspector is not None else ()
-    warnings += _odd_times(timestamps_ns)
+    warnings += [*(inspector.warnings if inspector is not None else ()), *_odd_times(timestamps_ns)]
     if repeated.any():
         warnings.append(
             f"{int(repeated.sum())} of {len(repeated)} pairs have an image of the pair before, bit for bit "
             f"(first: {timestamps_ns[repeated][0]} ns): a camera or recorder stood still; they are not used"
         )
-    wrench = mav0 / "wrench0"
     sequence = StereoSequence(
         folder=folder,
         timestamps_ns=timestamps_ns,
@@ -286,10 +273,10 @@ def open_sequence(folder: Path) -> StereoSequence:
         wrench=read_wrench(wrench, timestamps_ns) if wrench.is_dir() else None,
         repeated=repeated,
         frozen=frozen,
-        _files=tuple(files[stamp] for stamp in checked),
+        _files=tuple(files[check.stamp] for check in usable),
         _digests=tuple(check.digests for check in usable),
         _cameras=cameras,
-        _right_ns=np.array([right_of[stamp] for stamp in checked], dtype=np.int64),
+        _right_ns=np.array([right_of[check.stamp] for check in usable], dtype=np.int64),
         _bits=calibration.bits or bit_depth(max(check.largest_16_bit for check in usable)),
         range_model=ranges,
     )
@@ -375,19 +362,17 @@ def _pair_files(
 
 @dataclass(frozen=True)
 class _Checked:
-    """Result of decoding one pair."""
+    """Result of decoding one pair: why it cannot be used (None: it can), and what its images are."""
 
     stamp: int
     reason: str | None = None
-    """Why it cannot be used; None: it can"""
     bright: bool = False
     """Whether more than half of an image is in the upper half of the range"""
     largest_16_bit: int = 0
     bad_masks: tuple[str, ...] = ()
     digests: tuple[bytes, ...] = ()
-    """Of both images"""
     shows: tuple[bool, ...] = ()
-    """Whether each has content: a black one has none"""
+    """Whether each image has content: a black one has none"""
     content: bool = False
 
 
@@ -398,57 +383,48 @@ def _check_pairs(
     calibration: StereoCalibration,
 ) -> Iterator[_Checked]:
     """What is found out about each pair, in order; never more than a few are decoded ahead."""
-    rest = iter(files.items())
+    rest, has_ranges = iter(files.items()), cameras.has_ranges
+
+    def check(pair: tuple[int, tuple[Path, Path]]) -> _Checked:
+        stamp, bits, bright, largest = pair[0], calibration.bits, False, 0
+        digests, shows, bad_masks = list[bytes](), list[bool](), list[str]()
+        for camera, path in enumerate(pair[1]):
+            where = f"{cameras.names[camera]} image"
+            try:
+                raw = read_raw(path, *calibration.size_px(camera))
+            except UnreadableImage as error:
+                return _Checked(stamp, f"{where}: {error}")
+            digests.append(_digest(raw))
+            if camera == 1 and has_ranges:
+                if wrong := why_no_ranges(raw):
+                    return _Checked(stamp, f"{where}: {wrong}")
+                shows.append(bool(raw.any()))
+                continue
+            if raw.dtype == np.uint16:
+                largest = max(largest, int(raw.max()))
+                if bits is not None and largest >= 2**bits:
+                    raise InputError(
+                        f"{path}: value {largest} is above {bits} bits: correct 'bits' in sensor.yaml"
+                    )
+            grey = to_grey(raw, bits or bit_depth(int(raw.max())))
+            shows.append(has_content(grey))
+            bright = bright or bool(np.median(grey) > 127)
+        for camera in (0,) if has_ranges else (0, 1):
+            mask = _mask_file(cameras, camera, stamp, right_of[stamp])
+            if mask.parent.is_dir():
+                try:
+                    read_mask(mask, *calibration.size_px(camera))
+                except UnreadableImage as error:
+                    if "wrong size" in str(error):
+                        raise InputError(f"{mask}: {error}; masks must have the size of the images") from None
+                    bad_masks.append(f"{mask}: {error}")
+        content, found = shows[0] if has_ranges else any(shows), (tuple(bad_masks), tuple(digests))
+        return _Checked(stamp, None, bright, largest, *found, tuple(shows), content)
+
     at_once = min(parallel_decodes(*calibration.size_px(camera)) for camera in (0, 1))
     with ThreadPoolExecutor(max_workers=min(os.cpu_count() or 1, 16, at_once)) as pool:
         while some := list(islice(rest, PAIRS_AHEAD)):
-            yield from pool.map(
-                lambda pair: _check_pair(cameras, pair[0], right_of[pair[0]], pair[1], calibration), some
-            )
-
-
-def _check_pair(
-    cameras: CameraFolders,
-    stamp: int,
-    right_ns: int,
-    files: tuple[Path, Path],
-    calibration: StereoCalibration,
-) -> _Checked:
-    bits, bright, largest = calibration.bits, False, 0
-    digests: list[bytes] = []
-    shows: list[bool] = []
-    bad_masks = []
-    for camera, path in enumerate(files):
-        try:
-            raw = read_raw(path, *calibration.size_px(camera))
-        except UnreadableImage as error:
-            return _Checked(stamp, f"{cameras.names[camera]} image: {error}")
-        digests.append(_digest(raw))
-        if camera == 1 and cameras.has_ranges:
-            if wrong := why_no_ranges(raw):
-                return _Checked(stamp, f"{cameras.names[camera]} image: {wrong}")
-            shows.append(bool(raw.any()))
-            continue
-        if raw.dtype == np.uint16:
-            largest = max(largest, int(raw.max()))
-            if bits is not None and largest >= 2**bits:
-                raise InputError(
-                    f"{path}: value {largest} is above {bits} bits: correct 'bits' in sensor.yaml"
-                )
-        grey = to_grey(raw, bits or bit_depth(int(raw.max())))
-        shows.append(has_content(grey))
-        bright = bright or bool(np.median(grey) > 127)
-    for camera in (0,) if cameras.has_ranges else (0, 1):
-        mask = _mask_file(cameras, camera, stamp, right_ns)
-        if mask.parent.is_dir():
-            try:
-                read_mask(mask, *calibration.size_px(camera))
-            except UnreadableImage as error:
-                if "wrong size" in str(error):
-                    raise InputError(f"{mask}: {error}; masks must have the size of the images") from None
-                bad_masks.append(f"{mask}: {error}")
-    content = shows[0] if cameras.has_ranges else any(shows)
-    return _Checked(stamp, None, bright, largest, tuple(bad_masks), tuple(digests), tuple(shows), content)
+            yield from pool.map(check, some)
 
 
 def _digest(image: NDArray[Any]) -> bytes:

@@ -57,7 +57,6 @@ def write_sensor(
 
     More than 8 ``bits`` are stated, because they cannot be inferred from dark images.
     """
-    camera.mkdir(parents=True, exist_ok=True)
     K, dist = np.asarray(K, dtype=np.float64), np.asarray(dist, dtype=np.float64)
     sensor: dict[str, object] = {
         "sensor_type": "camera",
@@ -78,7 +77,6 @@ def write_range_sensor(
     folder: Path, scale_m: float, sigma_m: float, growth_per_m: float = 0.0, along_ray: bool = False
 ) -> None:
     """Write ``sensor.yaml`` of a folder of range images: metres per unit, and the noise of a pixel."""
-    folder.mkdir(parents=True, exist_ok=True)
     sensor: dict[str, object] = {
         "sensor_type": "range",
         "scale_m": float(scale_m),
@@ -91,21 +89,15 @@ def write_range_sensor(
 
 def write_camera_csv(camera: Path, timestamps_ns: Iterable[int]) -> None:
     """Write ``data.csv`` of a camera folder: one row ``<ns>,<ns>.png`` per frame."""
-    camera.mkdir(parents=True, exist_ok=True)
     lines = ["#timestamp [ns],filename", *(f"{int(stamp)},{int(stamp)}.png" for stamp in timestamps_ns)]
-    (camera / "data.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    _write(camera / "data.csv", "\n".join(lines) + "\n")
 
 
 def write_inspector(
-    mav0: Path,
-    timestamps_ns: Ints,
-    X_NB: Array,
-    sigma_p_m: float = 0.0,
-    sigma_theta_rad: float = 0.0,
+    mav0: Path, timestamps_ns: Ints, X_NB: Array, sigma_p_m: float = 0.0, sigma_theta_rad: float = 0.0
 ) -> None:
     """Write ``inspector0``: poses X_NB (n, 4, 4) as estimated, and their standard deviations."""
     folder = mav0 / "inspector0"
-    folder.mkdir(parents=True, exist_ok=True)
     q_NB_wxyz = continuous_wxyz(wxyz_from_matrix(X_NB[:, :3, :3]))
     poses = np.hstack([X_NB[:, :3, 3], q_NB_wxyz])
     _write_states(folder / "data.csv", STATE_COLUMNS[:8], timestamps_ns, poses)
@@ -115,15 +107,14 @@ def write_inspector(
 
 def write_wrench(mav0: Path, timestamps_ns: Ints, force_N: Array, torque_P: Array) -> None:
     """Write ``wrench0``: known forces (n, 3) in N [N] and torques (n, 3) in P [N m] on the target."""
-    folder = mav0 / "wrench0"
-    folder.mkdir(parents=True, exist_ok=True)
-    _write_states(folder / "data.csv", WRENCH_COLUMNS, timestamps_ns, np.hstack([force_N, torque_P]))
+    _write_states(
+        mav0 / "wrench0" / "data.csv", WRENCH_COLUMNS, timestamps_ns, np.hstack([force_N, torque_P])
+    )
 
 
 def write_truth(mav0: Path, truth: Truth) -> None:
     """Write ``target0``: states, mass properties, and the surface in G when there is one."""
     folder = mav0 / "target0"
-    folder.mkdir(parents=True, exist_ok=True)
     q_NP_wxyz = continuous_wxyz(wxyz_from_matrix(truth.R_NP))
     states = np.hstack([truth.r_N, q_NP_wxyz, truth.v_N, truth.w_P])
     _write_states(folder / "data.csv", STATE_COLUMNS, truth.timestamps_ns, states)
@@ -146,11 +137,15 @@ def _write_states(path: Path, columns: tuple[str, ...], timestamps_ns: Ints, val
     lines = ["#" + ",".join(columns)]
     for stamp, row in zip(timestamps_ns, values, strict=True):
         lines.append(",".join([str(int(stamp)), *(repr(float(value)) for value in row)]))
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    _write(path, "\n".join(lines) + "\n")
 
 
 def _write_yaml(path: Path, mapping: dict[str, object]) -> None:
-    text = yaml.safe_dump(mapping, sort_keys=False, default_flow_style=None, width=1000)
+    _write(path, yaml.safe_dump(mapping, sort_keys=False, default_flow_style=None, width=1000))
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")
 
 

@@ -1,7 +1,7 @@
 """Errors of an estimate: estimate minus truth.
 
 A half-turn about a principal axis changes the signs of the axes, not the motion: the best of the four is
-taken. Nothing else is aligned, except where a metric's definition says so. ``polhode/pipeline/evaluation``
+taken. Nothing else is aligned, except where a metric's definition says so. ``polhode/report/evaluation``
 applies them to a run, with the errors of inertia, mesh and prediction.
 """
 
@@ -181,43 +181,31 @@ def nees(errors: Array, covariance: Array) -> float | None:
     return float(np.mean(np.sum(whitened * solved, axis=-1)))
 
 
-def state_nees(estimate: States, truth: States, covariance: Array, half_turn: int) -> dict[str, float | None]:
-    """NEES of position, velocity, attitude (the half-turn resolved, nothing fitted) and angular velocity.
+def coverage(error: Array, covariance: Array) -> float | None:
+    """Share of the determined components of errors (..., n) within three standard deviations; None: none is.
+
+    covariance (..., n, n).
+    """
+    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+    known = np.isfinite(variance)
+    inside = np.abs(error[known]) <= 3.0 * np.sqrt(np.maximum(variance[known], 0.0))
+    return float(np.mean(inside)) if known.any() else None
+
+
+def state_scores(
+    estimate: States, truth: States, covariance: Array, half_turn: int
+) -> tuple[dict[str, float | None], dict[str, float | None]]:
+    """NEES and coverage of position, velocity, attitude (the half-turn resolved, nothing fitted) and angular
+    velocity, over all frames.
 
     covariance (F, 12, 12) in the order r (N), v (N), theta (P), w (P), of the estimate's own axes.
     """
-    errors = state_errors(estimate, truth, half_turn)
-    return {
-        name: nees(error, covariance[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3])
-        for i, (name, error) in enumerate(errors.items())
-    }
-
-
-def state_coverage(
-    estimate: States, truth: States, covariance: Array, half_turn: int, sigmas: float = 3.0
-) -> dict[str, float | None]:
-    """Share of the components, over all frames, that lie within so many of their standard deviations.
-
-    For the same four quantities as ``state_nees``. Undetermined components do not count; None without others.
-    """
-    out: dict[str, float | None] = {}
+    of_nees: dict[str, float | None] = {}
+    of_coverage: dict[str, float | None] = {}
     for i, (name, error) in enumerate(state_errors(estimate, truth, half_turn).items()):
-        variance = np.diagonal(covariance, axis1=-2, axis2=-1)[:, 3 * i : 3 * i + 3]
-        known = np.isfinite(variance)
-        inside = np.abs(error[known]) <= sigmas * np.sqrt(variance[known])
-        out[name] = float(np.mean(inside)) if known.any() else None
-    return out
-
-
-def coverage(error: Array, covariance: Array, sigmas: float = 3.0) -> float | None:
-    """Share of the determined components of an error (n,) within so many standard deviations; None: none is.
-
-    covariance (n, n).
-    """
-    variance = np.diagonal(covariance)
-    known = np.isfinite(variance)
-    inside = np.abs(error[known]) <= sigmas * np.sqrt(np.maximum(variance[known], 0.0))
-    return float(np.mean(inside)) if known.any() else None
+        block = covariance[:, 3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+        of_nees[name], of_coverage[name] = nees(error, block), coverage(error, block)
+    return of_nees, of_coverage
 
 
 def state_errors(estimate: States, truth: States, half_turn: int) -> dict[str, Array]:

@@ -94,11 +94,6 @@ def with_baseline(calibration: StereoCalibration, baseline_m: float) -> StereoCa
     return replace(calibration, X_BC1=calibration.X_BC0 @ X_C0C1)
 
 
-def read_camera_pose(path: Path) -> Array:
-    """X_BC (4, 4), the T_BS of one ``sensor.yaml``. Raises InputError as ``read_calibration``."""
-    return _read_camera(path).X_BC0
-
-
 def _read_camera(path: Path) -> StereoCalibration:
     """One ``sensor.yaml``, as both cameras of a rig without a baseline. Raises InputError."""
 

@@ -7,7 +7,6 @@ In: a run directory. Out: report.html.
 - comparison: the page about several runs
 - template: templates, style, script, plotting library and figures inside one file
 - tables: the finding in a sentence, and the rows of every table
-- terms: explanations of symbols and terms, shown where they occur
 - motion_figures: centre of mass, attitude, angular velocity
 - polhode_and_inertia_figures: polhode, inertia ratios, energy and angular momentum
 - convergence_figures: the causal estimate after each frame

@@ -29,7 +29,7 @@ def convergence_figures(content: StoredRun) -> list[Figure]:
     motion, online, inertia = content.motion, content.online, content.summary.inertia
     if online is None or motion is None or inertia is None or len(online.timestamps_ns) < 2:
         return []
-    path, n_frames = motion.trajectory, len(online.timestamps_ns)
+    n_frames = len(online.timestamps_ns)
     frames = np.arange(1.0, n_frames + 1.0)
     causal, smooth = standard_deviations(online.covariance), standard_deviations(motion.covariance.covariance)
 
@@ -57,28 +57,16 @@ def convergence_figures(content: StoredRun) -> list[Figure]:
         of_mass += [line(frames, sigma[:, k], name, colors[k], below) for k, name in enumerate(names)]
         mass_layout[key_of("y", below)]["type"] = "log"
 
-    differences = (
-        ("position", 1e3, "mm", online.r_N - path.r_N),
-        ("velocity", 1e3, "mm/s", online.v_N - path.v_N),
-        ("attitude", DEG, "deg", log_so3(np.swapaxes(path.R_NP, 1, 2) @ online.R_NP)),
-        ("rate", DEG, "deg/s", online.w_P - path.w_P),
-    )
+    shown = ("position [mm]", 1e3), ("velocity [mm/s]", 1e3), ("attitude [deg]", DEG), ("rate [deg/s]", DEG)
     of_states: list[Trace] = []
-    of_differences: list[Trace] = []
-    names = [f"{name} [{unit}]" for name, _, unit, _ in differences]
-    state_layout, difference_layout = (
-        panels([[before + each for each in pair] for pair in (names[:2], names[2:])], "frames")
-        for before in ("σ of ", "")
-    )
-    for panel, (_, scale, _, difference) in enumerate(differences, start=1):
+    names = [f"σ of {name}" for name, _ in shown]
+    state_layout = panels([names[:2], names[2:]], "frames")
+    for panel, (_, scale) in enumerate(shown, start=1):
         block = slice(3 * panel - 3, 3 * panel)
         for name, sigma, color in (("causal", causal, AXIS_COLORS[0]), ("smoothed", smooth, INK)):
             of_states.append(line(frames, scale * sigma[:, block].max(axis=1), name, color, panel))
         state_layout[key_of("y", panel)]["type"] = "log"
-        sigma = scale * causal[:, block]
-        of_differences += _history(difference_layout, panel, scale * difference, sigma, "xyz", 0.0)
-    for layout in (state_layout, difference_layout):
-        layout["xaxis"]["range"] = [1, n_frames]
+    state_layout["xaxis"]["range"] = [1, n_frames]
     mass_title = "Inertia, centre of mass and principal axes as the frames came"
     mass_caption = (
         "The causal estimate after each frame, with bands of three standard deviations; dashed: the final "
@@ -91,17 +79,11 @@ def convergence_figures(content: StoredRun) -> list[Figure]:
         "Standard deviation along the worst axis: of the current state as each frame came, and of the same "
         "state after smoothing over the whole run."
     )
-    difference_title = "The state when its frame came, minus the smoothed one"
-    difference_caption = (
-        "Components x, y, z, with three standard deviations of the causal estimate: position and velocity "
-        "along N, attitude and angular velocity along P."
-    )
     return [
         Figure(f"convergence-{key}", title, caption, data, layout, height_px, clock="frames")
         for key, title, caption, data, layout, height_px in (
             ("mass", mass_title, mass_caption, of_mass, mass_layout, 520),
             ("states", state_title, state_caption, of_states, state_layout, 480),
-            ("differences", difference_title, difference_caption, of_differences, difference_layout, 480),
         )
     ]
 

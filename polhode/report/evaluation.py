@@ -44,8 +44,7 @@ from polhode.records.metrics import (
     expected_range,
     motion_errors,
     nees,
-    state_coverage,
-    state_nees,
+    state_scores,
     truth_at,
     with_half_turn,
 )
@@ -82,6 +81,7 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
 
     errors = asdict(motion_errors(estimate, true_states))
     half_turn = errors.pop("half_turn")
+    of_nees, of_coverage = state_scores(estimate, true_states, covariance.covariance, half_turn)
     attitude = {"median": errors.pop("attitude_median_deg"), "max": errors.pop("attitude_max_deg")}
     with_axes = {name: errors.pop(f"attitude_with_axes_{name}_deg") for name in ("median", "max")}
     metrics: Metrics = {
@@ -89,8 +89,8 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
         "attitude_error_deg": attitude,
         "attitude_error_with_axes_deg": with_axes,
         "half_turn": HALF_TURN_NAMES[half_turn],
-        NEES: state_nees(estimate, true_states, covariance.covariance, half_turn),
-        COVERAGE: state_coverage(estimate, true_states, covariance.covariance, half_turn),
+        NEES: of_nees,
+        COVERAGE: of_coverage,
         "error_k1": inertia.k1 - truth.k1,
         "error_k2": inertia.k2 - truth.k2,
     }

@@ -26,7 +26,6 @@ from polhode.report.page_pictures import (
     MAX_FILM_BYTES,
     SHEETS,
     EmbeddedPicture,
-    FilmFrame,
     embed_pictures,
     film_frames,
 )
@@ -143,13 +142,12 @@ def render(content: StoredRun) -> str:
         "head": f"polhode, run {content.name}, {f'data of {date}' if date else 'data without a date'}",
         "finding": tables.finding(summary, motion.trajectory if motion else None),
         "summary": summary,
-        "checks": tables.check_panel(summary),
+        "checks": tables.check_rows(summary),
         "assumed_rows": tables.assumed_rows(summary.assumed),
         "motion_rows": tables.motion_rows(motion),
         "sigma_rows": tables.sigma_rows(content),
         "run_rows": tables.run_rows(content),
         "metric_rows": tables.metric_rows(metrics),
-        "nees_sentences": tables.nees_sentences(metrics),
         "overview": [each for each in figures if each.key in OVERVIEW],
         "sections": [
             (title, [drawn[each.key] for each in found if each.key not in OVERVIEW], words)
@@ -165,7 +163,7 @@ def render(content: StoredRun) -> str:
     ):  # fmt: skip
         values[of_summary.__name__] = of_summary(summary)
 
-    def page(film: Sequence[FilmFrame], pictures: Sequence[EmbeddedPicture]) -> str:
+    def page(film: Sequence[EmbeddedPicture], pictures: Sequence[EmbeddedPicture]) -> str:
         line = timeline(content, film)
         return fill(
             "report.html.j2",
@@ -192,7 +190,7 @@ def render(content: StoredRun) -> str:
         left -= excess
 
 
-def timeline(content: StoredRun, film: Sequence[FilmFrame]) -> dict[str, Any] | None:
+def timeline(content: StoredRun, film: Sequence[EmbeddedPicture]) -> dict[str, Any] | None:
     """Stops of the page's slider, at most 600, as plain data; None without an estimate of two frames.
 
     time [s] since the first frame and frame number of each stop; picture: index of the nearest in time in

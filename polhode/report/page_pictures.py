@@ -15,7 +15,7 @@ from polhode.files.images import MAX_PIXELS
 from polhode.run_directory.film import GAP_PX, GIF_SCALE, HEAD_PX, PANEL_PX, StoredFilm
 from polhode.run_directory.stored_run import StoredPicture
 
-SHEETS = ("landmarks.png", "mesh.png")
+SHEETS = ("mesh.png",)
 """Pictures over the full width of the page; the files in RUN/pictures are sharper."""
 SHARPNESS = ((1160, 45, 42), (1160, 30, 25), (720, 25, 20))
 """Width [px], quality of a sheet, quality of another picture: the first one with which all fit is taken."""
@@ -28,25 +28,17 @@ FILM_QUALITIES = (55, 42, 30, 18)
 _log = logging.getLogger(__name__)
 Item = TypeVar("Item")
 Level = TypeVar("Level")
-Part = TypeVar("Part", "EmbeddedPicture", "FilmFrame")
 
 
 @dataclass(frozen=True)
 class EmbeddedPicture:
     """A picture as the page holds it."""
 
-    name: str
-    caption: str
     uri: str
-
-
-@dataclass(frozen=True)
-class FilmFrame:
-    """Camera, model and their difference in a row, without the words around them."""
-
-    frame: int
-    """of the run"""
-    uri: str
+    name: str = ""
+    caption: str = ""
+    frame: int = -1
+    """of the run: of a picture of the film, camera, model and their difference in a row"""
 
 
 def embed_pictures(pictures: Sequence[StoredPicture], most_bytes: int) -> list[EmbeddedPicture]:
@@ -61,7 +53,7 @@ def embed_pictures(pictures: Sequence[StoredPicture], most_bytes: int) -> list[E
             if math.prod(image.size) <= MAX_PIXELS:
                 image.thumbnail((width_px, width_px), Image.Resampling.LANCZOS)
                 content = _webp(image.convert("RGB"), of_sheet if picture.name in SHEETS else of_other)
-        return EmbeddedPicture(picture.name, picture.caption, _data_uri(content))
+        return EmbeddedPicture(_data_uri(content), picture.name, picture.caption)
 
     found = _fitting(pictures, SHARPNESS, embed, most_bytes)
     if len(found) < len(pictures):
@@ -69,7 +61,7 @@ def embed_pictures(pictures: Sequence[StoredPicture], most_bytes: int) -> list[E
     return found
 
 
-def film_frames(film: StoredFilm | None, most_bytes: int = MAX_FILM_BYTES) -> list[FilmFrame]:
+def film_frames(film: StoredFilm | None, most_bytes: int = MAX_FILM_BYTES) -> list[EmbeddedPicture]:
     """At most ``MAX_FILM_FRAMES`` frames, evenly chosen, together within ``most_bytes`` of the page.
 
     None where there is no film or it cannot be read.
@@ -94,15 +86,18 @@ def film_frames(film: StoredFilm | None, most_bytes: int = MAX_FILM_BYTES) -> li
         _log.warning("the film of the run is left out: %s: %s", type(error).__name__, error)
         return []
 
-    def embed(item: tuple[int, Image.Image], quality: int) -> FilmFrame:
-        return FilmFrame(item[0], _data_uri(_webp(item[1], quality)))
+    def embed(item: tuple[int, Image.Image], quality: int) -> EmbeddedPicture:
+        return EmbeddedPicture(_data_uri(_webp(item[1], quality)), frame=item[0])
 
     return _fitting(panels, FILM_QUALITIES, embed, most_bytes)
 
 
 def _fitting(
-    items: Sequence[Item], levels: Sequence[Level], embed: Callable[[Item, Level], Part], most_bytes: int
-) -> list[Part]:
+    items: Sequence[Item],
+    levels: Sequence[Level],
+    embed: Callable[[Item, Level], EmbeddedPicture],
+    most_bytes: int,
+) -> list[EmbeddedPicture]:
     """All items at the first level at which they fit; where none is enough, every second, fourth... item."""
     while items:
         for level in levels:

@@ -1,7 +1,6 @@
 """The parts that every figure is drawn with: traces, axes, colours, as plain data for plotly.js."""
 
 import base64
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -69,20 +68,6 @@ class Figure:
     def solid(self) -> bool:
         """Whether it is three-dimensional, which takes a browser longer."""
         return "scene" in self.layout
-
-    @property
-    def narrow(self) -> Layout:
-        """What differs in the layout on a phone: the panels one below the other; empty for a single one."""
-        return stack_panels(self.layout)
-
-    @property
-    def words(self) -> str:
-        """All that is written at it, without markup: where symbols occur that need an explanation."""
-        axes = [value for key, value in self.layout.items() if re.match("[xy]axis", key)]
-        axes += [self.layout.get("scene", {}).get(f"{name}axis", {}) for name in "xyz"]
-        titles = [each.get("title", {}).get("text", "") for each in axes]
-        names = [str(trace.get("name", "")) for trace in self.data]
-        return re.sub("<[^>]*>", "", " | ".join([self.title, self.caption, *titles, *names]))
 
 
 def packed(values: ArrayLike, dtype: str = "") -> dict[str, str]:
@@ -227,30 +212,6 @@ def panels(
         note(title, column * (width + gap_x) + width / 2, 1.0, **style)
         for column, title in enumerate(column_titles)
     ]
-    return out
-
-
-def stack_panels(wide: Layout) -> Layout:
-    """Domains that put the panels of a layout one below the other, column by column; empty for one panel.
-
-    Titles of columns stay above the first panel of theirs; strips over all panels are drawn once.
-    """
-    names = [key for key in wide if key.startswith("xaxis")]
-    left = {name: wide[name].get("domain", [0])[0] for name in names}
-    starts = sorted(set(left.values()))
-    if len(starts) < 2:
-        return {}
-    height, notes = 1.0 / len(names), list(wide.get("annotations", []))
-    out: Layout = {"height": 190 * len(names) + 90, "legend": {"y": 1.0}, "annotations": notes}
-    # Sorting is stable: the panels of a column stay in their order, from the top.
-    for row, name in enumerate(sorted(names, key=left.__getitem__)):
-        top, column = 1.0 - (row + 0.2) * height, starts.index(left[name])
-        if column < len(notes) and notes[column].get("y") == 1.0:
-            notes[column] = notes[column] | {"x": 0.5, "y": top}
-        out[name] = {"domain": [0, 1], "showticklabels": True}
-        out[name.replace("x", "y", 1)] = {"domain": [top - 0.58 * height, top]}
-    if wide.get("shapes"):
-        out["shapes"] = [each for each in wide["shapes"] if each.get("xref") == "x"]
     return out
 
 

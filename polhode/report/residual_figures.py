@@ -108,33 +108,13 @@ def _histogram(
     counted = "" if chi2 is None else f" Reduced chi-squared, which counts the unknowns, is {chi2:.3g}."
     caption = (
         f"Measured minus predicted, over the noise that the estimate found{stated}; dotted: a Gaussian of "
-        f"that noise. {_core(normalised[residuals.inlier_weight > 0.0], tracks)}{counted} "
+        f"that noise.{counted} "
         f"{100 * outliers:.1f} % of the measurements have less than half their weight in the robust kernel; "
         f"{100 * beyond:.1f} % lie outside the drawing."
     )
     x = axis("residual / standard deviation of the noise", range=[-5, 5])
     drawing = layout(xaxis=x, yaxis=axis("density", rangemode="tozero"))
     return _figure("residual-histogram", "Residuals against their noise", caption, data, drawing)
-
-
-def _core(kept: Array, tracks: StereoTracks) -> str:
-    """In words: how wide the middle of the normalised residuals (K, 3) is, and why it may be narrower."""
-    if len(kept) == 0:
-        return ""
-    # 68.27 % of a Gaussian lie within one standard deviation.
-    width, tails = float(np.quantile(np.abs(kept), 0.6827)), float(np.mean(np.abs(kept) > 3.0))
-    words = f"68 % of the residuals lie within {width:.2f} of it"
-    if width > 1.05:
-        return f"{words}, more than the noise explains: heavy tails, or a noise that varies."
-    if width >= 0.95:
-        return f"{words}, as they should."
-    unknowns = 3 * len(np.unique(tracks.landmark)) + 6 * len(np.unique(tracks.frame))
-    return (
-        f"{words}: the middle is narrower than the Gaussian. A residual is smaller than the error behind it, "
-        f"because the fit follows part of the errors (some {unknowns} unknowns of landmarks and poses from "
-        f"{3 * len(tracks.frame)} measured numbers); the noise is that of the errors, and it counts the "
-        f"tails too ({100 * tails:.1f} % beyond three, 0.3 % of a Gaussian)."
-    )
 
 
 def _observations(tracks: StereoTracks) -> Figure:

@@ -3,15 +3,15 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from polhode.geometry.lie import Array
-from polhode.records.metrics import ALIGNED, IN_INTERVAL, NEES, expected_range
+from polhode.records.metrics import ALIGNED, IN_INTERVAL, expected_range
 from polhode.run_directory.stored_run import StoredMotion, StoredRun
 from polhode.run_directory.summary_schema import SAME_MINIMUM, Assumed, Intervals, Summary
-from polhode.run_directory.trajectory_file import Trajectory
+from polhode.run_directory.trajectory_file import Trajectory, standard_deviations
 
 AXIS_NAMES = ("x (largest moment)", "y (middle moment)", "z (smallest moment)")
 
@@ -65,6 +65,10 @@ def finding(summary: Summary, trajectory: Trajectory | None) -> str:
     return f"{motion}; {', '.join(found)}."
 
 
+CheckKind = Literal["doubt", "holds", "information", "impossible"]
+"""In the order of the panel; impossible: with these data it cannot be made."""
+
+
 @dataclass(frozen=True)
 class CheckRow:
     """A line of the panel of checks."""
@@ -72,42 +76,22 @@ class CheckRow:
     name: str
     value: str
     expected: str
-    verdict: str
-    kind: str
-    """doubt, holds, information, or impossible: with these data it cannot be made"""
+    kind: CheckKind
 
 
-@dataclass(frozen=True)
-class CheckPanel:
-    """The panel of checks: those that were made, and those that the data do not allow."""
-
-    rows: list[CheckRow]
-    impossible: list[CheckRow]
-
-    @property
-    def words(self) -> str:
-        """All names and values, where terms occur that need an explanation."""
-        return " | ".join(f"{row.name} | {row.value}" for row in [*self.rows, *self.impossible])
-
-
-def check_panel(summary: Summary) -> CheckPanel | None:
-    """The checks of data and answer, those that do not hold first; None for runs of earlier versions."""
-    found: dict[str, list[CheckRow]] = {"doubt": [], "holds": [], "information": [], "impossible": []}
-    verdicts = {"information": "no doubt", "impossible": "not possible with these data"}
+def check_rows(summary: Summary) -> list[CheckRow]:
+    """The checks of data and answer: those in doubt, those that hold, information, impossible ones."""
+    rows = []
     for check in summary.checks:
-        unit = f" {check.unit}" if check.unit else ""
-        expected = "information"
-        if check.limit is not None:
-            expected = f"{'at least' if check.at_least else 'at most'} {_short(check.limit)}{unit}"
-        kind = "doubt" if check.reason else "holds"
-        if check.value is None or check.limit is None:
-            kind = "impossible" if check.value is None else "information"
+        unit, limit = f" {check.unit}" if check.unit else "", check.limit
         value = "" if check.value is None else f"{_short(check.value)}{unit}"
-        found[kind].append(CheckRow(check.name, value, expected, verdicts.get(kind, kind), kind))
-    impossible = found.pop("impossible")
-    return (
-        CheckPanel([row for rows in found.values() for row in rows], impossible) if summary.checks else None
-    )
+        at = "at least" if check.at_least else "at most"
+        expected = "information" if limit is None else f"{at} {_short(limit)}{unit}"
+        kind: CheckKind = "doubt" if check.reason else "holds"
+        if check.value is None or limit is None:
+            kind = "impossible" if check.value is None else "information"
+        rows.append(CheckRow(check.name, value, expected, kind))
+    return sorted(rows, key=lambda row: get_args(CheckKind).index(row.kind))
 
 
 def _short(value: float) -> str:
@@ -232,10 +216,15 @@ def run_rows(content: StoredRun) -> list[TableRow]:
         TableRow("observations", f"{summary.observations}"),
     ]
     if (noise := summary.noise) is not None:
-        rows.append(TableRow("noise of u, v", f"{noise.pixel_sigma_px:.3f}", "px"))
-        rows.append(TableRow("noise of the disparity", f"{noise.disparity_sigma_px:.3f}", "px"))
-        if noise.drift_px is not None:
-            rows.append(TableRow("features slide with light and view", f"{noise.drift_px:.3f}", "px"))
+        rows += [
+            TableRow(name, f"{value:.3f}", "px")
+            for name, value in (
+                ("noise of u, v", noise.pixel_sigma_px),
+                ("noise of the disparity", noise.disparity_sigma_px),
+                ("features slide with light and view", noise.drift_px),
+            )
+            if value is not None
+        ]
         rows.append(TableRow("disturbance acceleration", f"{np.sqrt(noise.accel_psd):.2g}", "m/s² /√Hz"))
         rows.append(TableRow("disturbance torque / Jyy", f"{np.sqrt(noise.torque_psd):.2g}", "rad/s² /√Hz"))
     if (solver := summary.solver) is not None:
@@ -243,9 +232,8 @@ def run_rows(content: StoredRun) -> list[TableRow]:
         rows.append(TableRow("solver", f"{solver.name}, {solver.iterations} iterations"))
         rows.append(TableRow("solver's end", ended, determined=solver.converged))
         if (ipopt := solver.ipopt) is not None:
-            words = f"{ipopt.status}, {ipopt.iterations} iterations"
-            words += "" if ipopt.optimality is None else f", gradient {ipopt.optimality:.1g}"
-            rows.append(TableRow("IPOPT", words))
+            gradient = "" if ipopt.optimality is None else f", gradient {ipopt.optimality:.1g}"
+            rows.append(TableRow("IPOPT", f"{ipopt.status}, {ipopt.iterations} iterations{gradient}"))
         rows.append(TableRow("cost", f"{solver.cost:.6g}"))
         if solver.reduced_chi2 is not None:
             rows.append(TableRow("reduced chi-squared", f"{solver.reduced_chi2:.3f}"))
@@ -287,22 +275,9 @@ def _sigmas(path: Trajectory) -> tuple[tuple[str, str, Array, str], ...]:
     )
 
 
-@dataclass(frozen=True)
-class SigmaRow:
-    """Standard deviations as text: along three axes, or one of a quantity without axes."""
-
-    name: str
-    unit: str
-    cells: tuple[str, ...]
-
-    @property
-    def along_axes(self) -> bool:
-        """Whether the cells are x, y, z."""
-        return len(self.cells) == 3
-
-
-def sigma_rows(content: StoredRun) -> list[SigmaRow]:
-    """States averaged over all frames, then the constants; nothing without an estimate."""
+def sigma_rows(content: StoredRun) -> list[tuple[str, str, tuple[str, ...]]]:
+    """(quantity, unit, standard deviations as text: along three axes, or one) of the states, averaged over
+    all frames, then of the constants; nothing without an estimate."""
     motion, summary = content.motion, content.summary
     if motion is None or summary.inertia is None:
         return []
@@ -312,18 +287,17 @@ def sigma_rows(content: StoredRun) -> list[SigmaRow]:
 
     def roots(covariance: Any) -> Array:
         """Infinite where a variance is null in summary.json."""
-        variance = np.diag(np.array(covariance, dtype=np.float64))
-        return np.where(np.isfinite(variance), np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), np.inf)
+        return standard_deviations(np.array(covariance, dtype=np.float64))
 
     com, axes, ratios = map(roots, (summary.cov_com_G, summary.cov_R_GP, summary.inertia.cov))
     return [
         *(
-            SigmaRow(f"{name}, {along}, mean over the frames", unit, cells(sigma.mean(axis=0)))
+            (f"{name}, {along}, mean over the frames", unit, cells(sigma.mean(axis=0)))
             for name, along, sigma, unit in _sigmas(motion.trajectory)
         ),
-        SigmaRow("centre of mass, along G", "mm", cells(1e3 * com)),
-        SigmaRow("principal axes, about P", "deg", cells(np.rad2deg(axes))),
-        *(SigmaRow(f"inertia ratio k{k}", "", (cell,)) for k, cell in enumerate(cells(ratios), start=1)),
+        ("centre of mass, along G", "mm", cells(1e3 * com)),
+        ("principal axes, about P", "deg", cells(np.rad2deg(axes))),
+        *((f"inertia ratio k{k}", "", (cell,)) for k, cell in enumerate(cells(ratios), start=1)),
     ]
 
 
@@ -377,31 +351,6 @@ def _plain(key: str) -> str:
         if key.endswith(suffix):
             return f"{key.removesuffix(suffix).replace('_', ' ')} [{unit}]"
     return key.replace("_", " ")
-
-
-def nees_sentences(metrics: dict[str, Any]) -> list[str]:
-    """What it means that a NEES lies outside of its range; empty where none does."""
-    below, above = [], []
-    for name, value in (metrics.get(NEES) or {}).items():
-        expected = expected_range(NEES, name)
-        if expected is not None and isinstance(value, int | float):
-            (low, high), words = expected, name.replace("_", " ")
-            if value < low:
-                below.append(f"{words} ({value:.2g}, at least {low:.2g} is expected)")
-            elif value > high:
-                above.append(f"{words} ({value:.2g}, at most {high:.3g} is expected)")
-    meaning = (
-        "the error is smaller than the stated σ let expect, which here are on the cautious side. The errors "
-        "of a run's frames depend on one another, so that this is one draw, and one in forty falls below "
-        "even if the σ are right.",
-        "the error is larger than the stated σ let expect; one draw in forty is, if they are right.",
-    )
-    sentences = []
-    for side, some, words in zip(("Below", "Above"), (below, above), meaning, strict=True):
-        if some:
-            listed = " and ".join([", ".join(some[:-1]), some[-1]][-len(some) :])
-            sentences.append(f"{side} its range is the NEES of {listed}: {words}")
-    return sentences
 
 
 def mesh_rows(summary: Summary) -> list[TableRow]:

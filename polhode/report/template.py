@@ -13,7 +13,6 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from polhode.report.plot_style import DARK, Figure, packed
-from polhode.report.terms import find_terms
 
 _FILES = {
     path.name: path.read_text(encoding="utf-8")
@@ -45,7 +44,6 @@ def _environment() -> Environment:
         dark_colors=json_text(DARK),
         figure_text=figure_text,
         css_text=css_text,
-        find_terms=find_terms,
     )
     return environment
 
@@ -77,5 +75,5 @@ def css_text(text: str) -> Markup:
 def figure_text(figure: Figure) -> Markup:
     """A figure as the page holds it: for plotly.js, compressed."""
     drawing = figure.layout | {"height": figure.height_px}
-    content = {"data": figure.traces, "layout": drawing, "narrow": figure.narrow, "clock": figure.clock}
+    content = {"data": figure.traces, "layout": drawing, "clock": figure.clock}
     return deflated(json.dumps(content, separators=(",", ":"), allow_nan=False, default=packed))

@@ -7,9 +7,9 @@ In: the records of the stages. Out: the files of a run (docs/run_directory.md), 
 - stored_run: all of a stored run, as the report takes it
 - summary: summary.json; summary_schema has its models and generates its JSON Schema
 - check_table: the checks of data and answer: names, limits, reasons; verdict: how they decide the status
-- intervals_in_words: its intervals as descriptions
+- summary_in_words: the summary and its intervals as descriptions
 - own_results: digests of the run's files, and whether those in the folder are its own
-- data_frames, run_card: a run as tables, and in a few lines
+- data_frames: a run as tables
 - film: the film of camera beside model, and where its panels lie
 - recording: which recording the run was made from
 - archives: covariance.npz, measurements.npz, online.npz

@@ -4,7 +4,7 @@ NumPy stamps every member of an archive with 1980-01-01, so no clock enters the 
 must have its shape and no NaN; what is wrong raises InputError, one line that names file, array and row.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -157,14 +157,13 @@ def write_covariance(estimate: MotionEstimate, path: Path) -> None:
         "order": np.array(STATE_ORDER),
         "last_joint_order": np.array(JOINT_ORDER),
     }
-    if estimate.covariance_last_body is not None:
-        arrays |= {"last_body": estimate.covariance_last_body, "last_body_order": np.array(BODY_ORDER)}
-    if estimate.covariance_X_NG is not None:
-        arrays["covariance_X_NG"] = undetermined_as_inf(estimate.covariance_X_NG)
+    if (body := estimate.covariance_last_body) is not None:
+        arrays |= {"last_body": body, "last_body_order": np.array(BODY_ORDER)}
+    if (poses := estimate.covariance_X_NG) is not None:
+        arrays["covariance_X_NG"] = undetermined_as_inf(poses)
         arrays["covariance_X_NG_order"] = np.array(POSE_ORDER)
-    if estimate.covariance_of_marks is not None:
-        # in the order of ``covariance``
-        arrays["covariance_of_marks"] = estimate.covariance_of_marks
+    if (marks := estimate.covariance_of_marks) is not None:
+        arrays["covariance_of_marks"] = marks
     write_arrays(path, arrays)
 
 
@@ -194,16 +193,17 @@ def write_measurements(
     Keys: the fields of StereoTracks; ``rig_<field>``; ``wrench_<field>``; ``relative_<field>``; residuals_px,
     inlier_weight.
     """
-    arrays: Arrays = {
-        f.name: np.asarray(getattr(tracks, f.name)) for f in fields(tracks) if f.name not in ("rig", "wrench")
-    }
-    records: dict[str, Any] = {"wrench": tracks.wrench, "rig": tracks.rig, "relative": relative}
-    for prefix, record in records.items():
-        if record is not None:
-            arrays |= {f"{prefix}_{f.name}": np.asarray(getattr(record, f.name)) for f in fields(record)}
+    arrays = _fields(tracks, without=("rig", "wrench"))
+    for prefix, record in (("wrench", tracks.wrench), ("rig", tracks.rig), ("relative", relative)):
+        arrays |= {} if record is None else _fields(record, f"{prefix}_")
     if estimate is not None:
         arrays |= {"residuals_px": estimate.residuals_px, "inlier_weight": estimate.inlier_weight}
     write_arrays(path, arrays)
+
+
+def _fields(record: Any, prefix: str = "", without: Sequence[str] = ()) -> Arrays:
+    names = [each.name for each in fields(record) if each.name not in without]
+    return {f"{prefix}{name}": np.asarray(getattr(record, name)) for name in names}
 
 
 def read_measurements(path: Path) -> StereoTracks:
@@ -283,7 +283,7 @@ def load_archive(path: Path, name: str, remedy: str = REMEDY) -> Archive:
 
 def write_online(online: OnlineEstimate, path: Path) -> None:
     """Keys: the fields of OnlineEstimate. The same bytes for the same content."""
-    write_arrays(path, {f.name: np.asarray(getattr(online, f.name)) for f in fields(online)})
+    write_arrays(path, _fields(online))
 
 
 def read_online(path: Path) -> OnlineEstimate | None:

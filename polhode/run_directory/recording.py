@@ -13,7 +13,6 @@ import numpy as np
 from polhode.files.foreign_files import MIB, sha256_of
 from polhode.files.images import UnreadableImage, read_raw
 from polhode.files.tables import read_listing
-from polhode.records.camera_folders import left_camera
 from polhode.records.dataset import StereoSequence
 from polhode.run_directory.summary_schema import RecordedImage, Recording
 from polhode.runtime.errors import InputError
@@ -52,7 +51,7 @@ def require_recording(recording: Recording | None, sequence_folder: Path, remedy
     """
     if recording is None or not recording.left_images:
         return
-    camera = left_camera(sequence_folder / "mav0")
+    camera = sequence_folder / "mav0" / "cam0"
     listed = (camera / "data.csv").exists()
     names, compared = read_listing(camera / "data.csv") if listed else {}, 0
     for image in recording.left_images if listed else ():

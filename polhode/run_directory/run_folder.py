@@ -274,7 +274,9 @@ def _free(place: Path, ending: str) -> Path:
 
 @contextmanager
 def _logging_to(file: Path) -> Iterator[None]:
-    handler, logger = _LogFile(file, encoding="utf-8"), logging.getLogger("polhode")
+    handler, logger = logging.FileHandler(file, encoding="utf-8"), logging.getLogger("polhode")
+    # a log that goes without a line where the disk is full: the results tell of it
+    handler.handleError = lambda record: None  # type: ignore[method-assign]
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     level = logger.level
     logger.setLevel(logging.INFO)
@@ -286,13 +288,6 @@ def _logging_to(file: Path) -> Iterator[None]:
         logger.setLevel(level)
         with suppress(OSError):
             handler.close()
-
-
-class _LogFile(logging.FileHandler):
-    """A log that goes without a line where the disk is full, and says nothing of it elsewhere."""
-
-    def handleError(self, record: logging.LogRecord) -> None:
-        """Nothing: the results tell that the disk is full."""
 
 
 def record_failure(folder: Path, message: str, recording: Recording | None = None) -> None:

@@ -6,16 +6,20 @@ those below ``P`` in the principal axes, ``plots`` are series over time; lengths
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Self
 
 import cv2
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from polhode.frontend.rectification import Image
-from polhode.geometry.lie import Array, Bools, Ints, wxyz_from_matrix
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools, Ints, inverse_pose, make_pose, wxyz_from_matrix
 from polhode.geometry.rigid_body import angular_momentum_N, rotational_energy
-from polhode.viewer.shown_frame import ShownFeatures, ShownFrame, ShownMotion, ShownRig
+from polhode.records.rig_calibration import StereoCalibration
+from polhode.records.surface import SurfaceModel
+from polhode.report.shape_figures import thin_mesh, vertex_rgb
 
 # Okabe and Ito, "Color universal design", 2008: told apart by readers with any colour vision.
 ORANGE, SKY_BLUE, GREEN = (230, 159, 0), (86, 180, 233), (0, 158, 115)
@@ -29,14 +33,6 @@ TRACK_FRAMES = 5
 MAX_SIDE_PX = 1280
 """Larger images are shown at a half, a third, ... of their size."""
 N_SIGMA = 3.0
-PLANE_SHARE = 0.3
-"""Distance of the image from its camera in 3D, over the distance of the target."""
-ELLIPSOID_SHARE = 0.1
-"""The ellipsoid of the position is enlarged by a power of ten, at most to this share of the distance."""
-ARROW_SHARE = 0.25
-"""Length of arrows and axes over the distance of the target, where no landmarks tell the target's size."""
-ARROW_OVER_SIZE = 1.5
-"""Length of arrows and axes over half the extent of the landmarks."""
 
 SERIES: dict[str, tuple[str, ...]] = {
     "plots/r_N_m": ("x", "y", "z"),
@@ -53,13 +49,109 @@ BAND = "three_sigma"
 FILLED, WIRES = rr.components.FillMode.TransparentFillMajorWireframe, rr.components.FillMode.DenseWireframe
 
 
+@dataclass(frozen=True)
+class ShownRig:
+    """Two cameras as pinholes: those of a rectified pair, or those of a rig without their distortion."""
+
+    K: tuple[Array, Array]
+    """(3, 3) each [px], integer coordinates at pixel centres"""
+    sizes_px: tuple[tuple[int, int], tuple[int, int]]
+    """Width and height of each image"""
+    X_LR: Array
+    """(4, 4) pose of the right camera in the left one"""
+
+    @property
+    def plane_m(self) -> float:
+        """Distance at which an image is drawn before its camera, until that of the target is known [m]."""
+        return 5.0 * float(np.linalg.norm(self.X_LR[:3, 3]))
+
+    @classmethod
+    def rectified(cls, rig: RectifiedRig) -> Self:
+        """The cameras of a rectified pair."""
+        K_right = rig.K
+        K_right[0, 2] -= rig.disparity_offset_px
+        size = rig.width_px, rig.height_px
+        return cls((rig.K, K_right), (size, size), make_pose(np.eye(3), [rig.baseline_m, 0.0, 0.0]))
+
+    @classmethod
+    def recorded(cls, calibration: StereoCalibration) -> Self:
+        """The cameras as calibrated."""
+        return cls(
+            (calibration.K0, calibration.K1),
+            (calibration.size_px(0), calibration.size_px(1)),
+            inverse_pose(calibration.X_BC0) @ calibration.X_BC1,
+        )
+
+
+def known_ratios(k: Array, cov_k: Array, determined: Bools) -> tuple[Array, Array]:
+    """Ratios k (..., 2) and their sigmas for ``ShownFrame.ratios``; determined (..., 2)."""
+    sigma = np.sqrt(np.abs(np.diagonal(cov_k, axis1=-2, axis2=-1)))
+    return np.where(determined, k, np.nan), np.where(determined, sigma, np.inf)
+
+
+@dataclass(frozen=True)
+class ShownFeatures:
+    """The observations of a frame in its left image, n of them."""
+
+    uv_px: Array
+    """(n, 2)"""
+    landmark: Ints
+    """(n,) by which they are joined to tracks"""
+    inlier: Bools
+    """(n,) whether they agree with the motion"""
+
+
+@dataclass(frozen=True)
+class ShownMotion:
+    """The state of the target; undetermined quantities have a variance of inf."""
+
+    r_N: Array
+    """(3,) [m]"""
+    v_N: Array
+    """(3,) [m/s]"""
+    R_NP: Array
+    """(3, 3)"""
+    w_P: Array
+    """(3,) [rad/s]"""
+    covariance: Array
+    """(12, 12) in the order r (N), v (N), theta (P), w (P)"""
+    X_NG: Array
+    """(4, 4)"""
+    moments: Array
+    """(3,) Jxx >= Jyy >= Jzz, the middle one 1"""
+
+
+@dataclass(frozen=True)
+class ShownFrame:
+    """One frame; None or empty where it has no such thing."""
+
+    number: int
+    time_s: float
+    """Since the first frame"""
+    X_NL: Array
+    """(4, 4) pose of the left camera whose image is shown"""
+    left: Image | None = None
+    right: Image | None = None
+    mask_left: Bools | None = None
+    mask_right: Bools | None = None
+    features: ShownFeatures | None = None
+    motion: ShownMotion | None = None
+    ratios: tuple[Array, Array] | None = None
+    """k1 and k2 as known at the frame, NaN until the motion determines them, and their sigmas, (2,) each"""
+    residual_rms_px: Array | None = None
+    """(3,) of u, v, disparity; NaN where the frame has no inliers"""
+    landmarks_G: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(L, 3) [m] of a finished run those that this frame is the first to observe, of a stream all of them"""
+
+
 class Recorder:
     """Logs frames to one or more streams of Rerun, in the order of time."""
 
     def __init__(self, streams: Sequence[rr.RecordingStream], rig: ShownRig) -> None:
         self._streams = tuple(streams)
         self._rig = rig
-        self._shrink = _shrink_factors(rig)
+        # whole numbers by which the sides of the images are divided
+        self._shrink = [-(-max(size) // MAX_SIDE_PX) for size in rig.sizes_px]
         self._tracks: dict[int, list[tuple[int, Array]]] = {}
         """Number of the frame and place in the image of the last observations of each landmark"""
         self._last: dict[str, Array] = {}
@@ -90,23 +182,17 @@ class Recorder:
         if frame.residual_rms_px is not None:
             self._plot("plots/residual_rms_px", frame.residual_rms_px)
 
-    def log_surface(self, vertices_G: Array, rgb: NDArray[np.uint8], faces: Ints) -> None:
-        """The whole surface as known at the last frame that was logged. (V, 3) [m], (V, 3), (T, 3)."""
-        mesh = rr.Mesh3D(vertex_positions=vertices_G, vertex_colors=rgb, triangle_indices=faces)
-        self._log("N/target/mesh", mesh)
+    def log_surface(self, surface: SurfaceModel, max_faces: int, static: bool = False) -> None:
+        """The surface as known at the last frame that was logged, thinned where it has more faces; static: in
+        all frames."""
+        vertices, faces, of_old = thin_mesh(surface.mesh, max_faces)
+        colors = vertex_rgb(surface.mesh)[of_old]
+        mesh = rr.Mesh3D(vertex_positions=vertices, vertex_colors=colors, triangle_indices=faces)
+        self._log("N/target/mesh", mesh, static)
 
     def remove_surface(self) -> None:
         """Show no surface from the last frame on that was logged: it was in a frame G that is gone."""
         self._log("N/target/mesh", rr.Clear(recursive=False))
-
-    def log_vertices(self, vertices_G: Array, rgb: NDArray[np.uint8]) -> None:
-        """The vertices (V, 3) [m] of a surface of which ``log_faces`` shows more and more."""
-        vertices = rr.Mesh3D.from_fields(vertex_positions=vertices_G, vertex_colors=rgb)
-        self._log("N/target/mesh", vertices, static=True)
-
-    def log_faces(self, faces: Ints) -> None:
-        """The faces (T, 3) that are shown from the last frame on that was logged."""
-        self._log("N/target/mesh", rr.Mesh3D.from_fields(triangle_indices=faces))
 
     def log_polhode_path(self, w_P: Array) -> None:
         """The path (n, 3) [rad/s] of the angular velocity over the whole run, also between the frames."""
@@ -139,10 +225,18 @@ class Recorder:
 
     def _log_image(self, side: int, image: Image, mask: Bools | None) -> None:
         path, factor = f"N/camera/{('left', 'right')[side]}", self._shrink[side]
-        picture = cv2.imencode(".jpg", _shrink_image(image, factor), [cv2.IMWRITE_JPEG_QUALITY, 85])[1]
-        self._log(path, rr.EncodedImage(contents=bytes(picture), media_type="image/jpeg"))
-        outlines = [] if mask is None else _outlines(mask, factor)
-        self._log(f"{path}/mask", rr.LineStrips2D(outlines, colors=YELLOW, radii=-0.75))
+        height, width = (length // factor for length in image.shape)
+        # what is left over by the division is cut off, as in the resolution of the pinhole
+        whole = image[: height * factor, : width * factor]
+        small = whole if factor == 1 else cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+        content = bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 85])[1])
+        self._log(path, rr.EncodedImage(contents=content, media_type="image/jpeg"))
+        borders: Sequence[Image] = ()
+        if mask is not None:
+            mode, method = cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
+            borders = [np.asarray(line) for line in cv2.findContours(mask.astype(np.uint8), mode, method)[0]]
+        closed = [_in_view(np.vstack([line, line[:1]])[:, 0], factor) for line in borders]
+        self._log(f"{path}/mask", rr.LineStrips2D(closed, colors=YELLOW, radii=-0.75))
 
     def _log_features(self, number: int, features: ShownFeatures) -> None:
         """Features by colour, and where their landmarks were observed in the frames just before."""
@@ -163,8 +257,9 @@ class Recorder:
         distance_m = float(np.linalg.norm(motion.r_N - X_NL[:3, 3]))
         if not self._target_shown:
             self._target_shown = True
-            self._log_rig(PLANE_SHARE * distance_m)
-        arrow_m = self._size_m * ARROW_OVER_SIZE or ARROW_SHARE * distance_m
+            self._log_rig(0.3 * distance_m)
+        # half as long again as half the extent of the landmarks, where there are any
+        arrow_m = 1.5 * self._size_m or 0.25 * distance_m
         self._log("N/target", _transform(motion.X_NG))
         self._log("N/principal_axes", _arrows(motion.r_N, motion.R_NP.T * arrow_m, AXES, ("x", "y", "z")))
         self._log_ellipsoid(motion, distance_m)
@@ -185,7 +280,7 @@ class Recorder:
             return
         values, vectors = np.linalg.eigh(covariance)
         half_m = N_SIGMA * np.sqrt(np.maximum(values, 0.0))
-        most = ELLIPSOID_SHARE * distance_m / max(float(half_m.max()), 1e-12 * distance_m)
+        most = 0.1 * distance_m / max(float(half_m.max()), 1e-12 * distance_m)
         # a stream knows the position better and better: the factor only grows, so that it seldom changes
         self._enlarged = max(self._enlarged, 10 ** int(np.clip(np.floor(np.log10(max(most, 1.0))), 0, 6)))
         # eigenvectors may be a reflection, which no rotation is
@@ -263,28 +358,6 @@ def _finite(values: Array) -> Array:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _shrink_factors(rig: ShownRig) -> tuple[int, int]:
-    """Whole numbers by which the sides of the images are divided."""
-    left, right = (-(-max(size) // MAX_SIDE_PX) for size in rig.sizes_px)
-    return left, right
-
-
 def _in_view(uv_px: Array, factor: int) -> Array:
     """Pixels (..., 2) of the image as Rerun counts them, which has pixel centres at one half."""
     return np.asarray((uv_px + 0.5) / factor)
-
-
-def _shrink_image(image: Image, factor: int) -> Image:
-    if factor == 1:
-        return image
-    height, width = (side // factor for side in image.shape)
-    # what is left over by the division is cut off, as in the resolution of the pinhole
-    whole = image[: height * factor, : width * factor]
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
-
-
-def _outlines(mask: Bools, factor: int) -> list[Array]:
-    """The borders of a mask (H, W) as closed lines in the shown image."""
-    found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    lines = (np.asarray(line, dtype=np.float64).reshape(-1, 2) for line in found)
-    return [_in_view(np.concatenate([line, line[:1]]), factor) for line in lines]

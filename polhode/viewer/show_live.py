@@ -17,9 +17,7 @@ from polhode.pipeline.live.run_live import Watch, WatchedPair
 from polhode.records.surface import SurfaceModel
 from polhode.runtime.errors import one_line
 from polhode.viewer.blueprint import Eyes, arrangement, beside_camera
-from polhode.viewer.mesh_growth import coloured_mesh
-from polhode.viewer.recorder import Recorder
-from polhode.viewer.shown_frame import ShownFeatures, ShownFrame, ShownMotion, ShownRig, known_ratios
+from polhode.viewer.recorder import Recorder, ShownFeatures, ShownFrame, ShownMotion, ShownRig, known_ratios
 from polhode.viewer.target import ViewTarget
 
 SURFACE_EVERY = 20
@@ -41,12 +39,9 @@ def watching(target: ViewTarget, name: str) -> Iterator[Watch]:
     viewer = _LiveViewer(target, name)
     try:
         yield viewer
-    except Exception:
-        # what the stream has shown is kept, as what it has found is
-        viewer.close()
-        raise
-    except BaseException:
-        viewer.stop()
+    except BaseException as error:
+        # after an error what the stream has shown is kept, as what it has found is
+        viewer.close(complete=isinstance(error, Exception))
         raise
     viewer.close()
 
@@ -84,14 +79,11 @@ class _LiveViewer:
         found = None if failed or before != restarts else future.result()
         return found if isinstance(found, SurfaceModel) and len(found.mesh.faces) else None
 
-    def stop(self) -> None:
-        """Give up what waits, and write nothing."""
-        self._thread.shutdown(cancel_futures=True)
-
-    def close(self) -> None:
-        """Show what waits, and complete the recording."""
-        self._thread.submit(self._complete).result()
-        self._thread.shutdown()
+    def close(self, complete: bool = True) -> None:
+        """Show what waits, and complete the recording; else give both up."""
+        if complete:
+            self._thread.submit(self._complete).result()
+        self._thread.shutdown(cancel_futures=not complete)
 
     def _show(self, pair: WatchedPair, surface: SurfaceModel | None, has_images: bool) -> None:
         """Show the next pair, and the surface where another process has made it meanwhile."""
@@ -105,7 +97,7 @@ class _LiveViewer:
                 self._restarts = pair.state.restarts
                 recorder.remove_surface()
             if surface is not None:
-                recorder.log_surface(*coloured_mesh(surface, MAX_FACES))
+                recorder.log_surface(surface, MAX_FACES)
 
     def _complete(self) -> None:
         with self._warning_of_failure():

@@ -1,14 +1,12 @@
-"""A finished run in Rerun; with its sequence, the images too."""
+"""In Rerun: a finished run, with its sequence the images too; or a sequence alone, as recorded."""
 
 import logging
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from polhode.frontend.rectification import RectifiedPair, rectified_pair
-from polhode.geometry.lie import Ints, inverse_pose
 from polhode.pipeline.context import rectifier_of
 from polhode.records.dataset import StereoSequence, open_sequence
 from polhode.records.tracks import StereoTracks
@@ -19,9 +17,7 @@ from polhode.run_directory.stored_run import StoredMotion, StoredRun, read_store
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import NOTE, Progress
 from polhode.viewer.blueprint import Eyes, arrangement, before_polhode, beside_camera
-from polhode.viewer.mesh_growth import coloured_mesh, growth
-from polhode.viewer.recorder import Recorder
-from polhode.viewer.shown_frame import ShownFeatures, ShownFrame, ShownMotion, ShownRig, known_ratios
+from polhode.viewer.recorder import Recorder, ShownFeatures, ShownFrame, ShownMotion, ShownRig, known_ratios
 from polhode.viewer.target import ViewTarget
 
 MAX_FACES = 40_000
@@ -80,19 +76,14 @@ def show_stored_run(
     recorder: Recorder,
     progress: Progress,
 ) -> None:
-    """Log all frames of a run, its polhode and its mesh, which grows by what the frames have seen."""
-    path, grows = motion.trajectory, dict[int, Ints]()
+    """Log all frames of a run, its polhode and its mesh."""
+    path = motion.trajectory
     recorder.log_polhode_path(torque_free_path(path.time_s, path.w_P, motion.moments))
     if run.surface is not None and len(run.surface.mesh.faces):
-        vertices, rgb, faces = coloured_mesh(run.surface, MAX_FACES)
-        recorder.log_vertices(vertices, rgb)
-        light = trimesh.Trimesh(vertices, faces, process=False)
-        grows = dict(growth(light, inverse_pose(tracks.X_NR) @ motion.X_NG, tracks.rig))
+        recorder.log_surface(run.surface, MAX_FACES, static=True)
     with progress.stage("recording", tracks.n_frames) as advance:
         for frame in shown_frames(run, motion, tracks, pictures):
             recorder.log_frame(frame)
-            if (seen := grows.get(frame.number)) is not None:
-                recorder.log_faces(seen)
             advance()
 
 
@@ -129,4 +120,36 @@ def shown_frames(
             ratios=None if ratios is None else (ratios[0][k], ratios[1][k]),
             residual_rms_px=None if rms is None else rms[k],
             landmarks_G=p_G[first == k],
+        )
+
+
+def show_sequence(sequence_folder: Path, target: ViewTarget, progress: Progress) -> None:
+    """Show a sequence. Raises InputError as ``open_sequence``."""
+    sequence = open_sequence(sequence_folder)
+    rig = ShownRig.recorded(sequence.calibration)
+    blueprint = arrangement(
+        Eyes(beside_camera(sequence.X_NC[0], rig.plane_m)),
+        has_motion=False,
+        landmarks_add_up=True,
+        has_right=not sequence.has_ranges,
+    )
+    opened = target.opened(sequence_folder.resolve().name, rig, blueprint)
+    with opened as recorder, progress.stage("recording", len(sequence)) as advance:
+        for frame in recorded_frames(sequence):
+            recorder.log_frame(frame)
+            advance()
+
+
+def recorded_frames(sequence: StereoSequence) -> Iterator[ShownFrame]:
+    """Every pair of a sequence; of one with range images the left images alone."""
+    for k in range(len(sequence)):
+        pair = sequence.read_pair(k)
+        yield ShownFrame(
+            number=k,
+            time_s=1e-9 * int(sequence.timestamps_ns[k] - sequence.timestamps_ns[0]),
+            X_NL=sequence.X_NC[k],
+            left=pair.left,
+            right=None if sequence.has_ranges else pair.right,
+            mask_left=pair.mask_left,
+            mask_right=None if sequence.has_ranges else pair.mask_right,
         )

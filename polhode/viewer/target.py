@@ -19,8 +19,7 @@ import rerun.blueprint as rrb
 from polhode.files.atomic import write_bytes
 from polhode.files.output.single_file import make_parent, output_file
 from polhode.runtime.errors import InputError, printable
-from polhode.viewer.recorder import Recorder
-from polhode.viewer.shown_frame import ShownRig
+from polhode.viewer.recorder import Recorder, ShownRig
 
 APPLICATION = "polhode"
 START_S = 30.0

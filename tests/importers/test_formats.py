@@ -1,6 +1,5 @@
 """A dataset written in each format and imported back is the same, bit by bit."""
 
-import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,6 @@ from PIL import Image
 from polhode.geometry.lie import exp_so3, inverse_pose, make_pose
 from polhode.importers.calibrations.read_rig import read_rig
 from polhode.records.dataset import open_sequence
-from polhode.records.dataset_writer import write_png
 from tests.importers.imports import imported, require_same
 from tests.importers.recordings import (
     BagContents,
@@ -148,18 +146,3 @@ def test_fisheyes_of_two_resolutions_are_imported(small_sequence: Path, tmp_path
     calibration = open_sequence(tmp_path / "back").calibration
     assert calibration.fisheye0 and calibration.fisheye1
     assert (calibration.size_px(0), calibration.size_px(1)) == ((64, 48), (32, 24))
-
-
-def test_cameras_of_other_names_are_imported_as_cam0_and_cam1(small_sequence: Path, tmp_path: Path) -> None:
-    data = original(small_sequence)
-    named = tmp_path / "named" / "mav0"
-    shutil.copytree(small_sequence / "mav0", named)
-    (named / "cam0").rename(named / "cam2")
-    (named / "cam1").rename(named / "cam3")
-    mask = np.zeros((48, 64), dtype=np.bool_)
-    mask[20:30, 30:40] = True
-    for stamp in data.files[1]:
-        write_png(named / "masks3" / f"{stamp}.png", mask)
-    imported([named.parent], tmp_path / "back")
-    require_same(data, tmp_path / "back")
-    np.testing.assert_array_equal(open_sequence(tmp_path / "back").read_pair(2).mask_right, mask)

@@ -55,7 +55,7 @@ def test_every_pair_has_a_row_and_the_folder_is_complete(finished: Path, rendere
     }
     assert read_summary(finished).data == recording_of(open_sequence(rendered_sequence))
     pictures = {path.name for path in (finished / "pictures").iterdir()}
-    assert pictures >= {"model.mp4", "model.gif", "model.csv", "landmarks.png", "mesh.png"}
+    assert pictures >= {"model.mp4", "model.gif", "model.csv", "mesh.png"}
 
 
 def test_the_estimates_are_the_same_bytes_without_the_truth(

@@ -14,7 +14,13 @@ from PIL import Image
 from polhode.geometry.lie import exp_so3, make_pose
 from polhode.records import dataset
 from polhode.records.dataset import open_sequence
-from polhode.records.dataset_writer import image_path, write_camera_csv, write_inspector, write_png
+from polhode.records.dataset_writer import (
+    image_path,
+    write_camera_csv,
+    write_inspector,
+    write_png,
+    write_wrench,
+)
 from polhode.runtime.errors import InputError
 
 START_NS, STEP_NS, COUNT = 1_600_000_000_000_000_000, 500_000_000, 6
@@ -61,7 +67,11 @@ def test_a_good_sequence_is_read_whole(small_sequence: Path) -> None:
     # without inspector0, N is the left camera at rest
     np.testing.assert_array_equal(sequence.X_NC, np.tile(np.eye(4), (COUNT, 1, 1)))
     assert not sequence.inspector_moves
-    assert sequence.sigma_camera_p_m == sequence.sigma_camera_theta_rad == 0.0
+    assert sequence.sigma_camera_p_m == sequence.sigma_camera_theta_rad == 0.0 and sequence.wrench is None
+    write_wrench(small_sequence / "mav0", np.array(STAMPS[:1]), np.ones((1, 3)), np.zeros((1, 3)))
+    wrench = open_sequence(small_sequence).wrench
+    assert wrench is not None
+    np.testing.assert_array_equal(wrench.force_N, np.ones((1, 3)))
     with pytest.raises(InputError, match=r"mav0 is the folder mav0 itself: give the folder that contains it"):
         open_sequence(small_sequence / "mav0")
 
@@ -109,43 +119,30 @@ def test_missing_damaged_small_and_unpaired_frames_are_dropped_and_counted(small
     assert dropped[1] == (STAMPS[2], "cam1 image: wrong size, 32x24 px instead of 64x48 px")
 
 
-def test_sixteen_bit_images_are_scaled_by_one_factor_for_the_whole_sequence(small_sequence: Path) -> None:
-    grey = {}
+def write_12_bits(folder: Path, divisors: Callable[[int], int], bits: int | None = None) -> None:
+    """The images, darkened by frame, as a 12-bit sensor writes them; ``bits`` in sensor.yaml."""
     for camera in (0, 1):
         for k in range(COUNT):
-            path = image_of(small_sequence, camera, k)
-            grey[camera, k] = np.asarray(Image.open(path))
-            # A 12-bit sensor; only some frames reach its upper half.
-            dimmed = grey[camera, k] // (1 if k else 4)
-            write_png(path, dimmed.astype(np.uint16) * np.uint16(16))
-    sequence = open_sequence(small_sequence)
-    np.testing.assert_array_equal(sequence.read_pair(1).left, grey[0, 1])
-    np.testing.assert_array_equal(sequence.read_pair(0).right, grey[1, 0] // 4)
+            codes = np.asarray(Image.open(image_of(folder, camera, k))) // divisors(k)
+            write_png(image_of(folder, camera, k), codes.astype(np.uint16) * np.uint16(16))
+        if bits is not None:
+            path = folder / "mav0" / f"cam{camera}" / "sensor.yaml"
+            path.write_text(f"{path.read_text()}bits: {bits}\n")
 
 
-def tell_bits(folder: Path, bits: object, cameras: tuple[int, ...] = (0, 1)) -> None:
-    for camera in cameras:
-        path = folder / "mav0" / f"cam{camera}" / "sensor.yaml"
-        path.write_text(f"{path.read_text()}bits: {bits}\n")
-
-
-def write_12_bits(folder: Path, divisor: int) -> None:
-    """The images, darkened, as a 12-bit sensor writes them."""
-    for camera in (0, 1):
-        for k in range(COUNT):
-            path = image_of(folder, camera, k)
-            codes = np.asarray(Image.open(path)).astype(np.uint16) * np.uint16(16)
-            write_png(path, codes // np.uint16(divisor))
-
-
-def test_a_dark_12_bit_sequence_that_tells_its_depth_is_not_taken_for_a_10_bit_one(
-    small_sequence: Path,
+def test_sixteen_bit_images_are_scaled_by_one_factor_for_the_whole_sequence(
+    small_sequence: Path, tmp_path: Path
 ) -> None:
-    grey = np.asarray(Image.open(image_of(small_sequence, 0, 2)))
-    write_12_bits(small_sequence, divisor=8)
-    np.testing.assert_array_equal(open_sequence(small_sequence).read_pair(2).left, grey // 2)
-    tell_bits(small_sequence, 12)
-    np.testing.assert_array_equal(open_sequence(small_sequence).read_pair(2).left, grey // 8)
+    grey = [np.asarray(Image.open(image_of(small_sequence, 0, k))) for k in (0, 1)]
+    dark = Path(shutil.copytree(small_sequence, tmp_path / "dark"))
+    # only some frames reach the upper half
+    write_12_bits(small_sequence, lambda k: 1 if k else 4)
+    sequence = open_sequence(small_sequence)
+    np.testing.assert_array_equal(sequence.read_pair(1).left, grey[1])
+    np.testing.assert_array_equal(sequence.read_pair(0).left, grey[0] // 4)
+    # a dark 12-bit sequence that tells its depth is not taken for a 10-bit one
+    write_12_bits(dark, lambda k: 8, bits=12)
+    np.testing.assert_array_equal(open_sequence(dark).read_pair(1).left, grey[1] // 8)
 
 
 def test_colours_other_names_comments_blank_lines_folders_and_links_are_read(small_sequence: Path) -> None:
@@ -202,9 +199,7 @@ def test_inspector_poses_are_interpolated_and_composed_with_the_camera(small_seq
     assert (sequence.sigma_camera_p_m, sequence.sigma_camera_theta_rad) == (1e-3, 2e-3)
 
 
-def test_an_inspector_that_stands_still_does_not_move_and_a_missing_pose_is_interpolated(
-    small_sequence: Path,
-) -> None:
+def test_a_still_inspector_does_not_move_and_a_missing_pose_is_interpolated(small_sequence: Path) -> None:
     X_NB = np.tile(make_pose(exp_so3([0.4, 0.0, 0.0]), [1.0, 2.0, 3.0]), (COUNT, 1, 1))
     write_inspector(small_sequence / "mav0", np.array(STAMPS), X_NB)
     (small_sequence / "mav0" / "inspector0" / "sensor.yaml").unlink()
@@ -239,19 +234,16 @@ def rewrite(name: str, content: str | bytes) -> Damage:
 
 def put(name: str, what: str) -> Damage:
     """Something that is no regular file in the place of a file."""
+    make = {
+        "a device": lambda path: path.symlink_to("/dev/zero"), "a pipe": os.mkfifo, "a folder": Path.mkdir,
+        "a socket": lambda path: os.mknod(path, stat.S_IFSOCK | 0o600),
+    }[what]  # fmt: skip
 
     def damage(folder: Path) -> None:
         path = folder / "mav0" / name
         path.parent.mkdir(exist_ok=True)
         path.unlink(missing_ok=True)
-        if what == "a device":
-            path.symlink_to("/dev/zero")
-        elif what == "a pipe":
-            os.mkfifo(path)
-        elif what == "a folder":
-            path.mkdir()
-        else:
-            os.mknod(path, stat.S_IFSOCK | 0o600)
+        make(path)
 
     return damage
 
@@ -310,11 +302,6 @@ def with_inspector(damage: Damage) -> Damage:
     return both
 
 
-def too_few_bits(folder: Path) -> None:
-    write_12_bits(folder, divisor=1)
-    tell_bits(folder, 10)
-
-
 def sensor(key: str, value: object, cameras: tuple[int, ...] = (0, 1)) -> Damage:
     """Another value of a key of sensor.yaml."""
 
@@ -339,29 +326,19 @@ BAD: dict[str, tuple[Damage, str]] = {
     "empty calibration": (rewrite(CAM0, ""), "has no keys"),
     "broken yaml": (rewrite(CAM0, "a: [1\nb: 2"), "sensor.yaml line 2: not valid YAML"),
     "no intrinsics": (replace(CAM0, "intrinsics", "intrinsic"), "lacks the key 'intrinsics'"),
-    "no pose": (replace(CAM0, "T_BS", "T_SB"), "lacks the key 'T_BS'"),
     "no distortion": (replace(CAM1, "distortion_model", "model"), "lacks the key 'distortion_model'"),
     "unknown lens": (sensor("distortion_model", "double-sphere"), "'double-sphere' is not supported"),
     "nan intrinsics": (replace(CAM0, "[50.0", "[.nan"), "'intrinsics': contains NaN or infinity"),
-    "nan as text": (replace(CAM0, "[50.0", "[NaN"), "'intrinsics': contains NaN or infinity"),
-    "nan pose": (replace(CAM1, "0.09", ".nan"), "'T_BS': contains NaN or infinity"),
-    "nan distortion": (replace(CAM1, "-0.1", ".nan"), "'distortion_coefficients': contains NaN"),
-    "words": (replace(CAM0, "[50.0", "[wide"), "'intrinsics': expected a list of numbers"),
-    "three intrinsics": (replace(CAM0, "[50.0, ", "["), "3 numbers, expected 4"),
     "negative focal": (replace(CAM0, "[50.0", "[-50.0"), "focal lengths must be positive"),
     "no rotation": (replace(CAM0, IDENTITY, ROTATED), "'T_BS': not a rigid transform"),
     "no baseline": (replace(CAM1, "0.09", "0.0"), "coincide"),
     "a fisheye with five coefficients": (
         lambda folder: (sensor("distortion_model", "fisheye")(folder), sensor(DIST, [0.1] * 5)(folder))[1],
         "distortion_coefficients': 5 numbers, expected 4"),
-    "bits as words": (lambda folder: tell_bits(folder, "many"), "key 'bits': expected the depth"),
-    "one camera tells bits": (lambda folder: tell_bits(folder, 12, (1,)), "cam0 and cam1 differ, None and"),
-    "too few bits": (too_few_bits, "is above 10 bits: correct 'bits' in sensor.yaml"),
+    "one camera tells bits": (sensor("bits", 12, (1,)), "cam0 and cam1 differ, None and"),
+    "too few bits": (lambda folder: write_12_bits(folder, lambda k: 1, 10), "is above 10 bits: correct"),
     "no list": (remove("mav0", "cam0", "data.csv"), "data.csv is missing"),
-    "empty list": (rewrite("cam0/data.csv", ""), "data.csv is empty"),
-    "header only": (rewrite("cam1/data.csv", rows([])), "data.csv is empty"),
     "time goes back": (rewrite("cam0/data.csv", rows(STAMPS[:3] + STAMPS[1:])), "line 5: timestamp"),
-    "time repeats": (rewrite("cam1/data.csv", rows([*STAMPS, STAMPS[-1]])), "line 8: timestamp"),
     "time in seconds": (rewrite("cam1/data.csv", "1.5,a.png\n"), "not a whole number of nanoseconds"),
     "most images lost": (damage_images(4), "4 of 6 frames are missing, unpaired or unreadable"),
     "all of wrong size": (write_all(lambda: np.full((10, 10), 99, np.uint8), (0,)), "wrong size, 10x10 px"),
@@ -374,32 +351,21 @@ BAD: dict[str, tuple[Damage, str]] = {
     "inspector ends early": (inspector(STAMPS[:3]), "does not cover 2 of 6 frames"),
     "inspector starts late": (inspector(STAMPS[4:]), "does not cover 3 of 6 frames"),
     "inspector not unit": (inspector(STAMPS, "1.0,0.0,0.0,0.0", "1.0,1.0,0.0,0.0"), "not a unit quaternion"),
-    "inspector short rows": (inspector(STAMPS, ",0.0,0.0,0.0", ""), "line 2: 5 columns, expected 8"),
-    "inspector empty": (inspector([]), "data.csv is empty"),
     "inspector at 1e300": (inspector(STAMPS, "0.625", "1e300"), "1e+300 is no value of a coordinate"),
-    "inspector turned by 1e300": (inspector(STAMPS, "1.0,0.0,0.0,0.0", "1e300,0,0,0"), "is no value of"),
     "negative sigma": (with_inspector(rewrite("inspector0/sensor.yaml", "sigma_p_m: -1")), "is negative"),
     "sigma 1e9": (with_inspector(rewrite("inspector0/sensor.yaml", "sigma_p_m: 1.0e+9")), "poses say noth"),
     # no lens has these
-    "focal length 1e300": (sensor("intrinsics", [1e300, 1e300, 32, 24]), "focal lengths 1e+300"),
     "focal length 1e-3": (sensor("intrinsics", [0.001, 50, 32, 24]), "expected 1.28 to 640000 px"),
     "pixels 100 times as wide as high": (sensor("intrinsics", [50, 5000, 32, 24]), "differ by more than"),
     "principal point 1e300": (sensor("intrinsics", [50, 50, 1e300, 24]), "principal point (1e+300"),
-    "principal point in 1e5": (sensor("intrinsics", [50, 50, 32, -1e5]), "more than 10 images away"),
-    "whole number of 60 digits": (sensor("intrinsics", [50, 50, 10**60 - 1, 24]), "principal point"),
     "resolution 0": (sensor("resolution", [0, 48]), "expected [width, height] in whole pixels"),
-    "resolution 8": (sensor("resolution", [64, 8]), "64x8 px; sides may have 16 to 32000"),
     "resolution 1e5": (sensor("resolution", [100000, 48]), "sides may have 16 to 32000"),
     "resolution 1e8": (sensor("resolution", [10000, 10000]), "the image 64 million"),
-    "resolution 1e300": (sensor("resolution", [1e300, 1e300]), "key 'resolution'"),
     "distortion 1e300": (sensor(DIST, [1e300, 0, 0, 0]), "is above 1e+07"),
     "T_BS 1e300": (sensor("T_BS", [[1e300] * 4] * 4), "'T_BS': 1e+300 is above 10000"),
     "T_BS of zeros": (sensor("T_BS", [0.0] * 16), "'T_BS': not a rigid transform"),
-    "baseline 1e9": (replace(CAM1, "0.09", "1.0e+9"), "'T_BS': 1e+09 is above 10000"),
     "bits 1e9": (sensor("bits", 10**9), "8 to 16, got 1000000000"),
-    "bits a list": (sensor("bits", [0] * 1000), "key 'bits'"),
     "model a list": (sensor("camera_model", [0] * 1000), "is not supported; use pinhole"),
-    "distortion model a list": (sensor("distortion_model", [0] * 1000), "is not supported"),
     # hostile
     "a device as list": (put("cam0/data.csv", "a device"), "data.csv is a device: give a regular file"),
     "a pipe as calibration": (put(CAM1, "a pipe"), "sensor.yaml is a pipe: give a regular file"),
@@ -409,7 +375,6 @@ BAD: dict[str, tuple[Damage, str]] = {
         "sensor.yaml is a device: give a regular file"),
     "endless aliases": (rewrite(CAM0, "a: &a [*a]"), "sensor.yaml line 1: alias 'a' stands"),
     "UTF-16 list": (rewrite("cam0/data.csv", rows(STAMPS).encode("utf-16")), "not UTF-8 text"),
-    "UTF-16 calibration": (rewrite(CAM0, "a: 1".encode("utf-16")), "is UTF-16 text"),
     "absolute path": (rewrite("cam0/data.csv", f"{STAMPS[0]},/etc/passwd\n"),
         "data.csv line 1: the name '/etc/passwd' leads out of the dataset"),
     "key twice": (replace(CAM0, "intrinsics", "resolution"), "key 'resolution' is given twice"),
@@ -433,8 +398,8 @@ def test_a_sequence_that_is_mostly_missing_or_damaged_is_not_read_to_its_end(
     damage_images(5)(small_sequence)
     assert "at least 4 of 6 frames are missing, unpaired or unreadable" in message_of(small_sequence)
     for camera in (0, 1):
-        write_camera_csv(small_sequence / "mav0" / f"cam{camera}", [START_NS + k for k in range(200_000)])
-    assert "199999 of 200000 frames are missing" in message_of(small_sequence)
+        write_camera_csv(small_sequence / "mav0" / f"cam{camera}", [START_NS + k for k in range(2000)])
+    assert "1999 of 2000 frames are missing" in message_of(small_sequence)
 
 
 @pytest.mark.parametrize("camera", [0, 1])

@@ -10,6 +10,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from polhode.geometry.lie import exp_so3, make_pose
+from polhode.records.dataset import read_wrench
 from polhode.records.dataset_writer import write_sensor, write_truth, write_wrench
 from polhode.records.read_truth import read_truth
 from polhode.records.rig_calibration import read_calibration
@@ -62,18 +63,31 @@ def test_truth_reads_back_equal(tmp_path: Path) -> None:
         read_truth(tmp_path / "mav0")
 
 
-def test_a_wrench_is_written_with_its_frames_and_units(tmp_path: Path) -> None:
-    stamps = 1_600_000_000_000_000_001 + 50_000_000 * np.arange(2, dtype=np.int64)
-    write_wrench(
-        tmp_path / "mav0", stamps, np.array([[1, 2, 3], [0, 0, 1e-3]]), np.array([[4, 5, 6], [0, 0.1, 0]])
-    )
-    lines = (tmp_path / "mav0" / "wrench0" / "data.csv").read_text().splitlines()
-    assert lines == [
+def test_a_wrench_reads_back_equal_and_a_bad_one_is_told_in_a_line(tmp_path: Path) -> None:
+    stamps = 1_600_000_000_000_000_001 + 50_000_000 * np.arange(6, dtype=np.int64)
+    force_N, torque_P = np.array([[1, 2, 3], [0, 0, 1e-3]]), np.array([[4, 5, 6], [0, 0.1, 0]])
+    write_wrench(tmp_path, stamps[:2], force_N, torque_P)
+    file = tmp_path / "wrench0" / "data.csv"
+    assert file.read_text().splitlines() == [
         "#timestamp [ns],force_N_x [N],force_N_y [N],force_N_z [N],"
         "torque_P_x [N m],torque_P_y [N m],torque_P_z [N m]",
         "1600000000000000001,1.0,2.0,3.0,4.0,5.0,6.0",
         "1600000000050000001,0.0,0.0,0.001,0.0,0.1,0.0",
     ]
+    wrench = read_wrench(file.parent, stamps)
+    np.testing.assert_array_equal(wrench.time_ns, stamps[:2])
+    np.testing.assert_array_equal(wrench.force_N, force_N)
+    np.testing.assert_array_equal(wrench.torque_P, torque_P)
+    for text, message in (
+        ("#only a header", "is empty"), ("1,0,0,0,0,0", "6 columns, expected 7"),
+        ("1,0,0,0,0,0,nan", "NaN or infinity"), ("1,0,0,x,0,0,0", "not a number"),
+        ("2,0,0,0,0,0,0\n2,0,0,0,0,0,0", "repeats"), ("1,0,0,1e300,0,0,0", "is no value of a force"),
+        (f"{stamps[-1] + 1},0,0,0,0,0,0", "is after the last frame"),
+    ):  # fmt: skip
+        file.write_text(text)
+        with pytest.raises(InputError, match=message) as caught:
+            read_wrench(file.parent, stamps)
+        assert "\n" not in str(caught.value) and str(file) in str(caught.value)
 
 
 def test_calibration_reads_back_equal_in_euroc_keys(tmp_path: Path) -> None:
@@ -91,15 +105,11 @@ def test_calibration_reads_back_equal_in_euroc_keys(tmp_path: Path) -> None:
     assert sensor["resolution"] == [640, 480]
     assert sensor["distortion_model"] == "radial-tangential"
     assert "bits" not in sensor
-
-
-def test_rounding_in_a_pose_is_forgiven_and_made_exact(tmp_path: Path) -> None:
-    X_BC = make_pose(exp_so3([0.3, -0.2, 0.1]), [0.0, 0.0, 0.0])
+    # rounding in a pose is forgiven and made exact
     for index in (0, 1):
-        X_BC[0, 3] = 0.1 * index
-        rounded = np.round(X_BC, 4)
+        rounded = np.round(poses[index], 4)
         write_sensor(tmp_path / f"cam{index}", K_640, np.zeros(4), rounded, 640, 480, rate_hz=2.0, bits=10)
     assert read_calibration(tmp_path).bits == 10
     R = read_calibration(tmp_path).X_BC0[:3, :3]
     np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)
-    np.testing.assert_allclose(R, X_BC[:3, :3], atol=1e-4)
+    np.testing.assert_allclose(R, poses[0][:3, :3], atol=1e-4)

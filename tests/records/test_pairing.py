@@ -37,37 +37,25 @@ def test_lost_frames_and_jitter_never_pair_what_does_not_belong_together(
     assert both - len(pairing.left) <= (0 if both > 0.5 * max(len(left), len(right)) else both)
 
 
-def test_what_is_beyond_the_tolerance_stays_alone() -> None:
+def test_tolerances_given_offsets_single_frames_and_none() -> None:
     right = LEFT.copy()
     right[7] += 6_000_000
     pairing = pair_by_time(LEFT, right)
     assert pairing.tolerance_ns == 5_000_000 and 7 not in pairing.left and len(pairing.left) == 19
     assert pairing.nearest_ns[7] == 6_000_000
     assert len(pair_by_time(LEFT, right, tolerance_ns=6_000_000).left) == 20
-
-
-def test_a_given_offset_replaces_the_one_found() -> None:
     pairing = pair_by_time(LEFT, LEFT + 3 * STEP_NS, offset_ns=3 * STEP_NS)
     np.testing.assert_array_equal(pairing.left, pairing.right)
     assert len(pairing.left) == 20
     shifted = pair_by_time(LEFT, LEFT + 3 * STEP_NS)
     assert shifted.offset_ns == 0 and len(shifted.left) == 17
-
-
-def test_single_frames_and_none() -> None:
     assert len(pair_by_time(LEFT[:1], LEFT[:1]).left) == 1
     assert len(pair_by_time(LEFT[:1], LEFT[:1] + 5).left) == 0
     assert len(pair_by_time(LEFT[:0], LEFT).left) == len(pair_by_time(LEFT, LEFT[:0]).left) == 0
 
 
-@pytest.mark.parametrize(
-    ("time_ns", "text"),
-    [(4_000, "4 us"), (-12_500_000, "12.5 ms"), (2e8, "0.2 s"), (20, "20 ns"), (3e10, "30 s")],
-)
-def test_times_in_words(time_ns: float, text: str) -> None:
-    assert time_in_words(time_ns) == text
-
-
-def test_the_offset_in_words() -> None:
+def test_times_and_offsets_in_words() -> None:
+    times = {4_000: "4 us", -12_500_000: "12.5 ms", 2e8: "0.2 s", 20: "20 ns", 3e10: "30 s"}
+    assert {time_ns: time_in_words(time_ns) for time_ns in times} == times
     text = "the stamps of cam1 are 0.2 s (0.4 frames) before those of cam0"
     assert offset_in_words(-200_000_000, STEP_NS) == text

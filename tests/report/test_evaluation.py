@@ -77,28 +77,8 @@ def test_the_truth_scores_zero_in_another_frame_G(example: Example, sequence: Pa
     assert "0.83 to 12.8" in line
 
 
-def test_nothing_is_written_where_the_report_cannot_be_made(
-    example: Example, sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = write_example(example, example.estimate, tmp_path / "run")
-    (run / "pictures").mkdir(exist_ok=True)
-    (run / "pictures" / "captions.json").write_text('{"00.png": "hal')
-    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
-    assert main(["evaluate", str(run), str(sequence)]) == 2
-    printed = capsys.readouterr()
-    assert "captions.json" in printed.err and "rmse" not in printed.out
-    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
-    # once they are mended, table, metrics and report appear together, whatever metrics were there
-    (run / "pictures" / "captions.json").write_text("{}")
-    (run / "metrics.json").write_text('{"rmse')
-    assert main(["evaluate", str(run), str(sequence)]) == 0
-    assert "rmse_position_m" in capsys.readouterr().out
-    assert "rmse_position_m" in (run / "metrics.json").read_text()
-    assert "Against the truth" in (run / "report.html").read_text()
-
-
 def test_an_offset_centre_of_mass_shows_in_com_and_position_not_in_the_mesh(
-    example: Example, sequence: Path, tmp_path: Path
+    example: Example, sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     true = example.estimate
     offset_P = np.array([1e-3, 2e-3, -2e-3])
@@ -107,22 +87,31 @@ def test_an_offset_centre_of_mass_shows_in_com_and_position_not_in_the_mesh(
         r_N=true.r_N + true.R_NP @ offset_P,
         mass=replace(true.mass, com_G=true.mass.com_G + true.mass.R_GP @ offset_P),
     )
-    metrics = evaluate(write_example(example, wrong, tmp_path / "run"), sequence)
+    run = write_example(example, wrong, tmp_path / "run")
+    metrics = evaluate(run, sequence)
+    assert "truth_in_interval" not in metrics
     assert metrics["error_com_mm"] == pytest.approx(3.0, rel=1e-6)
     assert metrics["rmse_position_m"] == pytest.approx(3e-3, rel=1e-6)
     assert metrics["nees"]["com"] == pytest.approx(9e-6 / 1e-7, rel=1e-6)
     assert metrics["mesh"]["chamfer_mm"] < 2e-3
-
-
-def test_an_undetermined_run_has_no_nees_where_it_knows_nothing(
-    undetermined: Example, sequence: Path, tmp_path: Path
-) -> None:
-    metrics = evaluate(write_example(undetermined, undetermined.estimate, tmp_path / "run"), sequence)
-    assert metrics["nees"]["inertia"] is None
-    assert metrics["nees"]["com"] is None
-    assert metrics["coverage_3sigma_constants"]["inertia"] is None
-    assert metrics["nees"]["attitude"] is None
-    assert metrics["nees"]["angular_velocity"] < 1e-6
+    # a run without a mesh is evaluated all the same, and written only with its report
+    (run / "mesh.ply").unlink()
+    (run / "pictures").mkdir(exist_ok=True)
+    (run / "pictures" / "captions.json").write_text('{"00.png": "hal')
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    assert main(["evaluate", str(run), str(sequence)]) == 2
+    printed = capsys.readouterr()
+    assert "captions.json" in printed.err and "rmse" not in printed.out
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+    (run / "pictures" / "captions.json").write_text("{}")
+    (run / "metrics.json").write_text('{"rmse')
+    assert main(["evaluate", str(run), str(sequence)]) == 0
+    printed = capsys.readouterr()
+    assert "rmse_position_m" in printed.out and "not available" in printed.out
+    assert "rmse_position_m" in (run / "metrics.json").read_text()
+    assert "Against the truth" in (run / "report.html").read_text()
+    with pytest.raises(InputError, match="target0 is missing"):
+        evaluate(run, tmp_path)
 
 
 def test_of_each_interval_is_said_whether_the_truth_is_inside(
@@ -138,29 +127,12 @@ def test_of_each_interval_is_said_whether_the_truth_is_inside(
     metrics = evaluate(run, sequence)
     expected = {"k1": True, "k2": False, "com_y": False, "com_z": True, "com_G": True}
     assert metrics["truth_in_interval"] == expected
+    # what is undetermined has no NEES
+    assert metrics["nees"]["inertia"] is metrics["nees"]["com"] is metrics["nees"]["attitude"] is None
+    assert metrics["coverage_3sigma_constants"]["inertia"] is None
+    assert metrics["nees"]["angular_velocity"] < 1e-6
     line = next(each for each in format_table(metrics).splitlines() if "truth_in_interval k2" in each)
     assert re.findall(r"True|False", line) == ["False", "True"]
-    write_evaluation(run, metrics)
-    assert "truth_in_interval" not in evaluate(
-        write_example(undetermined, undetermined.estimate, tmp_path / "without"), sequence
-    )
-
-
-def test_a_run_without_a_mesh_is_evaluated_all_the_same(
-    example: Example, sequence: Path, tmp_path: Path
-) -> None:
-    run = write_example(example, example.estimate, tmp_path / "run")
-    (run / "mesh.ply").unlink()
-    metrics = evaluate(run, sequence)
-    assert metrics["mesh"] is None
-    assert "not available" in format_table(metrics)
-
-
-def test_a_sequence_without_truth_is_refused(example: Example, tmp_path: Path) -> None:
-    run = write_example(example, example.estimate, tmp_path / "run")
-    (tmp_path / "sequence" / "mav0").mkdir(parents=True)
-    with pytest.raises(InputError, match="target0 is missing"):
-        evaluate(run, tmp_path / "sequence")
 
 
 @pytest.mark.parametrize("name", FORMS)

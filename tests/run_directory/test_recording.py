@@ -34,17 +34,12 @@ def _left(sequence: Path) -> list[Path]:
     return sorted((sequence / "mav0" / "cam0" / "data").iterdir())
 
 
-def test_the_first_the_middle_and_the_last_image_are_recorded(
-    recording: Recording, small_sequence: Path
-) -> None:
-    stamps = open_sequence(small_sequence).timestamps_ns.tolist()
-    found = [image.timestamp_ns for image in recording.left_images]
-    assert found == [stamps[0], stamps[(len(stamps) - 1) // 2], stamps[-1]]
-
-
 def test_a_corrected_calibration_images_encoded_anew_and_another_decoder_are_the_same(
     recording: Recording, copied: Path
 ) -> None:
+    stamps = open_sequence(copied).timestamps_ns.tolist()
+    found = [image.timestamp_ns for image in recording.left_images]
+    assert found == [stamps[0], stamps[(len(stamps) - 1) // 2], stamps[-1]]
     images = tuple(image.model_copy(update={"pixels_sha256": 64 * "0"}) for image in recording.left_images)
     require_recording(recording.model_copy(update={"left_images": images}), copied)
     file = copied / "mav0" / "cam0" / "sensor.yaml"

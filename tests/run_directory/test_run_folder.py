@@ -95,33 +95,6 @@ def test_the_folder_appears_only_when_it_is_complete(empty: bool, example: Any, 
     assert (logger.level, list(logger.handlers)) == before
 
 
-@pytest.mark.parametrize(
-    ("overwrite", "words"), [(False, "--overwrite"), (False, "not a run"), (True, "not a run")]
-)
-def test_a_folder_in_use_is_refused_at_once_in_one_line(
-    overwrite: bool, words: str, example: Any, tmp_path: Path
-) -> None:
-    target = tmp_path / "run"
-    target.mkdir()
-    (target / "notes.txt").write_text("mine")
-    if words == "--overwrite":
-        _finish(target, example)
-    before = sorted(entry.name for entry in target.iterdir())
-    with pytest.raises(InputError, match=words) as caught, _writing(target, overwrite):
-        pass
-    assert "\n" not in str(caught.value)
-    assert sorted(entry.name for entry in target.iterdir()) == before
-    assert _leftovers(tmp_path) == []
-
-
-def test_a_file_in_the_way_is_refused_even_with_overwrite(tmp_path: Path) -> None:
-    (tmp_path / "run").write_text("mine")
-    for place, words in ((tmp_path / "run", "this is a file"), (tmp_path / "run" / "a", "cannot write here")):
-        with pytest.raises(InputError, match=words), _writing(place, overwrite=True):
-            pass
-    assert (tmp_path / "run").read_text() == "mine"
-
-
 def test_overwriting_replaces_the_whole_run_and_only_at_the_end(example: Any, tmp_path: Path) -> None:
     target = tmp_path / "run"
     _good(target, example, "the first")
@@ -139,7 +112,6 @@ def test_overwriting_replaces_the_whole_run_and_only_at_the_end(example: Any, tm
     ("name", "remedy"),
     [
         ("mesh.ply", "; move it, or choose another folder"),
-        ("landmarks.ply", "; move it, or choose another folder"),
         ("config.yaml", "so it stays; choose another folder"),
     ],
 )
@@ -203,14 +175,10 @@ def test_a_failed_run_leaves_what_it_found_and_says_why(example: Any, tmp_path: 
         _run(tmp_path / "bare", solve, RunFailure("no surface"), write_report=broken)
     assert (tmp_path / "bare" / "trajectory.csv").is_file()
     assert read_summary(tmp_path / "bare").status == "failed"
-
-
-def test_a_failed_run_with_nothing_found_does_not_cost_the_old_one(example: Any, tmp_path: Path) -> None:
-    _good(tmp_path / "run", example, "the first")
-    with pytest.raises(RunFailure, match=r"nothing was found; .*run still holds the run before"):
-        _run(tmp_path / "run", lambda folder: write_config(folder, Config()), RunFailure("black"), True)
-    assert _warnings(tmp_path / "run") == ["the first"]
-    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    # one with nothing found does not cost the old one
+    with pytest.raises(RunFailure, match=r"nothing was found; .*late still holds the run before"):
+        _run(tmp_path / "late", lambda folder: write_config(folder, Config()), RunFailure("black"), True)
+    assert _warnings(tmp_path / "late")[0] == "the grid is too large"
 
 
 @pytest.mark.parametrize("error", [InputError("no images"), KeyboardInterrupt()])
@@ -253,16 +221,12 @@ def test_a_failed_run_replaces_a_failed_one_and_a_good_one_only_when_told_to(
     assert new.published == failed and "still holds" in new.note and _warnings(run) == ["good"]
     line = _failing(run, example, even_if_failed=True)
     assert read_summary(run).status == "failed" and line.endswith(str(run / "report.html"))
-
-
-def test_a_folder_that_happens_to_have_the_name_of_a_failed_run_is_left_alone(
-    example: Any, tmp_path: Path
-) -> None:
-    _good(tmp_path / "run", example)
-    (tmp_path / "run.failed").mkdir()
-    (tmp_path / "run.failed" / "thesis.txt").write_text("mine")
-    assert str(tmp_path / "run.failed-2") in _failing(tmp_path / "run", example)
-    assert [path.name for path in (tmp_path / "run.failed").iterdir()] == ["thesis.txt"]
+    # a folder that happens to have the name of a failed run is left alone
+    _good(tmp_path / "other", example)
+    (tmp_path / "other.failed").mkdir()
+    (tmp_path / "other.failed" / "thesis.txt").write_text("mine")
+    assert str(tmp_path / "other.failed-2") in _failing(tmp_path / "other", example)
+    assert [path.name for path in (tmp_path / "other.failed").iterdir()] == ["thesis.txt"]
 
 
 def test_a_full_disk_leaves_the_old_run_and_names_what_was_found(
@@ -288,13 +252,6 @@ def test_a_full_disk_leaves_the_old_run_and_names_what_was_found(
     assert _warnings(tmp_path / "run") == ["good"]
     _good(tmp_path / "run", example, "better")
     assert _warnings(tmp_path / "run") == ["better"] and _leftovers(tmp_path) == []
-
-
-@pytest.mark.parametrize("missing", ["config.yaml", "trajectory.csv", "covariance.npz"])
-def test_a_summary_alone_does_not_make_a_folder_a_run(missing: str, example: Any, tmp_path: Path) -> None:
-    _good(tmp_path / "run", example)
-    (tmp_path / "run" / missing).unlink()
-    _refused(tmp_path / "run", example, "not a run")
 
 
 def test_a_summary_that_lies_removes_nothing_but_files_of_a_run(example: Any, tmp_path: Path) -> None:
@@ -332,41 +289,37 @@ def test_a_summary_that_lies_removes_nothing_but_files_of_a_run(example: Any, tm
     assert (run / "notes.txt").read_text() == (run / "mine" / "mesh.ply").read_text() == "mine"
 
 
-def test_links_and_folders_with_the_names_of_results_are_refused(example: Any, tmp_path: Path) -> None:
-    run = tmp_path / "run"
+def test_what_only_looks_like_a_run_or_its_results_is_refused_and_the_rest_stays(
+    example: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    run, other = tmp_path / "run", r"is not of the run there"
     _good(run, example)
+    # a summary alone makes no run; names that other programs use are ours by their content
+    for name, words in (
+        ("config.yaml", "not a run"), ("trajectory.csv", "not a run"), ("covariance.npz", "not a run"),
+        ("report.html", f"report.html {other}"),
+    ):  # fmt: skip
+        content = (run / name).read_bytes()
+        (run / name).unlink() if name != "report.html" else (run / name).write_text("mine: 1")
+        _refused(run, example, words)
+        (run / name).write_bytes(content)
+    (run / "config.yaml").write_text("mine: 1")
+    (run / "thesis.tex").write_text("mine")
+    _refused(run, example, r"not a run.*never deleted \(thesis.tex\)")
+    (run / "config.yaml").unlink()
+    (run / "thesis.tex").unlink()
+    write_config(run, Config())
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "captions.json").write_text("mine")
     (run / "pictures").symlink_to(tmp_path / "elsewhere")
-    _refused(run, example, r"pictures is not of the run there")
+    _refused(run, example, f"pictures {other}")
     (run / "pictures").unlink()
     (run / "mesh.ply").mkdir()
-    _refused(run, example, r"mesh.ply is not of the run there")
+    _refused(run, example, f"mesh.ply {other}")
     assert (tmp_path / "elsewhere" / "captions.json").read_text() == "mine"
-
-
-def test_files_that_stay_are_told_in_one_line(
-    example: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    _good(tmp_path / "run", example)
+    (run / "mesh.ply").rmdir()
     for name in ("notes.txt", "other.txt", os.fsdecode(b"\xff.txt")):
-        (tmp_path / "run" / name).write_text("mine")
-    _good(tmp_path / "run", example)
+        (run / name).write_text("mine")
+    _good(run, example)
     (line,) = [each.getMessage() for each in caplog.records if "stays" in each.getMessage()]
-    assert line == f"{tmp_path / 'run'}: notes.txt and 2 more: not of the run, stays there"
-
-
-@pytest.mark.parametrize("name", ["config.yaml", "report.html"])
-def test_names_that_other_programs_use_are_ours_by_their_content(
-    name: str, example: Any, tmp_path: Path
-) -> None:
-    _good(tmp_path / "run", example)
-    (tmp_path / "run" / name).write_text("mine: 1")
-    _refused(tmp_path / "run", example, r"not a run|report.html is not of the run there")
-
-
-def test_the_line_names_a_file_of_the_user(example: Any, tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir()
-    for name in ("config.yaml", "thesis.tex", "summary.json"):
-        (tmp_path / "run" / name).write_text("{}")
-    _refused(tmp_path / "run", example, r"never deleted \(thesis.tex\)")
+    assert line == f"{run}: notes.txt and 2 more: not of the run, stays there"

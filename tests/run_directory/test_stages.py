@@ -45,7 +45,9 @@ def files(folder: Path) -> list[Path]:
     return sorted(folder.rglob("*.npz"))
 
 
-def test_a_stage_is_computed_once_for_the_same_inputs(tmp_path: Path) -> None:
+def test_a_stage_is_computed_once_for_the_same_inputs_and_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     values = np.arange(4.0)
     results = [squares(StageStore(tmp_path), values, 2.0) for _ in range(2)]
     assert calls == [2.0]
@@ -53,22 +55,13 @@ def test_a_stage_is_computed_once_for_the_same_inputs(tmp_path: Path) -> None:
     squares(StageStore(tmp_path), values, 3.0)
     squares(StageStore(tmp_path), values + 1.0, 3.0)
     squares(StageStore(tmp_path, "4 threads"), values, 3.0)
-    assert calls == [2.0, 3.0, 3.0, 3.0]
-
-
-def test_another_program_computes_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    squares(StageStore(tmp_path), np.ones(2), 2.0)
     monkeypatch.setattr(stages_module, "program_digest", lambda: "of a later version")
-    squares(StageStore(tmp_path), np.ones(2), 2.0)
-    assert calls == [2.0, 2.0]
-
-
-def test_without_a_folder_nothing_is_kept_and_the_result_has_the_same_layout() -> None:
-    values = np.asfortranarray(np.ones((2, 3)))
-    store = StageStore()
+    squares(StageStore(tmp_path), values, 2.0)
+    assert calls == [2.0, 3.0, 3.0, 3.0, 2.0]
+    # without a folder nothing is kept, and the result has the same layout
     for _ in range(2):
-        assert squares(store, values, 2.0).values.flags.c_contiguous
-    assert calls == [2.0, 2.0]
+        assert squares(StageStore(), np.asfortranarray(np.ones((2, 3))), 2.0).values.flags.c_contiguous
+    assert calls[-2:] == [2.0, 2.0] and len(calls) == 7
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "other"])
@@ -133,24 +126,19 @@ def opened(stages: KeptStages, recording: Recording | None = None) -> StageStore
     return stages.open(recording or RECORDING, None, Path("sequence"), "kept", "")
 
 
-def test_a_resumed_run_keeps_what_it_uses(tmp_path: Path) -> None:
-    store = opened(kept(tmp_path, False))
+def test_a_resumed_run_keeps_what_it_uses_and_a_published_one_its_results(tmp_path: Path) -> None:
+    store, published = opened(kept(tmp_path, False)), tmp_path / "RUN" / "stages"
     for power in (2.0, 3.0):
         squares(store, np.ones(2), power)
+    squares(StageStore(published), np.ones(2), 4.0)
     again = kept(tmp_path, True)
-    squares(opened(again), np.ones(2), 3.0)
-    assert calls == [2.0, 3.0]
+    resumed = opened(again)
+    squares(resumed, np.ones(2), 3.0)
+    squares(resumed, np.ones(2), 4.0)
+    assert calls == [2.0, 3.0, 4.0]
     again.finish()
-    assert len(files(again.folder)) == 1
+    assert len(files(again.folder)) == 2 and len(files(published)) == 1
     assert not (again.folder / "earlier").exists()
-
-
-def test_results_of_a_published_run_are_used_and_stay_there(tmp_path: Path) -> None:
-    published = tmp_path / "RUN" / "stages"
-    squares(StageStore(published), np.ones(2), 2.0)
-    squares(opened(kept(tmp_path, True)), np.ones(2), 2.0)
-    assert calls == [2.0]
-    assert len(files(published)) == 1
 
 
 def test_results_of_another_recording_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,6 @@
 """summary.json: fits its schema, speaks of what is undetermined with null, and gives the right status."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from polhode.runtime.errors import InputError
 CONTRACT_KEYS = {
     *("schema", "status", "warnings", "frames", "frames_used", "landmarks", "observations", "duration_s"),
     *("timing_s", "inertia", "identifiable", "identifiable_detail", "com_G", "cov_com_G", "R_GP", "cov_R_GP"),
-    *("solver", "noise"),
+    *("solver", "noise", "verdict", "intervals"),
 }
 
 
@@ -60,19 +59,13 @@ def test_every_kind_of_summary_fits_the_schema_and_nothing_else(
         for change in ({"status": "fine"}, {"com_G": [0.0, 0.0]}, {"frames": -1}, {"surprise": 1}):
             with pytest.raises(ValidationError):
                 validator.validate(content | change)
-
-
-def test_the_numbers_are_those_of_the_estimate(example: Any) -> None:
-    summary, mass = _summary(example), example.estimate.mass
-    assert summary.status == "ok" and summary.warnings == []
-    assert summary.inertia is not None and summary.com_G is not None and summary.R_GP is not None
-    assert (summary.inertia.k1, summary.inertia.k2) == (mass.k1, mass.k2)
+    summary, mass = summaries[0], example.estimate.mass
+    assert summary.inertia is not None
+    assert (summary.inertia.k1, summary.inertia.k2, summary.com_G) == (mass.k1, mass.k2, tuple(mass.com_G))
     np.testing.assert_array_equal(summary.inertia.J_G, mass.J_G)
     np.testing.assert_array_equal(np.array(summary.inertia.cov), mass.cov_k)
-    np.testing.assert_array_equal(summary.com_G, mass.com_G)
-    assert (summary.frames, summary.frames_used) == (24, 23)
-    assert summary.observations == len(example.tracks.frame) and summary.landmarks == 150
-    assert summary.duration_s == pytest.approx(11.5)
+    assert (summary.frames, summary.frames_used, summary.landmarks) == (24, 23, 150)
+    assert (summary.observations, summary.duration_s) == (len(example.tracks.frame), 11.5)
     assert summary.timing_s.total == pytest.approx(4.5)
 
 
@@ -99,18 +92,14 @@ def test_the_status_follows_from_what_was_found(example: Any, undetermined: Any)
     )
     stopped = replace(example.estimate, solver=replace(example.estimate.solver, converged=False))
     assert _summary(replace(example, estimate=stopped)).status == "failed"
-
-
-def test_every_reason_is_told_once_and_the_failure_first(example: Any) -> None:
-    estimate = replace(example.estimate, warnings=("the light changed", "the light changed"))
-    summary = _summary(replace(example, estimate=estimate), warnings=["dropped"], failure="stopped")
+    # every reason once, and the failure first
+    texts = ("the light changed", "the light changed")
+    own = replace(example, estimate=replace(example.estimate, warnings=texts))
+    summary = _summary(own, warnings=["dropped"], failure="stopped")
     assert summary.warnings == ["stopped", "the light changed", "dropped"]
-    solver = replace(example.estimate.solver, converged=False)
     texts = ("the light changed", "the solver stopped before convergence: time")
-    own = replace(example.estimate, solver=solver, warnings=texts)
-    summary = _summary(replace(example, estimate=own))
-    assert summary.status == "failed"
-    assert summary.warnings == ["the solver stopped before convergence: time", "the light changed"]
+    summary = _summary(replace(example, estimate=replace(stopped, warnings=texts)))
+    assert summary.status == "failed" and summary.warnings == [texts[1], texts[0]]
 
 
 @pytest.mark.parametrize(
@@ -150,40 +139,33 @@ def test_a_check_that_does_not_hold_makes_the_run_degraded(example: Any) -> None
     assert strong.warnings[0].startswith("the disturbances appear 64 times as strong as stated")
 
 
-CHANGES: dict[str, Callable[[dict[str, Any]], None]] = {
-    "status": lambda content: content.update(status="ok" if content["status"] != "ok" else "degraded"),
-    "k1": lambda content: content["inertia"].update(k1=0.5),
-    "frames": lambda content: content.update(frames=content["frames"] + 1),
-    "covariance": lambda content: content["inertia"].update(cov=[[1e-12, 0.0], [0.0, 1e-12]]),
-    "no warnings": lambda content: content.update(warnings=["all is well"]),
-}
-
-
-@pytest.mark.parametrize("change", CHANGES)
-def test_a_summary_that_was_changed_by_hand_is_refused(change: str, example: Any, tmp_path: Path) -> None:
-    file = tmp_path / "summary.json"
-    write_summary(_summary(example), file)
+def test_a_summary_that_was_changed_by_hand_is_refused(example: Any, tmp_path: Path) -> None:
+    file, summary = tmp_path / "summary.json", _summary(example)
+    write_summary(summary, file)
     content = json.loads(file.read_text())
     # formatting, and the order of keys, are no content
     file.write_text(json.dumps(dict(reversed(content.items()))))
-    assert read_summary(file) == _summary(example)
-    CHANGES[change](content)
-    file.write_text(json.dumps(content))
-    with pytest.raises(InputError, match="changed since the run wrote it"):
-        read_summary(file)
+    assert read_summary(file) == summary
+    for change in (
+        {"status": "degraded"}, {"frames": 25}, {"warnings": ["all is well"]},
+        {"inertia": content["inertia"] | {"cov": [[1e-12, 0.0], [0.0, 1e-12]]}},
+    ):  # fmt: skip
+        file.write_text(json.dumps(content | change))
+        with pytest.raises(InputError, match="changed since the run wrote it"):
+            read_summary(file)
 
 
-@pytest.mark.parametrize("part", ESTIMATE_PARTS)
-def test_a_summary_with_a_part_of_an_estimate_is_refused(part: str, example: Any, tmp_path: Path) -> None:
+def test_a_summary_with_a_part_of_an_estimate_is_refused(example: Any, tmp_path: Path) -> None:
     """No command has to look whether one part is there when another is."""
     path = tmp_path / "summary.json"
     write_summary(_summary(example), path)
     content = json.loads(path.read_text())
     del content["own_sha256"]
-    path.write_text(json.dumps({**content, part: None}))
-    with pytest.raises(InputError, match=rf"{part} is null, but other parts .*; not a summary") as caught:
-        read_summary(path)
-    assert "\n" not in str(caught.value) and "Value error" not in str(caught.value)
+    for part in ESTIMATE_PARTS:
+        path.write_text(json.dumps({**content, part: None}))
+        with pytest.raises(InputError, match=rf"{part} is null, but other parts .*; not a summary") as caught:
+            read_summary(path)
+        assert "\n" not in str(caught.value) and "Value error" not in str(caught.value)
     path.write_text(json.dumps({**content, **dict.fromkeys(ESTIMATE_PARTS)}))
     assert read_summary(path).inertia is None
 
@@ -236,9 +218,7 @@ def test_the_verdict_has_status_reasons_and_every_check_with_its_range(example: 
         (None, (0.0, 15.0), None),
     ]
     assert [each.name for each in verdict.checks[:4]] == [each.name for each in checks]
-
-
-def test_a_status_that_falls_later_takes_the_verdict_along(example: Any) -> None:
+    # a status that falls later takes the verdict along
     summary = _summary(example)
     fallen = lower_status(summary, "degraded", "no report: the disk is full")
     assert fallen.status == "degraded" and fallen.warnings[-1] == "no report: the disk is full"

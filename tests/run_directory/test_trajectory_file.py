@@ -18,16 +18,14 @@ from polhode.run_directory.trajectory_file import (
 from polhode.runtime.errors import InputError, RunFailure
 
 
-def test_the_header_names_the_26_columns_of_the_contract() -> None:
+def test_reading_gives_back_every_bit_under_the_26_columns_of_the_contract(
+    example: Any, tmp_path: Path
+) -> None:
     assert ",".join(TRAJECTORY_COLUMNS) == (
         "timestamp_ns,r_N_x,r_N_y,r_N_z,v_N_x,v_N_y,v_N_z,q_NP_w,q_NP_x,q_NP_y,q_NP_z,w_P_x,w_P_y,w_P_z,"
         "sigma_r_x,sigma_r_y,sigma_r_z,sigma_v_x,sigma_v_y,sigma_v_z,"
         "sigma_theta_x,sigma_theta_y,sigma_theta_z,sigma_w_x,sigma_w_y,sigma_w_z"
     )
-    assert len(TRAJECTORY_COLUMNS) == 26
-
-
-def test_reading_gives_back_every_bit(example: Any, tmp_path: Path) -> None:
     path = trajectory_of(example.estimate)
     write_trajectory(path, tmp_path / "trajectory.csv")
     again = read_trajectory(tmp_path)
@@ -50,20 +48,15 @@ def test_plain_csv_readers_see_a_row_per_pair_with_no_empty_cell(undetermined: A
     assert all(np.isfinite(float(row["r_N_y"])) for row in rows)
 
 
-def test_a_rotation_that_would_not_be_read_again_ends_the_run(example: Any, tmp_path: Path) -> None:
+def test_what_would_not_be_read_again_is_never_written(example: Any, tmp_path: Path) -> None:
     # timestamps in microseconds, read as nanoseconds
-    fast = replace(trajectory_of(example.estimate), w_P=np.full((24, 3), 800.0))
+    path, r_N = trajectory_of(example.estimate), example.estimate.r_N.copy()
     with pytest.raises(RunFailure, match=r"rotate at 7.64e\+03 RPM.*check that the timestamps"):
-        write_trajectory(fast, tmp_path / "trajectory.csv")
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_state_that_is_not_finite_is_never_written(example: Any, tmp_path: Path) -> None:
-    r_N = example.estimate.r_N.copy()
+        write_trajectory(replace(path, w_P=np.full((24, 3), 800.0)), tmp_path / "trajectory.csv")
     r_N[3, 1] = np.nan
     with pytest.raises(ValueError, match="not finite"):
-        write_trajectory(trajectory_of(replace(example.estimate, r_N=r_N)), tmp_path / "trajectory.csv")
-    assert list(tmp_path.iterdir()) == []
+        write_trajectory(replace(path, r_N=r_N), tmp_path / "trajectory.csv")
+    assert not list(tmp_path.iterdir())
 
 
 def rows_with(column: int, value: str) -> str:

@@ -78,46 +78,31 @@ def test_states_features_and_landmarks_as_they_come(
     assert list(values_of(file, "/plots/observations", "Scalars:scalars")) == list(range(5))
 
 
-def test_the_surface_is_shown_once_it_is_made(
+def test_a_surface_is_shown_once_it_is_made_and_removed_with_its_frame_g(
     example: Example, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "SURFACE_EVERY", 4)
-    made: list[Future[Any]] = []
+    file, made = tmp_path / "live.rrd", list[Future[Any]]()
 
     def request() -> Future[Any]:
         made.append(Future())
         return made[-1]
 
-    file = tmp_path / "live.rrd"
     with watching(ViewTarget(file, window=False), "live") as watch:
-        for k in range(12):
+        for k in range(16):
             if k == 6:
                 made[0].set_result(example.surface)
             if k == 9:
                 made[1].set_exception(RuntimeError("the process has ended"))
-            watch(watched(example, k, request))
+            pair = watched(example, k, request)
+            # from pair 13 on in another frame G, in which the third surface is not
+            watch(replace(pair, state=replace(pair.state, restarts=int(k >= 13))))
+            if k == 13:
+                made[2].set_result(example.surface)
     faces = values_of(file, "/N/target/mesh", "Mesh3D:triangle_indices")
     assert {k: len(each) for k, each in faces.items()} == {6: len(example.surface.mesh.faces)}
-    assert len(made) == 3, "asked for at pairs 3, 7 and 11"
-
-
-def test_a_surface_of_a_frame_g_that_is_gone_is_removed_and_not_shown(
-    example: Example, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "SURFACE_EVERY", 1)
-    file = tmp_path / "live.rrd"
-
-    def request() -> Future[Any]:
-        made: Future[Any] = Future()
-        made.set_result(example.surface)
-        return made
-
-    with watching(ViewTarget(file, window=False), "live") as watch:
-        for k in range(6):
-            pair = watched(example, k, request)
-            watch(replace(pair, state=replace(pair.state, restarts=int(k >= 4))))
-    assert list(values_of(file, "/N/target/mesh", "Mesh3D:triangle_indices")) == [1, 2, 3, 5]
-    assert list(values_of(file, "/N/target/mesh", "Clear:is_recursive")) == [4]
+    assert list(values_of(file, "/N/target/mesh", "Clear:is_recursive")) == [13]
+    assert len(made) == 4, "asked for at pairs 3, 7, 11 and 15"
 
 
 def test_an_interrupted_stream_leaves_no_recording(example: Example, tmp_path: Path) -> None:

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rerun.chunk import RrdReader
 
 from polhode.runtime.errors import InputError
 from polhode.runtime.optional_parts import missing_message, require_part
 from polhode.runtime.progress import Silent
-from polhode.viewer.show_sequence import show_sequence
+from polhode.viewer.show_run import show_sequence
 from polhode.viewer.target import ViewTarget, is_recording, require_target
 
 
@@ -32,12 +31,6 @@ def test_without_a_display_one_line_names_the_file_instead(monkeypatch: pytest.M
         require_target(None, window=True)
     monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
     assert require_target(None, window=True) == ViewTarget(None, True)
-
-
-def test_a_name_that_is_not_utf8_is_shown_with_escapes(small_sequence: Path, tmp_path: Path) -> None:
-    folder = small_sequence.rename(tmp_path / os.fsdecode(b"bad\xff"))
-    show_sequence(folder, ViewTarget(tmp_path / "s.rrd", window=False), Silent())
-    assert RrdReader(tmp_path / "s.rrd").recordings()[0].recording_id == "bad\\udcff"
 
 
 def test_a_file_of_the_user_stays(small_sequence: Path, tmp_path: Path) -> None:
@@ -61,7 +54,7 @@ def test_a_file_of_the_user_stays(small_sequence: Path, tmp_path: Path) -> None:
 def test_the_window_is_of_this_machine_alone_and_sends_no_statistics(
     small_sequence: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    started: list[Any] = []
+    started, real = list[Any](), subprocess.Popen
 
     def fail(command: list[str], **options: Any) -> Any:
         started.append((command, options))
@@ -70,9 +63,9 @@ def test_the_window_is_of_this_machine_alone_and_sends_no_statistics(
             "-c",
             "print('a first line', flush=True); raise SystemExit('no graphics card')",
         ]
-        return subprocess.Popen(failing, **options)
+        return real(failing, **options)
 
-    monkeypatch.setattr(subprocess, "Popen", _Once(fail, subprocess.Popen, monkeypatch))
+    monkeypatch.setattr(subprocess, "Popen", fail)
     before = dict(os.environ)
     with pytest.raises(InputError, match=r"window did not open \(no graphics card\): --save FILE"):
         show_sequence(small_sequence, ViewTarget(None, window=True), Silent())
@@ -81,17 +74,6 @@ def test_the_window_is_of_this_machine_alone_and_sends_no_statistics(
     # Rerun's own switch for it: where CI is set, nothing is sent and no setting is written
     assert options["env"]["CI"] == "true"
     assert dict(os.environ) == before
-
-
-class _Once:
-    """Calls ``first``, which finds the real function in its place."""
-
-    def __init__(self, first: Any, real: Any, patch: pytest.MonkeyPatch) -> None:
-        self._first, self._real, self._patch = first, real, patch
-
-    def __call__(self, *words: Any, **options: Any) -> Any:
-        self._patch.setattr(subprocess, "Popen", self._real)
-        return self._first(*words, **options)
 
 
 def test_nothing_is_written_if_what_is_shown_ends_by_an_error(

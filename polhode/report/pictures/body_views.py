@@ -1,4 +1,4 @@
-"""Landmarks and mesh from all sides, along the principal axes or those of G: thesis figure 6-28."""
+"""The mesh from all sides, along the principal axes or those of G: thesis figure 6-28."""
 
 import io
 from dataclasses import dataclass
@@ -9,14 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from polhode.geometry.lie import Array
 from polhode.mapping.visibility import MeshView, MeshViewer
-from polhode.records.estimate import Landmarks, MassProperties
+from polhode.records.estimate import MassProperties
 from polhode.records.surface import SurfaceModel
-from polhode.report.plot_style import AXIS_COLORS, FAINT, GRID, INK, SIGMA_SCALE
+from polhode.report.plot_style import INK, SIGMA_SCALE
 from polhode.report.shape_figures import stretch_contrast, vertex_rgb
 from polhode.runtime.drawing_style import default_style
 
@@ -116,75 +115,6 @@ def png(figure: Figure) -> bytes:
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=DPI, metadata={"Software": None})
     return content.getvalue()
-
-
-@default_style
-def draw_landmarks(landmarks: Landmarks, frame: BodyFrame) -> bytes:
-    """A PNG of six orthographic views, coloured by standard deviation; ValueError without landmarks."""
-    if len(landmarks.p_G) == 0:
-        raise ValueError("there are no landmarks")
-    p_mm = 1e3 * frame.points(landmarks.p_G)
-    sigma_mm = 1e3 * landmarks.sigma_m
-    known = np.isfinite(sigma_mm)
-    low, top = np.quantile(sigma_mm[known], (0.05, 0.95)) if known.any() else (0.0, 1.0)
-    # a landmark that is far away shrinks nothing
-    half_mm = 1.12 * max(float(np.quantile(np.abs(p_mm).max(axis=1), 0.995)), 1e-3)
-    figure = Figure(figsize=(12.0, 8.3), dpi=DPI, facecolor="white")
-    grid = figure.add_gridspec(2, 3, left=0.055, right=0.895, bottom=0.08, top=0.89, wspace=0.22, hspace=0.24)
-    norm = Normalize(float(low), float(max(top, 1.001 * low, 1e-6)))
-    for k, direction in enumerate(ALONG_AXES):
-        axes = figure.add_subplot(grid[k // 3, k % 3])
-        height = p_mm @ direction.eye
-        facing = np.flatnonzero(height >= 0.0)
-        facing = facing[np.argsort(height[facing], kind="stable")]
-        plane = [int(np.argmax(np.abs(each))) for each in (direction.right, direction.up)]
-        for chosen, colours in (
-            (facing[~known[facing]], {"color": FAINT}),
-            (facing[known[facing]], {"c": sigma_mm[facing[known[facing]]], "cmap": SIGMA_MAP, "norm": norm}),
-        ):
-            size = 9.0 if len(p_mm) < 3000 else 4.0
-            across, upward = p_mm[chosen][:, plane].T
-            axes.scatter(across, upward, s=size, linewidths=0, **colours)
-        for axis, along in zip(plane, 0.5 * half_mm * np.eye(2), strict=True):
-            arrow: dict[str, Any] = {"arrowstyle": "-|>", "color": AXIS_COLORS[axis], "linewidth": 1.8}
-            arrow |= {"shrinkA": 0, "shrinkB": 0}
-            axes.annotate("", xy=tuple(along), xytext=(0.0, 0.0), arrowprops=arrow, zorder=4)
-            font: dict[str, Any] = {
-                "color": AXIS_COLORS[axis],
-                "size": 12,
-                "weight": "bold",
-                "ha": "center",
-                "va": "center",
-            }
-            x, y = (1.14 * along).tolist()
-            label = axes.text(x, y, "xyz"[axis], zorder=5, **font)
-            label.set_path_effects([withStroke(linewidth=3, foreground="white")])
-        axes.plot(0.0, 0.0, marker="D", markersize=6, color=INK, markeredgecolor="white", zorder=6)
-        # An axis that points to the left counts to the left.
-        sign = float(np.sign(direction.right[plane[0]]))
-        axes.set(xlim=(-sign * half_mm, sign * half_mm), ylim=(-half_mm, half_mm), aspect="equal")
-        title = f"from {direction.name}: {len(facing)} landmarks"
-        axes.set_title(title, size=10, color=INK, loc="left", pad=4)
-        axes.grid(color=GRID, linewidth=0.7)
-        axes.set_axisbelow(True)
-        axes.tick_params(labelsize=8, color=FAINT, labelcolor=INK)
-        axes.spines[:].set_color(GRID)
-        axes.set_xlabel(f"{'xyz'[plane[0]]} [mm]", size=9, color=INK, labelpad=1)
-        axes.set_ylabel(f"{'xyz'[plane[1]]} [mm]", size=9, color=INK, labelpad=-2)
-    add_scale_bar(figure.axes[0], 2.0 * half_mm, 2.0 * half_mm)
-    bar_axes = figure.add_axes((0.92, 0.08, 0.014, 0.81))
-    bar = figure.colorbar(ScalarMappable(norm, SIGMA_MAP), cax=bar_axes, extend="both")
-    bar.set_label("standard deviation of a landmark [mm]", color=INK)
-    outside = int((np.abs(p_mm).max(axis=1) > half_mm).sum())
-    notes = [f"Beyond the drawing: {outside}."] if outside else []
-    notes += [f"Without a standard deviation (grey): {int((~known).sum())}."] if not known.all() else []
-    for y, text, style in (
-        (0.965, f"{len(p_mm)} landmarks from six sides", {"size": 14, "weight": "bold"}),
-        (0.937, f"{frame.description} Each view shows the half that faces the eye.", {"size": 10}),
-        (0.015, " ".join(notes), {"size": 9}),
-    ):
-        figure.text(0.055, y, text, color=INK, va="center", **style)
-    return png(figure)
 
 
 @default_style

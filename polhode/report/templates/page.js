@@ -57,10 +57,6 @@
     figure.width = figure.plot.clientWidth || NARROW_PX;
     layout.autosize = false;
     layout.width = figure.width;
-    if (!isPrinting.now && figure.width < NARROW_PX) for (const key in found.narrow) {
-      const part = found.narrow[key];
-      layout[key] = part && typeof part === "object" && !Array.isArray(part) ? Object.assign({}, layout[key], part) : part;
-    }
     if (isPrinting.now) layout.width = figure.plot.closest(".wide") ? PAPER_PX.wide : PAPER_PX.half;
     figure.plot.style.height = layout.height + "px";
     figure.clock = found.clock;

@@ -30,6 +30,7 @@ from polhode.report.pictures.body_views import (
     body_frame,
     round_length_mm,
 )
+from polhode.report.pictures.mask_strip import DOUBTFUL_BGR, OUTLINE_BGR, draw_outline, frames_to_show
 from polhode.report.pictures.model_comparison import (
     MAX_GIF_BYTES,
     SIZE_PX,
@@ -72,21 +73,11 @@ def run(example: Any) -> Any:
     """The first frames of the example, with a mesh of smooth brightness and images that show just that."""
     tracks, estimate, mesh = example.tracks, example.estimate, example.surface.mesh.copy()
     here = tracks.frame < FRAMES
-    tracks = replace(
-        tracks,
-        timestamps_ns=tracks.timestamps_ns[:FRAMES],
-        X_NR=tracks.X_NR[:FRAMES],
-        frame=tracks.frame[here],
-        landmark=tracks.landmark[here],
-        uvd_px=tracks.uvd_px[here],
-        sigma_px=tracks.sigma_px[here],
-    )
-    estimate = replace(
-        estimate,
-        X_NG=estimate.X_NG[:FRAMES],
-        inlier_weight=estimate.inlier_weight[here],
-        residuals_px=estimate.residuals_px[here],
-    )
+    rows = {name: getattr(tracks, name)[here] for name in ("frame", "landmark", "uvd_px", "sigma_px")}
+    frames = {name: getattr(tracks, name)[:FRAMES] for name in ("timestamps_ns", "X_NR")}
+    tracks = replace(tracks, **rows, **frames)
+    rows = {name: getattr(estimate, name)[here] for name in ("inlier_weight", "residuals_px")}
+    estimate = replace(estimate, X_NG=estimate.X_NG[:FRAMES], **rows)
     grey = (120 + 400 * mesh.vertices[:, [0]] + 300 * mesh.vertices[:, [2]]).astype(np.uint8)
     mesh.visual.vertex_colors = np.hstack([grey, grey, grey, np.full_like(grey, 255)])
     surface = replace(example.surface, mesh=mesh)
@@ -111,8 +102,15 @@ def comparisons(run: Any) -> list[FrameComparison]:
     return list(compare_frames(*given, list(range(FRAMES))))
 
 
-def test_the_same_image_leaves_no_difference(run: Any) -> None:
-    for comparison in comparisons(run):
+def test_the_same_image_leaves_no_difference_beside_frames_without_the_body_in_view(run: Any) -> None:
+    same = comparisons(run)
+    X_NG = run.estimate.X_NG.copy()
+    X_NG[1, :3, 3] = 0.2, 0.0, 0.12  # beside the camera
+    X_NG[2, :3, 3] = 0.0, 0.0, -1.0  # behind it
+    found = comparisons(SimpleNamespace(**{**vars(run), "estimate": replace(run.estimate, X_NG=X_NG)}))
+    assert [each.image.shape for each in found] == [each.image.shape for each in same]
+    assert not found[2].modelled.any() and found[3].overlap > 0.985
+    for comparison in same:
         assert comparison.overlap > 0.985
         assert comparison.rms_grey < 1.0
         assert comparison.gain == pytest.approx(0.7, abs=0.02)
@@ -140,18 +138,6 @@ def test_the_body_casts_its_shadow_on_itself(run: Any) -> None:
     assert 0.02 < share < 0.3
     columns = np.flatnonzero(darker.any(axis=0))
     assert columns.mean() > 0.5 * plain.model.shape[1], "away from the Sun, which stands at the left"
-
-
-def test_a_frame_without_the_body_in_view_neither_shrinks_nor_breaks_the_others(run: Any) -> None:
-    expected = [each.image.shape for each in comparisons(run)]
-    X_NG = run.estimate.X_NG.copy()
-    X_NG[1, :3, 3] = 0.2, 0.0, 0.12  # beside the camera
-    X_NG[2, :3, 3] = 0.0, 0.0, -1.0  # behind it
-    away = SimpleNamespace(**{**vars(run), "estimate": replace(run.estimate, X_NG=X_NG)})
-    found = comparisons(away)
-    assert [each.image.shape for each in found] == expected
-    assert not found[2].modelled.any()
-    assert found[3].overlap > 0.985
 
 
 def test_overlap_and_difference_of_known_squares() -> None:
@@ -182,7 +168,9 @@ def test_gain_and_offset_are_those_of_least_squares_and_frames_are_spread_evenly
     assert chosen_frames(3, 60) == [0, 1, 2] and chosen_frames(10, 1) == [0]
 
 
-def test_every_direction_is_a_right_handed_view_from_the_side_that_it_names() -> None:
+def test_every_direction_is_a_right_handed_view_from_the_side_that_it_names(
+    example: Any, undetermined: Any
+) -> None:
     for direction in (*ALONG_AXES, *OBLIQUE):
         signs = {
             name: (-1 if part[0] == "\u2212" else 1) for part in direction.name.split() for name in part[1]
@@ -191,11 +179,7 @@ def test_every_direction_is_a_right_handed_view_from_the_side_that_it_names() ->
         np.testing.assert_allclose(direction.eye, expected / np.linalg.norm(expected), atol=1e-12)
     # a scale bar has a round length
     assert [round_length_mm(size) for size in (300.0, 160.0, 32.0, 0.7)] == [100.0, 50.0, 10.0, 0.2]
-
-
-def test_the_frame_of_the_views_is_p_where_it_is_known_and_g_elsewhere(
-    example: Any, undetermined: Any
-) -> None:
+    # the frame of the views is P where it is known, and G elsewhere
     mass = example.estimate.mass
     known = body_frame(mass)
     assert known.name == "P"
@@ -207,10 +191,14 @@ def test_the_frame_of_the_views_is_p_where_it_is_known_and_g_elsewhere(
 
 def test_all_files_are_there_open_and_have_their_sizes(run: Any, tmp_path: Path) -> None:
     names = make(run, tmp_path, Pictures())
-    place = tmp_path / "pictures"
+    place, again = tmp_path / "pictures", tmp_path / "again"
+    again.mkdir()
+    make(run, again, Pictures())
+    for file in place.iterdir():
+        assert file.read_bytes() == (again / "pictures" / file.name).read_bytes(), file.name
     stills = {f"model_{k:04d}.jpg" for k in (0, 1, 3, 4)}
     assert names == {
-        "landmarks.png", "mesh.png", "model.mp4", "model.gif", "model.csv", "captions.json", *stills,
+        "mesh.png", "model.mp4", "model.gif", "model.csv", "captions.json", *stills,
     }  # fmt: skip
     video = cv2.VideoCapture(str(place / "model.mp4"))
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == FRAMES
@@ -220,10 +208,9 @@ def test_all_files_are_there_open_and_have_their_sizes(run: Any, tmp_path: Path)
         assert getattr(gif, "n_frames", 1) == FRAMES
         assert gif.width == round(0.75 * SIZE_PX[0])
     assert (place / "model.gif").stat().st_size <= MAX_GIF_BYTES
-    for name, least in (("landmarks.png", 1000), ("mesh.png", 1500)):
-        with Image.open(place / name) as picture:
-            picture.load()
-            assert picture.width > least
+    with Image.open(place / "mesh.png") as picture:
+        picture.load()
+        assert picture.width > 1500
     rows = list(csv.DictReader(io.StringIO((place / "model.csv").read_text())))
     assert [int(row["frame"]) for row in rows] == list(range(FRAMES))
     assert all(float(row["iou"]) > 0.985 and row["measured"] == "1" for row in rows)
@@ -233,34 +220,22 @@ def test_all_files_are_there_open_and_have_their_sizes(run: Any, tmp_path: Path)
     }  # fmt: skip
 
 
-def test_the_same_run_gives_the_same_bytes(run: Any, tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        make(run, tmp_path / name, Pictures(frames=2))
-    for file in (tmp_path / "a" / "pictures").iterdir():
-        assert file.read_bytes() == (tmp_path / "b" / "pictures" / file.name).read_bytes(), file.name
-
-
-def test_what_is_switched_off_is_not_written_and_without_a_surface_the_landmarks_are_drawn(
-    run: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+def test_a_picture_that_is_switched_off_or_cannot_be_made_costs_only_itself(
+    run: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "off").mkdir()
     assert make(run, tmp_path / "off", Pictures(animation=False, views=False)) == {"captions.json"}
     nothing = replace(run.surface, mesh=EMPTY, sigma_m=np.zeros(0), views=np.zeros(0, dtype=np.int64))
-    assert make(run, tmp_path, Pictures(), surface=nothing) == {"landmarks.png", "captions.json"}
+    assert make(run, tmp_path / "off", Pictures(), surface=nothing) == {"captions.json"}
     assert not caplog.records
 
-
-def test_a_picture_that_cannot_be_made_costs_only_itself(
-    run: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
     def fail(*_: Any) -> bytes:
         raise RuntimeError("no ink")
 
     monkeypatch.setattr(pictures, "draw_mesh", fail)
     monkeypatch.setattr(pictures, "draw_frame", fail)
     with caplog.at_level(logging.WARNING):
-        assert make(run, tmp_path, Pictures()) == {"landmarks.png", "captions.json"}
+        assert make(run, tmp_path, Pictures()) == {"captions.json"}
     assert [record.getMessage() for record in caplog.records] == [
         "no picture: mesh.png (RuntimeError: no ink)",
         "no picture: model.mp4 (RuntimeError: no ink)",
@@ -289,3 +264,15 @@ def test_masks_that_were_found_are_shown_in_a_picture(run: Any, tmp_path: Path) 
     captions = json.loads((tmp_path / "pictures" / "captions.json").read_text())
     assert captions["masks.jpg"].endswith("5 of 5 frames. Doubtful (red): 0.")
     assert is_run_file("pictures/masks.jpg")
+    # spread over the sequence, doubtful ones among them
+    assert frames_to_show(list(range(5)), set()) == [0, 1, 2, 3, 4]
+    shown = frames_to_show(list(range(71)), {13, 14})
+    assert len(shown) == 8 and {13, 14} <= set(shown)
+    crowded = frames_to_show(list(range(71)), set(range(20, 60)))
+    assert len(crowded) == 8 and crowded[0] == 0 and crowded[-1] == 70
+    mask = np.zeros((240, 320), dtype=bool)
+    mask[80:160, 100:200] = True
+    for doubtful, colour in ((False, OUTLINE_BGR), (True, DOUBTFUL_BGR)):
+        tile = draw_outline(np.full((240, 320), 100, dtype=np.uint8), mask, "frame 3", doubtful)
+        np.testing.assert_allclose(tile[120, 100], colour, atol=3)
+        assert tile[120, 150].tolist() == [100] * 3 and tile[200, 150].tolist() == [55] * 3

@@ -1,9 +1,20 @@
-"""The intervals of a summary in words, and the centre of mass that they allow."""
+"""A summary and its intervals in words, and the centre of mass that the intervals allow."""
 
 import numpy as np
 
 from polhode.geometry.lie import Array
 from polhode.run_directory.summary_schema import Summary
+
+
+def describe_summary(summary: Summary) -> str:
+    """Status, frames and inertia ratios in a line."""
+    parts = [summary.status, f"{summary.frames_used} of {summary.frames} frames"]
+    if (inertia := summary.inertia) is not None:
+        for k, (name, value) in enumerate((("k1", inertia.k1), ("k2", inertia.k2))):
+            variance = inertia.cov[k][k]
+            known = "not determined" if variance is None else f"{value:.4f} +- {np.sqrt(variance):.4f}"
+            parts.append(f"{name} {known}")
+    return ", ".join(parts)
 
 
 def describe_intervals(summary: Summary) -> list[str]:
