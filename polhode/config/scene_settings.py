@@ -23,7 +23,7 @@ MAX_ROWS = 500_000
 """Of the truth: images and times after them."""
 MAX_DURATION_S = 1e8
 MAX_TURNS = 1e4
-"""Revolutions of the target, periods of a push, crossings of a dead band."""
+"""Revolutions of the target, crossings of a dead band."""
 Density = Annotated[float, Field(ge=1e-6, le=1e6)]
 _Moment = Annotated[float, Field(ge=-1e18, le=1e18)]
 MomentRow = tuple[_Moment, _Moment, _Moment]
@@ -91,7 +91,7 @@ class Mass(Section):
 
 
 class WrenchPulse(Section):
-    """A force and a torque on the target over an interval; those of overlapping intervals add up."""
+    """A constant force and torque on the target over an interval; those of overlapping intervals add up."""
 
     start_s: float = Field(0.0, ge=0, le=1e8)
     """Start, after the first frame [s]."""
@@ -101,8 +101,6 @@ class WrenchPulse(Section):
     """Force on the centre of mass, in N [N]."""
     torque_P: Wrench = (0.0, 0.0, 0.0)
     """Torque in the principal axes [N m]."""
-    period_s: float | None = Field(None, ge=1e-3, le=1e8)
-    """Period of a sine that starts at zero [s]; constant when absent."""
 
 
 class Motion(Section):
@@ -123,7 +121,7 @@ class Motion(Section):
     torque_psd: float = Field(0.0, ge=0, le=1e6)
     """Disturbing torque over the middle moment: power spectral density, each axis [(rad/s^2)^2/Hz]."""
     pushes: tuple[WrenchPulse, ...] = Field((), max_length=1000)
-    """Known forces and torques, each with start_s, duration_s, force_N (in N), torque_P, period_s."""
+    """Known forces and torques, each with start_s, duration_s, force_N (in N), torque_P."""
     pushes_known: bool = True
     """Write them to wrench0/ for the estimator; false: they are unknown to it."""
     energy_loss: Share = 0.0
@@ -451,9 +449,6 @@ class Scene(Section):
         turns = math.hypot(*self.motion.spin_rpm) / 60.0 * self.duration_s
         if turns > MAX_TURNS:
             raise ValueError(f"motion.spin_rpm makes {turns:.3g} revolutions in all, above {MAX_TURNS:g}")
-        for push in self.motion.pushes:
-            if push.period_s and min(push.duration_s, self.duration_s) / push.period_s > MAX_TURNS:
-                raise ValueError(f"motion.pushes: more than {MAX_TURNS:g} periods of {push.period_s:g} s")
         steered = self.inspector
         for name, width, rate in (
             ("deadband_mm", steered.deadband_mm, steered.deadband_mm_s),

@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from polhode.files.atomic import REFUSALS, write_failure, write_text
+from polhode.files.atomic import write_text
 from polhode.files.json_files import read_json
 from polhode.files.output.exchange import foreign, is_regular
-from polhode.files.output.place import folder_place, require_not_current, require_writable, unwritable
-from polhode.files.output.staged_folder import StagedFolder, staged_folder
+from polhode.files.output.resumable_dataset import DatasetMaker
 from polhode.records.range_images import RANGE_FOLDER
-from polhode.runtime.errors import InputError, RunFailure
+from polhode.runtime.errors import InputError
 
 RECORD = "import.json"
 SCHEMA = "polhode-import/1"
@@ -103,21 +102,8 @@ def _has_size(path: Path, size: int) -> bool:
         return False
 
 
-def require_free(folder: Path, overwrite: bool) -> None:
-    """Raise InputError unless ``folder`` can be written and is absent, empty, or one of ``import`` that may
-    be overwritten."""
-    place = folder_place(folder)
-    require_not_current(place, folder)
-    require_writable(place.parent, folder)
-    if not (place.is_dir() and any(place.iterdir())):
-        return
-    reason = why_not_ours(place)
-    if reason:
-        raise InputError(
-            f"{folder} exists and is no dataset that polhode import made ({reason}); choose another folder"
-        )
-    if not overwrite:
-        raise InputError(f"{folder} exists: choose another folder or pass --overwrite")
+IMPORTED = DatasetMaker("import", is_own_file, why_not_ours, FINGERPRINT)
+require_free = IMPORTED.require_free
 
 
 @contextmanager
@@ -126,48 +112,18 @@ def staged_import(
 ) -> Iterator[ImportedDataset]:
     """A new or resumed hidden folder that takes the place of ``folder`` if the block succeeds.
 
-    ``fingerprint`` identifies sources and options: a hidden folder of others is cleared. If the block fails,
-    the hidden folder is kept when it holds an image, but never after an InputError. Raises InputError: the
-    folder exists, cannot be written, or another process is writing it; RunFailure: a file cannot be written.
+    ``fingerprint`` identifies sources and options.
     """
-    place = folder_place(folder)
-    with staged_folder(place, folder, is_own_file, lambda whole: why_not_ours(whole) == "") as staged:
-        require_free(folder, overwrite)
-        _resume_or_clear(staged, fingerprint)
-        dataset = ImportedDataset(staged.path, has_ranges)
-        try:
-            yield dataset
-            (staged.path / FINGERPRINT).unlink()
-            require_free(folder, overwrite)
-            staged.publish(is_own=is_own_file)
-        except InputError:
-            raise
-        except BaseException as error:
-            there = sum(len(dataset.images_there(camera)) for camera in (0, 1))
-            staged.keep = there > 0
-            kept = f"{there} images are kept, the same command goes on from there"
-            if isinstance(error, OSError) and error.errno in REFUSALS:
-                error = write_failure(Path(error.filename or folder), error)
-            if isinstance(error, RunFailure) and there:
-                raise RunFailure(f"{error}; {kept}") from error
-            if isinstance(error, KeyboardInterrupt) and there:
-                raise KeyboardInterrupt(f"interrupted; {kept}") from None
-            raise error
 
+    def kept(path: Path) -> str:
+        dataset = ImportedDataset(path, has_ranges)
+        there = sum(len(dataset.images_there(camera)) for camera in (0, 1))
+        return f"{there} images" if there else ""
 
-def _resume_or_clear(staged: StagedFolder, fingerprint: str) -> None:
-    """Keep a hidden folder of the same sources and options; clear any other."""
-    note = staged.path / FINGERPRINT
-    if note.is_file() and note.read_text(encoding="utf-8", errors="replace") == fingerprint:
-        staged.resume()
-        for partial in staged.path.rglob(".*.partial-*"):
+    with IMPORTED.staged(folder, overwrite, fingerprint, kept) as path:
+        for partial in path.rglob(".*.partial-*"):
             if partial.is_dir():
                 shutil.rmtree(partial, ignore_errors=True)
             else:
                 partial.unlink(missing_ok=True)
-        return
-    staged.claim()
-    try:
-        note.write_text(fingerprint, encoding="utf-8")
-    except OSError as error:
-        raise unwritable(staged.place, error) from error
+        yield ImportedDataset(path, has_ranges)

@@ -1,9 +1,8 @@
-"""Simulated datasets with truth. In: the scene of a configuration. Out: a dataset on disk, or figures of it.
+"""Simulated datasets with truth. In: the scene of a configuration. Out: a dataset on disk.
 
-figures/          pictures of scenes and of their motion
 dataset/          plan of a scene, its frames, truth of every pixel, the dataset on disk
 monte_carlo.py    stereo measurements of landmarks without images
-sky.py            Earth and stars behind the target
+sky.py            Earth, stars or a wall behind the target
 rendering/        rays, light, reflection: one image
 motion/           target and inspector over time
 bodies/           the target's shape, textures and mass

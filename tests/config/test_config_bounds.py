@@ -140,7 +140,6 @@ TOO_MUCH: dict[str, tuple[str, str]] = {
     "rows of the truth": ("{interval_s: 1.0e-6, truth_horizon_s: 60}", "make 6e+07 rows"),
     "three years": ("{frames: 100000, interval_s: 1.0e+6}", "exceed 1e+08 s"),
     "revolutions": ("{motion: {spin_rpm: [1000, 0, 0]}, truth_horizon_s: 1.0e+5}", "revolutions in all"),
-    "periods": ("{motion: {pushes: [{duration_s: 1000, period_s: 0.001}]}}", "periods of 0.001 s"),
     "pixels": ("{rig: {width_px: 8192, height_px: 8192}}", "more than 64 million"),
     "crossings": ("{inspector: {deadband_mm: 1.0e-6}}", "inspector.deadband_mm is crossed more than"),
 }

@@ -21,5 +21,4 @@ def bodies_are_built_once() -> Iterator[None]:
     """Where sequences are planned and drawn; tests of the bodies themselves build their own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("polhode.simulation.dataset.plan.build_body", _build_once)
-        patch.setattr("polhode.simulation.figures.motion_plot.build_body", _build_once)
         yield

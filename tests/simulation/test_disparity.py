@@ -13,7 +13,7 @@ from scipy.ndimage import map_coordinates
 
 from polhode.config import scene_settings as config
 from polhode.geometry.lie import Array, Bools
-from polhode.simulation.dataset.correspondence import Correspondence, dense_correspondence, view_of
+from polhode.simulation.dataset.correspondence import correspond, view_of
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.rendering.render import Renderer
@@ -79,11 +79,6 @@ def _bias_and_scatter(shifts: Array) -> tuple[Array, Array]:
     return median, 1.4826 * np.median(np.abs(shifts - median), axis=0)
 
 
-def _dense(plan: SequencePlan) -> Correspondence:
-    left, right = (view_of(plan, 0, index) for index in (0, 1))
-    return dense_correspondence(RayCaster(plan.body), left, right)
-
-
 @pytest.mark.parametrize(("family", "rig"), [("free_flyer", PARALLEL), ("asteroid", TOED_IN)])
 def test_the_right_image_is_where_the_truth_says_within_a_twentieth_of_a_pixel(
     family: str, rig: dict[str, Any]
@@ -92,7 +87,8 @@ def test_the_right_image_is_where_the_truth_says_within_a_twentieth_of_a_pixel(
     plan = _plan(family, rig)
     renderer = Renderer(plan.body, plan.scene, plan.seed)
     left, right = (_image(plan, renderer, index) for index in (0, 1))
-    truth = _dense(plan)
+    a, b = (view_of(plan, 0, index) for index in (0, 1))
+    truth = correspond(RayCaster(plan.body), a, b, a.camera.pixel_grid())
     uv_right = np.nan_to_num(truth.uv_b_px)
     shifts = _shifts(left, right, uv_right, truth.visible)
     assert len(shifts) > 100

@@ -15,14 +15,6 @@ CONFIG = load_config(ROOT / "configs" / "sample.yaml")
 SAMPLE = ROOT / "examples" / "sample"
 
 
-def test_the_sample_has_at_most_8_megabytes_and_turns_four_times_at_least() -> None:
-    assert sum(path.stat().st_size for path in SAMPLE.rglob("*")) <= 8_000_000
-    truth, frames = read_truth(SAMPLE), len(open_sequence(SAMPLE).timestamps_ns)
-    duration_s = (truth.timestamps_ns[frames - 1] - truth.timestamps_ns[0]) * 1e-9
-    rate = np.linalg.norm(truth.w_P[:frames], axis=1).mean()
-    assert rate * duration_s / (2 * np.pi) >= 4.0
-
-
 def test_the_samples_truth_is_that_of_its_configuration() -> None:
     assert CONFIG.scene is not None
     planned, stored = truth_of(plan_sequence(CONFIG.scene, CONFIG.seed)), read_truth(SAMPLE)

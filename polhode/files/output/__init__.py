@@ -9,5 +9,6 @@ polhode itself made is ever replaced or removed; everything else stays (docs/sec
 - single_file: a file of a command, which replaces only what the same command wrote
 - marked_folder: a folder with a mark that lists what the commands wrote there
 - staged_folder: a folder written under a hidden name, which takes its place when it is complete
+- resumable_dataset: a dataset on its way to the disk, resumed by the same command
 - exchange: two folders change places; what is not ours goes along; the old one is removed name by name
 """

@@ -23,7 +23,6 @@ from polhode.records.surface import SurfaceModel
 from polhode.run_directory.point_cloud_file import read_landmarks
 from polhode.run_directory.run_folder import require_run_folder
 from polhode.run_directory.summary import read_summary
-from polhode.run_directory.summary_in_words import describe_intervals, possible_com
 from polhode.run_directory.summary_schema import Summary
 from polhode.run_directory.trajectory_file import Trajectory, read_trajectory, target_poses
 from polhode.runtime.errors import InputError, printable

@@ -16,7 +16,7 @@ from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 from polhode.files.foreign_meshes import MeshFile, open_mesh
-from polhode.files.foreign_meshes.mesh_file import FilesBeside, require_coordinates, unreadable
+from polhode.files.foreign_meshes.mesh_file import require_coordinates, unreadable
 from polhode.files.foreign_meshes.textures import share_textures
 from polhode.geometry.lie import Array, Ints
 from polhode.runtime.errors import InputError
@@ -107,29 +107,8 @@ def _geometries(path: Path) -> list[tuple[str, str, trimesh.Trimesh]]:
 def _load(file: MeshFile) -> trimesh.Scene:
     if file.kind != "obj":
         return file.scene(process=False)
-    names = list(dict.fromkeys(re.findall(rb"^usemtl[ \t]+(.+?)\s*$", file.content, re.MULTILINE)))
     objects = re.search(rb"^o\s", file.content, re.MULTILINE) is not None
-    if names and not re.search(rb"^mtllib\s", file.content, re.MULTILINE):
-        file = replace(file, content=b"mtllib absent.mtl\n" + file.content)
-    file = replace(file, resolver=_MaterialNames(file.path, names))
     return file.scene(split_objects=objects, split_groups=not objects, process=False)
-
-
-class _MaterialNames(FilesBeside):
-    """Files beside an OBJ; if its material library is absent, one with the names that the OBJ uses."""
-
-    def __init__(self, path: Path, names: list[bytes]) -> None:
-        super().__init__(path)
-        self._names = names
-
-    def get(self, name: str) -> bytes:
-        """Content of a file by its name."""
-        try:
-            return super().get(name)
-        except OSError:
-            if not name.strip().lower().endswith(".mtl"):
-                raise
-            return b"\n".join(b"newmtl " + own for own in self._names)
 
 
 REC_709 = np.array([0.2126, 0.7152, 0.0722])

@@ -5,6 +5,5 @@ plan.py               all that is decided before the first ray is traced; scenes
 frame_renderer.py     renders the pairs of a plan, in one process or several, with the truth of every pixel
 range_images.py       what a range sensor beside the left camera measures, with its faults
 correspondence.py     where a pixel of one view lies in another
-resumable_dataset.py  a dataset is complete or absent; an interrupted one is resumed
-own_files.py          which folders are datasets that polhode simulate made
+resumable_dataset.py  the dataset on its way to the disk; which folders polhode simulate made
 """

@@ -1,6 +1,6 @@
 """All that is decided before rendering: body, mass, cameras, motion, and which frames are dropped.
 
-Scenes in which the target is never in view, or a camera comes too near to it, are refused.
+Scenes in which the target is never in view, or a camera is inside it, are refused.
 """
 
 from collections.abc import Sequence
@@ -128,30 +128,44 @@ def truth_of(plan: SequencePlan) -> Truth:
     )
 
 
-MIN_DISTANCE_M, MIN_DISTANCE_SHARE = 5e-3, 1e-3
-"""A camera is too near if its distance is less than either, in metres or relative to the target's length."""
-ENCLOSED_SHARE = 0.9
-"""A camera is inside if this share of all directions hits the target; below 1, as meshes have holes."""
-
-
 def require_target_in_view(
     body: Body, cameras: Sequence[Camera], X_NC: Array, X_NG: Array, t_s: Array
 ) -> None:
-    """Raise InputError if a camera is inside the target or too near, or the target is never in view of both.
+    """Raise InputError if a camera is inside the target, or the target is never in view of both.
 
     X_NC, X_NG: (F, 4, 4) left camera and target at the times t_s (F,). The target may leave the view.
     """
-    check = ViewCheck(body)
-    corners_G = np.asarray(trimesh.bounds.corners(body.mesh.bounds))
+    caster, vertices_G = RayCaster(body), np.asarray(body.mesh.vertices)
+    # Some 4000 vertices are projected into the image; rays find what these miss.
+    sample_G = vertices_G[:: 1 + len(vertices_G) // 4000]
+    low, high = np.asarray(body.mesh.bounds)
+    middle_G, corners_G = 0.5 * (low + high), np.asarray(trimesh.bounds.corners(body.mesh.bounds))
+    radius_m = float(np.linalg.norm(vertices_G - middle_G, axis=1).max())
+    around = even_directions(256)
+
+    def sees(camera: Camera, X_GK: Array) -> bool:
+        """Whether a vertex is in the image or, for faces beyond its edges, a ray of a coarse grid hits."""
+        if len(camera.project_visible(transform_points(inverse_pose(X_GK), sample_G))[1]) > 0:
+            return True
+        rays_K = camera.directions(camera.pixel_grid(8).reshape(-1, 2))
+        return len(caster.first_hits(X_GK[:3, 3], rays_K @ X_GK[:3, :3].T).ray) > 0
+
     seen = ahead = together = False
     for X_NC_k, X_NG_k, t in zip(X_NC, X_NG, t_s, strict=True):
-        sees = []
+        of_frame = []
         for name, camera in zip(("left", "right")[: len(cameras)], cameras, strict=True):
             X_GK = inverse_pose(X_NG_k) @ X_NC_k @ camera.X_CK
-            check.require_distance(X_GK[:3, 3], name, float(t))
-            sees.append(not together and check.sees(camera, X_GK))
+            eye_G = X_GK[:3, 3]
+            # Inside: nine of ten directions hit the target; not all, as meshes have holes.
+            near = np.linalg.norm(eye_G - middle_G) <= radius_m
+            if near and len(caster.first_hits(eye_G, around).ray) >= 0.9 * len(around):
+                raise InputError(
+                    f"scene: the {name} camera is inside the target at {t:g} s (it is {2 * radius_m:.3g} m "
+                    "long); move scene.motion.position_m away, or check scene.body.size_m and metres_per_unit"
+                )
+            of_frame.append(not together and sees(camera, X_GK))
             ahead = ahead or bool((transform_points(inverse_pose(X_GK), corners_G)[:, 2] > 0).any())
-        seen, together = seen or any(sees), together or all(sees)
+        seen, together = seen or any(of_frame), together or all(of_frame)
     if together:
         return
     if seen:
@@ -164,50 +178,3 @@ def require_target_in_view(
         f"scene: the target is never in view, at none of {len(X_NC)} frames: it stays {where}; change "
         "scene.motion.position_m (z is forward) or scene.inspector"
     )
-
-
-class ViewCheck:
-    """Distances of cameras from a body, and whether they see it."""
-
-    def __init__(self, body: Body) -> None:
-        # Some 4000 vertices are projected into the image; rays find what these miss.
-        self._sample_G = np.asarray(body.mesh.vertices)[:: 1 + len(body.mesh.vertices) // 4000]
-        self._triangles = np.asarray(body.mesh.triangles)
-        self._caster = RayCaster(body)
-        low, high = np.asarray(body.mesh.bounds)
-        self._middle_G = 0.5 * (low + high)
-        self._radius_m = float(np.linalg.norm(body.mesh.vertices - self._middle_G, axis=1).max())
-        self._nearest_m = max(MIN_DISTANCE_M, MIN_DISTANCE_SHARE * float((high - low).max()))
-
-    def require_distance(self, p_G: Array, name: str, t_s: float) -> None:
-        """Raise InputError if the point (3,) is inside the body or too near its surface."""
-        if np.linalg.norm(p_G - self._middle_G) > self._radius_m + self._nearest_m:
-            return
-        hint = "move scene.motion.position_m away, or check scene.body.size_m and metres_per_unit"
-        around = even_directions(256)
-        if len(self._caster.first_hits(p_G, around).ray) >= ENCLOSED_SHARE * len(around):
-            size = f"it is {2 * self._radius_m:.3g} m long"
-            raise InputError(f"scene: the {name} camera is inside the target at {t_s:g} s ({size}); {hint}")
-        distance_m = self.distance_m(p_G)
-        if distance_m < self._nearest_m:
-            raise InputError(
-                f"scene: the {name} camera comes within {1e3 * distance_m:.3g} mm of the target at {t_s:g} "
-                f"s, nearer than {1e3 * self._nearest_m:.3g} mm; {hint}"
-            )
-
-    def distance_m(self, p_G: Array) -> float:
-        """Distance from a point (3,) to the surface: exact, on the triangles that can be the nearest."""
-        centres = self._triangles.mean(axis=1)
-        reach = np.linalg.norm(self._triangles - centres[:, None], axis=2).max(axis=1)
-        to_centre = np.linalg.norm(centres - p_G, axis=1)
-        candidates = self._triangles[to_centre - reach <= to_centre.min()]
-        closest = trimesh.triangles.closest_point(candidates, np.broadcast_to(p_G, (len(candidates), 3)))
-        return float(np.linalg.norm(closest - p_G, axis=1).min())
-
-    def sees(self, camera: Camera, X_GK: Array) -> bool:
-        """Whether a vertex is in the image or, for faces beyond its edges, a ray of a coarse grid hits."""
-        p_K = transform_points(inverse_pose(X_GK), self._sample_G)
-        if len(camera.project_visible(p_K)[1]) > 0:
-            return True
-        rays_K = camera.directions(camera.pixel_grid(8).reshape(-1, 2))
-        return len(self._caster.first_hits(X_GK[:3, 3], rays_K @ X_GK[:3, :3].T).ray) > 0

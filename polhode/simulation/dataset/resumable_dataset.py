@@ -1,32 +1,39 @@
-"""Datasets are rendered into a staging folder, which replaces the destination when it is complete.
+"""The dataset of ``polhode simulate`` on its way to the disk, and which folders that command made.
 
-The staging folder ``.SEQ.partial`` survives an interruption; the same command renders the missing frames.
 The files of a frame are written to a temporary folder and then moved: a frame is complete or absent.
 """
 
+import re
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from polhode.files.atomic import REFUSALS, write_failure
-from polhode.files.output.place import folder_place, require_not_current, require_writable, unwritable
-from polhode.files.output.staged_folder import StagedFolder, staged_folder
-from polhode.runtime.errors import InputError, RunFailure
-from polhode.simulation.dataset.own_files import (
-    FINGERPRINT,
-    FRAMES,
-    is_dataset_file,
-    is_staged_file,
-    is_whole,
-    why_not_ours,
+from polhode.config.loader import load_config
+from polhode.files.output.exchange import foreign, is_regular
+from polhode.files.output.resumable_dataset import DatasetMaker
+from polhode.runtime.errors import InputError
+from polhode.simulation.motion.target import timestamps
+
+SCENE_FILE = "scene.yaml"
+"""The configuration that made the dataset, beside mav0/."""
+FINGERPRINT, FRAMES = ".made_by", ".frames"
+
+_DATASET = re.compile(
+    r"scene\.yaml"
+    r"|mav0/((?:cam[01]|range0)/(sensor\.yaml|data\.csv|data/\d+\.png)|masks[01]/\d+\.png|truth[01]/\d+\.npz"
+    r"|inspector0/(sensor\.yaml|data\.csv)|wrench0/data\.csv|target0/(data\.csv|target\.yaml|mesh\.ply))"
 )
+_STAMPED = re.compile(r"mav0/(?:cam[01]/data|range0/data|masks[01]|truth[01])/(\d+)\.(?:png|npz)")
+_STAGING = re.compile(rf"{re.escape(FINGERPRINT)}|{re.escape(FRAMES)}/\d+\.(done|partial)")
+_FRAME = re.compile(rf"{re.escape(FRAMES)}/\d+/(.+)")
+_PARTIAL = re.compile(r"\.([^/.]+)\.partial-\d+(\.\w+)$")
 
 
 @dataclass(frozen=True)
 class StagedDataset:
-    """A dataset in its staging folder. Several processes may write to it, each frame from one of them."""
+    """A dataset in its hidden folder. Several processes may write to it, each frame from one of them."""
 
     path: Path
 
@@ -47,86 +54,86 @@ class StagedDataset:
         aside.mkdir(parents=True)
         yield aside
         files = sorted(path.relative_to(aside) for path in aside.rglob("*") if path.is_file())
-        note = "".join(f"{(aside / name).stat().st_size} {name.as_posix()}\n" for name in files)
+        sizes = "".join(f"{(aside / name).stat().st_size} {name.as_posix()}\n" for name in files)
         for name in files:
             (self.mav0 / name).parent.mkdir(parents=True, exist_ok=True)
             (aside / name).replace(self.mav0 / name)
         shutil.rmtree(aside)
-        written = self._note(k).with_suffix(".partial")
-        written.write_text(note, encoding="utf-8")
-        written.replace(self._note(k))
-
-    def _note(self, k: int) -> Path:
-        return self.path / FRAMES / f"{k}.done"
+        note = aside.with_suffix(".partial")
+        note.write_text(sizes, encoding="utf-8")
+        note.replace(note.with_suffix(".done"))
 
     def _has(self, k: int) -> bool:
         """Whether the frame's record exists, and every file that it lists has the recorded length."""
         try:
-            lines = self._note(k).read_text(encoding="utf-8").splitlines()
+            lines = (self.path / FRAMES / f"{k}.done").read_text(encoding="utf-8").splitlines()
             sizes = (line.split(" ", 1) for line in lines)
             return all((self.mav0 / name).stat().st_size == int(size) for size, name in sizes)
         except OSError:
             return False
 
 
-def require_free(folder: Path, overwrite: bool) -> None:
-    """Raise InputError unless ``folder`` can be written and is absent, empty, or one of ``simulate`` that may
-    be overwritten."""
-    place = folder_place(folder)
-    require_not_current(place, folder)
-    require_writable(place.parent, folder)
-    if not (place.is_dir() and any(place.iterdir())):
-        return
-    reason = why_not_ours(place)
-    if reason:
-        raise InputError(
-            f"{folder} exists and is no dataset that polhode simulate made ({reason}); choose another folder"
-        )
-    if not overwrite:
-        raise InputError(f"{folder} exists: choose another folder or pass --overwrite")
+def _is_own_file(name: str) -> bool:
+    """Whether ``simulate`` writes a file of this name into the hidden folder."""
+    frame = _FRAME.fullmatch(name)
+    if frame is not None:
+        name = "mav0/" + _PARTIAL.sub(r"\1\2", frame[1])
+    return _DATASET.fullmatch(name) is not None or _STAGING.fullmatch(name) is not None
+
+
+def why_not_ours(folder: Path) -> str:
+    """What speaks against a folder being a dataset of ``simulate`` and nothing else; empty: nothing does.
+
+    It holds what ``simulate`` writes, under the names and times that its scene gives.
+    """
+    for name in (SCENE_FILE, "mav0/target0/target.yaml"):
+        if not ((folder / name).is_file() and is_regular(folder / name)):
+            return f"it has no {name}"
+    others = foreign(folder, lambda name: _DATASET.fullmatch(name) is not None)
+    if others:
+        return f"it holds {others[0]}"
+    try:
+        scene = load_config(folder / SCENE_FILE).scene
+    except InputError:
+        return f"its {SCENE_FILE} cannot be read"
+    if scene is None:
+        return f"its {SCENE_FILE} has no scene"
+    stereo = scene.ranges is None
+    on_request = {
+        "masks0": scene.render.masks,
+        "masks1": scene.render.masks and stereo,
+        "truth0": bool(scene.render.products),
+        "truth1": bool(scene.render.products) and stereo,
+        "cam1": stereo,
+        "range0": not stereo,
+        "inspector0": scene.inspector.moves and scene.inspector.reported,
+        "wrench0": bool(scene.motion.pushes) and scene.motion.pushes_known,
+    }
+    known = {int(stamp) for stamp in timestamps(scene)}
+    for path in sorted((folder / "mav0").rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if not on_request.get(name.split("/")[1], True):
+            return f"its {SCENE_FILE} does not ask for {name}"
+        stamped = _STAMPED.fullmatch(name)
+        if stamped and int(stamped[1]) not in known:
+            return f"its {SCENE_FILE} is of other images than {name}"
+    return ""
+
+
+SIMULATED = DatasetMaker("simulate", _is_own_file, why_not_ours, FINGERPRINT)
+require_free = SIMULATED.require_free
 
 
 @contextmanager
-def staged_dataset(folder: Path, overwrite: bool, fingerprint: str) -> Iterator[StagedDataset]:
-    """A new or resumed staged dataset that replaces ``folder`` if the block succeeds.
+def staged_dataset(
+    folder: Path, overwrite: bool, fingerprint: str, frames: int = 0
+) -> Iterator[StagedDataset]:
+    """A new or resumed staged dataset of ``frames`` pairs that replaces ``folder`` if the block succeeds."""
 
-    ``fingerprint`` is a text that identifies what makes the dataset: a staging folder with another one is
-    cleared. If the block fails, the staging folder is kept when it holds a frame, but never after an
-    InputError. Raises InputError: the folder exists, cannot be written, or another process is writing it;
-    RunFailure: a file cannot be written.
-    """
-    place = folder_place(folder)
-    with staged_folder(place, folder, is_staged_file, is_whole) as staged:
-        require_free(folder, overwrite)
-        _resume_or_clear(staged, fingerprint)
-        dataset = StagedDataset(staged.path)
-        try:
-            yield dataset
-            shutil.rmtree(staged.path / FRAMES, ignore_errors=True)
-            (staged.path / FINGERPRINT).unlink()
-            require_free(folder, overwrite)
-            staged.publish(is_own=is_dataset_file)
-        except InputError:
-            raise
-        except BaseException as error:
-            done = len(list((staged.path / FRAMES).glob("*.done")))
-            staged.keep = done > 0
-            if isinstance(error, OSError) and error.errno in REFUSALS:
-                error = write_failure(Path(error.filename or folder), error)
-            if isinstance(error, RunFailure) and done:
-                kept = f"{done} pairs are kept, the same command goes on from there"
-                raise RunFailure(f"{error}; {kept}") from error
-            raise error
+    def kept(path: Path) -> str:
+        done = len(list((path / FRAMES).glob("*.done")))
+        return f"{done} of {frames} pairs" if done else ""
 
-
-def _resume_or_clear(staged: StagedFolder, fingerprint: str) -> None:
-    """Keep a staged dataset with the same fingerprint; clear any other."""
-    note = staged.path / FINGERPRINT
-    if note.is_file() and note.read_text(encoding="utf-8") == fingerprint:
-        staged.resume()
-        return
-    staged.claim()
-    try:
-        note.write_text(fingerprint, encoding="utf-8")
-    except OSError as error:
-        raise unwritable(staged.place, error) from error
+    with SIMULATED.staged(folder, overwrite, fingerprint, kept) as path:
+        yield StagedDataset(path)
+        shutil.rmtree(path / FRAMES, ignore_errors=True)

@@ -22,9 +22,8 @@ from polhode.records.range_images import RANGE_FOLDER
 from polhode.runtime.program_digest import versions_of
 from polhode.runtime.progress import Progress
 from polhode.simulation.dataset.frame_renderer import render_frames
-from polhode.simulation.dataset.own_files import SCENE_FILE
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence, truth_of
-from polhode.simulation.dataset.resumable_dataset import require_free, staged_dataset
+from polhode.simulation.dataset.resumable_dataset import SCENE_FILE, require_free, staged_dataset
 from polhode.simulation.motion.forces import known_wrench
 from polhode.simulation.motion.inspector import reported_inspector
 from polhode.simulation.stereo_camera import mount_pose
@@ -73,17 +72,12 @@ def write_sequence(
         for f in _files_of_mesh(plan.scene.body.path)
     )
     fingerprint = f"{description}# program: {_program_digest()}\n{files}"
-    with staged_dataset(folder, overwrite, fingerprint) as staged:
+    with staged_dataset(folder, overwrite, fingerprint, len(plan.frames)) as staged:
         missing = staged.missing(plan.frames)
         there = len(plan.frames) - len(missing)
         title = f"rendering ({there} of {len(plan.frames)} were there)" if there else "rendering"
-        try:
-            with progress.stage(title, len(missing)) as advance:
-                render_frames(plan, staged, missing, workers, advance)
-        except KeyboardInterrupt:
-            there = len(plan.frames) - len(staged.missing(plan.frames))
-            kept = f"; {there} of {len(plan.frames)} pairs are kept, the same command goes on from there"
-            raise KeyboardInterrupt("interrupted" + (kept if there else "")) from None
+        with progress.stage(title, len(missing)) as advance:
+            render_frames(plan, staged, missing, workers, advance)
         write_estimator_inputs(plan, staged.mav0)
         write_truth(staged.mav0, truth_of(plan))
         (staged.path / SCENE_FILE).write_text(description, encoding="utf-8")
@@ -123,19 +117,10 @@ def write_estimator_inputs(plan: SequencePlan, mav0: Path) -> None:
     """Write what the estimator may read: calibration, times, inspector poses, known forces and torques."""
     scene, X_BC = plan.scene, mount_pose(plan.scene.rig)
     all_ns = plan.target.timestamps_ns[: scene.frames]
-    for index, camera in enumerate(plan.recording_cameras):
-        path = mav0 / f"cam{index}"
-        write_sensor(
-            path,
-            camera.K,
-            camera.dist,
-            X_BC @ camera.X_CK,
-            camera.width_px,
-            camera.height_px,
-            rate_hz=1.0 / scene.interval_s,
-            bits=scene.sensor.bits,
-            fisheye=camera.fisheye,
-        )
+    for index, c in enumerate(plan.recording_cameras):
+        path, rate_hz, bits = mav0 / f"cam{index}", 1.0 / scene.interval_s, scene.sensor.bits
+        calibration = (c.K, c.dist, X_BC @ c.X_CK, c.width_px, c.height_px)
+        write_sensor(path, *calibration, rate_hz=rate_hz, bits=bits, fisheye=c.fisheye)
         write_camera_csv(path, all_ns[list(plan.frames)])
     if (ranges := scene.ranges) is not None:
         write_range_sensor(mav0 / RANGE_FOLDER, ranges.scale_m, ranges.sigma_m, ranges.growth_per_m)

@@ -5,5 +5,4 @@ inspector.py  the camera's path, the jitter of its control, and the poses that t
 mass.py       mass properties, by density or by hand
 forces.py     known and white forces and torques, loss of rotational energy
 integrate.py  the rigid body under discontinuous forces
-poinsot.py    torque-free motion: precession, polhode, herpolhode
 """

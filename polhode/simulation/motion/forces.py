@@ -21,8 +21,8 @@ MAX_CELLS = 2_000_000
 """Of the disturbances, and rows of the known wrench: 14 hours of the shortest."""
 MAX_STEPS = 10_000_000
 """Of the integration, which makes some hundred thousand in a second."""
-MAX_STEP_S = 0.05
-STEPS_PER_PERIOD = 200
+MAX_ROW_S = 0.05
+"""Time between rows of the known wrench."""
 
 
 def acting_forces(
@@ -39,7 +39,7 @@ def acting_forces(
     cell_s = float(min(MAX_CELL_S, scene.interval_s / 20))
     noisy = motion.accel_psd > 0 or motion.torque_psd > 0
     cells = int(np.ceil(stop_s / cell_s)) + 1 if noisy else 0
-    rows = stop_s / MAX_STEP_S if motion.pushes and motion.pushes_known else 0.0
+    rows = stop_s / MAX_ROW_S if motion.pushes and motion.pushes_known else 0.0
     if max(cells, rows) > MAX_CELLS:
         raise InputError(
             f"scene: disturbances or pushes over {stop_s:g} s take {max(cells, rows):.3g} steps, above "
@@ -57,39 +57,22 @@ def acting_forces(
         middles_s = np.concatenate([knots_s[:1] - 1.0, between_s, knots_s[-1:] + 1.0])
     cell = np.clip(np.floor(middles_s / cell_s).astype(int), 0, max(cells - 1, 0))
     accel_N, torque_P = white_accel_N[cell], white_torque_P[cell]
-    sines = []
     for push in motion.pushes:
         start_s, end_s = push_interval_s(push)
-        push_accel_N = np.array(push.force_N) / mass.mass_kg
-        if push.period_s is None:
-            on = (start_s <= middles_s) & (middles_s < end_s)
-            accel_N[on] += push_accel_N
-            torque_P[on] += push.torque_P
-        else:
-            sines.append([start_s, end_s, 2.0 * np.pi / push.period_s, *push_accel_N, *push.torque_P])
-    waves = np.array(sines).reshape(-1, 9)
-    forces = Forces(mass.moments, knots_s, accel_N, torque_P, waves, drag_hz, friction)
-    _require_feasible(forces, w_P, stop_s)
-    return forces
-
-
-def _require_feasible(forces: Forces, w_P: Array, stop_s: float) -> None:
-    """Raise InputError for a motion of so many steps of integration that it would take hours."""
-    inside = np.clip(np.concatenate([[0.0], forces.knots_s, [np.inf]]), 0.0, stop_s)
-    impulse = np.cumsum(forces.torque_P * np.diff(inside)[:, None], axis=0)
-    largest = float(np.abs(impulse).max())
-    fastest = 0.0
-    for start_s, end_s, rate, *amplitudes in forces.sines:
-        largest += float(np.abs(amplitudes[3:]).max()) * max(min(end_s, stop_s) - start_s, 0.0)
-        fastest = max(fastest, rate if start_s < stop_s else 0.0)
-    rate_rad_s = float(np.abs(w_P).sum()) + largest / float(forces.moments.min())
-    per_second = rate_rad_s / integrate.MAX_ROTATION_RAD + forces.drag_hz
-    per_second += fastest * integrate.STEPS_PER_PERIOD / (2.0 * np.pi)
+        on = (start_s <= middles_s) & (middles_s < end_s)
+        accel_N[on] += np.array(push.force_N) / mass.mass_kg
+        torque_P[on] += push.torque_P
+    # A motion of so many steps of integration that it would take hours is refused.
+    inside = np.clip(np.concatenate([[0.0], knots_s, [np.inf]]), 0.0, stop_s)
+    impulse = float(np.abs(np.cumsum(torque_P * np.diff(inside)[:, None], axis=0)).max())
+    rate_rad_s = float(np.abs(w_P).sum()) + impulse / float(mass.moments.min())
+    per_second = rate_rad_s / integrate.MAX_ROTATION_RAD + drag_hz
     if not per_second * stop_s <= MAX_STEPS:
         raise InputError(
             f"scene.motion: spin, torques and losses reach {rate_rad_s:.3g} rad/s within {stop_s:g} s, "
             f"{per_second * stop_s:.3g} steps of integration, above {MAX_STEPS:g}; give less of them"
         )
+    return Forces(mass.moments, knots_s, accel_N, torque_P, drag_hz, friction)
 
 
 def is_free(motion: config.Motion) -> bool:
@@ -106,32 +89,21 @@ def known_wrench(motion: config.Motion, timestamps_ns: Ints) -> tuple[Ints, Arra
     """Times (n,) [ns], forces (n, 3) in N [N], torques (n, 3) in P [N m]; None without any.
 
     ``timestamps_ns`` are those of the frames and of the truth beyond them. The rows go from the
-    first to the last of them at 20 Hz or more, with 200 rows in a period of a sine, and with two rows 1 ns
-    apart where the wrench jumps.
+    first to the last of them at 20 Hz or more, with two rows 1 ns apart where the wrench jumps.
     """
     if not motion.pushes or not motion.pushes_known:
         return None
     last_ns = int(timestamps_ns[-1] - timestamps_ns[0])
     spans_ns = [tuple(round(edge * 1e9) for edge in push_interval_s(push)) for push in motion.pushes]
-
-    def evenly_spaced(start_ns: int, end_ns: int, longest_step_s: float) -> Ints:
-        steps = int(np.ceil((end_ns - start_ns) * 1e-9 / longest_step_s))
-        return np.linspace(start_ns, end_ns, steps + 1).round().astype(np.int64)
-
-    rows = [evenly_spaced(0, last_ns, MAX_STEP_S)]
-    for push, (start_ns, end_ns) in zip(motion.pushes, spans_ns, strict=True):
-        rows.append(np.array([start_ns - 1, start_ns, end_ns - 1, end_ns]))
-        if push.period_s is not None and start_ns < last_ns:
-            rows.append(evenly_spaced(start_ns, min(end_ns, last_ns), push.period_s / STEPS_PER_PERIOD))
-    rows_ns = np.unique(np.concatenate(rows))
+    even_ns = np.linspace(0, last_ns, int(np.ceil(last_ns * 1e-9 / MAX_ROW_S)) + 1).round().astype(np.int64)
+    edges_ns = [edge for start, end in spans_ns for edge in (start - 1, start, end - 1, end)]
+    rows_ns = np.unique(np.concatenate([even_ns, edges_ns]))
     rows_ns = rows_ns[(rows_ns >= 0) & (rows_ns <= last_ns)]
     force_N, torque_P = np.zeros((len(rows_ns), 3)), np.zeros((len(rows_ns), 3))
     for push, (start_ns, end_ns) in zip(motion.pushes, spans_ns, strict=True):
-        shape = ((start_ns <= rows_ns) & (rows_ns < end_ns)).astype(np.float64)
-        if push.period_s is not None:
-            shape *= np.sin(2.0 * np.pi * (rows_ns - start_ns) * 1e-9 / push.period_s)
-        force_N += shape[:, None] * push.force_N
-        torque_P += shape[:, None] * push.torque_P
+        on = ((start_ns <= rows_ns) & (rows_ns < end_ns)).astype(np.float64)[:, None]
+        force_N += on * push.force_N
+        torque_P += on * push.torque_P
     return timestamps_ns[0] + rows_ns, force_N, torque_P
 
 

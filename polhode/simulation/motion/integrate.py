@@ -22,15 +22,14 @@ from polhode.geometry.lie import Array
 from polhode.runtime.compiled import compiled
 
 STAGES = DOP853.n_stages
-A, B, C = np.array(DOP853.A), np.array(DOP853.B), np.array(DOP853.C)
+A, B = np.array(DOP853.A), np.array(DOP853.B)
 """Hairer, Norsett, Wanner, "Solving Ordinary Differential Equations I", 2nd ed., section II.5."""
 MAX_ROTATION_RAD = 0.1
 """Rotation within one step [rad]; the error of a step is then below rounding."""
-STEPS_PER_PERIOD = 60.0
 
 
 class Forces(NamedTuple):
-    """Forces and torques on the target after the first frame, and its inertia. n knots, m sines."""
+    """Forces and torques on the target after the first frame, and its inertia. n knots."""
 
     moments: Array
     """(3,) [kg m^2]"""
@@ -40,8 +39,6 @@ class Forces(NamedTuple):
     """(n + 1, 3) constant within a segment [m/s^2]"""
     torque_P: Array
     """(n + 1, 3) [N m]"""
-    sines: Array
-    """(m, 9): start [s], end [s], angular frequency [rad/s], amplitudes of acceleration and torque"""
     drag_hz: float
     """Torque against the angular momentum, over it [1/s]"""
     friction: float
@@ -82,27 +79,17 @@ def advance(y: Array, start_s: float, stop_s: float, forces: Forces) -> Array:
 def _within_segment(y: Array, start_s: float, end_s: float, segment: int, forces: Forces) -> Array:
     """Equal steps over a span without discontinuities."""
     duration = end_s - start_s
-    middle = 0.5 * (start_s + end_s)
-    torque = np.abs(forces.torque_P[segment]).sum()
-    fastest = 0.0
-    active = np.zeros(len(forces.sines))
-    for k in range(len(forces.sines)):
-        if forces.sines[k, 0] <= middle < forces.sines[k, 1]:
-            active[k] = 1.0
-            torque += np.abs(forces.sines[k, 6:9]).sum()
-            fastest = max(fastest, forces.sines[k, 2])
     rate = np.abs(body_rate(y[10:13], forces.moments, forces.friction)).sum()
-    rate += torque * abs(duration) / forces.moments[2]
-    per_second = max(rate / MAX_ROTATION_RAD, fastest * STEPS_PER_PERIOD / (2.0 * np.pi), forces.drag_hz)
-    turn = per_second * abs(duration)
-    steps = max(int(np.ceil(turn)), 1)
-    for k in range(steps):
-        y = _step(y, start_s + duration * k / steps, duration / steps, segment, active, forces)
+    rate += np.abs(forces.torque_P[segment]).sum() * abs(duration) / forces.moments[2]
+    per_second = max(rate / MAX_ROTATION_RAD, forces.drag_hz)
+    steps = max(int(np.ceil(per_second * abs(duration))), 1)
+    for _ in range(steps):
+        y = _step(y, duration / steps, segment, forces)
     return y
 
 
 @compiled
-def _step(y: Array, time_s: float, step_s: float, segment: int, active: Array, forces: Forces) -> Array:
+def _step(y: Array, step_s: float, segment: int, forces: Forces) -> Array:
     """One step of order eight."""
     slopes = np.empty((STAGES, 13))
     for i in range(STAGES):
@@ -110,7 +97,7 @@ def _step(y: Array, time_s: float, step_s: float, segment: int, active: Array, f
         for j in range(i):
             for n in range(13):
                 inner[n] += step_s * A[i, j] * slopes[j, n]
-        _slope(inner, time_s + C[i] * step_s, segment, active, forces, slopes[i])
+        _slope(inner, segment, forces, slopes[i])
     out = y.copy()
     for i in range(STAGES):
         for n in range(13):
@@ -122,7 +109,7 @@ def _step(y: Array, time_s: float, step_s: float, segment: int, active: Array, f
 
 
 @compiled
-def _slope(y: Array, time_s: float, segment: int, active: Array, forces: Forces, out: Array) -> None:
+def _slope(y: Array, segment: int, forces: Forces, out: Array) -> None:
     """Derivative of the state, written to out (13,)."""
     rate = body_rate(y[10:13], forces.moments, forces.friction)
     for i in range(3):
@@ -131,11 +118,6 @@ def _slope(y: Array, time_s: float, segment: int, active: Array, forces: Forces,
         out[3 + i] = forces.accel_N[segment, i]
         out[10 + i] = y[10 + j] * rate[k] - y[10 + k] * rate[j]
         out[10 + i] += forces.torque_P[segment, i] - forces.drag_hz * y[10 + i]
-    for n in range(len(active)):
-        wave = active[n] * np.sin(forces.sines[n, 2] * (time_s - forces.sines[n, 0]))
-        for i in range(3):
-            out[3 + i] += wave * forces.sines[n, 3 + i]
-            out[10 + i] += wave * forces.sines[n, 6 + i]
     w, x, yq, z = y[6], y[7], y[8], y[9]
     out[6] = 0.5 * (-x * rate[0] - yq * rate[1] - z * rate[2])
     out[7] = 0.5 * (w * rate[0] + yq * rate[2] - z * rate[1])
@@ -154,4 +136,4 @@ def states_at(y: Array, t_s: Array, forces: Forces) -> Array:
 def no_forces(moments: Array) -> Forces:
     """No forces on a body of the principal moments (3,) [kg m^2]."""
     none = np.zeros((1, 3))
-    return Forces(np.asarray(moments, dtype=np.float64), np.zeros(0), none, none, np.zeros((0, 9)), 0.0, 0.0)
+    return Forces(np.asarray(moments, dtype=np.float64), np.zeros(0), none, none, 0.0, 0.0)

@@ -55,7 +55,14 @@ def mass_distribution(mass: config.Mass, body: Body) -> MassDistribution:
         com_G = np.array(mass.com_m)
     if mass.inertia_kg_m2 is not None:
         J_G = np.array(mass.inertia_kg_m2)
-        _require_physical(J_G)
+        if not np.allclose(J_G, J_G.T, rtol=0, atol=1e-9 * np.abs(J_G).max()):
+            raise InputError("scene.mass.inertia_kg_m2 is not symmetric: give the full 3x3 matrix")
+        low, middle, high = np.linalg.eigvalsh(J_G)
+        if low <= 0 or low + middle < high * (1 - 1e-9):
+            raise InputError(
+                f"scene.mass.inertia_kg_m2: no body has the principal moments {low:.4g}, {middle:.4g}, "
+                f"{high:.4g}; they must be positive and the greatest at most the sum of the others"
+            )
     return MassDistribution(com_G, J_G, *principal_axes(J_G), total_kg * scale)
 
 
@@ -69,14 +76,3 @@ def principal_axes(J: ArrayLike) -> tuple[Array, Array]:
     turns = [np.diag(d) for d in ([1.0, 1, 1], [1.0, -1, -1], [-1.0, 1, -1], [-1.0, -1, 1])]
     R_GP = max((R @ turn for turn in turns), key=lambda candidate: float(np.trace(candidate)))
     return values[::-1].copy(), R_GP
-
-
-def _require_physical(J: Array) -> None:
-    if not np.allclose(J, J.T, rtol=0, atol=1e-9 * np.abs(J).max()):
-        raise InputError("scene.mass.inertia_kg_m2 is not symmetric: give the full 3x3 matrix")
-    low, middle, high = np.linalg.eigvalsh(J)
-    if low <= 0 or low + middle < high * (1 - 1e-9):
-        raise InputError(
-            f"scene.mass.inertia_kg_m2: no body has the principal moments {low:.4g}, {middle:.4g}, "
-            f"{high:.4g}; they must be positive and the greatest at most the sum of the others"
-        )

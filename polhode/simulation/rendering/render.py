@@ -11,12 +11,11 @@ from polhode.geometry.lie import Array, inverse_pose
 from polhode.simulation.bodies import Body
 from polhode.simulation.rendering.appearance import SurfaceAppearance
 from polhode.simulation.rendering.indirect import IndirectLight
-from polhode.simulation.rendering.light import Lights, lights_in_body
-from polhode.simulation.rendering.raycast import Hits, RayCaster
+from polhode.simulation.rendering.light import lights_in_body
+from polhode.simulation.rendering.raycast import RayCaster
 from polhode.simulation.rendering.sampling import Stratum, rays_over_disc, scattered_offsets
 from polhode.simulation.rendering.shading import IncidentLight, SpecularTracer, shade
 from polhode.simulation.stereo_camera import Camera, sample_offsets
-from polhode.simulation.surface.materials import Surface
 
 PIXELS_A_PROBE = 60
 """Pixels of the image per probe of indirect light;"""
@@ -84,19 +83,14 @@ class Renderer:
             to_viewer = -rays_G[hits.ray]
             stratum = Stratum(pixels[hits.ray], i, len(offsets))
             to_sun = rays_over_disc(lights.sun_direction_G, lights.sun_radius_rad, stratum)
-            incident = self._incident(hits, surface, to_viewer, lights, stratum)
+            incident = None
+            if lights.earth != 0 or self._bounces:
+                around = self._indirect.at(hits, lights)
+                mirror = SpecularTracer(self.caster, self.appearance, self._indirect, self._bounces)
+                mirrored = mirror.level(hits, surface, to_viewer, lights, around, stratum)
+                bounced = around.bounced(surface.normal_G)
+                incident = IncidentLight(bounced, around.earth_share(), mirrored)
             level[stratum.pixel] += shade(hits, surface, to_viewer, lights, self.caster, to_sun, incident)
             covered[stratum.pixel] += 1.0
         shape = (camera.height_px, camera.width_px)
         return RenderedLight(level.reshape(shape) / len(offsets), covered.reshape(shape) / len(offsets))
-
-    def _incident(
-        self, hits: Hits, surface: Surface, to_viewer_G: Array, lights: Lights, stratum: Stratum
-    ) -> IncidentLight | None:
-        """Indirect light on n hits."""
-        if lights.earth == 0 and not self._bounces:
-            return None
-        around = self._indirect.at(hits, lights)
-        mirror = SpecularTracer(self.caster, self.appearance, self._indirect, self._bounces)
-        mirrored = mirror.level(hits, surface, to_viewer_G, lights, around, stratum)
-        return IncidentLight(around.bounced(surface.normal_G), around.earth_share(), mirrored)

@@ -112,20 +112,13 @@ class SpecularTracer:
         level = around.mirrored(surface, to_viewer_G, hits.flat_normal_G, stratum)
         share = specular_albedo(surface, to_viewer_G)
         sharp = np.flatnonzero((surface.roughness**2 < SHARP_ALPHA) & (share > MIN_TRACED_SHARE))
-        if len(sharp) > 0:
-            part = Surface(*(getattr(surface, field.name)[sharp] for field in fields(surface)))
-            traced = self._traced(hits[sharp], part, to_viewer_G[sharp], lights, stratum[sharp])
-            fade = np.minimum((share[sharp] - MIN_TRACED_SHARE) / (FULL_TRACED_SHARE - MIN_TRACED_SHARE), 1.0)
-            level[sharp] += fade * (traced - level[sharp])
-        return level
-
-    def _traced(
-        self, hits: Hits, surface: Surface, to_viewer_G: Array, lights: Lights, stratum: Stratum
-    ) -> Array:
-        """Level (n,) from one traced ray per hit."""
-        alpha = np.maximum(surface.roughness**2, 1e-3)
-        lobe = (surface.normal_G, to_viewer_G, alpha, surface.specular)
-        rays, weight = lobe_rays(*lobe, LOBE_CORE * stratum.on_disc(use=1), hits.flat_normal_G)
+        if len(sharp) == 0:
+            return level
+        # One traced ray per hit of a sharp surface.
+        s = Surface(*(getattr(surface, field.name)[sharp] for field in fields(surface)))
+        hits, share = hits[sharp], share[sharp]
+        alpha, place = np.maximum(s.roughness**2, 1e-3), LOBE_CORE * stratum[sharp].on_disc(use=1)
+        rays, weight = lobe_rays(s.normal_G, to_viewer_G[sharp], alpha, s.specular, place, hits.flat_normal_G)
         met = self._caster.next_hits(hits, rays)
         seen = lights.earth * earth_share_of_lobe(rays, EARTH_EDGE * alpha, lights)
         seen[met.ray] = 0.0
@@ -134,6 +127,7 @@ class SpecularTracer:
             there = self._appearance.at(met)
             there = replace(there, roughness=np.maximum(there.roughness, MIN_TRACED_ROUGHNESS))
             incident = IncidentLight(earth_share=self._indirect.at(met, lights).earth_share())
-            back = -rays[met.ray]
-            seen[met.ray] = shade(met, there, back, lights, self._caster, incident=incident)
-        return weight * seen
+            seen[met.ray] = shade(met, there, -rays[met.ray], lights, self._caster, incident=incident)
+        fade = np.minimum((share - MIN_TRACED_SHARE) / (FULL_TRACED_SHARE - MIN_TRACED_SHARE), 1.0)
+        level[sharp] += fade * (weight * seen - level[sharp])
+        return level

@@ -80,19 +80,7 @@ def test_telling_names_choose_the_material(name: str, material: object) -> None:
     assert material_by_name(name) == material
 
 
-def test_names_are_read_from_objs_without_library_and_from_scene_graphs(tmp_path: Path) -> None:
-    path = tmp_path / "craft.obj"
-    lines = ["mtllib gone.mtl", "o craft"]
-    for k, name in enumerate(["gold_foil", "solar_cells", "gold_foil"]):
-        box = trimesh.creation.box()
-        box.apply_translation([3.0 * k, 0, 0])
-        lines += [f"usemtl {name}"] + [f"v {x} {y} {z}" for x, y, z in box.vertices]
-        lines += [f"f {a} {b} {c}" for a, b, c in box.faces + 1 + 8 * k]
-    path.write_text("\n".join(lines))
-    body = _body(path)
-    assert {part.name for part in body.parts} == {"craft_gold_foil", "craft_solar_cells"}
-    assert {FOIL_GOLD, SOLAR_CELL} <= set(body.materials)
-    assert sum(part.volume_m3 for part in body.parts) == pytest.approx(3.0)
+def test_names_are_read_from_scene_graphs(tmp_path: Path) -> None:
     scene = trimesh.Scene()
     far = trimesh.transformations.translation_matrix([2.0, 0, 0])
     scene.add_geometry(_box(), node_name="solar_wing", transform=far)
@@ -169,13 +157,6 @@ def test_a_base_colour_and_metalness_become_reflectances(tmp_path: Path) -> None
     body = _body(path)
     assert body.materials[0].specular == pytest.approx(0.04 * 0.2 + 0.5 * 0.8, abs=0.005)
     assert body.materials[0].roughness == pytest.approx(0.3)
-
-
-def test_a_rock_is_told_by_its_shape(tmp_path: Path) -> None:
-    rock = trimesh.creation.icosphere(subdivisions=4)
-    rock.vertices *= 1.0 + 0.1 * np.random.default_rng(0).normal(size=(len(rock.vertices), 1))
-    rock.export(tmp_path / "thing.stl")
-    assert _body(tmp_path / "thing.stl").materials == (REGOLITH,)
 
 
 def test_texture_fits_the_body_at_any_scale_and_words_tell_its_size(tmp_path: Path) -> None:

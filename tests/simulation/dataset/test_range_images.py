@@ -7,15 +7,13 @@ import pytest
 from PIL import Image
 
 from polhode.config.scene_settings import RangeSensor, Scene
-from polhode.frontend.background.find_masks import doubtful_frames, find_background, find_masks
-from polhode.frontend.rectification import make_rectifier
 from polhode.geometry.lie import Array, inverse_pose
 from polhode.records.dataset import open_sequence
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Silent
-from polhode.simulation.dataset.own_files import why_not_ours
 from polhode.simulation.dataset.plan import plan_sequence
 from polhode.simulation.dataset.range_images import MAX_UNITS, measure, true_depth
+from polhode.simulation.dataset.resumable_dataset import why_not_ours
 from polhode.simulation.dataset.sequence import simulate
 from polhode.simulation.rendering.raycast import RayCaster
 
@@ -115,35 +113,6 @@ def test_a_simulated_sequence_holds_ranges_instead_of_the_second_camera(tmp_path
     assert off[known].std() == pytest.approx(0.003, rel=0.15)
     with Image.open(mav0 / "range0" / "data" / f"{sequence.timestamps_ns[1]}.png") as image:
         assert image.mode.startswith("I;16")
-
-
-def test_a_wall_behind_the_target_is_measured_and_masks_are_found_before_it(tmp_path: Path) -> None:
-    wall = {"distance_m": 1.6, "turn_deg": [0.0, 10.0, 0.0]}
-    rig = {"width_px": 96, "height_px": 72, "focal_px": 90.0}
-    settings = scene(background={"wall": wall}, frames=8, rig=rig, render={"masks": True})
-    plan = simulate(settings, 3, tmp_path / "S", Silent())
-    sequence = open_sequence(tmp_path / "S")
-    masks = [sequence.read_left(k)[1] for k in range(8)]
-    assert plan.sky.wall is not None and masks[0] is not None
-    behind, cosine = plan.sky.wall.depth(plan.cameras[0], plan.X_NC[0])
-    assert cosine[36, 48] == pytest.approx(np.cos(np.deg2rad(10.0)), abs=0.005)
-    off = (sequence.read_range(0) - behind)[~masks[0]]
-    off = off[np.isfinite(off) & (np.abs(off) < 0.015)]
-    assert len(off) > 0.9 * (~masks[0]).sum()
-    assert abs(off.mean()) < 4.0 * 0.003 / np.sqrt(len(off))
-    assert off.std() == pytest.approx(0.003, rel=0.1)
-    # the masks that were simulated are hidden
-    (tmp_path / "S" / "mav0" / "masks0").rename(tmp_path / "masks")
-    blind = open_sequence(tmp_path / "S")
-    rectifier = make_rectifier(blind.calibration)
-    background = find_background(blind, rectifier)
-    assert background is not None and background.description.startswith("in a plane 1.")
-    found = find_masks(blind, rectifier, background, range(8), 1, lambda: None)
-    assert found is not None and doubtful_frames(found) == []
-    for k, mask in enumerate(masks):
-        mine = found.mask(k, 0)
-        assert mine is not None and mask is not None
-        assert (mine & mask).sum() / (mine | mask).sum() > 0.85
 
 
 def test_a_target_beyond_the_ranges_that_16_bits_hold_is_refused() -> None:

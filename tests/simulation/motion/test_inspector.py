@@ -1,4 +1,4 @@
-"""The inspector takes the path that the scene names."""
+"""The inspector takes the path that the scene names; a limit cycle stays in its band."""
 
 import pickle  # noqa: TID251  as multiprocessing passes it to workers
 from typing import Any
@@ -9,7 +9,15 @@ import pytest
 from polhode.config.scene_settings import Scene
 from polhode.geometry.lie import Array, exp_so3, log_so3
 from polhode.runtime.errors import InputError
-from polhode.simulation.motion.inspector import InspectorMotion, inspector_motion, reported_inspector
+from polhode.simulation.motion.inspector import (
+    PULSE_S,
+    RATE_VARIATION,
+    InspectorMotion,
+    LimitCycle,
+    inspector_motion,
+    limit_cycle,
+    reported_inspector,
+)
 
 WAYPOINTS: list[dict[str, Any]] = [
     {"t_s": 2.0, "position_m": [0.0, 0.0, 0.0]},
@@ -37,47 +45,30 @@ def _motion(
     return inspector_motion(Scene.model_validate(scene), seed)
 
 
-def _velocities(motion: InspectorMotion) -> tuple[Array, Array]:
-    """v_N and w_C (F, 3) at the frames, by central differences."""
-    e = 1e-5
-    pairs = np.stack([motion.poses_during(k, [-e, e]) for k in range(len(motion.t_s))])
-    turn = np.swapaxes(pairs[:, 0, :3, :3], 1, 2) @ pairs[:, 1, :3, :3]
-    return (pairs[:, 1, :3, 3] - pairs[:, 0, :3, 3]) / (2 * e), log_so3(turn) / (2 * e)
+def _velocity(motion: InspectorMotion, k: int) -> Array:
+    """v_N and w_C (6,) at frame k, by central differences."""
+    before, after = motion.poses_during(k, [-1e-5, 1e-5])
+    turn = log_so3(before[:3, :3].T @ after[:3, :3])
+    return np.concatenate([after[:3, 3] - before[:3, 3], turn]) / 2e-5
 
 
 @pytest.mark.parametrize("profile", COURSES)
-def test_the_camera_never_jumps_and_never_jerks_its_velocity(profile: str) -> None:
+def test_poses_are_smooth_depend_on_time_and_seed_alone_and_travel_to_another_process(profile: str) -> None:
     motion = _motion(profile, frames=20_001, interval_s=0.001, **JITTER)
-    v_N, w_C = (
-        np.diff(motion.X_NC[:, :3, 3], axis=0) / 0.001,
-        log_so3(np.swapaxes(motion.X_NC[:-1, :3, :3], 1, 2) @ motion.X_NC[1:, :3, :3]) / 0.001,
-    )
+    v_N = np.diff(motion.X_NC[:, :3, 3], axis=0) / 0.001
+    w_C = log_so3(np.swapaxes(motion.X_NC[:-1, :3, :3], 1, 2) @ motion.X_NC[1:, :3, :3]) / 0.001
     assert np.abs(np.diff(v_N, axis=0)).max() < 0.1 * 0.001
     assert np.abs(np.diff(w_C, axis=0)).max() < 0.3 * 0.001
-
-
-@pytest.mark.parametrize("profile", COURSES)
-def test_poses_depend_on_time_and_seed_alone(profile: str) -> None:
     coarse, fine = (_motion(profile, n, interval_s=dt, **JITTER) for n, dt in [(5, 2.0), (33, 0.25)])
     np.testing.assert_allclose(coarse.X_NC, fine.X_NC[::8], atol=1e-14)
     np.testing.assert_array_equal(fine.poses_during(0, fine.t_s), fine.X_NC)
     assert np.abs(_motion(profile, 33, 4, 0.25, **JITTER).X_NC - fine.X_NC).max() > 1e-3
     np.testing.assert_array_equal(_motion(profile, seed=3).X_NC, _motion(profile, seed=4).X_NC)
+    moved = pickle.loads(pickle.dumps(fine))  # noqa: S301
+    np.testing.assert_array_equal(moved.poses_during(7, [0.1]), fine.poses_during(7, [0.1]))
 
 
-@pytest.mark.parametrize("profile", COURSES)
-def test_a_motion_travels_to_another_process(profile: str) -> None:
-    motion = _motion(profile, **JITTER)
-    moved = pickle.loads(pickle.dumps(motion))  # noqa: S301
-    np.testing.assert_array_equal(moved.poses_during(7, [0.1]), motion.poses_during(7, [0.1]))
-
-
-def test_at_rest_the_first_camera_is_N_exactly_also_when_it_jitters() -> None:
-    np.testing.assert_array_equal(_motion("rest", **JITTER).X_NC[0], np.eye(4))
-    np.testing.assert_array_equal(_motion("rest").X_NC, np.tile(np.eye(4), (41, 1, 1)))
-
-
-@pytest.mark.parametrize("profile", COURSES)
+@pytest.mark.parametrize("profile", ["rest", "circle"])
 def test_jitter_stays_within_its_bands_around_the_course(profile: str) -> None:
     steady, jittery = _motion(profile, frames=200), _motion(profile, frames=200, **JITTER)
     offset_mm = 1e3 * (jittery.X_NC - steady.X_NC)[:, :3, 3]
@@ -87,6 +78,9 @@ def test_jitter_stays_within_its_bands_around_the_course(profile: str) -> None:
         assert (np.abs(deviation).max(axis=0) > 0.8 * band).all()
         # Six axes that start together do not stay together.
         assert np.abs(np.corrcoef(deviation.T) - np.eye(3)).max() < 0.9
+    if profile == "rest":
+        np.testing.assert_array_equal(jittery.X_NC[0], np.eye(4))
+        np.testing.assert_array_equal(steady.X_NC, np.tile(np.eye(4), (200, 1, 1)))
 
 
 def test_a_drift_is_steady_and_a_circle_keeps_the_target_where_the_first_frame_has_it() -> None:
@@ -97,8 +91,8 @@ def test_a_drift_is_steady_and_a_circle_keeps_the_target_where_the_first_frame_h
     motion = _motion("circle")
     p_C = [X_NC[:3, :3].T @ (TARGET_N - X_NC[:3, 3]) for X_NC in motion.X_NC]
     np.testing.assert_allclose(p_C, np.tile(p_C[0], (41, 1)), atol=1e-12)
-    speed = np.linalg.norm(_velocities(motion)[0], axis=1)
-    np.testing.assert_allclose(speed, 2 * np.pi / 40.0 * np.hypot(0.1, 0.7), rtol=1e-9)
+    speed = 2 * np.pi / 40.0 * np.hypot(0.1, 0.7)
+    assert np.linalg.norm(_velocity(motion, 9)[:3]) == pytest.approx(speed, rel=1e-9)
 
 
 def test_an_approach_closes_in_at_its_speed_and_stops_at_its_distance() -> None:
@@ -111,13 +105,10 @@ def test_an_approach_closes_in_at_its_speed_and_stops_at_its_distance() -> None:
     np.testing.assert_array_equal(motion.X_NC[:, :3, :3], np.tile(motion.X_NC[0, :3, :3], (41, 1, 1)))
     with pytest.raises(InputError, match=r"scene.inspector.position_m .* must start away from it"):
         _motion("approach", position_m=TARGET_N.tolist())
-
-
-@pytest.mark.parametrize(("stop_m", "reached_m"), [(0.9, 0.8), (0.799, 0.799)])
-def test_an_approach_that_starts_near_its_stop_goes_no_further(stop_m: float, reached_m: float) -> None:
-    motion = _motion("approach", approach_stop_m=stop_m)
-    assert np.linalg.norm(TARGET_N - motion.X_NC[-1, :3, 3]) == pytest.approx(reached_m, abs=1e-12)
-    np.testing.assert_allclose(_velocities(motion)[0][-1], 0.0, atol=1e-9)
+    for stop_m, reached_m in ((0.9, 0.8), (0.799, 0.799)):
+        motion = _motion("approach", approach_stop_m=stop_m)
+        assert np.linalg.norm(TARGET_N - motion.X_NC[-1, :3, 3]) == pytest.approx(reached_m, abs=1e-12)
+        np.testing.assert_allclose(_velocity(motion, 40)[:3], 0.0, atol=1e-9)
 
 
 def test_waypoints_are_met_in_time_the_ends_hold_and_two_are_joined_by_a_line() -> None:
@@ -129,10 +120,7 @@ def test_waypoints_are_met_in_time_the_ends_hold_and_two_are_joined_by_a_line() 
         np.testing.assert_allclose(motion.X_NC[k, :3, :3], R_NC, atol=1e-14)
     for held in (slice(0, 5), slice(36, None)):
         np.testing.assert_allclose(motion.X_NC[held], motion.X_NC[held][:1].repeat(5, axis=0), atol=1e-14)
-        for velocity in _velocities(motion):
-            np.testing.assert_allclose(velocity[held], 0.0, atol=2e-5)
-    motion = _motion("waypoints", waypoints=WAYPOINTS[:2])
-    on_line = motion.X_NC[:, :3, 3]
+    on_line = _motion("waypoints", waypoints=WAYPOINTS[:2]).X_NC[:, :3, 3]
     np.testing.assert_array_equal(on_line[:, 1:], 0.0)
     assert (np.diff(on_line[:, 0]) >= 0).all()
     assert on_line[10, 0] == pytest.approx(0.1)
@@ -143,10 +131,40 @@ def test_reported_poses_scatter_as_the_scene_says() -> None:
     scene = Scene.model_validate({"frames": 2000, "inspector": inspector})
     X_NC = inspector_motion(scene, 0).X_NC
     reported = reported_inspector(scene, X_NC, np.eye(4), np.random.default_rng(0))
-    assert _spread(reported[:, :3, 3] - X_NC[:, :3, 3]) == pytest.approx(1e-3, rel=0.05)
+    assert (reported[:, :3, 3] - X_NC[:, :3, 3]).std() == pytest.approx(1e-3, rel=0.05)
     theta = log_so3(np.swapaxes(X_NC[:, :3, :3], 1, 2) @ reported[:, :3, :3])
-    assert _spread(np.rad2deg(theta)) == pytest.approx(0.1, rel=0.05)
+    assert np.rad2deg(theta).std() == pytest.approx(0.1, rel=0.05)
 
 
-def _spread(values: Array) -> float:
-    return float(values.std())
+T_S = np.linspace(0.0, 300.0, 100_000)
+
+
+def _cycle(half_width: float = 0.01, rate: float = 0.004, stop_s: float = 301.0, seed: int = 1) -> LimitCycle:
+    return limit_cycle(half_width, rate, stop_s, np.random.default_rng(seed))
+
+
+def test_a_limit_cycle_starts_in_the_middle_and_fills_its_band_without_leaving_it() -> None:
+    for half_width, rate in [(0.01, 0.004), (0.001, 0.02)]:
+        cycle = _cycle(half_width, rate)
+        value = cycle.value(T_S)
+        assert cycle.value(np.zeros(1))[0] == 0.0
+        assert np.abs(value).max() <= half_width
+        assert value.max() > 0.9 * half_width and value.min() < -0.9 * half_width
+    for half_width, rate in [(0.0, 1.0), (1.0, 0.0)]:
+        np.testing.assert_array_equal(_cycle(half_width, rate).value(T_S), 0.0)
+
+
+def test_between_pulses_it_drifts_near_the_nominal_rate_and_velocity_is_continuous() -> None:
+    cycle = _cycle()
+    slope = np.asarray((cycle.value(T_S + 1e-6) - cycle.value(T_S - 1e-6)) / 2e-6)
+    pulsing = np.abs(T_S[:, None] - cycle.corner_s).min(axis=1) < PULSE_S / 2
+    rates = np.unique(np.abs(slope[~pulsing]).round(8))
+    assert 40 < len(rates) < 80
+    assert 0.004 * (1 - RATE_VARIATION) <= rates.min() < rates.max() <= 0.004 * (1 + RATE_VARIATION)
+    expected = PULSE_S * len(cycle.corner_s[cycle.corner_s < 300]) / 300
+    assert pulsing.mean() == pytest.approx(expected, rel=0.05)
+    assert (cycle.rate[1:] * cycle.rate[:-1] < 0).all()
+    largest_step = 2 * 0.004 * (1 + RATE_VARIATION) / PULSE_S * (T_S[1] - T_S[0])
+    assert np.abs(np.diff(slope)).max() <= largest_step * 1.001 + 1e-8
+    np.testing.assert_array_equal(_cycle(stop_s=100.0).value(T_S[:30_000]), cycle.value(T_S[:30_000]))
+    assert np.abs(_cycle(seed=2).value(T_S) - cycle.value(T_S)).max() > 0.005

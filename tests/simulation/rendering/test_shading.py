@@ -45,7 +45,7 @@ def _plate_levels(
     return shade(hits, surface, viewer_G, replace(bright, **lights), caster, incident=incident)
 
 
-@pytest.mark.parametrize("angle_deg", [0.0, 30.0, 60.0, 85.0])
+@pytest.mark.parametrize("angle_deg", [0.0, 60.0])
 def test_a_matt_surface_obeys_lamberts_law_from_everywhere(angle_deg: float) -> None:
     matt = Material(0.4, specular=0.0)
     sun = np.array([np.sin(np.deg2rad(angle_deg)), 0, np.cos(np.deg2rad(angle_deg))])
@@ -72,7 +72,7 @@ def test_lamp_earth_and_indirect_light_add_to_the_level() -> None:
     assert hidden == pytest.approx(0.25 * _plate_levels(matt, UP, UP[None], sun=0.0, earth=0.15))
 
 
-@pytest.mark.parametrize("roughness", [0.3, 0.6, 1.0])
+@pytest.mark.parametrize("roughness", [0.3, 1.0])
 @pytest.mark.parametrize("angle_deg", [0.0, 45.0])
 def test_metal_never_reflects_more_than_falls_on_it(roughness: float, angle_deg: float) -> None:
     """Integral of the reflected light over the hemisphere: at most 1, nearly all of it for smooth metal.
@@ -93,14 +93,6 @@ def test_metal_never_reflects_more_than_falls_on_it(roughness: float, angle_deg:
         assert albedo > 0.97
     if (roughness, angle_deg) == (1.0, 0.0):
         assert albedo == pytest.approx(1 - np.log(2), abs=1e-3)
-
-
-def test_the_highlight_lies_in_the_mirror_direction() -> None:
-    sun = np.array([0.6, 0.0, 0.8])
-    angles = np.deg2rad(np.linspace(-80, 80, 321))
-    viewers = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=1)
-    levels = _plate_levels(Material(0.01, specular=0.6, roughness=0.3), sun, viewers)
-    np.testing.assert_allclose(viewers[np.argmax(levels)], [-0.6, 0, 0.8], atol=0.02)
 
 
 def _levels(
