@@ -27,7 +27,7 @@ from polhode.train.corpus import (
 )
 
 ROOT = Path(__file__).parents[2]
-FEW_FAMILIES = ("features.yaml", "depth.yaml", "light.yaml")
+FEW_FAMILIES = ("features.yaml", "depth.yaml")
 SURFACE = tuple(f"surface{part}.yaml" for part in ("_first", "", "_wide", "_more", "_settle"))
 SHIPPED = (*FEW_FAMILIES, *SURFACE)
 
