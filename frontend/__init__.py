@@ -12,7 +12,6 @@ networks/           the networks trained here, and their weights
 disparity/          dense disparity and depth of a pair
 features/           key points, descriptors and stereo measurements of a pair
 matching/           matches and relative poses of frame pairs
-peers/              published feature and match methods
 tracks/             landmarks over the whole sequence
 weights/            the shipped weights
 """

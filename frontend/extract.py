@@ -1,7 +1,6 @@
 """Stereo features and depth maps of every pair of a sequence, computed in parallel processes."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 
 from polhode.config.frontend_settings import Depth, Frontend
@@ -9,9 +8,9 @@ from polhode.frontend.disparity.depth import DisparityRange, compute_depth
 from polhode.frontend.disparity.learned import disparity_network
 from polhode.frontend.disparity.measured import measured_depth
 from polhode.frontend.features.methods import feature_method
-from polhode.frontend.features.stereo import ImageCrop, StereoFeatures
-from polhode.frontend.matching.methods import READS_IMAGES, match_method
-from polhode.frontend.rectification import RectifiedPair, Rectifier, rectified_pair, target_crop
+from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.matching.methods import match_method
+from polhode.frontend.rectification import RectifiedPair, Rectifier, rectified_pair
 from polhode.geometry.camera import RectifiedRig
 from polhode.records.dataset import StereoSequence
 from polhode.records.surface import DepthMap
@@ -73,12 +72,8 @@ def depth_of_pair(
 
 
 def extract_pair(pair: RectifiedPair, rig: RectifiedRig, config: Frontend) -> StereoFeatures:
-    """Features of one pair, with the left image of the target if the matcher reads images."""
-    features, crop = feature_method(config)(pair, rig), target_crop(pair.mask_left)
-    if crop is None or config.matcher not in READS_IMAGES:
-        return features
-    part = pair.left[crop.v0 : crop.v1, crop.u0 : crop.u1].copy()
-    return replace(features, picture=ImageCrop(part, (crop.u0, crop.v0)))
+    """Features of one pair by the configured method."""
+    return feature_method(config)(pair, rig)
 
 
 def _features_of(sequence: StereoSequence, rectifier: Rectifier, config: Frontend, k: int) -> StereoFeatures:
@@ -86,11 +81,6 @@ def _features_of(sequence: StereoSequence, rectifier: Rectifier, config: Fronten
 
 
 def _depth_of(
-    sequence: StereoSequence,
-    rectifier: Rectifier,
-    config: Depth,
-    job: tuple[int, DisparityRange],
+    sequence: StereoSequence, rectifier: Rectifier, config: Depth, job: tuple[int, DisparityRange]
 ) -> DepthMap:
-    """The depth of pair k, given its range of disparity."""
-    k, span = job
-    return depth_of_pair(rectified_pair(sequence, rectifier, k), rectifier.rig, config, span)
+    return depth_of_pair(rectified_pair(sequence, rectifier, job[0]), rectifier.rig, config, job[1])

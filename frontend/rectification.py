@@ -28,30 +28,20 @@ from polhode.records.range_images import RangeModel
 from polhode.runtime.errors import InputError
 
 Image = NDArray[np.uint8]
-MAX_GROWTH = 1.6
-"""Largest ratio of the rectified to the original image size; what lies beyond it is cropped."""
 IDEAL_TOLERANCE = 1e-6
 """Images of a rig that deviates from the ideal one by less than this [rad, m], a thousandth of a pixel, are
 not resampled."""
 
 MAX_FIELD_RAD = np.deg2rad(70.0)
 """Half the field of view of the rectified image of a fisheye; what lies beyond it is cropped."""
-MIN_REACH = 0.45
-"""Smallest radius, over the smaller side of the image, to which a fisheye's distortion must be invertible:
-nearly the circle that touches two sides."""
 ALIASING = 1.25
 """Where the rectified image is coarser than the original by more than this factor, it is smoothed first."""
 BLUR_PER_SCALE = 0.5
 """Sigma of that smoothing [px] for each unit of sqrt(factor^2 - 1): the blur of the coarser pixel."""
 
-RANGE_STEP_SIGMAS = 6.0
-"""Neighbouring ranges that differ by more are not interpolated: another surface may begin there."""
 
 MAX_SLOPE = 100.0
 """Of a ray of the rectified image against its axis."""
-MAX_ROUND_TRIP = 0.1
-"""Error of the inverse of the distortion at the border, over the size of the image; a usable model has a
-thousandth of a pixel."""
 
 
 FOLDED = (
@@ -141,9 +131,13 @@ class Rectifier:
 def make_rectifier(calibration: StereoCalibration) -> Rectifier:
     """The rectifier of a calibrated rig. Raises InputError when the cameras have no common field of view."""
     sizes = calibration.size_px(0), calibration.size_px(1)
-    if _is_rectified(calibration):
-        return Rectifier(_ideal_rig(calibration), np.eye(4), None, sizes)
     X_CD = inverse_pose(calibration.X_BC0) @ calibration.X_BC1  # D: right camera as calibrated
+    if _is_rectified(calibration, X_CD):
+        K0, baseline_m = calibration.K0, float(X_CD[0, 3])
+        focal_px, cx_px, cy_px = float(K0[0, 0]), float(K0[0, 2]), float(K0[1, 2])
+        offset_px = float(K0[0, 2] - calibration.K1[0, 2])
+        rig = RectifiedRig(focal_px, cx_px, cy_px, baseline_m, *sizes[0], offset_px)
+        return Rectifier(rig, np.eye(4), None, sizes)
     R_CR = _rectified_axes(X_CD)
     R_DR = X_CD[:3, :3].T @ R_CR
     lenses = [_Lens.of(calibration, camera) for camera in (0, 1)]
@@ -153,8 +147,9 @@ def make_rectifier(calibration: StereoCalibration) -> Rectifier:
     top, bottom = min(box[0, 1] for box in boxes), max(box[1, 1] for box in boxes)
     spans = max(float(box[1, 0] - box[0, 0]) for box in boxes), float(bottom) - float(top)
     # one size for both cameras, each image centred along x
+    # largest ratio of the rectified to the original image size; what lies beyond it is cropped
     width, height = (
-        int(min(np.ceil(span) + 1, MAX_GROWTH * int(size))) for span, size in zip(spans, largest, strict=True)
+        int(min(np.ceil(span) + 1, 1.6 * int(size))) for span, size in zip(spans, largest, strict=True)
     )
     cx = [(width - 1) / 2 - float(box[:, 0].mean()) for box in boxes]
     cy = (height - 1) / 2 - (top + bottom) / 2
@@ -252,7 +247,8 @@ def measured_disparity(
     if rectifier.maps is not None:
         # difference between neighbours that noise explains [1/m]
         recorded = range_m.astype(np.float64)
-        step = np.asarray(RANGE_STEP_SIGMAS * model.sigma_at(recorded) / recorded**2, dtype=np.float32)
+        # neighbouring ranges that differ by more are not interpolated: another surface may begin there
+        step = np.asarray(6.0 * model.sigma_at(recorded) / recorded**2, dtype=np.float32)
         inverse = _resampled(inverse, *rectifier.maps[0], step)
     ranges = 1.0 / inverse.astype(np.float64)
     sigma_m, depth_m = model.sigma_at(ranges), ranges
@@ -312,9 +308,8 @@ def _rectified(
     return image, target_mask(image, mask, border)
 
 
-def _is_rectified(calibration: StereoCalibration) -> bool:
+def _is_rectified(calibration: StereoCalibration, X_CD: Array) -> bool:
     """True for an ideal pair, which must not be resampled: interpolation costs sharpness."""
-    X_CD = inverse_pose(calibration.X_BC0) @ calibration.X_BC1
     parallel = np.allclose(X_CD[:3, :3], np.eye(3), atol=IDEAL_TOLERANCE)
     along_x = X_CD[0, 3] > 0 and np.allclose(X_CD[1:3, 3], 0.0, atol=IDEAL_TOLERANCE)
     undistorted = not np.any(calibration.dist0) and not np.any(calibration.dist1)
@@ -324,20 +319,6 @@ def _is_rectified(calibration: StereoCalibration) -> bool:
     same = np.isclose(K0[0, 0], K1[0, 0], rtol=1e-9) and np.allclose(K0[1], K1[1], rtol=1e-9)
     one_size = calibration.right_size_px is None
     return bool(parallel and along_x and pinholes and undistorted and square and same and one_size)
-
-
-def _ideal_rig(calibration: StereoCalibration) -> RectifiedRig:
-    X_CD = inverse_pose(calibration.X_BC0) @ calibration.X_BC1
-    K0, K1 = calibration.K0, calibration.K1
-    return RectifiedRig(
-        float(K0[0, 0]),
-        float(K0[0, 2]),
-        float(K0[1, 2]),
-        float(X_CD[0, 3]),
-        calibration.width_px,
-        calibration.height_px,
-        float(K0[0, 2] - K1[0, 2]),
-    )
 
 
 def _rectified_axes(X_CD: Array) -> Array:
@@ -382,7 +363,9 @@ def _fisheye_slopes(border: Array, lens: _Lens, R: Array) -> Array:
     """
     reach = float(fisheye.radius(np.array(fisheye.widest_angle_rad(lens.dist)), lens.dist))
     focal = lens.K[[0, 1], [0, 1]]
-    if not reach * focal.min() >= MIN_REACH * min(lens.size_px):
+    # smallest radius, over the smaller side of the image, to which a fisheye's distortion must be invertible:
+    # nearly the circle that touches two sides
+    if not reach * focal.min() >= 0.45 * min(lens.size_px):
         raise InputError(FOLDED)
     flat = (border - lens.K[:2, 2]) / focal
     # the corners of a wide image may lie outside of the circle that the lens shows
@@ -401,7 +384,9 @@ def _require_invertible(pixels: Array, rays: Array, K: Array, dist: Array, R: Ar
         points = np.column_stack([rays[sound], np.ones(int(sound.sum()))]) @ R.T
         back, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, dist)
         off[sound] = np.linalg.norm(np.asarray(back)[:, 0, :] - pixels[sound], axis=1)
-    if not off.max() < MAX_ROUND_TRIP * abs(pixels).max():
+    # error of the inverse of the distortion at the border, over the size of the image; a usable model has a
+    # thousandth of a pixel
+    if not off.max() < 0.1 * abs(pixels).max():
         raise InputError(FOLDED)
 
 

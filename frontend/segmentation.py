@@ -16,20 +16,8 @@ from numpy.typing import NDArray
 from polhode.geometry.lie import Bools
 
 Image = NDArray[np.uint8]
-BORDER_PX = 3
-"""Width of the border of an image."""
-MIN_CONTACT = 0.05
-"""Smallest part of the border along which surroundings are brighter than the sky."""
-MAX_TARGET_CONTACT = 0.1
-"""Largest part of that contact that the target may have itself."""
-MIN_OCTAVES = 2.0
-"""Smallest ratio of brightness between target and surroundings, as a power of two."""
 _STEPS = 31
 """Of an octave, in a histogram of 256 bins."""
-_VALLEY_OCTAVES = 0.15
-"""Sigma of the smoothing of that histogram."""
-DARK_SHARE = 0.1
-"""Share of the pixels, the darkest ones, that show the sky's level."""
 OUTLINE_PX = 3
 """Distance to which blur and smoothing carry a target's brightness beyond its edge."""
 
@@ -70,7 +58,7 @@ def lit_border(image: Image, border: Bools) -> float:
 def border_of(seen: Bools) -> Bools:
     """The pixels along the border of what a camera sees (H, W)."""
     framed = cv2.copyMakeBorder(seen.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
-    size = 2 * BORDER_PX + 1
+    size = 2 * 3 + 1  # the border is 3 px wide
     inner = cv2.erode(framed, np.ones((size, size), dtype=np.uint8), borderValue=0)[1:-1, 1:-1]
     return np.asarray(seen & (inner == 0))
 
@@ -79,7 +67,7 @@ def sky_level(smooth: Image) -> float:
     """Intensity above which a smoothed pixel is not sky: the darkest level plus four times its scatter."""
     count = np.bincount(smooth.ravel(), minlength=256)
     level, below = np.arange(256), np.cumsum(count)
-    dark = level <= _quantile(below, DARK_SHARE)
+    dark = level <= _quantile(below, 0.1)  # share of the pixels, the darkest ones, that show the sky's level
     number = int(below[dark][-1])
     mean = float(np.sum((count * level)[dark])) / number
     scatter = float(np.sqrt(np.sum((count * (level - mean) ** 2)[dark]) / number))
@@ -111,11 +99,11 @@ class _Classes:
     @property
     def distinct(self) -> bool:
         """Whether the dimmer class is surroundings rather than a part of the target."""
+        # smallest part of the border along which surroundings are brighter than the sky
+        # largest part of that contact that the target may have itself
+        # smallest ratio of brightness between target and surroundings, as a power of two
         return (
-            self.contact > MIN_CONTACT
-            and self.of_target <= MAX_TARGET_CONTACT
-            and self.octaves > MIN_OCTAVES
-            and bool(self.target.any())
+            self.contact > 0.05 and self.of_target <= 0.1 and self.octaves > 2.0 and bool(self.target.any())
         )
 
 
@@ -131,7 +119,7 @@ def _classes(smooth: Image, lit: Bools, border: Bools) -> _Classes | None:
     steps = np.round(octaves * _STEPS).astype(np.uint8).reshape(-1, 1)
     otsu = int(cv2.threshold(steps, 0, 255, cv2.THRESH_OTSU)[0])
     counts = np.bincount(steps[:, 0], minlength=256).astype(np.float32)[:, None]
-    sigma = _VALLEY_OCTAVES * _STEPS
+    sigma = 0.15 * _STEPS  # of the smoothing, 0.15 octaves
     histogram = cv2.GaussianBlur(counts, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)[:, 0]
     mode = otsu + int(np.argmax(histogram[otsu:]))
     level = (otsu + int(np.argmin(histogram[otsu : mode + 1]))) / _STEPS

@@ -19,8 +19,6 @@ from polhode.frontend.networks.tensor_file import TensorFileError, read_header, 
 from polhode.runtime.errors import InputError
 
 CHECKPOINT = "checkpoint.safetensors"
-FORMER_CHECKPOINT = "checkpoint.pt"
-"""Of earlier versions: a pickle, which is not read."""
 _HEADER = "training"
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 
@@ -54,10 +52,10 @@ def read_checkpoint(
     """Set model and optimizer to the folder's checkpoint; None, and nothing is set, if there is none.
 
     ``setting``: the settings that must be the same; ``steps``: of the whole training. Raises InputError: the
-    checkpoint is damaged, of an earlier version, or has other settings.
+    checkpoint is damaged or has other settings.
     """
-    path = _path(output)
-    if path is None:
+    path = output / CHECKPOINT
+    if not path.is_file():
         return None
     try:
         tensors, header = read_tensors(path, _tensors(model, optimizer))
@@ -84,26 +82,14 @@ def require_same_training(output: Path, setting: Mapping[str, Any]) -> None:
     Only its header is read: this comes before the data are prepared, which takes long. Raises InputError as
     ``read_checkpoint``.
     """
-    path = _path(output)
-    if path is None:
+    path = output / CHECKPOINT
+    if not path.is_file():
         return
     try:
         header = read_header(path)
     except TensorFileError as error:
         raise _damaged(path, str(error)) from None
     _require_same(output, _state(path, header).setting, setting)
-
-
-def _path(output: Path) -> Path | None:
-    """The folder's checkpoint, if there is one. Raises InputError: it is of an earlier version."""
-    path, former = output / CHECKPOINT, output / FORMER_CHECKPOINT
-    if path.is_file():
-        return path
-    if former.is_file():
-        raise InputError(
-            f"{former} is a checkpoint of an earlier version, which is not read: remove it to start again"
-        )
-    return None
 
 
 def _state(path: Path, header: Mapping[str, str]) -> TrainingState:

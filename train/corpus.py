@@ -1,15 +1,10 @@
 """The training corpus: many short simulated sequences with ground truth for each pixel, stored like any
 sequence.
 
-    python -m polhode.train.corpus CONFIG [--workers N]
-
-renders the missing scenes in the folder of ``train.corpus``; ``polhode train`` does the same before training.
-Folder ``0007`` is scene 7. ``corpus.yaml`` contains the settings from which the scenes were drawn.
+``polhode train`` renders the missing scenes in the folder of ``train.corpus``. Folder ``0007`` is scene 7;
+``corpus.yaml`` contains the settings from which the scenes were drawn.
 """
 
-import argparse
-import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
@@ -19,7 +14,6 @@ from typing import Any, cast
 import numpy as np
 import yaml
 
-from polhode.config.loader import load_config
 from polhode.config.scene_settings import Background, Light, Motion, Render, Rig, Scene, Sensor, TargetBody
 from polhode.config.train_settings import Corpus
 from polhode.files.atomic import write_text
@@ -27,7 +21,7 @@ from polhode.files.output.locks import occupied
 from polhode.files.output.place import folder_place, require_writable
 from polhode.files.yaml_files import read_yaml
 from polhode.geometry.lie import Array
-from polhode.runtime.errors import InputError, RunFailure
+from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress, Silent
 from polhode.simulation.bodies import build_body
 from polhode.simulation.dataset.sequence import SCENE_FILE, simulate
@@ -41,12 +35,6 @@ MATERIALS = {
 ANY_MATERIAL = ("paint", "foil", "solar_cell", "metal")
 FIRST_BODY_SEED = 1000
 """Scene i shows the body of this seed plus i; smaller seeds are left to the tests."""
-MAX_HARD_EARTH = 0.02
-"""Largest earthlight in a scene with hard light."""
-MAX_OFFSET = 0.5
-"""Largest distance between the centres of body and image, as a share of the free space beside the body."""
-ENCLOSED_AREA = 0.95
-"""Share of the surface inside the body's nominal sphere: thin antennas may extend beyond it."""
 NOTE = "corpus.yaml"
 FREE_KEYS = {"folder", "scenes", "validation_every"}
 """Settings on which no scene depends: they may change without rendering the scenes again."""
@@ -71,7 +59,8 @@ def random_scene(corpus: Corpus, index: int) -> Scene:
     depth_m = 2.0 * radius_m * rig.focal_px / _uniform(rng, corpus.span_px)
     baseline_m = _logarithmic(rng, corpus.disparity_px) * depth_m / rig.focal_px
     reach_m = depth_m / rig.focal_px * np.array([rig.width_px, rig.height_px]) / 2.0 - radius_m
-    offset_m = rng.uniform(-1.0, 1.0, 2) * np.maximum(reach_m, 0.0) * MAX_OFFSET
+    # largest distance between the centres of body and image, as a share of the free space beside the body
+    offset_m = rng.uniform(-1.0, 1.0, 2) * np.maximum(reach_m, 0.0) * 0.5
     attitude_deg = _direction(rng) * rng.uniform(0.0, 180.0)
     spin_rpm = _direction(rng) * _uniform(rng, corpus.turn_deg) * (1.0 / 6.0)  # deg/s to RPM
     return Scene(
@@ -105,7 +94,8 @@ def _radius_m(body: TargetBody) -> float:
     distance_m = np.linalg.norm(centres - np.average(centres, axis=0, weights=area), axis=1)
     order = np.argsort(distance_m)
     share = np.cumsum(area[order]) / area.sum()
-    return float(distance_m[order][np.searchsorted(share, ENCLOSED_AREA)])
+    # share of the surface inside the body's nominal sphere: thin antennas may extend beyond it
+    return float(distance_m[order][np.searchsorted(share, 0.95)])
 
 
 def random_light(corpus: Corpus, rng: np.random.Generator) -> Light:
@@ -114,7 +104,8 @@ def random_light(corpus: Corpus, rng: np.random.Generator) -> Light:
     around_rad = rng.uniform(0.0, 2.0 * np.pi)
     across = np.array([np.cos(around_rad), np.sin(around_rad)]) * np.sin(phase_rad)
     hard = rng.random() < corpus.hard_light
-    earth = rng.uniform(0.0, MAX_HARD_EARTH) if hard else _uniform(rng, corpus.earth)
+    # largest earthlight in a scene with hard light
+    earth = rng.uniform(0.0, 0.02) if hard else _uniform(rng, corpus.earth)
     lamp = rng.uniform(0.02, 0.2) if rng.random() < corpus.lamp else 0.0
     return Light(
         # The camera looks along +z, so directions towards it have z < 0.
@@ -248,23 +239,3 @@ def _shown(corpus: Corpus) -> Path:
 def _drawn_from(corpus: Corpus) -> dict[str, Any]:
     """The settings on which the scenes depend."""
     return {key: value for key, value in corpus.model_dump(mode="json").items() if key not in FREE_KEYS}
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Render the corpus of a configuration."""
-    parser = argparse.ArgumentParser(prog="python -m polhode.train.corpus", description=main.__doc__)
-    parser.add_argument("config", type=Path)
-    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
-    options = parser.parse_args(arguments)
-    try:
-        train = load_config(options.config).train
-        if train is None:
-            raise InputError(f"{options.config}: no 'train' section; see configs/train/ for examples")
-        render_corpus(train.corpus, Silent(), options.workers)
-    except (InputError, RunFailure) as error:
-        parser.exit(error.exit_code, f"{parser.prog}: error: {error}\n")
-    print(f"{train.corpus.scenes} scenes: {train.corpus.folder}")
-
-
-if __name__ == "__main__":
-    main()

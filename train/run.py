@@ -107,8 +107,6 @@ def _trained(config: Config, train: Train, output: Path, progress: Progress, wor
 def setting_of(train: Train, seed: int) -> dict[str, Any]:
     """The settings on which the weights depend: dotted key -> value."""
     others = {"descriptor", "depth", "surface"} - {train.task}
-    if train.task != "descriptor":
-        others |= {"light"}
     setting: dict[str, Any] = {"seed": seed}
     waiting: list[tuple[str, Any]] = [(name, value) for name, value in train if name not in others]
     while waiting:

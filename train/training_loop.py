@@ -32,10 +32,6 @@ if TYPE_CHECKING:
 CURVES = "curves"
 """Folder of the event files."""
 WEIGHT_DECAY = 1e-2
-CLIP_NORM = 1.0
-"""Largest norm of a gradient; a larger one is scaled down."""
-PREFETCHED = 2
-"""Batches that each process prepares while a GPU is busy."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +169,8 @@ class TrainingLoop:
         self._optimizer.zero_grad(set_to_none=True)
         self._scaler.scale(loss).backward()
         self._scaler.unscale_(self._optimizer)
-        norm = nn.utils.clip_grad_norm_(self._task.model.parameters(), CLIP_NORM)
+        # largest norm of a gradient; a larger one is scaled down
+        norm = nn.utils.clip_grad_norm_(self._task.model.parameters(), 1.0)
         # The gradient of a fit to collinear points is not finite: such a step is skipped.
         if torch.isfinite(norm) or self._scaler.is_enabled():
             self._scaler.step(self._optimizer)
@@ -201,11 +198,12 @@ class _Batches(Dataset[Batch]):
 
 def prepared_batches(task: Task, start: int, stop: int, workers: int) -> Iterable[Batch]:
     """The batches of the steps in their order, from ``workers`` processes."""
+    # batches that each process prepares while a GPU is busy
     return DataLoader(
         _Batches(task, start, stop),
         None,
         num_workers=workers,
-        prefetch_factor=PREFETCHED,
+        prefetch_factor=2,
         pin_memory=torch.cuda.is_available(),
         multiprocessing_context="fork",
         worker_init_fn=_one_thread,

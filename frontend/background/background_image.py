@@ -27,18 +27,10 @@ MIN_SAMPLES = 2
 """Values of a pixel from which on its background is known."""
 HIDDEN = np.uint8(255)
 """Value of a pixel where the target hides the background, or that lies outside."""
-MAX_SPREAD_DN = 16.0
-"""Largest interquartile range of those values."""
-MARGIN_PX = 2
-"""By which the target is widened where it is left out."""
 MIN_TRACKED, MIN_INLIERS = 12, 0.3
 """Points on the background, and the share that agrees on a correction; with fewer there is none."""
 MAX_POINTS = 150
 INLIER_PX = 0.6
-MAX_MISFIT_DN = 6.0
-"""Median difference to the frame's own background, in excess of which another frame is left out."""
-MIN_COMMON = 0.05
-"""Share of an image in which both must show the background."""
 MAX_GAIN = 2.0
 """Of exposures, by which the images of other frames are brought to that of one."""
 
@@ -150,7 +142,7 @@ def _median(layers: list[Image], own: FirstLook) -> BackgroundImage:
     count = (values < HIDDEN).sum(axis=-1)
     low, middle, high = (_quantile(values, count, share) for share in (0.25, 0.5, 0.75))
     spread = high - low
-    known = (count >= MIN_SAMPLES) & (spread <= MAX_SPREAD_DN)
+    known = (count >= MIN_SAMPLES) & (spread <= 16.0)  # largest interquartile range of those values
     image, sigma = (np.where(known, each, np.float32(0.0)) for each in (middle, spread / np.float32(1.35)))
     return BackgroundImage(image.astype(np.float32), sigma.astype(np.float32), known)
 
@@ -163,13 +155,14 @@ def _layer(own: FirstLook, free: Bools, other: FirstLook, H: Array) -> Image | N
     image = _moved(other.image, H)
     seen = _moved(np.where(_widened(other.hidden), np.uint8(0), np.uint8(255)), H) == 255
     common = seen & free
-    if common.sum() < MIN_COMMON * common.size:
+    if common.sum() < 0.05 * common.size:  # share of an image in which both must show the background
         return None
     sums = [float(cv2.mean(each, common.astype(np.uint8))[0]) for each in (own.image, image)]
     gain = sums[0] / max(sums[1], 1.0)
     if 1.0 / MAX_GAIN < gain < MAX_GAIN:
         image = np.asarray(cv2.convertScaleAbs(image, alpha=gain), dtype=np.uint8)
-    if np.median(cv2.absdiff(image, own.image)[common]) > MAX_MISFIT_DN:
+    # median difference to the frame's own background, in excess of which another frame is left out
+    if np.median(cv2.absdiff(image, own.image)[common]) > 6.0:
         return None
     return np.where(seen, np.minimum(image, HIDDEN - np.uint8(1)), HIDDEN)
 
@@ -204,7 +197,7 @@ def _moved(image: Image, H: Array) -> Image:
 
 
 def _widened(hidden: Bools) -> Bools:
-    size = 2 * MARGIN_PX + 1
+    size = 2 * 2 + 1  # widened by 2 px
     return np.asarray(cv2.dilate(hidden.astype(np.uint8), np.ones((size, size))) > 0)
 
 

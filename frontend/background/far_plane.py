@@ -17,12 +17,8 @@ Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 REACH = 0.4
 """Largest disparity that is searched for, beyond that of infinity, as a share of the image's width."""
-BORDER = 0.12
-"""Width of the border in which the background is looked for, as a share of the smaller side."""
 WORKING_PX = 160
 """Width of the images in which the plane is looked for; near enough for a first guess."""
-MIN_GRADIENT = 1.0
-"""Grey levels per pixel along the rows, below which a match says little."""
 INLIER_PX = 0.75
 MIN_MATCHES = 80
 TRIALS = 60
@@ -134,7 +130,8 @@ def reduced_seen(seen: Bools, scale: int) -> Bools:
 
 def border_ring(seen: Bools) -> Bools:
     """The border (h, w), of what a camera shows, in which the background is looked for."""
-    size = 2 * max(2, round(BORDER * min(seen.shape))) + 1
+    # width of the border in which the background is looked for, as a share of the smaller side
+    size = 2 * max(2, round(0.12 * min(seen.shape))) + 1
     inner = cv2.erode(
         seen.astype(np.uint8), np.ones((size, size)), borderType=cv2.BORDER_CONSTANT, borderValue=0
     )
@@ -154,7 +151,8 @@ def matched_inside(disparity: Floats, seen: Bools, seen_right: Bools, margin_px:
 def textured(image: Image) -> Bools:
     """Pixels (H, W) with a gradient along the rows."""
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
-    return np.asarray(np.abs(cv2.Scharr(smooth, cv2.CV_32F, 1, 0)) / 32.0 > MIN_GRADIENT)
+    # grey levels per pixel along the rows, below which a match says little
+    return np.asarray(np.abs(cv2.Scharr(smooth, cv2.CV_32F, 1, 0)) / 32.0 > 1.0)
 
 
 def plane_of_most(A: Array, d: Array, allowed: Array | float, known: Array, lead: float = 1.0) -> Array:

@@ -8,7 +8,6 @@ turns.
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -39,21 +38,6 @@ from polhode.geometry.lie import Array
 from polhode.records.dataset import StereoSequence
 from polhode.runtime.processes import in_order
 
-EXAMINED = 8
-"""Pairs in which the background is looked for."""
-MIN_LIT_BORDER = 0.1
-"""Share of the border that is brighter than the sky, in half of the images: less is a dark sky."""
-SAME_PLANE_PX = 2.0
-"""Largest difference of disparity, at a corner of the image, between planes that are the same."""
-MIN_SHARE = 0.5
-"""Of the examined pairs, those that show the plane."""
-MIN_AREA = 5e-4
-"""Share of the image that the target covers in the median pair; less is no target."""
-
-AT_REST = 1e-6
-"""Largest change of the camera's pose [rad, m] for a camera at rest."""
-STILL_FRAMES = 40
-"""Pairs, spread over the sequence, in which what stays the same is looked for."""
 BLOCK = 128
 """Pairs that are examined before the masks of the first of them are finished; bounds the memory."""
 
@@ -64,6 +48,7 @@ AROUND = 3
 """so many before and after."""
 
 Tick = Callable[[], None]
+Masks = tuple[tuple[bytes, bytes], MaskQuality]
 
 
 @dataclass(frozen=True)
@@ -93,12 +78,11 @@ class Background:
 
 def find_background(sequence: StereoSequence, rectifier: Rectifier) -> Background | None:
     """The background of a sequence; None: the sky is dark, masks are given, or no plane is found."""
-    spread = np.unique(np.linspace(0, len(sequence) - 1, EXAMINED).round().astype(int)).tolist()
+    # pairs in which the background is looked for
+    spread = np.unique(np.linspace(0, len(sequence) - 1, 8).round().astype(int)).tolist()
     frames = [k for k in spread if sequence.read_left(k)[1] is None]
-    bright = [
-        lit_border(rectifier(sequence.read_left(k)[0], 0), rectifier.borders[0]) > MIN_LIT_BORDER
-        for k in frames
-    ]
+    # share of the border that is brighter than the sky, in half of the images: less is a dark sky
+    bright = [lit_border(rectifier(sequence.read_left(k)[0], 0), rectifier.borders[0]) > 0.1 for k in frames]
     if not frames or sum(bright) < 0.5 * len(bright):
         return None
     planes: dict[int, FarPlane] = {}
@@ -117,12 +101,12 @@ def find_background(sequence: StereoSequence, rectifier: Rectifier) -> Backgroun
 
 def _still(sequence: StereoSequence, rectifier: Rectifier) -> Background | None:
     """The background of cameras at rest, by what stays the same; None: they move, or nothing does."""
-    if sequence.has_ranges or np.abs(sequence.X_NC - sequence.X_NC[0]).max() > AT_REST:
+    # largest change of the camera's pose [rad, m] for a camera at rest
+    if sequence.has_ranges or np.abs(sequence.X_NC - sequence.X_NC[0]).max() > 1e-6:
         return None
-    spread = np.unique(np.linspace(0, len(sequence) - 1, STILL_FRAMES).round().astype(int)).tolist()
-    scale = working_scale(rectifier.rig.width_px)
-    looks: list[list[Image]] = [[], []]
-    for k in spread:
+    # pairs, spread over the sequence, in which what stays the same is looked for
+    scale, looks = working_scale(rectifier.rig.width_px), (list[Image](), list[Image]())
+    for k in np.unique(np.linspace(0, len(sequence) - 1, 40).round().astype(int)).tolist():
         raw = sequence.read_pair(k)
         for side, image in enumerate((raw.left, raw.right)):
             looks[side].append(reduced_image(rectifier(image, side), scale))
@@ -143,13 +127,14 @@ def _common_background(
 
     def same(m_N: Array, k: int) -> bool:
         off = plane_seen_from(m_N, rig, X_NR[k]).corners(*size) - planes[k].corners(*size)
-        return bool(np.abs(off).max() < SAME_PLANE_PX)
+        # largest difference of disparity, at a corner of the image, between planes that are the same
+        return bool(np.abs(off).max() < 2.0)
 
     votes = Counter({k: sum(same(m_N, other) for other in planes) for k, m_N in found.items()})
     if not votes:
         return None
     best, count = votes.most_common(1)[0]
-    if count < max(2.0, MIN_SHARE * examined):
+    if count < max(2.0, 0.5 * examined):  # of the examined pairs, those that show the plane
         return None
     return Background(np.mean([found[k] for k in planes if same(found[best], k)], axis=0))
 
@@ -167,90 +152,78 @@ def find_masks(
     First each pair is examined alone, then with the background that the pairs around it show. Ranges show the
     target at once.
     """
-    found: list[tuple[tuple[bytes, bytes], MaskQuality]] = []
+    found, pairs = list[Masks](), _Pairs(sequence, rectifier, background)
     if sequence.has_ranges or background.still is not None:
-        alone = partial(_masks_alone, sequence, rectifier, background)
-        for each in in_order(alone, frames, workers):
+        for each in in_order(pairs.alone, frames, workers):
             found.append(each)
             tick()
     else:
-        examine = partial(_first_looks, sequence, rectifier, background)
-        finish = partial(_masks_of, sequence, rectifier, background)
         looks: dict[int, FirstLooks] = {}
         for start in range(0, len(frames), BLOCK):
             block = range(start, min(start + BLOCK, len(frames)))
             around = {n: frames_around(n, len(frames)) for n in block}
             missing = sorted({j for n in block for j in (n, *around[n])} - looks.keys())
-            looked = in_order(examine, [frames[j] for j in missing], workers)
+            looked = in_order(pairs.first_looks, [frames[j] for j in missing], workers)
             looks |= dict(zip(missing, looked, strict=True))
             items = [(frames[n], looks[n], [(frames[j], looks[j]) for j in around[n]]) for n in block]
-            for each in in_order(finish, items, workers):
+            for each in in_order(pairs.masks, items, workers):
                 found.append(each)
                 tick()
             looks = {j: look for j, look in looks.items() if j >= block.stop - 2 * REACH_FRAMES}
-    if np.median([quality.area for _, quality in found]) < MIN_AREA:
+    # share of the image that the target covers in the median pair; less is no target
+    if np.median([quality.area for _, quality in found]) < 5e-4:
         return None
     masks, quality = zip(*found, strict=True)
     return FoundMasks(dict(zip(frames, masks, strict=True)), dict(zip(frames, quality, strict=True)))
 
 
-def _masks_alone(
-    sequence: StereoSequence, rectifier: Rectifier, background: Background, k: int
-) -> tuple[tuple[bytes, bytes], MaskQuality]:
-    """The layer of pair k by its ranges, or by what differs from the still background."""
-    if background.still is None:
-        plane = plane_seen_from(background.m_N, rectifier.rig, sequence.X_NC[k] @ rectifier.X_CR)
-        layer = near_range_layer(frame_disparity(sequence, rectifier, k), plane)
-    else:
-        raw = sequence.read_pair(k)
-        images = rectifier(raw.left, 0), rectifier(raw.right, 1)
-        layer = changed_layer(*images, background.still, rectifier.seen)
-    return (encoded(layer.left), encoded(layer.right)), layer.quality
+@dataclass(frozen=True)
+class _Pairs:
+    """What the workers need to find the masks of a pair by its number."""
 
+    sequence: StereoSequence
+    rectifier: Rectifier
+    background: Background
 
-def _first_looks(
-    sequence: StereoSequence, rectifier: Rectifier, background: Background, k: int
-) -> FirstLooks:
-    left, right, plane = _pair_before(sequence, rectifier, background, k)
-    layer, scale = near_layer(left, right, plane, seen=rectifier.seen), working_scale(rectifier.rig.width_px)
-    of_left, of_right = (
-        FirstLook(
-            reduced_image(image, scale),
-            (reduced_image(mask * np.uint8(255), scale) > 127) | ~reduced_seen(seen, scale),
+    def images(self, k: int) -> tuple[Image, Image]:
+        raw = self.sequence.read_pair(k)
+        return self.rectifier(raw.left, 0), self.rectifier(raw.right, 1)
+
+    def plane(self, k: int) -> FarPlane:
+        X_NR = self.sequence.X_NC[k] @ self.rectifier.X_CR
+        return plane_seen_from(self.background.m_N, self.rectifier.rig, X_NR)
+
+    def alone(self, k: int) -> Masks:
+        """By the ranges of the pair, or by what differs from the still background."""
+        if self.background.still is None:
+            layer = near_range_layer(frame_disparity(self.sequence, self.rectifier, k), self.plane(k))
+        else:
+            layer = changed_layer(*self.images(k), self.background.still, self.rectifier.seen)
+        return (encoded(layer.left), encoded(layer.right)), layer.quality
+
+    def first_looks(self, k: int) -> FirstLooks:
+        images, shown = self.images(k), self.rectifier.seen
+        layer, scale = (
+            near_layer(*images, self.plane(k), seen=shown),
+            working_scale(self.rectifier.rig.width_px),
         )
-        for image, mask, seen in zip((left, right), (layer.left, layer.right), rectifier.seen, strict=True)
-    )
-    return of_left, of_right
+        left, right = (
+            FirstLook(
+                reduced_image(image, scale),
+                (reduced_image(mask * np.uint8(255), scale) > 127) | ~reduced_seen(seen, scale),
+            )
+            for image, mask, seen in zip(images, (layer.left, layer.right), shown, strict=True)
+        )
+        return left, right
 
-
-def _masks_of(
-    sequence: StereoSequence,
-    rectifier: Rectifier,
-    background: Background,
-    item: tuple[int, FirstLooks, Sequence[tuple[int, FirstLooks]]],
-) -> tuple[tuple[bytes, bytes], MaskQuality]:
-    k, own, around = item
-    left, right, plane = _pair_before(sequence, rectifier, background, k)
-    X_NR = sequence.X_NC @ rectifier.X_CR
-    behind = background_images(
-        own,
-        [looks for _, looks in around],
-        background.m_N,
-        rectifier.rig,
-        X_NR[k],
-        X_NR[[j for j, _ in around]],
-    )
-    layer = near_layer(left, right, plane, behind, rectifier.seen)
-    return (encoded(layer.left), encoded(layer.right)), layer.quality
-
-
-def _pair_before(
-    sequence: StereoSequence, rectifier: Rectifier, background: Background, k: int
-) -> tuple[Image, Image, FarPlane]:
-    """The rectified pair k, and the background's plane in it."""
-    raw = sequence.read_pair(k)
-    plane = plane_seen_from(background.m_N, rectifier.rig, sequence.X_NC[k] @ rectifier.X_CR)
-    return rectifier(raw.left, 0), rectifier(raw.right, 1), plane
+    def masks(self, item: tuple[int, FirstLooks, Sequence[tuple[int, FirstLooks]]]) -> Masks:
+        """Of pair k, by its first looks and those of the pairs around it."""
+        k, own, around = item
+        X_NR, rig = self.sequence.X_NC @ self.rectifier.X_CR, self.rectifier.rig
+        others, X_NS = [looks for _, looks in around], X_NR[[j for j, _ in around]]
+        behind = background_images(own, others, self.background.m_N, rig, X_NR[k], X_NS)
+        layer = near_layer(*self.images(k), self.plane(k), behind, self.rectifier.seen)
+        return (encoded(layer.left), encoded(layer.right)), layer.quality
 
 
 def doubtful_frames(found: FoundMasks) -> list[int]:

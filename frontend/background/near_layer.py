@@ -39,14 +39,6 @@ from polhode.geometry.lie import Bools
 
 Values = TypeVar("Values", bound=np.generic)
 
-WORKING_PX = 320
-"""Width of the images in which layers are found."""
-NEAREST_PX = 3
-"""Smallest disparity of the target beyond the background's, in those images."""
-NOISE_DN = 1.5
-"""Standard deviation of a pixel's difference between the images, without gradient [DN]."""
-MISPLACED_PX = 0.5
-"""Error of the position at which images are compared."""
 MAX_COST = 8.0
 """A pixel's cost under a layer, half its squared deviation in sigmas, is cut off here,"""
 MAX_EVIDENCE = 5.5
@@ -71,11 +63,7 @@ MAX_BY_STEREO = 2.0
 """stereo adds so much to it at most: the background that one camera alone sees may look like a match."""
 CERTAIN = 3.0
 """Difference of costs from which on a pixel's layer is certain."""
-MIN_PART = 0.02
-"""Of the largest part of the target; smaller ones are dropped."""
 CROP_PX = 16
-WEIGHT = 25.0
-"""Grey levels for a unit of cost: GrabCut works on three channels, image, smoothed image and evidence."""
 ITERATIONS = 2
 REFINED_PX, FLAT = 3, 1e-4
 """Radius of the final guided filter, and the variance of intensities (of 1) below which it averages."""
@@ -106,7 +94,7 @@ class _Labels:
 
 def working_scale(width_px: int) -> int:
     """Pixels of an image for one in which layers are found."""
-    return max(1, round(width_px / WORKING_PX))
+    return max(1, round(width_px / 320))  # width of the images in which layers are found
 
 
 def near_layer(
@@ -128,7 +116,8 @@ def near_layer(
     far, far_share, offset = _levelled(small, other, plane.reduced(scale), shown, shown_right)
     moved, inside = _moved(other, far)
     inside &= shown & (_moved(shown_right.astype(np.uint8), far)[0] > 0)
-    there, back = both_ways(small, moved, NEAREST_PX, int(REACH * small.shape[1]))
+    # smallest disparity of the target beyond the background's, in those images
+    there, back = both_ways(small, moved, 3, int(REACH * small.shape[1]))
     by_time = by_time_moved = None
     if behind is not None:
         by_time, in_right = (evidence_of_change(*each) for each in zip((small, other), behind, strict=True))
@@ -260,7 +249,9 @@ def _variance(image: Floats) -> Floats:
     """Variance (h, w) of a pixel's difference to the same point in another image, by noise and position."""
     slope = np.abs(cv2.Scharr(image, cv2.CV_32F, 1, 0)) / 64.0
     steepest = cv2.dilate(slope, np.ones((3, 3)))
-    return np.asarray(NOISE_DN**2 + (MISPLACED_PX * steepest) ** 2 + 0.002 * image, dtype=np.float32)
+    # standard deviation of a pixel's difference between the images, without gradient [DN]
+    # error of the position at which images are compared
+    return np.asarray(1.5**2 + (0.5 * steepest) ** 2 + 0.002 * image, dtype=np.float32)
 
 
 def _cost(difference: Floats, variance: Floats) -> Floats:
@@ -286,7 +277,8 @@ def outline(image: Image, evidence: Floats) -> Bools:
         target[box] = True
         return target
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), 2.0))
-    third = np.clip(128.0 + WEIGHT * part, 0.0, 255.0).astype(np.uint8)
+    # grey levels for a unit of cost: GrabCut works on three channels, image, smoothed image and evidence
+    third = np.clip(128.0 + 25.0 * part, 0.0, 255.0).astype(np.uint8)
     channels = cv2.merge([image[box], smooth[box], third])
     # GrabCut starts from random clusters.
     cv2.setRNGSeed(1)
@@ -317,7 +309,8 @@ def large_parts(target: Bools) -> Bools:
     if count <= 1:
         return target
     area = np.asarray(stats)[1:, cv2.CC_STAT_AREA].astype(np.int64)
-    return np.isin(labels, 1 + np.flatnonzero(area >= max(25, MIN_PART * area.max())))
+    # of the largest part of the target; smaller ones are dropped
+    return np.isin(labels, 1 + np.flatnonzero(area >= max(25, 0.02 * area.max())))
 
 
 def refined(image: Image, target: Bools, scale: int) -> Bools:

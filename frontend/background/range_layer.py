@@ -24,8 +24,6 @@ UNEVEN_PX = 0.3
 """part of the disparity by which a real wall is not a plane [px]."""
 MIN_INLIERS = 0.5
 POINTS = 4000
-CLOSED_PX = 3
-"""Radius over which dropouts along edges are closed."""
 
 
 def range_plane(measured: MeasuredDisparity, offset_px: float) -> FarPlane | None:
@@ -60,7 +58,7 @@ def near_range_layer(measured: MeasuredDisparity, plane: FarPlane) -> NearLayer:
     beyond = np.where(known, measured.disparity_px - plane.at(width, height), 0.0)
     margin = np.hypot(SIGMAS * np.nan_to_num(measured.sigma_px), UNEVEN_PX)
     near, far = known & (beyond > margin), known & (beyond <= margin)
-    size = 2 * CLOSED_PX + 1
+    size = 2 * 3 + 1  # dropouts along edges are closed over 3 px
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     closed = cv2.morphologyEx(near.astype(np.uint8), cv2.MORPH_CLOSE, kernel) > 0
     evidence = np.where(far, np.float32(-np.inf), np.float32(0.0))

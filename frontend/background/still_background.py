@@ -32,12 +32,6 @@ SUPPORT, MIN_SUPPORT = 0.25, 6
 """Share and number of the images in which a pixel shows the background, at least: fewer agree by chance;"""
 MAX_WIDTH_DN = 5.0
 """range within which its values then lie."""
-MIN_KNOWN_BORDER = 0.9
-"""Share of the border that must stay the same: a target that fills the image does not."""
-MAX_CHANGED = 0.6
-"""Share of the image that may differ from the background, in the median image."""
-ALWAYS_HIDDEN = 1.0
-"""Evidence for the target where the background is never seen."""
 
 
 def still_background(images: Sequence[Image], shown: Bools) -> BackgroundImage:
@@ -66,10 +60,12 @@ def still_background(images: Sequence[Image], shown: Bools) -> BackgroundImage:
 def is_still(images: Sequence[Image], still: BackgroundImage, shown: Bools) -> bool:
     """Whether the border of images (h, w) stays the same, and what changes is a part of them."""
     ring = border_ring(shown)
-    if still.known[ring].mean() < MIN_KNOWN_BORDER:
+    # share of the border that must stay the same: a target that fills the image does not
+    if still.known[ring].mean() < 0.9:
         return False
     changed = [float((_evidence(image, still, shown) > 0.0)[shown].mean()) for image in images]
-    return float(np.median(changed)) <= MAX_CHANGED
+    # share of the image that may differ from the background, in the median image
+    return float(np.median(changed)) <= 0.6
 
 
 def changed_layer(
@@ -107,7 +103,8 @@ def _evidence(image: Image, still: BackgroundImage, shown: Bools) -> Floats:
     own, other = float(image[ring].sum()), float(still.image[ring].sum())
     gain = np.float32(own / other) if own > 0.0 and other > 0.0 else np.float32(1.0)
     found = evidence_of_change(image, BackgroundImage(still.image * gain, still.spread, still.known))
-    found = np.where(still.known, found, np.float32(ALWAYS_HIDDEN))
+    # evidence for the target where the background is never seen
+    found = np.where(still.known, found, np.float32(1.0))
     return np.where(shown, found, np.float32(-CERTAIN - 1.0)).astype(np.float32)
 
 

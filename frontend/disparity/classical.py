@@ -26,8 +26,6 @@ from polhode.frontend.rectification import Image
 from polhode.geometry.lie import Array, Bools
 from polhode.runtime.compiled import compiled_fused_ieee, compiled_inline
 
-REFINEMENTS = 3
-"""Rounds of sub-pixel refinement and smoothing."""
 PLANE_RADIUS_PX = 6
 """Half side of the windows in which the disparity is taken as a plane."""
 SIGMA_FLOOR_PX = 0.05
@@ -36,26 +34,12 @@ MIN_MATCHED_PIXELS = 50
 """With fewer matched pixels there is no disparity."""
 _MAX_STEP_PX = 0.5
 _MIN_AREA_PX = 40
-_MAX_BRIGHTNESS_RANGE = 0.15
-"""Largest spread of the intensity over a facet, as a share of the intensity."""
 _EDGE_PX = 4
 """Pixels within this distance of a textureless patch still belong to its facet."""
-_MAX_TEXTURE_SLOPE = 0.025
-"""Largest slope of the intensity of a textureless pixel, as a share of the intensity [1/px]."""
-_MAX_NOISE_SLOPE = 2.0
-"""Largest slope that is attributed to noise [8-bit levels/px]."""
 _SCALES_PX = (2.0, 1.0, 0.5, 0.3)
 """Scale of the robust kernel in each round."""
-_MIN_AGREEMENT = 0.6
-"""Share of the information around a patch that must agree with its plane."""
-_AGREEMENT_PX = 0.3
-"""Windows along an edge mix two facets: their disparities may deviate by this in addition to their noise."""
-_MODEL_PX = 0.12
-"""Deviation of a facet from a plane."""
 _MIN_FILLED_SHARE = 0.3
 _OUTLIER_SIGMAS = 3.0
-_ROUGH_CHI2 = 2.0
-"""Mean squared distance from the plane, in variances, above which the surface is not planar at this scale."""
 
 
 def classical_disparity(crop: StereoCrop, config: Depth) -> tuple[Floats, Floats]:
@@ -65,7 +49,7 @@ def classical_disparity(crop: StereoCrop, config: Depth) -> tuple[Floats, Floats
         return np.full_like(disparity, np.nan), np.full_like(disparity, np.nan)
     sigma = np.full_like(disparity, 0.3)
     by_window, sigma_window = disparity, sigma
-    for _ in range(REFINEMENTS):
+    for _ in range(3):  # rounds of sub-pixel refinement and smoothing
         by_window, sigma_window = refine_dense(crop.left, crop.right, disparity, crop.search_px)
         disparity, sigma = fit_planes(by_window, sigma_window, PLANE_RADIUS_PX, float(WINDOW_PX**2))
     facet, sigma_facet = crop_facets(crop, by_window, sigma_window)
@@ -158,7 +142,8 @@ def fit_planes(
     limit = _OUTLIER_SIGMAS * np.hypot(np.where(known, sigma, 1.0), 0.1)
     robust = np.where(np.abs(d - plane) < limit, weight, 0.01 * weight)
     plane, variance, good = best_plane(robust, radius_px)
-    rough = cv2.blur(np.square(d - plane) * weight, (5, 5)) > _ROUGH_CHI2
+    # mean squared distance from the plane, in variances, above which the surface is not planar at this scale
+    rough = cv2.blur(np.square(d - plane) * weight, (5, 5)) > 2.0
     if rough.any():
         near, near_variance, near_good = best_plane(robust, max(radius_px // 2, 1))
         rough &= near_good
@@ -277,7 +262,9 @@ def textureless_patches(image: Image, inside: Bools) -> tuple[NDArray[np.int32],
     slope = np.hypot(slope_u, slope_v)
     # The smallest slopes show the sensor's noise, unless there is texture everywhere.
     noise = float(np.percentile(slope[inside], 20)) if inside.any() else 0.0
-    even = inside & (slope < np.maximum(min(2.5 * noise, _MAX_NOISE_SLOPE), _MAX_TEXTURE_SLOPE * smooth))
+    # largest slope of the intensity of a textureless pixel, as a share of the intensity [1/px]
+    # largest slope that is attributed to noise [8-bit levels/px]
+    even = inside & (slope < np.maximum(min(2.5 * noise, 2.0), 0.025 * smooth))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(even.astype(np.uint8), connectivity=4)
     small = np.flatnonzero(np.asarray(stats)[:, cv2.CC_STAT_AREA] < _MIN_AREA_PX)
     labels = np.asarray(labels, dtype=np.int32)
@@ -314,7 +301,8 @@ def fit_facets(
         rows, columns = rows + bounds[0].start, columns + bounds[1].start
         # A flat facet in sunlight has one brightness, a curved one is shaded; dark pixels show nothing.
         low, middle, high = np.percentile(image[rows, columns], [5.0, 50.0, 95.0])
-        if not (middle > darkest and high - low < _MAX_BRIGHTNESS_RANGE * middle + 4.0):
+        # largest spread of the intensity over a facet, as a share of the intensity
+        if not (middle > darkest and high - low < 0.15 * middle + 4.0):
             continue
         box = (
             slice(max(rows.min() - _EDGE_PX, 0), rows.max() + _EDGE_PX + 1),
@@ -329,7 +317,7 @@ def fit_facets(
             basis = np.stack([np.ones(len(rows)), columns - u.mean(), rows - v.mean()], axis=1)
             variance = np.einsum("ni,ij,nj->n", basis, covariance, basis)
             value[rows, columns] = basis @ theta
-            value_sigma[rows, columns] = np.sqrt(variance + _MODEL_PX**2)
+            value_sigma[rows, columns] = np.sqrt(variance + 0.12**2)  # deviation of a facet from a plane
     return value, value_sigma
 
 
@@ -349,8 +337,10 @@ def _fit(
         theta = np.asarray(np.linalg.solve(normal, basis.T @ (weight * values)), dtype=np.float64)
         residual = values - basis @ theta
         weight = information / (1.0 + (residual / scale) ** 2) ** 2
-    agrees = np.abs(residual) < 2.5 * np.hypot(sigma, _AGREEMENT_PX)
-    if information[agrees].sum() < _MIN_AGREEMENT * information.sum():
+    # windows along an edge mix two facets: their disparities may deviate by this in addition to their noise
+    agrees = np.abs(residual) < 2.5 * np.hypot(sigma, 0.3)
+    # share of the information around a patch that must agree with its plane
+    if information[agrees].sum() < 0.6 * information.sum():
         return None
     normal = (basis * weight[:, None]).T @ basis + 1e-9 * np.eye(3)
     scatter = float(np.sum(weight * residual**2) / max(len(u) - 3, 1))

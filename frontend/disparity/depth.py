@@ -19,8 +19,6 @@ from polhode.records.surface import DepthMap
 
 DisparityRange = tuple[float, float] | None
 """Smallest and largest disparity of the target [px]; None: not known."""
-MIN_FEATURES = 20
-"""With fewer, the range of the disparities is not taken from the features of the pair."""
 RANGE_PERCENTILES = (1.0, 99.0)
 """Of the disparities of the features, without wrong ones."""
 RANGE_MARGIN_PX, RANGE_MARGIN_SHARE = 4.0, 0.25
@@ -30,8 +28,6 @@ MAX_SHIFT_SHARE = 0.4
 the image's width."""
 RIM_PX = {"sgbm": 2, "network": 1}
 """Width that is removed along the silhouette and along jumps of depth, by method."""
-JUMP_PX = 1.5
-"""A difference of disparity between neighbours that counts as a jump."""
 
 
 def compute_depth(
@@ -52,7 +48,8 @@ def compute_depth(
     disparity, sigma = dense_disparity(left, right, mask, rig, config, disparity_range_px)
     certain = np.isfinite(disparity) & (sigma < config.largest_sigma_px)
     known = np.where(certain, disparity, np.float32(np.nan))
-    kept = certain & ~discontinuities(known, mask, RIM_PX[config.method], JUMP_PX)
+    # a difference of 1.5 px between neighbours counts as a jump
+    kept = certain & ~discontinuities(known, mask, RIM_PX[config.method], 1.5)
     return depth_of_disparity(disparity, sigma, kept, left, mask, rig)
 
 
@@ -107,7 +104,8 @@ def range_of_features(disparity_px: Array) -> DisparityRange:
 
     It depends on this pair only, so that its depth does not wait for the motion.
     """
-    if len(disparity_px) < MIN_FEATURES:
+    # with fewer, the range of the disparities is not taken from the features of the pair
+    if len(disparity_px) < 20:
         return None
     low, high = np.percentile(disparity_px, RANGE_PERCENTILES)
     margin = RANGE_MARGIN_PX + RANGE_MARGIN_SHARE * (high - low)

@@ -33,8 +33,7 @@ from polhode.frontend.disparity.classical import (
 )
 from polhode.frontend.disparity.sgbm import Floats, StereoCrop, match_coarse, match_left_right
 from polhode.frontend.networks.disparity import OFFSETS_PX, STRIDE, DisparityNet, mixture_from_outputs
-from polhode.frontend.networks.precision import multiplies_in_bfloat16
-from polhode.frontend.networks.weights import load_weights, shipped_path
+from polhode.frontend.networks.weights import load_weights, multiplies_in_bfloat16, shipped_path
 from polhode.geometry.lie import Bools
 from polhode.runtime.compiled import compiled_fused_ieee
 
@@ -46,12 +45,8 @@ _MAX_COST = 3.0
 _GREY_SCALE = 32.0
 _ALTERNATIVE_SCALE_PX = 8.0
 _PLANE_SCALE_PX = 16.0
-_CONTRAST_FLOOR = 4.0
-"""Added to the standard deviation of a window [8-bit levels], so that noise is not amplified to texture."""
 NAME = "disparity"
 """Name of the shipped weights."""
-_COMPONENTS = 3
-"""Components of the mixture that are evaluated: the weaker ones change almost nothing and cost time."""
 _CORRELATED_PX2 = 25.0
 
 
@@ -144,7 +139,8 @@ def normalise_contrast(image: Floats) -> Floats:
     size = (_CONTRAST_WINDOW_PX, _CONTRAST_WINDOW_PX)
     mean = cv2.blur(image, size)
     variance = np.maximum(cv2.blur(image * image, size) - mean * mean, 0.0)
-    return np.asarray((image - mean) / (np.sqrt(variance) + _CONTRAST_FLOOR), dtype=np.float32)
+    # added to the standard deviation of a window [8-bit levels], so that noise is not amplified to texture
+    return np.asarray((image - mean) / (np.sqrt(variance) + 4.0), dtype=np.float32)
 
 
 def fill_holes(disparity: Floats) -> Floats:
@@ -291,7 +287,8 @@ def refine(network: DisparityNet, start: InitialDisparity) -> RefinedDisparity:
         with torch.autocast("cpu", torch.bfloat16, enabled=multiplies_in_bfloat16()):
             raw = network(channels)
         outputs, guess = raw[:, :, target], hypotheses(padded)[None, :, target]
-        mixture = mixture_from_outputs(outputs, guess).strongest(_COMPONENTS)
+        # components of the mixture that are evaluated: the weaker ones change almost nothing and cost time
+        mixture = mixture_from_outputs(outputs, guess).strongest(3)
         mode = mixture.mode()
         values = (mode, mixture.sigma(mode), torch.sigmoid(mixture.visible))
     disparity, sigma, visible = images = [np.full((h, w), np.nan, dtype=np.float32) for _ in values]

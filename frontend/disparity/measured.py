@@ -15,12 +15,6 @@ from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array
 from polhode.records.surface import DepthMap
 
-WINDOW_RADIUS_PX = 5
-"""Half side of the window of a point's plane: a compromise between noise and the curvature of surfaces."""
-WINDOW_SIGMA = 0.6
-"""Standard deviation of its weight, over the half side."""
-NEAREST = 9
-"""Measured pixels around the point whose median is the first level."""
 JUMP_SIGMAS = 5.0
 """A first distance from the level that belongs to another surface;"""
 MAX_SLOPE = 0.35
@@ -28,19 +22,14 @@ MAX_SLOPE = 0.35
 OUTLIER_SIGMAS = 3.0
 MIN_SUPPORT = 0.4
 """Smallest share of the window's weight that agrees with the plane."""
-MAX_CHI2 = 4.0
-"""Mean squared distance from the plane, in variances, above which the surface is none."""
 SHARED_ERROR = 0.05
 """Share of a pixel's sigma that averaging does not reduce: calibration, and what pixels have in common."""
-SMOOTHING_RADIUS_PX = 3
-"""Half side of the windows in which the dense depth is taken as a plane."""
-RIM_PX = 1
-"""Width that is removed along the silhouette and along jumps of depth."""
 
 
 def disparity_at(measured: MeasuredDisparity, uv_px: Array) -> tuple[Array, Array]:
     """Disparity (n,) and its sigma (n,) [px] at points uv (n, 2); NaN where it is not known."""
-    n, r = len(uv_px), WINDOW_RADIUS_PX
+    # half side of the window of a point's plane: a compromise between noise and the curvature of surfaces
+    n, r = len(uv_px), 5
     if n == 0:
         return np.zeros(0), np.zeros(0)
     y, x = (a.ravel() for a in np.mgrid[-r : r + 1, -r : r + 1])
@@ -54,10 +43,11 @@ def disparity_at(measured: MeasuredDisparity, uv_px: Array) -> tuple[Array, Arra
     d, sigma = np.where(known, d, 0.0), np.where(known, sigma, 1.0)
     du, dv = columns - uv_px[:, :1], rows - uv_px[:, 1:]
     far2 = du**2 + dv**2
-    window = np.exp(-far2 / (2.0 * (WINDOW_SIGMA * r) ** 2))
+    window = np.exp(-far2 / (2.0 * (0.6 * r) ** 2))  # standard deviation of its weight, over the half side
     weight = np.where(known, window, 0.0)
     # the first level is the median of the measured pixels nearest to a point
-    nearest = np.argsort(np.where(known, far2, np.inf), axis=1, kind="stable")[:, :NEAREST]
+    # measured pixels around the point whose median is the first level
+    nearest = np.argsort(np.where(known, far2, np.inf), axis=1, kind="stable")[:, :9]
     measured_there, value = (np.take_along_axis(each, nearest, axis=1) for each in (known, d))
     values = np.where(measured_there, value, np.nan)
     level, some = np.full(n, np.nan), known.any(axis=1)
@@ -80,7 +70,8 @@ def disparity_at(measured: MeasuredDisparity, uv_px: Array) -> tuple[Array, Arra
     chi2 = (weight * keep * residual**2).sum(axis=1) / agreeing
     usual = np.sqrt((weight * keep * sigma**2).sum(axis=1) / agreeing)
     spread = np.sqrt(np.maximum(covariance[:, 0, 0], 0.0) * np.maximum(chi2, 1.0))
-    good = (support >= MIN_SUPPORT) & (chi2 < MAX_CHI2) & np.isfinite(level)
+    # mean squared distance from the plane, in variances, above which the surface is none
+    good = (support >= MIN_SUPPORT) & (chi2 < 4.0) & np.isfinite(level)
     return np.where(good, plane[:, 0], np.nan), np.where(good, np.hypot(spread, SHARED_ERROR * usual), np.nan)
 
 
@@ -95,9 +86,11 @@ def measured_depth(pair: RectifiedPair, rig: RectifiedRig, max_sigma_px: float) 
     on_target = np.where(pair.mask_left, measured.disparity_px, np.float32(np.nan))
     # what noise and slope do not explain among a pixel's neighbours
     jump_px = np.sqrt(2.0) * JUMP_SIGMAS * np.nan_to_num(measured.sigma_px) + 2.0 * MAX_SLOPE
-    jumps = discontinuities(on_target, pair.mask_left, RIM_PX, jump_px.astype(np.float32))
+    # width that is removed along the silhouette and along jumps of depth
+    jumps = discontinuities(on_target, pair.mask_left, 1, jump_px.astype(np.float32))
     clean = np.where(jumps, np.float32(np.nan), on_target)
-    disparity, sigma = fit_planes(clean, measured.sigma_px, SMOOTHING_RADIUS_PX, 1.0)
+    # half side of the windows in which the dense depth is taken as a plane
+    disparity, sigma = fit_planes(clean, measured.sigma_px, 3, 1.0)
     sigma = np.hypot(sigma, np.float32(SHARED_ERROR) * measured.sigma_px)
     kept = np.isfinite(disparity) & (sigma < max_sigma_px)
     return depth_of_disparity(disparity, sigma, kept, pair.left, pair.mask_left, rig)

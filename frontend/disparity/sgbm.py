@@ -19,10 +19,6 @@ WINDOW_PX = 7
 """Side of the window of the sub-pixel refinement, odd."""
 MIN_INTENSITY = 6.0
 """Pixels that exceed the sky's level by less are unlit: they have no depth."""
-CONSISTENCY_PX = 1.0
-"""Largest difference between the left and the right image's disparity."""
-SPECKLE_PX = 60
-"""Patches of disparity with fewer pixels are removed."""
 
 
 @dataclass(frozen=True)
@@ -111,10 +107,11 @@ def match_left_right(crop: StereoCrop, config: Depth) -> tuple[Floats, Floats]:
     left = left[:, n : n + w]
     columns = np.arange(w)[None, :] + n - np.round(left).astype(np.int64)
     back = np.take_along_axis(right, np.clip(columns, 0, right.shape[1] - 1), axis=1)
-    agrees = (left > 0) & (back > 0) & (np.abs(left - back) <= CONSISTENCY_PX)
+    # largest difference between the left and the right image's disparity
+    agrees = (left > 0) & (back > 0) & (np.abs(left - back) <= 1.0)
     disparity = np.where(agrees & crop.lit, left, -1.0).astype(np.float32)
     speckled = np.round(disparity * 16).astype(np.int16)
-    cv2.filterSpeckles(speckled, -16, SPECKLE_PX, 16)
+    cv2.filterSpeckles(speckled, -16, 60, 16)  # patches of disparity with fewer pixels are removed
     return (
         np.where(speckled > 0, disparity, np.nan).astype(np.float32),
         np.where(left > 0, left, np.nan).astype(np.float32),

@@ -2,18 +2,30 @@
 
 Key points of the right image are sorted by row, so that each of the left ones is compared with the few that
 are near its own row, instead of with all.
+
+Matches that ignore the epipolar constraint (``row_offsets``) check the rig, not the target: where rows differ
+or disparities are negative, the calibration is wrong, the rig has moved in itself, the cameras look at
+different times, or the images are exchanged.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
-from polhode.frontend.features.keypoints import Descriptors, KeyPoints
+from polhode.frontend.features.keypoints import Descriptors, KeyPoints, strongest
 from polhode.geometry.lie import Array, Ints
 from polhode.runtime.compiled import compiled_reordered
 
 MAX_OCTAVES, MAX_TURN_RAD = 0.6, float(np.deg2rad(35.0))
 """Largest differences of scale and orientation between the two images of a point."""
-NONE = -1.0
-"""Similarity where there is no candidate."""
+STRONGEST = 300
+"""Key points of each image that ``row_offsets`` compares, the strongest first."""
+MAX_ROWS_PX = 5.0
+"""Largest difference of rows of its matches: several times those of 0.2 degrees between the cameras."""
+MAX_SHIFT_SHARE = 0.7
+"""Largest distance of the two columns of a match, as a share of the image's width: at the depth that it
+means, the rest of the width is what both cameras see. Of converging cameras this is not the disparity beyond
+that of infinity, which may exceed the width."""
 
 
 def mutual_nearest(
@@ -63,7 +75,7 @@ def _search(
     point (m,) the nearest left one."""
     n, m = len(left), len(right)
     best, best_left = np.full(n, -1), np.full(m, -1)
-    first, second, first_left = np.full(n, NONE), np.full(n, NONE), np.full(m, NONE)
+    first, second, first_left = np.full(n, -1.0), np.full(n, -1.0), np.full(m, -1.0)
     for i in range(n):
         u, v, octave, angle = left[i]
         j = np.searchsorted(right[:, 1], v - row_gate_px[i], side="right")
@@ -86,3 +98,31 @@ def _search(
                     best_left[j], first_left[j] = i, alike
             j += 1
     return best, first, second, best_left
+
+
+@dataclass(frozen=True)
+class RowOffsets:
+    """n matches of one pair."""
+
+    uv_px: Array
+    """(n, 2) in the rectified left image"""
+    disparity_px: Array
+    """(n,) to the key point itself, of either sign"""
+    offset_px: Array
+    """(n,) row in the left image minus row in the right one"""
+
+
+def row_offsets(
+    left: KeyPoints, right: KeyPoints, width_px: int, max_rows_px: float = MAX_ROWS_PX
+) -> RowOffsets:
+    """Mutually best descriptors among the strongest key points of both images, whatever their rows' order.
+
+    Both signs of the disparity are searched, so that points behind the cameras show. max_rows_px: largest
+    difference of rows.
+    """
+    left, right = (strongest(points, STRONGEST) for points in (left, right))
+    widest = MAX_SHIFT_SHARE * width_px
+    gate_px = np.full(len(left), max_rows_px)
+    kept, matched = mutual_nearest(left, right, gate_px, (-widest, widest), 0.8)
+    offset = left.uv_px[kept] - right.uv_px[matched]
+    return RowOffsets(left.uv_px[kept], offset[:, 0], offset[:, 1])

@@ -22,11 +22,6 @@ from polhode.frontend.rectification import Crop, Image, target_crop
 from polhode.geometry.lie import Array, Bools, Ints
 
 Descriptors = NDArray[np.float32]
-CANDIDATE_CONTRAST = 0.5
-"""Contrast threshold of candidates, over that of ``detect``: their disparity does not come from matching
-them."""
-CANDIDATE_CELL_PX = 0.5
-"""Extrema of several scales or orientations that are this close to each other are one candidate [px]."""
 _EDGE_THRESHOLD = 12.0
 
 
@@ -62,21 +57,6 @@ class FeatureCandidates:
         return len(self.uv_px)
 
 
-@dataclass(frozen=True)
-class EnlargedCrop:
-    """The target's crop, its contrast stretched, enlarged for detection."""
-
-    image: Image
-    zoom_uv: Array
-    """(2,) enlargement along u and v"""
-    crop: Crop
-
-    def in_image(self, uv_px: Array) -> Array:
-        """Positions (n, 2) in the crop as positions in the whole image."""
-        # Pixel centres are integers in both images, so the enlargement shifts by half a pixel.
-        return np.asarray((uv_px + 0.5) / self.zoom_uv - 0.5 + [self.crop.u0, self.crop.v0])
-
-
 def no_key_points() -> KeyPoints:
     """The key points of an image without the target."""
     return KeyPoints(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), dtype=np.float32))
@@ -91,12 +71,12 @@ def strongest(points: KeyPoints, count: int) -> KeyPoints:
 
 def detect(image: Image, mask: Bools, crop: Crop, config: Features) -> KeyPoints:
     """RootSIFT key points of a rectified image (H, W) inside the mask, from its crop."""
-    enlarged = enlarge(image, crop, config)
-    points, descriptors = _sift(config.contrast_threshold).detectAndCompute(enlarged.image, None)
+    enlarged, zoom_uv = _enlarged(image, crop, config)
+    points, descriptors = _sift(config.contrast_threshold).detectAndCompute(enlarged, None)
     if descriptors is None or len(points) == 0:
         return no_key_points()
-    uv, scale, response = _positions(points, enlarged)
-    order = strongest_in_mask(uv, response, mask)[: config.max_features]
+    uv, scale, response = _positions(points, zoom_uv, crop)
+    order = _strongest_in_mask(uv, response, mask)[: config.max_features]
     return KeyPoints(
         uv[order],
         scale[order],
@@ -111,25 +91,29 @@ def find_candidates(image: Image, mask: Bools, config: Features) -> FeatureCandi
     crop = target_crop(mask)
     if crop is None:
         return none
-    enlarged = enlarge(image, crop, config)
-    points = _sift(CANDIDATE_CONTRAST * config.contrast_threshold).detect(enlarged.image, None)
+    enlarged, zoom_uv = _enlarged(image, crop, config)
+    # contrast threshold of candidates, over that of ``detect``: their disparity does not come from matching
+    # them
+    points = _sift(0.5 * config.contrast_threshold).detect(enlarged, None)
     if len(points) == 0:
         return none
-    uv, scale, response = _positions(points, enlarged)
-    order = strongest_in_mask(uv, response, mask)
-    cell = np.round(uv[order] / CANDIDATE_CELL_PX).astype(np.int64)
+    uv, scale, response = _positions(points, zoom_uv, crop)
+    order = _strongest_in_mask(uv, response, mask)
+    # extrema of several scales or orientations that are this close to each other are one candidate [px]
+    cell = np.round(uv[order] / 0.5).astype(np.int64)
     order = order[np.sort(np.unique(cell, axis=0, return_index=True)[1])][: config.max_features]
     return FeatureCandidates(uv[order], scale[order], response[order])
 
 
-def enlarge(image: Image, crop: Crop, config: Features) -> EnlargedCrop:
-    """The crop of an image (H, W) with stretched contrast, enlarged as far as the configuration allows."""
+def _enlarged(image: Image, crop: Crop, config: Features) -> tuple[Image, Array]:
+    """The crop of an image (H, W) with stretched contrast, enlarged as far as the configuration allows, and
+    its enlargement (2,) along u and v."""
     patch = stretch(image[crop.v0 : crop.v1, crop.u0 : crop.u1])
     zoom = float(np.clip(config.max_crop_px / max(crop.width_px, crop.height_px), 1.0, config.upsample))
     size = (round(crop.width_px * zoom), round(crop.height_px * zoom))
     enlarged = cv2.resize(patch, size, interpolation=cv2.INTER_CUBIC) if zoom > 1.0 else patch
     zoom_uv = np.array([size[0] / crop.width_px, size[1] / crop.height_px])
-    return EnlargedCrop(np.asarray(enlarged, dtype=np.uint8), zoom_uv, crop)
+    return np.asarray(enlarged, dtype=np.uint8), zoom_uv
 
 
 def stretch(patch: Image) -> Image:
@@ -141,7 +125,7 @@ def stretch(patch: Image) -> Image:
     return bright
 
 
-def strongest_in_mask(uv_px: Array, response: Array, mask: Bools) -> Ints:
+def _strongest_in_mask(uv_px: Array, response: Array, mask: Bools) -> Ints:
     """Indices of the points (n, 2) inside the mask, strongest response (n,) first."""
     height, width = mask.shape
     pixel = np.clip(np.round(uv_px).astype(np.int64), 0, [width - 1, height - 1])
@@ -158,10 +142,11 @@ def _sift(contrast_threshold: float) -> cv2.SIFT:
     )
 
 
-def _positions(points: Sequence[cv2.KeyPoint], enlarged: EnlargedCrop) -> tuple[Array, Array, Array]:
+def _positions(points: Sequence[cv2.KeyPoint], zoom_uv: Array, crop: Crop) -> tuple[Array, Array, Array]:
     """Positions (n, 2) and scales (n,) in the whole image [px], and responses (n,)."""
-    uv = enlarged.in_image(np.array([p.pt for p in points]))
-    scale = np.array([p.size for p in points]) / (2.0 * enlarged.zoom_uv[0])
+    # Pixel centres are integers in both images, so the enlargement shifts by half a pixel.
+    uv = (np.array([p.pt for p in points]) + 0.5) / zoom_uv - 0.5 + [crop.u0, crop.v0]
+    scale = np.array([p.size for p in points]) / (2.0 * zoom_uv[0])
     return uv, scale, np.array([p.response for p in points])
 
 

@@ -28,9 +28,6 @@ class FeatureMethod(Protocol):
 FEATURE_METHODS: Mapping[str, str] = {
     "rootsift": "polhode.frontend.features.stereo:RootSift",
     "polhode": "polhode.frontend.features.surface_features:SurfaceFeatureMethod",
-    "disk": "polhode.frontend.peers.detectors:PeerDetector",
-    "aliked": "polhode.frontend.peers.detectors:PeerDetector",
-    "xfeat": "polhode.frontend.peers.detectors:PeerDetector",
 }
 """Name in ``frontend.features.method`` -> module:class, called with the configuration."""
 

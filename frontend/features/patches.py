@@ -23,9 +23,6 @@ Grey = NDArray[np.float32]
 Patches = NDArray[np.float32]
 PATCH_PX = 32
 """Side of a patch [px]."""
-MAX_TILT_DEG = 70.0
-"""Surfaces with a larger inclination are treated as if they had this one [deg]: otherwise one pixel would
-fill the patch."""
 _BLUR_STEPS = np.sqrt(2.0) ** np.arange(9)
 """Pixels of the image per pixel of the patch for which the image is smoothed."""
 
@@ -53,7 +50,9 @@ def tangent_affines(p_R: Array, normal_R: Array, rig: RectifiedRig, half_m: Arra
     along = np.eye(3) - normal_R[:, :, None] * normal_R[:, None, :]
     # Any basis of the tangent plane gives this product; its symmetric root is the map without rotation.
     square, axes = np.linalg.eigh(P @ along @ np.swapaxes(P, 1, 2))
-    floor = square[:, 1:] * np.cos(np.deg2rad(MAX_TILT_DEG)) ** 2
+    # surfaces with a larger inclination are treated as if they had this one [deg]: otherwise one pixel would
+    # fill the patch
+    floor = square[:, 1:] * np.cos(np.deg2rad(70.0)) ** 2
     stretch = np.sqrt(np.maximum(square, floor))
     return np.asarray((axes * stretch[:, None, :]) @ np.swapaxes(axes, 1, 2) * half_m[:, None, None])
 
@@ -159,41 +158,3 @@ def _smoothed(grey: Grey, step_px: float) -> Grey:
         return grey
     sigma = 0.5 * float(np.sqrt(step_px**2 - 1.0))
     return np.asarray(cv2.GaussianBlur(grey, (0, 0), sigma), dtype=np.float32)
-
-
-def dominant_angles(patches: Patches) -> Array:
-    """Direction (n,) [rad] of the strongest gradients in the middle of upright patches (n, 1, s, s).
-
-    The peak of the histogram of gradient directions, as in SIFT (Lowe 2004), weighted by a Gaussian.
-    """
-    grey = patches[:, 0].astype(np.float32)
-    n, size = len(grey), patches.shape[-1]
-    if n == 0:
-        return np.zeros(0)
-    gy, gx = np.zeros_like(grey), np.zeros_like(grey)
-    gx[:, :, 1:-1] = grey[:, :, 2:] - grey[:, :, :-2]
-    gy[:, 1:-1, :] = grey[:, 2:, :] - grey[:, :-2, :]
-    side = (2.0 * np.arange(size) + 1.0) / size - 1.0
-    window = np.exp(-(side[:, None] ** 2 + side[None, :] ** 2) / (2.0 * 0.45**2))
-    magnitude = np.hypot(gx, gy) * window
-    bins = 36
-    position = np.arctan2(gy, gx) * (bins / (2.0 * np.pi))
-    low = np.floor(position)
-    share = position - low
-    row = np.arange(n)[:, None, None] * bins
-    histogram = np.zeros(n * bins)
-    for offset, weight in ((0, 1.0 - share), (1, share)):
-        index = row + (low.astype(np.int64) + offset) % bins
-        histogram += np.bincount(index.ravel(), (magnitude * weight).ravel(), n * bins)
-    return _peak(histogram.reshape(n, bins)) * (2.0 * np.pi / bins)
-
-
-def _peak(histogram: Array) -> Array:
-    """Position (n,) of the highest bin of circular histograms (n, bins), interpolated by a parabola."""
-    smooth = histogram
-    for _ in range(2):
-        smooth = 0.25 * np.roll(smooth, 1, axis=1) + 0.5 * smooth + 0.25 * np.roll(smooth, -1, axis=1)
-    rows, best = np.arange(len(smooth)), smooth.argmax(axis=1)
-    before, here, after = (smooth[rows, (best + k) % smooth.shape[1]] for k in (-1, 0, 1))
-    curvature = np.maximum(2.0 * here - before - after, 1e-9)
-    return np.asarray(best + 0.5 * (after - before) / curvature)

@@ -15,11 +15,15 @@ from scipy.ndimage import spline_filter1d
 
 from polhode.config.frontend_settings import Frontend
 from polhode.frontend.disparity.measured import disparity_at
-from polhode.frontend.features.epipolar_search import mutual_nearest
+from polhode.frontend.features.epipolar_search import (
+    MAX_SHIFT_SHARE,
+    RowOffsets,
+    mutual_nearest,
+    row_offsets,
+)
 from polhode.frontend.features.keypoints import Descriptors, KeyPoints, detect, no_key_points
 from polhode.frontend.features.local_planes import local_planes
 from polhode.frontend.features.patches import rotate_affines, surface_frames, surface_normals
-from polhode.frontend.features.row_offsets import RowOffsets, row_offsets
 from polhode.frontend.features.window_fit import MAX_SLOPE, WINDOW_PX, fit_windows
 from polhode.frontend.rectification import Image, MeasuredDisparity, RectifiedPair, target_crop
 from polhode.geometry.camera import RectifiedRig
@@ -27,10 +31,6 @@ from polhode.geometry.lie import Array, Bools, Ints
 
 ROW_GATE_PX = 0.8
 """Largest difference of rows between left and right key points of the finest scale."""
-MAX_SHIFT_SHARE = 0.7
-"""Largest distance of the two columns of a match, as a share of the image's width: at the depth that it
-means, the rest of the width is what both cameras see. Of converging cameras this is not the disparity beyond
-that of infinity, which may exceed the width."""
 RATIO = 0.95
 """Largest ratio of best to second best descriptor distance among the candidates on the line."""
 MIN_DISPARITY_PX = 0.5
@@ -48,16 +48,6 @@ COARSE_ROWS = 128
 """Descriptors are filled up to multiples of so many for comparisons."""
 MIN_NOISE_LEVELS = 1.0
 """Floor of the noise of an image [8-bit levels]: rounding, and what the model of its texture lacks."""
-
-
-@dataclass(frozen=True)
-class ImageCrop:
-    """A part of a rectified left image."""
-
-    image: Image
-    """(H, W)"""
-    corner_px: tuple[int, int]
-    """(u, v) of the part's first pixel in the whole image"""
 
 
 @dataclass(frozen=True)
@@ -102,8 +92,6 @@ class StereoFeatures:
     """(n, d) of the left image, unit length; d = 128 for RootSIFT"""
     angle_rad: Array | None = None
     """(n,) orientation in the left image [rad], from u to v, where the method has one"""
-    picture: ImageCrop | None = None
-    """The left image of the target, if the matcher reads images"""
     R_RS: Array | None = None
     """(n, 3, 3) axes of the surface at the feature, as columns in the left camera: z is its normal, x a
     direction given by its texture; NaN where unknown"""

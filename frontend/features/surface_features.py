@@ -32,7 +32,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -42,8 +41,14 @@ from polhode.frontend.disparity.measured import disparity_at
 from polhode.frontend.disparity.sgbm import Floats, cut_crop, match_checked
 from polhode.frontend.features.keypoints import FeatureCandidates, find_candidates
 from polhode.frontend.features.local_planes import local_planes
-from polhode.frontend.features.patch_descriptors import PatchDescriptions, SurfaceDescriptor, make_descriptor
-from polhode.frontend.features.patches import rotate_affines, surface_frames, surface_normals, tangent_affines
+from polhode.frontend.features.patch_descriptors import PatchDescriptions, describe, descriptor_network
+from polhode.frontend.features.patches import (
+    cut_patches,
+    rotate_affines,
+    surface_frames,
+    surface_normals,
+    tangent_affines,
+)
 from polhode.frontend.features.stereo import (
     MIN_CORRELATION,
     StereoFeatures,
@@ -51,6 +56,7 @@ from polhode.frontend.features.stereo import (
     texture_sigma,
 )
 from polhode.frontend.features.surface_network import SurfaceLook, surface_network
+from polhode.frontend.networks.descriptor import DescriptorNet
 from polhode.frontend.rectification import Image, RectifiedPair, Rectifier, rectified_pair
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Bools, Ints
@@ -69,13 +75,7 @@ PLACE_CONFIDENCE = (-0.098, -0.091)
 """The same of u and v, of landmarks."""
 _MIN_SIGMA_LS_PX = 0.01
 _MIN_CONFIDENCE, _MAX_CONFIDENCE = 1e-4, 1.0 - 1e-4
-PATCH_HALF_PX = 12.0
-"""Half side of a patch at the target's median distance, if its size in metres is not set [px]."""
-_SIZE_SAMPLES = 6
-"""Pairs of the sequence from which the size of patches is computed."""
 _REFINEMENTS = 4
-_MAX_DISPARITY_CHANGE_PX = 1.5
-"""A refined disparity that differs by more belongs to another surface [px]."""
 
 
 def feature_sigma(sigma_ls_px: Array) -> Array:
@@ -114,41 +114,31 @@ def confidence_logit(confidence: Array) -> Array:
     return np.asarray(np.log(p / (1.0 - p)))
 
 
-class Look(Protocol):
-    """One image, of which a method has found and can describe points."""
+class PatchLook:
+    """One image: blobs are its points, described by their patches. ``SurfaceLook`` may take its place."""
+
+    def __init__(self, network: DescriptorNet, config: Features, image: Image, mask: Bools) -> None:
+        self._network, self._config, self._image, self._mask = network, config, image, mask
 
     def candidates(self, count: int) -> tuple[FeatureCandidates, Array | None]:
         """The ``count`` best points, and the standard deviations (n,) of their places, each axis [px], where
         they are known."""
-        ...
-
-    def describe(self, uv_px: Array, affine_px: Array) -> PatchDescriptions:
-        """The surface around points (n, 2), by maps (n, 2, 2) of their upright patches."""
-        ...
-
-
-class PatchLook:
-    """Blobs, described by their patches."""
-
-    def __init__(self, describe: SurfaceDescriptor, config: Features, image: Image, mask: Bools) -> None:
-        self._describe, self._config, self._image, self._mask = describe, config, image, mask
-
-    def candidates(self, count: int) -> tuple[FeatureCandidates, Array | None]:
-        """See ``Look``."""
         features = self._config.model_copy(update={"max_features": count})
         return find_candidates(self._image, self._mask, features), None
 
     def describe(self, uv_px: Array, affine_px: Array) -> PatchDescriptions:
-        """See ``Look``."""
-        return self._describe(self._image, uv_px, affine_px)
+        """The surface around points (n, 2), by maps (n, 2, 2) of their upright patches."""
+        return describe(self._network, cut_patches(self._image, uv_px, affine_px))
 
 
-def make_look(config: Frontend) -> Callable[[Image, Bools], Look]:
+def make_look(config: Frontend) -> Callable[[Image, Bools], PatchLook | SurfaceLook]:
     """How an image and its mask are looked at. Raises InputError: weights are missing."""
-    if config.features.surface_descriptor == "surface":
-        path = config.weights.surface
-        return partial(SurfaceLook, surface_network(None if path is None else Path(path)))
-    return partial(PatchLook, make_descriptor(config), config.features)
+    of_surface = config.features.surface_descriptor == "surface"
+    given = config.weights.surface if of_surface else config.weights.descriptor
+    path = None if given is None else Path(given)
+    if of_surface:
+        return partial(SurfaceLook, surface_network(path))
+    return partial(PatchLook, descriptor_network(path), config.features)
 
 
 class SurfaceFeatureMethod:
@@ -192,7 +182,8 @@ def with_patch_size(config: Frontend, sequence: StereoSequence, rectifier: Recti
     """
     if config.features.method != "polhode" or config.features.patch_half_m is not None:
         return config
-    frames = np.unique(np.round(np.linspace(0, len(sequence) - 1, _SIZE_SAMPLES)).astype(int))
+    # pairs of the sequence from which the size of patches is computed
+    frames = np.unique(np.round(np.linspace(0, len(sequence) - 1, 6)).astype(int))
     distances, rig = list[float](), rectifier.rig
     for k in frames.tolist():
         disparity = matched_disparity(rectified_pair(sequence, rectifier, k), rig, config.depth)
@@ -209,7 +200,8 @@ def with_patch_size(config: Frontend, sequence: StereoSequence, rectifier: Recti
 
 def patch_half_m(distance_m: float, rig: RectifiedRig) -> float:
     """Half the side of a patch on the surface [m] for a target at a distance [m]."""
-    return PATCH_HALF_PX * distance_m / rig.focal_px
+    # half side of a patch at the target's median distance, if its size in metres is not set [px]
+    return 12.0 * distance_m / rig.focal_px
 
 
 def matched_disparity(pair: RectifiedPair, rig: RectifiedRig, config: Depth) -> Floats:
@@ -251,11 +243,8 @@ def _measure(
     if place_sigma_px is not None:
         place_sigma_px = place_sigma_px[known]
         sigma[:, :2] = landmark_sigma(place_sigma_px)[:, None]
-    good = (
-        is_seen
-        & (np.abs(refined - plane[:, 0]) < _MAX_DISPARITY_CHANGE_PX)
-        & (refined - rig.disparity_offset_px > 0.5)
-    )
+    # A refined disparity that differs by more belongs to another surface [px]
+    good = is_seen & (np.abs(refined - plane[:, 0]) < 1.5) & (refined - rig.disparity_offset_px > 0.5)
     uvd = np.column_stack([uv, refined])[good]
     scale = candidates.scale_px[known][good]
     plane[:, 0] = refined

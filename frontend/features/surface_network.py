@@ -13,9 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from polhode.frontend.features.keypoints import FeatureCandidates
-from polhode.frontend.features.landmark_places import find_places
-from polhode.frontend.features.patch_descriptors import PatchDescriptions, described
-from polhode.frontend.networks.precision import multiplies_in_bfloat16
+from polhode.frontend.features.patch_descriptors import PatchDescriptions, describe
 from polhode.frontend.networks.surface import (
     ANGLES,
     CHANNELS,
@@ -25,10 +23,11 @@ from polhode.frontend.networks.surface import (
     SMOOTH_FROM,
     STRIDE_PX,
     SurfaceNet,
+    find_places,
     ring_positions,
     smoothed_channels,
 )
-from polhode.frontend.networks.weights import load_weights, shipped_path
+from polhode.frontend.networks.weights import load_weights, multiplies_in_bfloat16, shipped_path
 from polhode.frontend.rectification import Image, target_crop
 from polhode.geometry.lie import Array, Bools, Ints
 from polhode.runtime.compiled import compiled_reordered
@@ -36,12 +35,6 @@ from polhode.runtime.compiled import compiled_reordered
 Floats = NDArray[np.float32]
 NAME = "surface"
 """Name of the shipped weights."""
-LARGEST_PX = 640
-"""Longest side of what the network looks at; larger targets are reduced [px]."""
-SCALE_PX = 1.5
-"""Scale of a landmark, as of a blob [px]."""
-CELL_PX = 0.75
-"""Landmarks in the same cell are one [px]."""
 _BLUR_STEPS = np.sqrt(2.0) ** np.arange(9)
 """Pixels of the image between rings for which the channels are smoothed."""
 
@@ -66,7 +59,8 @@ class SurfaceLook:
         rows, columns = slice(crop.v0, crop.v1), slice(crop.u0, crop.u1)
         part, on_target = image[rows, columns], mask[rows, columns]
         self._corner = np.array([crop.u0, crop.v0], float)
-        self._zoom = min(1.0, LARGEST_PX / max(part.shape))
+        # longest side of what the network looks at; larger targets are reduced [px]
+        self._zoom = min(1.0, 640 / max(part.shape))
         part = np.where(
             cv2.dilate(on_target.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0, part, np.uint8(0)
         )
@@ -91,20 +85,21 @@ class SurfaceLook:
         with torch.inference_mode():
             found = find_places(self._dense, 0, torch.from_numpy(self._mask), count)
         uv = found.uv_px.numpy().astype(np.float64)
-        first = np.unique(np.floor(uv / CELL_PX).astype(int), axis=0, return_index=True)[1]
+        # landmarks in the same cell are one [px]
+        first = np.unique(np.floor(uv / 0.75).astype(int), axis=0, return_index=True)[1]
         first.sort()
         sigma = np.exp(found.log_sigma.numpy().astype(np.float64))[first] / self._zoom
         response = torch.sigmoid(found.score).numpy().astype(np.float64)[first]
-        scale = np.full(len(first), SCALE_PX / self._zoom)
+        scale = np.full(len(first), 1.5 / self._zoom)  # scale of a landmark, as of a blob [px]
         uv = (uv[first] + 0.5) / self._zoom - 0.5 + self._corner
         return FeatureCandidates(uv, scale, response), sigma
 
     def describe(self, uv_px: Array, affine_px: Array) -> PatchDescriptions:
         """The surface around points (n, 2), by maps (n, 2, 2) of their upright patches."""
         if len(uv_px) == 0:
-            return described(self._network.describe, np.zeros((0, CHANNELS, RINGS, ANGLES), np.float32))
+            return describe(self._network.describe, np.zeros((0, CHANNELS, RINGS, ANGLES), np.float32))
         uv = (uv_px - self._corner + 0.5) * self._zoom - 0.5
-        return described(
+        return describe(
             self._network.describe, cut_rings(self._dense.channels[0], uv, affine_px * self._zoom)
         )
 

@@ -4,7 +4,6 @@ pairs.py       selection of frame pairs, their matching in parallel; two methods
 methods.py     the interface and the registry of match methods
 nearest.py     the method ``nearest``: mutual nearest neighbours
 matchers.py    the method ``polhode``: dual softmax, motions on which matches agree
-earlier_frames.py  with which earlier frames a stream matches a new one
-key_frames.py  which of them a long stream keeps
+frame_choice.py  with which earlier frames a stream matches a new one, and which of them it keeps
 ransac.py      the geometric check: RANSAC on absolute orientation
 """

@@ -39,12 +39,8 @@ ROOTSIFT_TEMPERATURE, ROOTSIFT_DUSTBIN = 0.015, 0.8
 """The same of RootSIFT's descriptors, none of whose coordinates are negative: all are more alike."""
 AXES_DEG = 25.0
 """Largest rotation between two proposals that agree [deg]; the axes have errors of 5 to 15 degrees."""
-SEEDS = 12
-"""Number of proposals, those with the largest support, that are refined."""
 _SHRINK = (3.0, 2.0, 1.5, 1.0, 1.0)
 """Gates of the rounds of refinement, relative to the last one."""
-MAX_LISTED = 2_000_000
-"""Sum of the squared numbers of agreeing proposals up to which the pairs among them are gone through."""
 PROPOSING_PAIRS = 500
 """Number of the most probable pairs, which propose motions."""
 CONSIDERED_PAIRS = 3000
@@ -58,8 +54,6 @@ GATE_PX = 3.0
 """Largest distance in the image between a transformed point and its match [px]."""
 GATE_DISPARITY_PX = 0.35
 """The same for disparity [px], whose errors dominate at short baselines."""
-VOTE_EXPONENT = 0.25
-"""Exponent of the probabilities as votes: many fair pairs count more than a few excellent ones."""
 STATIC_PX = 4.0
 """Matches with a smaller displacement in the image are static [px]."""
 _MAX_STATIC_SHARE = 0.6
@@ -90,18 +84,9 @@ class DualSoftmax(nn.Module):
         return 2.0 * score - along_rows[..., :, None] - along_columns[..., None, :]
 
 
-@dataclass(frozen=True)
-class LikelyPairs:
-    """Pairs of features that may match."""
-
-    pairs: Ints
-    """(m, 2) in the order of the first frame"""
-    root: NDArray[np.float32]
-    """(m,) square root of their probability"""
-
-
-def likely_pairs(a: Floats, b: Floats, temperature: float, dustbin: float) -> LikelyPairs:
-    """The pairs whose probability by ``DualSoftmax`` is above ``MIN_PROBABILITY``.
+def likely_pairs(a: Floats, b: Floats, temperature: float, dustbin: float) -> tuple[Ints, Floats]:
+    """The pairs (m, 2), in the order of the first frame, whose probability by ``DualSoftmax`` is above
+    ``MIN_PROBABILITY``, and the square root of that (m,).
 
     a (n, d), b (m, d) of unit length. Without a gradient, and several times as fast.
     """
@@ -121,7 +106,7 @@ def likely_pairs(a: Floats, b: Floats, temperature: float, dustbin: float) -> Li
             rows[start : start + _ROWS] += some.sum(dim=1)
             columns += some.sum(dim=0)
         rows, columns = rows.sqrt_(), columns.sqrt_()
-    return LikelyPairs(*_above(root.numpy(), rows.numpy(), columns.numpy(), MIN_PROBABILITY**0.5))
+    return _above(root.numpy(), rows.numpy(), columns.numpy(), MIN_PROBABILITY**0.5)
 
 
 @compiled_reordered
@@ -190,7 +175,8 @@ def motion_modes(
     agrees, support = _proposal_support(p_A, p_B, R_AS, R_BS, weight, gate_m)
     modes: list[MotionMode] = []
     waiting, free = support.copy(), np.ones(len(p_A), dtype=bool)
-    for _ in range(min(SEEDS, len(p_A))):
+    # number of proposals, those with the largest support, that are refined
+    for _ in range(min(12, len(p_A))):
         seed = int(waiting.argmax())
         if waiting[seed] <= 0.0:
             break
@@ -218,7 +204,8 @@ def _proposal_support(
     flat = R.reshape(len(R), 9)
     agrees = _agreement(a, b, R, flat @ flat.T, gate_m.astype(np.float32))
     # Supporters are counted by their own support within the group, which chance agreements lack.
-    if np.sum(agrees.sum(axis=1) ** 2) < MAX_LISTED:
+    # sum of the squared numbers of agreeing proposals up to which the pairs among them are gone through
+    if np.sum(agrees.sum(axis=1) ** 2) < 2_000_000:
         return agrees, _listed_support(agrees, weight)
     pull = agrees.astype(np.float32) * weight.astype(np.float32)
     total = np.einsum("nk,nk->n", pull @ agrees.astype(np.float32), pull)
@@ -369,8 +356,7 @@ class SoftmaxMatcher:
 
     def _probable(self, a: StereoFeatures, b: StereoFeatures) -> tuple[Ints, Array]:
         """The most probable pairs (m, 2), most probable first, and their probability (m,)."""
-        found = likely_pairs(a.descriptors, b.descriptors, self._temperature, self._dustbin)
-        pairs, likely = found.pairs, found.root
+        pairs, likely = likely_pairs(a.descriptors, b.descriptors, self._temperature, self._dustbin)
         if len(pairs) > CONSIDERED_PAIRS:
             most = np.sort(np.argpartition(-likely, CONSIDERED_PAIRS)[:CONSIDERED_PAIRS])
             pairs, likely = pairs[most], likely[most]
@@ -396,7 +382,8 @@ def _modes(
     gate_m = np.maximum(GATE_PX * metres_per_px[i, 0], GATE_DISPARITY_PX * metres_per_px[i, 1])
     some = slice(0, PROPOSING_PAIRS)
     i, j = i[some], j[some]
-    weight = probability[some] ** VOTE_EXPONENT
+    # exponent of the probabilities as votes: many fair pairs count more than a few excellent ones
+    weight = probability[some] ** 0.25
     return motion_modes(a.p_R[i], b.p_R[j], R_AS[i], R_BS[j], weight, gate_m[some]), gate_m
 
 

@@ -52,18 +52,13 @@ class HypothesisMethod(Protocol):
 MATCH_METHODS: Mapping[str, str] = {
     "nearest": "polhode.frontend.matching.nearest:MutualNearest",
     "polhode": "polhode.frontend.matching.matchers:SoftmaxMatcher",
-    "lightglue": "polhode.frontend.peers.matchers:LightGlueMatcher",
-    "loftr": "polhode.frontend.peers.matchers:LoftrMatcher",
 }
 """Name in ``frontend.pairs.method`` -> module:class, called with the configuration."""
-
-READS_IMAGES = frozenset({"loftr"})
-"""Those of ``MATCH_METHODS`` that need ``StereoFeatures.picture``."""
 
 
 @lru_cache(maxsize=4)
 def match_method(config: Frontend) -> MatchMethod:
-    """The configured method. Raises InputError: its weights are missing, or not for these features."""
+    """The configured method."""
     method: MatchMethod = make_method(MATCH_METHODS[config.matcher], config)
     return method
 

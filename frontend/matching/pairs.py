@@ -36,8 +36,6 @@ Tick = Callable[[], None]
 Floats = NDArray[np.float32]
 MIN_INLIERS = 8
 """Pairs of frames with fewer inliers are no link."""
-VOCABULARY_SAMPLE = 20_000
-"""Number of descriptors of the whole sequence from which the visual words are learned."""
 VOCABULARY_SIZE = 48
 MAX_VIEW_ANGLE_DEG = 70.0
 """Frames whose viewing directions in the body differ by more have little in common."""
@@ -206,7 +204,8 @@ def frame_vectors(frames: Sequence[StereoFeatures], seed: int) -> Floats:
     vectors = np.zeros((len(frames), VOCABULARY_SIZE * width), dtype=np.float32)
     if len(everything) < VOCABULARY_SIZE:
         return vectors
-    sample = everything[rng.permutation(len(everything))[:VOCABULARY_SAMPLE]]
+    # number of descriptors of the whole sequence from which the visual words are learned
+    sample = everything[rng.permutation(len(everything))[:20_000]]
     words, _ = kmeans2(sample, VOCABULARY_SIZE, iter=12, minit="++", rng=rng)
     for k, frame in enumerate(frames):
         if len(frame) == 0:

@@ -3,7 +3,6 @@
 descriptor.py    the descriptor of surface patches
 surface.py       landmarks, their uncertainty and their descriptors, from one pyramid
 disparity.py     the refinement of disparities
-precision.py     the precision in which networks multiply
-weights.py       loading of weights
+weights.py       loading of weights; the precision in which networks multiply
 tensor_file.py   checked reading of safetensors files
 """

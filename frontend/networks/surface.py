@@ -15,6 +15,7 @@ learned direction that rotates with the surface removes the rotation from them.
 """
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -158,6 +159,35 @@ def _mean_around(channels: Tensor) -> Tensor:
     """Means over the nine by nine pixels around each, of the image alone."""
     columns = functional.avg_pool2d(channels, (9, 1), 1, (4, 0), count_include_pad=False)
     return functional.avg_pool2d(columns, (1, 9), 1, (0, 4), count_include_pad=False)
+
+
+@dataclass(frozen=True)
+class Places:
+    """n landmarks of one image, the highest score first."""
+
+    uv_px: Tensor
+    """(n, 2)"""
+    log_sigma: Tensor
+    """(n,) of the place, each axis [log px]"""
+    score: Tensor
+    """(n,) logit"""
+
+
+def find_places(dense: DenseOutput, image: int, mask: Tensor, count: int, min_score: float = -2.2) -> Places:
+    """The ``count`` landmarks with the highest score on the mask (H, W) of an image of the batch.
+
+    min_score: smallest logit of a landmark, by default of a probability of a tenth.
+    """
+    score = dense.score[image]
+    # the highest score within a pixel along both axes
+    highest = functional.max_pool2d(score[None, None], 3, 1, 1)[0, 0]
+    row, column = torch.nonzero((score >= highest) & mask & (score > min_score), as_tuple=True)
+    value = score[row, column]
+    order = value.argsort(descending=True, stable=True)[:count]
+    row, column = row[order], column[order]
+    offset = dense.offset_px[image, :, row, column].T
+    uv = torch.stack([column, row], dim=1) + offset.clamp(-1.5, 1.5)
+    return Places(uv, dense.log_sigma[image, row, column], value[order])
 
 
 def smoothed_channels(channels: Tensor) -> Tensor:

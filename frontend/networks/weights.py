@@ -1,7 +1,12 @@
-"""Weights of the networks: the shipped ones, or a file that the user gives; nothing is downloaded."""
+"""Weights of the networks: the shipped ones, or a file that the user gives; nothing is downloaded.
 
+The precision in which networks multiply on this processor.
+"""
+
+from functools import cache
 from pathlib import Path
 
+import torch
 from torch import nn
 
 from polhode.frontend.networks.tensor_file import TensorFileError, read_tensors
@@ -33,3 +38,11 @@ def load_weights(network: nn.Module, path: Path) -> None:
         raise InputError(f"{path}: {error}; give weights that this version of polhode train wrote") from None
     network.load_state_dict(weights)
     network.eval()
+
+
+@cache
+def multiplies_in_bfloat16() -> bool:
+    """Whether the processor has matrix instructions for bfloat16, which take half the time."""
+    # not public, and missing in older versions of torch, which then multiply in 32 bits
+    supported = getattr(torch.cpu, "_is_amx_tile_supported", None)
+    return bool(torch.backends.mkldnn.is_available() and supported is not None and supported())

@@ -30,14 +30,8 @@ from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Bools, Ints, inverse_pose, transform_points
 from polhode.records.estimate import InitialMotion
 
-COARSE_GATE_PX = 25.0
-"""Search radius around a predicted pose."""
-FINE_GATE_PX = 2.0
-"""Search radius around a pose that the frame's own features confirm."""
 MIN_INLIERS = 7
 """A frame with fewer consistent associations is not connected."""
-MIN_PROBABILITY = 0.01
-"""Smallest probability of an accepted association of features with known surface axes."""
 GATE_FACTORS = (1.0, 1.0 / 3.0, 1.0 / 5.0)
 """Search radii in successive rounds, as the pose improves, relative to the first one."""
 
@@ -97,7 +91,8 @@ def reconnect(
         X_found, rng = X_RG[k], np.random.default_rng([seed, k])
         for share in GATE_FACTORS:
             # In a smaller window fewer other landmarks look similar, so more associations are unambiguous.
-            feature, landmark = _search(model, frames[k], X_found, rig, config, share * COARSE_GATE_PX)
+            # search radius around a predicted pose
+            feature, landmark = _search(model, frames[k], X_found, rig, config, share * 25.0)
             if len(feature) < MIN_INLIERS:
                 break
             p_R, p_G = frames[k].p_R[feature], model.p_G[landmark]
@@ -109,7 +104,8 @@ def reconnect(
             X_RG[k], connected[k] = X_found, True
         if not connected[k]:
             continue
-        feature, landmark = _search(model, frames[k], X_found, rig, config, FINE_GATE_PX)
+        # search radius around a pose that the frame's own features confirm
+        feature, landmark = _search(model, frames[k], X_found, rig, config, 2.0)
         labels[k] = np.full(len(frames[k]), -1, dtype=np.int64)
         labels[k][feature] = landmark
         add_observations(model, frames[k], labels[k], X_found, rig)
@@ -145,7 +141,8 @@ def _search(
     surface = features.on_surface[feature]
     if surface.any():
         distance[surface] = match_improbability(distance[surface], feature[surface], landmark[surface])
-        largest[surface] = 1.0 - MIN_PROBABILITY
+        # smallest probability of an accepted association of features with known surface axes
+        largest[surface] = 1.0 - 0.01
     good = distance < largest
     pairs = np.stack([feature[good], landmark[good]], axis=1)
     feature, landmark = pairs[mutual_best(pairs, distance[good])].T

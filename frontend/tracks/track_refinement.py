@@ -42,8 +42,6 @@ from polhode.runtime.compiled import compiled_reordered
 from polhode.runtime.processes import in_order
 
 Floats = NDArray[np.float32]
-WINDOW = 0.5
-"""Standard deviation of the weight around the centre, over half a side."""
 ROUNDS = 6
 MIN_GAIN, MAX_GAIN = 0.2, 5.0
 """Range of the ratio of contrasts between a landmark's reference and another view."""
@@ -51,19 +49,8 @@ _MAX_STEP = 0.1
 """In patch coordinates, where half a side is 1."""
 PATCH_SCALE = 2.0 / 3.0
 """Side of the patches, over that of the descriptor's: small patches are flatter and mix fewer surfaces."""
-MIN_CORRELATION = 0.85
-"""Observations with a smaller correlation to their landmark's reference are removed."""
-MAX_SHIFT_PX = 2.0
-"""Largest accepted shift [px]."""
-MAX_DISPARITY_CHANGE_PX = 1.0
-"""Largest accepted change of the disparity [px]."""
 MIN_SIGMA_PX = 0.2
 """Floor of an aligned position's sigma, for effects of light and relief [px]."""
-SIGMA_FACTOR = 4.0
-"""Scatter of aligned positions, over the sigma of the least squares."""
-
-DECORRELATION_SIGMA_PX = 10.0
-"""Increase of an aligned position's sigma per unit of decorrelation [px]."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +69,8 @@ def align_patches(template: Patches, image: Image, uv_px: Array, affine_px: Arra
     """Find templates (n, 1, s, s) near positions (n, 2) of an image, cut by maps (n, 2, 2) [px]."""
     n, size = len(template), template.shape[-1]
     side = (2.0 * np.arange(size) + 1.0) / size - 1.0
-    weight = np.exp(-(side[:, None] ** 2 + side[None, :] ** 2) / (2.0 * WINDOW**2))
+    # standard deviation of the weight around the centre, over half a side
+    weight = np.exp(-(side[:, None] ** 2 + side[None, :] ** 2) / (2.0 * 0.5**2))
     weight /= weight.sum()
     shift, normal = np.zeros((n, 2)), np.zeros((n, 2, 2))
     variance, correlation = np.zeros(n), np.zeros(n)
@@ -296,11 +284,14 @@ class _Views:
                 pair.left, pair.right, aligned.uv_px, start, 4, slope
             )
             sigma_d, is_seen = feature_sigma(sigma_ls)[:, 2], correlation > stereo.MIN_CORRELATION
+        # observations with a smaller correlation to their landmark's reference are removed
+        # largest accepted shift [px]
+        # largest accepted change of the disparity [px]
         good = (
-            (aligned.correlation > MIN_CORRELATION)
-            & (np.linalg.norm(shift, axis=1) < MAX_SHIFT_PX)
+            (aligned.correlation > 0.85)
+            & (np.linalg.norm(shift, axis=1) < 2.0)
             & is_seen
-            & (np.abs(refined - start) < MAX_DISPARITY_CHANGE_PX)
+            & (np.abs(refined - start) < 1.0)
             & (refined - rig.disparity_offset_px > 0.5)
         )
         sigma_uv = position_sigma(aligned)[good]
@@ -312,8 +303,10 @@ class _Views:
 def position_sigma(aligned: PatchAlignment) -> Array:
     """Sigma (n,) [px] of aligned positions: light that changes a patch also shifts it."""
     decorrelation = np.maximum(1.0 - aligned.correlation, 0.0)
-    sigma = np.hypot(MIN_SIGMA_PX, SIGMA_FACTOR * aligned.sigma_px)
-    return np.asarray(sigma + DECORRELATION_SIGMA_PX * decorrelation)
+    # scatter of aligned positions, over the sigma of the least squares
+    sigma = np.hypot(MIN_SIGMA_PX, 4.0 * aligned.sigma_px)
+    # increase of an aligned position's sigma per unit of decorrelation [px]
+    return np.asarray(sigma + 10.0 * decorrelation)
 
 
 def disparity_slopes(p_R: Array, normal_R: Array, rig: RectifiedRig) -> Array:

@@ -18,12 +18,6 @@ from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Ints, inverse_pose, transform_points
 from polhode.records.tracks import StereoTracks
 
-MIN_VIEWS = 3
-"""Number of frames in which a landmark must be seen."""
-AXES_DEG = 50.0
-"""Largest rotation between the axes of the same surface [deg]: the axes have errors of 5 to 15 degrees, and
-the prediction may have similar ones."""
-
 
 @dataclass(frozen=True)
 class Association:
@@ -105,7 +99,7 @@ def _longest_tracks(label: Ints, frame: Ints, n_frames: int, config: Tracks) -> 
     count = np.zeros(n_frames, dtype=np.int64)
     kept = []
     for index in np.argsort(-views, kind="stable").tolist():
-        if views[index] < MIN_VIEWS:
+        if views[index] < 3:  # number of frames in which a landmark must be seen
             break
         seen = members[index]
         if np.any(count[seen] < config.enough_per_frame):
@@ -202,7 +196,9 @@ def descriptor_distance(
         seen = X_RG[:3, :3].T @ features.R_RS[feature[pair]]
         trace = np.einsum("nij,nij->n", R_GS, seen)
         # The trace is NaN for features without surface axes.
-        same = ~(trace <= 1.0 + 2.0 * np.cos(np.deg2rad(AXES_DEG)))
+        # largest rotation between the axes of the same surface [deg]: the axes have errors of 5 to 15
+        # degrees, and the prediction may have similar ones
+        same = ~(trace <= 1.0 + 2.0 * np.cos(np.deg2rad(50.0)))
         pair, observation = pair[same], observation[same]
     similarity = np.einsum(
         "nd,nd->n", np.concatenate(model.descriptors)[observation], features.descriptors[feature[pair]]

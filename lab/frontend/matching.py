@@ -2,10 +2,9 @@
 
     python -m lab.frontend.matching [--methods METHOD ...] [--short] [--record DIR]
 
-A method is written features-zoom+matcher: ``disk-1x+lightglue`` is DISK on the crop as it is, matched by
-LightGlue; without a matcher, mutual nearest neighbours; ``polhode`` alone has its own matcher, and so has
-``surface``, the same with the surface network instead of blobs and their patches; ``rootsift-2x+polhode`` is
-RootSIFT with that matcher. Methods whose weights are missing are left out, with the reason.
+A method is written features-zoom+matcher: ``rootsift-2x+polhode`` is RootSIFT on the crop enlarged twice,
+with our matcher; without a matcher, mutual nearest neighbours; ``polhode`` alone has its own matcher, and so
+has ``surface``, the same with the surface network instead of blobs and their patches.
 
 Scenes: configs/frontend_test/, with bodies, a texture generator and Sun directions that training never sees
 and frames 30 degrees of turn apart; they are rendered to data/frontend_test/. Wrong stereo: the disparity
@@ -42,8 +41,7 @@ from polhode.geometry.lie import Array, Ints, log_so3
 from polhode.runtime.errors import InputError
 
 REFERENCE = "rootsift-2x"
-METHODS = (REFERENCE, "rootsift-2x+polhode", "polhode", "surface", "disk-1x+lightglue",
-           "aliked-2x+lightglue", "xfeat-2x+lightglue")  # fmt: skip
+METHODS = (REFERENCE, "rootsift-2x+polhode", "polhode", "surface")
 GAPS = (1, 2)
 """Frames between the two of a pair: 30 degrees each."""
 MIN_LIT_PX = 3000

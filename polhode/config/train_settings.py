@@ -147,18 +147,6 @@ class DepthTraining(Section):
     """Compute in bfloat16 on a CPU; several times faster where the CPU has instructions for it (AMX)."""
 
 
-class LightStudy(Section):
-    """Bodies of the corpus from several poses, each under several Suns: what they show differs in light
-    alone, in pose alone, or in both. The task ``descriptor`` also learns from them."""
-
-    bodies: int = Field(0, ge=0, le=100_000)
-    """Number of bodies: the first ones of the corpus, which may have fewer scenes. 0: none."""
-    suns: int = Field(3, ge=2, le=100)
-    """Suns, each with an exposure and other lights of its own, under which every pose is rendered."""
-    poses: int = Field(3, ge=1, le=100)
-    """Poses of a body, ``corpus.turn_deg`` apart."""
-
-
 class SurfaceLoss(Section):
     """Weights of the terms of the surface network's loss, beside that of its descriptors."""
 
@@ -231,5 +219,4 @@ class Train(Section):
     schedule: Schedule = Schedule()
     descriptor: DescriptorTraining = DescriptorTraining()
     depth: DepthTraining = DepthTraining()
-    light: LightStudy = LightStudy()
     surface: SurfaceTraining = SurfaceTraining()

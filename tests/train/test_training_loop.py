@@ -92,12 +92,9 @@ def test_the_time_limit_leaves_a_checkpoint(tmp_path: Path) -> None:
     assert TrainingLoop(Line(), hasty, tmp_path, 1).run(SETTING, Silent()).step == 2
 
 
-def test_mixed_precision_learns_on_a_cpu(tmp_path: Path) -> None:
+def test_mixed_precision_learns_and_a_loss_that_is_no_number_ends_the_training(tmp_path: Path) -> None:
     mixed = SCHEDULE.model_copy(update={"precision": "mixed", "device": "cpu"})
-    assert TrainingLoop(Line(), mixed, tmp_path, 1).run(SETTING, Silent()).scores["error"] < 0.3
-
-
-def test_a_loss_that_is_no_number_ends_the_training(tmp_path: Path) -> None:
+    assert TrainingLoop(Line(), mixed, tmp_path / "mixed", 1).run(SETTING, Silent()).scores["error"] < 0.3
     with pytest.raises(RunFailure, match=r"no longer a number at step 7: lower train.schedule.learning_rate"):
         TrainingLoop(Line(spoilt_at=7), SCHEDULE, tmp_path, 1).run(SETTING, Silent())
 

@@ -2,7 +2,6 @@
 
 task.py              the task ``descriptor`` and its loss
 surface_points.py    key points of a scene and their true correspondences
-lit_points.py        the same of bodies from several poses under several Suns
 batches.py           batches of patch pairs and distractors; similarity of patches
 scores.py            scores on held-out bodies
 """

@@ -34,19 +34,11 @@ from polhode.train.task import Batch
 
 HALF_PX = 12.0
 """Half the side of the patches at the median depth of the first frame [px]."""
-MIN_CORRELATION = 0.3
-"""Correlation of the logarithms above which two patches show the same mark."""
 DISTRACTORS = 0.25
 """Number of key points that are no surface feature, over the number of pairs."""
-MAX_TURN_DEG = 70.0
-"""Largest angle between the two views of a point."""
 HALF_RANGE_PX = (10.0, 15.0)
 """Half the side of a patch at the scene's middle depth, least and most; on the surface, both patches of a
 pair have the same size."""
-SCALE_NOISE = 0.1
-"""Standard deviation of the logarithm of a patch's scale."""
-MIN_COMMON_POINTS = 12
-"""Frame pairs with fewer common points are not used."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +73,8 @@ class PatchErrors:
     def affines(self, at: SurfacePoints, rig: RectifiedRig, half_m: float, rng: np.random.Generator) -> Array:
         """Maps (n, 2, 2) of patches at points, with these errors and random rotations."""
         n = len(at.p_K)
-        half = half_m * np.exp(rng.normal(0.0, SCALE_NOISE, n))
+        # standard deviation of the logarithm of a patch's scale
+        half = half_m * np.exp(rng.normal(0.0, 0.1, n))
         normal = perturbed_normals(at.normal_K, np.deg2rad(self.normal_deg), rng)
         affine = tangent_affines(at.p_K, normal, rig, half)
         flat = rng.random(n) < self.fronto_parallel
@@ -128,7 +121,8 @@ def same_marks(
     rotation = patch_rotation(affine_a, affine_b, a, b.p_K, R_ba, rigs[0])
     patches_a = cut_patches(images[0], a.uv_px, affine_a)
     patches_b = cut_patches(images[1], b.uv_px, rotate_affines(affine_b, rotation))
-    return correlation(patches_a, patches_b) > MIN_CORRELATION
+    # correlation of the logarithms above which two patches show the same mark
+    return correlation(patches_a, patches_b) > 0.3
 
 
 def correlation(a: Patches, b: Patches) -> Array:
@@ -187,7 +181,7 @@ def frame_pairs(points: ScenePoints, same: Bools, max_angle_rad: float) -> list[
     pairs = []
     for each in np.unique(key[key >= 0]):
         found = np.flatnonzero(key == each)
-        if len(found) >= MIN_COMMON_POINTS:
+        if len(found) >= 12:  # frame pairs with fewer common points are not used
             pairs.append(FramePair(int(each) // count, int(each) % count, found))
     return pairs
 
@@ -214,7 +208,8 @@ class PatchBatches:
         self._scenes: list[tuple[ScenePoints, list[FramePair], Bools]] = []
         for points in scenes.values():
             same = same_appearance(points)
-            pairs = frame_pairs(points, same, np.deg2rad(MAX_TURN_DEG))
+            # largest angle between the two views of a point
+            pairs = frame_pairs(points, same, np.deg2rad(70.0))
             if pairs:
                 self._scenes.append((points, pairs, distractor_points(points, same)))
 

@@ -8,13 +8,20 @@ directions. RootSIFT is scored on the same key points.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import kornia.feature
 import numpy as np
 import torch
 from scipy.stats import rankdata
 
+from polhode.files.images import Grey
 from polhode.frontend.features.keypoints import Descriptors
-from polhode.frontend.features.patch_descriptors import HistogramDescriptor
-from polhode.frontend.features.patches import Patches, cut_patches, rotate_affines, tangent_affines
+from polhode.frontend.features.patches import (
+    Patches,
+    cut_patches,
+    root_image,
+    rotate_affines,
+    tangent_affines,
+)
 from polhode.frontend.networks.descriptor import DescriptorNet
 from polhode.geometry.lie import Array, Bools, Ints
 from polhode.train.descriptor.batches import (
@@ -31,16 +38,10 @@ from polhode.train.descriptor.batches import (
 )
 from polhode.train.descriptor.surface_points import ScenePoints
 
-ANGLES_DEG = {"30": (20.0, 40.0), "60": (50.0, 70.0), "light": (-1.0, 1.0)}
-"""Range of the angle between the views for each score; ``light``: images of one pose under two Suns."""
+ANGLES_DEG = {"30": (20.0, 40.0), "60": (50.0, 70.0)}
+"""Range of the angle between the views for each score."""
 PAIRS_PER_SCENE = 4
 """Frame pairs for each scene and angle."""
-MAX_ERROR_PX = 3.0
-"""Largest distance of a correct match from the true position [px]."""
-NORMAL_NOISE_DEG = 5.0
-"""Error of the normals with which patches are cut [deg]."""
-MAX_DIRECTION_ERROR_DEG = 20.0
-"""Largest error of a correct direction [deg]."""
 _NETWORK_BATCH = 256
 Describe = Callable[[Patches], tuple[Descriptors, Array, Array]]
 """Patches (n, 1, s, s) -> descriptors (n, d), reliability (n,), directions (n, 2)"""
@@ -74,7 +75,8 @@ class ValidationPair:
         among = self.partner if common else np.arange(len(self.uv_b_px))
         best = among[(of[0][self.rows] @ of[1][among].T).argmax(axis=1)]
         off_px = np.linalg.norm(self.uv_b_px[best] - self.true_px, axis=1)
-        return np.asarray(off_px < MAX_ERROR_PX, dtype=np.float64)
+        # largest distance of a correct match from the true position [px]
+        return np.asarray(off_px < 3.0, dtype=np.float64)
 
 
 def validation_pairs(scenes: Mapping[int, ScenePoints], seed: int) -> list[ValidationPair]:
@@ -103,11 +105,12 @@ def _trial(
     affines, patches, surface = [], [], []
     for frame, here in zip((pair.a, pair.b), index, strict=True):
         at = points_at(points, here)
-        normal = perturbed_normals(at.normal_K, np.deg2rad(NORMAL_NOISE_DEG), rng)
+        # error of the normals with which patches are cut [deg]
+        normal = perturbed_normals(at.normal_K, np.deg2rad(5.0), rng)
         affine = tangent_affines(at.p_K, normal, rig, np.full(len(here), half_m))
         affines.append(rotate_affines(affine, rng.uniform(0.0, 2.0 * np.pi, len(here))))
         patches.append(cut_patches(points.grey[frame], at.uv_px, affines[-1]))
-        surface.append(histogram(points.grey[frame], at.uv_px, affines[-1]).descriptors)
+        surface.append(histogram(points.grey[frame], at.uv_px, affines[-1]))
     row, column = np.searchsorted(index[0], own), np.searchsorted(index[1], partner)
     R_ba = camera_rotation(points, pair.a, pair.b)
     rotation_rad = patch_rotation(
@@ -142,7 +145,7 @@ def score(trials: list[ValidationPair], describe: Describe) -> dict[str, float]:
         (a, reliability_a, direction_a), (b, _, direction_b) = map(describe, trial.patches)
         angle_a, angle_b = (np.arctan2(each[:, 1], each[:, 0]) for each in (direction_a, direction_b))
         off_rad = angle_b[trial.partner] - angle_a[trial.rows] - trial.rotation_rad
-        straight = np.cos(off_rad) > np.cos(np.deg2rad(MAX_DIRECTION_ERROR_DEG))
+        straight = np.cos(off_rad) > np.cos(np.deg2rad(20.0))  # largest error of a correct direction [deg]
         own = trial.hits((a, b))
         for name, values in {
             "rank_1": own,
@@ -178,3 +181,57 @@ def describe_patches(network: DescriptorNet, patches: Patches) -> tuple[Descript
         torch.cat(each).float().cpu().numpy() for each in zip(*parts, strict=True)
     )
     return descriptor, reliability, direction
+
+
+class HistogramDescriptor:
+    """RootSIFT of patches, rotated to their dominant gradients, on square roots of the grey values."""
+
+    def __init__(self) -> None:
+        self._sift = kornia.feature.SIFTDescriptor(32, rootsift=True)
+
+    def __call__(self, image: Grey, uv_px: Array, affine_px: Array) -> Descriptors:
+        """Descriptors (n, 128) at points (n, 2) by the maps (n, 2, 2) of their upright patches."""
+        root = root_image(image)
+        angle = dominant_angles(cut_patches(root, uv_px, affine_px))
+        patches = cut_patches(root, uv_px, rotate_affines(affine_px, angle)) / np.float32(255.0)
+        with torch.inference_mode():
+            parts = [self._sift(some).numpy() for some in torch.from_numpy(patches).split(_NETWORK_BATCH)]
+        return np.concatenate(parts).astype(np.float32)
+
+
+def dominant_angles(patches: Patches) -> Array:
+    """Direction (n,) [rad] of the strongest gradients in the middle of upright patches (n, 1, s, s).
+
+    The peak of the histogram of gradient directions, as in SIFT (Lowe 2004), weighted by a Gaussian.
+    """
+    grey = patches[:, 0].astype(np.float32)
+    n, size = len(grey), patches.shape[-1]
+    if n == 0:
+        return np.zeros(0)
+    gy, gx = np.zeros_like(grey), np.zeros_like(grey)
+    gx[:, :, 1:-1] = grey[:, :, 2:] - grey[:, :, :-2]
+    gy[:, 1:-1, :] = grey[:, 2:, :] - grey[:, :-2, :]
+    side = (2.0 * np.arange(size) + 1.0) / size - 1.0
+    window = np.exp(-(side[:, None] ** 2 + side[None, :] ** 2) / (2.0 * 0.45**2))
+    magnitude = np.hypot(gx, gy) * window
+    bins = 36
+    position = np.arctan2(gy, gx) * (bins / (2.0 * np.pi))
+    low = np.floor(position)
+    share = position - low
+    row = np.arange(n)[:, None, None] * bins
+    histogram = np.zeros(n * bins)
+    for offset, weight in ((0, 1.0 - share), (1, share)):
+        index = row + (low.astype(np.int64) + offset) % bins
+        histogram += np.bincount(index.ravel(), (magnitude * weight).ravel(), n * bins)
+    return _peak(histogram.reshape(n, bins)) * (2.0 * np.pi / bins)
+
+
+def _peak(histogram: Array) -> Array:
+    """Position (n,) of the highest bin of circular histograms (n, bins), interpolated by a parabola."""
+    smooth = histogram
+    for _ in range(2):
+        smooth = 0.25 * np.roll(smooth, 1, axis=1) + 0.5 * smooth + 0.25 * np.roll(smooth, -1, axis=1)
+    rows, best = np.arange(len(smooth)), smooth.argmax(axis=1)
+    before, here, after = (smooth[rows, (best + k) % smooth.shape[1]] for k in (-1, 0, 1))
+    curvature = np.maximum(2.0 * here - before - after, 1e-9)
+    return np.asarray(best + 0.5 * (after - before) / curvature)

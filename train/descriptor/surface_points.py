@@ -49,12 +49,8 @@ DETECTOR = Features(contrast_threshold=0.008, max_features=900)
 """More and weaker key points than in a run: the descriptor, not the detector, should be the limit."""
 REPEAT_PX = 1.5
 """Largest distance of a redetected key point from the true position [px]."""
-SHADOW_PX = 2.0
-"""Largest distance of key points on the edge of a cast shadow from that edge [px]."""
 RIM_PX = 3.0
 """The patches of key points this close to a silhouette or a depth discontinuity show another surface [px]."""
-JUMP = 0.03
-"""Relative difference of depth between neighbours that counts as a discontinuity."""
 TRUTHS: tuple[Product, ...] = ("depth", "normals", "mask", "shadow")
 _log = logging.getLogger(__name__)
 
@@ -205,11 +201,12 @@ def _detected(view: CameraView, grey: Grey, truth: Products) -> dict[str, NDArra
     rays = view.camera.directions(uv) if len(places) else np.zeros((0, 3))
     lit = ((shadow == 0) & mask).astype(np.uint8)
     edge = (shadow == CAST_SHADOW) & (cv2.dilate(lit, np.ones((3, 3), np.uint8)) > 0)
+    # largest distance of key points on the edge of a cast shadow from that edge [px]
     return {
         "uv_px": uv,
         "p_K": rays / rays[:, 2:] * depth[row, column][:, None],
         "normal_K": normals[row, column],
-        "on_shadow": within(edge, SHADOW_PX)[row, column],
+        "on_shadow": within(edge, 2.0)[row, column],
         "on_rim": near_rim(depth, RIM_PX)[row, column],
         "sift": points.descriptors[first].astype(np.float16),
     }
@@ -218,7 +215,8 @@ def _detected(view: CameraView, grey: Grey, truth: Products) -> dict[str, NDArra
 def near_rim(depth_m: NDArray[np.floating[Any]], distance_px: float) -> Bools:
     """Pixels (H, W) near the silhouette or a jump of depth; NaN off the target."""
     far = np.where(np.isfinite(depth_m), depth_m, 1e6).astype(np.float32)
-    return within(far > cv2.erode(far, np.ones((3, 3), np.uint8)) * (1.0 + JUMP), distance_px)
+    # relative difference of depth between neighbours that counts as a discontinuity
+    return within(far > cv2.erode(far, np.ones((3, 3), np.uint8)) * (1.0 + 0.03), distance_px)
 
 
 def within(marked: Bools, distance_px: float) -> Bools:

@@ -23,7 +23,6 @@ from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress
 from polhode.train.corpus import render_corpus, split
 from polhode.train.descriptor.batches import PatchBatches
-from polhode.train.descriptor.lit_points import prepare_lit_points
 from polhode.train.descriptor.scores import ValidationPair, describe_patches, score, validation_pairs
 from polhode.train.descriptor.surface_points import prepare_points
 from polhode.train.task import Batch
@@ -34,15 +33,7 @@ MATCHING_WEIGHT, MOTION_WEIGHT = 0.1, 0.5
 """Weights of the losses of the soft matches and of the motion that they determine."""
 LATE_FROM = 0.6
 """Share of the steps after which matches and motion are learned from: before, too few are correct."""
-SAME_POINT_PX = 4.0
-"""Points of one frame pair that are this close to each other are not used as negatives of each other [px]."""
 START_TEMPERATURE = 0.07
-LIT = 1_000_000
-"""Added to the numbers of bodies under several Suns, beside the same bodies of the corpus."""
-MIN_POINTS = 8
-"""Frame pairs with fewer points do not determine a motion."""
-MIN_FITTED = 4
-"""Matches to which a motion is fitted that is learned from, at least."""
 MAX_MOTION_LOSS = 2.0
 """Largest useful motion loss: a motion with larger errors is merely wrong and contributes no gradient."""
 
@@ -78,7 +69,8 @@ def descriptor_loss(
     descriptors = described.descriptor
     a, b, distractor = descriptors[:m].float(), descriptors[m : 2 * m].float(), descriptors[2 * m :].float()
     # Different pairs that show nearly the same point are not negatives of each other.
-    near = sum(torch.cdist(batch[uv], batch[uv]) < SAME_POINT_PX for uv in ("uv_a", "uv_b")) > 0
+    # points of one frame pair that are this close to each other are not used as negatives of each other [px]
+    near = sum(torch.cdist(batch[uv], batch[uv]) < 4.0 for uv in ("uv_a", "uv_b")) > 0
     same = (near & (batch["pair"][:, None] == batch["pair"][None, :])).fill_diagonal_(False)
     forward = (a @ b.T).masked_fill(same, -1.0)
     backward = forward.T.masked_fill(same.T, -1.0)
@@ -126,7 +118,7 @@ def matching_loss(described: DescriptorOutput, batch: Batch, matcher: DualSoftma
     excluded = ~(known[0][:, :, None] & known[1][:, None, :])
     log_p = matcher(*descriptors, excluded)
     points = known[0].sum(dim=1)
-    enough = points >= MIN_POINTS
+    enough = points >= 8  # frame pairs with fewer points do not determine a motion
     # the second points of the pairs come before the distractors
     hits = firsts.sums(log_p[pair, firsts.rank, firsts.rank]) / points.clamp(min=1)
     # logarithm of the probability that a second point has no partner among the first ones
@@ -166,7 +158,8 @@ def motion_loss(
     with torch.no_grad():
         error = _motion_error(p_A, partner, weight, p_B, X_AB, known[1])
         # Fewer points leave the rotation open, and its derivative infinite.
-        good = torch.nonzero((error < MAX_MOTION_LOSS) & (mutual.sum(dim=1) >= MIN_FITTED))[:, 0]
+        # matches to which a motion is fitted that is learned from, at least
+        good = torch.nonzero((error < MAX_MOTION_LOSS) & (mutual.sum(dim=1) >= 4))[:, 0]
     learned = _motion_error(p_A[good], partner[good], weight[good], p_B[good], X_AB[good], known[1][good])
     return error.clamp(max=MAX_MOTION_LOSS).index_put((good,), learned)
 
@@ -217,15 +210,10 @@ def make_task(train: Train, seed: int, progress: Progress, workers: int) -> Desc
     render_corpus(train.corpus, progress, workers)
     halves = split(train.corpus)
     scenes = prepare_points(train.corpus, range(train.corpus.scenes), progress, workers)
-    lit = prepare_lit_points(train.corpus, train.light, progress, workers)
-    learned = {i: scenes[i] for i in halves.training}
-    # a body has one number, in the corpus and under several Suns
-    learned |= {LIT + i: points for i, points in lit.items() if not train.corpus.is_validation(i)}
-    batches = PatchBatches(learned, train.descriptor, seed)
+    batches = PatchBatches({i: scenes[i] for i in halves.training}, train.descriptor, seed)
     if batches.is_empty:
         raise InputError(
             "train.corpus: no two frames show enough common points: more scenes or frames, or smaller turns"
         )
-    held_out = {i: scenes[i] for i in halves.validation}
-    held_out |= {LIT + i: points for i, points in lit.items() if train.corpus.is_validation(i)}
-    return DescriptorTask(batches, validation_pairs(held_out, seed), round(LATE_FROM * train.schedule.steps))
+    trials = validation_pairs({i: scenes[i] for i in halves.validation}, seed)
+    return DescriptorTask(batches, trials, round(LATE_FROM * train.schedule.steps))

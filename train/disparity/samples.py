@@ -50,10 +50,6 @@ MAX_LIST_BYTES = MIB
 _NAME = re.compile(r"[^/]+_\d{3,}m?\.npz")
 """Of a file of samples."""
 _log = logging.getLogger(__name__)
-_SAME_SURFACE_PX = 1.0
-"""Largest difference of the disparities of a point that both cameras see."""
-_WIDEST_MARGIN_PX = 8.0
-"""Largest margin of the search range around the true disparities."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +121,8 @@ def _visible(disparity: Floats, other: Floats, sign: int) -> Bools:
         inside = (column >= 0) & (column < w)
         found = np.take_along_axis(other, np.clip(column, 0, w - 1).astype(np.int64), axis=1)
         with np.errstate(invalid="ignore"):
-            visible |= inside & (np.abs(found - disparity) < _SAME_SURFACE_PX)
+            # largest difference of the disparities of a point that both cameras see
+            visible |= inside & (np.abs(found - disparity) < 1.0)
     return np.asarray(visible & target)
 
 
@@ -197,7 +194,7 @@ def make_sample(
     known = np.isfinite(truth.disparity) & mask
     if known.sum() < 500:
         return None
-    margins = rng.uniform(0.0, _WIDEST_MARGIN_PX, 2)
+    margins = rng.uniform(0.0, 8.0, 2)  # largest margin of the search range around the true disparities
     span = (
         float(truth.disparity[known].min() - margins[0]),
         float(truth.disparity[known].max() + margins[1]),

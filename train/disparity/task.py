@@ -29,15 +29,10 @@ from polhode.train.disparity.samples import (
 )
 from polhode.train.task import Batch
 
-_HIDDEN_WEIGHT = 0.15
-"""Weight of pixels that the other camera does not see: only their surroundings determine them."""
 _DARK_WEIGHT = 0.5
 _NEAR_PX = 1.0
 _NEAR_WEIGHT = 0.5
 _OUTLIER_SHARE = 0.01
-_OUTLIER_WIDTH_PX = 64.0
-"""A share of the pixels is distributed uniformly over this width, so the loss of a single pixel is
-bounded."""
 _VISIBLE_WEIGHT = 0.3
 
 
@@ -57,13 +52,15 @@ def disparity_loss(mixture: DisparityMixture, pixels: Batch) -> Tensor:
     known = torch.isfinite(pixels["truth"])
     truth = torch.where(known, pixels["truth"], 0.0)
     density = mixture.log_density(truth).exp()
-    cost = -torch.log((1.0 - _OUTLIER_SHARE) * density + _OUTLIER_SHARE / _OUTLIER_WIDTH_PX)
+    # A share of the pixels is distributed uniformly over this width, so the loss of a single pixel is bounded
+    cost = -torch.log((1.0 - _OUTLIER_SHARE) * density + _OUTLIER_SHARE / 64.0)
     # An error below one pixel is rewarded separately: a wrong surface is worse than a coarse fit of the right
     # one.
     near = mixture.mass_within(truth, torch.full_like(truth, _NEAR_PX))
     cost = cost - _NEAR_WEIGHT * torch.log((1.0 - _OUTLIER_SHARE) * near + _OUTLIER_SHARE)
     weight = known.float()
-    weight = weight * torch.where(pixels["visible"], 1.0, _HIDDEN_WEIGHT)
+    # weight of pixels that the other camera does not see: only their surroundings determine them
+    weight = weight * torch.where(pixels["visible"], 1.0, 0.15)
     weight = weight * torch.where(pixels["lit"], 1.0, _DARK_WEIGHT)
     accuracy = (weight * cost).sum() / weight.sum().clamp(min=1.0)
     seen = functional.binary_cross_entropy_with_logits(

@@ -29,14 +29,8 @@ from polhode.train.task import Batch
 
 MIN_COMMON = 12
 """Landmarks that both images of a pair show, at least."""
-HEAT_PX = 0.8
-"""Standard deviation of a landmark's mark in the map of scores [px]."""
 NEAR_PX = 1.5
 """Pixels this close to a landmark learn its place [px]."""
-APART_PX = 4.0
-"""Smallest distance of a distractor from the second places of pairs [px]."""
-DISTRACTORS = 0.6
-"""Number of distractors, over the number of landmarks."""
 ERRORS, PLACE_NOISE_PX = PatchErrors(8.0, 0.05), 0.4
 """Errors of a run: of the maps of patches, of places [px]."""
 _TRIES = 12
@@ -218,7 +212,8 @@ def _targets(example: Example, side: int, heat: NDArray[np.float32], weight: Boo
             best[row[nearer], column[nearer]] = square[nearer]
             offset[row[nearer], column[nearer]] = away[nearer]
     known = np.isfinite(best)
-    heat[known] = np.exp(-best[known] / (2.0 * HEAT_PX**2))
+    # standard deviation of a landmark's mark in the map of scores [px]
+    heat[known] = np.exp(-best[known] / (2.0 * 0.8**2))
     heat[base[~weak, 1], base[~weak, 0]] = 1.0
     weight[known] = True
     return np.argwhere(known), offset[known].astype(np.float64)
@@ -238,8 +233,10 @@ def _points(
     free = np.flatnonzero((landmarks.view == example.views[1]) & (landmarks.landmark < 0))
     free = free[example.windows[1].has(landmarks.uv_px[free])]
     # not the second place of a pair
-    free = free[cKDTree(b.uv_px).query(landmarks.uv_px[free])[0] > APART_PX]
-    off = surface_at(body, pose_b, landmarks.uv_px[rng.permutation(free)[: round(DISTRACTORS * len(chosen))]])
+    # smallest distance of a distractor from the second places of pairs [px]
+    free = free[cKDTree(b.uv_px).query(landmarks.uv_px[free])[0] > 4.0]
+    # number of distractors, over the number of landmarks
+    off = surface_at(body, pose_b, landmarks.uv_px[rng.permutation(free)[: round(0.6 * len(chosen))]])
     off = off[np.asarray(np.isfinite(off.p_K).all(axis=1))]
     corner_a, corner_b = (window.corner_px for window in example.windows)
     n, d, X_AB = len(chosen), len(off.p_K), body.X_between(pose_a, pose_b)

@@ -42,14 +42,10 @@ MIN_IMAGES = 4
 """Images in which a landmark is detected, at least: with nine images, three gather by chance."""
 MIN_SHARE = 0.5
 """The same, over the images that see its place."""
-WEAK_IMAGES = 2
-"""Gatherings in so many images, which are no landmarks, are no examples of places without one either."""
 RIM_PX = 2.5
 """Surface this close to a silhouette or a jump of depth is not used [px]."""
 MIN_COSINE = 0.25
 """Smallest cosine between the normal and the direction to the camera."""
-MIN_GREY = 8.0
-"""Smallest grey value of what can be seen."""
 _SHIFTS = 6
 
 
@@ -155,7 +151,8 @@ def find_landmarks(body: LitBody, shift_px: Array | None = None) -> Landmarks:
     share = images / np.maximum(visible.sum(axis=1), 1)
     suns = detected.reshape(len(places), -1, body.poses).any(axis=2).sum(axis=1)
     is_landmark = (images >= MIN_IMAGES) & (share >= MIN_SHARE) & (suns >= 2)
-    kept = np.flatnonzero(is_landmark | (images >= WEAK_IMAGES))
+    # gatherings in so many images, which are no landmarks, are no examples of places without one either
+    kept = np.flatnonzero(is_landmark | (images >= 2))
     number = np.full(len(places) + 1, -1)
     number[kept] = np.where(is_landmark[kept], np.arange(len(kept)), -1)
     return Landmarks(places[kept], normals[kept], share[kept], ~is_landmark[kept], view, uv, number[owner])
@@ -179,7 +176,7 @@ def seen_in(
     slack_m = 2.0 * p_K[:, 2] / rig.focal_px / np.maximum(cosine, MIN_COSINE)
     with np.errstate(invalid="ignore"):
         same = np.abs(body.depth_m[pose][row, column] - p_K[:, 2]) < slack_m
-    bright = body.grey[view][row, column] >= MIN_GREY
+    bright = body.grey[view][row, column] >= 8.0  # smallest grey value of what can be seen
     index = np.flatnonzero(inside & same & (cosine > MIN_COSINE) & ~rim[row, column] & bright)
     return index, SurfacePoints(uv[index], p_K[index], normal_K[index])
 

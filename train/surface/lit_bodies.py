@@ -7,7 +7,7 @@ do in a run.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +27,8 @@ from polhode.simulation.dataset.plan import SequencePlan, plan_sequence
 from polhode.simulation.rendering.light import lights_in_body
 from polhode.simulation.rendering.reflection import reflected
 from polhode.simulation.rendering.render import Renderer
-from polhode.train.corpus import random_scene, scene_seed
-from polhode.train.descriptor.lit_points import under_sun
+from polhode.simulation.sky import Sky
+from polhode.train.corpus import random_light, random_scene, random_sensor, scene_seed
 from polhode.train.stored import array
 
 VERSION = 1
@@ -36,8 +36,6 @@ VERSION = 1
 LIT, HIGHLIGHT, SKY = 0, 3, 4
 """Kinds of light on a pixel, besides ``CAST_SHADOW`` and ``FACING_AWAY``: sunlight; more of it mirrored than
 scattered; no target."""
-MARGIN_PX = 16
-"""Width of the sky around the target that is kept [px]."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +105,8 @@ def render_lit_body(corpus: Corpus, config: SurfaceTraining, index: int) -> LitB
         assert truth.mask is not None and truth.depth is not None and truth.normals is not None
         v, u = truth.mask.shape[0] // 2, truth.mask.shape[1] // 2
         # a target out of view leaves the middle of the image
-        crop = target_crop(truth.mask, MARGIN_PX) or Crop(u - 32, v - 32, u + 32, v + 32)
+        # width of the sky around the target that is kept [px]
+        crop = target_crop(truth.mask, 16) or Crop(u - 32, v - 32, u + 32, v + 32)
         crops.append(crop)
         depths.append(np.asarray(truth.depth, np.float32)[_part(crop)])
         normals.append(np.asarray(truth.normals, np.float16)[_part(crop)])
@@ -129,6 +128,15 @@ def render_lit_body(corpus: Corpus, config: SurfaceTraining, index: int) -> LitB
         focal_px=np.array(float(left.K[0, 0])),
         centre_px=np.asarray(left.K[:2, 2], np.float64),
     )
+
+
+def under_sun(plan: SequencePlan, corpus: Corpus, index: int, sun: int) -> SequencePlan:
+    """The plan with lights and an exposure of its own."""
+    rng = np.random.default_rng([corpus.seed, 0x50, index, sun])
+    scene = plan.scene.model_copy(
+        update={"light": random_light(corpus, rng), "sensor": random_sensor(corpus, rng)}
+    )
+    return replace(plan, scene=scene, sky=Sky(scene, plan.seed + sun), seed=plan.seed + sun)
 
 
 def _part(crop: Crop) -> tuple[slice, slice]:

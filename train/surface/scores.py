@@ -22,8 +22,7 @@ from scipy.spatial import cKDTree
 
 from polhode.config.frontend_settings import Features
 from polhode.frontend.features.keypoints import find_candidates
-from polhode.frontend.features.landmark_places import find_places
-from polhode.frontend.networks.surface import DenseOutput, SurfaceNet, sample_rings
+from polhode.frontend.networks.surface import DenseOutput, SurfaceNet, find_places, sample_rings
 from polhode.geometry.lie import Array, transform_points
 from polhode.train.descriptor.surface_points import near_rim
 from polhode.train.surface.batches import Example, batch_of, draw_example
@@ -36,12 +35,8 @@ NAMES = ("light", "pose", "both")
 MAX_BODIES = 24
 CROP_PX = 320
 POINTS = 400
-MAX_ERROR_PX = 3.0
-"""Largest distance of a right match from the true place [px]."""
 REPEAT_PX = 1.5
 """Largest distance of a place that is found again from the true one [px]."""
-PLACES = 500
-"""Number of places that are found in an image, at most."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +83,7 @@ def _rank_1(network: SurfaceNet, dense: DenseOutput, batch: Batch) -> float:
     uv = torch.cat([batch["uv_b"], batch["uv_distractor"]])
     best = (described[:m] @ described[m:].T).argmax(dim=1)
     off = torch.linalg.vector_norm(uv[best] - batch["uv_b"], dim=1)
-    return float((off < MAX_ERROR_PX).float().mean())
+    return float((off < 3.0).float().mean())  # largest distance of a right match from the true place [px]
 
 
 def _repeated(dense: DenseOutput, example: Example) -> dict[str, float]:
@@ -101,7 +96,8 @@ def _repeated(dense: DenseOutput, example: Example) -> dict[str, float]:
         mask, grey = np.zeros(tuple(dense.score.shape[1:]), bool), np.zeros(dense.score.shape[1:], np.uint8)
         mask[corner] = (body.on_target(pose) & ~near_rim(body.depth_m[pose], RIM_PX))[window.part]
         grey[corner] = body.grey[view][window.part]
-        found = find_places(dense, side, torch.from_numpy(mask).to(dense.score.device), PLACES)
+        # number of places that are found in an image, at most
+        found = find_places(dense, side, torch.from_numpy(mask).to(dense.score.device), 500)
         places.append(found.uv_px.cpu().numpy().astype(np.float64))
         sigmas.append(found.log_sigma.exp().cpu().numpy().astype(np.float64))
         blob = Features(contrast_threshold=0.006, max_features=max(len(places[-1]), 50))

@@ -32,8 +32,6 @@ from polhode.train.surface.landmarks import KnownBody, corpus_of, prepare_bodies
 from polhode.train.surface.scores import Trial, score_trials, trials_of
 from polhode.train.task import Batch
 
-DEGREES_OF_FREEDOM = 5.0
-"""Of Student's t."""
 WEIGHT_OF_LIGHT = (1.0, 1.0, 1.0, 4.0)
 """Highlights are rare."""
 LATE_FROM = 0.4
@@ -142,7 +140,7 @@ def score_loss(score: Tensor, heat: Tensor, weight: Tensor) -> Tensor:
 def student_nll(square: Tensor, log_sigma: Tensor) -> Tensor:
     """Negative log likelihood of two-dimensional differences of squared length ``square`` [px^2], up to a
     constant."""
-    nu = DEGREES_OF_FREEDOM
+    nu = 5.0  # of Student's t
     return 0.5 * (nu + 2.0) * torch.log1p(square * torch.exp(-2.0 * log_sigma) / nu) + 2.0 * log_sigma
 
 

@@ -5,7 +5,7 @@ Functions of the other modules give each its value and a sentence of what was fo
 
 from typing import NamedTuple
 
-from polhode.frontend.features.stereo import MAX_SHIFT_SHARE
+from polhode.frontend.features.epipolar_search import MAX_SHIFT_SHARE
 from polhode.frontend.matching.pairs import MIN_INLIERS
 from polhode.pipeline.checkout.result import CheckoutCheck, Group, Verdict, judge
 from polhode.records.dataset import MAX_LOSS

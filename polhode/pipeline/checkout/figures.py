@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.frontend.features.row_offsets import RowOffsets
+from polhode.frontend.features.epipolar_search import RowOffsets
 from polhode.frontend.rectification import Image, RectifiedPair
 from polhode.geometry.camera import RectifiedRig
 from polhode.pipeline.checkout.check_table import limit_of

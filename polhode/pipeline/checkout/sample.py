@@ -8,8 +8,8 @@ import numpy as np
 
 from polhode.config.frontend_settings import Frontend
 from polhode.frontend.background.find_masks import doubtful_frames
+from polhode.frontend.features.epipolar_search import RowOffsets, row_offsets
 from polhode.frontend.features.keypoints import KeyPoints, detect, no_key_points
-from polhode.frontend.features.row_offsets import RowOffsets, row_offsets
 from polhode.frontend.features.stereo import StereoFeatures, match_stereo, with_ranges
 from polhode.frontend.matching.pairs import PairMatch, match_pairs
 from polhode.frontend.rectification import Image, Rectifier, rectified_pair, target_crop

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polhode.frontend.features.stereo import MAX_SHIFT_SHARE
+from polhode.frontend.features.epipolar_search import MAX_SHIFT_SHARE
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array
 from polhode.pipeline.checkout.check_table import SEE_IMAGES, make_check

@@ -21,8 +21,7 @@ from polhode.frontend.extract import extract_pair
 from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.features.surface_features import patch_half_m
-from polhode.frontend.matching.earlier_frames import earlier_frames, viewing_direction_G
-from polhode.frontend.matching.key_frames import frames_to_let_go
+from polhode.frontend.matching.frame_choice import earlier_frames, frames_to_let_go, viewing_direction_G
 from polhode.frontend.matching.methods import match_method
 from polhode.frontend.matching.pairs import PairMatch, match_pair
 from polhode.frontend.rectification import make_rectifier, rectified_images

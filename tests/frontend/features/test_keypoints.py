@@ -1,11 +1,11 @@
-"""Key points: where they are, and that they do not care about exposure."""
+"""Key points: where they are, that they do not depend on exposure, and which of them are kept."""
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from polhode.config.frontend_settings import Features
-from polhode.frontend.features.keypoints import KeyPoints, detect, stretch
+from polhode.frontend.features.keypoints import KeyPoints, detect, find_candidates, stretch
 from polhode.frontend.rectification import Crop, Image
 
 WHOLE = Crop(0, 0, 220, 200)
@@ -53,7 +53,14 @@ def test_descriptors_do_not_depend_on_exposure() -> None:
     assert np.percentile(stretch(dark), 99.5) == pytest.approx(230, abs=8)
 
 
-def test_the_strongest_are_kept() -> None:
+def test_the_strongest_are_kept_and_candidates_are_inside_the_mask_and_apart() -> None:
     few, all_points = found(texture(), max_features=50), found(texture(), max_features=100000)
     assert len(few) == 50 < len(all_points)
     np.testing.assert_array_equal(few.uv_px, all_points.uv_px[:50])
+    mask = np.ones((200, 220), dtype=bool)
+    mask[:, :110] = False
+    candidates = find_candidates(texture(), mask, Features())
+    pixel = np.round(candidates.uv_px).astype(int)
+    assert len(candidates) > 20 and mask[pixel[:, 1], pixel[:, 0]].all()
+    assert np.all(np.diff(candidates.response) <= 0.0)
+    assert len(np.unique(np.round(candidates.uv_px / 0.5), axis=0)) == len(candidates)

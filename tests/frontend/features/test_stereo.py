@@ -10,13 +10,14 @@ from polhode.config.frontend_settings import Features
 from polhode.frontend.features.keypoints import KeyPoints, detect
 from polhode.frontend.features.patches import image_jacobian, surface_normals
 from polhode.frontend.features.stereo import (
+    StereoFeatures,
     match_on_lines,
     match_stereo,
     refine_disparity,
     texture_sigma,
     with_rough_axes,
 )
-from polhode.frontend.rectification import Image, target_crop
+from polhode.frontend.rectification import Crop, Image
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array
 
@@ -30,31 +31,35 @@ def texture(seed: int) -> Array:
     return np.asarray(np.clip((smooth - smooth.mean()) * 3.0 + 120.0, 5, 250), dtype=np.float64)
 
 
-def stereo_pair(seed: int, slope: float, gain: float = 1.0, sigma: float = 1.5) -> tuple[Image, Image, Array]:
-    """Left, right and the left image's true disparity (240, 320): a plane slanted by ``slope`` px/px."""
+def plane_at(uv: Array, slope: float) -> Array:
+    return np.asarray(40.3 + slope * (uv[:, 0] - 160) + 0.05 * (uv[:, 1] - 120))
+
+
+def stereo_pair(seed: int, slope: float, gain: float = 1.0) -> tuple[Image, Image]:
+    """Left and right image of a plane slanted by ``slope`` px/px."""
     right = texture(seed)
     v, u = np.mgrid[0:240, 0:320].astype(np.float64)
-    disparity = 40.3 + slope * (u - 160) + 0.05 * (v - 120)
+    source = (u - (40.3 + slope * (u - 160) + 0.05 * (v - 120))).astype(np.float32)
+    # Lanczos on a band-limited texture errs below the noise.
+    left = cv2.remap(right.astype(np.float32), source, v.astype(np.float32), cv2.INTER_LANCZOS4)
     rng = np.random.default_rng(seed + 100)
-    # Fourier-exact resampling is not needed: Lanczos on a band-limited texture errs below the noise.
-    left = cv2.remap(
-        right.astype(np.float32), (u - disparity).astype(np.float32), v.astype(np.float32), cv2.INTER_LANCZOS4
-    )
-    images = [
-        np.clip(np.round(g * a + rng.normal(0, sigma, a.shape)), 0, 255)
-        for g, a in ((gain, left), (1.0, right))
-    ]
-    return images[0].astype(np.uint8), images[1].astype(np.uint8), disparity
+    noisy = [np.round(a + rng.normal(0, 1.5, a.shape)) for a in (gain * left, right)]
+    return np.clip(noisy[0], 0, 255).astype(np.uint8), np.clip(noisy[1], 0, 255).astype(np.uint8)
+
+
+def matched(left: Image, right: Image, rig: RectifiedRig = RIG) -> tuple[StereoFeatures, Array]:
+    whole = Crop(0, 0, 320, 240)
+    points = [detect(image, np.ones(image.shape, dtype=bool), whole, Features()) for image in (left, right)]
+    return match_stereo(left, right, points[0], points[1], rig)
 
 
 @pytest.mark.parametrize(("slope", "gain"), [(0.0, 1.0), (0.15, 1.0), (-0.2, 0.7)])
 def test_refined_disparity_is_unbiased_and_its_sigma_is_true(slope: float, gain: float) -> None:
-    left, right, _ = stereo_pair(3, slope, gain)
     rng = np.random.default_rng(5)
     uv = np.column_stack([rng.uniform(110, 300, 400), rng.uniform(20, 220, 400)])
-    truth = 40.3 + slope * (uv[:, 0] - 160) + 0.05 * (uv[:, 1] - 120)
+    truth = plane_at(uv, slope)
     start = truth + rng.uniform(-0.8, 0.8, 400)
-    refined, sigma, correlation, _ = refine_disparity(left, right, uv, start)
+    refined, sigma, correlation, _ = refine_disparity(*stereo_pair(3, slope, gain), uv, start)
     good = correlation > 0.9
     error = (refined - truth)[good]
     assert good.mean() > 0.95
@@ -79,11 +84,13 @@ def test_the_sigma_of_a_texture_is_that_of_two_images_of_it(noise: float) -> Non
     assert texture_sigma(left, np.zeros((0, 2))).shape == (0,)
 
 
-def test_a_window_without_texture_is_refused() -> None:
+def test_images_without_texture_give_no_features() -> None:
     flat = np.full((240, 320), 100, dtype=np.uint8)
     noisy = (flat + np.random.default_rng(0).integers(0, 3, flat.shape)).astype(np.uint8)
     _, _, correlation, _ = refine_disparity(noisy, flat, np.array([[160.0, 120.0]]), np.array([40.0]))
     assert correlation[0] < 0.85
+    black = np.zeros((240, 320), dtype=np.uint8)
+    assert len(matched(black, black)[0]) == 0
 
 
 @pytest.mark.parametrize(("second", "kept"), [(0.55, True), (0.52, False)])
@@ -99,31 +106,12 @@ def test_a_match_is_refused_when_the_second_best_descriptor_is_nearly_as_near(
     assert (left.tolist(), disparity.tolist()) == (([0], [40.0]) if kept else ([], []))
 
 
-def test_matches_lie_on_the_surface() -> None:
-    left, right, _ = stereo_pair(7, 0.1)
-    mask = np.ones(left.shape, dtype=bool)
-    crop = target_crop(mask)
-    assert crop is not None
-    points = [detect(image, mask, crop, Features()) for image in (left, right)]
-    found, _ = match_stereo(left, right, points[0], points[1], RIG)
-    truth = 40.3 + 0.1 * (found.uvd_px[:, 0] - 160) + 0.05 * (found.uvd_px[:, 1] - 120)
-    wrong = np.abs(found.uvd_px[:, 2] - truth) > 0.5
-    assert len(found) > 200
-    assert wrong.mean() < 0.02
-    np.testing.assert_allclose(RIG.project(found.p_R), found.uvd_px, atol=1e-9)
-    np.testing.assert_allclose(np.linalg.norm(found.descriptors, axis=1), 1.0, atol=1e-4)
-
-
 @pytest.mark.parametrize("shift_px", [40.0, 0.0, -40.0])
 def test_converging_cameras_match_what_both_see(shift_px: float) -> None:
     """Where the axes cross, columns agree, and the disparity beyond that of infinity exceeds the image."""
-    left, right, _ = stereo_pair(7, 0.0)
+    left, right = stereo_pair(7, 0.0)
     right = np.roll(right, int(40.0 - shift_px), axis=1)
-    mask = np.ones(left.shape, dtype=bool)
-    crop = target_crop(mask)
-    assert crop is not None
-    points = [detect(image, mask, crop, Features()) for image in (left, right)]
-    near, _ = match_stereo(left, right, points[0], points[1], replace(RIG, disparity_offset_px=-554.0))
+    near, _ = matched(left, right, replace(RIG, disparity_offset_px=-554.0))
     assert len(near) > 200
     assert abs(np.median(near.uvd_px[:, 2]) - shift_px) < 1.0
     np.testing.assert_allclose(np.median(near.p_R[:, 2]), 467.0 * 0.09 / (shift_px + 554.0), rtol=0.01)
@@ -137,42 +125,24 @@ def test_parallel_cameras_see_nothing_nearer_than_their_images_overlap() -> None
     assert match_on_lines(left, right, RIG)[0].tolist() == [0]
 
 
-def test_an_empty_image_gives_no_features() -> None:
-    black = np.zeros((240, 320), dtype=np.uint8)
-    mask = np.ones(black.shape, dtype=bool)
-    crop = target_crop(mask)
-    assert crop is not None
-    points = detect(black, mask, crop, Features())
-    assert len(points) == 0
-    assert len(match_stereo(black, black, points, points, RIG)[0]) == 0
-
-
 @pytest.mark.parametrize("slope", [0.0, 0.15])
-def test_key_points_know_roughly_how_their_surface_lies(slope: float) -> None:
-    left, right, disparity = stereo_pair(7, slope)
-    mask = np.ones(left.shape, dtype=bool)
-    crop = target_crop(mask)
-    assert crop is not None
-    points = [detect(image, mask, crop, Features()) for image in (left, right)]
-    measured, slopes = match_stereo(left, right, points[0], points[1], RIG)
+def test_matches_lie_on_the_surface_and_know_roughly_how_it_lies(slope: float) -> None:
+    measured, slopes = matched(*stereo_pair(7, slope))
     features = with_rough_axes(measured, slopes, RIG)
-    assert len(features) > 100
-    assert not features.on_surface.any()
-    R_RS, angle = features.proposing_R_RS, features.angle_rad
-    assert R_RS is not None and angle is not None
-    np.testing.assert_allclose(
-        np.swapaxes(R_RS, 1, 2) @ R_RS, np.tile(np.eye(3), (len(R_RS), 1, 1)), atol=1e-9
-    )
-    uv = features.uvd_px[:, :2]
-    at = np.round(uv).astype(int)
-    plane = np.column_stack([disparity[at[:, 1], at[:, 0]], np.tile([slope, 0.05], (len(uv), 1))])
+    uv, n = features.uvd_px[:, :2], len(features)
+    assert n > 100 and not features.on_surface.any()
+    assert (np.abs(features.uvd_px[:, 2] - plane_at(uv, slope)) > 0.5).mean() < 0.02
+    np.testing.assert_allclose(RIG.project(features.p_R), features.uvd_px, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(features.descriptors, axis=1), 1.0, atol=1e-4)
+    R_RS, angle, per_px = features.proposing_R_RS, features.angle_rad, features.metres_per_px
+    assert R_RS is not None and angle is not None and per_px is not None
+    np.testing.assert_allclose(np.swapaxes(R_RS, 1, 2) @ R_RS, np.tile(np.eye(3), (n, 1, 1)), atol=1e-9)
+    plane = np.column_stack([plane_at(uv, slope), np.tile([slope, 0.05], (n, 1))])
     cosine = np.sum(R_RS[:, :, 2] * surface_normals(uv, plane, RIG), axis=1)
     assert np.median(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))) < 12.0
     # x of the surface is seen along the key point's orientation
     seen = np.einsum("nij,nj->ni", image_jacobian(features.p_R, RIG), R_RS[:, :, 0])
     seen /= np.linalg.norm(seen, axis=1, keepdims=True)
     np.testing.assert_allclose(seen, np.column_stack([np.cos(angle), np.sin(angle)]), atol=1e-9)
-    per_px = features.metres_per_px
-    assert per_px is not None
     jacobian = RIG.triangulation_jacobian(features.p_R)
     np.testing.assert_allclose(per_px, np.abs(jacobian[:, [0, 2], [0, 2]]))

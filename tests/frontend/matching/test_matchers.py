@@ -23,38 +23,23 @@ from polhode.frontend.matching.nearest import MutualNearest
 from polhode.frontend.matching.pairs import match_rows
 from polhode.geometry.lie import Array, exp_so3, make_pose, transform_points
 from polhode.geometry.rigid_fit import fit_rigid
-from tests.frontend.feature_world import RIG
+from tests.frontend.feature_world import RIG, unit
 
 FEATURES: tuple[Literal["rootsift", "polhode"], ...] = ("rootsift", "polhode")
 X_AB = make_pose(exp_so3([0.3, -0.7, 0.2]), [0.05, 0.02, -0.03])
 """The motion between the frames of these tests."""
 
 
-def _unit(a: Array) -> Array:
-    return np.asarray(a / np.linalg.norm(a, axis=-1, keepdims=True))
-
-
 def _axes(rng: np.random.Generator, n: int) -> Array:
-    return np.array(
-        [
-            exp_so3(axis * angle)
-            for axis, angle in zip(_unit(rng.normal(size=(n, 3))), rng.uniform(0, np.pi, n), strict=True)
-        ]
-    )
+    axes = unit(rng.normal(size=(n, 3)))
+    return exp_so3(axes * rng.uniform(0, np.pi, (n, 1)))
 
 
 def _features(p_R: Array, R_RS: Array | None, descriptors: Array | Descriptors) -> StereoFeatures:
     n, z = len(p_R), p_R[:, 2]
     per_px = np.column_stack([z / RIG.focal_px, z**2 / (RIG.focal_px * RIG.baseline_m)])
-    return StereoFeatures(
-        RIG.project(p_R),
-        np.full((n, 3), 0.2),
-        p_R,
-        np.ones(n),
-        descriptors.astype(np.float32),
-        R_RS=R_RS,
-        metres_per_px=per_px,
-    )
+    sigma, looks = np.full((n, 3), 0.2), descriptors.astype(np.float32)
+    return StereoFeatures(RIG.project(p_R), sigma, p_R, np.ones(n), looks, R_RS=R_RS, metres_per_px=per_px)
 
 
 def _frames(right: int, wrong: int, seed: int = 0) -> tuple[StereoFeatures, StereoFeatures]:
@@ -68,8 +53,8 @@ def _frames(right: int, wrong: int, seed: int = 0) -> tuple[StereoFeatures, Ster
     tilt = np.array([exp_so3(v) for v in rng.normal(0.0, 0.08, (n, 3))])
     R_AS = X_AB[:3, :3] @ R_BS @ tilt
     R_AS[right:] = _axes(rng, n)[right:]
-    looks = _unit(rng.normal(size=(n, 128)))
-    return _features(p_A, R_AS, looks), _features(p_B, R_BS, _unit(looks + 0.03 * rng.normal(size=(n, 128))))
+    looks = unit(rng.normal(size=(n, 128)))
+    return _features(p_A, R_AS, looks), _features(p_B, R_BS, unit(looks + 0.03 * rng.normal(size=(n, 128))))
 
 
 def test_the_dual_softmax_has_the_right_gradient() -> None:
@@ -105,9 +90,9 @@ def test_likely_pairs_are_those_of_the_dual_softmax() -> None:
     a, b = (torch.nn.functional.normalize(torch.randn(k, 16), dim=1) for k in (300, 70))
     for temperature, dustbin in ((0.03, 0.6), (0.2, 0.1)):
         expected = DualSoftmax(temperature, dustbin)(a, b).exp().detach().numpy()
-        found = likely_pairs(a.numpy(), b.numpy(), temperature, dustbin)
+        pairs, root = likely_pairs(a.numpy(), b.numpy(), temperature, dustbin)
         probability = np.zeros_like(expected)
-        probability[found.pairs[:, 0], found.pairs[:, 1]] = found.root**2
+        probability[pairs[:, 0], pairs[:, 1]] = root**2
         kept = probability > 0.0
         assert 0 < kept.sum() < kept.size
         np.testing.assert_allclose(probability[kept], expected[kept], rtol=1e-4)
@@ -172,12 +157,12 @@ def _symmetric_frames(
     part, axes, looks = (
         rng.uniform([0.03, -0.03, -0.05], [0.1, 0.03, 0.05], (per_part, 3)),
         _axes(rng, per_part),
-        _unit(rng.normal(size=(per_part, 128))),
+        unit(rng.normal(size=(per_part, 128))),
     )
     p_G = np.concatenate([part @ turn.T for turn in turns])
     R_GS = np.concatenate([turn @ axes for turn in turns])
     looks = np.tile(looks, (fold, 1))
-    elsewhere = _unit(rng.normal(size=(clutter, 128)))
+    elsewhere = unit(rng.normal(size=(clutter, 128)))
     frames = []
     for X_RG in (make_pose(np.eye(3), [0.0, 0.0, 0.6]), make_pose(X_AB[:3, :3].T, [0.01, 0.02, 0.62])):
         p_R = np.concatenate(
@@ -185,14 +170,14 @@ def _symmetric_frames(
         )
         uvd = RIG.project(p_R) + rng.normal(size=(len(p_R), 3)) * sigma_px * [1.0, 1.0, 1.0 / 3.0]
         described = np.concatenate([looks, elsewhere])
-        described = _unit(described + 0.03 * rng.normal(size=described.shape))
+        described = unit(described + 0.03 * rng.normal(size=described.shape))
         R_RS = np.concatenate([X_RG[:3, :3] @ R_GS, _axes(rng, clutter)])
         frames.append(_features(RIG.triangulate(uvd), R_RS, described))
     return frames[0], frames[1]
 
 
 @pytest.mark.parametrize("method", ["nearest", "polhode"])
-@pytest.mark.parametrize("fold", [2, 3, 6])
+@pytest.mark.parametrize("fold", [2, 6])
 @pytest.mark.parametrize(("clutter", "sigma_px"), [(5, 0.0), (100, 0.3)])
 def test_of_a_body_with_equal_parts_every_motion_is_found(
     method: Literal["nearest", "polhode"], fold: int, clutter: int, sigma_px: float

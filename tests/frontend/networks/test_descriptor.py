@@ -1,5 +1,6 @@
-"""The descriptor of patches: blind to turns and exposure, its direction turns; the file of its weights."""
+"""The descriptor of patches: blind to turns and exposure, its direction turns."""
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -16,24 +17,13 @@ def network() -> DescriptorNet:
     return DescriptorNet().eval()
 
 
-def clouds(seed: int, size_px: int = 120) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:
-    """Smooth random grey values."""
-    import cv2
-
-    rough = np.random.default_rng(seed).normal(size=(size_px, size_px)).astype(np.float32)
-    smooth = cv2.GaussianBlur(rough, (0, 0), 3.0)
-    return np.asarray(np.clip(120 + 400 * smooth, 0, 255), dtype=np.uint8)
-
-
-def patches_at(angles_rad: list[float]) -> Tensor:
-    """The middle of one image, turned."""
+def patches_at(angles_rad: list[float], seed: int = 5) -> Tensor:
+    """The middle of one image of smooth random grey values, turned."""
+    rough = np.random.default_rng(seed).normal(size=(120, 120)).astype(np.float32)
+    clouds = np.clip(120 + 400 * cv2.GaussianBlur(rough, (0, 0), 3.0), 0, 255).astype(np.uint8)
     n = len(angles_rad)
     affine = rotate_affines(upright_affines(np.full(n, 16.0)), np.array(angles_rad))
-    return torch.from_numpy(cut_patches(clouds(5), np.full((n, 2), 60.0), affine))
-
-
-def contiguous(network: DescriptorNet) -> dict[str, Tensor]:
-    return {name: value.contiguous() for name, value in network.state_dict().items()}
+    return torch.from_numpy(cut_patches(clouds, np.full((n, 2), 60.0), affine))
 
 
 def test_quarter_turns_change_nothing_but_the_direction(network: DescriptorNet) -> None:
@@ -45,8 +35,7 @@ def test_quarter_turns_change_nothing_but_the_direction(network: DescriptorNet) 
         assert torch.allclose(each.reliability, described[0].reliability, atol=1e-3)
         # rot90 turns from y (down) to x (right): against the patch's angles.
         angle = torch.atan2(*each.direction[0].flip(0)) - torch.atan2(*described[0].direction[0].flip(0))
-        off = (angle + k * torch.pi / 2 + torch.pi) % (2 * torch.pi) - torch.pi
-        assert abs(float(off)) < 1e-3
+        assert abs(float((angle + k * torch.pi / 2 + torch.pi) % (2 * torch.pi) - torch.pi)) < 1e-3
 
 
 def test_the_direction_turns_with_the_surface(network: DescriptorNet) -> None:
@@ -60,14 +49,7 @@ def test_the_direction_turns_with_the_surface(network: DescriptorNet) -> None:
 
 
 def test_descriptors_of_turned_patches_are_nearer_than_of_others(network: DescriptorNet) -> None:
-    others = torch.from_numpy(
-        np.concatenate(
-            [
-                cut_patches(clouds(seed), np.full((1, 2), 60.0), upright_affines(np.full(1, 16.0)))
-                for seed in range(10, 30)
-            ]
-        )
-    )
+    others = torch.cat([patches_at([0.0], seed) for seed in range(10, 30)])
     with torch.no_grad():
         own = network(patches_at([0.0, 0.4, 1.1, 2.5])).descriptor
         strange = network(others).descriptor
@@ -85,8 +67,7 @@ def test_the_whole_network_is_differentiable(network: DescriptorNet) -> None:
     loss = described.descriptor[0, :5].sum() + described.reliability.sum() + described.direction[0].sum()
     loss.backward()
     for name, weight in network.named_parameters():
-        assert weight.grad is not None, name
-        assert torch.isfinite(weight.grad).all(), name
+        assert weight.grad is not None and torch.isfinite(weight.grad).all(), name
     network.zero_grad()
 
 

@@ -92,11 +92,9 @@ def test_a_surface_that_lies_otherwise_is_another_one(world: World) -> None:
     direction = viewing_direction(features.p_R, world.X_RG[0])
     for turn_deg, same in ((0.0, True), (30.0, True), (70.0, False)):
         turned = replace(features, R_RS=axes @ exp_so3([0.0, 0.0, np.deg2rad(turn_deg)]))
-        distance = descriptor_distance(
-            model, every, turned, direction, every, every, GuidedMatching(), world.X_RG[0]
-        )
-        assert np.isfinite(distance).all() == same
-        assert np.isinf(distance).all() != same
+        config, X_RG = GuidedMatching(), world.X_RG[0]
+        distance = descriptor_distance(model, every, turned, direction, every, every, config, X_RG)
+        assert np.isfinite(distance).all() == same and np.isinf(distance).all() != same
 
 
 def match_everything(world: World, workers: int) -> list[PairMatch]:
@@ -104,12 +102,19 @@ def match_everything(world: World, workers: int) -> list[PairMatch]:
     return match_pairs(world.frames, partners, RIG, Frontend(), 0, workers, lambda: None)
 
 
-def test_blind_links_are_right_and_do_not_depend_on_the_workers(world: World) -> None:
-    runs = [match_everything(world, workers) for workers in (1, 2)]
-    for match in runs[0]:
+@pytest.fixture(scope="module")
+def matches(world: World) -> list[PairMatch]:
+    return match_everything(world, 1)
+
+
+def test_blind_links_are_right_and_do_not_depend_on_the_workers(
+    world: World, matches: list[PairMatch]
+) -> None:
+    runs = [matches, match_everything(world, 2)]
+    for match in matches:
         X_true = world.X_RG[match.i] @ inverse_pose(world.X_RG[match.j])
         assert np.rad2deg(np.linalg.norm(log_so3(match.X_RiRj[:3, :3].T @ X_true[:3, :3]))) < 3.0
-    assert {(m.i, m.j) for m in runs[0]} >= {(k, k + 1) for k in range(23)} | {(k, k + 12) for k in range(12)}
+    assert {(m.i, m.j) for m in matches} >= {(k, k + 1) for k in range(23)} | {(k, k + 12) for k in range(12)}
     first, second = (relative_poses(run) for run in runs)
     np.testing.assert_array_equal(first.X_RiRj, second.X_RiRj)
     np.testing.assert_array_equal(first.inliers, second.inliers)
@@ -125,11 +130,6 @@ def test_a_landmark_seen_again_a_revolution_later_is_the_same_landmark(
     for labels in association.landmark:
         used = labels[labels >= 0]
         assert len(np.unique(used)) == len(used)
-
-
-@pytest.fixture(scope="module")
-def matches(world: World) -> list[PairMatch]:
-    return match_everything(world, 1)
 
 
 def test_matches_that_the_motion_contradicts_are_dropped(world: World, matches: list[PairMatch]) -> None:
@@ -158,9 +158,8 @@ def lost_frames(
 
 def test_lost_frames_are_found_near_their_predicted_pose(world: World, matches: list[PairMatch]) -> None:
     rng = np.random.default_rng(5)
-    association, motion = lost_frames(
-        world, matches, {k: exp_so3(rng.normal(size=3) * np.deg2rad(2.0)) for k in (7, 13)}
-    )
+    turned = {k: exp_so3(rng.normal(size=3) * np.deg2rad(2.0)) for k in (7, 13)}
+    association, motion = lost_frames(world, matches, turned)
     assert np.all(association.landmark[7] == -1)
     found = reconnect(world.frames, association, motion, RIG, GuidedMatching(), 0)
     assert found.motion.connected.all()
@@ -183,15 +182,9 @@ def test_the_longest_tracks_are_kept_until_every_frame_has_enough(
 ) -> None:
     association = join_matches(world.frames, matches)
     stamps = (np.arange(24) * 500_000_000).astype(np.int64)
+    still = np.tile(np.eye(4), (24, 1, 1))
     few, everything = (
-        to_tracks(
-            world.frames,
-            association,
-            RIG,
-            stamps,
-            np.tile(np.eye(4), (24, 1, 1)),
-            Tracks(enough_per_frame=n),
-        )
+        to_tracks(world.frames, association, RIG, stamps, still, Tracks(enough_per_frame=n))
         for n in (20, 10**6)
     )
     assert np.bincount(few.frame, minlength=24).min() >= 20

@@ -53,28 +53,20 @@ def test_a_landmark_of_two_names_becomes_one(world: World) -> None:
         assert len(np.unique(used)) == len(used)
 
 
-def test_neighbours_that_look_different_stay_apart(world: World) -> None:
-    shuffled = np.random.default_rng(4)
+def test_what_looks_different_or_is_elsewhere_stays_apart(world: World) -> None:
+    shuffled, apart = np.random.default_rng(4), split_by_revolution(world)
     frames = [
         replace(frame, descriptors=shuffled.permutation(frame.descriptors)) if k >= 12 else frame
         for k, frame in enumerate(world.frames)
     ]
-    apart = split_by_revolution(world)
     merged = merge_duplicates(frames, apart, known_motion(world), RIG, CONFIG)
     assert apart.n_landmarks - merged.n_landmarks < 0.02 * apart.n_landmarks
-
-
-def test_a_wrong_motion_joins_next_to_nothing(world: World) -> None:
-    """Half of the sequence is turned by 8 degrees against the truth."""
+    # half of the sequence is turned by 8 degrees against the truth
     wrong = world.X_RG.copy()
     wrong[12:, :3, :3] = wrong[12:, :3, :3] @ exp_so3(np.deg2rad([0.0, 8.0, 3.0]))
     motion = InitialMotion(wrong, np.ones(24, dtype=bool))
-    apart = split_by_revolution(world)
     merged = merge_duplicates(world.frames, apart, motion, RIG, CONFIG)
     assert apart.n_landmarks - merged.n_landmarks < 0.05 * apart.n_landmarks
-
-
-def test_frames_without_a_pose_have_no_say(world: World) -> None:
+    # frames without a pose have no say
     nothing = InitialMotion(world.X_RG, np.zeros(24, dtype=bool))
-    apart = split_by_revolution(world)
     assert merge_duplicates(world.frames, apart, nothing, RIG, CONFIG) is apart

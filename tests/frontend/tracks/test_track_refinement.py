@@ -4,7 +4,6 @@ refined."""
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from polhode.config.frontend_settings import Features, Frontend
 from polhode.frontend.features.patches import cut_patches, rotate_affines, upright_affines
@@ -21,10 +20,10 @@ from polhode.geometry.lie import inverse_pose, transform_points
 from polhode.geometry.rigid_fit import fit_rigid
 from polhode.records.dataset import open_sequence
 from polhode.records.estimate import InitialMotion
-from tests.frontend.feature_world import RIG
+from tests.frontend.feature_world import RIG, first_features, make_world
 
 SAMPLE = Path(__file__).parents[3] / "examples" / "sample"
-CONFIG = Frontend(features=Features(method="polhode", surface_descriptor="rootsift"))
+CONFIG = Frontend(features=Features(method="polhode"))
 
 
 def _texture() -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
@@ -71,7 +70,6 @@ def test_slopes_of_the_disparity_are_those_of_the_plane() -> None:
     assert np.allclose(slope, [d[1] - d[0], d[2] - d[0]], rtol=0.01)
 
 
-@pytest.fixture(scope="module")
 def refined() -> tuple[list[StereoFeatures], list[StereoFeatures], Association, Association]:
     """The first three frames of the sample, before and after; motion by blind matching to the first."""
     sequence = open_sequence(SAMPLE)
@@ -86,11 +84,7 @@ def refined() -> tuple[list[StereoFeatures], list[StereoFeatures], Association, 
         fit = ransac_rigid(a.uvd_px[pairs[:, 0]], a.p_R[pairs[:, 0]], b.p_R[pairs[:, 1]], rectifier.rig, rng)
         links.append(PairMatch(0, k, fit.X_RiRj, pairs[fit.inlier]))
         poses.append(inverse_pose(fit.X_RiRj))
-    waiting = [
-        StereoFeatures(f.uvd_px[:0], f.sigma_px[:0], f.p_R[:0], f.scale_px[:0], f.descriptors[:0])
-        for f in frames
-    ]
-    everything = frames + waiting[:1] * (len(sequence) - 3)
+    everything = frames + [first_features(frames[0], 0)] * (len(sequence) - 3)
     found = join_matches(everything, links)
     connected = np.arange(len(sequence)) < 3
     motion = InitialMotion(np.array(poses + [np.eye(4)] * (len(sequence) - 3)), connected)
@@ -107,18 +101,10 @@ def _disagreement_px(frames: list[StereoFeatures], association: Association, k: 
     return float(np.median(np.linalg.norm(RIG.project(moved)[:, :2] - RIG.project(p)[:, :2], axis=1)))
 
 
-def test_refined_tracks_agree_better_on_a_motion(
-    refined: tuple[list[StereoFeatures], list[StereoFeatures], Association, Association],
-) -> None:
-    before, after, _, kept = refined
+def test_refined_tracks_agree_better_on_a_motion_and_most_observations_stay() -> None:
+    before, after, found, kept = refined()
     for k in range(1, 3):
         assert _disagreement_px(after, kept, k) < 0.7 * _disagreement_px(before, kept, k)
-
-
-def test_most_observations_stay_and_no_landmark_is_invented(
-    refined: tuple[list[StereoFeatures], list[StereoFeatures], Association, Association],
-) -> None:
-    _, after, found, kept = refined
     was, stays = (np.concatenate(a.landmark[:3]) for a in (found, kept))
     assert np.all((stays == was) | (stays == -1))
     assert np.sum(stays >= 0) > 0.6 * np.sum(was >= 0)
@@ -127,11 +113,7 @@ def test_most_observations_stay_and_no_landmark_is_invented(
 
 def test_features_without_axes_are_left_alone() -> None:
     sequence = open_sequence(SAMPLE)
-    nothing = [
-        StereoFeatures(
-            np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 128), np.float32)
-        )
-    ] * len(sequence)
+    nothing = [first_features(make_world(1).frames[0], 0)] * len(sequence)
     association = Association(tuple(np.zeros(0, np.int64) for _ in nothing))
     motion = InitialMotion(np.tile(np.eye(4), (len(sequence), 1, 1)), np.ones(len(sequence), bool))
     after, kept = refine_tracks(

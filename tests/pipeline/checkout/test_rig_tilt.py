@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polhode.frontend.features.row_offsets import RowOffsets
+from polhode.frontend.features.epipolar_search import RowOffsets
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import exp_so3
 from polhode.pipeline.checkout.rig_tilt import fit_rows, regions, tilt_checks

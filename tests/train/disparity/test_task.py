@@ -43,8 +43,7 @@ def sample() -> DisparitySample:
     painted = np.clip(rng.normal(120, 45, (35, 35)), 20, 255).repeat(2, 0).repeat(2, 1)
     painted[:, 52:] = 150
     left[25:95, 70:140] = painted
-    right[25:95, 40:92] = painted[:, :52]
-    right[25:95, 86:104] = painted[:, 52:]
+    right[25:95, 40:92], right[25:95, 86:104] = painted[:, :52], painted[:, 52:]
     mask = np.zeros((120, 180), dtype=bool)
     mask[25:95, 70:140] = True
     truth = np.where(mask, 30.0, np.nan).astype(np.float32)
@@ -54,8 +53,7 @@ def sample() -> DisparitySample:
     crop = cut_crop(left, right, mask, (25.0, 40.0), Depth())
     start = initial_disparity(crop, Depth())
     assert start is not None
-    inner = crop.inner
-    return DisparitySample(start, truth[inner] - crop.shift_px, visible[inner])
+    return DisparitySample(start, truth[crop.inner] - crop.shift_px, visible[crop.inner])
 
 
 @pytest.fixture(scope="module")
@@ -71,30 +69,29 @@ def agrees(sample: DisparitySample) -> float:
     return float(np.median(np.abs(sample.start.filled - sample.truth)[known]))
 
 
-def test_a_sample_comes_back_from_its_file(sample: DisparitySample, files: list[Path]) -> None:
+def test_a_sample_comes_back_from_its_file_and_a_batch_from_its_seed(
+    sample: DisparitySample, files: list[Path]
+) -> None:
     again = read_sample(files[0])
     np.testing.assert_array_equal(again.truth, sample.truth)
     np.testing.assert_array_equal(again.start.even_right, sample.start.even_right)
     assert again.start.margin_px == sample.start.margin_px
+    first, second = (random_batch(files, 2, 64, np.random.default_rng([7, 3])) for _ in range(2))
+    assert first["channels"].shape == (2, CHANNELS, 64, 64)
+    for name, tensor in first.items():
+        assert torch.equal(torch.nan_to_num(tensor), torch.nan_to_num(second[name])), name
 
 
 def test_augmented_samples_keep_their_truth(sample: DisparitySample) -> None:
-    assert agrees(sample) < 0.1
-    assert agrees(flip_rows(sample)) < 0.1
+    assert agrees(sample) < 0.1 and agrees(flip_rows(sample)) < 0.1
     np.testing.assert_array_equal(flip_rows(flip_rows(sample)).start.left, sample.start.left)
-    rng = np.random.default_rng(0)
-    thinned = remove_matches(sample.start, 5, rng)
-    assert np.isfinite(thinned.sigma).sum() < np.isfinite(sample.start.sigma).sum()
-    shifted = shift_by_plane(sample.start, rng)
-    assert 0.01 < np.abs(shifted.filled - sample.start.filled).max() < 5.0
-    np.testing.assert_allclose(
-        shifted.near - shifted.filled, sample.start.near - sample.start.filled, atol=1e-4
-    )
+    rng, start = np.random.default_rng(0), sample.start
+    assert np.isfinite(remove_matches(start, 5, rng).sigma).sum() < np.isfinite(start.sigma).sum()
+    shifted = shift_by_plane(start, rng)
+    assert 0.01 < np.abs(shifted.filled - start.filled).max() < 5.0
+    np.testing.assert_allclose(shifted.near - shifted.filled, start.near - start.filled, atol=1e-4)
     assert augment(sample, rng).truth.shape == sample.truth.shape
-
-
-def test_parts_have_the_size_asked_for_also_of_small_samples(sample: DisparitySample) -> None:
-    rng = np.random.default_rng(1)
+    # parts have the size asked for, also of small samples
     for size in ((32, 48), (160, 192)):
         part = random_crop(sample, size, rng)
         assert part.truth.shape == part.start.filled.shape == size
@@ -102,29 +99,19 @@ def test_parts_have_the_size_asked_for_also_of_small_samples(sample: DisparitySa
         assert part.start.target.any()
 
 
-def test_a_batch_is_the_same_again_from_the_same_seed(files: list[Path]) -> None:
-    first, second = (random_batch(files, 2, 64, np.random.default_rng([7, 3])) for _ in range(2))
-    assert first["channels"].shape == (2, CHANNELS, 64, 64)
-    for name, tensor in first.items():
-        assert torch.equal(torch.nan_to_num(tensor), torch.nan_to_num(second[name])), name
-
-
 def mixture_at(mean: torch.Tensor, scale: float) -> DisparityMixture:
-    return DisparityMixture(
-        torch.zeros(len(mean), 1), mean[:, None], torch.full((len(mean), 1), scale), torch.zeros(len(mean))
-    )
+    n = len(mean)
+    return DisparityMixture(torch.zeros(n, 1), mean[:, None], torch.full((n, 1), scale), torch.zeros(n))
 
 
 @pytest.fixture(scope="module")
 def asked(sample: DisparitySample) -> Batch:
-    batch = stack([sample])
-    raw = torch.zeros(1, OUTPUTS, *sample.truth.shape)
-    mixture, found = loss_pixels(raw, batch)
+    mixture, found = loss_pixels(torch.zeros(1, OUTPUTS, *sample.truth.shape), stack([sample]))
     assert len(mixture.mean) == len(found["truth"]) == int(sample.start.target.sum())
     return found
 
 
-def test_the_loss_prefers_the_truth_and_an_honest_scale_and_has_a_bound(asked: Batch) -> None:
+def test_the_loss_prefers_the_truth_and_a_consistent_scale_and_has_a_bound(asked: Batch) -> None:
     truth = torch.nan_to_num(asked["truth"])
 
     def loss(off: float, scale: float) -> float:
@@ -133,16 +120,13 @@ def test_the_loss_prefers_the_truth_and_an_honest_scale_and_has_a_bound(asked: B
     assert loss(0.0, 0.3) < loss(0.5, 0.3)
     assert np.argmin([loss(0.5, scale) for scale in (0.05, 0.5, 5.0)]) == 1
     assert loss(1e3, 0.02) == loss(1e6, 0.02) < 15.0
-
-
-def test_pixels_without_truth_teach_nothing_about_place(asked: Batch) -> None:
+    # pixels without truth teach nothing about place
     thinned = asked | {"truth": asked["truth"].clone()}
     thinned["truth"][:100] = torch.nan
-    mean = torch.nan_to_num(asked["truth"]).requires_grad_()
+    mean = truth.clone().requires_grad_()
     disparity_loss(mixture_at(mean + 0.1, 0.3), thinned).backward()
     assert mean.grad is not None
-    assert (mean.grad[:100] == 0).all()
-    assert (mean.grad[100:] != 0).all()
+    assert (mean.grad[:100] == 0).all() and (mean.grad[100:] != 0).all()
 
 
 def test_the_loss_falls_as_the_network_learns(files: list[Path]) -> None:

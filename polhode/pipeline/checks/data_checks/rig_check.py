@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polhode.frontend.features.row_offsets import RowOffsets
+from polhode.frontend.features.epipolar_search import RowOffsets
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Ints, inverse_pose, log_so3, transform_points

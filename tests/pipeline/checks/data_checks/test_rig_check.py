@@ -9,7 +9,7 @@ import pytest
 
 from polhode.backend import estimate_motion
 from polhode.config.backend_settings import Backend
-from polhode.frontend.features.row_offsets import RowOffsets
+from polhode.frontend.features.epipolar_search import RowOffsets
 from polhode.geometry.lie import Array
 from polhode.pipeline.checks.data_checks.rig_check import (
     RowSpeeds,
