@@ -48,7 +48,7 @@ SCENES: dict[Motion, SyntheticScene] = {
 """The motions of the benchmark of accuracy."""
 CODE = (
     "polhode", "polhode.frontend", "polhode.backend", "polhode.pipeline.context",
-    "polhode.pipeline.correspondences", "polhode.pipeline.find_motion", "polhode.pipeline.consistency_check",
+    "polhode.pipeline.correspondences", "polhode.pipeline.find_motion",
 )  # fmt: skip
 """Our code by which the measurements of a dataset are made."""
 DISTRIBUTIONS = (*BASE, "torch", "opencv-python-headless", "kornia")
